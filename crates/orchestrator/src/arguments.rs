@@ -10,6 +10,9 @@ use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
 use pb3dp_wiring::ReplayPace;
 
+/// The exit code of an answer that is not sure, where `--strict` asks for it, and of setups that differ.
+pub const UNSURE: u8 = 3;
+
 /// Arguments of `pb3dp run`.
 #[derive(Debug, Args)]
 pub struct RunArgs {

@@ -21,9 +21,6 @@ const VERSION: &str = if pb3dp_safeguards::CAN_BE_OFF {
     env!("CARGO_PKG_VERSION")
 };
 
-/// The exit code of an answer that is not sure, where `--strict` asks for it, and of setups that differ.
-pub const UNSURE: u8 = 3;
-
 /// The same for every command, but for `doctor`, whose help has its own.
 const EXIT_CODES: &str = "\
 Exit codes: 0 good; 1 failed; 2 the command line is not understood; 3 unsure (--strict) or different (config diff)";

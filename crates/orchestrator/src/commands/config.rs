@@ -11,7 +11,7 @@ use pb3dp_setup::explain::explain;
 use pb3dp_setup::layers::{Effective, Layers, SetupArgs, built_in, toml_of};
 use pb3dp_setup::setup::read_layers;
 
-use crate::cli::UNSURE;
+use crate::arguments::UNSURE;
 
 /// Where the arms begin in the example of a rig.
 const ARMS: &str = "[arms]\n";

@@ -18,8 +18,7 @@ use pb3dp_record::dataset::SequenceWriter;
 use pb3dp_setup::setup::{Pace, read_layers};
 use pb3dp_wiring::{Wired, accept_nominal, wire_watched, write_flights};
 
-use crate::arguments::{OperatorName, RunArgs};
-use crate::cli::UNSURE;
+use crate::arguments::{OperatorName, RunArgs, UNSURE};
 use crate::commands::previous_run;
 use crate::logging::last_words;
 

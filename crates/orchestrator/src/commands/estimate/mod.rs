@@ -28,8 +28,7 @@ use self::job::{Job, pair_name};
 use self::output::EstimateLine;
 use self::rigs::Rigs;
 use super::overlay_folder::make_overlay_folder;
-use crate::arguments::{EstimateArgs, MethodArgs};
-use crate::cli::UNSURE;
+use crate::arguments::{EstimateArgs, MethodArgs, UNSURE};
 
 /// Runs the command. The exit code is a failure if a case could not be worked on; all others are worked on all the same.
 ///

@@ -20,8 +20,7 @@ use pb3dp_wiring::wire_replay;
 use self::output::TrackLine;
 use self::overlays::Overlays;
 use self::walk::Walk;
-use crate::arguments::TrackArgs;
-use crate::cli::UNSURE;
+use crate::arguments::{TrackArgs, UNSURE};
 
 /// A replay does not wait for pictures, so this only bounds what can not happen.
 const PAIR_TIMEOUT: Duration = Duration::from_secs(10);
