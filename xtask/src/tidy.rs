@@ -9,6 +9,7 @@ mod links;
 mod markdown;
 mod method_table;
 mod rust;
+mod summary;
 mod test_files;
 mod text;
 
@@ -30,6 +31,7 @@ const TEXT_ENDINGS: [&str; 14] = [
 /// * Tests: each file in a folder `tests` is part of a test program.
 /// * Text: no absolute paths of one machine, no paths out of the repository, `TODO(name, issue)` or none.
 /// * Markdown: one sentence per line; links and paths lead to something.
+/// * docs/: every page stands once in the table of contents of the site, docs/SUMMARY.md.
 /// * configs/: every TOML file, every robot description and every file of configs/deploy parses; docs/parameters.md names each parameter of
 ///   configs/estimator.toml with the same default.
 /// * Layout: the top level holds exactly the agreed entries; every package takes the workspace's lints, version and
@@ -53,6 +55,7 @@ pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
     }
     violations.extend(dependencies::check(&texts));
     violations.extend(method_table::check(&texts));
+    violations.extend(summary::check(&texts));
     violations.extend(test_files::check(&texts));
     violations.extend(exceptions.unused());
     conclude("tidy", &format!("{} files, {} of them text", files.len(), texts.len()), violations)
