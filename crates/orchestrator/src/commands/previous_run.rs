@@ -8,10 +8,18 @@ use anyhow::{Context, Result};
 /// A file that every run writes.
 const OF_A_RUN: &str = "summary.json";
 
-/// Moves the folder of an earlier run to the first of `DIR.1`, `DIR.2` and so on that is free, and says so.
+/// Makes the folder of a run, if it is not there yet.
 ///
 /// # Errors
-/// If it cannot be moved.
+/// If it cannot be made.
+pub fn check_writable(folder: &Path) -> Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("{}: can not be created", folder.display()))
+}
+
+/// Moves the folder of an earlier run to the first of `DIR.1`, `DIR.2` and so on that is free, says so, and makes a new one.
+///
+/// # Errors
+/// If it cannot be moved, or the new one cannot be made.
 pub fn keep(folder: &Path) -> Result<()> {
     if !folder.join(OF_A_RUN).is_file() {
         return Ok(());
@@ -25,7 +33,7 @@ pub fn keep(folder: &Path) -> Result<()> {
     std::fs::rename(folder, &free)
         .with_context(|| format!("{}: cannot be moved to {}", folder.display(), free.display()))?;
     tracing::info!("the earlier run in {} is kept in {}", folder.display(), free.display());
-    Ok(())
+    check_writable(folder)
 }
 
 #[cfg(test)]
@@ -38,13 +46,13 @@ mod tests {
         let out = place.path().join("run");
         keep(&out).unwrap();
         for number in 1..=2 {
-            std::fs::create_dir(&out).unwrap();
+            check_writable(&out).unwrap();
             std::fs::write(out.join("notes.txt"), "mine").unwrap();
             keep(&out).unwrap();
             assert!(out.exists(), "a folder without a run stays");
             std::fs::write(out.join(OF_A_RUN), format!("{number}")).unwrap();
             keep(&out.join("")).unwrap();
-            assert!(!out.exists());
+            assert!(out.read_dir().unwrap().next().is_none(), "a new folder");
             let kept = std::fs::read_to_string(place.path().join(format!("run.{number}")).join(OF_A_RUN)).unwrap();
             assert_eq!(kept, number.to_string());
         }

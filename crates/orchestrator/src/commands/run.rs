@@ -34,8 +34,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let asked = args.setup.clone().with("--seed", "run.seed", seed).with("--region", "camera.region", region);
     let mut setup = read_layers(&asked)?;
     accept_nominal(&mut setup, args.nominal_calibration);
-    previous_run::keep(&args.out)?;
-    std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
+    previous_run::check_writable(&args.out)?;
     if args.operator == OperatorName::Console && setup.pace == Pace::Fast {
         bail!("--operator console: at pace = \"fast\" nobody can speak in time; set pace to \"real-time\" or \"live\"");
     }
@@ -55,6 +54,8 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let interrupt = Arc::clone(&parts.interrupt);
     let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
     let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
+    // Only now: a run that is refused leaves the earlier one where it is.
+    previous_run::keep(&args.out)?;
     let Ended { outcome, how } = experiment::conduct(&setup, parts, args.stop_after, args.record.as_deref())?;
     if let Err(failure) = &how {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
