@@ -44,7 +44,7 @@ fn the_whole_checklist_is_rehearsed_on_emulated_arms() {
         assert!(done.success, "{}{}", done.stdout, done.stderr);
         let (report, page) = report_in(&out);
         assert_eq!(results(&report), (vec!["passed"; 6], "passed"), "{}", done.stdout);
-        let printed = Command::new("sha256sum").arg(hil()).output().unwrap().stdout;
+        let printed = Command::new("sha256sum").arg(out.join("settings.toml")).output().unwrap().stdout;
         assert!(String::from_utf8(printed).unwrap().starts_with(report["config_sha256"].as_str().unwrap()));
         assert_eq!(report["gateway"]["firmware"], "pb3dp emulation");
         assert!(report["gateway"]["wire_format"].as_str().unwrap().starts_with("format B"), "{report}");

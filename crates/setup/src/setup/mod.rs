@@ -260,11 +260,6 @@ impl PoseEntry {
 }
 
 impl Setup {
-    /// Every value as it was read, a line `KEY = VALUE` each.
-    pub fn settings_text(&self) -> String {
-        self.layers.effective().iter().map(|setting| format!("{} = {}\n", setting.key, setting.value)).collect()
-    }
-
     /// The simulated world, if there is one.
     pub fn world(&self) -> Option<&SimulatedWorld> {
         match &self.rig.cameras {

@@ -29,6 +29,7 @@ use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_api::{Clock, JointCommand};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::signals::StopSignals;
+use pb3dp_setup::layers::toml_of;
 use pb3dp_setup::setup::{ArmLink, GatewayWay, Setup, read_layers};
 use pb3dp_wiring::commissioning::{emulate_at_address, see, set_line, slow_setup};
 use sha2::{Digest, Sha256};
@@ -76,7 +77,7 @@ pub struct TestArgs {
     /// How long an answer is waited for, seconds.
     #[arg(long, value_name = "SECONDS", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..=3600))]
     patience: u32,
-    /// Folder for report.md and report.json; without it out/arm-test-ARM-DATE.
+    /// Folder for report.md, report.json and settings.toml; without it out/arm-test-ARM-DATE.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }
@@ -107,6 +108,8 @@ pub fn run(args: &TestArgs, commit: &'static str) -> Result<ExitCode> {
     }
     confirm(&args.company.word(session.choice), &asked, &mut session)?;
     std::fs::create_dir_all(&session.out).with_context(|| format!("{}: can not be made", session.out.display()))?;
+    let (settings, file) = (toml_of(&setup.layers.effective()), session.out.join("settings.toml"));
+    std::fs::write(&file, &settings).with_context(|| format!("{}: can not be written", file.display()))?;
     enter_control_thread();
     let steps = all_steps(&asked, &mut session)?;
     let result = Verdict::of(&steps);
@@ -119,7 +122,7 @@ pub fn run(args: &TestArgs, commit: &'static str) -> Result<ExitCode> {
         program: ProgramFacts { version: env!("CARGO_PKG_VERSION"), commit },
         machine: machine(),
         config: args.place.setup.to_string(),
-        config_sha256: sha256(setup.settings_text().as_bytes()),
+        config_sha256: sha256(settings.as_bytes()),
         target,
         is_emulated: session.line.is_some(),
         gateway: GatewayFacts::of(&session.gateway),

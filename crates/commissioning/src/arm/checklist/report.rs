@@ -41,7 +41,7 @@ pub struct TestReport {
     pub machine: String,
     /// The files of the setup, with what was set besides.
     pub config: String,
-    /// SHA-256 of its effective settings, a line `KEY = VALUE` each.
+    /// SHA-256 of `settings.toml` beside the report: all its values.
     pub config_sha256: String,
     /// How the arm was found.
     pub target: String,
