@@ -159,7 +159,7 @@ fn a_target_that_the_estimator_took_anew_is_not_followed() {
     let moved = bench.run(0.5);
     assert_eq!((moved.decision.state, moved.decision.permission), (State::Holding, Permission::Hold));
     let line = moved.decision.why.to_string();
-    assert!(line.contains("target 2") && line.contains("target 1") && line.ends_with("say resume"), "{line}");
+    assert!(line.contains("target 2") && line.contains("target 1") && line.ends_with("use resume"), "{line}");
     bench.target = Some(1);
     let moved = bench.rests_for(3.0);
     assert_eq!(moved.decision.state, State::Holding, "nobody said that it may go on");
@@ -287,7 +287,7 @@ fn nothing_moves_while_the_target_was_never_seen() {
     let moved = bench.rests_for(4.0);
     assert_eq!(moved.decision.state, State::Selecting);
     let line = moved.decision.why.to_string();
-    assert!(line.contains("has not come yet") && line.ends_with("then say start"), "{line}");
+    assert!(line.contains("no confident pose yet") && line.ends_with("then use start"), "{line}");
 }
 
 /// A stop of the supervisor ends the run with its reason; both arms rest afterwards.
@@ -309,7 +309,7 @@ fn a_stop_by_a_policy_ends_the_run_with_its_reason() {
         }
     }
     let line = refused.unwrap();
-    assert!(line.starts_with("stopped: the target is lost") && line.ends_with("then say reset"), "{line}");
+    assert!(line.starts_with("stopped: target lost") && line.ends_with("then use reset"), "{line}");
     bench.moving.stop().unwrap();
 }
 
@@ -376,7 +376,7 @@ fn a_target_that_jumps_is_not_followed_by_itself() {
         assert!(way_m < 0.004 && way_rad < 0.01, "{channel:?}: the hand went {way_m} m, {way_rad} rad");
         let last = log.supervision.summary().transitions.pop().unwrap();
         assert_eq!((last.to, last.event), ("holding", "hold-found"), "{channel:?}: {last:?}");
-        assert!(last.t_s < 3.3 && last.why.contains("say resume"), "{last:?}");
+        assert!(last.t_s < 3.3 && last.why.contains("use resume"), "{last:?}");
     }
 }
 

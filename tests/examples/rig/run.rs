@@ -26,7 +26,7 @@ const TURNED_MAX_DEG: f64 = 2.0;
 const TRACKED: Duration = Duration::from_millis(500);
 
 /// What is said of a hand that rests because it was told to.
-const HOLDING: &str = "holding: it was told to hold";
+const HOLDING: &str = "holding: held by the operator";
 
 /// The camera that is pulled.
 const PULLED: usize = 1;
@@ -87,7 +87,7 @@ fn pulled(world: &World, run: &mut Running) -> Outcome {
     let _ = { node }.set_control(disconnect, 0);
     let lost = run.wait_for("it is looked for", None)?;
     ensure(lost.contains(BUSES[PULLED]), || format!("it said: {lost}"))?;
-    let rests = run.wait_for("look after the cameras", None)?;
+    let rests = run.wait_for("check the cameras", None)?;
     run.wait_for("tracking", Some("resume"))?;
     Ok(format!("{rests}; then {}", place(world)?))
 }

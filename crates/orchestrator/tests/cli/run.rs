@@ -374,10 +374,10 @@ fn a_person_at_a_console_leads_a_run() {
     let text = String::from_utf8(finished.stdout).unwrap();
     assert!(finished.status.success(), "{text}");
     let parts = [
-        "idle: no target is selected; say select",
+        "idle: no target selected; use select",
         "\"go\" is no word: known are select, start",
-        "selecting: the target is seen and nothing speaks against motion; say start",
-        "stopped: the operator said stop; say reset",
+        "selecting: target seen, no active inhibit; use start",
+        "stopped: by the operator; use reset",
         "both arms stop, then the report",
         "report.html",
     ];

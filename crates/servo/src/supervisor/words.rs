@@ -137,47 +137,44 @@ pub enum RefusedFor {
 impl fmt::Display for Why {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Idle => write!(f, "idle: no target is selected; say select"),
-            Self::Ready => write!(f, "selecting: the target is seen and nothing speaks against motion; say start"),
-            Self::Waiting { cause } => write!(f, "selecting: {cause}; {}, then say start", remedy(cause)),
+            Self::Idle => write!(f, "idle: no target selected; use select"),
+            Self::Ready => write!(f, "selecting: target seen, no active inhibit; use start"),
+            Self::Waiting { cause } => write!(f, "selecting: {cause}; {}, then use start", remedy(cause)),
             Self::Settling { state, cause, for_s } => {
                 let word = if *state == State::Selecting { "start" } else { "resume" };
-                write!(f, "{state}: {}; wait until that has lasted for {for_s:.3} s, then say {word}", Gone(cause))
+                write!(f, "{state}: {}; ready to {word} in {for_s:.1} s", Gone(cause))
             }
             Self::Moving { state } => write!(f, "{state}"),
             Self::Searching => {
-                write!(f, "lost: the hand looks for the target near the place where it was lost; say hold to end that")
+                write!(f, "lost: the hand searches for the target near its last position; use hold to end the search")
             }
             Self::Slowed { state, cause, share } => {
-                write!(f, "{state}: slowed to {:.0} %, because {cause}; {}", share * 100.0, remedy(cause))
+                write!(f, "{state}: slowed to {:.0} %: {cause}; {}", share * 100.0, remedy(cause))
             }
             Self::Resting { state, cause, then: Then::Word } => {
-                write!(f, "{state}: {cause}; {}, then say resume", remedy(cause))
+                write!(f, "{state}: {cause}; {}, then use resume", remedy(cause))
             }
             Self::Resting { state, cause, then: Then::ByItself { after_s } } => {
-                write!(f, "{state}: {cause}; {}; goes on by itself {after_s} s after that", remedy(cause))
+                write!(f, "{state}: {cause}; {}; resumes by itself {after_s} s after the cause is gone", remedy(cause))
             }
             Self::CauseGone { state, cause, then: Then::Word } => {
-                write!(f, "{state}: {}; say resume", Gone(&Some(*cause)))
+                write!(f, "{state}: {}; use resume", Gone(&Some(*cause)))
             }
             Self::CauseGone { state, cause, then: Then::ByItself { after_s } } => {
-                write!(f, "{state}: {}; wait, it goes on by itself after {after_s} s", Gone(&Some(*cause)))
+                write!(f, "{state}: {}; resumes by itself in {after_s} s", Gone(&Some(*cause)))
             }
-            Self::HeldByOperator { state, cause: None } => write!(f, "{state}: it was told to hold; say resume"),
+            Self::HeldByOperator { state, cause: None } => write!(f, "{state}: held by the operator; use resume"),
             Self::HeldByOperator { state, cause: Some(cause) } => {
-                write!(f, "{state}: it was told to hold, and {cause}; {}, then say resume", remedy(cause))
+                write!(f, "{state}: held by the operator; also {cause}; {}, then use resume", remedy(cause))
             }
             Self::StoppedByOperator => {
-                write!(
-                    f,
-                    "stopped: the operator said stop; say reset, then select, which switches the arms on, and start"
-                )
+                write!(f, "stopped: by the operator; use reset, then select, which enables the arms, then start")
             }
             Self::Latched { state, cause, is_gone: false } => {
-                write!(f, "{state}: {cause}; {}, then say reset", remedy(cause))
+                write!(f, "{state}: {cause}; {}, then use reset", remedy(cause))
             }
             Self::Latched { state, cause, is_gone: true } => {
-                write!(f, "{state}: it was found that {cause}, which is gone; say reset")
+                write!(f, "{state}: cleared: {cause}; use reset")
             }
         }
     }
@@ -185,28 +182,24 @@ impl fmt::Display for Why {
 
 impl fmt::Display for Refusal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} is refused: ", self.word.name())?;
+        write!(f, "{} refused: ", self.word.name())?;
         match &self.because {
-            RefusedFor::State(state) => write!(f, "it has no place in the state {state}{}", instead(*state)),
+            RefusedFor::State(state) => write!(f, "not possible in the state {state}{}", instead(*state)),
             RefusedFor::Age { age_s, age_max_s } => {
-                write!(f, "it was said {age_s:.3} s ago, allowed are {age_max_s:.3} s; say it again")
+                write!(f, "the request is {age_s:.3} s old, limit {age_max_s:.3} s; repeat it")
             }
             RefusedFor::SaidBefore(state) => {
-                write!(f, "it was said before the state became {state}; look, and say it again")
+                write!(f, "requested before the state changed to {state}; check, then repeat it")
             }
             RefusedFor::SaidToOther => {
-                write!(f, "it was said before the target was seen that is followed now; look, and say it again")
+                write!(f, "requested before the current target was seen; check, then repeat it")
             }
             RefusedFor::Overtaken(state) => {
-                write!(f, "the state became {state} at that moment; look, and say it again")
+                write!(f, "the state changed to {state} in the same step; check, then repeat it")
             }
             RefusedFor::Cause(cause) => write!(f, "{cause}; {}", remedy(cause)),
             RefusedFor::NotClear { cause, clear_s, wanted_s } => {
-                write!(
-                    f,
-                    "{}, for {clear_s:.3} s only, and this has to last for {wanted_s:.3} s; say it again",
-                    Gone(cause)
-                )
+                write!(f, "{}, for {clear_s:.3} s; it must last {wanted_s:.3} s; repeat it", Gone(cause))
             }
         }
     }
@@ -215,11 +208,11 @@ impl fmt::Display for Refusal {
 /// What may be said instead in a state.
 fn instead(state: State) -> &'static str {
     match state {
-        State::Idle => "; say select",
-        State::Selecting => "; say start",
-        State::Approaching | State::Tracking => ", as the hand follows already; hold and stop are obeyed",
-        State::Holding | State::Lost => "; say resume",
-        State::Stopped | State::Fault => "; say reset",
+        State::Idle => "; use select first",
+        State::Selecting => "; use start first",
+        State::Approaching | State::Tracking => ", the hand follows already; use hold or stop",
+        State::Holding | State::Lost => "; use resume",
+        State::Stopped | State::Fault => "; use reset first",
     }
 }
 
@@ -229,26 +222,27 @@ struct Gone<'a>(&'a Option<Cause>);
 impl fmt::Display for Gone<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.0 {
-            Some(cause) => write!(f, "no longer is it so that {cause}"),
-            None => write!(f, "nothing speaks against motion"),
+            Some(cause) => write!(f, "cleared: {cause}"),
+            None => write!(f, "no active inhibit"),
         }
     }
 }
 
-/// Seconds, or that there are none to be told.
+/// How old the newest one of something is, or that there was none yet.
 struct Age {
     age_s: f64,
-    of: &'static str,
-    allowed_s: f64,
+    /// A frame pair, say.
+    one: &'static str,
+    limit_s: f64,
 }
 
 impl fmt::Display for Age {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { age_s, of, allowed_s } = self;
+        let Self { age_s, one, limit_s } = self;
         if age_s.is_finite() {
-            write!(f, "{of} is {age_s:.3} s old, allowed are {allowed_s:.3} s")
+            write!(f, "the newest {one} is {age_s:.3} s old, limit {limit_s:.3} s")
         } else {
-            write!(f, "{of} has not come yet, allowed is an age of {allowed_s:.3} s")
+            write!(f, "no {one} yet; motion needs one newer than {limit_s:.3} s")
         }
     }
 }
@@ -256,65 +250,60 @@ impl fmt::Display for Age {
 impl fmt::Display for Cause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { condition, value, threshold, detail } = *self;
-        let age = |of| Age { age_s: value, of, allowed_s: threshold };
+        let age = |one| Age { age_s: value, one, limit_s: threshold };
         let arm = |of| ArmOf { detail, of };
         match condition {
             Condition::EmergencyStop => {
-                write!(f, "{} is stopped by an emergency stop, dead-man switch or limit switch", arm("arm"))
+                write!(f, "{}: emergency stop, dead-man switch or limit switch", arm("arm"))
             }
-            Condition::ArmFault => write!(f, "{} is stopped by a fault", arm("arm")),
-            Condition::ArmDisabled => write!(f, "{} has its drives off", arm("arm")),
+            Condition::ArmFault => write!(f, "{}: stopped by a fault", arm("arm")),
+            Condition::ArmDisabled => write!(f, "{}: drives disabled", arm("arm")),
             Condition::ClockStepped => {
-                write!(f, "time went by {value:+.3} s, allowed are steps of 0 to {threshold:.3} s")
+                write!(f, "the clock stepped by {value:+.3} s, limit 0 to {threshold:.3} s")
             }
-            Condition::OperatorSilent => write!(f, "{}", age("the operator's last sign of life")),
-            Condition::JointsStale => write!(f, "{}: {}", arm("arm"), age("the newest measurement of the joints")),
+            Condition::OperatorSilent => write!(f, "{}", age("sign of life from the operator")),
+            Condition::JointsStale => write!(f, "{}: {}", arm("arm"), age("joint measurement")),
             Condition::TargetChanged => match detail {
                 Detail::Targets { started, followed } => {
-                    write!(f, "the estimator follows target {followed}, started was target {started}")
+                    write!(f, "the estimator follows target {followed}, but target {started} was started")
                 }
                 _ => write!(f, "the estimator follows another target than the one that was started"),
             },
-            Condition::FrameStale => write!(f, "{}", age("the newest pair of pictures")),
+            Condition::FrameStale => write!(f, "{}", age("frame pair")),
             Condition::FrameOrder => match detail {
-                Detail::Frames { before, after } => write!(f, "pair {after} of the pictures came after pair {before}"),
-                _ => write!(f, "pictures come out of order"),
+                Detail::Frames { before, after } => write!(f, "frame pair {after} arrived after frame pair {before}"),
+                _ => write!(f, "frame pairs arrive out of order"),
             },
-            Condition::TargetLost => {
-                write!(f, "the target is lost, as {}", age("the newest pose that the estimator stands by"))
-            }
-            Condition::EstimateStale => write!(f, "{}", age("the newest pose that the estimator stands by")),
+            Condition::TargetLost if value.is_finite() => write!(f, "target lost: {}", age("confident pose")),
+            Condition::TargetLost | Condition::EstimateStale => write!(f, "{}", age("confident pose")),
             Condition::LowConfidence if detail == Detail::NoPose => write!(f, "the estimator has no pose"),
-            Condition::LowConfidence => write!(f, "the estimator has a pose and does not stand by it"),
-            Condition::PositionJump => write!(f, "the target jumped by {}", Millimetres(value, threshold)),
-            Condition::OrientationJump => write!(f, "the target turned at once by {}", Degrees(value, threshold)),
+            Condition::LowConfidence => write!(f, "the estimator has a pose with low confidence"),
+            Condition::PositionJump => write!(f, "the target position jumped by {}", Millimetres(value, threshold)),
+            Condition::OrientationJump => write!(f, "the target orientation jumped by {}", Degrees(value, threshold)),
             Condition::Outlier => {
-                write!(
-                    f,
-                    "the target is {value:.1} standard deviations from where it was expected, allowed are {threshold:.1}"
-                )
+                write!(f, "the target is {value:.1} standard deviations from the prediction, limit {threshold:.1}")
             }
             Condition::PositionUncertain => {
-                write!(f, "the target's position has a standard deviation of {}", Millimetres(value, threshold))
+                write!(f, "the standard deviation of the target position is {}", Millimetres(value, threshold))
             }
             Condition::OrientationUncertain => {
-                write!(f, "the target's orientation has a standard deviation of {}", Degrees(value, threshold))
+                write!(f, "the standard deviation of the target orientation is {}", Degrees(value, threshold))
             }
             Condition::CameraSkew => {
                 let (value, threshold) = (value * 1e3, threshold * 1e3);
-                write!(f, "both eyes were exposed {value:.2} ms apart, allowed are {threshold:.2} ms")
+                write!(f, "the camera exposures are {value:.2} ms apart, limit {threshold:.2} ms")
             }
             Condition::LimitNear => {
                 let (value, threshold) = (value.to_degrees(), threshold.to_degrees());
                 let axis = Joint(detail);
-                write!(f, "{axis} is {value:.2} degrees from the end of its range, less than {threshold:.2} degrees")
+                write!(f, "{axis} is {value:.2} degrees from the end of its range, limit {threshold:.2} degrees")
             }
             Condition::Singularity => {
-                write!(f, "the smallest singular value of the arm is {value:.4}, less than {threshold:.4}")
+                write!(f, "the smallest singular value of the arm is {value:.4}, limit {threshold:.4}")
             }
             Condition::ControllerRests => match detail {
-                Detail::Controller(mode) => write!(f, "the controller gives no velocity ({mode})"),
-                _ => write!(f, "the controller gives no velocity"),
+                Detail::Controller(mode) => write!(f, "the controller outputs no velocity ({mode})"),
+                _ => write!(f, "the controller outputs no velocity"),
             },
         }
     }
@@ -352,7 +341,7 @@ struct Millimetres(f64, f64);
 
 impl fmt::Display for Millimetres {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:.2} mm, allowed are {:.2} mm", self.0 * 1e3, self.1 * 1e3)
+        write!(f, "{:.2} mm, limit {:.2} mm", self.0 * 1e3, self.1 * 1e3)
     }
 }
 
@@ -361,32 +350,34 @@ struct Degrees(f64, f64);
 
 impl fmt::Display for Degrees {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:.2} degrees, allowed are {:.2} degrees", self.0.to_degrees(), self.1.to_degrees())
+        write!(f, "{:.2} degrees, limit {:.2} degrees", self.0.to_degrees(), self.1.to_degrees())
     }
 }
 
 /// What to do about it.
 fn remedy(cause: &Cause) -> &'static str {
     match cause.condition {
-        Condition::EmergencyStop => "release it and reset the arm",
-        Condition::ArmFault => "remove the cause and reset the arm",
-        Condition::ArmDisabled => "wait until it is on, or say select, which switches it on",
-        Condition::ClockStepped => "look what holds up this computer or sets its clock",
-        Condition::OperatorSilent => "look after the panel and its line",
-        Condition::JointsStale => "look after the line of the arm",
-        Condition::TargetChanged => "select the target anew",
-        Condition::FrameStale => "look after the cameras",
-        Condition::FrameOrder => "look whether the cameras were restarted or send old pictures",
+        Condition::EmergencyStop => "release the switch, then reset the arm",
+        Condition::ArmFault => "remove the cause, then reset the arm",
+        Condition::ArmDisabled => "wait until the drives are enabled, or use select, which enables them",
+        Condition::ClockStepped => "find what delays this computer or sets its clock",
+        Condition::OperatorSilent => "check the panel and its connection",
+        Condition::JointsStale => "check the link to the arm",
+        Condition::TargetChanged => "select the target again",
+        // In a healthy run the first one is on its way.
+        Condition::FrameStale if cause.value.is_infinite() => "wait for the cameras",
+        Condition::FrameStale => "check the cameras",
+        Condition::FrameOrder => "check whether the cameras were restarted or send old images",
         Condition::TargetLost => "bring the target back into view",
-        Condition::EstimateStale => "wait for the estimator, or clear its view of the target",
-        Condition::LowConfidence => "clear the view of the target, or select it anew",
+        Condition::EstimateStale => "wait for the estimator, or clear the view of the target",
+        Condition::LowConfidence => "clear the view of the target, or select it again",
         Condition::PositionJump | Condition::OrientationJump | Condition::Outlier => {
-            "look whether it is still the same target"
+            "check that it is still the same target"
         }
         Condition::PositionUncertain | Condition::OrientationUncertain => "give the target more light, texture or size",
-        Condition::CameraSkew => "look after the trigger of the cameras",
-        Condition::LimitNear => "move the target back to the middle of the arm's range",
+        Condition::CameraSkew => "check the camera trigger",
+        Condition::LimitNear => "move the target towards the middle of the arm's range",
         Condition::Singularity => "move the target to where the arm is not stretched",
-        Condition::ControllerRests => "remove what it says",
+        Condition::ControllerRests => "wait, or resolve that reason",
     }
 }

@@ -73,27 +73,27 @@ fn every_state_and_every_condition_has_a_line_of_its_own() {
         assert!(!line.contains('\n') && line.len() < 300 && !line.contains("  "), "{line:?}");
         assert!(lines.insert(line.clone()), "twice: {line:?}");
     };
-    add(Why::Idle, &["idle: ".into()], "say select");
-    add(Why::Ready, &["selecting: ".into()], "say start");
-    add(Why::StoppedByOperator, &["stopped: ".into(), "operator".into()], "say reset");
+    add(Why::Idle, &["idle: ".into()], "use select");
+    add(Why::Ready, &["selecting: ".into()], "use start");
+    add(Why::StoppedByOperator, &["stopped: ".into(), "operator".into()], "use reset");
     for state in [Approaching, Tracking] {
         add(Why::Moving { state }, &[state.to_string()], "");
     }
     for state in [Holding, Lost] {
-        add(Why::HeldByOperator { state, cause: None }, &[format!("{state}: ")], "say resume");
+        add(Why::HeldByOperator { state, cause: None }, &[format!("{state}: ")], "use resume");
     }
     for state in [State::Selecting, Holding, Lost] {
         let why = Why::Settling { state, cause: None, for_s: 0.2 };
-        add(why, &[format!("{state}: ")], "has lasted for 0.200 s, then say ");
+        add(why, &[format!("{state}: ")], "ready to ");
     }
     for (cause, parts) in causes() {
         let mut parts = parts.clone();
         parts.push(cause.to_string());
-        add(Why::Waiting { cause }, &parts, "then say start");
+        add(Why::Waiting { cause }, &parts, "then use start");
         for state in [State::Selecting, Holding, Lost] {
-            let parts = [parts.clone(), vec![format!("{state}: no longer is it so that ")]].concat();
+            let parts = [parts.clone(), vec![format!("{state}: cleared: ")]].concat();
             let why = Why::Settling { state, cause: Some(cause), for_s: 0.2 };
-            add(why, &parts, "wait until that has lasted for 0.200 s, then say ");
+            add(why, &parts, "in 0.2 s");
         }
         for state in [Approaching, Tracking] {
             let parts = [parts.clone(), vec![format!("{state}: "), "50 %".into()]].concat();
@@ -101,16 +101,16 @@ fn every_state_and_every_condition_has_a_line_of_its_own() {
         }
         for state in [Holding, Lost] {
             let parts = [parts.clone(), vec![format!("{state}: ")]].concat();
-            add(Why::Resting { state, cause, then: Then::Word }, &parts, "then say resume");
-            add(Why::Resting { state, cause, then: by_itself }, &parts, "goes on by itself 0.2 s after");
-            add(Why::CauseGone { state, cause, then: Then::Word }, &parts, "say resume");
-            add(Why::CauseGone { state, cause, then: by_itself }, &parts, "goes on by itself after 0.2 s");
-            add(Why::HeldByOperator { state, cause: Some(cause) }, &parts, "then say resume");
+            add(Why::Resting { state, cause, then: Then::Word }, &parts, "then use resume");
+            add(Why::Resting { state, cause, then: by_itself }, &parts, "resumes by itself 0.2 s after");
+            add(Why::CauseGone { state, cause, then: Then::Word }, &parts, "use resume");
+            add(Why::CauseGone { state, cause, then: by_itself }, &parts, "resumes by itself in 0.2 s");
+            add(Why::HeldByOperator { state, cause: Some(cause) }, &parts, "then use resume");
         }
         for state in [Stopped, Fault] {
             let parts = [parts.clone(), vec![format!("{state}: ")]].concat();
-            add(Why::Latched { state, cause, is_gone: false }, &parts, "then say reset");
-            add(Why::Latched { state, cause, is_gone: true }, &parts, "say reset");
+            add(Why::Latched { state, cause, is_gone: false }, &parts, "then use reset");
+            add(Why::Latched { state, cause, is_gone: true }, &parts, "use reset");
         }
     }
     assert!(lines.len() > 14 * Condition::COUNT);
@@ -127,7 +127,10 @@ fn what_never_came_is_said_so() {
     ] {
         let cause = Cause { condition, value: f64::INFINITY, threshold: 0.25, detail: Detail::Arm(1) };
         let line = cause.to_string();
-        assert!(line.contains("has not come yet") && line.contains("0.250 s") && !line.contains("inf"), "{line}");
+        assert!(
+            line.contains("yet; motion needs one newer than") && line.contains("0.250 s") && !line.contains("inf"),
+            "{line}"
+        );
     }
 }
 
@@ -152,8 +155,8 @@ fn every_refusal_has_words_of_its_own() {
     let age = Refusal { word: Word::Start, because: RefusedFor::Age { age_s: 0.7, age_max_s: 0.5 } }.to_string();
     let not_clear = RefusedFor::NotClear { cause: Some(causes()[0].0), clear_s: 0.07, wanted_s: 0.2 };
     let line = Refusal { word: Word::Resume, because: not_clear }.to_string();
-    assert!(line.contains("0.070 s") && line.contains("0.200 s") && line.contains("say it again"), "{line}");
-    assert!(age.contains("0.700 s") && age.contains("0.500 s") && age.contains("say it again"), "{age}");
+    assert!(line.contains("0.070 s") && line.contains("0.200 s") && line.contains("repeat it"), "{line}");
+    assert!(age.contains("0.700 s") && age.contains("0.500 s") && age.contains("repeat it"), "{age}");
 }
 
 /// As an operator would meet them, one after the other.
@@ -161,37 +164,33 @@ fn every_refusal_has_words_of_its_own() {
 fn an_arm_that_does_not_move_says_why_in_each_step() {
     let mut bench = Bench::new(config());
     bench.step();
-    assert_eq!(bench.why(), "idle: no target is selected; say select");
+    assert_eq!(bench.why(), "idle: no target selected; use select");
     bench.lie(|i| i.estimate = None);
     bench.say(Word::Select);
     bench.step();
     assert_eq!(
         bench.why(),
-        "selecting: the target is lost, as the newest pose that the estimator stands by has not come yet, allowed is an age of \
-         1.000 s; bring the target back into view, then say start"
+        "selecting: no confident pose yet; motion needs one newer than 1.000 s; bring the target back into view, then use start"
     );
     bench.truth();
     bench.run(0.3);
-    assert!(bench.why().ends_with("say start"), "{}", bench.why());
+    assert!(bench.why().ends_with("use start"), "{}", bench.why());
     bench.say(Word::Start);
     assert_eq!(bench.why(), "approaching");
     bench.lie(|i| i.frame.as_mut().unwrap().skew_s = 0.0061);
     bench.run(0.3);
     assert_eq!(
         bench.why(),
-        "holding: both eyes were exposed 6.10 ms apart, allowed are 5.00 ms; look after the trigger of the cameras; goes on by \
-         itself 0.2 s after that"
+        "holding: the camera exposures are 6.10 ms apart, limit 5.00 ms; check the camera trigger; resumes by itself 0.2 s after the \
+         cause is gone"
     );
     bench.say(Word::Hold);
-    assert!(bench.why().starts_with("holding: it was told to hold, and both eyes"), "{}", bench.why());
+    assert!(bench.why().starts_with("holding: held by the operator; also the camera exposures"), "{}", bench.why());
     bench.truth();
     bench.run(0.3);
-    assert_eq!(bench.why(), "holding: it was told to hold; say resume");
+    assert_eq!(bench.why(), "holding: held by the operator; use resume");
     bench.say(Word::Stop);
-    assert_eq!(
-        bench.why(),
-        "stopped: the operator said stop; say reset, then select, which switches the arms on, and start"
-    );
+    assert_eq!(bench.why(), "stopped: by the operator; use reset, then select, which enables the arms, then start");
     for _ in 0..200 {
         let decision = bench.step();
         assert_eq!(decision.permission, Permission::Stop);
