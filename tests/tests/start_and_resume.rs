@@ -478,7 +478,7 @@ fn a_stop_that_fails_is_tried_again_and_nothing_is_reset_before() {
     assert!(vs.resets_s.len() == 1 && vs.resets_s[0] > 4.4, "{:?}", vs.resets_s);
     assert!(seen.trouble[0].contains("the emergency stop of the test"), "the first trouble: {:?}", seen.trouble);
     assert!(!seen.trouble.iter().any(|told| told.contains("the stop was not heard")), "{:?}", seen.trouble);
-    let refused = "reset is refused: tc-robot is still switched on";
+    let refused = "reset refused: the drives of tc-robot are still enabled";
     assert!(seen.trouble.iter().any(|told| told.contains(refused)), "{:?}", seen.trouble);
     drop((vs, tc));
     seen.ends_in("idle");

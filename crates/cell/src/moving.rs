@@ -152,7 +152,7 @@ impl<'a> Moving<'a> {
         }
         if let Some(name) = self.arms.still_on() {
             self.operator.tell(Some(format!(
-                "reset is refused: {name} is still switched on, and is told to stop again and again; use the emergency stop if that does not help"
+                "reset refused: the drives of {name} are still enabled; it gets the stop order again and again; use the emergency stop if that does not help"
             )));
             return OperatorInput { said: None, ..heard };
         }

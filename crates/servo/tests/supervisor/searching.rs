@@ -41,7 +41,7 @@ fn a_search_is_permitted_for_its_time_and_says_so() {
     let mut bench = lost(4.0);
     assert!(bench.decision().search);
     assert_eq!(bench.decision().permission, Permission::Move { share: 1.0 });
-    assert!(bench.why().starts_with("lost: the hand looks for the target"), "{}", bench.why());
+    assert!(bench.why().starts_with("lost: the hand searches for the target"), "{}", bench.why());
     bench.run(4.0);
     assert!(!bench.decision().search && !bench.run(2.0), "{}", bench.why());
 }

@@ -23,7 +23,7 @@ fn is_refused(bench: &mut Bench, word: Word) -> usize {
                 too_short += 1;
                 assert!(clear_s < wanted_s && wanted_s == 0.1, "{clear_s} {wanted_s}");
                 let why = bench.why();
-                assert!(why.contains("has lasted for 0.100 s, then say "), "{why}");
+                assert!(why.contains("; ready to ") && why.ends_with(" in 0.1 s"), "{why}");
                 assert!(
                     why.contains("standard deviations") == cause.is_some_and(|c| c.condition == Condition::Outlier)
                 );

@@ -148,7 +148,7 @@ fn every_refusal_has_words_of_its_own() {
         reasons.extend(causes().into_iter().map(|(cause, _)| RefusedFor::Cause(cause)));
         for because in reasons {
             let line = Refusal { word, because }.to_string();
-            assert!(line.starts_with(&format!("{} is refused: ", word.name())) && !line.contains('\n'), "{line}");
+            assert!(line.starts_with(&format!("{} refused: ", word.name())) && !line.contains('\n'), "{line}");
             assert!(lines.insert(line.clone()), "twice: {line}");
         }
     }
