@@ -253,7 +253,7 @@ fn normal_note(summary: &RunSummary) -> String {
 fn orientation(summary: &RunSummary) -> (&'static str, Option<RmsMax>) {
     match summary.rotation_about_normal_observed {
         true => ("hand orientation error, rms", summary.tracking_orientation_deg),
-        false => ("hand viewing direction error, rms", summary.tracking_tilt_deg),
+        false => ("camera axis error, rms", summary.tracking_tilt_deg),
     }
 }
 
@@ -334,7 +334,7 @@ fn error_panels(log: &RunLog, summary: &RunSummary) -> Vec<LinePlot> {
     };
     let orientation = match summary.rotation_about_normal_observed {
         true => ("hand: orientation error", control(|e| e.orientation_rad.to_degrees())),
-        false => ("hand: viewing direction error", control(|e| e.tilt_rad.to_degrees())),
+        false => ("camera axis error", control(|e| e.tilt_rad.to_degrees())),
     };
     let mut panels = vec![
         plot("hand: position error", ("error", "mm"), SeriesColor::Red, control(|e| e.position_m * 1e3)),
@@ -391,16 +391,16 @@ fn locked_table(summary: &RunSummary) -> Table {
 
 /// What the lock got wrong.
 fn lock_note(summary: &RunSummary) -> String {
-    let Some(lock) = &summary.lock else { return "There was no lock.".to_owned() };
+    let Some(lock) = &summary.lock else { return "There was no initial lock.".to_owned() };
     let stated = match lock.tilt_sigma_deg.zip(lock.hand_by_tilt_sigma_mm) {
         Some((deg, mm)) => {
-            format!("; the estimate stated a standard deviation of {deg:.2} degrees, {mm:.1} mm at the hand")
+            format!("; stated standard deviation: {mm:.1} mm at the hand, {deg:.2} deg tilt")
         }
         None => String::new(),
     };
     let (hand, tilt) = (lock.hand_mm, lock.tilt_deg);
     format!(
-        "The lock puts the hand {hand:.1} mm beside its place before the true plane, and is tilted by {tilt:.2} degrees{stated}."
+        "Initial pose error: {hand:.1} mm at the hand, {tilt:.2} deg tilt{stated}."
     )
 }
 
@@ -416,7 +416,7 @@ pub fn text_table(summary: &RunSummary) -> String {
         format!("{name:<34} {figures}\n")
     };
     text += &rms_max("hand, position", summary.tracking_position_mm, "mm");
-    text += &rms_max("hand, viewing direction", summary.tracking_tilt_deg, "deg");
+    text += &rms_max("camera axis", summary.tracking_tilt_deg, "deg");
     text += &rms_max("hand, whole orientation", summary.tracking_orientation_deg, "deg");
     text +=
         &format!("{:<34} {}\n", "lag, median over the axes", summary.lag_s.map_or("-".into(), |s| format!("{s:.3} s")));
