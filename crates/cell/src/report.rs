@@ -399,9 +399,7 @@ fn lock_note(summary: &RunSummary) -> String {
         None => String::new(),
     };
     let (hand, tilt) = (lock.hand_mm, lock.tilt_deg);
-    format!(
-        "Initial pose error: {hand:.1} mm at the hand, {tilt:.2} deg tilt{stated}."
-    )
+    format!("Initial pose error: {hand:.1} mm at the hand, {tilt:.2} deg tilt{stated}.")
 }
 
 /// The summary as a plain table for a terminal.

@@ -84,9 +84,10 @@ impl CalibrationInUse {
 
 /// Reads the files of a calibration, of which one may be inside the program.
 pub(super) fn load_files(files: &[PathBuf], size: ImageSize) -> Result<StereoCalibration, CalibrationFileError> {
-    match files {
-        [one] if let Some(text) = one.to_str().and_then(built_in::text_at) => parse_stereo(one, text, Some(size)),
-        files => load_stereo_for(files, size),
+    let built_in = files.first().and_then(|file| Some((file, built_in::text_at(file.to_str()?)?)));
+    match (built_in, files.len()) {
+        (Some((name, text)), 1) => parse_stereo(name, text, Some(size)),
+        _ => load_stereo_for(files, size),
     }
 }
 
