@@ -131,7 +131,7 @@ fn a_hand_whose_eyes_are_shut_rests_and_goes_on_from_where_it_is() {
     let moved = bench.rests_for(1.0);
     assert_eq!(moved.decision.state, State::Lost);
     let line = moved.decision.why.to_string();
-    assert!(line.starts_with("lost: the newest pair of pictures is 1.") && line.contains("0.250 s"), "{line}");
+    assert!(line.starts_with("lost: the newest frame pair is 1.") && line.contains("0.250 s"), "{line}");
     let rested = moved.vs_joints;
     bench.target = Some(1);
     bench.rests_for(0.2);
@@ -231,7 +231,7 @@ fn a_search_keeps_its_bounds_and_ends_where_it_began() {
     let (farthest_m, fastest_m_per_s, moved) = hand_after_loss(&mut bench, begin, 4.0);
     assert!(farthest_m > 0.02, "it looks round: {farthest_m}");
     assert_eq!((moved.decision.state, moved.mode), (State::Lost, Mode::Searching));
-    assert!(moved.decision.why.to_string().starts_with("lost: the hand looks for the target"));
+    assert!(moved.decision.why.to_string().starts_with("lost: the hand searches for the target"));
     let (farthest_later_m, fastest_later_m_per_s, _) = hand_after_loss(&mut bench, begin, 16.0);
     // What the arm lags behind is on top.
     assert!(farthest_m.max(farthest_later_m) < 1.1 * SEARCH.reach_m(), "{farthest_m} {farthest_later_m}");

@@ -175,7 +175,7 @@ fn holds_rests_and_goes_on() {
     let moving = |state: &str| ["approaching", "tracking"].contains(&state);
     let rests =
         steps.iter().position(|(from, to)| moving(from) && *to == "holding").unwrap_or_else(|| panic!("{told}"));
-    assert!(summary.supervisor.transitions[rests].why.contains("pictures"), "{told}");
+    assert!(summary.supervisor.transitions[rests].why.contains("frame pair"), "{told}");
     assert!(steps[rests..].iter().any(|(_, to)| moving(to)), "{told}");
     assert!(summary.supervisor.steps_found["frame_stale"] > 50 && summary.pairs_lost >= 8, "{told}");
     // It is where it should be by its own pictures, which never change: neither the pose nor the calibration draws it away.
