@@ -436,9 +436,10 @@ fn a_second_emergency_stop_behind_the_reset_stops_again() {
 #[test]
 fn a_reset_that_was_said_too_early_clears_no_arm() {
     // Said too long ago, and said before the emergency stop.
-    for (reset_s, resets_late_s, pressed, why) in
-        [(4.5, 1.0, (3.0, 3.2), "the request is 1.000 s old"), (3.2, 0.4, (3.0, 3.05), "before the state changed to fault")]
-    {
+    for (reset_s, resets_late_s, pressed, why) in [
+        (4.5, 1.0, (3.0, 3.2), "the request is 1.000 s old"),
+        (3.2, 0.4, (3.0, 3.05), "before the state changed to fault"),
+    ] {
         let seen = Scene { resets_late_s, ..scene(&[(reset_s, Word::Reset)], &[pressed]) }.run(6.0);
         for noted in &seen.noted {
             assert!(noted.lock().unwrap().resets_s.is_empty(), "{why}: an arm was reset");

@@ -75,7 +75,7 @@ pub fn tell(
     let following = summary.share_following();
     if following < FOLLOWING_EXPECTED {
         tracing::warn!(
-            "the hand followed the target for {:.0} % of the time only; the statuses above and what the supervisor says in the report tell why",
+            "the hand followed the target for {:.1} % of the time only; the statuses above and what the supervisor says in the report tell why",
             100.0 * following
         );
     }

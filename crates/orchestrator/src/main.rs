@@ -10,6 +10,9 @@ use pb3dp_orchestrator::{commands, logging, panics};
 const PROGRAM: pb3dp_commissioning::Program =
     pb3dp_commissioning::Program { commit: pb3dp_orchestrator::COMMIT, last_words: logging::last_words };
 
+/// The exit code of a command line that is not understood, as clap has it.
+const USAGE: u8 = 2;
+
 fn main() -> ExitCode {
     let cli = Cli::parse();
     // Lives until the end, also that of a panic.
@@ -18,7 +21,7 @@ fn main() -> ExitCode {
         Err(error) => {
             // There is no log yet that could carry this.
             let _ = writeln!(std::io::stderr(), "error: {error:#}");
-            return ExitCode::FAILURE;
+            return ExitCode::from(USAGE);
         }
     };
     panics::install();

@@ -34,6 +34,11 @@ pub fn explain(key: &str) -> Result<Vec<Explanation>, Vec<String>> {
     let of_sample = as_sample(key);
     let known = all_keys();
     let below: Vec<&String> = known.keys().filter(|known| is_within(known, &of_sample)).collect();
+    if below.is_empty() && is_taken(&of_sample) {
+        let about = "may be left out; no built-in setup states it".to_owned();
+        let allowed = texts().find_map(|(name, text)| allowed_in(name, text, &of_sample, "1e12"));
+        return Ok(vec![Explanation { unit: unit_of(&of_sample), key: of_sample, about, allowed, values: Vec::new() }]);
+    }
     if below.is_empty() {
         let names: Vec<&str> = known.keys().map(String::as_str).collect();
         let last = key.rsplit('.').next().unwrap_or(key);
@@ -54,6 +59,14 @@ pub fn explain(key: &str) -> Result<Vec<Explanation>, Vec<String>> {
             values: known[found].clone(),
         })
         .collect())
+}
+
+/// Whether some setup takes a key that none states.
+fn is_taken(key: &str) -> bool {
+    let is_known = |line: &String| line.trim_start().starts_with(key) && !line.contains("unknown key");
+    texts()
+        .filter(|(name, _)| *name != "rig")
+        .any(|(name, text)| refusals_of(name, text, key, "{ x = 1 }").iter().any(is_known))
 }
 
 /// An arm of any name has the keys of the built-in one.
@@ -94,7 +107,11 @@ fn allowed(key: &str) -> Option<String> {
         None if value.contains('.') || value.parse::<i64>().is_err() => "1e12".to_owned(),
         None => "1000000000000".to_owned(),
     };
-    let tries = [absurd, "\"?\"".to_owned()].map(|value| refusals_of(name, text, key, &value));
+    allowed_in(name, text, key, &absurd)
+}
+
+fn allowed_in(name: &'static str, text: &str, key: &str, absurd: &str) -> Option<String> {
+    let tries = [absurd, "\"?\""].map(|value| refusals_of(name, text, key, value));
     tries.iter().flatten().find_map(|line| {
         let line = line.trim_start().strip_prefix(key)?;
         let range = line.split_once(": allowed are ").map(|(_, range)| range);
@@ -108,7 +125,7 @@ fn allowed(key: &str) -> Option<String> {
 /// The comment behind or above a key, or else that of its table; of the first text that has one.
 fn about(key: &str) -> String {
     let said = |key: &str| texts().find_map(|(_, text)| comment_of(key, text));
-    let of_table = || key.rsplit_once('.').and_then(|(table, _)| said(table));
+    let of_table = || key.rsplit_once('.').and_then(|(table, _)| Some(format!("of [{table}]: {}", said(table)?)));
     said(key).or_else(of_table).unwrap_or_default()
 }
 

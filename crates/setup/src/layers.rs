@@ -9,6 +9,7 @@ mod position;
 mod tests;
 mod variables;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -282,6 +283,10 @@ impl Layers {
         self.list.push(layer);
     }
 
+    fn has(&self, origin: &Origin) -> bool {
+        self.list.iter().any(|layer| layer.origin == *origin)
+    }
+
     fn value(&self, key: &str) -> Option<Value> {
         let path = position::parts(key);
         self.list.iter().rev().find_map(|layer| value_at(&layer.stated, &path).cloned())
@@ -310,12 +315,25 @@ impl Layers {
         let base = layer.stated.get(BASE).map(|base| {
             base.as_str().ok_or_else(|| refuse(BASE, "must be the name of a built-in setup or a file, as text"))
         });
-        if let Some(base) = base.transpose()? {
+        if let Some(base) = base.transpose()?.map(str::to_owned) {
             let own_folder = match &layer.origin {
                 Origin::File(file) => file.parent().unwrap_or(Path::new(".")).to_path_buf(),
                 _ => PathBuf::from("."),
             };
-            self.add_config(Path::new(base), &own_folder, depth + 1)?;
+            let known = find(Path::new(&base), &own_folder).is_ok_and(|(origin, _)| self.has(&origin));
+            match () {
+                // Laid over a setup with the same base, which would otherwise take back what that setup says.
+                () if known => {}
+                () if depth == 0 && !self.list.is_empty() => {
+                    let why = format!(
+                        "{base:?} is not what the file or setup before it builds on; leave base out, or name this file first"
+                    );
+                    return Err(refuse(BASE, &why));
+                }
+                () => self
+                    .add_config(Path::new(&base), &own_folder, depth + 1)
+                    .map_err(|error| refuse(BASE, &error.to_string()))?,
+            }
         }
         let without = layer.stated.get(WITHOUT).map(|keys| {
             let keys = keys.as_array().map(|keys| keys.iter().map(Value::as_str).collect::<Option<Vec<_>>>());
@@ -396,15 +414,16 @@ impl Layers {
     /// real, which a variable must not hide either.
     fn check_variables(&self, variables: &[Layer], mut real: Vec<String>) -> Result<(), ConfigError> {
         real.extend(self.real_arms());
+        real.sort();
         real.dedup();
         let mut lines = Vec::new();
         for layer in variables.iter().filter(|_| !real.is_empty()) {
             flatten(&layer.stated, "", &mut |key, _| {
                 if GUARDED.iter().any(|table| key.starts_with(table)) {
                     lines.push(format!(
-                        "  {}: sets {key}, but arms.{} is a real arm; state it in a file or with --set",
+                        "  {}: sets {key}, and real arms are used (arms.{}); state it in a file or with --set",
                         layer.origin,
-                        real.join(" and arms.")
+                        real.join(", arms.")
                     ));
                 }
             });
@@ -571,16 +590,15 @@ fn flatten(dict: &Dict, prefix: &str, each: &mut dyn FnMut(&str, &Value)) {
 
 /// A whole setup as one file, each value with where it is stated.
 pub fn toml_of(settings: &[Effective]) -> String {
-    let (mut text, mut table) = (String::new(), "");
+    // A table is stated once, before the tables in it.
+    let mut tables: BTreeMap<&str, String> = BTreeMap::new();
     for setting in settings {
-        let (of, name) = setting.key.rsplit_once('.').unwrap_or(("", &setting.key));
-        if of != table {
-            text += &format!("\n[{of}]\n");
-            table = of;
-        }
-        text += &format!("{:<60} # {}\n", format!("{name} = {}", setting.value), setting.origin);
+        let (table, name) = setting.key.rsplit_once('.').unwrap_or(("", &setting.key));
+        let line = format!("{:<60} # {}\n", format!("{name} = {}", setting.value), setting.origin);
+        tables.entry(table).or_default().push_str(&line);
     }
-    text.trim_start().to_owned()
+    let text = |(table, lines): (&str, String)| if table.is_empty() { lines } else { format!("[{table}]\n{lines}") };
+    tables.into_iter().map(text).collect::<Vec<_>>().join("\n")
 }
 
 /// A value as one would write it.

@@ -227,8 +227,20 @@ fn describe(error: &figment::Error) -> String {
             let key = if path.is_empty() { field.to_string() } else { format!("{path}.{field}") };
             format!("{key}{MISSING}; the setup must state it")
         }
-        kind => format!("{at}: {kind}"),
+        kind => format!("{at}: {}", plain(&kind.to_string())),
     }
+}
+
+/// What serde says of a value, without the names of Rust's types.
+fn plain(said: &str) -> String {
+    let words = [
+        ("`", ""),
+        ("f64", "a number"),
+        ("u64", "a whole number"),
+        ("i64", "a whole number"),
+        ("a sequence", "a list"),
+    ];
+    words.into_iter().fold(said.to_owned(), |text, (from, to)| text.replace(from, to))
 }
 
 /// The known key that a mistyped one was probably meant to be.

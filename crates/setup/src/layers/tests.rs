@@ -40,6 +40,32 @@ fn later_layers_win_and_every_value_knows_where_it_is_stated() {
 }
 
 #[test]
+fn a_whole_setup_can_be_written_and_read_again() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["sim", "hil", "bare", "published"] {
+        let layers = Layers::read(&args(&[Path::new(name)], &[])).unwrap();
+        let file = write(folder.path(), "settings.toml", &toml_of(&layers.effective()));
+        let again = read_layers(&args(&[&file], &[])).unwrap().layers;
+        let values = |layers: &Layers| -> Vec<_> { layers.effective().into_iter().map(|s| (s.key, s.value)).collect() };
+        assert_eq!(values(&again), values(&layers), "{name}");
+    }
+}
+
+#[test]
+fn a_file_over_another_does_not_bring_its_base_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = write(folder.path(), "first.toml", "base = \"sim\"\nrun.seed = 5\n");
+    let second = write(folder.path(), "second.toml", "base = \"sim\"\nscene.target = \"box\"\n");
+    let layers = Layers::read(&args(&[&first, &second], &[])).unwrap();
+    assert_eq!((value(&layers, "run.seed").0, value(&layers, "scene.target").0), ("5".into(), "\"box\"".into()));
+    let other = write(folder.path(), "other.toml", "base = \"hil\"\n");
+    assert!(refusal(&[&first, &other], &[]).contains("is not what the file or setup before it builds on"));
+    let lost = write(folder.path(), "lost.toml", "base = \"simm\"\n");
+    let text = refusal(&[&lost], &[]);
+    assert!(text.contains("lost.toml") && text.contains("base: ") && text.contains("built-in are sim"), "{text}");
+}
+
+#[test]
 fn a_kind_takes_the_tables_of_other_kinds_away() {
     let folder = tempfile::tempdir().unwrap();
     let file = write(
