@@ -63,7 +63,7 @@ pub struct Findings {
 
 /// Rounds of a quick run.
 const QUICK_ROUNDS: usize = 40;
-/// Of the cases, a quick run takes every so manieth.
+/// Of the cases, a quick run takes one in so many.
 const QUICK_EVERY: usize = 10;
 
 /// Measures, prints, and writes down what came out.

@@ -1,8 +1,8 @@
 //! Whether the cameras still are what was calibrated, from what a run sees anyway.
 //!
 //! Every few seconds a pair is measured: by how much rows of the right picture are off, how much softer and brighter one eye is than the
-//! other one, and how far apart their exposures are. All four are zero where the calibration holds and both eyes are alike; where the
-//! file of the calibration says how unlike both eyes were when it was made, blur and brightness are what has come to that. The median of
+//! other one, and how far apart their exposures are. All four are zero where the calibration holds and both cameras are alike; where the
+//! file of the calibration says how unlike both cameras were when it was made, blur and brightness are what has come to that. The median of
 //! the newest looks is compared with its limit, so that a hand before a lens for a moment says nothing, and what is too far is told once.
 
 use std::collections::VecDeque;

@@ -1,4 +1,4 @@
-//! What pictures are like: brightness, sharpness, and by how much rows of both eyes are off.
+//! What pictures are like: brightness, sharpness, and by how much rows of both cameras are off.
 
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method, RowMeasurement};
 use pb3dp_estimation_core::error::EstimationError;

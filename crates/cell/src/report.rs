@@ -210,7 +210,7 @@ fn with_drift(report: Report, summary: &RunSummary) -> Report {
     report
         .heading("Drift of the cameras")
         .paragraph(
-            "Each value is the median of five looks; all are zero where the calibration holds and both eyes are alike. What is too far \
+            "Each value is the median of five looks; all are zero where the calibration holds and both cameras are alike. What is too far \
              makes estimates worse before it is seen: calibrate again.",
         )
         .table(&drift::table(&summary.drift))

@@ -167,7 +167,7 @@ fn pair_of(captured: Captured) -> Option<Arc<FramePair>> {
     }
 }
 
-/// The larger shift of both eyes.
+/// The larger shift of both cameras.
 fn shift_of(before: &FramePair, after: &FramePair) -> f64 {
     shift_px(&before.left, &after.left).max(shift_px(&before.right, &after.right))
 }

@@ -28,7 +28,7 @@ pub(super) const SIDE: usize = 2 * RADIUS + 1;
 pub const REACH_MAX: usize = 3;
 /// Number of pixels of a patch.
 pub(super) const PATCH_PX: f32 = (SIDE * SIDE) as f32;
-/// Patches are looked at around the pixels of every so manieth row. Chosen for time: as many real cases pass as with every row.
+/// Patches are looked at around the pixels of one row in so many. Chosen for time: as many real cases pass as with every row.
 const ROW_STEP: usize = 2;
 
 /// Bit of [`RegionLevel::support`]: the pixel may be used, as far as its patch can tell.

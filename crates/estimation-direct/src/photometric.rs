@@ -43,7 +43,7 @@ const BORDER_WEIGHT_MIN: f64 = 0.9;
 const BORDER_SQUARES_MAX: f64 = 1.25;
 /// The plane has converged if the last step moved no point of the region further, pixels of the level. Chosen; no sweep is on record.
 const SETTLED_PX: f64 = 0.03;
-/// First steps take every so manieth group of points, while that many points are left. Chosen: the real cases pass as without.
+/// First steps take one group of points in so many, while that many points are left. Chosen: the real cases pass as without.
 const THINNING_MAX: usize = 4;
 const THINNED_POINTS: usize = 1200;
 /// That ends when a step moves no point of the region further than this, pixels of the level. Chosen; no sweep is on record.
@@ -56,7 +56,7 @@ const PASSES_MAX: usize = 4;
 const ROWS_MOVED_FROM_PX: f64 = 0.1;
 /// The sharper eye is smoothed if the variances of blur differ by this, squared pixels of the level. Chosen; no sweep is on record.
 const BLUR_EVENED_FROM_PX2: f64 = 0.3;
-/// Noise may make so much of the squared gradients of texture; more, and both eyes are smoothed more. Chosen; no sweep is on record.
+/// Noise may make so much of the squared gradients of texture; more, and both images are smoothed more. Chosen; no sweep is on record.
 const NOISE_SHARE_MAX: f64 = 0.5;
 /// The smoothing is chosen so that noise makes this share. Chosen; no sweep is on record.
 const NOISE_SHARE: f64 = 0.3;
@@ -95,7 +95,7 @@ pub struct RefineConfig {
     /// Standard deviation of disparity that a calibration error leaves at the region's centroid and, as a slope, over half
     /// the region's side, pixels.
     pub calibration_sigma_px: f64,
-    /// Standard deviation of the difference between the variances of both eyes' blur at an edge, squared pixels. The width of
+    /// Standard deviation of the difference between the variances of both images' blur at an edge, squared pixels. The width of
     /// an edge must not be taken for a slope.
     pub blur_sigma_px2: f64,
 }
@@ -316,7 +316,7 @@ impl PlaneRefiner {
             || (progress.row_px - prepared.row_applied * prepared.scale).abs() > ROWS_MOVED_FROM_PX
     }
 
-    /// Smooths both eyes around the region as the plane maps it, and takes the points.
+    /// Smooths both images around the region as the plane maps it, and takes the points.
     fn prepare(&mut self, pair: &Pair<'_>, level: &RegionLevel, progress: &Progress) -> Option<Prepared> {
         let scale = level.scale as f64;
         let side_px = (level.area_px as f64).sqrt();

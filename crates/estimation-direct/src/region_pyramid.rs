@@ -1,4 +1,4 @@
-//! The region of one pair as both eyes show it, at full size and halved again and again.
+//! The region of one pair as both images show it, at full size and halved again and again.
 //!
 //! Every level lies on a fixed grid: pixel `X` of the grid of scale `s` covers the rectified pixels `s X .. s X + s`, so its
 //! centre is at `s (X + 0.5) - 0.5`. Windows start on the grid of the coarsest level. The rows of the right eye are moved by
@@ -206,7 +206,7 @@ impl RegionPyramid {
         true
     }
 
-    /// Windows of both eyes that start on the coarsest grid.
+    /// Windows of both images that start on the coarsest grid.
     fn windows(
         &self,
         front_end: &StereoFrontEnd,
@@ -452,7 +452,7 @@ mod tests {
             let (left, right) = (level.left.luminance(), level.right.luminance());
             let shift = level.column_shift();
             for y in [4, 8] {
-                // The same grid column in both eyes.
+                // The same grid column in both images.
                 let (x, x_right) = (20, (20 + shift) as usize);
                 assert!((left.row(y)[x] - right.row(y)[x_right]).abs() < 1.0, "{} {y}", level.scale);
             }

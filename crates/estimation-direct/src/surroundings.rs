@@ -2,7 +2,7 @@
 //!
 //! A region of 30 pixels has a short lever for its tilt, and often its surface goes on beyond the outline. So the pixels
 //! around it are cut into tiles, and every tile is asked how far the right eye is off the plane that the region alone has
-//! given. A tile serves if both eyes agree there, if its shift is no larger than the covariance of the region's plane and the
+//! given. A tile serves if both images agree there, if its shift is no larger than the covariance of the region's plane and the
 //! tile's own noise allow, and if it touches the region or another tile that serves. The plane is then refined on both
 //! together, and replaces the region's own where the two are consistent.
 //!
@@ -210,7 +210,7 @@ const TERMS: usize = 10;
 struct RowLine {
     start: f32,
     step: f32,
-    /// Taken off both eyes, which changes only the offset between them and keeps sums small.
+    /// Taken off both images, which changes only the offset between them and keeps sums small.
     middle: f32,
 }
 

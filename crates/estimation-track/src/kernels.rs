@@ -23,7 +23,7 @@ const GAIN: usize = 0;
 const OFFSET: usize = 1;
 const LEFT: usize = 0;
 const RIGHT: usize = 2;
-/// Numbers that the offset of a patch leaves: with every unknown, with gain and offset of both eyes, with itself, residual.
+/// Numbers that the offset of a patch leaves: with every unknown, with gain and offset of both images, with itself, residual.
 pub(super) const PATCH: usize = UNKNOWNS + 6;
 /// Index of the first of the four with gains and offsets, of the offset with itself, and with the residual.
 pub(super) const PATCH_GAINS: usize = UNKNOWNS;

@@ -5,7 +5,7 @@ use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
 use super::kernels::{CHANNELS, GroupScore, NormalSums, PATCH, PATCH_GAINS, PATCH_OWN, PATCH_RESIDUAL, PairWeights};
 use super::kernels::{ROW, SHAPE, TERMS, UNKNOWNS};
 
-/// Gain and offset of both eyes in every channel.
+/// Gain and offset of both images in every channel.
 const GAINS: usize = 4 * CHANNELS;
 /// All unknowns of a step.
 pub(super) const ALL: usize = UNKNOWNS + GAINS;
@@ -111,7 +111,7 @@ impl NormalEquations {
         }
     }
 
-    /// Takes out an offset of each patch, common to both eyes, of standard deviation `sigma` grey levels: shading that does
+    /// Takes out an offset of each patch, common to both images, of standard deviation `sigma` grey levels: shading that does
     /// not turn with the target.
     pub(super) fn remove_patch_offsets(&mut self, patches: &[[f32; PATCH]], sigma: f64) {
         let prior = 1.0 / (sigma * sigma);

@@ -35,7 +35,7 @@ const MARGIN_START_PX: u32 = 40;
 /// Follows one target in six degrees of freedom.
 ///
 /// A request with a marked target finds its plane and relief in that pair and keeps its view. Each request without one finds the
-/// pose at which a kept view explains both images of the next pair (gains and offsets of both cameras, the row offset of the
+/// pose at which a kept view explains both images of the next pair (gains and offsets of both images, the row offset of the
 /// right one, and what is still open about the surface are unknowns beside the pose), judges it, and keeps a new view where
 /// none is near. A pose that does not fit is not given: the status is `lost`, and from that very frame on the target is
 /// looked for in the whole image.
@@ -340,7 +340,7 @@ impl DirectTracker {
         ending
     }
 
-    /// Keeps what both eyes show where the target was found last.
+    /// Keeps what both images show where the target was found last.
     fn remember(&mut self, target: &Target, left: &RgbImage, right: &RgbImage) {
         let pose = target.estimate.cam_left_from_model;
         let right_pose = *self.rig.cam_right_from_cam_left() * pose;

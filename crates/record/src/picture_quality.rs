@@ -116,7 +116,7 @@ pub fn softer_by_px([left_px, right_px]: [f64; 2]) -> f64 {
     (right_px * right_px - left_px * left_px).abs().sqrt().copysign(right_px - left_px)
 }
 
-/// Difference of the mean luminances of both eyes, percent of the brighter one: positive, if the right one is brighter.
+/// Difference of the mean luminances of both cameras, percent of the brighter one: positive, if the right one is brighter.
 pub fn brighter_by_percent(exposures: &[Exposure; 2]) -> f64 {
     let [left, right] = exposures.map(|exposure| exposure.mean_grey);
     (right - left) / left.max(right).max(1.0) * 100.0

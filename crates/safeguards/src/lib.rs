@@ -55,7 +55,7 @@ safeguards! {
     Outlier "supervisor: outlier" "The hand rests while the target is not where its motion leads to expect it"
     PositionUncertain "supervisor: position_uncertain" "The hand rests while the position is uncertain"
     OrientationUncertain "supervisor: orientation_uncertain" "The hand rests while the orientation is uncertain"
-    CameraSkew "supervisor: camera_skew" "The hand rests while both eyes are not exposed together"
+    CameraSkew "supervisor: camera_skew" "The hand rests while both cameras are not exposed together"
     ControllerRests "supervisor: controller_rests" "The hand rests when the controller gives no velocity"
     TimelyWords "supervisor: age of words" "A word that was said too long ago, or to another state, is not obeyed"
     ClearForWords "supervisor: time before a word" "What comes and goes from picture to picture has to be gone for a while before start and resume"

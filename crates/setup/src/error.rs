@@ -33,7 +33,7 @@ pub enum ConfigError {
         reason: String,
     },
     /// Neither a file nor a built-in setup.
-    #[error("configuration {name}: there is no such file, and no built-in setup of this name; built-in are {}", known)]
+    #[error("configuration {name}: there is no such file, and no built-in setup of this name; built-in are {known}")]
     NoSuchSetup {
         /// As it was written.
         name: String,
@@ -88,6 +88,8 @@ impl std::fmt::Display for FileKind {
     }
 }
 
+/// The text of a file of settings.
+///
 /// # Errors
 /// If the file cannot be read.
 pub(crate) fn text_of(file: &Path) -> Result<String, ConfigError> {

@@ -80,7 +80,9 @@ fn as_sample(key: &str) -> String {
     }
 }
 
-fn is_within(key: &str, table: &str) -> bool {
+/// Whether a key is that of a table or lies below it.
+#[must_use]
+pub fn is_within(key: &str, table: &str) -> bool {
     key == table || key.strip_prefix(table).is_some_and(|rest| rest.starts_with('.'))
 }
 

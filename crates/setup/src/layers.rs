@@ -82,6 +82,16 @@ pub enum Origin {
     Option(&'static str),
 }
 
+impl Origin {
+    /// Where paths stated here start: the folder of a file, and for all else the one that the program runs in.
+    fn folder(&self) -> &Path {
+        match self {
+            Self::File(file) => file.parent().unwrap_or(Path::new(".")),
+            Self::BuiltIn(_) | Self::Variable(_) | Self::Option(_) => Path::new("."),
+        }
+    }
+}
+
 impl std::fmt::Display for Origin {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
@@ -318,10 +328,7 @@ impl Layers {
             base.as_str().ok_or_else(|| refuse(BASE, "must be the name of a built-in setup or a file, as text"))
         });
         if let Some(base) = base.transpose()?.map(str::to_owned) {
-            let own_folder = match &layer.origin {
-                Origin::File(file) => file.parent().unwrap_or(Path::new(".")).to_path_buf(),
-                _ => PathBuf::from("."),
-            };
+            let own_folder = layer.origin.folder().to_path_buf();
             let known = find(Path::new(&base), &own_folder).is_ok_and(|(origin, _)| self.has(&origin));
             match () {
                 // Laid over a setup with the same base, which would otherwise take back what that setup says.
@@ -367,11 +374,7 @@ impl Layers {
             if self.value(&format!("arms.{name}.robot")).is_some() {
                 continue;
             }
-            let beside = match &layer.origin {
-                Origin::File(file) => file.parent().unwrap_or(Path::new(".")).to_path_buf(),
-                _ => PathBuf::from("."),
-            };
-            let file = beside.join("arms").join(format!("{name}.toml"));
+            let file = layer.origin.folder().join("arms").join(format!("{name}.toml"));
             let found = match built_in::path_of(&format!("{name}.toml")).as_deref().and_then(built_in::text_at) {
                 _ if file.is_file() => layer_of_text(Origin::File(file.clone()), text_of(&file)?)?,
                 Some(text) => layer_of_text(Origin::BuiltIn("arm"), text.to_owned())?,
@@ -440,9 +443,8 @@ impl Layers {
     fn resolve_paths(&mut self) {
         for layer in &mut self.list {
             let folder = match &layer.origin {
-                Origin::File(file) => Some(file.parent().unwrap_or(Path::new(".")).to_path_buf()),
                 Origin::BuiltIn(_) => None,
-                Origin::Variable(_) | Origin::Option(_) => Some(PathBuf::from(".")),
+                origin => Some(origin.folder().to_path_buf()),
             };
             let resolved = |path: &str| match &folder {
                 Some(folder) if folder.join(path).exists() || path.contains('/') => {

@@ -35,7 +35,7 @@ pub struct GeometricCamera {
     delivery: Delivery<GeometricFrame>,
     /// The true pose in the frame before.
     before: Option<Pose<CamLeft, Target>>,
-    /// Factors of brightness of both eyes in the frame before, and how many frames ago they changed.
+    /// Factors of brightness of both cameras in the frame before, and how many frames ago they changed.
     brightness: ([f64; 2], u32),
 }
 

@@ -53,7 +53,7 @@ const FOR_PERSONS: [Condition; 6] = [
     Condition::OperatorSilent,
     Condition::TargetChanged,
 ];
-/// How far apart both eyes may be exposed, seconds.
+/// How far apart both cameras may be exposed, seconds.
 const TOGETHER_S: f64 = 0.005;
 
 /// What is known of one run while it goes on.
@@ -226,7 +226,7 @@ impl Recorder {
     }
 
     /// An estimate comes to those who move. It counts if the estimator stands by it, it is of a picture that is newer than all before by
-    /// number and time, with both eyes exposed together, of the target that was started, and sure enough.
+    /// number and time, with both cameras exposed together, of the target that was started, and sure enough.
     pub fn delivered(&mut self, percept: &Percept, now: MonotonicTime) {
         let Percept { frame, estimate, .. } = percept;
         let is_newest = self.newest.is_none_or(|(number, at)| frame.sequence > number && frame.at > at);

@@ -1,4 +1,4 @@
-//! How unlike both eyes are while they are calibrated: what a run later compares its own pictures with.
+//! How unlike both cameras are while they are calibrated: what a run later compares its own pictures with.
 
 use pb3dp_record::metrics::median;
 use std::path::PathBuf;

@@ -1,4 +1,4 @@
-//! The adjustment: corners of all stops in both eyes, and the poses of the arms with their own noise, by least squares.
+//! The adjustment: corners of all stops in both cameras, and the poses of the arms with their own noise, by least squares.
 //!
 //! Levenberg-Marquardt; the corrections of the arms' poses are eliminated stop by stop (Schur complement, as in
 //! `crate::adjust`), so what is solved has 12 to 20 unknowns however many stops there are.

@@ -1,6 +1,6 @@
 //! Hand-eye calibration: where the cameras sit on the arm that carries them, and where the board is.
 //!
-//! The corners of the board in both eyes and the poses that the robot states are adjusted together. A robot's pose is a
+//! The corners of the board in both cameras and the poses that the robot states are adjusted together. A robot's pose is a
 //! measurement with noise of its own: each stop's flange pose gets a correction, held by a prior. The stereo calibration is
 //! known; what its errors do to the result is added to the covariance ([`CalibrationCovariance`]).
 //!
@@ -365,7 +365,7 @@ impl HandEyeFit {
     }
 
     /// How far a point straight ahead of the left camera is expected to be from where the flange thinks it is, metres: one standard
-    /// deviation in space (root of the three variances' sum). Its pictures in both eyes are taken as exact; an error of the head
+    /// deviation in space (root of the three variances' sum). Its images in both cameras are taken as exact; an error of the head
     /// that the camera's pose on the flange makes good does not count.
     pub fn hand_error_m(&self, distance_m: f64) -> f64 {
         let point = Point3::new(0.0, 0.0, distance_m);
@@ -396,7 +396,7 @@ struct All<'a> {
     alone: &'a [(Poses, Corners)],
 }
 
-/// The board in the left camera by the corners of both eyes; `None` if no pose explains them.
+/// The board in the left camera by the corners in both images; `None` if no pose explains them.
 pub fn place_board(rig: &StereoRig, board: &Chessboard, sightings: &[Sighting; 2]) -> Option<Pose<CamLeft, Board>> {
     let [left, right] = sightings;
     let seen = Seen { sightings: [left, right], vs: Isometry3::identity(), tc: None, rests: [None; 2] };

@@ -57,7 +57,7 @@ impl Direction {
         difference(below, above) * 0.5
     }
 
-    /// How far a point moves on the flange by one standard deviation that both eyes see at given pixels, metres.
+    /// How far a point moves on the flange by one standard deviation that both cameras see at given pixels, metres.
     pub(super) fn point_step_m(&self, [left, right]: &[Vector2<f64>; 2]) -> f64 {
         let on_flange = |(rig, state): &(StereoRig, State)| {
             Some(state.flange_from_cam * Point3::from(triangulated(rig, left, right)?))

@@ -87,7 +87,7 @@ impl World {
         Self { rig: rig(random), flange_from_cam_left, place }
     }
 
-    /// How far a point straight ahead of the cameras, which both eyes see, is on the flange from where it is thought to be, metres.
+    /// How far a point straight ahead of the cameras, which both cameras see, is on the flange from where it is thought to be, metres.
     pub fn point_error_m(
         &self,
         believed: &StereoRig,
@@ -119,7 +119,7 @@ impl World {
         }
     }
 
-    /// Visits the rig: poses from which both eyes see the whole board.
+    /// Visits the rig: poses from which both cameras see the whole board.
     pub fn visit(&self, visit: &Visit, random: &mut Random) -> Vec<HandEyeStop> {
         match self.place {
             Place::Room { .. } => (0..visit.stops).map(|index| self.room_stop(index, visit, random)).collect(),
@@ -170,7 +170,7 @@ impl World {
         stops
     }
 
-    /// A pose of the board that both eyes see whole, with what they see.
+    /// A pose of the board that both cameras see whole, with what they see.
     fn look(&self, visit: &Visit, random: &mut Random) -> (Isometry3<f64>, [Sighting; 2]) {
         loop {
             let pose = self.placed(visit, random);
@@ -195,7 +195,7 @@ impl World {
         Isometry3::from_parts((ray * distance_m).into(), turn) * Isometry3::translation(-middle.x, -middle.y, 0.0)
     }
 
-    /// What both eyes see of the board, the true size of its squares counted.
+    /// What both cameras see of the board, the true size of its squares counted.
     pub fn sightings(
         &self,
         cam_left_from_board: &Isometry3<f64>,

@@ -37,7 +37,7 @@ pub(super) struct Sampled {
 }
 
 impl Sampled {
-    /// Forgets all patches; of `area_px` pixels about [`PATCHES`] will be asked, those of every so manieth row and column.
+    /// Forgets all patches; of `area_px` pixels about [`PATCHES`] will be asked, those of one row and column in so many.
     pub(super) fn start(&mut self, area_px: usize, row_step: usize) {
         self.votes.clear();
         self.all = 0.0;

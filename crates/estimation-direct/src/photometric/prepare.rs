@@ -51,7 +51,7 @@ pub(super) struct Preparation {
     /// Per channel: 1 for pixels that can not be used, else 0; and a row of them.
     unusable: [Vec<u8>; CHANNELS_MAX],
     unusable_row: Vec<u8>,
-    /// Taken off the channels of both eyes to keep sums small, grey levels.
+    /// Taken off the channels of both images to keep sums small, grey levels.
     middle: [f32; CHANNELS_MAX],
 }
 

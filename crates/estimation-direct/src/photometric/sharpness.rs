@@ -2,7 +2,7 @@
 //!
 //! A Gaussian blur of variance `v` takes `v |grad (dI/dx)|^2` off the squared gradients `(dI/dx)^2`, to first order in `v`. In
 //! a texture without a direction `(d2I/dxdy)^2` is a third of `(d2I/dx2)^2`, so `v` is the difference of the squared gradients
-//! of both eyes over `4/3` of the squared second derivatives. The latter are taken as products of both eyes, which noise does
+//! of both images over `4/3` of the squared second derivatives. The latter are taken as products of both images, which noise does
 //! not enlarge; noise adds to the squared gradients of both, equally where both are equally smoothed.
 
 use super::kernel::SharpnessSums;
@@ -15,7 +15,7 @@ const SURE: f64 = 2.5;
 /// Largest change that is believed at once, squared pixels. Chosen; no sweep is on record.
 const CHANGE_MAX_PX2: f64 = 4.0;
 
-/// Standard deviations of the smoothing of both eyes, pixels.
+/// Standard deviations of the smoothing of both images, pixels.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sharpness {
     pub left_px: f64,

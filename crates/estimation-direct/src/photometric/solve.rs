@@ -43,7 +43,7 @@ struct OffsetPart {
     weights: f64,
 }
 
-/// How much of the squared gradients of a channel is texture: the gradients of both eyes agree, their noise does not.
+/// How much of the squared gradients of a channel is texture: the gradients of both images agree, their noise does not.
 pub(super) fn reliability(sums: &ProductSums<f64>) -> f64 {
     let ratio = if sums.gg > 0.0 { sums.gs / sums.gg } else { 0.0 };
     ratio.clamp(RELIABILITY.0, RELIABILITY.1)

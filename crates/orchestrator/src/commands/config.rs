@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use anyhow::{Result, bail};
 use clap::{Args, Subcommand, ValueEnum};
 use pb3dp_cell::terminal::print_line;
-use pb3dp_setup::explain::explain;
+use pb3dp_setup::explain::{explain, is_within};
 use pb3dp_setup::layers::{Effective, Layers, SetupArgs, built_in, toml_of};
 use pb3dp_setup::setup::read_layers;
 
@@ -129,10 +129,6 @@ fn show(args: &ShowArgs) -> Result<ExitCode> {
     let wanted: Vec<Effective> = wanted.into_iter().cloned().collect();
     print_line(toml_of(&wanted).trim_end())?;
     Ok(ExitCode::SUCCESS)
-}
-
-fn is_within(key: &str, table: &str) -> bool {
-    key == table || key.strip_prefix(table).is_some_and(|rest| rest.starts_with('.'))
 }
 
 fn check(args: &CheckArgs) -> Result<ExitCode> {

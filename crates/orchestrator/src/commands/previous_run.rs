@@ -12,8 +12,8 @@ const OF_A_RUN: &str = "summary.json";
 ///
 /// # Errors
 /// If it cannot be made.
-pub fn check_writable(folder: &Path) -> Result<()> {
-    std::fs::create_dir_all(folder).with_context(|| format!("{}: can not be created", folder.display()))
+pub fn make(folder: &Path) -> Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot be created", folder.display()))
 }
 
 /// Moves the folder of an earlier run to the first of `DIR.1`, `DIR.2` and so on that is free, says so, and makes a new one.
@@ -33,7 +33,7 @@ pub fn keep(folder: &Path) -> Result<()> {
     std::fs::rename(folder, &free)
         .with_context(|| format!("{}: cannot be moved to {}", folder.display(), free.display()))?;
     tracing::info!("the earlier run in {} is kept in {}", folder.display(), free.display());
-    check_writable(folder)
+    make(folder)
 }
 
 #[cfg(test)]
@@ -46,7 +46,7 @@ mod tests {
         let out = place.path().join("run");
         keep(&out).unwrap();
         for number in 1..=2 {
-            check_writable(&out).unwrap();
+            make(&out).unwrap();
             std::fs::write(out.join("notes.txt"), "mine").unwrap();
             keep(&out).unwrap();
             assert!(out.exists(), "a folder without a run stays");

@@ -34,7 +34,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let asked = args.setup.clone().with("--seed", "run.seed", seed).with("--region", "camera.region", region);
     let mut setup = read_layers(&asked)?;
     accept_nominal(&mut setup, args.nominal_calibration);
-    previous_run::check_writable(&args.out)?;
+    previous_run::make(&args.out)?;
     if args.operator == OperatorName::Console && setup.pace == Pace::Fast {
         bail!("--operator console: at pace = \"fast\" nobody can speak in time; set pace to \"real-time\" or \"live\"");
     }

@@ -14,7 +14,7 @@ pub(crate) struct Projection {
     pub mean: [f32; 4],
 }
 
-/// What the scores would be in all if both eyes differed in ways that the model leaves out.
+/// What the scores would be in all if both images differed in ways that the model leaves out.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Unmodelled {
     /// Rows off by a pixel per column.

@@ -39,7 +39,7 @@ pub(crate) struct InnerSums {
 pub(crate) struct SharpnessSums {
     /// Squared gradients along columns of the right eye minus those of the left one.
     pub excess: f64,
-    /// Products of both eyes' second derivatives along columns.
+    /// Products of both images' second derivatives along columns.
     pub curvature: f64,
     /// Weights.
     pub weight: f64,

@@ -16,7 +16,7 @@ const BRIGHT_MAX_PERCENT: f64 = 2.0;
 const DARK_MAX_PERCENT: f64 = 20.0;
 /// Mean luminance, grey levels.
 const MEAN_GREY: [f64; 2] = [30.0, 210.0];
-/// Difference of the mean luminances of both eyes, percent of the brighter one.
+/// Difference of the mean luminances of both cameras, percent of the brighter one.
 const DIFFERENCE_MAX_PERCENT: f64 = 15.0;
 
 /// Blur of an edge, standard deviation in pixels; steps from pixel to pixel come out as 0.8.
