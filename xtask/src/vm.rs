@@ -295,18 +295,17 @@ fn output_of(command: &mut Command) -> anyhow::Result<String> {
 
 #[cfg(test)]
 mod tests {
-    use std::os::unix::fs::PermissionsExt;
-
     use super::*;
 
     /// What a suite comes to with a program in the place of QEMU, and how often that was started.
     fn outcome(name: &str, script: &str) -> (anyhow::Result<()>, usize) {
         let folder = std::env::temp_dir().join(format!("pb3dp-vm-test-{name}-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
-        let (qemu, log) = (folder.join("qemu"), folder.join("log"));
-        let text = format!("#!/bin/sh\necho started >> {}\n{script}\n", log.display());
-        std::fs::write(&qemu, text).unwrap();
-        std::fs::set_permissions(&qemu, std::fs::Permissions::from_mode(0o755)).unwrap();
+        let (text, qemu, log) = (folder.join("text"), folder.join("qemu"), folder.join("log"));
+        std::fs::write(&text, format!("#!/bin/sh\necho started >> {}\n{script}\n", log.display())).unwrap();
+        // Another process writes the program. If this one did, a process that another test starts meanwhile
+        // could hold it open for writing, and Linux does not execute such a file (ETXTBSY).
+        output_of(Command::new("install").args(["-m", "755"]).args([&text, &qemu])).unwrap();
         let suite = &SUITES[1];
         let outcome = try_suite(suite, false, || Machine::start(&qemu, &folder, &folder, suite, &folder));
         let starts = std::fs::read_to_string(&log).unwrap().lines().count();
