@@ -1,4 +1,4 @@
-//! Whole-system tests: in `tests/`, with real pictures in `data/`. Here is only what they share.
+//! Whole-system tests: in `tests/`, with real images in `data/`. Here is only what they share.
 
 pub mod between;
 pub mod safety;
@@ -14,7 +14,7 @@ pub fn repository() -> PathBuf {
 /// All files below `dir`, sorted.
 ///
 /// # Errors
-/// A folder that can not be read.
+/// A folder that cannot be read.
 pub fn files_below(dir: &Path) -> std::io::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     let mut folders = vec![dir.to_owned()];

@@ -1,4 +1,4 @@
-//! What the direct method makes of pictures with faults: it is not sure, or it is right within what it states, or the error is
+//! What the direct method makes of images with faults: it is not sure, or it is right within what it states, or the error is
 //! the one that no method could see.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
 
@@ -157,14 +157,14 @@ fn is_told(kind: CameraFaultKind) {
 }
 
 #[test]
-fn pictures_without_a_target_are_no_pose() {
+fn images_without_a_target_are_no_pose() {
     is_told(CameraFaultKind::Black { eyes: Eyes::Right });
     is_told(CameraFaultKind::Saturated { eyes: Eyes::Both });
     is_told(CameraFaultKind::Occluder { width_share: 0.7, crosses: false });
 }
 
 #[test]
-fn pictures_that_are_harder_to_read_are_read_right_or_not_at_all() {
+fn images_that_are_harder_to_read_are_read_right_or_not_at_all() {
     for (eyes, factor) in [(Eyes::Right, 0.7), (Eyes::Both, 0.3), (Eyes::Both, 1.6)] {
         is_borne(CameraFaultKind::Brightness { eyes, factor }, 4);
     }
@@ -174,7 +174,7 @@ fn pictures_that_are_harder_to_read_are_read_right_or_not_at_all() {
     is_told(CameraFaultKind::Miscalibrated { columns_px: 0.0, rows_px: 4.0, roll_rad: 0.0, scale: 1.0 });
 }
 
-/// Both pictures torn at the same row show one bent target: what it moved in a period, 1.7 mm, is all that can be wrong, over half of
+/// Both images torn at the same row show one bent target: what it moved in a period, 1.7 mm, is all that can be wrong, over half of
 /// its height, 20 mm.
 #[test]
 fn a_torn_pair_is_off_by_no_more_than_the_target_moved() {
@@ -188,9 +188,9 @@ fn a_torn_pair_is_off_by_no_more_than_the_target_moved() {
     }
 }
 
-/// A shift along the rows is what another depth looks like: no method can tell from the pictures. What it leads to is known.
+/// A shift along the rows is what another depth looks like: no method can tell from the images. What it leads to is known.
 #[test]
-fn what_no_picture_tells_is_off_by_what_geometry_says() {
+fn what_no_image_tells_is_off_by_what_geometry_says() {
     let (disparity_px, columns_px) = (74.0, 1.0);
     let kind = CameraFaultKind::Miscalibrated { columns_px, rows_px: 0.0, roll_rad: 0.0, scale: 1.0 };
     let farther_mm = 500.0 * (disparity_px / (disparity_px - columns_px) - 1.0);

@@ -11,7 +11,7 @@ use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_hal_api::{CameraErrorKind, FramePair, StereoCamera};
-use pb3dp_record::dataset::{Case, StereoPictures, find_cases, load_case};
+use pb3dp_record::dataset::{Case, StereoImages, find_cases, load_case};
 use pb3dp_record::metrics;
 use system_tests::repository;
 
@@ -23,26 +23,26 @@ fn cases() -> Vec<Case> {
 }
 
 /// The published method with a seed and a gate for hues.
-fn published(case: &Case, pictures: &StereoPictures, seed: u64, saturation_min: f64) -> PlaneEstimate {
+fn published(case: &Case, images: &StereoImages, seed: u64, saturation_min: f64) -> PlaneEstimate {
     let mut config = EstimatorConfig::default();
     config.published.rmga.seed = seed;
     config.published.hue.saturation_min = saturation_min;
     let rig = case.load_calibration().unwrap().rig;
-    run(Estimator::new(Method::Published, &rig, &config).unwrap(), case, pictures)
+    run(Estimator::new(Method::Published, &rig, &config).unwrap(), case, images)
 }
 
 /// The direct method, the rows measured beforehand or taken as they are.
-fn direct(case: &Case, pictures: &StereoPictures, measures_rows: bool) -> PlaneEstimate {
+fn direct(case: &Case, images: &StereoImages, measures_rows: bool) -> PlaneEstimate {
     let rig = case.load_calibration().unwrap().rig;
     let mut estimator = Estimator::new(Method::Direct, &rig, &EstimatorConfig::default()).unwrap();
     if measures_rows {
-        let measured = estimator.prepare(&pictures.left, &pictures.right).unwrap();
+        let measured = estimator.prepare(&images.left, &images.right).unwrap();
         assert!(measured.unwrap().rows.magnitude_max_px(640, 480) < 1.0, "these pairs are rectified: {measured:?}");
     }
-    run(estimator, case, pictures)
+    run(estimator, case, images)
 }
 
-fn run(mut estimator: Estimator, case: &Case, pictures: &StereoPictures) -> PlaneEstimate {
+fn run(mut estimator: Estimator, case: &Case, images: &StereoImages) -> PlaneEstimate {
     let vertices_px = case.region_polygon_left_px.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
     let range = SearchRange {
         z_min_m: case.search.z_min_m,
@@ -50,7 +50,7 @@ fn run(mut estimator: Estimator, case: &Case, pictures: &StereoPictures) -> Plan
         tilt_max_rad: case.search.tilt_max_rad,
     };
     estimator
-        .estimate(EstimateRequest::of_target(&pictures.left, &pictures.right, &Region::Polygon { vertices_px }, &range))
+        .estimate(EstimateRequest::of_target(&images.left, &images.right, &Region::Polygon { vertices_px }, &range))
         .unwrap()
 }
 
@@ -68,10 +68,10 @@ fn errors(case: &Case, estimate: &PlaneEstimate) -> Option<(f64, f64)> {
 fn no_answer_of_the_published_method_is_sure_and_wrong() {
     let mut sure = 0;
     for case in cases() {
-        let pictures = case.load_pictures().unwrap();
+        let images = case.load_images().unwrap();
         // With a gate that lets noise through, the grey fields of the boards get hues that mean nothing.
         for (seed, saturation_min) in [(1, 0.08), (2, 0.08), (3, 0.08), (1, 0.04), (1, 0.02)] {
-            let found = published(&case, &pictures, seed, saturation_min);
+            let found = published(&case, &images, seed, saturation_min);
             let what =
                 format!("{}, seed {seed}, saturation {saturation_min}: {}: {}", case.name, found.status, found.reason);
             match errors(&case, &found) {
@@ -90,7 +90,7 @@ fn no_answer_of_the_published_method_is_sure_and_wrong() {
 #[test]
 fn the_published_method_finds_the_coloured_board_where_it_is() {
     let case = cases().into_iter().find(|case| case.name == "bb201_c0").unwrap();
-    let found = published(&case, &case.load_pictures().unwrap(), 1, 0.08);
+    let found = published(&case, &case.load_images().unwrap(), 1, 0.08);
     let (depth, normal_deg) = errors(&case, &found).expect("this board has coloured reflections");
     assert!(depth.abs() < 0.02 && normal_deg < 8.0, "depth {depth}, normal {normal_deg} degrees: {}", found.reason);
 }
@@ -99,9 +99,9 @@ fn the_published_method_finds_the_coloured_board_where_it_is() {
 #[test]
 fn the_direct_method_finds_every_board_to_a_tenth_of_a_percent_and_half_a_degree() {
     for case in cases() {
-        let pictures = case.load_pictures().unwrap();
+        let images = case.load_images().unwrap();
         for measures_rows in [false, true] {
-            let found = direct(&case, &pictures, measures_rows);
+            let found = direct(&case, &images, measures_rows);
             let (depth, normal_deg) = errors(&case, &found).expect("a board has texture");
             let what = format!(
                 "{}, rows measured {measures_rows}: depth {:+.3} %, normal {normal_deg:.3} degrees, sigma {:?} m, {:?} rad",
@@ -121,12 +121,12 @@ fn the_direct_method_finds_every_board_to_a_tenth_of_a_percent_and_half_a_degree
 #[test]
 fn a_board_outside_the_depth_range_is_not_sure_of_its_alias() {
     let mut case = cases().into_iter().find(|case| case.name == "bb204_c0").unwrap();
-    let pictures = case.load_pictures().unwrap();
+    let images = case.load_images().unwrap();
     let z_m = case.truth.as_ref().unwrap().z_m;
     for (z_min_m, z_max_m) in [(0.5, 1.0), (0.16, 0.32)] {
         (case.search.z_min_m, case.search.z_max_m) = (z_min_m, z_max_m);
         assert!(!(z_min_m..z_max_m).contains(&z_m), "the truth, {z_m} m, is outside");
-        let found = direct(&case, &pictures, false);
+        let found = direct(&case, &images, false);
         assert_eq!(found.status.as_str(), "ambiguous", "{z_min_m} to {z_max_m} m: {}", found.reason);
         assert!(found.reason.contains("widen it (--z-range)"), "{}", found.reason);
     }
@@ -149,7 +149,7 @@ fn a_part_of_a_board_outside_the_depth_range_is_not_sure_of_anything() {
         let (x, y) = (f64::from(x), f64::from(y));
         case.region_polygon_left_px = vec![[x, y], [right, y], [right, bottom], [x, bottom]];
         (case.search.z_min_m, case.search.z_max_m) = (z_min_m, z_max_m);
-        let found = direct(&case, &case.load_pictures().unwrap(), true);
+        let found = direct(&case, &case.load_images().unwrap(), true);
         let what = format!("{name} {x} {y}: {}: {}", found.status, found.reason);
         assert!(!found.status.depth_is_sure(), "{what}");
         assert!(found.reason.contains("(--z-range)"), "{what}");
@@ -157,19 +157,19 @@ fn a_part_of_a_board_outside_the_depth_range_is_not_sure_of_anything() {
 }
 
 #[test]
-fn replayed_pictures_are_those_of_the_files() {
+fn replayed_images_are_those_of_the_files() {
     for case in cases() {
-        let pictures = case.load_pictures().unwrap();
+        let images = case.load_images().unwrap();
         let mut camera = ReplayCamera::open(&case.folder, ReplayOptions::default()).unwrap();
         assert_eq!(*camera.rig(), case.load_calibration().unwrap().rig);
         let mut pair = FramePair::black(camera.info().size);
         camera.next_pair_into(&mut pair, Duration::from_secs(1)).unwrap();
-        assert!(pair.left == pictures.left && pair.right == pictures.right, "{}: other pixels", case.name);
-        assert!(pair.left != pair.right, "{}: left and right are two pictures", case.name);
-        let replayed = StereoPictures { left: pair.left.clone(), right: pair.right.clone() };
+        assert!(pair.left == images.left && pair.right == images.right, "{}: other pixels", case.name);
+        assert!(pair.left != pair.right, "{}: left and right are two images", case.name);
+        let replayed = StereoImages { left: pair.left.clone(), right: pair.right.clone() };
         let end = camera.next_pair_into(&mut pair, Duration::from_secs(1)).unwrap_err();
         assert_eq!(end.kind(), CameraErrorKind::EndOfStream, "{end}");
-        assert_eq!(published(&case, &replayed, 1, 0.08), published(&case, &pictures, 1, 0.08));
-        assert_eq!(direct(&case, &replayed, true), direct(&case, &pictures, true));
+        assert_eq!(published(&case, &replayed, 1, 0.08), published(&case, &images, 1, 0.08));
+        assert_eq!(direct(&case, &replayed, true), direct(&case, &images, true));
     }
 }

@@ -24,7 +24,7 @@ const MOVING_RAD_PER_S: f64 = 0.02;
 /// A joint that is slower than this rests, rad/s.
 const AT_REST_RAD_PER_S: f64 = 1e-3;
 
-/// A setup without pictures whose arm carries the target, on its first way from 2.1 s to 4.1 s if it is started at 0.6 s.
+/// A setup without images whose arm carries the target, on its first way from 2.1 s to 4.1 s if it is started at 0.6 s.
 fn setup() -> Setup {
     let mut setup = read_setup(&repository().join("configs/sim.toml")).unwrap();
     setup.compared.clear();

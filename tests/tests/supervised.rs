@@ -184,7 +184,7 @@ fn a_loss_waits_for_the_operator_if_the_policy_says_so() {
 const SEARCH: SearchConfig =
     SearchConfig { back_m: 0.03, radius_m: 0.02, turns: 2.0, speed_m_per_s: 0.02, time_s: 30.0 };
 
-/// A hand whose target is lost while pictures come on: how far it goes from where it rested, and how fast, for this time.
+/// A hand whose target is lost while images come on: how far it goes from where it rested, and how fast, for this time.
 fn hand_after_loss(bench: &mut Bench<'_>, begin: Pose<World, Hand>, until_s: f64) -> (f64, f64, Moved) {
     let at = |bench: &Bench<'_>| bench.cell.world_from_hand_at(bench.clock.now());
     let (mut before, mut farthest_m, mut fastest_m_per_s, mut last) = (at(bench), 0.0f64, 0.0f64, None);
@@ -253,7 +253,7 @@ fn a_search_ends_when_the_target_is_found_and_when_anything_else_is_wrong() {
     let experiment = parts.experiment.clone();
     let mut bench = lost(&setup, parts, &*experiment);
     assert_eq!(bench.run(1.0).mode, Mode::Searching);
-    // No picture comes any more: nothing is looked for.
+    // No image comes any more: nothing is looked for.
     let (eyes, confidence) = (bench.target.take(), bench.confidence);
     bench.run(0.6);
     assert_eq!(bench.rests_for(0.5).decision.permission, Permission::Hold);

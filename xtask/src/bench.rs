@@ -23,7 +23,7 @@ const QUICK_ROUNDS: &str = "40";
 /// speed   the published method (kernels, a frame, ratio to the naive scalar version), then the direct one: cold start,
 ///         tracking, kernels, and what the times depend on; --cases DIR adds real cases, --quick takes half a minute;
 ///         `cargo xtask bench speed -- --help` lists the options. Writes docs/benchmarks/speed.md
-/// raster  pairs of pictures per second and core from the simulator's rasteriser
+/// raster  stereo pairs per second and core from the simulator's rasteriser
 /// real    every method on real stereo cases, beside other tools if they are given: --cases DIR, --peers DIR;
 ///         `cargo xtask bench real -- --help` lists the options. Writes docs/benchmarks/real.md
 /// accuracy  every method on rendered scenes with exact truth, beside the Cramér-Rao bound (up to 20 minutes on two cores;
@@ -33,7 +33,7 @@ const QUICK_ROUNDS: &str = "40";
 ///         arm's limits allow; fails if a limit is missed (ten minutes on two idle cores; --quick: seconds; --only WORDS, --seed N). Writes docs/benchmarks/servo.md
 /// safety  seeded runs in which everything goes wrong, with both arms emulated in virtual time, judged on the simulator's truth;
 ///         fails if anything does not hold, and says how to do that run again: --runs N, --seed N, --quick, --trace,
-///         --pictured N (of the first runs so many once more with rendered pictures); a run of default length writes docs/benchmarks/safety.md. --disabled, in a build of its own: each safeguard switched off, which
+///         --imaged N (of the first runs so many once more with rendered images); a run of default length writes docs/benchmarks/safety.md. --disabled, in a build of its own: each safeguard switched off, which
 ///         must show; --only NAME: some of them; all of them write their part of that page
 /// all     speed and raster
 ///
@@ -84,7 +84,7 @@ const BENCHES: [Bench; 2] = [
 ];
 
 /// # Errors
-/// If a program does not build or fails, or its figures can not be written.
+/// If a program does not build or fails, or its figures cannot be written.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     if args.what == What::Servo {
         return servo(workspace, &args.options);
@@ -142,7 +142,7 @@ fn run_program(workspace: &Workspace, subcommand: &str, args: &Args) -> anyhow::
     command.args(["run", "--release", "--locked", "--quiet", "--package", "pb3dp-benchmarks", "--manifest-path"]);
     command.arg(workspace.root().join("Cargo.toml")).args(["--bin", "pb3dp-bench", "--", subcommand, "--root"]);
     command.arg(workspace.root()).args(args.json.then_some("--json")).args(&args.options);
-    let status = command.status().context("can not start cargo")?;
+    let status = command.status().context("cannot start cargo")?;
     if !status.success() {
         bail!("bench {subcommand} failed ({status})");
     }

@@ -24,7 +24,7 @@ use crate::workspace::Workspace;
 pub struct Args {}
 
 /// # Errors
-/// If a rule is broken, or cargo or a file can not be read.
+/// If a rule is broken, or cargo or a file cannot be read.
 pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
     let packages = graph::packages(&workspace.metadata()?)?;
     let mut violations: Vec<Violation> = graph::check(&packages);

@@ -45,11 +45,11 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
 fn with_programs(workspace: &Workspace, args: &Args, programs: &Path) -> anyhow::Result<()> {
     let place = workspace.root().join(PLACE);
     if place.exists() {
-        fs::remove_dir_all(&place).with_context(|| format!("{PLACE} can not be removed"))?;
+        fs::remove_dir_all(&place).with_context(|| format!("{PLACE} cannot be removed"))?;
     }
     copy_folder(&workspace.root().join("configs"), &place.join("configs"))?;
     let text =
-        fs::read_to_string(workspace.root().join(DOCUMENT)).with_context(|| format!("{DOCUMENT} can not be read"))?;
+        fs::read_to_string(workspace.root().join(DOCUMENT)).with_context(|| format!("{DOCUMENT} cannot be read"))?;
     for command in commands(&text)? {
         in_shell(&place, programs, &command)?;
     }
@@ -83,14 +83,14 @@ fn build(workspace: &Workspace, release: bool) -> anyhow::Result<PathBuf> {
 }
 
 fn copy_folder(from: &Path, to: &Path) -> anyhow::Result<()> {
-    fs::create_dir_all(to).with_context(|| format!("{} can not be made", to.display()))?;
-    for entry in fs::read_dir(from).with_context(|| format!("{} can not be read", from.display()))? {
+    fs::create_dir_all(to).with_context(|| format!("{} cannot be made", to.display()))?;
+    for entry in fs::read_dir(from).with_context(|| format!("{} cannot be read", from.display()))? {
         let entry = entry?.path();
         let copy = to.join(entry.file_name().context("a file without a name")?);
         if entry.is_dir() {
             copy_folder(&entry, &copy)?;
         } else {
-            fs::copy(&entry, &copy).with_context(|| format!("{} can not be copied", entry.display()))?;
+            fs::copy(&entry, &copy).with_context(|| format!("{} cannot be copied", entry.display()))?;
         }
     }
     Ok(())

@@ -12,7 +12,7 @@ const OUT: &str = "out/demo";
 /// Builds the program and runs the experiment in simulation: a hand with two cameras follows an object it has never seen.
 ///
 /// The first build takes some minutes; the program shows its progress while it runs. Afterwards out/demo/report.html holds the
-/// plots and pictures; it is one file that any browser opens. The experiment is described in configs/sim.toml: copy that file,
+/// plots and images; it is one file that any browser opens. The experiment is described in configs/sim.toml: copy that file,
 /// change it, and pass it with --config.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]

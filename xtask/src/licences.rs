@@ -21,7 +21,7 @@ struct Policy {
 /// Checks every package of the dependency graph, and asks cargo-deny too where it is installed.
 ///
 /// # Errors
-/// If a package breaks the policy, or `deny.toml` or the metadata can not be read.
+/// If a package breaks the policy, or `deny.toml` or the metadata cannot be read.
 pub fn run(workspace: &Workspace) -> anyhow::Result<()> {
     let text = std::fs::read_to_string(workspace.root().join("deny.toml")).context("cannot read deny.toml")?;
     let policy = Policy::parse(&text).context("in deny.toml")?;

@@ -1,6 +1,6 @@
 //! Just enough understanding of Rust source text for the checks: code without comments and literals, functions, paths.
 //!
-//! It is not a parser. What it can not see (code made by macros) the checks do not judge.
+//! It is not a parser. What it cannot see (code made by macros) the checks do not judge.
 
 /// A function found in source text.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -44,7 +44,7 @@ const TEXT_ENDINGS: [&str; 14] = [
 pub struct Args {}
 
 /// # Errors
-/// If a rule is broken or a file can not be read.
+/// If a rule is broken or a file cannot be read.
 pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
     let files = workspace.files()?;
     let texts = workspace.texts(&TEXT_ENDINGS)?;

@@ -38,7 +38,7 @@ const TRIES: u32 = 3;
 ///         a cable that is pulled while an arm moves, the calls that a cycle of 2 ms needs
 /// arcnet  the bus of an arm: the kernel's ARCNET driver (arc_rimi, arc_rawmode) on a card of plain memory
 /// cameras two cameras (vivid) as one: what is found, modes and controls, 300 pairs at full rate,
-///         skew, damaged and lost pictures, a camera that is pulled, who may open them
+///         skew, damaged and lost images, a camera that is pulled, who may open them
 /// rig     `pb3dp run` itself with configs/rig.toml, two cameras (vivid) and two emulated
 ///         arms at the far ends of serial cables (ftdi_sio): it follows, a camera is pulled, it holds and stops; `pb3dp cameras`
 ///
@@ -283,7 +283,7 @@ impl Drop for Folder {
 /// What a program prints, as text.
 ///
 /// # Errors
-/// If it can not be started or fails; the message holds what it said.
+/// If it cannot be started or fails; the message holds what it said.
 fn output_of(command: &mut Command) -> anyhow::Result<String> {
     let name = command.get_program().to_string_lossy().into_owned();
     let output = command.output().with_context(|| format!("cannot start {name}"))?;

@@ -66,7 +66,7 @@ impl Workspace {
     /// All files of the project (tracked, or new and not ignored), sorted, as paths inside the workspace with slashes.
     ///
     /// # Errors
-    /// If the folder can not be listed.
+    /// If the folder cannot be listed.
     pub fn files(&self) -> anyhow::Result<Vec<String>> {
         let mut files = match self.files_known_to_git() {
             Some(files) => files,
@@ -80,7 +80,7 @@ impl Workspace {
     /// The text files among [`Self::files`] that have one of these endings.
     ///
     /// # Errors
-    /// If a file can not be read as UTF-8.
+    /// If a file cannot be read as UTF-8.
     pub fn texts(&self, endings: &[&str]) -> anyhow::Result<Vec<SourceFile>> {
         let wanted = |path: &String| endings.iter().any(|ending| path.ends_with(ending));
         self.files()?.into_iter().filter(wanted).map(|path| self.text(path)).collect()
@@ -94,7 +94,7 @@ impl Workspace {
     /// `cargo metadata` of the locked dependencies.
     ///
     /// # Errors
-    /// If cargo fails: the lock file is out of date, or a package can not be fetched.
+    /// If cargo fails: the lock file is out of date, or a package cannot be fetched.
     pub fn metadata(&self) -> anyhow::Result<serde_json::Value> {
         let output = self
             .cargo()
@@ -153,7 +153,7 @@ impl Workspace {
 /// Runs a program with this terminal's input and output.
 ///
 /// # Errors
-/// If it can not be started or ends with a failure; the message holds the command to type again.
+/// If it cannot be started or ends with a failure; the message holds the command to type again.
 pub fn run_visibly(command: &mut Command) -> anyhow::Result<()> {
     let shown = shown(command);
     println!("$ {shown}");
@@ -196,7 +196,7 @@ mod tests {
     #[test]
     fn a_failing_program_is_an_error_with_its_command() {
         let error = run_visibly(here().cargo().arg("no-such-command-of-ours").stderr(Stdio::null()))
-            .expect_err("it can not succeed");
+            .expect_err("it cannot succeed");
         assert!(error.to_string().contains("cargo no-such-command-of-ours"), "{error}");
     }
 

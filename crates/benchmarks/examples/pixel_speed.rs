@@ -1,11 +1,11 @@
-//! How long a picture of 640x480 takes from a driver's bytes to the bytes that are estimated on, on one core.
+//! How long an image of 640x480 takes from a driver's bytes to the bytes that are estimated on, on one core.
 //!
 //! `cargo run --release -p pb3dp-benchmarks --example pixel_speed`
 //!
-//! Prints the median of many pictures for each format, for `YUYV` beside the scalar code as well, and fails if `YUYV` takes longer than
+//! Prints the median of many images for each format, for `YUYV` beside the scalar code as well, and fails if `YUYV` takes longer than
 //! the limit.
 
-#![allow(clippy::print_stdout, clippy::expect_used, reason = "a program for the console, whose pictures are its own")]
+#![allow(clippy::print_stdout, clippy::expect_used, reason = "a program for the console, whose images are its own")]
 
 use std::hint::black_box;
 use std::process::ExitCode;
@@ -18,13 +18,13 @@ use pb3dp_camera_v4l2::pixels::{Converter, Layout, YuvKernels, YuvMatrix, YuvRan
 use pb3dp_geometry::ImageSize;
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
-const PICTURES: usize = 401;
+const IMAGES: usize = 401;
 
-/// What a `YUYV` picture may take: half a per cent of the time from picture to picture.
+/// What a `YUYV` image may take: half a per cent of the time from image to image.
 const YUYV_MILLIS_MAX: f64 = 0.15;
 
 fn main() -> ExitCode {
-    println!("| format | kernels | ms per picture of 640x480 (median of {PICTURES}) |");
+    println!("| format | kernels | ms per image of 640x480 (median of {IMAGES}) |");
     println!("|---|---|---|");
     for format in PixelFormat::ALL.into_iter().filter(|format| *format != PixelFormat::Yuyv) {
         println!("| {format} | | {:.3} |", millis(format, YuvKernels::best()));
@@ -42,25 +42,25 @@ fn main() -> ExitCode {
 }
 
 fn millis(format: PixelFormat, kernels: YuvKernels) -> f64 {
-    let bytes = picture(format);
+    let bytes = image(format);
     let stride = format.row_bytes(SIZE.width).unwrap_or(0);
     let layout = Layout { format, size: SIZE, stride, matrix: YuvMatrix::Bt601, range: YuvRange::Limited };
     let mut converter = Converter::new(layout).expect("a layout without gaps").with_kernels(kernels);
     let mut target = RgbImage::new(SIZE.width, SIZE.height);
-    let mut times: Vec<f64> = (0..PICTURES)
+    let mut times: Vec<f64> = (0..IMAGES)
         .map(|_| {
             let begin = Instant::now();
-            converter.convert(black_box(&bytes), &mut target).expect("a whole picture");
+            converter.convert(black_box(&bytes), &mut target).expect("a whole image");
             black_box(&target);
             begin.elapsed().as_secs_f64() * 1e3
         })
         .collect();
     times.sort_by(f64::total_cmp);
-    times[PICTURES / 2]
+    times[IMAGES / 2]
 }
 
-/// Bytes of a picture with structure everywhere.
-fn picture(format: PixelFormat) -> Vec<u8> {
+/// Bytes of an image with structure everywhere.
+fn image(format: PixelFormat) -> Vec<u8> {
     let value = |k: u32| (k.wrapping_mul(2_654_435_761) >> 26) as u8 + (k / 97) as u8 % 128;
     match format.row_bytes(SIZE.width) {
         Some(row) => (0..row as u32 * SIZE.height).map(value).collect(),
@@ -69,7 +69,7 @@ fn picture(format: PixelFormat) -> Vec<u8> {
                 image::Rgb([(x / 3) as u8, value(x / 8 + 80 * (y / 8)), (y / 2) as u8])
             });
             let mut bytes = Vec::new();
-            JpegEncoder::new_with_quality(&mut bytes, 85).encode_image(&scene).expect("a picture");
+            JpegEncoder::new_with_quality(&mut bytes, 85).encode_image(&scene).expect("an image");
             bytes
         }
     }

@@ -10,7 +10,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use pb3dp_record::dataset::{FrameFiles, load_case};
-use pb3dp_record::images::PictureFormat;
+use pb3dp_record::images::StoredFormat;
 
 /// For so long each format is measured, and as often; the best one counts, as other programs only take away.
 const WHILE: Duration = Duration::from_millis(500);
@@ -18,23 +18,23 @@ const TIMES: usize = 5;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let case = load_case(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/cases/bb201_c0"))?;
-    let pictures = case.load_pictures()?;
+    let images = case.load_images()?;
     let folder = std::env::temp_dir().join(format!("pb3dp-recording-speed-{}", std::process::id()));
     std::fs::create_dir_all(&folder)?;
     println!("| format | pairs per second and thread | kB per pair |\n|---|---|---|");
     for (name, format) in [
-        ("PNG (as `record` writes it)", PictureFormat::QuickPng),
-        ("PNG (as small as it gets)", PictureFormat::Png),
-        ("JPEG 95", PictureFormat::Jpeg { quality: 95 }),
-        ("JPEG 90", PictureFormat::Jpeg { quality: 90 }),
+        ("PNG (as `record` writes it)", StoredFormat::QuickPng),
+        ("PNG (as small as it gets)", StoredFormat::Png),
+        ("JPEG 95", StoredFormat::Jpeg { quality: 95 }),
+        ("JPEG 90", StoredFormat::Jpeg { quality: 90 }),
     ] {
         let place = |side: &str| folder.join(format!("{side}.{}", format.extension()));
-        let files = FrameFiles { left: place("left"), right: place("right"), pictures: format };
+        let files = FrameFiles { left: place("left"), right: place("right"), images: format };
         let mut best = 0.0_f64;
         for _ in 0..TIMES {
             let (begin, mut pairs) = (Instant::now(), 0);
             while begin.elapsed() < WHILE {
-                files.save(&pictures.left, &pictures.right)?;
+                files.save(&images.left, &images.right)?;
                 pairs += 1;
             }
             best = best.max(f64::from(pairs) / begin.elapsed().as_secs_f64());

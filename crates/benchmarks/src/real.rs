@@ -1,6 +1,6 @@
 //! Real stereo cases: what our methods and other tools reach on pairs whose truth is known.
 //!
-//! Every method gets the same input: both pictures, the region, the calibration and the case's own search range. What
+//! Every method gets the same input: both images, the region, the calibration and the case's own search range. What
 //! counts as passed is in [`score`]; [`table`] makes rows of it, [`page`] the document and [`plot`] its figure.
 
 pub mod cases;
@@ -67,7 +67,7 @@ pub struct Args {
 /// Runs our methods, and other tools if they are given, and writes down what came out.
 ///
 /// # Errors
-/// A folder or file that can not be used, by name; an unknown method; other tools that fail.
+/// A folder or file that cannot be used, by name; an unknown method; other tools that fail.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     check_root(&args.root)?;
     let folder = args.cases.clone().unwrap_or_else(|| args.root.join(OWN_CASES));
@@ -120,7 +120,7 @@ fn measure(args: &Args, folder: &Path, peers_script: Option<&Path>) -> anyhow::R
     }
     for file in &args.peer_results {
         let text = std::fs::read_to_string(file)
-            .with_context(|| format!("--peer-results {} can not be read", file.display()))?;
+            .with_context(|| format!("--peer-results {} cannot be read", file.display()))?;
         entries.extend(peers::entries(&text, &facts, &file.display().to_string())?);
     }
     Ok(entries)
@@ -148,9 +148,9 @@ fn keep(args: &Args, entries: &[Entry]) -> anyhow::Result<()> {
 fn write(root: &Path, path: &str, text: &str) -> anyhow::Result<()> {
     let file = root.join(path);
     if let Some(folder) = file.parent() {
-        std::fs::create_dir_all(folder).with_context(|| format!("can not make {}", folder.display()))?;
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
-    std::fs::write(&file, text).with_context(|| format!("can not write {}", file.display()))?;
+    std::fs::write(&file, text).with_context(|| format!("cannot write {}", file.display()))?;
     eprintln!("written: {path}");
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! How fast the direct method is: cold start, tracking, kernels, and what the times depend on.
 //!
 //! [`cold`] measures single pairs, with [`stages`] for the parts, [`tracking`] sequences and [`scaling`] what they depend
-//! on; [`clips`] are the pictures, [`goals`] the limits, [`page`] the document, [`plot`] its figure.
+//! on; [`clips`] are the images, [`goals`] the limits, [`page`] the document, [`plot`] its figure.
 
 mod clips;
 mod cold;
@@ -69,7 +69,7 @@ const QUICK_EVERY: usize = 10;
 /// Measures, prints, and writes down what came out.
 ///
 /// # Errors
-/// A folder or file that can not be used, by name; with `--check` a goal that is missed.
+/// A folder or file that cannot be used, by name; with `--check` a goal that is missed.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     if !args.root.join("Cargo.toml").is_file() {
         bail!(
@@ -151,9 +151,9 @@ fn published(root: &Path) -> Option<Value> {
 fn write(root: &Path, path: &str, text: &str) -> anyhow::Result<()> {
     let file = root.join(path);
     if let Some(folder) = file.parent() {
-        std::fs::create_dir_all(folder).with_context(|| format!("can not make {}", folder.display()))?;
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
-    std::fs::write(&file, text).with_context(|| format!("can not write {}", file.display()))?;
+    std::fs::write(&file, text).with_context(|| format!("cannot write {}", file.display()))?;
     eprintln!("written: {path}");
     Ok(())
 }

@@ -76,7 +76,7 @@ pub(crate) struct Reduced {
 /// Why an adjustment came to no end.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum AdjustmentError {
-    /// A corner that the cameras, as they are thought to be, can not see.
+    /// A corner that the cameras, as they are thought to be, cannot see.
     #[error("view {view}: a corner would lie behind the camera or beyond what its lens can image: leave this view out")]
     NotVisible {
         /// Index of the view.
@@ -84,7 +84,7 @@ pub enum AdjustmentError {
     },
     /// The views leave something open.
     #[error(
-        "the views do not determine {parameter}: show the board tilted by 20 to 40 degrees in several directions, and in all corners of the picture"
+        "the views do not determine {parameter}: show the board tilted by 20 to 40 degrees in several directions, and in all corners of the image"
     )]
     Undetermined {
         /// The parameter that is least known.
@@ -98,8 +98,8 @@ pub enum AdjustmentError {
         /// Steps made.
         steps: usize,
     },
-    /// A camera that can not be.
-    #[error("the adjustment led to a camera that can not be")]
+    /// A camera that cannot be.
+    #[error("the adjustment led to a camera that cannot be")]
     Camera(#[from] CameraError),
 }
 

@@ -254,7 +254,7 @@ impl Board {
     }
 }
 
-/// One corner of the board in a picture.
+/// One corner of the board in an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BoardCorner {
     /// Its column on the board.
@@ -265,7 +265,7 @@ pub struct BoardCorner {
     pub pixel: nalgebra::Vector2<f64>,
 }
 
-/// The corners of a board in one picture, by row, then column; no two are the same.
+/// The corners of a board in one image, by row, then column; no two are the same.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct Sighting {
     corners: Vec<BoardCorner>,

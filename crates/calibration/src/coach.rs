@@ -1,7 +1,7 @@
 //! What view of the board is missing next, and when there are enough.
 //!
 //! Judged by how the board stood in the views so far ([`Stand`]), so that it can be told before anything is calibrated. The wishes
-//! are those of the gates: cells of both pictures without corners, tilts in all four directions, near views, and enough of them.
+//! are those of the gates: cells of both images without corners, tilts in all four directions, near views, and enough of them.
 
 use std::fmt;
 
@@ -20,15 +20,15 @@ const TILTED_DEG: f64 = 18.0;
 const TILT_ASKED_DEG: f64 = 30.0;
 /// Views that are wanted in each direction of tilt.
 const TILTED_EACH: usize = 2;
-/// A board with this side (of a square of its area, as a share of the picture's width) is near; where both cameras never see the
+/// A board with this side (of a square of its area, as a share of the image's width) is near; where both cameras never see the
 /// whole board so large, this share of the largest is. What is asked for, and how many.
 const NEAR: f64 = 0.36;
 const NEAR_OF_LARGEST: f64 = 0.85;
 const NEAR_ASKED: f64 = 0.42;
 const NEAR_VIEWS: usize = 4;
-/// The size that is asked for otherwise, so that the board fits into the corners of the picture.
+/// The size that is asked for otherwise, so that the board fits into the corners of the image.
 const MIDDLE_ASKED: f64 = 0.3;
-/// Parts of the picture across and down.
+/// Parts of the image across and down.
 const PARTS: u32 = 3;
 /// Coverage beyond the gate's limit, as corners that are at a border of a cell may fall into the next one.
 const COVERAGE_MORE: f64 = 0.04;
@@ -74,13 +74,13 @@ impl Farther {
 /// A view that is wanted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wish {
-    /// Part of the picture: column and row, each 0 to 2.
+    /// Part of the image: column and row, each 0 to 2.
     pub part: [u32; 2],
     /// Which side is to be farther away; `None` is a board that faces the cameras.
     pub farther: Option<Farther>,
     /// By how much, degrees.
     pub tilt_deg: f64,
-    /// Side of a square with the board's area, as a share of the picture's width.
+    /// Side of a square with the board's area, as a share of the image's width.
     pub size: f64,
 }
 
@@ -97,7 +97,7 @@ impl fmt::Display for Wish {
             [2, 2] => "in the lower right corner",
             _ => "in the middle",
         };
-        write!(f, "hold the board {place} of the pictures")?;
+        write!(f, "hold the board {place} of the images")?;
         if self.part != [1, 1] {
             write!(f, ", as far out as both still show all of it")?;
         }
@@ -105,7 +105,7 @@ impl fmt::Display for Wish {
             Some(side) => write!(f, ", its {} side {:.0} degrees farther away", side.name(), self.tilt_deg)?,
             None => write!(f, ", facing the cameras")?,
         }
-        write!(f, ", {}", if self.size >= NEAR { "near: as large as fits" } else { "a third of the picture wide" })
+        write!(f, ", {}", if self.size >= NEAR { "near: as large as fits" } else { "a third of the image wide" })
     }
 }
 
@@ -114,7 +114,7 @@ impl fmt::Display for Wish {
 pub struct Progress {
     /// Views.
     pub views: usize,
-    /// Cells of each picture in which corners were seen.
+    /// Cells of each image in which corners were seen.
     pub cells: Vec<Cells>,
     /// Views in which each side was farther away, in the order of [`Farther::ALL`].
     pub tilted: [usize; 4],
@@ -166,7 +166,7 @@ pub fn advice(stands: &[Stand], limits: &Limits) -> Advice {
     Advice { progress, wish: Some(wish) }
 }
 
-/// The part of the picture with the most to gain, the rarest tilt, and every third view near, in the middle.
+/// The part of the image with the most to gain, the rarest tilt, and every third view near, in the middle.
 fn next(stands: &[Stand], progress: &Progress, is_covered: bool) -> Wish {
     let rarest = Farther::ALL.into_iter().zip(progress.tilted).min_by_key(|(_, count)| *count).map(|(side, _)| side);
     // More near ones are asked for between the others, as the same side of the board is not turned away in all of them.
@@ -185,7 +185,7 @@ fn next(stands: &[Stand], progress: &Progress, is_covered: bool) -> Wish {
     Wish { part, farther: rarest, tilt_deg: TILT_ASKED_DEG, size: MIDDLE_ASKED }
 }
 
-/// The part of the picture for the middle of a board there: outer parts begin where a board of a third of the width ends.
+/// The part of the image for the middle of a board there: outer parts begin where a board of a third of the width ends.
 fn part_of(centre: &Vector2<f64>) -> [u32; 2] {
     [centre.x, centre.y].map(|share| {
         if share < 0.42 {
@@ -198,7 +198,7 @@ fn part_of(centre: &Vector2<f64>) -> [u32; 2] {
     })
 }
 
-/// Cells of a part without corners, in all pictures together.
+/// Cells of a part without corners, in all images together.
 fn empty_cells(progress: &Progress, part: [u32; 2]) -> u32 {
     let cells = (0..CELLS[1]).flat_map(|row| (0..CELLS[0]).map(move |column| [column, row]));
     let in_part = |[column, row]: &[u32; 2]| [PARTS * column / CELLS[0], PARTS * row / CELLS[1]] == part;

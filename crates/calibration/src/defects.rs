@@ -1,4 +1,4 @@
-//! What the errors of a fit say about how the pictures were taken: a board that is not flat, a camera that was refocused, a board
+//! What the errors of a fit say about how the images were taken: a board that is not flat, a camera that was refocused, a board
 //! that moved between the exposures of the two eyes.
 //!
 //! The shape of the board is a part of the fit. The others add parameters to the model that the fit has none for: they are
@@ -46,7 +46,7 @@ pub struct Refocused {
     pub share: f64,
 }
 
-/// How the board in the right picture lies beside the place where the left picture and the head have it.
+/// How the board in the right image lies beside the place where the left image and the head have it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moved {
     /// Root mean square over views, along rows and columns together, less what noise explains, px.
@@ -56,7 +56,7 @@ pub struct Moved {
 }
 
 impl Defects {
-    /// What the errors of a fit to these views say; `None` where the equations can not be solved.
+    /// What the errors of a fit to these views say; `None` where the equations cannot be solved.
     pub fn of<const N: usize>(fit: &Fit<N>, views: &[View<N>]) -> Option<Self> {
         let changes = SIDE_VIEWS_MIN..=views.len().saturating_sub(SIDE_VIEWS_MIN);
         let equations = Equations::of(fit, views)?;

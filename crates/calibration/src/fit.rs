@@ -82,7 +82,7 @@ pub struct Fit<const N: usize> {
 }
 
 impl<const N: usize> Fit<N> {
-    /// Fits cameras with pictures of the given size to all views together.
+    /// Fits cameras with images of the given size to all views together.
     ///
     /// # Errors
     /// Too few views, views that leave something open, or that no camera explains.
@@ -171,7 +171,7 @@ impl<const N: usize> Fit<N> {
     /// Errors of the corners of views that the fit has not seen: only the board's pose is fitted to each of them.
     ///
     /// # Errors
-    /// A view whose board can not be placed.
+    /// A view whose board cannot be placed.
     pub(crate) fn errors_of_other_views(
         &self,
         views: &[View<N>],
@@ -195,7 +195,7 @@ impl Fit<2> {
     }
 
     /// Standard deviation of the depth of a point straight ahead of the left camera that the errors of the calibration leave,
-    /// metres; corners of its picture taken as exact.
+    /// metres; corners of its image taken as exact.
     ///
     /// # Errors
     /// As [`Self::rig`].

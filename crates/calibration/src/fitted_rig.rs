@@ -11,14 +11,14 @@ pub const VIEWS_MIN: usize = 3;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FitError {
     /// Too few views.
-    #[error("{seen} views of the board can be used, more than {VIEWS_MIN} are needed, 15 are good: take more pictures")]
+    #[error("{seen} views of the board can be used, more than {VIEWS_MIN} are needed, 15 are good: take more images")]
     Views {
         /// Views that can be used.
         seen: usize,
     },
     /// No camera explains a view.
     #[error(
-        "{side}: no focal length explains what the views show: check the numbers of the board's corners and that all pictures are of one camera"
+        "{side}: no focal length explains what the views show: check the numbers of the board's corners and that all images are of one camera"
     )]
     NoStart {
         /// Which camera.
@@ -28,7 +28,7 @@ pub enum FitError {
     #[error(transparent)]
     Adjustment(#[from] AdjustmentError),
     /// The cameras are no stereo head.
-    #[error("the cameras are no stereo head; check that the folders of the left and right pictures are not exchanged")]
+    #[error("the cameras are no stereo head; check that the folders of the left and right images are not exchanged")]
     Rig(#[from] StereoRigError),
 }
 

@@ -10,7 +10,7 @@ use crate::quality::Quality;
 pub enum Gate {
     /// Number of views.
     Views,
-    /// Share of the picture in which the board was seen.
+    /// Share of the image in which the board was seen.
     Coverage,
     /// How much the board was tilted.
     Tilt,
@@ -24,7 +24,7 @@ pub enum Gate {
     Reprojection,
     /// Error of views that the fit has not seen, over that of the others.
     HeldOut,
-    /// Rows of the rectified pictures.
+    /// Rows of the rectified images.
     Rows,
     /// The baseline beside one that was measured otherwise.
     Scale,
@@ -92,17 +92,17 @@ impl Gate {
     /// What to do where it is not good.
     pub fn advice(self) -> &'static str {
         match self {
-            Self::Views => "take more pictures of the board, 15 to 20",
-            Self::Coverage => "show the board in the corners and at the borders of the picture, of both cameras",
+            Self::Views => "take more images of the board, 15 to 20",
+            Self::Coverage => "show the board in the corners and at the borders of the image, of both cameras",
             Self::Tilt => "tilt the board by 20 to 40 degrees, about both its axes, in several views",
             Self::Flatness => {
-                "the board is bent: fix it to glass or an aluminium plate, or take another one, and take all pictures again"
+                "the board is bent: fix it to glass or an aluminium plate, or take another one, and take all images again"
             }
             Self::Focus => {
-                "a focal length changed between the views: lock the focus, switch autofocus off, do not touch the lenses, and take all pictures again"
+                "a focal length changed between the views: lock the focus, switch autofocus off, do not touch the lenses, and take all images again"
             }
             Self::Motion => {
-                "the two eyes do not see the board at the same place: hold the board still (put it down or on a tripod), expose both cameras at the same time, fix them to each other, and take the pictures again"
+                "the two eyes do not see the board at the same place: hold the board still (put it down or on a tripod), expose both cameras at the same time, fix them to each other, and take the images again"
             }
             Self::Reprojection => {
                 "look at the views with the largest errors: blur, a bent board, a camera that was touched or refocused; leave them out or take them again"
@@ -111,12 +111,12 @@ impl Gate {
                 "the fit explains its own views better than others: take more views, or choose a lens model with fewer coefficients"
             }
             Self::Rows => {
-                "the two cameras do not agree: fix them to each other, leave their focus alone, expose them at the same time, hold the board still, and take the pictures again"
+                "the two cameras do not agree: fix them to each other, leave their focus alone, expose them at the same time, hold the board still, and take the images again"
             }
             Self::Scale => {
                 "the baseline is not the one that was measured: measure ten squares of the board and divide, correct --square, or measure the baseline again"
             }
-            Self::Depth => "show the board nearer, larger in the picture and at the working distance, in more views",
+            Self::Depth => "show the board nearer, larger in the image and at the working distance, in more views",
         }
     }
 }

@@ -125,12 +125,12 @@ pub fn extent_m(ink: &[Rectangle]) -> [f64; 4] {
     })
 }
 
-/// A board as a picture.
+/// A board as an image.
 #[derive(Clone, Debug)]
 pub struct Drawn {
-    /// The picture; a pixel is as dark as the share of it that is printed.
-    pub picture: GrayImage,
-    /// The corner of the picture at its top on the left, in the frame `board`, metres.
+    /// The image; a pixel is as dark as the share of it that is printed.
+    pub image: GrayImage,
+    /// The corner of the image at its top on the left, in the frame `board`, metres.
     pub origin_m: Vector2<f64>,
 }
 
@@ -153,11 +153,11 @@ pub fn draw(ink: &[Rectangle], px_per_m: f64, margin_m: f64) -> Drawn {
             }
         }
     }
-    let picture = GrayImage::from_fn(width, height, |x, y| {
+    let image = GrayImage::from_fn(width, height, |x, y| {
         let black = black.get((y * width + x) as usize).copied().unwrap_or(0.0);
         image::Luma([(255.0 * (1.0 - black)).round().clamp(0.0, 255.0) as u8])
     });
-    Drawn { picture, origin_m }
+    Drawn { image, origin_m }
 }
 
 /// The pixels of a row that a stretch covers, and which share of each.

@@ -13,7 +13,7 @@ use crate::stand::Cells;
 /// So many views must be tilted at least as much as the tilt that is told.
 const TILTED_VIEWS: usize = 3;
 
-/// How far rows of the rectified pictures are apart, right minus left, px.
+/// How far rows of the rectified images are apart, right minus left, px.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RowError {
     /// Root mean square.
@@ -39,15 +39,15 @@ pub struct Quality {
     pub reprojection_rms_by_view_px: Vec<(String, f64)>,
     /// The same for views that the fit has not seen.
     pub held_out_rms_px: f64,
-    /// Share of the picture's cells in which a corner was seen, of the camera with the lowest.
+    /// Share of the image's cells in which a corner was seen, of the camera with the lowest.
     pub coverage: f64,
     /// Three views show the board tilted by at least so much, degrees.
     pub tilt_deg: f64,
-    /// What the errors say about the board and how the pictures were taken; `None` where they can not say it.
+    /// What the errors say about the board and how the images were taken; `None` where they cannot say it.
     pub defects: Option<Defects>,
     /// The baseline over the one that was measured otherwise, less 1; where one was given.
     pub scale_error_share: Option<f64>,
-    /// Rows of the rectified pictures; of a stereo head only.
+    /// Rows of the rectified images; of a stereo head only.
     pub rows: Option<RowError>,
     /// Standard deviation of depth that the calibration leaves at the working distance, as a share of it; of a stereo head only.
     pub depth_sigma_share: Option<f64>,
@@ -78,7 +78,7 @@ impl Quality {
     /// Of a stereo head that is to work at `depth_m`.
     ///
     /// # Errors
-    /// A pair that can not be rectified.
+    /// A pair that cannot be rectified.
     pub fn of_stereo(
         chosen: &Chosen<2>,
         views: &[View<2>],
@@ -97,8 +97,8 @@ pub enum QualityError {
     /// It is no stereo head.
     #[error(transparent)]
     Fit(#[from] FitError),
-    /// It can not be rectified.
-    #[error("the pair can not be rectified")]
+    /// It cannot be rectified.
+    #[error("the pair cannot be rectified")]
     Rectification(#[from] RectificationError),
 }
 
@@ -131,7 +131,7 @@ fn of<const N: usize>(chosen: &Chosen<N>, views: &[View<N>], size: ImageSize) ->
     }
 }
 
-/// Share of the cells of a picture in which a corner was seen.
+/// Share of the cells of an image in which a corner was seen.
 fn coverage<'a>(sightings: impl Iterator<Item = &'a Sighting>, size: ImageSize) -> f64 {
     sightings.fold(Cells::default(), |cells, sighting| cells.with(Cells::of(sighting, size))).share()
 }
@@ -145,19 +145,19 @@ fn tilt_deg<const N: usize>(fit: &Fit<N>) -> f64 {
     tilts.get(TILTED_VIEWS - 1).copied().unwrap_or(0.0)
 }
 
-/// By how much the rows of a corner differ in the rectified pictures.
+/// By how much the rows of a corner differ in the rectified images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RowDifference {
     /// Where the left camera saw it, px.
     pub left_px: Vector2<f64>,
-    /// Right row minus left row, px of the rectified pictures.
+    /// Right row minus left row, px of the rectified images.
     pub difference_px: f64,
 }
 
 /// Rows of all corners that both cameras saw.
 ///
 /// # Errors
-/// A pair that can not be rectified.
+/// A pair that cannot be rectified.
 pub fn row_differences(rig: &StereoRig, views: &[View<2>]) -> Result<Vec<RowDifference>, RectificationError> {
     let rectified = rig.rectify()?;
     let (left_turn, right_turn) = (
@@ -182,10 +182,10 @@ pub fn row_differences(rig: &StereoRig, views: &[View<2>]) -> Result<Vec<RowDiff
     Ok(differences)
 }
 
-/// Rows of all corners in the rectified pictures.
+/// Rows of all corners in the rectified images.
 ///
 /// # Errors
-/// A pair that can not be rectified.
+/// A pair that cannot be rectified.
 pub fn row_error(rig: &StereoRig, views: &[View<2>]) -> Result<RowError, RectificationError> {
     let mut differences: Vec<f64> = row_differences(rig, views)?.iter().map(|row| row.difference_px).collect();
     let count = differences.len().max(1) as f64;

@@ -1,4 +1,4 @@
-//! Reports of calibrations as one page of HTML: the verdict with what to do, the gates, and the errors over the pictures.
+//! Reports of calibrations as one page of HTML: the verdict with what to do, the gates, and the errors over the images.
 
 mod hand_eye;
 
@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use pb3dp_geometry::{ImageSize, RectificationError};
-use pb3dp_record::report::{Bars, PicturePlot, Report, SeriesColor, Table, Tone, VectorAt};
+use pb3dp_record::report::{Bars, ImagePlot, Report, SeriesColor, Table, Tone, VectorAt};
 
 use crate::board::Sighting;
 use crate::fit::{Fit, View, sides};
@@ -113,7 +113,7 @@ pub fn of_camera(
 /// The report of a stereo head that is to work at `depth_m`.
 ///
 /// # Errors
-/// A pair that can not be rectified, and what [`Fit::rig`] refuses.
+/// A pair that cannot be rectified, and what [`Fit::rig`] refuses.
 pub fn of_stereo(
     chosen: &Chosen<2>,
     quality: &Quality,
@@ -135,24 +135,24 @@ pub fn of_stereo(
     let rows = row_differences(&rig, views)?;
     let vectors: Vec<VectorAt> =
         rows.iter().map(|row| VectorAt { at_px: row.left_px.into(), vector_px: [0.0, row.difference_px] }).collect();
-    let magnified = PicturePlot::magnification(&vectors, size.width);
+    let magnified = ImagePlot::magnification(&vectors, size.width);
     let by_cell = mean_by_cell(rows.iter().map(|row| (row.left_px, row.difference_px.powi(2))), size);
     let plots = [
-        PicturePlot::new(
-            "right row minus left row at the place in the left picture (down: the right one is lower)",
+        ImagePlot::new(
+            "right row minus left row at the place in the left image (down: the right one is lower)",
             wide(size),
         )
         .vectors(vectors, SeriesColor::Purple, magnified),
-        PicturePlot::new("its root mean square by cell, px", wide(size)).cells(
+        ImagePlot::new("its root mean square by cell, px", wide(size)).cells(
             CELLS[0] as usize,
             by_cell.into_iter().map(f64::sqrt).collect(),
             2,
         ),
     ];
     let report = errors(report, chosen, views, size)
-        .heading("Rows of the rectified pictures")
-        .paragraph("Points of the world must lie in the same row of both pictures. What is alike all over comes from the cameras having moved against each other; what changes over the picture, from a lens or a focus that has changed.")
-        .picture_plots(&plots);
+        .heading("Rows of the rectified images")
+        .paragraph("Points of the world must lie in the same row of both images. What is alike all over comes from the cameras having moved against each other; what changes over the image, from a lens or a focus that has changed.")
+        .image_plots(&plots);
     Ok(ending(report, chosen, quality, verdicts))
 }
 
@@ -162,8 +162,8 @@ pub enum ReportError {
     /// The cameras are no head.
     #[error(transparent)]
     Fit(#[from] crate::fitted_rig::FitError),
-    /// They can not be rectified.
-    #[error("the pair can not be rectified")]
+    /// They cannot be rectified.
+    #[error("the pair cannot be rectified")]
     Rectification(#[from] RectificationError),
 }
 
@@ -172,22 +172,22 @@ fn beginning(title: &str, quality: &Quality, verdicts: &[Verdict]) -> Report {
     let scale = if verdicts.iter().any(|verdict| verdict.gate.key().starts_with("scale")) {
         String::new()
     } else {
-        " Not judged: the size of the squares, which pictures can not tell; measure a known length with the calibrated cameras.".to_owned()
+        " Not judged: the size of the squares, which images cannot tell; measure a known length with the calibrated cameras.".to_owned()
     };
     add_gates(Report::new(title), &gates)
         .paragraph(&format!("{} views, {} corners.{scale}", quality.views, quality.corners))
 }
 
-/// Errors and coverage over the pictures of each camera.
+/// Errors and coverage over the images of each camera.
 fn errors<const N: usize>(report: Report, chosen: &Chosen<N>, views: &[View<N>], size: ImageSize) -> Report {
     let by_camera: Vec<Vec<VectorAt>> = (0..N).map(|camera| vectors_of(&chosen.fit, camera)).collect();
     // One scale, so that the cameras can be compared.
-    let magnified = PicturePlot::magnification(&by_camera.concat(), size.width);
-    let plots: Vec<PicturePlot> = sides::<N>()
+    let magnified = ImagePlot::magnification(&by_camera.concat(), size.width);
+    let plots: Vec<ImagePlot> = sides::<N>()
         .into_iter()
         .zip(by_camera)
         .map(|(side, vectors)| {
-            PicturePlot::new(format!("{side}: predicted minus seen corners"), wide(size)).vectors(
+            ImagePlot::new(format!("{side}: predicted minus seen corners"), wide(size)).vectors(
                 vectors,
                 SeriesColor::Red,
                 magnified,
@@ -197,16 +197,16 @@ fn errors<const N: usize>(report: Report, chosen: &Chosen<N>, views: &[View<N>],
     report
         .heading("Errors of the corners")
         .paragraph("Good ones point everywhere. Where neighbours point the same way, the lens model does not fit, the board is bent, or a camera has changed.")
-        .picture_plots(&plots)
+        .image_plots(&plots)
         .heading("Where the board was seen")
-        .picture_plots(&coverage_plots(views, size))
+        .image_plots(&coverage_plots(views, size))
 }
 
 /// How many corners were seen in each cell, camera by camera.
-pub fn coverage_plots<const N: usize>(views: &[View<N>], size: ImageSize) -> Vec<PicturePlot> {
+pub fn coverage_plots<const N: usize>(views: &[View<N>], size: ImageSize) -> Vec<ImagePlot> {
     let plot = |(camera, side): (usize, &str)| {
         let counts = counts_by_cell(views.iter().map(|view| &view.sightings[camera]), size);
-        PicturePlot::new(format!("{side}: corners seen in each cell"), wide(size)).cells(CELLS[0] as usize, counts, 0)
+        ImagePlot::new(format!("{side}: corners seen in each cell"), wide(size)).cells(CELLS[0] as usize, counts, 0)
     };
     sides::<N>().into_iter().enumerate().map(plot).collect()
 }

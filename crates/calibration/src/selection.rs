@@ -13,7 +13,7 @@ pub struct Wanted {
     pub views_max: usize,
     /// Blur of the board's edges that is allowed, px ([`crate::sharpness::blur_px`]).
     pub blur_max_px: f64,
-    /// How fast corners may move in the picture, px per second.
+    /// How fast corners may move in the image, px per second.
     pub speed_max_px_per_s: f64,
     /// What a view must add: how different it is from all others, in the measure of [`Stand::apart`], and a tenth for each cell in
     /// which a camera has not seen a corner yet.
@@ -26,7 +26,7 @@ impl Default for Wanted {
     }
 }
 
-/// What new cells of the two pictures are worth beside difference.
+/// What new cells of the two images are worth beside difference.
 const CELL_WORTH: f64 = 0.1;
 
 /// A pair in which both cameras see the board.
@@ -34,7 +34,7 @@ const CELL_WORTH: f64 = 0.1;
 pub struct Candidate<const N: usize> {
     /// What the cameras saw.
     pub view: View<N>,
-    /// Blur of the blurrier picture, px; `None` where it can not be measured.
+    /// Blur of the blurrier image, px; `None` where it cannot be measured.
     pub blur_px: Option<f64>,
 }
 
@@ -53,8 +53,8 @@ pub struct Selection {
     pub unexplained: usize,
 }
 
-/// Chooses views, the one that adds most first. `speed_px_per_s` measures how fast the board moves in the picture of a candidate;
-/// it is asked for candidates only that would be taken, as it costs more pictures, and `None` is that it can not be told.
+/// Chooses views, the one that adds most first. `speed_px_per_s` measures how fast the board moves in the image of a candidate;
+/// it is asked for candidates only that would be taken, as it costs more images, and `None` is that it cannot be told.
 ///
 /// # Errors
 /// That of `speed_px_per_s`.
@@ -104,14 +104,14 @@ pub fn adds(stand: &Stand, others: &[Stand], wanted: &Wanted) -> bool {
 /// What a stand adds to others; `None` if that is too little.
 fn worth<'a>(stand: &Stand, others: impl Iterator<Item = &'a Stand> + Clone, wanted: &Wanted) -> Option<f64> {
     let apart = others.clone().map(|other| stand.apart(other)).fold(f64::INFINITY, f64::min);
-    // The first one is the one that fills most of the picture: it is nearest and seen best.
+    // The first one is the one that fills most of the image: it is nearest and seen best.
     let apart = if apart.is_finite() { apart } else { stand.size };
     let new = stand.cells.iter().enumerate().map(|(camera, cells)| cells.without(seen(others.clone(), camera)).count());
     let worth = apart + CELL_WORTH * f64::from(new.sum::<u32>());
     (worth >= wanted.worth_min).then_some(worth)
 }
 
-/// The cells of a camera's picture in which corners were seen.
+/// The cells of a camera's image in which corners were seen.
 pub fn seen<'a>(stands: impl Iterator<Item = &'a Stand>, camera: usize) -> Cells {
     stands.filter_map(|stand| stand.cells.get(camera)).fold(Cells::default(), |all, cells| all.with(*cells))
 }

@@ -1,4 +1,4 @@
-//! How sharp a board is in a picture, and how far it has moved between two.
+//! How sharp a board is in an image, and how far it has moved between two.
 
 use image::GrayImage;
 use nalgebra::Vector2;
@@ -19,9 +19,9 @@ const CONTRAST_MIN: f64 = 16.0;
 const EDGES_MIN: usize = 4;
 
 /// Standard deviation of the blur of the edges between squares, px: of the blurrier one of the board's two directions, so that
-/// motion along one of them counts. A perfect picture has about 0.6, because pixels are not points. `None` where too few edges
+/// motion along one of them counts. A perfect image has about 0.6, because pixels are not points. `None` where too few edges
 /// can be judged.
-pub fn blur_px(picture: &GrayImage, sighting: &Sighting) -> Option<f64> {
+pub fn blur_px(image: &GrayImage, sighting: &Sighting) -> Option<f64> {
     let mut across = Vec::new();
     let mut down = Vec::new();
     for corner in sighting.corners() {
@@ -29,8 +29,8 @@ pub fn blur_px(picture: &GrayImage, sighting: &Sighting) -> Option<f64> {
         let below = sighting.at(corner.column, corner.row + 1).map(|other| other.pixel - corner.pixel);
         let (Some(right), Some(below)) = (right, below) else { continue };
         let reach_px = (REACH * right.norm().min(below.norm())).min(REACH_MAX_PX);
-        across.extend(edge_blur_px(picture, corner.pixel, right, reach_px));
-        down.extend(edge_blur_px(picture, corner.pixel, below, reach_px));
+        across.extend(edge_blur_px(image, corner.pixel, right, reach_px));
+        down.extend(edge_blur_px(image, corner.pixel, below, reach_px));
     }
     let of_enough = |edges: &[f64]| (edges.len() >= EDGES_MIN).then(|| median(edges)).flatten();
     Some(of_enough(&across)?.max(of_enough(&down)?))
@@ -38,7 +38,7 @@ pub fn blur_px(picture: &GrayImage, sighting: &Sighting) -> Option<f64> {
 
 /// Blur of the edge that runs from a corner along `edge`: contrast over the steepest slope, which a Gaussian of standard deviation
 /// s makes `s * sqrt(2 pi)`.
-fn edge_blur_px(picture: &GrayImage, from: Vector2<f64>, edge: Vector2<f64>, reach_px: f64) -> Option<f64> {
+fn edge_blur_px(image: &GrayImage, from: Vector2<f64>, edge: Vector2<f64>, reach_px: f64) -> Option<f64> {
     let normal = Vector2::new(-edge.y, edge.x).normalize();
     let count = (2.0 * reach_px / STEP_PX).round() as usize + 1;
     let mut profile = Vec::with_capacity(count);
@@ -46,7 +46,7 @@ fn edge_blur_px(picture: &GrayImage, from: Vector2<f64>, edge: Vector2<f64>, rea
         let aside = normal * (index as f64 * STEP_PX - reach_px);
         let mut sum = 0.0;
         for share in ALONG {
-            sum += sample(picture, from + edge * share + aside)?;
+            sum += sample(image, from + edge * share + aside)?;
         }
         profile.push(sum / ALONG.len() as f64);
     }
@@ -60,13 +60,13 @@ fn edge_blur_px(picture: &GrayImage, from: Vector2<f64>, edge: Vector2<f64>, rea
     (end > 0 && contrast >= CONTRAST_MIN).then(|| contrast / (slope * std::f64::consts::TAU.sqrt()))
 }
 
-/// The picture between its pixels; `None` outside.
-fn sample(picture: &GrayImage, at: Vector2<f64>) -> Option<f64> {
+/// The image between its pixels; `None` outside.
+fn sample(image: &GrayImage, at: Vector2<f64>) -> Option<f64> {
     let (x, y) = (at.x.floor(), at.y.floor());
-    if !(x >= 0.0 && y >= 0.0 && x + 1.0 < f64::from(picture.width()) && y + 1.0 < f64::from(picture.height())) {
+    if !(x >= 0.0 && y >= 0.0 && x + 1.0 < f64::from(image.width()) && y + 1.0 < f64::from(image.height())) {
         return None;
     }
-    let grey = |dx: u32, dy: u32| f64::from(picture.get_pixel(x as u32 + dx, y as u32 + dy).0[0]);
+    let grey = |dx: u32, dy: u32| f64::from(image.get_pixel(x as u32 + dx, y as u32 + dy).0[0]);
     let (a, b) = (at.x - x, at.y - y);
     Some((1.0 - b) * ((1.0 - a) * grey(0, 0) + a * grey(1, 0)) + b * ((1.0 - a) * grey(0, 1) + a * grey(1, 1)))
 }
@@ -99,7 +99,7 @@ mod tests {
         });
         let blurred = if sigma_px > 0.0 { image::imageops::blur(&sharp, 4.0 * sigma_px as f32) } else { sharp };
         let reach = (2.0 * motion_px) as i64;
-        let picture = GrayImage::from_fn(220, 200, |u, v| {
+        let image = GrayImage::from_fn(220, 200, |u, v| {
             let (mut sum, mut count) = (0.0, 0.0);
             for (dx, dy) in (-reach..4 + reach).flat_map(|dx| (0..4).map(move |dy| (dx, dy))) {
                 let x = (i64::from(4 * u) + dx).clamp(0, 4 * 220 - 1) as u32;
@@ -109,14 +109,14 @@ mod tests {
             image::Luma([(sum / count).round() as u8])
         });
         let corner = |c: u32, r: u32| BoardCorner { column: c, row: r, pixel: place(f64::from(c), f64::from(r)) };
-        (picture, Sighting::new((0..5).flat_map(|r| (0..6).map(move |c| corner(c, r))).collect()))
+        (image, Sighting::new((0..5).flat_map(|r| (0..6).map(move |c| corner(c, r))).collect()))
     }
 
     #[test]
     fn the_blur_of_edges_is_measured() {
         let blur = |sigma_px, motion_px| {
-            let (picture, sighting) = drawn(sigma_px, motion_px);
-            blur_px(&picture, &sighting).expect("edges")
+            let (image, sighting) = drawn(sigma_px, motion_px);
+            blur_px(&image, &sighting).expect("edges")
         };
         let measured = [0.0, 1.0, 1.5, 2.0].map(|sigma| (sigma, blur(sigma, 0.0)));
         println!("blur and what was measured, px: {measured:?}; moved by 6 px: {}", blur(0.7, 6.0));
@@ -130,10 +130,10 @@ mod tests {
 
     #[test]
     fn what_can_not_be_judged_is_nothing() {
-        let (picture, sighting) = drawn(0.5, 0.0);
+        let (image, sighting) = drawn(0.5, 0.0);
         assert_eq!(blur_px(&GrayImage::new(220, 200), &sighting), None);
         assert_eq!(blur_px(&GrayImage::new(10, 10), &sighting), None);
-        assert_eq!(blur_px(&picture, &Sighting::default()), None);
+        assert_eq!(blur_px(&image, &Sighting::default()), None);
     }
 
     #[test]

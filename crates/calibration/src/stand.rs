@@ -1,4 +1,4 @@
-//! How the board stands before the cameras in a view: where in the pictures, how tilted, how far. What a view adds to others is
+//! How the board stands before the cameras in a view: where in the images, how tilted, how far. What a view adds to others is
 //! judged by it, before anything is calibrated.
 
 use nalgebra::{Vector2, Vector3};
@@ -8,12 +8,12 @@ use crate::board::{Chessboard, Sighting};
 use crate::fit::View;
 use crate::start::{board_pose, first_camera};
 
-/// Cells into which a picture is divided, across and down.
+/// Cells into which an image is divided, across and down.
 pub const CELLS: [u32; 2] = [8, 6];
 /// Views from which the focal length is guessed.
 const GUESSED_FROM: usize = 12;
 
-/// The cell of a picture in which a pixel lies: column and row.
+/// The cell of an image in which a pixel lies: column and row.
 pub fn cell_of(pixel: &Vector2<f64>, size: ImageSize) -> [u32; 2] {
     let cell = |at: f64, length: u32, cells: u32| {
         ((at + 0.5) / f64::from(length) * f64::from(cells)).clamp(0.0, f64::from(cells - 1)) as u32
@@ -21,7 +21,7 @@ pub fn cell_of(pixel: &Vector2<f64>, size: ImageSize) -> [u32; 2] {
     [cell(pixel.x, size.width, CELLS[0]), cell(pixel.y, size.height, CELLS[1])]
 }
 
-/// A set of cells of a picture.
+/// A set of cells of an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Cells(u64);
 
@@ -53,7 +53,7 @@ impl Cells {
         self.0.count_ones()
     }
 
-    /// Their share of the picture.
+    /// Their share of the image.
     pub fn share(self) -> f64 {
         f64::from(self.count()) / f64::from(CELLS[0] * CELLS[1])
     }
@@ -67,16 +67,16 @@ impl Cells {
 /// How the board stands in a view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stand {
-    /// Cells of each picture in which corners were seen, the left one first.
+    /// Cells of each image in which corners were seen, the left one first.
     pub cells: Vec<Cells>,
-    /// Middle of the seen corners, as shares of a picture's width and height, 0 to 1; the mean of all pictures.
+    /// Middle of the seen corners, as shares of an image's width and height, 0 to 1; the mean of all images.
     pub centre: Vector2<f64>,
-    /// Side of a square with the area that the board has in the first picture, as a share of the picture's width.
+    /// Side of a square with the area that the board has in the first image, as a share of the image's width.
     pub size: f64,
     /// How the board is turned away from facing the first camera along the ray to it, degrees: x where its right side is
     /// farther away, y where its lower side is.
     pub tilt_deg: Vector2<f64>,
-    /// How its rows are turned in the picture, degrees, from -90 to 90.
+    /// How its rows are turned in the image, degrees, from -90 to 90.
     pub roll_deg: f64,
 }
 
@@ -86,7 +86,7 @@ impl Stand {
         self.tilt_deg.norm()
     }
 
-    /// How different two stands are: 1 is half the picture aside, 40 degrees of tilt, 60 degrees of turn, or twice as large.
+    /// How different two stands are: 1 is half the image aside, 40 degrees of tilt, 60 degrees of turn, or twice as large.
     pub fn apart(&self, other: &Self) -> f64 {
         let aside = (self.centre - other.centre).norm_squared() / 0.25;
         let tilt = (self.tilt_deg - other.tilt_deg).norm_squared() / 1600.0;
@@ -150,7 +150,7 @@ fn middle_px(sighting: &Sighting) -> Vector2<f64> {
     sighting.corners().iter().map(|corner| corner.pixel).sum::<Vector2<f64>>() / count
 }
 
-/// The area that the board's corners span in the picture, px^2, from their spread.
+/// The area that the board's corners span in the image, px^2, from their spread.
 fn area_px(sighting: &Sighting) -> f64 {
     let (count, mean) = (sighting.corners().len().max(1) as f64, middle_px(sighting));
     let mut spread = nalgebra::Matrix2::zeros();

@@ -1,4 +1,4 @@
-//! Boards with markers: pictures that OpenCV 4.14.0 drew and looked at (tests/data/coded_boards_by_opencv.py), boards that we
+//! Boards with markers: images that OpenCV 4.14.0 drew and looked at (tests/data/coded_boards_by_opencv.py), boards that we
 //! print, and calibrations from views in which boards are seen in part.
 
 #![allow(
@@ -31,24 +31,24 @@ fn april_grid() -> Board {
     Board::april_grid([6, 6], 0.024, 0.3).expect("a board")
 }
 
-/// A corner of a picture: where it is, and where OpenCV found it.
+/// A corner of an image: where it is, and where OpenCV found it.
 struct Truth {
     pixel: Vector2<f64>,
     opencv: Option<Vector2<f64>>,
 }
 
-/// By picture, then column and row.
+/// By image, then column and row.
 fn truth() -> BTreeMap<String, BTreeMap<(u32, u32), Truth>> {
     let text = std::fs::read_to_string(format!("{DATA}/coded_boards.csv")).expect("the reference");
     let mut all: BTreeMap<String, BTreeMap<(u32, u32), Truth>> = BTreeMap::new();
     for line in text.lines().skip(1) {
         let fields: Vec<&str> = line.split(',').collect();
-        let [picture, column, row, u, v, u_opencv, v_opencv] = fields[..] else { panic!("{line}") };
+        let [image, column, row, u, v, u_opencv, v_opencv] = fields[..] else { panic!("{line}") };
         let number = |text: &str| text.parse::<f64>().ok();
         let at = |u, v| Some(Vector2::new(number(u)?, number(v)?));
         let truth = Truth { pixel: at(u, v).expect(line), opencv: at(u_opencv, v_opencv) };
         let place = (column.parse().expect(line), row.parse().expect(line));
-        all.entry(picture.to_owned()).or_default().insert(place, truth);
+        all.entry(image.to_owned()).or_default().insert(place, truth);
     }
     all
 }
@@ -59,13 +59,13 @@ fn median_and_p95(values: &[f64]) -> [f64; 2] {
 }
 
 #[test]
-fn corners_of_pictures_that_opencv_drew_are_found_where_they_are() {
+fn corners_of_images_that_opencv_drew_are_found_where_they_are() {
     let truth = truth();
     assert_eq!(truth.len(), 6);
     for (name, corners) in &truth {
-        let picture = image::open(format!("{DATA}/coded_boards/{name}.png")).expect("a picture").into_luma8();
+        let image = image::open(format!("{DATA}/coded_boards/{name}.png")).expect("an image").into_luma8();
         let board = if name.starts_with("charuco") { charuco() } else { april_grid() };
-        let sighting = find_board(&picture, &board).expect(name);
+        let sighting = find_board(&image, &board).expect(name);
         let errors: Vec<f64> = sighting
             .corners()
             .iter()
@@ -94,11 +94,11 @@ fn corners_of_pictures_that_opencv_drew_are_found_where_they_are() {
 }
 
 #[test]
-fn boards_that_we_print_are_found_in_their_pictures() {
+fn boards_that_we_print_are_found_in_their_images() {
     for board in [board(), charuco(), april_grid()] {
         let px_per_m = 3000.0;
         let drawn = draw(&ink(&board), px_per_m, 0.02);
-        let sighting = find_board(&drawn.picture, &board).expect("seen");
+        let sighting = find_board(&drawn.image, &board).expect("seen");
         assert_eq!(sighting.corners().len(), board.corner_count(), "{}", board.kind());
         let error = |corner: &pb3dp_calibration::board::BoardCorner| {
             let place = board.corner_in_board(corner.column, corner.row).xy().coords - drawn.origin_m;
@@ -113,10 +113,10 @@ fn boards_that_we_print_are_found_in_their_pictures() {
 
 #[test]
 fn another_board_is_not_taken_for_it() {
-    let picture = draw(&ink(&charuco()), 2500.0, 0.02).picture;
+    let image = draw(&ink(&charuco()), 2500.0, 0.02).image;
     let other = Board::charuco([8, 6], 0.03, 0.022, "DICT_6X6_50").expect("a board");
-    assert!(find_board(&picture, &other).is_err());
-    assert_eq!(find_board(&picture, &april_grid()), Err(NoBoard::Markers));
+    assert!(find_board(&image, &other).is_err());
+    assert_eq!(find_board(&image, &april_grid()), Err(NoBoard::Markers));
     assert_eq!(find_board(&GrayImage::new(200, 200), &charuco()), Err(NoBoard::Markers));
     assert_eq!(find_board(&GrayImage::new(3, 3), &april_grid()), Err(NoBoard::None));
 }
@@ -136,8 +136,8 @@ fn the_program_prints_boards_that_are_found() {
     let (png, svg) = (path("board.png"), path("board.svg"));
     let (written, told) = print(&[&name[..], &["--dpi", "100", "--out", &png]].concat());
     assert!(written && told.contains("240.00 x 180.00 mm"), "{told}");
-    let picture = image::open(&png).expect("a picture").into_luma8();
-    let sighting = find_board(&picture, &charuco()).expect("seen");
+    let image = image::open(&png).expect("an image").into_luma8();
+    let sighting = find_board(&image, &charuco()).expect("seen");
     let at = |column, row| sighting.at(column, row).expect("seen").pixel;
     let length_mm = (at(6, 0) - at(0, 0)).norm() / 100.0 * 25.4;
     assert!((length_mm - 180.0).abs() < 0.05, "{length_mm}");

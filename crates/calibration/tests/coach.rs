@@ -44,7 +44,7 @@ fn follow(wish: &Wish, rig: &StereoRig, random: &mut Random, name: String) -> Vi
     let turn = Vector3::new((way.y + off(8.0)).to_radians(), (-way.x + off(8.0)).to_radians(), off(20.0).to_radians());
     let out = Vector2::new(f64::from(wish.part[0]) - 1.0, f64::from(wish.part[1]) - 1.0);
     let shake = Vector2::new(off(0.04), off(0.04));
-    // What does not fit is held farther away, and what leaves a picture nearer to the middle of both.
+    // What does not fit is held farther away, and what leaves an image nearer to the middle of both.
     for (back, step) in (0..12).flat_map(|back| (0..=30).map(move |step| (back, step))) {
         let distance_m = distance_m * 1.05_f64.powi(back);
         let ahead = Point3::new(0.0, 0.0, distance_m);
@@ -62,7 +62,7 @@ fn follow(wish: &Wish, rig: &StereoRig, random: &mut Random, name: String) -> Vi
             return View { name, sightings };
         }
     }
-    panic!("the board does not fit into both pictures: {wish:?}");
+    panic!("the board does not fit into both images: {wish:?}");
 }
 
 /// Views of an operator who follows the advice until it is enough.
@@ -135,7 +135,7 @@ fn the_advice_is_said_in_words() {
     let first = advice(&[], &Limits::default()).wish.expect("a view");
     assert_eq!(
         first.to_string(),
-        "hold the board in the middle of the pictures, facing the cameras, near: as large as fits"
+        "hold the board in the middle of the images, facing the cameras, near: as large as fits"
     );
     let mut random = Random::new(3);
     let truth = rig(&mut random);
@@ -145,7 +145,7 @@ fn the_advice_is_said_in_words() {
     let second = advice(&[stand], &Limits::default());
     println!("{:?}: {}", second.progress, second.wish.expect("a view"));
     let text = second.wish.expect("a view").to_string();
-    assert!(text.contains("corner of the pictures, as far out as both still show all of it"), "{text}");
+    assert!(text.contains("corner of the images, as far out as both still show all of it"), "{text}");
     assert!(text.contains("its right side 30 degrees farther away"), "{text}");
 }
 

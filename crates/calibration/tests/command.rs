@@ -35,7 +35,7 @@ fn stereo(further: &[&str]) -> Output {
 }
 
 #[test]
-fn a_head_is_calibrated_from_a_folder_of_pictures() {
+fn a_head_is_calibrated_from_a_folder_of_images() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (corners, toml, cameras) = (path("corners.csv"), path("calib.toml"), path("cameras.toml"));
@@ -47,7 +47,7 @@ fn a_head_is_calibrated_from_a_folder_of_pictures() {
     println!("{told}");
     assert!(told.contains("verdict: "), "{told}");
     assert!(told.contains("not judged: the size of the squares"), "{told}");
-    // What the pictures show is what the committed corners are, which OpenCV had.
+    // What the images show is what the committed corners are, which OpenCV had.
     let found = fs::read_to_string(&corners).expect("corners");
     assert_eq!(found, fs::read_to_string(Path::new(DATA).join("corners.csv")).expect("corners"));
     let calibration = load_stereo(&[toml.clone().into()]).expect("a calibration");
@@ -79,16 +79,16 @@ fn a_head_is_calibrated_from_a_folder_of_pictures() {
 }
 
 #[test]
-fn colour_pictures_of_another_board_give_the_committed_corners() {
+fn colour_images_of_another_board_give_the_committed_corners() {
     let folder = tempfile::tempdir().expect("a folder");
     let corners = folder.path().join("corners.csv").display().to_string();
-    let pictures = format!("{DATA}/bumblebee2_chessboards");
+    let images = format!("{DATA}/bumblebee2_chessboards");
     let output = calibrate(&[
         "stereo",
         "--left",
-        &pictures,
+        &images,
         "--right",
-        &pictures,
+        &images,
         "--board",
         "6x4",
         "--square",
@@ -98,7 +98,7 @@ fn colour_pictures_of_another_board_give_the_committed_corners() {
     ]);
     let told = text(&output);
     println!("{told}");
-    // Eleven boards in the middle of the picture.
+    // Eleven boards in the middle of the image.
     assert!(!output.status.success() && told.contains("refused  coverage_percent"), "{told}");
     let found = fs::read_to_string(&corners).expect("corners");
     assert_eq!(found, fs::read_to_string(Path::new(DATA).join("bumblebee2_corners.csv")).expect("corners"));
@@ -115,20 +115,20 @@ fn gates_of_a_file_refuse_and_the_program_fails() {
     assert!(!output.status.success());
     let told = text(&output);
     assert!(told.contains("board: bowed along its rows by "), "{told}");
-    assert!(told.contains("refused  views = 12.000") && told.contains("take more pictures"), "{told}");
+    assert!(told.contains("refused  views = 12.000") && told.contains("take more images"), "{told}");
     assert!(told.contains("verdict: refused"), "{told}");
 }
 
 #[test]
 fn a_wrong_size_of_the_squares_is_refused_where_the_baseline_is_known() {
-    let pictures = format!("{DATA}/bumblebee2_chessboards");
+    let images = format!("{DATA}/bumblebee2_chessboards");
     for (square, grade) in [("30", "good "), ("29", "refused")] {
         let output = calibrate(&[
             "stereo",
             "--left",
-            &pictures,
+            &images,
             "--right",
-            &pictures,
+            &images,
             "--board",
             "6x4",
             "--square",
@@ -155,18 +155,18 @@ fn mistakes_are_named() {
         assert!(!output.status.success(), "{args:?}");
         text(&output)
     };
-    let one = ["intrinsics", "--pictures", &folder, "--square", "25", "--board"];
+    let one = ["intrinsics", "--images", &folder, "--square", "25", "--board"];
     let both = ["stereo", "--left", &folder, "--right", &folder, "--square", "25", "--board"];
     assert!(refusal(&[&both[..], &["8x6"]].concat()).contains("a grid of 9 x 6 corners is seen, the board has 8 x 6"));
-    assert!(refusal(&[&one[..], &["9x6"]].concat()).contains("pictures are called left and"));
+    assert!(refusal(&[&one[..], &["9x6"]].concat()).contains("images are called left and"));
     let no_format = refusal(&[&both[..], &["9x6", "--out", "calibration.yaml"]].concat());
-    assert!(no_format.contains("the format can not be told") && !no_format.contains("baseline"), "{no_format}");
+    assert!(no_format.contains("the format cannot be told") && !no_format.contains("baseline"), "{no_format}");
     assert!(refusal(&[&one[..], &["7x7"]].concat()).contains("quarter turn"));
     assert!(refusal(&[&one[..], &["nine"]].concat()).contains("COLUMNSxROWS"));
     let empty = tempfile::tempdir().expect("a folder");
     let empty = empty.path().display().to_string();
     let stereo = ["stereo", "--left", &empty, "--right", &empty, "--board", "9x6", "--square", "25"];
-    assert!(refusal(&stereo).contains("no pictures of 2 camera(s) that belong together"));
+    assert!(refusal(&stereo).contains("no images of 2 camera(s) that belong together"));
     assert!(refusal(&["convert", &format!("{DATA}/corners.csv"), "--out", "x.json"]).contains("corners.csv"));
     let nominal = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/calibration/nominal.json");
     assert!(refusal(&["convert", nominal, "--out", "x.toml"]).contains("says how good a calibration is"));

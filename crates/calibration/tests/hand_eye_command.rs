@@ -1,4 +1,4 @@
-//! A head on an arm, calibrated by the commands alone, from rendered pictures: first look, proposed poses, head, hand, and the
+//! A head on an arm, calibrated by the commands alone, from rendered images: first look, proposed poses, head, hand, and the
 //! board on the other arm.
 
 #![allow(
@@ -21,7 +21,7 @@ use pb3dp_record::calibration_files::{
 use pb3dp_record::stops::{ArmOfPoses, ArmStand, Stop, Stops, load_poses, save_stops};
 
 use crate::arm::{GOOD, Place, World};
-use crate::pictures::Painter;
+use crate::images::Painter;
 use crate::support::{Random, board};
 
 fn calibrate(args: &[&str]) -> Output {
@@ -62,7 +62,7 @@ impl Cell {
         ArmStand { joints_rad: [0.0; 7], base_from_flange: Pose::from_isometry(flange * se3::exp(&noise)) }
     }
 
-    /// Records pictures and stops at the given poses of both arms.
+    /// Records images and stops at the given poses of both arms.
     fn record(&mut self, name: &str, poses: &[[Isometry3<f64>; 2]]) -> PathBuf {
         let folder = self.folder.join(name);
         fs::create_dir_all(&folder).expect("a folder");
@@ -74,7 +74,7 @@ impl Cell {
             let right = self.world.rig.cam_right_from_cam_left().isometry() * cam_left_from_board;
             let files = ["left", "right"].map(|side| format!("{side}_{index:02}.png"));
             for ((painter, pose), file) in self.painters.iter().zip([cam_left_from_board, right]).zip(&files) {
-                painter.picture(&pose, &board(), &mut self.random).save(folder.join(file)).expect("written");
+                painter.image(&pose, &board(), &mut self.random).save(folder.join(file)).expect("written");
             }
             let [left, right] = files;
             // An arm that rests says the same each time.
@@ -132,7 +132,7 @@ fn save_nominal(rig: &StereoRig, file: &Path) {
 
 const TARGET: [&str; 4] = ["--board", "9x6", "--square", "25"];
 
-/// Where the arms are at the first look: the board about in the middle of the pictures.
+/// Where the arms are at the first look: the board about in the middle of the images.
 fn first_look(cell: &Cell) -> [Isometry3<f64>; 2] {
     let tc = Isometry3::from_parts(Vector3::new(0.9, 0.15, 0.6).into(), so3::exp(&Vector3::new(0.2, 1.5, 0.3)));
     let middle = board().corner_in_board(8, 5).coords * 0.5;

@@ -10,9 +10,9 @@ mod command;
 mod film;
 mod hand_eye;
 mod hand_eye_command;
+#[path = "support/images.rs"]
+mod images;
 mod opencv;
-#[path = "support/pictures.rs"]
-mod pictures;
 mod propose;
 mod recording;
 mod simulated_rigs;

@@ -1,5 +1,5 @@
-//! Beside OpenCV 4.14.0 on real pictures: adjustment on the same corners (tests/data/stereo_by_opencv.py), and corners of the
-//! same pictures (tests/data/corners_by_opencv.py).
+//! Beside OpenCV 4.14.0 on real images: adjustment on the same corners (tests/data/stereo_by_opencv.py), and corners of the
+//! same images (tests/data/corners_by_opencv.py).
 
 #![allow(
     clippy::expect_used,
@@ -19,7 +19,7 @@ use pb3dp_geometry::ImageSize;
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 
-/// One set of pictures, and what OpenCV made of it.
+/// One set of images, and what OpenCV made of it.
 struct Set {
     board: Chessboard,
     /// Corners as `pb3dp calibrate` found them.

@@ -1,4 +1,4 @@
-//! The poses that are proposed: the board stays whole in both pictures although little is known, and a head can be calibrated from them.
+//! The poses that are proposed: the board stays whole in both images although little is known, and a head can be calibrated from them.
 
 #![allow(
     clippy::expect_used,
@@ -28,7 +28,7 @@ const WISH: Wish = Wish {
     focal_error: 0.02,
 };
 
-/// The board about in the middle of the left picture.
+/// The board about in the middle of the left image.
 fn first_look(random: &mut Random, distance_m: f64) -> Isometry3<f64> {
     let middle = board().corner_in_board(8, 5).coords * 0.5;
     let at = Vector3::new(random.between(0.02, 0.07), random.between(-0.03, 0.03), distance_m);

@@ -45,9 +45,9 @@ fn check_html(html: &str) {
         }
     }
     assert!(open.is_empty(), "{open:?}");
-    // Pictures are letters that may say anything.
-    let pictures = html.split("base64,").skip(1).map(|rest| rest.split('"').next().expect("an end"));
-    let said = pictures.fold(html.to_owned(), |html, picture| html.replace(picture, ""));
+    // Images are letters that may say anything.
+    let images = html.split("base64,").skip(1).map(|rest| rest.split('"').next().expect("an end"));
+    let said = images.fold(html.to_owned(), |html, image| html.replace(image, ""));
     assert!(!said.contains("<script") && !said.contains("http") && !said.contains("NaN"), "{said}");
 }
 
@@ -137,8 +137,8 @@ fn each_stop_of_an_arm_is_a_view() {
     let mut stops = Vec::new();
     for (number, place) in places(&studio.rig).iter().enumerate().take(6) {
         let names = ["left", "right"].map(|side| format!("{side}_{number}.png"));
-        for (picture, name) in studio.pair(place, 0.0).iter().zip(&names) {
-            picture.save(folder.path().join(name)).expect("written");
+        for (image, name) in studio.pair(place, 0.0).iter().zip(&names) {
+            image.save(folder.path().join(name)).expect("written");
         }
         let [left, right] = names;
         stops.push(Stop { left, right, vs: stand, tc: None });
@@ -167,8 +167,8 @@ fn what_was_touched_is_where_the_cameras_say() {
     for (number, cam_left_from_board) in places(&studio.rig).iter().enumerate() {
         let base_from_flange = base_from_board * cam_left_from_board.inverse() * flange_from_cam_left.inverse();
         let [left, right] = ["left", "right"].map(|side| format!("{side}_{number}.png"));
-        for (picture, name) in studio.pair(cam_left_from_board, 0.0).iter().zip([&left, &right]) {
-            picture.save(path(name)).expect("written");
+        for (image, name) in studio.pair(cam_left_from_board, 0.0).iter().zip([&left, &right]) {
+            image.save(path(name)).expect("written");
         }
         let vs = ArmStand { joints_rad: [0.1; 7], base_from_flange: Pose::from_isometry(base_from_flange) };
         stops.push(Stop { left, right, vs, tc: None });
@@ -248,13 +248,13 @@ fn the_coach_looks_at_a_recording_that_grows() {
         .spawn()
         .expect("it starts");
     let mut told = lines(&mut child);
-    assert!(told.next().expect("a line").contains("waiting for pictures"));
+    assert!(told.next().expect("a line").contains("waiting for images"));
     let mut writer = film::writer(&recording, &studio.rig);
     let pair = studio.pair(&places[0], 0.0);
     film::push(&mut writer, &pair);
     // One pair alone does not tell whether the board rests.
     assert!(told.next().expect("a line").contains("0 views, 0 % covered: the board moves"));
-    assert!(told.next().expect("a line").contains("next: hold the board in the middle of the pictures"));
+    assert!(told.next().expect("a line").contains("next: hold the board in the middle of the images"));
     film::push(&mut writer, &pair);
     assert!(told.next().expect("a line").contains("1 views") && told.next().expect("a line").contains("next: "));
     film::push(&mut writer, &pair);

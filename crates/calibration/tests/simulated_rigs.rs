@@ -186,7 +186,7 @@ const PLANTED: [Planted; 8] = [
         session: |_| GOOD,
         typed: |_| (25.0, true),
         gates: &[],
-        words: "left and right pictures are not exchanged",
+        words: "left and right images are not exchanged",
     },
     Planted {
         name: "3 to 5 views",

@@ -166,7 +166,7 @@ impl BothArms {
     /// as it is when it moves, and what stops one of them stops both.
     ///
     /// # Errors
-    /// The arm that can not be switched on or does not hold, and why; both have to be stopped then.
+    /// The arm that cannot be switched on or does not hold, and why; both have to be stopped then.
     pub fn enable(&mut self, from: Whence) -> Result<bool> {
         let was_switching_on = std::mem::replace(&mut self.is_switching_on, false);
         if !was_switching_on {
@@ -195,13 +195,13 @@ impl BothArms {
     /// Both come to rest with brakes on, whatever happened; the first failure is told.
     ///
     /// # Errors
-    /// The arm that can not be told.
+    /// The arm that cannot be told.
     pub fn stop(&mut self) -> Result<()> {
         // Closing the brakes of one takes time in which the other one must neither wait for its next velocity nor for its own brakes.
         self.is_switching_on = false;
         let arms = [&mut self.vs, &mut self.tc].map(|led| {
             led.arm.exchange(JointCommand::Hold).ok();
-            // Whoever can not be told is told once more.
+            // Whoever cannot be told is told once more.
             led.arm.begin_stop().ok();
             led
         });
@@ -217,7 +217,7 @@ impl BothArms {
     /// Stops those that are still switched on.
     ///
     /// # Errors
-    /// The first arm that can not be told.
+    /// The first arm that cannot be told.
     pub fn stop_still_on(&mut self) -> Result<()> {
         let still_on = [&mut self.vs, &mut self.tc].into_iter().filter(|led| led.is_on());
         still_on.map(LedArm::stop).fold(Ok(()), Result::and)

@@ -1,4 +1,4 @@
-//! What a run captures: pairs of pictures, or the truth with noise; and what was true of each of them.
+//! What a run captures: stereo pairs, or the truth with noise; and what was true of each of them.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -38,17 +38,17 @@ pub struct Capturing {
 }
 
 enum Camera {
-    Pictures(PictureCamera),
+    Images(ImageCamera),
     Geometric(Box<dyn PoseCamera>),
 }
 
-struct PictureCamera {
+struct ImageCamera {
     camera: Box<dyn StereoCamera>,
     /// The pair before; black before the first one.
     before: Arc<FramePair>,
     /// Pairs that were made so far: those that nobody holds any more are used again.
     pool: Vec<Arc<FramePair>>,
-    /// Whether two pictures of the same scene differ.
+    /// Whether two images of the same scene differ.
     has_noise: bool,
 }
 
@@ -56,7 +56,7 @@ impl Capturing {
     /// A camera that has delivered nothing yet.
     pub fn new(setup: &Setup, sight: Sight, cell: SimulatedCell) -> Self {
         let camera = match sight {
-            Sight::Pictures(camera) => Camera::Pictures(PictureCamera {
+            Sight::Images(camera) => Camera::Images(ImageCamera {
                 before: Arc::new(FramePair::black(camera.info().size)),
                 pool: Vec::new(),
                 has_noise: setup
@@ -75,15 +75,15 @@ impl Capturing {
         self.pairs_lost
     }
 
-    /// If the frame does not come, or a picture is the one before, byte for byte: noise makes no picture twice, so the camera is frozen,
+    /// If the frame does not come, or an image is the one before, byte for byte: noise makes no image twice, so the camera is frozen,
     /// whatever its numbers and times say.
     fn wait(&mut self) -> Result<(FrameInput, View), CameraError> {
         match &mut self.camera {
-            Camera::Pictures(camera) => camera.wait(self.timeout),
+            Camera::Images(camera) => camera.wait(self.timeout),
             Camera::Geometric(camera) => {
                 let frame = camera.next_frame(self.timeout)?;
                 if !frame.is_new {
-                    return Err(frozen(frame.sequence, "both pictures are"));
+                    return Err(frozen(frame.sequence, "both images are"));
                 }
                 let skew_s = frame.skew_nanos as f64 * 1e-9;
                 let input = FrameInput { sequence: frame.sequence, at: frame.exposed_at, skew_s };
@@ -131,7 +131,7 @@ fn frozen(sequence: u64, which: &str) -> CameraError {
     CameraError::new(CameraErrorKind::BadPair, message)
 }
 
-impl PictureCamera {
+impl ImageCamera {
     fn wait(&mut self, timeout: Duration) -> Result<(FrameInput, View), CameraError> {
         let mut taken = self.free_pair();
         let Some(pair) = Arc::get_mut(&mut taken) else {
@@ -143,16 +143,16 @@ impl PictureCamera {
         came?;
         let before = std::mem::replace(&mut self.before, Arc::clone(&taken));
         let FramePair { sequence, exposed_at, skew_nanos, .. } = *taken;
-        // Pictures that differ do so in their first pixels: this costs nothing.
+        // Images that differ do so in their first pixels: this costs nothing.
         let same = [taken.left == before.left, taken.right == before.right];
         match same.map(|same| same && self.has_noise) {
-            [true, true] => return Err(frozen(sequence, "both pictures are")),
-            [true, false] => return Err(frozen(sequence, "the left picture is")),
-            [false, true] => return Err(frozen(sequence, "the right picture is")),
+            [true, true] => return Err(frozen(sequence, "both images are")),
+            [true, false] => return Err(frozen(sequence, "the left image is")),
+            [false, true] => return Err(frozen(sequence, "the right image is")),
             [false, false] => (),
         }
         let input = FrameInput { sequence, at: exposed_at, skew_s: skew_nanos as f64 * 1e-9 };
-        Ok((input, View::Pictures(taken)))
+        Ok((input, View::Images(taken)))
     }
 
     /// A pair that nobody holds, taken out of the pool; a new one if there is none.

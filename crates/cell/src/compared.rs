@@ -35,7 +35,7 @@ impl Onlooker {
         setup.compared.iter().map(onlooker).collect()
     }
 
-    /// Looks at a pair: at the first with the operator's region, later with the known motion of the camera. What it can not
+    /// Looks at a pair: at the first with the operator's region, later with the known motion of the camera. What it cannot
     /// work on is written down as an error and leaves the run alone.
     pub fn look(&mut self, pair: &FramePair, frame: &Frame<'_>) {
         let started = Instant::now();

@@ -185,7 +185,7 @@ impl Operator for Console {
     }
 }
 
-/// Writes answers until nobody has any more to give, or they can not be written.
+/// Writes answers until nobody has any more to give, or they cannot be written.
 fn write_all(said: &Receiver<String>, mut answers: impl Write, prompt: &str) {
     if !prompt.is_empty() {
         let _ = write!(answers, "type a word; help lists them\n{prompt}").and_then(|()| answers.flush());

@@ -1,6 +1,6 @@
 //! Whether the cameras still are what was calibrated, from what a run sees anyway.
 //!
-//! Every few seconds a pair is measured: by how much rows of the right picture are off, how much softer and brighter one eye is than the
+//! Every few seconds a pair is measured: by how much rows of the right image are off, how much softer and brighter one eye is than the
 //! other one, and how far apart their exposures are. All four are zero where the calibration holds and both cameras are alike; where the
 //! file of the calibration says how unlike both cameras were when it was made, blur and brightness are what has come to that. The median of
 //! the newest looks is compared with its limit, so that a hand before a lens for a moment says nothing, and what is too far is told once.
@@ -15,14 +15,14 @@ use pb3dp_record::report::Table;
 use pb3dp_setup::setup::DriftConfig;
 use serde::Serialize;
 
-use crate::picture_quality::{Exposure, MATCHES_MIN, RowMeter, blur_of, brighter_by_percent, softer_by_px};
+use crate::image_quality::{Exposure, MATCHES_MIN, RowMeter, blur_of, brighter_by_percent, softer_by_px};
 
 /// Looks whose median is judged.
 const LOOKS: usize = 5;
 /// What was too far is good again below this share of its limit: a value near it is not told over and over.
 const GOOD_SHARE: f64 = 0.8;
 
-/// What the pictures of a calibration were like, as far as its file says it.
+/// What the images of a calibration were like, as far as its file says it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WhenCalibrated {
     /// 95 % of the rows were off by no more than this, pixels.
@@ -59,7 +59,7 @@ impl Quantity {
 
     fn name(self) -> &'static str {
         match self {
-            Self::Rows => "rows of the right picture, where they are off most",
+            Self::Rows => "rows of the right image, where they are off most",
             Self::Focus => "blur of one eye only (+: of the right one)",
             Self::Brightness => "difference in brightness (+: the right eye is brighter)",
             Self::Skew => "time between both exposures (+: the right one is later)",
@@ -215,7 +215,7 @@ impl DriftWatch {
     /// Has not looked yet. Of cameras that are not synchronous the skew is not looked at.
     ///
     /// # Errors
-    /// A rig that the method `direct` can not use.
+    /// A rig that the method `direct` cannot use.
     pub fn new(
         config: DriftConfig,
         rig: &StereoRig,
@@ -235,14 +235,14 @@ impl DriftWatch {
         self.next_at = Some(at + self.config.every);
         let measured = self.rows.measure(pair).ok().filter(|measured| measured.matches >= MATCHES_MIN);
         let eyes = [&pair.left, &pair.right];
-        let blurs_px = eyes.map(|picture| blur_of(&[picture]));
+        let blurs_px = eyes.map(|image| blur_of(&[image]));
         let values = [
             measured.map(|measured| self.rows.worst_px(&measured)),
             blurs_px[0].zip(blurs_px[1]).map(|(left, right)| {
                 added_blur_px(softer_by_px([left, right]), self.when_calibrated.focus_px.unwrap_or(0.0))
             }),
             Some(
-                brighter_by_percent(&eyes.map(|picture| Exposure::of(&[picture])))
+                brighter_by_percent(&eyes.map(|image| Exposure::of(&[image])))
                     - self.when_calibrated.brightness_percent.unwrap_or(0.0),
             ),
             Some(skew_s * 1e3).filter(|_| self.is_synchronous),
@@ -399,8 +399,8 @@ mod tests {
         assert!((values(&found)[1] + 1.5).abs() < 0.4, "{found:#?}");
 
         // A third less light.
-        let darker = |picture: &RgbImage| {
-            let mut darker = picture.clone();
+        let darker = |image: &RgbImage| {
+            let mut darker = image.clone();
             darker.iter_mut().for_each(|level| *level = (f64::from(*level) * 2.0 / 3.0) as u8);
             darker
         };
@@ -415,7 +415,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_without_texture_are_blind_looks() {
+    fn images_without_texture_are_blind_looks() {
         let case = case();
         let size = case.load_calibration().unwrap().rig.left().size();
         let (said, found) = watched(&case.load_calibration().unwrap().rig, &FramePair::black(size), 0.0, true);

@@ -1,4 +1,4 @@
-//! What a run sees with: pictures and a method that looks at them, or the truth with noise.
+//! What a run sees with: images and a method that looks at them, or the truth with noise.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -19,13 +19,13 @@ use crate::follower::Follower;
 
 /// Where frames come from.
 pub enum Sight {
-    /// A camera that delivers pictures.
-    Pictures(Box<dyn StereoCamera>),
-    /// The truth with noise: no picture is rendered.
+    /// A camera that delivers images.
+    Images(Box<dyn StereoCamera>),
+    /// The truth with noise: no image is rendered.
     Geometric(Box<dyn PoseCamera>),
 }
 
-/// A camera without pictures: its frames are the true pose with noise.
+/// A camera without images: its frames are the true pose with noise.
 pub trait PoseCamera: Send {
     /// Waits for the end of the next exposure.
     ///
@@ -39,8 +39,8 @@ pub trait PoseCamera: Send {
 
 /// Who estimates the pose from what was captured.
 pub enum Eyes {
-    /// A method that looks at pictures, and what is marked in the first ones.
-    Pictures(Box<Follower>, Marking),
+    /// A method that looks at images, and what is marked in the first ones.
+    Images(Box<Follower>, Marking),
     /// The truth with noise.
     Geometric(GeometricEyes),
 }
@@ -52,7 +52,7 @@ pub struct GeometricEyes {
     tilt_sigma_sure_rad: f64,
 }
 
-/// What is marked in the left picture in which the target is taken.
+/// What is marked in the left image in which the target is taken.
 #[derive(Clone, Debug)]
 pub enum Marking {
     /// The outline of a simulated target, points in its own frame: what an operator would draw.
@@ -68,7 +68,7 @@ pub const NOT_MARKED: &str = "nobody has marked the target: with real cameras gi
                               keeps what they see)";
 
 impl Marking {
-    /// The region in the left picture; `cam_left_from_target` is the truth, if there is one.
+    /// The region in the left image; `cam_left_from_target` is the truth, if there is one.
     ///
     /// # Errors
     /// If a part of the outline is not before the camera, or there is no truth and no region.
@@ -99,9 +99,9 @@ impl Eyes {
     /// A parameter of the method out of its range, or a leader that does not go with `sight`.
     pub fn new(setup: &Setup, sight: &Sight, marking: Marking) -> Result<Self> {
         match (setup.leader, sight) {
-            (Leader::Pictures(method), Sight::Pictures(_)) => {
+            (Leader::Images(method), Sight::Images(_)) => {
                 let tracker = Tracker::new(method, &setup.rig.stereo, &setup.estimator)?;
-                Ok(Self::Pictures(Box::new(Follower::new(tracker, setup.range)), marking))
+                Ok(Self::Images(Box::new(Follower::new(tracker, setup.range)), marking))
             }
             (Leader::Geometric(_), Sight::Geometric(camera)) => Ok(Self::Geometric(GeometricEyes {
                 noise: camera.noise(),
@@ -111,7 +111,7 @@ impl Eyes {
         }
     }
 
-    /// What is marked, as long as the target was not taken; nothing where nobody looks at pictures.
+    /// What is marked, as long as the target was not taken; nothing where nobody looks at images.
     ///
     /// # Errors
     /// As [`Marking::region`].
@@ -121,7 +121,7 @@ impl Eyes {
         cam_left_from_target: Option<&Pose<CamLeft, Target>>,
     ) -> Result<Option<Region>> {
         match self {
-            Self::Pictures(follower, marking) if !follower.is_started() => {
+            Self::Images(follower, marking) if !follower.is_started() => {
                 marking.region(setup, cam_left_from_target).map(Some)
             }
             _ => Ok(None),
@@ -134,7 +134,7 @@ impl Eyes {
     /// If the method fails for good, or the frame is of another kind.
     pub fn estimate(&mut self, view: &View, region: Option<&Region>, prior: &FramePrior) -> Result<TrackEstimate> {
         match (self, view) {
-            (Self::Pictures(follower, _), View::Pictures(pair)) => {
+            (Self::Images(follower, _), View::Images(pair)) => {
                 Ok(follower.look(&pair.left, &pair.right, region, prior, &mut || true)?)
             }
             (Self::Geometric(eyes), View::Geometric(frame)) => Ok(eyes.estimate(frame)),
@@ -168,7 +168,7 @@ impl GeometricEyes {
             covariance: found.map(|_| self.noise.covariance()),
             psi: None,
             fitness: None,
-            // There is no picture into which it could be drawn.
+            // There is no image into which it could be drawn.
             outline_px: Vec::new(),
             rotation_about_normal_observed: found.is_some(),
         }
@@ -178,8 +178,8 @@ impl GeometricEyes {
 /// What is to be looked at.
 #[derive(Clone, Debug)]
 pub enum View {
-    /// Two pictures.
-    Pictures(Arc<FramePair>),
+    /// Two images.
+    Images(Arc<FramePair>),
     /// The truth with noise.
     Geometric(Box<GeometricFrame>),
 }

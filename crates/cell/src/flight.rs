@@ -94,7 +94,7 @@ pub struct Flight<'a> {
 /// file.
 ///
 /// # Errors
-/// If the file can not be written.
+/// If the file cannot be written.
 pub fn write(
     folder: &Path,
     arm: &str,
@@ -115,7 +115,7 @@ pub fn write(
         }
         file.flush()
     };
-    written().with_context(|| format!("{}: can not be written", path.display()))?;
+    written().with_context(|| format!("{}: cannot be written", path.display()))?;
     Ok(path)
 }
 

@@ -42,7 +42,7 @@ impl Follower {
     /// Looks at the next pair, for as long as `may_continue` says so. The first one needs a `region`; it is not used afterwards.
     ///
     /// # Errors
-    /// Images that do not fit the calibration, a region that can not serve, a bad range, or no region yet.
+    /// Images that do not fit the calibration, a region that cannot serve, a bad range, or no region yet.
     pub fn look(
         &mut self,
         left: &RgbImage,

@@ -21,7 +21,7 @@ pub trait Mover: Send {
     /// Switches both arms on, as far as that is possible now: whether they are on. To be called in each control cycle until then.
     ///
     /// # Errors
-    /// The arm that can not be switched on, and why; the other one may be on.
+    /// The arm that cannot be switched on, and why; the other one may be on.
     fn enable(&mut self) -> Result<bool>;
 
     /// Control steps begin at this time.
@@ -39,7 +39,7 @@ pub trait Mover: Send {
     /// Both arms come to rest with brakes on, whatever happened before.
     ///
     /// # Errors
-    /// The arm that can not be told.
+    /// The arm that cannot be told.
     fn stop(&mut self) -> Result<()>;
 }
 
@@ -63,7 +63,7 @@ pub trait Watcher {
     /// Writes down what was seen last; those who move know it by now.
     ///
     /// # Errors
-    /// If it can not be written.
+    /// If it cannot be written.
     fn note(&mut self) -> Result<()>;
 }
 
@@ -137,7 +137,7 @@ pub trait Record {
     /// Writes down what was seen in a frame.
     ///
     /// # Errors
-    /// If it can not be written.
+    /// If it cannot be written.
     fn note(&mut self, seen: Self::Seen) -> Result<()>;
 }
 

@@ -20,7 +20,7 @@ const PROGRESS_EVERY_S: f64 = 5.0;
 pub struct Outcome {
     /// Everything written down.
     pub log: RunLog,
-    /// Annotated pictures from moments of interest.
+    /// Annotated images from moments of interest.
     pub strip: Strip,
 }
 
@@ -98,9 +98,9 @@ impl Journal {
             sample.world_from_hand_wanted = sample.world_from_target * wanted * model_from_hand;
             sample.world_from_hand_locked = sample.world_from_target * locked * model_from_hand;
         }
-        let (without_pictures, without_truth) = (!setup.leader.needs_pictures(), setup.world().is_none());
+        let (without_images, without_truth) = (!setup.leader.needs_images(), setup.world().is_none());
         let log = RunLog {
-            without_pictures,
+            without_images,
             without_truth,
             leading,
             compared,

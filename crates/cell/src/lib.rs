@@ -2,6 +2,7 @@
 //!
 //! What runs comes from wiring as [`parts`]; no arm is named here, and of cameras only the simulated one that renders nothing.
 
+pub mod annotation;
 pub mod both_arms;
 pub mod capturing;
 pub mod carrier;
@@ -20,6 +21,7 @@ pub mod flight;
 pub mod follower;
 pub mod halves;
 pub mod handover;
+pub mod image_quality;
 pub mod interruption;
 pub mod journal;
 pub mod live;
@@ -39,8 +41,6 @@ pub mod parts;
 pub mod paths;
 pub mod percept;
 pub mod permitting;
-pub mod picture;
-pub mod picture_quality;
 pub mod plan;
 pub mod recording;
 pub mod report;

@@ -23,7 +23,7 @@ use super::percept::Percept;
 
 /// Steps that nobody has taken yet: two seconds at 500 Hz.
 const STEPS_MAX: usize = 1000;
-/// Pairs that wait to be written down, with their pictures: half a second of them.
+/// Pairs that wait to be written down, with their images: half a second of them.
 const SEEN_MAX: usize = 16;
 /// How often threads that wait for something look whether the course is over.
 const LOOK: Duration = Duration::from_millis(10);

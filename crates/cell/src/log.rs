@@ -113,8 +113,8 @@ pub struct RunLog {
     pub leading: MethodLog,
     /// What the methods said that only looked on.
     pub compared: Vec<MethodLog>,
-    /// Whether no picture was rendered: the poses are the truth with noise.
-    pub without_pictures: bool,
+    /// Whether no image was rendered: the poses are the truth with noise.
+    pub without_images: bool,
     /// Whether nobody knows where everything truly was: where hand and target are is what the joints of the arms say then, and where the
     /// hand should be is not known.
     pub without_truth: bool,

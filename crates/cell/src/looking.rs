@@ -1,4 +1,4 @@
-//! The half of a run that looks: pairs in, observations for the controller out, and all that is written down of pictures.
+//! The half of a run that looks: pairs in, observations for the controller out, and all that is written down of images.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -27,7 +27,7 @@ pub struct Looking<'a> {
     pub capturing: Capturing,
     /// The method that leads the hand.
     pub estimating: Estimating<'a>,
-    /// What is written down of pictures.
+    /// What is written down of images.
     pub noting: Noting<'a>,
 }
 

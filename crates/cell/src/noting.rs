@@ -1,4 +1,4 @@
-//! What is written down of pictures: what the methods say beside the truth, and what is kept of the pictures themselves.
+//! What is written down of images: what the methods say beside the truth, and what is kept of the images themselves.
 
 use std::path::Path;
 
@@ -24,7 +24,7 @@ use super::strip::Strip;
 use crate::eyes::View;
 use pb3dp_estimation_core::model_frame::model_frame_on_plane;
 
-/// What is written down of pictures; the methods that only look on are a part of it.
+/// What is written down of images; the methods that only look on are a part of it.
 pub struct Noting<'a> {
     setup: &'a Setup,
     begin: MonotonicTime,
@@ -38,7 +38,7 @@ pub struct Noting<'a> {
     drift: Option<DriftWatch>,
 }
 
-/// What was written down of pictures.
+/// What was written down of images.
 pub struct Looked {
     /// What the method that leads the hand said.
     pub leading: MethodLog,
@@ -46,7 +46,7 @@ pub struct Looked {
     pub compared: Vec<MethodLog>,
     /// Pairs that the camera could not deliver.
     pub pairs_lost: u64,
-    /// Annotated pictures from moments of interest.
+    /// Annotated images from moments of interest.
     pub strip: Strip,
     /// Where on the target the model's frame is; none without an estimate.
     pub lock: Option<Lock>,
@@ -58,21 +58,21 @@ impl<'a> Noting<'a> {
     /// Nothing is written down yet. Every pair is also written to the folder `record`, if given.
     ///
     /// # Errors
-    /// A parameter of a method that looks on out of its range, or a recording of pictures that there are not.
+    /// A parameter of a method that looks on out of its range, or a recording of images that there are not.
     pub fn new(
         setup: &'a Setup,
         marking: Marking,
         (strip, begin): (Strip, MonotonicTime),
         record: Option<&Path>,
     ) -> Result<Self> {
-        let has_pictures = setup.leader.needs_pictures();
-        if record.is_some() && !has_pictures {
-            bail!("--record: with estimator.method = {:?} there are no pictures to record", setup.leader.name());
+        let has_images = setup.leader.needs_images();
+        if record.is_some() && !has_images {
+            bail!("--record: with estimator.method = {:?} there are no images to record", setup.leader.name());
         }
         Ok(Self {
-            onlookers: if has_pictures { Onlooker::all_of(setup)? } else { Vec::new() },
-            strip: if has_pictures { strip } else { Strip::default() },
-            drift: if has_pictures { watch(setup)? } else { None },
+            onlookers: if has_images { Onlooker::all_of(setup)? } else { Vec::new() },
+            strip: if has_images { strip } else { Strip::default() },
+            drift: if has_images { watch(setup)? } else { None },
             recording: record.map(|folder| Recording::new(folder, setup)),
             begin,
             marking,
@@ -90,7 +90,7 @@ impl<'a> Noting<'a> {
     /// Writes down what was seen in a pair, beside the truth at the time of its exposure; the onlookers look at it, too.
     ///
     /// # Errors
-    /// If the recording can not be written.
+    /// If the recording cannot be written.
     pub fn note(&mut self, seen: &Seen) -> Result<()> {
         let Seen { captured, region, prior, estimate, latency_millis, age_millis, .. } = seen;
         let Captured { frame, cam_left_from_target, view } = captured;
@@ -110,7 +110,7 @@ impl<'a> Noting<'a> {
             Frame { t_s, region: region.as_ref(), prior, cam_left_from_target: *cam_left_from_target, age_millis };
         self.leading.push(&frame, estimate, *latency_millis);
         let frame = Frame { age_millis: None, ..frame };
-        let View::Pictures(pair) = view else { return Ok(()) };
+        let View::Images(pair) = view else { return Ok(()) };
         self.strip.offer(t_s, pair, &self.setup.rig.stereo, estimate);
         for onlooker in &mut self.onlookers {
             onlooker.look(pair, &frame);
@@ -130,7 +130,7 @@ impl<'a> Noting<'a> {
     /// Completes the recording; what was recorded until a failure is the best hint at its cause.
     ///
     /// # Errors
-    /// If it can not be written.
+    /// If it cannot be written.
     pub fn finish_recording(&mut self) -> Result<()> {
         self.recording.take().map_or(Ok(()), Recording::finish)
     }

@@ -11,7 +11,7 @@ pub trait Operator: Send {
     /// What the supervisor decided in this step.
     fn show(&mut self, decision: &Decision);
 
-    /// Something that a person has to know, an arm that can not be reset, say; or that there is nothing any more.
+    /// Something that a person has to know, an arm that cannot be reset, say; or that there is nothing any more.
     fn tell(&mut self, trouble: Option<String>);
 
     /// Whether a person speaks: who can reset what is latched, and without whose start the target does not move either.

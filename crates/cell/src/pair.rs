@@ -1,15 +1,15 @@
-//! What the user is told if pictures and calibration do not belong together.
+//! What the user is told if images and calibration do not belong together.
 
 use anyhow::{Result, bail};
 use image::RgbImage;
 use pb3dp_estimation::pair_check::{PairCheck, PairVerdict, check_pair};
 use pb3dp_geometry::StereoRig;
 
-/// Compares a pair of pictures with its calibration; gives a warning if they do not fit but may still do.
+/// Compares a stereo pair with its calibration; gives a warning if they do not fit but may still do.
 ///
 /// # Errors
 /// If left and right are exchanged: whatever is estimated from them is wrong.
-pub fn check_pictures(name: &str, rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Result<Option<String>> {
+pub fn check_images(name: &str, rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Result<Option<String>> {
     let check = check_pair(rig, left, right);
     tracing::debug!("{name}: {check:?}");
     let PairCheck { patches, matches, agreeing, behind, fitting_exchanged, .. } = check;
@@ -20,20 +20,20 @@ pub fn check_pictures(name: &str, rig: &StereoRig, left: &RgbImage, right: &RgbI
              {fitting_exchanged} match in front; swap --left and --right (in a dataset: its files)"
         ),
         PairVerdict::BehindCameras => format!(
-            "{behind} of {agreeing} patches match only behind the cameras, and swapping the pictures would not help: the \
+            "{behind} of {agreeing} patches match only behind the cameras, and swapping the images would not help: the \
              calibration does not belong to them; give the right file or calibrate again"
         ),
         PairVerdict::RowsDisagree { offset_px } => format!(
             "{agreeing} of {matches} matching patches lie {:.1} px {} the row or line that the calibration predicts (spread \
-             {:.1} px): it does not belong to these pictures, or the cameras have moved; give the right file or calibrate \
+             {:.1} px): it does not belong to these images, or the cameras have moved; give the right file or calibrate \
              again",
             offset_px.abs(),
             if offset_px > 0.0 { "below" } else { "above" },
             check.row_spread_px.unwrap_or_default()
         ),
         PairVerdict::Unrelated => format!(
-            "only {agreeing} of {patches} textured patches of the left picture are found in the right one where the \
-             calibration predicts them: the pictures do not show the same scene at the same moment, or the calibration does \
+            "only {agreeing} of {patches} textured patches of the left image are found in the right one where the \
+             calibration predicts them: the images do not show the same scene at the same moment, or the calibration does \
              not belong to them; check the files, or calibrate again"
         ),
     };

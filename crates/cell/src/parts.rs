@@ -164,7 +164,7 @@ pub struct Parts {
     pub experiment: Arc<dyn Trajectory>,
     /// What the flight recorder of each arm holds, by the arm's name.
     pub flights: [(&'static str, FlightLog); 2],
-    /// What is marked in the first left picture: the outline of a simulated target, or what the operator has marked.
+    /// What is marked in the first left image: the outline of a simulated target, or what the operator has marked.
     pub marking: Marking,
     /// What the links of the arms are like, by the names of the arms, as far as they have one.
     pub links: Vec<(&'static str, Box<dyn LinkMonitor>)>,

@@ -47,7 +47,7 @@ fn look_at_free_path(setup: &Setup, start: Pose<World, Target>) -> Result<Vec<(&
     })
 }
 
-/// Refuses an experiment that one of the arms can not follow within its limits: reach, joint ranges, singular poses, speeds
+/// Refuses an experiment that one of the arms cannot follow within its limits: reach, joint ranges, singular poses, speeds
 /// and accelerations of the joints, and the speeds of the hand.
 ///
 /// # Errors
@@ -80,7 +80,7 @@ fn check_follower(setup: &Setup, experiment: &dyn Trajectory) -> Result<PathRepo
 /// A refusal with the keys of the setup that decide about it.
 fn refused(name: &str, table: &str, refusal: PathRefusal) -> anyhow::Error {
     let keys = keys_of(table, &refusal);
-    let text = format!("the {name} can not follow the experiment (see {keys} and the table [experiment])");
+    let text = format!("the {name} cannot follow the experiment (see {keys} and the table [experiment])");
     anyhow::Error::new(refusal).context(text)
 }
 

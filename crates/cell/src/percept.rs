@@ -1,11 +1,11 @@
-//! What one pair of pictures tells those who move.
+//! What one stereo pair tells those who move.
 
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_servo::TargetObservation;
 use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput};
 
-/// What one pair of pictures tells: with a pose or without one.
+/// What one stereo pair tells: with a pose or without one.
 #[derive(Clone, Copy, Debug)]
 pub struct Percept {
     /// The pair.

@@ -8,10 +8,10 @@ use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_geometry::{Pose, StereoRig};
 use pb3dp_hal_api::FramePair;
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter, WrittenFrame};
-use pb3dp_record::images::PictureFormat;
+use pb3dp_record::images::StoredFormat;
 use pb3dp_setup::setup::Setup;
 
-use crate::picture::polygon_px;
+use crate::annotation::polygon_px;
 
 /// A recording; the folder is made with the first pair, when the target's region is known.
 pub struct Recording {
@@ -34,10 +34,10 @@ impl Recording {
         self.writer.is_some()
     }
 
-    /// Writes a pair with its truth, if there is one. `outline_px` is the target's region in the left picture, needed for the first pair.
+    /// Writes a pair with its truth, if there is one. `outline_px` is the target's region in the left image, needed for the first pair.
     ///
     /// # Errors
-    /// If a file can not be written.
+    /// If a file cannot be written.
     pub fn push(
         &mut self,
         pair: &FramePair,
@@ -48,7 +48,7 @@ impl Recording {
             Some(writer) => writer,
             None => {
                 let region_polygon_left_px = polygon_px(&outline_px.unwrap_or_default());
-                let draft = SequenceDraft { region_polygon_left_px, search: self.search, pictures: PictureFormat::Png };
+                let draft = SequenceDraft { region_polygon_left_px, search: self.search, images: StoredFormat::Png };
                 self.writer.insert(SequenceWriter::create(&self.folder, &self.rig, draft).context("--record")?)
             }
         };
@@ -67,7 +67,7 @@ impl Recording {
     /// Completes the recording.
     ///
     /// # Errors
-    /// If its description can not be written.
+    /// If its description cannot be written.
     pub fn finish(self) -> Result<()> {
         let Some(writer) = self.writer else { return Ok(()) };
         let summary = writer.finish().context("--record")?;

@@ -7,7 +7,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_record::plain_zero::plain_zero;
-use pb3dp_record::report::{LinePlot, Report, ReportPicture, Series, SeriesColor, Table};
+use pb3dp_record::report::{LinePlot, Report, ReportImage, Series, SeriesColor, Table};
 
 use pb3dp_setup::layers::toml_of;
 use pb3dp_setup::setup::{CalibrationInUse, Setup};
@@ -40,7 +40,7 @@ pub struct Made {
 /// report is. `failure` is what has ended the run before its time.
 ///
 /// # Errors
-/// If a file can not be written, or standard output.
+/// If a file cannot be written, or standard output.
 pub fn tell(
     folder: &Path,
     setup: &Setup,
@@ -56,7 +56,7 @@ pub fn tell(
     });
     let write = |name: &str, text: String| {
         let file = folder.join(name);
-        fs::write(&file, text).with_context(|| format!("{}: can not be written", file.display()))
+        fs::write(&file, text).with_context(|| format!("{}: cannot be written", file.display()))
     };
     write("summary.json", serde_json::to_string_pretty(&json)? + "\n")?;
     let joints = [&setup.rig.vs, &setup.rig.tc].map(|arm| arm.chain.joints());
@@ -98,7 +98,7 @@ fn provenance(made: &Made, setup: &Setup, simulated_s: f64) -> Vec<(String, Stri
     let compared: Vec<&str> = setup.compared.iter().map(|method| method.name()).collect();
     let images = match setup.real_cameras() {
         Some(cameras) => format!("{} and {}", cameras.stereo.left.name, cameras.stereo.right.name),
-        None if setup.leader.needs_pictures() => "rendered".to_owned(),
+        None if setup.leader.needs_images() => "rendered".to_owned(),
         None => "none".to_owned(),
     };
     let or = |list: String, nothing: &str| if list.is_empty() { nothing.to_owned() } else { list };
@@ -120,12 +120,8 @@ fn provenance(made: &Made, setup: &Setup, simulated_s: f64) -> Vec<(String, Stri
 
 fn page(outcome: &Outcome, summary: &RunSummary, world_from_axes: &UnitQuaternion<f64>) -> Report {
     let log = &outcome.log;
-    let strip: Vec<_> = outcome
-        .strip
-        .pictures
-        .iter()
-        .map(|(picture, caption)| (ReportPicture::Photo(picture), caption.clone()))
-        .collect();
+    let strip: Vec<_> =
+        outcome.strip.images.iter().map(|(image, caption)| (ReportImage::Photo(image), caption.clone())).collect();
     let report = Report::new("pb3dp: a hand follows an unknown object");
     let report = match &summary.ended_by {
         Some(failure) => report.heading("The run has ended before its time").paragraph(failure),
@@ -169,7 +165,7 @@ fn page(outcome: &Outcome, summary: &RunSummary, world_from_axes: &UnitQuaternio
         .paragraph("How many of the velocities the limiter of each arm changed, to keep its limits, and how many were refused.")
         .table(&commands::table(&summary.commands));
     let report = with_cycles(report, summary).heading("Errors over time").panels(&error_panels(log, summary));
-    with_pictures(with_drift(report, summary), &strip)
+    with_images(with_drift(report, summary), &strip)
         .heading("Supervisor")
         .paragraph(&summary.supervisor.paragraph())
         .table(&summary.supervisor.transition_table())
@@ -180,19 +176,19 @@ fn introduction(summary: &RunSummary) -> &'static str {
     if summary.without_truth {
         "The cameras are real: nobody knows where the target truly is, so there are no errors of hand and estimates here. Where target and \
          hand are is what the joints of the arms say."
-    } else if summary.without_pictures {
-        "No picture was rendered and none was looked at: what the controller was told is the true pose of the target at \
+    } else if summary.without_images {
+        "No image was rendered and none was looked at: what the controller was told is the true pose of the target at \
          mid-exposure with the noise that the configuration states (estimator.geometric), as long as both cameras have it in view. \
          Such a run says how the hand moves, and nothing of what a camera would see."
     } else {
         "At the marks the target begins to move as the configuration says. The hand that carries the two \
-         cameras knows nothing about it but the region marked in the first left picture, and keeps its place in front of it. Truth \
+         cameras knows nothing about it but the region marked in the first left image, and keeps its place in front of it. Truth \
          comes from the simulation."
     }
 }
 
-/// The strip of pictures, if there is one.
-fn with_pictures(report: Report, strip: &[(ReportPicture<'_>, String)]) -> Report {
+/// The strip of images, if there is one.
+fn with_images(report: Report, strip: &[(ReportImage<'_>, String)]) -> Report {
     if strip.is_empty() {
         return report;
     }
@@ -436,8 +432,8 @@ pub fn text_table(summary: &RunSummary) -> String {
     if summary.without_truth {
         text += "the cameras are real: nobody knows the truth, and how far hand and estimates are off\n";
     }
-    if summary.without_pictures {
-        text += "no picture was rendered: the estimates are the true poses with the noise of estimator.geometric\n";
+    if summary.without_images {
+        text += "no image was rendered: the estimates are the true poses with the noise of estimator.geometric\n";
     }
     text += &drift::text_lines(&summary.drift);
     text.push('\n');

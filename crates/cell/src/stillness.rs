@@ -1,4 +1,4 @@
-//! How far a picture has moved since the one before.
+//! How far an image has moved since the one before.
 //!
 //! Each of 3 x 3 blocks gets the shift that explains best, by least squares over its pixels, how luminance has changed (one step of
 //! Lucas and Kanade, 1981, on the whole block). For shifts below a pixel that is right to some thousandths where there is texture, and
@@ -10,7 +10,7 @@ use nalgebra::{Matrix2, Vector2};
 /// Blocks along each side: turns and single parts that move show in some of them.
 const BLOCKS: u32 = 3;
 
-/// The largest shift of a block, pixels; infinite for pictures of unequal size.
+/// The largest shift of a block, pixels; infinite for images of unequal size.
 pub fn shift_px(before: &RgbImage, after: &RgbImage) -> f64 {
     if before.dimensions() != after.dimensions() {
         return f64::INFINITY;
@@ -34,7 +34,7 @@ fn block_shift_px(
     let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());
     for y in rows {
         for x in columns.clone() {
-            // Both pictures share the gradient, so that it is that of the middle between them.
+            // Both images share the gradient, so that it is that of the middle between them.
             let mean = |x: u32, y: u32| 0.5 * (grey(before, x, y) + grey(after, x, y));
             let gradient = Vector2::new(mean(x + 1, y) - mean(x - 1, y), mean(x, y + 1) - mean(x, y - 1)) * 0.5;
             normal += gradient * gradient.transpose();
@@ -45,8 +45,8 @@ fn block_shift_px(
 }
 
 /// The channel that weighs most in luminance, and all that a grey camera has.
-fn grey(picture: &RgbImage, x: u32, y: u32) -> f64 {
-    f64::from(picture.get_pixel(x, y).0[1])
+fn grey(image: &RgbImage, x: u32, y: u32) -> f64 {
+    f64::from(image.get_pixel(x, y).0[1])
 }
 
 #[cfg(test)]
@@ -54,7 +54,7 @@ mod tests {
     use super::*;
 
     /// A pattern with texture in all blocks, moved by this, with noise of one or two grey levels.
-    fn picture([dx, dy]: [f64; 2], noise: u32) -> RgbImage {
+    fn image([dx, dy]: [f64; 2], noise: u32) -> RgbImage {
         RgbImage::from_fn(160, 120, |x, y| {
             let (u, v) = (f64::from(x) - dx, f64::from(y) - dy);
             let hash = (x.wrapping_mul(73_856_093) ^ y.wrapping_mul(19_349_663) ^ noise.wrapping_mul(83_492_791)) >> 7;
@@ -66,21 +66,21 @@ mod tests {
 
     #[test]
     fn shifts_are_measured_to_a_hundredth_of_a_pixel() {
-        let rest = picture([0.0; 2], 1);
+        let rest = image([0.0; 2], 1);
         for (moved, expected) in [([0.0; 2], 0.0), ([0.05, 0.0], 0.05), ([0.03, -0.04], 0.05), ([0.0, 0.5], 0.5)] {
-            let found = shift_px(&rest, &picture(moved, 2));
+            let found = shift_px(&rest, &image(moved, 2));
             assert!((found - expected).abs() < 0.02, "{moved:?}: {found}");
         }
     }
 
     #[test]
-    fn one_part_that_moves_is_enough_and_a_picture_without_texture_rests() {
-        let mut corner = picture([0.0; 2], 1);
-        let moved = picture([0.4, 0.0], 1);
+    fn one_part_that_moves_is_enough_and_a_image_without_texture_rests() {
+        let mut corner = image([0.0; 2], 1);
+        let moved = image([0.4, 0.0], 1);
         for (x, y, pixel) in moved.enumerate_pixels().filter(|(x, y, _)| *x < 53 && *y < 40) {
             corner.put_pixel(x, y, *pixel);
         }
-        let found = shift_px(&picture([0.0; 2], 2), &corner);
+        let found = shift_px(&image([0.0; 2], 2), &corner);
         assert!((0.3..0.5).contains(&found), "{found}");
         let plain = RgbImage::from_pixel(160, 120, image::Rgb([90; 3]));
         assert_eq!(shift_px(&plain, &plain), 0.0);

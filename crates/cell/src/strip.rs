@@ -1,4 +1,4 @@
-//! The strip of annotated stereo pictures in a run's report: the first frame, and one in each rest after a move out.
+//! The strip of annotated stereo images in a run's report: the first frame, and one in each rest after a move out.
 
 use image::RgbImage;
 use image::imageops::{FilterType, resize};
@@ -6,24 +6,24 @@ use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::FramePair;
 
-use crate::picture::{Annotation, annotate, polygon_px};
+use crate::annotation::{Annotation, annotate, polygon_px};
 
-/// Width of a stored picture, pixels.
+/// Width of a stored image, pixels.
 const WIDTH_PX: u32 = 800;
 
-/// Pictures with their captions.
+/// Images with their captions.
 #[derive(Default)]
 pub struct Strip {
-    /// Times at which a picture is still wanted, seconds, in order, with what happens then.
+    /// Times at which an image is still wanted, seconds, in order, with what happens then.
     wanted: Vec<(f64, String)>,
     /// What was taken.
-    pub pictures: Vec<(RgbImage, String)>,
+    pub images: Vec<(RgbImage, String)>,
 }
 
 impl Strip {
-    /// A strip of pictures at these times, seconds, in order, with what happens then.
+    /// A strip of images at these times, seconds, in order, with what happens then.
     pub fn of(moments: Vec<(f64, String)>) -> Self {
-        Self { wanted: moments, pictures: Vec::new() }
+        Self { wanted: moments, images: Vec::new() }
     }
 
     /// Takes this frame if its time has come.
@@ -38,10 +38,10 @@ impl Strip {
             label: format!("{t_s:.1} s  {}", estimate.status),
             status: estimate.status,
         };
-        let picture = annotate(&pair.left, &pair.right, rig, &[annotation]);
-        let height = WIDTH_PX * picture.height() / picture.width().max(1);
+        let image = annotate(&pair.left, &pair.right, rig, &[annotation]);
+        let height = WIDTH_PX * image.height() / image.width().max(1);
         let fitness = estimate.fitness.map_or(String::new(), |fitness| format!(", fitness {fitness:.2}"));
         let caption = format!("{t_s:.1} s, {what}: {}{fitness}", estimate.status);
-        self.pictures.push((resize(&picture, WIDTH_PX, height.max(1), FilterType::Triangle), caption));
+        self.images.push((resize(&image, WIDTH_PX, height.max(1), FilterType::Triangle), caption));
     }
 }

@@ -46,8 +46,9 @@ pub struct RunSummary {
     pub estimation_normal_deg: Option<MedianP95>,
     /// Whether nobody knows the truth: the errors of hand and estimates are not known.
     pub without_truth: bool,
-    /// Whether no picture was rendered: the estimates are the truth with noise.
-    pub without_pictures: bool,
+    /// Whether no image was rendered: the estimates are the truth with noise.
+    #[serde(rename = "without_pictures")]
+    pub without_images: bool,
     /// The leading method and those that looked on, side by side.
     pub methods: Vec<MethodSummary>,
     /// Frames seen.
@@ -129,7 +130,7 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
         estimation_depth_mm: MedianP95::of(&depth),
         estimation_normal_deg: MedianP95::of(&normal),
         without_truth: log.without_truth,
-        without_pictures: log.without_pictures,
+        without_images: log.without_images,
         methods: methods::summaries(log),
         frames: log.leading.frames.len(),
         frames_without_pose: log.leading.estimated.iter().filter(|pose| pose.is_none()).count(),

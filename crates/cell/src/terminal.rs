@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 /// Writes one line to standard output; a closed pipe is no error.
 ///
 /// # Errors
-/// If standard output can not be written for another reason.
+/// If standard output cannot be written for another reason.
 pub fn print_line(line: &str) -> io::Result<()> {
     match writeln!(io::stdout().lock(), "{line}") {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),

@@ -1,4 +1,4 @@
-//! An arm goes from pose to pose, and at each of them, when joints and pictures rest, a pair is taken: what a calibration is made of.
+//! An arm goes from pose to pose, and at each of them, when joints and images rest, a pair is taken: what a calibration is made of.
 //!
 //! The same parts as of a run, with limiter, guard and coupling, and the same loops; the other arm holds. Each way is straight in joint
 //! space and at rest at both ends. What has been taken is on disk before the arm goes on.
@@ -12,7 +12,7 @@ use anyhow::{Context, Result, bail};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Clock, FramePair, JointCommand};
 use pb3dp_kinematics::{Chain, DOF, JointVector};
-use pb3dp_record::images::{PictureFormat, save};
+use pb3dp_record::images::{StoredFormat, save};
 use pb3dp_record::stops::{ArmStand, Stop, Stops, save_stops};
 use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput};
 use pb3dp_setup::setup::{Pace, Setup};
@@ -34,9 +34,9 @@ const ARRIVED_WITHIN_RAD: f64 = 5e-4;
 const LATE_MAX: Duration = Duration::from_secs(3);
 /// Joints that move by less than this in the time below rest, rad: a few steps of a resolver.
 const RESTS_WITHIN_RAD: f64 = 2e-4;
-/// How long joints have to rest before pictures count: structures ring after a stop.
+/// How long joints have to rest before images count: structures ring after a stop.
 const SETTLE: Duration = Duration::from_millis(500);
-/// Pictures that move by less than this from one to the next rest, pixels.
+/// Images that move by less than this from one to the next rest, pixels.
 pub const STILL_WITHIN_PX: f64 = 0.05;
 /// Before the first way, and behind the last one.
 const LEAD: Duration = Duration::from_millis(500);
@@ -48,7 +48,7 @@ pub struct Tour {
     pub choice: ArmChoice,
     /// The ways.
     pub ways: Vec<Plan>,
-    /// How long pictures may take to rest; a stop that takes longer is left out.
+    /// How long images may take to rest; a stop that takes longer is left out.
     pub patience: Duration,
 }
 
@@ -75,13 +75,13 @@ impl Tour {
 pub struct Visited {
     /// Stops of which there is a pair.
     pub taken: usize,
-    /// Stops at which no picture rested in time, by number from 1.
+    /// Stops at which no image rested in time, by number from 1.
     pub restless: Vec<usize>,
     /// Whether the tour came to its end.
     pub is_whole: bool,
 }
 
-/// How far those who take pictures are, for the thread that moves.
+/// How far those who take images are, for the thread that moves.
 #[derive(Debug, Default)]
 struct Progress {
     /// Stops that are done with, from the first one on.
@@ -93,7 +93,7 @@ struct Progress {
 /// Makes a tour and writes its pairs with a `stops.toml` into a folder; both arms are stopped on every way out.
 ///
 /// # Errors
-/// If an arm or the camera fails for good, or something can not be written; what was taken before is kept.
+/// If an arm or the camera fails for good, or something cannot be written; what was taken before is kept.
 pub fn run(setup: &Setup, parts: Parts, tour: &Tour, folder: &Path, date: String) -> Result<Visited> {
     let Parts { clock, camera, vs, tc, cell, emulated, interrupt, .. } = parts;
     let progress = Progress::default();
@@ -130,7 +130,7 @@ pub fn run(setup: &Setup, parts: Parts, tour: &Tour, folder: &Path, date: String
 /// Takes one pair where both arms are, brakes on: nothing moves.
 ///
 /// # Errors
-/// As [`run`], and if no picture rests within `patience`.
+/// As [`run`], and if no image rests within `patience`.
 pub fn look_here(setup: &Setup, parts: Parts, patience: Duration, folder: &Path, date: String) -> Result<()> {
     let Parts { clock, camera, vs, tc, cell, emulated, interrupt, .. } = parts;
     let progress = Progress::default();
@@ -141,7 +141,7 @@ pub fn look_here(setup: &Setup, parts: Parts, patience: Duration, folder: &Path,
     while !interrupt.load(Ordering::SeqCst) {
         if clock.now().saturating_since(begin) > patience {
             bail!(
-                "no picture has rested within {patience:?}: the last one moved by {shift:.2} px, {STILL_WITHIN_PX} are allowed; let the rig come to rest"
+                "no image has rested within {patience:?}: the last one moved by {shift:.2} px, {STILL_WITHIN_PX} are allowed; let the rig come to rest"
             );
         }
         arms.look();
@@ -162,7 +162,7 @@ pub fn look_here(setup: &Setup, parts: Parts, patience: Duration, folder: &Path,
 
 fn pair_of(captured: Captured) -> Option<Arc<FramePair>> {
     match captured.view {
-        View::Pictures(pair) => Some(pair),
+        View::Images(pair) => Some(pair),
         View::Geometric(_) => None,
     }
 }
@@ -315,11 +315,11 @@ struct Watching<'a> {
     keeping: Keeping<'a>,
 }
 
-/// A camera that is not asked for pictures while the arm is under way, if a progress is given.
+/// A camera that is not asked for images while the arm is under way, if a progress is given.
 struct Looking<'a> {
     capturing: Capturing,
     unless_under_way: Option<&'a Progress>,
-    /// How long it waits in the place of a picture, where nobody else tells when the next one is due.
+    /// How long it waits in the place of an image, where nobody else tells when the next one is due.
     pause: Option<(&'a dyn Clock, Duration)>,
 }
 
@@ -442,7 +442,7 @@ impl<'a> Keeping<'a> {
     fn new(setup: &Setup, (folder, date): (&Path, String), progress: &'a Progress) -> Result<Self> {
         for side in ["left", "right"] {
             let folder = folder.join(side);
-            std::fs::create_dir_all(&folder).with_context(|| format!("{}: can not be created", folder.display()))?;
+            std::fs::create_dir_all(&folder).with_context(|| format!("{}: cannot be created", folder.display()))?;
         }
         let chains = [setup.rig.vs.chain.clone(), setup.rig.tc.chain.clone()];
         Ok(Self {
@@ -461,9 +461,9 @@ impl<'a> Keeping<'a> {
         }
         let name = |side: &str| format!("{side}/{:06}.png", still.stop);
         let (left, right) = (name("left"), name("right"));
-        for (file, picture) in [(&left, &still.pair.left), (&right, &still.pair.right)] {
+        for (file, image) in [(&left, &still.pair.left), (&right, &still.pair.right)] {
             let file = self.folder.join(file);
-            save(picture, &file, PictureFormat::QuickPng)?;
+            save(image, &file, StoredFormat::QuickPng)?;
         }
         let [vs, tc] = [(&self.chains[0], &still.vs_rad), (&self.chains[1], &still.tc_rad)].map(stand);
         self.taken.push(still.stop);
@@ -503,7 +503,7 @@ mod tests {
     const EXPOSURE: Duration = Duration::from_millis(4);
 
     /// A pattern that was moved by this.
-    fn picture(by_px: f64) -> RgbImage {
+    fn image(by_px: f64) -> RgbImage {
         RgbImage::from_fn(96, 72, |x, y| {
             let value = 120.0 + 60.0 * ((f64::from(x) - by_px) * 0.4).sin() * (f64::from(y) * 0.3).cos();
             image::Rgb([value.round() as u8; 3])
@@ -513,11 +513,11 @@ mod tests {
     fn frame(millis: u64, by_px: f64, skew_s: f64) -> Captured {
         let at = MonotonicTime::from_nanos(millis * 1_000_000);
         let black = FramePair::black(ImageSize { width: 96, height: 72 });
-        let pair = FramePair { left: picture(0.0), right: picture(by_px), ..black };
+        let pair = FramePair { left: image(0.0), right: image(by_px), ..black };
         Captured {
             frame: FrameInput { sequence: millis, at, skew_s },
             cam_left_from_target: None,
-            view: View::Pictures(Arc::new(pair)),
+            view: View::Images(Arc::new(pair)),
         }
     }
 
@@ -528,7 +528,7 @@ mod tests {
     }
 
     #[test]
-    fn only_pictures_that_rest_with_the_joints_count() {
+    fn only_images_that_rest_with_the_joints_count() {
         let mut resting = Resting { exposure: EXPOSURE, step: None, sums: Sums::default(), before: None };
         let mut judging = Judging(&mut resting);
         let taken = |judging: &mut Judging<'_>, frame: Captured| judging.look(frame).unwrap().1.map(|still| still.stop);
@@ -545,7 +545,7 @@ mod tests {
         assert_eq!(taken(&mut judging, frame(160, 0.3, 0.0)), None, "the hand still swings");
         judging.moved(&step(Some(3), 100, 0.3));
         let (_, still) = judging.look(frame(190, 0.3, 0.0)).unwrap();
-        let still = still.expect("both pictures and joints rest");
+        let still = still.expect("both images and joints rest");
         assert_eq!(still.stop, 3);
         // The mean of both measurements.
         assert!((still.vs_rad[0] - 0.2).abs() < 1e-12 && (still.tc_rad[6] + 0.2).abs() < 1e-12);

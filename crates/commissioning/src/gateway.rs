@@ -45,11 +45,11 @@ const HOST_CYCLE_MAX: Duration = Duration::from_millis(10);
 /// Runs the command until a signal ends it: then through the stop order.
 ///
 /// # Errors
-/// A configuration that is refused, a bus or port that can not be had, or a thread that died.
+/// A configuration that is refused, a bus or port that cannot be had, or a thread that died.
 pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
     let setup = read_gateway(&args.config, args.bus.as_deref(), args.host.as_deref())?;
     // Before any thread is started, which would end the program without a stop order.
-    let signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
+    let signals = StopSignals::take_over().context("the signals that end the program cannot be taken over")?;
     let host = host_side(&setup)?;
     let config = GatewayServerConfig { gateway: setup.gateway, realtime: setup.realtime };
     let arm = config.gateway.arm.0;
@@ -69,7 +69,7 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
     match watcher.join() {
         Ok(Ok(Some(signal))) => tracing::info!("{signal} has ended it, through the stop order"),
         Ok(Ok(None)) | Err(_) => {}
-        Ok(Err(error)) => return Err(error).context("the signals that end the program can not be read"),
+        Ok(Err(error)) => return Err(error).context("the signals that end the program cannot be read"),
     }
     log.tell_overruns();
     let dropped = server.events_dropped();

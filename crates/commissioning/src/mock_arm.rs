@@ -92,7 +92,7 @@ pub struct PoseDeg(pub [f64; DOF]);
 /// Runs the emulated arm until it is told to end.
 ///
 /// # Errors
-/// If an input can not be used, or the place where hosts are to find the arm is not to be had.
+/// If an input cannot be used, or the place where hosts are to find the arm is not to be had.
 pub fn run(args: &MockArmArgs) -> anyhow::Result<ExitCode> {
     let server = start(args)?;
     let address = server.address();
@@ -106,7 +106,7 @@ fn start(args: &MockArmArgs) -> anyhow::Result<MockServer> {
     let mut script = Script::default();
     if let Some(path) = &args.script {
         let text =
-            std::fs::read_to_string(path).with_context(|| format!("script {} can not be read", path.display()))?;
+            std::fs::read_to_string(path).with_context(|| format!("script {} cannot be read", path.display()))?;
         script = Script::parse(&text).with_context(|| format!("script {}", path.display()))?;
     }
     script.lines.extend(&args.fault);

@@ -51,7 +51,7 @@ pub enum EstimationError {
     #[error("undistortion failed")]
     Remap(#[from] pb3dp_geometry::maps::RemapError),
     /// The rig has no common image plane.
-    #[error("the pair can not be rectified")]
+    #[error("the pair cannot be rectified")]
     Rectification(#[from] pb3dp_geometry::RectificationError),
     /// A pixel has no ray, or a camera is malformed.
     #[error(transparent)]

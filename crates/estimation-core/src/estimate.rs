@@ -38,13 +38,13 @@ pub enum EstimateWarning {
     /// The caller's time was over before the method had done everything.
     #[error("cut short by the deadline: this is the best answer so far")]
     CutShort,
-    /// The rows of the two pictures are further apart than those of a calibrated rig.
+    /// The rows of the two images are further apart than those of a calibrated rig.
     #[error(
-        "rows of the right picture lie up to {offset_max_px:.1} px off: this is taken into account, but depth and normal rest \
+        "rows of the right image lie up to {offset_max_px:.1} px off: this is taken into account, but depth and normal rest \
          on the same calibration: see that both cameras are triggered at the same moment, or calibrate again"
     )]
     RowsOff {
-        /// Largest offset anywhere in the rectified pictures, pixels.
+        /// Largest offset anywhere in the rectified images, pixels.
         offset_max_px: f64,
     },
     /// The answer lies at an end of the depth range.
@@ -118,19 +118,19 @@ pub struct PlaneEstimate {
     pub warnings: Vec<EstimateWarning>,
     /// Centroid of the region's pixels, raw left image, pixels.
     pub centroid_px: Vector2<f64>,
-    /// The plane; `None` where the method can not say: status `not-observable`.
+    /// The plane; `None` where the method cannot say: status `not-observable`.
     pub pose: Option<PlanePose>,
     /// The best hypothesis, also where it decides nothing; its depth is on the ray of the model's centre, which for images
     /// with distortion differs from the centroid's ray by a fraction of a pixel. `None` if nothing was searched.
     pub psi: Option<PlaneHypothesis>,
     /// Fitness of `psi`, at most 1.
     pub fitness: Option<f64>,
-    /// Standard deviation of the depth, metres; `None`: the method can not say.
+    /// Standard deviation of the depth, metres; `None`: the method cannot say.
     pub z_sigma_m: Option<f64>,
-    /// Standard deviation of the normal, radians; `None`: the method can not say.
+    /// Standard deviation of the normal, radians; `None`: the method cannot say.
     pub normal_sigma_rad: Option<f64>,
     /// Covariance of `(z, theta_x, theta_y)` of the plane (metres and radians; see
-    /// [`PlaneHypothesis`] for the angles); `None`: the method can not say.
+    /// [`PlaneHypothesis`] for the angles); `None`: the method cannot say.
     pub plane_covariance: Option<Matrix3<f64>>,
     /// The other surface of a region that straddles a depth edge; `None` if none was found, or the method does not look.
     pub second_plane: Option<SecondPlane>,
@@ -211,7 +211,7 @@ pub struct TrackEstimate {
     /// measure the rotation about the normal holds it: the first axes, carried by the known motion of the camera and turned
     /// by the smallest rotation that brings z to the normal found.
     pub cam_left_from_model: Option<Pose<CamLeft, Model>>,
-    /// Covariance of the pose; `None`: the method can not say.
+    /// Covariance of the pose; `None`: the method cannot say.
     pub covariance: Option<Matrix6<f64>>,
     /// Best hypothesis, about the centre of this frame's region; `None` if nothing was searched, or the method has none.
     pub psi: Option<PlaneHypothesis>,

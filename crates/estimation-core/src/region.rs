@@ -1,7 +1,7 @@
 //! The operator's "this object": which pixels of the left image belong to the target.
 //!
 //! A region is given as a rectangle, a polygon, a mask or a click, and rasterised to a [`RegionMask`]. Coordinates are
-//! pixels of the raw left image, integer coordinates are pixel centres. Regions that can not serve are refused with a
+//! pixels of the raw left image, integer coordinates are pixel centres. Regions that cannot serve are refused with a
 //! [`RegionError`]; regions that may serve badly are told by [`RegionWarning`]s from [`Region::inspect`].
 
 use image::{GrayImage, RgbImage};
@@ -242,7 +242,7 @@ impl Region {
     /// The pixels of `left` that belong to the region. What lies outside the image is left out.
     ///
     /// # Errors
-    /// Regions that can not serve: off the image, too small, malformed; see [`RegionError`].
+    /// Regions that cannot serve: off the image, too small, malformed; see [`RegionError`].
     pub fn rasterize(&self, left: &RgbImage, config: &RegionConfig) -> Result<RegionMask, RegionError> {
         let mut mask = RegionMask::empty(ImageSize { width: 0, height: 0 });
         self.rasterize_into(left, config, &mut mask)?;

@@ -2,7 +2,7 @@
 //! and the same seed must give the same answer everywhere.
 //!
 //! They are made of sums, products, quotients and square roots alone, which IEEE 754 rounds alike everywhere. What follows
-//! from pictures to answer uses no other functions of an angle; nalgebra's own call the system library.
+//! from images to answer uses no other functions of an angle; nalgebra's own call the system library.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 

@@ -1,8 +1,8 @@
 //! What lies beyond the searched range of depths.
 //!
 //! A range that misses the target leaves the search nothing but what resembles it: one period of a repetitive texture further
-//! on, or chance. The range alone can not tell. The right picture can, where it shows the target: so a doubtful answer is
-//! compared with the best plane of all depths at which the right picture shows anything. Both are judged in the same way and
+//! on, or chance. The range alone cannot tell. The right image can, where it shows the target: so a doubtful answer is
+//! compared with the best plane of all depths at which the right image shows anything. Both are judged in the same way and
 //! on the same level, a coarser one than that of the search.
 
 use pb3dp_estimation_core::cpu::Kernels;
@@ -67,7 +67,7 @@ impl Beyond {
     ) -> Option<BeyondRange> {
         let searched_px = source.disparity_px;
         let region = source.region.bbox()?;
-        // From infinity to where the right picture ends.
+        // From infinity to where the right image ends.
         let lowest = -front_end.geometry().disparity_offset_px;
         let visible_px = DisparityRange { lowest, highest: f64::from(region.x + region.width) };
         let wide = PyramidSource { disparity_px: visible_px, search_area_px: AREA_MAX_PX, ..*source };

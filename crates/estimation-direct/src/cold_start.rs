@@ -237,7 +237,7 @@ impl ColdStart {
         })
     }
 
-    /// The best plane beyond the searched disparities, if what was found in the last pair leaves doubts and the right picture
+    /// The best plane beyond the searched disparities, if what was found in the last pair leaves doubts and the right image
     /// shows one; the other arguments are those of [`Self::run`].
     pub fn look_beyond(
         &mut self,
@@ -315,7 +315,7 @@ impl ColdStart {
         let level = &self.pyramid.levels()[self.searched];
         let scale = level.scale as f64;
         let own_px = plane.at(&self.pyramid.centroid_px());
-        // Nearer than this the right picture does not show the middle of the region.
+        // Nearer than this the right image does not show the middle of the region.
         let nearest_px = searched_px.highest.min(self.pyramid.centroid_px().x);
         let leaves_px = (own_px - searched_px.lowest).min(nearest_px - own_px).max(0.0);
         let places = (own_px / scale, infinity_px / scale);

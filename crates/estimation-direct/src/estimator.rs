@@ -19,7 +19,7 @@ use super::patches::PatchOutcome;
 use super::region_pyramid::PyramidSource;
 use super::row_measurement::measure_rows;
 use super::verdict::{
-    DirectVerdictConfig, SAME_PICTURE, Searched, Steeper, UNSEEN_CORRELATION_MIN, is_no_plane, judge, lies_beyond,
+    DirectVerdictConfig, SAME_IMAGE, Searched, Steeper, UNSEEN_CORRELATION_MIN, is_no_plane, judge, lies_beyond,
     may_be_unseen, nothing_found,
 };
 use crate::outcome::{ColdStartOutcome, Rival};
@@ -84,7 +84,7 @@ impl DirectEstimator {
     /// An estimator for a calibrated pair, rectified or not, with lens distortion or without.
     ///
     /// # Errors
-    /// A parameter out of its range, or a rig that can not be rectified.
+    /// A parameter out of its range, or a rig that cannot be rectified.
     pub fn new(rig: &StereoRig, config: DirectConfig) -> Result<Self, EstimationError> {
         Self::with_kernels(rig, config, Kernels::best())
     }
@@ -228,8 +228,8 @@ impl EstimationMethod for DirectEstimator {
         let centroid_px = self.mask.centroid_px().unwrap_or_default();
         let of_region = region.inspect_shape(&self.mask).into_iter().map(EstimateWarning::Region);
         let warnings = of_region.chain(self.rows_warning(right)).collect();
-        if is_same_picture(left, right) {
-            return Ok(PlaneEstimate { reason: SAME_PICTURE.to_owned(), warnings, ..self.blank(centroid_px) });
+        if is_same_image(left, right) {
+            return Ok(PlaneEstimate { reason: SAME_IMAGE.to_owned(), warnings, ..self.blank(centroid_px) });
         }
         let view = self.view(&centroid_px)?;
         let mask = self.front_end.rectified_region(&self.mask)?;
@@ -285,13 +285,13 @@ impl EstimationMethod for DirectEstimator {
 /// Rows that are further off than this tell of a calibration that does not hold, pixels. Chosen: those of real rigs stay below 0.6.
 const ROWS_OFF_MAX_PX: f64 = 1.5;
 
-/// Whether both pictures are one; two that show nothing, each of one colour, may well be equal.
-fn is_same_picture(left: &RgbImage, right: &RgbImage) -> bool {
+/// Whether both images are one; two that show nothing, each of one colour, may well be equal.
+fn is_same_image(left: &RgbImage, right: &RgbImage) -> bool {
     let shows_something = || left.pixels().any(|pixel| Some(pixel) != left.pixels().next());
     left.as_raw() == right.as_raw() && shows_something()
 }
 
-/// What speaks against a sure answer and lies outside of what was searched: depths at which the right picture does not show the
+/// What speaks against a sure answer and lies outside of what was searched: depths at which the right image does not show the
 /// region, and those beyond the range, where a plane may reach `score_max` of the answer's score.
 fn objection(
     cold_start: &mut ColdStart,
@@ -301,7 +301,7 @@ fn objection(
     (view, score_max): (&RawView, f64),
 ) -> Option<String> {
     let centre_px = cold_start.pyramid().centroid_px();
-    // From this disparity on, the middle of the region is out of the right picture.
+    // From this disparity on, the middle of the region is out of the right image.
     let leaves_px = centre_px.x;
     let correlation = outcome.finest.mean_correlation;
     if source.disparity_px.highest > leaves_px && correlation < UNSEEN_CORRELATION_MIN {
@@ -335,12 +335,12 @@ const CLEAR_CORRELATION_MIN: f64 = 0.9;
 
 /// The plane of an outcome with the covariance of `(d0, du, dv)`: between the refined plane, if the refinement came to rest near
 /// the patches' plane, and that of the patches. On real surfaces both err on their own and equally far, so the mean of both is
-/// better than either; but patches can not tell planes apart that are as near as they are precise, so the answer goes the less
+/// better than either; but patches cannot tell planes apart that are as near as they are precise, so the answer goes the less
 /// towards their plane the nearer it is. Where that is farther off, and they agree with the refined plane clearly less than with
 /// their own, the answer lies half-way. Where no plane fits, the answer is the one that explains the most disparities.
 ///
 /// Two planes of the same pixels that differ by `gap` and err on their own, equally far, have half of `gap gap^T` as variance
-/// each, and their mean a quarter. Where pictures hold no errors but noise (`is_exact`), that of the refinement is known to be
+/// each, and their mean a quarter. Where images hold no errors but noise (`is_exact`), that of the refinement is known to be
 /// the smaller one, and it is the answer if the patches agree with it.
 fn answer(outcome: &ColdStartOutcome, side_px: f64, is_exact: bool) -> (DisparityPlane, Option<Matrix3<f64>>) {
     let Some(refined) = &outcome.refined else {
@@ -410,7 +410,7 @@ fn disparity_range(view: &RawView, range: &SearchRange) -> DisparityRange {
 }
 
 /// Root mean square angle between the middle of a half-sphere and normals spread evenly over it, `sqrt(pi - 2)`, radians: a
-/// normal that faces the camera can not be known worse.
+/// normal that faces the camera cannot be known worse.
 const ANY_NORMAL_RAD: f64 = 1.0684;
 
 /// An answer is tilted beyond the range if it exceeds the limit by so many standard deviations. Chosen: 95 % of normal errors.

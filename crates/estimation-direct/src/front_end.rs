@@ -44,7 +44,7 @@ impl StereoFrontEnd {
     /// For a calibrated rig; computes the maps if it is not rectified, which takes some tens of milliseconds.
     ///
     /// # Errors
-    /// A rig that can not be rectified.
+    /// A rig that cannot be rectified.
     pub fn new(rig: &StereoRig, kernels: Kernels) -> Result<Self, EstimationError> {
         if rig.is_rectified() {
             return Ok(Self {

@@ -1,7 +1,7 @@
 //! Whether a region's texture repeats along its rows.
 //!
-//! A repetitive target fits the right picture one period off nearly as well as in its true place. Where that place is within
-//! the depth range the search compares both; where it is not, only the left picture can tell: if the region looks like its
+//! A repetitive target fits the right image one period off nearly as well as in its true place. Where that place is within
+//! the depth range the search compares both; where it is not, only the left image can tell: if the region looks like its
 //! own copy, moved along the rows, the place of the answer is one of several.
 //!
 //! On a tilted target a period is longer where it is nearer, so the copy is moved in proportion to the disparity (plus what

@@ -74,7 +74,7 @@ pub(super) struct Searched {
 /// Why the search found nothing to begin with.
 pub(super) fn nothing_found(range: &SearchRange) -> String {
     format!(
-        "at {:.0} to {:.0} mm the right picture shows nothing of the region: check the depth range (--z-range), the region and the calibration",
+        "at {:.0} to {:.0} mm the right image shows nothing of the region: check the depth range (--z-range), the region and the calibration",
         1e3 * range.z_min_m,
         1e3 * range.z_max_m
     )
@@ -90,21 +90,21 @@ pub(super) fn lies_beyond(z_m: Option<f64>, score_ratio: f64) -> String {
     )
 }
 
-/// Where some of the searched depths are out of the right picture's sight, the patches that agree must correlate so well: a texture that
+/// Where some of the searched depths are out of the right image's sight, the patches that agree must correlate so well: a texture that
 /// resembles itself correlates less with another part of it. Chosen; no sweep is on record.
 pub(super) const UNSEEN_CORRELATION_MIN: f64 = 0.75;
 
-/// What is said where the region may be at a depth nearer than `z_m`, at which the right picture does not show it.
+/// What is said where the region may be at a depth nearer than `z_m`, at which the right image does not show it.
 pub(super) fn may_be_unseen(z_m: f64, correlation: f64) -> String {
     format!(
-        "nearer than {:.0} mm the right picture would not show the middle of the region, and what it shows correlates by {correlation:.2} only (limit {UNSEEN_CORRELATION_MIN}): mark what both cameras see, or narrow the range (--z-range)",
+        "nearer than {:.0} mm the right image would not show the middle of the region, and what it shows correlates by {correlation:.2} only (limit {UNSEEN_CORRELATION_MIN}): mark what both cameras see, or narrow the range (--z-range)",
         1e3 * z_m
     )
 }
 
-/// What is said where both pictures are one.
-pub(super) const SAME_PICTURE: &str =
-    "left and right are the same picture: they say nothing of depth; check the file names or the cameras";
+/// What is said where both images are one.
+pub(super) const SAME_IMAGE: &str =
+    "left and right are the same image: they say nothing of depth; check the file names or the cameras";
 
 /// Why few pixels agree with one plane, and what to do.
 fn cause(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdictConfig) -> String {
@@ -120,7 +120,7 @@ fn cause(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdict
     }
     if outcome.unlimited.is_none_or(|(_, share)| share < ANY_SHARE_MIN) {
         return format!(
-            "at {:.0} to {:.0} mm the right picture shows nothing that matches: check the depth range (--z-range) and the calibration; noise and blur do the same",
+            "at {:.0} to {:.0} mm the right image shows nothing that matches: check the depth range (--z-range) and the calibration; noise and blur do the same",
             1e3 * range.z_min_m,
             1e3 * range.z_max_m
         );
@@ -128,7 +128,7 @@ fn cause(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdict
     "it is not flat, or shows several surfaces: mark a part that is flat".to_owned()
 }
 
-/// If no plane explains this share of the region, range, calibration or pictures are to blame. Chosen; no sweep is on record.
+/// If no plane explains this share of the region, range, calibration or images are to blame. Chosen; no sweep is on record.
 const ANY_SHARE_MIN: f64 = 0.1;
 
 /// Too little of a region has texture if its share is smaller than this. Chosen; no sweep is on record.

@@ -121,7 +121,7 @@ impl ObservabilityConfig {
 }
 
 impl ObservabilityConfig {
-    /// The status that the spreads of depth (relative) and normal (radians) near the answer allow, and why. It can not see
+    /// The status that the spreads of depth (relative) and normal (radians) near the answer allow, and why. It cannot see
     /// other peaks.
     pub fn verdict_nearby(&self, (depth_spread, tilt_spread_rad): (f64, f64)) -> Verdict {
         let (status, reason) = if depth_spread > self.depth_spread_sure {
@@ -363,7 +363,7 @@ impl LandscapeProbe {
         }
     }
 
-    /// Scores all hypotheses and drops those that can not be scored; returns how many of the first `coarse` remain.
+    /// Scores all hypotheses and drops those that cannot be scored; returns how many of the first `coarse` remain.
     fn score_whole<S: PlaneScore>(&mut self, score: &S, coarse: usize) -> usize {
         self.whole.clear();
         self.whole.resize(self.hypotheses.len(), REFUSED);

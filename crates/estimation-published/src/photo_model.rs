@@ -150,7 +150,7 @@ impl PhotoModel {
     }
 
     /// Share of the target's grid points that have a hue, 0 to 1; 0 for an empty model. Low on grey targets, where this
-    /// method can not work.
+    /// method cannot work.
     pub fn coloured_share(&self) -> f64 {
         self.inner.len() as f64 / self.inner_sampled.max(1) as f64
     }

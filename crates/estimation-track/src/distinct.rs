@@ -15,7 +15,7 @@ const ADAPTED: f64 = 8.0;
 /// A point: its pixel in the first view and its channels.
 type Point = ([f32; 2], [f32; CHANNELS]);
 
-/// How many independent points a target's texture is worth: two unrelated pictures of such texture correlate by chance with a
+/// How many independent points a target's texture is worth: two unrelated images of such texture correlate by chance with a
 /// variance of one over this number (Clifford, Richardson and Hemon 1989, for equal textures).
 ///
 /// Smooth and regular textures are worth few points, however many are looked at.

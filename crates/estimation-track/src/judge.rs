@@ -18,7 +18,7 @@ const SURFACE_CORRELATION_MIN: f64 = 0.85;
 /// Share of the points that the right image must show there. Chosen; no sweep is on record.
 const SURFACE_VISIBLE_MIN: f64 = 0.8;
 /// By how many standard deviations the correlation must be more than chance would show there: each patch of the relief is tried at many
-/// disparities. Chosen: without such a limit 8 of 15 regions in pairs of unrelated soft pictures were followed with `ok`.
+/// disparities. Chosen: without such a limit 8 of 15 regions in pairs of unrelated soft images were followed with `ok`.
 const SURFACE_BEYOND_CHANCE_MIN: f64 = 8.0;
 /// Images disagree if one of them fits at less than this share of the points that fit another. Chosen; no sweep is on record.
 const AGREEMENT_MIN: f64 = 0.85;

@@ -82,7 +82,7 @@ impl Sighting<'_> {
     }
 }
 
-/// Share of an outline's points that lie within the picture that shows fewer of them, hidden or not.
+/// Share of an outline's points that lie within the image that shows fewer of them, hidden or not.
 pub(super) fn in_sight(outline: &[Point3<f64>], pose: &Pose<CamLeft, Model>, rig: &StereoRig) -> f64 {
     let right_pose = *rig.cam_right_from_cam_left() * *pose;
     let eyes = [(rig.left(), pose.isometry()), (rig.right(), right_pose.isometry())];

@@ -106,7 +106,7 @@ impl Relief {
         self.fill();
     }
 
-    /// Standard deviation of each group's inverse depth, 1/m, for what a grid of patches can not say of a bent surface.
+    /// Standard deviation of each group's inverse depth, 1/m, for what a grid of patches cannot say of a bent surface.
     pub(super) fn depth_sigma(&self) -> impl Iterator<Item = f64> + '_ {
         self.patch_of_group.iter().map(|&patch| {
             let (mut sum, mut count) = (0.0, 0.0);

@@ -105,7 +105,7 @@ pub(super) enum Ending {
     OutOfSight,
     /// The target is expected in sight, and nothing resembles it.
     NothingAlike,
-    /// An eye (0 left, 1 right) delivers its last picture again.
+    /// An eye (0 left, 1 right) delivers its last image again.
     Stuck(usize),
     /// What resembles the target is farther from where it was than it can have moved, or resembles it too little for that.
     OutOfReach,

@@ -68,7 +68,7 @@ impl DirectTracker {
     /// A tracker for a calibrated pair, rectified or not, with lens distortion or without; `pair` is of its cold start.
     ///
     /// # Errors
-    /// A parameter out of its range, or a rig that can not be rectified.
+    /// A parameter out of its range, or a rig that cannot be rectified.
     pub fn new(rig: &StereoRig, pair: DirectConfig, config: DirectTrackerConfig) -> Result<Self, EstimationError> {
         Self::with_kernels(rig, pair, config, Kernels::best())
     }
@@ -171,7 +171,7 @@ impl DirectTracker {
     /// A new target, where the plane of its region is known to a few pixels of disparity.
     ///
     /// # Errors
-    /// Images that do not fit the calibration, a region that can not serve.
+    /// Images that do not fit the calibration, a region that cannot serve.
     pub fn start_from_plane(
         &mut self,
         left: &RgbImage,
@@ -392,14 +392,14 @@ impl DirectTracker {
         out.outline_px.clear();
         (out.cam_left_from_model, out.covariance) = (None, None);
         let Some(target) = &self.target else { return };
-        // Writing into a string can not fail.
+        // Writing into a string cannot fail.
         let _ = match ending {
             Ending::Misfit(misfit) => write!(out.reason, "{misfit}"),
             Ending::Stuck(eye) => {
                 let (stuck, other) = if eye == 0 { ("left", "right") } else { ("right", "left") };
                 write!(
                     out.reason,
-                    "the {stuck} picture is the last one again while the {other} one is new: check that camera"
+                    "the {stuck} image is the last one again while the {other} one is new: check that camera"
                 )
             }
             Ending::OutOfSight => {

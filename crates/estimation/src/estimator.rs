@@ -140,7 +140,7 @@ impl Estimator {
     /// Goes on with another rig, see [`EstimationMethod::set_rig`].
     ///
     /// # Errors
-    /// A rig that the method can not use.
+    /// A rig that the method cannot use.
     pub fn set_rig(&mut self, rig: &StereoRig) -> Result<(), EstimationError> {
         self.inner.set_rig(rig)
     }

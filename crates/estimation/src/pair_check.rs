@@ -1,13 +1,13 @@
-//! Whether two pictures fit the calibration that they came with.
+//! Whether two images fit the calibration that they came with.
 //!
-//! Sizes alone do not tell exchanged pictures or a calibration of another rig from the right ones, and a search on such
-//! input ends in a confusing status. So well-textured patches of the left picture are looked for in the right one, along
+//! Sizes alone do not tell exchanged images or a calibration of another rig from the right ones, and a search on such
+//! input ends in a confusing status. So well-textured patches of the left image are looked for in the right one, along
 //! the epipolar curve that the calibration predicts (distortion included) and beside it. The curve runs on through
-//! infinity to points behind the cameras: scenes are never there, but exchanged pictures look as if they were. What is
+//! infinity to points behind the cameras: scenes are never there, but exchanged images look as if they were. What is
 //! judged is the inverse depth and not the sign of `u_left - u_right`, which says nothing if the principal columns differ.
 //!
-//! Two things can not be seen: a wrong focal length or baseline, which moves matches along their curves only; and an
-//! exchange if the principal columns differ by more than half of the scene's disparities, because the exchanged pictures
+//! Two things cannot be seen: a wrong focal length or baseline, which moves matches along their curves only; and an
+//! exchange if the principal columns differ by more than half of the scene's disparities, because the exchanged images
 //! then lie in front of the cameras as well.
 //!
 //! Only distinctive matches count, and only those that agree about their distance from the curve; repeated or missing
@@ -39,23 +39,23 @@ const ROW_OFFSET_MAX_PX: f64 = 1.5;
 const BEHIND_MIN_PX: f64 = 2.0;
 /// If at least this share of the agreeing matches lies behind the cameras, something is wrong: no scene is there.
 const BEHIND_SHARE_MAX: f64 = 0.25;
-/// Pictures are unrelated if fewer than this share of the patches has an agreeing match.
+/// Images are unrelated if fewer than this share of the patches has an agreeing match.
 const FOUND_SHARE_MIN: f64 = 0.1;
 /// Patches are compared without turning them, so cameras may be turned about their axis by this, degrees.
 const ROLL_MAX_DEG: f64 = 5.0;
 
-/// What the pictures say about the calibration.
+/// What the images say about the calibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PairVerdict {
-    /// The pictures fit the calibration, as far as the patches can tell.
+    /// The images fit the calibration, as far as the patches can tell.
     Consistent,
-    /// The pictures do not fit, most often because they match behind the cameras, and are consistent once exchanged.
+    /// The images do not fit, most often because they match behind the cameras, and are consistent once exchanged.
     Swapped,
-    /// Patches match behind the cameras, and exchanging the pictures would not help.
+    /// Patches match behind the cameras, and exchanging the images would not help.
     BehindCameras,
     /// The patches match beside their epipolar lines.
     RowsDisagree {
-        /// Median distance, pixels of the right picture; positive is down.
+        /// Median distance, pixels of the right image; positive is down.
         offset_px: f64,
     },
     /// Hardly any patch is found where the calibration allows: other scene, other moment, or other cameras.
@@ -69,7 +69,7 @@ pub enum PairVerdict {
 pub struct PairCheck {
     /// The verdict.
     pub verdict: PairVerdict,
-    /// Well-textured patches of the left picture that were looked for.
+    /// Well-textured patches of the left image that were looked for.
     pub patches: usize,
     /// How many of them were found without a rival.
     pub matches: usize,
@@ -77,10 +77,10 @@ pub struct PairCheck {
     pub agreeing: usize,
     /// How many of the agreeing matches lie behind the cameras, by more than 2 px of disparity.
     pub behind: usize,
-    /// How many patches match in front of the cameras once the pictures are exchanged. Pictures that are consistent are
+    /// How many patches match in front of the cameras once the images are exchanged. Images that are consistent are
     /// not tried the other way around: 0.
     pub fitting_exchanged: usize,
-    /// Median distance of the agreeing matches from their epipolar lines, pixels of the right picture, positive is down.
+    /// Median distance of the agreeing matches from their epipolar lines, pixels of the right image, positive is down.
     pub row_offset_px: Option<f64>,
     /// Spread of these distances: 1.4826 times the median of their deviations from the median, pixels.
     pub row_spread_px: Option<f64>,
@@ -106,12 +106,12 @@ impl PairCheck {
     }
 }
 
-/// Compares a pair of pictures with the calibration it came with.
+/// Compares a stereo pair with the calibration it came with.
 ///
-/// Pictures whose sizes are not those of the rig are [`PairVerdict::Unknown`]: refuse them before.
+/// Images whose sizes are not those of the rig are [`PairVerdict::Unknown`]: refuse them before.
 pub fn check_pair(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> PairCheck {
-    let fits = |camera: &pb3dp_geometry::Camera, picture: &RgbImage| {
-        (camera.size().width, camera.size().height) == picture.dimensions()
+    let fits = |camera: &pb3dp_geometry::Camera, image: &RgbImage| {
+        (camera.size().width, camera.size().height) == image.dimensions()
     };
     if !fits(rig.left(), left) || !fits(rig.right(), right) || roll_deg(rig).abs() > ROLL_MAX_DEG {
         return PairCheck::unknown();
@@ -155,7 +155,7 @@ fn judge(patches: usize, matches: &[Match]) -> PairCheck {
 }
 
 impl PairCheck {
-    /// The verdict that follows from the figures, exchanged pictures apart.
+    /// The verdict that follows from the figures, exchanged images apart.
     fn judged(&self) -> PairVerdict {
         let agreeing = self.agreeing as f64;
         match self.row_offset_px {

@@ -11,23 +11,23 @@ use pb3dp_estimation_direct::cramer_rao::{
 use pb3dp_estimation_direct::disparity_plane::{DisparityPlane, RectifiedGeometry};
 use pb3dp_geometry::ImageSize;
 
-/// Two equal, parallel cameras; their axes meet the middles of their pictures.
+/// Two equal, parallel cameras; their axes meet the middles of their images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StereoHead {
     /// From one optical centre to the other, metres.
     pub baseline_m: f64,
     /// Focal length, pixels.
     pub focal_px: f64,
-    /// Of either picture.
+    /// Of either image.
     pub size: ImageSize,
 }
 
 /// How well the disparity of a single pixel is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PixelNoise {
-    /// From noise and texture of the pictures.
-    Picture {
-        /// Standard deviation of a pixel of either picture, grey levels.
+    /// From noise and texture of the images.
+    Image {
+        /// Standard deviation of a pixel of either image, grey levels.
         noise_grey: f64,
         /// Root mean square of the gradient along rows, all channels together, grey levels per pixel.
         gradient_grey_per_px: f64,
@@ -43,9 +43,7 @@ impl PixelNoise {
     /// Standard deviation of the disparity that one pixel tells, pixels.
     pub fn disparity_sigma_px(&self) -> f64 {
         match *self {
-            Self::Picture { noise_grey, gradient_grey_per_px } => {
-                pixel_disparity_sigma(noise_grey, gradient_grey_per_px)
-            }
+            Self::Image { noise_grey, gradient_grey_per_px } => pixel_disparity_sigma(noise_grey, gradient_grey_per_px),
             Self::Disparity { sigma_px } => sigma_px,
         }
     }
@@ -80,7 +78,7 @@ pub struct Lens {
 }
 
 impl Lens {
-    /// Focal length of the lens, metres, for a focal length in pixels: that of the picture, from the lens to the sensor, of
+    /// Focal length of the lens, metres, for a focal length in pixels: that of the image, from the lens to the sensor, of
     /// which the lens is nearer by what focusing takes.
     pub fn focal_m(&self, focal_px: f64) -> f64 {
         let to_sensor_m = focal_px * self.pixel_m;
@@ -97,9 +95,9 @@ impl Lens {
 /// Standard deviations of depth and normal of the target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlannedErrors {
-    /// What the noise of the pictures allows at best.
+    /// What the noise of the images allows at best.
     pub noise: PlaneSigma,
-    /// What calibration adds: the same in all pictures of one pose.
+    /// What calibration adds: the same in all images of one pose.
     pub calibration: PlaneSigma,
     /// Both.
     pub both: PlaneSigma,
@@ -118,7 +116,7 @@ pub struct PlannedView {
     pub overlap_share: f64,
     /// Side of the target, pixels.
     pub target_px: f64,
-    /// Of the target's pose; `None` if the target is not wholly in both pictures.
+    /// Of the target's pose; `None` if the target is not wholly in both images.
     pub errors: Option<PlannedErrors>,
     /// How far the target moves while light is gathered, pixels.
     pub blur_px: f64,
@@ -131,7 +129,7 @@ pub struct PlannedView {
 }
 
 impl StereoHead {
-    /// The geometry that pictures of this head have.
+    /// The geometry that images of this head have.
     pub fn geometry(&self) -> RectifiedGeometry {
         let middle = |pixels: u32| 0.5 * (f64::from(pixels) - 1.0);
         RectifiedGeometry {
@@ -147,7 +145,7 @@ impl StereoHead {
         [self.size.width, self.size.height].map(|pixels| 2.0 * (0.5 * f64::from(pixels) / self.focal_px).atan())
     }
 
-    /// The nearest distance at which a square of this side is wholly in both pictures, midway between the cameras, metres.
+    /// The nearest distance at which a square of this side is wholly in both images, midway between the cameras, metres.
     pub fn nearest_in_both_m(&self, target_m: f64) -> f64 {
         let across_m = self.focal_px * (target_m + self.baseline_m) / f64::from(self.size.width);
         let down_m = self.focal_px * target_m / f64::from(self.size.height);
@@ -205,7 +203,7 @@ mod tests {
     fn conditions() -> Conditions {
         Conditions {
             target_m: 0.11,
-            noise: PixelNoise::Picture { noise_grey: 3.0, gradient_grey_per_px: 8.0 },
+            noise: PixelNoise::Image { noise_grey: 3.0, gradient_grey_per_px: 8.0 },
             calibration_px: 0.1,
             speed_m_per_s: 0.08,
             exposure_s: 0.004,
@@ -242,7 +240,7 @@ mod tests {
 
     /// Corners of the square, projected by hand.
     #[test]
-    fn the_nearest_distance_is_where_a_corner_leaves_a_picture() {
+    fn the_nearest_distance_is_where_a_corner_leaves_a_image() {
         for (target_m, size) in [(0.11, HEAD.size), (0.11, ImageSize { width: 640, height: 200 })] {
             let head = StereoHead { size, ..HEAD };
             let nearest_m = head.nearest_in_both_m(target_m);

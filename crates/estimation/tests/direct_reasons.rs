@@ -28,7 +28,7 @@ fn texture(x: f64, y: f64) -> f64 {
     128.0 + waves.iter().map(|(u, v, phase)| 16.0 * (u * x + v * y + phase).sin()).sum::<f64>()
 }
 
-/// The pair of a texture in the right picture and disparities in the left one.
+/// The pair of a texture in the right image and disparities in the left one.
 fn pair(disparity_px: impl Fn(f64, f64) -> f64) -> (RgbImage, RgbImage) {
     let render = |at: &dyn Fn(f64, f64) -> f64| {
         RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| {
@@ -205,7 +205,7 @@ fn a_repetitive_target_outside_the_range_is_not_taken_for_its_alias() {
 }
 
 #[test]
-fn the_same_picture_twice_says_nothing() {
+fn the_same_image_twice_says_nothing() {
     let rig = scene::rectified_rig(SIZE);
     let scene =
         Scene { centre_px: Vector2::new(352.0, 236.0), z_m: 0.5, theta_x_rad: 0.2, theta_y_rad: -0.3, noise: 3.0 };
@@ -215,7 +215,7 @@ fn the_same_picture_twice_says_nothing() {
     for z_max_m in [100.0, 0.8] {
         let found = estimate(&rig, (&left, &left), &region, [0.35, z_max_m, 60.0]);
         assert_eq!(found.status, Status::NotObservable, "{}", found.reason);
-        assert!(found.pose.is_none() && found.reason.contains("the same picture"), "{}", found.reason);
+        assert!(found.pose.is_none() && found.reason.contains("the same image"), "{}", found.reason);
     }
 }
 
@@ -256,7 +256,7 @@ fn the_width_of_an_edge_is_not_taken_for_a_sure_slope() {
     assert!(wrong[0] == 0 && wrong[1] > 0, "sure and wrong: {}, and {} without", wrong[0], wrong[1]);
 }
 
-/// Rows that are off are corrected; so far off the calibration can not be trusted.
+/// Rows that are off are corrected; so far off the calibration cannot be trusted.
 #[test]
 fn rows_that_no_calibrated_rig_has_are_told() {
     let rig = scene::rectified_rig(SIZE);
@@ -279,7 +279,7 @@ fn rows_that_no_calibrated_rig_has_are_told() {
     }
 }
 
-/// The right picture holds the target out of range and, within it, something that only resembles it.
+/// The right image holds the target out of range and, within it, something that only resembles it.
 #[test]
 fn what_resembles_a_target_outside_the_range_is_not_taken_for_it() {
     let rig = scene::rectified_rig(SIZE);

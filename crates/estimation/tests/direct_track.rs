@@ -99,7 +99,7 @@ fn a_hidden_target_is_lost_and_found_again() {
         let estimate = run.update(None, 1.0 / 30.0);
         assert_eq!(estimate.status, Status::Lost, "frame {frame}");
         assert!(estimate.cam_left_from_model.is_none() && !estimate.reason.is_empty());
-        assert!(!estimate.reason.contains("sight"), "hidden in the middle of the picture: {}", estimate.reason);
+        assert!(!estimate.reason.contains("sight"), "hidden in the middle of the image: {}", estimate.reason);
     }
     let mut found_after = 0;
     for frame in 10..15 {
@@ -116,7 +116,7 @@ fn a_hidden_target_is_lost_and_found_again() {
 }
 
 /// With a twin in sight from the start a lost target is found again beside it, and the twin alone is not taken for it.
-/// A camera that delivers its last picture again and again: the pose would be wrong by more with every frame.
+/// A camera that delivers its last image again and again: the pose would be wrong by more with every frame.
 #[test]
 fn a_frozen_eye_is_no_evidence() {
     for frozen_eye in [0, 1] {
@@ -127,25 +127,21 @@ fn a_frozen_eye_is_no_evidence() {
             let pose = moving(f64::from(frame) / 30.0);
             let shot = Shot { cam_left_from_target: Some(pose), frame, right_gain: 0.9 };
             let (left, right) = render(&run.rig, &shot);
-            let mut pictures = [left, right];
+            let mut images = [left, right];
             if frame == 5 {
-                frozen = Some(pictures[frozen_eye].clone());
+                frozen = Some(images[frozen_eye].clone());
             }
             let is_frozen = (6..12).contains(&frame);
             if let Some(old) = frozen.as_ref().filter(|_| is_frozen) {
-                pictures[frozen_eye] = old.clone();
+                images[frozen_eye] = old.clone();
             }
             let prior = FramePrior { dt_s: Some(1.0 / 30.0), ..FramePrior::default() };
             let estimate =
-                run.tracker.estimate(EstimateRequest::of_next(&pictures[0], &pictures[1], &prior)).expect("update");
+                run.tracker.estimate(EstimateRequest::of_next(&images[0], &images[1], &prior)).expect("update");
             if is_frozen {
                 assert_eq!(estimate.status, Status::Lost, "eye {frozen_eye}, frame {frame}");
                 let name = ["left", "right"][frozen_eye];
-                assert!(
-                    estimate.reason.contains(&format!("the {name} picture is the last one")),
-                    "{}",
-                    estimate.reason
-                );
+                assert!(estimate.reason.contains(&format!("the {name} image is the last one")), "{}", estimate.reason);
             } else if !(6..=13).contains(&frame) {
                 assert_eq!(estimate.status, Status::Ok, "eye {frozen_eye}, frame {frame}: {}", estimate.reason);
                 let (distance_mm, angle_deg) = run.error(&estimate, &pose);
@@ -331,7 +327,7 @@ fn a_blank_wall_is_no_target() {
     assert!(next.status == Status::NotObservable && next.cam_left_from_model.is_none() && !next.reason.is_empty());
 }
 
-/// A picture with a sixth of its contrast, and noise of three grey levels.
+/// An image with a sixth of its contrast, and noise of three grey levels.
 fn faint(image: &image::RgbImage, seed: u64) -> image::RgbImage {
     let mut random = SplitMix64::new(seed);
     let mut faint = image.clone();

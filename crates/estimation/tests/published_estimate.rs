@@ -47,7 +47,7 @@ fn check_pose(rig: &StereoRig, estimate: &PlaneEstimate, (z_percent, normal_deg)
     assert!(z_error.abs() < z_percent, "z is {z_error:.2} % off: {estimate:?}");
     assert!(normal_error < normal_deg, "the normal is {normal_error:.1} degrees off: {estimate:?}");
     assert!((normal.norm() - 1.0).abs() < 1e-12 && normal.z < 0.0, "a unit normal towards the camera");
-    assert_eq!((estimate.z_sigma_m, estimate.normal_sigma_rad), (None, None), "the method can not say");
+    assert_eq!((estimate.z_sigma_m, estimate.normal_sigma_rad), (None, None), "the method cannot say");
     // The depth elsewhere on the plane follows from the same three numbers.
     let away = estimate.centroid_px + Vector2::new(31.0, -22.0);
     let depth_m = estimate.depth_at_pixel(&away).expect("in front");
@@ -173,7 +173,7 @@ fn the_reference_optimum_tells_how_wide_its_plateau_is() {
     let config = PublishedConfig { model: few, reference_optimum: true, ..PublishedConfig::default() };
     let found = estimate(&common::rectified_rig(), Look::SameHue, config);
     let ReferenceOptimum { psi, fitness, ties } = found.reference_optimum.expect("asked for");
-    // Everything has one hue: wherever the plane puts the region into the picture, all votes agree.
+    // Everything has one hue: wherever the plane puts the region into the image, all votes agree.
     assert_eq!((fitness, found.fitness), (1.0, Some(1.0)));
     assert_ne!(found.psi, Some(psi), "two of many that are equal");
     assert!(ties > 1 << 20 && ties <= 1 << 24, "{ties}");

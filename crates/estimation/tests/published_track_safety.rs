@@ -1,4 +1,4 @@
-//! What the published tracker must never claim: rivals in depth, regions that can not be re-centred, targets without hue.
+//! What the published tracker must never claim: rivals in depth, regions that cannot be re-centred, targets without hue.
 
 #![allow(clippy::expect_used)]
 
@@ -104,7 +104,7 @@ fn a_region_that_can_not_be_recentred_is_never_sure_after_the_first_frame() {
     for k in 1..=2 * ASSURE_FRAMES_MAX {
         let estimate = update(&mut tracker, &rig, Some(&pose(k)), Look::Speckled);
         assert_eq!(estimate.status, Status::Ambiguous, "{k}: {estimate:?}");
-        assert!(estimate.reason.contains("can not be re-centred"), "{}", estimate.reason);
+        assert!(estimate.reason.contains("cannot be re-centred"), "{}", estimate.reason);
     }
 }
 

@@ -56,7 +56,7 @@ fn reached_and_planned(paint: Paint, base: &Setup) -> ([[f64; 2]; 2], f64) {
         let head = StereoHead { baseline_m: setup.baseline_m, focal_px: 740.0, size: SIZE };
         let conditions = Conditions {
             target_m: (pixels as f64).sqrt() * setup.z_m / 740.0,
-            noise: PixelNoise::Picture { noise_grey: setup.noise_sigma, gradient_grey_per_px },
+            noise: PixelNoise::Image { noise_grey: setup.noise_sigma, gradient_grey_per_px },
             calibration_px: 0.0,
             speed_m_per_s: 0.0,
             exposure_s: 0.0,
@@ -71,7 +71,7 @@ fn reached_and_planned(paint: Paint, base: &Setup) -> ([[f64; 2]; 2], f64) {
     ([reached, planned].map(rms), gradients / POSES as f64)
 }
 
-/// The poses of all heads together know the rms of a depth to 14 % and that of a normal to 10 % (one sigma), hence 0.7; a picture
+/// The poses of all heads together know the rms of a depth to 14 % and that of a normal to 10 % (one sigma), hence 0.7; an image
 /// of finite resolution, and points left out, cost what is above 1.
 #[test]
 fn the_direct_method_reaches_what_was_planned_and_no_more() {

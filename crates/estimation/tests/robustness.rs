@@ -26,7 +26,7 @@ fn every_method_survives_any_pair() {
     survives_seeded_bytes("estimators", sweep(96, 960), 0..64, abuse::every_method_survives);
 }
 
-/// The extremes by name, so that no run misses them: every pattern, in pictures of 100, 1, 3 and 16 pixels.
+/// The extremes by name, so that no run misses them: every pattern, in images of 100, 1, 3 and 16 pixels.
 #[test]
 fn every_method_survives_the_classics() {
     for pattern in 0..9_u8 {

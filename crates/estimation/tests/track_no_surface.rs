@@ -1,4 +1,4 @@
-//! What is no surface is not tracked: two pictures that do not belong together, of soft texture.
+//! What is no surface is not tracked: two images that do not belong together, of soft texture.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
 use image::{Rgb, RgbImage};
@@ -15,7 +15,7 @@ use pb3dp_geometry::ImageSize;
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 
 /// Waves of 60 to 200 px without symmetry, others for every seed.
-fn soft_picture(seed: u32) -> RgbImage {
+fn soft_image(seed: u32) -> RgbImage {
     let mut random = SplitMix64::new(u64::from(seed));
     let waves: Vec<[f64; 3]> = (0..12)
         .map(|_| {
@@ -37,7 +37,7 @@ fn soft_texture_of_another_scene_is_not_taken_for_a_surface() {
     let mut tracker = DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).unwrap();
     let mut taken = Vec::new();
     for seed in 0..5 {
-        let (left, right) = (soft_picture(seed), soft_picture(seed + 100));
+        let (left, right) = (soft_image(seed), soft_image(seed + 100));
         for x in [72, 330, 480] {
             let region = Region::Rectangle { x, y: 120 + 20 * seed as i32, width: 40, height: 90 };
             let found = tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &range)).unwrap();

@@ -15,7 +15,7 @@ const NO_SOURCE: u32 = u32::MAX;
 
 /// For each pixel of a destination image, where in the source image it comes from, to 1/256 of a pixel.
 ///
-/// Destination pixels whose source lies outside the source image, or that the lens can not image, are *invalid*: the
+/// Destination pixels whose source lies outside the source image, or that the lens cannot image, are *invalid*: the
 /// remap functions set them to 0 and [`RemapTable::valid_mask`] tells which they are.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RemapTable {

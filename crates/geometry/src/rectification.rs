@@ -31,7 +31,7 @@ pub struct Rectification {
     pub cam_right_rect_from_cam_right: Pose<CamRightRect, CamRight>,
 }
 
-/// Why a rig can not be rectified.
+/// Why a rig cannot be rectified.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RectificationError {
     /// The baseline runs along the viewing direction.

@@ -21,7 +21,7 @@ pub fn hat(v: &Vector3<f64>) -> Matrix3<f64> {
 pub fn exp(phi: &Vector3<f64>) -> UnitQuaternion<f64> {
     let half_rad = 0.5 * phi.norm();
     let sinc = if half_rad < 1e-5 { 1.0 - half_rad * half_rad / 6.0 } else { half_rad.sin() / half_rad };
-    // Normalising removes the last rounding; the norm is 1 within a few ulp, so it can not fail.
+    // Normalising removes the last rounding; the norm is 1 within a few ulp, so it cannot fail.
     Unit::new_normalize(Quaternion::from_parts(half_rad.cos(), phi * (0.5 * sinc)))
 }
 

@@ -136,7 +136,7 @@ fn colour(ray: &Vector3<f64>) -> [f64; 3] {
 }
 
 /// The image that `camera`, turned by `world_from_cam`, takes of the colours.
-fn picture(camera: &Camera, turn: impl Fn(Vector3<f64>) -> Vector3<f64>) -> Vec<u8> {
+fn image(camera: &Camera, turn: impl Fn(Vector3<f64>) -> Vector3<f64>) -> Vec<u8> {
     let size = camera.size();
     let pixels = (0..size.height).flat_map(|v| (0..size.width).map(move |u| (u, v)));
     pixels
@@ -168,8 +168,8 @@ fn undistorted_image_is_the_image_of_the_ideal_camera() {
     for camera in [left_camera(), right_camera()] {
         let table = RemapTable::undistort(&camera);
         let mut got = vec![1; 3 * 320 * 240];
-        table.remap_rgb(&picture(&camera, |ray| ray), SIZE, &mut got).unwrap();
-        let valid = check_images(&table, &got, &picture(&camera.undistorted(), |ray| ray));
+        table.remap_rgb(&image(&camera, |ray| ray), SIZE, &mut got).unwrap();
+        let valid = check_images(&table, &got, &image(&camera.undistorted(), |ray| ray));
         assert!(valid > 0.98, "{valid}");
     }
 }
@@ -178,13 +178,13 @@ fn undistorted_image_is_the_image_of_the_ideal_camera() {
 fn rectified_image_is_the_image_of_the_rectified_camera() {
     let rectification = verged().rectify().unwrap();
     let mut got = vec![1; 3 * 320 * 240];
-    rectification.left.remap_rgb(&picture(verged().left(), |ray| ray), SIZE, &mut got).unwrap();
+    rectification.left.remap_rgb(&image(verged().left(), |ray| ray), SIZE, &mut got).unwrap();
     let back = rectification.cam_left_rect_from_cam_left.inverse();
-    let expected = picture(rectification.rig.left(), |ray| back.transform_vector(&ray));
+    let expected = image(rectification.rig.left(), |ray| back.transform_vector(&ray));
     assert!(check_images(&rectification.left, &got, &expected) > 0.8);
-    rectification.right.remap_rgb(&picture(verged().right(), |ray| ray), SIZE, &mut got).unwrap();
+    rectification.right.remap_rgb(&image(verged().right(), |ray| ray), SIZE, &mut got).unwrap();
     let back = rectification.cam_right_rect_from_cam_right.inverse();
-    let expected = picture(rectification.rig.right(), |ray| back.transform_vector(&ray));
+    let expected = image(rectification.rig.right(), |ray| back.transform_vector(&ray));
     assert!(check_images(&rectification.right, &got, &expected) > 0.8);
 }
 

@@ -54,7 +54,7 @@ pub struct ArmPart {
     pub capsule: Capsule,
 }
 
-/// Why parts can not be the shape of an arm.
+/// Why parts cannot be the shape of an arm.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ArmShapeError {
     /// No part at all: nothing would ever be too near.

@@ -26,7 +26,7 @@ pub struct Damping {
     factor_max: f64,
 }
 
-/// Why numbers can not be a damping.
+/// Why numbers cannot be a damping.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("damping {name} is {value}, it must be a positive, finite number")]
 pub struct DampingError {
@@ -96,7 +96,7 @@ impl SingularForm {
         values.into()
     }
 
-    /// Smallest singular value: 0 where the arm can not move in some direction. Units: see the module.
+    /// Smallest singular value: 0 where the arm cannot move in some direction. Units: see the module.
     pub fn smallest_value(&self) -> f64 {
         self.values()[5]
     }

@@ -12,7 +12,7 @@ pub struct JointLimits {
     velocity_max_rad_per_s: JointVector,
 }
 
-/// Why numbers can not be limits.
+/// Why numbers cannot be limits.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum JointLimitsError {
     /// The position range is empty or not finite.

@@ -12,12 +12,12 @@ const AXIS_LENGTH_TOLERANCE: f64 = 1e-4;
 /// With fewer joints a hand cannot turn and move in all directions.
 const JOINTS_MIN: usize = 6;
 
-/// Why a robot description can not be used.
+/// Why a robot description cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ChainError {
     /// The text is no URDF.
-    #[error("the robot description can not be read as URDF")]
+    #[error("the robot description cannot be read as URDF")]
     Parse(#[source] urdf_rs::UrdfError),
     /// A link that was asked for does not exist.
     #[error("robot `{robot}` has no link `{link}`; it has: {links}")]
@@ -49,7 +49,7 @@ pub enum ChainError {
         /// A joint that leads to it.
         joint: String,
     },
-    /// A joint of a kind that this chain can not have.
+    /// A joint of a kind that this chain cannot have.
     #[error("joint `{joint}` is {kind}; only revolute (with limits) and fixed joints are possible")]
     JointKind {
         /// Name of the joint.

@@ -31,8 +31,8 @@ pub struct RunArgs {
     /// Also write every stereo pair with its truth as a sequence folder, for `pb3dp track`.
     #[arg(long, value_name = "DIR")]
     pub record: Option<PathBuf>,
-    /// The target in the first left picture of real cameras; it goes before camera.region of the setup.
-    #[arg(long, value_name = "REGION", help = format!("The target in the first left picture of real cameras; it goes before camera.region of the setup: {REGION_HELP}"))]
+    /// The target in the first left image of real cameras; it goes before camera.region of the setup.
+    #[arg(long, value_name = "REGION", help = format!("The target in the first left image of real cameras; it goes before camera.region of the setup: {REGION_HELP}"))]
     pub region: Option<RegionSpec>,
     /// Move real arms by a calibration that says of itself that no cameras were measured (`calibration_quality`: none).
     #[arg(long)]
@@ -82,7 +82,7 @@ pub struct MethodArgs {
     /// End with exit code 3 if an answer has another status than `ok`.
     #[arg(long)]
     pub strict: bool,
-    /// Write pictures with region, re-projected model and pose axes into this folder; `track` also writes one animated PNG, sequence.png.
+    /// Write images with region, re-projected model and pose axes into this folder; `track` also writes one animated PNG, sequence.png.
     #[arg(long, value_name = "DIR")]
     pub overlay: Option<PathBuf>,
 }
@@ -93,37 +93,37 @@ const ESTIMATE_JSON: &str = "Lines of --json (one per case):
   status            ok, weak-tilt, ambiguous, not-observable or error
   z_mm              depth of the plane on the ray of the region's centroid, millimetres, or null
   normal            3 numbers or null: unit normal of the plane along the axes of the left camera, towards the camera
-  fitness           how well the pictures agree, at most 1, or null
+  fitness           how well the images agree, at most 1, or null
   z_sigma_mm        standard deviation of z_mm, or null
   normal_sigma_deg  standard deviation of the normal, degrees, or null
-  ms                CPU time of one thread from the pictures in memory to the pose, milliseconds
-  centroid_px       the point of the left picture on whose ray the depths are given
+  ms                CPU time of one thread from the images in memory to the pose, milliseconds
+  centroid_px       the point of the left image on whose ray the depths are given
   second_plane      z_mm, normal and share of another surface in the region, or null
   point_mm          3 numbers or null: where the plane meets the ray of centroid_px, in the left camera
   cam_left_from_model  16 numbers, row by row, or null: the frame of the model on the plane
   covariance        36 numbers, row by row, or null: of that frame, as in pb3dp track
-  row_offset_px     row of the right picture minus row of the left one (rectified), as measured, or null
+  row_offset_px     row of the right image minus row of the left one (rectified), as measured, or null
   reason            what led to the status
   warnings          what may make the answer worse than it looks";
 
 /// Arguments of `pb3dp estimate`.
 #[derive(Debug, Args)]
-#[command(after_long_help = ESTIMATE_JSON, group = ArgGroup::new("pictures").required(true).args(["cases", "left"]))]
+#[command(after_long_help = ESTIMATE_JSON, group = ArgGroup::new("images").required(true).args(["cases", "left"]))]
 pub struct EstimateArgs {
     /// Every case folder (one with a case.json) under DIR; the format is described in docs/dataset-format.md.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["left", "right", "calib", "region"])]
     pub cases: Option<PathBuf>,
-    /// The left picture (PNG or JPEG).
+    /// The left image (PNG or JPEG).
     #[arg(long, value_name = "FILE", requires_all = ["right", "calib", "region"])]
     pub left: Option<PathBuf>,
-    /// The right picture.
+    /// The right image.
     #[arg(long, value_name = "FILE", requires = "left")]
     pub right: Option<PathBuf>,
     /// Calibration: our calib.json, a Kalibr camchain, an OpenCV stereo YAML (or intrinsics,extrinsics), or a ROS camera_info pair (a folder, or two files with a comma between).
     #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',', requires = "left")]
     pub calib: Vec<PathBuf>,
-    /// The object in the left picture.
-    #[arg(long, value_name = "REGION", help = format!("The object in the left picture: {REGION_HELP}"), requires = "left")]
+    /// The object in the left image.
+    #[arg(long, value_name = "REGION", help = format!("The object in the left image: {REGION_HELP}"), requires = "left")]
     pub region: Option<RegionSpec>,
     /// Also search every hypothesis that a chromosome can express, so that search error and fitness error are told apart (slow; --method published only).
     #[arg(long)]
@@ -143,8 +143,8 @@ const TRACK_JSON: &str =
   cam_left_from_model  16 numbers, row by row, millimetres: maps the model's coordinates to the left camera's
   covariance           36 numbers, row by row, or null: of xi = (x, y, z in mm, then a rotation vector in radians), both
                        along the axes of the model, with true pose = cam_left_from_model * exp(xi)
-  fitness              how well the pictures agree, at most 1, or null
-  ms                   CPU time of one thread from the pictures in memory to the pose, milliseconds
+  fitness              how well the images agree, at most 1, or null
+  ms                   CPU time of one thread from the images in memory to the pose, milliseconds
   reason               what led to the status
   warnings             what may make the pose worse than it looks";
 
@@ -158,8 +158,8 @@ pub struct TrackArgs {
     /// Frames as fast as they are worked on, or at the times of the recording.
     #[arg(long, value_enum, default_value = "fast")]
     pub pace: ReplayPace,
-    /// Further targets in the left picture of frame 0, beside that of the sequence.
-    #[arg(long, value_name = "REGION", help = format!("A further target in the left picture of frame 0, beside that of the sequence; may be given more than once: {REGION_HELP}"))]
+    /// Further targets in the left image of frame 0, beside that of the sequence.
+    #[arg(long, value_name = "REGION", help = format!("A further target in the left image of frame 0, beside that of the sequence; may be given more than once: {REGION_HELP}"))]
     pub region: Vec<RegionSpec>,
     /// Write the recovered surface with its colours into this PLY file, in the frame of the model (direct only).
     #[arg(long, value_name = "FILE")]

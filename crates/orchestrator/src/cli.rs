@@ -64,7 +64,7 @@ pub struct Cli {
 pub enum Command {
     /// Run the whole loop: cameras, estimation, servo, arms.
     Run(RunArgs),
-    /// Estimate the pose of a region in stereo pictures.
+    /// Estimate the pose of a region in stereo images.
     Estimate(EstimateArgs),
     /// Track a region through a recorded stereo sequence.
     Track(TrackArgs),
@@ -78,13 +78,13 @@ pub enum Command {
     Gateway(GatewayArgs),
     /// The cameras of a rig: which there are, and what they can do (docs/rig.md).
     Cameras(CamerasArgs),
-    /// Calibrate cameras and stereo heads from pictures of a board, by the program pb3dp-calibrate (docs/calibration.md).
+    /// Calibrate cameras and stereo heads from images of a board, by the program pb3dp-calibrate (docs/calibration.md).
     Calibrate(CalibrateArgs),
     /// Plan a stereo head: what cameras, lenses and a baseline give (docs/rig.md).
     Rig(RigArgs),
     /// Show, check, compare and explain setups, or begin one.
     Config(ConfigArgs),
-    /// Check whether this machine can do what a rig asks of it, and say what to do where it can not (docs/rig.md).
+    /// Check whether this machine can do what a rig asks of it, and say what to do where it cannot (docs/rig.md).
     Doctor(DoctorArgs),
 }
 

@@ -1,6 +1,6 @@
 //! Logs: human text or JSON, on standard error, so that standard output carries results alone.
 //!
-//! A thread of its own writes them. Who has something to say may be the thread that moves an arm, takes a picture, or hears a signal:
+//! A thread of its own writes them. Who has something to say may be the thread that moves an arm, takes an image, or hears a signal:
 //! none of them waits for a reader that does not read.
 
 use std::io::{self, IsTerminal, Write};
@@ -89,7 +89,7 @@ pub fn init(format: LogFormat, filter: &str) -> anyhow::Result<Log> {
         LogFormat::Human => builder.compact().with_timer(WallTime).try_init(),
         LogFormat::Json => builder.json().try_init(),
     };
-    installed.map_err(|error| anyhow::anyhow!("the log writer can not be installed: {error}"))?;
+    installed.map_err(|error| anyhow::anyhow!("the log writer cannot be installed: {error}"))?;
     Ok(Log(()))
 }
 

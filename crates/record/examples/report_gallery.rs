@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use pb3dp_record::dataset::load_case;
 use pb3dp_record::overlay::{self, Animation, AnimationLimits, Stroke, TextStyle, colors};
-use pb3dp_record::report::{LinePlot, Report, ReportPicture, Series, SeriesColor, Table};
+use pb3dp_record::report::{LinePlot, Report, ReportImage, Series, SeriesColor, Table};
 
 /// A step of `height` that starts at `start_s` and takes two seconds.
 fn step(at_s: f64, start_s: f64, height: f64) -> f64 {
@@ -36,23 +36,23 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut animation = Animation::new(AnimationLimits { width_max_px: 480, frames_max: 20 });
     for (i, name) in ["bb201_c0", "bb204_c0", "bb207_c0", "bb209_c0"].into_iter().enumerate() {
         let case = load_case(&cases.join(name))?;
-        let mut pictures = case.load_pictures()?;
-        let left = &mut pictures.left;
+        let mut images = case.load_images()?;
+        let left = &mut images.left;
         overlay::fill_polygon(left, &case.region_polygon_left_px, colors::REGION, 0.25);
         overlay::polygon(left, &case.region_polygon_left_px, Stroke::of(colors::REGION));
         let [u, v] = case.region_centroid_px.unwrap_or_default();
         overlay::axes(left, [u, v], [[u + 60.0, v + 8.0], [u - 8.0, v + 60.0], [u + 25.0, v + 20.0]]);
         overlay::cross(left, [u, v], 9.0, Stroke::of(colors::ESTIMATE));
         overlay::text(left, [8.0, 8.0], &format!("{name}\ntilt 12.3°"), TextStyle::of(colors::ESTIMATE));
-        let both = overlay::side_by_side(&pictures.left, &pictures.right);
+        let both = overlay::side_by_side(&images.left, &images.right);
         animation.push(i as f64, &both);
         strip.push((both, format!("{name}: left with region and axes | right")));
     }
     let animated = file.with_extension("anim.png");
     animation.write(&animated)?;
     let animated = std::fs::read(animated)?;
-    let mut images: Vec<_> = strip.iter().map(|(p, caption)| (ReportPicture::Photo(p), caption.clone())).collect();
-    images.push((ReportPicture::EncodedPng(&animated), "the same, animated".into()));
+    let mut images: Vec<_> = strip.iter().map(|(p, caption)| (ReportImage::Photo(p), caption.clone())).collect();
+    images.push((ReportImage::EncodedPng(&animated), "the same, animated".into()));
     let panels: Vec<_> = (0..6).map(panel).collect();
     let fitness = (0..60_000).map(|i| [f64::from(i) * 0.001, 0.8 + 0.1 * (f64::from(i) * 0.37).sin()]).collect();
     let table = Table::new(["axis", "rms, mm", "max, mm", "lag, ms"]).row(["x", "1.20", "4.81", "212"]).row([
@@ -62,7 +62,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         "208",
     ]);
     Report::new("What a report can hold")
-        .paragraph("Figures, a table, six panels with marks, a long series, pictures. The curves are made up.")
+        .paragraph("Figures, a table, six panels with marks, a long series, images. The curves are made up.")
         .figures(&[
             ("position rms", "1.20 mm".into()),
             ("orientation rms", "0.41\u{b0}".into()),
@@ -79,7 +79,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 .series(Series::line("limit", SeriesColor::Orange, vec![[0.0, 0.6], [60.0, 0.6]]).dashed())
                 .y_range(0.0, 1.0),
         )
-        .heading("Pictures")
+        .heading("Images")
         .images(&images)
         .write(&file)?;
     Ok(())

@@ -1,8 +1,8 @@
-//! Pictures in files: loading with errors that name the file, and encoding.
+//! Images in files: loading with errors that name the file, and encoding.
 //!
-//! Everything inside is 8-bit sRGB without alpha. Grey pictures are expanded to three equal channels. Pictures with
+//! Everything inside is 8-bit sRGB without alpha. Grey images are expanded to three equal channels. Images with
 //! 16 bits per channel are refused, because the file does not say which part of the range is in use (a 12-bit camera's
-//! picture would come out black); transparent pixels are refused, because they have no colour.
+//! image would come out black); transparent pixels are refused, because they have no colour.
 
 use std::fmt;
 use std::io::Cursor;
@@ -13,9 +13,9 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{DynamicImage, ImageEncoder, ImageFormat, ImageReader, RgbImage};
 use pb3dp_geometry::ImageSize;
 
-/// Why a picture file can not be used.
+/// Why an image file cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[error("picture {}: {problem}", file.display())]
+#[error("image {}: {problem}", file.display())]
 pub struct ImageFileError {
     /// The file.
     pub file: PathBuf,
@@ -25,7 +25,7 @@ pub struct ImageFileError {
     source: Option<Box<dyn std::error::Error + Send + Sync>>,
 }
 
-/// Which check a picture file failed.
+/// Which check an image file failed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ImageProblem {
@@ -33,7 +33,7 @@ pub enum ImageProblem {
     Missing,
     /// It is a folder.
     Folder,
-    /// The file can not be read or written.
+    /// The file cannot be read or written.
     Io,
     /// It is neither PNG nor JPEG.
     UnknownFormat,
@@ -41,7 +41,7 @@ pub enum ImageProblem {
     Damaged,
     /// The size is not the expected one.
     Size {
-        /// Size of the picture.
+        /// Size of the image.
         found: ImageSize,
         /// Size that was asked for.
         expected: ImageSize,
@@ -55,7 +55,7 @@ pub enum ImageProblem {
     },
     /// Some pixels are not opaque.
     Transparent,
-    /// It is not the 16-bit grey picture that a disparity map must be.
+    /// It is not the 16-bit grey image that a disparity map must be.
     NotDisparity {
         /// The pixel format found.
         found: String,
@@ -66,13 +66,13 @@ impl fmt::Display for ImageProblem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Missing => write!(f, "no such file; check the name and the folder"),
-            Self::Folder => write!(f, "is a folder; name the picture file in it"),
-            Self::Io => write!(f, "can not be read or written; check permissions and free space"),
+            Self::Folder => write!(f, "is a folder; name the image file in it"),
+            Self::Io => write!(f, "cannot be read or written; check permissions and free space"),
             Self::UnknownFormat => write!(f, "neither PNG nor JPEG; convert it"),
             Self::Damaged => write!(f, "truncated or damaged; copy or record it again"),
             Self::Size { found, expected, because_of } => write!(
                 f,
-                "is {}x{} pixels, but {because_of} has {}x{}; use pictures of one size, or the calibration of this size",
+                "is {}x{} pixels, but {because_of} has {}x{}; use images of one size, or the calibration of this size",
                 found.width, found.height, expected.width, expected.height
             ),
             Self::Depth { found } => write!(f, "has pixels of type {found}; convert it to 8 bits per channel"),
@@ -107,9 +107,9 @@ impl ImageFileError {
     }
 }
 
-/// Size of a picture.
-pub fn size_of(picture: &RgbImage) -> ImageSize {
-    ImageSize { width: picture.width(), height: picture.height() }
+/// Size of an image.
+pub fn size_of(image: &RgbImage) -> ImageSize {
+    ImageSize { width: image.width(), height: image.height() }
 }
 
 /// Loads a PNG or JPEG file as 8-bit RGB.
@@ -117,12 +117,12 @@ pub fn size_of(picture: &RgbImage) -> ImageSize {
 /// # Errors
 /// A missing, unreadable, damaged or truncated file, 16-bit or transparent pixels.
 pub fn load_rgb(file: &Path) -> Result<RgbImage, ImageFileError> {
-    let picture = decode(file)?;
-    match picture {
+    let image = decode(file)?;
+    match image {
         DynamicImage::ImageRgb8(rgb) => Ok(rgb),
-        DynamicImage::ImageLuma8(_) => Ok(picture.into_rgb8()),
-        DynamicImage::ImageLumaA8(ref pixels) if pixels.pixels().all(|p| p.0[1] == 255) => Ok(picture.into_rgb8()),
-        DynamicImage::ImageRgba8(ref pixels) if pixels.pixels().all(|p| p.0[3] == 255) => Ok(picture.into_rgb8()),
+        DynamicImage::ImageLuma8(_) => Ok(image.into_rgb8()),
+        DynamicImage::ImageLumaA8(ref pixels) if pixels.pixels().all(|p| p.0[1] == 255) => Ok(image.into_rgb8()),
+        DynamicImage::ImageRgba8(ref pixels) if pixels.pixels().all(|p| p.0[3] == 255) => Ok(image.into_rgb8()),
         DynamicImage::ImageLumaA8(_) | DynamicImage::ImageRgba8(_) => {
             Err(ImageFileError::new(file, ImageProblem::Transparent))
         }
@@ -135,13 +135,13 @@ pub fn load_rgb(file: &Path) -> Result<RgbImage, ImageFileError> {
 /// # Errors
 /// As [`load_rgb`], and [`ImageProblem::Size`].
 pub fn load_rgb_of_size(file: &Path, expected: ImageSize, because_of: &str) -> Result<RgbImage, ImageFileError> {
-    let picture = load_rgb(file)?;
-    let found = size_of(&picture);
+    let image = load_rgb(file)?;
+    let found = size_of(&image);
     if found != expected {
         let because_of = because_of.to_owned();
         return Err(ImageFileError::new(file, ImageProblem::Size { found, expected, because_of }));
     }
-    Ok(picture)
+    Ok(image)
 }
 
 fn decode(file: &Path) -> Result<DynamicImage, ImageFileError> {
@@ -151,7 +151,7 @@ fn decode(file: &Path) -> Result<DynamicImage, ImageFileError> {
     match reader.format() {
         None if bytes.is_empty() => return Err(ImageFileError::new(file, ImageProblem::Damaged)),
         Some(ImageFormat::Png) => {}
-        // The decoder fills what is missing of a JPEG with grey; stale or invented pixels must not pass as a picture.
+        // The decoder fills what is missing of a JPEG with grey; stale or invented pixels must not pass as an image.
         Some(ImageFormat::Jpeg) if !jpeg_is_complete(&bytes) => {
             return Err(ImageFileError::new(file, ImageProblem::Damaged));
         }
@@ -238,12 +238,12 @@ impl DisparityMap {
     }
 }
 
-/// How a recorder stores pictures.
+/// How a recorder stores images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PictureFormat {
+pub enum StoredFormat {
     /// Lossless, as small as it gets.
     Png,
-    /// Lossless, for pictures that come one after another: several times as fast as [`Self::Png`], and larger.
+    /// Lossless, for images that come one after another: several times as fast as [`Self::Png`], and larger.
     QuickPng,
     /// Smaller, lossy.
     Jpeg {
@@ -252,7 +252,7 @@ pub enum PictureFormat {
     },
 }
 
-impl PictureFormat {
+impl StoredFormat {
     /// The file name's extension.
     pub fn extension(self) -> &'static str {
         match self {
@@ -262,36 +262,36 @@ impl PictureFormat {
     }
 }
 
-/// Encodes a picture in memory.
+/// Encodes an image in memory.
 ///
 /// # Errors
-/// Only if the picture is empty or too large for the format.
-pub fn encode(picture: &RgbImage, format: PictureFormat) -> Result<Vec<u8>, image::ImageError> {
+/// Only if the image is empty or too large for the format.
+pub fn encode(image: &RgbImage, format: StoredFormat) -> Result<Vec<u8>, image::ImageError> {
     let mut bytes = Vec::new();
-    let (width, height) = picture.dimensions();
+    let (width, height) = image.dimensions();
     let mut png = |compression, filter| {
         PngEncoder::new_with_quality(&mut bytes, compression, filter).write_image(
-            picture.as_raw(),
+            image.as_raw(),
             width,
             height,
             image::ExtendedColorType::Rgb8,
         )
     };
     match format {
-        PictureFormat::Png => png(CompressionType::Default, FilterType::Adaptive)?,
-        PictureFormat::QuickPng => png(CompressionType::Fast, FilterType::Adaptive)?,
-        PictureFormat::Jpeg { quality } => JpegEncoder::new_with_quality(&mut bytes, quality.clamp(1, 100))
-            .write_image(picture.as_raw(), width, height, image::ExtendedColorType::Rgb8)?,
+        StoredFormat::Png => png(CompressionType::Default, FilterType::Adaptive)?,
+        StoredFormat::QuickPng => png(CompressionType::Fast, FilterType::Adaptive)?,
+        StoredFormat::Jpeg { quality } => JpegEncoder::new_with_quality(&mut bytes, quality.clamp(1, 100))
+            .write_image(image.as_raw(), width, height, image::ExtendedColorType::Rgb8)?,
     }
     Ok(bytes)
 }
 
-/// Writes a picture file.
+/// Writes an image file.
 ///
 /// # Errors
-/// If the picture can not be encoded or the file can not be written.
-pub fn save(picture: &RgbImage, file: &Path, format: PictureFormat) -> Result<(), ImageFileError> {
-    let bytes = encode(picture, format).map_err(|e| ImageFileError::caused_by(file, ImageProblem::Io, e))?;
+/// If the image cannot be encoded or the file cannot be written.
+pub fn save(image: &RgbImage, file: &Path, format: StoredFormat) -> Result<(), ImageFileError> {
+    let bytes = encode(image, format).map_err(|e| ImageFileError::caused_by(file, ImageProblem::Io, e))?;
     std::fs::write(file, bytes).map_err(|e| ImageFileError::io(file, e))
 }
 
@@ -314,11 +314,11 @@ mod tests {
     fn png_survives_a_round_trip_and_jpeg_comes_close() {
         let dir = tempfile::tempdir().unwrap();
         let (png, jpg) = (dir.path().join("a.png"), dir.path().join("b.jpg"));
-        save(&gradient(), &png, PictureFormat::Png).unwrap();
+        save(&gradient(), &png, StoredFormat::Png).unwrap();
         assert_eq!(load_rgb(&png).unwrap(), gradient());
-        save(&gradient(), &png, PictureFormat::QuickPng).unwrap();
+        save(&gradient(), &png, StoredFormat::QuickPng).unwrap();
         assert_eq!(load_rgb(&png).unwrap(), gradient());
-        save(&gradient(), &jpg, PictureFormat::Jpeg { quality: 95 }).unwrap();
+        save(&gradient(), &jpg, StoredFormat::Jpeg { quality: 95 }).unwrap();
         let difference: u64 =
             load_rgb(&jpg).unwrap().iter().zip(gradient().iter()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
         assert!(difference / (37 * 23 * 3) < 20);
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn sixteen_bits_are_refused_for_pictures_and_required_for_disparity() {
+    fn sixteen_bits_are_refused_for_images_and_required_for_disparity() {
         let dir = tempfile::tempdir().unwrap();
         let deep = dir.path().join("deep.png");
         ImageBuffer::<Luma<u16>, _>::from_raw(3, 2, vec![0_u16, 64, 96, 6400, 1, 65535]).unwrap().save(&deep).unwrap();
@@ -349,7 +349,7 @@ mod tests {
             [None, Some(1.0), Some(1.5), Some(100.0), None]
         );
         let flat = dir.path().join("flat.png");
-        save(&gradient(), &flat, PictureFormat::Png).unwrap();
+        save(&gradient(), &flat, StoredFormat::Png).unwrap();
         let error = DisparityMap::load(&flat).unwrap_err();
         assert_eq!(error.problem, ImageProblem::NotDisparity { found: "Rgb8".into() });
     }
@@ -357,7 +357,7 @@ mod tests {
     #[test]
     fn a_file_cut_at_any_place_is_refused() {
         let dir = tempfile::tempdir().unwrap();
-        for format in [PictureFormat::Png, PictureFormat::Jpeg { quality: 90 }] {
+        for format in [StoredFormat::Png, StoredFormat::Jpeg { quality: 90 }] {
             let whole = encode(&gradient(), format).unwrap();
             let file = dir.path().join(format!("cut.{}", format.extension()));
             for length in (0..whole.len()).step_by(7) {
@@ -377,10 +377,10 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         assert_eq!(problem(load_rgb(&dir.path().join("none.png")), "none.png"), ImageProblem::Missing);
         let text = dir.path().join("text.png");
-        std::fs::write(&text, "this is no picture").unwrap();
+        std::fs::write(&text, "this is no image").unwrap();
         assert_eq!(problem(load_rgb(&text), "text.png"), ImageProblem::UnknownFormat);
         let file = dir.path().join("small.png");
-        save(&gradient(), &file, PictureFormat::Png).unwrap();
+        save(&gradient(), &file, StoredFormat::Png).unwrap();
         let error = load_rgb_of_size(&file, ImageSize { width: 640, height: 480 }, "the calibration").unwrap_err();
         let message = error.to_string();
         for part in ["small.png", "37x23", "640x480", "the calibration"] {

@@ -36,8 +36,8 @@ pub enum PointCloudError {
         /// Which point.
         index: usize,
     },
-    /// The file can not be written.
-    #[error("{}: can not be written", file.display())]
+    /// The file cannot be written.
+    #[error("{}: cannot be written", file.display())]
     Write {
         /// The file.
         file: PathBuf,
@@ -52,7 +52,7 @@ const BYTES: [&str; 3] = ["red", "green", "blue"];
 /// Writes a cloud whose coordinates are in the frame `F`.
 ///
 /// # Errors
-/// A point that is not finite, or a file that can not be written.
+/// A point that is not finite, or a file that cannot be written.
 pub fn write_ply<F: Frame>(file: &Path, points: &[SurfacePoint]) -> Result<(), PointCloudError> {
     let is_finite = |point: &SurfacePoint| point.position_m.iter().chain(point.normal.iter()).all(|x| x.is_finite());
     if let Some(index) = points.iter().position(|point| !is_finite(point)) {

@@ -242,7 +242,7 @@ fn what_a_format_can_not_hold_is_refused_on_writing() {
     let path = tempfile::tempdir().unwrap().path().join("camchain.yaml");
     let error = save_kalibr(&rig([FOUR, FIVE]), &path).unwrap_err();
     assert!(
-        error.to_string().contains("Kalibr camchain can not hold this calibration: its radtan model has no k3"),
+        error.to_string().contains("Kalibr camchain cannot hold this calibration: its radtan model has no k3"),
         "{error}"
     );
     assert!(!path.exists());
@@ -335,7 +335,7 @@ proptest! {
 }
 
 #[test]
-fn the_two_files_of_opencvs_stereo_sample_get_their_size_from_the_pictures() {
+fn the_two_files_of_opencvs_stereo_sample_get_their_size_from_the_images() {
     let text = std::fs::read_to_string(data("opencv_4_14_stereo.yaml")).unwrap();
     let whole = load_stereo(&[data("opencv_4_14_stereo.yaml")]).unwrap();
     let size = whole.rig.left().size();

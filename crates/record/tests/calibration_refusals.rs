@@ -168,14 +168,14 @@ fn files_that_are_no_calibrations() {
     assert!(none.starts_with("0 calibration files were named"), "{none}");
     let missing = load_stereo(&[PathBuf::from("no/such/calib.yaml")]).unwrap_err();
     assert!(matches!(missing, CalibrationFileError::Read { .. }));
-    assert!(missing.to_string().starts_with("no/such/calib.yaml: can not be read: "), "{missing}");
+    assert!(missing.to_string().starts_with("no/such/calib.yaml: cannot be read: "), "{missing}");
     let empty = tempfile::tempdir().unwrap();
     let error = load_stereo(&[empty.path().to_path_buf()]).unwrap_err().to_string();
     let expected = "holds neither left.yaml and right.yaml nor calib.json: name the file of the calibration itself";
     assert!(error.ends_with(expected), "{error}");
     fs::copy(data("ros_pair/left.yaml"), empty.path().join("left.yaml")).unwrap();
     let error = load_stereo(&[empty.path().to_path_buf()]).unwrap_err().to_string();
-    assert!(error.contains("right.yaml: can not be read: "), "{error}");
+    assert!(error.contains("right.yaml: cannot be read: "), "{error}");
     let other = [("robot.yaml", "speed: 3\ngain: 4\n")];
     check(&other, 0, "gain", "gain", ["robot.yaml: no stereo calibration", "top-level keys: gain, speed"]);
     for format in ["ROS camera_info", "Kalibr camchain", "OpenCV stereo YAML", "calib.json"] {
@@ -183,7 +183,7 @@ fn files_that_are_no_calibrations() {
     }
     check(&[("x.yaml", "just words")], 0, "just", "", ["x.yaml: no stereo calibration", "top-level keys: none"]);
     let long = format!("cam0: {}", "x".repeat(2 << 20));
-    check(&[("x.yaml", &long)], 0, "cam0", "cam0", ["x.yaml: can not be read", "longer than 1048576 bytes"]);
+    check(&[("x.yaml", &long)], 0, "cam0", "cam0", ["x.yaml: cannot be read", "longer than 1048576 bytes"]);
     let directory = tempfile::tempdir().unwrap();
     fs::write(directory.path().join("x.yaml"), [0xff, 0xfe, 0x00]).unwrap();
     let error = load_stereo(&[directory.path().join("x.yaml")]).unwrap_err().to_string();

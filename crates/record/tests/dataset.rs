@@ -12,7 +12,7 @@ use pb3dp_record::dataset::{
     CaseDraft, DatasetError, Hardness, PlaneTruth, SearchRange, Sequence, SequenceDraft, SequenceWriter, WrittenFrame,
     find_cases, load_case, load_sequence, write_case,
 };
-use pb3dp_record::images::{ImageProblem, PictureFormat};
+use pb3dp_record::images::{ImageProblem, StoredFormat};
 use pb3dp_record::metrics::plane::disparity_plane;
 use pb3dp_record::metrics::{Group, PlaneEstimate};
 use serde_json::{Value, json};
@@ -75,9 +75,9 @@ fn the_test_data_load_and_follow_the_schema() {
         let case = load_case(&folder).unwrap();
         assert_eq!(case.other_keys, [""; 0]);
         assert_eq!(Group::of(&case), Group::Boards);
-        let pictures = case.load_pictures().unwrap();
-        assert_eq!(pictures.left.dimensions(), (640, 480));
-        assert_ne!(pictures.left, pictures.right);
+        let images = case.load_images().unwrap();
+        assert_eq!(images.left.dimensions(), (640, 480));
+        assert_ne!(images.left, images.right);
         let rig = case.load_calibration().unwrap().rig;
         assert!(rig.is_rectified() && (rig.baseline_m() - 0.120_376_75).abs() < 1e-8);
         check_truth_is_consistent(&case.truth.unwrap(), case.region_centroid_px.unwrap(), &rig);
@@ -111,7 +111,7 @@ fn rig() -> StereoRig {
     StereoRig::new(camera(40.0, 15.5, -0.1), camera(41.0, 16.0, -0.2), pose).unwrap()
 }
 
-fn picture(seed: u8) -> RgbImage {
+fn image(seed: u8) -> RgbImage {
     RgbImage::from_fn(32, 24, |u, v| Rgb([seed, (7 * u) as u8, (9 * v) as u8]))
 }
 
@@ -139,7 +139,7 @@ fn a_written_case_is_read_back() {
         hard: Some(Hardness::LowTexture),
         truth: Some(truth.clone()),
     };
-    write_case(&folder, &draft, &rig(), &picture(1), &picture(2)).unwrap();
+    write_case(&folder, &draft, &rig(), &image(1), &image(2)).unwrap();
     check_schema("case", &folder.join("case.json"));
     check_schema("calib", &folder.join("calib.json"));
     let case = load_case(&folder).unwrap();
@@ -150,10 +150,10 @@ fn a_written_case_is_read_back() {
     assert!((read.normal_in_cam_left - truth.normal_in_cam_left).norm() < 1e-12);
     assert!((read.h_m.unwrap() - truth.h_m.unwrap()).abs() < 1e-12);
     assert_eq!(read.how, truth.how);
-    let pictures = case.load_pictures().unwrap();
-    assert_eq!((pictures.left, pictures.right), (picture(1), picture(2)));
+    let images = case.load_images().unwrap();
+    assert_eq!((images.left, images.right), (image(1), image(2)));
     same_rig(&case.load_calibration().unwrap().rig, &rig());
-    let again = write_case(&folder, &draft, &rig(), &picture(1), &picture(2)).unwrap_err();
+    let again = write_case(&folder, &draft, &rig(), &image(1), &image(2)).unwrap_err();
     assert!(matches!(again, DatasetError::Exists { .. }), "{again}");
 }
 
@@ -163,8 +163,8 @@ fn pose(i: u64) -> Pose<CamLeft, Model> {
     Pose::from_parts(Vector3::new(0.01 * s, -0.02, 0.5 + 0.003 * s), turn)
 }
 
-fn draft(pictures: PictureFormat) -> SequenceDraft {
-    SequenceDraft { region_polygon_left_px: vec![[1.0, 2.0], [20.0, 3.0], [18.0, 20.0]], search: search(), pictures }
+fn draft(images: StoredFormat) -> SequenceDraft {
+    SequenceDraft { region_polygon_left_px: vec![[1.0, 2.0], [20.0, 3.0], [18.0, 20.0]], search: search(), images }
 }
 
 /// A frame with its true pose.
@@ -173,10 +173,10 @@ fn posed(i: u64, [left, right]: &[RgbImage; 2]) -> WrittenFrame<'_> {
     WrittenFrame { left, right, exposed_at, skew_nanos: -250_000, cam_left_from_model: Some(pose(i)) }
 }
 
-fn recorded(folder: &Path, pictures: PictureFormat) -> DatasetResult {
-    let mut writer = SequenceWriter::create(folder, &rig(), draft(pictures))?;
+fn recorded(folder: &Path, images: StoredFormat) -> DatasetResult {
+    let mut writer = SequenceWriter::create(folder, &rig(), draft(images))?;
     for i in 0..3 {
-        writer.push(posed(i, &[picture(10 * i as u8), picture(10 * i as u8 + 1)]))?;
+        writer.push(posed(i, &[image(10 * i as u8), image(10 * i as u8 + 1)]))?;
     }
     Ok(writer.finish()?.frames)
 }
@@ -186,7 +186,7 @@ type DatasetResult = Result<u64, DatasetError>;
 #[test]
 fn a_recorded_sequence_is_read_back() {
     let dir = tempfile::tempdir().unwrap();
-    assert_eq!(recorded(dir.path(), PictureFormat::Png).unwrap(), 3);
+    assert_eq!(recorded(dir.path(), StoredFormat::Png).unwrap(), 3);
     check_schema("sequence", &dir.path().join("sequence.json"));
     let sequence = load_sequence(dir.path()).unwrap();
     assert_eq!(load_sequence(&dir.path().join("sequence.json")).unwrap(), sequence);
@@ -195,12 +195,12 @@ fn a_recorded_sequence_is_read_back() {
     assert_eq!(sequence.skew_s, [-0.000_25; 3]);
     same_rig(&sequence.load_calibration().unwrap().rig, &rig());
     let size = ImageSize { width: 32, height: 24 };
-    let pictures = sequence.load_pictures(2, size).unwrap();
-    assert_eq!((pictures.left, pictures.right), (picture(20), picture(21)));
+    let images = sequence.load_images(2, size).unwrap();
+    assert_eq!((images.left, images.right), (image(20), image(21)));
     for (i, read) in (0..).zip(sequence.cam_left_from_model.as_ref().unwrap()) {
         assert!((read.to_homogeneous() - pose(i).to_homogeneous()).amax() < 1e-12);
     }
-    let again = recorded(dir.path(), PictureFormat::Png).unwrap_err();
+    let again = recorded(dir.path(), StoredFormat::Png).unwrap_err();
     assert!(matches!(again, DatasetError::Exists { .. }), "{again}");
 }
 
@@ -210,10 +210,10 @@ fn a_frame_that_does_not_fit_is_refused_and_leaves_the_recording_usable() {
     let draft = SequenceDraft {
         region_polygon_left_px: vec![[1.0, 2.0], [20.0, 3.0], [18.0, 20.0]],
         search: search(),
-        pictures: PictureFormat::Jpeg { quality: 90 },
+        images: StoredFormat::Jpeg { quality: 90 },
     };
     let mut writer = SequenceWriter::create(dir.path(), &rig(), draft).unwrap();
-    let (whole, small) = (picture(1), RgbImage::new(8, 8));
+    let (whole, small) = (image(1), RgbImage::new(8, 8));
     let frame = |right, at, truth| WrittenFrame {
         left: &whole,
         right,
@@ -227,23 +227,23 @@ fn a_frame_that_does_not_fit_is_refused_and_leaves_the_recording_usable() {
         assert!(message.contains("frame 1") && message.contains(part), "{message}");
     };
     check(frame(&whole, 100, None), "later");
-    check(frame(&small, 200, None), "right picture has 8x8");
+    check(frame(&small, 200, None), "right image has 8x8");
     check(frame(&whole, 200, Some(pose(0))), "all frames or in none");
     writer.push(frame(&whole, 200, None)).unwrap();
     assert_eq!(writer.finish().unwrap().frames, 2);
     let sequence = load_sequence(dir.path()).unwrap();
     assert!(sequence.cam_left_from_model.is_none() && sequence.skew_s.is_empty());
-    assert!(sequence.picture_files(1).0.ends_with("left_0001.jpg"));
-    assert!(sequence.load_pictures(1, ImageSize { width: 32, height: 24 }).is_ok());
+    assert!(sequence.image_files(1).0.ends_with("left_0001.jpg"));
+    assert!(sequence.load_images(1, ImageSize { width: 32, height: 24 }).is_ok());
 }
 
 #[test]
 fn frames_written_by_others_count_as_far_as_they_are_kept() {
     let dir = tempfile::tempdir().unwrap();
-    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft(PictureFormat::QuickPng)).unwrap();
+    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft(StoredFormat::QuickPng)).unwrap();
     let mut files = Vec::new();
     for i in 0..4 {
-        let (left, right) = (picture(i), picture(100 + i));
+        let (left, right) = (image(i), image(100 + i));
         let frame = WrittenFrame {
             left: &left,
             right: &right,
@@ -260,16 +260,16 @@ fn frames_written_by_others_count_as_far_as_they_are_kept() {
     assert!(files[1].right.exists() && !files[2].left.exists() && !files[3].right.exists());
     let sequence = load_sequence(dir.path()).unwrap();
     assert_eq!((sequence.frames(), sequence.skew_s.as_slice()), (2, [-0.000_25; 2].as_slice()));
-    let pictures = sequence.load_pictures(1, ImageSize { width: 32, height: 24 }).unwrap();
-    assert_eq!((pictures.left, pictures.right), (picture(1), picture(101)));
+    let images = sequence.load_images(1, ImageSize { width: 32, height: 24 }).unwrap();
+    assert_eq!((images.left, images.right), (image(1), image(101)));
 }
 
 /// A recording that nobody finishes: how many frames, and what happens to the folder then.
 fn broken_off(frames: u8, fate: impl FnOnce(&Path)) -> Result<Sequence, DatasetError> {
     let dir = tempfile::tempdir().unwrap();
-    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft(PictureFormat::QuickPng)).unwrap();
+    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft(StoredFormat::QuickPng)).unwrap();
     for i in 0..frames {
-        writer.push(posed(u64::from(i), &[picture(i), picture(100 + i)])).unwrap();
+        writer.push(posed(u64::from(i), &[image(i), image(100 + i)])).unwrap();
     }
     drop(writer);
     fate(dir.path());
@@ -281,11 +281,11 @@ fn what_was_recorded_until_a_program_was_killed_can_be_read() {
     let whole = broken_off(3, |folder| {
         assert!(!folder.join("sequence.json").exists());
         // Nothing is recorded over it.
-        let again = SequenceWriter::create(folder, &rig(), draft(PictureFormat::QuickPng)).unwrap_err();
+        let again = SequenceWriter::create(folder, &rig(), draft(StoredFormat::QuickPng)).unwrap_err();
         assert!(matches!(again, DatasetError::Exists { .. }), "{again}");
         let sequence = load_sequence(folder).unwrap();
-        let pictures = sequence.load_pictures(2, ImageSize { width: 32, height: 24 }).unwrap();
-        assert_eq!((pictures.left, pictures.right), (picture(2), picture(102)));
+        let images = sequence.load_images(2, ImageSize { width: 32, height: 24 }).unwrap();
+        assert_eq!((images.left, images.right), (image(2), image(102)));
         assert_eq!(load_sequence(&folder.join("sequence.unfinished.jsonl")).unwrap(), sequence);
     });
     let whole = whole.unwrap();
@@ -294,7 +294,7 @@ fn what_was_recorded_until_a_program_was_killed_can_be_read() {
     let poses = whole.cam_left_from_model.unwrap();
     assert!((poses[2].to_homogeneous() - pose(2).to_homogeneous()).amax() < 1e-12);
     let frames = |fate: fn(&Path)| broken_off(4, fate).unwrap().frames();
-    // Killed within a picture, before a picture, and within a line of the log.
+    // Killed within an image, before an image, and within a line of the log.
     let cut = |name: &str, folder: &Path, bytes: u64| {
         let file = std::fs::OpenOptions::new().write(true).open(folder.join(name)).unwrap();
         file.set_len(file.metadata().unwrap().len() - bytes).unwrap();
@@ -310,19 +310,19 @@ fn what_was_recorded_until_a_program_was_killed_can_be_read() {
     assert!(none.to_string().contains("sequence.unfinished.jsonl") && none.to_string().contains("`frames`"), "{none}");
     // Where no frame came there is nothing in the way of the next recording.
     let dir = tempfile::tempdir().unwrap();
-    drop(SequenceWriter::create(dir.path(), &rig(), draft(PictureFormat::QuickPng)).unwrap());
-    assert_eq!(recorded(dir.path(), PictureFormat::Png).unwrap(), 3);
+    drop(SequenceWriter::create(dir.path(), &rig(), draft(StoredFormat::QuickPng)).unwrap());
+    assert_eq!(recorded(dir.path(), StoredFormat::Png).unwrap(), 3);
     assert!(!dir.path().join("sequence.unfinished.jsonl").exists());
 }
 
 #[test]
-fn a_picture_that_can_not_be_written_is_not_counted() {
+fn a_image_that_can_not_be_written_is_not_counted() {
     let dir = tempfile::tempdir().unwrap();
-    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft(PictureFormat::Png)).unwrap();
-    let picture = picture(1);
+    let mut writer = SequenceWriter::create(dir.path(), &rig(), draft(StoredFormat::Png)).unwrap();
+    let image = image(1);
     let frame = |at| WrittenFrame {
-        left: &picture,
-        right: &picture,
+        left: &image,
+        right: &image,
         exposed_at: MonotonicTime::from_nanos(at),
         skew_nanos: 0,
         cam_left_from_model: None,
@@ -338,20 +338,20 @@ fn a_picture_that_can_not_be_written_is_not_counted() {
 }
 
 #[test]
-fn a_bad_picture_costs_its_own_frame_only() {
+fn a_bad_image_costs_its_own_frame_only() {
     let dir = tempfile::tempdir().unwrap();
-    recorded(dir.path(), PictureFormat::Png).unwrap();
+    recorded(dir.path(), StoredFormat::Png).unwrap();
     let sequence = load_sequence(dir.path()).unwrap();
     std::fs::write(dir.path().join("right_0001.png"), b"\x89PNG\r\n\x1a\n cut").unwrap();
     let size = ImageSize { width: 32, height: 24 };
-    match sequence.load_pictures(1, size).unwrap_err() {
+    match sequence.load_images(1, size).unwrap_err() {
         DatasetError::Image(error) => {
             assert_eq!(error.problem, ImageProblem::Damaged);
             assert!(error.file.ends_with("right_0001.png"));
         }
         other => panic!("{other}"),
     }
-    assert!(sequence.load_pictures(0, size).is_ok() && sequence.load_pictures(2, size).is_ok());
-    let message = sequence.load_pictures(0, ImageSize { width: 640, height: 480 }).unwrap_err().to_string();
+    assert!(sequence.load_images(0, size).is_ok() && sequence.load_images(2, size).is_ok());
+    let message = sequence.load_images(0, ImageSize { width: 640, height: 480 }).unwrap_err().to_string();
     assert!(message.contains("left_0000.png") && message.contains("32x24") && message.contains("calib.json"));
 }

@@ -37,7 +37,7 @@ fn judgement() -> Judgement {
     Judgement {
         date: "2026-11-22T09:00:00Z".to_owned(),
         tool: "pb3dp-calibrate 0.1.0".to_owned(),
-        source: "13 views, \"quoted\", C:\\pictures".to_owned(),
+        source: "13 views, \"quoted\", C:\\images".to_owned(),
         cameras: cameras(),
         numbers: vec![("corners".to_owned(), 1296.0), ("view \"7\": rms_px".to_owned(), 0.1 / 0.7)],
         covariance: Some(ParameterCovariance {

@@ -73,7 +73,7 @@ pub enum HoldReason {
     },
     /// The elbow is nearly stretched and would have to be stretched further: the target is beyond the arm's reach.
     ElbowStretched,
-    /// The law looks at the target in the picture, and some of it is not before the camera.
+    /// The law looks at the target in the image, and some of it is not before the camera.
     TargetNotBeforeCamera,
     /// The law gave a number that is not finite.
     CommandNotFinite,
@@ -110,7 +110,7 @@ impl fmt::Display for HoldReason {
     }
 }
 
-/// Result of one step. What can not be known in a mode is `None`.
+/// Result of one step. What cannot be known in a mode is `None`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ControlStep {
     /// What the arm shall do.

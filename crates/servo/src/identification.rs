@@ -1,6 +1,6 @@
 //! Delays of a rig, from a record of the hand moving a few millimetres before a target that rests.
 //!
-//! * [`exposure_offset`]: how much later than their stamps say the pictures were exposed, on the clock of the joints. The pose of
+//! * [`exposure_offset`]: how much later than their stamps say the images were exposed, on the clock of the joints. The pose of
 //!   a target at rest must not depend on how fast the hand moves; where it does, the joints were taken at the wrong time.
 //! * [`arm_response`]: what lies between a commanded velocity and the motion: a dead time and a first-order lag.
 //! * [`Excitation`]: the motion that shows both.
@@ -68,7 +68,7 @@ pub enum NotIdentified {
     },
     /// The best answer lies at the end of what is looked at.
     #[error(
-        "{what} is {value_s:.3} s or beyond: more than {most_s} s is not looked for; check the clock that stamps the pictures and \
+        "{what} is {value_s:.3} s or beyond: more than {most_s} s is not looked for; check the clock that stamps the images and \
          the link of the arm"
     )]
     TooLong {

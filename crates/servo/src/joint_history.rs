@@ -1,4 +1,4 @@
-//! The joints of the last moments, to know where the hand was when a picture was exposed.
+//! The joints of the last moments, to know where the hand was when an image was exposed.
 
 use std::collections::VecDeque;
 
@@ -13,7 +13,7 @@ pub struct JointHistory {
     gap_max_s: f64,
 }
 
-/// Why the history can not say where the joints were.
+/// Why the history cannot say where the joints were.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NotInHistory {
     /// Before the oldest sample.

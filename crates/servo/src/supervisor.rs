@@ -243,7 +243,7 @@ impl Supervisor {
         until.seconds_since(since).max(0.0)
     }
 
-    /// Whether that is long enough for a word to lead on: a cause that comes and goes from picture to picture is not gone between two.
+    /// Whether that is long enough for a word to lead on: a cause that comes and goes from image to image is not gone between two.
     fn is_clear(&self) -> bool {
         self.clear_since.is_some() && (self.clear_for_s() >= self.config.go_after_s || is_off(Safeguard::ClearForWords))
     }

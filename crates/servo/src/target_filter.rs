@@ -10,7 +10,7 @@ use crate::joint_history::NotInHistory;
 /// What the estimator says about one frame pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TargetObservation {
-    /// Middle of the left picture's exposure.
+    /// Middle of the left image's exposure.
     pub at: MonotonicTime,
     /// Pose of the model in the left camera. What the estimator does not observe (the rotation about the normal of the
     /// published method) stays at the value that the estimator holds it at.

@@ -79,7 +79,7 @@ fn the_delay_of_the_camera_is_outside_the_loop() {
 }
 
 #[test]
-fn a_target_of_constant_speed_is_trailed_by_the_inverse_gain_plus_the_age_of_the_pictures() {
+fn a_target_of_constant_speed_is_trailed_by_the_inverse_gain_plus_the_age_of_the_images() {
     for velocity in [0.0, 0.5] {
         let gains = Gains { position_per_s: 4.0, velocity, orientation_per_s: 8.0, angular_velocity: velocity };
         let law = LawConfig::Published(published(gains));
@@ -216,8 +216,8 @@ proptest! {
     }
 }
 
-/// The laws that look at the picture, without smoothing.
-fn picture_laws() -> [LawConfig; 2] {
+/// The laws that look at the image, without smoothing.
+fn image_laws() -> [LawConfig; 2] {
     let target_filter: TargetFilterConfig = published(Gains::default()).target_filter;
     [
         LawConfig::ImageBased(ImageBasedConfig { gain_per_s: 3.0, half_width_m: 0.05, target_filter }),
@@ -226,8 +226,8 @@ fn picture_laws() -> [LawConfig; 2] {
 }
 
 #[test]
-fn the_laws_that_look_at_the_picture_lead_the_hand_to_its_place() {
-    for law in picture_laws() {
+fn the_laws_that_look_at_the_image_lead_the_hand_to_its_place() {
+    for law in image_laws() {
         let mut cell = Cell::new(ControllerConfig { law, ..config() }, IDEAL, 0.066);
         let target = cell.target_for_hand_moved(Vector3::new(0.06, -0.08, 0.05), rotation(0.15, -0.2, 0.25));
         for _ in 0..2500 {
@@ -242,7 +242,7 @@ fn the_laws_that_look_at_the_picture_lead_the_hand_to_its_place() {
 /// A model that lies behind the camera is no way to lead a hand by.
 #[test]
 fn a_target_behind_the_camera_is_said_and_the_hand_rests() {
-    for law in picture_laws() {
+    for law in image_laws() {
         let mut cell = Cell::new(ControllerConfig { law, ..config() }, IDEAL, 0.066);
         let behind = cell.base_from_hand() * Pose::from_translation(Vector3::new(0.0, 0.0, -0.4));
         let step = (0..200).map(|_| cell.step(&behind)).last().unwrap();

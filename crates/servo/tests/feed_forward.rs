@@ -168,7 +168,7 @@ fn lock_start_and_arrival_make_no_step() {
     assert_eq!(first, Some((JointVector::zeros(), Some(Limitation::SoftStart))));
     assert_eq!(modes, [Mode::Idle, Mode::Locking, Mode::Approaching, Mode::Tracking]);
     // The target's own acceleration is 0.2 m/s^2; with 0.8 m/s^2 of corrections that is about 2 rad/s^2, 0.004 rad/s a step; new
-    // pictures correct the prediction at once.
+    // images correct the prediction at once.
     assert!(changes.largest < 0.03, "{} rad/s", changes.largest);
     let (position, _) = off(&cell, &swinging(&home, cell.time_s - 5.0 + 2.3));
     assert!(position < 0.002, "{position}");
@@ -215,7 +215,7 @@ fn a_target_that_is_not_seen_any_more_is_followed_ever_slower_until_the_hand_res
     assert!(changes.largest < 0.05, "{} rad/s", changes.largest);
 }
 
-/// An estimator that does not measure the rotation about the normal holds it in the picture: in `base` it turns with the hand.
+/// An estimator that does not measure the rotation about the normal holds it in the image: in `base` it turns with the hand.
 #[test]
 fn a_rotation_that_is_not_observed_does_not_lead_the_hand() {
     let mut cell = Cell::new(feed_forward_config(feed_forward(ARM)), PLANT, LATENCY_S);
@@ -233,7 +233,7 @@ fn a_rotation_that_is_not_observed_does_not_lead_the_hand() {
         if cell.time_s - 5.0 + 1e-9 >= f64::from(exposures) / 30.0 {
             exposures += 1;
             let mut seen = cell.observe(&target);
-            // What is held: the rotation of the first picture, and on top of it some noise.
+            // What is held: the rotation of the first image, and on top of it some noise.
             let turned = about_normal(&cell, &target) + random.between(-0.01, 0.01);
             let about = rotation(0.0, 0.0, turned);
             seen.cam_left_from_model =

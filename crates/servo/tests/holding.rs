@@ -24,14 +24,14 @@ fn moves(step: &ControlStep) -> bool {
     matches!(step.command, Command::Velocity(velocity) if velocity.amax() > 1e-3)
 }
 
-/// Steps without new pictures for this long; returns the last step.
+/// Steps without new images for this long; returns the last step.
 fn blind_for(cell: &mut Cell, seconds: f64) -> ControlStep {
     let steps = (seconds / cell.step_s) as usize;
     (0..steps).map(|_| cell.step_controller()).last().unwrap()
 }
 
 #[test]
-fn without_new_pictures_the_hand_rests_then_the_target_is_lost() {
+fn without_new_images_the_hand_rests_then_the_target_is_lost() {
     let (mut cell, target) = following(config());
     let observed_at = cell.newest.unwrap().at;
     let age = |cell: &Cell| cell.now().seconds_since(observed_at);
@@ -111,7 +111,7 @@ fn observations_that_can_not_be_used_are_refused_one_by_one() {
 fn an_observation_is_placed_with_the_joints_at_its_exposure() {
     let mut cell = Cell::new(config(), IDEAL, 0.0);
     let target = cell.target_for_hand_moved(Vector3::new(0.0, 0.05, 0.0), rotation(0.0, 0.0, 0.0));
-    // The joints run freely; one picture, taken in their midst and between two samples, arrives 50 ms later.
+    // The joints run freely; one image, taken in their midst and between two samples, arrives 50 ms later.
     let mut seen = None;
     for i in 0..60 {
         if i == 30 {

@@ -32,7 +32,7 @@ fn base_from_hand(chain: &Chain, position_rad: &JointVector) -> Pose<Base, Hand>
 struct Rig {
     delay_s: f64,
     lag_s: f64,
-    /// Pictures are exposed later than their stamps say by this.
+    /// Images are exposed later than their stamps say by this.
     offset_s: f64,
     position_sigma_m: f64,
     seed: u64,

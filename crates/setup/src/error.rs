@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 /// Why a configuration was refused.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
-    /// The file can not be read.
-    #[error("configuration {file}: can not be read", file = file.display())]
+    /// The file cannot be read.
+    #[error("configuration {file}: cannot be read", file = file.display())]
     Unreadable {
         /// The file.
         file: PathBuf,

@@ -282,7 +282,7 @@ fn keys_of_other_cameras_are_refused_with_key_and_backend() {
         (
             "rig.toml",
             |root| put(root, "camera", "region", "rect:600,400,100,50"),
-            "camera.region: the corner 700,400 is outside of the left picture, which has 640x480 pixels",
+            "camera.region: the corner 700,400 is outside of the left image, which has 640x480 pixels",
         ),
         (
             "rig.toml",
@@ -293,7 +293,7 @@ fn keys_of_other_cameras_are_refused_with_key_and_backend() {
         (
             "rig.toml",
             |root| put(root, "camera", "width_px", 320),
-            "is for pictures of 640x480, the cameras are asked for 320x480",
+            "is for images of 640x480, the cameras are asked for 320x480",
         ),
         (
             "rig.toml",

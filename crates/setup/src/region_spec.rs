@@ -17,14 +17,14 @@ pub enum RegionSpec {
     Rectangle([f64; 4]),
     /// `poly:x1,y1;x2,y2;...` in pixels.
     Polygon(Vec<[f64; 2]>),
-    /// `mask:FILE`, a picture of the left picture's size, not black = inside.
+    /// `mask:FILE`, an image of the left image's size, not black = inside.
     Mask(PathBuf),
     /// `click:x,y`: grown from that pixel.
     Click([f64; 2]),
 }
 
 /// What a region may look like; shown with every error and in `--help`.
-pub const REGION_HELP: &str = "rect:X,Y,WIDTH,HEIGHT | poly:X1,Y1;X2,Y2;X3,Y3... | mask:FILE | click:X,Y (pixels in the left picture; quote what has a `;`)";
+pub const REGION_HELP: &str = "rect:X,Y,WIDTH,HEIGHT | poly:X1,Y1;X2,Y2;X3,Y3... | mask:FILE | click:X,Y (pixels in the left image; quote what has a `;`)";
 
 impl FromStr for RegionSpec {
     type Err = String;
@@ -84,11 +84,11 @@ fn numbers<const N: usize>(whole: &str, text: &str) -> std::result::Result<[f64;
 }
 
 impl RegionSpec {
-    /// Refuses what lies outside of pictures of this size, or has no area; masks say by themselves where they are.
+    /// Refuses what lies outside of images of this size, or has no area; masks say by themselves where they are.
     ///
     /// # Errors
     /// What is wrong, in words.
-    pub fn check_inside(&self, pictures: ImageSize) -> std::result::Result<(), String> {
+    pub fn check_inside(&self, images: ImageSize) -> std::result::Result<(), String> {
         let corners = match self {
             Self::Mask(_) => return Ok(()),
             Self::Click(place) => vec![*place],
@@ -101,24 +101,23 @@ impl RegionSpec {
             }
         };
         let is_inside = |&&[u, v]: &&[f64; 2]| {
-            (-0.5..=f64::from(pictures.width) - 0.5).contains(&u)
-                && (-0.5..=f64::from(pictures.height) - 0.5).contains(&v)
+            (-0.5..=f64::from(images.width) - 0.5).contains(&u) && (-0.5..=f64::from(images.height) - 0.5).contains(&v)
         };
         match corners.iter().find(|corner| !is_inside(corner)) {
             None => Ok(()),
             Some([u, v]) => Err(format!(
-                "the corner {u},{v} is outside of the left picture, which has {}x{} pixels",
-                pictures.width, pictures.height
+                "the corner {u},{v} is outside of the left image, which has {}x{} pixels",
+                images.width, images.height
             )),
         }
     }
 }
 
-/// The region that the command line or a configuration names, in pictures of this size.
+/// The region that the command line or a configuration names, in images of this size.
 ///
 /// # Errors
-/// A mask that can not be read or marks everything, or a rectangle without area.
-pub fn load_region(spec: &RegionSpec, pictures: ImageSize) -> Result<Region> {
+/// A mask that cannot be read or marks everything, or a rectangle without area.
+pub fn load_region(spec: &RegionSpec, images: ImageSize) -> Result<Region> {
     Ok(match spec {
         RegionSpec::Rectangle([x, y, width, height]) => {
             let corners = [[*x, *y], [x + width, *y], [x + width, y + height], [*x, y + height]];
@@ -136,7 +135,7 @@ pub fn load_region(spec: &RegionSpec, pictures: ImageSize) -> Result<Region> {
         RegionSpec::Mask(file) => {
             let mask = load_mask(file)?;
             let is_full = mask.pixels().all(|pixel| pixel.0[0] > 0);
-            if is_full && mask.dimensions() == (pictures.width, pictures.height) {
+            if is_full && mask.dimensions() == (images.width, images.height) {
                 bail!(
                     "{}: the mask has no black pixel, so everything would be the object: is it a mask?",
                     file.display()
@@ -149,9 +148,9 @@ pub fn load_region(spec: &RegionSpec, pictures: ImageSize) -> Result<Region> {
 }
 
 fn load_mask(file: &Path) -> Result<GrayImage> {
-    let picture = load_rgb(file).context("the mask of --region can not be used")?;
+    let image = load_rgb(file).context("the mask of --region cannot be used")?;
     let any = |pixel: &image::Rgb<u8>| image::Luma([pixel.0.iter().copied().max().unwrap_or(0)]);
-    Ok(GrayImage::from_fn(picture.width(), picture.height(), |x, y| any(picture.get_pixel(x, y))))
+    Ok(GrayImage::from_fn(image.width(), image.height(), |x, y| any(image.get_pixel(x, y))))
 }
 
 #[cfg(test)]
@@ -167,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_outside_of_the_picture_is_refused_with_its_corner() {
+    fn what_is_outside_of_the_image_is_refused_with_its_corner() {
         let size = ImageSize { width: 640, height: 480 };
         let refusal = |text: &str| text.parse::<RegionSpec>().unwrap().check_inside(size);
         for inside in ["rect:0,0,639.5,479.5", "click:639,0", "poly:0,0;600,0;600,479", "mask:there.png"] {

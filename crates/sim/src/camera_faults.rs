@@ -52,7 +52,7 @@ pub enum CameraFaultKind {
         /// What the camera says of it: right time less left time, nanoseconds.
         stamped_nanos: i64,
     },
-    /// The same pictures come again and again as new ones.
+    /// The same images come again and again as new ones.
     Frozen,
     /// No light.
     Black {
@@ -73,21 +73,21 @@ pub enum CameraFaultKind {
     },
     /// A bar hangs before the target, nearer to the cameras.
     Occluder {
-        /// Its width as a share of the picture's, 0 to 1.
+        /// Its width as a share of the image's, 0 to 1.
         width_share: f64,
-        /// It moves across the pictures in the time of the fault; otherwise it hangs in their middle.
+        /// It moves across the images in the time of the fault; otherwise it hangs in their middle.
         crosses: bool,
     },
-    /// The right picture is not where the calibration has it: to first order what is wrong with the angles of one eye, the
+    /// The right image is not where the calibration has it: to first order what is wrong with the angles of one eye, the
     /// baseline or a focal length.
     Miscalibrated {
         /// To the right, pixels.
         columns_px: f64,
         /// Downwards, pixels.
         rows_px: f64,
-        /// About the picture's centre, radians.
+        /// About the image's centre, radians.
         roll_rad: f64,
-        /// From the picture's centre.
+        /// From the image's centre.
         scale: f64,
     },
 }
@@ -150,7 +150,7 @@ pub struct CameraFaults {
     pub seed: u32,
 }
 
-/// Why a fault can not be.
+/// Why a fault cannot be.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct CameraFaultError(String);

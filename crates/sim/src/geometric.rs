@@ -1,7 +1,7 @@
-//! A tracker without pictures: the true pose of a target that both cameras have in view, with noise of a stated covariance.
+//! A tracker without images: the true pose of a target that both cameras have in view, with noise of a stated covariance.
 //!
-//! For runs in which pixels are not the subject: no picture is rendered and none is looked at. What a tracker of pictures gets
-//! wrong by the pictures (relief, texture, light, occlusion) is not in here; what it gets wrong by noise, and what it can not see,
+//! For runs in which pixels are not the subject: no image is rendered and none is looked at. What a tracker of images gets
+//! wrong by the images (relief, texture, light, occlusion) is not in here; what it gets wrong by noise, and what it cannot see,
 //! is.
 
 use std::fmt;
@@ -62,14 +62,14 @@ fn normal(seed: u32) -> f64 {
     (0..12).map(|k| unit(hash(&[seed, k]))).sum::<f64>() - 6.0
 }
 
-/// What the tracker without pictures gets wrong and can not see.
+/// What the tracker without images gets wrong and cannot see.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GeometricConfig {
     /// White noise of each frame.
     pub noise: PoseSigma,
     /// What a lock gets wrong for as long as it lasts: where on the target its model frame is.
     pub lock: PoseSigma,
-    /// Smallest share of the target's outline that both pictures must show, 0 to 1.
+    /// Smallest share of the target's outline that both images must show, 0 to 1.
     pub in_view_share_min: f64,
     /// Largest angle between the target's normal and the ray to its centre, radians, 0.1 to 1.5.
     pub turned_max_rad: f64,
@@ -129,8 +129,8 @@ pub enum OutOfView {
         /// Largest allowed.
         max_rad: f64,
     },
-    /// Too little of it is in both pictures.
-    OutOfPicture {
+    /// Too little of it is in both images.
+    OutOfImage {
         /// Share of the outline that is.
         share: f64,
         /// Smallest allowed.
@@ -154,9 +154,9 @@ impl fmt::Display for OutOfView {
                 let (angle, most) = (angle_rad.to_degrees(), max_rad.to_degrees());
                 write!(f, "the target is turned away by {angle:.0} degrees, at most {most:.0} are allowed")
             }
-            Self::OutOfPicture { share, min } => {
+            Self::OutOfImage { share, min } => {
                 let (share, least) = (100.0 * share, 100.0 * min);
-                write!(f, "{share:.0} % of the target's outline are in both pictures, at least {least:.0} % are needed")
+                write!(f, "{share:.0} % of the target's outline are in both images, at least {least:.0} % are needed")
             }
         }
     }
@@ -171,7 +171,7 @@ pub struct Sighting {
     pub is_locked: bool,
 }
 
-/// One frame of a camera without pictures.
+/// One frame of a camera without images.
 #[derive(Clone, Copy, Debug)]
 pub struct GeometricFrame {
     /// Number of the exposure.
@@ -190,7 +190,7 @@ pub struct GeometricFrame {
     pub cam_left_from_target: Pose<CamLeft, Target>,
 }
 
-/// What a fault of a camera does to a tracker of its pictures.
+/// What a fault of a camera does to a tracker of its images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hindrance {
     /// It finds no pose, for this reason.
@@ -199,10 +199,10 @@ pub enum Hindrance {
     Doubtful(&'static str),
 }
 
-/// A tracker without pictures.
+/// A tracker without images.
 ///
-/// Its model frame is like that of a tracker of pictures: origin at the target's centre on its front plane, z along the plane's
-/// normal away from the camera, x the picture's x axis projected into the plane in the frame of the lock; then displaced by what the
+/// Its model frame is like that of a tracker of images: origin at the target's centre on its front plane, z along the plane's
+/// normal away from the camera, x the image's x axis projected into the plane in the frame of the lock; then displaced by what the
 /// lock gets wrong, and fixed to the target.
 #[derive(Clone, Debug)]
 pub struct GeometricTracker {
@@ -246,7 +246,7 @@ impl GeometricTracker {
         Sighting { cam_left_from_model: Ok(found), is_locked: true }
     }
 
-    /// What a tracker takes this pose for when the right picture is not where the calibration has it: shifted (pixels to the
+    /// What a tracker takes this pose for when the right image is not where the calibration has it: shifted (pixels to the
     /// right), turned (radians) and scaled about its centre, all by little. To first order, which is
     /// a wrong depth, and tilts that grow with depth over baseline. None if it would be behind the cameras.
     pub fn misjudged(
@@ -271,7 +271,7 @@ impl GeometricTracker {
         &self.rig
     }
 
-    /// The outline in the left picture, as far as it lies before the camera, pixels.
+    /// The outline in the left image, as far as it lies before the camera, pixels.
     pub fn outline_px(&self, cam_left_from_target: &Pose<CamLeft, Target>) -> Vec<Vector2<f64>> {
         let pixel = |point: &Point3<f64>| self.rig.left().project(&cam_left_from_target.transform_point(point));
         self.outline_m.iter().filter_map(pixel).collect()
@@ -289,12 +289,12 @@ impl GeometricTracker {
         }
         let share = self.share_in_view(cam_left_from_target, in_view_share_min);
         if share < in_view_share_min {
-            return Err(OutOfView::OutOfPicture { share, min: in_view_share_min });
+            return Err(OutOfView::OutOfImage { share, min: in_view_share_min });
         }
         Ok(())
     }
 
-    /// Share of the outline's points that both pictures show; of a target with `enough` of them no more are looked for.
+    /// Share of the outline's points that both images show; of a target with `enough` of them no more are looked for.
     fn share_in_view(&self, cam_left_from_target: &Pose<CamLeft, Target>, enough: f64) -> f64 {
         let is_seen = |point: &&Point3<f64>| {
             let in_left = cam_left_from_target.transform_point(point);
@@ -313,7 +313,7 @@ impl GeometricTracker {
     }
 }
 
-/// Whether a picture shows a point, as far as nothing is before it.
+/// Whether an image shows a point, as far as nothing is before it.
 fn shows(camera: &Camera, point_in_cam: &Point3<f64>) -> bool {
     let size = camera.size();
     let inside = |coordinate: f64, count: u32| (-0.5..=f64::from(count) - 0.5).contains(&coordinate);
@@ -323,7 +323,7 @@ fn shows(camera: &Camera, point_in_cam: &Point3<f64>) -> bool {
 /// The model frame of a lock without error.
 fn facing(cam_left_from_target: &Pose<CamLeft, Target>) -> Pose<Target, Model> {
     let across = cam_left_from_target.inverse().transform_vector(&Vector3::x());
-    // About the normal, which stays: the picture's x axis projected into the plane. It is seen from less than 90 degrees off.
+    // About the normal, which stays: the image's x axis projected into the plane. It is seen from less than 90 degrees off.
     Pose::from_parts(Vector3::zeros(), UnitQuaternion::from_scaled_axis(Vector3::z() * across.y.atan2(across.x)))
 }
 
@@ -408,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn the_model_frame_is_the_one_that_the_picture_shows() {
+    fn the_model_frame_is_the_one_that_the_image_shows() {
         let truth = pose([0.03, -0.02, 0.52], [0.2, -0.3, 0.7]);
         let model = truth * facing(&truth);
         let z = truth.transform_vector(&Vector3::z());
@@ -429,7 +429,7 @@ mod tests {
             (pose([0.05, 0.0, -0.5], [0.0; 3]), "-500 mm away"),
             (pose([0.0, 0.0, 0.5], [1.3, 0.0, 0.0]), "turned away by 74 degrees"),
             (pose([0.0, 0.0, 0.5], [std::f64::consts::PI, 0.0, 0.0]), "turned away by 180 degrees"),
-            // The left picture shows all of it, the right one its right half.
+            // The left image shows all of it, the right one its right half.
             (pose([-0.17, 0.0, 0.5], [0.0; 3]), "50 % of the target's outline"),
             (pose([0.3, 0.0, 0.5], [0.0; 3]), "0 % of the target's outline"),
         ] {

@@ -39,7 +39,7 @@ pub struct JointPlantConfig {
     pub history: Duration,
 }
 
-/// Why joints can not be simulated.
+/// Why joints cannot be simulated.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum JointPlantError {
     /// A number of the configuration is out of range.

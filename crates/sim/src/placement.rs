@@ -1,4 +1,4 @@
-//! Whether an arm can follow an experiment from where it stands, and by how much it can not.
+//! Whether an arm can follow an experiment from where it stands, and by how much it cannot.
 //!
 //! Both arms of the cell move with the target: one carries it, the other keeps a fixed place before it. So the way of either
 //! flange is rigidly tied to the target's ([`FlangePath`]), and [`check_experiment`] follows it by resolved rates, the same

@@ -1,4 +1,4 @@
-//! The renderer: stereo pictures of a scene, with exact ground truth.
+//! The renderer: stereo images of a scene, with exact ground truth.
 //!
 //! Geometry is exact: each pixel centre (integer coordinates) has its own ray, lens distortion included, and textures are
 //! read where that ray meets the surface. Surfaces are smoothed by filtered textures; pixels on an edge between surfaces are
@@ -34,8 +34,8 @@ const EMPTY: [u16; 3] = [96 << 8; 3];
 /// Why a renderer could not be made or used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RenderError {
-    /// A camera of the rig can not be rendered.
-    #[error("the {eye} camera can not be rendered")]
+    /// A camera of the rig cannot be rendered.
+    #[error("the {eye} camera cannot be rendered")]
     Camera {
         /// `left` or `right`.
         eye: &'static str,
@@ -43,13 +43,13 @@ pub enum RenderError {
         #[source]
         source: CameraError,
     },
-    /// The pictures of the rig differ in size.
-    #[error("the left picture is {}x{} and the right one {}x{}: the simulated pair needs equal sizes",
+    /// The images of the rig differ in size.
+    #[error("the left image is {}x{} and the right one {}x{}: the simulated pair needs equal sizes",
         left.width, left.height, right.width, right.height)]
     Sizes {
-        /// Size of the left picture.
+        /// Size of the left image.
         left: ImageSize,
-        /// Size of the right picture.
+        /// Size of the right image.
         right: ImageSize,
     },
     /// A sensor parameter is out of its range.
@@ -88,7 +88,7 @@ impl StereoRenderer {
     /// Prepares rendering; `seed` selects the sensor noise.
     ///
     /// # Errors
-    /// A sensor parameter out of range, pictures of different size, or a camera with a pixel that has no ray.
+    /// A sensor parameter out of range, images of different size, or a camera with a pixel that has no ray.
     pub fn new(scene: Scene, rig: StereoRig, sensor: &SensorConfig, seed: u32) -> Result<Self, RenderError> {
         sensor.validate()?;
         let (left, right) = (rig.left().size(), rig.right().size());
@@ -107,7 +107,7 @@ impl StereoRenderer {
         Ok(Self { scene, rig, seed, eyes, run_both })
     }
 
-    /// The same with both pictures of a pair made by what `run_both` calls; the pictures do not depend on the order.
+    /// The same with both images of a pair made by what `run_both` calls; the images do not depend on the order.
     #[must_use]
     pub fn with_run_both(mut self, run_both: RunBoth) -> Self {
         self.run_both = run_both;
@@ -152,14 +152,14 @@ impl StereoRenderer {
         &self.rig
     }
 
-    /// Size of both pictures.
+    /// Size of both images.
     pub fn size(&self) -> ImageSize {
         self.rig.left().size()
     }
 
     /// Renders one pair, sharp: everything stands still at `poses`.
     ///
-    /// `frame_index` selects the noise: use a new one for every pair. The pictures are made to size and overwritten.
+    /// `frame_index` selects the noise: use a new one for every pair. The images are made to size and overwritten.
     pub fn render_pair(&mut self, poses: &ScenePoses, frame_index: u64, left: &mut RgbImage, right: &mut RgbImage) {
         self.expose(std::slice::from_ref(poses), frame_index, left, right);
     }
@@ -191,11 +191,11 @@ impl StereoRenderer {
         });
     }
 
-    /// The left picture without noise, quantisation and limits: red, green, blue, row-major, grey levels.
+    /// The left image without noise, quantisation and limits: red, green, blue, row-major, grey levels.
     ///
-    /// The limit that the renderer's pictures approach with many exposures; for what depends on exact gradients.
-    pub fn ideal_left(&mut self, poses: &ScenePoses, picture: &mut Vec<f32>) {
-        self.eyes[0].ideal(&self.scene, poses, picture);
+    /// The limit that the renderer's images approach with many exposures; for what depends on exact gradients.
+    pub fn ideal_left(&mut self, poses: &ScenePoses, image: &mut Vec<f32>) {
+        self.eyes[0].ideal(&self.scene, poses, image);
     }
 
     /// What the left camera sees at `poses`: depth and object of every pixel centre.
@@ -206,9 +206,9 @@ impl StereoRenderer {
         GroundTruth { size: self.rig.left().size(), depth_m, object }
     }
 
-    /// The target's outline in the left picture, pixels, lens distortion included: the region that an operator would draw.
+    /// The target's outline in the left image, pixels, lens distortion included: the region that an operator would draw.
     ///
-    /// `None` if a point of it is not in front of the camera. Points may lie outside the picture.
+    /// `None` if a point of it is not in front of the camera. Points may lie outside the image.
     pub fn target_outline_px(&self, poses: &ScenePoses) -> Option<Vec<Vector2<f64>>> {
         let cam_left_from_target = poses.world_from_cam_left.inverse() * poses.world_from_target;
         let outline = &self.scene.target().outline_m;

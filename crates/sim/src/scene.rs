@@ -19,7 +19,7 @@ pub struct ScenePoses {
 /// Tells where everything is at a given time: a script, or the simulated arms.
 ///
 /// Times asked for do not go back. With a running clock they lie in the past, by up to one period and one exposure of the
-/// camera (a picture shows what was, not what is), so a source fed by live arms keeps that much history.
+/// camera (an image shows what was, not what is), so a source fed by live arms keeps that much history.
 pub trait PoseSource: Send {
     /// Poses at time `at`.
     fn poses_at(&mut self, at: MonotonicTime) -> ScenePoses;

@@ -1,4 +1,4 @@
-//! From the light on the sensor to the picture: lens blur, exposure, gain, noise, quantisation.
+//! From the light on the sensor to the image: lens blur, exposure, gain, noise, quantisation.
 //!
 //! Grey levels are proportional to light (no gamma): a surface of texture colour 200 under light 1 gives grey level 200.
 
@@ -98,7 +98,7 @@ pub struct SensorError {
     pub max: f64,
 }
 
-/// Which noise a picture gets: every combination has noise of its own.
+/// Which noise an image gets: every combination has noise of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct NoiseKey {
     pub(crate) seed: u32,
@@ -113,7 +113,7 @@ const BYTES_INVERSE_SIGMA: f32 = 0.006_765_875;
 /// Adding this to a number below 2^22 leaves the number, rounded, in the low bits of the sum.
 const ROUNDING: f32 = 8_388_608.0;
 
-/// Turns light into pictures, one row at a time.
+/// Turns light into images, one row at a time.
 #[derive(Clone, Debug)]
 pub(crate) struct Developer {
     scale: [f32; 3],
@@ -141,7 +141,7 @@ impl Developer {
         }
     }
 
-    /// Spreads the light of a whole picture by a lens that is out of focus: standard deviation `sigma_px`, on top of the
+    /// Spreads the light of a whole image by a lens that is out of focus: standard deviation `sigma_px`, on top of the
     /// blur of the sensor's own lens. `light` as in [`Self::develop`].
     pub(crate) fn defocus(&mut self, light: &mut [u16], sigma_px: f64) {
         spread(light, self.blurred.len(), sigma_px);
@@ -152,34 +152,34 @@ impl Developer {
         self.blur_weight = 0;
     }
 
-    /// The picture without noise, quantisation and limits, grey levels; `light` as in [`Self::develop`].
-    pub(crate) fn develop_ideal(&mut self, light: &[u16], picture: &mut Vec<f32>) {
+    /// The image without noise, quantisation and limits, grey levels; `light` as in [`Self::develop`].
+    pub(crate) fn develop_ideal(&mut self, light: &[u16], image: &mut Vec<f32>) {
         let stride = self.blurred.len();
         let rows = light.len() / stride;
-        picture.clear();
-        picture.reserve(light.len());
+        image.clear();
+        image.reserve(light.len());
         for row in 0..rows {
             let line = |r: usize| &light[r * stride..(r + 1) * stride];
             let neighbours = [line(row.saturating_sub(1)), line(row), line((row + 1).min(rows - 1))];
             blur_row(neighbours, self.blur_weight, &mut self.row, &mut self.blurred);
             let exposed = self.blurred.iter().enumerate();
-            picture.extend(exposed.map(|(i, &value)| f32::from(value) * self.scale[i % 3] + self.offset[i % 3]));
+            image.extend(exposed.map(|(i, &value)| f32::from(value) * self.scale[i % 3] + self.offset[i % 3]));
         }
     }
 
-    /// Develops a whole picture: `light` in 256ths of a grey level, red, green, blue, row-major.
-    pub(crate) fn develop(&mut self, light: &[u16], key: &NoiseKey, picture: &mut [u8]) {
-        develop(kernels(), self, light, key, picture);
+    /// Develops a whole image: `light` in 256ths of a grey level, red, green, blue, row-major.
+    pub(crate) fn develop(&mut self, light: &[u16], key: &NoiseKey, image: &mut [u8]) {
+        develop(kernels(), self, light, key, image);
     }
 
     #[inline(always)]
-    fn develop_kernel(&mut self, light: &[u16], key: &NoiseKey, picture: &mut [u8]) {
+    fn develop_kernel(&mut self, light: &[u16], key: &NoiseKey, image: &mut [u8]) {
         let stride = self.blurred.len();
         let rows = light.len() / stride;
         let keys = [0u32, 1].map(|word| {
             noise::hash(&[key.seed, key.frame_index as u32, (key.frame_index >> 32) as u32, key.eye, word])
         });
-        for (row, out) in picture.chunks_exact_mut(stride).enumerate() {
+        for (row, out) in image.chunks_exact_mut(stride).enumerate() {
             let line = |r: usize| &light[r * stride..(r + 1) * stride];
             let neighbours = [line(row.saturating_sub(1)), line(row), line((row + 1).min(rows - 1))];
             let source = if self.blur_weight > 0 {
@@ -219,10 +219,10 @@ impl Developer {
 }
 
 wide! {
-    fn develop(developer: &mut Developer, light: &[u16], key: &NoiseKey, picture: &mut [u8]) = Developer::develop_kernel;
+    fn develop(developer: &mut Developer, light: &[u16], key: &NoiseKey, image: &mut [u8]) = Developer::develop_kernel;
 }
 
-/// Spreads the light of a picture whose rows have `stride` values by a standard deviation `sigma_px`.
+/// Spreads the light of an image whose rows have `stride` values by a standard deviation `sigma_px`.
 pub(crate) fn spread(light: &mut [u16], stride: usize, sigma_px: f64) {
     // Passes of a kernel (w, 1 - 2w, w) add their variances, 2w each; up to 0.49 the kernel has no side lobes.
     let variance = sigma_px * sigma_px;
@@ -258,7 +258,7 @@ fn standard_noise(index: u32, keys: [u32; 2]) -> f32 {
     (sum as i32 as f32 - BYTES_MEAN) * BYTES_INVERSE_SIGMA
 }
 
-/// Blurs with the kernel (w, 1 - 2w, w) along columns, then along rows; picture borders are repeated.
+/// Blurs with the kernel (w, 1 - 2w, w) along columns, then along rows; image borders are repeated.
 #[inline(always)]
 fn blur_row(lines: [&[u16]; 3], weight: u32, padded: &mut [u16], out: &mut [u16]) {
     let centre = 65536 - 2 * weight;
@@ -283,11 +283,11 @@ mod tests {
 
     const KEY: NoiseKey = NoiseKey { seed: 5, frame_index: 9, eye: 0 };
 
-    fn noise_picture(config: &SensorConfig, key: &NoiseKey, light_grey: u16) -> Vec<f64> {
-        let mut picture = vec![0; 3 * 160 * 100];
-        let light = vec![light_grey * 256; picture.len()];
-        Developer::new(config, &config.left, 160).develop(&light, key, &mut picture);
-        picture.iter().map(|&p| f64::from(p) - f64::from(light_grey)).collect()
+    fn noise_image(config: &SensorConfig, key: &NoiseKey, light_grey: u16) -> Vec<f64> {
+        let mut image = vec![0; 3 * 160 * 100];
+        let light = vec![light_grey * 256; image.len()];
+        Developer::new(config, &config.left, 160).develop(&light, key, &mut image);
+        image.iter().map(|&p| f64::from(p) - f64::from(light_grey)).collect()
     }
 
     fn correlation(a: &[f64], b: &[f64]) -> f64 {
@@ -298,7 +298,7 @@ mod tests {
     #[test]
     fn noise_has_the_configured_variance_and_no_pattern() {
         let config = SensorConfig { read_noise_grey: 3.0, shot_noise_grey: 0.05, ..SensorConfig::IDEAL };
-        let a = noise_picture(&config, &KEY, 100);
+        let a = noise_image(&config, &KEY, 100);
         let n = a.len() as f64;
         let (mean, variance) = (a.iter().sum::<f64>() / n, a.iter().map(|x| x * x).sum::<f64>() / n);
         // 9 + 0.05 * 100, and 1/12 of quantisation.
@@ -307,19 +307,19 @@ mod tests {
         assert!(correlation(&a[..a.len() - 3], &a[3..]).abs() < 0.02);
         assert!(correlation(&a[..a.len() - 480], &a[480..]).abs() < 0.02);
         for other in [NoiseKey { frame_index: 10, ..KEY }, NoiseKey { eye: 1, ..KEY }, NoiseKey { seed: 6, ..KEY }] {
-            assert!(correlation(&a, &noise_picture(&config, &other, 100)).abs() < 0.02, "{other:?}");
+            assert!(correlation(&a, &noise_image(&config, &other, 100)).abs() < 0.02, "{other:?}");
         }
-        assert_eq!(a, noise_picture(&config, &KEY, 100));
+        assert_eq!(a, noise_image(&config, &KEY, 100));
     }
 
     #[test]
     fn response_is_gain_times_light_plus_offset() {
         let response = EyeResponse { exposure: 0.5, gain: [1.0, 2.0, 3.0], offset_grey: [7.3, 0.0, -4.0] };
-        let mut picture = [0u8; 15];
-        Developer::new(&SensorConfig::IDEAL, &response, 5).develop(&[100 * 256; 15], &KEY, &mut picture);
-        assert_eq!(picture[12..], [57, 100, 146]);
-        Developer::new(&SensorConfig::IDEAL, &response, 5).develop(&[255 * 256; 15], &KEY, &mut picture);
-        assert_eq!(picture[..3], [135, 255, 255]);
+        let mut image = [0u8; 15];
+        Developer::new(&SensorConfig::IDEAL, &response, 5).develop(&[100 * 256; 15], &KEY, &mut image);
+        assert_eq!(image[12..], [57, 100, 146]);
+        Developer::new(&SensorConfig::IDEAL, &response, 5).develop(&[255 * 256; 15], &KEY, &mut image);
+        assert_eq!(image[..3], [135, 255, 255]);
     }
 
     #[test]
@@ -327,12 +327,12 @@ mod tests {
         let config = SensorConfig { lens_blur_px: 0.6, ..SensorConfig::IDEAL };
         let mut light = vec![0u16; 3 * 9 * 7];
         light[3 * (9 * 3 + 4) + 1] = 200 * 256;
-        let mut picture = vec![0u8; light.len()];
-        Developer::new(&config, &config.left, 9).develop(&light, &KEY, &mut picture);
-        let grey = |column: usize, row: usize| picture[3 * (9 * row + column) + 1];
+        let mut image = vec![0u8; light.len()];
+        Developer::new(&config, &config.left, 9).develop(&light, &KEY, &mut image);
+        let grey = |column: usize, row: usize| image[3 * (9 * row + column) + 1];
         // Weights 0.18, 0.64, 0.18 in either direction.
         assert_eq!((grey(4, 3), grey(3, 3), grey(4, 4), grey(5, 2)), (82, 23, 23, 6));
-        assert_eq!((grey(2, 3), picture[3 * (9 * 3 + 4)]), (0, 0));
+        assert_eq!((grey(2, 3), image[3 * (9 * 3 + 4)]), (0, 0));
     }
 
     #[test]
@@ -342,13 +342,13 @@ mod tests {
         light[3 * (width * 12 + 17) + 2] = 65_000;
         let mut developer = Developer::new(&SensorConfig::IDEAL, &EyeResponse::NEUTRAL, width);
         developer.defocus(&mut light, 1.5);
-        let mut picture = Vec::new();
-        developer.develop_ideal(&light, &mut picture);
+        let mut image = Vec::new();
+        developer.develop_ideal(&light, &mut image);
         let (mut sum, mut moments) = (0.0, [0.0f64; 4]);
         for row in 0..height {
             for column in 0..width {
                 let (value, dx, dy) =
-                    (f64::from(picture[3 * (row * width + column) + 2]), column as f64 - 17.0, row as f64 - 12.0);
+                    (f64::from(image[3 * (row * width + column) + 2]), column as f64 - 17.0, row as f64 - 12.0);
                 sum += value;
                 moments[0] += value * dx;
                 moments[1] += value * dy;
@@ -360,11 +360,11 @@ mod tests {
         assert!((sum - 65_000.0 / 256.0).abs() < 1.0, "{sum}");
         assert!(x.abs() < 0.01 && y.abs() < 0.01, "{x} {y}");
         assert!((xx - 2.25).abs() < 0.03 && (yy - 2.25).abs() < 0.03, "{xx} {yy}");
-        assert!(picture.iter().skip(1).step_by(3).all(|&green| green == 0.0));
+        assert!(image.iter().skip(1).step_by(3).all(|&green| green == 0.0));
     }
 
     #[test]
-    fn the_ideal_picture_is_the_mean_of_noisy_ones() {
+    fn the_ideal_image_is_the_mean_of_noisy_ones() {
         let response = EyeResponse { exposure: 0.9, gain: [1.1, 1.0, 0.8], offset_grey: [5.0, -3.0, 0.0] };
         let config = SensorConfig { lens_blur_px: 0.6, read_noise_grey: 2.0, ..SensorConfig::IDEAL };
         let light: Vec<u16> = (0..3 * 8 * 5u32).map(|i| (9000 + (i * 7919) % 23_000) as u16).collect();
@@ -372,10 +372,10 @@ mod tests {
         let mut ideal = Vec::new();
         developer.develop_ideal(&light, &mut ideal);
         let mut sum = vec![0.0; light.len()];
-        let mut picture = vec![0; light.len()];
+        let mut image = vec![0; light.len()];
         for frame_index in 0..400 {
-            developer.develop(&light, &NoiseKey { frame_index, ..KEY }, &mut picture);
-            sum.iter_mut().zip(&picture).for_each(|(sum, &grey)| *sum += f64::from(grey));
+            developer.develop(&light, &NoiseKey { frame_index, ..KEY }, &mut image);
+            sum.iter_mut().zip(&image).for_each(|(sum, &grey)| *sum += f64::from(grey));
         }
         for (mean, ideal) in sum.iter().map(|sum| sum / 400.0).zip(ideal) {
             assert!((mean - f64::from(ideal)).abs() < 0.45, "{mean} {ideal}");

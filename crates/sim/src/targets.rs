@@ -1,4 +1,4 @@
-//! Targets, backdrop and room: meshes and textures made from a seed. All are own work; there are no pictures in here.
+//! Targets, backdrop and room: meshes and textures made from a seed. All are own work; there are no images in here.
 //!
 //! A target's frame `target` has its origin at the target's centre on its front plane, x right, y down and z away from the
 //! cameras when it is seen frontally: the axes of the `model` frame.
@@ -93,13 +93,13 @@ impl TargetConfig {
     }
 }
 
-/// What is known about a target besides its picture.
+/// What is known about a target besides its image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TargetModel {
     /// `crab`, `card`, `box`, `potato`, `chessboard`.
     pub name: &'static str,
     /// The target's outline seen frontally from half a metre, as points on its surface in `target`, metres; the last point is
-    /// joined to the first. Projected into the left picture it is the region that an operator would draw.
+    /// joined to the first. Projected into the left image it is the region that an operator would draw.
     ///
     /// The front plane is z = 0: the front face of a flat target, the mean over the visible front of a relief or solid.
     pub outline_m: Vec<Point3<f64>>,

@@ -1,4 +1,4 @@
-//! The renderer is the ground truth for sub-pixel stereo: places in its pictures against the camera model.
+//! The renderer is the ground truth for sub-pixel stereo: places in its images against the camera model.
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy allows them in #[test] functions only, not in their helpers.
 
 use crate::support::{distorted_rig, poses, rectified_rig, render, square_scene, turned};
@@ -20,11 +20,11 @@ fn marks(x: f64, y: f64) -> [f64; 3] {
 }
 
 /// Centre of the light within 8 px of a place.
-fn centre_of_light(picture: &RgbImage, near: &Vector2<f64>) -> Vector2<f64> {
+fn centre_of_light(image: &RgbImage, near: &Vector2<f64>) -> Vector2<f64> {
     let (mut sum, mut light) = (Vector2::zeros(), 0.0);
     for row in (near.y - 8.0).round() as u32..=(near.y + 8.0).round() as u32 {
         for column in (near.x - 8.0).round() as u32..=(near.x + 8.0).round() as u32 {
-            let grey = f64::from(picture.get_pixel(column, row)[1]);
+            let grey = f64::from(image.get_pixel(column, row)[1]);
             sum += Vector2::new(f64::from(column), f64::from(row)) * grey;
             light += grey;
         }
@@ -33,7 +33,7 @@ fn centre_of_light(picture: &RgbImage, near: &Vector2<f64>) -> Vector2<f64> {
 }
 
 /// Where the centre of a mark's light must lie: the plane's light projected piece by piece. (A tilted mark's centre of light
-/// is not the projection of its centre: its nearer half looks larger. A piece's area in the picture goes with depth^-3.)
+/// is not the projection of its centre: its nearer half looks larger. A piece's area in the image goes with depth^-3.)
 fn expected_centre(
     mark: &Point3<f64>,
     camera: &Camera,
@@ -50,8 +50,8 @@ fn expected_centre(
     Some(sum / light)
 }
 
-/// Compares all marks in the picture with the projections of their places; returns how many.
-fn check_marks(picture: &RgbImage, camera: &Camera, to_cam: impl Fn(&Point3<f64>) -> Point3<f64>) -> usize {
+/// Compares all marks in the image with the projections of their places; returns how many.
+fn check_marks(image: &RgbImage, camera: &Camera, to_cam: impl Fn(&Point3<f64>) -> Point3<f64>) -> usize {
     let (mut count, mut mean_error) = (0, Vector2::zeros());
     for (i, j) in (-8..=8).flat_map(|j| (-8..=8).map(move |i| (i, j))) {
         let mark = Point3::new(f64::from(i) * MARK_SPACING_M, f64::from(j) * MARK_SPACING_M, 0.0);
@@ -60,7 +60,7 @@ fn check_marks(picture: &RgbImage, camera: &Camera, to_cam: impl Fn(&Point3<f64>
         if !(inside(expected.x, 640) && inside(expected.y, 480)) {
             continue;
         }
-        let error = centre_of_light(picture, &expected) - expected;
+        let error = centre_of_light(image, &expected) - expected;
         assert!(error.norm() < 0.02, "mark {i}, {j} at {expected}: off by {error}");
         mean_error += error;
         count += 1;
@@ -128,10 +128,10 @@ fn edges_cover_their_exact_share_of_the_pixels() {
 /// Zero-mean normalised correlation of two square windows (side 2 `HALF` + 1) of the green channel.
 fn correlation(a: &RgbImage, b: &RgbImage, in_a: (i64, i64), in_b: (i64, i64)) -> f64 {
     const HALF: i64 = 12;
-    let window = |picture: &RgbImage, centre: (i64, i64)| {
+    let window = |image: &RgbImage, centre: (i64, i64)| {
         let mut values = Vec::new();
         for (dx, dy) in (-HALF..=HALF).flat_map(|dy| (-HALF..=HALF).map(move |dx| (dx, dy))) {
-            values.push(f64::from(picture.get_pixel((centre.0 + dx) as u32, (centre.1 + dy) as u32)[1]));
+            values.push(f64::from(image.get_pixel((centre.0 + dx) as u32, (centre.1 + dy) as u32)[1]));
         }
         let mean = values.iter().sum::<f64>() / values.len() as f64;
         values.iter_mut().for_each(|value| *value -= mean);

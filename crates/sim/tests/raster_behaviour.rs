@@ -24,21 +24,21 @@ fn pair(renderer: &mut StereoRenderer, frame_index: u64, x_m: f64) -> [RgbImage;
     [left, right]
 }
 
-/// FNV-1a of the bytes of some pictures.
-fn fingerprint(pictures: &[RgbImage]) -> u64 {
-    let bytes = pictures.iter().flat_map(|picture| picture.as_raw());
+/// FNV-1a of the bytes of some images.
+fn fingerprint(images: &[RgbImage]) -> u64 {
+    let bytes = images.iter().flat_map(|image| image.as_raw());
     bytes.fold(0xcbf2_9ce4_8422_2325, |hash, &byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
 #[test]
-fn pictures_of_a_seed_are_the_same_bytes_everywhere() {
+fn images_of_a_seed_are_the_same_bytes_everywhere() {
     let mut renderer = crab_renderer(&SensorConfig::default(), 5);
-    // Noted from the first rendering: whoever changes a picture on purpose writes the new number here.
+    // Noted from the first rendering: whoever changes an image on purpose writes the new number here.
     assert_eq!(format!("{:016x}", fingerprint(&pair(&mut renderer, 3, 0.05))), "373aa3745d4e9f3e");
 }
 
 #[test]
-fn pictures_depend_on_seed_and_frame_but_not_on_the_order() {
+fn images_depend_on_seed_and_frame_but_not_on_the_order() {
     let mut renderer = crab_renderer(&SensorConfig::default(), 5);
     let third = pair(&mut renderer, 3, 0.05);
     let fourth = pair(&mut renderer, 4, 0.06);
@@ -81,11 +81,11 @@ fn the_crab_has_its_hue_and_nothing_is_black() {
     let mut renderer = crab_renderer(&SensorConfig::IDEAL, 1);
     let here = poses(turned([0.05, 0.0, 0.5], [0.0; 3]));
     let truth = renderer.ground_truth(&here);
-    let (mut picture, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
-    renderer.render_pair(&here, 0, &mut picture, &mut right);
-    assert!(picture.pixels().filter(|p| p.0.iter().all(|&channel| channel < 12)).count() < 50);
+    let (mut image, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
+    renderer.render_pair(&here, 0, &mut image, &mut right);
+    assert!(image.pixels().filter(|p| p.0.iter().all(|&channel| channel < 12)).count() < 50);
     let (mut crab, mut in_range, mut backdrop) = (0u32, 0u32, 0u32);
-    for (pixel, object) in picture.pixels().zip(&truth.object) {
+    for (pixel, object) in image.pixels().zip(&truth.object) {
         let [r, g, b] = pixel.0.map(f64::from);
         match object {
             SceneObject::Target if r - b > 25.0 => {
@@ -112,7 +112,7 @@ fn area_and_range(polygon: &[Vector2<f64>]) -> (f64, [f64; 4]) {
 }
 
 #[test]
-fn outlines_frame_the_targets_in_the_picture() {
+fn outlines_frame_the_targets_in_the_image() {
     let targets = [
         TargetConfig::crab(0.0),
         TargetConfig::crab(0.02),
@@ -140,11 +140,11 @@ fn outlines_frame_the_targets_in_the_picture() {
 }
 
 /// Sum of the differences between neighbouring columns.
-fn sharpness(picture: &RgbImage) -> f64 {
+fn sharpness(image: &RgbImage) -> f64 {
     let row = |r: u32| (1..640).map(move |c| (c, r));
     (0..480)
         .flat_map(row)
-        .map(|(c, r)| (f64::from(picture.get_pixel(c, r)[0]) - f64::from(picture.get_pixel(c - 1, r)[0])).abs())
+        .map(|(c, r)| (f64::from(image.get_pixel(c, r)[0]) - f64::from(image.get_pixel(c - 1, r)[0])).abs())
         .sum()
 }
 
@@ -188,8 +188,8 @@ fn only_the_camera_that_is_out_of_focus_is_blurred() {
     let renderer = crab_renderer(&SensorConfig::IDEAL, 5);
     let blurred = pair(&mut renderer.clone().with_defocus_px(0.0, 1.5).unwrap(), 0, 0.05);
     assert_eq!(sharp[0], blurred[0]);
-    let contrast = |picture: &RgbImage| {
-        let greens: Vec<f64> = picture.pixels().map(|pixel| f64::from(pixel[1])).collect();
+    let contrast = |image: &RgbImage| {
+        let greens: Vec<f64> = image.pixels().map(|pixel| f64::from(pixel[1])).collect();
         greens.windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum::<f64>()
     };
     assert!(contrast(&blurred[1]) < 0.5 * contrast(&sharp[1]));
@@ -198,7 +198,7 @@ fn only_the_camera_that_is_out_of_focus_is_blurred() {
 }
 
 #[test]
-fn the_ideal_picture_is_the_picture_of_an_ideal_sensor() {
+fn the_ideal_image_is_the_image_of_an_ideal_sensor() {
     let mut renderer = crab_renderer(&SensorConfig { lens_blur_px: 0.6, ..SensorConfig::IDEAL }, 5);
     let [left, _] = pair(&mut renderer, 0, 0.05);
     let mut ideal = Vec::new();
@@ -241,7 +241,7 @@ fn a_reflection_lies_where_the_mirror_would_show_the_lamp() {
 
 #[test]
 fn fine_sampling_shows_the_same_places_with_fewer_false_patterns() {
-    // Soft stripes of 1.6 px: the fine pictures must show hardly anything, the plain ones show beats.
+    // Soft stripes of 1.6 px: the fine images must show hardly anything, the plain ones show beats.
     let stripes = |x: f64, _: f64| [130.0 + 90.0 * (x / 0.00108 * std::f64::consts::TAU).sin(); 3];
     let scene = square_scene(0.25, 11, stripes);
     let poses = poses(turned([0.0, 0.0, 0.5], [0.01, -0.02, 0.0]));
@@ -260,12 +260,12 @@ fn fine_sampling_shows_the_same_places_with_fewer_false_patterns() {
     let (coarse, fine) = (contrast(plain.clone()), contrast(plain.with_fine_sampling().unwrap()));
     assert!(fine < 0.3 * coarse && fine < 4.0, "{fine} {coarse}");
 
-    let pictures = |fine: bool| {
+    let images = |fine: bool| {
         let renderer = crab_renderer(&sensor, 5);
         let mut renderer = if fine { renderer.with_fine_sampling().unwrap() } else { renderer };
         pair(&mut renderer, 0, 0.05)
     };
-    let (coarse, fine) = (pictures(false), pictures(true));
+    let (coarse, fine) = (images(false), images(true));
     for (a, b) in coarse.iter().zip(&fine) {
         let difference = |a: &RgbImage, b: &RgbImage, shift: u32| {
             let row = 3 * 640 * 240..3 * 640 * 300;

@@ -307,7 +307,7 @@ fn shared_plant(config: JointPlantConfig, wanted: Wanted<'_>) -> Result<SharedPl
 /// What stands at the far end of this arm's line, emulated, and its place in the cell: for a world that is played around the program.
 ///
 /// # Errors
-/// If the arm has no gateway, or the emulation can not be had.
+/// If the arm has no gateway, or the emulation cannot be had.
 pub fn far_side(
     (name, arm): (&str, &ArmSetup),
     face: impl FnOnce(GatewayConfig) -> MockFace,
@@ -409,12 +409,12 @@ fn open(line: Line<'_>, seat: TripSeat, wanted: Wanted<'_>) -> Result<Pa10Arm> {
     }
     let seen = opened.monitor().snapshot();
     if let Some(refusal) = seen.gateway.and_then(|hello| greeting::watchdog_refusal(arm.command_timeout, &hello)) {
-        bail!("{name} can not be used: {refusal}");
+        bail!("{name} cannot be used: {refusal}");
     }
     if let Some(latched) = seen.latched {
         let arm = name.split('-').next().unwrap_or(name);
         bail!(
-            "{name} can not be used: {}; it is so since before this run: `pb3dp arm reset --config FILE --arm {arm}` resets it",
+            "{name} cannot be used: {}; it is so since before this run: `pb3dp arm reset --config FILE --arm {arm}` resets it",
             latched.trip
         );
     }

@@ -57,7 +57,7 @@ fn look_at_age(calibration: &CalibrationInUse, judgement: &Judgement, now: Syste
     let (table, source) = (calibration.table, &calibration.source);
     let days = |time: Duration| time.as_secs_f64() / DAY.as_secs_f64();
     let found = match humantime::parse_rfc3339(&judgement.date) {
-        Err(error) => format!("the date of {source}, {:?}, can not be read: {error}", judgement.date),
+        Err(error) => format!("the date of {source}, {:?}, cannot be read: {error}", judgement.date),
         // Clocks of two computers may differ by some hours.
         Ok(made) => match now.duration_since(made) {
             Err(ahead) if ahead.duration() > DAY => format!(
@@ -161,6 +161,6 @@ pub(super) mod tests {
         let mut undated = in_use(&waived);
         undated.judgement.as_mut().unwrap().date = "yesterday".to_owned();
         let text = look_at(&[undated], at("2026-11-02T10:00:00Z")).unwrap_err().to_string();
-        assert!(text.contains("\"yesterday\", can not be read"), "{text}");
+        assert!(text.contains("\"yesterday\", cannot be read"), "{text}");
     }
 }

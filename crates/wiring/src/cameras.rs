@@ -8,7 +8,7 @@ use pb3dp_camera_settings::StereoConfig;
 use pb3dp_camera_v4l2::pairing::Drift;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_camera_v4l2::{ReopeningCamera, Side};
-use pb3dp_cell::pair::check_pictures;
+use pb3dp_cell::pair::check_images;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 use pb3dp_record::calibration_files::CameraIdentity;
 use pb3dp_setup::setup::{CAMERAS, CalibrationInUse, RealCameras, Setup, Synchronisation};
@@ -50,7 +50,7 @@ pub(super) fn wire_real(
     let mut identity_of = |side| camera.camera.identity(side).map(identity).context("table [camera]");
     let identities = [identity_of(Side::Left)?, identity_of(Side::Right)?];
     look_at_cameras(&setup.rig.calibrations, &identities)?;
-    check_pictures("cameras", &setup.rig.stereo, &first.left, &first.right)
+    check_images("cameras", &setup.rig.stereo, &first.left, &first.right)
         .context("table [camera]: exchange left.device and right.device if they are the wrong way round")?;
     Ok(WiredCameras { camera: Box::new(camera), identities })
 }

@@ -65,7 +65,7 @@ pub struct Wired {
 /// Wires the cell, and what its target does by the setup.
 ///
 /// # Errors
-/// If a part refuses its parameters, or the arms can not follow the experiment (by how much is said).
+/// If a part refuses its parameters, or the arms cannot follow the experiment (by how much is said).
 pub fn wire(setup: &Setup) -> Result<Parts> {
     Ok(wire_watched(setup)?.parts)
 }
@@ -112,7 +112,7 @@ pub fn wire_at_rest(setup: &Setup, duration: Duration) -> Result<Wired> {
     wire_to_look(setup, duration)
 }
 
-/// As [`wire_at_rest`], for who only takes pictures: nobody has to mark a target.
+/// As [`wire_at_rest`], for who only takes images: nobody has to mark a target.
 ///
 /// # Errors
 /// If a part refuses its parameters.
@@ -169,7 +169,7 @@ fn wire_cell_with(
             let wired = cameras::wire_real(real, setup, (video, Arc::clone(&clock)))?;
             cameras = Some(wired.identities);
             let region = real.region.as_ref().map(|region| load_region(region, real.size())).transpose()?;
-            (Sight::Pictures(wired.camera), region.map_or(Marking::Nobody, Marking::Region))
+            (Sight::Images(wired.camera), region.map_or(Marking::Nobody, Marking::Region))
         }
         Cameras::Simulated(world) => {
             let (camera, outline_m) = wire_sight(setup, world, &mut cell, &clock)?;
@@ -198,7 +198,7 @@ fn wire_cell_with(
     Ok(Wired { parts, monitors, virtual_ends })
 }
 
-/// Refuses real cameras in whose pictures nobody has marked a target.
+/// Refuses real cameras in whose images nobody has marked a target.
 ///
 /// # Errors
 /// What to do.
@@ -212,7 +212,7 @@ fn check_marked(setup: &Setup) -> Result<()> {
 /// The camera that plays a recorded sequence, and its calibration.
 ///
 /// # Errors
-/// If the calibration can not be used.
+/// If the calibration cannot be used.
 pub fn wire_replay(sequence: &Sequence, pace: ReplayPace) -> Result<(Box<dyn StereoCamera>, StereoCalibration)> {
     let pacing = match pace {
         ReplayPace::Fast => Pacing::Unpaced,

@@ -39,7 +39,7 @@ pub(super) fn wire_sight(
     let FrameTiming { period, exposure } = setup.rig.frames;
     let timing = SimCameraConfig { period, exposure, blur_moments: world.blur_moments, pairs: None };
     match setup.leader {
-        Leader::Pictures(_) => {
+        Leader::Images(_) => {
             let scene = Scene::build(&world.scene).context("table [scene]")?;
             let outline_m = scene.target().outline_m.clone();
             let renderer = StereoRenderer::new(scene, *setup.true_rig(), &world.sensor, world.sensor_seed);
@@ -53,7 +53,7 @@ pub(super) fn wire_sight(
                 true => Box::new(camera),
                 false => Box::new(FaultyCamera::new(camera, faults, began).context("table [camera]")?),
             };
-            Ok((Sight::Pictures(camera), outline_m))
+            Ok((Sight::Images(camera), outline_m))
         }
         Leader::Geometric(config) => {
             let target = targets::model(&world.scene.target, world.scene.seed).context("table [scene]")?;
@@ -64,7 +64,7 @@ pub(super) fn wire_sight(
     }
 }
 
-/// The backend's camera without pictures, as the cell knows one.
+/// The backend's camera without images, as the cell knows one.
 struct Poses(GeometricCamera);
 
 impl PoseCamera for Poses {

@@ -196,7 +196,7 @@ pub trait ArmPower: Send {
     /// Gives the stop order; [`Self::stop`] has to follow. So two arms come to rest at the same time.
     ///
     /// # Errors
-    /// If the arm can not be told.
+    /// If the arm cannot be told.
     fn begin_stop(&mut self) -> Result<(), ArmError> {
         Ok(())
     }
@@ -204,7 +204,7 @@ pub trait ArmPower: Send {
     /// Comes to rest and switches the drives off.
     ///
     /// # Errors
-    /// If the arm can not be told.
+    /// If the arm cannot be told.
     fn stop(&mut self) -> Result<(), ArmError>;
 
     /// Clears a latched fault or emergency stop.

@@ -1,6 +1,6 @@
 //! Traits of the hardware that pb3dp needs, and the data that crosses them. No implementations.
 //!
-//! * [`StereoCamera`] delivers pairs of pictures with the time of exposure.
+//! * [`StereoCamera`] delivers stereo pairs with the time of exposure.
 //! * [`Arm`] takes joint velocities and returns measured joints; [`ArmPower`] switches drives and brakes.
 //! * [`Clock`] tells the time; everything else is told it.
 //!

@@ -5,18 +5,18 @@ use std::time::Duration;
 use image::RgbImage;
 use pb3dp_geometry::{ImageSize, MonotonicTime};
 
-/// Two pictures taken together.
+/// Two images taken together.
 #[derive(Clone, Debug)]
 pub struct FramePair {
     /// Counts pairs from 0; a gap means that pairs were lost before they reached this backend.
     pub sequence: u64,
-    /// Middle of the left picture's exposure on the program's monotonic clock.
+    /// Middle of the left image's exposure on the program's monotonic clock.
     pub exposed_at: MonotonicTime,
     /// Middle of the right exposure minus middle of the left exposure, nanoseconds.
     pub skew_nanos: i64,
-    /// Left picture: sRGB, 8 bits, row-major, as recorded (not undistorted).
+    /// Left image: sRGB, 8 bits, row-major, as recorded (not undistorted).
     pub left: RgbImage,
-    /// Right picture.
+    /// Right image.
     pub right: RgbImage,
 }
 
@@ -38,7 +38,7 @@ impl FramePair {
 pub struct StereoCameraInfo {
     /// For messages: `replay /data/run7`, `v4l2 usb-1.2 + usb-1.3`.
     pub name: String,
-    /// Size of both pictures.
+    /// Size of both images.
     pub size: ImageSize,
     /// Time between pairs; `None` if it is not fixed.
     pub period: Option<Duration>,
@@ -56,7 +56,7 @@ pub enum CameraErrorKind {
     EndOfStream,
     /// The device is gone; it must be opened again.
     Disconnected,
-    /// The device, file or configuration can not be used at all.
+    /// The device, file or configuration cannot be used at all.
     Unusable,
 }
 
@@ -91,13 +91,13 @@ impl CameraError {
     }
 }
 
-/// A calibrated pair of cameras that delivers pictures.
+/// A calibrated pair of cameras that delivers images.
 ///
 /// # For backend authors
 /// * `next_pair_into` blocks until a pair that was not yet delivered is complete, or `timeout` (on the backend's own clock)
 ///   has passed, whichever is first; it never blocks for longer than twice `timeout`.
 /// * A delivered pair is whole, of the size that `info` states, and newer than every pair before: `sequence` and
-///   `exposed_at` both increase strictly. Stale or damaged pictures are an error, never delivered as new.
+///   `exposed_at` both increase strictly. Stale or damaged images are an error, never delivered as new.
 /// * After an error `pair` may hold anything; the fields must not be used.
 /// * After `Timeout` or `BadPair` the next call goes on. After `EndOfStream` or `Disconnected` every call returns the same
 ///   kind until the backend is made anew.
@@ -106,7 +106,7 @@ pub trait StereoCamera: Send {
     /// What this camera delivers.
     fn info(&self) -> &StereoCameraInfo;
 
-    /// Fills `pair` with the next pair of pictures, re-using its buffers.
+    /// Fills `pair` with the next stereo pair, re-using its buffers.
     ///
     /// # Errors
     /// See [`CameraErrorKind`].

@@ -51,7 +51,7 @@ struct Control {
     state: ArmState,
     /// Why the arm is in `Fault`, for messages.
     reason: String,
-    /// A fault whose cause is still there can not be reset.
+    /// A fault whose cause is still there cannot be reset.
     fault_persists: bool,
     e_stop_pressed: bool,
     replies_to_drop: u32,

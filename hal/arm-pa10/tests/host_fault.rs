@@ -72,7 +72,7 @@ fn next_program(chain: &mut Chain) {
     chain.settle();
 }
 
-/// The next one can not move until an operator resets, and can then.
+/// The next one cannot move until an operator resets, and can then.
 fn wants_a_reset(chain: &mut Chain, what: &str) {
     next_program(chain);
     let refused = Some(Trip::Fault(FaultCause::Rejected(RejectReason::WrongState)));

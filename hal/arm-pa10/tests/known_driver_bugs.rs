@@ -142,7 +142,7 @@ fn a_command_with_an_unused_field_in_use_is_refused() {
     assert_eq!(error, CodecError::NotZero { axis: Axis::ALL[4], field: "torque", value: 500 });
 }
 
-/// A speed that the field can not hold was clamped, wrapped or undefined elsewhere: here it is refused, and named.
+/// A speed that the field cannot hold was clamped, wrapped or undefined elsewhere: here it is refused, and named.
 #[test]
 fn impossible_speeds_are_refused() {
     for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 6.5536, -6.5538, 1e300] {

@@ -163,7 +163,7 @@ fn an_answer_that_took_longer_holds_an_older_measurement() {
         rig.run(TICK);
         least = least.min(rig.now.saturating_since(rig.driver.joints().unwrap().at));
     }
-    // 6 ms more than the quickest answers, which the link can not tell from the difference of the clocks, and 0.1 ms at the gateway.
+    // 6 ms more than the quickest answers, which the link cannot tell from the difference of the clocks, and 0.1 ms at the gateway.
     assert!(least >= Duration::from_micros(6_100) && least <= ms(7), "{least:?}");
 }
 

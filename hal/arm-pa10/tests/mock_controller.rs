@@ -156,7 +156,7 @@ fn silence_ends_the_control_mode_where_there_is_a_watchdog() {
     }
 }
 
-/// Alarms keep the axis from moving until they are cleared, which they can not be while their cause is there.
+/// Alarms keep the axis from moving until they are cleared, which they cannot be while their cause is there.
 #[test]
 fn alarms_stay_until_their_cause_is_gone_and_they_are_cleared() {
     let mut bus = bus(MockControllerConfig { watchdog: None, ..MockControllerConfig::new(B) });

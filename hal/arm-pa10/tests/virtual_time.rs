@@ -154,7 +154,7 @@ fn a_cable_that_was_pulled_stops_the_arm_and_comes_back_by_a_reset() {
     assert_eq!(error.kind(), ArmErrorKind::Disconnected, "{error}");
     pass(&cell.time, 500);
     assert!(cell.ends.iter().all(|end| speed(end) == 0.0));
-    assert!(cell.arms[1].reset().unwrap_err().to_string().contains("can not be opened"));
+    assert!(cell.arms[1].reset().unwrap_err().to_string().contains("cannot be opened"));
     cell.ends[1].plug();
     pass(&cell.time, 500);
     assert_eq!(cell.arms[1].state(), ArmState::Fault, "it came back by itself");

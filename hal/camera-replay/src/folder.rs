@@ -1,4 +1,4 @@
-//! Pairing the pictures of a plain folder.
+//! Pairing the images of a plain folder.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,11 +15,11 @@ struct Half {
 type Found = BTreeMap<NaturalName, Half>;
 
 /// The pairs of a folder in the order of their names. Either `left<name>` and `right<name>` in the folder itself, or
-/// `<name>` in its subfolders `left` and `right`. Where a picture has no partner, the file that should be there is
+/// `<name>` in its subfolders `left` and `right`. Where an image has no partner, the file that should be there is
 /// returned, so that the pair is reported as missing it.
-pub(crate) fn picture_pairs(folder: &Path) -> Result<Vec<(PathBuf, PathBuf)>, CameraError> {
+pub(crate) fn image_pairs(folder: &Path) -> Result<Vec<(PathBuf, PathBuf)>, CameraError> {
     let mut flat = Found::new();
-    for file in pictures_in(folder)? {
+    for file in images_in(folder)? {
         let stem = stem(&file);
         if let Some(name) = stem.strip_prefix("left") {
             insert(&mut flat, name, true, file)?;
@@ -31,7 +31,7 @@ pub(crate) fn picture_pairs(folder: &Path) -> Result<Vec<(PathBuf, PathBuf)>, Ca
     let (left, right) = (folder.join("left"), folder.join("right"));
     for (subfolder, is_left) in [(&left, true), (&right, false)] {
         if subfolder.is_dir() {
-            for file in pictures_in(subfolder)? {
+            for file in images_in(subfolder)? {
                 let name = stem(&file);
                 insert(&mut nested, &name, is_left, file)?;
             }
@@ -42,32 +42,32 @@ pub(crate) fn picture_pairs(folder: &Path) -> Result<Vec<(PathBuf, PathBuf)>, Ca
         (true, false) => Ok(completed(nested, |name, side| folder.join(side).join(name))),
         (true, true) => Err(refuse(
             folder,
-            "it has no pictures left_*.png and right_*.png (or .jpg), and no subfolders left and right with pictures",
+            "it has no images left_*.png and right_*.png (or .jpg), and no subfolders left and right with images",
         )),
         (false, false) => {
-            Err(refuse(folder, "it has pictures of its own and subfolders left and right: keep one of the two"))
+            Err(refuse(folder, "it has images of its own and subfolders left and right: keep one of the two"))
         }
     }
 }
 
 fn refuse(folder: &Path, reason: &str) -> CameraError {
-    CameraError::new(CameraErrorKind::Unusable, format!("can not replay {}: {reason}", folder.display()))
+    CameraError::new(CameraErrorKind::Unusable, format!("cannot replay {}: {reason}", folder.display()))
 }
 
-fn pictures_in(folder: &Path) -> Result<Vec<PathBuf>, CameraError> {
+fn images_in(folder: &Path) -> Result<Vec<PathBuf>, CameraError> {
     let unreadable = |source: std::io::Error| {
-        let message = format!("can not read the folder {}: check that it exists", folder.display());
+        let message = format!("cannot read the folder {}: check that it exists", folder.display());
         CameraError::caused_by(CameraErrorKind::Unusable, message, source)
     };
-    let mut pictures = Vec::new();
+    let mut images = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(unreadable)? {
         let path = entry.map_err(unreadable)?.path();
         let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
         if matches!(extension.as_deref(), Some("png" | "jpg" | "jpeg")) && !path.is_dir() {
-            pictures.push(path);
+            images.push(path);
         }
     }
-    Ok(pictures)
+    Ok(images)
 }
 
 fn stem(file: &Path) -> String {
@@ -80,13 +80,13 @@ fn insert(found: &mut Found, name: &str, is_left: bool, file: PathBuf) -> Result
     match place.replace(file.clone()) {
         None => Ok(()),
         Some(other) => {
-            let message = format!("{} and {} are one picture twice: keep one", other.display(), file.display());
+            let message = format!("{} and {} are one image twice: keep one", other.display(), file.display());
             Err(CameraError::new(CameraErrorKind::Unusable, message))
         }
     }
 }
 
-/// Fills in the name that a missing picture should have, with its partner's extension.
+/// Fills in the name that a missing image should have, with its partner's extension.
 fn completed(found: Found, path: impl Fn(&str, &str) -> PathBuf) -> Vec<(PathBuf, PathBuf)> {
     let partner = |name: &str, side: &str, other: &Option<PathBuf>| {
         let extension = other.as_ref().and_then(|file| file.extension()).unwrap_or_default().to_string_lossy();
@@ -145,7 +145,7 @@ mod tests {
             std::fs::write(path, "").unwrap();
         }
         let relative = |path: PathBuf| path.strip_prefix(dir.path()).unwrap().to_string_lossy().into_owned();
-        let pairs = picture_pairs(dir.path()).map_err(|e| e.to_string())?;
+        let pairs = image_pairs(dir.path()).map_err(|e| e.to_string())?;
         Ok(pairs.into_iter().map(|(left, right)| (relative(left), relative(right))).collect())
     }
 
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_without_partner_keeps_its_turn() {
+    fn a_image_without_partner_keeps_its_turn() {
         check(
             &["left_1.png", "right_1.png", "right_2.jpg", "left_3.png", "right_3.png"],
             &[("left_1.png", "right_1.png"), ("left_2.jpg", "right_2.jpg"), ("left_3.png", "right_3.png")],
@@ -182,10 +182,10 @@ mod tests {
             let message = pairs_of(files).unwrap_err();
             assert!(message.contains(part), "{message}");
         };
-        refused(&["photo.png"], "no pictures left_*.png");
-        refused(&["left_1.png", "left_1.jpg", "right_1.png"], "one picture twice");
+        refused(&["photo.png"], "no images left_*.png");
+        refused(&["left_1.png", "left_1.jpg", "right_1.png"], "one image twice");
         refused(&["left_1.png", "right_1.png", "left/1.png"], "keep one of the two");
-        let error = picture_pairs(Path::new("/nonexistent/folder")).unwrap_err();
+        let error = image_pairs(Path::new("/nonexistent/folder")).unwrap_err();
         assert!(error.to_string().contains("/nonexistent/folder"));
     }
 }

@@ -1,11 +1,11 @@
 //! Stereo camera backend that replays recorded pairs.
 //!
-//! [`ReplayCamera`] plays a sequence folder, a case folder (one pair), or a plain folder of pictures with a calibration;
+//! [`ReplayCamera`] plays a sequence folder, a case folder (one pair), or a plain folder of images with a calibration;
 //! `docs/dataset-format.md` describes all three. It plays as fast as it is asked, in the original timing on an injected
-//! clock, or step by step; once or for ever. A pair with a picture that is missing, damaged or of another size is one
+//! clock, or step by step; once or for ever. A pair with an image that is missing, damaged or of another size is one
 //! error of kind `BadPair` that names the file; the next call goes on behind it.
 //!
-//! Pictures are delivered as they were recorded, not undistorted or rectified.
+//! Images are delivered as they were recorded, not undistorted or rectified.
 
 mod folder;
 mod pacing;
@@ -67,11 +67,11 @@ pub struct ReplayCamera {
 }
 
 impl ReplayCamera {
-    /// Opens a folder of any of the three kinds: with a `sequence.json`, with a `case.json`, or with pictures and a
+    /// Opens a folder of any of the three kinds: with a `sequence.json`, with a `case.json`, or with images and a
     /// `calib.json` (or a ROS pair `left.yaml`, `right.yaml`).
     ///
     /// # Errors
-    /// Kind `Unusable` if the folder, its description or its calibration can not be used; pictures are looked at when
+    /// Kind `Unusable` if the folder, its description or its calibration cannot be used; images are looked at when
     /// their turn comes.
     pub fn open(folder: &Path, options: ReplayOptions) -> Result<Self, CameraError> {
         if is_sequence(folder) {
@@ -79,40 +79,40 @@ impl ReplayCamera {
         } else if folder.join(CASE_FILE).is_file() {
             Self::open_case(&load_case(folder).map_err(|e| unusable(folder, e))?, options)
         } else {
-            Self::open_pictures(folder, &[folder.to_owned()], options)
+            Self::open_images(folder, &[folder.to_owned()], options)
         }
     }
 
-    /// Opens a plain folder of pictures with a calibration from elsewhere: one file, or a left and a right one.
+    /// Opens a plain folder of images with a calibration from elsewhere: one file, or a left and a right one.
     ///
     /// # Errors
-    /// Kind `Unusable` if there are no pictures, their names are ambiguous, or the calibration can not be used.
-    pub fn open_pictures(folder: &Path, calibration: &[PathBuf], options: ReplayOptions) -> Result<Self, CameraError> {
-        let pairs = folder::picture_pairs(folder)?;
+    /// Kind `Unusable` if there are no images, their names are ambiguous, or the calibration cannot be used.
+    pub fn open_images(folder: &Path, calibration: &[PathBuf], options: ReplayOptions) -> Result<Self, CameraError> {
+        let pairs = folder::image_pairs(folder)?;
         let calibration = load_stereo(calibration).map_err(|e| {
             let message = format!(
-                "can not replay the pictures in {}: give a calibration, or put a {CALIBRATION_FILE} there",
+                "cannot replay the images in {}: give a calibration, or put a {CALIBRATION_FILE} there",
                 folder.display()
             );
             CameraError::caused_by(CameraErrorKind::Unusable, message, e)
         })?;
-        Self::new(folder, Source::of_pictures(pairs, options.period), calibration, options)
+        Self::new(folder, Source::of_images(pairs, options.period), calibration, options)
     }
 
     /// Opens the one pair of a case; its time is zero.
     ///
     /// # Errors
-    /// Kind `Unusable` if the calibration can not be used.
+    /// Kind `Unusable` if the calibration cannot be used.
     pub fn open_case(case: &Case, options: ReplayOptions) -> Result<Self, CameraError> {
         let calibration = case.load_calibration().map_err(|e| unusable(&case.folder, e))?;
-        let source = Source::of_pictures(vec![(case.left.clone(), case.right.clone())], options.period);
+        let source = Source::of_images(vec![(case.left.clone(), case.right.clone())], options.period);
         Self::new(&case.folder, source, calibration, options)
     }
 
     /// Opens a sequence.
     ///
     /// # Errors
-    /// Kind `Unusable` if the calibration can not be used.
+    /// Kind `Unusable` if the calibration cannot be used.
     pub fn open_sequence(sequence: &Sequence, options: ReplayOptions) -> Result<Self, CameraError> {
         let calibration = sequence.load_calibration().map_err(|e| unusable(&sequence.folder, e))?;
         Self::new(&sequence.folder, Source::of_sequence(sequence, options.period), calibration, options)
@@ -125,7 +125,7 @@ impl ReplayCamera {
         options: ReplayOptions,
     ) -> Result<Self, CameraError> {
         if options.period.is_zero() {
-            let message = format!("can not replay {}: the period must be longer than zero", folder.display());
+            let message = format!("cannot replay {}: the period must be longer than zero", folder.display());
             return Err(CameraError::new(CameraErrorKind::Unusable, message));
         }
         let info = StereoCameraInfo {
@@ -212,17 +212,17 @@ impl StereoCamera for ReplayCamera {
     }
 }
 
-/// Loads a picture into a buffer; the buffer's memory is kept if it has the right size.
+/// Loads an image into a buffer; the buffer's memory is kept if it has the right size.
 fn load_into(file: &Path, size: ImageSize, because_of: &str, buffer: &mut RgbImage) -> Result<(), ImageFileError> {
-    let picture = load_rgb_of_size(file, size, because_of)?;
-    if buffer.dimensions() == picture.dimensions() {
-        buffer.copy_from_slice(&picture);
+    let image = load_rgb_of_size(file, size, because_of)?;
+    if buffer.dimensions() == image.dimensions() {
+        buffer.copy_from_slice(&image);
     } else {
-        *buffer = picture;
+        *buffer = image;
     }
     Ok(())
 }
 
 fn unusable(folder: &Path, error: pb3dp_record::dataset::DatasetError) -> CameraError {
-    CameraError::caused_by(CameraErrorKind::Unusable, format!("can not replay {}", folder.display()), error)
+    CameraError::caused_by(CameraErrorKind::Unusable, format!("cannot replay {}", folder.display()), error)
 }

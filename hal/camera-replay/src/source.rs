@@ -27,8 +27,8 @@ pub(crate) struct Source {
 }
 
 impl Source {
-    /// Pictures without times, one every `period`.
-    pub(crate) fn of_pictures(files: Vec<(PathBuf, PathBuf)>, period: Duration) -> Self {
+    /// Images without times, one every `period`.
+    pub(crate) fn of_images(files: Vec<(PathBuf, PathBuf)>, period: Duration) -> Self {
         let pairs: Vec<_> = (0..)
             .zip(files)
             .map(|(i, (left, right))| RecordedPair { left, right, since_first: period * i, skew_nanos: 0 })
@@ -47,7 +47,7 @@ impl Source {
             .iter()
             .enumerate()
             .map(|(i, at_s)| {
-                let (left, right) = sequence.picture_files(i as u64);
+                let (left, right) = sequence.image_files(i as u64);
                 RecordedPair { left, right, since_first: since_first(*at_s), skew_nanos: skew_nanos(i) }
             })
             .collect();

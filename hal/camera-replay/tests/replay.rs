@@ -15,7 +15,7 @@ use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_conformance::{CameraExpectations, stereo_camera_suite};
 use pb3dp_record::calibration_files::save_json;
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter, WrittenFrame};
-use pb3dp_record::images::{PictureFormat, save};
+use pb3dp_record::images::{StoredFormat, save};
 
 const SECOND: Duration = Duration::from_secs(1);
 const SIZE: ImageSize = ImageSize { width: 24, height: 16 };
@@ -27,7 +27,7 @@ fn rig() -> StereoRig {
         .unwrap()
 }
 
-fn picture(value: u8) -> RgbImage {
+fn image(value: u8) -> RgbImage {
     RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| Rgb([value, u as u8, v as u8]))
 }
 
@@ -36,13 +36,13 @@ fn record(folder: &Path, frames: u8) {
     let draft = SequenceDraft {
         region_polygon_left_px: vec![[2.0, 2.0], [20.0, 2.0], [20.0, 12.0]],
         search: SearchRange { z_min_m: 0.3, z_max_m: 0.9, tilt_max_rad: 0.7 },
-        pictures: PictureFormat::Png,
+        images: StoredFormat::Png,
     };
     let mut writer = SequenceWriter::create(folder, &rig(), draft).unwrap();
     for i in 0..frames {
         let frame = WrittenFrame {
-            left: &picture(2 * i),
-            right: &picture(2 * i + 1),
+            left: &image(2 * i),
+            right: &image(2 * i + 1),
             exposed_at: MonotonicTime::from_nanos(7_000_000_000 + PERIOD_NANOS * u64::from(i)),
             skew_nanos: 1_500,
             cam_left_from_model: None,
@@ -80,7 +80,7 @@ fn every_kind_of_recording_passes_the_camera_suite() {
 }
 
 #[test]
-fn pairs_carry_their_pictures_times_and_skew() {
+fn pairs_carry_their_images_times_and_skew() {
     let dir = tempfile::tempdir().unwrap();
     record(dir.path(), 3);
     let mut camera = open(dir.path(), Pacing::Unpaced, Repeat::Forever);
@@ -89,7 +89,7 @@ fn pairs_carry_their_pictures_times_and_skew() {
     for i in 0..8_u64 {
         let pair = camera.next_pair(SECOND).unwrap();
         let frame = (i % 3) as u8;
-        assert_eq!((&pair.left, &pair.right), (&picture(2 * frame), &picture(2 * frame + 1)));
+        assert_eq!((&pair.left, &pair.right), (&image(2 * frame), &image(2 * frame + 1)));
         assert_eq!((pair.sequence, pair.skew_nanos), (i, 1_500));
         // The rounds follow each other at the same period.
         assert_eq!(pair.exposed_at.as_nanos(), 7_000_000_000 + PERIOD_NANOS * i);
@@ -104,7 +104,7 @@ fn a_bad_pair_is_named_and_the_next_call_goes_on_behind_it() {
     let whole = std::fs::read(file("left_0001.png")).unwrap();
     std::fs::write(file("left_0001.png"), &whole[..whole.len() / 2]).unwrap();
     std::fs::remove_file(file("right_0002.png")).unwrap();
-    save(&RgbImage::new(8, 8), &file("right_0003.png"), PictureFormat::Png).unwrap();
+    save(&RgbImage::new(8, 8), &file("right_0003.png"), StoredFormat::Png).unwrap();
     let mut camera = open(dir.path(), Pacing::Unpaced, Repeat::Once);
     let check_bad = |camera: &mut ReplayCamera, name: &str, reason: &str| {
         let error = camera.next_pair(SECOND).unwrap_err();
@@ -171,8 +171,8 @@ fn stepping_delivers_one_pair_per_step() {
 fn a_plain_folder_needs_a_calibration_and_keeps_the_period_it_is_given() {
     let dir = tempfile::tempdir().unwrap();
     for i in 0..3_u8 {
-        save(&picture(2 * i), &dir.path().join(format!("left_{i}.png")), PictureFormat::Png).unwrap();
-        save(&picture(2 * i + 1), &dir.path().join(format!("right_{i}.png")), PictureFormat::Png).unwrap();
+        save(&image(2 * i), &dir.path().join(format!("left_{i}.png")), StoredFormat::Png).unwrap();
+        save(&image(2 * i + 1), &dir.path().join(format!("right_{i}.png")), StoredFormat::Png).unwrap();
     }
     let options = || ReplayOptions { period: Duration::from_millis(50), ..ReplayOptions::default() };
     let error = ReplayCamera::open(dir.path(), options()).unwrap_err();

@@ -14,7 +14,7 @@ pub use names::{CameraName, CameraNameError};
 pub use pixels::{BayerOrder, PixelFormat, UnknownFormat};
 pub use timing::{StampModel, StampSource, nanos};
 
-/// Seconds from picture to picture, as a fraction.
+/// Seconds from image to image, as a fraction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Interval {
     /// Seconds, times `denominator`.
@@ -30,7 +30,7 @@ impl Interval {
         is_fraction.then(|| f64::from(self.numerator) / f64::from(self.denominator))
     }
 
-    /// Pictures per second; `None` for a fraction that is none.
+    /// Images per second; `None` for a fraction that is none.
     pub fn per_second(self) -> Option<f64> {
         self.seconds().map(|seconds| 1.0 / seconds)
     }
@@ -41,15 +41,15 @@ impl Interval {
 pub struct ModeRequest {
     /// Layout of the pixels.
     pub format: PixelFormat,
-    /// Size of pictures.
+    /// Size of images.
     pub size: ImageSize,
-    /// Time from picture to picture.
+    /// Time from image to image.
     pub interval: Interval,
     /// Connector of a device with several, in the driver's numbering.
     pub input: Option<u32>,
     /// Television standard of a device that has such (`V4L2_STD_*`).
     pub standard: Option<u64>,
-    /// Takes pictures whose even and odd lines were exposed one after the other, which tears what moves.
+    /// Takes images whose even and odd lines were exposed one after the other, which tears what moves.
     pub takes_interlaced: bool,
 }
 

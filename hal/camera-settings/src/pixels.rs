@@ -1,6 +1,6 @@
 //! How cameras lay out the pixels of an image.
 
-/// How a device lays out the pixels of a picture.
+/// How a device lays out the pixels of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PixelFormat {
     /// `YUYV`: two pixels in four bytes, Y0 U Y1 V.
@@ -13,7 +13,7 @@ pub enum PixelFormat {
     Bgr24,
     /// `RGGB`, `GRBG`, `GBRG`, `BA81`: one byte of one colour, as the sensor has it.
     Bayer8(BayerOrder),
-    /// `MJPG`: each picture a JPEG of its own, with or without its Huffman tables.
+    /// `MJPG`: each image a JPEG of its own, with or without its Huffman tables.
     Mjpg,
 }
 
@@ -51,7 +51,7 @@ impl PixelFormat {
         Self::ALL.into_iter().find(|format| format.fourcc() == fourcc)
     }
 
-    /// Bytes of one row without padding; `None` where a picture has no rows of fixed length.
+    /// Bytes of one row without padding; `None` where an image has no rows of fixed length.
     pub fn row_bytes(self, width: u32) -> Option<usize> {
         let width = width as usize;
         match self {

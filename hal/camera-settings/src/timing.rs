@@ -5,7 +5,7 @@ use std::time::Duration;
 /// What the stamp of a buffer means (`V4L2_BUF_FLAG_TIMESTAMP_*`, `V4L2_BUF_FLAG_TSTAMP_SRC_*`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StampSource {
-    /// `CLOCK_MONOTONIC` when the last pixel of the picture had been received.
+    /// `CLOCK_MONOTONIC` when the last pixel of the image had been received.
     EndOfFrame,
     /// `CLOCK_MONOTONIC` when the exposure began.
     StartOfExposure,

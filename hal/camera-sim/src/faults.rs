@@ -1,7 +1,7 @@
-//! What goes wrong with cameras, on request: the same faults for rendered pictures and for the camera without pictures.
+//! What goes wrong with cameras, on request: the same faults for rendered images and for the camera without images.
 
 mod delivery;
-mod pictures;
+mod images;
 
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, CameraErrorKind};
@@ -9,7 +9,7 @@ use pb3dp_sim::camera_faults::{CameraFault, CameraFaultKind, CameraFaults};
 use pb3dp_sim::noise::{hash, unit};
 
 pub(crate) use delivery::{Delivered, Delivery};
-pub use pictures::FaultyCamera;
+pub use images::FaultyCamera;
 
 /// The faults of a camera that began at a time.
 #[derive(Clone, Debug)]
@@ -49,9 +49,9 @@ impl Plan {
     }
 }
 
-/// Where the bar hangs in the left and the right picture: first column and the one behind the last, as shares of the width.
+/// Where the bar hangs in the left and the right image: first column and the one behind the last, as shares of the width.
 pub(crate) fn bar(width_share: f64, crosses: bool, progress: f64) -> [[f64; 2]; 2] {
-    /// How much farther left it is in the right picture, as a share of the width: a bar 350 to 400 mm before usual cameras.
+    /// How much farther left it is in the right image, as a share of the width: a bar 350 to 400 mm before usual cameras.
     const DISPARITY: f64 = 0.3;
     let centre =
         if crosses { progress * (1.0 + DISPARITY + width_share) - (DISPARITY + width_share) / 2.0 } else { 0.5 };
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bar_goes_through_both_pictures() {
+    fn a_bar_goes_through_both_images() {
         let seen = |progress| bar(0.2, true, progress).map(|[first, end]| end > 1e-9 && first < 1.0 - 1e-9);
         for (progress, expected) in [
             (0.0, [false, false]),

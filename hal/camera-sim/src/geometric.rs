@@ -1,4 +1,4 @@
-//! A camera that renders nothing, with the tracker that would look at its pictures.
+//! A camera that renders nothing, with the tracker that would look at its images.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,17 +15,17 @@ use crate::faults::{Delivered, Delivery, Plan, bar};
 use crate::schedule::ExposureSchedule;
 
 /// For messages.
-const NAME: &str = "camera without pictures";
+const NAME: &str = "camera without images";
 
 /// Factors of brightness at which a tracker still sees something.
 const BRIGHTNESS_SEEN: std::ops::RangeInclusive<f64> = 0.2..=4.0;
 /// For so many frames after a step of brightness a tracker is not sure.
 const FRAMES_AFTER_STEP: u32 = 3;
-/// Offset of the right picture's rows beyond which nothing fits, pixels.
+/// Offset of the right image's rows beyond which nothing fits, pixels.
 const ROWS_OFF_MAX_PX: f64 = 2.0;
 
 /// Exposes at the times of a [`SimStereoCamera`](crate::SimStereoCamera) and says what a tracker would: the true pose at
-/// mid-exposure, with noise. Number and times of frames are those that the camera with pictures would give.
+/// mid-exposure, with noise. Number and times of frames are those that the camera with images would give.
 pub struct GeometricCamera {
     tracker: GeometricTracker,
     poses: Box<dyn PoseSource>,
@@ -71,10 +71,10 @@ impl GeometricCamera {
         })
     }
 
-    /// The same camera with these faults, whose times count from `began`: with what each of them does to a tracker of pictures.
+    /// The same camera with these faults, whose times count from `began`: with what each of them does to a tracker of images.
     ///
     /// # Errors
-    /// `Unusable` for a fault that can not be.
+    /// `Unusable` for a fault that cannot be.
     pub fn with_faults(self, faults: CameraFaults, began: MonotonicTime) -> Result<Self, CameraError> {
         Ok(Self { plan: Plan::new(faults, began)?, ..self })
     }
@@ -113,20 +113,20 @@ impl GeometricCamera {
         self.delivery.deliver(frame, &faults)
     }
 
-    /// What faults do to a tracker of the pictures.
+    /// What faults do to a tracker of the images.
     fn hindrances(&mut self, frame: &mut GeometricFrame, faults: &[CameraFault]) {
         let mut brightness = [1.0; 2];
         for fault in faults {
             let hindrance = match fault.kind {
-                CameraFaultKind::Black { .. } => Some(Hindrance::Blind("a picture is black")),
-                CameraFaultKind::Saturated { .. } => Some(Hindrance::Blind("a picture is saturated")),
-                CameraFaultKind::Torn { .. } => Some(Hindrance::Blind("the pictures are of two exposures")),
+                CameraFaultKind::Black { .. } => Some(Hindrance::Blind("an image is black")),
+                CameraFaultKind::Saturated { .. } => Some(Hindrance::Blind("an image is saturated")),
+                CameraFaultKind::Torn { .. } => Some(Hindrance::Blind("the images are of two exposures")),
                 CameraFaultKind::Brightness { eyes, factor } => {
                     for (eye, _) in brightness.iter_mut().zip(eyes.are()).filter(|(_, is)| *is) {
                         *eye *= factor;
                     }
                     (!BRIGHTNESS_SEEN.contains(&factor))
-                        .then_some(Hindrance::Blind("the pictures are too dark or too bright"))
+                        .then_some(Hindrance::Blind("the images are too dark or too bright"))
                 }
                 CameraFaultKind::Occluder { width_share, crosses } => {
                     let sides = bar(width_share, crosses, self.plan.progress(fault, frame.exposed_at));
@@ -159,7 +159,7 @@ impl GeometricCamera {
             frame.hindrance = Some(Hindrance::Doubtful("brightness has just changed"));
         }
     }
-    /// The right picture is not where the calibration has it.
+    /// The right image is not where the calibration has it.
     fn misjudge(
         &self,
         frame: &mut GeometricFrame,
@@ -168,7 +168,7 @@ impl GeometricCamera {
         scale: f64,
     ) -> Option<Hindrance> {
         if rows_px.abs() > ROWS_OFF_MAX_PX {
-            return Some(Hindrance::Blind("the rows of the pictures do not fit"));
+            return Some(Hindrance::Blind("the rows of the images do not fit"));
         }
         let found = frame.sighting.cam_left_from_model.ok()?;
         match self.tracker.misjudged(&found, columns_px, roll_rad, scale) {
@@ -176,11 +176,11 @@ impl GeometricCamera {
                 frame.sighting.cam_left_from_model = Ok(wrong);
                 None
             }
-            None => Some(Hindrance::Blind("the pictures do not fit the calibration")),
+            None => Some(Hindrance::Blind("the images do not fit the calibration")),
         }
     }
 
-    /// Whether more than half of the target's outline is behind a bar between these sides, as shares of the left picture's width.
+    /// Whether more than half of the target's outline is behind a bar between these sides, as shares of the left image's width.
     fn is_hidden(&self, cam_left_from_target: &Pose<CamLeft, Target>, sides: [f64; 2]) -> bool {
         let outline_px = self.tracker.outline_px(cam_left_from_target);
         let width = f64::from(self.tracker.rig().left().size().width);

@@ -3,7 +3,7 @@
 //! [`SimStereoCamera`] exposes at fixed times of an injected clock, asks a `PoseSource` where everything was then, and renders
 //! the pair. It knows no arm: whoever simulates the arms implements `PoseSource`. [`GeometricCamera`] exposes at the same times and
 //! renders nothing: it stands for camera and tracker in one, for runs in which pixels are not the subject. Both can be made to suffer
-//! [`CameraFaults`](pb3dp_sim::camera_faults::CameraFaults): [`FaultyCamera`] does it to pictures.
+//! [`CameraFaults`](pb3dp_sim::camera_faults::CameraFaults): [`FaultyCamera`] does it to images.
 
 mod faults;
 mod geometric;
@@ -31,7 +31,7 @@ pub struct SimCameraConfig {
     pub period: Duration,
     /// Length of an exposure, at most `period`. Without motion blur it only sets the time at which a pair is ready.
     pub exposure: Duration,
-    /// Moments of an exposure that are rendered and averaged: 1 for sharp pictures, more for motion blur (each costs a
+    /// Moments of an exposure that are rendered and averaged: 1 for sharp images, more for motion blur (each costs a
     /// rendering), at most 64.
     pub blur_moments: u32,
     /// Pairs until the end of the stream; `None` never ends.
@@ -79,7 +79,7 @@ impl SimCameraConfig {
 /// falling behind, as with a real camera. So poses are asked for times up to one period and one exposure in the past of the
 /// clock, and never going back from pair to pair.
 ///
-/// Rendering takes processor time in the call. With a clock that only moves when somebody sleeps, pictures and times depend
+/// Rendering takes processor time in the call. With a clock that only moves when somebody sleeps, images and times depend
 /// on nothing but configuration, seed and poses.
 pub struct SimStereoCamera {
     renderer: StereoRenderer,
@@ -155,7 +155,7 @@ impl StereoCamera for SimStereoCamera {
         self.gather_poses(start)?;
         self.renderer
             .render_exposure(&self.moments, sequence, &mut pair.left, &mut pair.right)
-            .map_err(|error| CameraError::caused_by(CameraErrorKind::BadPair, "the pair can not be rendered", error))?;
+            .map_err(|error| CameraError::caused_by(CameraErrorKind::BadPair, "the pair cannot be rendered", error))?;
         pair.sequence = sequence;
         pair.exposed_at = start + self.config.exposure / 2;
         pair.skew_nanos = 0;

@@ -158,9 +158,9 @@ fn configurations_out_of_range_are_refused_with_the_value() {
     check(config(65, None), "65 moments");
 }
 
-/// The camera without pictures gives the frames that the other one would, at the same times, asking for the same poses.
+/// The camera without images gives the frames that the other one would, at the same times, asking for the same poses.
 #[test]
-fn without_pictures_frames_come_at_the_same_times() {
+fn without_images_frames_come_at_the_same_times() {
     let config = SimCameraConfig { pairs: None, ..config(1, None) };
     let geometric = GeometricConfig {
         noise: PoseSigma { lateral_m: 1e-4, depth_m: 5e-4, tilt_rad: 2e-3, about_normal_rad: 1e-3 },
@@ -173,7 +173,7 @@ fn without_pictures_frames_come_at_the_same_times() {
     };
     let (renderer, movers) = (renderer(), [Mover::default(), Mover::default()]);
     let clocks = [Arc::new(VirtualClock::new()), Arc::new(VirtualClock::new())];
-    let mut pictures = camera(&renderer, clocks[0].clone(), &movers[0], config.clone());
+    let mut images = camera(&renderer, clocks[0].clone(), &movers[0], config.clone());
     let outline_m = renderer.scene().target().outline_m.clone();
     let tracker = GeometricTracker::new(geometric, *renderer.rig(), outline_m).unwrap();
     let mut without =
@@ -182,7 +182,7 @@ fn without_pictures_frames_come_at_the_same_times() {
         for clock in &clocks {
             clock.sleep_until(clock.now() + Duration::from_millis(late));
         }
-        let pair = pictures.next_pair(SECOND).unwrap();
+        let pair = images.next_pair(SECOND).unwrap();
         let frame = without.next_frame(SECOND).unwrap();
         assert_eq!((frame.sequence, frame.exposed_at), (pair.sequence, pair.exposed_at));
         assert_eq!(clocks[0].now(), clocks[1].now());

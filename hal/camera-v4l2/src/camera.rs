@@ -17,18 +17,18 @@ use crate::stream::{Drained, Stream, StreamConfig, StreamCounters};
 use crate::timing::ClockMap;
 use crate::video::{VideoNode, VideoSystem};
 
-/// Without any picture for so many periods a camera is silent. One that sends is late by less than a period: on an emulated computer
-/// with one busy processor `vivid` was 43 to 61 ms behind the picture before in place of 33 (maximum of 300 pictures, 1.8 periods).
-/// Where a single picture is lost the next one comes at that very time, and may be told as silent; it is delivered by the next call.
+/// Without any image for so many periods a camera is silent. One that sends is late by less than a period: on an emulated computer
+/// with one busy processor `vivid` was 43 to 61 ms behind the image before in place of 33 (maximum of 300 images, 1.8 periods).
+/// Where a single image is lost the next one comes at that very time, and may be told as silent; it is delivered by the next call.
 const SILENT_PERIODS: f64 = 2.0;
 
-/// The same where pictures come that are no good: the camera is there, one picture may be damaged, and the next one late by half a period.
+/// The same where images come that are no good: the camera is there, one image may be damaged, and the next one late by half a period.
 const DAMAGED_PERIODS: f64 = 2.5;
 
-/// A picture may wait in the driver for so many periods; with those of a late caller it was filled long ago.
+/// An image may wait in the driver for so many periods; with those of a late caller it was filled long ago.
 const AGE_PERIODS_MAX: u32 = 4;
 
-/// Memory for pictures that the driver fills: one is held, one is filled, two are room for a caller that is late.
+/// Memory for images that the driver fills: one is held, one is filled, two are room for a caller that is late.
 const BUFFERS: u32 = 4;
 
 /// What has come, and what was left out.
@@ -82,11 +82,11 @@ pub struct V4l2StereoCamera {
     counters: StereoCounters,
     drift: DriftEstimator,
     last: Option<(u64, MonotonicTime)>,
-    /// What was heard of each side last; `None` before its first good picture.
+    /// What was heard of each side last; `None` before its first good image.
     heard: [Option<Heard>; 2],
 }
 
-/// When a camera had its last pictures, or it was last told that it has none.
+/// When a camera had its last images, or it was last told that it has none.
 #[derive(Clone, Copy, Debug)]
 struct Heard {
     /// Of whatever quality.
@@ -96,7 +96,7 @@ struct Heard {
 }
 
 impl Heard {
-    /// Takes down what came of taking pictures.
+    /// Takes down what came of taking images.
     fn note(heard: &mut Option<Self>, drained: Drained, now: MonotonicTime) {
         if drained.has_life {
             *heard = Some(Self { any: now, good: now });
@@ -137,20 +137,20 @@ impl V4l2StereoCamera {
         if size != right_mode.mode.layout.size {
             return Err(unusable(
                 &name,
-                format!("pictures differ in size: {size:?} and {:?}", right_mode.mode.layout.size),
+                format!("images differ in size: {size:?} and {:?}", right_mode.mode.layout.size),
             ));
         }
         let [period, other] = [&left_mode, &right_mode].map(|prepared| prepared.mode.period_s);
         if (period - other).abs() > 1e-6 * period {
             return Err(unusable(
                 &name,
-                format!("rates differ: {:.4} and {:.4} pictures per second", 1.0 / period, 1.0 / other),
+                format!("rates differ: {:.4} and {:.4} images per second", 1.0 / period, 1.0 / other),
             ));
         }
         let period = Duration::from_secs_f64(period);
         if config.skew_max >= period {
             let what = format!(
-                "a skew of {:?} can not be told from the next picture, which comes after {period:?}",
+                "a skew of {:?} cannot be told from the next image, which comes after {period:?}",
                 config.skew_max
             );
             return Err(unusable(&name, what));
@@ -218,7 +218,7 @@ impl V4l2StereoCamera {
         controls::controls(stream.node()).map_err(|error| failed(&device, "reading its controls", error))
     }
 
-    /// Sets a control while the camera runs, and reads it back. The time of exposure that pictures are stamped by follows.
+    /// Sets a control while the camera runs, and reads it back. The time of exposure that images are stamped by follows.
     ///
     /// # Errors
     /// If the value is not possible or not kept; `Disconnected` after the loss of a camera.
@@ -275,7 +275,7 @@ impl V4l2StereoCamera {
         Ok(())
     }
 
-    /// Delivers a pair if there is one; leaves out pictures whose partners are lost.
+    /// Delivers a pair if there is one; leaves out images whose partners are lost.
     fn deliver(&mut self, pair: &mut FramePair) -> Result<bool, CameraError> {
         let State::Open(streams) = &mut self.state else { return Ok(false) };
         let [left, right] = &mut **streams;
@@ -363,7 +363,7 @@ impl V4l2StereoCamera {
                 let why = stream.complaint().unwrap_or("nothing arrives; look at its plug and cable");
                 let device = &stream.config.device;
                 let millis = now.saturating_since(good).as_secs_f64() * 1e3;
-                let message = format!("{device}: no good picture for {millis:.0} ms, {periods} periods: {why}");
+                let message = format!("{device}: no good image for {millis:.0} ms, {periods} periods: {why}");
                 return Err(CameraError::new(CameraErrorKind::Timeout, message));
             }
             earliest = earliest.min(silent_at);
@@ -374,7 +374,7 @@ impl V4l2StereoCamera {
     fn complaints(&self) -> String {
         let State::Open(streams) = &self.state else { return String::new() };
         let lines = streams.iter().map(|stream| {
-            let nothing = if stream.counters.good == 0 { "no picture yet" } else { "nothing wrong" };
+            let nothing = if stream.counters.good == 0 { "no image yet" } else { "nothing wrong" };
             format!("; {}: {}", stream.config.device, stream.complaint().unwrap_or(nothing))
         });
         lines.collect()
@@ -387,7 +387,7 @@ impl V4l2StereoCamera {
         let ready = self
             .system
             .wait([left.handle(), right.handle()], timeout)
-            .map_err(|error| failed(&self.info.name, "waiting for a picture", error))?;
+            .map_err(|error| failed(&self.info.name, "waiting for an image", error))?;
         let now_nanos = self.system.monotonic_nanos();
         for ((stream, ready), heard) in streams.iter_mut().zip(ready).zip(&mut self.heard) {
             if ready.has_failed {
@@ -405,7 +405,7 @@ impl V4l2StereoCamera {
 }
 
 fn damaged(device: &str, error: PixelError) -> CameraError {
-    let message = format!("{device}: a picture is damaged; if there are many, look at its cable and hub");
+    let message = format!("{device}: an image is damaged; if there are many, look at its cable and hub");
     CameraError::caused_by(CameraErrorKind::BadPair, message, error)
 }
 
@@ -415,7 +415,7 @@ fn prepare(node: &mut dyn VideoNode, found: &Found, config: &CameraConfig) -> Re
     let mode = modes::negotiate(node, &device, &config.mode)?;
     let told = controls::apply(node, &device, &config.controls)?;
     let exposure = told.or(config.exposure).ok_or_else(|| {
-        let what = "it does not tell its time of exposure, without which it is not known when pictures were taken; set an exposure by \
+        let what = "it does not tell its time of exposure, without which it is not known when images were taken; set an exposure by \
                     hand, or state its time";
         unusable(&device, what)
     })?;
@@ -433,7 +433,7 @@ impl StereoCamera for V4l2StereoCamera {
         &self.info
     }
 
-    /// As the trait has it. A camera that falls silent is told two periods after its last picture (`Timeout`), whatever `timeout` is.
+    /// As the trait has it. A camera that falls silent is told two periods after its last image (`Timeout`), whatever `timeout` is.
     fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
         if let State::Lost(message) = &self.state {
             return Err(CameraError::new(CameraErrorKind::Disconnected, message.clone()));

@@ -2,7 +2,7 @@
 //!
 //! The automatic modes are off unless they are asked for. Left and right would choose different values and look different to whoever
 //! compares them; automatic focus changes the focal length that was calibrated; automatic exposure changes the time of exposure, by
-//! which pictures are stamped, and may lower the rate.
+//! which images are stamped, and may lower the rate.
 
 use std::io;
 use std::time::Duration;
@@ -76,7 +76,7 @@ pub fn focus_now(node: &dyn VideoNode, device: &str) -> Result<Focus, CameraErro
 pub struct Control {
     /// What the driver says of it.
     pub entry: ControlEntry,
-    /// Its value; `None` if it has none, or can not be read.
+    /// Its value; `None` if it has none, or cannot be read.
     pub value: Option<i32>,
     /// Lines of its menu.
     pub menu: Vec<(i32, String)>,
@@ -199,8 +199,8 @@ impl Plan<'_> {
                 Setting::Auto => EXPOSURE_BY_CAMERA.into_iter().find(has),
                 _ => Some(EXPOSURE_MANUAL).filter(has),
             };
-            let line = line
-                .ok_or_else(|| unusable(self.device, format!("its control `{}` can not do that", mode.entry.name)))?;
+            let line =
+                line.ok_or_else(|| unusable(self.device, format!("its control `{}` cannot do that", mode.entry.name)))?;
             self.steps.push((mode, line));
         }
         // A dark scene must not lower the rate.
@@ -249,7 +249,7 @@ fn write(node: &mut dyn VideoNode, device: &str, entry: &ControlEntry, value: i3
     if value < *min || value > *max || !is_step {
         return Err(unusable(
             device,
-            format!("`{name}` can not be {value}: it goes from {min} to {max} by steps of {step}"),
+            format!("`{name}` cannot be {value}: it goes from {min} to {max} by steps of {step}"),
         ));
     }
     node.set_control(*id, value).map_err(|error| failed(device, &format!("setting `{name}` to {value}"), error))

@@ -30,7 +30,7 @@ pub(crate) fn failed(device: &str, doing: &str, error: io::Error) -> CameraError
         ),
         Some(Errno::NOSPC) => (
             CameraErrorKind::Unusable,
-            "the USB bus has no room for its pictures; plug the cameras into ports of different controllers, or ask for MJPG, a \
+            "the USB bus has no room for its images; plug the cameras into ports of different controllers, or ask for MJPG, a \
              smaller size or a lower rate",
         ),
         _ => (CameraErrorKind::Unusable, "the driver refuses it; `dmesg` may say why"),

@@ -17,7 +17,7 @@ const ENTRIES_MAX: u32 = 256;
 /// A rate that differs by more is another one. 29.97 and 30 differ by 10^-3.
 const RATE_TOLERANCE: f64 = 5e-4;
 
-/// `V4L2_COLORSPACE_REC709`, whose pictures are of BT.709 unless an encoding is named.
+/// `V4L2_COLORSPACE_REC709`, whose images are of BT.709 unless an encoding is named.
 const COLORSPACE_REC709: u32 = 3;
 /// `V4L2_COLORSPACE_JPEG`, whose numbers use the full range unless another one is named.
 const COLORSPACE_JPEG: u32 = 7;
@@ -33,7 +33,7 @@ const FULL_RANGE: u32 = 1;
 pub struct OfferedFormat {
     /// Four letters.
     pub fourcc: [u8; 4],
-    /// Sizes, and for each one the times from picture to picture; none for a range of sizes.
+    /// Sizes, and for each one the times from image to image; none for a range of sizes.
     pub sizes: Vec<(SizeEntry, Vec<IntervalEntry>)>,
 }
 
@@ -71,9 +71,9 @@ fn all<T>(entry_at: impl Fn(u32) -> io::Result<Option<T>>) -> io::Result<Vec<T>>
 /// What a camera has agreed to, as read back.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mode {
-    /// How pictures lie in memory.
+    /// How images lie in memory.
     pub layout: Layout,
-    /// Time from picture to picture, seconds.
+    /// Time from image to image, seconds.
     pub period_s: f64,
 }
 
@@ -146,7 +146,7 @@ fn set_rate(node: &mut dyn VideoNode, device: &str, request: &ModeRequest) -> Re
     if !is_as_asked {
         let ImageSize { width, height } = request.size;
         let what = format!(
-            "asked for {:.3} pictures per second of {} {width}x{height}, the driver gives {:.3}; {}",
+            "asked for {:.3} images per second of {} {width}x{height}, the driver gives {:.3}; {}",
             1.0 / asked,
             request.format,
             1.0 / found_s,

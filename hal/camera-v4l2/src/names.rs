@@ -11,7 +11,7 @@ use pb3dp_hal_api::{CameraError, CameraErrorKind};
 use crate::error::{failed, unusable};
 use crate::video::{Capability, NodeEntry, VideoNode, VideoSystem};
 
-/// A device that captures pictures.
+/// A device that captures images.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Found {
     /// As the system lists it.
@@ -43,7 +43,7 @@ impl Found {
 /// What looking for cameras has found.
 #[derive(Debug, Default)]
 pub struct Listing {
-    /// Devices that capture pictures, sorted by path.
+    /// Devices that capture images, sorted by path.
     pub found: Vec<Found>,
     /// Devices that could not be asked.
     pub refused: Vec<(PathBuf, CameraError)>,
@@ -52,7 +52,7 @@ pub struct Listing {
 /// Looks for cameras; nodes of other use are left out.
 ///
 /// # Errors
-/// If the system can not be asked which devices there are.
+/// If the system cannot be asked which devices there are.
 pub fn list(system: &dyn VideoSystem) -> Result<Listing, CameraError> {
     let entries = system.entries().map_err(|error| failed("cameras", "looking for them", error))?;
     let mut listing = Listing::default();
@@ -122,7 +122,7 @@ fn missing(system: &dyn VideoSystem, device: &str, name: &CameraName, mut listin
     let is_asked_for = |path: &PathBuf| !matches!(name, CameraName::Path(asked) if asked != path);
     if let Some(at) = listing.refused.iter().position(|(path, _)| is_asked_for(path)) {
         let (_, error) = listing.refused.swap_remove(at);
-        let message = format!("{device}: no camera that can be asked has this name, and one can not be asked");
+        let message = format!("{device}: no camera that can be asked has this name, and one cannot be asked");
         return CameraError::caused_by(error.kind(), message, error);
     }
     let there: Vec<String> = listing.found.iter().map(describe).collect();
@@ -130,7 +130,7 @@ fn missing(system: &dyn VideoSystem, device: &str, name: &CameraName, mut listin
     if let CameraName::Path(path) = name
         && system.resolve(path).is_some()
     {
-        return unusable(device, format!("this is no device that takes pictures; there are: {there}"));
+        return unusable(device, format!("this is no device that takes images; there are: {there}"));
     }
     let message = format!("{device}: there is no such camera; look at its plug and cable; there are: {there}");
     CameraError::new(CameraErrorKind::Disconnected, message)

@@ -1,25 +1,25 @@
-//! Which pictures of left and right belong together, and how their times drift apart.
+//! Which images of left and right belong together, and how their times drift apart.
 
 use pb3dp_camera_settings::nanos;
 use std::time::Duration;
 
-/// What becomes of the newest picture of each side.
+/// What becomes of the newest image of each side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// They belong together.
     Pair,
-    /// A later left picture fits the right one better.
+    /// A later left image fits the right one better.
     LeftIsOld,
-    /// A later right picture fits the left one better.
+    /// A later right image fits the left one better.
     RightIsOld,
-    /// No other pictures would fit better, but these are too far apart.
+    /// No other images would fit better, but these are too far apart.
     TooFar,
 }
 
-/// Judges two pictures by the middles of their exposures.
+/// Judges two images by the middles of their exposures.
 ///
-/// Later pictures come one `period` after another. If the older one is more than half of it behind, its successor is nearer to the
-/// other picture; if not, nothing nearer comes.
+/// Later images come one `period` after another. If the older one is more than half of it behind, its successor is nearer to the
+/// other image; if not, nothing nearer comes.
 pub fn judge(left_nanos: i64, right_nanos: i64, period: Duration, skew_max: Duration) -> Verdict {
     let skew = right_nanos.saturating_sub(left_nanos);
     if skew.saturating_abs() <= nanos(skew_max) {
@@ -74,7 +74,7 @@ pub struct DriftEstimator {
 }
 
 impl DriftEstimator {
-    /// An estimator for pictures that come with this period.
+    /// An estimator for images that come with this period.
     pub fn new(period: Duration) -> Self {
         let period_s = period.as_secs_f64();
         Self { period_s, samples: [(0.0, 0.0); WINDOW], count: 0, first_nanos: 0, last_unwrapped_s: 0.0 }
@@ -126,7 +126,7 @@ mod tests {
     const LIMIT: Duration = Duration::from_millis(5);
 
     #[test]
-    fn the_older_picture_waits_for_its_better_partner_and_no_longer() {
+    fn the_older_image_waits_for_its_better_partner_and_no_longer() {
         let verdict = |skew_millis: i64| judge(1_000_000_000, 1_000_000_000 + skew_millis * 1_000_000, PERIOD, LIMIT);
         for (skew_millis, expected) in [
             (0, Verdict::Pair),

@@ -14,11 +14,11 @@ use crate::video::{Filled, Handle, VideoNode};
 /// A driver that fills buffers faster than they can be taken must not keep us.
 const BUFFERS_AT_ONCE_MAX: u32 = 64;
 
-/// How far a stamp may lie in the future: two clocks are read one after the other, and some drivers (`vivid`) stamp by when a picture
+/// How far a stamp may lie in the future: two clocks are read one after the other, and some drivers (`vivid`) stamp by when an image
 /// should have come, which is up to a tick of the kernel (4 ms at 250 Hz) before or after.
 const FUTURE_NANOS_MAX: i64 = 4_000_000;
 
-/// Pictures of one camera since it was opened: what came, and what was left out for which reason.
+/// Images of one camera since it was opened: what came, and what was left out for which reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StreamCounters {
     /// Whole and new.
@@ -27,9 +27,9 @@ pub struct StreamCounters {
     pub superseded: u64,
     /// Good, but without a partner on the other side.
     pub unpaired: u64,
-    /// The driver knows that they are damaged, or a JPEG can not be decoded.
+    /// The driver knows that they are damaged, or a JPEG cannot be decoded.
     pub damaged: u64,
-    /// Fewer bytes than a picture has.
+    /// Fewer bytes than an image has.
     pub short: u64,
     /// Numbers that the driver has left out.
     pub lost: u64,
@@ -45,7 +45,7 @@ pub struct StreamCounters {
     pub unstamped: u64,
 }
 
-/// A picture that waits for its partner.
+/// An image that waits for its partner.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Held {
     index: u32,
@@ -54,16 +54,16 @@ pub(crate) struct Held {
     pub(crate) mid_nanos: i64,
 }
 
-/// What taking pictures from the driver has come to.
+/// What taking images from the driver has come to.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Drained {
-    /// Buffers, with pictures of whatever quality.
+    /// Buffers, with images of whatever quality.
     pub(crate) taken: u32,
-    /// There was a good picture among them, or one that was good when it was made.
+    /// There was a good image among them, or one that was good when it was made.
     pub(crate) has_life: bool,
 }
 
-const STALE: &str = "pictures are too old when they are taken";
+const STALE: &str = "images are too old when they are taken";
 
 /// What is fixed for a stream.
 #[derive(Clone, Debug)]
@@ -72,7 +72,7 @@ pub(crate) struct StreamConfig {
     pub(crate) mode: Mode,
     pub(crate) exposure: Duration,
     pub(crate) stamps: StampModel,
-    /// Pictures whose exposure was longer ago are left out.
+    /// Images whose exposure was longer ago are left out.
     pub(crate) age_max: Duration,
 }
 
@@ -85,7 +85,7 @@ pub(crate) struct Stream {
     pub(crate) counters: StreamCounters,
     last_sequence: Option<u32>,
     last_stamp_nanos: Option<i64>,
-    /// Why the last picture was left out, for messages.
+    /// Why the last image was left out, for messages.
     complaint: Option<&'static str>,
 }
 
@@ -105,7 +105,7 @@ impl Stream {
             if length < expected {
                 return Err(unusable(
                     device,
-                    format!("buffer {index} has {length} bytes, a picture has {expected} or more"),
+                    format!("buffer {index} has {length} bytes, an image has {expected} or more"),
                 ));
             }
             node.queue(index).map_err(|error| failed(device, "queueing its buffers", error))?;
@@ -139,16 +139,16 @@ impl Stream {
         self.held
     }
 
-    /// Why pictures are left out, for messages.
+    /// Why images are left out, for messages.
     pub(crate) fn complaint(&self) -> Option<&'static str> {
         self.complaint
     }
 
-    /// Takes all that the driver has filled and keeps the newest good picture.
+    /// Takes all that the driver has filled and keeps the newest good image.
     pub(crate) fn drain(&mut self, now_nanos: i64) -> Result<Drained, CameraError> {
         let mut drained = Drained::default();
         while drained.taken < BUFFERS_AT_ONCE_MAX {
-            let taken = self.node.dequeue().map_err(|error| failed(&self.config.device, "taking a picture", error))?;
+            let taken = self.node.dequeue().map_err(|error| failed(&self.config.device, "taking an image", error))?;
             let Some(filled) = taken else { break };
             drained.taken += 1;
             self.count_sequence(filled.sequence);
@@ -162,7 +162,7 @@ impl Stream {
                     self.held = Some(held);
                 }
                 Err(complaint) => {
-                    // Who comes late finds old pictures; that is no fault of the camera.
+                    // Who comes late finds old images; that is no fault of the camera.
                     drained.has_life |= complaint == STALE;
                     self.complaint = Some(complaint);
                     self.queue(filled.index)?;
@@ -192,15 +192,15 @@ impl Stream {
         let counters = &mut self.counters;
         if filled.is_damaged {
             counters.damaged += 1;
-            return Err("the driver marks pictures as damaged");
+            return Err("the driver marks images as damaged");
         }
         if filled.bytes < self.converter.layout().bytes_min() || filled.bytes > self.node.memory(filled.index).len() {
             counters.short += 1;
-            return Err("pictures are not complete");
+            return Err("images are not complete");
         }
         let Some(mid_nanos) = stamps.mid_exposure_nanos(filled.stamp_nanos, filled.source, exposure) else {
             counters.unstamped += 1;
-            return Err("its driver does not stamp by CLOCK_MONOTONIC, so it is not known when pictures were taken");
+            return Err("its driver does not stamp by CLOCK_MONOTONIC, so it is not known when images were taken");
         };
         if filled.stamp_nanos.saturating_sub(now_nanos) > FUTURE_NANOS_MAX {
             counters.future += 1;
@@ -220,7 +220,7 @@ impl Stream {
         Ok(Held { index: filled.index, bytes: filled.bytes, mid_nanos })
     }
 
-    /// Converts the picture that is held.
+    /// Converts the image that is held.
     pub(crate) fn convert(&mut self, target: &mut RgbImage) -> Result<(), PixelError> {
         let Some(held) = self.held else { return Ok(()) };
         let memory = self.node.memory(held.index);
@@ -233,7 +233,7 @@ impl Stream {
         converted
     }
 
-    /// Gives the picture that is held back to the driver.
+    /// Gives the image that is held back to the driver.
     pub(crate) fn give_back(&mut self) -> Result<(), CameraError> {
         match self.held.take() {
             Some(held) => self.queue(held.index),

@@ -1,4 +1,4 @@
-//! When a picture was exposed, from the stamp of its buffer.
+//! When an image was exposed, from the stamp of its buffer.
 
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;

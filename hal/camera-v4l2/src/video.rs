@@ -31,21 +31,21 @@ pub struct Capability {
     pub card: String,
     /// Where it is plugged in: `usb-0000:00:14.0-1.2`.
     pub bus: String,
-    /// Whether this very node captures pictures (and not their metadata, for example).
+    /// Whether this very node captures images (and not their metadata, for example).
     pub captures: bool,
     /// Whether it has buffers for memory mapping.
     pub streams: bool,
 }
 
-/// Which lines of a picture were exposed together.
+/// Which lines of an image were exposed together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FieldOrder {
     /// All of them.
     #[default]
     Progressive,
-    /// Even and odd lines one after the other, woven together in one picture.
+    /// Even and odd lines one after the other, woven together in one image.
     Interlaced,
-    /// Anything else: half pictures, one after the other; by its number in V4L2.
+    /// Anything else: half images, one after the other; by its number in V4L2.
     Other(u32),
 }
 
@@ -138,9 +138,9 @@ pub struct ControlEntry {
 pub struct Filled {
     /// Which buffer.
     pub index: u32,
-    /// Bytes of the picture in it.
+    /// Bytes of the image in it.
     pub bytes: usize,
-    /// Counts pictures, in theory.
+    /// Counts images, in theory.
     pub sequence: u32,
     /// Nanoseconds; see `source`.
     pub stamp_nanos: i64,
@@ -148,7 +148,7 @@ pub struct Filled {
     pub source: StampSource,
     /// The driver knows that the content is damaged (`V4L2_BUF_FLAG_ERROR`).
     pub is_damaged: bool,
-    /// No picture comes after it (`V4L2_BUF_FLAG_LAST`).
+    /// No image comes after it (`V4L2_BUF_FLAG_LAST`).
     pub is_last: bool,
 }
 
@@ -170,7 +170,7 @@ pub trait VideoSystem: Send + Sync {
     /// All video devices, of whatever use, sorted by path.
     ///
     /// # Errors
-    /// If the system can not be asked.
+    /// If the system cannot be asked.
     fn entries(&self) -> io::Result<Vec<NodeEntry>>;
 
     /// Opens a device; calls on it never wait.
@@ -214,9 +214,9 @@ pub trait VideoNode: Send {
     fn set_format(&mut self, format: &RawFormat) -> io::Result<RawFormat>;
     /// The format that holds now.
     fn format(&self) -> io::Result<RawFormat>;
-    /// Asks for a time from picture to picture; the answer is what the driver has made of it.
+    /// Asks for a time from image to image; the answer is what the driver has made of it.
     fn set_interval(&mut self, interval: Interval) -> io::Result<Interval>;
-    /// The time from picture to picture that holds now.
+    /// The time from image to image that holds now.
     fn interval(&self) -> io::Result<Interval>;
     /// The control with the smallest number above `id`; `None` behind the last one.
     fn control_after(&self, id: u32) -> io::Result<Option<ControlEntry>>;

@@ -51,7 +51,7 @@ fn pairs_carry_the_middle_of_the_exposure_on_the_program_s_clock() {
             assert!((found - expected).abs() < 1e-3, "{source:?}: pair {k} at {found} ms, expected {expected}");
             assert_eq!((pair.sequence, pair.skew_nanos), (k as u64, 2_000_000));
         }
-        // Each picture has the content of its own number.
+        // Each image has the content of its own number.
         let level = |pair: &FramePair| (pair.left.get_pixel(7, 5).0, pair.right.get_pixel(63, 47).0);
         assert_ne!(level(&pairs[0]), level(&pairs[1]));
     }
@@ -78,13 +78,13 @@ fn a_late_caller_gets_the_newest_pair_and_never_an_old_one() {
 }
 
 #[test]
-fn damaged_short_and_lost_pictures_are_left_out_and_counted() {
+fn damaged_short_and_lost_images_are_left_out_and_counted() {
     let rig = Rig::new();
     let mut camera = rig.opened();
     camera.next_pair(SECOND).unwrap();
     let mut next = |number, change: fn(&mut Faults)| {
         rig.faults(number, change);
-        // Where a picture is lost nothing comes for two periods, which is silence; the pair is there right behind it.
+        // Where an image is lost nothing comes for two periods, which is silence; the pair is there right behind it.
         let pair = camera.next_pair(SECOND).or_else(|_| camera.next_pair(millis(1))).unwrap();
         (pair.sequence, camera.counters())
     };
@@ -120,7 +120,7 @@ fn wrong_stamps_are_refused_with_the_reason() {
     let error = rig.opened().next_pair(SECOND).unwrap_err();
     assert!(error.to_string().contains("does not stamp by CLOCK_MONOTONIC"), "{error}");
 
-    // Stamps that go back once: that picture is left out, and no time is delivered twice.
+    // Stamps that go back once: that image is left out, and no time is delivered twice.
     let rig = Rig::new();
     let mut camera = rig.opened();
     let before = camera.next_pair(SECOND).unwrap();
@@ -144,14 +144,14 @@ fn pairs_too_far_apart_are_refused_with_what_they_cost() {
     let mut camera = rig.open(&StereoConfig { skew_max: millis(15), ..config() }).unwrap();
     assert_eq!(camera.next_pair(SECOND).unwrap().skew_nanos, 12_000_000);
     drop(camera);
-    // A limit that reaches to the next picture says nothing.
+    // A limit that reaches to the next image says nothing.
     let (kind, message) = refused(rig.open(&StereoConfig { skew_max: millis(34), ..config() }));
     assert_eq!(kind, CameraErrorKind::Unusable);
-    assert!(message.contains("can not be told from the next picture"), "{message}");
+    assert!(message.contains("cannot be told from the next image"), "{message}");
 }
 
 #[test]
-fn whichever_side_is_first_the_nearest_pictures_are_paired() {
+fn whichever_side_is_first_the_nearest_images_are_paired() {
     for phases in [[40, 44], [44, 40], [40, 71], [71, 40], [40, 140]] {
         let rig = Rig::with(|number, camera| camera.phase = millis(phases[number]));
         let mut camera = rig.opened();
@@ -226,7 +226,7 @@ fn both_cameras_unplugged_at_once_and_a_rig_that_is_not_there() {
 }
 
 #[test]
-fn a_silent_camera_is_told_two_periods_after_its_last_picture_and_goes_on_when_it_sends_again() {
+fn a_silent_camera_is_told_two_periods_after_its_last_image_and_goes_on_when_it_sends_again() {
     for number in [0, 1] {
         let rig = Rig::new();
         let mut camera = rig.opened();
@@ -237,9 +237,7 @@ fn a_silent_camera_is_told_two_periods_after_its_last_picture_and_goes_on_when_i
             let error = result.unwrap_err();
             assert_eq!(error.kind(), CameraErrorKind::Timeout, "{error}");
             assert!(
-                error
-                    .to_string()
-                    .starts_with(&format!("serial:SN000{number} (/dev/video{number}): no good picture for")),
+                error.to_string().starts_with(&format!("serial:SN000{number} (/dev/video{number}): no good image for")),
                 "{error}"
             );
             assert!(took <= 2.0 * PERIOD_MILLIS + 0.01, "{took} ms");
@@ -247,17 +245,17 @@ fn a_silent_camera_is_told_two_periods_after_its_last_picture_and_goes_on_when_i
         rig.faults(number, |faults| faults.is_silent = false);
         let now = rig.clock.now();
         let pair = (0..3).find_map(|_| camera.next_pair(SECOND).ok()).unwrap();
-        assert!(pair.exposed_at.seconds_since(now) > -0.04, "a picture from before the silence");
+        assert!(pair.exposed_at.seconds_since(now) > -0.04, "an image from before the silence");
         assert!(pair.skew_nanos.abs() <= 5_000_000);
     }
 }
 
 #[test]
-fn pictures_that_come_up_to_nine_tenths_of_a_period_late_are_no_silence() {
+fn images_that_come_up_to_nine_tenths_of_a_period_late_are_no_silence() {
     let rig = Rig::with(|number, camera| {
         camera.lateness = match number {
-            0 => |picture| millis(picture * 7919 % 31),
-            _ => |picture| millis(picture * 104_729 % 31),
+            0 => |image| millis(image * 7919 % 31),
+            _ => |image| millis(image * 104_729 % 31),
         }
     });
     let mut camera = rig.opened();
@@ -268,7 +266,7 @@ fn pictures_that_come_up_to_nine_tenths_of_a_period_late_are_no_silence() {
 }
 
 #[test]
-fn pictures_that_are_all_damaged_are_told_as_such() {
+fn images_that_are_all_damaged_are_told_as_such() {
     let rig = Rig::new();
     let mut camera = rig.opened();
     camera.next_pair(SECOND).unwrap();
@@ -276,7 +274,7 @@ fn pictures_that_are_all_damaged_are_told_as_such() {
     let (result, took) = rig.timed(&mut camera);
     let error = result.unwrap_err();
     assert!(
-        error.to_string().ends_with("the driver marks pictures as damaged") && took <= 84.0,
+        error.to_string().ends_with("the driver marks images as damaged") && took <= 84.0,
         "{error} after {took} ms"
     );
 }
@@ -288,7 +286,7 @@ fn a_camera_that_never_begins_has_the_time_of_the_call() {
     let error = result.unwrap_err();
     assert_eq!(error.kind(), CameraErrorKind::Timeout);
     assert!(
-        error.to_string().contains("serial:SN0001 (/dev/video1): no picture yet") && (took - 1000.0).abs() < 1.0,
+        error.to_string().contains("serial:SN0001 (/dev/video1): no image yet") && (took - 1000.0).abs() < 1.0,
         "{error}, {took} ms"
     );
 }
@@ -296,7 +294,7 @@ fn a_camera_that_never_begins_has_the_time_of_the_call() {
 #[test]
 fn devices_that_can_not_be_had_say_why_and_what_to_do() {
     for (call, errno, kind, advice) in [
-        (Call::Open, Errno::ACCESS, CameraErrorKind::Unusable, "one can not be asked"),
+        (Call::Open, Errno::ACCESS, CameraErrorKind::Unusable, "one cannot be asked"),
         (Call::SetFormat, Errno::BUSY, CameraErrorKind::Unusable, "another program has it (`fuser -v"),
         (Call::RequestBuffers, Errno::BUSY, CameraErrorKind::Unusable, "another program has it"),
         (Call::Start, Errno::NOSPC, CameraErrorKind::Unusable, "the USB bus has no room"),
@@ -345,10 +343,7 @@ fn what_a_driver_changes_in_silence_is_refused() {
     let message = refusal(|camera| camera.formats = vec![(*b"H264", camera.formats[0].1.clone())]);
     assert!(message.contains("the driver gives H264 of 64x48"), "{message}");
     let message = refusal(|camera| camera.faults.other_interval = Some(Interval { numerator: 1, denominator: 25 }));
-    assert!(
-        message.contains("asked for 30.000 pictures per second of YUYV 64x48, the driver gives 25.000"),
-        "{message}"
-    );
+    assert!(message.contains("asked for 30.000 images per second of YUYV 64x48, the driver gives 25.000"), "{message}");
     let message =
         refusal(|camera| camera.faults.other_interval = Some(Interval { numerator: 1001, denominator: 30000 }));
     assert!(message.contains("the driver gives 29.970"), "{message}");
@@ -372,7 +367,7 @@ fn rows_with_padding_and_the_stride_of_another_size_are_no_harm() {
     let rig = Rig::with(|_, camera| {
         camera.padding = 32;
         camera.paint = |_, memory| {
-            // Grey pictures whose padding is bright pink.
+            // Grey images whose padding is bright pink.
             for row in memory.chunks_mut(160) {
                 row[..128].fill(128);
                 row[128..].fill(255);
@@ -410,7 +405,7 @@ fn automatic_modes_are_off_and_controls_follow_while_it_runs() {
     assert!((step - PERIOD_MILLIS - 3.0).abs() < 1e-3, "{step} ms");
     assert_eq!(second.skew_nanos, -1_000_000);
     let error = camera.set_control(Side::Right, id::GAIN, 300).unwrap_err();
-    assert!(error.to_string().contains("`Gain` can not be 300: it goes from 0 to 255 by steps of 1"), "{error}");
+    assert!(error.to_string().contains("`Gain` cannot be 300: it goes from 0 to 255 by steps of 1"), "{error}");
     let error = camera.set_control(Side::Right, 0x1234, 1).unwrap_err();
     assert!(error.to_string().contains("it has no control 0x00001234"), "{error}");
 }
@@ -460,10 +455,7 @@ fn names_that_udev_gives_lead_to_their_cameras() {
     assert!(message.starts_with("/dev/pb3dp/cam-middle: there is no such camera; look at its plug"), "{message}");
     config.left.name = "/dev/null".parse().unwrap();
     let (_, message) = refused(rig.open(&config));
-    assert!(
-        message.starts_with("/dev/null: this is no device that takes pictures; there are: /dev/video0"),
-        "{message}"
-    );
+    assert!(message.starts_with("/dev/null: this is no device that takes images; there are: /dev/video0"), "{message}");
 }
 
 #[test]
@@ -481,7 +473,7 @@ fn the_steady_state_takes_nothing_from_the_heap() {
 
 #[test]
 fn time_passes_without_harm() {
-    // Twenty minutes of pictures that are lost, damaged and short now and then.
+    // Twenty minutes of images that are lost, damaged and short now and then.
     let rig = Rig::new();
     let mut camera = rig.opened();
     let mut pair = FramePair::black(SMALL);

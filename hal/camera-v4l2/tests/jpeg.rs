@@ -1,4 +1,4 @@
-//! Pictures of `MJPG`: whole ones with and without their tables, and every kind of broken one.
+//! Images of `MJPG`: whole ones with and without their tables, and every kind of broken one.
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
@@ -21,8 +21,8 @@ fn converter(width: u32, height: u32) -> Converter {
 }
 
 fn decoded(bytes: &[u8]) -> Result<RgbImage, PixelError> {
-    let mut picture = RgbImage::new(160, 96);
-    converter(160, 96).convert(bytes, &mut picture).map(|()| picture)
+    let mut image = RgbImage::new(160, 96);
+    converter(160, 96).convert(bytes, &mut image).map(|()| image)
 }
 
 /// Leaves out every segment of that kind before the first scan.
@@ -52,20 +52,20 @@ fn data_begin(bytes: &[u8]) -> usize {
     scan + 2 + usize::from(u16::from_be_bytes([bytes[scan + 2], bytes[scan + 3]]))
 }
 
-/// The picture without some bytes.
+/// The image without some bytes.
 fn lacking(bytes: &[u8], from: usize, length: usize) -> Vec<u8> {
     [&bytes[..from], &bytes[from + length..]].concat()
 }
 
 #[test]
-fn pictures_of_cameras_are_what_libjpeg_makes_of_them() {
+fn images_of_cameras_are_what_libjpeg_makes_of_them() {
     let expected = image::load_from_memory(include_bytes!("data/decoded.png")).unwrap().to_rgb8();
     for bytes in [PLAIN, RESTARTS] {
         let found = decoded(bytes).unwrap();
         let error = found.iter().zip(expected.iter()).map(|(found, expected)| found.abs_diff(*expected)).max();
         assert!(error <= Some(4), "{error:?}");
         assert_eq!(decoded(&bare(bytes)).unwrap(), found);
-        // Drivers may give more bytes than the picture has.
+        // Drivers may give more bytes than the image has.
         assert_eq!(decoded(&[bytes, &[0; 1000], &[0xFF, 0xD9]].concat()).unwrap(), found);
     }
 }
@@ -131,8 +131,8 @@ fn what_is_no_whole_jpeg_is_refused_with_its_length() {
         let error = decoded(&broken).unwrap_err().to_string();
         assert!(error.contains("a piece of the scan: its markers do not follow each other"), "{error}");
     }
-    let mut picture = RgbImage::new(152, 96);
-    let error = converter(152, 96).convert(PLAIN, &mut picture).unwrap_err();
+    let mut image = RgbImage::new(152, 96);
+    let error = converter(152, 96).convert(PLAIN, &mut image).unwrap_err();
     assert_eq!(error.to_string(), "the JPEG has 160x96 pixels, expected are 152x96");
 }
 
@@ -140,8 +140,8 @@ fn what_is_no_whole_jpeg_is_refused_with_its_length() {
 const BUFFER: u32 = 96 * 64;
 
 #[test]
-fn cut_pictures_of_a_camera_are_dropped_and_counted_and_the_next_ones_come() {
-    // Of ten pictures of the right camera the third one is cut short, and the sixth one lacks a packet.
+fn cut_images_of_a_camera_are_dropped_and_counted_and_the_next_ones_come() {
+    // Of ten images of the right camera the third one is cut short, and the sixth one lacks a packet.
     fn paint(number: u64, memory: &mut [u8]) {
         let end = RESTARTS.len() - 2;
         let sent = match number % 10 {
@@ -186,7 +186,7 @@ proptest! {
             *place = byte;
         }
         bytes.truncate(length);
-        // Some damage can not be seen; what counts is that nothing panics.
+        // Some damage cannot be seen; what counts is that nothing panics.
         let _ = decoded(&bytes);
     }
 }

@@ -1,4 +1,4 @@
-//! Pixels of every format, against pictures that were made by other means.
+//! Pixels of every format, against images that were made by other means.
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
@@ -14,17 +14,17 @@ fn layout(format: PixelFormat, (width, height): (u32, u32), stride: usize) -> La
 }
 
 fn converted(layout: Layout, bytes: &[u8]) -> RgbImage {
-    let mut picture = RgbImage::new(layout.size.width, layout.size.height);
-    Converter::new(layout).unwrap().convert(bytes, &mut picture).unwrap();
-    picture
+    let mut image = RgbImage::new(layout.size.width, layout.size.height);
+    Converter::new(layout).unwrap().convert(bytes, &mut image).unwrap();
+    image
 }
 
-/// A colourful picture without symmetries.
+/// A colourful image without symmetries.
 fn scene(width: u32, height: u32) -> RgbImage {
     RgbImage::from_fn(width, height, |x, y| image::Rgb([(3 * x + y) as u8, (x + 5 * y) as u8, (90 + 2 * x - y) as u8]))
 }
 
-/// The picture's bytes, with rows `stride` apart and 0xEE between them; the last row has no padding.
+/// The image's bytes, with rows `stride` apart and 0xEE between them; the last row has no padding.
 fn padded(rows: impl Iterator<Item = Vec<u8>>, stride: usize) -> Vec<u8> {
     let mut bytes = Vec::new();
     for row in rows {
@@ -94,7 +94,7 @@ fn mosaic(scene: &RgbImage, order: BayerOrder) -> Vec<u8> {
 const ORDERS: [BayerOrder; 4] = [BayerOrder::Rggb, BayerOrder::Grbg, BayerOrder::Gbrg, BayerOrder::Bggr];
 
 #[test]
-fn bayer_pictures_of_linear_colours_come_out_as_they_were() {
+fn bayer_images_of_linear_colours_come_out_as_they_were() {
     // The mean of neighbours is exact where colours change linearly; at the rim it is not, since they are mirrored there.
     for (width, height) in [(8, 6), (9, 7)] {
         let pixel =
@@ -112,7 +112,7 @@ fn bayer_pictures_of_linear_colours_come_out_as_they_were() {
 }
 
 #[test]
-fn bayer_pictures_of_one_colour_come_out_as_they_were_to_the_rim() {
+fn bayer_images_of_one_colour_come_out_as_they_were_to_the_rim() {
     for size in [(2, 2), (3, 2), (2, 5), (7, 4)] {
         let scene = RgbImage::from_pixel(size.0, size.1, image::Rgb([200, 90, 30]));
         for order in ORDERS {
@@ -124,14 +124,14 @@ fn bayer_pictures_of_one_colour_come_out_as_they_were_to_the_rim() {
 }
 
 #[test]
-fn what_can_not_be_a_picture_is_refused_with_its_numbers() {
-    let mut picture = RgbImage::new(1, 1);
+fn what_can_not_be_a_image_is_refused_with_its_numbers() {
+    let mut image = RgbImage::new(1, 1);
     let error = Converter::new(layout(PixelFormat::Yuyv, (640, 480), 1279)).unwrap_err();
     assert!(matches!(error, PixelError::Stride { row: 1280, stride: 1279, .. }), "{error}");
     let error = Converter::new(layout(PixelFormat::Bayer8(BayerOrder::Rggb), (1, 480), 1)).unwrap_err();
     assert!(matches!(error, PixelError::BayerSize { width: 1, .. }), "{error}");
     let mut converter = Converter::new(layout(PixelFormat::Yuyv, (640, 480), 1280)).unwrap();
-    let error = converter.convert(&vec![0; 614_399], &mut picture).unwrap_err();
+    let error = converter.convert(&vec![0; 614_399], &mut image).unwrap_err();
     let expected = "614399 bytes are too few: YUYV of 640x480 pixels has 614400 or more";
     assert_eq!(error.to_string(), expected);
 }
@@ -141,15 +141,15 @@ fn buffers_are_used_again_and_nothing_is_taken_from_the_heap() {
     for format in PixelFormat::ALL.into_iter().filter(|format| *format != PixelFormat::Mjpg) {
         let stride = format.row_bytes(64).unwrap();
         let mut converter = Converter::new(layout(format, (64, 48), stride)).unwrap();
-        let (bytes, mut picture) = (vec![77; stride * 48], RgbImage::new(64, 48));
+        let (bytes, mut image) = (vec![77; stride * 48], RgbImage::new(64, 48));
         let before = pb3dp_allocation_count::requests();
         for _ in 0..3 {
-            converter.convert(&bytes, &mut picture).unwrap();
+            converter.convert(&bytes, &mut image).unwrap();
         }
         assert_eq!(pb3dp_allocation_count::requests(), before, "{format}");
         let mut foreign = RgbImage::new(3, 3);
         converter.convert(&bytes, &mut foreign).unwrap();
-        assert_eq!(foreign, picture, "{format}");
+        assert_eq!(foreign, image, "{format}");
     }
 }
 
@@ -162,7 +162,7 @@ fn names_lead_back_to_their_formats() {
 }
 
 proptest! {
-    /// Whatever a driver delivers: a picture or an error.
+    /// Whatever a driver delivers: an image or an error.
     #[test]
     fn random_bytes_never_do_harm(
         which in 0_usize..9, width in 0_u32..20, height in 0_u32..9, padding in 0_usize..5,
@@ -171,9 +171,9 @@ proptest! {
         let format = PixelFormat::ALL[which];
         let stride = format.row_bytes(width).unwrap_or(0) + padding;
         if let Ok(mut converter) = Converter::new(layout(format, (width, height), stride)) {
-            let mut picture = RgbImage::new(width, height);
+            let mut image = RgbImage::new(width, height);
             let is_enough = bytes.len() >= converter.layout().bytes_min();
-            let result = converter.convert(&bytes, &mut picture);
+            let result = converter.convert(&bytes, &mut image);
             prop_assert!(result.is_ok() == is_enough || format == PixelFormat::Mjpg, "{result:?}");
         }
     }

@@ -95,7 +95,7 @@ fn a_plug_that_has_no_rights_yet_is_tried_again() {
         faults.calls.insert(Call::Open, Errno::ACCESS);
     });
     let (came, said) = take(&rig, &mut camera, SECOND, &mut last);
-    assert!(came == 0 && said.contains("can not be asked"), "{came} came: {said}");
+    assert!(came == 0 && said.contains("cannot be asked"), "{came} came: {said}");
     rig.faults(1, |faults| faults.calls.clear());
     assert!(take(&rig, &mut camera, SECOND, &mut last).0 > 20);
 }

@@ -17,7 +17,7 @@ pub struct ArmExpectations {
     pub settles_within: Duration,
 }
 
-/// Does something to an arm that commands can not do.
+/// Does something to an arm that commands cannot do.
 pub type Hook<A> = Option<Box<dyn Fn(&mut A)>>;
 
 /// Faults that a backend can be made to have; the rules of those that are `None` are not tested.

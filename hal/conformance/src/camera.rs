@@ -27,7 +27,7 @@ pub struct CameraExpectations {
     pub sample: usize,
     /// Given to every call.
     pub timeout: Duration,
-    /// Whether a camera made anew delivers the same pictures again, byte for byte.
+    /// Whether a camera made anew delivers the same images again, byte for byte.
     pub repeatable: bool,
 }
 
@@ -65,7 +65,7 @@ pub fn stereo_camera_suite<C: StereoCamera>(make: impl Fn() -> C, expectations: 
     report
 }
 
-/// What was delivered, without the pictures.
+/// What was delivered, without the images.
 #[derive(Default)]
 struct Stream {
     pairs: usize,
@@ -132,9 +132,9 @@ fn check_pair(pair: &FramePair, stream: &mut Stream, info: &StereoCameraInfo, re
     let number = stream.pairs;
     stream.pairs += 1;
     let stated = (info.size.width, info.size.height);
-    for (side, picture) in [("left", &pair.left), ("right", &pair.right)] {
-        report.check("size-as-stated", picture.dimensions() == stated, || {
-            format!("pair {number}: the {side} picture is {:?}, stated is {stated:?}", picture.dimensions())
+    for (side, image) in [("left", &pair.left), ("right", &pair.right)] {
+        report.check("size-as-stated", image.dimensions() == stated, || {
+            format!("pair {number}: the {side} image is {:?}, stated is {stated:?}", image.dimensions())
         });
     }
     if let Some(before) = &stream.last {

@@ -30,7 +30,7 @@ enum Defect {
     DamagedPair,
     TimesOutForEver,
     TooSlow,
-    OtherPicturesEachTime,
+    OtherImagesEachTime,
     InfoChanges,
     NoName,
     NoSize,
@@ -59,17 +59,17 @@ impl Camera {
         Err(CameraError::new(kind, format!("{kind:?} of {}", self.info.name)))
     }
 
-    fn fill(&self, picture: &mut RgbImage, eye: u8) {
+    fn fill(&self, image: &mut RgbImage, eye: u8) {
         let (width, height) = (self.info.size.width, self.info.size.height);
         let smaller = u32::from(self.defect == Defect::OneEyeIsSmaller && eye == 1);
         let wanted = (width - smaller.min(width), height);
-        let foreign = picture.dimensions() != wanted && self.defect != Defect::KeepsForeignBuffers;
+        let foreign = image.dimensions() != wanted && self.defect != Defect::KeepsForeignBuffers;
         if foreign || self.defect == Defect::AllocatesAnew {
-            *picture = RgbImage::new(wanted.0, wanted.1);
+            *image = RgbImage::new(wanted.0, wanted.1);
         }
-        let changing = if self.defect == Defect::OtherPicturesEachTime { self.made as u8 } else { 0 };
+        let changing = if self.defect == Defect::OtherImagesEachTime { self.made as u8 } else { 0 };
         let colour = Rgb([self.next as u8, eye, changing]);
-        picture.pixels_mut().for_each(|pixel| *pixel = colour);
+        image.pixels_mut().for_each(|pixel| *pixel = colour);
     }
 
     /// Anything but a pair that comes now.
@@ -160,7 +160,7 @@ fn each_defect_breaks_its_rule() {
         (Defect::TimesOutForEver, "unexpected-error"),
         (Defect::Disconnects, "unexpected-error"),
         (Defect::TooSlow, "returns-in-time"),
-        (Defect::OtherPicturesEachTime, "repeatable"),
+        (Defect::OtherImagesEachTime, "repeatable"),
         (Defect::InfoChanges, "info-stays"),
         (Defect::NoName, "info-is-real"),
         (Defect::NoSize, "info-is-real"),
@@ -194,6 +194,6 @@ fn a_report_names_camera_rule_and_values() {
     let report = suite(Defect::OneEyeIsSmaller);
     let text = report.to_string();
     assert!(text.starts_with("OneEyeIsSmaller: breaks the contract\n  size-as-stated: pair 0"), "{text}");
-    assert!(text.contains("the right picture is (15, 9), stated is (16, 9)"), "{text}");
+    assert!(text.contains("the right image is (15, 9), stated is (16, 9)"), "{text}");
     assert!(std::panic::catch_unwind(|| report.assert_passed()).is_err());
 }

@@ -33,7 +33,7 @@ pub struct CoupledArmConfig {
     pub fade: Option<CommandFade>,
 }
 
-/// Why two arms can not be coupled.
+/// Why two arms cannot be coupled.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum CoupledError {
     /// The least room is none.

@@ -38,7 +38,7 @@ impl GuardConfig {
     pub const TRACKING_ERROR_FOR: Duration = Duration::from_millis(100);
 }
 
-/// Why numbers can not configure a guard.
+/// Why numbers cannot configure a guard.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum GuardError {
     /// The servo limits are not within the mechanical range.
@@ -158,10 +158,8 @@ impl<A: Arm> Guard<A> {
     fn refuse_jump(&mut self, joint: usize, moved_rad: f64, dt: Duration) -> ArmError {
         self.jumps += 1;
         let moved_deg = moved_rad.to_degrees();
-        let text = format!(
-            "axis {} seems to have moved by {moved_deg:+.2} degrees within {dt:?}, which it can not",
-            joint + 1
-        );
+        let text =
+            format!("axis {} seems to have moved by {moved_deg:+.2} degrees within {dt:?}, which it cannot", joint + 1);
         if self.jumps >= JUMPS_TO_FAULT {
             let reason = format!("{text}, {} times in a row: check its encoder and the link", self.jumps);
             return self.stop_for((joint, reason));

@@ -64,7 +64,7 @@ impl StartPose {
     }
 }
 
-/// Why numbers can not configure a limiter.
+/// Why numbers cannot configure a limiter.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum LimiterError {
     /// The tolerance of the start is none.

@@ -54,7 +54,7 @@ pub enum Shortfall {
     },
     /// The memory is not to be locked.
     #[error(
-        "memory can not be locked ({error}): a page that was taken away will delay the cycle. Run as root, give the program \
+        "memory cannot be locked ({error}): a page that was taken away will delay the cycle. Run as root, give the program \
          CAP_IPC_LOCK, or let the user have it: `@realtime - memlock unlimited` in /etc/security/limits.conf"
     )]
     Memory {

@@ -47,14 +47,14 @@ pub trait Connector: Send {
     /// Opens the link, in bounded time.
     ///
     /// # Errors
-    /// Why it can not be opened, and what to do.
+    /// Why it cannot be opened, and what to do.
     fn connect(&mut self) -> Result<Box<dyn ByteLink>, ConnectError>;
 
     /// For messages: where it leads.
     fn target(&self) -> String;
 }
 
-/// Why a link can not be opened.
+/// Why a link cannot be opened.
 pub type ConnectError = Box<dyn std::error::Error + Send + Sync>;
 
 /// The link is gone: unplugged, closed by the other side, or broken. The symptom is for the log.

@@ -38,7 +38,7 @@ fn main() -> Result<()> {
     let tables = figures.tables();
     print!("\n{tables}");
     if let Some(file) = &options.page {
-        std::fs::write(file, page(&options.origin, &tables)).with_context(|| format!("{file} can not be written"))?;
+        std::fs::write(file, page(&options.origin, &tables)).with_context(|| format!("{file} cannot be written"))?;
     }
     figures.judge()
 }

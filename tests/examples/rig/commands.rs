@@ -11,14 +11,14 @@ use crate::report::{Outcome, Report, ensure};
 use crate::setup::{BUSES, HERE};
 use crate::system::wait_for;
 
-/// Pictures per second.
+/// Images per second.
 const RATE_HZ: f64 = 25.0;
 
 /// Pairs of a recording; its file.
 const PAIRS: usize = 16;
 const FOLDER: &str = "/recorded";
 
-/// Findings of `cameras check` that a picture without noise can pass as well as any.
+/// Findings of `cameras check` that an image without noise can pass as well as any.
 const OF_TIME: [&str; 4] = ["rate", "jitter", "skew", "missing"];
 
 pub fn check(report: &mut Report) {
@@ -63,10 +63,10 @@ fn record() -> Outcome {
     ensure(sequence.times_s.len() == PAIRS && sequence.skew_s.len() == PAIRS, || format!("{sequence:?}"))?;
     let mut different = 0;
     for frame in 0..PAIRS as u64 {
-        let pictures = sequence.load_pictures(frame, size)?;
-        different += usize::from(pictures.left != pictures.right);
+        let images = sequence.load_images(frame, size)?;
+        different += usize::from(images.left != images.right);
     }
-    ensure(different == PAIRS, || format!("{different} of {PAIRS} pairs have two pictures"))?;
+    ensure(different == PAIRS, || format!("{different} of {PAIRS} pairs have two images"))?;
     let gaps: Vec<f64> = sequence.times_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let worst = gaps.iter().map(|gap| (gap - 1.0 / RATE_HZ).abs()).fold(0.0, f64::max);
     let mean = gaps.iter().sum::<f64>() / gaps.len() as f64;

@@ -6,9 +6,9 @@
 #![allow(clippy::print_stdout, clippy::panic, reason = "a program for the console, whose checks may panic")]
 
 mod commands;
+mod images;
 mod lines;
 mod outputs;
-mod pictures;
 mod program;
 #[path = "../../../hal/arm-pa10/examples/arm_guest/report.rs"]
 #[allow(dead_code, reason = "other programs have cables that are pulled")]

@@ -14,7 +14,7 @@ use v4l::v4l2::{ioctl, vidioc};
 const OUTPUT: u32 = sys::v4l2_buf_type_V4L2_BUF_TYPE_VIDEO_OUTPUT;
 const MAPPED: u32 = sys::v4l2_memory_V4L2_MEMORY_MMAP;
 
-/// One picture is shown while the next one is waited for: with more of them pictures would be shown late.
+/// One image is shown while the next one is waited for: with more of them images would be shown late.
 const BUFFERS: u32 = 2;
 
 /// An output that is open.
@@ -62,7 +62,7 @@ impl Stream {
         Ok(stream)
     }
 
-    /// Waits until a picture can be given: the one before the last was shown for its period.
+    /// Waits until an image can be given: the one before the last was shown for its period.
     ///
     /// # Errors
     /// What the driver refuses.
@@ -75,21 +75,21 @@ impl Stream {
         Ok(())
     }
 
-    /// Gives a picture, which is shown next; waits before if that is necessary.
+    /// Gives an image, which is shown next; waits before if that is necessary.
     ///
     /// # Errors
-    /// What the driver refuses; a picture of another size.
-    pub fn give(&mut self, picture: &[u8]) -> io::Result<()> {
+    /// What the driver refuses; an image of another size.
+    pub fn give(&mut self, image: &[u8]) -> io::Result<()> {
         self.wait()?;
         let index = self.free.pop().ok_or_else(|| io::Error::other("no buffer is free"))?;
         let mapping = &self.buffers[index as usize];
-        if mapping.length < picture.len() {
-            return Err(io::Error::other(format!("{} bytes for a buffer of {}", picture.len(), mapping.length)));
+        if mapping.length < image.len() {
+            return Err(io::Error::other(format!("{} bytes for a buffer of {}", image.len(), mapping.length)));
         }
         // SAFETY: mapped with at least that length, and the driver's only while it is queued.
-        unsafe { std::ptr::copy_nonoverlapping(picture.as_ptr(), mapping.start, picture.len()) };
+        unsafe { std::ptr::copy_nonoverlapping(image.as_ptr(), mapping.start, image.len()) };
         let mut filled = Self::buffer(index);
-        filled.bytesused = u32::try_from(picture.len()).map_err(io::Error::other)?;
+        filled.bytesused = u32::try_from(image.len()).map_err(io::Error::other)?;
         filled.field = sys::v4l2_field_V4L2_FIELD_INTERLACED;
         self.call(vidioc::VIDIOC_QBUF, &mut filled)?;
         if self.free.is_empty() && !self.is_running {

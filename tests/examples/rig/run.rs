@@ -7,22 +7,22 @@ use pb3dp_camera_v4l2::linux::Linux;
 use pb3dp_camera_v4l2::names;
 use pb3dp_setup::setup::read_setup;
 
+use crate::images;
 use crate::lines::name_port;
-use crate::pictures;
 use crate::program::Running;
 use crate::report::{Outcome, Report, ensure};
 use crate::setup::{self, BUSES, DISCONNECT, HERE, control, name};
 use crate::system::wait_for;
 use crate::world::World;
 
-/// Of the target in the left picture.
+/// Of the target in the left image.
 const REGION: &str = "rect:344,200,100,80";
 
 /// How far the hand may be from where it is wanted.
 const OFF_MAX_M: f64 = 0.005;
 const TURNED_MAX_DEG: f64 = 2.0;
 
-/// For so long the hand is led by pictures before it is looked where it is.
+/// For so long the hand is led by images before it is looked where it is.
 const TRACKED: Duration = Duration::from_millis(500);
 
 /// What is said of a hand that rests because it was told to.
@@ -34,7 +34,7 @@ const PULLED: usize = 1;
 /// The world goes on behind it.
 pub fn check(report: &mut Report) -> Option<World> {
     report.check("the rig is there", || {
-        pictures::prepare()?;
+        images::prepare()?;
         setup::write()?;
         let setup = read_setup(Path::new(HERE))?;
         Ok(format!("{}, {}", name_port(&setup.rig.vs, "ARM1")?, name_port(&setup.rig.tc, "ARM2")?))
@@ -46,7 +46,7 @@ pub fn check(report: &mut Report) -> Option<World> {
         Ok(String::new())
     });
     let (world, mut run) = rig?;
-    report.check("the hand is led by the pictures, and stays before the target", || follow(&world, &mut run));
+    report.check("the hand is led by the images, and stays before the target", || follow(&world, &mut run));
     report
         .check("a camera that is pulled and plugged in again: the hand rests, and goes on when it is told to", || {
             pulled(&world, &mut run)
@@ -57,7 +57,7 @@ pub fn check(report: &mut Report) -> Option<World> {
 
 fn start() -> Result<(World, Running), Box<dyn std::error::Error>> {
     let world = World::start()?;
-    wait_for("the first pictures are shown", || (world.shown() > 1).then_some(()))?;
+    wait_for("the first images are shown", || (world.shown() > 1).then_some(()))?;
     let words = ["run", "--config", HERE, "--operator", "console", "--region", REGION, "--out", "/out"];
     let mut run = Running::start(&words)?;
     run.wait_for("target taken", None)?;

@@ -21,19 +21,19 @@ use pb3dp_sim::sensor::SensorConfig;
 use pb3dp_sim::targets::{self, TargetConfig};
 use pb3dp_wiring::arm::far_side;
 
+use crate::images::Output;
 use crate::lines::far_end;
-use crate::pictures::Output;
 use crate::setup::HERE;
 
 /// What moves less is painted where it was: a hundredth of a pixel.
 const SEEN_M: f64 = 1e-5;
 const SEEN_RAD: f64 = 2e-5;
 
-/// What is rendered of the pictures, around the target; the rest is background. Whole pictures would take this computer longer than they
+/// What is rendered of the images, around the target; the rest is background. Whole images would take this computer longer than they
 /// are shown.
 const WINDOW: ImageSize = ImageSize { width: 208, height: 160 };
 
-/// Where that is in the left and in the right picture: x and y of the upper left pixel.
+/// Where that is in the left and in the right image: x and y of the upper left pixel.
 const CORNERS: [(u32, u32); 2] = [(290, 160), (142, 160)];
 
 /// An output that is gone is looked for so often.
@@ -91,7 +91,7 @@ impl World {
         (off.translation_m().norm(), off.rotation_angle_rad().to_degrees())
     }
 
-    /// Pairs of pictures that were shown.
+    /// Stereo pairs that were shown.
     pub fn shown(&self) -> u64 {
         self.shared.shown.load(Ordering::SeqCst)
     }
@@ -132,17 +132,17 @@ impl Painter {
 
     fn paint(mut self) {
         let ImageSize { width, height } = WINDOW;
-        let mut pictures = [RgbImage::new(width, height), RgbImage::new(width, height)];
+        let mut images = [RgbImage::new(width, height), RgbImage::new(width, height)];
         let mut drawn = None;
         while !self.shared.is_over.load(Ordering::SeqCst) {
             self.outputs.iter_mut().for_each(Output::wait);
             let now = self.clock.now();
             let poses = self.cell.poses_at(now);
             if drawn.is_none_or(|drawn| is_seen(&drawn, &poses)) {
-                let [left, right] = &mut pictures;
+                let [left, right] = &mut images;
                 self.renderer.render_pair(&poses, 0, left, right);
-                for ((output, picture), corner) in self.outputs.iter_mut().zip(&pictures).zip(CORNERS) {
-                    output.draw(picture, corner);
+                for ((output, image), corner) in self.outputs.iter_mut().zip(&images).zip(CORNERS) {
+                    output.draw(image, corner);
                 }
                 drawn = Some(poses);
             }
@@ -155,7 +155,7 @@ impl Painter {
     }
 }
 
-/// The parts of both pictures that are rendered.
+/// The parts of both images that are rendered.
 fn windows(rig: &StereoRig) -> Result<StereoRig, Box<dyn Error>> {
     let window = |camera: &Camera, (x, y): (u32, u32)| {
         let whole = *camera.pinhole();

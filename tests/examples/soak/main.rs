@@ -30,7 +30,7 @@ fn main() -> Result<()> {
     let losses = if options.losses_only || options.page.is_some() { Some(losses_only(&options)?) } else { None };
     if let (Some(file), Some(faults), Some(losses)) = (&options.page, &faults, &losses) {
         let page = figures::page(&options.origin, (options.minutes, options.seed), (faults, losses));
-        std::fs::write(file, page).with_context(|| format!("{file} can not be written"))?;
+        std::fs::write(file, page).with_context(|| format!("{file} cannot be written"))?;
     }
     faults.iter().chain(&losses).try_for_each(Figures::judge)
 }

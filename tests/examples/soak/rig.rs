@@ -35,7 +35,7 @@ const BACK_PER_S: f64 = 0.3;
 /// One of so many replies of a gateway is lost where replies on the line are lost, and never more in a row.
 const LINE_LOSS_ONE_OF: u32 = 100;
 const LINE_LOSSES_IN_A_ROW_MAX: u8 = 2;
-/// Arms that can not be made ready in so many tries never can.
+/// Arms that cannot be made ready in so many tries never can.
 const TRIES: usize = 40;
 
 /// An arm has refused to go on.
@@ -168,7 +168,7 @@ impl Rig {
             }
             std::thread::sleep(Duration::from_millis(100));
         }
-        bail!("the arms can not be made ready again: {last}");
+        bail!("the arms cannot be made ready again: {last}");
     }
 
     /// Moves both arms for a time.

@@ -90,7 +90,7 @@ pub struct Step {
     pub arms: [ArmTruth; 2],
     /// Where the target truly is.
     pub world_from_target: Placement,
-    /// Time since the exposure of the newest estimate that was delivered, by which the estimator stands and whose picture was
+    /// Time since the exposure of the newest estimate that was delivered, by which the estimator stands and whose image was
     /// new, seconds; infinite before the first one.
     pub pose_age_s: f64,
     /// Whether the hand may look for the target: the run permits it, the target is lost, and not for too long.
@@ -121,7 +121,7 @@ pub struct Injected {
     pub from_s: f64,
     /// When it ended, seconds.
     pub until_s: f64,
-    /// Whether anything came of it: a picture was lost, a reply did not come, a joint moved by itself.
+    /// Whether anything came of it: an image was lost, a reply did not come, a joint moved by itself.
     pub had_effect: bool,
     /// At least one of these has to be in a line of the log.
     pub words: &'static [&'static str],

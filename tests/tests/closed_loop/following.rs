@@ -1,4 +1,4 @@
-//! The hand follows what it can see, keeps its limits, and rests where it can not see.
+//! The hand follows what it can see, keeps its limits, and rests where it cannot see.
 
 use pb3dp_cell::experiment;
 use pb3dp_cell::figures::TrackingError;

@@ -1,4 +1,4 @@
-//! Runs without pictures: the whole loop with the true pose and stated noise in place of cameras and estimation.
+//! Runs without images: the whole loop with the true pose and stated noise in place of cameras and estimation.
 
 use nalgebra::Vector3;
 use pb3dp_cell::channels::Plan;
@@ -50,7 +50,7 @@ fn summary(setup: &Setup) -> RunSummary {
 #[test]
 fn without_noise_the_hand_comes_to_rest_where_it_should_be() {
     let found = summary(&trusting(setup(QUIET)));
-    assert!(found.without_pictures && found.rotation_about_normal_observed);
+    assert!(found.without_images && found.rotation_about_normal_observed);
     assert_eq!(
         (found.frames_without_pose, found.channels.len(), found.methods[0].method.as_str()),
         (0, 6, "geometric")
@@ -139,9 +139,9 @@ fn what_does_not_go_together_is_refused() {
         .map(drop)
         .unwrap_err();
     assert!(format!("{error:#}").contains("--record: with estimator.method = \"geometric\""), "{error:#}");
-    let mut with_pictures = whole_setup(Method::Direct);
-    let parts = wire(&with_pictures).unwrap();
-    with_pictures.leader = Leader::Geometric(QUIET);
-    let error = pb3dp_cell::experiment::run(&with_pictures, parts, None, None).map(drop).unwrap_err();
+    let mut with_images = whole_setup(Method::Direct);
+    let parts = wire(&with_images).unwrap();
+    with_images.leader = Leader::Geometric(QUIET);
+    let error = pb3dp_cell::experiment::run(&with_images, parts, None, None).map(drop).unwrap_err();
     assert!(format!("{error:#}").contains("does not go with this camera"), "{error:#}");
 }

@@ -1,4 +1,4 @@
-//! The whole loop in the simulated cell: cameras, estimation, servo, limiter, arms. Pictures are small and the experiment
+//! The whole loop in the simulated cell: cameras, estimation, servo, limiter, arms. Images are small and the experiment
 //! short, so that the suite is quick; the setup is the repository's otherwise.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests may fail the test")]
 

@@ -123,7 +123,7 @@ fn the_rigs_default_speed_is_refused_for_this_experiment_by_how_much() {
     for arm in [&mut setup.rig.vs, &mut setup.rig.tc] {
         arm.limits = arm.limits.slowed(f64::MAX, 0.10).unwrap();
     }
-    let Err(error) = wire(&setup) else { panic!("at a tenth of the speeds the arms can not follow") };
+    let Err(error) = wire(&setup) else { panic!("at a tenth of the speeds the arms cannot follow") };
     let text = format!("{error:#}");
     let words: Vec<&str> = text.split_whitespace().collect();
     let axis = words.iter().position(|word| *word == "axis").expect("names the axis");

@@ -72,9 +72,9 @@ fn a_frozen_camera_is_recognised_although_its_stamps_go_on() {
     goes_on(&supervision, "frozen");
 }
 
-/// What each fault does to a run without pictures: the hand rests while nothing can be seen, and goes on afterwards.
+/// What each fault does to a run without images: the hand rests while nothing can be seen, and goes on afterwards.
 #[test]
-fn without_pictures_a_hand_that_is_blind_rests() {
+fn without_images_a_hand_that_is_blind_rests() {
     for kind in [
         CameraFaultKind::Frozen,
         CameraFaultKind::Dropped { share: 1.0 },
@@ -156,7 +156,7 @@ fn swapped_for(other: SceneConfig) -> RunLog {
     let swapped = Swapped { cameras, clock: clock.clone(), at };
     let faults = card(vec![hidden(1.2, 2.3)]).world().unwrap().faults.clone();
     let camera = pb3dp_camera_sim::FaultyCamera::new(swapped, faults, clock.now()).unwrap();
-    let parts = Parts { camera: Sight::Pictures(Box::new(camera)), ..parts };
+    let parts = Parts { camera: Sight::Images(Box::new(camera)), ..parts };
     experiment::run(&setup, parts, Some(3.7), None).unwrap().log
 }
 
@@ -167,7 +167,7 @@ fn another_target_in_the_same_place_is_not_followed() {
     goes_on(&same.supervision.summary(), "the same card is known again");
     for (what, other) in [
         ("a crab", SceneConfig { target: TargetConfig::crab(0.01), ..card.clone() }),
-        ("a card with another picture", SceneConfig { seed: card.seed + 1, ..card.clone() }),
+        ("a card with another image", SceneConfig { seed: card.seed + 1, ..card.clone() }),
     ] {
         let log = swapped_for(other);
         let supervision = log.supervision.summary();

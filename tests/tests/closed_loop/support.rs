@@ -19,7 +19,7 @@ pub fn whole_setup(method: Method) -> Setup {
         _ => "configs/sim.toml",
     };
     let setup = read_setup(&repository().join(file)).unwrap();
-    assert_eq!(setup.leader, Leader::Pictures(method), "{file}");
+    assert_eq!(setup.leader, Leader::Images(method), "{file}");
     Setup { compared: Vec::new(), ..setup }
 }
 

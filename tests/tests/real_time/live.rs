@@ -24,7 +24,7 @@ fn hil_setup() -> Setup {
     setup
 }
 
-/// What the law without feed-forward leaves in simulated time is the measure: a loaded machine leaves pictures out.
+/// What the law without feed-forward leaves in simulated time is the measure: a loaded machine leaves images out.
 fn with_published_law(mut setup: Setup) -> Setup {
     let gains = Gains { position_per_s: 8.0, velocity: 0.0, orientation_per_s: 16.0, angular_velocity: 0.0 };
     let target_filter = TargetFilterConfig {

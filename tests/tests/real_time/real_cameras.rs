@@ -37,7 +37,7 @@ static SCENE: LazyLock<Vec<u8>> = LazyLock::new(|| {
     (0..SIZE.height as usize).flat_map(|v| (0..width).map(move |u| block(u, v))).collect()
 });
 
-/// The scene from a column on; a clock in the first pixels makes each picture another one.
+/// The scene from a column on; a clock in the first pixels makes each image another one.
 fn paint(from: usize, number: u64, memory: &mut [u8]) {
     let width = SIZE.width as usize;
     for (v, row) in memory.chunks_exact_mut(2 * width).enumerate() {
@@ -51,7 +51,7 @@ fn paint(from: usize, number: u64, memory: &mut [u8]) {
     }
 }
 
-/// The rig of `configs/rig.toml` with smaller pictures, and arms in this process.
+/// The rig of `configs/rig.toml` with smaller images, and arms in this process.
 fn rig() -> (Setup, EmulatedSystem) {
     let mut setup = read_setup(&repository().join("configs/rig.toml")).unwrap();
     let eye = |number: u32, paint: fn(u64, &mut [u8])| {
@@ -125,8 +125,8 @@ fn records() {
     assert!(sequence.cam_left_from_model.is_none());
     assert!((sequence.search.z_min_m - setup.range.z_min_m).abs() < 1e-9, "{:?}", sequence.search);
     // Each pair is one that was painted, left and right of the same number, 67 ms after the one before or a multiple of that.
-    let number = |picture: &image::RgbImage| (0..8).map(|u| u32::from(picture.get_pixel(u, 0)[0])).collect::<Vec<_>>();
-    let read = |frame| sequence.load_pictures(frame, SIZE).unwrap();
+    let number = |image: &image::RgbImage| (0..8).map(|u| u32::from(image.get_pixel(u, 0)[0])).collect::<Vec<_>>();
+    let read = |frame| sequence.load_images(frame, SIZE).unwrap();
     for frame in 1..sequence.frames() {
         let (before, now) = (read(frame - 1), read(frame));
         assert_eq!(number(&now.left), number(&now.right), "frame {frame}");
@@ -146,7 +146,7 @@ fn swings() {
     let parts = wire_with(&setup, Arc::new(system)).unwrap().parts;
     let swung = swing::run(&setup, parts, Excitation::new(3e-3, 6.0).unwrap()).unwrap();
     assert!(swung.seen.len() > 40 && swung.joints.len() > 400, "{} seen", swung.seen.len());
-    // Where the marked region is: straight before the hand, at 500 mm, in pictures that never change.
+    // Where the marked region is: straight before the hand, at 500 mm, in images that never change.
     let first = swung.seen[0].cam_left_from_model.translation_m();
     assert!((first.z - 0.5).abs() < 0.01 && (first.x - 0.05).abs() < 0.01, "{first}");
     let joint = |k: usize| swung.joints.iter().map(move |sample| sample.position_rad[k]);
@@ -178,7 +178,7 @@ fn holds_rests_and_goes_on() {
     assert!(summary.supervisor.transitions[rests].why.contains("frame pair"), "{told}");
     assert!(steps[rests..].iter().any(|(_, to)| moving(to)), "{told}");
     assert!(summary.supervisor.steps_found["frame_stale"] > 50 && summary.pairs_lost >= 8, "{told}");
-    // It is where it should be by its own pictures, which never change: neither the pose nor the calibration draws it away.
+    // It is where it should be by its own images, which never change: neither the pose nor the calibration draws it away.
     let (first, last) = (outcome.log.control.first().unwrap(), outcome.log.control.last().unwrap());
     let moved = (last.world_from_hand.translation_m() - first.world_from_hand.translation_m()).norm();
     assert!(moved < 0.02 && last.t_s > 8.5, "{moved} m in {} s", last.t_s);

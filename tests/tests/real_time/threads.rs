@@ -323,7 +323,7 @@ fn a_failure_in_any_thread_stops_both_arms_and_is_told() {
         Script { record: fail, ..QUIET },
     ];
     // A stop that fails does not hide why both arms were stopped.
-    let stop: Deed = |_| bail!("an arm can not be told");
+    let stop: Deed = |_| bail!("an arm cannot be told");
     for script in scripts {
         for pace in [Pace::Live, Pace::Fast] {
             for script in [script, Script { stop, ..script }] {
@@ -336,7 +336,7 @@ fn a_failure_in_any_thread_stops_both_arms_and_is_told() {
 /// Steps that the hand follows before its method takes long, rests meanwhile, and follows afterwards.
 const ENOUGH: u64 = 40;
 
-/// A run whose method once takes as long as it needs to make the newest pictures too old.
+/// A run whose method once takes as long as it needs to make the newest images too old.
 struct SlowOnce<'a> {
     looking: Looking<'a>,
     seen: Seen,
@@ -393,7 +393,7 @@ impl Record for Kept<'_> {
             self.moved.push(*step);
         }
         if is_stale(step) {
-            // On a slow machine pictures may be too old before the method is slow.
+            // On a slow machine images may be too old before the method is slow.
             if has_followed {
                 count(&self.seen.stale);
             }

@@ -52,7 +52,7 @@ mod tests {
     #[test]
     fn a_dependency_needs_a_user_and_a_reason() {
         let root = "[workspace.dependencies]\nown = { path = \"crates/own\" }\npng = \"0.18\"\n";
-        let (user, reason) = ("[dependencies]\npng.workspace = true\n", "| `png` | MIT | animated pictures |");
+        let (user, reason) = ("[dependencies]\npng.workspace = true\n", "| `png` | MIT | animated images |");
         assert_eq!(rules(root, user, reason), [""; 0]);
         assert_eq!(rules(root, user, ""), ["dependency-reason"]);
         assert_eq!(rules(root, "[dependencies]\npng-tools.workspace = true\n", reason), ["unused-dependency"]);

@@ -59,7 +59,7 @@ impl Archive {
     /// Ends the archive and writes it down.
     ///
     /// # Errors
-    /// If it can not be written.
+    /// If it cannot be written.
     pub fn write(mut self, path: &Path) -> anyhow::Result<()> {
         self.entry("TRAILER!!!", 0, [0, 0], &[]);
         std::fs::write(path, &self.bytes).with_context(|| format!("cannot write {}", path.display()))

@@ -53,7 +53,7 @@ impl Kernel {
     /// The kernel that is there, or a new one.
     ///
     /// # Errors
-    /// [`NotPossible`] if there is none and none can be fetched; else if it can not be unpacked.
+    /// [`NotPossible`] if there is none and none can be fetched; else if it cannot be unpacked.
     pub fn get(cache: &Path, renews: bool) -> anyhow::Result<Self> {
         if !renews && let Some(kernel) = kept(cache)? {
             return Ok(kernel);
@@ -74,7 +74,7 @@ impl Kernel {
             fs::remove_dir_all(&folder)?;
         }
         // Whole or not at all.
-        fs::rename(&scratch, &folder).context("the new kernel can not be put in its place")?;
+        fs::rename(&scratch, &folder).context("the new kernel cannot be put in its place")?;
         Self::open(&folder)
     }
 
@@ -151,7 +151,7 @@ fn image_of(text: &str) -> Option<&str> {
 /// The file of a package. Needs no special rights.
 fn download(package: &str, folder: &Path) -> anyhow::Result<PathBuf> {
     let fetched = output_of(apt_get().args(["download", package]).current_dir(folder));
-    fetched.map_err(|error| NotPossible::because(format!("{package} can not be fetched: {error:#}")))?;
+    fetched.map_err(|error| NotPossible::because(format!("{package} cannot be fetched: {error:#}")))?;
     let files = fs::read_dir(folder)?.filter_map(|entry| Some(entry.ok()?.path()));
     let mut files = files.filter(|path| path.extension().is_some_and(|ending| ending == "deb"));
     files.next().with_context(|| format!("apt-get has fetched {package} to nowhere"))
@@ -174,7 +174,7 @@ fn unpack(file: &Path, folder: &Path) -> anyhow::Result<()> {
     tar.arg("*/vmlinuz-*").args(MODULE_FOLDERS.map(|part| format!("*/kernel/{part}/*"))).stderr(Stdio::null());
     let _ = tar.status().context("cannot start tar")?;
     if !packed.wait()?.success() {
-        bail!("{} can not be unpacked: delete it, and try again", file.display());
+        bail!("{} cannot be unpacked: delete it, and try again", file.display());
     }
     let boot = fs::read_dir(raw.join("boot")).context("the package has no kernel")?;
     let names = boot.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
@@ -182,7 +182,7 @@ fn unpack(file: &Path, folder: &Path) -> anyhow::Result<()> {
     fs::write(folder.join(PARTS), MODULE_FOLDERS.join("\n"))?;
     fs::write(folder.join("release"), name.trim_start_matches("vmlinuz-"))?;
     keep_image(&raw.join("boot").join(name), folder)?;
-    fs::rename(raw, folder.join("modules")).context("the modules can not be put in their place")
+    fs::rename(raw, folder.join("modules")).context("the modules cannot be put in their place")
 }
 
 /// Keeps the kernel itself, unpacked where that is possible: an emulated processor takes seconds for it at every start.

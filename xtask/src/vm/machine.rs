@@ -79,7 +79,7 @@ pub fn find_qemu() -> anyhow::Result<PathBuf> {
         // A machine that has never asked knows no packages, and one that asked long ago knows old ones.
         let installed = install().or_else(|_| output_of(apt_get().arg("update")).and_then(|_| install()));
         installed.map_err(|error| {
-            NotPossible::because(format!("{QEMU} is missing, and {PACKAGE} can not be installed: {error:#}"))
+            NotPossible::because(format!("{QEMU} is missing, and {PACKAGE} cannot be installed: {error:#}"))
         })?;
         if !runs() {
             return Err(NotPossible::because(format!("{PACKAGE} is installed, and {QEMU} does not start")));

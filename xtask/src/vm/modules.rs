@@ -16,7 +16,7 @@ pub struct Module {
 /// whose own needs are among the first.
 ///
 /// # Errors
-/// If the kernel has no such module, or it can not be read.
+/// If the kernel has no such module, or it cannot be read.
 pub fn closure(folder: &Path, wanted: &[&str], by_hand: &[&str]) -> anyhow::Result<(Vec<Module>, Vec<Module>)> {
     let files = files(folder)?;
     let mut at_start = Vec::new();

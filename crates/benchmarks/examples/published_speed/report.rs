@@ -46,7 +46,7 @@ pub fn missed_goals(results: &[PairResult]) -> Vec<String> {
 /// For people.
 pub fn table(machine: &Machine, rounds: usize, results: &[PairResult]) -> String {
     let mut text = String::new();
-    // Writing to a string can not fail.
+    // Writing to a string cannot fail.
     let _ = write_table(&mut text, machine, rounds, results);
     text
 }

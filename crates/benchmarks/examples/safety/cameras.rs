@@ -1,4 +1,4 @@
-//! What goes wrong with the cameras: the faults of a setup, `[[camera.faults]]`, which do to a pose what they do to the pictures.
+//! What goes wrong with the cameras: the faults of a setup, `[[camera.faults]]`, which do to a pose what they do to the images.
 
 use std::time::Duration;
 

@@ -23,7 +23,7 @@ pub struct Fault {
 pub enum Kind {
     /// Each estimate gets lost with this chance.
     EstimatesLost(f64),
-    /// The estimator has no pose: black, saturated or covered pictures.
+    /// The estimator has no pose: black, saturated or covered images.
     NoPose,
     /// It has one by which it does not stand.
     Doubtful,
@@ -37,8 +37,8 @@ pub enum Kind {
     Outliers(f64),
     /// Both eyes are exposed so far apart, seconds.
     Skew(f64),
-    /// Number and times of pictures go back.
-    OldPictures,
+    /// Number and times of images go back.
+    OldImages,
     /// The estimator follows another target.
     OtherTarget,
     /// A control step takes so long, seconds.
@@ -60,7 +60,7 @@ pub enum Kind {
     EmergencyStopOfBoth,
     /// The cable of this arm is pulled.
     Unplugged(usize),
-    /// New pictures come with the number of an old one.
+    /// New images come with the number of an old one.
     NumbersStand,
     /// Each pose is off by as much as this, metres, to another side.
     Scatter(f64),
@@ -128,13 +128,13 @@ const OF_THE_CELL: [&str; 20] = [
     "poses off",
     "outliers",
     "eyes apart",
-    "old pictures",
+    "old images",
     "another target",
     "control step overruns",
     "clock jumps",
     "emergency stop of both",
     "cable pulled",
-    "numbers of pictures stand",
+    "numbers of images stand",
     "poses scatter",
     "unsure poses",
     "a word of the operator",
@@ -164,7 +164,7 @@ impl Kind {
             5 => Self::Off(dice.within(0.002, 0.2) * dice.sign(), dice.within(0.0, 0.5) * dice.sign()),
             6 => Self::Outliers(dice.within(0.01, 0.5) * dice.sign()),
             7 => Self::Skew(dice.within(0.001, 0.05) * dice.sign()),
-            8 => Self::OldPictures,
+            8 => Self::OldImages,
             9 => Self::OtherTarget,
             10 => Self::Overrun(dice.within(0.005, 0.3)),
             11 => Self::ClockJump(dice.within(0.02, 3.0) * dice.sign()),
@@ -195,7 +195,7 @@ impl Kind {
             Self::Off(..) => 5,
             Self::Outliers(_) => 6,
             Self::Skew(_) => 7,
-            Self::OldPictures => 8,
+            Self::OldImages => 8,
             Self::OtherTarget => 9,
             Self::Overrun(_) => 10,
             Self::ClockJump(_) => 11,
@@ -212,7 +212,7 @@ impl Kind {
         }]
     }
 
-    /// What a line of the log has to say where this can not go unnoticed.
+    /// What a line of the log has to say where this cannot go unnoticed.
     pub fn words(&self) -> &'static [&'static str] {
         match self {
             Self::EmergencyStopOfBoth => &["emergency stop"],
@@ -285,7 +285,7 @@ impl Kind {
         }
     }
 
-    /// Whether the cameras can fail in its place: what it does to estimates, they do to pictures.
+    /// Whether the cameras can fail in its place: what it does to estimates, they do to images.
     pub fn is_of_estimates(&self) -> bool {
         matches!(
             self,
@@ -295,7 +295,7 @@ impl Kind {
                 | Self::Late(_)
                 | Self::Stall
                 | Self::Skew(_)
-                | Self::OldPictures
+                | Self::OldImages
                 | Self::NumbersStand
         )
     }

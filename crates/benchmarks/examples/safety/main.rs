@@ -35,8 +35,8 @@ use system_tests::safety::truth::ARM_NAMES;
 
 /// Runs of a whole measurement.
 const RUNS: u64 = 20_000;
-/// Of these so many are done again with pictures.
-const PICTURED: u64 = 24;
+/// Of these so many are done again with images.
+const IMAGED: u64 = 24;
 /// Runs of a quick one.
 const QUICK_RUNS: u64 = 200;
 
@@ -47,7 +47,7 @@ const LEAD_OFF_MAX_S: f64 = 0.2;
 struct Args {
     seed: u64,
     runs: u64,
-    pictured: u64,
+    imaged: u64,
     trace: bool,
     disabled: bool,
     only: String,
@@ -58,15 +58,14 @@ struct Args {
 impl Args {
     fn read(mut words: impl Iterator<Item = String>) -> Result<Self> {
         let (only, origin) = (String::new(), "unknown".into());
-        let mut args =
-            Self { seed: 1, runs: RUNS, pictured: 0, trace: false, disabled: false, only, origin, page: None };
-        let (mut is_whole, mut pictured) = (true, None);
+        let mut args = Self { seed: 1, runs: RUNS, imaged: 0, trace: false, disabled: false, only, origin, page: None };
+        let (mut is_whole, mut imaged) = (true, None);
         while let Some(word) = words.next() {
             let mut value = || words.next().with_context(|| format!("{word} needs a value"));
             match word.as_str() {
                 "--seed" => args.seed = value()?.parse().context("--seed: a number from 0 on")?,
                 "--runs" => (args.runs, is_whole) = (value()?.parse().context("--runs: a number from 0 on")?, false),
-                "--pictured" => pictured = Some(value()?.parse().context("--pictured: a number from 0 on")?),
+                "--imaged" => imaged = Some(value()?.parse().context("--imaged: a number from 0 on")?),
                 "--quick" => (args.runs, is_whole) = (QUICK_RUNS, false),
                 "--trace" => args.trace = true,
                 "--disabled" => args.disabled = true,
@@ -74,12 +73,12 @@ impl Args {
                 "--origin" => args.origin = value()?,
                 "--page" => args.page = Some(value()?.into()),
                 _ => bail!(
-                    "{word}: --seed N, --runs N, --pictured N, --quick, --trace, --disabled, --only NAME, --page FOLDER and --origin TEXT are known"
+                    "{word}: --seed N, --runs N, --imaged N, --quick, --trace, --disabled, --only NAME, --page FOLDER and --origin TEXT are known"
                 ),
             }
         }
-        args.pictured = pictured.unwrap_or(if is_whole { PICTURED } else { 0 });
-        ensure!(args.runs + args.pictured > 0, "--runs and --pictured: at least one run");
+        args.imaged = imaged.unwrap_or(if is_whole { IMAGED } else { 0 });
+        ensure!(args.runs + args.imaged > 0, "--runs and --imaged: at least one run");
         Ok(args)
     }
 }
@@ -88,8 +87,8 @@ impl Args {
 pub struct Judged {
     /// Of which seed.
     pub scenario: Scenario,
-    /// Whether pictures were rendered and looked at.
-    pub pictured: bool,
+    /// Whether images were rendered and looked at.
+    pub imaged: bool,
     /// What happened.
     pub ran: Ran,
     /// What did not hold.
@@ -103,7 +102,7 @@ pub struct Judged {
 /// Runs one seed and judges it.
 ///
 /// # Errors
-/// If it can not be wired.
+/// If it cannot be wired.
 fn judge(setup: &Setup, rules: &Rules, scenario: Scenario) -> Result<Judged> {
     let seed = scenario.seed;
     let (ran, cpu_millis) = timed(|| run(setup, &scenario));
@@ -116,20 +115,20 @@ fn judge(setup: &Setup, rules: &Rules, scenario: Scenario) -> Result<Judged> {
         "seed {seed}: the control loop began {} s after the camera; set LEAD_S in cameras.rs to that",
         ran.lead_s
     );
-    let pictured = setup.leader.needs_pictures();
-    Ok(Judged { scenario, pictured, violations, digest, cpu_millis, ran })
+    let imaged = setup.leader.needs_images();
+    Ok(Judged { scenario, imaged, violations, digest, cpu_millis, ran })
 }
 
-/// The command that does one seed again, with or without pictures.
-pub fn replay(seed: u64, pictured: bool) -> String {
-    let runs = if pictured { "--runs 0 --pictured 1" } else { "--runs 1" };
+/// The command that does one seed again, with or without images.
+pub fn replay(seed: u64, imaged: bool) -> String {
+    let runs = if imaged { "--runs 0 --imaged 1" } else { "--runs 1" };
     format!("cargo xtask bench safety --seed {seed} {runs} --trace")
 }
 
 fn tell(judged: &Judged) {
     let seed = judged.scenario.seed;
     for violation in &judged.violations {
-        println!("seed {seed}: {violation}\n  again: {}", replay(seed, judged.pictured));
+        println!("seed {seed}: {violation}\n  again: {}", replay(seed, judged.imaged));
     }
 }
 
@@ -185,23 +184,23 @@ impl Default for Progress {
 }
 
 impl Progress {
-    fn tell(&self, [plain, pictured]: [&Figures; 2], [runs, with_pictures]: [u64; 2]) {
+    fn tell(&self, [plain, imaged]: [&Figures; 2], [runs, with_images]: [u64; 2]) {
         let minutes = self.since.elapsed().as_secs() / 60;
         if self.minutes.swap(minutes, Ordering::Relaxed) < minutes {
-            let violations = plain.broken() + pictured.broken();
-            let (done, shown, rate) = (plain.runs, pictured.runs, plain.times_real_time());
+            let violations = plain.broken() + imaged.broken();
+            let (done, shown, rate) = (plain.runs, imaged.runs, plain.times_real_time());
             println!(
-                "{minutes} min: {done} of {runs} runs, {shown} of {with_pictures} with pictures, {violations} violations, {rate:.0} times real time per core"
+                "{minutes} min: {done} of {runs} runs, {shown} of {with_images} with images, {violations} violations, {rate:.0} times real time per core"
             );
         }
     }
 }
 
-/// What many runs came to: without pictures, and with them.
+/// What many runs came to: without images, and with them.
 #[derive(Default)]
 struct Both {
     plain: Figures,
-    pictured: Figures,
+    imaged: Figures,
 }
 
 fn all(args: &Args) -> Result<Both> {
@@ -211,25 +210,25 @@ fn all(args: &Args) -> Result<Both> {
     let told = Progress::default();
     let work = || {
         loop {
-            // Those with pictures take longest, and come first.
+            // Those with images take longest, and come first.
             let index = next.fetch_add(1, Ordering::Relaxed);
-            if index >= args.pictured + args.runs {
+            if index >= args.imaged + args.runs {
                 return;
             }
-            let (setup, index) = match index.checked_sub(args.pictured) {
+            let (setup, index) = match index.checked_sub(args.imaged) {
                 None => (&setups[1], index),
                 Some(index) => (&setups[0], index),
             };
             let judged = judge(setup, &rules, Scenario::of(args.seed + index));
             let Ok(mut figures) = figures.lock() else { return };
             match (judged, figures.as_mut()) {
-                (Ok(judged), Ok(Both { plain, pictured })) => {
+                (Ok(judged), Ok(Both { plain, imaged })) => {
                     tell(&judged);
                     if args.trace {
                         trace(&judged);
                     }
-                    if judged.pictured { &mut *pictured } else { &mut *plain }.add(&judged, &rules);
-                    told.tell([plain, pictured], [args.runs, args.pictured]);
+                    if judged.imaged { &mut *imaged } else { &mut *plain }.add(&judged, &rules);
+                    told.tell([plain, imaged], [args.runs, args.imaged]);
                 }
                 (Err(error), Ok(_)) => {
                     *figures = Err(error);
@@ -254,14 +253,14 @@ fn main() -> Result<ExitCode> {
         return disabled(&args);
     }
     let figures = all(&args)?;
-    let Both { plain, pictured } = &figures;
-    let text = page::text(plain, pictured, args.seed, &args.origin);
+    let Both { plain, imaged } = &figures;
+    let text = page::text(plain, imaged, args.seed, &args.origin);
     println!("{text}");
     if let Some(folder) = &args.page {
         page::write_part(folder, Some(&text), None)?;
     }
-    println!("{} virtual seconds per run, digest of all: {:016x}", RUN_S, plain.digest.wrapping_add(pictured.digest));
-    Ok(if plain.broken() + pictured.broken() == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    println!("{} virtual seconds per run, digest of all: {:016x}", RUN_S, plain.digest.wrapping_add(imaged.digest));
+    Ok(if plain.broken() + imaged.broken() == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 /// Switches each safeguard off.
@@ -287,7 +286,7 @@ mod tests {
         let args = Args::read(["--runs", "12"].map(str::to_owned).into_iter()).unwrap();
         let (one, other) = (all(&args).unwrap(), all(&args).unwrap());
         assert!(one.plain.violations.is_empty(), "{:?}", one.plain.violations);
-        assert_eq!((one.plain.runs, one.pictured.runs), (12, 0));
+        assert_eq!((one.plain.runs, one.imaged.runs), (12, 0));
         assert_eq!(one.plain.digest, other.plain.digest, "the same seeds gave other runs");
     }
 }

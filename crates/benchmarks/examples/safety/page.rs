@@ -16,10 +16,10 @@ use crate::proofs::Shown;
 use crate::replay;
 
 /// The whole page.
-pub fn text(figures: &Figures, pictured: &Figures, seed: u64, origin: &str) -> String {
+pub fn text(figures: &Figures, imaged: &Figures, seed: u64, origin: &str) -> String {
     let mut page = String::new();
     // Nothing is written to that could fail.
-    write(&mut page, figures, pictured, (seed, origin)).ok();
+    write(&mut page, figures, imaged, (seed, origin)).ok();
     page
 }
 
@@ -31,7 +31,7 @@ const SAFEGUARDS: &str = "## Safeguards, each switched off";
 /// Writes one part of the page, or both; the other one stays as it is.
 ///
 /// # Errors
-/// If the page can not be written.
+/// If the page cannot be written.
 pub fn write_part(folder: &Path, runs: Option<&str>, safeguards: Option<&str>) -> anyhow::Result<()> {
     let path = folder.join("safety.md");
     let before = std::fs::read_to_string(&path).unwrap_or_default();
@@ -39,7 +39,7 @@ pub fn write_part(folder: &Path, runs: Option<&str>, safeguards: Option<&str>) -
     let runs = Some(runs.unwrap_or(runs_before).trim_end()).filter(|runs| !runs.is_empty()).unwrap_or(HEADING);
     let text = format!("{runs}\n\n{}", safeguards.unwrap_or(safeguards_before).trim_end());
     std::fs::write(&path, format!("{}\n", text.trim()))
-        .with_context(|| format!("{}: can not be written", path.display()))
+        .with_context(|| format!("{}: cannot be written", path.display()))
 }
 
 /// The table of safeguards that were switched off one by one, and what these runs do not show.
@@ -101,37 +101,37 @@ fn broken(violations: &[Violation]) -> String {
 }
 
 /// What did not hold, with the command that does it again.
-fn write_violations(page: &mut String, figures: &Figures, pictured: bool) -> std::fmt::Result {
+fn write_violations(page: &mut String, figures: &Figures, imaged: bool) -> std::fmt::Result {
     if figures.violations.is_empty() {
         return writeln!(page, "None.\n");
     }
     writeln!(page, "| invariant | runs | the first one again |\n|---|---|---|")?;
     for (invariant, seeds) in &figures.violations {
-        let first = seeds.first().map_or_else(String::new, |seed| replay(*seed, pictured));
+        let first = seeds.first().map_or_else(String::new, |seed| replay(*seed, imaged));
         writeln!(page, "| {invariant} | {} | `{first}` |", seeds.len())?;
     }
     writeln!(page)
 }
 
-/// Runs in which pictures were rendered and looked at.
-fn write_pictured(page: &mut String, figures: &Figures) -> std::fmt::Result {
+/// Runs in which images were rendered and looked at.
+fn write_imaged(page: &mut String, figures: &Figures) -> std::fmt::Result {
     let Figures { runs, virtual_s, .. } = figures;
     if *runs == 0 {
         return Ok(());
     }
-    writeln!(page, "## With pictures\n")?;
+    writeln!(page, "## With images\n")?;
     writeln!(
         page,
-        "The first {runs} of them once more, with rendered pictures and the method that looks at them ({virtual_s:.0} s in all), at {:.1} times real time per core; violations:\n",
+        "The first {runs} of them once more, with rendered images and the method that looks at them ({virtual_s:.0} s in all), at {:.1} times real time per core; violations:\n",
         figures.times_real_time()
     )?;
     write_violations(page, figures, true)
 }
 
-fn write(page: &mut String, figures: &Figures, pictured: &Figures, (seed, origin): (u64, &str)) -> std::fmt::Result {
+fn write(page: &mut String, figures: &Figures, imaged: &Figures, (seed, origin): (u64, &str)) -> std::fmt::Result {
     let Figures { runs, virtual_s, searches: (searches, searched_s), .. } = figures;
     writeln!(page, "{HEADING}\n")?;
-    writeln!(page, "`cargo xtask bench safety --seed {seed} --runs {runs} --pictured {}`; {origin}\n", pictured.runs)?;
+    writeln!(page, "`cargo xtask bench safety --seed {seed} --runs {runs} --imaged {}`; {origin}\n", imaged.runs)?;
     writeln!(
         page,
         "{runs} runs of up to 20 virtual seconds ({virtual_s:.0} s in all) with 1 to 5 faults each, at {:.0} times real time per core.",
@@ -139,7 +139,7 @@ fn write(page: &mut String, figures: &Figures, pictured: &Figures, (seed, origin
     )?;
     writeln!(
         page,
-        "The whole loop of `pb3dp run` without pictures, both arms emulated byte by byte behind gateways ([hil.md](../hil.md))."
+        "The whole loop of `pb3dp run` without images, both arms emulated byte by byte behind gateways ([hil.md](../hil.md))."
     )?;
     writeln!(
         page,
@@ -155,7 +155,7 @@ fn write(page: &mut String, figures: &Figures, pictured: &Figures, (seed, origin
     )?;
     writeln!(page, "## Violations\n")?;
     write_violations(page, figures, false)?;
-    write_pictured(page, pictured)?;
+    write_imaged(page, imaged)?;
     writeln!(page, "## Faults\n")?;
     writeln!(
         page,

@@ -101,7 +101,7 @@ impl Proof {
 /// All of them, or those whose name holds what was asked for.
 ///
 /// # Errors
-/// A run that can not be wired, or no safeguard of that name.
+/// A run that cannot be wired, or no safeguard of that name.
 pub fn run(args: &Args) -> Result<ExitCode> {
     let (setup, rules) = (base(false)?, Rules::of_the_rig());
     let proofs: Vec<_> = table::PROOFS.iter().filter(|proof| proof.guard.name().contains(&args.only)).collect();

@@ -65,15 +65,15 @@ pub struct Recorder {
     arms: [(ArmMonitor, VirtualEnd); 2],
     begin: Option<MonotonicTime>,
     next: MonotonicTime,
-    /// By target: exposure of the newest confident estimate of a new picture that was delivered.
+    /// By target: exposure of the newest confident estimate of a new image that was delivered.
     exposed: BTreeMap<u64, MonotonicTime>,
-    /// Number and time of the newest picture that was delivered.
+    /// Number and time of the newest image that was delivered.
     newest: Option<(u64, MonotonicTime)>,
     /// Which target was followed from when on, by what was delivered.
     followed: Vec<(MonotonicTime, u64)>,
     /// The one that was followed when the operator said start.
     target: Option<u64>,
-    /// Pictures whose poses are worthless.
+    /// Images whose poses are worthless.
     spoiled: BTreeSet<u64>,
     /// When the faults of the scenario began and ended, as far as they have.
     began_at: Vec<Option<MonotonicTime>>,
@@ -185,7 +185,7 @@ impl Recorder {
         self.touched[index]
     }
 
-    /// The pose of this picture is worthless, although nothing tells.
+    /// The pose of this image is worthless, although nothing tells.
     pub fn spoiled(&mut self, sequence: u64) {
         self.spoiled.insert(sequence);
     }
@@ -225,7 +225,7 @@ impl Recorder {
         })
     }
 
-    /// An estimate comes to those who move. It counts if the estimator stands by it, it is of a picture that is newer than all before by
+    /// An estimate comes to those who move. It counts if the estimator stands by it, it is of an image that is newer than all before by
     /// number and time, with both cameras exposed together, of the target that was started, and sure enough.
     pub fn delivered(&mut self, percept: &Percept, now: MonotonicTime) {
         let Percept { frame, estimate, .. } = percept;

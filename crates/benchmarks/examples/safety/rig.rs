@@ -44,15 +44,15 @@ const AFTERWARDS: Duration = Duration::from_millis(1500);
 /// What it is looked at in.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// The setup of all runs: that of configs/hil.toml, in simulated time, with or without pictures.
+/// The setup of all runs: that of configs/hil.toml, in simulated time, with or without images.
 ///
 /// # Errors
-/// If the file can not be read.
-pub fn base(pictured: bool) -> Result<Setup> {
+/// If the file cannot be read.
+pub fn base(imaged: bool) -> Result<Setup> {
     let mut setup = read_setup(&repository().join("configs/hil.toml"))?;
     setup.pace = Pace::Fast;
     setup.compared.clear();
-    if !pictured {
+    if !imaged {
         setup.leader = Leader::Geometric(setup.geometric.context("configs/hil.toml has no table estimator.geometric")?);
     }
     for arm in [&mut setup.rig.vs, &mut setup.rig.tc] {
@@ -76,7 +76,7 @@ pub struct Ran {
 /// Runs a scenario.
 ///
 /// # Errors
-/// If it can not be wired: no run of this simulation is refused.
+/// If it cannot be wired: no run of this simulation is refused.
 pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     let mut setup = base.clone();
     setup.reseed(scenario.seed);
@@ -184,7 +184,7 @@ struct Watching<'a> {
     hit: bool,
     /// Percepts that are late, and when they are due.
     waiting: VecDeque<(MonotonicTime, Percept)>,
-    /// The number at which those of pictures stand.
+    /// The number at which those of images stand.
     standing: Option<u64>,
 }
 
@@ -239,7 +239,7 @@ impl Watching<'_> {
             if is_spoiled || cameras::is_of_each_pair(&kind) {
                 recorder.touched(index);
             }
-            // Nothing is new in the pictures of a frozen camera, whatever it says of them.
+            // Nothing is new in the images of a frozen camera, whatever it says of them.
             let exposed_s = seen.map(|percept| percept.frame.at.seconds_since(self.wired) - cameras::LEAD_S);
             if let (Some(percept), true, CameraFaultKind::Frozen) =
                 (seen, exposed_s.is_some_and(|exposed_s| fault.is_on(exposed_s)), kind)
@@ -272,7 +272,7 @@ impl Watching<'_> {
             Kind::Off(by_m, turned_rad) => displace(&mut percept, by_m, turned_rad),
             Kind::Outliers(by_m) if self.dice.unit() < 0.2 => displace(&mut percept, by_m, 0.0),
             Kind::Skew(by_s) => percept.frame.skew_s = by_s,
-            Kind::OldPictures => {
+            Kind::OldImages => {
                 percept.frame.sequence = percept.frame.sequence.saturating_sub(5);
                 percept.frame.at = percept.frame.at - Duration::from_millis(150);
                 percept.estimate.at = percept.frame.at;

@@ -133,7 +133,7 @@ pub fn there_and_back(carrier: Carrier, channel: Channel, way: f64, move_s: f64)
     (motion, carrier)
 }
 
-/// How the target moves: on the other arm or by itself, as the hand can follow or as it can not.
+/// How the target moves: on the other arm or by itself, as the hand can follow or as it cannot.
 fn motion(dice: &mut Dice) -> (&'static str, MotionConfig, Carrier) {
     match dice.below(8) {
         0..3 => ("carried steps", steps(dice, (0.02, 0.1), (0.03, 0.35), (1.5, 3.0)), Carrier::Arm),

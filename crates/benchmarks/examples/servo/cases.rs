@@ -248,7 +248,7 @@ pub enum Law {
     FeedForward,
     /// That of the paper's group.
     Published,
-    /// Points of the model through the picture.
+    /// Points of the model through the image.
     ImageBased,
     /// 2 1/2-D.
     Hybrid,
@@ -274,7 +274,7 @@ impl Law {
     /// The setup with this law; those that know no feed-forward have the gain and the smoothing of the published one.
     ///
     /// # Errors
-    /// If a file can not be read.
+    /// If a file cannot be read.
     pub fn setup(self) -> Result<Setup> {
         let who = if self == Self::FeedForward { Who::Ours } else { Who::Published };
         let mut setup = who.setup(DELAYS_MILLIS[0])?;
@@ -298,7 +298,7 @@ impl Law {
 pub struct LawFindings {
     /// Which.
     pub law: Law,
-    /// The experiment, without pictures.
+    /// The experiment, without images.
     pub fig7: Ran,
     /// Ways.
     pub ways: Vec<Way>,

@@ -145,7 +145,7 @@ const APPROACH_MOST_S: f64 = 15.0;
 const SINGULAR_LEFT: (f64, f64) = (1.0, 0.3);
 const SINGULAR_TURNS: f64 = 30.0;
 
-/// A way through a singular pose does not halt or shake, one that can not be gone stops with the reason, and both come back.
+/// A way through a singular pose does not halt or shake, one that cannot be gone stops with the reason, and both come back.
 pub fn of_singular(way: &Way, is_reachable: bool) -> Vec<Check> {
     let mut checks = of_arm(way);
     let mut push = |what: &str, found: f64, most: f64, unit: &'static str| {

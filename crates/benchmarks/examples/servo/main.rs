@@ -37,19 +37,19 @@ struct Findings {
     approaches: Vec<Approached>,
     singular: Vec<Way>,
     laws: Vec<LawFindings>,
-    /// Simulated seconds per second of this machine, of the experiment without pictures.
+    /// Simulated seconds per second of this machine, of the experiment without images.
     geometric_times_real_time: f64,
 }
 
 /// How much is measured.
 #[derive(Default)]
 struct Extent {
-    /// The experiment with pictures, and when it ends.
+    /// The experiment with images, and when it ends.
     fig7: Vec<Fig7Case>,
     stop_after_s: Option<f64>,
-    /// Of the experiment with pictures; else that of the files.
+    /// Of the experiment with images; else that of the files.
     seed: Option<u64>,
-    without_pictures: bool,
+    without_images: bool,
     channels: Vec<Channel>,
     step_channels: Vec<Channel>,
     periods_s: Vec<f64>,
@@ -66,7 +66,7 @@ impl Extent {
             fig7: Fig7Case::all(),
             stop_after_s: None,
             seed: None,
-            without_pictures: true,
+            without_images: true,
             channels: Channel::ALL.to_vec(),
             step_channels: Channel::ALL.to_vec(),
             periods_s: PERIODS_S.to_vec(),
@@ -83,7 +83,7 @@ impl Extent {
         Self {
             fig7: Fig7Case::all()[..1].to_vec(),
             stop_after_s: Some(13.0),
-            without_pictures: true,
+            without_images: true,
             channels: channels.clone(),
             step_channels: channels,
             periods_s: vec![10.0, 6.0],
@@ -97,7 +97,7 @@ impl Extent {
     fn only(mut self, words: &str) -> Self {
         let wanted = |name: &str| words.split(',').any(|word| name.contains(word));
         self.fig7.retain(|case| wanted(&format!("fig7/{}", case.name())));
-        self.without_pictures = wanted("fig7/without pictures");
+        self.without_images = wanted("fig7/without images");
         self.channels.retain(|channel| wanted(&format!("sine/{}", channel.name())));
         self.step_channels.retain(|channel| wanted(&format!("step/{}", channel.name())));
         self.approaches.retain(|case| wanted(&format!("approach/{}", case.name())));
@@ -109,9 +109,9 @@ impl Extent {
 
 impl Findings {
     fn of(extent: &Extent) -> Result<Self> {
-        let mut found = Self { fig7: with_pictures(extent)?, ..Self::default() };
-        if extent.without_pictures {
-            found.without_pictures()?;
+        let mut found = Self { fig7: with_images(extent)?, ..Self::default() };
+        if extent.without_images {
+            found.without_images()?;
         }
         for &channel in &extent.channels {
             println!("sine/{} ...", channel.name());
@@ -143,15 +143,15 @@ impl Findings {
         Ok(found)
     }
 
-    /// The experiment of Fig. 7 without pictures, for comparison, and its speed.
-    fn without_pictures(&mut self) -> Result<()> {
+    /// The experiment of Fig. 7 without images, for comparison, and its speed.
+    fn without_images(&mut self) -> Result<()> {
         let setup = Who::Ours.setup(DELAYS_MILLIS[0])?;
         let motion = setup.experiment.motion.clone();
         let mut setup = geometric(setup, motion)?;
         setup.experiment.carrier = pb3dp_setup::setup::Carrier::Arm;
         self.geometric_times_real_time = runs::run(&setup, None)?.times_real_time;
         let case = Fig7Case { who: Who::Ours, target: 0, delay_millis: DELAYS_MILLIS[0] };
-        self.fig7.push(fig7_of(&setup, &case, "without pictures", None)?);
+        self.fig7.push(fig7_of(&setup, &case, "without images", None)?);
         Ok(())
     }
 
@@ -183,8 +183,8 @@ impl Findings {
     }
 }
 
-/// The runs with pictures, as many at once as this machine has processors; each is the same alone.
-fn with_pictures(extent: &Extent) -> Result<Vec<Fig7>> {
+/// The runs with images, as many at once as this machine has processors; each is the same alone.
+fn with_images(extent: &Extent) -> Result<Vec<Fig7>> {
     let next = AtomicUsize::new(0);
     let found: Mutex<Vec<(usize, Result<Fig7>)>> = Mutex::new(Vec::new());
     let workers = std::thread::available_parallelism().map_or(1, std::num::NonZero::get).min(extent.fig7.len());
@@ -218,7 +218,7 @@ fn main() -> Result<()> {
     let checks = findings.checks();
     println!("\n{}", findings.text(&checks));
     println!("all of it took {:.1} minutes", started.elapsed().as_secs_f64() / 60.0);
-    println!("without pictures: {:.0} times as fast as time", findings.geometric_times_real_time);
+    println!("without images: {:.0} times as fast as time", findings.geometric_times_real_time);
     if let Some(file) = &options.json {
         write(file, &format!("{:#}\n", json::all(&findings, &checks, &options.origin)))?;
     }
@@ -236,9 +236,9 @@ fn main() -> Result<()> {
 
 fn write(file: &Path, text: &str) -> Result<()> {
     if let Some(folder) = file.parent() {
-        std::fs::create_dir_all(folder).with_context(|| format!("{} can not be made", folder.display()))?;
+        std::fs::create_dir_all(folder).with_context(|| format!("{} cannot be made", folder.display()))?;
     }
-    std::fs::write(file, text).with_context(|| format!("{} can not be written", file.display()))
+    std::fs::write(file, text).with_context(|| format!("{} cannot be written", file.display()))
 }
 
 /// What the command line says.
@@ -289,8 +289,8 @@ mod tests {
         let findings = Findings::of(&Extent::quick()).unwrap();
         let checks = findings.checks();
         let text = findings.text(&checks);
-        let [with_pictures, without] = &findings.fig7[..] else { panic!("{text}") };
-        for run in [with_pictures, without] {
+        let [with_images, without] = &findings.fig7[..] else { panic!("{text}") };
+        for run in [with_images, without] {
             let (found, ideal) = (run.summary.locked, run.ideal);
             assert_eq!(run.summary.frames_without_pose, 0, "{text}");
             assert!(ideal.moving.unwrap().mm < found.moving_mm.unwrap().rms, "{text}");
@@ -312,7 +312,7 @@ mod tests {
         let json = json::all(&findings, &checks, "a test");
         assert_eq!(json["limits"].as_array().unwrap().len(), checks.len());
         let page = page::page(&findings, &checks, "a test");
-        assert!(page.contains("without pictures") && page.contains("| x | 10 |"), "{page}");
+        assert!(page.contains("without images") && page.contains("| x | 10 |"), "{page}");
         assert!(page::motion_figure(&findings.fig7).unwrap().matches("<path class=\"line").count() >= 12);
         assert!(page::response_figure(&findings.responses).contains("phase"));
     }
@@ -325,7 +325,7 @@ mod tests {
             !names.is_empty() && names.iter().all(|name| name.starts_with("direct/crab-like card/66")),
             "{names:?}"
         );
-        assert!(!extent.without_pictures && extent.channels.is_empty());
+        assert!(!extent.without_images && extent.channels.is_empty());
         assert_eq!((&extent.step_channels[..], extent.singular.len(), extent.laws.len()), (&[Channel::Rz][..], 1, 0));
     }
 

@@ -168,7 +168,7 @@ pub fn page(findings: &Findings, checks: &[Check], origin: &str) -> String {
          {missed} of {} limits are missed: [limits](#limits).\n\n\
          ## The experiment of Fig. 7\n\n\
          ![The six panels](servo.svg)\n\n\
-         30 pictures per second, fx 740, baseline 100 mm, picture noise of {NOISE_GREY} grey levels, rendered; the arms of `configs/sim.toml`.\n\
+         30 images per second, fx 740, baseline 100 mm, image noise of {NOISE_GREY} grey levels, rendered; the arms of `configs/sim.toml`.\n\
          The delay is the total one, from the middle of an exposure to the motion that it causes, with the lag of the drives (30 ms) and the mean wait for the next control step.\n\
          `direct` is the setup of `configs/sim.toml`, `published` that of `configs/published.toml`: the published method with the published law.\n\n\
          Errors are those of the hand against its place by the pose of the lock, which takes the mean of the estimates before the first move for the truth: distance and angle, rms (max; ideal).\n\
@@ -184,19 +184,19 @@ pub fn page(findings: &Findings, checks: &[Check], origin: &str) -> String {
          ## Frequency response\n\n\
          ![Gain and phase](servo_response.svg)\n\n\
          The target swings by 100 mm or 20 degrees to either side; gain and phase of the hand against its wanted way, by least-squares fits of a sinusoid.\n\
-         No picture was rendered: the poses are true ones with the noise of `estimator.geometric` in the configuration, and nothing carries the target, which moves as no arm might.\n\
-         The last columns say what a hand without lag would demand, of all that is limited (speeds and accelerations of the axes and of the hand) and of speeds alone: above 100 % it can not follow.\n\n\
+         No image was rendered: the poses are true ones with the noise of `estimator.geometric` in the configuration, and nothing carries the target, which moves as no arm might.\n\
+         The last columns say what a hand without lag would demand, of all that is limited (speeds and accelerations of the axes and of the hand) and of speeds alone: above 100 % it cannot follow.\n\n\
          {responses}\n\
          ## Steps\n\n\
-         The target is 50 mm or 15 degrees elsewhere at once, and later back; again without pictures.\n\
+         The target is 50 mm or 15 degrees elsewhere at once, and later back; again without images.\n\
          Settled is when the hand stays within 1 mm and 0.3 degrees of its place, the longer of both ways.\n\
-         A target that is suddenly elsewhere is an outlier at first, and believed only after some pictures.\n\
+         A target that is suddenly elsewhere is an outlier at first, and believed only after some images.\n\
          No hand can be there sooner than after the delay without the drives' lag, and the time of the slowest axis from rest to rest at its largest speed and acceleration, or of the hand at its largest speed.\n\n\
          {steps}\n\
          {ways}\n\
          ## Limits\n\n\
          {limits}\n\
-         Without pictures a run of Fig. 7 took 1/{speed:.0} of its time on one core of this machine.\n",
+         Without images a run of Fig. 7 took 1/{speed:.0} of its time on one core of this machine.\n",
         checks.len(),
     )
 }
@@ -270,6 +270,6 @@ pub fn response_figure(responses: &[Response]) -> String {
             plot.series(Series::line(format!("{channel}, {}", who.name()), *color, points))
         })
     };
-    let caption = "Sinusoids of 100 mm (x) and 20 degrees (ry), without pictures.".to_owned();
+    let caption = "Sinusoids of 100 mm (x) and 20 degrees (ry), without images.".to_owned();
     svg_file(&figures.map(panel), 2, &[caption])
 }

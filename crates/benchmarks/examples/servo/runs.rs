@@ -77,7 +77,7 @@ pub struct IdealPhases {
     pub hold: Option<Ideal>,
 }
 
-/// The experiment of Fig. 7 with pictures.
+/// The experiment of Fig. 7 with images.
 ///
 /// # Errors
 /// As the parts have them.
@@ -136,13 +136,13 @@ fn ideals(setup: &Setup, seen: &Seen<'_>, channels: usize) -> (IdealPhases, Vec<
 
 /// How the hand follows one sinusoid.
 pub struct Response {
-    /// Who led the hand: by which law; no picture was rendered.
+    /// Who led the hand: by which law; no image was rendered.
     pub who: &'static str,
     /// `x` to `rz`.
     pub channel: &'static str,
     /// Seconds.
     pub period_s: f64,
-    /// What it demands of the arm, the largest first; none if the way leads where the arm can not go.
+    /// What it demands of the arm, the largest first; none if the way leads where the arm cannot go.
     pub demands: Option<Vec<Demand>>,
     /// Why there are none.
     pub refusal: Option<String>,
@@ -159,7 +159,7 @@ impl Response {
     }
 }
 
-/// The hand before a sinusoid, without pictures.
+/// The hand before a sinusoid, without images.
 ///
 /// # Errors
 /// As the parts have them.
@@ -184,7 +184,7 @@ pub fn response(who: Who, channel: Channel, period_s: f64) -> Result<Response> {
 
 /// How the hand answers a sudden step.
 pub struct Step {
-    /// Who led the hand: by which law; no picture was rendered.
+    /// Who led the hand: by which law; no image was rendered.
     pub who: &'static str,
     /// The figures of its channel.
     pub summary: ChannelSummary,
@@ -194,7 +194,7 @@ pub struct Step {
     pub set_by: String,
 }
 
-/// The hand before a sudden step, without pictures.
+/// The hand before a sudden step, without images.
 ///
 /// # Errors
 /// As the parts have them.

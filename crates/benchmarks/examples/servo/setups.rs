@@ -10,7 +10,7 @@ use pb3dp_sim::targets::TargetConfig;
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, MotionConfig, SineConfig, StepExperimentConfig};
 use system_tests::repository;
 
-/// Standard deviation of the picture noise, grey levels.
+/// Standard deviation of the image noise, grey levels.
 pub const NOISE_GREY: f64 = 3.0;
 /// Lag of the arm's drives, which is a part of the total delay.
 pub const ARM_LAG: Duration = Duration::from_millis(30);
@@ -43,7 +43,7 @@ impl Who {
     /// With the image noise and the arm's lag of the requirements, and this total delay.
     ///
     /// # Errors
-    /// If the file can not be read, or does not leave room for the delay.
+    /// If the file cannot be read, or does not leave room for the delay.
     pub fn setup(self, delay_millis: f64) -> Result<Setup> {
         let file = match self {
             Self::Ours => "configs/sim.toml",
@@ -67,7 +67,7 @@ pub const TARGETS: [(&str, TargetConfig); 4] = [
     ("grey box", TargetConfig::grey_box()),
 ];
 
-/// One run of the experiment of Fig. 7 with pictures.
+/// One run of the experiment of Fig. 7 with images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fig7Case {
     /// Who leads the hand.
@@ -142,10 +142,10 @@ fn until_control_step_s(setup: &Setup) -> f64 {
     (0..FRAMES).map(wait_s).sum::<f64>() / f64::from(FRAMES)
 }
 
-/// Without pictures, before a target that nothing carries.
+/// Without images, before a target that nothing carries.
 ///
 /// # Errors
-/// If the file of the setup does not say what would stand in the place of pictures.
+/// If the file of the setup does not say what would stand in the place of images.
 pub fn geometric(mut setup: Setup, motion: MotionConfig) -> Result<Setup> {
     let config = setup.geometric.context("the table estimator.geometric is missing")?;
     setup.leader = Leader::Geometric(config);

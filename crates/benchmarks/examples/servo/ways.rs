@@ -1,4 +1,4 @@
-//! Ways of the hand from elsewhere to a target that rests, and after one that leads through or to singular poses; without pictures.
+//! Ways of the hand from elsewhere to a target that rests, and after one that leads through or to singular poses; without images.
 
 use std::sync::PoisonError;
 
@@ -63,7 +63,7 @@ pub struct PathShape {
     pub aside_mm: f64,
     /// Largest distance between hand and target, mm.
     pub farthest_mm: f64,
-    /// Smallest distance of the target's outline to the border of either picture, pixels; negative outside.
+    /// Smallest distance of the target's outline to the border of either image, pixels; negative outside.
     pub border_px: f64,
 }
 
@@ -215,7 +215,7 @@ fn path_shape(setup: &Setup, log: &RunLog, outline_m: &[nalgebra::Point3<f64>]) 
     }
 }
 
-/// Smallest distance of the outline to the border of either picture; minus infinity if a point is not before a camera.
+/// Smallest distance of the outline to the border of either image; minus infinity if a point is not before a camera.
 fn border_px(
     setup: &Setup,
     cam_left_from_target: &Pose<pb3dp_geometry::frames::CamLeft, Target>,
@@ -245,7 +245,7 @@ pub fn approach_from(
     distance_m: f64,
     turned: &UnitQuaternion<f64>,
 ) -> Result<Setup> {
-    // A turn about the optical axis is none for a tracker that takes the axes of its model from the first picture: it is asked for.
+    // A turn about the optical axis is none for a tracker that takes the axes of its model from the first image: it is asked for.
     let axis_turn = turned.scaled_axis();
     let about_normal = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.0, -axis_turn.z));
     let desired = Pose::<Model, Hand>::from_parts(
@@ -265,7 +265,7 @@ pub fn approach_from(
 /// The setup before a target that rests.
 ///
 /// # Errors
-/// If the file of the setup does not say what would stand in the place of pictures.
+/// If the file of the setup does not say what would stand in the place of images.
 pub fn geometric_at_rest(setup: Setup) -> Result<Setup> {
     let mut setup = geometric(setup, at_rest())?;
     if let Leader::Geometric(config) = &mut setup.leader {

@@ -14,22 +14,22 @@ pub fn sections(findings: &Findings) -> String {
     let (mm, deg) = THERE_WITHIN;
     format!(
         "## Approach\n\n\
-         The target rests, and the hand begins elsewhere: far off, or with joints near a singular pose or an end of a range; without pictures, with a tracker that sees up to {SEEN_UP_TO_M} m.\n\
+         The target rests, and the hand begins elsewhere: far off, or with joints near a singular pose or an end of a range; without images, with a tracker that sees up to {SEEN_UP_TO_M} m.\n\
          It is there when it stays within {mm} mm and {deg} degrees of its place.\n\
          Speeds, accelerations and angles are those that the simulated arm had, beside the limits of `configs/sim.toml` (60 % of the joints' speeds, the operating range).\n\
-         A turn of the target about its normal is asked for, as a tracker takes the axes of its model from its first picture.\n\n\
+         A turn of the target about its normal is asked for, as a tracker takes the axes of its model from its first image.\n\n\
          {approaches}\n\
          ## Through singular poses\n\n\
-         The target goes along x of the world and comes back; without pictures.\n\
-         With shoulder and wrist straight (q2 = q6 = 0) the arm can not move the hand sideways, and a way beside that pose turns its first joint by up to half a turn at the speed that this has: the hand trails meanwhile, and neither halts nor shakes.\n\
+         The target goes along x of the world and comes back; without images.\n\
+         With shoulder and wrist straight (q2 = q6 = 0) the arm cannot move the hand sideways, and a way beside that pose turns its first joint by up to half a turn at the speed that this has: the hand trails meanwhile, and neither halts nor shakes.\n\
          With the elbow stretched (q4 = 0) it is at the end of its reach: it is not pulled straighter than `servo.damping.elbow_min_deg`, rests, says why, and comes back with the target.\n\n\
          {singular}\n\
          ## Other laws\n\n\
          The same cell with the law of the paper's group, with classical image-based servoing (corners of a square of the model) and with 2 1/2-D servoing; these three have one gain and one smoothing of the target, and no feed-forward.\n\
-         The experiment of Fig. 7, without pictures, rms:\n\n\
+         The experiment of Fig. 7, without images, rms:\n\n\
          {laws}\n\
          From far away, before a target that rests.\n\
-         Aside is the way's largest distance from the straight line between its ends, and to border the smallest distance between the target's outline and the border of either picture.\n\
+         Aside is the way's largest distance from the straight line between its ends, and to border the smallest distance between the target's outline and the border of either image.\n\
          Before large turns about the optical axis the image-based law backs away.\n\n\
          {far}"
     )

@@ -31,7 +31,7 @@ const CHANNELS: [Channel; 6] = [Channel::X, Channel::Y, Channel::Z, Channel::Rx,
 const COMPARED: usize = 2 * CHANNELS.len();
 /// Until every ring and buffer has its size.
 const SETTLING: usize = 8;
-/// Fewer can not be compared.
+/// Fewer cannot be compared.
 pub const CYCLES_MIN: usize = 2 * COMPARED;
 /// What the hand may come back to worse than its noise explains, mm.
 const DRIFT_MAX_MM: f64 = 0.1;

@@ -5,7 +5,7 @@
 //! cargo run --release -p pb3dp-benchmarks --example there_and_back -- --minutes 60
 //! ```
 //!
-//! With the setup of `configs/sim.toml`, the colourful card and all pixels; `--geometric` leaves pictures out. Nothing of the run is
+//! With the setup of `configs/sim.toml`, the colourful card and all pixels; `--geometric` leaves images out. Nothing of the run is
 //! written down but one line for each cycle, as what a run writes down grows with its length.
 #![allow(clippy::print_stdout, reason = "prints its figures")]
 

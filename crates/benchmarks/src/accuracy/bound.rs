@@ -1,7 +1,7 @@
 //! The Cramér-Rao bound: how exact any unbiased estimate of a plane can be on one pair.
 //!
-//! Model: at a pixel x of the left picture on the target, `I_R(W(x; q)) = g I_L(x) + o` but for noise, with the map W of
-//! the plane q, gain g and offset o per channel. The left picture is as noisy as the right one, so the difference of the two
+//! Model: at a pixel x of the left image on the target, `I_R(W(x; q)) = g I_L(x) + o` but for noise, with the map W of
+//! the plane q, gain g and offset o per channel. The left image is as noisy as the right one, so the difference of the two
 //! has the variance `s^2 (1 + g^2)`. Then the information about q is
 //!
 //! ```text
@@ -11,9 +11,9 @@
 //! less what the unknown gain and offset of each channel take from it (Schur complement). Assumed: white normal noise of
 //! known variance (quantisation included, 1/12), the calibration is exact, the pixels of the target are known, and only
 //! they tell anything: every pixel that shows the target alone counts, those within 2 px of its outline or of what hides it do
-//! not, nor do saturated ones. The outline itself, which could tell more, is not used. Both pictures are equally sharp.
+//! not, nor do saturated ones. The outline itself, which could tell more, is not used. Both images are equally sharp.
 //!
-//! The gradient is that of the picture without noise, exact: the difference of two renderings whose left camera is moved by
+//! The gradient is that of the image without noise, exact: the difference of two renderings whose left camera is moved by
 //! a quarter of a pixel either way.
 
 use anyhow::Context;
@@ -40,14 +40,14 @@ const QUANTISATION: f64 = 1.0 / 12.0;
 /// One sample: a pixel of one channel.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample {
-    /// Grey level of the left picture.
+    /// Grey level of the left image.
     pub grey: f64,
-    /// How the difference of the pictures changes with the plane's three numbers, for a gain of 1.
+    /// How the difference of the images changes with the plane's three numbers, for a gain of 1.
     pub slope: Vector3<f64>,
 }
 
 /// The information about three numbers of one channel whose gain and offset are unknown; `variance` is that of the noise in
-/// either picture.
+/// either image.
 pub fn channel_information(samples: &[Sample], gain: f64, variance: f64) -> Matrix3<f64> {
     let weight = 1.0 / (variance * (1.0 + gain * gain));
     let (mut own, mut mixed, mut nuisance) = (Matrix3::zeros(), Matrix3x2::zeros(), Matrix2::zeros());
@@ -82,7 +82,7 @@ pub fn covariance_of_errors(plane: &Vector3<f64>, covariance: &Matrix3<f64>, ray
 pub struct BoundMaker {
     /// Renderers whose left camera is moved by -, + a step along u, and along v where it matters.
     moved: Vec<StereoRenderer>,
-    pictures: Vec<Vec<f32>>,
+    images: Vec<Vec<f32>>,
     rig: StereoRig,
     setup: Setup,
 }
@@ -104,7 +104,7 @@ impl BoundMaker {
             Ok(StereoRenderer::new(scene.clone(), rig, &sensor, 0)?.with_fine_sampling()?)
         };
         let moved = steps.map(renderer).collect::<anyhow::Result<Vec<_>>>().context("the moved cameras")?;
-        Ok(Self { pictures: vec![Vec::new(); moved.len()], moved, rig: *rig, setup: *setup })
+        Ok(Self { images: vec![Vec::new(); moved.len()], moved, rig: *rig, setup: *setup })
     }
 
     /// The covariance of an ideal estimate, as [`covariance_of_errors`] gives it. `None` if the scene does not determine
@@ -116,8 +116,8 @@ impl BoundMaker {
         plane: &Vector3<f64>,
         ray: &Vector3<f64>,
     ) -> Option<Matrix3<f64>> {
-        for (renderer, picture) in self.moved.iter_mut().zip(&mut self.pictures) {
-            renderer.ideal_left(poses, picture);
+        for (renderer, image) in self.moved.iter_mut().zip(&mut self.images) {
+            renderer.ideal_left(poses, image);
         }
         let map = PlaneMap { rig: &self.rig, plane: *plane };
         let mut samples: [Vec<Sample>; 3] = Default::default();
@@ -139,9 +139,9 @@ impl BoundMaker {
         Some(covariance_of_errors(plane, &covariance, ray))
     }
 
-    /// The sample at an index of the pictures; `None` if it is saturated in either of them.
+    /// The sample at an index of the images; `None` if it is saturated in either of them.
     fn sample(&self, at: usize, channel: usize, displacement: &Matrix2x3<f64>) -> Option<Sample> {
-        let value = |k: usize| f64::from(self.pictures[k][at]);
+        let value = |k: usize| f64::from(self.images[k][at]);
         let grey = 0.5 * (value(0) + value(1));
         let in_right = grey * self.setup.gain[channel] + OFFSET_GREY[channel];
         if grey.max(in_right) > 252.0 || grey.min(in_right) < 2.0 {
@@ -149,7 +149,7 @@ impl BoundMaker {
         }
         // A camera moved by + shows what was further on the - side.
         let slope = |minus: f64, plus: f64| (minus - plus) / (2.0 * STEP_PX);
-        let along_v = if self.pictures.len() > 2 { slope(value(2), value(3)) } else { 0.0 };
+        let along_v = if self.images.len() > 2 { slope(value(2), value(3)) } else { 0.0 };
         let gradient = Vector2::new(slope(value(0), value(1)), along_v);
         Some(Sample { grey, slope: displacement.transpose() * gradient })
     }
@@ -170,7 +170,7 @@ fn inner_pixels(seen: &GroundTruth) -> Vec<usize> {
     (0..seen.object.len()).filter(|&index| is_target(index) && is_inner(index)).collect()
 }
 
-/// The map between the raw pictures of a plane.
+/// The map between the raw images of a plane.
 struct PlaneMap<'a> {
     rig: &'a StereoRig,
     plane: Vector3<f64>,

@@ -21,7 +21,7 @@ fn normal(random: &mut Random) -> f64 {
 }
 
 /// The disparities of a plane `a u + b v + c` found by least squares over plane, gain and offset: with normal noise the most
-/// likely one. The right picture is read where each pixel of the left one goes; its own noise is one number per pixel.
+/// likely one. The right image is read where each pixel of the left one goes; its own noise is one number per pixel.
 fn most_likely(left: &[f64], right: impl Fn(usize, f64) -> f64, pixels: &[(f64, f64)]) -> DVector<f64> {
     let mut found = DVector::from_vec(vec![0.0, 0.0, 0.0, 1.0, 0.0]);
     for _ in 0..8 {
@@ -86,11 +86,11 @@ fn the_most_likely_plane_spreads_as_the_bound_says() {
     }
 }
 
-/// A picture blurred by (1 2 1) / 4 along rows and columns, twice: without it the fit prefers places between pixels, where
+/// An image blurred by (1 2 1) / 4 along rows and columns, twice: without it the fit prefers places between pixels, where
 /// interpolation smooths the noise.
-fn blurred(picture: &image::RgbImage) -> Vec<f64> {
-    let mut values: Vec<f64> = picture.as_raw().iter().map(|&grey| f64::from(grey)).collect();
-    for step in [3, 3 * picture.width() as usize, 3, 3 * picture.width() as usize] {
+fn blurred(image: &image::RgbImage) -> Vec<f64> {
+    let mut values: Vec<f64> = image.as_raw().iter().map(|&grey| f64::from(grey)).collect();
+    for step in [3, 3 * image.width() as usize, 3, 3 * image.width() as usize] {
         let source = values.clone();
         for at in step..values.len() - step {
             values[at] = 0.25 * (source[at - step] + 2.0 * source[at] + source[at + step]);
@@ -100,9 +100,9 @@ fn blurred(picture: &image::RgbImage) -> Vec<f64> {
 }
 
 /// Cubic interpolation along a row, and its slope.
-fn cubic(picture: &[f64], u: f64, row: u32, channel: usize) -> (f64, f64) {
+fn cubic(image: &[f64], u: f64, row: u32, channel: usize) -> (f64, f64) {
     let (first, t) = (u.floor(), u - u.floor());
-    let at = |k: i64| picture[3 * (row as usize * 640 + (first as i64 + k) as usize) + channel];
+    let at = |k: i64| image[3 * (row as usize * 640 + (first as i64 + k) as usize) + channel];
     let [a, b, c, d] = [at(-1), at(0), at(1), at(2)];
     let (p, q, r) = (0.5 * (c - a), a - 2.5 * b + 2.0 * c - 0.5 * d, 0.5 * (d - a) + 1.5 * (b - c));
     (b + t * (p + t * (q + t * r)), p + t * (2.0 * q + 3.0 * t * r))

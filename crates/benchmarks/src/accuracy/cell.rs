@@ -25,7 +25,7 @@ pub enum Shape {
         /// Height, metres.
         relief_m: f64,
     },
-    /// A wall that fills the picture.
+    /// A wall that fills the image.
     Wall,
 }
 
@@ -78,7 +78,7 @@ pub struct Setup {
     pub light: Light,
     /// Cameras.
     pub rig: RigKind,
-    /// How far the right picture lies below what the calibration says, pixels.
+    /// How far the right image lies below what the calibration says, pixels.
     pub rows_off_px: f64,
     /// Standard deviation of the noise, grey levels.
     pub noise_grey: f64,
@@ -86,7 +86,7 @@ pub struct Setup {
     pub gain: [f64; 3],
     /// How far the right camera is out of focus, standard deviation of the blur, pixels.
     pub defocus_px: f64,
-    /// Share of the target's pixels in the left picture that something in front hides.
+    /// Share of the target's pixels in the left image that something in front hides.
     pub occluded_share: f64,
     /// The region.
     pub region: RegionKind,

@@ -120,7 +120,7 @@ fn relief_and_light() -> Vec<Cell> {
     cells
 }
 
-/// Scenes in which a plane can not be known, or not by hue.
+/// Scenes in which a plane cannot be known, or not by hue.
 fn unobservable() -> Vec<Cell> {
     let scene = |name: &str, setup: Setup| Cell { question: Question::Unobservable, ..cell(name, 0.0, setup) };
     let uniform = painted(Paint::Uniform);

@@ -7,7 +7,7 @@ use image::RgbImage;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_record::dataset::{self, CaseDraft, PlaneTruth, SequenceDraft, SequenceWriter, WrittenFrame, write_case};
-use pb3dp_record::images::PictureFormat;
+use pb3dp_record::images::StoredFormat;
 
 use super::cell::Cell;
 use super::cells;
@@ -34,7 +34,7 @@ pub struct Args {
 }
 
 /// # Errors
-/// If there is no cell of the name, or a file can not be written.
+/// If there is no cell of the name, or a file cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(cell) = cells::all().into_iter().find(|cell| cell.name == args.cell) {
         return dump_cell(&cell, args);
@@ -83,7 +83,7 @@ fn dump_sequence(spec: &SequenceSpec, args: &Args) -> anyhow::Result<()> {
     let draft = SequenceDraft {
         region_polygon_left_px: frames.outline_px()?.iter().map(|p| [p.x, p.y]).collect(),
         search: recorded(&SEARCH),
-        pictures: PictureFormat::Png,
+        images: StoredFormat::Png,
     };
     let mut writer = SequenceWriter::create(&args.out, &frames.rig, draft)?;
     let (mut left, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));

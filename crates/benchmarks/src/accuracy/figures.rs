@@ -45,7 +45,7 @@ pub struct Args {
 }
 
 /// # Errors
-/// If a part fails or a file can not be written.
+/// If a part fails or a file cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let circumstances = Circumstances::of(&args.root);
     let made = made_line(args.seed, &circumstances);

@@ -80,9 +80,9 @@ pub struct Worker<'a> {
 pub struct Rendered {
     /// Where everything is, and what is true.
     pub trial: Trial,
-    /// The left picture.
+    /// The left image.
     pub left: RgbImage,
-    /// The right picture.
+    /// The right image.
     pub right: RgbImage,
 }
 

@@ -100,8 +100,8 @@ The nominal cell: a flat target of 110 mm with the crab's outline and texture, 3
 Every answer is a cold start from one pair: the methods are told the depth range (330 to 840 mm, 300 to 1150 mm in the cells `distance`), tilts of up to 45 degrees, and the region.
 The region is the target's true outline, except in the cells `rectangle`, where it is the box around it, and `unobservable/uniform-interior`, where it lies within the target.
 
-Pictures are sampled at twice the resolution and blurred before the pixels integrate them.
-All methods see the same pictures; the seed of a pose depends on the cell's name and the pose's number only.
+Images are sampled at twice the resolution and blurred before the pixels integrate them.
+All methods see the same images; the seed of a pose depends on the cell's name and the pose's number only.
 
 | column | meaning |
 |---|---|
@@ -120,10 +120,10 @@ A method that takes the larger surface of a relief finds another plane than leas
 
 ## The bound
 
-At a left pixel x on the target, `I_R(W(x; q)) = g I_L(x) + o`, with the plane q, the map W between the pictures, and gain and offset of each channel, which are unknown.
-Both pictures are noisy, so a difference of them has the variance `s^2 (1 + g^2)`, quantisation included.
+At a left pixel x on the target, `I_R(W(x; q)) = g I_L(x) + o`, with the plane q, the map W between the images, and gain and offset of each channel, which are unknown.
+Both images are noisy, so a difference of them has the variance `s^2 (1 + g^2)`, quantisation included.
 The information about q is the sum over pixels and channels of the squared slopes of that difference over its variance, less what gain and offset take; its inverse is the bound.
-Assumed: white normal noise, exact calibration, the target's pixels are known and only they tell anything (those within 2 px of the outline, and saturated ones, do not), and both pictures are equally sharp.
+Assumed: white normal noise, exact calibration, the target's pixels are known and only they tell anything (those within 2 px of the outline, and saturated ones, do not), and both images are equally sharp.
 Slopes are differences of two renderings without noise whose left camera is moved by a quarter of a pixel either way.
 A test fits a plane to every pixel, started at the truth: its rms lies between 1.0 and 1.7 times the bound, so the bound is neither too high nor far from what can be reached; what is missing is lost in the interpolation between pixels.
 

@@ -15,7 +15,7 @@ use pb3dp_sim::targets::{BackdropConfig, Paint, TargetModel, backdrop, build_pai
 
 use super::cell::{Backdrop, LENS_BLUR_PX, Light, OFFSET_GREY, RegionKind, RigKind, Setup, Shape};
 
-/// Size of all pictures.
+/// Size of all images.
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 
 /// Half axes of the region of [`RegionKind::Interior`], metres: it lies within the crab's shell.
@@ -179,13 +179,13 @@ fn unequal() -> anyhow::Result<StereoRig> {
     Ok(StereoRig::new(Camera::new(SIZE, left, five)?, Camera::new(SIZE, right, eight)?, cam_right_from_cam_left)?)
 }
 
-/// A rig with the left camera of one rig and the right camera of another, its picture moved by `right_by_px`.
+/// A rig with the left camera of one rig and the right camera of another, its image moved by `right_by_px`.
 fn shifted(left_of: &StereoRig, right_of: &StereoRig, right_by_px: Vector2<f64>) -> anyhow::Result<StereoRig> {
     let right = moved(right_of.right(), right_by_px)?;
     Ok(StereoRig::new(*left_of.left(), right, *right_of.cam_right_from_cam_left())?)
 }
 
-/// The camera whose picture is moved by `by_px`.
+/// The camera whose image is moved by `by_px`.
 ///
 /// # Errors
 /// If the geometry refuses it.

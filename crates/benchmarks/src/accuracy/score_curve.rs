@@ -25,7 +25,7 @@ pub struct Sample {
     pub off_px: f64,
     /// The published fitness, eq. (10); `None` where the hypothesis is refused or the target has no hue.
     pub fitness: Option<f64>,
-    /// Correlation of luminance between the region and what the right picture shows through the plane.
+    /// Correlation of luminance between the region and what the right image shows through the plane.
     pub correlation: f64,
 }
 
@@ -66,7 +66,7 @@ fn published(
     hypotheses: &[PlaneHypothesis],
 ) -> anyhow::Result<Vec<Option<f64>>> {
     let config = PublishedConfig::default();
-    let [left, right] = [&pair.left, &pair.right].map(|picture| HuePlane::from_rgb(picture, &config.hue));
+    let [left, right] = [&pair.left, &pair.right].map(|image| HuePlane::from_rgb(image, &config.hue));
     let model = PhotoModel::sample(&left, mask, &config.model);
     if model.inner().is_empty() {
         return Ok(vec![None; hypotheses.len()]);
@@ -80,17 +80,17 @@ fn published(
 
 fn luminance(rig: &StereoRig, pair: &Rendered) -> anyhow::Result<[ImagePlane; 2]> {
     let front_end = StereoFrontEnd::new(rig, Kernels::best())?;
-    let load = |eye, picture| {
+    let load = |eye, image| {
         let size = front_end.size(eye);
         let window = PixelWindow { x: 0, y: 0, width: size.width as usize, height: size.height as usize };
         let mut planes = ColourPlanes::default();
-        front_end.load(eye, picture, window, Wanted::Luminance, &mut planes);
+        front_end.load(eye, image, window, Wanted::Luminance, &mut planes);
         planes.luminance().clone()
     };
     Ok([load(Eye::Left, &pair.left), load(Eye::Right, &pair.right)])
 }
 
-/// Correlation over the pixels whose partner, `shift` columns to the left, lies in the right picture.
+/// Correlation over the pixels whose partner, `shift` columns to the left, lies in the right image.
 fn correlation(mask: &RegionMask, left: &ImagePlane, right: &ImagePlane, shift: impl Fn(&Vector2<f64>) -> f64) -> f64 {
     let (mut count, mut sums) = (0.0, [0.0; 5]);
     mask.for_each(|u, v| {

@@ -136,7 +136,7 @@ impl SequenceSpec {
     }
 }
 
-/// Left edge of what hides the target: right of the picture, in front of the target, and away again.
+/// Left edge of what hides the target: right of the image, in front of the target, and away again.
 fn edge_m(frame: usize) -> f64 {
     let [from, covered, leaves, free] = HIDING.map(|frame| frame as f64);
     let frame = frame as f64;
@@ -173,7 +173,7 @@ fn steps(t: f64) -> (Vector3<f64>, Vector3<f64>) {
 }
 
 /// The model frame of the first frame, as the trackers define it: origin on the plane on `centre_ray`, z along the normal
-/// away from the camera, x the picture's x axis in the plane.
+/// away from the camera, x the image's x axis in the plane.
 pub fn model_in_first_frame(first: &Pose<CamLeft, Target>, centre_ray: &Vector3<f64>) -> Pose<CamLeft, Model> {
     let plane = plane_of(first);
     let z = plane.normalize();

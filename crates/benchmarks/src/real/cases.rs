@@ -8,7 +8,7 @@ use nalgebra::Vector2;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionConfig};
 use pb3dp_geometry::StereoRig;
-use pb3dp_record::dataset::{Case, PlaneTruth, StereoPictures, find_cases, load_case};
+use pb3dp_record::dataset::{Case, PlaneTruth, StereoImages, find_cases, load_case};
 use pb3dp_record::images::DisparityMap;
 use pb3dp_record::metrics::Group;
 
@@ -18,8 +18,8 @@ use super::score::{CaseFacts, TruthSigma};
 pub struct Prepared {
     /// What the results say of it.
     pub facts: Rc<CaseFacts>,
-    /// Both pictures.
-    pub pictures: StereoPictures,
+    /// Both images.
+    pub images: StereoImages,
     /// Its calibration.
     pub rig: StereoRig,
     /// The region.
@@ -28,18 +28,18 @@ pub struct Prepared {
     pub range: SearchRange,
     /// The truth.
     pub truth: PlaneTruth,
-    /// Where the depth is compared, pixels of the left picture.
+    /// Where the depth is compared, pixels of the left image.
     pub centroid_px: [f64; 2],
     /// The region's corners, pixels.
     pub polygon_px: Vec<[f64; 2]>,
-    /// Known disparities of the left picture.
+    /// Known disparities of the left image.
     pub disparity: Option<DisparityMap>,
 }
 
 /// The case folders under `folder`, sorted; with a filter only those whose name contains it.
 ///
 /// # Errors
-/// A folder that can not be read, holds no case, or none that the filter leaves.
+/// A folder that cannot be read, holds no case, or none that the filter leaves.
 pub fn find(folder: &Path, filter: Option<&str>) -> anyhow::Result<Vec<PathBuf>> {
     let mut found = find_cases(folder)?;
     if let Some(filter) = filter {
@@ -59,13 +59,13 @@ pub fn find(folder: &Path, filter: Option<&str>) -> anyhow::Result<Vec<PathBuf>>
 pub fn load(folder: &Path) -> anyhow::Result<Option<Prepared>> {
     let case = load_case(folder)?;
     let Some(truth) = case.truth.clone() else { return Ok(None) };
-    let pictures = case.load_pictures()?;
+    let images = case.load_images()?;
     let rig = case.load_calibration()?.rig;
     let vertices_px = case.region_polygon_left_px.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
     let region = Region::Polygon { vertices_px };
     let mask = region
-        .rasterize(&pictures.left, &RegionConfig::default())
-        .with_context(|| format!("{}: the region can not serve", case.name))?;
+        .rasterize(&images.left, &RegionConfig::default())
+        .with_context(|| format!("{}: the region cannot serve", case.name))?;
     let centre = mask.centroid_px().with_context(|| format!("{}: the region is empty", case.name))?;
     Ok(Some(Prepared {
         facts: Rc::new(facts_of(&case, &truth, mask.area_px())),
@@ -79,7 +79,7 @@ pub fn load(folder: &Path) -> anyhow::Result<Option<Prepared>> {
         centroid_px: case.region_centroid_px.unwrap_or([centre.x, centre.y]),
         disparity: case.load_disparity_truth()?,
         polygon_px: case.region_polygon_left_px,
-        pictures,
+        images,
         rig,
     }))
 }

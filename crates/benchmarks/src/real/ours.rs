@@ -33,13 +33,13 @@ pub fn run(case: &Prepared, method: Method, repeat: u32) -> Entry {
 
 fn fill(entry: &mut Entry, case: &Prepared, method: Method, repeat: u32) -> anyhow::Result<()> {
     let mut estimator = Estimator::new(method, &case.rig, &EstimatorConfig::default())?;
-    let (prepared, rows_ms) = timed(|| estimator.prepare(&case.pictures.left, &case.pictures.right));
+    let (prepared, rows_ms) = timed(|| estimator.prepare(&case.images.left, &case.images.right));
     entry.rows_ms = prepared?.map(|_| rows_ms);
     let mut estimate_timed = || {
         timed(|| {
             estimator.estimate(EstimateRequest::of_target(
-                &case.pictures.left,
-                &case.pictures.right,
+                &case.images.left,
+                &case.images.right,
                 &case.region,
                 &case.range,
             ))

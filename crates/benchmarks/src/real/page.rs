@@ -13,13 +13,13 @@ const HEAD: &str = "\
 This page is written by the command below; change the program, not the page.
 
 Each case is a calibrated pair with a region whose plane is known from ground truth that no method sees.
-Every method gets the same pictures, region, calibration and range of depths, no start value, and one thread.
+Every method gets the same images, region, calibration and range of depths, no start value, and one thread.
 
 * **pass**: depth within 1 % and normal within 5 degrees, or within twice the standard deviation of the truth where that is larger; of regions that are no plane only the depth is judged.
 * **answered**: a plane was given; **of answered**: passed among the answered.
 * **gross**: answers with a depth off by more than 1.5 % or a normal by more than 20 degrees; **gross, ok**: those that the method itself calls `ok`.
 * **z %**, **normal deg**: median and 95th percentile of the errors of the answers.
-* **ms**: CPU time of one thread from pictures in memory to the plane, median of the calls; median and 90th percentile over the cases.
+* **ms**: CPU time of one thread from images in memory to the plane, median of the calls; median and 90th percentile over the cases.
 * **chi2**: mean squared error over variance, the method's own plus the truth's, of answers that are not grossly wrong: 1 is honest, more is too sure.
 * **within 1 px**: share of the known disparities inside the region that lie within 1 px of the plane, mean over all cases; where no plane was given it counts as 0.
 ";

@@ -27,14 +27,14 @@ pub fn script_in(folder: &Path) -> anyhow::Result<PathBuf> {
 /// Runs the script on the cases, each tool with one thread, and returns the lines that it prints.
 ///
 /// # Errors
-/// If Python can not be started or the script fails.
+/// If Python cannot be started or the script fails.
 pub fn run(python: &Path, script: &Path, cases: &Path, repeat: u32) -> anyhow::Result<String> {
     eprintln!("running {SCRIPT}, which may take some minutes");
     let mut command = Command::new(python);
     command.arg(script).arg(cases).args(["--repeat", &repeat.to_string()]);
     command.envs([("OMP_NUM_THREADS", "1"), ("OPENBLAS_NUM_THREADS", "1")]).stderr(Stdio::inherit());
     let output =
-        command.output().with_context(|| format!("can not start {}: give a Python with --python", python.display()))?;
+        command.output().with_context(|| format!("cannot start {}: give a Python with --python", python.display()))?;
     if !output.status.success() {
         bail!(
             "{} {} failed ({}): see its message above; it needs OpenCV and NumPy, and --python names a Python that has them",
@@ -135,7 +135,7 @@ mod tests {
     fn a_python_that_is_missing_or_fails_is_named() {
         let message = |python: &str| {
             let outcome = run(Path::new(python), Path::new("no/such/script"), Path::new("."), 1);
-            format!("{:#}", outcome.expect_err("it can not work"))
+            format!("{:#}", outcome.expect_err("it cannot work"))
         };
         assert!(message("no-such-python").contains("no-such-python"));
         assert!(message("false").contains("--python"));

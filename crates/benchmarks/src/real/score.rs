@@ -116,7 +116,7 @@ pub struct Entry {
     pub status: Option<&'static str>,
     /// The plane; `None` if the method gave none.
     pub answer: Option<Answer>,
-    /// CPU time of one thread from pictures in memory to the plane, median of the calls, milliseconds.
+    /// CPU time of one thread from images in memory to the plane, median of the calls, milliseconds.
     pub ms: Option<f64>,
     /// The same of the first call, which may do what is done once per rig.
     pub first_ms: Option<f64>,

@@ -17,7 +17,7 @@ use pb3dp_sim::targets::{BackdropConfig, Paint, TargetModel, backdrop, build_pai
 
 /// Seed of textures and noise.
 const SEED: u32 = 11;
-/// Columns of the pictures of usual size.
+/// Columns of the images of usual size.
 const WIDTH: f64 = 640.0;
 /// Half width and height of the textured wall, and of one copy of its texture, metres.
 const WALL_M: [f64; 2] = [0.48, 0.36];
@@ -29,13 +29,13 @@ const RATE_HZ: f64 = 30.0;
 pub struct Clip {
     /// The cameras.
     pub rig: StereoRig,
-    /// Left and right pictures.
+    /// Left and right images.
     pub pairs: Vec<(RgbImage, RgbImage)>,
-    /// What is marked in the first left picture.
+    /// What is marked in the first left image.
     pub regions: Vec<Region>,
 }
 
-/// 60 px of disparity in pictures of 640 columns: 118 to 178 px.
+/// 60 px of disparity in images of 640 columns: 118 to 178 px.
 pub const SEARCH: SearchRange = SearchRange { z_min_m: 74.0 / 178.0, z_max_m: 74.0 / 118.0, tilt_max_rad: 0.785 };
 
 impl Clip {
@@ -47,7 +47,7 @@ impl Clip {
     }
 }
 
-/// A textured wall that fills pictures of `size`, moving a little; `regions` are marked by the caller.
+/// A textured wall that fills images of `size`, moving a little; `regions` are marked by the caller.
 ///
 /// # Errors
 /// If the simulator refuses the set-up.
@@ -66,7 +66,7 @@ pub fn wall(size: ImageSize, frames: usize) -> anyhow::Result<Clip> {
     render(vec![part], target, size, (0.0, 0.25), frames)
 }
 
-/// A square of the wall, `side_px` wide in pictures of 640 columns, marked in pictures of `size`.
+/// A square of the wall, `side_px` wide in images of 640 columns, marked in images of `size`.
 pub fn square(size: ImageSize, centre: (i32, i32), side_px: u32) -> Region {
     let factor = size.width / WIDTH as u32;
     let side = side_px * factor;

@@ -1,4 +1,4 @@
-//! The cold start: from two pictures in memory to a pose with its covariance.
+//! The cold start: from two images in memory to a pose with its covariance.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -18,7 +18,7 @@ use super::times::{Times, repeat};
 use crate::real::cases;
 use pb3dp_hal_platform::cpu_time::timed;
 
-/// Size of the pictures of the measurements that do not vary it.
+/// Size of the images of the measurements that do not vary it.
 pub const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 /// Where the regions lie.
 const CENTRE: (i32, i32) = (430, 240);
@@ -182,7 +182,7 @@ const STAGE_ROUNDS: usize = 3;
 /// Every case under `folder`, `rounds` calls each.
 ///
 /// # Errors
-/// A folder or case that can not be used, by name.
+/// A folder or case that cannot be used, by name.
 pub fn real(folder: &Path, rounds: usize, every: usize) -> anyhow::Result<RealRows> {
     let mut times = Vec::new();
     for path in cases::find(folder, None)?.iter().step_by(every) {
@@ -201,7 +201,7 @@ pub fn real(folder: &Path, rounds: usize, every: usize) -> anyhow::Result<RealRo
 }
 
 fn case_times(case: &cases::Prepared, rounds: usize) -> anyhow::Result<CaseTimes> {
-    let (left, right) = (&case.pictures.left, &case.pictures.right);
+    let (left, right) = (&case.images.left, &case.images.right);
     let mut estimator = DirectEstimator::new(&case.rig, DirectConfig::default())?;
     let (measured, rows_ms) = timed(|| estimator.measure_rows(left, right));
     let rows = measured?.rows;

@@ -15,7 +15,7 @@ const HEAD: &str = "\
 
 This page is written by the command below; change the program, not the page.
 
-All times are CPU time of one thread in milliseconds, after warm-up, with pictures in memory and buffers that are kept.
+All times are CPU time of one thread in milliseconds, after warm-up, with images in memory and buffers that are kept.
 ";
 
 /// The whole page; `published` is what the example `speed` of the estimation crate has found in the same run.
@@ -74,7 +74,7 @@ fn goal_table(page: &mut String, findings: &Findings) {
 
 fn real_cases(page: &mut String, findings: &Findings) {
     let Some(real) = &findings.real else { return };
-    let text = "From two pictures in memory to a pose with its covariance.\nEach case counts with the median of its calls; stages are medians over the cases, each measured by itself at the level where the answer was found.";
+    let text = "From two images in memory to a pose with its covariance.\nEach case counts with the median of its calls; stages are medians over the cases, each measured by itself at the level where the answer was found.";
     let mut headings = vec!["group", "cases", "median", "p90", "max"];
     let first = real.rows.first().map(|row| row.stages.as_slice()).unwrap_or_default();
     headings.extend(first.iter().map(|(stage, _)| stage.name()));
@@ -101,7 +101,8 @@ fn real_cases(page: &mut String, findings: &Findings) {
 }
 
 fn sizes(page: &mut String, findings: &Findings) {
-    let text = "Squares on a rendered textured wall, pictures of 640 x 480, 60 px of disparity to search.\nStages are medians.";
+    let text =
+        "Squares on a rendered textured wall, images of 640 x 480, 60 px of disparity to search.\nStages are medians.";
     let mut headings = vec!["region px", "status", "median", "p90", "p99"];
     let first = findings.sizes.first().map(|row| row.stages.as_slice()).unwrap_or_default();
     headings.extend(first.iter().map(|(stage, _)| stage.name()));
@@ -117,7 +118,7 @@ fn sizes(page: &mut String, findings: &Findings) {
 
 fn tracking(page: &mut String, findings: &Findings) {
     let found = &findings.tracking;
-    let text = "The flat crab of the simulator moves along and about all axes; pictures of 640 x 480, 1000 points.\nOf a lost target, all kept views are searched for in the whole pictures.";
+    let text = "The flat crab of the simulator moves along and about all axes; images of 640 x 480, 1000 points.\nOf a lost target, all kept views are searched for in the whole images.";
     section(page, "Tracking", text, &["frame", "frames", "median", "p90", "p99", "max"]);
     for (name, times) in [("followed", &found.followed), ("lost", &found.lost)] {
         let mut cells = vec![name.to_owned(), times.count.to_string()];
@@ -165,7 +166,7 @@ fn published_kernels(page: &mut String, published: &Value) {
 }
 
 fn scaling(page: &mut String, findings: &Findings) {
-    let text = "Targets of 100 x 100 px on the moving wall (160 x 160 where points are varied), the same field of view at every size of picture.\nOf several targets the time is that of all together; of several threads, each with a target of its own, that of one.\nThe ratio is to the first row of its kind.";
+    let text = "Targets of 100 x 100 px on the moving wall (160 x 160 where points are varied), the same field of view at every size of image.\nOf several targets the time is that of all together; of several threads, each with a target of its own, that of one.\nThe ratio is to the first row of its kind.";
     section(page, "Scaling", text, &["varied", "value", "what", "median", "p90", "p99", "ratio"]);
     for found in &findings.scaling {
         let mut cells = vec![found.varied.to_owned(), found.value.clone(), found.what.to_owned()];

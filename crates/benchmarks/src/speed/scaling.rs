@@ -1,4 +1,4 @@
-//! What the times depend on: points, size of the pictures, number of targets, threads.
+//! What the times depend on: points, size of the images, number of targets, threads.
 
 use anyhow::Context;
 use pb3dp_estimation_core::cpu::Kernels;
@@ -16,7 +16,7 @@ const LARGE: ImageSize = ImageSize { width: 1280, height: 1024 };
 const POINTS_TRIED: [usize; 3] = [250, 1000, 4000];
 const TARGETS_TRIED: [usize; 4] = [1, 2, 4, 8];
 const THREADS_TRIED: [usize; 2] = [1, 2];
-/// Side of a target on the wall, pixels of a picture with 640 columns.
+/// Side of a target on the wall, pixels of an image with 640 columns.
 const SIDE_PX: u32 = 100;
 /// Frames that are rendered of the small and the large wall.
 const FRAMES: usize = 20;
@@ -86,8 +86,8 @@ pub fn scaling(rounds: usize) -> anyhow::Result<Vec<ScalingRow>> {
     for size in [SIZE, LARGE] {
         let clip = targets_on_wall(size, 1)?;
         let name = format!("{} x {}", size.width, size.height);
-        table.add("pictures", name.clone(), FRAME, frames(&clip, &[0], POINTS, rounds)?);
-        table.add("pictures", name, COLD, cold_starts(&clip, &[0], rounds)?);
+        table.add("images", name.clone(), FRAME, frames(&clip, &[0], POINTS, rounds)?);
+        table.add("images", name, COLD, cold_starts(&clip, &[0], rounds)?);
     }
     Ok(table.0)
 }

@@ -29,9 +29,9 @@ use pb3dp_hal_platform::cpu_time::timed;
 pub struct Problem<'a> {
     /// The cameras.
     pub rig: &'a StereoRig,
-    /// Left picture.
+    /// Left image.
     pub left: &'a RgbImage,
-    /// Right picture.
+    /// Right image.
     pub right: &'a RgbImage,
     /// The region.
     pub region: &'a Region,

@@ -1,4 +1,4 @@
-//! Frames of the tracker: both pictures in, six degrees of freedom and their covariance out.
+//! Frames of the tracker: both images in, six degrees of freedom and their covariance out.
 
 use anyhow::{Context, bail};
 use pb3dp_estimation_core::cpu::Kernels;

@@ -14,7 +14,7 @@ use super::numbers;
 
 /// White around a printed board: as wide as this share of its shorter side.
 const MARGIN_SHARE: f64 = 0.08;
-/// The longest side of a picture of a board, pixels.
+/// The longest side of an image of a board, pixels.
 const SIDE_MAX_PX: f64 = 30_000.0;
 
 /// A board without its sizes.
@@ -35,7 +35,7 @@ pub(super) struct BoardArgs {
     /// board, by its squares and OpenCV's name of its dictionary. aprilgrid:6x6: an AprilGrid of Kalibr, by its tags.
     #[arg(long, value_name = "BOARD", value_parser = numbers::board)]
     pub(super) board: BoardName,
-    /// Side of a square, mm, of a chessboard or a ChArUco board. Measure ten squares and divide: pictures can not tell a wrong number.
+    /// Side of a square, mm, of a chessboard or a ChArUco board. Measure ten squares and divide: images cannot tell a wrong number.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
     pub(super) square: Option<f64>,
     /// Side of a marker of a ChArUco board, mm.
@@ -100,15 +100,15 @@ pub(super) fn run(args: &PrintArgs) -> Result<ExitCode> {
     let (file, px_per_m) = (args.out.as_path(), f64::from(args.dpi) / 0.0254);
     let ends = |suffix: &str| file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(suffix));
     if ends("svg") {
-        std::fs::write(file, svg(&ink, margin_m)).with_context(|| format!("{}: can not be written", file.display()))?;
+        std::fs::write(file, svg(&ink, margin_m)).with_context(|| format!("{}: cannot be written", file.display()))?;
     } else if ends("png") {
         if width_m.max(height_m) * px_per_m > SIDE_MAX_PX {
-            bail!("{} dpi: the picture would be too large; take fewer, or write an .svg", args.dpi);
+            bail!("{} dpi: the image would be too large; take fewer, or write an .svg", args.dpi);
         }
-        write_png(&draw(&ink, px_per_m, margin_m).picture, px_per_m, file)
-            .with_context(|| format!("{}: can not be written", file.display()))?;
+        write_png(&draw(&ink, px_per_m, margin_m).image, px_per_m, file)
+            .with_context(|| format!("{}: cannot be written", file.display()))?;
     } else {
-        bail!("{}: the format can not be told from the name: use .svg or .png", file.display());
+        bail!("{}: the format cannot be told from the name: use .svg or .png", file.display());
     }
     super::tell(&format!(
         "wrote {}: {}, black from edge to edge {:.2} x {:.2} mm; print it without scaling, fix it to something flat, and measure these lengths: they give the sizes to calibrate with",
@@ -121,11 +121,11 @@ pub(super) fn run(args: &PrintArgs) -> Result<ExitCode> {
 }
 
 /// A PNG that says how large its pixels are.
-fn write_png(picture: &image::GrayImage, px_per_m: f64, file: &Path) -> Result<()> {
-    let mut encoder = png::Encoder::new(BufWriter::new(File::create(file)?), picture.width(), picture.height());
+fn write_png(image: &image::GrayImage, px_per_m: f64, file: &Path) -> Result<()> {
+    let mut encoder = png::Encoder::new(BufWriter::new(File::create(file)?), image.width(), image.height());
     encoder.set_color(png::ColorType::Grayscale);
     let per_m = px_per_m.round() as u32;
     encoder.set_pixel_dims(Some(png::PixelDimensions { xppu: per_m, yppu: per_m, unit: png::Unit::Meter }));
-    encoder.write_header()?.write_image_data(picture.as_raw())?;
+    encoder.write_header()?.write_image_data(image.as_raw())?;
     Ok(())
 }

@@ -105,7 +105,7 @@ pub(super) fn run(args: &CoachArgs) -> Result<ExitCode> {
         );
     }
     let (mut last, mut waited) = (None, 0);
-    tell(&format!("{}: waiting for pictures; start `pb3dp cameras record --out {0}` now", args.folder.display()))?;
+    tell(&format!("{}: waiting for images; start `pb3dp cameras record --out {0}` now", args.folder.display()))?;
     loop {
         let sequence = newest(&args.folder);
         let frame = sequence.as_ref().ok().and_then(|sequence| sequence.frames().checked_sub(1));
@@ -155,11 +155,11 @@ impl Coach<'_> {
             self.told = Some((look.clone(), self.views.len()));
         }
         if let Some(file) = &self.args.page {
-            let page = self.page(&look, &advice, &now).picture_plots(&coverage_plots(&self.views, size));
+            let page = self.page(&look, &advice, &now).image_plots(&coverage_plots(&self.views, size));
             // As a whole, so that no browser gets half of it.
             let partial = file.with_extension("partial");
             page.write(&partial)?;
-            std::fs::rename(&partial, file).with_context(|| format!("{}: can not be written", file.display()))?;
+            std::fs::rename(&partial, file).with_context(|| format!("{}: cannot be written", file.display()))?;
         }
         Ok(advice.wish.is_none())
     }
@@ -240,7 +240,7 @@ impl Coach<'_> {
             .verdict(tone, &self.next(advice), &[format!("now: {}", look.text())])
             .figures(&[
                 ("views", progress.views.to_string()),
-                ("of the picture covered, worse camera", format!("{:.0} %", 100.0 * progress.coverage())),
+                ("of the image covered, worse camera", format!("{:.0} %", 100.0 * progress.coverage())),
                 ("blur of edges now", number(now.blur_px, " px")),
                 ("motion now", number(now.speed_px_per_s, " px/s")),
                 ("tilt now", number(now.tilt_deg, "\u{b0}")),

@@ -40,7 +40,7 @@ pub(super) fn check_name(out: &Path) -> Result<()> {
         return Ok(());
     }
     anyhow::bail!(
-        "{}: the format can not be told from the name: use .toml, .json, .kalibr.yaml, .opencv.yaml, or a folder",
+        "{}: the format cannot be told from the name: use .toml, .json, .kalibr.yaml, .opencv.yaml, or a folder",
         out.display()
     )
 }
@@ -68,12 +68,12 @@ pub(super) fn write(rig: &StereoRig, judgement: Option<&Judgement>, out: &Path) 
         save_opencv(rig, out)?;
         "OpenCV stereo YAML"
     } else if out.extension().is_none() {
-        std::fs::create_dir_all(out).with_context(|| format!("{}: the folder can not be made", out.display()))?;
+        std::fs::create_dir_all(out).with_context(|| format!("{}: the folder cannot be made", out.display()))?;
         save_ros_pair(rig, &out.join("left.yaml"), &out.join("right.yaml"))?;
         "a ROS camera_info pair"
     } else {
         anyhow::bail!(
-            "{}: the format can not be told from the name: use .toml, .json, .kalibr.yaml, .opencv.yaml, or a folder",
+            "{}: the format cannot be told from the name: use .toml, .json, .kalibr.yaml, .opencv.yaml, or a folder",
             out.display()
         );
     };

@@ -1,22 +1,21 @@
-//! How unlike both cameras are while they are calibrated: what a run later compares its own pictures with.
+//! How unlike both cameras are while they are calibrated: what a run later compares its own images with.
 
 use pb3dp_record::metrics::median;
 use std::path::PathBuf;
 
 use anyhow::Result;
+use pb3dp_record::image_quality::{Exposure, blur_of, brighter_by_percent, softer_by_px};
 use pb3dp_record::images::load_rgb;
-use pb3dp_record::picture_quality::{Exposure, blur_of, brighter_by_percent, softer_by_px};
 
 /// Medians over the pairs, by the names that a run knows them by (docs/rig.md, cameras that drift): blur that the right eye has and the
-/// left one has not, and by how much it is brighter. What the pictures do not tell is left out.
+/// left one has not, and by how much it is brighter. What the images do not tell is left out.
 pub(super) fn numbers(pairs: &[[PathBuf; 2]]) -> Result<Vec<(String, f64)>> {
     let (mut softer_px, mut brighter_percent) = (Vec::new(), Vec::new());
     for [left, right] in pairs {
-        let pictures = [load_rgb(left)?, load_rgb(right)?];
-        let [left_px, right_px] = [&pictures[0], &pictures[1]].map(|picture| blur_of(&[picture]));
+        let images = [load_rgb(left)?, load_rgb(right)?];
+        let [left_px, right_px] = [&images[0], &images[1]].map(|image| blur_of(&[image]));
         softer_px.extend(left_px.zip(right_px).map(|(left, right)| softer_by_px([left, right])));
-        brighter_percent
-            .push(brighter_by_percent(&[&pictures[0], &pictures[1]].map(|picture| Exposure::of(&[picture]))));
+        brighter_percent.push(brighter_by_percent(&[&images[0], &images[1]].map(|image| Exposure::of(&[image]))));
     }
     let medians =
         [("focus_difference_px", median(&softer_px)), ("brightness_difference_percent", median(&brighter_percent))];

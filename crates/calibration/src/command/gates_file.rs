@@ -17,7 +17,7 @@ pub(super) fn read_hand_eye(file: &Path) -> Result<HandEyeLimits> {
 }
 
 fn read_with<T>(file: &Path, parse: impl Fn(&str) -> Result<T>) -> Result<T> {
-    let text = std::fs::read_to_string(file).with_context(|| format!("{}: can not be read", file.display()))?;
+    let text = std::fs::read_to_string(file).with_context(|| format!("{}: cannot be read", file.display()))?;
     parse(&text).with_context(|| format!("{}: no limits of gates", file.display()))
 }
 

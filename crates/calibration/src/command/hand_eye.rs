@@ -17,12 +17,12 @@ use pb3dp_record::calibration_files::{
 };
 use pb3dp_record::stops::{Stops, load_stops};
 
-use super::{gates_file, hand_eye_report, numbers, pictures, poses, tell};
+use super::{gates_file, hand_eye_report, images, numbers, poses, tell};
 
 /// What is looked at, and through which cameras.
 #[derive(Debug, Args)]
 pub(super) struct Recording {
-    /// Folders with the stops: a stops.toml, as `pb3dp arm visit` records it, and the pictures it names. Board and cameras must not have been
+    /// Folders with the stops: a stops.toml, as `pb3dp arm visit` records it, and the images it names. Board and cameras must not have been
     /// moved between them.
     #[arg(long, required = true, value_name = "DIR", num_args = 1..)]
     recording: Vec<PathBuf>,
@@ -62,7 +62,7 @@ pub(super) struct HandEyeArgs {
     out: Option<PathBuf>,
 }
 
-/// A recording whose pictures have been looked at.
+/// A recording whose images have been looked at.
 pub(super) struct Looked {
     pub calibration: StereoCalibration,
     pub board: Chessboard,
@@ -72,7 +72,7 @@ pub(super) struct Looked {
 }
 
 impl Recording {
-    /// Finds the board in all pictures; stops at which a camera does not see it are left out, and told.
+    /// Finds the board in all images; stops at which a camera does not see it are left out, and told.
     pub(super) fn look(&self) -> Result<Looked> {
         let [columns, rows] = self.board;
         let board = Chessboard::new(columns, rows, self.square * 1e-3)?;
@@ -85,7 +85,7 @@ impl Recording {
             let recorded = load_stops(folder)?;
             count += recorded.stops.len();
             stops.extend(self.stops(folder, &recorded, &board, calibration.rig.left().size())?);
-            // A calibration is as old as its oldest picture.
+            // A calibration is as old as its oldest image.
             if date.is_empty() || recorded.date < date {
                 date = recorded.date;
             }
@@ -103,7 +103,7 @@ impl Recording {
             let files = [&stop.left, &stop.right].map(|file| folder.join(file));
             let alone = self.recording.len() == 1;
             let name = if alone { stop.left.clone() } else { files[0].display().to_string() };
-            match pictures::view(&name, &files, board, size, "the calibration")? {
+            match images::view(&name, &files, board, size, "the calibration")? {
                 Ok(view) => stops.push(HandEyeStop {
                     name: view.name,
                     sightings: view.sightings,
@@ -146,7 +146,7 @@ pub(super) fn run(args: &HandEyeArgs) -> Result<ExitCode> {
     let looked = args.recording.look()?;
     if let Some(reason) = &looked.calibration.not_measured {
         bail!(
-            "{} is the calibration of no cameras ({reason}): calibrate the head first, with `pb3dp calibrate stereo`; the same pictures will do",
+            "{} is the calibration of no cameras ({reason}): calibrate the head first, with `pb3dp calibrate stereo`; the same images will do",
             looked.calibration.source
         );
     }

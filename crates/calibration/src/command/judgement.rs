@@ -12,7 +12,7 @@ use pb3dp_record::calibration_files::{CameraIdentity, JudgedGate, Judgement, Par
 /// The file in the folder of a recording that names its cameras.
 const CAMERAS: &str = "cameras.toml";
 
-/// The cameras that `named` names, or the `cameras.toml` in the folder of the left pictures or above it; without one nothing is known.
+/// The cameras that `named` names, or the `cameras.toml` in the folder of the left images or above it; without one nothing is known.
 pub(super) fn cameras(named: Option<&Path>, left: &Path) -> Result<[CameraIdentity; 2]> {
     let near = || [Some(left), left.parent()].into_iter().flatten().map(|folder| folder.join(CAMERAS));
     let file = named.map(Path::to_path_buf).or_else(|| near().find(|file| file.is_file()));

@@ -7,10 +7,10 @@ mod eyes;
 mod gates_file;
 mod hand_eye;
 mod hand_eye_report;
+mod images;
 mod judgement;
 mod numbers;
 mod page;
-mod pictures;
 mod poses;
 mod propose;
 mod recording;
@@ -38,11 +38,11 @@ use self::board::BoardArgs;
 use self::coach::CoachArgs;
 use self::convert::ConvertArgs;
 use self::hand_eye::HandEyeArgs;
-use self::pictures::Pictures;
+use self::images::Images;
 use self::propose::ProposeArgs;
 use self::verify::VerifyArgs;
 
-/// Calibrate cameras and stereo heads from pictures of a board, and say how good the result is.
+/// Calibrate cameras and stereo heads from images of a board, and say how good the result is.
 #[derive(Debug, Parser)]
 #[command(name = "pb3dp-calibrate", bin_name = "pb3dp calibrate", version, propagate_version = true)]
 pub struct Cli {
@@ -91,7 +91,7 @@ struct Common {
     /// Other limits than the built-in ones (copy configs/calibration_gates.toml).
     #[arg(long, value_name = "FILE")]
     gates: Option<PathBuf>,
-    /// Also write a report as one page of HTML: errors and coverage over the pictures, rows, lens models, the worst views.
+    /// Also write a report as one page of HTML: errors and coverage over the images, rows, lens models, the worst views.
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
     /// Also write the corners that were found, as CSV: view, camera, column, row, u, v.
@@ -101,24 +101,24 @@ struct Common {
 
 #[derive(Debug, Args)]
 struct IntrinsicsArgs {
-    /// Folder of the pictures, PNG or JPEG.
+    /// Folder of the images, PNG or JPEG.
     #[arg(long, value_name = "DIR")]
-    pictures: PathBuf,
+    images: PathBuf,
     #[command(flatten)]
     common: Common,
 }
 
-/// Where pairs of pictures are.
+/// Where stereo pairs are.
 #[derive(Debug, Args)]
 struct Pairs {
     /// A recording, as `pb3dp cameras record` makes it, also at full rate: views are chosen from it. Or one of stops of an arm
     /// (stops.toml): each stop is a view.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["left", "right"])]
     recording: Option<PathBuf>,
-    /// Folder of the left pictures, PNG or JPEG. Pictures are paired by their names without the words left and right.
+    /// Folder of the left images, PNG or JPEG. Images are paired by their names without the words left and right.
     #[arg(long, value_name = "DIR", requires = "right")]
     left: Option<PathBuf>,
-    /// Folder of the right pictures; if it is the same folder, those with `right` in their name.
+    /// Folder of the right images; if it is the same folder, those with `right` in their name.
     #[arg(long, value_name = "DIR", requires = "left")]
     right: Option<PathBuf>,
 }
@@ -127,7 +127,7 @@ impl Pairs {
     fn sightings(&self, board: &Board) -> Result<Seen<2>> {
         match (&self.recording, &self.left, &self.right) {
             (Some(recording), ..) => recording::sightings(recording, board),
-            (None, Some(left), Some(right)) => Pictures::<2>::find(&[left, right])?.sightings(board),
+            (None, Some(left), Some(right)) => Images::<2>::find(&[left, right])?.sightings(board),
             _ => anyhow::bail!("give --recording DIR, or --left DIR and --right DIR"),
         }
     }
@@ -180,9 +180,9 @@ pub fn run(cli: &Cli) -> Result<ExitCode> {
 
 fn intrinsics(args: &IntrinsicsArgs) -> Result<ExitCode> {
     let (board, limits) = args.common.checked()?;
-    let pictures = Pictures::<1>::find(&[&args.pictures])?;
-    pictures.check_one_camera(&args.pictures)?;
-    let seen = pictures.sightings(&board)?;
+    let images = Images::<1>::find(&[&args.images])?;
+    images.check_one_camera(&args.images)?;
+    let seen = images.sightings(&board)?;
     args.common.write_corners(&seen.views)?;
     tell(&seen.told)?;
     let chosen = choose(&seen.views, &board, seen.size, args.common.models())?;
@@ -196,7 +196,7 @@ fn intrinsics(args: &IntrinsicsArgs) -> Result<ExitCode> {
 
 fn stereo(args: &StereoArgs) -> Result<ExitCode> {
     let (board, limits) = args.common.checked()?;
-    // What can not be written is refused before all the work.
+    // What cannot be written is refused before all the work.
     args.out.as_deref().map(convert::check_name).transpose()?;
     for file in args.out.iter().chain(&args.common.report) {
         make_folder_of(file)?;
@@ -250,7 +250,7 @@ impl Common {
 
     fn write_corners<const N: usize>(&self, views: &[View<N>]) -> Result<()> {
         let Some(file) = &self.corners else { return Ok(()) };
-        std::fs::write(file, report::corners(views)).with_context(|| format!("{}: can not be written", file.display()))
+        std::fs::write(file, report::corners(views)).with_context(|| format!("{}: cannot be written", file.display()))
     }
 }
 
@@ -258,7 +258,7 @@ impl Common {
 fn make_folder_of(file: &Path) -> Result<()> {
     match file.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => {
-            std::fs::create_dir_all(folder).with_context(|| format!("{}: the folder can not be made", folder.display()))
+            std::fs::create_dir_all(folder).with_context(|| format!("{}: the folder cannot be made", folder.display()))
         }
         _ => Ok(()),
     }
@@ -269,24 +269,24 @@ fn tell(text: &str) -> Result<()> {
     if text.is_empty() {
         return Ok(());
     }
-    writeln!(std::io::stdout(), "{text}").context("standard output can not be written")
+    writeln!(std::io::stdout(), "{text}").context("standard output cannot be written")
 }
 
 /// The whole chain of an error on standard error.
 pub fn tell_error(error: &anyhow::Error) {
-    // Nobody is left who could be told that this can not be written.
+    // Nobody is left who could be told that this cannot be written.
     let _ = writeln!(std::io::stderr(), "error: {error:#}");
 }
 
-/// The pictures of all views have this size.
+/// The images of all views have this size.
 #[derive(Debug)]
 struct Seen<const N: usize> {
     views: Vec<View<N>>,
     size: ImageSize,
-    /// When the newest of the pictures was written, RFC 3339.
+    /// When the newest of the images was written, RFC 3339.
     newest: String,
-    /// Which pictures were left out, and why.
+    /// Which images were left out, and why.
     told: String,
-    /// The pictures of each view.
+    /// The images of each view.
     files: Vec<[PathBuf; N]>,
 }

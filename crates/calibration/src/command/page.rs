@@ -1,4 +1,4 @@
-//! Reports as files: the page with the pictures of the worst views.
+//! Reports as files: the page with the images of the worst views.
 
 use std::path::Path;
 
@@ -10,16 +10,16 @@ use pb3dp_calibration::held_out::Chosen;
 use pb3dp_calibration::quality::Quality;
 use pb3dp_record::images::load_rgb;
 use pb3dp_record::overlay::{Stroke, arrow, colors, cross, side_by_side};
-use pb3dp_record::report::{PicturePlot, Report, ReportPicture, VectorAt};
+use pb3dp_record::report::{ImagePlot, Report, ReportImage, VectorAt};
 
 use super::Seen;
 
 /// So many views with the largest errors are shown.
 const WORST_VIEWS: usize = 3;
-/// Width of each picture on the page.
+/// Width of each image on the page.
 const WIDTH_PX: u32 = 480;
 
-/// Adds the pictures of the worst views, writes the page, and says so.
+/// Adds the images of the worst views, writes the page, and says so.
 pub(super) fn write<const N: usize>(
     page: Report,
     chosen: &Chosen<N>,
@@ -37,23 +37,22 @@ pub(super) fn write<const N: usize>(
             .flatten()
             .map(|error| VectorAt { at_px: error.corner.pixel.into(), vector_px: error.error_px.into() })
             .collect();
-        let magnified = PicturePlot::magnification(&all, seen.size.width);
-        let mut pictures = Vec::with_capacity(N);
+        let magnified = ImagePlot::magnification(&all, seen.size.width);
+        let mut images = Vec::with_capacity(N);
         for (file, errors) in files.iter().zip(errors) {
-            pictures.push(picture(file, errors, magnified)?);
+            images.push(image(file, errors, magnified)?);
         }
-        let together = pictures.into_iter().reduce(|left, right| side_by_side(&left, &right));
+        let together = images.into_iter().reduce(|left, right| side_by_side(&left, &right));
         let caption = format!("view {name}: {rms_px:.3} px rms; errors drawn {magnified} times longer");
-        strip.extend(together.map(|picture| (picture, caption)));
+        strip.extend(together.map(|image| (image, caption)));
     }
-    let strip: Vec<_> =
-        strip.iter().map(|(picture, caption)| (ReportPicture::Photo(picture), caption.clone())).collect();
+    let strip: Vec<_> = strip.iter().map(|(image, caption)| (ReportImage::Photo(image), caption.clone())).collect();
     page.heading("Views with the largest errors").images(&strip).write(file)?;
     Ok(format!("wrote {}: a report", file.display()))
 }
 
-/// A picture, smaller, with its corners and their errors.
-fn picture(file: &Path, errors: &[CornerError], magnified: f64) -> Result<RgbImage> {
+/// An image, smaller, with its corners and their errors.
+fn image(file: &Path, errors: &[CornerError], magnified: f64) -> Result<RgbImage> {
     let whole = load_rgb(file)?;
     let scale = (f64::from(WIDTH_PX) / f64::from(whole.width())).min(1.0);
     let size = [whole.width(), whole.height()].map(|length| ((f64::from(length) * scale).round() as u32).max(1));

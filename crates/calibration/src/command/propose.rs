@@ -37,7 +37,7 @@ pub(super) struct ProposeArgs {
     /// The arm that is to move; the other one rests where it was at the last stop of the recording.
     #[arg(long, default_value = "vs")]
     arm: Arm,
-    /// How many poses: 15 to 20, and some to spare for those that the arm can not reach.
+    /// How many poses: 15 to 20, and some to spare for those that the arm cannot reach.
     #[arg(long, default_value_t = 18)]
     count: usize,
     /// From the left camera to the board, mm: the working distance.
@@ -152,7 +152,7 @@ pub(super) fn run(args: &ProposeArgs) -> Result<ExitCode> {
     save_poses(&args.out, &wanted)?;
     let [left, right] = views.coverage.map(|share| 100.0 * share);
     tell(&format!(
-        "{} poses of {} for the last stop, {:?}; corners of the board will be in {left:.0} % of the cells of the left picture and {right:.0} % of the right one\nwrote {}",
+        "{} poses of {} for the last stop, {:?}; corners of the board will be in {left:.0} % of the cells of the left image and {right:.0} % of the right one\nwrote {}",
         wanted.poses.len(),
         wanted.arm.name(),
         first.name,

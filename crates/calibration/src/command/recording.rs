@@ -18,7 +18,7 @@ use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
 use pb3dp_record::stops::STOPS_FILE;
 
 use super::Seen;
-use super::pictures::{Pictures, agreed, written};
+use super::images::{Images, agreed, written};
 
 /// So many pairs of a recording are looked at, as long as that are not more than one in this time.
 const LOOKS_MAX: u64 = 400;
@@ -40,7 +40,7 @@ struct Look {
 /// Views of a recording.
 pub(super) fn sightings(folder: &Path, board: &Chessboard) -> Result<Seen<2>> {
     if folder.join(STOPS_FILE).is_file() {
-        return Pictures::of_stops(folder)?.sightings(board);
+        return Images::of_stops(folder)?.sightings(board);
     }
     let sequence = load_sequence(folder)?;
     let recording = Recording::new(&sequence, board)?;
@@ -64,12 +64,12 @@ pub(super) fn sightings(folder: &Path, board: &Chessboard) -> Result<Seen<2>> {
     Ok(Seen { views, size, newest: written(files.iter().flatten())?, told, files })
 }
 
-/// The first left picture that is there.
-fn first_picture(sequence: &Sequence) -> Result<PathBuf> {
-    let mut files = (0..sequence.frames()).map(|frame| sequence.picture_files(frame).0);
+/// The first left image that is there.
+fn first_image(sequence: &Sequence) -> Result<PathBuf> {
+    let mut files = (0..sequence.frames()).map(|frame| sequence.image_files(frame).0);
     files
         .find(|file| file.is_file())
-        .with_context(|| format!("{}: none of its pictures is there", sequence.folder.display()))
+        .with_context(|| format!("{}: none of its images is there", sequence.folder.display()))
 }
 
 /// What was looked at, and why the rest was left out.
@@ -110,21 +110,21 @@ fn told(
 pub(super) struct Recording<'a> {
     pub(super) sequence: &'a Sequence,
     board: &'a Chessboard,
-    /// Of its pictures.
+    /// Of its images.
     pub(super) size: ImageSize,
     because_of: String,
 }
 
 impl<'a> Recording<'a> {
-    /// A recording whose first picture tells the size of all.
+    /// A recording whose first image tells the size of all.
     pub(super) fn new(sequence: &'a Sequence, board: &'a Chessboard) -> Result<Self> {
-        let first = first_picture(sequence)?;
+        let first = first_image(sequence)?;
         let size = size_of(&load_rgb(&first)?);
         Ok(Self { sequence, board, size, because_of: first.display().to_string() })
     }
 
     fn files(&self, frame: u64) -> [PathBuf; 2] {
-        <[PathBuf; 2]>::from(self.sequence.picture_files(frame))
+        <[PathBuf; 2]>::from(self.sequence.image_files(frame))
     }
 
     /// Every n-th pair, so that none is missed that stands for a moment.
@@ -162,27 +162,26 @@ impl<'a> Recording<'a> {
         Ok(looks)
     }
 
-    /// What a pair shows, or why it can not be used.
+    /// What a pair shows, or why it cannot be used.
     pub(super) fn look(&self, frame: u64) -> Result<Candidate<2>, String> {
         let mut sightings: [Sighting; 2] = Default::default();
         let mut blur: Option<f64> = Some(0.0);
         for ((sighting, file), side) in sightings.iter_mut().zip(self.files(frame)).zip(sides::<2>()) {
-            let picture = self
-                .picture(&file)
-                .map_err(|_| format!("the {side} picture is missing, damaged or of another size"))?;
-            *sighting = find_board(&picture, self.board).map_err(|reason| format!("{side}: {reason}"))?;
-            blur = blur.zip(blur_px(&picture, sighting)).map(|(one, other)| one.max(other));
+            let image =
+                self.image(&file).map_err(|_| format!("the {side} image is missing, damaged or of another size"))?;
+            *sighting = find_board(&image, self.board).map_err(|reason| format!("{side}: {reason}"))?;
+            blur = blur.zip(blur_px(&image, sighting)).map(|(one, other)| one.max(other));
         }
         let name = format!("{frame:04}");
         Ok(Candidate { view: View { name, sightings: agreed(sightings, self.board) }, blur_px: blur })
     }
 
-    fn picture(&self, file: &Path) -> Result<GrayImage> {
-        let picture = load_rgb_of_size(file, self.size, &self.because_of)?;
-        Ok(image::DynamicImage::from(picture).into_luma8())
+    fn image(&self, file: &Path) -> Result<GrayImage> {
+        let image = load_rgb_of_size(file, self.size, &self.because_of)?;
+        Ok(image::DynamicImage::from(image).into_luma8())
     }
 
-    /// How fast the board moves in the left picture, from the pair before to the one behind, px per second; `None` where it can not
+    /// How fast the board moves in the left image, from the pair before to the one behind, px per second; `None` where it cannot
     /// be told. A recording whose pairs are far apart in time was taken one by one, so nothing is asked of it.
     pub(super) fn speed_px_per_s(&self, frame: u64, candidate: &Candidate<2>) -> Result<Option<f64>> {
         let mut fastest: Option<f64> = None;
@@ -193,8 +192,8 @@ impl<'a> Recording<'a> {
                 fastest = fastest.or(Some(0.0));
                 continue;
             }
-            let Ok(picture) = self.picture(&self.files(other)[0]) else { continue };
-            let Ok(sighting) = find_board(&picture, self.board) else { return Ok(None) };
+            let Ok(image) = self.image(&self.files(other)[0]) else { continue };
+            let Ok(sighting) = find_board(&image, self.board) else { return Ok(None) };
             let [here, there] = agreed([candidate.view.sightings[0].clone(), sighting], self.board);
             let Some(moved_px) = moved_px(&here, &there) else { return Ok(None) };
             fastest = Some(fastest.unwrap_or(0.0).max(moved_px / apart_s));

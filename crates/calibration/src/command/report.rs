@@ -82,7 +82,7 @@ pub(super) fn verdicts(quality: &Quality, verdicts: &[Verdict]) -> String {
     let mut lines: Vec<String> = Vec::new();
     if let Some(rows) = quality.rows {
         lines.push(format!(
-            "rows of the rectified pictures, right minus left: mean {:+.3} px, 95 % within {:.3} px",
+            "rows of the rectified images, right minus left: mean {:+.3} px, 95 % within {:.3} px",
             rows.mean_px, rows.p95_px
         ));
     }
@@ -96,7 +96,7 @@ pub(super) fn verdicts(quality: &Quality, verdicts: &[Verdict]) -> String {
     lines.push(format!("verdict: {}", verdict_in_words(&gates).1));
     if quality.scale_error_share.is_none() {
         lines.push(
-            "not judged: the size of the squares, which pictures can not tell: measure the baseline with a ruler and give --baseline, or measure a known length with the calibrated cameras"
+            "not judged: the size of the squares, which images cannot tell: measure the baseline with a ruler and give --baseline, or measure a known length with the calibrated cameras"
                 .to_owned(),
         );
     }

@@ -11,7 +11,7 @@ use pb3dp_record::stops::load_stops;
 
 use super::Seen;
 
-/// Fewer places can not tell a turned hand from a shifted one.
+/// Fewer places cannot tell a turned hand from a shifted one.
 const PLACES_MIN: usize = 3;
 
 /// Where the touched corners are by cameras, hand-eye calibration and the stops of a recording.
@@ -22,14 +22,14 @@ pub(super) fn run(
     hand_eye: &Path,
     file: &Path,
 ) -> Result<Vec<TouchResult>> {
-    let text = std::fs::read_to_string(file).with_context(|| format!("{}: can not be read", file.display()))?;
+    let text = std::fs::read_to_string(file).with_context(|| format!("{}: cannot be read", file.display()))?;
     let touches = parse(&text).with_context(|| format!("{}: no touch test", file.display()))?;
     let flange_from_cam_left = load_hand_eye(hand_eye)?.flange_from_cam_left;
     let stops = load_stops(recording).context("the touch test needs a recording of stops")?.stops;
     let mut poses: Vec<Isometry3<f64>> = Vec::with_capacity(seen.views.len());
     for [left, _] in &seen.files {
         let stop = stops.iter().find(|stop| recording.join(&stop.left) == *left);
-        let stop = stop.with_context(|| format!("{}: is the picture of no stop", left.display()))?;
+        let stop = stop.with_context(|| format!("{}: is the image of no stop", left.display()))?;
         poses.push(*(stop.vs.base_from_flange * flange_from_cam_left).isometry());
     }
     Ok(touched(&known.rig, &seen.views, &poses, &touches)?)

@@ -87,7 +87,7 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
     if let Some(other) = &args.against {
         let second = self::known(&load_stereo(std::slice::from_ref(other))?);
         if second.rig.left().size() != known.rig.left().size() {
-            bail!("{}: is of pictures of another size: compare calibrations of the same pictures", other.display());
+            bail!("{}: is of images of another size: compare calibrations of the same images", other.display());
         }
         let comparison = compare(&known, &second, depth_m);
         tell(&of_comparison(&comparison, args.distance))?;
@@ -132,8 +132,8 @@ fn known(calibration: &StereoCalibration) -> Known {
 
 impl VerifyArgs {
     fn seen(&self) -> Result<(Seen<2>, Chessboard)> {
-        let [columns, rows] = self.board.context("--board: must be given with pictures, for instance 9x6")?;
-        let square_mm = self.square.context("--square: must be given with pictures: the side of a square, mm")?;
+        let [columns, rows] = self.board.context("--board: must be given with images, for instance 9x6")?;
+        let square_mm = self.square.context("--square: must be given with images: the side of a square, mm")?;
         let board = Chessboard::new(columns, rows, square_mm * 1e-3)?;
         Ok((self.pairs.sightings(&board)?, board))
     }
@@ -210,7 +210,7 @@ fn of_views(checked: &Checked, depth_m: f64) -> String {
     text
 }
 
-/// Parameter by parameter, and over the picture.
+/// Parameter by parameter, and over the image.
 fn of_comparison(comparison: &Comparison, distance_mm: f64) -> String {
     let mut text = String::new();
     if comparison.parameters.is_empty() {
@@ -241,7 +241,7 @@ fn of_comparison(comparison: &Comparison, distance_mm: f64) -> String {
     let [depth_m, lateral_m, both_m] = comparison.p95_m();
     let _ = write!(
         text,
-        "a point at {distance_mm:.0} mm is placed differently by, in 95 % of the picture: depth {:.3} mm, sideways {:.3} mm, both {:.3} mm ({} places)",
+        "a point at {distance_mm:.0} mm is placed differently by, in 95 % of the image: depth {:.3} mm, sideways {:.3} mm, both {:.3} mm ({} places)",
         depth_m * 1e3,
         lateral_m * 1e3,
         both_m * 1e3,

@@ -8,7 +8,7 @@ use pb3dp_calibration::verify::limits::{Check, VerifyLimits};
 
 /// Reads a file like `configs/calibration_verify.toml`: a table `checks` with all checks, each with `good` and `refused`.
 pub(super) fn read(file: &Path) -> Result<VerifyLimits> {
-    let text = std::fs::read_to_string(file).with_context(|| format!("{}: can not be read", file.display()))?;
+    let text = std::fs::read_to_string(file).with_context(|| format!("{}: cannot be read", file.display()))?;
     parse(&text).with_context(|| format!("{}: no limits of checks", file.display()))
 }
 

@@ -19,7 +19,7 @@ const BESIDE_SHARE: f64 = 0.06;
 const BESIDE_MIN_PX: f64 = 1.5;
 /// By how many grey values black and white differ there.
 const CONTRAST_MIN: f64 = 20.0;
-/// Sides of a tag differ by no more than this ratio in a picture.
+/// Sides of a tag differ by no more than this ratio in an image.
 const SIDES_RATIO_MAX: f64 = 2.5;
 /// The smallest sine of the angle between two sides.
 const SINE_MIN: f64 = 0.35;
@@ -40,13 +40,13 @@ struct Tag {
 }
 
 /// Finds the corners of all tags that can be read; a part of the board will do.
-pub(super) fn find(picture: &GrayImage, board: &Board) -> Result<Sighting, NoBoard> {
-    let view = gray_view(picture);
+pub(super) fn find(image: &GrayImage, board: &Board) -> Result<Sighting, NoBoard> {
+    let view = gray_view(image);
     let pixels: Vec<Vector2<f64>> = detect_corners(&view, &default_chess_config())
         .iter()
         .map(|corner| Vector2::new(f64::from(corner.position.x), f64::from(corner.position.y)))
         .collect();
-    let quads = quads(picture, &pixels);
+    let quads = quads(image, &pixels);
     let tags = BORDERS_BITS.map(|border_bits| read(&view, &pixels, &quads, border_bits));
     let tags = tags.into_iter().max_by_key(BTreeMap::len).unwrap_or_default();
     let mut corners = Vec::new();
@@ -58,7 +58,7 @@ pub(super) fn find(picture: &GrayImage, board: &Board) -> Result<Sighting, NoBoa
         corners.extend(places.into_iter().zip(tag.corners).map(|((column, row), index)| BoardCorner {
             column: 2 * across + column,
             row: 2 * down + row,
-            pixel: refined(picture, &pixels[index]),
+            pixel: refined(image, &pixels[index]),
         }));
     }
     if corners.is_empty() {
@@ -67,9 +67,9 @@ pub(super) fn find(picture: &GrayImage, board: &Board) -> Result<Sighting, NoBoa
     enough(corners, board)
 }
 
-/// Four corners, clockwise in the picture, that may be those of a tag; each once.
-fn quads(picture: &GrayImage, pixels: &[Vector2<f64>]) -> Vec<[usize; 4]> {
-    let next: Vec<Vec<usize>> = (0..pixels.len()).map(|first| next_corners(picture, pixels, first)).collect();
+/// Four corners, clockwise in the image, that may be those of a tag; each once.
+fn quads(image: &GrayImage, pixels: &[Vector2<f64>]) -> Vec<[usize; 4]> {
+    let next: Vec<Vec<usize>> = (0..pixels.len()).map(|first| next_corners(image, pixels, first)).collect();
     let meet = |a: usize, b: usize, c: usize| sides_fit(&(pixels[b] - pixels[a]), &(pixels[c] - pixels[b]));
     let mut quads = Vec::new();
     for (a, of_a) in next.iter().enumerate() {
@@ -85,7 +85,7 @@ fn quads(picture: &GrayImage, pixels: &[Vector2<f64>]) -> Vec<[usize; 4]> {
 }
 
 /// The corners to which a side of a tag may run from a corner, clockwise around the tag.
-fn next_corners(picture: &GrayImage, pixels: &[Vector2<f64>], first: usize) -> Vec<usize> {
+fn next_corners(image: &GrayImage, pixels: &[Vector2<f64>], first: usize) -> Vec<usize> {
     let from = pixels[first];
     let mut near: Vec<(f64, usize)> = pixels
         .iter()
@@ -95,19 +95,19 @@ fn next_corners(picture: &GrayImage, pixels: &[Vector2<f64>], first: usize) -> V
         .collect();
     near.sort_by(|a, b| a.0.total_cmp(&b.0));
     near.truncate(NEIGHBOURS);
-    near.retain(|(_, n)| is_side(picture, &from, &pixels[*n]));
+    near.retain(|(_, n)| is_side(image, &from, &pixels[*n]));
     near.into_iter().map(|(_, n)| n).collect()
 }
 
 /// Whether it is black on the right of the way from one point to the other, and white on its left (y is down).
-fn is_side(picture: &GrayImage, from: &Vector2<f64>, to: &Vector2<f64>) -> bool {
+fn is_side(image: &GrayImage, from: &Vector2<f64>, to: &Vector2<f64>) -> bool {
     let along = to - from;
     let beside = (BESIDE_SHARE * along.norm()).max(BESIDE_MIN_PX) / along.norm();
     let right = Vector2::new(-along.y, along.x) * beside;
     let value = |at: Vector2<f64>| {
         let (x, y) = (at.x.round(), at.y.round());
         let inside = x >= 0.0 && y >= 0.0;
-        let pixel = inside.then(|| picture.get_pixel_checked(x as u32, y as u32)).flatten();
+        let pixel = inside.then(|| image.get_pixel_checked(x as u32, y as u32)).flatten();
         pixel.map(|pixel| f64::from(pixel.0[0]))
     };
     [0.2, 0.35, 0.5, 0.65, 0.8].into_iter().all(|share| {

@@ -10,29 +10,29 @@ use crate::board::{Board, BoardCorner, Markers, Sighting};
 
 /// Finds the corners that markers tell apart; a part of the board will do.
 pub(super) fn find(
-    picture: &GrayImage,
+    image: &GrayImage,
     board: &Board,
     marker_share: f64,
     Markers(dictionary): Markers,
 ) -> Result<Sighting, NoBoard> {
     // The library's frame and scale are not used: corners have their column and row.
     let spec = CharucoBoardSpec::new(board.rows() + 1, board.columns() + 1, 1.0, marker_share as f32, dictionary);
-    let view = gray_view(picture);
+    let view = gray_view(image);
     let detections = CharucoParams::sweep_for_board(&spec).into_iter().filter_map(|params| {
-        // A board that the library refuses is one that `Board` refuses; a picture in which it sees none gives none.
+        // A board that the library refuses is one that `Board` refuses; an image in which it sees none gives none.
         CharucoDetector::new(params).ok()?.detect(&view).ok()
     });
     let Some(best) = detections.max_by_key(|detection| detection.corners.len()) else { return Err(NoBoard::Markers) };
-    enough(corners(picture, &best, board), board)
+    enough(corners(image, &best, board), board)
 }
 
 /// The corners by column and row.
-fn corners(picture: &GrayImage, detection: &CharucoDetection, board: &Board) -> Vec<BoardCorner> {
+fn corners(image: &GrayImage, detection: &CharucoDetection, board: &Board) -> Vec<BoardCorner> {
     let corners = detection.corners.iter().map(|corner| BoardCorner {
         // OpenCV counts along the rows.
         column: corner.id % board.columns(),
         row: corner.id / board.columns(),
-        pixel: refined(picture, &Vector2::new(f64::from(corner.position.x), f64::from(corner.position.y))),
+        pixel: refined(image, &Vector2::new(f64::from(corner.position.x), f64::from(corner.position.y))),
     });
     corners.filter(|corner| corner.row < board.rows()).collect()
 }

@@ -1,4 +1,4 @@
-//! Where the corners of a board are in a picture.
+//! Where the corners of a board are in an image.
 //!
 //! Corners and the order of those of a chessboard come from `calib-targets-chessboard`, those of ChArUco boards from
 //! `calib-targets-charuco`; what is done here is to hold a chessboard's grid against the board that was announced, to say which
@@ -16,11 +16,11 @@ use nalgebra::Vector2;
 
 use crate::board::{Board, BoardCorner, Chessboard, Pattern, Sighting};
 
-/// Why a picture shows no board that can be used.
+/// Why an image shows no board that can be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NoBoard {
     /// Nothing that looks like a chessboard.
-    #[error("no chessboard is seen: check light, sharpness and that the whole board is in the picture")]
+    #[error("no chessboard is seen: check light, sharpness and that the whole board is in the image")]
     None,
     /// A grid of another size.
     #[error(
@@ -63,7 +63,7 @@ pub enum NoBoard {
     },
 }
 
-/// Smaller pictures show no board; the library that looks for corners panics on empty ones (chess-corners-core 2.1.0).
+/// Smaller images show no board; the library that looks for corners panics on empty ones (chess-corners-core 2.1.0).
 const SIDE_MIN_PX: u32 = 32;
 /// The smallest share of a board's corners that must be seen.
 const SEEN_SHARE_MIN: f64 = 0.8;
@@ -71,28 +71,24 @@ const SEEN_SHARE_MIN: f64 = 0.8;
 /// The smallest number of corners of a board with markers.
 const CODED_MIN: usize = 12;
 
-/// Finds a board of any kind in a picture. Chessboards must be seen as a whole, boards with markers in part.
+/// Finds a board of any kind in an image. Chessboards must be seen as a whole, boards with markers in part.
 ///
 /// # Errors
 /// As [`find_chessboard`]; of boards with markers, none that can be read, or too few corners.
-pub fn find_board(picture: &GrayImage, board: &Board) -> Result<Sighting, NoBoard> {
-    if picture.width().min(picture.height()) < SIDE_MIN_PX {
+pub fn find_board(image: &GrayImage, board: &Board) -> Result<Sighting, NoBoard> {
+    if image.width().min(image.height()) < SIDE_MIN_PX {
         return Err(NoBoard::None);
     }
     match *board.pattern() {
-        Pattern::Chessboard { .. } => find_chessboard(picture, board),
-        Pattern::Charuco { square_m, marker_m, markers } => charuco::find(picture, board, marker_m / square_m, markers),
-        Pattern::AprilGrid { .. } => april_grid::find(picture, board),
+        Pattern::Chessboard { .. } => find_chessboard(image, board),
+        Pattern::Charuco { square_m, marker_m, markers } => charuco::find(image, board, marker_m / square_m, markers),
+        Pattern::AprilGrid { .. } => april_grid::find(image, board),
     }
 }
 
-/// A picture as the detectors take it.
-fn gray_view(picture: &GrayImage) -> GrayImageView<'_> {
-    GrayImageView {
-        width: picture.width() as usize,
-        height: picture.height() as usize,
-        data: picture.as_raw().as_slice(),
-    }
+/// An image as the detectors take it.
+fn gray_view(image: &GrayImage) -> GrayImageView<'_> {
+    GrayImageView { width: image.width() as usize, height: image.height() as usize, data: image.as_raw().as_slice() }
 }
 
 /// The sighting of a board with markers, if it shows enough of it to place it.
@@ -111,26 +107,26 @@ fn enough(corners: Vec<BoardCorner>, board: &Board) -> Result<Sighting, NoBoard>
     Ok(sighting)
 }
 
-/// Finds a chessboard in a picture.
+/// Finds a chessboard in an image.
 ///
 /// Of a board that colours tell from its half turn, corner (0, 0) is the one whose square towards (1, 1) is dark. Of other
-/// boards it is one of the corners from where rows run to the right or columns downwards, and [`agree`] makes two pictures
+/// boards it is one of the corners from where rows run to the right or columns downwards, and [`agree`] makes two images
 /// choose the same one.
 ///
 /// # Errors
 /// No grid, one of another size than the board's, or one with gaps.
-pub fn find_chessboard(picture: &GrayImage, board: &Chessboard) -> Result<Sighting, NoBoard> {
-    if picture.width().min(picture.height()) < SIDE_MIN_PX {
+pub fn find_chessboard(image: &GrayImage, board: &Chessboard) -> Result<Sighting, NoBoard> {
+    if image.width().min(image.height()) < SIDE_MIN_PX {
         return Err(NoBoard::None);
     }
-    let corners = detect_corners(&gray_view(picture), &default_chess_config());
+    let corners = detect_corners(&gray_view(image), &default_chess_config());
     let grids = ChessboardParams::sweep_default().into_iter().filter_map(|params| {
         // The parameters are the library's own, which it does not refuse.
         ChessboardDetector::new(params).ok()?.detect(&corners)
     });
     let grid = grids.max_by_key(|grid| grid.corners.len()).ok_or(NoBoard::None)?;
     let sighting = placed(&grid, board)?;
-    if board.is_told_from_its_half_turn() && !first_square_is_dark(picture, &sighting) {
+    if board.is_told_from_its_half_turn() && !first_square_is_dark(image, &sighting) {
         return Ok(sighting.half_turned(board));
     }
     Ok(sighting)
@@ -198,14 +194,14 @@ impl Part {
 }
 
 /// Whether the squares of the first one's colour are darker than the others, judged at their middles.
-fn first_square_is_dark(picture: &GrayImage, sighting: &Sighting) -> bool {
+fn first_square_is_dark(image: &GrayImage, sighting: &Sighting) -> bool {
     let (mut sums, mut counts) = ([0.0_f64; 2], [0_u32; 2]);
     for corner in sighting.corners() {
         let others = [(1, 0), (0, 1), (1, 1)].map(|(c, r)| sighting.at(corner.column + c, corner.row + r));
         let [Some(a), Some(b), Some(c)] = others else { continue };
         let middle = (corner.pixel + a.pixel + b.pixel + c.pixel) / 4.0;
         let (x, y) = (middle.x.round().max(0.0) as u32, middle.y.round().max(0.0) as u32);
-        let Some(pixel) = picture.get_pixel_checked(x, y) else { continue };
+        let Some(pixel) = image.get_pixel_checked(x, y) else { continue };
         let colour = ((corner.column + corner.row) % 2) as usize;
         sums[colour] += f64::from(pixel.0[0]);
         counts[colour] += 1;
@@ -215,7 +211,7 @@ fn first_square_is_dark(picture: &GrayImage, sighting: &Sighting) -> bool {
 }
 
 /// The second sighting of a board that looks the same after half a turn, turned so that rows run the same way in both
-/// pictures. For two cameras on one head, whose pictures are turned against each other by less than a quarter.
+/// images. For two cameras on one head, whose images are turned against each other by less than a quarter.
 pub fn agree(first: &Sighting, second: Sighting, board: &Chessboard) -> Sighting {
     let along = |sighting: &Sighting| {
         let mean = |of: &dyn Fn(&BoardCorner) -> bool| {
@@ -262,12 +258,11 @@ mod tests {
     #[test]
     fn the_first_corner_is_the_one_before_a_dark_square_whichever_way_up() {
         let board = Chessboard::new(5, 4, 0.02).expect("a board");
-        for picture in [drawn(24, true), drawn(24, false)] {
-            for picture in [picture.clone(), image::imageops::rotate180(&picture), image::imageops::rotate90(&picture)]
-            {
-                let sighting = find_chessboard(&picture, &board).expect("seen");
-                assert!(first_square_is_dark(&picture, &sighting));
-                // x to the right and y down have a positive cross product: z points into the picture.
+        for image in [drawn(24, true), drawn(24, false)] {
+            for image in [image.clone(), image::imageops::rotate180(&image), image::imageops::rotate90(&image)] {
+                let sighting = find_chessboard(&image, &board).expect("seen");
+                assert!(first_square_is_dark(&image, &sighting));
+                // x to the right and y down have a positive cross product: z points into the image.
                 let [o, x, y] = [(0, 0), (4, 0), (0, 3)].map(|(c, r)| sighting.at(c, r).expect("seen").pixel);
                 assert!((x - o).perp(&(y - o)) > 0.0);
             }

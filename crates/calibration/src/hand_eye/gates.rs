@@ -83,13 +83,13 @@ impl HandEyeGate {
         match self {
             Self::Stops => "visit more poses, 15 to 20, from which both cameras see the whole board",
             Self::Outliers => {
-                "stops that disagree with all others: wait until the arm is still before a picture, fix the board, and visit them again"
+                "stops that disagree with all others: wait until the arm is still before an image, fix the board, and visit them again"
             }
             Self::RotationSpread => {
                 "turn the flange about two axes at least, by 15 to 30 degrees each; `pb3dp calibrate propose` chooses such poses"
             }
             Self::Corners => {
-                "does the stereo calibration belong to these cameras, as they are now? Look for blur and a bent board, and calibrate the head anew from these pictures"
+                "does the stereo calibration belong to these cameras, as they are now? Look for blur and a bent board, and calibrate the head anew from these images"
             }
             Self::LeftOutDistance | Self::LeftOutAngle => {
                 "the stops contradict each other: see that cameras and board are fixed and the arm is still, that the robot's description is that of this arm, and its zero positions are right"

@@ -8,7 +8,7 @@
 //! flange are unknowns, too. In the names here `base` and `flange` are those of the arm with the cameras (`vs`), `tc_base` and
 //! `tc_flange` those of the other one.
 //!
-//! The robot knows metres. So the size of the squares, which pictures can not tell, and the baseline are estimated as well,
+//! The robot knows metres. So the size of the squares, which images cannot tell, and the baseline are estimated as well,
 //! to be judged: [`Scales`].
 
 mod adjust;
@@ -40,7 +40,7 @@ const CORNER_SIGMA_MIN_PX: f64 = 1e-3;
 /// One stop: what was seen, and where the arms said they were.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HandEyeStop {
-    /// What it is called, for instance the name of its left picture.
+    /// What it is called, for instance the name of its left image.
     pub name: String,
     /// What the left and the right camera saw.
     pub sightings: [Sighting; 2],
@@ -92,7 +92,7 @@ pub enum HandEyeError {
     },
     /// A board that is taken for itself turned by half a turn.
     #[error(
-        "a board of {columns} x {rows} corners looks the same after half a turn, so its pose can not be told from stop to stop: use one with one odd and one even number of corners"
+        "a board of {columns} x {rows} corners looks the same after half a turn, so its pose cannot be told from stop to stop: use one with one odd and one even number of corners"
     )]
     Board {
         /// Inner corners along a row.
@@ -100,7 +100,7 @@ pub enum HandEyeError {
         /// Inner corners along a column.
         rows: u32,
     },
-    /// A noise of the robot that can not be.
+    /// A noise of the robot that cannot be.
     #[error(
         "the noise of the robot is given as {translation_mm} mm and {rotation_deg} degrees: both must be above zero"
     )]
@@ -118,7 +118,7 @@ pub enum HandEyeError {
         /// The stop.
         stop: String,
     },
-    /// A board that a stop's cameras can not place.
+    /// A board that a stop's cameras cannot place.
     #[error(
         "stop {stop:?}: no pose of the board explains its corners: does the stereo calibration belong to these cameras?"
     )]
@@ -154,7 +154,7 @@ pub enum HandEyeError {
     },
     /// A corner that should not be in sight.
     #[error(
-        "a corner would lie behind a camera: the poses of the arm do not fit the pictures; do both belong to the same recording, and the stereo calibration to these cameras?"
+        "a corner would lie behind a camera: the poses of the arm do not fit the images; do both belong to the same recording, and the stereo calibration to these cameras?"
     )]
     NotVisible,
     /// No end within the steps allowed.
@@ -248,7 +248,7 @@ pub struct HandEyeFit {
 }
 
 impl HandEyeFit {
-    /// Calibrates from stops with pictures of the board.
+    /// Calibrates from stops with images of the board.
     ///
     /// # Errors
     /// Too few stops, stops that leave something open, or of which no majority agrees.

@@ -1,4 +1,4 @@
-//! Which views of the board a calibration wants: the board whole in both pictures, everywhere in them, tilted and turned.
+//! Which views of the board a calibration wants: the board whole in both images, everywhere in them, tilted and turned.
 //!
 //! From a first look at the board each wanted view is a motion `M` of the board as the left camera sees it. Whoever carries it
 //! out knows the camera's pose on the arm only roughly: with an error `E` of that pose the board moves by `E M E^-1` instead.
@@ -19,13 +19,13 @@ const TILTS_DEG: [f64; 4] = [0.0, 15.0, 22.0, 30.0];
 const TILT_DIRECTIONS: u32 = 8;
 /// Turns about the viewing axis, degrees.
 const TURNS_DEG: [f64; 5] = [0.0, -15.0, 15.0, -30.0, 30.0];
-/// Places of the board's middle in the left picture.
+/// Places of the board's middle in the left image.
 const PLACES: [u32; 2] = [7, 5];
-/// The board's border stays so far inside of the pictures, px.
+/// The board's border stays so far inside of the images, px.
 const MARGIN_PX: f64 = 5.0;
 /// Orientations that differ by more are as good as new ones, radians.
 const NEW_ORIENTATION_RAD: f64 = 0.35;
-/// What an orientation that is new is worth, in cells of the pictures.
+/// What an orientation that is new is worth, in cells of the images.
 const NEW_ORIENTATION_CELLS: f64 = 6.0;
 /// A turn by a radian is as far as so many metres.
 const WAY_M_PER_RAD: f64 = 0.5;
@@ -50,7 +50,7 @@ pub struct Wish {
 pub struct Views {
     /// The board as the left camera is to see it, in the order of a short way that begins at the first look.
     pub cam_left_from_board: Vec<Pose<CamLeft, Board>>,
-    /// Share of the cells of the left and of the right picture in which a corner will be seen.
+    /// Share of the cells of the left and of the right image in which a corner will be seen.
     pub coverage: [f64; 2],
 }
 
@@ -59,7 +59,7 @@ pub struct Views {
 pub enum ProposeError {
     /// Too few views in which the board is whole.
     #[error(
-        "only {found} views {distance_mm:.0} mm away keep the board whole in both pictures, {wanted} are wanted: name a larger --distance, or take a smaller board"
+        "only {found} views {distance_mm:.0} mm away keep the board whole in both images, {wanted} are wanted: name a larger --distance, or take a smaller board"
     )]
     TooFew {
         /// Views that were found.
@@ -74,7 +74,7 @@ pub enum ProposeError {
 /// A view that may be chosen.
 struct Candidate {
     cam_from_board: Isometry3<f64>,
-    /// Cells of both pictures in which corners are seen.
+    /// Cells of both images in which corners are seen.
     cells: Vec<usize>,
 }
 
@@ -114,7 +114,7 @@ pub fn propose(
 }
 
 /// A head of which only a drawing is known, with its right camera where one look at the board shows it: of cameras that are screwed on by
-/// hand nobody knows the angles to each other. `None` if the corners do not determine the board's pose in either picture.
+/// hand nobody knows the angles to each other. `None` if the corners do not determine the board's pose in either image.
 pub fn head_of_look(drawn: &StereoRig, board: &Chessboard, sightings: &[Sighting; 2]) -> Option<StereoRig> {
     let [left, right] = sightings;
     let cam_left_from_board = board_pose(drawn.left(), left, board)?;
@@ -132,7 +132,7 @@ struct World {
 }
 
 impl World {
-    /// Whether the board is whole in both pictures after a motion that was wanted to be `motion`.
+    /// Whether the board is whole in both images after a motion that was wanted to be `motion`.
     fn shows(&self, board: &Chessboard, motion: &Isometry3<f64>) -> bool {
         let cam_from_board = self.error * motion * self.error.inverse() * self.first;
         let poses = [cam_from_board, self.right_from_left * cam_from_board];
@@ -233,13 +233,13 @@ fn poses(rig: &StereoRig, board: &Chessboard, distance_m: f64) -> Vec<Isometry3<
 
 fn candidate(rig: &StereoRig, board: &Chessboard, cam_from_board: Isometry3<f64>) -> Option<Candidate> {
     let mut cells = Vec::new();
-    let per_picture = (CELLS[0] * CELLS[1]) as usize;
+    let per_image = (CELLS[0] * CELLS[1]) as usize;
     let right = rig.cam_right_from_cam_left().isometry() * cam_from_board;
     for (eye, (camera, pose)) in [(rig.left(), cam_from_board), (rig.right(), right)].into_iter().enumerate() {
         for (row, column) in (0..board.rows()).flat_map(|row| (0..board.columns()).map(move |column| (row, column))) {
             let pixel = camera.project(&(pose * board.corner_in_board(column, row)))?;
             let [across, down] = cell_of(&pixel, camera.size());
-            cells.push(eye * per_picture + (down * CELLS[0] + across) as usize);
+            cells.push(eye * per_image + (down * CELLS[0] + across) as usize);
         }
     }
     cells.sort_unstable();
@@ -247,7 +247,7 @@ fn candidate(rig: &StereoRig, board: &Chessboard, cam_from_board: Isometry3<f64>
     Some(Candidate { cam_from_board, cells })
 }
 
-/// One after the other, what is newest: cells of the pictures, and orientations.
+/// One after the other, what is newest: cells of the images, and orientations.
 fn choose(candidates: &[Candidate], count: usize) -> Vec<usize> {
     let cells = 2 * (CELLS[0] * CELLS[1]) as usize;
     let mut seen = vec![false; cells];

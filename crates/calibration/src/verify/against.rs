@@ -1,5 +1,5 @@
 //! A second calibration of the same head beside the first one: parameter by parameter in units of what both say of their errors,
-//! and in millimetres over the picture.
+//! and in millimetres over the image.
 
 use std::collections::BTreeMap;
 
@@ -41,7 +41,7 @@ impl Difference {
 /// Where a second calibration places a point that the first one has at the working distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Displacement {
-    /// Its pixel in the left picture.
+    /// Its pixel in the left image.
     pub left_px: Vector2<f64>,
     /// Second depth minus first, metres.
     pub depth_m: f64,
@@ -57,7 +57,7 @@ pub struct Comparison {
     /// Root of the mean squared difference of all of them together, in units of what both say (Mahalanobis); 1 is what chance
     /// makes of it. `None` if one of them does not say, or they do not have the same parameters.
     pub sigmas: Option<f64>,
-    /// Over the left picture, as far as the right camera sees the points too; row by row.
+    /// Over the left image, as far as the right camera sees the points too; row by row.
     pub displacements: Vec<Displacement>,
 }
 
@@ -125,7 +125,7 @@ fn values(rig: &StereoRig) -> BTreeMap<String, f64> {
     of("left", rig.left()).into_iter().chain(of("right", rig.right())).collect()
 }
 
-/// Points of the first calibration in the middles of the cells of the left picture, as the second one places them.
+/// Points of the first calibration in the middles of the cells of the left image, as the second one places them.
 fn displacements(first: &StereoRig, second: &StereoRig, depth_m: f64) -> Vec<Displacement> {
     let size = first.left().size();
     let [across, down] = CELLS.map(f64::from);

@@ -8,7 +8,7 @@ use crate::report::GateLine;
 pub enum Check {
     /// Reprojection of fresh views, only the board's poses fitted.
     Reprojection,
-    /// Rows of the rectified pictures of fresh views.
+    /// Rows of the rectified images of fresh views.
     Rows,
     /// Lengths on the board against the stated ones at the working distance.
     Scale,
@@ -54,7 +54,7 @@ impl Check {
     fn advice(self) -> &'static str {
         match self {
             Self::Reprojection => {
-                "the cameras do not see the board as they did: look for a touched lens or focus, another size of pictures, or a wrong board; calibrate again"
+                "the cameras do not see the board as they did: look for a touched lens or focus, another size of images, or a wrong board; calibrate again"
             }
             Self::Rows => {
                 "the cameras have moved against each other, or are not exposed together: fix them and calibrate again"

@@ -24,22 +24,22 @@ const DEPTH_RATIO_MIN: f64 = 1.15;
 /// Fewer views tell no slope.
 const SLOPE_VIEWS_MIN: usize = 4;
 
-/// Why a calibration can not be verified.
+/// Why a calibration cannot be verified.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum VerifyError {
     /// Nothing to look at.
-    #[error("no view shows the board in both pictures: take some as for a calibration")]
+    #[error("no view shows the board in both images: take some as for a calibration")]
     NoViews,
-    /// A board that can not be placed.
-    #[error("view {name}: this calibration can not place the board: {reason}")]
+    /// A board that cannot be placed.
+    #[error("view {name}: this calibration cannot place the board: {reason}")]
     View {
         /// The view.
         name: String,
         /// What went wrong.
         reason: String,
     },
-    /// It can not be rectified.
-    #[error("the pair can not be rectified")]
+    /// It cannot be rectified.
+    #[error("the pair cannot be rectified")]
     Rectification(#[from] RectificationError),
     /// A corner that the board does not have, or no view shows.
     #[error("corner {column},{row} is seen by both cameras in no view: give column and row of a corner, from 0,0")]
@@ -73,7 +73,7 @@ pub struct Checked {
     pub views: Vec<CheckedView>,
     /// Of all corners, px.
     pub reprojection_rms_px: f64,
-    /// Rows of the rectified pictures.
+    /// Rows of the rectified images.
     pub rows: RowError,
 }
 
@@ -91,7 +91,7 @@ pub struct ScaleAt {
 /// Looks at views with a calibration that stays as it is.
 ///
 /// # Errors
-/// No views, or one whose board the calibration can not place.
+/// No views, or one whose board the calibration cannot place.
 pub fn check(rig: &StereoRig, views: &[View<2>], board: &Chessboard) -> Result<Checked, VerifyError> {
     if views.is_empty() {
         return Err(VerifyError::NoViews);

@@ -186,7 +186,7 @@ impl World {
         let share = random.between(0.3, 0.6);
         let distance_m = 2.0 * middle.x * self.rig.left().pinhole().fx / (share * f64::from(SIZE.width));
         let pixel = Vector2::new(random.between(100.0, 540.0), random.between(80.0, 400.0));
-        let ray = self.rig.left().unproject(&pixel).expect("inside the picture");
+        let ray = self.rig.left().unproject(&pixel).expect("inside the image");
         let (tilt, way) = (random.between(0.1, 0.6), random.between(0.0, std::f64::consts::TAU));
         let about_axis = Vector3::new(0.0, 0.0, random.between(-0.5, 0.5));
         let tilt =

@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Point3, Translation3, Vector2, Vector3};
 use pb3dp_calibration::board::Chessboard;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, MonotonicTime, Pinhole, Pose, StereoRig, so3};
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter, WrittenFrame};
-use pb3dp_record::images::PictureFormat;
+use pb3dp_record::images::StoredFormat;
 
 pub const SIZE: ImageSize = ImageSize { width: 480, height: 360 };
 pub const RATE_HZ: f64 = 30.0;
@@ -29,17 +29,17 @@ pub fn rig() -> StereoRig {
     StereoRig::new(left, right, cam_right_from_cam_left).expect("a head")
 }
 
-/// The board with its middle on the ray of a place in the left picture (shares of its width and height).
+/// The board with its middle on the ray of a place in the left image (shares of its width and height).
 pub fn placed(rig: &StereoRig, place: [f64; 2], depth_m: f64, turn: [f64; 3]) -> Isometry3<f64> {
     let board = board();
     let middle = board.corner_in_board(board.columns() - 1, board.rows() - 1).coords * 0.5;
     let pixel = Vector2::new(place[0] * f64::from(SIZE.width), place[1] * f64::from(SIZE.height));
-    let ray = rig.left().unproject(&pixel).expect("inside the picture");
+    let ray = rig.left().unproject(&pixel).expect("inside the image");
     let turn = so3::exp(&Vector3::from(turn));
     Isometry3::from_parts((ray * (depth_m / ray.z)).into(), turn) * Translation3::from(-middle)
 }
 
-/// The places of a session: all corners of the picture, several tilts and depths.
+/// The places of a session: all corners of the image, several tilts and depths.
 pub fn places(rig: &StereoRig) -> Vec<Isometry3<f64>> {
     let list = [
         ([0.58, 0.5], 0.36, [0.05, 0.1, 0.02]),
@@ -60,7 +60,7 @@ pub fn places(rig: &StereoRig) -> Vec<Isometry3<f64>> {
 }
 
 /// The board as a camera sees it, two by two samples in each pixel.
-pub fn picture(camera: &Camera, cam_from_board: &Isometry3<f64>, rays: &[Vector3<f64>]) -> GrayImage {
+pub fn image(camera: &Camera, cam_from_board: &Isometry3<f64>, rays: &[Vector3<f64>]) -> GrayImage {
     let board = board();
     let (columns, rows) = (f64::from(board.columns()), f64::from(board.rows()));
     let board_from_cam = cam_from_board.inverse();
@@ -86,20 +86,20 @@ pub fn picture(camera: &Camera, cam_from_board: &Isometry3<f64>, rays: &[Vector3
     })
 }
 
-/// The rays of all samples of a camera's pictures.
+/// The rays of all samples of a camera's images.
 pub fn rays(camera: &Camera) -> Vec<Vector3<f64>> {
     let size = camera.size();
     let mut rays = Vec::with_capacity(4 * (size.width * size.height) as usize);
     for (v, u) in (0..size.height).flat_map(|v| (0..size.width).map(move |u| (v, u))) {
         for (du, dv) in [(-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)] {
             let pixel = Vector2::new(f64::from(u) + du, f64::from(v) + dv);
-            rays.push(camera.unproject(&pixel).expect("inside the picture"));
+            rays.push(camera.unproject(&pixel).expect("inside the image"));
         }
     }
     rays
 }
 
-/// Renders both pictures.
+/// Renders both images.
 pub struct Studio {
     pub rig: StereoRig,
     rays: [Vec<Vector3<f64>>; 2],
@@ -112,11 +112,11 @@ impl Studio {
 
     pub fn pair(&self, cam_left_from_board: &Isometry3<f64>, blur_px: f32) -> [RgbImage; 2] {
         let cam_right_from_board = self.rig.cam_right_from_cam_left().isometry() * cam_left_from_board;
-        let left = picture(self.rig.left(), cam_left_from_board, &self.rays[0]);
-        let right = picture(self.rig.right(), &cam_right_from_board, &self.rays[1]);
-        [left, right].map(|picture| {
-            let picture = if blur_px > 0.0 { image::imageops::blur(&picture, blur_px) } else { picture };
-            image::DynamicImage::from(picture).into_rgb8()
+        let left = image(self.rig.left(), cam_left_from_board, &self.rays[0]);
+        let right = image(self.rig.right(), &cam_right_from_board, &self.rays[1]);
+        [left, right].map(|image| {
+            let image = if blur_px > 0.0 { image::imageops::blur(&image, blur_px) } else { image };
+            image::DynamicImage::from(image).into_rgb8()
         })
     }
 }
@@ -126,7 +126,7 @@ pub fn writer(folder: &std::path::Path, rig: &StereoRig) -> SequenceWriter {
     let draft = SequenceDraft {
         region_polygon_left_px: vec![[200.0, 100.0], [280.0, 100.0], [280.0, 180.0]],
         search: SearchRange { z_min_m: 0.3, z_max_m: 0.8, tilt_max_rad: 1.0 },
-        pictures: PictureFormat::QuickPng,
+        images: StoredFormat::QuickPng,
     };
     SequenceWriter::create(folder, rig, draft).expect("a folder")
 }
@@ -138,7 +138,7 @@ pub fn push(writer: &mut SequenceWriter, [left, right]: &[RgbImage; 2]) {
     writer.push(frame).expect("written");
 }
 
-/// Records a board that is carried from place to place; at one of them the pictures are blurred. Returns at which place the board
+/// Records a board that is carried from place to place; at one of them the images are blurred. Returns at which place the board
 /// rests in each pair; `None` on the way.
 pub fn record(
     folder: &std::path::Path,

@@ -44,7 +44,7 @@ pub struct Session {
     pub moved_between_eyes_m: f64,
     /// The board is bowed and twisted: the distance of the two planes between which its corners lie, m.
     pub flatness_m: f64,
-    /// The board moves while a picture is exposed: the longest streak, px, in a direction of its own in each view.
+    /// The board moves while an image is exposed: the longest streak, px, in a direction of its own in each view.
     pub streak_max_px: f64,
     /// The largest tilt of the board, radians; 0.7 if this is 0.
     pub tilt_max_rad: f64,
@@ -56,7 +56,7 @@ struct Shape {
     twist_m: f64,
 }
 
-/// What a moving board does to the corners of one picture.
+/// What a moving board does to the corners of one image.
 struct Streak {
     direction: Vector2<f64>,
     sigma_px: f64,
@@ -95,7 +95,7 @@ pub fn rig(random: &mut Random) -> StereoRig {
     StereoRig::new(left, right, Pose::from_parts(shift, so3::exp(&turn))).expect("a head")
 }
 
-/// Views of the board by both cameras of a head, spread over the picture, tilted and turned; boards that leave a picture are
+/// Views of the board by both cameras of a head, spread over the image, tilted and turned; boards that leave an image are
 /// not taken.
 pub fn views(rig: &StereoRig, session: &Session, random: &mut Random) -> Vec<View<2>> {
     views_of(&board(), rig, session, 1.0, random)
@@ -155,7 +155,7 @@ pub fn views_of(
     views
 }
 
-/// The sightings of a board by both cameras; `None` if it leaves a picture.
+/// The sightings of a board by both cameras; `None` if it leaves an image.
 #[allow(dead_code, reason = "not every test that has this module places its boards by itself")]
 pub fn seen_by_both(
     rig: &StereoRig,
@@ -177,12 +177,12 @@ fn refocused(camera: &Camera, share: f64) -> Camera {
     Camera::new(camera.size(), pinhole, *camera.distortion()).expect("a camera")
 }
 
-/// The middle of the board on the ray of some pixel, the board filling a fifth to three quarters of the picture's width.
+/// The middle of the board on the ray of some pixel, the board filling a fifth to three quarters of the image's width.
 fn placed(rig: &StereoRig, board: &Chessboard, session: &Session, random: &mut Random) -> Isometry3<f64> {
     let middle = board.corner_in_board(board.columns() - 1, board.rows() - 1).coords * 0.5;
     let distance_m = 2.0 * middle.x * rig.left().pinhole().fx / (random.between(0.3, 0.75) * f64::from(SIZE.width));
     let pixel = Vector2::new(random.between(60.0, 580.0), random.between(50.0, 430.0));
-    let ray = rig.left().unproject(&pixel).expect("inside the picture");
+    let ray = rig.left().unproject(&pixel).expect("inside the image");
     let tilt_max_rad = if session.tilt_max_rad > 0.0 { session.tilt_max_rad } else { 0.7 };
     let (tilt, way) = (random.between(0.0, tilt_max_rad), random.between(0.0, std::f64::consts::TAU));
     let turn = so3::exp(&Vector3::new(tilt * way.cos(), tilt * way.sin(), random.between(-0.5, 0.5)));

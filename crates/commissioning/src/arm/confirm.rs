@@ -48,7 +48,7 @@ impl Console {
     /// Waits for a line, for at most this long if a time is given.
     ///
     /// # Errors
-    /// [`Interrupted`] by a signal, or standard input that can not be read.
+    /// [`Interrupted`] by a signal, or standard input that cannot be read.
     pub fn line(&self, patience: Option<Duration>, signals: &mut StopSignals) -> Result<Line> {
         let since = Instant::now();
         loop {
@@ -56,7 +56,7 @@ impl Console {
                 return Err(Interrupted(signal).into());
             }
             match self.lines.recv_timeout(LOOK) {
-                Ok(line) => return Ok(Line::Typed(line.context("standard input can not be read")?)),
+                Ok(line) => return Ok(Line::Typed(line.context("standard input cannot be read")?)),
                 Err(RecvTimeoutError::Disconnected) => return Ok(Line::Ended),
                 Err(RecvTimeoutError::Timeout) => {}
             }

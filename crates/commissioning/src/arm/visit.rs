@@ -49,7 +49,7 @@ pub(super) struct VisitArgs {
     /// Move the arm; a real one once its name was typed. Without it nothing moves.
     #[arg(long = "move")]
     moves: bool,
-    /// How long pictures may take at a stop until they rest; a stop that takes longer is left out.
+    /// How long images may take at a stop until they rest; a stop that takes longer is left out.
     #[arg(long, value_name = "SECONDS", value_parser = parse_seconds, default_value = "10")]
     patience: f64,
     /// With simulated cameras: the chessboard that the second arm holds in place of the target, inner corners and side of a square in
@@ -73,7 +73,7 @@ fn parse_board(text: &str) -> Result<TargetConfig, String> {
 /// A setup or poses that are refused, a confirmation that does not come, a part that fails.
 pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
     // Before any thread is started: a signal that ends the program would leave the arms to their gateways.
-    let mut signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
+    let mut signals = StopSignals::take_over().context("the signals that end the program cannot be taken over")?;
     let wanted = args.poses.as_deref().map(load_poses).transpose().context("--poses")?;
     let setup = to_look(read_layers(&args.setup)?, args.emulated_board)?;
     if args.out.join(STOPS_FILE).exists() {
@@ -86,7 +86,7 @@ pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
     let cameras = parts.cameras.clone();
     let Some(wanted) = wanted else {
         let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
-        std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
+        std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot be created", args.out.display()))?;
         visiting::look_here(&setup, parts, patience, &args.out, date)?;
         save_identities(args, cameras.as_ref())?;
         if was_interrupted.load(Ordering::SeqCst) {
@@ -107,7 +107,7 @@ pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
         ))?;
         confirm::typed(name, &mut signals)?;
     }
-    std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
+    std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot be created", args.out.display()))?;
     save_identities(args, cameras.as_ref())?;
     let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
     let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
@@ -127,9 +127,9 @@ pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
 
 /// The setup for who makes a calibration and needs none: slow, with the board before simulated cameras.
 fn to_look(mut setup: Setup, board: Option<TargetConfig>) -> Result<Setup> {
-    if !setup.leader.needs_pictures() {
+    if !setup.leader.needs_images() {
         bail!(
-            "estimator.method = {:?} renders no picture, and there is nothing to take: set \"direct\"",
+            "estimator.method = {:?} renders no image, and there is nothing to take: set \"direct\"",
             setup.leader.name()
         );
     }
@@ -258,7 +258,7 @@ fn free_way(
 fn tell(args: &VisitArgs, tour: &Tour, visited: &Visited) -> Result<()> {
     for stop in &visited.restless {
         tracing::warn!(
-            "stop {stop} is left out: no picture rested within {:?} (at most {} px from one to the next)",
+            "stop {stop} is left out: no image rested within {:?} (at most {} px from one to the next)",
             tour.patience,
             visiting::STILL_WITHIN_PX
         );

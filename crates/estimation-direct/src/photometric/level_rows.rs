@@ -12,7 +12,7 @@ use pb3dp_estimation_core::row_offset::RowOffset;
 
 /// Rows of pixels.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Picture<'a, T> {
+pub(super) struct ImageRows<'a, T> {
     /// Row by row; the values of a pixel stand side by side.
     pub values: &'a [T],
     /// Values per row.
@@ -66,22 +66,22 @@ impl Grid {
 
 wide! {
     /// Means of red, green and blue, side by side; `out` gets a column that it does not need.
-    pub(super) fn average_colours(picture: &Picture<'_, u8>, grid: &Grid, out: &mut ImagePlane) = average::<u8, 3, { 3 * BLOCK }>;
+    pub(super) fn average_colours(source: &ImageRows<'_, u8>, grid: &Grid, out: &mut ImagePlane) = average::<u8, 3, { 3 * BLOCK }>;
 }
 
 wide! {
     /// Means of one channel.
-    pub(super) fn average_bytes(picture: &Picture<'_, u8>, grid: &Grid, out: &mut ImagePlane) = average::<u8, 1, BLOCK>;
+    pub(super) fn average_bytes(source: &ImageRows<'_, u8>, grid: &Grid, out: &mut ImagePlane) = average::<u8, 1, BLOCK>;
 }
 
 wide! {
     /// Means of one channel that has been resampled.
-    pub(super) fn average_values(picture: &Picture<'_, f32>, grid: &Grid, out: &mut ImagePlane) = average::<f32, 1, BLOCK>;
+    pub(super) fn average_values(source: &ImageRows<'_, f32>, grid: &Grid, out: &mut ImagePlane) = average::<f32, 1, BLOCK>;
 }
 
 /// The means of `N` values per pixel; `W` are those of a block.
 #[inline(always)]
-fn average<T: Copy, const N: usize, const W: usize>(picture: &Picture<'_, T>, grid: &Grid, out: &mut ImagePlane)
+fn average<T: Copy, const N: usize, const W: usize>(source: &ImageRows<'_, T>, grid: &Grid, out: &mut ImagePlane)
 where
     f32: From<T>,
 {
@@ -98,8 +98,8 @@ where
             let offset = first + step * block as f64;
             let floor = offset.floor();
             let weights = Weights::new(grid.rows.is_some().then_some((offset - floor) as f32), scale);
-            let top = (row + floor) as i64 - i64::from(picture.top);
-            mix(picture, top, block * W, &weights, &mut full[0]);
+            let top = (row + floor) as i64 - i64::from(source.top);
+            mix(source, top, block * W, &weights, &mut full[0]);
             let columns = BLOCK.min(width - block * BLOCK);
             pool::<N>(&full.as_flattened()[..columns * N + 1], scale, block * BLOCK, out);
         }
@@ -136,10 +136,10 @@ impl Weights {
     }
 }
 
-/// The weighted sum of rows around row `top` of the picture; rows beyond the border repeat the border.
+/// The weighted sum of rows around row `top` of the image; rows beyond the border repeat the border.
 #[inline(always)]
 fn mix<T: Copy, const W: usize>(
-    picture: &Picture<'_, T>,
+    source: &ImageRows<'_, T>,
     top: i64,
     column: usize,
     weights: &Weights,
@@ -147,18 +147,18 @@ fn mix<T: Copy, const W: usize>(
 ) where
     f32: From<T>,
 {
-    let last = picture.rows as i64 - 1;
+    let last = source.rows as i64 - 1;
     let mut sums = [0.0_f32; W];
     for j in weights.range.0..weights.range.1 {
-        let start = (top + j as i64 - 1).clamp(0, last) as usize * picture.stride + picture.start + column;
+        let start = (top + j as i64 - 1).clamp(0, last) as usize * source.stride + source.start + column;
         let weight = weights.of(j);
-        if let Some(values) = picture.values.get(start..start + W).and_then(|values| values.first_chunk::<W>()) {
+        if let Some(values) = source.values.get(start..start + W).and_then(|values| values.first_chunk::<W>()) {
             for i in 0..W {
                 sums[i] += weight * f32::from(values[i]);
             }
         } else {
             // At the end of the last row, where a whole block is no longer there.
-            for (sum, value) in sums.iter_mut().zip(&picture.values[start..]) {
+            for (sum, value) in sums.iter_mut().zip(&source.values[start..]) {
                 *sum += weight * f32::from(*value);
             }
         }
@@ -249,12 +249,12 @@ mod tests {
                 shift_rows(&whole, rows, Kernels::best(), &mut shifted);
                 whole = shifted;
             }
-            let picture =
-                Picture { values: image.as_raw().as_slice(), stride: 300, start: 3 * x as usize, top: 0, rows: 80 };
+            let source =
+                ImageRows { values: image.as_raw().as_slice(), stride: 300, start: 3 * x as usize, top: 0, rows: 80 };
             let mut first: Option<ImagePlane> = None;
             for kernels in pb3dp_estimation_test_support::every_kernel() {
                 let mut out = ImagePlane::default();
-                average_colours(kernels, &picture, &grid, &mut out);
+                average_colours(kernels, &source, &grid, &mut out);
                 let local = Grid { first: (0, 8), ..grid };
                 for (x, y) in (0..size.0).flat_map(|x| (0..size.1).map(move |y| (x, y))) {
                     for (c, plane) in whole.planes.iter().enumerate() {
@@ -278,9 +278,9 @@ mod tests {
             assert!(grid.rows_read().0 <= -1 && grid.rows_read().1 >= 80);
             let green: Vec<u8> = image.pixels().map(|pixel| pixel.0[1]).collect();
             let floats: Vec<f32> = green.iter().map(|&value| f32::from(value)).collect();
-            let three = Picture { values: image.as_raw().as_slice(), stride: 300, start: 0, top: 0, rows: 80 };
-            let one = Picture { values: green.as_slice(), stride: 100, start: 0, top: 0, rows: 80 };
-            let value = Picture { values: floats.as_slice(), stride: 100, start: 0, top: 0, rows: 80 };
+            let three = ImageRows { values: image.as_raw().as_slice(), stride: 300, start: 0, top: 0, rows: 80 };
+            let one = ImageRows { values: green.as_slice(), stride: 100, start: 0, top: 0, rows: 80 };
+            let value = ImageRows { values: floats.as_slice(), stride: 100, start: 0, top: 0, rows: 80 };
             let mut out = [ImagePlane::default(), ImagePlane::default(), ImagePlane::default()];
             let kernels = Kernels::best();
             average_colours(kernels, &three, &grid, &mut out[0]);

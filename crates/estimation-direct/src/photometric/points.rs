@@ -220,7 +220,7 @@ impl PointSet {
 }
 
 wide! {
-    /// Adds the squared gradients of a row, 0 where a value can not be used.
+    /// Adds the squared gradients of a row, 0 where a value cannot be used.
     fn add_energy(row: &[f32], out: &mut [f32]) = add_energy_kernel;
 }
 

@@ -20,7 +20,7 @@ use super::super::image_plane::{ImagePlane, PixelWindow};
 use super::super::region_pyramid::{PyramidSource, RegionLevel};
 use super::super::row_shift::BLOCK;
 use super::kernel::{CHANNELS_MAX, UNUSABLE};
-use super::level_rows::{Grid, Picture, average_bytes, average_colours, average_values};
+use super::level_rows::{Grid, ImageRows, average_bytes, average_colours, average_values};
 use pb3dp_estimation_core::row_offset::RowOffset;
 
 /// Of a pixel with a saturated channel, channels from this value on are not used, grey levels: interpolation may have taken some of the
@@ -32,7 +32,7 @@ const NEARLY_SATURATED_GREY: u8 = 240;
 pub(super) struct EyeChannels {
     /// Part of the level's window that the planes hold.
     pub part: PixelWindow,
-    /// Spline coefficients along rows, one plane per channel; [`UNUSABLE`] where a channel can not be used.
+    /// Spline coefficients along rows, one plane per channel; [`UNUSABLE`] where a channel cannot be used.
     pub planes: [ImagePlane; CHANNELS_MAX],
 }
 
@@ -48,7 +48,7 @@ pub(super) struct Preparation {
     means: ImagePlane,
     /// Whether a row of the image has saturated pixels.
     flagged: Vec<bool>,
-    /// Per channel: 1 for pixels that can not be used, else 0; and a row of them.
+    /// Per channel: 1 for pixels that cannot be used, else 0; and a row of them.
     unusable: [Vec<u8>; CHANNELS_MAX],
     unusable_row: Vec<u8>,
     /// Taken off the channels of both images to keep sums small, grey levels.
@@ -219,28 +219,28 @@ impl Preparation {
         if job.front_end.resamples() {
             for c in 0..channels {
                 let loaded = &self.loaded;
-                let picture = Picture {
+                let source = ImageRows {
                     values: loaded.planes[c].values(),
                     stride: loaded.window.width,
                     start: 0,
                     top: loaded.window.y,
                     rows: loaded.window.height,
                 };
-                average_values(kernels, &picture, &job.grid, &mut self.means);
+                average_values(kernels, &source, &job.grid, &mut self.means);
                 self.smooth(job, c, &mut out.planes[c..=c]);
             }
         } else if channels == 1 {
             self.take_grey(job);
             let (values, width) = (self.grey.as_slice(), job.width());
             let rows = (job.read.1 - job.read.0) as usize;
-            let picture = Picture { values, stride: width, start: 0, top: job.read.0, rows };
-            average_bytes(kernels, &picture, &job.grid, &mut self.means);
+            let source = ImageRows { values, stride: width, start: 0, top: job.read.0, rows };
+            average_bytes(kernels, &source, &job.grid, &mut self.means);
             self.smooth(job, 0, &mut out.planes[..1]);
         } else {
             let (stride, rows) = (job.image.width() as usize * 3, job.image.height() as usize);
             let start = job.grid.first.0 as usize * 3;
-            let picture = Picture { values: job.image.as_raw().as_slice(), stride, start, top: 0, rows };
-            average_colours(kernels, &picture, &job.grid, &mut self.means);
+            let source = ImageRows { values: job.image.as_raw().as_slice(), stride, start, top: 0, rows };
+            average_colours(kernels, &source, &job.grid, &mut self.means);
             self.smooth(job, 0, &mut out.planes);
         }
         if self.find_unusable(job, channels) {
@@ -273,7 +273,7 @@ impl Preparation {
         }
     }
 
-    /// Finds the pixels that can not be used, channel by channel; says whether there are any.
+    /// Finds the pixels that cannot be used, channel by channel; says whether there are any.
     fn find_unusable(&mut self, job: &Job<'_>, channels: usize) -> bool {
         let (read, kernels) = (job.read, job.front_end.kernels());
         self.flagged.clear();
@@ -318,7 +318,7 @@ impl Preparation {
     }
 }
 
-/// Marks the pixels of a part of a resampled row that can not be used, square by square.
+/// Marks the pixels of a part of a resampled row that cannot be used, square by square.
 fn mark_resampled(
     loaded: &ColourPlanes,
     (y, columns): (usize, Range<usize>),
@@ -433,7 +433,7 @@ fn mean(values: impl Iterator<Item = f32>) -> f32 {
     if count > 0.0 { sum / count } else { 0.0 }
 }
 
-/// Marks pixels that can not be used, and their neighbours, which smoothing has touched.
+/// Marks pixels that cannot be used, and their neighbours, which smoothing has touched.
 fn mark_unusable(unusable: &[u8], touched: &mut Vec<u8>, rows: Range<usize>, plane: &mut ImagePlane, kernels: Kernels) {
     let (width, height) = (plane.width(), plane.height());
     for y in rows {

@@ -20,7 +20,7 @@ const DESCRIPTOR_LENGTH: f32 = 127.0;
 pub(super) const GROUP: usize = 32;
 /// Cost of a perfect agreement is 0, of none [`COST_NEUTRAL`], of the opposite twice that. That is seven bits.
 pub const COST_NEUTRAL: u8 = 63;
-/// Cost of what can not be.
+/// Cost of what cannot be.
 pub(super) const COST_IMPOSSIBLE: u8 = 255;
 
 /// Part of the left window of a level.

@@ -119,7 +119,7 @@ impl Core {
         model.resample(front.left_hue(), mask, &config.model, scratch);
     }
 
-    /// Why the model can not be searched, if its points lack hue.
+    /// Why the model cannot be searched, if its points lack hue.
     pub(super) fn lack_of_hue(&self) -> Option<String> {
         let limits = &self.config.hue_support;
         let share = self.model.coloured_share();

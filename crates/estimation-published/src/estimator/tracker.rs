@@ -202,7 +202,7 @@ impl PublishedTracker {
         let contrast_min = self.core.config().tracker.contrast_min;
         if verdict.status.depth_is_sure() && target.appearance.mass_per_area < contrast_min {
             let reason = format!(
-                "the region can not be re-centred: its hues stand out from those around it by {:.2} only (limit {contrast_min:.2})",
+                "the region cannot be re-centred: its hues stand out from those around it by {:.2} only (limit {contrast_min:.2})",
                 target.appearance.mass_per_area
             );
             return Ok(Verdict { status: Status::Ambiguous, reason });
@@ -240,7 +240,7 @@ impl PublishedTracker {
         })
     }
 
-    /// How far the target's pixels have moved; `None` if they can not be told from the background.
+    /// How far the target's pixels have moved; `None` if they cannot be told from the background.
     fn recentre(
         &self,
         target: &Target,

@@ -1,4 +1,4 @@
-//! Distinctive patches of the left picture, looked for along their epipolar curves in the right one.
+//! Distinctive patches of the left image, looked for along their epipolar curves in the right one.
 
 use image::RgbImage;
 use nalgebra::{Point3, Vector2};
@@ -6,9 +6,9 @@ use pb3dp_geometry::StereoRig;
 
 use super::plane::{Moments, Plane, SCALE, WINDOW, Window};
 
-/// Pictures are reduced by a whole factor to at most this many columns.
+/// Images are reduced by a whole factor to at most this many columns.
 const WORKING_WIDTH_MAX: f64 = 480.0;
-/// The left picture is divided into about this many cells, with one patch in each.
+/// The left image is divided into about this many cells, with one patch in each.
 const CELLS: f64 = 220.0;
 /// A patch must change along both axes by this, grey levels per sample (root of the structure tensor's smaller eigenvalue).
 const TEXTURE_MIN: f64 = 2.5;
@@ -22,17 +22,17 @@ const CORRELATION_MIN: f32 = 0.85;
 const RIVAL_RATIO_MAX: f32 = 0.5;
 /// Matches count as this far from perfect at least, so that a rival must be worse in earnest.
 const FLAW_MIN: f32 = 0.02;
-/// Score of a place outside the picture.
+/// Score of a place outside the image.
 const OUTSIDE: f32 = -1.0;
 /// Places nearer to the match than this are the match itself, samples.
 const RIVAL_DISTANCE: usize = 3;
 
-/// A patch found in the right picture without a rival.
+/// A patch found in the right image without a rival.
 #[derive(Clone, Copy, Debug)]
 pub struct Match {
-    /// Disparity along the curve, pixels of the right picture: 0 at infinity, negative behind the cameras.
+    /// Disparity along the curve, pixels of the right image: 0 at infinity, negative behind the cameras.
     pub disparity_px: f64,
-    /// Distance from the curve, pixels of the right picture; positive is down.
+    /// Distance from the curve, pixels of the right image; positive is down.
     pub offset_px: f64,
 }
 
@@ -44,15 +44,15 @@ pub struct Search {
     pub matches: Vec<Match>,
 }
 
-/// Looks for patches of the left picture in the right one; `None` if the pictures are smaller than a few patches.
+/// Looks for patches of the left image in the right one; `None` if the images are smaller than a few patches.
 pub fn matches_of(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Option<Search> {
     let factor = (f64::from(left.width()) / WORKING_WIDTH_MAX).ceil().max(1.0) as usize;
-    let pictures = Pictures::new(left, right, factor);
-    if [&pictures.left, &pictures.right].iter().any(|plane| plane.width.min(plane.height) < 4 * WINDOW) {
+    let images = Images::new(left, right, factor);
+    if [&images.left, &images.right].iter().any(|plane| plane.width.min(plane.height) < 4 * WINDOW) {
         return None;
     }
-    let corners = textured_corners(&pictures.left);
-    let matches = corners.iter().filter_map(|&corner| pictures.find(rig, corner)).collect();
+    let corners = textured_corners(&images.left);
+    let matches = corners.iter().filter_map(|&corner| images.find(rig, corner)).collect();
     Some(Search { patches: corners.len(), matches })
 }
 
@@ -113,7 +113,7 @@ impl Texture {
 }
 
 /// A pair at the size at which patches are looked for, and at its full size for the last fraction of a pixel.
-struct Pictures {
+struct Images {
     factor: usize,
     left: Plane,
     right: Plane,
@@ -123,13 +123,13 @@ struct Pictures {
 
 /// The epipolar curve of a patch: where its centre goes with rising inverse depth, and what lies across.
 struct Curve {
-    /// Places of the centre, pixels of the right picture; about one working sample apart.
+    /// Places of the centre, pixels of the right image; about one working sample apart.
     places_px: Vec<Vector2<f64>>,
     /// Index of the place of a point at infinity.
     infinity: usize,
 }
 
-impl Pictures {
+impl Images {
     fn new(left: &RgbImage, right: &RgbImage, factor: usize) -> Self {
         let working_right = Plane::of(right, factor);
         let full = (factor > 1).then(|| [Plane::of(left, 1), Plane::of(right, 1)]);
@@ -192,7 +192,7 @@ impl Pictures {
         scores
     }
 
-    /// Centre of the patch of the right picture that belongs to a working corner of the left, near a working corner of the
+    /// Centre of the patch of the right image that belongs to a working corner of the left, near a working corner of the
     /// right: at full size, between pixels.
     fn refined(&self, left_corner: [isize; 2], right_corner: [isize; 2]) -> Vector2<f64> {
         let [left, right] = self.full.as_ref().map_or([&self.left, &self.right], |[left, right]| [left, right]);

@@ -13,7 +13,7 @@ const LENGTH: f64 = 4096.0;
 /// Windows with a smaller standard deviation match nothing, grey levels.
 const DEVIATION_MIN: f64 = 2.0;
 
-/// Luminance of a picture, each sample the mean of a square block of pixels.
+/// Luminance of an image, each sample the mean of a square block of pixels.
 pub struct Plane {
     pub width: usize,
     pub height: usize,
@@ -22,11 +22,11 @@ pub struct Plane {
 
 impl Plane {
     /// The luminance in blocks of `factor` by `factor` pixels; an incomplete last column or row is left out.
-    pub fn of(picture: &RgbImage, factor: usize) -> Self {
-        let (full_width, full_height) = (picture.width() as usize, picture.height() as usize);
+    pub fn of(image: &RgbImage, factor: usize) -> Self {
+        let (full_width, full_height) = (image.width() as usize, image.height() as usize);
         let (width, height) = (full_width / factor, full_height / factor);
         let mut sums = vec![0_u32; width * height];
-        let rows = picture.as_raw().chunks_exact(3 * full_width.max(1));
+        let rows = image.as_raw().chunks_exact(3 * full_width.max(1));
         for (v, row) in rows.take(height * factor).enumerate() {
             let line = &mut sums[v / factor * width..][..width];
             for (sum, block) in line.iter_mut().zip(row.chunks_exact(3 * factor)) {

@@ -60,8 +60,8 @@ fn blended(x: f64, y: f64, seed: u32) -> u8 {
     (row(j) * (1.0 - t) + row(j + 1) * t).round() as u8
 }
 
-fn moved_down(picture: &RgbImage, rows: u32) -> RgbImage {
-    RgbImage::from_fn(picture.width(), picture.height(), |u, v| *picture.get_pixel(u, v.saturating_sub(rows)))
+fn moved_down(image: &RgbImage, rows: u32) -> RgbImage {
+    RgbImage::from_fn(image.width(), image.height(), |u, v| *image.get_pixel(u, v.saturating_sub(rows)))
 }
 
 fn check_verdict(rig: &StereoRig, left: &RgbImage, right: &RgbImage, expected: PairVerdict) -> PairCheck {
@@ -71,7 +71,7 @@ fn check_verdict(rig: &StereoRig, left: &RgbImage, right: &RgbImage, expected: P
 }
 
 #[test]
-fn pictures_that_fit_are_consistent() {
+fn images_that_fit_are_consistent() {
     for rig in [rectified(0.0), rectified(15.0), general(0.02)] {
         let (left, right) = render(&rig, 1);
         let check = check_verdict(&rig, &left, &right, PairVerdict::Consistent);
@@ -83,7 +83,7 @@ fn pictures_that_fit_are_consistent() {
 }
 
 #[test]
-fn exchanged_pictures_are_swapped() {
+fn exchanged_images_are_swapped() {
     for rig in [rectified(0.0), rectified(10.0), rectified(-30.0), general(0.02)] {
         let (left, right) = render(&rig, 2);
         let check = check_verdict(&rig, &right, &left, PairVerdict::Swapped);
@@ -120,7 +120,7 @@ fn shifted_rows_are_measured() {
 }
 
 #[test]
-fn pictures_of_two_scenes_are_unrelated() {
+fn images_of_two_scenes_are_unrelated() {
     for rig in [rectified(0.0), general(0.02)] {
         check_verdict(&rig, &render(&rig, 6).0, &render(&rig, 7).1, PairVerdict::Unrelated);
     }
@@ -158,7 +158,7 @@ fn real_boards_are_consistent_and_exchanged_boards_are_not() {
     // From the calib.json of the cases, which all have the same.
     let (fx, cx, cy, baseline_m) = (493.1571115495963, 314.2452850341797, 247.86862182617188, 0.1203767534844838);
     for case in ["bb201_c0", "bb204_c0", "bb207_c0", "bb209_c0"] {
-        let open = |name: &str| image::open(cases.join(case).join(name)).expect("picture").to_rgb8();
+        let open = |name: &str| image::open(cases.join(case).join(name)).expect("image").to_rgb8();
         let (left, right) = (open("left.png"), open("right.png"));
         let size = ImageSize { width: left.width(), height: left.height() };
         let camera = Camera::new(size, Pinhole { fx, fy: fx, cx, cy }, Distortion::None).expect("camera");

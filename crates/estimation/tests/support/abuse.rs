@@ -48,7 +48,7 @@ pub struct Abuse {
     pub motion: Option<Pose<CamLeft, CamLeft>>,
 }
 
-/// Bytes up to the number of frames that give square pictures of `100 + side` pixels and an ordinary rig.
+/// Bytes up to the number of frames that give square images of `100 + side` pixels and an ordinary rig.
 pub fn ordinary_prefix(side_choice: u8) -> Vec<u8> {
     let mut bytes = vec![76, side_choice, 76, side_choice];
     bytes.extend([0; 9]);
@@ -143,7 +143,7 @@ fn region(c: &mut Choices<'_>, size: ImageSize) -> Region {
     }
 }
 
-/// A picture whose columns are shifted by `shift`.
+/// An image whose columns are shifted by `shift`.
 fn paint(size: ImageSize, pattern: u8, shift: i32, frame: usize) -> RgbImage {
     let hash = |x: i32, y: i32| {
         let mixed = (x as u32).wrapping_mul(0x9E37_79B1) ^ (y as u32).wrapping_mul(0x85EB_CA77) ^ u32::from(pattern);

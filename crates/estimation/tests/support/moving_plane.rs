@@ -1,4 +1,4 @@
-//! A painted disc that moves with six degrees of freedom before a painted wall: pictures from rays, one sample per pixel.
+//! A painted disc that moves with six degrees of freedom before a painted wall: images from rays, one sample per pixel.
 #![allow(dead_code, clippy::expect_used, reason = "shared by tests that use different parts")]
 
 use image::RgbImage;
@@ -52,7 +52,7 @@ fn paint(x: f64, y: f64, seed: f64) -> [f64; 3] {
     [grey + 20.0 * wave(70.0, -50.0, 0.1), grey, grey - 25.0 * wave(40.0, 110.0, 0.9)]
 }
 
-/// What a picture shows.
+/// What an image shows.
 #[derive(Clone, Copy)]
 pub struct Shot {
     /// Where the disc is; `None`: hidden behind a board.
@@ -63,19 +63,19 @@ pub struct Shot {
     pub right_gain: f64,
 }
 
-/// The pictures of a pair.
+/// The images of a pair.
 pub fn render(rig: &StereoRig, shot: &Shot) -> (RgbImage, RgbImage) {
     render_all(rig, shot.cam_left_from_target.as_slice(), shot)
 }
 
-/// The pictures of a pair with several equal discs that hide each other in this order, wherever `shot` has its own.
+/// The images of a pair with several equal discs that hide each other in this order, wherever `shot` has its own.
 pub fn render_all(rig: &StereoRig, discs: &[Pose<CamLeft, Target>], shot: &Shot) -> (RgbImage, RgbImage) {
-    let left = picture(rig.left(), &Isometry3::identity(), (discs, shot), 1.0, 0);
-    let right = picture(rig.right(), rig.cam_right_from_cam_left().isometry(), (discs, shot), shot.right_gain, 1);
+    let left = image(rig.left(), &Isometry3::identity(), (discs, shot), 1.0, 0);
+    let right = image(rig.right(), rig.cam_right_from_cam_left().isometry(), (discs, shot), shot.right_gain, 1);
     (left, right)
 }
 
-fn picture(
+fn image(
     camera: &Camera,
     cam_from_left: &Isometry3<f64>,
     (discs, shot): (&[Pose<CamLeft, Target>], &Shot),

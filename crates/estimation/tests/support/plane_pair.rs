@@ -1,4 +1,4 @@
-//! Pairs of a textured plane, ray by ray: an independent picture of what the direct method must find.
+//! Pairs of a textured plane, ray by ray: an independent image of what the direct method must find.
 //!
 //! Every pixel is a mean over rays that are cut with the planes of the scene; the texture is a periodic sum of waves on the
 //! plane. Nothing here uses disparity or a homography.
@@ -265,8 +265,8 @@ pub fn render(setup: &Setup, target: &Texture, background: &Texture) -> Pair {
     let (clean_left, target_mask, hidden) = draw(rig.left(), Vector3::zeros(), setup.centre_px, 0.0);
     let right_centre = setup.centre_px - Vector2::new(disparity, 0.0);
     let right = draw(rig.right(), Vector3::new(setup.baseline_m, 0.0, 0.0), right_centre, setup.row_offset_px).0;
-    let lens = |picture: &[[f32; 3]], centre: Vector2<f64>, extra: f64| {
-        blurred(picture, (0.6_f64.powi(2) + extra * extra).sqrt(), centre, reach)
+    let lens = |image: &[[f32; 3]], centre: Vector2<f64>, extra: f64| {
+        blurred(image, (0.6_f64.powi(2) + extra * extra).sqrt(), centre, reach)
     };
     let clean_left = lens(&clean_left, setup.centre_px, 0.0);
     let mut random = random(setup.seed ^ 0x5EED);
@@ -278,10 +278,10 @@ pub fn render(setup: &Setup, target: &Texture, background: &Texture) -> Pair {
     Pair { rig, left, right, clean_left, plane, target, region, setup: setup.clone() }
 }
 
-/// What the sensor makes of a picture.
-fn develop(picture: &[[f32; 3]], gain: [f64; 3], bias: [f64; 3], noise: f64, random: &mut SplitMix64) -> RgbImage {
-    let mut raw = Vec::with_capacity(picture.len() * 3);
-    for rgb in picture {
+/// What the sensor makes of an image.
+fn develop(image: &[[f32; 3]], gain: [f64; 3], bias: [f64; 3], noise: f64, random: &mut SplitMix64) -> RgbImage {
+    let mut raw = Vec::with_capacity(image.len() * 3);
+    for rgb in image {
         for c in 0..3 {
             let value = f64::from(rgb[c]) * gain[c] + bias[c] + noise * random.normal();
             raw.push(value.round().clamp(0.0, 255.0) as u8);
@@ -299,7 +299,7 @@ fn boxed(mask: &[bool]) -> Vec<bool> {
 }
 
 /// Blurs a square around a pixel; the rest has one colour.
-fn blurred(picture: &[[f32; 3]], sigma_px: f64, centre: Vector2<f64>, reach: i32) -> Vec<[f32; 3]> {
+fn blurred(image: &[[f32; 3]], sigma_px: f64, centre: Vector2<f64>, reach: i32) -> Vec<[f32; 3]> {
     let radius = (3.0 * sigma_px).ceil() as i32;
     let weights: Vec<f32> =
         (-radius..=radius).map(|i| (-0.5 * (f64::from(i) / sigma_px).powi(2)).exp() as f32).collect();
@@ -321,5 +321,5 @@ fn blurred(picture: &[[f32; 3]], sigma_px: f64, centre: Vector2<f64>, reach: i32
         }
         blurred
     };
-    pass(&pass(picture, (1, 0)), (0, 1))
+    pass(&pass(image, (1, 0)), (0, 1))
 }

@@ -75,7 +75,7 @@ pub enum CameraError {
     },
     /// The undistortion did not converge.
     #[error(
-        "pixel ({u}, {v}) has no ray: the distortion model can not be inverted there; use a region nearer to the image's centre, or calibrate with targets that reach this part of the image"
+        "pixel ({u}, {v}) has no ray: the distortion model cannot be inverted there; use a region nearer to the image's centre, or calibrate with targets that reach this part of the image"
     )]
     NotInvertible {
         /// Column.
@@ -155,7 +155,7 @@ impl Camera {
     /// The ray `(x, y, 1)` through a pixel, in this camera's frame; it projects back within 1e-9 pixels.
     ///
     /// # Errors
-    /// If the distortion can not be inverted at that pixel: it lies outside everything that the lens model can image, or
+    /// If the distortion cannot be inverted at that pixel: it lies outside everything that the lens model can image, or
     /// 90 degrees or more off the axis, or is not finite.
     pub fn unproject(&self, pixel: &Vector2<f64>) -> Result<Vector3<f64>, CameraError> {
         let distorted = self.pinhole.normalized_from_pixel(pixel);

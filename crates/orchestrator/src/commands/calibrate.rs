@@ -32,7 +32,7 @@ pub fn run(args: &CalibrateArgs) -> Result<ExitCode> {
     let error = Command::new(&program).args(&args.arguments).exec();
     Err(error).with_context(|| {
         format!(
-            "{} can not be started: build it with `cargo build --release -p pb3dp-calibration` and put it beside pb3dp",
+            "{} cannot be started: build it with `cargo build --release -p pb3dp-calibration` and put it beside pb3dp",
             program.display()
         )
     })

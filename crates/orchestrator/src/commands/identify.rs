@@ -48,7 +48,7 @@ enum What {
 struct DelayArgs {
     #[command(flatten)]
     setup: SetupArgs,
-    #[arg(long, value_name = "REGION", help = format!("The target in the first left picture of real cameras: {REGION_HELP}"))]
+    #[arg(long, value_name = "REGION", help = format!("The target in the first left image of real cameras: {REGION_HELP}"))]
     region: Option<RegionSpec>,
     /// Move real arms by a calibration that says of itself that no cameras were measured (`calibration_quality`: none).
     #[arg(long)]
@@ -81,7 +81,7 @@ pub fn run(args: &IdentifyArgs) -> Result<ExitCode> {
 
 fn delay(args: &DelayArgs) -> Result<ExitCode> {
     // Before any thread is started: a signal that ends the program would leave the arms to their gateways.
-    let mut signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
+    let mut signals = StopSignals::take_over().context("the signals that end the program cannot be taken over")?;
     let region = args.region.as_ref().map(ToString::to_string);
     let mut setup = read_layers(&args.setup.clone().with("--region", "camera.region", region))?;
     accept_nominal(&mut setup, args.nominal_calibration);
@@ -102,7 +102,7 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
         confirm::typed("vs-robot", &mut signals)?;
     }
     // Before anything moves: what an arm says when it stops must find its place.
-    std::fs::create_dir_all(&args.out).with_context(|| format!("{}: can not be created", args.out.display()))?;
+    std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot be created", args.out.display()))?;
     let Wired { mut parts, monitors, .. } = wire_at_rest(&setup, swing::duration(&motion))?;
     let interrupt = Arc::clone(&parts.interrupt);
     let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
@@ -179,7 +179,7 @@ impl Delays {
             hand_from_cam_left: setup.controller.hand_from_cam_left,
         };
         let poses: Vec<_> = swung.seen.iter().map(|seen| (seen.at, seen.cam_left_from_model)).collect();
-        let offset = exposure_offset(&poses, &swung.joints, &camera).context("stamps of the pictures")?;
+        let offset = exposure_offset(&poses, &swung.joints, &camera).context("stamps of the images")?;
         let ArmResponseEstimate { delay, lag, total: arm, residual_rms_rad } =
             arm_response(&swung.given, &swung.joints).context("vs-robot")?;
         let ages_s: Vec<f64> = swung.seen.iter().map(|seen| seen.used_at.seconds_since(seen.at)).collect();

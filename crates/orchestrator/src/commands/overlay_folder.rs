@@ -7,10 +7,10 @@ use anyhow::{Context, Result, bail};
 /// Makes the folder of `--overlay`.
 ///
 /// # Errors
-/// If it can not be made.
+/// If it cannot be made.
 pub fn make_overlay_folder(folder: &Path) -> Result<()> {
     if folder.exists() && !folder.is_dir() {
         bail!("--overlay {}: is no folder; name one, it is made if it is not there", folder.display());
     }
-    std::fs::create_dir_all(folder).with_context(|| format!("--overlay {}: can not be created", folder.display()))
+    std::fs::create_dir_all(folder).with_context(|| format!("--overlay {}: cannot be created", folder.display()))
 }

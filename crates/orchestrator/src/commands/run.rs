@@ -25,10 +25,10 @@ use crate::logging::last_words;
 /// Runs the command: experiment, then report.
 ///
 /// # Errors
-/// A configuration that is refused, an experiment that the arms can not follow, or a part that fails.
+/// A configuration that is refused, an experiment that the arms cannot follow, or a part that fails.
 pub fn run(args: &RunArgs) -> Result<ExitCode> {
     // Before any thread is started: a signal that ends the program would leave the arms to their gateways.
-    let signals = StopSignals::take_over().context("the signals that end the program can not be taken over")?;
+    let signals = StopSignals::take_over().context("the signals that end the program cannot be taken over")?;
     let seed = args.seed.as_ref().map(ToString::to_string);
     let region = args.region.as_ref().map(ToString::to_string);
     let asked = args.setup.clone().with("--seed", "run.seed", seed).with("--region", "camera.region", region);
@@ -38,7 +38,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     if args.operator == OperatorName::Console && setup.pace == Pace::Fast {
         bail!("--operator console: at pace = \"fast\" nobody can speak in time; set pace to \"real-time\" or \"live\"");
     }
-    // What can not be recorded is refused before an arm is switched on, and before the last report is lost.
+    // What cannot be recorded is refused before an arm is switched on, and before the last report is lost.
     if let Some(folder) = &args.record {
         SequenceWriter::check_folder(folder).context("--record")?;
     }

@@ -7,7 +7,7 @@ use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_record::calibration_files::{save_json, save_kalibr, save_opencv, save_ros_pair};
 use pb3dp_record::dataset::{CaseDraft, Hardness, PlaneTruth, SearchRange, write_case};
-use pb3dp_record::images::{PictureFormat, save};
+use pb3dp_record::images::{StoredFormat, save};
 use pb3dp_sim::targets::TargetConfig;
 use pb3dp_sim::targets::part::SceneObject;
 use serde_json::Value;
@@ -33,8 +33,8 @@ impl OnePair {
         let mut renderer = renderer(target);
         let (scene_poses, cam_left_from_target) = poses([0.012, -0.008, 0.48], [0.2, -0.26, 0.15]);
         let (left, right) = render(&mut renderer, &scene_poses, 3);
-        save(&left, &dir.path().join("left.png"), PictureFormat::Png).unwrap();
-        save(&right, &dir.path().join("right.png"), PictureFormat::Png).unwrap();
+        save(&left, &dir.path().join("left.png"), StoredFormat::Png).unwrap();
+        save(&right, &dir.path().join("right.png"), StoredFormat::Png).unwrap();
         save_json(&rig(), &dir.path().join("calib.json")).unwrap();
         let outline = renderer.target_outline_px(&scene_poses).unwrap();
         let truth = renderer.ground_truth(&scene_poses);
@@ -116,7 +116,7 @@ fn the_method_of_the_paper_is_found_by_name() {
     assert!(lines.iter().all(|line| line["method"] == "published"), "{lines:?}");
 }
 
-/// The lines of the real cases, with one picture for each and a table of errors.
+/// The lines of the real cases, with one image for each and a table of errors.
 fn real_cases_with(arguments: &[&str]) -> Vec<Value> {
     let dir = tempfile::tempdir().unwrap();
     let overlay = dir.path().join("new/overlay");
@@ -132,8 +132,8 @@ fn real_cases_with(arguments: &[&str]) -> Vec<Value> {
         assert!(STATUSES.contains(&line["status"].as_str().unwrap()), "{line}");
         assert!(line["ms"].as_f64().unwrap() > 0.0, "{line}");
         assert_eq!(line["z_mm"].is_null(), line["normal"].is_null(), "{line}");
-        let picture = image::open(overlay.join(format!("{}.png", line["case"].as_str().unwrap()))).unwrap();
-        assert!(picture.width() >= 1280 && picture.height() >= 480, "both pictures side by side");
+        let image = image::open(overlay.join(format!("{}.png", line["case"].as_str().unwrap()))).unwrap();
+        assert!(image.width() >= 1280 && image.height() >= 480, "both images side by side");
     }
     let row = finished.stderr.lines().find(|line| line.starts_with("boards ")).expect("the table has the group");
     assert_eq!(row.split_whitespace().nth(1), Some(expected.len().to_string().as_str()), "{row}");
@@ -187,7 +187,7 @@ fn a_region_is_given_in_four_ways() {
     card.mask.save(&mask).unwrap();
     let [u, v] = card.centre_px();
     let vertices: Vec<String> = card.outline_px.iter().map(|[u, v]| format!("{u:.2},{v:.2}")).collect();
-    // Perspective moves the centroid of the outline away from the picture of the centre.
+    // Perspective moves the centroid of the outline away from the image of the centre.
     let centroid_px = centroid(&card.outline_px);
     for (region, at_px) in [
         (format!("rect:{:.0},{:.0},110,80", u - 55.0, v - 40.0), [u, v]),
@@ -274,8 +274,8 @@ fn the_same_seed_gives_the_same_lines() {
 }
 
 fn write_grey_case(folder: &Path, pair: &OnePair) {
-    let grey = |picture: &RgbImage| image::DynamicImage::ImageRgb8(picture.clone()).to_luma8();
-    let back = |picture: GrayImage| image::DynamicImage::ImageLuma8(picture).to_rgb8();
+    let grey = |image: &RgbImage| image::DynamicImage::ImageRgb8(image.clone()).to_luma8();
+    let back = |image: GrayImage| image::DynamicImage::ImageLuma8(image).to_rgb8();
     write(folder, pair, "grey", &back(grey(&pair.left)), &back(grey(&pair.right)));
 }
 
@@ -355,7 +355,7 @@ fn the_second_surface_of_a_region_is_told_with_its_share() {
 }
 
 #[test]
-fn swapped_pictures_are_never_a_sure_answer() {
+fn swapped_images_are_never_a_sure_answer() {
     let pair = OnePair::of(TargetConfig::card());
     let (left, right, calibration) = (pair.file("left.png"), pair.file("right.png"), pair.file("calib.json"));
     let region = format!("rect:{:.0},{:.0},60,50", pair.centre_px()[0] - 30.0, pair.centre_px()[1] - 25.0);
@@ -383,7 +383,7 @@ fn swapped_pictures_are_never_a_sure_answer() {
 }
 
 #[test]
-fn swapped_real_pictures_are_refused_with_what_to_do() {
+fn swapped_real_images_are_refused_with_what_to_do() {
     let folder = real_cases().join("bb201_c0");
     let case = pb3dp_record::dataset::load_case(&folder).unwrap();
     let finished = pb3dp(&words(&[

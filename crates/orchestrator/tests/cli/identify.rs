@@ -49,5 +49,5 @@ fn a_folder_that_can_not_be_made_is_found_before_anything_moves() {
     let out = file.join("out").display().to_string();
     let args =
         ["identify", "delay", "--config", &config("sim.toml"), "--move", "--way", "3", "--seconds", "8", "--out", &out];
-    pb3dp(&args).assert_refused(&["can not be created"]);
+    pb3dp(&args).assert_refused(&["cannot be created"]);
 }

@@ -109,7 +109,7 @@ fn what_it_can_not_do_is_refused_by_name() {
     );
     refused(&["--bus", "x", "--tcp", "127.0.0.1:0"], &["cannot be used with"]);
     refused(&["--bus", "/nowhere/bus"], &["/nowhere/bus"]);
-    refused(&["--script", "/nowhere/faults"], &["script /nowhere/faults can not be read"]);
+    refused(&["--script", "/nowhere/faults"], &["script /nowhere/faults cannot be read"]);
     let folder = tempfile::tempdir().unwrap();
     let script = folder.path().join("faults");
     std::fs::write(&script, "drop 1\nat 2 drop 1\n").unwrap();

@@ -60,7 +60,7 @@ fn missing_and_damaged_files_are_named() {
         assert_eq!(finished.stderr.to_lowercase().matches("no such file").count(), 1, "{}", finished.stderr);
     }
     let folder = pair.dir.path();
-    pb3dp(&pair.words(folder, &right, &calibration, REGION)).assert_refused(&["is a folder; name the picture file"]);
+    pb3dp(&pair.words(folder, &right, &calibration, REGION)).assert_refused(&["is a folder; name the image file"]);
     pb3dp(&pair.words(&left, &right, &left, REGION)).assert_refused(&["left.png: is no text", "YAML or JSON"]);
     let mut overlay = pair.words(&left, &right, &calibration, REGION);
     overlay.extend(["--overlay".into(), left.clone().into()]);
@@ -70,7 +70,7 @@ fn missing_and_damaged_files_are_named() {
     pb3dp(&optimum).assert_refused(&["--reference-optimum", "direct", "--method published"]);
     truncate(&right, 20_000);
     pair.estimate(REGION).assert_refused(&["right.png", "truncated"]);
-    std::fs::write(&right, "no picture at all").unwrap();
+    std::fs::write(&right, "no image at all").unwrap();
     pair.estimate(REGION).assert_refused(&["right.png"]);
     std::fs::write(&calibration, "{\"image_size\": [640, 480]}").unwrap();
     pair.estimate(REGION).assert_refused(&["calib.json"]);

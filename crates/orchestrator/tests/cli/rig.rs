@@ -38,7 +38,7 @@ fn text_and_json_say_the_same() {
 }
 
 #[test]
-fn a_measured_disparity_noise_takes_the_place_of_the_pictures() {
+fn a_measured_disparity_noise_takes_the_place_of_the_images() {
     let base = "--baseline 100 --focal 740 --distance 500";
     let of = |more: &str| plan(&format!("{base} {more}"))["at"]["depth_noise_mm"].as_f64().unwrap();
     let (one, two) = (of("--disparity-noise 0.1"), of("--disparity-noise 0.2"));
@@ -60,7 +60,7 @@ fn what_speaks_against_a_head_is_said() {
                 .contains(&format!("WARNING {}", json["warnings"][0].as_str().unwrap()))
         );
     };
-    warned("--baseline 300 --focal 740 --distance 300", "not wholly in both pictures");
+    warned("--baseline 300 --focal 740 --distance 300", "not wholly in both images");
     warned("--baseline 100 --focal 200 --distance 800", "25 px");
     warned("--baseline 100 --focal 740 --distance 300 --exposure 20", "4.9 px of motion blur");
     warned("--baseline 100 --focal 740 --distance 500 --skew 16", "trigger both cameras");

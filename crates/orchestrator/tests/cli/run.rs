@@ -39,7 +39,7 @@ fn a_run_leaves_report_summary_and_time_series() {
         finished.stdout
     );
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
-    assert!(page.contains("<svg") && page.contains("data:image/"), "plots and pictures are in the page itself");
+    assert!(page.contains("<svg") && page.contains("data:image/"), "plots and images are in the page itself");
     assert!(!page.contains("<link") && !page.contains("<script src"), "nothing is loaded from elsewhere");
     let text = std::fs::read_to_string(out.join("summary.json")).unwrap();
     let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
@@ -92,7 +92,7 @@ fn a_run_leaves_report_summary_and_time_series() {
 }
 
 #[test]
-fn a_run_without_pictures_says_so_and_needs_none() {
+fn a_run_without_images_says_so_and_needs_none() {
     let dir = tempfile::tempdir().unwrap();
     let geometric =
         [("method = \"direct\" ", "method = \"geometric\" "), ("compare = [\"published\"]", "compare = []")];
@@ -104,9 +104,9 @@ fn a_run_without_pictures_says_so_and_needs_none() {
         pb3dp(&words(&[&begin[..], more].concat()))
     };
     let finished = run(&[]).assert_success();
-    assert!(finished.stdout.contains("no picture was rendered"), "{}", finished.stdout);
+    assert!(finished.stdout.contains("no image was rendered"), "{}", finished.stdout);
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
-    assert!(page.contains("No picture was rendered") && !page.contains("data:image/"), "no pictures in the page");
+    assert!(page.contains("No image was rendered") && !page.contains("data:image/"), "no images in the page");
     let text = std::fs::read_to_string(out.join("summary.json")).unwrap();
     let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert_eq!(
@@ -164,7 +164,7 @@ fn an_experiment_that_is_too_fast_is_refused_by_how_much() {
     let config = setup(dir.path(), &[("speed_scale = 0.6 ", "# "), ("first_run = false ", "# ")]);
     let out = dir.path().join("out");
     let finished = pb3dp(&words(&[&"run", &"--config", &config, &"--out", &out]));
-    finished.assert_refused(&["can not follow the experiment", "axis ", "arms.speed_scale", "times too fast"]);
+    finished.assert_refused(&["cannot follow the experiment", "axis ", "arms.speed_scale", "times too fast"]);
     assert!(!out.join("report.html").exists());
 }
 
@@ -317,7 +317,7 @@ fn times_that_are_none_are_refused() {
     }
 }
 
-/// A run that a person leads by lines on standard input; simulated arms without pictures, at the pace of the wall clock.
+/// A run that a person leads by lines on standard input; simulated arms without images, at the pace of the wall clock.
 fn led_by_a_person(dir: &std::path::Path) -> (std::process::Child, std::path::PathBuf) {
     use std::process::{Command, Stdio};
 

@@ -1,4 +1,4 @@
-//! Runs the program and reads what it wrote; makes pictures for it.
+//! Runs the program and reads what it wrote; makes images for it.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};

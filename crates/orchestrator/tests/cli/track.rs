@@ -6,7 +6,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter, WrittenFrame};
-use pb3dp_record::images::PictureFormat;
+use pb3dp_record::images::StoredFormat;
 use pb3dp_sim::targets::TargetConfig;
 
 use crate::cli::support::*;
@@ -27,7 +27,7 @@ fn record(folder: &Path) -> Vec<Pose<CamLeft, Target>> {
     let draft = SequenceDraft {
         region_polygon_left_px: outline.iter().map(|p| [p.x, p.y]).collect(),
         search: SearchRange { z_min_m: 0.35, z_max_m: 0.65, tilt_max_rad: 0.6 },
-        pictures: PictureFormat::Png,
+        images: StoredFormat::Png,
     };
     let mut writer = SequenceWriter::create(folder, &rig(), draft).unwrap();
     let mut truth = Vec::new();
@@ -124,7 +124,7 @@ fn rotation(m: &[f64]) -> nalgebra::Matrix3<f64> {
     nalgebra::Matrix3::new(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10])
 }
 
-/// In mm and radians: symmetric, and of the size that such pictures allow. The published method gives none.
+/// In mm and radians: symmetric, and of the size that such images allow. The published method gives none.
 fn check_covariance(method: &str, line: &serde_json::Value) {
     if method == "published" {
         assert!(line["covariance"].is_null(), "{line}");
@@ -144,7 +144,7 @@ fn check_covariance(method: &str, line: &serde_json::Value) {
 /// An animated PNG with so many frames: the number stands behind the name of its `acTL` chunk.
 fn assert_animated(file: &Path, frames: u32) {
     let bytes = std::fs::read(file).unwrap();
-    let at = bytes.windows(4).position(|window| window == b"acTL").expect("the picture is animated") + 4;
+    let at = bytes.windows(4).position(|window| window == b"acTL").expect("the image is animated") + 4;
     assert_eq!(u32::from_be_bytes(bytes[at..at + 4].try_into().unwrap()), frames);
     image::open(file).unwrap();
 }
@@ -163,14 +163,14 @@ fn a_sequence_without_its_first_frame_starts_with_the_second() {
     }
 }
 
-/// Pictures that show nothing: the region is tried for half a second, then the user is told what to do.
+/// Images that show nothing: the region is tried for half a second, then the user is told what to do.
 #[test]
 fn a_target_that_is_never_seen_is_given_up() {
     let dir = tempfile::tempdir().unwrap();
     let draft = SequenceDraft {
         region_polygon_left_px: vec![[300.0, 200.0], [380.0, 210.0], [360.0, 290.0]],
         search: SearchRange { z_min_m: 0.35, z_max_m: 0.65, tilt_max_rad: 0.6 },
-        pictures: PictureFormat::Png,
+        images: StoredFormat::Png,
     };
     let mut writer = SequenceWriter::create(dir.path(), &rig(), draft).unwrap();
     let wall = image::RgbImage::from_pixel(640, 480, image::Rgb([90, 100, 80]));
@@ -228,7 +228,7 @@ fn several_targets_are_told_apart_and_do_not_disturb_each_other() {
     assert!(overlay.join("frame_0006.png").exists() && both.stderr.contains("motion of target 0 since"));
 }
 
-/// The target of a region that can not serve has an error in each frame; the other is what it is alone.
+/// The target of a region that cannot serve has an error in each frame; the other is what it is alone.
 #[test]
 fn a_region_that_is_refused_leaves_the_other_targets_alone() {
     let dir = tempfile::tempdir().unwrap();
@@ -270,7 +270,7 @@ fn the_surface_of_a_flat_card_is_a_flat_coloured_cloud() {
     let refused = pb3dp(&words(&[&"track", &"--method", &"published", &"--sequence", &sequence, &"--surface", &file]));
     refused.assert_refused(&["--surface", "published", "--method direct"]);
     // Before any frame is worked on.
-    for (bad, why) in [(dir.path().to_path_buf(), "is a folder"), (file.join("a.ply"), "can not be written")] {
+    for (bad, why) in [(dir.path().to_path_buf(), "is a folder"), (file.join("a.ply"), "cannot be written")] {
         let refused = pb3dp(&words(&[&"track", &"--sequence", &sequence, &"--surface", &bad, &"--json"]));
         refused.assert_refused(&["--surface", why]);
         assert_eq!(refused.stdout, "");

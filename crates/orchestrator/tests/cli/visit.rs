@@ -80,10 +80,10 @@ fn pairs_and_joints_are_taken_where_they_were_asked_for() {
             let still = other.base_from_flange.inverse() * rests.base_from_flange;
             assert!(still.translation_m().norm() < 1e-3, "the other arm has moved: {still:?}");
         }
-        let pictures = taken.stops.iter().flat_map(|stop| [&stop.left, &stop.right]);
-        let pictures: Vec<_> = pictures.map(|name| load_rgb(&out.join(name)).unwrap()).collect();
-        assert!(pictures.iter().all(|picture| picture.dimensions() == (640, 480)));
-        assert!(pictures.windows(2).all(|two| two[0] != two[1]));
+        let images = taken.stops.iter().flat_map(|stop| [&stop.left, &stop.right]);
+        let images: Vec<_> = images.map(|name| load_rgb(&out.join(name)).unwrap()).collect();
+        assert!(images.iter().all(|image| image.dimensions() == (640, 480)));
+        assert!(images.windows(2).all(|two| two[0] != two[1]));
 
         visit("bare.toml", &out, &[&more[..], &["--move"]].concat())
             .assert_refused(&["holds a recording of stops already"]);

@@ -372,7 +372,7 @@ fn an_arm_that_does_not_tell_of_its_emergency_stop_fails() {
 #[test]
 fn a_gateway_that_does_not_watch_its_host_fails() {
     for (hosts, found) in
-        [(Hosts::All, "the gateway has stopped the arm by itself"), (Hosts::UntilAKill, "it can not connect: ")]
+        [(Hosts::All, "the gateway has stopped the arm by itself"), (Hosts::UntilAKill, "it cannot connect: ")]
     {
         programs_in_real_time_beside_others(|| a_kill_leaves_it_moving(hosts, found));
     }

@@ -67,7 +67,7 @@ impl Gateway {
     }
 }
 
-/// R10, R11: the limiter can not leave room for an arm that goes on for longer than it knows of.
+/// R10, R11: the limiter cannot leave room for an arm that goes on for longer than it knows of.
 #[test]
 fn a_gateway_that_stops_later_than_the_limiter_counts_on_moves_nothing() {
     programs_in_real_time_beside_others(|| {

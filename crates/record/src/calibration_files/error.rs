@@ -6,21 +6,21 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum CalibrationFileError {
     /// A file could not be read.
-    #[error("{}: can not be read: {reason}", file.display())]
+    #[error("{}: cannot be read: {reason}", file.display())]
     Read {
         /// The file.
         file: PathBuf,
         /// What the system says.
         reason: String,
     },
-    /// A file holds no text, but a picture, say.
+    /// A file holds no text, but an image, say.
     #[error("{}: is no text, so no calibration: name a YAML or JSON file", file.display())]
     NoText {
         /// The file.
         file: PathBuf,
     },
     /// A file could not be written.
-    #[error("{}: can not be written: {reason}", file.display())]
+    #[error("{}: cannot be written: {reason}", file.display())]
     Write {
         /// The file.
         file: PathBuf,
@@ -79,7 +79,7 @@ pub enum CalibrationFileError {
         count: usize,
     },
     /// A rig that a format has no words for.
-    #[error("{format} can not hold this calibration: {reason}")]
+    #[error("{format} cannot hold this calibration: {reason}")]
     NotRepresentable {
         /// The format.
         format: super::CalibrationFormat,

@@ -18,7 +18,7 @@ const FORMAT: &str = "pb3dp stereo calibration 1";
 /// What is known of a calibration's making and of its worth.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Judgement {
-    /// When the pictures were taken, or it was made, RFC 3339.
+    /// When the images were taken, or it was made, RFC 3339.
     pub date: String,
     /// Program and version.
     pub tool: String,

@@ -122,27 +122,27 @@ pub fn load_hand_eye(path: &Path) -> Result<HandEye, CalibrationFileError> {
 /// Writes one of our TOML files of a hand-eye calibration, which comes back bit by bit.
 ///
 /// # Errors
-/// A number of the judgement that is not finite; a file that can not be written.
+/// A number of the judgement that is not finite; a file that cannot be written.
 pub fn save_hand_eye(hand_eye: &HandEye, path: &Path) -> Result<(), CalibrationFileError> {
     write_file(path, &hand_eye::write(hand_eye)?)
 }
 
-/// As [`load_stereo`], for pictures of a known size: files that may leave the size out (OpenCV's) get it from there. A
+/// As [`load_stereo`], for images of a known size: files that may leave the size out (OpenCV's) get it from there. A
 /// size that a file does state is not compared with it.
 ///
 /// # Errors
 /// As [`load_stereo`].
-pub fn load_stereo_for(paths: &[PathBuf], pictures: ImageSize) -> Result<StereoCalibration, CalibrationFileError> {
-    load(paths, Some(pictures))
+pub fn load_stereo_for(paths: &[PathBuf], images: ImageSize) -> Result<StereoCalibration, CalibrationFileError> {
+    load(paths, Some(images))
 }
 
-fn load(paths: &[PathBuf], pictures: Option<ImageSize>) -> Result<StereoCalibration, CalibrationFileError> {
+fn load(paths: &[PathBuf], images: Option<ImageSize>) -> Result<StereoCalibration, CalibrationFileError> {
     let paths = match paths {
         [directory] if directory.is_dir() => in_directory(directory)?,
         paths => paths.to_vec(),
     };
     let documents = paths.iter().map(|path| Document::read(path)).collect::<Result<Vec<_>, _>>()?;
-    assemble(&paths, &documents, pictures)
+    assemble(&paths, &documents, images)
 }
 
 /// As [`load_stereo_for`], of one file whose text is at hand; its name tells the format.
@@ -152,19 +152,19 @@ fn load(paths: &[PathBuf], pictures: Option<ImageSize>) -> Result<StereoCalibrat
 pub fn parse_stereo(
     name: &Path,
     text: &str,
-    pictures: Option<ImageSize>,
+    images: Option<ImageSize>,
 ) -> Result<StereoCalibration, CalibrationFileError> {
-    assemble(&[name.to_path_buf()], &[Document::parse(name, text)?], pictures)
+    assemble(&[name.to_path_buf()], &[Document::parse(name, text)?], images)
 }
 
 fn assemble(
     paths: &[PathBuf],
     documents: &[Document],
-    pictures: Option<ImageSize>,
+    images: Option<ImageSize>,
 ) -> Result<StereoCalibration, CalibrationFileError> {
     let Parsed { rig, format, notes, judgement } = match documents {
-        [one] => read_one(one, pictures)?,
-        [first, second] => read_two(first, second, pictures)?,
+        [one] => read_one(one, images)?,
+        [first, second] => read_two(first, second, images)?,
         _ => return Err(CalibrationFileError::Paths { count: paths.len() }),
     };
     let source = paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");
@@ -178,7 +178,7 @@ fn assemble(
 /// Writes a ROS `camera_info` YAML file for each camera; the pose goes into the rectification and projection matrices.
 ///
 /// # Errors
-/// A rig that can not be rectified, and so has no such matrices, or with images of unequal size; a file that can not be
+/// A rig that cannot be rectified, and so has no such matrices, or with images of unequal size; a file that cannot be
 /// written.
 pub fn save_ros_pair(rig: &StereoRig, left: &Path, right: &Path) -> Result<(), CalibrationFileError> {
     check_sizes(rig, CalibrationFormat::RosPair)?;
@@ -190,7 +190,7 @@ pub fn save_ros_pair(rig: &StereoRig, left: &Path, right: &Path) -> Result<(), C
 /// Writes a Kalibr camchain.
 ///
 /// # Errors
-/// A lens with k3 or a rational term, which Kalibr's `radtan` has not; images of unequal size; a file that can not be
+/// A lens with k3 or a rational term, which Kalibr's `radtan` has not; images of unequal size; a file that cannot be
 /// written.
 pub fn save_kalibr(rig: &StereoRig, path: &Path) -> Result<(), CalibrationFileError> {
     check_sizes(rig, CalibrationFormat::Kalibr)?;
@@ -200,7 +200,7 @@ pub fn save_kalibr(rig: &StereoRig, path: &Path) -> Result<(), CalibrationFileEr
 /// Writes an OpenCV `FileStorage` YAML file, in metres, with the extra keys that [`opencv`] describes.
 ///
 /// # Errors
-/// Images of unequal size; a file that can not be written.
+/// Images of unequal size; a file that cannot be written.
 pub fn save_opencv(rig: &StereoRig, path: &Path) -> Result<(), CalibrationFileError> {
     check_sizes(rig, CalibrationFormat::OpenCv)?;
     write_file(path, &opencv::write(rig))
@@ -209,7 +209,7 @@ pub fn save_opencv(rig: &StereoRig, path: &Path) -> Result<(), CalibrationFileEr
 /// Writes one of our TOML files, which comes back bit by bit.
 ///
 /// # Errors
-/// Images of unequal size, a number that is not finite; a file that can not be written.
+/// Images of unequal size, a number that is not finite; a file that cannot be written.
 pub fn save_judged(rig: &StereoRig, judgement: &Judgement, path: &Path) -> Result<(), CalibrationFileError> {
     check_sizes(rig, CalibrationFormat::Judged)?;
     write_file(path, &judged::write(rig, judgement)?)
@@ -218,7 +218,7 @@ pub fn save_judged(rig: &StereoRig, judgement: &Judgement, path: &Path) -> Resul
 /// Writes the `cameras.toml` of a recording.
 ///
 /// # Errors
-/// A file that can not be written.
+/// A file that cannot be written.
 pub fn save_cameras(cameras: &[CameraIdentity; 2], path: &Path) -> Result<(), CalibrationFileError> {
     write_file(path, &identity::write_file(cameras))
 }
@@ -226,7 +226,7 @@ pub fn save_cameras(cameras: &[CameraIdentity; 2], path: &Path) -> Result<(), Ca
 /// Writes our `calib.json`, in millimetres.
 ///
 /// # Errors
-/// Images of unequal size; a file that can not be written.
+/// Images of unequal size; a file that cannot be written.
 pub fn save_json(rig: &StereoRig, path: &Path) -> Result<(), CalibrationFileError> {
     check_sizes(rig, CalibrationFormat::CaseJson)?;
     write_file(path, &case_json::write(rig))
@@ -247,7 +247,7 @@ impl Parsed {
     }
 }
 
-fn read_one(document: &Document, pictures: Option<ImageSize>) -> Result<Parsed, CalibrationFileError> {
+fn read_one(document: &Document, images: Option<ImageSize>) -> Result<Parsed, CalibrationFileError> {
     let root = document.root();
     if judged::recognises(&root) {
         let (rig, judgement) = judged::read(&root)?;
@@ -259,7 +259,7 @@ fn read_one(document: &Document, pictures: Option<ImageSize>) -> Result<Parsed, 
     } else if kalibr::recognises(&root) {
         Ok(Parsed::of(CalibrationFormat::Kalibr, kalibr::read(&root)?))
     } else if opencv::recognises(&root) {
-        let (rig, notes) = opencv::read(&[root], pictures)?;
+        let (rig, notes) = opencv::read(&[root], images)?;
         Ok(Parsed { notes, ..Parsed::of(CalibrationFormat::OpenCv, rig) })
     } else if ros::recognises(&root) {
         Err(root
@@ -269,12 +269,12 @@ fn read_one(document: &Document, pictures: Option<ImageSize>) -> Result<Parsed, 
     }
 }
 
-fn read_two(first: &Document, second: &Document, pictures: Option<ImageSize>) -> Result<Parsed, CalibrationFileError> {
+fn read_two(first: &Document, second: &Document, images: Option<ImageSize>) -> Result<Parsed, CalibrationFileError> {
     let (one, two) = (first.root(), second.root());
     if ros::recognises(&one) && ros::recognises(&two) {
         Ok(Parsed::of(CalibrationFormat::RosPair, ros::read(&one, &two)?))
     } else if opencv::recognises(&one) || opencv::recognises(&two) {
-        let (rig, notes) = opencv::read(&[one, two], pictures)?;
+        let (rig, notes) = opencv::read(&[one, two], images)?;
         Ok(Parsed { notes, ..Parsed::of(CalibrationFormat::OpenCv, rig) })
     } else {
         let stranger = if ros::recognises(&one) { second } else { first };

@@ -3,14 +3,14 @@
 //! OpenCV fixes no names, so several spellings are taken: `M1` `K1` `cameraMatrix1` ... for the camera matrices, `D1`
 //! `distCoeffs1` ... for the distortion, `R`, `T`, and `image_width` with `image_height` or `image_size` for the size. `R`
 //! and `T` map points of the first (left) camera to the second, `X2 = R X1 + T`. A file without size (OpenCV's own stereo
-//! sample writes none) can be read where the size of the pictures is known.
+//! sample writes none) can be read where the size of the images is known.
 //!
 //! **Unit of `T`.** OpenCV's unit is whatever unit the board was measured in. The key `units` (`mm`, `cm` or `m`) decides
 //! if it is there. Otherwise a `T` shorter than 1 is taken as metres and one longer than 10 as millimetres, and a note
 //! says so; between 1 and 10 the file is refused, because centimetres, metres and board squares are all likely there.
 //!
 //! **Distortion.** 4, 5 or 8 coefficients, longer lists if the rest is zero (thin prism and tilt are not supported). A
-//! fisheye calibration can not be told from its 4 coefficients, so it must say `distortion_model: fisheye`, or
+//! fisheye calibration cannot be told from its 4 coefficients, so it must say `distortion_model: fisheye`, or
 //! `distortion_model1` and `distortion_model2` for cameras that differ. Files written here carry `units` and both models.
 
 use nalgebra::{Matrix3, Vector3};
@@ -84,9 +84,9 @@ pub(super) fn recognises(root: &Node<'_>) -> bool {
 /// Reads one file or the two halves of one.
 pub(super) fn read(
     roots: &[Node<'_>],
-    pictures: Option<ImageSize>,
+    images: Option<ImageSize>,
 ) -> Result<(StereoRig, Vec<String>), CalibrationFileError> {
-    let (size, size_note) = image_size(roots, pictures)?;
+    let (size, size_note) = image_size(roots, images)?;
     let cameras = [camera(roots, 0, size)?, camera(roots, 1, size)?];
     let rotation_node = get(roots, &ROTATION)?;
     let rotation: Matrix3<f64> = checks::rotation(&rotation_node, &rotation_node.matrix()?)?;
@@ -110,15 +110,15 @@ fn get<'a>(roots: &[Node<'a>], keys: &[&str]) -> Result<Node<'a>, CalibrationFil
     })
 }
 
-/// The size that the file states, or that of the pictures if it states none, with a note.
+/// The size that the file states, or that of the images if it states none, with a note.
 fn image_size(
     roots: &[Node<'_>],
-    pictures: Option<ImageSize>,
+    images: Option<ImageSize>,
 ) -> Result<(ImageSize, Option<String>), CalibrationFileError> {
-    match (find(roots, &SIZE), find(roots, &WIDTH), pictures) {
+    match (find(roots, &SIZE), find(roots, &WIDTH), images) {
         (Some(node), ..) => Ok((node.size_pair()?, None)),
         (None, None, Some(size)) => {
-            let note = "the calibration states no image size: it is taken to be that of the pictures";
+            let note = "the calibration states no image size: it is taken to be that of the images";
             Ok((size, Some(note.to_owned())))
         }
         _ => Ok((Node::size(&get(roots, &WIDTH)?, &get(roots, &HEIGHT)?)?, None)),

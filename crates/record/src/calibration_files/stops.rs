@@ -1,6 +1,6 @@
-//! Where arms stood while pictures were taken, and where they are wanted.
+//! Where arms stood while images were taken, and where they are wanted.
 //!
-//! A recording of stops is a folder with a `stops.toml` beside its pictures: at each stop both arms rested, a pair of pictures
+//! A recording of stops is a folder with a `stops.toml` beside its images: at each stop both arms rested, a stereo pair
 //! was taken, and the joints were read. A `poses.toml` holds the poses that an arm is to visit. What both are for is in
 //! `docs/calibration.md`.
 
@@ -32,12 +32,12 @@ pub struct ArmStand {
     pub base_from_flange: Pose<Base, Flange>,
 }
 
-/// A pair of pictures, taken while everything rested.
+/// A stereo pair, taken while everything rested.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stop {
-    /// The left picture, relative to the folder of the file.
+    /// The left image, relative to the folder of the file.
     pub left: String,
-    /// The right picture.
+    /// The right image.
     pub right: String,
     /// The arm that carries the cameras.
     pub vs: ArmStand,
@@ -48,7 +48,7 @@ pub struct Stop {
 /// A recording of stops.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stops {
-    /// When the first picture was taken, RFC 3339.
+    /// When the first image was taken, RFC 3339.
     pub date: String,
     /// In the order in which they were taken.
     pub stops: Vec<Stop>,
@@ -98,7 +98,7 @@ pub fn load_stops(folder: &Path) -> Result<Stops, CalibrationFileError> {
 /// Writes the `stops.toml` into a folder.
 ///
 /// # Errors
-/// A file that can not be written.
+/// A file that cannot be written.
 pub fn save_stops(folder: &Path, stops: &Stops) -> Result<(), CalibrationFileError> {
     let text = |value: &str| toml::Value::from(value).to_string();
     let mut file = format!("format = {}\ndate = {}\n", text(STOPS_FORMAT), text(&stops.date));
@@ -139,7 +139,7 @@ pub fn load_poses(file: &Path) -> Result<WantedPoses, CalibrationFileError> {
 /// Writes poses that an arm is to visit.
 ///
 /// # Errors
-/// A file that can not be written.
+/// A file that cannot be written.
 pub fn save_poses(file: &Path, wanted: &WantedPoses) -> Result<(), CalibrationFileError> {
     let mut text = format!("format = {}\narm = \"{}\"\n", toml::Value::from(POSES_FORMAT), wanted.arm.name());
     for base_from_flange in &wanted.poses {
@@ -158,7 +158,7 @@ fn format(root: &Node<'_>, expected: &str) -> Result<(), CalibrationFileError> {
 
 fn stop(node: &Node<'_>) -> Result<Stop, CalibrationFileError> {
     pose::only(node, &["left", "right", "vs", "tc"])?;
-    let picture = |key: &str| {
+    let image = |key: &str| {
         let name = node.get(key)?;
         // A recording is read wherever it is, and reads nothing that is not its own.
         let is_inside = !name.text()?.is_empty()
@@ -166,8 +166,8 @@ fn stop(node: &Node<'_>) -> Result<Stop, CalibrationFileError> {
         if is_inside { Ok(name.text()?.to_owned()) } else { Err(name.refuse("must be a file in or below this folder")) }
     };
     Ok(Stop {
-        left: picture("left")?,
-        right: picture("right")?,
+        left: image("left")?,
+        right: image("right")?,
         vs: stand(&node.get("vs")?)?,
         tc: node.find("tc").map(|node| stand(&node)).transpose()?,
     })

@@ -1,4 +1,4 @@
-//! A case: one stereo pair, a region in its left picture, and what is known about the plane there.
+//! A case: one stereo pair, a region in its left image, and what is known about the plane there.
 
 use std::path::{Path, PathBuf};
 
@@ -63,15 +63,15 @@ pub struct Case {
     pub name: String,
     /// The case's folder.
     pub folder: PathBuf,
-    /// Left picture.
+    /// Left image.
     pub left: PathBuf,
-    /// Right picture.
+    /// Right image.
     pub right: PathBuf,
     /// Calibration file.
     pub calibration: PathBuf,
-    /// Disparity truth of the left picture, if there is one.
+    /// Disparity truth of the left image, if there is one.
     pub disparity_truth: Option<PathBuf>,
-    /// Corners `[u, v]` of the region in the left picture, pixels.
+    /// Corners `[u, v]` of the region in the left image, pixels.
     pub region_polygon_left_px: Vec<[f64; 2]>,
     /// Centroid of the region's pixels; `None` if the file does not say.
     pub region_centroid_px: Option<[f64; 2]>,
@@ -95,12 +95,12 @@ pub struct Case {
     pub other_keys: Vec<String>,
 }
 
-/// Both pictures of a case or of a frame.
+/// Both images of a case or of a frame.
 #[derive(Clone, Debug, PartialEq)]
-pub struct StereoPictures {
-    /// Left picture.
+pub struct StereoImages {
+    /// Left image.
     pub left: RgbImage,
-    /// Right picture, of the same size.
+    /// Right image, of the same size.
     pub right: RgbImage,
 }
 
@@ -190,14 +190,14 @@ fn facing_unit_normal(node: &Node<'_>) -> Result<Vector3<f64>, DatasetError> {
 }
 
 impl Case {
-    /// Loads both pictures and checks that they have one size.
+    /// Loads both images and checks that they have one size.
     ///
     /// # Errors
-    /// The picture that is missing, damaged or of another size, by name.
-    pub fn load_pictures(&self) -> Result<StereoPictures, DatasetError> {
+    /// The image that is missing, damaged or of another size, by name.
+    pub fn load_images(&self) -> Result<StereoImages, DatasetError> {
         let left = load_rgb(&self.left)?;
         let right = load_rgb_of_size(&self.right, size_of(&left), &self.left.display().to_string())?;
-        Ok(StereoPictures { left, right })
+        Ok(StereoImages { left, right })
     }
 
     /// Loads the calibration.

@@ -14,7 +14,7 @@ mod writer;
 use std::collections::{HashSet, VecDeque};
 use std::path::{Path, PathBuf};
 
-pub use case::{Case, Hardness, PlaneTruth, StereoPictures, load_case};
+pub use case::{Case, Hardness, PlaneTruth, StereoImages, load_case};
 pub use sequence::{FramePattern, Sequence, is_sequence, load_sequence};
 pub use writer::{CaseDraft, FrameFiles, SequenceDraft, SequenceSummary, SequenceWriter, WrittenFrame, write_case};
 
@@ -34,12 +34,12 @@ const FOLDERS_DEEP: usize = 8;
 /// Usual name of the calibration beside them.
 pub const CALIBRATION_FILE: &str = "calib.json";
 
-/// Why a case or sequence can not be used.
+/// Why a case or sequence cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DatasetError {
-    /// A file or folder can not be read or written.
-    #[error("can not {action} {}: check that it exists and may be accessed", file.display())]
+    /// A file or folder cannot be read or written.
+    #[error("cannot {action} {}: check that it exists and may be accessed", file.display())]
     Io {
         /// The file or folder.
         file: PathBuf,
@@ -90,10 +90,10 @@ pub enum DatasetError {
         /// The file that is in the way.
         file: PathBuf,
     },
-    /// A picture can not be used.
+    /// An image cannot be used.
     #[error(transparent)]
     Image(#[from] ImageFileError),
-    /// A calibration can not be used.
+    /// A calibration cannot be used.
     #[error(transparent)]
     Calibration(#[from] CalibrationFileError),
     /// A frame does not fit the frames before it.
@@ -143,7 +143,7 @@ pub struct SearchRange {
 /// to folders are followed; a folder that can be reached in more ways than one is taken once.
 ///
 /// # Errors
-/// A folder that can not be read, or one without any case.
+/// A folder that cannot be read, or one without any case.
 pub fn find_cases(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     let mut cases = Vec::new();
     let mut seen = HashSet::new();
@@ -255,7 +255,7 @@ mod tests {
     #[test]
     fn cases_are_found_at_any_depth_sorted_and_not_inside_cases() {
         let dir = tempfile::tempdir().unwrap();
-        make(dir.path(), &["b", "_scenes/pictures", "empty"]);
+        make(dir.path(), &["b", "_scenes/images", "empty"]);
         let error = find_cases(dir.path()).unwrap_err();
         assert!(matches!(error, DatasetError::NoCases { .. }) && error.to_string().contains("8 levels"), "{error}");
         make(dir.path(), &["+b", "+a/z", "+c/deeper/still", "+_scenes/one", "+.hidden/x", "+b/inside", "+a/.trash"]);

@@ -1,4 +1,4 @@
-//! A sequence: numbered stereo pairs with their times, a region in the first left picture and, perhaps, true poses.
+//! A sequence: numbered stereo pairs with their times, a region in the first left image and, perhaps, true poses.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{ImageSize, Pose};
 
-use super::case::StereoPictures;
+use super::case::StereoImages;
 use super::json::{JsonFile, Node};
 use super::{DatasetError, SEQUENCE_FILE, SearchRange, UNFINISHED_FILE, polygon, search_range, unfinished};
 use crate::calibration_files::{StereoCalibration, load_stereo};
@@ -54,14 +54,14 @@ impl fmt::Display for FramePattern {
     }
 }
 
-/// A sequence folder's `sequence.json`, checked. Pictures are looked at when they are loaded.
+/// A sequence folder's `sequence.json`, checked. Images are looked at when they are loaded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sequence {
     /// The sequence's folder.
     pub folder: PathBuf,
-    /// Names of the left pictures, relative to the folder.
+    /// Names of the left images, relative to the folder.
     pub left: FramePattern,
-    /// Names of the right pictures, relative to the folder.
+    /// Names of the right images, relative to the folder.
     pub right: FramePattern,
     /// Middle of the left exposure of each frame, seconds on the recording's clock, strictly increasing.
     pub times_s: Vec<f64>,
@@ -69,7 +69,7 @@ pub struct Sequence {
     pub skew_s: Vec<f64>,
     /// Calibration file.
     pub calibration: PathBuf,
-    /// Corners `[u, v]` of the target in the left picture of frame 0, pixels.
+    /// Corners `[u, v]` of the target in the left image of frame 0, pixels.
     pub region_polygon_left_px: Vec<[f64; 2]>,
     /// Where to search.
     pub search: SearchRange,
@@ -176,7 +176,7 @@ impl Sequence {
     }
 
     /// Files of a frame: left, right.
-    pub fn picture_files(&self, frame: u64) -> (PathBuf, PathBuf) {
+    pub fn image_files(&self, frame: u64) -> (PathBuf, PathBuf) {
         (self.folder.join(self.left.name(frame)), self.folder.join(self.right.name(frame)))
     }
 
@@ -188,15 +188,15 @@ impl Sequence {
         Ok(load_stereo(std::slice::from_ref(&self.calibration))?)
     }
 
-    /// Loads both pictures of a frame and checks their size, which the calibration tells.
+    /// Loads both images of a frame and checks their size, which the calibration tells.
     ///
     /// # Errors
-    /// The picture that is missing, damaged or of another size, by name.
-    pub fn load_pictures(&self, frame: u64, size: ImageSize) -> Result<StereoPictures, DatasetError> {
-        let (left, right) = self.picture_files(frame);
+    /// The image that is missing, damaged or of another size, by name.
+    pub fn load_images(&self, frame: u64, size: ImageSize) -> Result<StereoImages, DatasetError> {
+        let (left, right) = self.image_files(frame);
         let because_of = self.calibration.display().to_string();
         let load = |file: &Path| load_rgb_of_size(file, size, &because_of);
-        Ok(StereoPictures { left: load(&left)?, right: load(&right)? })
+        Ok(StereoImages { left: load(&left)?, right: load(&right)? })
     }
 }
 
@@ -245,7 +245,7 @@ mod tests {
         // A quarter turn about z takes the model's x axis to the camera's y axis.
         let point = pose.transform_point(&nalgebra::Point3::new(0.1, 0.0, 0.02));
         assert!((point.coords - Vector3::new(0.05, 0.08, 0.53)).norm() < 1e-12, "{point}");
-        assert!(sequence.picture_files(1).1.ends_with("r1.png"));
+        assert!(sequence.image_files(1).1.ends_with("r1.png"));
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The log of a recording that is not finished: what a program that is killed meanwhile leaves behind in place of `sequence.json`.
 //!
 //! Its first line is an object with the keys of `sequence.json` that do not grow; each further line is one frame. A line is written
-//! before the pictures of its frame, so the last frames may have none.
+//! before the images of its frame, so the last frames may have none.
 
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -75,10 +75,10 @@ fn not_written(path: &Path, source: std::io::Error) -> DatasetError {
     DatasetError::Io { file: path.to_owned(), action: "write", source }
 }
 
-/// What a log tells, as `sequence.json` would: the frames until the last one whose pictures are whole.
+/// What a log tells, as `sequence.json` would: the frames until the last one whose images are whole.
 ///
 /// # Errors
-/// A log that can not be read, or whose first line is damaged.
+/// A log that cannot be read, or whose first line is damaged.
 pub(super) fn read(folder: &Path) -> Result<JsonFile, DatasetError> {
     let path = folder.join(UNFINISHED_FILE);
     let read = std::fs::read(&path);
@@ -111,7 +111,7 @@ pub(super) fn read(folder: &Path) -> Result<JsonFile, DatasetError> {
     Ok(JsonFile::of(path, Value::Object(root)))
 }
 
-/// Whether a picture was written to its end.
+/// Whether an image was written to its end.
 fn is_whole(file: &Path) -> bool {
     let mut end = [0; PNG_END.len()];
     let read = File::open(file).and_then(|mut file| {

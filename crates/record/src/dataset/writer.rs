@@ -13,14 +13,14 @@ use super::case::{Hardness, PlaneTruth};
 use super::unfinished::Log;
 use super::{CALIBRATION_FILE, CASE_FILE, DatasetError, FramePattern, SEQUENCE_FILE, SearchRange, UNFINISHED_FILE};
 use crate::calibration_files::save_json;
-use crate::images::{PictureFormat, save, size_of};
+use crate::images::{StoredFormat, save, size_of};
 
-/// What a case says beside its pictures and calibration.
+/// What a case says beside its images and calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CaseDraft {
     /// Name of the case.
     pub name: String,
-    /// Corners `[u, v]` of the region in the left picture, pixels.
+    /// Corners `[u, v]` of the region in the left image, pixels.
     pub region_polygon_left_px: Vec<[f64; 2]>,
     /// Centroid of the region's pixels.
     pub region_centroid_px: Option<[f64; 2]>,
@@ -37,20 +37,20 @@ pub struct CaseDraft {
 /// What a sequence says beside its frames and calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SequenceDraft {
-    /// Corners `[u, v]` of the target in the left picture of frame 0, pixels.
+    /// Corners `[u, v]` of the target in the left image of frame 0, pixels.
     pub region_polygon_left_px: Vec<[f64; 2]>,
     /// Where to search.
     pub search: SearchRange,
-    /// How pictures are stored.
-    pub pictures: PictureFormat,
+    /// How images are stored.
+    pub images: StoredFormat,
 }
 
 /// One frame for [`SequenceWriter::push`].
 #[derive(Clone, Copy, Debug)]
 pub struct WrittenFrame<'a> {
-    /// Left picture.
+    /// Left image.
     pub left: &'a RgbImage,
-    /// Right picture.
+    /// Right image.
     pub right: &'a RgbImage,
     /// Middle of the left exposure.
     pub exposed_at: MonotonicTime,
@@ -60,25 +60,25 @@ pub struct WrittenFrame<'a> {
     pub cam_left_from_model: Option<Pose<CamLeft, Model>>,
 }
 
-/// Where the pictures of one frame go. They may be written by other threads than the one that has the [`SequenceWriter`].
+/// Where the images of one frame go. They may be written by other threads than the one that has the [`SequenceWriter`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FrameFiles {
-    /// Left picture.
+    /// Left image.
     pub left: PathBuf,
-    /// Right picture.
+    /// Right image.
     pub right: PathBuf,
     /// How both are stored.
-    pub pictures: PictureFormat,
+    pub images: StoredFormat,
 }
 
 impl FrameFiles {
-    /// Writes both pictures.
+    /// Writes both images.
     ///
     /// # Errors
-    /// A picture that can not be written.
+    /// An image that cannot be written.
     pub fn save(&self, left: &RgbImage, right: &RgbImage) -> Result<(), DatasetError> {
-        save(left, &self.left, self.pictures)?;
-        Ok(save(right, &self.right, self.pictures)?)
+        save(left, &self.left, self.images)?;
+        Ok(save(right, &self.right, self.images)?)
     }
 
     /// Removes what there is of both.
@@ -102,7 +102,7 @@ pub struct SequenceSummary {
 /// Writes a case folder: `left.png`, `right.png`, `calib.json`, `case.json`. The folder is made if it is not there.
 ///
 /// # Errors
-/// If the folder holds a case already, or a file can not be written.
+/// If the folder holds a case already, or a file cannot be written.
 pub fn write_case(
     folder: &Path,
     draft: &CaseDraft,
@@ -112,8 +112,8 @@ pub fn write_case(
 ) -> Result<(), DatasetError> {
     let file = folder.join(CASE_FILE);
     start_folder(folder, &file)?;
-    save(left, &folder.join("left.png"), PictureFormat::Png)?;
-    save(right, &folder.join("right.png"), PictureFormat::Png)?;
+    save(left, &folder.join("left.png"), StoredFormat::Png)?;
+    save(right, &folder.join("right.png"), StoredFormat::Png)?;
     save_json(rig, &folder.join(CALIBRATION_FILE))?;
     let mut keys = vec![
         ("case", json!(draft.name)),
@@ -184,12 +184,12 @@ impl SequenceWriter {
     /// Starts a recording: makes the folder and writes `calib.json`.
     ///
     /// # Errors
-    /// If the folder holds a sequence already, or can not be written to.
+    /// If the folder holds a sequence already, or cannot be written to.
     pub fn create(folder: &Path, rig: &StereoRig, draft: SequenceDraft) -> Result<Self, DatasetError> {
         start_folder(folder, &folder.join(UNFINISHED_FILE))?;
         start_folder(folder, &folder.join(SEQUENCE_FILE))?;
         save_json(rig, &folder.join(CALIBRATION_FILE))?;
-        let extension = draft.pictures.extension();
+        let extension = draft.images.extension();
         Ok(Self {
             folder: folder.to_owned(),
             draft,
@@ -203,21 +203,21 @@ impl SequenceWriter {
         })
     }
 
-    /// Writes the pictures of the next frame.
+    /// Writes the images of the next frame.
     ///
     /// # Errors
     /// A frame that is not later than the one before, of a size that is not the calibration's, or with truth where the
-    /// others have none; nothing is recorded of such a frame. A picture that can not be written.
+    /// others have none; nothing is recorded of such a frame. An image that cannot be written.
     pub fn push(&mut self, frame: WrittenFrame<'_>) -> Result<(), DatasetError> {
         let files = self.accept(&frame)?;
         files.save(frame.left, frame.right).inspect_err(|_| self.forget_last())
     }
 
-    /// Notes the next frame, whose pictures the caller writes: where they go. What could not be written is left out again by
+    /// Notes the next frame, whose images the caller writes: where they go. What could not be written is left out again by
     /// [`Self::keep`].
     ///
     /// # Errors
-    /// As [`Self::push`], but for pictures that can not be written.
+    /// As [`Self::push`], but for images that cannot be written.
     pub fn accept(&mut self, frame: &WrittenFrame<'_>) -> Result<FrameFiles, DatasetError> {
         let number = self.frames();
         self.check(frame).map_err(|reason| DatasetError::Frame {
@@ -261,7 +261,7 @@ impl SequenceWriter {
         self.times.len() as u64
     }
 
-    /// Leaves out all frames but the first ones, and removes their pictures.
+    /// Leaves out all frames but the first ones, and removes their images.
     pub fn keep(&mut self, frames: u64) {
         while self.frames() > frames {
             self.forget_last();
@@ -281,7 +281,7 @@ impl SequenceWriter {
 
     fn files(&self, number: u64) -> FrameFiles {
         let place = |pattern: &FramePattern| self.folder.join(pattern.name(number));
-        FrameFiles { left: place(&self.left), right: place(&self.right), pictures: self.draft.pictures }
+        FrameFiles { left: place(&self.left), right: place(&self.right), images: self.draft.images }
     }
 
     fn check(&self, frame: &WrittenFrame<'_>) -> Result<(), String> {
@@ -289,11 +289,11 @@ impl SequenceWriter {
             let (now_s, last_s) = (frame.exposed_at.as_secs_f64(), last.as_secs_f64());
             return Err(format!("its time {now_s} s must be later than {last_s} s, the frame before"));
         }
-        for (name, picture) in [("left", frame.left), ("right", frame.right)] {
-            let (found, size) = (size_of(picture), self.size);
+        for (name, image) in [("left", frame.left), ("right", frame.right)] {
+            let (found, size) = (size_of(image), self.size);
             if found != size {
                 return Err(format!(
-                    "the {name} picture has {}x{} pixels, the calibration {}x{}",
+                    "the {name} image has {}x{} pixels, the calibration {}x{}",
                     found.width, found.height, size.width, size.height
                 ));
             }
@@ -307,7 +307,7 @@ impl SequenceWriter {
     /// Writes `sequence.json`. Where a full disk has no room for it, the last frames make room.
     ///
     /// # Errors
-    /// If no frame was pushed or the file can not be written.
+    /// If no frame was pushed or the file cannot be written.
     pub fn finish(mut self) -> Result<SequenceSummary, DatasetError> {
         loop {
             match self.describe() {

@@ -1,6 +1,6 @@
 //! Tracked poses against the true motion of a sequence.
 //!
-//! The model frame of an estimate and that of the truth are different frames on the same body, so poses can not be
+//! The model frame of an estimate and that of the truth are different frames on the same body, so poses cannot be
 //! compared. The rigid motion since a reference frame can: `M(t) = T(t) T(t0)^-1`, expressed in `cam_left`, where `t0` is
 //! the first frame with an estimate (frame 0 unless the tracker lost it). Four errors per frame:
 //!

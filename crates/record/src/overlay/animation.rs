@@ -1,4 +1,4 @@
-//! Animated pictures of a sequence, as APNG: true colour, played by every browser, and written by the PNG encoder that
+//! Animated images of a sequence, as APNG: true colour, played by every browser, and written by the PNG encoder that
 //! is in the program anyway.
 
 use std::fs::File;
@@ -10,7 +10,7 @@ use image::{RgbImage, imageops};
 /// Bounds of an animation's size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AnimationLimits {
-    /// Wider pictures are scaled down to this, pixels.
+    /// Wider images are scaled down to this, pixels.
     pub width_max_px: u32,
     /// Most frames. When more are pushed, every other frame is dropped, so that the whole sequence is covered.
     pub frames_max: usize,
@@ -32,8 +32,8 @@ pub enum AnimationError {
         /// The file.
         file: PathBuf,
     },
-    /// The file can not be written.
-    #[error("animation {} can not be written: check the folder and free space", file.display())]
+    /// The file cannot be written.
+    #[error("animation {} cannot be written: check the folder and free space", file.display())]
     Write {
         /// The file.
         file: PathBuf,
@@ -60,8 +60,8 @@ impl Animation {
         Self { limits, frames: Vec::new(), stride: 1, pushed: 0, last_s: 0.0 }
     }
 
-    /// Adds the picture at a time (seconds, increasing). All are scaled to the size of the first.
-    pub fn push(&mut self, at_s: f64, picture: &RgbImage) {
+    /// Adds the image at a time (seconds, increasing). All are scaled to the size of the first.
+    pub fn push(&mut self, at_s: f64, image: &RgbImage) {
         let number = self.pushed;
         self.pushed += 1;
         self.last_s = at_s;
@@ -79,7 +79,7 @@ impl Animation {
                 return;
             }
         }
-        self.frames.push((at_s, self.reduced(picture)));
+        self.frames.push((at_s, self.reduced(image)));
     }
 
     /// Number of frames that would be written now.
@@ -87,20 +87,20 @@ impl Animation {
         self.frames.len()
     }
 
-    fn reduced(&self, picture: &RgbImage) -> RgbImage {
+    fn reduced(&self, image: &RgbImage) -> RgbImage {
         let (width, height) = match self.frames.first() {
             Some((_, first)) => first.dimensions(),
             None => {
-                let width = picture.width().clamp(1, self.limits.width_max_px);
-                let height = u64::from(picture.height()) * u64::from(width) / u64::from(picture.width().max(1));
+                let width = image.width().clamp(1, self.limits.width_max_px);
+                let height = u64::from(image.height()) * u64::from(width) / u64::from(image.width().max(1));
                 (width, (height as u32).max(1))
             }
         };
-        let mut small = match picture.dimensions() == (width, height) {
-            true => picture.clone(),
-            false => imageops::resize(picture, width, height, imageops::FilterType::Triangle),
+        let mut small = match image.dimensions() == (width, height) {
+            true => image.clone(),
+            false => imageops::resize(image, width, height, imageops::FilterType::Triangle),
         };
-        // Sensor noise in the low bits can not be compressed; 5 bits per channel make the file three times smaller.
+        // Sensor noise in the low bits cannot be compressed; 5 bits per channel make the file three times smaller.
         small.iter_mut().for_each(|x| *x = (*x & 0xF8) | (*x >> 5));
         small
     }
@@ -108,7 +108,7 @@ impl Animation {
     /// Writes the animation.
     ///
     /// # Errors
-    /// If it is empty or the file can not be written.
+    /// If it is empty or the file cannot be written.
     pub fn write(&self, file: &Path) -> Result<(), AnimationError> {
         let Some((_, first)) = self.frames.first() else {
             return Err(AnimationError::Empty { file: file.to_owned() });
@@ -123,10 +123,10 @@ impl Animation {
         encoder.set_depth(png::BitDepth::Eight);
         encoder.set_animated(self.frames.len() as u32, 0)?;
         let mut writer = encoder.write_header()?;
-        for (i, (at_s, picture)) in self.frames.iter().enumerate() {
+        for (i, (at_s, image)) in self.frames.iter().enumerate() {
             let until_s = self.frames.get(i + 1).map_or(self.last_shown_until_s(), |next| next.0);
             writer.set_frame_delay(delay_millis(until_s - at_s), 1000)?;
-            writer.write_image_data(picture.as_raw())?;
+            writer.write_image_data(image.as_raw())?;
         }
         writer.finish()
     }

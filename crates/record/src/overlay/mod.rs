@@ -1,6 +1,6 @@
-//! Drawing on pictures: what a method saw and found, for people to look at.
+//! Drawing on images: what a method saw and found, for people to look at.
 //!
-//! Coordinates are pixels with integer pixel centres, the same as everywhere; what lies outside the picture is cut off,
+//! Coordinates are pixels with integer pixel centres, the same as everywhere; what lies outside the image is cut off,
 //! and what is not finite is not drawn. Lines are anti-aliased.
 
 pub mod animation;
@@ -51,45 +51,45 @@ impl Stroke {
 }
 
 /// Draws an open line through points.
-pub fn polyline(picture: &mut RgbImage, points_px: &[[f64; 2]], stroke: Stroke) {
+pub fn polyline(image: &mut RgbImage, points_px: &[[f64; 2]], stroke: Stroke) {
     for pair in points_px.windows(2) {
-        segment(picture, pair[0], pair[1], stroke);
+        segment(image, pair[0], pair[1], stroke);
     }
 }
 
 /// Draws the closed outline of a polygon.
-pub fn polygon(picture: &mut RgbImage, corners_px: &[[f64; 2]], stroke: Stroke) {
-    polyline(picture, corners_px, stroke);
+pub fn polygon(image: &mut RgbImage, corners_px: &[[f64; 2]], stroke: Stroke) {
+    polyline(image, corners_px, stroke);
     if let [first, .., last] = corners_px {
-        segment(picture, *last, *first, stroke);
+        segment(image, *last, *first, stroke);
     }
 }
 
 /// Fills a polygon; `opacity` from 0 (nothing) to 1.
-pub fn fill_polygon(picture: &mut RgbImage, corners_px: &[[f64; 2]], color: Rgb<u8>, opacity: f64) {
-    let size = ImageSize { width: picture.width(), height: picture.height() };
-    mask::polygon_pixels(corners_px, size, |u, v| blend(picture, u, v, color, opacity));
+pub fn fill_polygon(image: &mut RgbImage, corners_px: &[[f64; 2]], color: Rgb<u8>, opacity: f64) {
+    let size = ImageSize { width: image.width(), height: image.height() };
+    mask::polygon_pixels(corners_px, size, |u, v| blend(image, u, v, color, opacity));
 }
 
 /// Tints the pixels of a mask that are not 0; `opacity` from 0 (nothing) to 1. What one has more than the other is cut.
-pub fn fill_mask(picture: &mut RgbImage, mask: &GrayImage, color: Rgb<u8>, opacity: f64) {
-    let inside = |(u, v): (u32, u32)| u < picture.width() && v < picture.height();
+pub fn fill_mask(image: &mut RgbImage, mask: &GrayImage, color: Rgb<u8>, opacity: f64) {
+    let inside = |(u, v): (u32, u32)| u < image.width() && v < image.height();
     let pixels: Vec<_> =
         mask.enumerate_pixels().filter(|(.., p)| p.0[0] > 0).map(|(u, v, _)| (u, v)).filter(|p| inside(*p)).collect();
     for (u, v) in pixels {
-        blend(picture, u, v, color, opacity);
+        blend(image, u, v, color, opacity);
     }
 }
 
 /// Draws an upright cross with arms of `arm_px` around a point.
-pub fn cross(picture: &mut RgbImage, [u, v]: [f64; 2], arm_px: f64, stroke: Stroke) {
-    segment(picture, [u - arm_px, v], [u + arm_px, v], stroke);
-    segment(picture, [u, v - arm_px], [u, v + arm_px], stroke);
+pub fn cross(image: &mut RgbImage, [u, v]: [f64; 2], arm_px: f64, stroke: Stroke) {
+    segment(image, [u - arm_px, v], [u + arm_px, v], stroke);
+    segment(image, [u, v - arm_px], [u, v + arm_px], stroke);
 }
 
 /// Draws an arrow.
-pub fn arrow(picture: &mut RgbImage, from: [f64; 2], to: [f64; 2], stroke: Stroke) {
-    segment(picture, from, to, stroke);
+pub fn arrow(image: &mut RgbImage, from: [f64; 2], to: [f64; 2], stroke: Stroke) {
+    segment(image, from, to, stroke);
     let (du, dv) = (to[0] - from[0], to[1] - from[1]);
     let length = du.hypot(dv);
     if length < 1.0 {
@@ -98,25 +98,25 @@ pub fn arrow(picture: &mut RgbImage, from: [f64; 2], to: [f64; 2], stroke: Strok
     let head = (0.25 * length).clamp(3.0, 10.0) / length;
     for side in [-0.5, 0.5] {
         let barb = [to[0] - head * (du + side * dv), to[1] - head * (dv - side * du)];
-        segment(picture, to, barb, stroke);
+        segment(image, to, barb, stroke);
     }
 }
 
 /// Draws a triad of axes from its points: the origin and the tips of x (red), y (green), z (blue), with their letters.
-pub fn axes(picture: &mut RgbImage, origin_px: [f64; 2], tips_px: [[f64; 2]; 3]) {
+pub fn axes(image: &mut RgbImage, origin_px: [f64; 2], tips_px: [[f64; 2]; 3]) {
     for ((tip, color), letter) in tips_px.into_iter().zip(colors::AXES).zip(["x", "y", "z"]) {
-        arrow(picture, origin_px, tip, Stroke::of(color));
+        arrow(image, origin_px, tip, Stroke::of(color));
         let (du, dv) = (tip[0] - origin_px[0], tip[1] - origin_px[1]);
         let length = du.hypot(dv).max(1.0);
         let at = [tip[0] + 8.0 * du / length - 4.0, tip[1] + 8.0 * dv / length - 4.0];
-        text(picture, at, letter, TextStyle { color, background: None, scale: 1 });
+        text(image, at, letter, TextStyle { color, background: None, scale: 1 });
     }
 }
 
 /// Draws the axes of a frame given in a camera's frame, `axis_m` metres long. Draws nothing if a point of it is behind the
 /// camera.
 pub fn pose_axes<Cam: Frame, F: Frame>(
-    picture: &mut RgbImage,
+    image: &mut RgbImage,
     camera: &Camera,
     cam_from_frame: &Pose<Cam, F>,
     axis_m: f64,
@@ -127,11 +127,11 @@ pub fn pose_axes<Cam: Frame, F: Frame>(
     };
     let points = (pixel(0.0, 0.0, 0.0), pixel(axis_m, 0.0, 0.0), pixel(0.0, axis_m, 0.0), pixel(0.0, 0.0, axis_m));
     if let (Some(origin), Some(x), Some(y), Some(z)) = points {
-        axes(picture, origin, [x, y, z]);
+        axes(image, origin, [x, y, z]);
     }
 }
 
-/// Left and right picture beside each other with a line between; the smaller one is filled up with black.
+/// Left and right image beside each other with a line between; the smaller one is filled up with black.
 pub fn side_by_side(left: &RgbImage, right: &RgbImage) -> RgbImage {
     const GAP_PX: u32 = 2;
     let (width, height) = (left.width() + GAP_PX + right.width(), left.height().max(right.height()));
@@ -146,18 +146,18 @@ pub fn side_by_side(left: &RgbImage, right: &RgbImage) -> RgbImage {
     both
 }
 
-/// Column of a point of the right picture in [`side_by_side`]'s result is its own plus this.
+/// Column of a point of the right image in [`side_by_side`]'s result is its own plus this.
 pub fn right_offset_px(left: &RgbImage) -> f64 {
     f64::from(left.width()) + 2.0
 }
 
 /// Draws a straight line with round ends: each pixel is covered by what the distance to the line leaves of it.
-fn segment(picture: &mut RgbImage, a: [f64; 2], b: [f64; 2], stroke: Stroke) {
+fn segment(image: &mut RgbImage, a: [f64; 2], b: [f64; 2], stroke: Stroke) {
     let half = 0.5 * stroke.width_px;
     if ![a[0], a[1], b[0], b[1], half].iter().all(|x| x.is_finite()) {
         return;
     }
-    let (width, height) = picture.dimensions();
+    let (width, height) = image.dimensions();
     let [left, right] = covered(a[0], b[0], half, width);
     let [top, bottom] = covered(a[1], b[1], half, height);
     let (du, dv) = (b[0] - a[0], b[1] - a[1]);
@@ -169,7 +169,7 @@ fn segment(picture: &mut RgbImage, a: [f64; 2], b: [f64; 2], stroke: Stroke) {
             let distance = (pu - along * du).hypot(pv - along * dv);
             let coverage = (half + 0.5 - distance).clamp(0.0, 1.0);
             if coverage > 0.0 {
-                blend(picture, u, v, stroke.color, coverage);
+                blend(image, u, v, stroke.color, coverage);
             }
         }
     }
@@ -181,9 +181,9 @@ fn covered(a: f64, b: f64, half: f64, size: u32) -> [u32; 2] {
     [clip((a.min(b) - half - 1.0).floor()), clip((a.max(b) + half + 2.0).ceil())]
 }
 
-fn blend(picture: &mut RgbImage, u: u32, v: u32, color: Rgb<u8>, opacity: f64) {
+fn blend(image: &mut RgbImage, u: u32, v: u32, color: Rgb<u8>, opacity: f64) {
     let opacity = opacity.clamp(0.0, 1.0);
-    let pixel = picture.get_pixel_mut(u, v);
+    let pixel = image.get_pixel_mut(u, v);
     for (below, above) in pixel.0.iter_mut().zip(color.0) {
         *below = (f64::from(*below) * (1.0 - opacity) + f64::from(above) * opacity).round() as u8;
     }
@@ -199,13 +199,13 @@ mod tests {
     const WHITE: Rgb<u8> = Rgb([255, 255, 255]);
 
     fn drawn(draw: impl FnOnce(&mut RgbImage)) -> RgbImage {
-        let mut picture = RgbImage::new(40, 30);
-        draw(&mut picture);
-        picture
+        let mut image = RgbImage::new(40, 30);
+        draw(&mut image);
+        image
     }
 
-    fn ink(picture: &RgbImage) -> f64 {
-        picture.pixels().map(|p| f64::from(p.0[0]) / 255.0).sum()
+    fn ink(image: &RgbImage) -> f64 {
+        image.pixels().map(|p| f64::from(p.0[0]) / 255.0).sum()
     }
 
     #[test]
@@ -221,13 +221,13 @@ mod tests {
     #[test]
     fn nothing_outside_or_undefined_is_drawn() {
         let stroke = Stroke::of(WHITE);
-        let picture = drawn(|p| {
+        let image = drawn(|p| {
             polyline(p, &[[-50.0, -9.0], [90.0, -9.0]], stroke);
             polygon(p, &[[f64::NAN, 3.0], [1e300, f64::INFINITY]], stroke);
             cross(p, [-30.0, 400.0], 5.0, stroke);
             text(p, [1e9, -1e9], "far", TextStyle::of(WHITE));
         });
-        assert_eq!(ink(&picture), 0.0);
+        assert_eq!(ink(&image), 0.0);
         let across = drawn(|p| polyline(p, &[[-1e6, 15.0], [1e6, 15.0]], Stroke { color: WHITE, width_px: 1.0 }));
         assert_eq!(ink(&across), 40.0);
     }
@@ -249,20 +249,20 @@ mod tests {
         let size = ImageSize { width: 40, height: 30 };
         let pinhole = Pinhole { fx: 30.0, fy: 32.0, cx: 18.0, cy: 14.0 };
         let camera = Camera::new(size, pinhole, Distortion::None).unwrap();
-        // A quarter turn about z: the model's x axis points down in the picture.
+        // A quarter turn about z: the model's x axis points down in the image.
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
         let pose = Pose::<CamLeft, Model>::from_parts(Vector3::new(0.1, -0.1, 0.5), turn);
-        let picture = drawn(|p| pose_axes(p, &camera, &pose, 0.2));
+        let image = drawn(|p| pose_axes(p, &camera, &pose, 0.2));
         // Origin at (24, 7.6); x tip at (24, 20.4): red on the way, green to the left.
-        assert_eq!(*picture.get_pixel(24, 14), colors::AXES[0]);
-        let left = picture.get_pixel(18, 8).0;
+        assert_eq!(*image.get_pixel(24, 14), colors::AXES[0]);
+        let left = image.get_pixel(18, 8).0;
         assert!(left[1] > left[0] && left[1] > left[2], "{left:?}");
         let behind = Pose::<CamLeft, Model>::from_translation(Vector3::new(0.0, 0.0, -0.5));
         assert_eq!(ink(&drawn(|p| pose_axes(p, &camera, &behind, 0.2))), 0.0);
     }
 
     #[test]
-    fn pictures_stand_side_by_side() {
+    fn images_stand_side_by_side() {
         let (left, right) = (RgbImage::from_pixel(5, 4, Rgb([1, 1, 1])), RgbImage::from_pixel(3, 6, Rgb([2, 2, 2])));
         let both = side_by_side(&left, &right);
         assert_eq!(both.dimensions(), (10, 6));

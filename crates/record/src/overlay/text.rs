@@ -33,8 +33,8 @@ pub fn text_size(label: &str, scale: u32) -> (u32, u32) {
 }
 
 /// Draws a label with its top left corner at a point. Latin letters and the degree sign are known, everything else is
-/// drawn as a question mark; what lies outside the picture is cut off.
-pub fn text(picture: &mut RgbImage, at_px: [f64; 2], label: &str, style: TextStyle) {
+/// drawn as a question mark; what lies outside the image is cut off.
+pub fn text(image: &mut RgbImage, at_px: [f64; 2], label: &str, style: TextStyle) {
     let near = |x: f64| x.is_finite() && x.abs() < 1e6;
     if !near(at_px[0]) || !near(at_px[1]) || style.scale == 0 {
         return;
@@ -42,13 +42,13 @@ pub fn text(picture: &mut RgbImage, at_px: [f64; 2], label: &str, style: TextSty
     let (left, top) = (at_px[0].round() as i64, at_px[1].round() as i64);
     if let Some(color) = style.background {
         let (width, height) = text_size(label, style.scale);
-        rectangle(picture, [left - 2, top - 2], [width + 4, height + 2], color, 0.6);
+        rectangle(image, [left - 2, top - 2], [width + 4, height + 2], color, 0.6);
     }
     let step = i64::from(GLYPH_PX * style.scale);
     for (row, line) in (0_i64..).zip(label.lines()) {
         let y = top + row * i64::from((GLYPH_PX + 2) * style.scale);
         for (column, character) in (0_i64..).zip(line.chars()) {
-            draw_glyph(picture, [left + column * step, y], &glyph(character), style);
+            draw_glyph(image, [left + column * step, y], &glyph(character), style);
         }
     }
 }
@@ -60,24 +60,24 @@ fn glyph(character: char) -> [u8; 8] {
     found.copied().unwrap_or(BASIC_LEGACY[usize::from(b'?')])
 }
 
-fn draw_glyph(picture: &mut RgbImage, [left, top]: [i64; 2], rows: &[u8; 8], style: TextStyle) {
+fn draw_glyph(image: &mut RgbImage, [left, top]: [i64; 2], rows: &[u8; 8], style: TextStyle) {
     let scale = i64::from(style.scale);
     for (row, bits) in (0_i64..).zip(rows) {
         for column in (0_i64..8).filter(|column| bits >> column & 1 == 1) {
             let at = [left + column * scale, top + row * scale];
-            rectangle(picture, at, [style.scale, style.scale], style.color, 1.0);
+            rectangle(image, at, [style.scale, style.scale], style.color, 1.0);
         }
     }
 }
 
-fn rectangle(picture: &mut RgbImage, at: [i64; 2], size: [u32; 2], color: Rgb<u8>, opacity: f64) {
+fn rectangle(image: &mut RgbImage, at: [i64; 2], size: [u32; 2], color: Rgb<u8>, opacity: f64) {
     let range = |start: i64, length: u32, limit: u32| {
         let clip = |x: i64| x.clamp(0, i64::from(limit)) as u32;
         clip(start)..clip(start + i64::from(length))
     };
-    for v in range(at[1], size[1], picture.height()) {
-        for u in range(at[0], size[0], picture.width()) {
-            blend(picture, u, v, color, opacity);
+    for v in range(at[1], size[1], image.height()) {
+        for u in range(at[0], size[0], image.width()) {
+            blend(image, u, v, color, opacity);
         }
     }
 }
@@ -89,10 +89,10 @@ mod tests {
     #[test]
     fn letters_stand_upright_and_are_not_mirrored() {
         let style = TextStyle { color: Rgb([255, 0, 0]), background: None, scale: 1 };
-        let mut picture = RgbImage::new(8, 8);
-        text(&mut picture, [0.0, 0.0], "L", style);
+        let mut image = RgbImage::new(8, 8);
+        text(&mut image, [0.0, 0.0], "L", style);
         let share = |u: std::ops::Range<u32>, v: std::ops::Range<u32>| {
-            v.flat_map(|v| u.clone().map(move |u| (u, v))).filter(|(u, v)| picture.get_pixel(*u, *v).0[0] > 0).count()
+            v.flat_map(|v| u.clone().map(move |u| (u, v))).filter(|(u, v)| image.get_pixel(*u, *v).0[0] > 0).count()
         };
         assert!(share(0..4, 0..4) > share(4..8, 0..4), "the stem is on the left");
         assert!(share(0..8, 4..8) > share(0..8, 0..4), "the foot is below");
@@ -103,8 +103,8 @@ mod tests {
         assert_eq!(text_size("ab\nlonger", 2), (96, 40));
         assert_eq!(glyph('\u{4e2d}'), glyph('?'));
         assert_ne!(glyph('°'), glyph('?'));
-        let mut picture = RgbImage::new(20, 20);
-        text(&mut picture, [-4.0, 15.0], "cut at the edges", TextStyle::of(Rgb([255, 255, 255])));
-        assert!(picture.pixels().any(|p| p.0[0] == 255));
+        let mut image = RgbImage::new(20, 20);
+        text(&mut image, [-4.0, 15.0], "cut at the edges", TextStyle::of(Rgb([255, 255, 255])));
+        assert!(image.pixels().any(|p| p.0[0] == 255));
     }
 }

@@ -1,8 +1,8 @@
 //! Line plots as inline SVG.
 //!
 //! Written here and not with a plotting crate, because the usual one repeats font and colour in every element (files
-//! several times larger), can not follow the page's light or dark colours, and draws every sample. Here colours are
-//! classes of the page's style sheet, and long series are reduced to what the picture can show.
+//! several times larger), cannot follow the page's light or dark colours, and draws every sample. Here colours are
+//! classes of the page's style sheet, and long series are reduced to what the image can show.
 
 use std::fmt::Write as _;
 
@@ -253,7 +253,7 @@ impl LinePlot {
         svg
     }
 
-    /// The lines, inside a nested picture that cuts them off at the edges of the plot area.
+    /// The lines, inside a nested image that cuts them off at the edges of the plot area.
     fn lines(&self, x: &Scale, y: &Scale, area: f64) -> String {
         let mut svg = format!("<svg x=\"{LEFT}\" y=\"{TOP}\" width=\"{area}\" height=\"{HEIGHT}\" class=\"area\">");
         for mark in self.marks.iter().filter(|mark| mark.at.is_finite()) {
@@ -298,7 +298,7 @@ fn path(points: &[[f64; 2]], x: &Scale, y: &Scale, area: f64) -> String {
     let mut path = String::new();
     for run in points.split(|point| !is_finite(point)).filter(|run| !run.is_empty()) {
         let place = |p: &[f64; 2]| {
-            // Far outside values are cut where no picture shows them, so that the numbers stay short.
+            // Far outside values are cut where no image shows them, so that the numbers stay short.
             let v = (HEIGHT * (1.0 - y.share(p[1]))).clamp(-1e4, 1e4);
             [(area * x.share(p[0])).clamp(-1e4, 1e4), v]
         };
@@ -316,7 +316,7 @@ fn path(points: &[[f64; 2]], x: &Scale, y: &Scale, area: f64) -> String {
     path
 }
 
-/// Long lines are reduced to the first, lowest, highest and last point of each column of the picture: looks the same,
+/// Long lines are reduced to the first, lowest, highest and last point of each column of the image: looks the same,
 /// and no peak is lost.
 fn reduced(places: &[[f64; 2]], area: f64) -> Vec<[f64; 2]> {
     if places.len() as f64 <= 2.0 * area {

@@ -16,8 +16,8 @@
 mod axis;
 mod bars;
 mod base64;
+mod image_plot;
 mod line_plot;
-mod picture_plot;
 mod svg_file;
 
 use std::fmt::Write as _;
@@ -26,28 +26,28 @@ use std::path::{Path, PathBuf};
 use image::RgbImage;
 
 pub use bars::Bars;
+pub use image_plot::{ImagePlot, VectorAt};
 use line_plot::PlotWidth;
 pub use line_plot::{LinePlot, Mark, Series, SeriesColor};
-pub use picture_plot::{PicturePlot, VectorAt};
 pub use svg_file::svg_file;
 
-use crate::images::{PictureFormat, encode};
+use crate::images::{StoredFormat, encode};
 use crate::plain_zero::plain_zero;
 
 /// Why a report was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
-    /// A picture can not be encoded.
-    #[error("picture `{caption}` of the report can not be encoded: it must have at least one pixel")]
-    Picture {
+    /// An image cannot be encoded.
+    #[error("image `{caption}` of the report cannot be encoded: it must have at least one pixel")]
+    Image {
         /// Its caption.
         caption: String,
         /// The cause.
         #[source]
         source: image::ImageError,
     },
-    /// The file can not be written.
-    #[error("report {} can not be written: check the folder and free space", file.display())]
+    /// The file cannot be written.
+    #[error("report {} cannot be written: check the folder and free space", file.display())]
     Write {
         /// The file.
         file: PathBuf,
@@ -80,9 +80,9 @@ impl Table {
     }
 }
 
-/// A picture of a report.
+/// An image of a report.
 #[derive(Clone, Debug)]
-pub enum ReportPicture<'a> {
+pub enum ReportImage<'a> {
     /// Stored as JPEG: photographs.
     Photo(&'a RgbImage),
     /// Stored as PNG: drawings.
@@ -208,10 +208,10 @@ impl Report {
         self.add(format_args!("<div class=\"panels\">{panels}</div>"))
     }
 
-    /// Plots over the area of pictures, side by side where the window is wide enough.
+    /// Plots over the area of images, side by side where the window is wide enough.
     #[must_use]
-    pub fn picture_plots(self, plots: &[PicturePlot]) -> Self {
-        let panels: String = plots.iter().map(PicturePlot::to_html).collect();
+    pub fn image_plots(self, plots: &[ImagePlot]) -> Self {
+        let panels: String = plots.iter().map(ImagePlot::to_html).collect();
         self.add(format_args!("<div class=\"panels\">{panels}</div>"))
     }
 
@@ -222,12 +222,12 @@ impl Report {
         self.add(format_args!("<div class=\"panels\">{panels}</div>"))
     }
 
-    /// A strip of pictures with captions.
+    /// A strip of images with captions.
     #[must_use]
-    pub fn images(mut self, pictures: &[(ReportPicture<'_>, String)]) -> Self {
+    pub fn images(mut self, images: &[(ReportImage<'_>, String)]) -> Self {
         let mut strip = String::new();
-        for (picture, caption) in pictures {
-            match picture_tag(picture, caption) {
+        for (image, caption) in images {
+            match image_tag(image, caption) {
                 Ok(tag) => strip.push_str(&tag),
                 // Kept until the report is written, so that a report can be chained.
                 Err(error) => self.failed = self.failed.or(Some(error)),
@@ -239,7 +239,7 @@ impl Report {
     /// The whole report.
     ///
     /// # Errors
-    /// If a picture could not be encoded.
+    /// If an image could not be encoded.
     pub fn to_html(mut self) -> Result<String, ReportError> {
         match self.failed.take() {
             Some(error) => Err(error),
@@ -250,7 +250,7 @@ impl Report {
     /// Writes the report.
     ///
     /// # Errors
-    /// If a picture could not be encoded or the file can not be written.
+    /// If an image could not be encoded or the file cannot be written.
     pub fn write(self, file: &Path) -> Result<(), ReportError> {
         let html = self.to_html()?;
         std::fs::write(file, html).map_err(|source| ReportError::Write { file: file.to_owned(), source })
@@ -270,16 +270,14 @@ impl Report {
     }
 }
 
-fn picture_tag(picture: &ReportPicture<'_>, caption: &str) -> Result<String, ReportError> {
-    let encoded = |picture, format| {
-        encode(picture, format).map_err(|source| ReportError::Picture { caption: caption.to_owned(), source })
+fn image_tag(image: &ReportImage<'_>, caption: &str) -> Result<String, ReportError> {
+    let encoded = |image, format| {
+        encode(image, format).map_err(|source| ReportError::Image { caption: caption.to_owned(), source })
     };
-    let (kind, data) = match picture {
-        ReportPicture::Photo(picture) => {
-            ("jpeg", base64::encode(&encoded(picture, PictureFormat::Jpeg { quality: 85 })?))
-        }
-        ReportPicture::Drawing(picture) => ("png", base64::encode(&encoded(picture, PictureFormat::Png)?)),
-        ReportPicture::EncodedPng(bytes) => ("png", base64::encode(bytes)),
+    let (kind, data) = match image {
+        ReportImage::Photo(image) => ("jpeg", base64::encode(&encoded(image, StoredFormat::Jpeg { quality: 85 })?)),
+        ReportImage::Drawing(image) => ("png", base64::encode(&encoded(image, StoredFormat::Png)?)),
+        ReportImage::EncodedPng(bytes) => ("png", base64::encode(bytes)),
     };
     let caption = escape(caption);
     Ok(format!(
@@ -313,7 +311,7 @@ mod tests {
         let plot = LinePlot::new(nasty, (nasty, nasty), (nasty, nasty))
             .series(Series::line(nasty, SeriesColor::Ink, vec![[0.0, 0.0], [1.0, 1.0]]))
             .mark(0.5, nasty);
-        let picture = RgbImage::new(4, 3);
+        let image = RgbImage::new(4, 3);
         let html = Report::new(nasty)
             .heading(nasty)
             .paragraph(nasty)
@@ -321,9 +319,9 @@ mod tests {
             .table(&Table::new([nasty]).row([nasty]))
             .panels(&[plot])
             .verdict(Tone::Bad, nasty, &[nasty.to_owned()])
-            .picture_plots(&[PicturePlot::new(nasty, [4, 3])])
+            .image_plots(&[ImagePlot::new(nasty, [4, 3])])
             .bars(&[Bars::new(nasty, 1).bar(nasty, 1.0).limit(nasty, 2.0)])
-            .images(&[(ReportPicture::Photo(&picture), nasty.to_owned())])
+            .images(&[(ReportImage::Photo(&image), nasty.to_owned())])
             .to_html()
             .unwrap();
         assert!(!html.contains("<script") && !html.contains("alert('"), "{html}");
@@ -346,20 +344,20 @@ mod tests {
     }
 
     #[test]
-    fn pictures_are_embedded_and_an_empty_one_is_refused_by_caption() {
-        let picture = RgbImage::from_fn(6, 5, |x, y| image::Rgb([x as u8, y as u8, 9]));
-        let png = encode(&picture, PictureFormat::Png).unwrap();
+    fn images_are_embedded_and_an_empty_one_is_refused_by_caption() {
+        let image = RgbImage::from_fn(6, 5, |x, y| image::Rgb([x as u8, y as u8, 9]));
+        let png = encode(&image, StoredFormat::Png).unwrap();
         let strip = [
-            (ReportPicture::Drawing(&picture), "one".to_owned()),
-            (ReportPicture::EncodedPng(&png), "two".to_owned()),
-            (ReportPicture::Photo(&picture), "three".to_owned()),
+            (ReportImage::Drawing(&image), "one".to_owned()),
+            (ReportImage::EncodedPng(&png), "two".to_owned()),
+            (ReportImage::Photo(&image), "three".to_owned()),
         ];
         let html = Report::new("t").images(&strip).to_html().unwrap();
         assert_eq!(html.matches(&base64::encode(&png)).count(), 2);
         assert_eq!(html.matches("data:image/jpeg;base64,/9j/").count(), 1);
         let empty = RgbImage::new(0, 0);
         let error = Report::new("t")
-            .images(&[(ReportPicture::Photo(&empty), "frame 3".into())])
+            .images(&[(ReportImage::Photo(&empty), "frame 3".into())])
             .paragraph("more")
             .to_html()
             .unwrap_err();

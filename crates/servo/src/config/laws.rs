@@ -12,16 +12,16 @@ pub enum LawConfig {
     FeedForward(FeedForwardConfig),
     /// The law of the paper's group, see [`crate::law::pose_based`].
     Published(PublishedConfig),
-    /// Points of the model led through the picture, see [`crate::law::image_based`].
+    /// Points of the model led through the image, see [`crate::law::image_based`].
     ImageBased(ImageBasedConfig),
-    /// One point and its depth in the picture, and the turn that is left, see [`crate::law::hybrid`].
+    /// One point and its depth in the image, and the turn that is left, see [`crate::law::hybrid`].
     Hybrid(HybridConfig),
 }
 
 /// Classical image-based servoing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImageBasedConfig {
-    /// Share of the error in the picture that is taken away per second, 1/s, 0 (exclusive) to 50.
+    /// Share of the error in the image that is taken away per second, 1/s, 0 (exclusive) to 50.
     pub gain_per_s: f64,
     /// The points are the corners of a square of the model, this far to either side of its origin, metres, 0.001 to 1.
     pub half_width_m: f64,

@@ -205,7 +205,7 @@ impl Controller {
         }
     }
 
-    /// `None` if the target can not be predicted that far.
+    /// `None` if the target cannot be predicted that far.
     fn feed_forward_wish(&mut self, law: &FeedForwardConfig, joints: &JointState, now: MonotonicTime) -> Option<Wish> {
         let begins_to_act = now + Duration::from_secs_f64(law.arm.delay_s);
         let target = self.target.at(begins_to_act)?;

@@ -12,9 +12,9 @@ use super::BATCHES;
 const PERIODS_RIGHT: f64 = 2.0;
 /// The same of the motion downwards: another number, so that both are told apart.
 const PERIODS_DOWN: f64 = 3.0;
-/// Farther than this the picture changes too much, metres.
+/// Farther than this the image changes too much, metres.
 const WAY_MAX_M: f64 = 0.03;
-/// Faster than this the limiter may have to round the motion off, and pictures smear, m/s.
+/// Faster than this the limiter may have to round the motion off, and images smear, m/s.
 const SPEED_MAX_M_PER_S: f64 = 0.06;
 
 /// The hand swings to its right and downwards and comes back, in each piece of the record in the same way: along the fourth power

@@ -1,4 +1,4 @@
-//! How much later than their stamps say the pictures were exposed, on the clock of the joints.
+//! How much later than their stamps say the images were exposed, on the clock of the joints.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Model};
@@ -44,7 +44,7 @@ struct Row {
     rate_m_per_s: Vector3<f64>,
 }
 
-/// The offset by which joints have to be taken later than the pictures' stamps for a target at rest to rest in `base`, seconds.
+/// The offset by which joints have to be taken later than the images' stamps for a target at rest to rest in `base`, seconds.
 ///
 /// `seen` are the stamps and poses of the model in the left camera while the target rested and the hand moved; `joints` are in
 /// the order of time. A share of the observed place that goes with the way of the hand, not with its velocity (errors of the

@@ -1,4 +1,4 @@
-//! 2 1/2-D servoing: the place of one point in the left picture and the logarithm of its depth lead the translation, the turn that is
+//! 2 1/2-D servoing: the place of one point in the left image and the logarithm of its depth lead the translation, the turn that is
 //! left leads the rotation; for comparison. E. Malis, F. Chaumette and S. Boudet, "2 1/2 D visual servoing", IEEE Transactions on
 //! Robotics and Automation 15(2), 1999; in the form of F. Chaumette and S. Hutchinson, "Visual servo control, Part II: Advanced
 //! approaches", IEEE Robotics and Automation Magazine 14(1), 2007.
@@ -17,7 +17,7 @@
 //! w = -gain r,      v = -gain Z inv(Lv) (e - Lw r)
 //! ```
 //!
-//! so that both e and r fall exponentially, without a singularity before the camera: the point keeps to a straight line in the picture,
+//! so that both e and r fall exponentially, without a singularity before the camera: the point keeps to a straight line in the image,
 //! the camera turns about one axis.
 
 use nalgebra::{Matrix3, Vector3};

@@ -1,4 +1,4 @@
-//! Classical image-based servoing: the points of the model are led to their places in the left picture, each along a straight line;
+//! Classical image-based servoing: the points of the model are led to their places in the left image, each along a straight line;
 //! for comparison. F. Chaumette and S. Hutchinson, "Visual servo control, Part I: Basic approaches", IEEE Robotics and Automation
 //! Magazine 13(4), 2006, equations (2) to (5) and (11).
 //!
@@ -18,7 +18,7 @@
 //! ```
 //!
 //! so that e falls exponentially as long as the points allow it. What the hand does on this way is left open: before a large turn about
-//! the optical axis the points go straight through the middle of the picture, and the camera backs away for that ("Chaumette's
+//! the optical axis the points go straight through the middle of the image, and the camera backs away for that ("Chaumette's
 //! conundrum", the same, Part II, 2007), endlessly for half a turn.
 
 use nalgebra::{Matrix6, Point3, SMatrix, SVector, Vector6};
@@ -29,9 +29,9 @@ use super::DEPTH_MIN_M;
 
 /// Points of the model: the corners of a square about its origin, in its plane.
 const POINTS: usize = 4;
-/// Two numbers in the picture each.
+/// Two numbers in the image each.
 const ROWS: usize = 2 * POINTS;
-/// A point in the picture.
+/// A point in the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct ImagePoint {
     x: f64,

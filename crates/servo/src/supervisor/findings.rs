@@ -50,7 +50,7 @@ pub enum Detail {
     NoPose,
 }
 
-/// Looks at the inputs and remembers what they can not tell again.
+/// Looks at the inputs and remembers what they cannot tell again.
 #[derive(Clone, Debug)]
 pub(super) struct Findings {
     stepped_at: Option<MonotonicTime>,
@@ -63,7 +63,7 @@ pub(super) struct Findings {
     confident_at: Option<MonotonicTime>,
     /// When that estimate came.
     pub(super) confirmed_at: Option<MonotonicTime>,
-    /// Pictures from before are not of the target that was selected.
+    /// Images from before are not of the target that was selected.
     not_before: MonotonicTime,
     innovation: Innovation,
     started_target: Option<u64>,

@@ -16,7 +16,7 @@ pub struct Inputs {
     pub innovation: Innovation,
     /// The newest estimate; none before the first one.
     pub estimate: Option<EstimateInput>,
-    /// The newest pair of pictures; none before the first one.
+    /// The newest stereo pair; none before the first one.
     pub frame: Option<FrameInput>,
     /// The joint of the hand's arm that is nearest to an end of its operating range; none if its joints are not known.
     pub range_end: Option<RangeEnd>,
@@ -81,14 +81,14 @@ impl Word {
     }
 }
 
-/// What the estimator says about one pair of pictures.
+/// What the estimator says about one stereo pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EstimateInput {
-    /// Middle of the left picture's exposure.
+    /// Middle of the left image's exposure.
     pub at: MonotonicTime,
     /// Whether the estimator stands by its pose.
     pub confidence: Confidence,
-    /// Covariance of the pose, metres and radians, translation first; none: the method can not say.
+    /// Covariance of the pose, metres and radians, translation first; none: the method cannot say.
     pub covariance: Option<Matrix6<f64>>,
     /// Number of the target that it follows. A target that was lost and is known again keeps its number; anything else that the
     /// estimator begins to follow, also after a restart, has another one.
@@ -127,12 +127,12 @@ pub enum Innovation {
     },
 }
 
-/// A pair of pictures.
+/// A stereo pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameInput {
     /// Counts pairs.
     pub sequence: u64,
-    /// Middle of the left picture's exposure.
+    /// Middle of the left image's exposure.
     pub at: MonotonicTime,
     /// Middle of the right exposure minus middle of the left one, seconds.
     pub skew_s: f64,

@@ -20,9 +20,9 @@ pub enum Condition {
     JointsStale,
     /// The estimator follows another target than the one that was started.
     TargetChanged,
-    /// The newest picture is too old.
+    /// The newest image is too old.
     FrameStale,
-    /// Numbers and times of the pictures do not both increase.
+    /// Numbers and times of the images do not both increase.
     FrameOrder,
     /// The newest pose that the estimator stands by is so old that the target counts as lost.
     TargetLost,
@@ -104,7 +104,7 @@ pub struct SupervisorConfig {
     /// estimate.
     pub resume_after_s: f64,
     /// `start` and `resume` are obeyed only when nothing has spoken against motion for this time, seconds, 0.05 to
-    /// [`Self::resume_after_s`]: what one picture in some shows is not gone between two of them.
+    /// [`Self::resume_after_s`]: what one image in some shows is not gone between two of them.
     pub go_after_s: f64,
     /// A word (other than stop and hold) that was said longer ago is not obeyed, seconds, 0.05 to 5.
     pub word_age_max_s: f64,

@@ -1,4 +1,4 @@
-//! A hand with a camera before a target, in pure maths: joints with a command delay and a first-order lag, exact pictures at
+//! A hand with a camera before a target, in pure maths: joints with a command delay and a first-order lag, exact images at
 //! 30 per second that arrive late.
 #![allow(dead_code, clippy::unwrap_used, clippy::panic)] // Each test file uses a part.
 
@@ -192,7 +192,7 @@ impl Cell {
         desired * self.config.model_from_hand_desired.inverse()
     }
 
-    /// Exposes and delivers pictures, steps the controller, moves the joints.
+    /// Exposes and delivers images, steps the controller, moves the joints.
     pub fn step(&mut self, base_from_model: &Pose<Base, Model>) -> ControlStep {
         let elapsed_s = self.time_s - 5.0;
         if elapsed_s + 1e-9 >= self.exposures as f64 / 30.0 {

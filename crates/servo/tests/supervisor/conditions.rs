@@ -280,7 +280,7 @@ fn deviating_by(first: usize, sigma: f64) -> Matrix6<f64> {
     covariance
 }
 
-/// Without a covariance the method can not say, and other conditions have to do.
+/// Without a covariance the method cannot say, and other conditions have to do.
 #[test]
 fn a_method_without_covariance_is_not_held_for_it() {
     let mut bench = Bench::new(config());

@@ -176,7 +176,7 @@ struct Judge {
 }
 
 impl Judge {
-    /// Of the target are pictures that were taken since it was selected, and not such from the future.
+    /// Of the target are images that were taken since it was selected, and not such from the future.
     fn take(&mut self, estimate: &EstimateInput) {
         let exposed_s = estimate.at.as_secs_f64();
         let is_of_target = self.selected_s.is_some_and(|selected_s| exposed_s >= selected_s - 1e-9);
@@ -245,7 +245,7 @@ impl Judge {
             let sure_age_s = now_s - self.sure_s.unwrap();
             assert!((-0.2 - 1e-6..=0.3 + 1e-6).contains(&sure_age_s), "an estimate of {sure_age_s} s");
             let frame_age_s = now_s - inputs.frame.unwrap().at.as_secs_f64();
-            assert!(frame_age_s <= 0.25 + 1e-6, "pictures of {frame_age_s} s");
+            assert!(frame_age_s <= 0.25 + 1e-6, "images of {frame_age_s} s");
             assert!(now_s - inputs.operator.heard_at.unwrap().as_secs_f64() <= 1.0 + 1e-6);
             assert!(matches!(inputs.controller, Mode::Approaching | Mode::Tracking));
         } else {

@@ -9,7 +9,7 @@ use pb3dp_servo::supervisor::{
 
 use super::bench::{Bench, config, with};
 
-/// The target is gone, pictures come on, and the hand would look for it.
+/// The target is gone, images come on, and the hand would look for it.
 fn blind(inputs: &mut Inputs) {
     if let Some(estimate) = &mut inputs.estimate {
         estimate.confidence = Confidence::NoPose;

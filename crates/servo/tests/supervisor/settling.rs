@@ -1,10 +1,10 @@
-//! What comes and goes from picture to picture: a word that falls between two of them leads on to nothing.
+//! What comes and goes from image to image: a word that falls between two of them leads on to nothing.
 
 use pb3dp_servo::supervisor::{Condition, Confidence, Innovation, Inputs, RefusedFor, State, SupervisorConfig, Word};
 
 use super::bench::{Bench, FRAME_EVERY, STEP_S, at, config};
 
-/// One picture in three shows the target where its motion does not lead to expect it.
+/// One image in three shows the target where its motion does not lead to expect it.
 fn outliers(inputs: &mut Inputs) {
     let is_one = inputs.frame.is_some_and(|frame| (frame.sequence / 30).is_multiple_of(3));
     if inputs.innovation == Innovation::Agrees && is_one {
@@ -69,9 +69,9 @@ fn resume_after_a_hold_is_obeyed_as_soon_as_the_controller_has_been_at_it_for_th
         while !bench.decision().is_ready {
             bench.step();
         }
-        // It locks on in 50 ms, and each picture that says so comes at its time.
-        let (waited_s, picture_s) = (bench.now_s - held_s - go_after_s, FRAME_EVERY as f64 * STEP_S);
-        assert!((0.05..=0.05 + picture_s + 2.0 * STEP_S + 1e-9).contains(&waited_s), "{waited_s}");
+        // It locks on in 50 ms, and each image that says so comes at its time.
+        let (waited_s, image_s) = (bench.now_s - held_s - go_after_s, FRAME_EVERY as f64 * STEP_S);
+        assert!((0.05..=0.05 + image_s + 2.0 * STEP_S + 1e-9).contains(&waited_s), "{waited_s}");
         assert_eq!(bench.say(Word::Resume).state, State::Approaching);
     }
 }
@@ -93,7 +93,7 @@ fn start_that_was_said_before_another_target_was_followed() {
 
 /// Of poses that scatter one agrees, by chance, and then none comes: the time without any speaks for nothing.
 #[test]
-fn one_picture_that_agrees_and_none_behind_it() {
+fn one_image_that_agrees_and_none_behind_it() {
     let mut bench = Bench::following(config());
     bench.lie(|inputs| {
         if inputs.innovation == Innovation::Agrees {
@@ -104,7 +104,7 @@ fn one_picture_that_agrees_and_none_behind_it() {
     assert_eq!(bench.state(), State::Holding);
     let last = bench.now_s;
     bench.lie(move |inputs| {
-        // The first picture of those to come is the last one with a pose.
+        // The first image of those to come is the last one with a pose.
         if inputs.estimate.is_some_and(|estimate| estimate.at > at(last + 0.03)) {
             let estimate = inputs.estimate.as_mut().unwrap();
             estimate.confidence = Confidence::NoPose;

@@ -93,7 +93,7 @@ fn start_on_a_target_that_was_seen_too_long_ago() {
 }
 
 #[test]
-fn start_on_one_picture_shown_again_and_again() {
+fn start_on_one_image_shown_again_and_again() {
     let mut bench = selected();
     let old = good(bench.now_s);
     bench.lie(move |i| (i.frame, i.estimate) = (old.frame, old.estimate));
@@ -102,7 +102,7 @@ fn start_on_one_picture_shown_again_and_again() {
 }
 
 #[test]
-fn start_on_an_old_picture_with_a_new_number() {
+fn start_on_an_old_image_with_a_new_number() {
     let mut bench = selected();
     let old = good(bench.now_s).frame.unwrap();
     bench.lie(move |i| i.frame.as_mut().unwrap().at = old.at);

@@ -147,7 +147,7 @@ impl Rms {
     }
 }
 
-/// Errors in motion and in hold of the hand that is predicted over a delay, at 100 Hz, from pictures at 30 Hz.
+/// Errors in motion and in hold of the hand that is predicted over a delay, at 100 Hz, from images at 30 Hz.
 pub fn follow(
     config: &TargetStateConfig,
     covariance: &Matrix6<f64>,

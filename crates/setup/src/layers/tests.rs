@@ -147,7 +147,7 @@ fn what_is_no_setup_is_refused_with_its_place() {
 fn paths_lie_beside_the_file_that_states_them_and_bare_names_may_be_built_in() {
     let folder = tempfile::tempdir().unwrap();
     let elsewhere = write(folder.path(), "a.toml", "base = \"sim\"\narms.vs.robot = \"robots/pa10_gen2.urdf\"\n");
-    assert!(refusal(&[&elsewhere], &[]).contains("robots/pa10_gen2.urdf can not be read"), "a folder must be there");
+    assert!(refusal(&[&elsewhere], &[]).contains("robots/pa10_gen2.urdf cannot be read"), "a folder must be there");
     let bare = write(folder.path(), "b.toml", "base = \"sim\"\narms.vs.robot = \"pa10_gen1\"\n");
     let setup = read_layers(&args(&[&bare], &[])).unwrap();
     assert_ne!(setup.rig.vs.chain.joint_names(), [""; 0]);

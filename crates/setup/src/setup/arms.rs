@@ -172,7 +172,7 @@ impl ArmsSection {
         arms.any(|arm| arm.gateway.is_some() || arm.bus.is_some())
     }
 
-    /// The arm with the cameras and the one with the target; `None` if a file can not be read or a limit is refused. All other arms are
+    /// The arm with the cameras and the one with the target; `None` if a file cannot be read or a limit is refused. All other arms are
     /// checked, too.
     pub(super) fn build(
         &self,
@@ -396,7 +396,7 @@ impl ArmSection {
         let xml = match built_in::text_at(&self.robot) {
             Some(text) => text.to_owned(),
             None => std::fs::read_to_string(file)
-                .inspect_err(|error| check.refuse(format!("{key}.robot: {} can not be read: {error}", file.display())))
+                .inspect_err(|error| check.refuse(format!("{key}.robot: {} cannot be read: {error}", file.display())))
                 .ok()?,
         };
         let chain = Chain::from_urdf_str(&xml, &self.base_link, &self.flange_link)

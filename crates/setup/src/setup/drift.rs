@@ -12,7 +12,7 @@ use super::millis;
 pub struct DriftConfig {
     /// Time between two looks.
     pub every: Duration,
-    /// Rows of the right picture, where they are off most, pixels.
+    /// Rows of the right image, where they are off most, pixels.
     pub rows_max_px: f64,
     /// Blur that one eye has and the other one has not, standard deviation in pixels.
     pub focus_max_px: f64,

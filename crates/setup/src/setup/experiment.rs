@@ -40,7 +40,7 @@ impl Experiment {
         }
     }
 
-    /// Moments of which a report shows pictures, seconds, in order, with what happens then.
+    /// Moments of which a report shows images, seconds, in order, with what happens then.
     pub fn moments(&self, marks: &[Mark]) -> Vec<(f64, String)> {
         // Moves have two marks each, out and back: a second after the move out the hand should rest before the target.
         let (every, after_s) = self.steps().map_or((1, 0.0), |steps| (2, steps.move_s + 1.0));
@@ -181,7 +181,7 @@ impl ExperimentSection {
         }
     }
 
-    /// A key that this kind of motion can not do without.
+    /// A key that this kind of motion cannot do without.
     fn needed<T>(&self, key: &str, value: Option<T>, check: &mut Checker) -> Option<T> {
         if value.is_none() {
             let kind = self.kind.name();

@@ -1,4 +1,4 @@
-//! The table `[estimator.geometric]`: what a tracker without pictures gets wrong and can not see.
+//! The table `[estimator.geometric]`: what a tracker without images gets wrong and cannot see.
 
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_sim::geometric::{GeometricConfig, PoseSigma};
@@ -8,8 +8,8 @@ use super::super::load::Checker;
 
 /// The name by which a setup asks for it.
 pub(super) const NAME: &str = "geometric";
-/// Behind the list of the methods that look at pictures.
-pub(super) const ALSO_KNOWN: &str = ", and geometric, which renders no picture";
+/// Behind the list of the methods that look at images.
+pub(super) const ALSO_KNOWN: &str = ", and geometric, which renders no image";
 
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -80,7 +80,7 @@ pub struct Setup {
     pub drift: Option<DriftConfig>,
     /// What estimates the pose by which the hand is led.
     pub leader: Leader,
-    /// What would stand in its place without pictures, if the file says so.
+    /// What would stand in its place without images, if the file says so.
     pub geometric: Option<GeometricConfig>,
     /// Methods that get the same pairs and only look on.
     pub compared: Vec<Method>,
@@ -159,9 +159,9 @@ pub struct SimulatedWorld {
 /// What estimates the pose by which the hand is led.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Leader {
-    /// A method that looks at pictures.
-    Pictures(Method),
-    /// None: the truth with noise, and no picture is rendered.
+    /// A method that looks at images.
+    Images(Method),
+    /// None: the truth with noise, and no image is rendered.
     Geometric(GeometricConfig),
 }
 
@@ -169,14 +169,14 @@ impl Leader {
     /// Its name in configurations and reports.
     pub fn name(&self) -> &'static str {
         match self {
-            Self::Pictures(method) => method.name(),
+            Self::Images(method) => method.name(),
             Self::Geometric(_) => geometric::NAME,
         }
     }
 
-    /// Whether it looks at pictures.
-    pub fn needs_pictures(&self) -> bool {
-        matches!(self, Self::Pictures(_))
+    /// Whether it looks at images.
+    pub fn needs_images(&self) -> bool {
+        matches!(self, Self::Images(_))
     }
 }
 
@@ -292,7 +292,7 @@ impl Setup {
         }
     }
 
-    /// The cameras that pictures are rendered with: those of the setup, unless the truth is another one.
+    /// The cameras that images are rendered with: those of the setup, unless the truth is another one.
     pub fn true_rig(&self) -> &StereoRig {
         self.world().and_then(|world| world.truth.rig.as_ref()).unwrap_or(&self.rig.stereo)
     }
@@ -456,8 +456,8 @@ impl SetupFile {
         }
         if self.estimator.is_geometric() || self.estimator.geometric.is_some() {
             check.refuse(format!(
-                "estimator.geometric: {with} there is no truth that could stand for pictures; remove the table, and choose a method that \
-                 looks at pictures"
+                "estimator.geometric: {with} there is no truth that could stand for images; remove the table, and choose a method that \
+                 looks at images"
             ));
         }
         if experiment.is_some_and(|experiment| experiment.carrier == Carrier::Nothing) {
@@ -495,7 +495,7 @@ impl EstimatorSection {
         check: &mut Checker,
     ) -> Option<Leader> {
         if !self.is_geometric() {
-            return method.map(Leader::Pictures);
+            return method.map(Leader::Images);
         }
         if geometric.is_none() {
             let method = &self.method;
@@ -516,7 +516,7 @@ impl EstimatorSection {
         }
         if self.is_geometric() && !compared.is_empty() {
             check.refuse(format!(
-                "estimator.compare = [{names}]: with method = {:?} no picture is rendered, and nobody can look on",
+                "estimator.compare = [{names}]: with method = {:?} no image is rendered, and nobody can look on",
                 self.method
             ));
         }

@@ -38,7 +38,7 @@ pub struct RealCameras {
     pub reopen_for: Duration,
     /// The calibration: one or two files, or a folder, as `--calib` of `pb3dp estimate` takes them.
     pub calibration_files: Vec<PathBuf>,
-    /// The target in the first left picture, if the file says so.
+    /// The target in the first left image, if the file says so.
     pub region: Option<RegionSpec>,
 }
 
@@ -53,12 +53,12 @@ pub enum Synchronisation {
 }
 
 impl RealCameras {
-    /// Size of the pictures.
+    /// Size of the images.
     pub fn size(&self) -> ImageSize {
         self.stereo.left.mode.size
     }
 
-    /// Time from picture to picture, as it is asked for.
+    /// Time from image to image, as it is asked for.
     pub fn period(&self) -> Duration {
         Duration::from_secs_f64(self.stereo.left.mode.interval.seconds().unwrap_or(1.0))
     }
@@ -74,22 +74,22 @@ impl RealCameras {
     /// Reads the calibration.
     ///
     /// # Errors
-    /// Files that can not be used, or that are for pictures of another size.
+    /// Files that cannot be used, or that are for images of another size.
     pub fn calibration(&self) -> Result<StereoCalibration> {
         load_calibration(&self.calibration_files, self.size())
     }
 }
 
-/// Reads the calibration that the table `[camera]` names, for pictures of this size.
+/// Reads the calibration that the table `[camera]` names, for images of this size.
 ///
 /// # Errors
-/// Files that can not be used, or that are for pictures of another size.
+/// Files that cannot be used, or that are for images of another size.
 pub(super) fn load_calibration(files: &[PathBuf], size: ImageSize) -> Result<StereoCalibration> {
     let calibration = load_files(files, size).context("camera.calibration")?;
     let calibrated = calibration.rig.left().size();
     if calibrated != size {
         bail!(
-            "camera.calibration: {} is for pictures of {}x{}, the cameras are asked for {}x{}: calibrate again in that size",
+            "camera.calibration: {} is for images of {}x{}, the cameras are asked for {}x{}: calibrate again in that size",
             calibration.source,
             calibrated.width,
             calibrated.height,
@@ -211,7 +211,7 @@ impl V4l2Section {
         check.count("camera.height_px", self.height_px, 64..=4096);
         check.number("camera.frame_rate_hz", self.frame_rate_hz, 1.0..=240.0);
         let rate_hz = within(self.frame_rate_hz, 1.0, 240.0);
-        // A skew of a period can not be told from the next picture.
+        // A skew of a period cannot be told from the next image.
         let skew_max_millis = self.skew_max_millis.unwrap_or(SKEW_MAX.as_secs_f64() * 1e3);
         check.number("camera.skew_max_millis", skew_max_millis, 0.1..=900.0 / rate_hz);
         check.number("camera.reopen_for_s", self.reopen_for_s, 0.0..=86_400.0);
@@ -284,7 +284,7 @@ impl V4l2Section {
     }
 }
 
-/// The time from picture to picture as the shortest fraction that is right to a thousandth of a picture per second.
+/// The time from image to image as the shortest fraction that is right to a thousandth of an image per second.
 pub fn interval(rate_hz: f64) -> Interval {
     let (thousandths, mut a, mut b) = ((rate_hz * 1e3).round() as u32, (rate_hz * 1e3).round() as u32, 1000);
     while b > 0 {

@@ -121,7 +121,7 @@ impl Threshold {
 }
 
 impl SupervisorSection {
-    /// What is permitted where a picture comes in each `frame_period`.
+    /// What is permitted where an image comes in each `frame_period`.
     pub(super) fn build(&self, frame_period: Duration, check: &mut Checker) -> SupervisorConfig {
         check.number("supervisor.resume_after_s", self.resume_after_s, 0.05..=60.0);
         check.number("supervisor.go_after_s", self.go_after_s, 0.05..=within(self.resume_after_s, 0.05, 60.0));
@@ -136,7 +136,7 @@ impl SupervisorSection {
         if lost_s >= 0.05 {
             check.number("supervisor.policies.target_lost.age_s", lost_s, within(stale_s, 0.05, 1.0)..=10.0);
         }
-        // Two periods are the least that tells a missing picture; a hand that waits for less rests between any two.
+        // Two periods are the least that tells a missing image; a hand that waits for less rests between any two.
         let frame_stale_s = self.policies.frame_stale.age_s.unwrap_or(f64::NAN);
         if frame_stale_s >= 0.02 {
             let two_periods_s = within(2.0 * frame_period.as_secs_f64(), 0.02, 0.99);

@@ -1,7 +1,7 @@
 //! The table `[truth]`: where things of a simulation truly are, if not where the other tables say.
 //!
 //! A real cell differs from what its setup says of it, by what its calibration has left over; a simulated one does so with this table
-//! only. Pictures and errors follow the truth, everything that moves and estimates the other tables.
+//! only. Images and errors follow the truth, everything that moves and estimates the other tables.
 
 use std::path::PathBuf;
 
@@ -36,7 +36,7 @@ pub(super) struct TruthSection {
 }
 
 impl TruthSection {
-    /// With pictures of this size.
+    /// With images of this size.
     pub(super) fn build(&self, size: Option<ImageSize>, check: &mut Checker) -> Truth {
         let rig = self.calibration.as_deref().zip(size);
         Truth {
@@ -57,13 +57,13 @@ fn pose<To: pb3dp_geometry::Frame, From: pb3dp_geometry::Frame>(
     entry.as_ref().map(|entry| entry.build(&format!("truth.{key}"), length_max_mm, check))
 }
 
-/// The cameras of a calibration for pictures of this size, beside the configuration.
+/// The cameras of a calibration for images of this size, beside the configuration.
 fn load_rig(key: &str, files: &[PathBuf], size: ImageSize, check: &mut Checker) -> Option<StereoRig> {
     let loaded = load_files(files, size).inspect_err(|error| check.refuse(format!("{key}: {error}"))).ok()?;
     let ImageSize { width, height } = loaded.rig.left().size();
     if (ImageSize { width, height }) != size {
         check.refuse(format!(
-            "{key}: {} is for pictures of {width}x{height}, the cameras have {}x{}",
+            "{key}: {} is for images of {width}x{height}, the cameras have {}x{}",
             loaded.source, size.width, size.height
         ));
     }

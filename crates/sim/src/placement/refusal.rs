@@ -1,8 +1,8 @@
-//! Why an arm can not follow a path.
+//! Why an arm cannot follow a path.
 
 use std::fmt;
 
-/// Why an arm can not follow a path. Joints count from 0 at the base.
+/// Why an arm cannot follow a path. Joints count from 0 at the base.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PathRefusal {
     /// A requirement is out of its range.
@@ -15,7 +15,7 @@ pub enum PathRefusal {
         /// What is allowed.
         allowed: &'static str,
     },
-    /// The beginning of the path can not be reached from the given joint angles.
+    /// The beginning of the path cannot be reached from the given joint angles.
     #[error(
         "the arm does not reach the beginning of the path: {position_error_m:.4} m and {angle_error_rad:.4} rad are missing; \
          move its base or choose other start angles"

@@ -20,7 +20,7 @@ const SAMPLE_U: [f32; SAMPLES] =
 const SAMPLE_V: [f32; SAMPLES] =
     [-15.0, 1.0, -7.0, 9.0, -11.0, 5.0, -3.0, 13.0, -13.0, 3.0, -5.0, 11.0, -9.0, 7.0, -1.0, 15.0];
 
-/// The edge pixels of one picture and what their samples see.
+/// The edge pixels of one image and what their samples see.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct EdgePixels {
     /// Columns of all edge pixels, row by row.

@@ -1,4 +1,4 @@
-//! One camera of the pair: what it sees, the light on its sensor, and its pictures.
+//! One camera of the pair: what it sees, the light on its sensor, and its images.
 
 use image::RgbImage;
 use nalgebra::Isometry3;
@@ -74,31 +74,31 @@ impl Eye {
         self.defocus_px = defocus_px;
     }
 
-    /// Takes a picture of `size`: the mean of the light at all moments, as the sensor sees it.
+    /// Takes an image of `size`: the mean of the light at all moments, as the sensor sees it.
     pub(crate) fn expose(
         &mut self,
         scene: &Scene,
         moments: &[ScenePoses],
         key: &NoiseKey,
         size: ImageSize,
-        picture: &mut RgbImage,
+        image: &mut RgbImage,
     ) {
         match moments {
             [poses] => self.render_light(scene, poses),
             _ => self.gather_light(scene, moments),
         }
         self.blur();
-        if picture.dimensions() != (size.width, size.height) {
-            *picture = RgbImage::new(size.width, size.height);
+        if image.dimensions() != (size.width, size.height) {
+            *image = RgbImage::new(size.width, size.height);
         }
-        self.developer.develop(&self.light, key, picture);
+        self.developer.develop(&self.light, key, image);
     }
 
-    /// The picture without noise, quantisation and limits.
-    pub(crate) fn ideal(&mut self, scene: &Scene, poses: &ScenePoses, picture: &mut Vec<f32>) {
+    /// The image without noise, quantisation and limits.
+    pub(crate) fn ideal(&mut self, scene: &Scene, poses: &ScenePoses, image: &mut Vec<f32>) {
         self.render_light(scene, poses);
         self.blur();
-        self.developer.develop_ideal(&self.light, picture);
+        self.developer.develop_ideal(&self.light, image);
     }
 
     /// Finds the triangles that are visible.

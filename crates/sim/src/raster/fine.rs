@@ -1,4 +1,4 @@
-//! Pictures sampled finer than their pixels.
+//! Images sampled finer than their pixels.
 
 use pb3dp_geometry::{Camera, Pinhole};
 

@@ -147,7 +147,7 @@ fn faces_away(corners: &[Point3<f64>; 3]) -> bool {
     (b - a).cross(&(c - a)).dot(&a.coords) >= 0.0
 }
 
-/// `None` if the triangle is outside the picture.
+/// `None` if the triangle is outside the image.
 fn pixel_box(corners: &[Point3<f64>; 3], view: &View) -> Option<PixelBox> {
     let whole = PixelBox { x: (0, view.width), y: (0, view.height) };
     if corners.iter().all(|p| p.z < NEAR_M) {

@@ -5,7 +5,7 @@ use pb3dp_geometry::{Camera, CameraError};
 
 /// Rays of all pixel centres of one camera, lens distortion included.
 ///
-/// Triangles are tested against these rays themselves, so a distorted picture is rendered exactly, without remapping.
+/// Triangles are tested against these rays themselves, so a distorted image is rendered exactly, without remapping.
 #[derive(Clone, Debug)]
 pub(crate) struct View {
     pub(crate) width: usize,

@@ -66,14 +66,14 @@ pub struct MockServerConfig {
     pub realtime: Realtime,
 }
 
-/// Why an emulated arm can not be started.
+/// Why an emulated arm cannot be started.
 #[derive(Debug, thiserror::Error)]
 pub enum MockServerError {
     /// The controller.
-    #[error("the emulated controller can not be made")]
+    #[error("the emulated controller cannot be made")]
     Controller(#[from] MockControllerError),
     /// The gateway.
-    #[error("the gateway before the emulated controller can not be made")]
+    #[error("the gateway before the emulated controller cannot be made")]
     Gateway(#[from] GatewayConfigError),
     /// No pseudo-terminal.
     #[error("no pseudo-terminal is to be had; is /dev/pts mounted, and is there room (/proc/sys/kernel/pty/max)?")]

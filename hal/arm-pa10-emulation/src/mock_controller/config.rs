@@ -55,7 +55,7 @@ pub struct MockControllerConfig {
     pub knows_clear_alarm: bool,
 }
 
-/// Why a controller can not be emulated.
+/// Why a controller cannot be emulated.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum MockControllerError {
     /// A time-out of zero.

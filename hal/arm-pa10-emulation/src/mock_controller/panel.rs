@@ -29,7 +29,7 @@ impl Cause {
     const COUNT: usize = 3;
 }
 
-/// An alarm stays until it is cleared, and can not be cleared while its cause is there.
+/// An alarm stays until it is cleared, and cannot be cleared while its cause is there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct AlarmMemory<A> {
     shown: Option<A>,

@@ -117,7 +117,7 @@ impl GatewayConfig {
     /// Whether it can be driven by.
     ///
     /// # Errors
-    /// Which value can not be, and which can.
+    /// Which value cannot be, and which can.
     pub fn check(&self) -> Result<(), GatewayConfigError> {
         let Self { cycle, lateness_allowed, watchdog, .. } = *self;
         if !CYCLE_RANGE.contains(&cycle) {

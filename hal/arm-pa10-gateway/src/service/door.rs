@@ -16,7 +16,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use super::{BusOpener, HostSide, Shared};
 
-/// How often something that can not be opened is tried again.
+/// How often something that cannot be opened is tried again.
 const AGAIN: Duration = Duration::from_millis(500);
 
 /// How often the door looks up.
@@ -80,7 +80,7 @@ impl Patience {
     /// It was tried: what there is to say, unless it was said the last time.
     fn note(&mut self, error: Option<&(dyn std::error::Error + 'static)>, what: &str) -> Option<String> {
         self.again = now() + AGAIN;
-        let text = error.map(|error| format!("{what} can not be opened: {}", chain(error)));
+        let text = error.map(|error| format!("{what} cannot be opened: {}", chain(error)));
         if self.said == text {
             return None;
         }
@@ -185,7 +185,7 @@ fn accept(listener: &TcpListener, shared: &Shared, lines: &LineEnds, tell: &Sync
             say(tell, format!("a host connected from {address}"));
             hand_over(Box::new(link), shared, lines);
         }
-        Err(error) => say(tell, format!("a connection from {address} can not be used: {error}")),
+        Err(error) => say(tell, format!("a connection from {address} cannot be used: {error}")),
     }
 }
 

@@ -53,12 +53,12 @@ pub enum GatewayServerError {
     #[error("gateway")]
     Config(#[from] GatewayConfigError),
     /// The operating system gives no thread or file descriptor.
-    #[error("the gateway can not be started")]
+    #[error("the gateway cannot be started")]
     System(#[from] std::io::Error),
-    /// The bus can not be opened.
-    #[error("the bus can not be opened")]
+    /// The bus cannot be opened.
+    #[error("the bus cannot be opened")]
     Bus(#[source] ConnectError),
-    /// The port can not be listened at.
+    /// The port cannot be listened at.
     #[error("nobody can be listened for at {address}; is another program using that port?")]
     Listen {
         /// Where.
@@ -138,7 +138,7 @@ impl GatewayServer {
     /// Starts a gateway: E is sent, and hosts may come.
     ///
     /// # Errors
-    /// If the configuration contradicts itself, the bus can not be opened or the system gives no thread.
+    /// If the configuration contradicts itself, the bus cannot be opened or the system gives no thread.
     pub fn start(config: GatewayServerConfig, mut bus: BusOpener, host: HostSide) -> Result<Self, GatewayServerError> {
         let core = Gateway::new(config.gateway, realtime::now())?;
         let port = bus().map_err(GatewayServerError::Bus)?;
@@ -184,7 +184,7 @@ impl GatewayServer {
         self.events.try_recv().ok()
     }
 
-    /// What the door has to say: lines that can not be opened, hosts that were turned away.
+    /// What the door has to say: lines that cannot be opened, hosts that were turned away.
     pub fn try_message(&self) -> Option<String> {
         self.door_messages.try_recv().ok()
     }

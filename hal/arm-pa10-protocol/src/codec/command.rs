@@ -14,7 +14,7 @@ const MODE_OTHER_AXES: u16 = 0x0010;
 /// Watch the dead-man switch: the word after the axes (format B).
 const WATCH_DEAD_MAN: u16 = 0x0008;
 
-/// What one axis is to do. An axis with neither brake nor servo would fall and can not be expressed.
+/// What one axis is to do. An axis with neither brake nor servo would fall and cannot be expressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AxisCommand {
     /// Brake on, servo off: the safe command.

@@ -25,7 +25,7 @@ pub enum CodecError {
         angle_rad: f64,
     },
     /// A torque is not finite or does not fit its field.
-    #[error("{axis}: a torque of {torque_n_m} N m can not be expressed in 16 bits; correct the torque or its scale")]
+    #[error("{axis}: a torque of {torque_n_m} N m cannot be expressed in 16 bits; correct the torque or its scale")]
     TorqueRange {
         /// Which axis.
         axis: Axis,
@@ -124,7 +124,7 @@ pub enum CodecError {
     /// The format has no field for this.
     #[error("{format} has no place for {what}: leave it out, or choose the other format if the arm speaks it")]
     NotInFormat {
-        /// What can not be expressed.
+        /// What cannot be expressed.
         what: &'static str,
         /// The format.
         format: WireFormat,

@@ -4,7 +4,7 @@
 //! [`ReplyPacket`]). The cyclic letter C carries one [`AxisCommand`] per axis and brings back one [`AxisReply`] per axis. Two
 //! [`WireFormat`]s of it are known; which one an arm speaks shows in the length of its replies.
 //!
-//! The controller takes joint speeds (or motor torques), never positions. Torque commands can not be expressed here, as nothing
+//! The controller takes joint speeds (or motor torques), never positions. Torque commands cannot be expressed here, as nothing
 //! of this program commands torques; nor can an axis without brake and without servo, which would fall, nor the letters M (set
 //! the mechanical zero), W and P (write the EEPROM). T (release the brakes) exists only with the feature `brake-release`.
 //!

@@ -96,7 +96,7 @@ impl ControlMessage {
     /// Its data.
     ///
     /// # Errors
-    /// If the format can not express it.
+    /// If the format cannot express it.
     pub fn encode_data(&self, format: WireFormat) -> Result<ByteBuffer<DATA_LENGTH_MAX>, CodecError> {
         let mut data = ByteBuffer::EMPTY;
         match self {
@@ -154,7 +154,7 @@ impl ControlPacket {
     /// The packet's bytes.
     ///
     /// # Errors
-    /// If the format can not express the message.
+    /// If the format cannot express the message.
     pub fn encode(&self, format: WireFormat) -> Result<Packet, CodecError> {
         let data = self.message.encode_data(format)?;
         Ok(packet(self.sequence, self.message.letter(), &data))
@@ -195,7 +195,7 @@ impl ReplyPacket {
     /// The packet's bytes, as a controller writes them.
     ///
     /// # Errors
-    /// If the format can not express the reply.
+    /// If the format cannot express the reply.
     pub fn encode(&self, format: WireFormat) -> Result<Packet, CodecError> {
         let mut data = ByteBuffer::EMPTY;
         let letter = match &self.message {

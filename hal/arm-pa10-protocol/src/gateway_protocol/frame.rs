@@ -35,7 +35,7 @@ pub type Payload = ByteBuffer<PAYLOAD_LENGTH_MAX>;
 /// An encoded frame.
 pub type FrameBytes = ByteBuffer<FRAME_BYTES_MAX>;
 
-/// Which arm a frame is for, or from: arms can not be confused.
+/// Which arm a frame is for, or from: arms cannot be confused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct ArmId(pub u8);
 

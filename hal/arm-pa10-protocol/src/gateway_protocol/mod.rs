@@ -68,7 +68,7 @@ pub enum MessageError {
         /// What it holds.
         got: i64,
     },
-    /// A number can not be expressed.
-    #[error("the message can not be expressed")]
+    /// A number cannot be expressed.
+    #[error("the message cannot be expressed")]
     Codec(#[from] CodecError),
 }

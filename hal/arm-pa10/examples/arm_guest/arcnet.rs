@@ -52,7 +52,7 @@ fn about(what: &str) -> Result<String, Box<dyn Error>> {
     Ok(text.trim().to_owned())
 }
 
-/// Down again it can not go: without a function of its own for that, arc_rimi lets the kernel (6.1) call address 0.
+/// Down again it cannot go: without a function of its own for that, arc_rimi lets the kernel (6.1) call address 0.
 fn switch_on() -> Result<(), Box<dyn Error>> {
     let flags = u32::from_str_radix(about("flags")?.trim_start_matches("0x"), 16)?;
     fs::write(format!("/sys/class/net/{NAME}/flags"), format!("{:#x}", flags | libc::IFF_UP as u32))?;

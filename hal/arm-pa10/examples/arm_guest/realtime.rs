@@ -58,7 +58,7 @@ fn locked_kib() -> Result<u64, Box<dyn std::error::Error>> {
 
 fn as_nobody() -> Outcome {
     let said = as_user(User::Nobody, &["realtime"])?;
-    for words in ["SCHED_FIFO with priority 50", "CAP_SYS_NICE", "memory can not be locked", "CAP_IPC_LOCK"] {
+    for words in ["SCHED_FIFO with priority 50", "CAP_SYS_NICE", "memory cannot be locked", "CAP_IPC_LOCK"] {
         ensure(said.contains(words), || format!("nothing of `{words}` in: {said}"))?;
     }
     ensure(said.lines().count() == 3 && said.ends_with("slept: true"), || said.clone())?;

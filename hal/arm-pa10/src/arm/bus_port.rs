@@ -35,7 +35,7 @@ impl ControllerPort {
     /// Opens the bus.
     ///
     /// # Errors
-    /// If it can not be opened.
+    /// If it cannot be opened.
     pub fn open(
         format: WireFormat,
         modulus: SequenceModulus,
@@ -114,7 +114,7 @@ impl HostPort for ControllerPort {
     }
 
     fn send(&mut self, _now: MonotonicTime, transmit: &Transmit, _activity: Activity) {
-        // What can not be expressed gets no answer, which the driver counts.
+        // What cannot be expressed gets no answer, which the driver counts.
         self.pending = self.link.send(transmit).ok();
     }
 

@@ -90,8 +90,8 @@ pub enum ArmOpenError {
         /// Of the bus.
         bus: Duration,
     },
-    /// The link can not be opened.
-    #[error("arm {arm}: {target} can not be opened")]
+    /// The link cannot be opened.
+    #[error("arm {arm}: {target} cannot be opened")]
     Open {
         /// Its name.
         arm: String,

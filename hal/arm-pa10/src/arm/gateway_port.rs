@@ -52,7 +52,7 @@ impl GatewayPort {
     /// Opens the bytes.
     ///
     /// # Errors
-    /// If they can not be opened.
+    /// If they cannot be opened.
     pub fn open(
         config: GatewayLinkConfig,
         mut connector: Box<dyn Connector>,
@@ -175,7 +175,7 @@ impl HostPort for GatewayPort {
     }
 
     fn send(&mut self, now: MonotonicTime, transmit: &Transmit, activity: Activity) {
-        // What can not be sent gets no answer, which the driver counts.
+        // What cannot be sent gets no answer, which the driver counts.
         let _ = self.link.send(now, transmit, activity);
     }
 

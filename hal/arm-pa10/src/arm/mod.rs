@@ -122,7 +122,7 @@ impl Pa10Arm {
     /// `clock` is a real clock. Each arm of a cell has one place of the same [`trip_line`].
     ///
     /// # Errors
-    /// If the link can not be opened, nobody answers, or it is not the gateway of the configuration.
+    /// If the link cannot be opened, nobody answers, or it is not the gateway of the configuration.
     pub fn open(
         config: Pa10ArmConfig,
         connector: Box<dyn Connector>,
@@ -165,7 +165,7 @@ impl Pa10Arm {
     /// The same for an arm whose ARCNET card is in this computer.
     ///
     /// # Errors
-    /// If the bus can not be opened. An arm whose controller does not answer is opened and stopped by that fault.
+    /// If the bus cannot be opened. An arm whose controller does not answer is opened and stopped by that fault.
     pub fn open_on_bus(config: BusArmConfig, clock: Arc<dyn Clock>, seat: TripSeat) -> Result<Self, ArmOpenError> {
         let BusArmConfig { name, arm, driver, exchange_cycle, format, modulus, target, realtime } = config;
         if exchange_cycle < driver.cycle || exchange_cycle * 2 > driver.watchdog.ramp_after() {

@@ -27,7 +27,7 @@ pub(super) trait HostPort: Send {
     /// Opens it again, after it was gone.
     ///
     /// # Errors
-    /// If it can not be opened.
+    /// If it cannot be opened.
     fn reopen(&mut self) -> Result<(), ConnectError>;
 
     /// What the operator should know of it.
@@ -68,7 +68,7 @@ pub(super) trait HostPort: Send {
     /// If the link is gone: told once.
     fn receive(&mut self, now: MonotonicTime, driver: &mut Driver) -> Result<(), Unplugged>;
 
-    /// Takes a message of the driver. One that can not be sent gets no answer, which the driver counts.
+    /// Takes a message of the driver. One that cannot be sent gets no answer, which the driver counts.
     fn send(&mut self, now: MonotonicTime, transmit: &Transmit, activity: Activity);
 
     /// Writes what is to be written, as far as the line takes it.

@@ -55,8 +55,8 @@ pub enum WishError {
          for as long as this program runs"
     )]
     Unheard,
-    /// The link can not be opened again.
-    #[error("the link can not be opened")]
+    /// The link cannot be opened again.
+    #[error("the link cannot be opened")]
     Connect(#[source] ConnectError),
     /// The link is gone.
     #[error(transparent)]
@@ -107,7 +107,7 @@ impl Running {
         Self { number, wish, stage: Stage::New, stopping: None }
     }
 
-    /// Does what can be done now. `Some` when the wish is fulfilled or can not be.
+    /// Does what can be done now. `Some` when the wish is fulfilled or cannot be.
     pub fn advance(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Option<Result<(), WishError>> {
         let done = match self.wish {
             Wish::Connect => self.connect(now, means),

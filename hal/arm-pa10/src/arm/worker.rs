@@ -143,7 +143,7 @@ impl Worker {
             JointCommand::Hold => (now, Request::Hold),
             JointCommand::Velocity(velocity) => (slot.at, Request::Move(velocity)),
         };
-        // Refused where the arm can not move now: its owner sees the state.
+        // Refused where the arm cannot move now: its owner sees the state.
         let _ = self.driver.handle_request(at, request);
     }
 

@@ -16,7 +16,7 @@ use super::{BusDown, BusPort, FRAME_ROOM, judge};
 /// `ETH_P_ARCNET` of `linux/if_ether.h`.
 const ETH_P_ARCNET: u16 = 0x001A;
 
-/// Why an ARCNET interface can not be used.
+/// Why an ARCNET interface cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ArcnetError {
     /// There is no such interface.

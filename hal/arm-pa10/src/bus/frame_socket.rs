@@ -83,7 +83,7 @@ impl FrameListener {
     /// Listens at a path. A socket that nobody listens at any more is replaced.
     ///
     /// # Errors
-    /// If somebody listens there, or the path can not be made.
+    /// If somebody listens there, or the path cannot be made.
     pub fn bind(path: &Path) -> Result<Self, FrameSocketError> {
         let os = |error| FrameSocketError::Os { path: path.to_path_buf(), error };
         let address = SocketAddrUnix::new(path).map_err(os)?;

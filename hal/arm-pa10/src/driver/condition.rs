@@ -355,7 +355,7 @@ impl ArmCondition {
         (!follows).then_some(FaultCause::GatewayStopped { gateway })
     }
 
-    /// An axis that can not be held by its servo, where all should be; or the whole arm, as the controller says.
+    /// An axis that cannot be held by its servo, where all should be; or the whole arm, as the controller says.
     pub fn uncontrollable(&self) -> Option<Uncontrollable> {
         let lost = |axis: &Axis| match self.axes[axis.index()] {
             AxisStatus::Servo(word) if word.is_power_off() || word.is_uncontrollable() => {

@@ -372,7 +372,7 @@ impl Driver {
         }
     }
 
-    /// Takes a velocity, or holds if it can not be sent.
+    /// Takes a velocity, or holds if it cannot be sent.
     fn follow(&mut self, now: MonotonicTime, velocity_rad_per_s: JointVector) -> Result<(), CodecError> {
         match ArmCommand::velocities(&velocity_rad_per_s, self.config.supervision) {
             Ok(_) => {

@@ -296,7 +296,7 @@ impl Driver {
         let verdict = self.link.warm_up(self.config.warm_up_exchanges);
         let verdict = match verdict {
             Some(Ok(())) if sample.condition.is_power_too_warm() => Some(Err(WarmUpFailure::PowerTooWarm)),
-            // The servos are on, as the brakes are about to open: an axis that shows that it can not hold would fall.
+            // The servos are on, as the brakes are about to open: an axis that shows that it cannot hold would fall.
             Some(Ok(())) => Some(sample.condition.uncontrollable().map_or(Ok(()), |lost| Err(lost.into()))),
             other => other,
         };

@@ -60,7 +60,7 @@ pub enum Refusal {
         /// What is going on.
         activity: Activity,
     },
-    /// A velocity can not be sent.
+    /// A velocity cannot be sent.
     #[error("the velocity is refused as a whole")]
     Velocity(#[from] CodecError),
 }

@@ -23,7 +23,7 @@ impl BusLink {
     /// The frame of a message.
     ///
     /// # Errors
-    /// If the wire format can not express it: supervision by the controller in format A.
+    /// If the wire format cannot express it: supervision by the controller in format A.
     pub fn send(&mut self, transmit: &Transmit) -> Result<Frame, CodecError> {
         let packet = ControlPacket { sequence: self.modulus.reduce(transmit.exchange), message: transmit.message };
         let frame = arcnet::encode(Route::TO_CONTROLLER, &packet.encode(self.format)?)?;

@@ -74,14 +74,14 @@ pub enum HelloError {
     Rejected(RejectReason),
 }
 
-/// Why something can not be sent.
+/// Why something cannot be sent.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum LinkError {
     /// No gateway has answered.
     #[error("the gateway has not answered HELLO; open the link first")]
     NotOpen,
-    /// The message can not be expressed.
-    #[error("the message can not be expressed")]
+    /// The message cannot be expressed.
+    #[error("the message cannot be expressed")]
     Codec(#[from] CodecError),
     /// The dialect has no place for what single axes are told.
     #[error("the dialect gateway-v1 gives one mode for all axes; give the axes one mode, or speak transparent")]
@@ -186,7 +186,7 @@ impl GatewayLink {
     /// Sends a message of a driver with this activity.
     ///
     /// # Errors
-    /// If the link is not open, or the message can not be expressed: nothing is sent.
+    /// If the link is not open, or the message cannot be expressed: nothing is sent.
     pub fn send(&mut self, now: MonotonicTime, transmit: &Transmit, activity: Activity) -> Result<(), LinkError> {
         if self.hello.is_none() {
             return Err(LinkError::NotOpen);

@@ -72,7 +72,7 @@ pub(super) fn names() -> String {
             let paths: Vec<_> = ports.into_iter().map(|port| port.path).collect();
             format!("there are {}", paths.join(", "))
         }
-        Err(error) => format!("ports can not be listed: {error}"),
+        Err(error) => format!("ports cannot be listed: {error}"),
     }
 }
 

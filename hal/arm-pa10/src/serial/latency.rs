@@ -51,7 +51,7 @@ pub enum Latency {
     },
     /// No adapter: nothing keeps bytes back.
     NotUsb,
-    /// An adapter that can not be asked.
+    /// An adapter that cannot be asked.
     Unknown,
 }
 
@@ -67,7 +67,7 @@ impl Latency {
                 timer(port).display()
             )),
             Self::Unknown => Some(format!(
-                "serial port {port}: it can not be found out how long its adapter keeps bytes back; the warm-up measures it"
+                "serial port {port}: it cannot be found out how long its adapter keeps bytes back; the warm-up measures it"
             )),
         }
     }

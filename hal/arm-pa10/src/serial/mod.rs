@@ -50,7 +50,7 @@ impl SerialConfig {
     }
 }
 
-/// Why a port can not be used.
+/// Why a port cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SerialError {
     /// The line does not carry a command and its answer.
@@ -83,7 +83,7 @@ pub enum SerialError {
         port: String,
     },
     /// Opening failed for another reason.
-    #[error("serial port {port} can not be opened with {baud} baud; is it a serial port?")]
+    #[error("serial port {port} cannot be opened with {baud} baud; is it a serial port?")]
     Open {
         /// Its path.
         port: String,
@@ -124,7 +124,7 @@ impl SerialLink {
     /// Opens a port. What it received before is forgotten.
     ///
     /// # Errors
-    /// If it can not be had alone, is too slow for the cycle, or runs at another rate than it was told.
+    /// If it cannot be had alone, is too slow for the cycle, or runs at another rate than it was told.
     pub fn open(config: &SerialConfig) -> Result<Self, SerialError> {
         let SerialConfig { path, baud, dialect, format, cycle } = config;
         let port = || path.clone();
@@ -202,7 +202,7 @@ impl Drop for SerialLink {
     fn drop(&mut self) {
         if self.is_gone {
             // Writing fails earlier than the kernel takes a port away. Closed in between, it would wait for up to 30 s for bytes that
-            // can not leave any more, and keep the kernel from taking it away: plugged in again, it would not come back before that.
+            // cannot leave any more, and keep the kernel from taking it away: plugged in again, it would not come back before that.
             wait_for_hangup(self.descriptor(), HANGUP_MAX);
         }
         // Else closing waits for up to 30 s until bytes that nobody takes are gone.

@@ -58,7 +58,7 @@ fn enable(arm: &mut Pa10Arm) {
     panic!("the machine is too loaded to enable an arm");
 }
 
-/// The host: moves until it can not, says so, and tries to go on without a reset; or makes a mistake in the loop that moves the arm.
+/// The host: moves until it cannot, says so, and tries to go on without a reset; or makes a mistake in the loop that moves the arm.
 pub fn host(path: &str, panics: bool) {
     let mut arm = open(path);
     enable(&mut arm);
@@ -221,7 +221,7 @@ pub fn killed_and_reset_at_once() {
     arm.stop().unwrap();
 }
 
-/// By SIGSTOP: afterwards it finds an arm that was stopped, and can not go on by itself.
+/// By SIGSTOP: afterwards it finds an arm that was stopped, and cannot go on by itself.
 pub fn frozen() {
     let scene = Scene::new();
     let frozen = scene.signal(Signal::STOP);

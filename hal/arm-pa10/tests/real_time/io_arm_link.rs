@@ -145,7 +145,7 @@ fn a_port_that_failed_once_is_let_go_of_and_had_again_by_a_reset() {
     });
 }
 
-/// A port whose closing the kernel holds up, as it does for 30 s where bytes can not leave any more.
+/// A port whose closing the kernel holds up, as it does for 30 s where bytes cannot leave any more.
 struct SlowToClose(Box<dyn ByteLink>);
 
 const CLOSING: Duration = Duration::from_secs(3);

@@ -193,7 +193,7 @@ fn unplugged_in_motion() {
     assert!(happened.iter().any(|what| matches!(what, Happened::HostGone(_))), "{happened:?}");
     let silent = |what: &Happened| matches!(what, Happened::State { cause: StopCause::HostSilent, .. });
     assert!(happened.iter().any(silent), "{happened:?}");
-    messages_until(&server, "can not be opened");
+    messages_until(&server, "cannot be opened");
 }
 
 #[test]

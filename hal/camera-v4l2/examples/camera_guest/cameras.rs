@@ -56,14 +56,14 @@ const DISCONNECT: &str = "Disconnect";
 pub fn check(report: &mut Report) {
     report.check("the cameras are there", || system::load("vivid", VIVID).map(|()| String::new()));
     report.check("cameras are found by place, with modes and controls", found);
-    report.check("pictures are converted", conversion);
+    report.check("images are converted", conversion);
     report.check("300 pairs of 640x480 YUYV at full rate, with true stamps", full_rate);
     report.check("the contract of a stereo camera is kept", contract);
     report.check("other formats", formats);
     report.check("a limit of 5 ms refuses what is further apart", skew);
     report.check("what a driver changes in silence is refused", changed);
     report.check("stamps of the future are refused", future);
-    report.check("lost and damaged pictures are left out and counted", damaged);
+    report.check("lost and damaged images are left out and counted", damaged);
     report.check("a camera that is pulled is noticed, and can be opened again", pulled);
     report.check("a second program is refused", second);
     report.check("a user without rights is refused", || {
@@ -151,15 +151,15 @@ fn found() -> Outcome {
     Ok(format!("{} formats, {} controls, {yuyv}", offered.len(), controls.len()))
 }
 
-/// How long this computer takes for a picture, for the reader.
+/// How long this computer takes for an image, for the reader.
 fn conversion() -> Outcome {
     let (size, stride) = (ImageSize { width: 640, height: 480 }, 1280);
     let layout = Layout { format: PixelFormat::Yuyv, size, stride, matrix: YuvMatrix::Bt601, range: YuvRange::Limited };
-    let (bytes, mut picture) = (vec![99; 1280 * 480], FramePair::black(size).left);
+    let (bytes, mut image) = (vec![99; 1280 * 480], FramePair::black(size).left);
     let mut converter = Converter::new(layout)?;
     let begin = Instant::now();
     for _ in 0..4 {
-        converter.convert(&bytes, &mut picture)?;
+        converter.convert(&bytes, &mut image)?;
     }
     let millis = begin.elapsed().as_secs_f64() * 250.0;
     Ok(format!("YUYV of 640x480 in {millis:.0} ms ({})", YuvKernels::best().name()))
@@ -194,11 +194,11 @@ fn full_rate() -> Outcome {
     let tolerance = 1.0 / periods as f64;
     ensure((mean / period.as_secs_f64() - 1.0).abs() < tolerance, || format!("the rate by stamps is wrong: {text}"))?;
     ensure((took - periods as f64 * mean).abs() < 0.5, || format!("stamps and clock disagree: {text}"))?;
-    ensure(same == 0, || format!("{same} pictures are those before them; {text}"))?;
+    ensure(same == 0, || format!("{same} images are those before them; {text}"))?;
     Ok(text)
 }
 
-/// Every row of the left picture in a few pixels: a moving picture has another one.
+/// Every row of the left image in a few pixels: a moving image has another one.
 fn fingerprint(pair: &FramePair) -> Vec<u8> {
     pair.left.iter().step_by(1009).copied().collect()
 }
@@ -265,7 +265,7 @@ fn skew() -> Outcome {
 fn changed() -> Outcome {
     let mut wish = config(USUAL, SKEW_MAX_HERE)?;
     wish.left.mode.interval = Interval { numerator: 1, denominator: 60 };
-    refusal(open_with(&wish), CameraErrorKind::Unusable, "asked for 60.000 pictures per second")?;
+    refusal(open_with(&wish), CameraErrorKind::Unusable, "asked for 60.000 images per second")?;
     let mut wish = config(PixelFormat::Mjpg, SKEW_MAX_HERE)?;
     wish.left.mode.takes_interlaced = false;
     refusal(open_with(&wish), CameraErrorKind::Unusable, "asked for MJPG")?;
@@ -277,7 +277,7 @@ fn changed() -> Outcome {
     refusal(open_with(&wish), CameraErrorKind::Unusable, "it has no control for the focus")
 }
 
-/// By default `vivid` stamps the end of a picture that is still to come, unless it is late itself.
+/// By default `vivid` stamps the end of an image that is still to come, unless it is late itself.
 fn future() -> Outcome {
     let mut wish = config(USUAL, SKEW_MAX_HERE)?;
     for camera in [&mut wish.left, &mut wish.right] {
@@ -299,7 +299,7 @@ fn future() -> Outcome {
     }
     let left_out = camera.counters().left.future + camera.counters().right.future;
     ensure(left_out > 0, || format!("nothing was left out, {delivered} pairs were delivered"))?;
-    Ok(format!("{left_out} pictures were left out, {refused} calls said so, {delivered} pairs had come late enough"))
+    Ok(format!("{left_out} images were left out, {refused} calls said so, {delivered} pairs had come late enough"))
 }
 
 fn damaged() -> Outcome {

@@ -49,19 +49,19 @@ pub enum Call {
 pub struct Faults {
     /// The cable is pulled: every call fails with `ENODEV`.
     pub is_unplugged: bool,
-    /// No more pictures come.
+    /// No more images come.
     pub is_silent: bool,
-    /// The stream ends with a last picture.
+    /// The stream ends with a last image.
     pub ends: bool,
     /// The driver has stopped by itself and says nothing but that.
     pub has_stopped: bool,
-    /// The next so many pictures are marked as damaged.
+    /// The next so many images are marked as damaged.
     pub damaged: u32,
-    /// The next so many pictures are a byte too short.
+    /// The next so many images are a byte too short.
     pub short: u32,
-    /// The next so many pictures are lost before they reach a buffer.
+    /// The next so many images are lost before they reach a buffer.
     pub lost: u32,
-    /// The next so many pictures have the number of the one before.
+    /// The next so many images have the number of the one before.
     pub repeated: u32,
     /// Stamps are so much later than they should be, nanoseconds.
     pub stamps_late_nanos: i64,
@@ -89,23 +89,23 @@ pub struct EmulatedCamera {
     pub formats: Vec<([u8; 4], Vec<EmulatedSize>)>,
     /// Bytes behind each row.
     pub padding: u32,
-    /// Which lines of a picture are exposed together.
+    /// Which lines of an image are exposed together.
     pub field: FieldOrder,
     /// Controls with their values.
     pub controls: Vec<(ControlEntry, i32)>,
     /// What stamps mean.
     pub source: StampSource,
-    /// From the moment of a stamp until the picture can be taken.
+    /// From the moment of a stamp until the image can be taken.
     pub arrival: Duration,
-    /// The same besides, of the picture of that number, counted from the start of the stream; less than a period.
+    /// The same besides, of the image of that number, counted from the start of the stream; less than a period.
     pub lateness: fn(u64) -> Duration,
-    /// When the first picture is stamped, after the start of the stream.
+    /// When the first image is stamped, after the start of the stream.
     pub phase: Duration,
     /// By how much its clock is slow: seconds per second.
     pub slowness: f64,
-    /// Number of the first picture.
+    /// Number of the first image.
     pub first_sequence: u32,
-    /// Content of the picture of that number, counted from the start of the stream.
+    /// Content of the image of that number, counted from the start of the stream.
     pub paint: fn(u64, &mut [u8]),
     /// What it does wrong.
     pub faults: Faults,
@@ -200,9 +200,9 @@ struct Device {
 /// A stream that was started.
 #[derive(Clone, Debug)]
 struct Run {
-    /// Stamp of the first picture.
+    /// Stamp of the first image.
     first_nanos: i64,
-    /// Pictures that were made.
+    /// Images that were made.
     made: u64,
     /// Number of the last one.
     sequence: u32,
@@ -214,18 +214,18 @@ impl Device {
         Self { camera, format: RawFormat::default(), interval, owner: None, stream: None }
     }
 
-    /// Stamp of the picture of that number since the start.
+    /// Stamp of the image of that number since the start.
     fn stamp_nanos(&self, run: &Run, number: u64) -> i64 {
         let period = self.interval.seconds().unwrap_or(1.0) * 1e9 * (1.0 + self.camera.slowness);
         run.first_nanos + (number as f64 * period).round() as i64
     }
 
-    /// When the picture of that number can be taken.
+    /// When the image of that number can be taken.
     fn arrival_nanos(&self, run: &Run, number: u64) -> i64 {
         self.stamp_nanos(run, number) + nanos(self.camera.arrival + (self.camera.lateness)(number))
     }
 
-    /// A silent camera makes nothing of the pictures that are due.
+    /// A silent camera makes nothing of the images that are due.
     fn skip_silently(&mut self, now_nanos: i64) {
         let Some(mut run) = self.stream.take() else { return };
         while self.arrival_nanos(&run, run.made) <= now_nanos {
@@ -234,7 +234,7 @@ impl Device {
         self.stream = Some(run);
     }
 
-    /// When the next picture can be taken.
+    /// When the next image can be taken.
     fn next_at_nanos(&self) -> Option<i64> {
         let run = self.stream.as_ref().filter(|_| !self.camera.faults.is_silent)?;
         Some(self.arrival_nanos(run, run.made))

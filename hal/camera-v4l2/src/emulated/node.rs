@@ -1,4 +1,4 @@
-//! An open emulated device, and the pictures that its driver makes.
+//! An open emulated device, and the images that its driver makes.
 
 use std::collections::VecDeque;
 use std::io;
@@ -18,12 +18,12 @@ pub(super) struct NodeState {
     device: usize,
     /// Buffers to be filled.
     queued: VecDeque<u32>,
-    /// Buffers that were filled, with the number of the picture since the start.
+    /// Buffers that were filled, with the number of the image since the start.
     filled: VecDeque<(Filled, u64)>,
     streams: bool,
 }
 
-/// Lets the drivers make all pictures that are due.
+/// Lets the drivers make all images that are due.
 pub(super) fn advance(state: &mut State, now_nanos: i64) {
     for node in &mut state.nodes {
         let Some(device) = state.devices.get_mut(node.device).filter(|_| node.streams) else { continue };
@@ -31,12 +31,12 @@ pub(super) fn advance(state: &mut State, now_nanos: i64) {
             device.skip_silently(now_nanos);
         }
         while device.next_at_nanos().is_some_and(|at| at <= now_nanos) {
-            make_picture(device, node);
+            make_image(device, node);
         }
     }
 }
 
-fn make_picture(device: &mut Device, node: &mut NodeState) {
+fn make_image(device: &mut Device, node: &mut NodeState) {
     let Some(mut run) = device.stream.take() else { return };
     let stamp_nanos = device.stamp_nanos(&run, run.made);
     let image_bytes = device.format.image_bytes as usize;
@@ -272,7 +272,7 @@ impl VideoNode for EmulatedNode {
     }
 
     fn queue(&mut self, index: u32) -> io::Result<()> {
-        // A buffer can not be given twice.
+        // A buffer cannot be given twice.
         let is_ours = self.buffers.get(index as usize).is_some_and(|(_, is_drivers)| !is_drivers);
         self.call(Some(Call::Queue), |_, node| {
             if !is_ours {

@@ -1,7 +1,7 @@
 //! The calls of [`video`](crate::video) on Linux, by the raw layer of the crate `v4l`.
 //!
 //! Its stream type is not used: it queues a buffer twice after a time-out, hands out damaged buffers as good ones, and panics where a
-//! stream can not be stopped.
+//! stream cannot be stopped.
 
 mod list;
 mod node;

@@ -1,4 +1,4 @@
-//! Bayer pictures, one colour per pixel: the two others are the mean of the nearest pixels that have them (bilinear).
+//! Bayer images, one colour per pixel: the two others are the mean of the nearest pixels that have them (bilinear).
 
 use image::RgbImage;
 use pb3dp_camera_settings::BayerOrder;
@@ -13,7 +13,7 @@ fn red(order: BayerOrder) -> (usize, usize) {
     }
 }
 
-/// Converts pictures, with memory for a row that is used again and again.
+/// Converts images, with memory for a row that is used again and again.
 #[derive(Debug)]
 pub(super) struct Demosaic {
     rows: RowColours,
@@ -33,7 +33,7 @@ struct RowColours {
 }
 
 impl Demosaic {
-    /// For pictures of this width, in pixels.
+    /// For images of this width, in pixels.
     pub(super) fn new(width: u32) -> Self {
         let inner = (width as usize).saturating_sub(2);
         let row = || vec![0; inner];
@@ -41,7 +41,7 @@ impl Demosaic {
         Self { rows: RowColours { own: row(), green: row(), other: row() }, masks: [columns(0), columns(1)] }
     }
 
-    /// Converts a picture of that width and at least 2x2 pixels. Beyond its rim lies what lies inside, mirrored at the outermost pixels, so that
+    /// Converts an image of that width and at least 2x2 pixels. Beyond its rim lies what lies inside, mirrored at the outermost pixels, so that
     /// colours stay where the pattern has them.
     pub(super) fn convert(&mut self, bytes: &[u8], stride: usize, order: BayerOrder, target: &mut RgbImage) {
         let (width, height) = (target.width() as usize, target.height() as usize);

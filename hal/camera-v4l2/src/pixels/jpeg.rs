@@ -1,7 +1,7 @@
-//! Pictures of `MJPG`: JPEGs, whose Huffman tables many cameras leave out, and of whose scan pieces get lost on the bus.
+//! Images of `MJPG`: JPEGs, whose Huffman tables many cameras leave out, and of whose scan pieces get lost on the bus.
 //!
-//! A camera that leaves the tables out means those of ITU-T T.81, annex K.3, which are put back before the decoder sees the picture.
-//! Where data are missing decoders go on with zeros, so that the rest of the picture is grey. For that reason ones are put before each
+//! A camera that leaves the tables out means those of ITU-T T.81, annex K.3, which are put back before the decoder sees the image.
+//! Where data are missing decoders go on with zeros, so that the rest of the image is grey. For that reason ones are put before each
 //! marker of the scan: T.81 gives no symbol the code of ones alone (annex C), so who reads on where data should be finds what he can
 //! not decode. Who has read all that belongs there leaves out what is before the marker; many cameras put a few bytes there themselves.
 //! The markers themselves are counted. What is too short to lack a block, some tens of bytes, is not noticed.
@@ -38,7 +38,7 @@ pub(super) struct Decoder {
 }
 
 impl Decoder {
-    /// Decodes into a picture of the size that the JPEG must have.
+    /// Decodes into an image of the size that the JPEG must have.
     pub(super) fn decode(&mut self, bytes: &[u8], target: &mut RgbImage) -> Result<(), PixelError> {
         self.complete(bytes).map_err(|what| PixelError::JpegDamaged { bytes: bytes.len(), what })?;
         let failed =
@@ -54,7 +54,7 @@ impl Decoder {
         decoder.decode_into(target).map_err(failed)
     }
 
-    /// Takes the picture with tables and with ends that can not be read over.
+    /// Takes the image with tables and with ends that cannot be read over.
     fn complete(&mut self, bytes: &[u8]) -> Result<(), &'static str> {
         let anatomy = Anatomy::of(bytes)?;
         let completed = &mut self.completed;
@@ -67,7 +67,7 @@ impl Decoder {
     }
 }
 
-/// Appends the scan, of which pictures of cameras have one, from its marker to the end of the picture. What drivers leave behind that
+/// Appends the scan, of which images of cameras have one, from its marker to the end of the image. What drivers leave behind that
 /// means nothing.
 fn append_scan(completed: &mut Vec<u8>, bytes: &[u8], restarts_min: usize) -> Result<(), &'static str> {
     const LACKS: &str = "a piece of the scan: its markers do not follow each other";
@@ -106,7 +106,7 @@ struct Anatomy {
     scan: usize,
     /// Whether there are Huffman tables before it.
     has_tables: bool,
-    /// Blocks that are coded together, of the whole picture.
+    /// Blocks that are coded together, of the whole image.
     units: usize,
     /// As many of them stand between two restart markers; zero: there are no markers.
     interval: usize,
@@ -130,7 +130,7 @@ impl Anatomy {
                     let segment = bytes.get(at + 2..at + 2 + length).ok_or("the end of a segment")?;
                     found.has_tables |= kind == HUFFMAN_TABLES;
                     if FRAMES.contains(&kind) {
-                        found.units = units(segment).ok_or("the size of the picture")?;
+                        found.units = units(segment).ok_or("the size of the image")?;
                     } else if kind == RESTART_INTERVAL {
                         found.interval = number_at(segment, 2).ok_or("the restart interval")?;
                     }

@@ -1,4 +1,4 @@
-//! From the bytes of a driver's buffer to the picture of a [`FramePair`](pb3dp_hal_api::FramePair).
+//! From the bytes of a driver's buffer to the image of a [`FramePair`](pb3dp_hal_api::FramePair).
 
 mod bayer;
 mod jpeg;
@@ -11,12 +11,12 @@ use pb3dp_geometry::ImageSize;
 
 pub use yuyv::{YuvKernels, YuvMatrix, YuvRange};
 
-/// What a picture of a device looks like in memory.
+/// What an image of a device looks like in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
     /// How pixels are laid out.
     pub format: PixelFormat,
-    /// Of the picture.
+    /// Of the image.
     pub size: ImageSize,
     /// Bytes from the begin of one row to the begin of the next; not used for `MJPG`.
     pub stride: usize,
@@ -27,7 +27,7 @@ pub struct Layout {
 }
 
 impl Layout {
-    /// Bytes that a whole picture has at least; the last row needs no padding behind it.
+    /// Bytes that a whole image has at least; the last row needs no padding behind it.
     pub fn bytes_min(&self) -> usize {
         let rows = self.size.height as usize;
         match self.format.row_bytes(self.size.width) {
@@ -38,17 +38,17 @@ impl Layout {
     }
 }
 
-/// Why the bytes of a buffer are no picture.
+/// Why the bytes of a buffer are no image.
 #[derive(Debug, thiserror::Error)]
 pub enum PixelError {
-    /// Fewer bytes than the picture has.
+    /// Fewer bytes than the image has.
     #[error("{found} bytes are too few: {format} of {width}x{height} pixels has {expected} or more")]
     TooShort {
         /// Bytes that there are.
         found: usize,
         /// Bytes that there should be.
         expected: usize,
-        /// Format of the picture.
+        /// Format of the image.
         format: PixelFormat,
         /// Pixels in a row.
         width: u32,
@@ -56,7 +56,7 @@ pub enum PixelError {
         height: u32,
     },
     /// Rows would overlap.
-    #[error("rows that are {stride} bytes apart can not hold {width} pixels of {format}, which have {row} bytes")]
+    #[error("rows that are {stride} bytes apart cannot hold {width} pixels of {format}, which have {row} bytes")]
     Stride {
         /// Bytes from row to row.
         stride: usize,
@@ -64,11 +64,11 @@ pub enum PixelError {
         row: usize,
         /// Pixels in a row.
         width: u32,
-        /// Format of the picture.
+        /// Format of the image.
         format: PixelFormat,
     },
     /// Colour is known for squares of 2x2 pixels only.
-    #[error("a Bayer picture needs at least 2x2 pixels, this one has {width}x{height}")]
+    #[error("a Bayer image needs at least 2x2 pixels, this one has {width}x{height}")]
     BayerSize {
         /// Pixels in a row.
         width: u32,
@@ -91,8 +91,8 @@ pub enum PixelError {
         /// What was missed.
         what: &'static str,
     },
-    /// The JPEG can not be decoded.
-    #[error("the JPEG of {bytes} bytes can not be decoded: {why}")]
+    /// The JPEG cannot be decoded.
+    #[error("the JPEG of {bytes} bytes cannot be decoded: {why}")]
     Jpeg {
         /// Bytes that there are.
         bytes: usize,
@@ -101,7 +101,7 @@ pub enum PixelError {
     },
 }
 
-/// Converts pictures of one device, with memory and tables that are used again and again.
+/// Converts images of one device, with memory and tables that are used again and again.
 #[derive(Debug)]
 pub struct Converter {
     layout: Layout,
@@ -112,10 +112,10 @@ pub struct Converter {
 }
 
 impl Converter {
-    /// A converter for pictures of this layout.
+    /// A converter for images of this layout.
     ///
     /// # Errors
-    /// If rows would overlap, or a Bayer picture is smaller than its pattern.
+    /// If rows would overlap, or a Bayer image is smaller than its pattern.
     pub fn new(layout: Layout) -> Result<Self, PixelError> {
         let Layout { format, size: ImageSize { width, height }, stride, .. } = layout;
         if let Some(row) = format.row_bytes(width).filter(|row| *row > stride) {
@@ -134,7 +134,7 @@ impl Converter {
         })
     }
 
-    /// What the pictures look like in memory.
+    /// What the images look like in memory.
     pub fn layout(&self) -> &Layout {
         &self.layout
     }
@@ -145,8 +145,8 @@ impl Converter {
         Self { kernels, ..self }
     }
 
-    /// Converts one picture. A target of the right size keeps its memory, and nothing is taken from the heap for it but by
-    /// the decoder of `MJPG`, which makes its tables and rows of blocks anew for each picture and has no way to be given them.
+    /// Converts one image. A target of the right size keeps its memory, and nothing is taken from the heap for it but by
+    /// the decoder of `MJPG`, which makes its tables and rows of blocks anew for each image and has no way to be given them.
     ///
     /// # Errors
     /// If the bytes are too few, or no JPEG of the right size where one is expected; the target may then hold anything.

@@ -55,7 +55,7 @@ fn displaced_m(rules: &Rules, a: &Placement, b: &Placement) -> f64 {
     moved + turned * farthest.fold(0.0, f64::max)
 }
 
-/// Below the least room the hand may only use up the way that braking takes: what the target does, it can not help.
+/// Below the least room the hand may only use up the way that braking takes: what the target does, it cannot help.
 fn target_apart(rules: &Rules, steps: &[Step], found: &mut Found) {
     let body = &rules.arms[HAND_ARM].body;
     let reach_m = body.reach_m();

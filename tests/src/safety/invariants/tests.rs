@@ -379,15 +379,15 @@ fn a_fault_that_nobody_told_of_is_found() {
         from_s: 1.0,
         until_s: 1.5,
         had_effect,
-        words: &["frozen", "the same picture"],
+        words: &["frozen", "the same image"],
     };
     truth.injected = vec![fault("frozen camera", true), fault("nothing came of it", false)];
     let seen = only(Invariant::Log, &truth);
     assert!(seen.note.contains("frozen camera"), "{seen}");
     let line = |t_millis, text: &str| LogLine { t_millis, text: text.to_owned() };
-    truth.log = vec![line(900, "the same picture"), line(1200, "holding: something else"), line(2100, "frozen")];
+    truth.log = vec![line(900, "the same image"), line(1200, "holding: something else"), line(2100, "frozen")];
     only(Invariant::Log, &truth);
-    truth.log.push(line(1900, "holding: the same picture twice"));
+    truth.log.push(line(1900, "holding: the same image twice"));
     silent(&truth);
 }
 

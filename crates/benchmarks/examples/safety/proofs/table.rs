@@ -121,7 +121,7 @@ pub const PROOFS: &[Proof] = &[
     with_person(EmergencyStop, &[CouplingStop, TripLine, ArmFault], CARRIED, EMERGENCY),
 ];
 
-/// What these runs can not show, and what shows it.
+/// What these runs cannot show, and what shows it.
 pub const ELSEWHERE: [(Safeguard, &str); 6] = [
     (ArmDisabled, "nothing moves with drives that are off; `crates/servo/tests/supervisor`, start_and_resume.rs"),
     (

@@ -94,7 +94,7 @@ fn found_stopped(report: &mut StepReport, seen: Result<ArmSnapshot, &String>) ->
     let latched = seen.map(|seen| seen.latched.map(|latched| latched.trip.to_string()));
     let found = match &latched {
         Ok(latched) => latched.clone().unwrap_or_else(|| "nothing has stopped it".to_owned()),
-        Err(error) => format!("it can not connect: {error}"),
+        Err(error) => format!("it cannot connect: {error}"),
     };
     report.holds("the next program finds the arm stopped", matches!(latched, Ok(Some(_))), found);
     let gateway = seen.ok().and_then(|seen| seen.gateway_found);
@@ -176,8 +176,8 @@ impl Mover {
     }
 
     fn kill(&mut self) -> Result<()> {
-        self.child.kill().context("the program that moves the arm can not be killed")?;
-        self.child.wait().context("the program that moved the arm can not be waited for").map(drop)
+        self.child.kill().context("the program that moves the arm cannot be killed")?;
+        self.child.wait().context("the program that moved the arm cannot be waited for").map(drop)
     }
 
     /// The last joints that it told of before it was killed.

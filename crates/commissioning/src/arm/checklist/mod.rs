@@ -92,7 +92,7 @@ enum OperatorName {
 /// Runs the command.
 ///
 /// # Errors
-/// A configuration that is refused, an arm that does not answer or is stopped, a confirmation that does not come, a report that can not
+/// A configuration that is refused, an arm that does not answer or is stopped, a confirmation that does not come, a report that cannot
 /// be written.
 pub fn run(args: &TestArgs, commit: &'static str) -> Result<ExitCode> {
     // Before any thread is started.
@@ -107,9 +107,9 @@ pub fn run(args: &TestArgs, commit: &'static str) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     confirm(&args.company.word(session.choice), &asked, &mut session)?;
-    std::fs::create_dir_all(&session.out).with_context(|| format!("{}: can not be made", session.out.display()))?;
+    std::fs::create_dir_all(&session.out).with_context(|| format!("{}: cannot be made", session.out.display()))?;
     let (settings, file) = (toml_of(&setup.layers.effective()), session.out.join("settings.toml"));
-    std::fs::write(&file, &settings).with_context(|| format!("{}: can not be written", file.display()))?;
+    std::fs::write(&file, &settings).with_context(|| format!("{}: cannot be written", file.display()))?;
     enter_control_thread();
     let steps = all_steps(&asked, &mut session)?;
     let result = Verdict::of(&steps);

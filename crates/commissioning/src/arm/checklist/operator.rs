@@ -60,7 +60,7 @@ pub trait Operator {
     /// Does something at once, while an arm moves.
     ///
     /// # Errors
-    /// If it can not be done.
+    /// If it cannot be done.
     fn act(&mut self, act: Act) -> Result<()>;
 
     /// Is told what comes, does what is asked for, and says when he is ready.

@@ -100,13 +100,11 @@ impl TestReport {
     /// Writes `report.md` and `report.json` into a folder; the path of the first one.
     ///
     /// # Errors
-    /// If a file can not be written.
+    /// If a file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<PathBuf> {
         let write = |name: &str, text: String| {
             let path = folder.join(name);
-            std::fs::write(&path, text)
-                .with_context(|| format!("{}: can not be written", path.display()))
-                .map(|()| path)
+            std::fs::write(&path, text).with_context(|| format!("{}: cannot be written", path.display())).map(|()| path)
         };
         write("report.json", serde_json::to_string_pretty(self)? + "\n")?;
         write("report.md", self.markdown())

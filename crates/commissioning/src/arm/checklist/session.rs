@@ -374,7 +374,7 @@ impl Session<'_> {
     /// Clears what stopped an arm, as soon as it can be cleared.
     ///
     /// # Errors
-    /// If it can not be within ten seconds.
+    /// If it cannot be within ten seconds.
     pub fn reset(&mut self, arm: &mut (impl ArmPower + ?Sized)) -> Result<()> {
         let begin = self.clock.now();
         loop {

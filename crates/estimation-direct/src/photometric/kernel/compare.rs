@@ -32,9 +32,9 @@ pub(super) struct Channel {
     /// Right gradient along columns.
     pub slope: Row,
     pub mean: Row,
-    /// 1 / variance of the residual; 0 where the channel can not be used.
+    /// 1 / variance of the residual; 0 where the channel cannot be used.
     pub certainty: Row,
-    /// 1, or 0 where the channel can not be used.
+    /// 1, or 0 where the channel cannot be used.
     pub usable: Row,
     /// Second derivative of the right eye along columns.
     pub bend: Row,

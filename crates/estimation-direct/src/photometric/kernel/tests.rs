@@ -242,7 +242,7 @@ fn scores_add_up_to_the_slope_with_every_kernel() {
 /// What one eye shows is changed by a bit in each way, and the scores move as the kernel says, but for the mean of both values
 /// by which the gain is taken up: it moves as well.
 #[test]
-fn what_is_not_modelled_pulls_as_if_it_were_in_the_pictures() {
+fn what_is_not_modelled_pulls_as_if_it_were_in_the_images() {
     const PART: f32 = 0.01;
     let (points, planes) = (points(), planes());
     let right: [&[f32]; CHANNELS_MAX] = std::array::from_fn(|c| planes[c].as_slice());

@@ -44,11 +44,11 @@ pub(super) struct CameraChoice {
     /// Layout of the pixels: YUYV, MJPG, GREY, RGB3, BGR3, RGGB, GRBG, GBRG or BA81.
     #[arg(long, value_name = "FOURCC", default_value = "YUYV", requires = "left")]
     format: PixelFormat,
-    /// Size of the pictures; without it that of the calibration, or 640x480.
+    /// Size of the images; without it that of the calibration, or 640x480.
     #[arg(long, value_name = "WxH", value_parser = size, requires = "left")]
     size: Option<ImageSize>,
-    /// Pictures per second.
-    #[arg(long, value_name = "HZ", value_parser = number("pictures per second", 0.1..=1000.0), default_value = "30", requires = "left", allow_negative_numbers = true)]
+    /// Images per second.
+    #[arg(long, value_name = "HZ", value_parser = number("images per second", 0.1..=1000.0), default_value = "30", requires = "left", allow_negative_numbers = true)]
     rate: f64,
     /// Time of exposure, ms; without it as it is set in the cameras.
     #[arg(long, value_name = "MS", value_parser = millis(0.05..=1000.0), requires = "left", allow_negative_numbers = true)]
@@ -71,7 +71,7 @@ pub(super) struct Chosen {
 /// What a setup says of the target; nothing where there is no setup.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ChosenTarget {
-    /// In the first left picture.
+    /// In the first left image.
     pub(super) region: Option<RegionSpec>,
     /// Where it is searched.
     pub(super) range: Option<SearchRange>,
@@ -86,7 +86,7 @@ impl CameraChoice {
     /// The cameras with all that is asked of them, and their calibration.
     ///
     /// # Errors
-    /// If no cameras are named, or a file can not be used.
+    /// If no cameras are named, or a file cannot be used.
     pub(super) fn chosen(&self) -> Result<Chosen> {
         if let Some(setup) = self.setup() {
             let (cameras, range) = read_cameras(&setup)?;
@@ -135,17 +135,17 @@ impl CameraChoice {
     }
 }
 
-/// A calibration of another size than the pictures have is refused.
+/// A calibration of another size than the images have is refused.
 ///
 /// # Errors
 /// See above.
-pub(super) fn check_size(rig: &StereoRig, pictures: ImageSize) -> Result<()> {
+pub(super) fn check_size(rig: &StereoRig, images: ImageSize) -> Result<()> {
     let calibrated = rig.left().size();
-    if calibrated != pictures {
+    if calibrated != images {
         bail!(
-            "the pictures have {}x{} pixels, the calibration {}x{}: ask the cameras for its size, or calibrate for this one",
-            pictures.width,
-            pictures.height,
+            "the images have {}x{} pixels, the calibration {}x{}: ask the cameras for its size, or calibrate for this one",
+            images.width,
+            images.height,
             calibrated.width,
             calibrated.height
         );

@@ -22,18 +22,18 @@ pub(super) fn case() -> Case {
     load_case(folders.iter().find(|folder| folder.is_dir()).unwrap()).unwrap()
 }
 
-/// Its two pictures.
-pub(super) fn pictures() -> &'static [RgbImage; 2] {
-    static PICTURES: OnceLock<[RgbImage; 2]> = OnceLock::new();
-    PICTURES.get_or_init(|| {
+/// Its two images.
+pub(super) fn images() -> &'static [RgbImage; 2] {
+    static IMAGES: OnceLock<[RgbImage; 2]> = OnceLock::new();
+    IMAGES.get_or_init(|| {
         let case = case();
         [load_rgb(&case.left).unwrap(), load_rgb(&case.right).unwrap()]
     })
 }
 
-/// A picture with its number in its first bytes, so that each one differs.
+/// An image with its number in its first bytes, so that each one differs.
 fn paint(side: usize, number: u64, memory: &mut [u8]) {
-    memory.copy_from_slice(pictures()[side].as_raw());
+    memory.copy_from_slice(images()[side].as_raw());
     memory[..8].copy_from_slice(&number.to_le_bytes());
 }
 
@@ -45,9 +45,9 @@ fn paint_right(number: u64, memory: &mut [u8]) {
     paint(1, number, memory);
 }
 
-/// The number in a picture.
-pub(super) fn number_in(picture: &RgbImage) -> u64 {
-    u64::from_le_bytes(picture.as_raw()[..8].try_into().unwrap())
+/// The number in an image.
+pub(super) fn number_in(image: &RgbImage) -> u64 {
+    u64::from_le_bytes(image.as_raw()[..8].try_into().unwrap())
 }
 
 /// A system with both cameras, 640x480 `RGB3` at 30 per second in virtual time; the right one runs 1 ms after the left one.

@@ -16,7 +16,7 @@ use serde::Serialize;
 
 /// What the exit code and `--json` say.
 const LIST_JSON: &str =
-    "Exit code: 0 if each device can be used, 1 if there is none, or one can not be asked (its `problem` says why).
+    "Exit code: 0 if each device can be used, 1 if there is none, or one cannot be asked (its `problem` says why).
 Lines of --json (one per device):
   device    its file now, which changes from boot to boot
   card      what it calls itself, or null
@@ -27,7 +27,7 @@ Lines of --json (one per device):
   formats   fourcc, is_taken (whether pb3dp can use it), sizes: width_px, height_px and rates_hz (a list), or rates_from_to_hz; or
             from_px, to_px, step_px of a range of sizes
   controls  id, name, kind, min, max, step, default, value (or null), is_locked (another control decides on it now), menu (value, text)
-  problem   why it can not be used, and what to do; or null";
+  problem   why it cannot be used, and what to do; or null";
 
 /// Arguments of `pb3dp cameras list`.
 #[derive(Debug, Args)]
@@ -41,12 +41,12 @@ pub(super) struct ListArgs {
 /// Runs the command.
 ///
 /// # Errors
-/// If there is no camera, the system can not be asked, or standard output is not to be written.
+/// If there is no camera, the system cannot be asked, or standard output is not to be written.
 pub(super) fn run(system: &dyn VideoSystem, args: &ListArgs) -> Result<ExitCode> {
     let devices = devices(system)?;
     if devices.is_empty() {
         bail!(
-            "there is no camera (/sys/class/video4linux has none that takes pictures): look at cable and hub, and whether `lsusb` and `dmesg` \
+            "there is no camera (/sys/class/video4linux has none that takes images): look at cable and hub, and whether `lsusb` and `dmesg` \
              show it; `pb3dp doctor` looks at the rest"
         );
     }
@@ -110,9 +110,9 @@ pub(super) struct MenuLine {
     text: String,
 }
 
-/// All devices that take pictures, or could not be asked, sorted by path.
+/// All devices that take images, or could not be asked, sorted by path.
 fn devices(system: &dyn VideoSystem) -> Result<Vec<Device>> {
-    let listing = names::list(system).context("the cameras of this computer can not be listed")?;
+    let listing = names::list(system).context("the cameras of this computer cannot be listed")?;
     let mut devices: Vec<(_, Device)> = Vec::new();
     for found in &listing.found {
         devices.push((found.entry.path.clone(), asked(system, found)));

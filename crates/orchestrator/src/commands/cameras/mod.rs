@@ -28,7 +28,7 @@ pub struct CamerasArgs {
 enum What {
     /// Show which cameras there are: their names, formats, sizes, rates and controls.
     List(list::ListArgs),
-    /// Show both pictures, rate, skew, losses and controls live on a page of this computer; the controls can be changed there.
+    /// Show both images, rate, skew, losses and controls live on a page of this computer; the controls can be changed there.
     View(Box<view::ViewArgs>),
     /// Record pairs as a sequence folder at the full rate of the cameras, for `pb3dp track`.
     Record(Box<record::RecordArgs>),

@@ -135,7 +135,7 @@ fn is_of_driver(name: &CameraName) -> bool {
     matches!(name, CameraName::Bus { bus, .. } if !bus.starts_with("usb-"))
 }
 
-/// The nodes that give pictures: the first of each camera.
+/// The nodes that give images: the first of each camera.
 fn found(system: &dyn System) -> Vec<Found> {
     let folder = "/sys/class/video4linux";
     let names = system.names(folder).into_iter().filter(|name| name.starts_with("video"));
@@ -199,7 +199,7 @@ fn topology(cameras: &[Found]) -> Vec<Finding> {
             findings.push(Finding::fail(
                 CHECK,
                 format!("{} runs at {speed} Mbit/s", camera.path),
-                "another cable, a shorter one, or another socket: pictures need 480 Mbit/s at least",
+                "another cable, a shorter one, or another socket: images need 480 Mbit/s at least",
             ));
         }
     }

@@ -1,4 +1,4 @@
-//! `pb3dp doctor`: whether this machine can do what a rig asks of it, and what to do where it can not (docs/rig.md).
+//! `pb3dp doctor`: whether this machine can do what a rig asks of it, and what to do where it cannot (docs/rig.md).
 
 mod access;
 mod cameras;

@@ -44,7 +44,7 @@ pub(super) enum Cameras {
     These([CameraName; 2]),
 }
 
-/// Two pictures of 640 x 480 pixels, three bytes each, 30 times per second.
+/// Two images of 640 x 480 pixels, three bytes each, 30 times per second.
 const DEFAULT_BYTES_PER_S: f64 = 2.0 * 640.0 * 480.0 * 3.0 * 30.0;
 
 impl Needs {

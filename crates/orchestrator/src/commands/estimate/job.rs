@@ -1,4 +1,4 @@
-//! What `pb3dp estimate` works on: cases of a dataset, or one pair of pictures.
+//! What `pb3dp estimate` works on: cases of a dataset, or one stereo pair.
 
 use std::path::{Path, PathBuf};
 
@@ -17,11 +17,11 @@ use crate::arguments::{EstimateArgs, MethodArgs};
 
 /// Everything that an estimate needs, in memory.
 pub struct Job {
-    /// Name of the case, or of the left picture.
+    /// Name of the case, or of the left image.
     pub name: String,
-    /// Left picture.
+    /// Left image.
     pub left: RgbImage,
-    /// Right picture.
+    /// Right image.
     pub right: RgbImage,
     /// Calibration.
     pub rig: StereoRig,
@@ -50,13 +50,13 @@ impl Job {
     pub fn from_case(folder: &Path, method: &MethodArgs) -> Result<Self> {
         let case = load_case(folder)?;
         let calibration = case.load_calibration()?;
-        let pictures = case.load_pictures()?;
-        check_sizes(&calibration.rig, &pictures.left, &case.left, &calibration.source)?;
+        let images = case.load_images()?;
+        check_sizes(&calibration.rig, &images.left, &case.left, &calibration.source)?;
         let vertices_px = case.region_polygon_left_px.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
         Ok(Self {
             name: case.name.clone(),
-            left: pictures.left,
-            right: pictures.right,
+            left: images.left,
+            right: images.right,
             rig: calibration.rig,
             calibration_files: vec![case.calibration.clone()],
             notes: calibration.notes,
@@ -96,17 +96,17 @@ impl Job {
     }
 }
 
-/// Name of a pair of picture files: the left one's, without its ending.
+/// Name of a pair of image files: the left one's, without its ending.
 pub fn pair_name(left_file: &Path) -> String {
     left_file.file_stem().map_or_else(|| "pair".into(), |stem| stem.to_string_lossy().into_owned())
 }
 
-/// Refuses a picture that the calibration was not made for.
+/// Refuses an image that the calibration was not made for.
 fn check_sizes(rig: &StereoRig, left: &RgbImage, file: &Path, source: &str) -> Result<()> {
     let (is, calibrated) = (size_of(left), rig.left().size());
     if is != calibrated {
         bail!(
-            "{}: the picture is {}x{}, but the calibration ({source}) is for {}x{}: they do not belong together",
+            "{}: the image is {}x{}, but the calibration ({source}) is for {}x{}: they do not belong together",
             file.display(),
             is.width,
             is.height,
@@ -117,7 +117,7 @@ fn check_sizes(rig: &StereoRig, left: &RgbImage, file: &Path, source: &str) -> R
     Ok(())
 }
 
-/// Depths at which the disparity is 5 to 35 % of the picture's width.
+/// Depths at which the disparity is 5 to 35 % of the image's width.
 fn default_range(rig: &StereoRig, is_used: bool, notes: &mut Vec<String>) -> SearchRange {
     let focal_baseline = rig.left().pinhole().fx * rig.baseline_m();
     let width = f64::from(rig.left().size().width);

@@ -1,4 +1,4 @@
-//! `pb3dp estimate`: the pose of a region in stereo pictures.
+//! `pb3dp estimate`: the pose of a region in stereo images.
 
 pub mod job;
 pub mod output;
@@ -10,8 +10,8 @@ use std::process::ExitCode;
 
 use anyhow::{Result, bail};
 use nalgebra::Vector2;
-use pb3dp_cell::pair::check_pictures;
-use pb3dp_cell::picture::{Annotation, annotate, polygon_px};
+use pb3dp_cell::annotation::{Annotation, annotate, polygon_px};
+use pb3dp_cell::pair::check_images;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation_core::estimate::{PlaneEstimate, ReferenceOptimum, SecondPlane};
@@ -20,7 +20,7 @@ use pb3dp_estimation_core::region::{Region, RegionConfig};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_hal_platform::cpu_time::{timed, within};
 use pb3dp_record::dataset::{find_cases, load_case};
-use pb3dp_record::images::{PictureFormat, save};
+use pb3dp_record::images::{StoredFormat, save};
 use pb3dp_record::metrics::{self, DisparityAgreement, EvaluatedCase, Group, compare_plane, table};
 use pb3dp_setup::estimator::read_estimator;
 
@@ -85,12 +85,12 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
 enum Source {
     /// A case folder.
     Case(PathBuf),
-    /// The pair that the command line names, by its left picture.
+    /// The pair that the command line names, by its left image.
     Files(PathBuf),
 }
 
 impl Source {
-    /// Its name, which is the same whether the pictures can be used or not.
+    /// Its name, which is the same whether the images can be used or not.
     fn name(&self) -> String {
         match self {
             Self::Case(folder) => load_case(folder).map_or_else(
@@ -101,7 +101,7 @@ impl Source {
         }
     }
 
-    /// What messages call it: the folder of a case, or the left picture.
+    /// What messages call it: the folder of a case, or the left image.
     fn label(&self) -> String {
         match self {
             Self::Case(folder) => folder.display().to_string(),
@@ -157,7 +157,7 @@ fn work(
             case.other_keys.join(", ")
         );
     }
-    let pair_warning = check_pictures(&job.name, &job.rig, &job.left, &job.right)?;
+    let pair_warning = check_images(&job.name, &job.rig, &job.left, &job.right)?;
     tell_click(job, &config.published.region);
     let mut estimator = rigs.estimator(job, (method, config))?;
     let (estimate, millis) = timed(|| {
@@ -179,7 +179,7 @@ fn work(
     let mut line = EstimateLine::of(&job.name, method.name(), &estimate, (centroid_px, z_m), millis);
     line.warnings.extend(pair_warning);
     if let Err(error) = overlays.draw(job, &estimate, &line, &config.published.region) {
-        tracing::warn!("{}: no picture: {error:#}", job.name);
+        tracing::warn!("{}: no image: {error:#}", job.name);
     }
     Ok((line, evaluate(job, &estimate, z_m, millis)?))
 }
@@ -281,7 +281,7 @@ fn report_errors(evaluated: &[EvaluatedCase]) {
         std::io::Write::write_all(&mut stderr, format!("\nErrors against the truth of the cases:\n{text}").as_bytes());
 }
 
-/// The pictures of all cases.
+/// The images of all cases.
 struct Overlays<'a> {
     folder: Option<&'a Path>,
     /// File names that are taken.
@@ -296,7 +296,7 @@ impl<'a> Overlays<'a> {
         Ok(Self { folder, taken: HashSet::new() })
     }
 
-    /// Writes the picture of a case, if pictures are wanted.
+    /// Writes the image of a case, if images are wanted.
     fn draw(&mut self, job: &Job, estimate: &PlaneEstimate, line: &EstimateLine, regions: &RegionConfig) -> Result<()> {
         let Some(folder) = self.folder else { return Ok(()) };
         let outline_px = outline(job, estimate, regions);
@@ -309,8 +309,8 @@ impl<'a> Overlays<'a> {
             label: format!("{} {}{depth}{fitness}", line.case, line.status),
             status: estimate.status,
         };
-        let picture = annotate(&job.left, &job.right, &job.rig, &[annotation]);
-        save(&picture, &folder.join(self.file_name(&line.case)), PictureFormat::Png)?;
+        let image = annotate(&job.left, &job.right, &job.rig, &[annotation]);
+        save(&image, &folder.join(self.file_name(&line.case)), StoredFormat::Png)?;
         Ok(())
     }
 
@@ -341,7 +341,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pictures_stay_in_their_folder_and_apart() {
+    fn images_stay_in_their_folder_and_apart() {
         let mut overlays = Overlays::open(None).unwrap();
         assert_eq!(overlays.file_name("bb201_c0"), "bb201_c0.png");
         assert_eq!(overlays.file_name("bb201_c0"), "bb201_c0-2.png");

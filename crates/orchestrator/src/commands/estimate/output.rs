@@ -28,7 +28,7 @@ pub struct EstimateLine {
     pub normal_sigma_deg: Option<f64>,
     /// CPU time of one thread from images in memory to pose, milliseconds.
     pub ms: Option<f64>,
-    /// The point of the raw left picture on whose ray the depths are given, pixels.
+    /// The point of the raw left image on whose ray the depths are given, pixels.
     pub centroid_px: Option<[f64; 2]>,
     /// The other surface of a region that straddles a depth edge.
     pub second_plane: Option<SecondPlaneLine>,
@@ -38,7 +38,7 @@ pub struct EstimateLine {
     pub cam_left_from_model: Option<[f64; 16]>,
     /// Its covariance, 36 numbers, row by row, as in the lines of `pb3dp track`.
     pub covariance: Option<Vec<f64>>,
-    /// Row of the right picture minus row of the left one, of the rectified pair, pixels.
+    /// Row of the right image minus row of the left one, of the rectified pair, pixels.
     pub row_offset_px: Option<f64>,
     /// What led to the status.
     pub reason: String,

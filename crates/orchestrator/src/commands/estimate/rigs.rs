@@ -21,7 +21,7 @@ impl Rigs {
     /// An estimator for a job; the first job of a calibration pays for what is measured once. All jobs of a call have the same parameters.
     ///
     /// # Errors
-    /// A parameter out of its range, or pictures that do not fit.
+    /// A parameter out of its range, or images that do not fit.
     pub fn estimator(&mut self, job: &Job, (method, config): (Method, &EstimatorConfig)) -> Result<Estimator> {
         let mut estimator = match self.idle.take().filter(|idle| idle.method() == method) {
             Some(mut idle) => {
@@ -40,7 +40,7 @@ impl Rigs {
         if measured.rows.is_zero() {
             // Another pair of this rig may show more.
             tracing::info!(
-                "{}: row offset not measured: only {} points are found in both pictures ({millis:.1} ms)",
+                "{}: row offset not measured: only {} points are found in both images ({millis:.1} ms)",
                 job.name,
                 measured.matches
             );
@@ -48,7 +48,7 @@ impl Rigs {
         }
         let size = job.rig.right().size();
         tracing::info!(
-            "{}: rows of the right picture lie {:+.2} px lower at its centre, and at most {:.2} px off anywhere (rectified; {} \
+            "{}: rows of the right image lie {:+.2} px lower at its centre, and at most {:.2} px off anywhere (rectified; {} \
              points, {millis:.1} ms, once per calibration): taken into account",
             job.name,
             measured.rows.offset_px,

@@ -42,7 +42,7 @@ struct PlanArgs {
     /// The distances of the table, mm.
     #[arg(long, value_name = "MIN,MAX", value_parser = span, default_value = "300,800", allow_hyphen_values = true)]
     range: Span,
-    /// Of the pictures, pixels.
+    /// Of the images, pixels.
     #[arg(long, value_name = "WxH", value_parser = size, default_value = "640x480")]
     size: ImageSize,
     /// Side of a flat square target that faces the cameras, mm.
@@ -100,7 +100,7 @@ impl PlanArgs {
         let head = StereoHead { baseline_m: self.baseline * 1e-3, focal_px: self.focal, size: self.size };
         let noise = match self.disparity_noise {
             Some(sigma_px) => PixelNoise::Disparity { sigma_px },
-            None => PixelNoise::Picture { noise_grey: self.noise, gradient_grey_per_px: self.gradient },
+            None => PixelNoise::Image { noise_grey: self.noise, gradient_grey_per_px: self.gradient },
         };
         let conditions = Conditions {
             target_m: self.target * 1e-3,

@@ -14,7 +14,7 @@ pub(super) struct Span {
 /// Distances that can be planned for, mm.
 const DISTANCE_MM: RangeInclusive<f64> = 50.0..=10_000.0;
 
-/// Sides of a picture, pixels.
+/// Sides of an image, pixels.
 const SIDE_PX: RangeInclusive<u32> = 32..=16_384;
 
 /// A number with a unit.

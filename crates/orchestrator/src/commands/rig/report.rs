@@ -35,7 +35,7 @@ struct Head {
     width_px: u32,
     height_px: u32,
     view_deg: [f64; 2],
-    /// Nearest distance at which the target is wholly in both pictures.
+    /// Nearest distance at which the target is wholly in both images.
     nearest_in_both_mm: f64,
 }
 
@@ -60,7 +60,7 @@ struct LensLine {
     focused_at_mm: f64,
 }
 
-/// One distance. Errors are standard deviations, null where the target is not wholly in both pictures.
+/// One distance. Errors are standard deviations, null where the target is not wholly in both images.
 #[derive(Debug, Serialize)]
 struct Line {
     distance_mm: f64,
@@ -144,7 +144,7 @@ impl Plan {
         let step_mm = (max_mm - min_mm) / f64::from(ROWS - 1);
         let at = line(z_m);
         let (noise_grey, gradient_grey_per_px) = match conditions.noise {
-            PixelNoise::Picture { noise_grey, gradient_grey_per_px } => (Some(noise_grey), Some(gradient_grey_per_px)),
+            PixelNoise::Image { noise_grey, gradient_grey_per_px } => (Some(noise_grey), Some(gradient_grey_per_px)),
             PixelNoise::Disparity { .. } => (None, None),
         };
         let mut plan = Self {
@@ -186,7 +186,7 @@ impl Plan {
         let mut warnings = Vec::new();
         if at.depth_mm.is_none() {
             warnings.push(format!(
-                "at {:.0} mm the target is not wholly in both pictures, which begins at {:.0} mm: a shorter focal length or baseline, or a \
+                "at {:.0} mm the target is not wholly in both images, which begins at {:.0} mm: a shorter focal length or baseline, or a \
                  smaller target",
                 at.distance_mm, head.nearest_in_both_mm
             ));
@@ -227,15 +227,12 @@ impl Plan {
             let (from, to) = (format!("{:.0} mm", near.distance_mm), format!("{:.0} mm", far.distance_mm));
             line("disparities", format!("{:.1} px at {from} to {:.1} px at {to}", near.disparity_px, far.disparity_px));
         }
-        line(
-            "seen by both",
-            format!("{:.0} % of a picture; the target has {:.0} px", at.overlap_percent, at.target_px),
-        );
+        line("seen by both", format!("{:.0} % of an image; the target has {:.0} px", at.overlap_percent, at.target_px));
         let errors = |values: [Option<f64>; 3], unit: &str| match values {
             [Some(noise), Some(calibration), Some(both)] => {
                 format!("{both:.3} {unit}: {noise:.3} {unit} of noise at best, {calibration:.3} {unit} of calibration")
             }
-            _ => "none: the target is not wholly in both pictures".to_owned(),
+            _ => "none: the target is not wholly in both images".to_owned(),
         };
         line("depth error, sigma", errors([at.depth_noise_mm, at.depth_calibration_mm, at.depth_mm], "mm"));
         line("tilt error, rms", errors([at.tilt_noise_deg, at.tilt_calibration_deg, at.tilt_deg], "deg"));
@@ -267,7 +264,7 @@ impl Plan {
         );
         let _ = writeln!(
             text,
-            "target: {} mm square, wholly in both pictures from {:.0} mm on",
+            "target: {} mm square, wholly in both images from {:.0} mm on",
             given.target_mm, head.nearest_in_both_mm
         );
         let source = match (given.noise_grey, given.gradient_grey_per_px) {

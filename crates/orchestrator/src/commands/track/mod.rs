@@ -22,14 +22,14 @@ use self::overlays::Overlays;
 use self::walk::Walk;
 use crate::arguments::{TrackArgs, UNSURE};
 
-/// A replay does not wait for pictures, so this only bounds what can not happen.
+/// A replay does not wait for images, so this only bounds what cannot happen.
 const PAIR_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Runs the command. The exit code is a failure if a frame could not be read or the region of one of several targets is
 /// refused; all others are worked on all the same.
 ///
 /// # Errors
-/// Bad arguments or configuration, a sequence that can not be used at all, exchanged pictures, or regions that are all
+/// Bad arguments or configuration, a sequence that cannot be used at all, exchanged images, or regions that are all
 /// refused.
 pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     let method = Method::from_name(&args.method.method)?;
@@ -68,7 +68,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
             Ok(()) => {
                 let found = walk.step(frame, t_s, &pair)?;
                 if let Err(error) = overlays.add(frame, t_s, &pair, &rig, &found) {
-                    tracing::warn!("frame {frame}: no picture: {error:#}");
+                    tracing::warn!("frame {frame}: no image: {error:#}");
                 }
                 TrackLine::all_of(frame, t_s, &found)
             }

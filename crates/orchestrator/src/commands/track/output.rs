@@ -26,7 +26,7 @@ pub struct TrackLine {
     /// Covariance of the pose, row-major, of `xi` = translation (mm), then rotation (radians), along the axes of `model`:
     /// true pose = pose exp(xi).
     pub covariance: Option<Vec<f64>>,
-    /// How well the pictures agree, at most 1; eq. (10) for the published method.
+    /// How well the images agree, at most 1; eq. (10) for the published method.
     pub fitness: Option<f64>,
     /// CPU time of one thread from images in memory to pose, milliseconds.
     pub ms: Option<f64>,

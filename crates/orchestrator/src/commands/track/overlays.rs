@@ -1,20 +1,20 @@
-//! Pictures of every frame with what was found, and one animated picture of all.
+//! Images of every frame with what was found, and one animated image of all.
 
 use std::path::PathBuf;
 
 use anyhow::Result;
-use pb3dp_cell::picture::{Annotation, annotate, polygon_px};
+use pb3dp_cell::annotation::{Annotation, annotate, polygon_px};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::FramePair;
-use pb3dp_record::images::{PictureFormat, save};
+use pb3dp_record::images::{StoredFormat, save};
 use pb3dp_record::overlay::{Animation, AnimationLimits};
 
 use super::super::overlay_folder::make_overlay_folder;
 use super::walk::{Found, Outcome};
 use crate::arguments::MethodArgs;
 
-/// Pictures per frame and one animated picture of all, if they are wanted.
+/// Images per frame and one animated image of all, if they are wanted.
 pub struct Overlays {
     wanted: Option<(PathBuf, Animation)>,
 }
@@ -23,7 +23,7 @@ impl Overlays {
     /// Makes the folder.
     ///
     /// # Errors
-    /// If it can not be made.
+    /// If it cannot be made.
     pub fn open(args: &MethodArgs) -> Result<Self> {
         let Some(folder) = &args.overlay else { return Ok(Self { wanted: None }) };
         make_overlay_folder(folder)?;
@@ -33,7 +33,7 @@ impl Overlays {
     /// Draws all targets of a frame.
     ///
     /// # Errors
-    /// If the picture can not be written.
+    /// If the image cannot be written.
     pub fn add(&mut self, frame: usize, t_s: f64, pair: &FramePair, rig: &StereoRig, targets: &[Found]) -> Result<()> {
         let Some((folder, animation)) = &mut self.wanted else { return Ok(()) };
         let annotation = |found: &Found| {
@@ -51,16 +51,16 @@ impl Overlays {
             }
         };
         let annotations: Vec<Annotation> = targets.iter().map(annotation).collect();
-        let picture = annotate(&pair.left, &pair.right, rig, &annotations);
-        save(&picture, &folder.join(format!("frame_{frame:04}.png")), PictureFormat::Png)?;
-        animation.push(t_s, &picture);
+        let image = annotate(&pair.left, &pair.right, rig, &annotations);
+        save(&image, &folder.join(format!("frame_{frame:04}.png")), StoredFormat::Png)?;
+        animation.push(t_s, &image);
         Ok(())
     }
 
-    /// Writes the animated picture.
+    /// Writes the animated image.
     ///
     /// # Errors
-    /// If it can not be written.
+    /// If it cannot be written.
     pub fn close(self) -> Result<()> {
         let Some((folder, animation)) = self.wanted else { return Ok(()) };
         if animation.frames() > 0 {

@@ -14,7 +14,7 @@ use super::walk::TrackedTarget;
 /// # Errors
 /// If not.
 pub fn check_writable(file: &Path) -> Result<()> {
-    let refused = || format!("--surface {}: can not be written", file.display());
+    let refused = || format!("--surface {}: cannot be written", file.display());
     if file.is_dir() {
         bail!("--surface {}: is a folder: give the name of a file", file.display());
     }
@@ -29,10 +29,10 @@ pub fn check_writable(file: &Path) -> Result<()> {
 
 /// Writes the surface of each target into `file`, or, if there are several, into one file for each that is numbered before
 /// the ending: `crab.ply` becomes `crab-0.ply`, `crab-1.ply`. Positions and normals are in `model`, colours those of the
-/// first left picture.
+/// first left image.
 ///
 /// # Errors
-/// If a file can not be written.
+/// If a file cannot be written.
 pub fn write_all(file: &Path, targets: &[TrackedTarget]) -> Result<()> {
     for (index, target) in targets.iter().enumerate() {
         let file = if targets.len() > 1 { numbered(file, index) } else { file.to_path_buf() };

@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_cell::follower::Follower;
-use pb3dp_cell::pair::check_pictures;
+use pb3dp_cell::pair::check_images;
 use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -41,7 +41,7 @@ pub struct TrackedTarget {
     follower: Follower,
     last_status: Status,
     poses: Vec<Option<Pose<CamLeft, Model>>>,
-    /// Why the region can not serve.
+    /// Why the region cannot serve.
     refused: Option<String>,
 }
 
@@ -59,7 +59,7 @@ pub struct Found {
     pub target: Option<usize>,
     /// What came of it.
     pub outcome: Outcome,
-    /// What does not fit between the pictures and their calibration; told once, with the first frame.
+    /// What does not fit between the images and their calibration; told once, with the first frame.
     pub pair_warning: Option<String>,
 }
 
@@ -72,7 +72,7 @@ pub enum Outcome {
         /// CPU time that it took, milliseconds.
         millis: f64,
     },
-    /// Its region can not serve, so it is not looked for.
+    /// Its region cannot serve, so it is not looked for.
     Refused {
         /// Why.
         reason: String,
@@ -195,14 +195,14 @@ impl Walk {
     /// What is found of each target in a frame. The region of one of several targets may be refused; the others go on.
     ///
     /// # Errors
-    /// Exchanged pictures in the first frame, or regions that are all refused.
+    /// Exchanged images in the first frame, or regions that are all refused.
     pub fn step(&mut self, frame: usize, t_s: f64, pair: &FramePair) -> Result<Vec<Found>> {
         let mut pair_warning = None;
         if self.first.is_none() {
             let what = format!("frame {frame}");
-            pair_warning = check_pictures(&what, &self.rig, &pair.left, &pair.right).context(what)?;
+            pair_warning = check_images(&what, &self.rig, &pair.left, &pair.right).context(what)?;
             if frame > 0 {
-                tracing::warn!("the regions belong to frame 0, which can not be read; they are used in frame {frame}");
+                tracing::warn!("the regions belong to frame 0, which cannot be read; they are used in frame {frame}");
             }
             self.first = Some(frame);
         }

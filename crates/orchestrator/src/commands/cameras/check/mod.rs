@@ -1,7 +1,7 @@
 //! `pb3dp cameras check`: whether what the cameras deliver will do, each thing with its limit and what to do.
 
 mod finding;
-mod pictures;
+mod images;
 #[cfg(test)]
 mod tests;
 mod times;
@@ -54,7 +54,7 @@ pub(super) struct CheckArgs {
 /// Runs the command.
 ///
 /// # Errors
-/// If the cameras can not be used at all, or standard output is not to be written.
+/// If the cameras cannot be used at all, or standard output is not to be written.
 pub(super) fn run(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &CheckArgs) -> Result<ExitCode> {
     let report = checked(system, clock, args)?;
     print_line(&if args.json { serde_json::to_string(&report)? } else { report.text() })?;
@@ -78,7 +78,7 @@ fn checked(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &CheckArgs
         config.skew_max = skew_max.max(Duration::from_secs_f64(period_s / 2.0));
     }
     let mut camera =
-        V4l2StereoCamera::open(system, Arc::clone(&clock), &config).context("the cameras can not be used")?;
+        V4l2StereoCamera::open(system, Arc::clone(&clock), &config).context("the cameras cannot be used")?;
     let name = camera.info().name.clone();
     let period = camera.info().period.context("the cameras tell no rate")?;
     if let Some(rig) = &rig {
@@ -89,7 +89,7 @@ fn checked(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &CheckArgs
         bail!("{name}: no pairs come: {}", taken.failure.as_deref().unwrap_or("nothing is told"));
     }
     let mut findings = times::findings(&taken.moments, period, skew_max, &taken.counters);
-    findings.extend(pictures::findings(&taken.samples, rig.as_ref()));
+    findings.extend(images::findings(&taken.samples, rig.as_ref()));
     if let Some(failure) = taken.failure {
         let found = format!("{} of {} pairs came: {failure}", taken.moments.len(), args.pairs);
         findings
@@ -98,7 +98,7 @@ fn checked(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &CheckArgs
     Ok(Report::of(name, taken.moments.len() as u64, findings))
 }
 
-/// Takes pairs, and keeps the pictures of some.
+/// Takes pairs, and keeps the images of some.
 fn take(camera: &mut V4l2StereoCamera, clock: &dyn Clock, pairs: usize) -> Taken {
     let size = camera.info().size;
     let mut pair = FramePair::black(size);
@@ -122,7 +122,7 @@ fn take(camera: &mut V4l2StereoCamera, clock: &dyn Clock, pairs: usize) -> Taken
                     exposed_at_s: pair.exposed_at.as_secs_f64(),
                     skew_s: pair.skew_nanos as f64 * 1e-9,
                 });
-                // Not the first one: some cameras begin with a dark picture.
+                // Not the first one: some cameras begin with a dark image.
                 if number % every == every / 2
                     && let Some(next) = free.pop()
                 {

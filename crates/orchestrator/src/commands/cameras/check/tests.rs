@@ -72,7 +72,7 @@ fn each_fault_of_the_cameras_is_found_and_said() {
 fn cameras_that_fail_are_told() {
     let silent = |side: usize, camera: &mut EmulatedCamera| camera.faults.is_silent = side == 1;
     let error = format!("{:#}", check(&[], silent).unwrap_err());
-    assert!(error.contains("no pairs come") && error.contains("no picture yet"), "{error}");
+    assert!(error.contains("no pairs come") && error.contains("no image yet"), "{error}");
     let error = format!("{:#}", check(&[], |side, camera| camera.faults.is_unplugged = side == 0).unwrap_err());
     assert!(error.contains("there is no such camera"), "{error}");
     let ends = check(&[], |side, camera| camera.faults.ends = side == 0);

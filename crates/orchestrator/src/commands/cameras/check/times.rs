@@ -46,7 +46,7 @@ fn rate(moments: &[Moment], period: Duration) -> Finding {
     let hz = moments.len().saturating_sub(1) as f64 / seconds;
     let limits = Limits::between(asked_hz * (1.0 - RATE_SHARE_MAX), asked_hz * (1.0 + RATE_SHARE_MAX));
     let advice = "a shorter exposure than the period, no automatic exposure that lowers the rate (its `dynamic framerate`), less load on USB and \
-                  processor; if the camera can not do better, ask for a rate that it keeps";
+                  processor; if the camera cannot do better, ask for a rate that it keeps";
     Finding::judged("rate", (hz, "pairs per second"), limits, format!("asked for {asked_hz:.2}"), advice)
 }
 
@@ -60,7 +60,7 @@ fn jitter(moments: &[Moment]) -> Finding {
         .collect();
     let rms_ms = (off.iter().map(|s| s * s).sum::<f64>() / off.len() as f64).sqrt() * 1e3;
     let worst_ms = off.iter().fold(0.0_f64, |worst, s| worst.max(s.abs())) * 1e3;
-    let advice = "the stamps are not even, so it is not known well when pictures were taken: less load on USB and computer, each camera at a \
+    let advice = "the stamps are not even, so it is not known well when images were taken: less load on USB and computer, each camera at a \
                   controller of its own, or a hardware trigger";
     Finding::judged(
         "jitter",
@@ -108,7 +108,7 @@ fn missing(moments: &[Moment], counters: &StereoCounters) -> Finding {
     };
     let found =
         format!("{missing} of {} pairs{}{}", periods + 1, side("left", &counters.left), side("right", &counters.right));
-    let advice = "damaged and lost pictures: cable, hub, another USB controller, or MJPG; pictures taken too late: less load on the processor";
+    let advice = "damaged and lost images: cable, hub, another USB controller, or MJPG; images taken too late: less load on the processor";
     Finding::judged("missing", (percent, "%"), Limits::at_most(MISSING_MAX_PERCENT), found, advice)
 }
 

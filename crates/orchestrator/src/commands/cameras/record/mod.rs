@@ -19,7 +19,7 @@ use pb3dp_hal_api::{Clock, StereoCamera};
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::calibration_files::save_cameras;
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter};
-use pb3dp_record::images::PictureFormat;
+use pb3dp_record::images::StoredFormat;
 use pb3dp_setup::region_spec::RegionSpec;
 use pb3dp_wiring::calibration::identity;
 use serde::Serialize;
@@ -61,8 +61,8 @@ pub(super) struct RecordArgs {
     /// End after this many pairs.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pairs: Option<u64>,
-    /// The target in the left picture of the first pair, for `pb3dp track`: rect:X,Y,WIDTH,HEIGHT or poly:X1,Y1;X2,Y2;X3,Y3; without it
-    /// that of the setup, or the middle of the picture.
+    /// The target in the left image of the first pair, for `pb3dp track`: rect:X,Y,WIDTH,HEIGHT or poly:X1,Y1;X2,Y2;X3,Y3; without it
+    /// that of the setup, or the middle of the image.
     #[arg(long, value_name = "REGION")]
     region: Option<RegionSpec>,
     /// Depths to search there, millimetres; without it those of the setup, or 300,800.
@@ -71,7 +71,7 @@ pub(super) struct RecordArgs {
     /// Largest tilt to search there, degrees; without it that of the setup, or 60.
     #[arg(long, value_name = "DEGREES", value_parser = parse_tilt, allow_hyphen_values = true)]
     tilt_max: Option<f64>,
-    /// Store pictures as JPEG of this quality, which is lossy; without it as PNG.
+    /// Store images as JPEG of this quality, which is lossy; without it as PNG.
     #[arg(long, value_name = "1..100", value_parser = clap::value_parser!(u8).range(1..=100))]
     jpeg: Option<u8>,
     /// Pairs that may wait in memory to be written.
@@ -88,10 +88,10 @@ pub(super) struct RecordArgs {
 /// Runs the command.
 ///
 /// # Errors
-/// If the cameras or the folder can not be used.
+/// If the cameras or the folder cannot be used.
 pub(super) fn run(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &RecordArgs) -> Result<ExitCode> {
     // Before any other thread is there.
-    let mut signals = StopSignals::take_over().context("signals can not be taken over")?;
+    let mut signals = StopSignals::take_over().context("signals cannot be taken over")?;
     let mut is_over = || stop_requested(&mut signals, "the recording ends");
     let line = recorded(system, clock, args, &mut is_over)?;
     print_line(&if args.json { serde_json::to_string(&line)? } else { line.text() })?;
@@ -124,7 +124,7 @@ fn recorded(
     let Chosen { config, rig, target } = args.cameras.chosen()?;
     let Some(rig) = rig else {
         bail!(
-            "a sequence needs a calibration: give --calib FILE; for pictures of which one is to be made, any one of their size will do, \
+            "a sequence needs a calibration: give --calib FILE; for images of which one is to be made, any one of their size will do, \
              as configs/calibration/nominal.json (docs/calibration.md)"
         );
     };
@@ -136,12 +136,12 @@ fn recorded(
     };
     let draft = draft(args, &target, rig.left().size())?;
     let mut camera =
-        V4l2StereoCamera::open(system, Arc::clone(&clock), &config).context("the cameras can not be used")?;
+        V4l2StereoCamera::open(system, Arc::clone(&clock), &config).context("the cameras cannot be used")?;
     check_size(&rig, camera.info().size)?;
     let mut identity_of = |side| camera.identity(side).map(identity);
     let identities = [identity_of(Side::Left)?, identity_of(Side::Right)?];
     let writer = SequenceWriter::create(&args.out, &rig, draft).context("--out")?;
-    // What is calibrated with these pictures says of which cameras it is.
+    // What is calibrated with these images says of which cameras it is.
     save_cameras(&identities, &args.out.join("cameras.toml")).context("--out")?;
     tracing::info!("{}: recording into {}", camera.info().name, args.out.display());
     let outcome =
@@ -163,7 +163,7 @@ fn draft(args: &RecordArgs, target: &ChosenTarget, size: ImageSize) -> Result<Se
         (Some(region), _) => ("--region", region),
         (None, Some(RegionSpec::Mask(_) | RegionSpec::Click(_))) => {
             tracing::warn!(
-                "camera.region: a sequence has a polygon, so it gets the middle of the picture; give --region to have another one"
+                "camera.region: a sequence has a polygon, so it gets the middle of the image; give --region to have another one"
             );
             ("", &middle)
         }
@@ -184,7 +184,7 @@ fn draft(args: &RecordArgs, target: &ChosenTarget, size: ImageSize) -> Result<Se
     Ok(SequenceDraft {
         region_polygon_left_px,
         search: SearchRange { z_min_m, z_max_m, tilt_max_rad: tilt_max_rad.unwrap_or(TILT_MAX_DEG.to_radians()) },
-        pictures: args.jpeg.map_or(PictureFormat::QuickPng, |quality| PictureFormat::Jpeg { quality }),
+        images: args.jpeg.map_or(StoredFormat::QuickPng, |quality| StoredFormat::Jpeg { quality }),
     })
 }
 

@@ -1,7 +1,7 @@
 //! From a camera into a sequence folder at its full rate: who takes pairs never waits for who writes them.
 //!
 //! The calling thread takes pairs into memory that was there before; a bounded queue hands them to threads that compress and write. A
-//! pair that finds no room is left out and counted. Frames are numbered as they are taken; when one can not be written, the recording
+//! pair that finds no room is left out and counted. Frames are numbered as they are taken; when one cannot be written, the recording
 //! ends, and what was written before it stays as a whole sequence.
 
 use std::sync::Mutex;

@@ -6,7 +6,7 @@ use std::sync::Mutex;
 use clap::Parser as _;
 use pb3dp_record::dataset::load_sequence;
 
-use super::super::emulated_rig::{case, number_in, pictures, system, typed};
+use super::super::emulated_rig::{case, images, number_in, system, typed};
 use super::*;
 use crate::cli::{Cli, Command};
 
@@ -56,9 +56,9 @@ fn every_pair_is_kept_as_it_was_and_track_reads_it() {
     assert_eq!((sequence.frames(), sequence.skew_s.as_slice()), (6, [1e-3; 6].as_slice()));
     let size = ImageSize { width: 640, height: 480 };
     for frame in 0..6 {
-        let read = sequence.load_pictures(frame, size).unwrap();
+        let read = sequence.load_images(frame, size).unwrap();
         assert_eq!((number_in(&read.left), number_in(&read.right)), (frame, frame));
-        for (read, painted) in [&read.left, &read.right].into_iter().zip(pictures()) {
+        for (read, painted) in [&read.left, &read.right].into_iter().zip(images()) {
             assert_eq!(read.as_raw()[8..], painted.as_raw()[8..], "frame {frame}");
         }
         let since = sequence.times_s[frame as usize] - sequence.times_s[0];
@@ -103,7 +103,7 @@ fn an_end_by_hand_is_an_end_in_order() {
     let (system, clock) = system(|_, _| {});
     let line = recorded(system, clock, &place.args(&["--jpeg", "90"]), &mut is_over).unwrap();
     assert_eq!((line.pairs, line.wrong()), (4, None));
-    assert!(load_sequence(&place.out()).unwrap().picture_files(3).0.ends_with("left_0003.jpg"));
+    assert!(load_sequence(&place.out()).unwrap().image_files(3).0.ends_with("left_0003.jpg"));
     let (system, clock) = super::super::emulated_rig::system(|_, _| {});
     let error = recorded(system, clock, &place.args(&[]), &mut never).unwrap_err();
     assert!(format!("{error:#}").contains("give an empty folder"), "{error:#}");
@@ -161,7 +161,7 @@ fn pairs_that_find_no_room_are_counted_and_fail_the_command() {
 fn a_full_disk_ends_it_and_what_was_written_stays_whole() {
     let place = Place::new();
     std::fs::create_dir_all(place.out()).unwrap();
-    // What is written there finds no room: that picture, and the first try of the description.
+    // What is written there finds no room: that image, and the first try of the description.
     symlink("/dev/full", place.out().join("right_0005.png")).unwrap();
     symlink("/dev/full", place.out().join("sequence.json.partial")).unwrap();
     let (system, clock) = system(|_, _| {});
@@ -173,7 +173,7 @@ fn a_full_disk_ends_it_and_what_was_written_stays_whole() {
     assert_eq!(line.pairs, 4);
     let sequence = load_sequence(&place.out()).unwrap();
     assert_eq!(sequence.frames(), 4);
-    assert!(sequence.load_pictures(3, ImageSize { width: 640, height: 480 }).is_ok());
+    assert!(sequence.load_images(3, ImageSize { width: 640, height: 480 }).is_ok());
     assert!(!place.out().join("left_0005.png").exists() && !place.out().join("left_0004.png").exists());
 }
 
@@ -230,9 +230,9 @@ fn what_can_not_be_recorded_is_refused_before_anything_is_written() {
     assert!(refused(&place.args(&["--region", "click:1,2"])).contains("a sequence has a polygon"));
     assert!(
         refused(&place.args(&["--size", "320x240"]))
-            .contains("the pictures have 320x240 pixels, the calibration 640x480")
+            .contains("the images have 320x240 pixels, the calibration 640x480")
     );
-    assert!(refused(&place.args(&["--rate", "60"])).contains("60.000 pictures per second"));
+    assert!(refused(&place.args(&["--rate", "60"])).contains("60.000 images per second"));
     let uncalibrated: RecordArgs = typed(&["--format", "RGB3", "--out", &place.out().display().to_string()]);
     assert!(refused(&uncalibrated).contains("give --calib FILE"));
     assert!(!place.out().exists());

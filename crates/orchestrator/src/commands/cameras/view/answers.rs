@@ -76,7 +76,7 @@ pub(super) fn stream(kind: &'static str, pieces: mpsc::Receiver<Bytes>) -> Respo
     of_kind(kind, Content::Stream(pieces))
 }
 
-/// A JSON object; what can not be written as one is a mistake of this program, and said as such.
+/// A JSON object; what cannot be written as one is a mistake of this program, and said as such.
 pub(super) fn json(value: &impl Serialize) -> Response<Content> {
     match serde_json::to_vec(value) {
         Ok(text) => whole("application/json", text),

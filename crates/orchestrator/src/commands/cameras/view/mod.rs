@@ -42,18 +42,18 @@ pub(super) struct ViewArgs {
 /// Runs the command until a signal ends it.
 ///
 /// # Errors
-/// If the cameras can not be used, or the port is taken.
+/// If the cameras cannot be used, or the port is taken.
 pub(super) fn run(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &ViewArgs) -> Result<ExitCode> {
     // Before any other thread is there.
-    let mut signals = StopSignals::take_over().context("signals can not be taken over")?;
+    let mut signals = StopSignals::take_over().context("signals cannot be taken over")?;
     let mut is_over = || stop_requested(&mut signals, "the page closes");
     let config = args.cameras.cameras()?;
     let mut open = || V4l2StereoCamera::open(Arc::clone(&system), Arc::clone(&clock), &config);
-    let camera = open().context("the cameras can not be used")?;
+    let camera = open().context("the cameras cannot be used")?;
     let (state, states) = watch::channel(Arc::new(State::new(camera.info())));
-    let (pictures, newest) = watch::channel(None);
+    let (images, newest) = watch::channel(None);
     let (ask, asks) = sync_channel(ASKS_MAX);
-    let sources = Sources { states, pictures: newest, ask };
+    let sources = Sources { states, images: newest, ask };
     // The page is gone when this is.
     let server = Server::start(SocketAddr::new(args.bind, args.port), sources)?;
     if !args.bind.is_loopback() {
@@ -63,6 +63,6 @@ pub(super) fn run(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &Vi
         );
     }
     print_line(&format!("http://{}/ shows the cameras; Ctrl-C ends it", server.address()))?;
-    Show { clock: clock.as_ref(), state, pictures, asks }.run(camera, &mut open, &mut is_over)?;
+    Show { clock: clock.as_ref(), state, images, asks }.run(camera, &mut open, &mut is_over)?;
     Ok(ExitCode::SUCCESS)
 }

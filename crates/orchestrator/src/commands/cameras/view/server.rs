@@ -24,7 +24,7 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 
 use super::answers::{Content, Refusal, json, stream, whole};
-use super::show::{Ask, Pictures, State, Wish};
+use super::show::{Ask, Images, State, Wish};
 use crate::commands::cameras::list::ControlLine;
 
 /// The page, with all that belongs to it.
@@ -41,15 +41,15 @@ const BODY_MAX: usize = 4 * 1024;
 const CLIENT_PATIENCE: Duration = Duration::from_secs(10);
 const CAMERA_PATIENCE: Duration = Duration::from_secs(3);
 
-/// Between the pictures of a stream.
-const BOUNDARY: &str = "pb3dp-next-picture";
-const STREAM_KIND: &str = "multipart/x-mixed-replace; boundary=pb3dp-next-picture";
+/// Between the images of a stream.
+const BOUNDARY: &str = "pb3dp-next-image";
+const STREAM_KIND: &str = "multipart/x-mixed-replace; boundary=pb3dp-next-image";
 
 /// Where the server gets from what it tells.
 #[derive(Clone)]
 pub(super) struct Sources {
     pub(super) states: watch::Receiver<Arc<State>>,
-    pub(super) pictures: watch::Receiver<Option<Arc<Pictures>>>,
+    pub(super) images: watch::Receiver<Option<Arc<Images>>>,
     pub(super) ask: SyncSender<Ask>,
 }
 
@@ -68,7 +68,7 @@ impl Server {
     pub(super) fn start(address: SocketAddr, sources: Sources) -> Result<Self> {
         let runtime = Builder::new_current_thread().enable_all().build().context("no server can be made")?;
         let listener = runtime.block_on(TcpListener::bind(address)).with_context(|| {
-            format!("{address} can not be used for the page; give another --port (0: any that is free) or --bind")
+            format!("{address} cannot be used for the page; give another --port (0: any that is free) or --bind")
         })?;
         let address = listener.local_addr().context("the page has no address")?;
         let (over, is_over) = oneshot::channel();
@@ -161,15 +161,13 @@ async fn answer(request: Request<Incoming>, sources: &Sources) -> Result<Respons
             Ok(json(state.as_ref()))
         }
         ("/left.jpg" | "/right.jpg", Some(side)) => {
-            let pictures = sources.pictures.borrow().clone();
-            let pictures = pictures.ok_or_else(|| {
+            let images = sources.images.borrow().clone();
+            let images = images.ok_or_else(|| {
                 Refusal::new(StatusCode::SERVICE_UNAVAILABLE, "no pair has come yet; /state says why")
             })?;
-            Ok(whole("image/jpeg", pictures.jpegs[side as usize].clone()))
+            Ok(whole("image/jpeg", images.jpegs[side as usize].clone()))
         }
-        ("/left.mjpg" | "/right.mjpg", Some(side)) => {
-            Ok(stream(STREAM_KIND, pictures_of(side, sources.pictures.clone())))
-        }
+        ("/left.mjpg" | "/right.mjpg", Some(side)) => Ok(stream(STREAM_KIND, images_of(side, sources.images.clone()))),
         _ => Err(unknown(&path)),
     }
 }
@@ -199,7 +197,7 @@ fn not_allowed(request: &Request<Incoming>, allowed: &str) -> Refusal {
     Refusal::new(StatusCode::METHOD_NOT_ALLOWED, error)
 }
 
-/// A page from elsewhere may give its own name the address of this computer (DNS rebinding); an address it can not invent.
+/// A page from elsewhere may give its own name the address of this computer (DNS rebinding); an address it cannot invent.
 fn check_host(request: &Request<Incoming>) -> Result<(), Refusal> {
     let host = request.headers().get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
     let is_address = host.parse::<SocketAddr>().is_ok()
@@ -222,7 +220,7 @@ async fn wish_in(request: Request<Incoming>) -> Result<Wish, Refusal> {
         value: i32,
     }
     const EXAMPLE: &str = "{\"id\": 9963795, \"value\": 32}";
-    // Pages from elsewhere can not send this type unasked.
+    // Pages from elsewhere cannot send this type unasked.
     let is_json =
         |kind: &str| kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"));
     let kind = request.headers().get(CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or_default();
@@ -240,7 +238,7 @@ async fn wish_in(request: Request<Incoming>) -> Result<Wish, Refusal> {
             let error = format!("the body has more than {BODY_MAX} bytes; send for instance {EXAMPLE}");
             Refusal::new(StatusCode::PAYLOAD_TOO_LARGE, error)
         } else {
-            Refusal::new(StatusCode::BAD_REQUEST, format!("the body can not be read: {error}"))
+            Refusal::new(StatusCode::BAD_REQUEST, format!("the body cannot be read: {error}"))
         }
     })?;
     let change: Change = serde_json::from_slice(&bytes.to_bytes()).map_err(|error| {
@@ -267,8 +265,8 @@ async fn ask(sources: &Sources, side: Side, wish: Wish) -> Result<Vec<ControlLin
     }
 }
 
-/// The pictures of one side, each as a part of the stream; one that a slow reader misses is left out.
-fn pictures_of(side: Side, mut newest: watch::Receiver<Option<Arc<Pictures>>>) -> mpsc::Receiver<Bytes> {
+/// The images of one side, each as a part of the stream; one that a slow reader misses is left out.
+fn images_of(side: Side, mut newest: watch::Receiver<Option<Arc<Images>>>) -> mpsc::Receiver<Bytes> {
     let (give, take) = mpsc::channel(1);
     // The one that is there now is shown at once.
     newest.mark_changed();
@@ -276,9 +274,9 @@ fn pictures_of(side: Side, mut newest: watch::Receiver<Option<Arc<Pictures>>>) -
         // A browser shows a part once it has seen the boundary behind it.
         let mut part = format!("--{BOUNDARY}").into_bytes();
         while newest.changed().await.is_ok() {
-            let pictures = newest.borrow_and_update().clone();
-            let Some(pictures) = pictures else { continue };
-            let jpeg = &pictures.jpegs[side as usize];
+            let images = newest.borrow_and_update().clone();
+            let Some(images) = images else { continue };
+            let jpeg = &images.jpegs[side as usize];
             let head = format!("\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", jpeg.len());
             part.extend_from_slice(head.as_bytes());
             part.extend_from_slice(jpeg);

@@ -10,7 +10,7 @@ use hyper::body::Bytes;
 use pb3dp_camera_v4l2::{Side, StreamCounters, V4l2StereoCamera};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
-use pb3dp_record::images::{PictureFormat, encode};
+use pb3dp_record::images::{StoredFormat, encode};
 use serde::Serialize;
 use tokio::sync::{oneshot, watch};
 
@@ -32,7 +32,7 @@ const WINDOW: usize = 60;
 /// Of the JPEGs of the page.
 const QUALITY: u8 = 80;
 
-/// What the page tells beside the pictures, and `/state`.
+/// What the page tells beside the images, and `/state`.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct State {
     cameras: String,
@@ -57,7 +57,7 @@ pub(super) struct State {
     problem: Option<String>,
 }
 
-/// Pictures of one camera that were left out.
+/// Images of one camera that were left out.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 struct Losses {
     lost: u64,
@@ -103,7 +103,7 @@ impl State {
 
 /// A pair as the page shows it.
 #[derive(Debug)]
-pub(super) struct Pictures {
+pub(super) struct Images {
     /// JPEGs of left and right.
     pub(super) jpegs: [Bytes; 2],
 }
@@ -129,7 +129,7 @@ pub(super) struct Ask {
 pub(super) struct Show<'a> {
     pub(super) clock: &'a dyn Clock,
     pub(super) state: watch::Sender<Arc<State>>,
-    pub(super) pictures: watch::Sender<Option<Arc<Pictures>>>,
+    pub(super) images: watch::Sender<Option<Arc<Images>>>,
     pub(super) asks: Receiver<Ask>,
 }
 
@@ -152,22 +152,19 @@ impl Show<'_> {
         let (give, take) = sync_channel::<Box<FramePair>>(1);
         let (give_back, back) = sync_channel::<Box<FramePair>>(1);
         let _ = give_back.try_send(Box::new(FramePair::black(size)));
-        let Self { clock, state, pictures, asks } = self;
+        let Self { clock, state, images, asks } = self;
         let encode_all = move || {
             for pair in take {
                 let jpegs =
-                    [&pair.left, &pair.right].map(|picture| encode(picture, PictureFormat::Jpeg { quality: QUALITY }));
+                    [&pair.left, &pair.right].map(|image| encode(image, StoredFormat::Jpeg { quality: QUALITY }));
                 if let [Ok(left), Ok(right)] = jpegs {
                     let jpegs = [left.into(), right.into()];
-                    pictures.send_replace(Some(Arc::new(Pictures { jpegs })));
+                    images.send_replace(Some(Arc::new(Images { jpegs })));
                 }
                 let _ = give_back.try_send(pair);
             }
         };
-        std::thread::Builder::new()
-            .name("page pictures".to_owned())
-            .spawn(encode_all)
-            .context("no thread for pictures")?;
+        std::thread::Builder::new().name("page images".to_owned()).spawn(encode_all).context("no thread for images")?;
         let mut taking = Taking {
             sender: &state,
             state: State::new(camera.info()),

@@ -49,15 +49,15 @@ fn with_page(work: impl FnOnce(&Page)) {
     let mut open = || V4l2StereoCamera::open(Arc::clone(&video), Arc::clone(&clock), &config);
     let camera = open().unwrap();
     let (state, states) = watch::channel(Arc::new(State::new(camera.info())));
-    let (pictures, newest) = watch::channel(None);
+    let (images, newest) = watch::channel(None);
     let (ask, asks) = sync_channel(ASKS_MAX);
-    let sources = Sources { states, pictures: newest, ask };
+    let sources = Sources { states, images: newest, ask };
     let server = Server::start(SocketAddr::from(([127, 0, 0, 1], 0)), sources).unwrap();
     let page = Page { address: server.address(), system };
     let is_over = AtomicBool::new(false);
     std::thread::scope(|scope| {
         let clock = clock.as_ref();
-        let show = Show { clock, state, pictures, asks };
+        let show = Show { clock, state, images, asks };
         let over = &is_over;
         scope.spawn(move || show.run(camera, &mut open, &mut || over.load(Ordering::SeqCst)).unwrap());
         // Closed also after a failure, which would wait for ever else.
@@ -106,7 +106,7 @@ impl Page {
         self.request("POST", path, "Content-Type: application/json\r\n", body)
     }
 
-    /// Asks until the answer is as it should be: pictures need their time.
+    /// Asks until the answer is as it should be: images need their time.
     fn until(&self, path: &str, is_good: impl Fn(&Answer) -> bool) -> Answer {
         for _ in 0..400 {
             let answer = self.get(path);
@@ -121,7 +121,7 @@ impl Page {
 }
 
 #[test]
-fn pictures_and_state_are_shown_live() {
+fn images_and_state_are_shown_live() {
     with_page(|page| {
         let html = page.get("/");
         assert!(html.status == 200 && html.head.contains("text/html"));
@@ -132,9 +132,9 @@ fn pictures_and_state_are_shown_live() {
         assert!((state["asked_hz"].as_f64().unwrap() - 30.0).abs() < 1e-6, "{state}");
         assert!(state["rate_hz"].as_f64().unwrap() > 0.0 && state["skew_ms"].as_f64().is_some(), "{state}");
         let jpeg = page.until("/right.jpg", |answer| answer.status == 200);
-        let picture = image::load_from_memory(&jpeg.body).unwrap();
-        assert_eq!((picture.width(), picture.height()), (64, 48));
-        // Three pictures of the stream, each whole.
+        let image = image::load_from_memory(&jpeg.body).unwrap();
+        assert_eq!((image.width(), image.height()), (64, 48));
+        // Three images of the stream, each whole.
         let host = page.address;
         let mut socket = page.send(format!("GET /left.mjpg HTTP/1.1\r\nHost: {host}\r\n\r\n").as_bytes());
         let (mut bytes, mut piece) = (Vec::new(), [0; 4096]);
@@ -145,14 +145,14 @@ fn pictures_and_state_are_shown_live() {
             bytes.extend_from_slice(&piece[..length]);
         }
         let text = String::from_utf8_lossy(&bytes).to_lowercase();
-        assert!(text.contains("multipart/x-mixed-replace; boundary=pb3dp-next-picture"), "{text:.400}");
-        let parts = ["--pb3dp-next-picture", "\r\ncontent-type: image/jpeg"].map(|each| text.matches(each).count());
+        assert!(text.contains("multipart/x-mixed-replace; boundary=pb3dp-next-image"), "{text:.400}");
+        let parts = ["--pb3dp-next-image", "\r\ncontent-type: image/jpeg"].map(|each| text.matches(each).count());
         assert!(parts.iter().all(|count| *count >= 3), "{parts:?}");
     });
 }
 
 #[test]
-fn a_picture_is_whole_before_the_next_one_comes() {
+fn a_image_is_whole_before_the_next_one_comes() {
     with_page(|page| {
         page.until("/left.jpg", |answer| answer.status == 200);
         for side in [0, 1] {
@@ -163,7 +163,7 @@ fn a_picture_is_whole_before_the_next_one_comes() {
         let mut socket = page.send(format!("GET /left.mjpg HTTP/1.1\r\nHost: {host}\r\n\r\n").as_bytes());
         let (mut bytes, mut piece) = (Vec::new(), [0; 4096]);
         // A browser waits for the boundary behind a part.
-        while bytes.windows(22).filter(|text| text == b"\r\n--pb3dp-next-picture").count() < 2 {
+        while bytes.windows(22).filter(|text| text == b"\r\n--pb3dp-next-image").count() < 2 {
             let length = socket.read(&mut piece).unwrap();
             assert!(length > 0, "the stream has ended");
             bytes.extend_from_slice(&piece[..length]);
@@ -247,8 +247,8 @@ fn a_port_that_is_taken_is_refused_with_what_to_do() {
         size: pb3dp_geometry::ImageSize { width: 1, height: 1 },
         period: None,
     })));
-    let (_, pictures) = watch::channel(None);
+    let (_, images) = watch::channel(None);
     let (ask, _) = sync_channel(1);
-    let error = Server::start(taken.local_addr().unwrap(), Sources { states, pictures, ask }).err().unwrap();
+    let error = Server::start(taken.local_addr().unwrap(), Sources { states, images, ask }).err().unwrap();
     assert!(format!("{error:#}").contains("give another --port"), "{error:#}");
 }

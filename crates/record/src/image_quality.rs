@@ -1,4 +1,4 @@
-//! What pictures are like: brightness and sharpness, and what one eye of a stereo head has of it that the other one has not.
+//! What images are like: brightness and sharpness, and what one eye of a stereo head has of it that the other one has not.
 
 use image::RgbImage;
 
@@ -14,7 +14,7 @@ pub const EDGES_MIN: usize = 200;
 /// The sharpest quarter of the edges counts: the others may be soft by themselves.
 const SHARPEST_SHARE: f64 = 0.25;
 
-/// How bright the pictures of one camera are.
+/// How bright the images of one camera are.
 #[derive(Clone, Copy, Debug)]
 pub struct Exposure {
     /// Share of the pixels of which a channel is full, percent.
@@ -28,11 +28,11 @@ pub struct Exposure {
 }
 
 impl Exposure {
-    /// Of all these pictures together.
-    pub fn of(pictures: &[&RgbImage]) -> Self {
+    /// Of all these images together.
+    pub fn of(images: &[&RgbImage]) -> Self {
         let mut histogram = [0_u64; 256];
         let (mut bright, mut dark, mut sum) = (0_u64, 0_u64, 0_u64);
-        for pixel in pictures.iter().flat_map(|picture| picture.pixels()) {
+        for pixel in images.iter().flat_map(|image| image.pixels()) {
             let [r, g, b] = pixel.0;
             // One channel that is full has lost its colour; all of them at nothing have lost everything.
             bright += u64::from(r.max(g).max(b) >= BRIGHT);
@@ -63,16 +63,16 @@ fn luminance([r, g, b]: [u8; 3]) -> u8 {
     ((u32::from(r) * 77 + u32::from(g) * 150 + u32::from(b) * 29) >> 8) as u8
 }
 
-/// Blur of the sharpest edges of pictures, standard deviation in pixels; `None` where there are too few edges.
+/// Blur of the sharpest edges of images, standard deviation in pixels; `None` where there are too few edges.
 ///
 /// An edge of height A that was blurred by a Gaussian of standard deviation s has the steepest slope A / (s sqrt(2 pi)), so s follows
 /// from both. Height is how far the luminance goes up or down along a row without turning.
-pub fn blur_of(pictures: &[&RgbImage]) -> Option<f64> {
+pub fn blur_of(images: &[&RgbImage]) -> Option<f64> {
     let mut blurs = Vec::new();
     let mut row = Vec::new();
-    for picture in pictures {
-        let width = picture.width() as usize;
-        for pixels in picture.as_raw().chunks_exact((3 * width).max(1)) {
+    for image in images {
+        let width = image.width() as usize;
+        for pixels in image.as_raw().chunks_exact((3 * width).max(1)) {
             row.clear();
             row.extend(pixels.chunks_exact(3).map(|rgb| f64::from(luminance([rgb[0], rgb[1], rgb[2]]))));
             edges(&row, &mut blurs);
@@ -96,7 +96,7 @@ fn edges(row: &[f64], blurs: &mut Vec<f64>) {
             end += 1;
         }
         let height = (row[end] - row[begin]).abs();
-        // Both ends must be in the picture, and not be cut off by white or black.
+        // Both ends must be in the image, and not be cut off by white or black.
         let is_whole = begin > 0 && end + 1 < row.len() && row[begin].max(row[end]) < f64::from(BRIGHT);
         if height >= EDGE_MIN_GREY && is_whole && row[begin].min(row[end]) > f64::from(DARK) {
             // Central differences, as the steepest place may be between two pixels.

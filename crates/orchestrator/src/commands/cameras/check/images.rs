@@ -1,7 +1,7 @@
-//! What pictures are like: exposure, sharpness, and whether the rows of both belong together.
+//! What images are like: exposure, sharpness, and whether the rows of both belong together.
 
 use image::RgbImage;
-use pb3dp_cell::picture_quality::{
+use pb3dp_cell::image_quality::{
     EDGE_MIN_GREY, EDGES_MIN, Exposure, MATCHES_MIN, RowMeter, blur_of, brighter_by_percent, softer_by_px,
 };
 use pb3dp_estimation::estimator::RowMeasurement;
@@ -24,7 +24,7 @@ const BLUR_MAX_PX: f64 = 2.0;
 /// Blur that one eye has and the other one has not: the square root of the difference of both squares.
 const FOCUS_MAX_PX: f64 = 1.0;
 
-/// Anywhere in the picture. The method `direct` measures it and takes it out, but a calibration that is off by more is off elsewhere too.
+/// Anywhere in the image. The method `direct` measures it and takes it out, but a calibration that is off by more is off elsewhere too.
 const ROWS_MAX_PX: f64 = 1.0;
 
 /// Matches that may lie behind the cameras, percent: no scene is there, so these have gone wrong (`pair_check.rs`).
@@ -32,7 +32,7 @@ const BEHIND_MAX_PERCENT: f64 = 25.0;
 
 const NO_CALIBRATION: &str = "no calibration was given";
 
-/// All findings about pictures.
+/// All findings about images.
 pub(super) fn findings(samples: &[FramePair], rig: Option<&StereoRig>) -> Vec<Finding> {
     let eyes: [Vec<&RgbImage>; 2] =
         [samples.iter().map(|pair| &pair.left).collect(), samples.iter().map(|pair| &pair.right).collect()];
@@ -117,7 +117,7 @@ fn sharpness(blurs: [Option<f64>; 2]) -> Vec<Finding> {
     findings
 }
 
-/// Whether the left picture is the one of the left eye: points that are found in both pictures are in front of the cameras then.
+/// Whether the left image is the one of the left eye: points that are found in both images are in front of the cameras then.
 fn sides(samples: &[FramePair], rig: Option<&StereoRig>) -> Finding {
     const CHECK: &str = "sides";
     let Some(rig) = rig else {
@@ -135,7 +135,7 @@ fn sides(samples: &[FramePair], rig: Option<&StereoRig>) -> Finding {
     let is_swapped = checks.iter().any(|check| check.verdict == PairVerdict::Swapped);
     let has_verdict = |check: &PairCheck| !matches!(check.verdict, PairVerdict::Unknown | PairVerdict::Unrelated);
     if !is_swapped && !checks.iter().any(has_verdict) {
-        let found = format!("only {points} points in all are found in both pictures");
+        let found = format!("only {points} points in all are found in both images");
         let advice = "show both cameras a scene with much texture, 300 to 800 mm away";
         return Finding::missing(CHECK, None, found, advice);
     }
@@ -165,7 +165,7 @@ fn rows(samples: &[FramePair], rig: Option<&StereoRig>) -> Finding {
             CHECK,
             None,
             NO_CALIBRATION,
-            "give --calib FILE to have the rows of both pictures compared",
+            "give --calib FILE to have the rows of both images compared",
         );
     };
     let measured = RowMeter::new(rig).and_then(|mut meter| {
@@ -175,7 +175,7 @@ fn rows(samples: &[FramePair], rig: Option<&StereoRig>) -> Finding {
     let (mut measured, meter) = match measured {
         Ok(measured) => measured,
         Err(error) => {
-            let found = format!("the pictures do not fit the calibration: {error}");
+            let found = format!("the images do not fit the calibration: {error}");
             return Finding::missing(CHECK, Some(false), found, "give the calibration of these cameras in this size");
         }
     };
@@ -183,7 +183,7 @@ fn rows(samples: &[FramePair], rig: Option<&StereoRig>) -> Finding {
     measured.retain(|one| one.matches >= MATCHES_MIN);
     measured.sort_by(|a, b| meter.worst_px(a).total_cmp(&meter.worst_px(b)));
     let Some(middle) = measured.get(measured.len() / 2) else {
-        let found = format!("only {most} points are found in both pictures, {MATCHES_MIN} are needed");
+        let found = format!("only {most} points are found in both images, {MATCHES_MIN} are needed");
         let advice = "show both cameras a scene with much texture, 300 to 800 mm away; if they see one, the calibration is far off";
         return Finding::missing(CHECK, Some(false), found, advice);
     };
@@ -199,7 +199,7 @@ fn rows(samples: &[FramePair], rig: Option<&StereoRig>) -> Finding {
 mod tests {
     use image::Rgb;
 
-    use super::super::super::emulated_rig::{case, pictures};
+    use super::super::super::emulated_rig::{case, images};
     use super::*;
 
     fn pair(left: RgbImage, right: RgbImage) -> FramePair {
@@ -253,7 +253,7 @@ mod tests {
 
     #[test]
     fn eyes_that_are_exchanged_are_found() {
-        let [left, right] = pictures().clone();
+        let [left, right] = images().clone();
         let rig = case().load_calibration().unwrap().rig;
         let exchanged = findings(&[pair(right.clone(), left.clone()), pair(right, left)], Some(&rig));
         let sides = named(&exchanged, "sides");
@@ -271,7 +271,7 @@ mod tests {
 
     #[test]
     fn a_real_pair_passes_and_a_shifted_one_does_not() {
-        let [left, right] = pictures().clone();
+        let [left, right] = images().clone();
         let rig = case().load_calibration().unwrap().rig;
         let whole = findings(&[pair(left.clone(), right.clone())], Some(&rig));
         assert!(whole.iter().all(|finding| finding.passed == Some(true)), "{whole:#?}");

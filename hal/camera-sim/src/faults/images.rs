@@ -1,4 +1,4 @@
-//! Faults of a camera with pictures.
+//! Faults of a camera with images.
 
 use std::time::Duration;
 
@@ -31,7 +31,7 @@ impl<C: StereoCamera> FaultyCamera<C> {
     /// The same camera with these faults, whose times count from `began`.
     ///
     /// # Errors
-    /// `Unusable` for a fault that can not be.
+    /// `Unusable` for a fault that cannot be.
     pub fn new(camera: C, faults: CameraFaults, began: MonotonicTime) -> Result<Self, CameraError> {
         let plan = Plan::new(faults, began)?;
         let fresh = FramePair::black(camera.info().size);
@@ -57,7 +57,7 @@ impl<C: StereoCamera> StereoCamera for FaultyCamera<C> {
     }
 }
 
-/// What a fault does to the pictures of a pair.
+/// What a fault does to the images of a pair.
 fn spoil(pair: &mut FramePair, fault: &CameraFault, before: Option<&FramePair>, progress: f64) {
     match fault.kind {
         CameraFaultKind::Torn { .. } => {
@@ -93,25 +93,25 @@ fn spoil(pair: &mut FramePair, fault: &CameraFault, before: Option<&FramePair>, 
     }
 }
 
-/// The lower half is that of another picture.
-fn tear(picture: &mut RgbImage, before: &[u8]) {
+/// The lower half is that of another image.
+fn tear(image: &mut RgbImage, before: &[u8]) {
     let half = before.len() / 2;
-    let bytes: &mut [u8] = picture;
+    let bytes: &mut [u8] = image;
     bytes[half..].copy_from_slice(&before[half..]);
 }
 
 fn each(pair: &mut FramePair, eyes: Eyes, of: impl Fn(u8) -> u8) {
-    for (picture, _) in [&mut pair.left, &mut pair.right].into_iter().zip(eyes.are()).filter(|(_, is)| *is) {
-        picture.iter_mut().for_each(|grey| *grey = of(*grey));
+    for (image, _) in [&mut pair.left, &mut pair.right].into_iter().zip(eyes.are()).filter(|(_, is)| *is) {
+        image.iter_mut().for_each(|grey| *grey = of(*grey));
     }
 }
 
 /// A bar from the top to the bottom, with a pattern that hangs with it.
-fn hang(picture: &mut RgbImage, sides: [f64; 2]) {
+fn hang(image: &mut RgbImage, sides: [f64; 2]) {
     const PATCH_PX: u32 = 8;
-    let width = f64::from(picture.width());
+    let width = f64::from(image.width());
     let [first, end] = sides.map(|side| (side * width).round());
-    for (column, row, pixel) in picture.enumerate_pixels_mut() {
+    for (column, row, pixel) in image.enumerate_pixels_mut() {
         let from_side = f64::from(column) - first;
         if from_side >= 0.0 && f64::from(column) < end {
             let patch = hash(&[from_side as u32 / PATCH_PX, row / PATCH_PX]);
@@ -120,9 +120,9 @@ fn hang(picture: &mut RgbImage, sides: [f64; 2]) {
     }
 }
 
-/// The picture shifted, turned and scaled about its centre, read between its pixels; what is beyond its border is black.
-fn warped(picture: &RgbImage, shift_px: [f64; 2], roll_rad: f64, scale: f64) -> RgbImage {
-    let (width, height) = picture.dimensions();
+/// The image shifted, turned and scaled about its centre, read between its pixels; what is beyond its border is black.
+fn warped(image: &RgbImage, shift_px: [f64; 2], roll_rad: f64, scale: f64) -> RgbImage {
+    let (width, height) = image.dimensions();
     let centre = [width, height].map(|count| (f64::from(count) - 1.0) / 2.0);
     let (s, c) = (roll_rad.sin() / scale, roll_rad.cos() / scale);
     RgbImage::from_fn(width, height, |column, row| {
@@ -133,7 +133,7 @@ fn warped(picture: &RgbImage, shift_px: [f64; 2], roll_rad: f64, scale: f64) -> 
         let grey = |dx: f64, dy: f64, channel: usize| {
             let (column, row) = (left + dx, top + dy);
             let inside = column >= 0.0 && row >= 0.0 && column < f64::from(width) && row < f64::from(height);
-            if inside { f64::from(picture.get_pixel(column as u32, row as u32).0[channel]) } else { 0.0 }
+            if inside { f64::from(image.get_pixel(column as u32, row as u32).0[channel]) } else { 0.0 }
         };
         let (fx, fy) = (x - left, y - top);
         image::Rgb([0, 1, 2].map(|channel| {
@@ -175,10 +175,10 @@ mod tests {
         fn next_pair_into(&mut self, pair: &mut FramePair, _: Duration) -> Result<(), CameraError> {
             let number = self.next;
             self.next += 1;
-            let picture = |eye| RgbImage::from_fn(40, 30, |column, row| image::Rgb(pixel(eye, number, column, row)));
+            let image = |eye| RgbImage::from_fn(40, 30, |column, row| image::Rgb(pixel(eye, number, column, row)));
             (pair.sequence, pair.exposed_at, pair.skew_nanos) =
                 (number, MonotonicTime::ZERO + PERIOD * number as u32, 0);
-            (pair.left, pair.right) = (picture(0), picture(1));
+            (pair.left, pair.right) = (image(0), image(1));
             Ok(())
         }
     }
@@ -199,11 +199,11 @@ mod tests {
     }
 
     fn pixels(pair: &FramePair, column: u32, row: u32) -> [[u8; 3]; 2] {
-        [&pair.left, &pair.right].map(|picture| picture.get_pixel(column, row).0)
+        [&pair.left, &pair.right].map(|image| image.get_pixel(column, row).0)
     }
 
     #[test]
-    fn pictures_suffer_as_they_should() {
+    fn images_suffer_as_they_should() {
         let torn = third(CameraFaultKind::Torn { share: 1.0 });
         assert_eq!(pixels(&torn, 7, 14), [pixel(0, 2, 7, 14), pixel(1, 2, 7, 14)]);
         assert_eq!(pixels(&torn, 7, 15), [pixel(0, 1, 7, 15), pixel(1, 1, 7, 15)]);
@@ -224,10 +224,10 @@ mod tests {
     }
 
     #[test]
-    fn a_bar_hangs_farther_left_in_the_right_picture() {
+    fn a_bar_hangs_farther_left_in_the_right_image() {
         let pair = third(CameraFaultKind::Occluder { width_share: 0.2, crosses: false });
-        let hidden = |picture: &RgbImage, eye| -> Vec<u32> {
-            (0..40).filter(|&column| picture.get_pixel(column, 9).0 != pixel(eye, 2, column, 9)).collect()
+        let hidden = |image: &RgbImage, eye| -> Vec<u32> {
+            (0..40).filter(|&column| image.get_pixel(column, 9).0 != pixel(eye, 2, column, 9)).collect()
         };
         assert_eq!(hidden(&pair.left, 0), (22..30).collect::<Vec<_>>());
         assert_eq!(hidden(&pair.right, 1), (10..18).collect::<Vec<_>>());
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn a_right_picture_that_is_somewhere_else() {
+    fn a_right_image_that_is_somewhere_else() {
         let moved = |columns_px, rows_px, roll_rad, scale| {
             third(CameraFaultKind::Miscalibrated { columns_px, rows_px, roll_rad, scale })
         };

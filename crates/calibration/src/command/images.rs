@@ -1,4 +1,4 @@
-//! Pictures in folders: which belong together, and what they show.
+//! Images in folders: which belong together, and what they show.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,22 +15,22 @@ use super::Seen;
 
 const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 
-/// The pictures of each view, by the name that the view has.
-pub(super) struct Pictures<const N: usize> {
+/// The images of each view, by the name that the view has.
+pub(super) struct Images<const N: usize> {
     views: Vec<(String, [PathBuf; N])>,
-    /// Pictures without a partner.
+    /// Images without a partner.
     alone: Vec<PathBuf>,
     /// When they were taken, if that is written down.
     date: Option<String>,
 }
 
-impl<const N: usize> Pictures<N> {
+impl<const N: usize> Images<N> {
     /// Looks into one folder per camera.
     pub(super) fn find(folders: &[&Path; N]) -> Result<Self> {
         let shared = N > 1 && folders.iter().all(|folder| folder == &folders[0]);
         let mut by_name: BTreeMap<String, [Option<PathBuf>; N]> = BTreeMap::new();
         for (index, folder) in folders.iter().enumerate() {
-            for file in pictures_in(folder)? {
+            for file in images_in(folder)? {
                 let stem = file.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
                 if shared && !stem.contains(sides::<N>()[index]) {
                     continue;
@@ -40,7 +40,7 @@ impl<const N: usize> Pictures<N> {
                 let slots = by_name.entry(name.clone()).or_insert_with(|| std::array::from_fn(|_| None));
                 if let Some(other) = slots[index].replace(file.clone()) {
                     bail!(
-                        "{} and {} are both picture {name:?} of the {} camera: rename one",
+                        "{} and {} are both image {name:?} of the {} camera: rename one",
                         other.display(),
                         file.display(),
                         sides::<N>()[index]
@@ -59,7 +59,7 @@ impl<const N: usize> Pictures<N> {
         if views.is_empty() {
             let folders = folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(" and ");
             bail!(
-                "{folders}: no pictures of {N} camera(s) that belong together: PNG or JPEG files whose names differ only in the words left and right"
+                "{folders}: no images of {N} camera(s) that belong together: PNG or JPEG files whose names differ only in the words left and right"
             );
         }
         Ok(Self { views, alone, date: None })
@@ -92,14 +92,14 @@ impl<const N: usize> Pictures<N> {
     }
 }
 
-impl Pictures<1> {
+impl Images<1> {
     /// Refuses a folder in which the names say that there are two cameras.
     pub(super) fn check_one_camera(&self, folder: &Path) -> Result<()> {
         let named = |side: &str| self.views.iter().filter(|(name, _)| name.contains(side)).count();
         let [left, right] = ["left", "right"].map(named);
         if left > 0 && right > 0 {
             bail!(
-                "{}: {left} pictures are called left and {right} right: give a folder with the pictures of one camera, or calibrate both with \
+                "{}: {left} images are called left and {right} right: give a folder with the images of one camera, or calibrate both with \
                  `pb3dp calibrate stereo`",
                 folder.display()
             );
@@ -108,7 +108,7 @@ impl Pictures<1> {
     }
 }
 
-impl Pictures<2> {
+impl Images<2> {
     /// Those of a recording of stops, in their order.
     pub(super) fn of_stops(folder: &Path) -> Result<Self> {
         let Stops { date, stops } = load_stops(folder)?;
@@ -122,18 +122,18 @@ impl Pictures<2> {
     }
 }
 
-/// When the newest of some pictures was written, RFC 3339: a calibration is as old as its pictures.
+/// When the newest of some images was written, RFC 3339: a calibration is as old as its images.
 pub(super) fn written<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Result<String> {
     let mut times = Vec::new();
     for file in files {
         let time = std::fs::metadata(file).and_then(|metadata| metadata.modified());
-        times.push(time.with_context(|| format!("{}: its time can not be read", file.display()))?);
+        times.push(time.with_context(|| format!("{}: its time cannot be read", file.display()))?);
     }
-    let newest = times.into_iter().max().context("no pictures")?;
+    let newest = times.into_iter().max().context("no images")?;
     Ok(humantime::format_rfc3339_seconds(newest).to_string())
 }
 
-/// One view, or the picture in which the board was not found.
+/// One view, or the image in which the board was not found.
 pub(super) fn view<const N: usize>(
     name: &str,
     files: &[PathBuf; N],
@@ -143,8 +143,8 @@ pub(super) fn view<const N: usize>(
 ) -> Result<Result<View<N>, (PathBuf, NoBoard)>> {
     let mut sightings: [Sighting; N] = std::array::from_fn(|_| Sighting::default());
     for (index, file) in files.iter().enumerate() {
-        let picture = load_rgb_of_size(file, size, first)?;
-        match find_board(&image::DynamicImage::from(picture).into_luma8(), board) {
+        let image = load_rgb_of_size(file, size, first)?;
+        match find_board(&image::DynamicImage::from(image).into_luma8(), board) {
             Ok(sighting) => sightings[index] = sighting,
             Err(reason) => return Ok(Err((file.clone(), reason))),
         }
@@ -162,9 +162,9 @@ pub(super) fn agreed<const N: usize>(mut sightings: [Sighting; N], board: &Chess
     sightings
 }
 
-/// The picture files of a folder, by name.
-fn pictures_in(folder: &Path) -> Result<Vec<PathBuf>> {
-    let what = || format!("{}: can not be read as a folder of pictures", folder.display());
+/// The image files of a folder, by name.
+fn images_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    let what = || format!("{}: cannot be read as a folder of images", folder.display());
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).with_context(what)? {
         let file = entry.with_context(what)?.path();

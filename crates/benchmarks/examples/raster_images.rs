@@ -1,7 +1,7 @@
 //! Writes a sheet per target into a folder, to be looked at: left and right, frontal with an ideal lens and turned with a
 //! distorted one.
 //!
-//! `cargo run --release -p pb3dp-benchmarks --example raster_pictures FOLDER`
+//! `cargo run --release -p pb3dp-benchmarks --example raster_images FOLDER`
 #![allow(clippy::print_stdout)]
 
 mod common;
@@ -28,8 +28,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let frontal = render(target, common::Lens::Ideal, (0.0, 0.0))?;
         let turned = render(target, common::Lens::Distorted, (-0.25, 0.35))?;
         let mut sheet = RgbImage::new(1280, 960);
-        for (picture, (x, y)) in frontal.iter().chain(&turned).zip([(0, 0), (640, 0), (0, 480), (640, 480)]) {
-            image::imageops::replace(&mut sheet, picture, x, y);
+        for (image, (x, y)) in frontal.iter().chain(&turned).zip([(0, 0), (640, 0), (0, 480), (640, 480)]) {
+            image::imageops::replace(&mut sheet, image, x, y);
         }
         let file = folder.join(format!("{name}.png"));
         sheet.save(&file)?;

@@ -1,4 +1,4 @@
-//! Pictures of a chessboard through simulated cameras.
+//! Images of a chessboard through simulated cameras.
 
 use image::{GrayImage, Luma};
 use nalgebra::{Isometry3, Vector2, Vector3};
@@ -27,7 +27,7 @@ impl Painter {
     }
 
     /// The board before a grey wall, with a white border, and a little noise.
-    pub fn picture(&self, cam_from_board: &Isometry3<f64>, board: &Chessboard, random: &mut Random) -> GrayImage {
+    pub fn image(&self, cam_from_board: &Isometry3<f64>, board: &Chessboard, random: &mut Random) -> GrayImage {
         let board_from_cam = cam_from_board.inverse();
         let origin = board_from_cam.translation.vector / board.square_m();
         let turn = board_from_cam.rotation.to_rotation_matrix();

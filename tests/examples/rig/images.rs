@@ -12,7 +12,7 @@ use crate::outputs::Stream;
 use crate::setup::{LOOP, OSD, control, name};
 use crate::system;
 
-/// Two devices that capture and put out video. Their inputs take a part of the picture and do not scale it.
+/// Two devices that capture and put out video. Their inputs take a part of the image and do not scale it.
 const VIVID: &str = "n_devs=2 node_types=0x101,0x101 ccs_cap_mode=1,1";
 
 /// Where the kernel lists video devices.
@@ -21,8 +21,8 @@ const NODES: &str = "/sys/class/video4linux";
 /// What an output takes until somebody wishes something else: PAL, in YUYV.
 const FRAME: (usize, usize) = (720, 576);
 
-/// In the upper left corner stand the time and the number of each picture (`vivid`'s menu "Counters Only"): no two pictures are the same,
-/// as noise makes it in those of cameras. The program takes a camera for frozen that delivers one picture twice.
+/// In the upper left corner stand the time and the number of each image (`vivid`'s menu "Counters Only"): no two images are the same,
+/// as noise makes it in those of cameras. The program takes a camera for frozen that delivers one image twice.
 const COUNTERS: i32 = 1;
 
 /// Makes both cameras, each of which shows what its output is given.
@@ -57,10 +57,10 @@ impl Output {
         Err(format!("there is no {wanted}").into())
     }
 
-    /// Puts the picture into the frame, with its upper left corner there, and its own upper left pixel's colour where nothing was yet. The
+    /// Puts the image into the frame, with its upper left corner there, and its own upper left pixel's colour where nothing was yet. The
     /// camera takes the upper left part of the frame.
-    pub fn draw(&mut self, picture: &RgbImage, (x, y): (u32, u32)) {
-        let (width, pixels) = (picture.width() as usize, picture.as_raw());
+    pub fn draw(&mut self, image: &RgbImage, (x, y): (u32, u32)) {
+        let (width, pixels) = (image.width() as usize, image.as_raw());
         if self.frame.is_empty() {
             let background = [0, 1, 2, 0, 1, 2].map(|channel: usize| pixels[channel]);
             self.frame = yuyv_of(&background).repeat(FRAME.0 * FRAME.1 / 2);

@@ -1,15 +1,15 @@
-//! Plots over the area of a picture as inline SVG: vectors at pixels, and numbers in cells.
+//! Plots over the area of an image as inline SVG: vectors at pixels, and numbers in cells.
 
 use std::fmt::Write as _;
 
 use super::SeriesColor;
 use super::escape;
 
-/// Width of the picture in the plot; letters then have about the size of the text around them.
+/// Width of the image in the plot; letters then have about the size of the text around them.
 const WIDTH: f64 = 520.0;
-/// Room below the picture, for the scale.
+/// Room below the image, for the scale.
 const BELOW: f64 = 22.0;
-/// The longest that the bar of the scale may be, as a share of the picture's width.
+/// The longest that the bar of the scale may be, as a share of the image's width.
 const BAR_SHARE: f64 = 0.15;
 
 /// A vector at a pixel.
@@ -21,9 +21,9 @@ pub struct VectorAt {
     pub vector_px: [f64; 2],
 }
 
-/// A plot over the area of a picture.
+/// A plot over the area of an image.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PicturePlot {
+pub struct ImagePlot {
     title: String,
     size_px: [f64; 2],
     vectors: Vec<VectorAt>,
@@ -39,8 +39,8 @@ struct Cells {
     decimals: usize,
 }
 
-impl PicturePlot {
-    /// An empty plot over a picture of `[width, height]` pixels.
+impl ImagePlot {
+    /// An empty plot over an image of `[width, height]` pixels.
     pub fn new(title: impl Into<String>, size_px: [u32; 2]) -> Self {
         let size_px = size_px.map(|length| f64::from(length.max(1)));
         Self { title: title.into(), size_px, vectors: Vec::new(), color: SeriesColor::Red, magnified: 1.0, cells: None }
@@ -53,7 +53,7 @@ impl PicturePlot {
         self
     }
 
-    /// Divides the picture into cells, `across` in each row, and writes a number with so many decimals into each, row by row; the
+    /// Divides the image into cells, `across` in each row, and writes a number with so many decimals into each, row by row; the
     /// larger a number, the more colour its cell has. A cell of zero is marked.
     #[must_use]
     pub fn cells(mut self, across: usize, numbers: Vec<f64>, decimals: usize) -> Self {
@@ -61,7 +61,7 @@ impl PicturePlot {
         self
     }
 
-    /// A round magnification with which 95 % of some vectors are no longer than a sixteenth of the picture's width.
+    /// A round magnification with which 95 % of some vectors are no longer than a sixteenth of the image's width.
     pub fn magnification(vectors: &[VectorAt], width_px: u32) -> f64 {
         let mut lengths: Vec<f64> = vectors.iter().map(|v| v.vector_px[0].hypot(v.vector_px[1])).collect();
         lengths.sort_by(f64::total_cmp);
@@ -159,9 +159,9 @@ mod tests {
             VectorAt { at_px: [319.5, 239.5], vector_px: [0.2, -0.1] },
             VectorAt { at_px: [f64::NAN, 0.0], vector_px: [0.0, 0.0] },
         ];
-        let magnified = PicturePlot::magnification(&vectors[..1], 640);
+        let magnified = ImagePlot::magnification(&vectors[..1], 640);
         assert_eq!(magnified, 100.0);
-        let html = PicturePlot::new("left & right", [640, 480]).vectors(vectors, SeriesColor::Red, magnified).to_html();
+        let html = ImagePlot::new("left & right", [640, 480]).vectors(vectors, SeriesColor::Red, magnified).to_html();
         // Half of 520 x 390, and 20 px of 640 to the right.
         assert!(html.contains("d=\"M260.0 195.0l16.2 -8.1\""), "{html}");
         assert!(html.contains("0.5 px, drawn 100 times longer") && html.contains("M2 403h40.6"), "{html}");
@@ -170,7 +170,7 @@ mod tests {
 
     #[test]
     fn cells_hold_their_numbers() {
-        let html = PicturePlot::new("seen", [400, 300]).cells(3, vec![0.0, 4.0, 2.0, 1.0, 0.0, f64::NAN], 0).to_html();
+        let html = ImagePlot::new("seen", [400, 300]).cells(3, vec![0.0, 4.0, 2.0, 1.0, 0.0, f64::NAN], 0).to_html();
         assert_eq!(html.matches("<rect").count(), 6);
         assert_eq!(html.matches("c-orange").count(), 2);
         assert!(

@@ -1,4 +1,4 @@
-//! Pictures that show what was estimated: the region and the pose's axes left, the re-projected model right.
+//! Images that show what was estimated: the region and the pose's axes left, the re-projected model right.
 
 use image::{Rgb, RgbImage, imageops};
 use nalgebra::{Point3, Vector2, Vector3};
@@ -10,7 +10,7 @@ use pb3dp_record::overlay::{self, Stroke, TextStyle, colors};
 /// What is drawn of one target into a stereo pair.
 #[derive(Clone, Debug)]
 pub struct Annotation {
-    /// Outline of the region in the raw left picture, pixels.
+    /// Outline of the region in the raw left image, pixels.
     pub outline_px: Vec<[f64; 2]>,
     /// The estimated plane, if there is one: pose of a frame in it, z along its normal away from the camera.
     pub cam_left_from_model: Option<Pose<CamLeft, Model>>,
@@ -35,7 +35,7 @@ pub fn polygon_px(corners_px: &[Vector2<f64>]) -> Vec<[f64; 2]> {
     corners_px.iter().map(|p| [p.x, p.y]).collect()
 }
 
-/// Left and right picture side by side with all targets drawn in, below a strip with a line of text for each target.
+/// Left and right image side by side with all targets drawn in, below a strip with a line of text for each target.
 pub fn annotate(left: &RgbImage, right: &RgbImage, rig: &StereoRig, targets: &[Annotation]) -> RgbImage {
     let (mut left, mut right) = (left.clone(), right.clone());
     for what in targets {
@@ -57,14 +57,14 @@ pub fn annotate(left: &RgbImage, right: &RgbImage, rig: &StereoRig, targets: &[A
 /// Space around the labels, pixels.
 const LABEL_MARGIN_PX: u32 = 6;
 
-/// The picture below its labels, whose letters are as large as the width allows.
-fn below_labels(picture: &RgbImage, targets: &[Annotation]) -> RgbImage {
+/// The image below its labels, whose letters are as large as the width allows.
+fn below_labels(image: &RgbImage, targets: &[Annotation]) -> RgbImage {
     let width_px = |scale| targets.iter().map(|what| overlay::text_size(&what.label, scale).0).max().unwrap_or(0);
-    let scale = if width_px(2) + 2 * LABEL_MARGIN_PX <= picture.width() { 2 } else { 1 };
+    let scale = if width_px(2) + 2 * LABEL_MARGIN_PX <= image.width() { 2 } else { 1 };
     let line_px = |what: &Annotation| overlay::text_size(&what.label, scale).1 + LABEL_MARGIN_PX;
     let strip_px = LABEL_MARGIN_PX + targets.iter().map(line_px).sum::<u32>();
-    let mut both = RgbImage::new(picture.width(), strip_px + picture.height());
-    imageops::replace(&mut both, picture, 0, i64::from(strip_px));
+    let mut both = RgbImage::new(image.width(), strip_px + image.height());
+    imageops::replace(&mut both, image, 0, i64::from(strip_px));
     let mut top_px = LABEL_MARGIN_PX;
     for what in targets {
         let style = TextStyle { scale, background: None, ..TextStyle::of(color_of(what.status)) };
@@ -74,7 +74,7 @@ fn below_labels(picture: &RgbImage, targets: &[Annotation]) -> RgbImage {
     both
 }
 
-/// The outline carried to the right picture by the plane of `pose`; `None` if a vertex is not seen there.
+/// The outline carried to the right image by the plane of `pose`; `None` if a vertex is not seen there.
 fn reprojected(outline_px: &[[f64; 2]], rig: &StereoRig, pose: &Pose<CamLeft, Model>) -> Option<Vec<[f64; 2]>> {
     let normal = pose.transform_vector(&Vector3::z());
     let origin = pose.translation_m();
@@ -96,8 +96,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn labels_stand_above_the_picture_and_are_whole() {
-        let picture = RgbImage::from_pixel(402, 50, image::Rgb([9, 99, 200]));
+    fn labels_stand_above_the_image_and_are_whole() {
+        let image = RgbImage::from_pixel(402, 50, image::Rgb([9, 99, 200]));
         let label = |text: &str| Annotation {
             outline_px: Vec::new(),
             cam_left_from_model: None,
@@ -109,10 +109,10 @@ mod tests {
             (0..rows).flat_map(|v| (0..both.width()).map(move |u| (u, v))).filter(is_lit).map(|(u, _)| u).max()
         };
         for (text, scale) in [("short HH", 2), ("a label of more letters than fit HH", 1)] {
-            let both = below_labels(&picture, &[label(text), label("b")]);
-            let strip_px = both.height() - picture.height();
+            let both = below_labels(&image, &[label(text), label("b")]);
+            let strip_px = both.height() - image.height();
             assert_eq!(strip_px, 3 * LABEL_MARGIN_PX + 2 * 10 * scale);
-            assert_eq!(imageops::crop_imm(&both, 0, strip_px, 402, 50).to_image(), picture, "nothing is hidden");
+            assert_eq!(imageops::crop_imm(&both, 0, strip_px, 402, 50).to_image(), image, "nothing is hidden");
             let last_px = lit(&both, strip_px).unwrap();
             let end_px = LABEL_MARGIN_PX + overlay::text_size(text, scale).0;
             assert!(last_px < end_px && last_px + 3 * scale >= end_px, "{text}: ends at {last_px} of {end_px}");

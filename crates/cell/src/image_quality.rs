@@ -1,28 +1,28 @@
-//! What pictures are like: brightness, sharpness, and by how much rows of both cameras are off.
+//! What images are like: brightness, sharpness, and by how much rows of both cameras are off.
 
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method, RowMeasurement};
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_geometry::{ImageSize, StereoRig};
 use pb3dp_hal_api::FramePair;
 
-pub use pb3dp_record::picture_quality::{
+pub use pb3dp_record::image_quality::{
     BRIGHT, DARK, EDGE_MIN_GREY, EDGES_MIN, Exposure, blur_of, brighter_by_percent, softer_by_px,
 };
 
-/// As many points must be found again in the other picture; with fewer nothing is measured (`row_measurement.rs`).
+/// As many points must be found again in the other image; with fewer nothing is measured (`row_measurement.rs`).
 pub const MATCHES_MIN: usize = 15;
 
-/// What measures by how much rows of right pictures are off, somewhere in the pictures of a rig.
+/// What measures by how much rows of right images are off, somewhere in the images of a rig.
 pub struct RowMeter {
     estimator: Estimator,
     size: ImageSize,
 }
 
 impl RowMeter {
-    /// For pictures of this rig.
+    /// For images of this rig.
     ///
     /// # Errors
-    /// A rig that the method `direct` can not use.
+    /// A rig that the method `direct` cannot use.
     pub fn new(rig: &StereoRig) -> Result<Self, EstimationError> {
         let estimator = Estimator::new(Method::Direct, rig, &EstimatorConfig::default())?;
         Ok(Self { estimator, size: rig.right().size() })
@@ -31,7 +31,7 @@ impl RowMeter {
     /// What the rows of a pair are like; `matches` of it tells on how much that rests.
     ///
     /// # Errors
-    /// Pictures that do not fit the calibration.
+    /// Images that do not fit the calibration.
     pub fn measure(&mut self, pair: &FramePair) -> Result<RowMeasurement, EstimationError> {
         self.estimator.prepare(&pair.left, &pair.right).map(Option::unwrap_or_default)
     }
