@@ -8,6 +8,7 @@ use pb3dp_cell::experiment::{Ended, conduct};
 use pb3dp_cell::operator::Operator;
 use pb3dp_cell::parts::{DrivenArm, Parts};
 use pb3dp_cell::report::{self, Made};
+use pb3dp_cell::summary::summarize;
 use pb3dp_cell::supervision::TransitionNote;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
@@ -517,7 +518,9 @@ fn a_fault_that_ends_a_run_is_on_top_of_its_report() {
     assert!(text.contains("vs-robot") && text.contains("the emergency stop of the test"), "{text}");
     assert!(outcome.log.control.len() > 290, "{} steps", outcome.log.control.len());
     let folder = tempfile::tempdir().unwrap();
-    report::tell(folder.path(), &setup, &outcome, (&plan, &Made::default(), Some(&failure))).unwrap();
+    let summary = summarize(&outcome.log, &plan);
+    let failed = report::tell(folder.path(), &setup, &Made::default(), (&outcome, summary, &plan), Err(failure));
+    assert_eq!(format!("{:#}", failed.unwrap_err()), text);
     let page = std::fs::read_to_string(folder.path().join("report.html")).unwrap();
     let place = |text: &str| page.find(text).unwrap_or_else(|| panic!("{text} is not in the report"));
     assert!(place("The run has ended before its time") < place("Target and hand"));

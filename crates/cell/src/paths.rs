@@ -9,55 +9,47 @@ use pb3dp_sim::placement::{
 };
 use pb3dp_sim::trajectory::{MotionConfig, Trajectory};
 
-/// Whether the arms can follow the experiment of a setup, whose target is at `start`; an arm that need not is only told of.
+/// Checks whether the arms can follow an experiment within their limits: reach, joint ranges, singular poses, speeds and accelerations of
+/// the joints, and the speeds of the hand. `start` is the pose of the target before it.
+///
+/// A target that nothing carries may move as no hand can follow: that is only warned of.
 ///
 /// # Errors
-/// As [`check_paths`], where an arm carries the target.
-pub fn check_carried(
+/// The arm, by how much it falls short, and the key of the limit; a parameter of the motion out of its range.
+pub fn check_paths(
     setup: &Setup,
     experiment: &dyn Trajectory,
     start: Pose<World, Target>,
 ) -> Result<Vec<(&'static str, PathReport)>> {
-    match setup.experiment.carrier {
-        Carrier::Arm => check_paths(setup, experiment),
-        Carrier::Nothing => look_at_free_path(setup, start),
+    let is_carried = setup.experiment.carrier == Carrier::Arm;
+    let stand_in = if is_carried { None } else { Some(without_jumps(&setup.experiment.motion).begin_at(start)?) };
+    let vs = match check_follower(setup, stand_in.as_deref().unwrap_or(experiment)) {
+        Err(refusal) if !is_carried => {
+            tracing::warn!("{refusal:#}; the target is free and moves all the same");
+            return Ok(Vec::new());
+        }
+        checked => ("vs-robot", checked?),
+    };
+    if !is_carried {
+        return Ok(vec![vs]);
     }
+    let (tc, key) = (&setup.rig.tc, &setup.rig.tc.key);
+    let carrier = FlangePath::of_carrier(experiment, &tc.world_from_base, &setup.rig.flange_from_target);
+    let checked = check_experiment(&tc.chain, &tc.limits, &tc.start_rad, &carrier, &PathRequirements::OF_EXPERIMENT);
+    Ok(vec![vs, ("tc-robot", checked.map_err(|refusal| refused("tc-robot", key, refusal))?)])
 }
 
-/// How the hand would follow a target that nothing carries. It may move as nothing can follow, which is only told.
-///
-/// # Errors
-/// A parameter of the motion out of its range.
-fn look_at_free_path(setup: &Setup, start: Pose<World, Target>) -> Result<Vec<(&'static str, PathReport)>> {
-    /// Moves that are sudden are looked at with this duration, seconds: whether the places can be reached.
+/// The same motion with a duration for each sudden move, so that its poses can be checked for reach.
+fn without_jumps(motion: &MotionConfig) -> MotionConfig {
+    /// Duration of a move that is sudden, seconds: slow enough for every arm here.
     const STAND_IN_S: f64 = 2.0;
-    let mut motion = setup.experiment.motion.clone();
+    let mut motion = motion.clone();
     if let MotionConfig::Steps(steps) = &mut motion
         && steps.move_s == 0.0
     {
         steps.move_s = STAND_IN_S;
     }
-    let experiment = motion.begin_at(start)?;
-    Ok(match check_follower(setup, &*experiment) {
-        Ok(report) => vec![("vs-robot", report)],
-        Err(refusal) => {
-            tracing::warn!("{refusal:#}; the target is free and moves all the same");
-            Vec::new()
-        }
-    })
-}
-
-/// Refuses an experiment that one of the arms cannot follow within its limits: reach, joint ranges, singular poses, speeds
-/// and accelerations of the joints, and the speeds of the hand.
-///
-/// # Errors
-/// The arm, by how much it falls short, and the key of the limit.
-pub fn check_paths(setup: &Setup, experiment: &dyn Trajectory) -> Result<Vec<(&'static str, PathReport)>> {
-    let vs = check_follower(setup, experiment)?;
-    let (tc, key) = (&setup.rig.tc, &setup.rig.tc.key);
-    let carrier = FlangePath::of_carrier(experiment, &tc.world_from_base, &setup.rig.flange_from_target);
-    let checked = check_experiment(&tc.chain, &tc.limits, &tc.start_rad, &carrier, &PathRequirements::OF_EXPERIMENT);
-    Ok(vec![("vs-robot", vs), ("tc-robot", checked.map_err(|refusal| refused("tc-robot", key, refusal))?)])
+    motion
 }
 
 fn check_follower(setup: &Setup, experiment: &dyn Trajectory) -> Result<PathReport> {
@@ -110,7 +102,7 @@ mod tests {
         change(&mut setup);
         let world_from_flange = setup.rig.tc.world_from_base * setup.rig.tc.chain.forward(&setup.rig.tc.start_rad);
         let start = world_from_flange * setup.rig.flange_from_target;
-        check_paths(&setup, &*setup.experiment.motion.begin_at(start).unwrap())
+        check_paths(&setup, &*setup.experiment.motion.begin_at(start).unwrap(), start)
     }
 
     fn refusal(change: impl FnOnce(&mut Setup)) -> (PathRefusal, String) {

@@ -16,7 +16,7 @@ use super::channels::{ChannelSummary, Plan};
 use super::journal::Outcome;
 use super::log::{ControlSample, MethodLog, RunLog};
 use super::machine::machine;
-use super::summary::{RunSummary, summarize};
+use super::summary::RunSummary;
 use super::terminal::print_line;
 use super::{commands, cycles, drift, methods};
 use crate::figures::{MedianP95, RmsMax, TrackingError};
@@ -36,19 +36,39 @@ pub struct Made {
     pub wall_s: f64,
 }
 
-/// Writes `report.html`, `summary.json`, `estimates.csv`, `timeseries.csv` and `settings.toml` into `folder`, prints the figures, and says where the
-/// report is. `failure` is what has ended the run before its time.
+/// Writes the report of a run and prints its figures, and returns how well the hand followed unless the run failed.
 ///
 /// # Errors
-/// If a file cannot be written, or standard output.
+/// What has ended the run before its time (`how`), and what keeps the report from being written.
 pub fn tell(
     folder: &Path,
     setup: &Setup,
-    outcome: &Outcome,
-    (plan, made, failure): (&Plan, &Made, Option<&anyhow::Error>),
+    made: &Made,
+    (outcome, summary, plan): (&Outcome, RunSummary, &Plan),
+    how: Result<()>,
 ) -> Result<Following> {
-    let ended_by = failure.map(|failure| format!("{failure:#}"));
-    let summary = RunSummary { ended_by, ..summarize(&outcome.log, plan) };
+    let summary = RunSummary { ended_by: how.as_ref().err().map(|failure| format!("{failure:#}")), ..summary };
+    both(how, write_all(folder, setup, made, (outcome, &summary, &plan.world_from_axes)))
+}
+
+/// How the run has ended, also where its report could not be written.
+fn both<T>(how: Result<()>, told: Result<T>) -> Result<T> {
+    match (how, told) {
+        (Err(failure), Err(untold)) => {
+            Err(failure.context(format!("the report is not complete ({untold:#}), and the run had failed before")))
+        }
+        (how, told) => how.and(told),
+    }
+}
+
+/// Writes `report.html`, `summary.json`, `estimates.csv`, `timeseries.csv` and `settings.toml` into `folder`, prints the figures, and says
+/// where the report is.
+fn write_all(
+    folder: &Path,
+    setup: &Setup,
+    made: &Made,
+    (outcome, summary, world_from_axes): (&Outcome, &RunSummary, &UnitQuaternion<f64>),
+) -> Result<Following> {
     let provenance = provenance(made, setup, summary.duration_s);
     let json = serde_json::json!({
         "provenance": provenance.iter().cloned().collect::<std::collections::BTreeMap<_, _>>(),
@@ -69,9 +89,9 @@ pub fn tell(
     let settings = settings.iter().fold(Table::new(["key", "value", "stated in"]), |table, setting| {
         table.row([setting.key.clone(), setting.value.clone(), setting.origin.clone()])
     });
-    let page = page(outcome, &summary, &plan.world_from_axes).heading("How this run was made").table(&origin);
+    let page = page(outcome, summary, world_from_axes).heading("How this run was made").table(&origin);
     page.folded("Every setting, and where it is stated", &settings).write(&folder.join("report.html"))?;
-    print_line(&plain_zero(&text_table(&summary)))?;
+    print_line(&plain_zero(&text_table(summary)))?;
     let following = summary.share_following();
     if following < FOLLOWING_EXPECTED {
         tracing::warn!(
@@ -120,6 +140,7 @@ fn provenance(made: &Made, setup: &Setup, simulated_s: f64) -> Vec<(String, Stri
 
 fn page(outcome: &Outcome, summary: &RunSummary, world_from_axes: &UnitQuaternion<f64>) -> Report {
     let log = &outcome.log;
+    let (motion, errors) = (motion_panels(log, world_from_axes), error_panels(log, summary));
     let strip: Vec<_> =
         outcome.strip.images.iter().map(|(image, caption)| (ReportImage::Photo(image), caption.clone())).collect();
     let report = Report::new("pb3dp: a hand follows an unknown object");
@@ -137,7 +158,7 @@ fn page(outcome: &Outcome, summary: &RunSummary, world_from_axes: &UnitQuaternio
              away from the cameras); of a turn by 20 degrees the part is 0.17. When the target turns, the hand has to swing \
              around it. Wanted is where the hand should be in front of the true target.",
         )
-        .panels(&motion_panels(log, world_from_axes))
+        .panels(&motion)
         .heading("Each axis by itself")
         .paragraph(
             "Error of the hand along the axis that moves, and how far it trails. Lag is by cross-correlation over the way out \
@@ -164,7 +185,7 @@ fn page(outcome: &Outcome, summary: &RunSummary, world_from_axes: &UnitQuaternio
         .heading("Commands")
         .paragraph("How many of the velocities the limiter of each arm changed, to keep its limits, and how many were refused.")
         .table(&commands::table(&summary.commands));
-    let report = with_cycles(report, summary).heading("Errors over time").panels(&error_panels(log, summary));
+    let report = with_cycles(report, summary).heading("Errors over time").panels(&errors);
     with_images(with_drift(report, summary), &strip)
         .heading("Supervisor")
         .paragraph(&summary.supervisor.paragraph())
@@ -545,4 +566,21 @@ fn timeseries_csv(log: &RunLog, joints: [usize; 2]) -> String {
         text.push('\n');
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use anyhow::anyhow;
+
+    use super::*;
+
+    #[test]
+    fn the_failure_of_a_run_is_reported_also_without_a_report() {
+        let (arm, disk) = (|| Err(anyhow!("an overcurrent")), || Err(anyhow!("no space is left")));
+        let text = format!("{:#}", both(arm(), disk()).unwrap_err());
+        assert!(text.contains("an overcurrent") && text.contains("no space is left"), "{text}");
+        assert_eq!(both(arm(), Ok(())).unwrap_err().to_string(), "an overcurrent");
+        assert_eq!(both::<()>(Ok(()), disk()).unwrap_err().to_string(), "no space is left");
+        assert!(both(Ok(()), Ok(())).is_ok());
+    }
 }

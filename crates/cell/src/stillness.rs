@@ -74,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn one_part_that_moves_is_enough_and_a_image_without_texture_rests() {
+    fn one_part_that_moves_is_enough_and_an_image_without_texture_rests() {
         let mut corner = image([0.0; 2], 1);
         let moved = image([0.4, 0.0], 1);
         for (x, y, pixel) in moved.enumerate_pixels().filter(|(x, y, _)| *x < 53 && *y < 40) {

@@ -240,7 +240,7 @@ mod tests {
 
     /// Corners of the square, projected by hand.
     #[test]
-    fn the_nearest_distance_is_where_a_corner_leaves_a_image() {
+    fn the_nearest_distance_is_where_a_corner_leaves_an_image() {
         for (target_m, size) in [(0.11, HEAD.size), (0.11, ImageSize { width: 640, height: 200 })] {
             let head = StereoHead { size, ..HEAD };
             let nearest_m = head.nearest_in_both_m(target_m);

@@ -316,7 +316,7 @@ fn what_was_recorded_until_a_program_was_killed_can_be_read() {
 }
 
 #[test]
-fn a_image_that_can_not_be_written_is_not_counted() {
+fn an_image_that_can_not_be_written_is_not_counted() {
     let dir = tempfile::tempdir().unwrap();
     let mut writer = SequenceWriter::create(dir.path(), &rig(), draft(StoredFormat::Png)).unwrap();
     let image = image(1);

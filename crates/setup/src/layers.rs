@@ -4,7 +4,7 @@
 //! where each value comes from.
 
 pub mod built_in;
-mod dict;
+mod layer;
 mod position;
 #[cfg(test)]
 mod tests;
@@ -14,12 +14,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use figment::providers::{Format, Toml};
-use figment::value::{Dict, Map, Value};
-use figment::{Figment, Metadata, Profile, Provider};
+use figment::Figment;
+use figment::value::{Dict, Value};
 
-use self::dict::{change, flatten, remove_at, toml_text, value_at};
-use self::position::Positions;
+use self::layer::{Layer, change, flatten, remove_at, toml_text, value_at};
 use crate::error::{ConfigError, text_of};
 
 /// The options of every command that reads a setup.
@@ -103,25 +101,6 @@ impl std::fmt::Display for Origin {
     }
 }
 
-/// What one source states.
-#[derive(Clone, Debug)]
-struct Layer {
-    origin: Origin,
-    /// Where its keys stand in its text, if it has one.
-    positions: Positions,
-    stated: Dict,
-}
-
-impl Provider for Layer {
-    fn metadata(&self) -> Metadata {
-        Metadata::named(self.origin.to_string())
-    }
-
-    fn data(&self) -> Result<Map<Profile, Dict>, figment::Error> {
-        Ok(Map::from([(Profile::Default, self.stated.clone())]))
-    }
-}
-
 /// A value of a setup.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Effective {
@@ -183,7 +162,7 @@ impl Layers {
     /// # Errors
     /// An unreadable file, a text that is no TOML.
     pub fn one_file(file: &Path) -> Result<Self, ConfigError> {
-        let layer = layer_of_text(Origin::File(file.to_path_buf()), text_of(file)?)?;
+        let layer = Layer::of_text(Origin::File(file.to_path_buf()), text_of(file)?)?;
         Ok(Self { list: vec![layer] })
     }
 
@@ -193,9 +172,9 @@ impl Layers {
     /// As [`Self::read`].
     pub(crate) fn of_text_with(name: &'static str, text: &str, set: &[String]) -> Result<Self, ConfigError> {
         let mut layers = Self::default();
-        layers.add(layer_of_text(Origin::BuiltIn(name), text.to_owned())?, 0)?;
+        layers.add(Layer::of_text(Origin::BuiltIn(name), text.to_owned())?, 0)?;
         for set in set {
-            layers.push(layer_of_option(set)?);
+            layers.push(Layer::of_option(set)?);
         }
         layers.add_named_arms()?;
         layers.resolve_paths();
@@ -227,10 +206,10 @@ impl Layers {
             layers.push(layer.clone());
         }
         for set in &args.set {
-            layers.push(layer_of_option(set)?);
+            layers.push(Layer::of_option(set)?);
         }
         for (option, key, value) in &args.by_options {
-            layers.push(layer_of_words(Origin::Option(option), key, value)?);
+            layers.push(Layer::of_words(Origin::Option(option), key, value)?);
         }
         // An option may have named another arm.
         layers.add_named_arms()?;
@@ -316,7 +295,7 @@ impl Layers {
             let lines = format!("  base: more than {DEPTH_MAX} files build on each other; does one build on itself?");
             return Err(ConfigError::Values { file: config.to_path_buf(), lines });
         }
-        self.add(layer_of_text(origin, text)?, depth)
+        self.add(Layer::of_text(origin, text)?, depth)
     }
 
     fn add(&mut self, mut layer: Layer, depth: usize) -> Result<(), ConfigError> {
@@ -376,8 +355,8 @@ impl Layers {
             }
             let file = layer.origin.folder().join("arms").join(format!("{name}.toml"));
             let found = match built_in::path_of(&format!("{name}.toml")).as_deref().and_then(built_in::text_at) {
-                _ if file.is_file() => layer_of_text(Origin::File(file.clone()), text_of(&file)?)?,
-                Some(text) => layer_of_text(Origin::BuiltIn("arm"), text.to_owned())?,
+                _ if file.is_file() => Layer::of_text(Origin::File(file.clone()), text_of(&file)?)?,
+                Some(text) => Layer::of_text(Origin::BuiltIn("arm"), text.to_owned())?,
                 None => continue,
             };
             self.list.insert(0, found.into_arm(&name)?);
@@ -473,23 +452,6 @@ impl Layers {
     }
 }
 
-impl Layer {
-    /// The table `named_arm` of an arm's file as the table of an arm of a setup.
-    fn into_arm(mut self, name: &str) -> Result<Self, ConfigError> {
-        let file = || PathBuf::from(self.origin.to_string());
-        let Some(arm) = self.stated.remove("named_arm") else {
-            let lines = "  named_arm: missing; a file of an arm has it, as configs/arms/ur5e.toml".to_owned();
-            return Err(ConfigError::Values { file: file(), lines });
-        };
-        let arms = Dict::from([(name.to_owned(), arm)]);
-        self.stated = Dict::from([("arms".to_owned(), Value::from(arms))]);
-        // Its keys stand below another table than in the setup.
-        let in_setup = |(key, at): (String, _)| (key.replacen("named_arm", &format!("arms.{name}"), 1), at);
-        self.positions = self.positions.into_iter().map(in_setup).collect();
-        Ok(self)
-    }
-}
-
 /// A file, if the word is a path or has an ending; else a built-in setup.
 fn find(config: &Path, folder: &Path) -> Result<(Origin, String), ConfigError> {
     let name = config.to_str().unwrap_or_default();
@@ -504,42 +466,6 @@ fn find(config: &Path, folder: &Path) -> Result<(Origin, String), ConfigError> {
     let file = file.strip_prefix("./").map(Path::to_path_buf).unwrap_or(file);
     let text = text_of(&file)?;
     Ok((Origin::File(file), text))
-}
-
-fn layer_of_text(origin: Origin, text: String) -> Result<Layer, ConfigError> {
-    if let Err(error) = toml::de::DeTable::parse(&text) {
-        let (line, column) = position::line_and_column(&text, error.span().map_or(0, |span| span.start));
-        let place = PathBuf::from(format!("{origin}:{line}:{column}"));
-        return Err(ConfigError::Syntax { place, reason: error.message().to_owned() });
-    }
-    let data = Toml::string(&text)
-        .data()
-        .map_err(|error| ConfigError::Syntax { place: PathBuf::from(origin.to_string()), reason: error.to_string() })?;
-    let stated = data.into_values().next().unwrap_or_default();
-    Ok(Layer { origin, positions: position::all(&text), stated })
-}
-
-fn layer_of_option(set: &str) -> Result<Layer, ConfigError> {
-    match set.split_once('=') {
-        Some((key, value)) if !key.trim().is_empty() => {
-            layer_of_words(Origin::Option("--set"), key.trim(), value.trim())
-        }
-        _ => Err(ConfigError::Values {
-            file: PathBuf::from("--set"),
-            lines: format!("  {set:?}: write KEY=VALUE, for instance --set scene.target=card"),
-        }),
-    }
-}
-
-/// The value is TOML; what is none is text, so that nobody has to quote a word.
-fn layer_of_words(origin: Origin, key: &str, value: &str) -> Result<Layer, ConfigError> {
-    let quoted = format!("{key} = {}", toml::Value::from(value));
-    let text = [format!("{key} = {value}"), quoted].into_iter().find(|text| toml::de::DeTable::parse(text).is_ok());
-    let text = text.ok_or_else(|| ConfigError::Values {
-        file: PathBuf::from(origin.to_string()),
-        lines: format!("  {key:?}: is no key; keys look like arms.vs.start_deg"),
-    })?;
-    Ok(Layer { positions: Positions::new(), ..layer_of_text(origin, text)? })
 }
 
 /// A whole setup as one file, each value with where it is stated.

@@ -39,7 +39,7 @@ use pb3dp_cell::eyes::{Marking, NOT_MARKED, Sight};
 use pb3dp_cell::operator::ByCommand;
 use pb3dp_cell::paced_clock::PacedClock;
 use pb3dp_cell::parts::{EmulatedArm, LinkMonitor, Parts};
-use pb3dp_cell::paths::check_carried;
+use pb3dp_cell::paths::check_paths;
 use pb3dp_setup::region_spec::load_region;
 use pb3dp_setup::setup::{Cameras, Carrier, Pace, Setup};
 
@@ -89,7 +89,7 @@ pub fn wire_with(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Wired> {
         if setup.experiment.carrier == Carrier::Nothing {
             cell.free_target = Some(FreeTarget::new(Arc::clone(&experiment)));
         }
-        for (name, report) in check_carried(setup, &*experiment, start)? {
+        for (name, report) in check_paths(setup, &*experiment, start)? {
             let (joint, speed) = report.fastest_joint();
             tracing::info!(
                 "{name}: smallest singular value {:.3} at {:.1} s, fastest axis {} uses {:.0} % of its allowed speed",

@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn a_image_without_partner_keeps_its_turn() {
+    fn an_image_without_partner_keeps_its_turn() {
         check(
             &["left_1.png", "right_1.png", "right_2.jpg", "left_3.png", "right_3.png"],
             &[("left_1.png", "right_1.png"), ("left_2.jpg", "right_2.jpg"), ("left_3.png", "right_3.png")],

@@ -124,7 +124,7 @@ fn bayer_images_of_one_colour_come_out_as_they_were_to_the_rim() {
 }
 
 #[test]
-fn what_can_not_be_a_image_is_refused_with_its_numbers() {
+fn what_can_not_be_an_image_is_refused_with_its_numbers() {
     let mut image = RgbImage::new(1, 1);
     let error = Converter::new(layout(PixelFormat::Yuyv, (640, 480), 1279)).unwrap_err();
     assert!(matches!(error, PixelError::Stride { row: 1280, stride: 1279, .. }), "{error}");

@@ -18,9 +18,13 @@ use crate::closed_loop::support::whole_setup;
 /// The bound for the smallest singular value of the Jacobian, metres and radians.
 const SINGULAR_VALUE_MIN: f64 = 0.05;
 
-fn experiment(setup: &Setup) -> Arc<dyn Trajectory> {
+fn world_from_target_at_start(setup: &Setup) -> Pose<World, Target> {
     let world_from_flange = setup.rig.tc.world_from_base * setup.rig.tc.chain.forward(&setup.rig.tc.start_rad);
-    setup.experiment.motion.begin_at(world_from_flange * setup.rig.flange_from_target).unwrap()
+    world_from_flange * setup.rig.flange_from_target
+}
+
+fn experiment(setup: &Setup) -> Arc<dyn Trajectory> {
+    setup.experiment.motion.begin_at(world_from_target_at_start(setup)).unwrap()
 }
 
 #[test]
@@ -28,7 +32,7 @@ fn both_arms_stay_away_from_singular_poses_along_the_whole_experiment() {
     let setup = whole_setup(Method::Direct);
     let experiment = experiment(&setup);
     assert_eq!((experiment.marks().len(), &setup.experiment.steps().unwrap().channels[..]), (12, &Channel::ALL[..]));
-    for (name, report) in check_paths(&setup, &*experiment).unwrap() {
+    for (name, report) in check_paths(&setup, &*experiment, world_from_target_at_start(&setup)).unwrap() {
         let smallest = report.singular_value_min.value;
         assert!(smallest > SINGULAR_VALUE_MIN, "{name}: {smallest}");
         assert!(report.fastest_joint().1.value < 1.0, "{name}: {:?}", report.fastest_joint());

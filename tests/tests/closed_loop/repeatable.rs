@@ -3,6 +3,7 @@
 use nalgebra::UnitQuaternion;
 use pb3dp_cell::channels::Plan;
 use pb3dp_cell::report::{self, Made};
+use pb3dp_cell::summary::summarize;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::Channel;
@@ -20,7 +21,8 @@ fn traces(setup: &Setup) -> (String, String) {
     }
     let dir = tempfile::tempdir().unwrap();
     let plan = Plan { motion: setup.experiment.motion.clone(), world_from_axes: UnitQuaternion::identity() };
-    report::tell(dir.path(), setup, &outcome, (&plan, &Made::default(), None)).unwrap();
+    let summary = summarize(&outcome.log, &plan);
+    report::tell(dir.path(), setup, &Made::default(), (&outcome, summary, &plan), Ok(())).unwrap();
     assert!(dir.path().join("report.html").exists() && dir.path().join("summary.json").exists());
     let series = std::fs::read_to_string(dir.path().join("timeseries.csv")).unwrap();
     assert_eq!(series.lines().count(), 1 + outcome.log.control.len());

@@ -13,6 +13,7 @@ use pb3dp_cell::experiment::{self, Ended};
 use pb3dp_cell::flight::Moment;
 use pb3dp_cell::interruption::{INTERRUPTED, watch};
 use pb3dp_cell::report::{self, Following, Made};
+use pb3dp_cell::summary::summarize;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::dataset::SequenceWriter;
 use pb3dp_setup::setup::{Pace, read_layers};
@@ -63,38 +64,11 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     }
     let made =
         Made { configuration: asked.to_string(), commit: crate::COMMIT, wall_s: started.elapsed().as_secs_f64() };
-    let told = report::tell(&args.out, &setup, &outcome, (&plan, &made, how.as_ref().err()));
-    let following = both(how, told)?;
+    let summary = summarize(&outcome.log, &plan);
+    let following = report::tell(&args.out, &setup, &made, (&outcome, summary, &plan), how)?;
     Ok(match following {
         _ if was_interrupted.load(Ordering::SeqCst) => ExitCode::from(INTERRUPTED),
         Following::TooLittle if args.strict => ExitCode::from(UNSURE),
         Following::Well | Following::TooLittle => ExitCode::SUCCESS,
     })
-}
-
-/// How the run has ended, also where its report could not be written.
-fn both<T>(how: Result<()>, told: Result<T>) -> Result<T> {
-    match (how, told) {
-        (Err(failure), Err(untold)) => {
-            Err(failure.context(format!("the report is not complete ({untold:#}), and the run had failed before")))
-        }
-        (how, told) => how.and(told),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use anyhow::anyhow;
-
-    use super::*;
-
-    #[test]
-    fn the_failure_of_a_run_is_told_also_without_a_report() {
-        let (arm, disk) = (|| Err(anyhow!("an overcurrent")), || Err(anyhow!("no space is left")));
-        let text = format!("{:#}", both(arm(), disk()).unwrap_err());
-        assert!(text.contains("an overcurrent") && text.contains("no space is left"), "{text}");
-        assert_eq!(both(arm(), Ok(())).unwrap_err().to_string(), "an overcurrent");
-        assert_eq!(both::<()>(Ok(()), disk()).unwrap_err().to_string(), "no space is left");
-        assert!(both(Ok(()), Ok(())).is_ok());
-    }
 }

@@ -109,7 +109,7 @@ fn variables_do_not_command_a_real_arm_nor_hide_one() {
         let mut layers = Layers::default();
         layers.add_config(&file, Path::new("."), 0).unwrap();
         let real = layers.real_arms();
-        let variable = layer_of_words(Origin::Variable("PB3DP_X".to_owned()), key, value).unwrap();
+        let variable = Layer::of_words(Origin::Variable("PB3DP_X".to_owned()), key, value).unwrap();
         layers.push(variable.clone());
         layers.check_variables(&[variable], real).map_err(|error| error.to_string())
     };

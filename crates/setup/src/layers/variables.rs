@@ -1,6 +1,6 @@
 //! Variables of the environment that set keys: `PB3DP_RUN__SEED=5` sets `run.seed`.
 
-use super::{Layer, Origin, layer_of_words};
+use super::{Layer, Origin};
 use crate::error::ConfigError;
 
 const PREFIX: &str = "PB3DP_";
@@ -22,7 +22,7 @@ pub(super) fn layers() -> Result<Vec<Layer>, ConfigError> {
 
 fn layer(name: &str, value: &str) -> Result<Layer, ConfigError> {
     let key = name.trim_start_matches(PREFIX).to_lowercase().replace(SEPARATOR, ".");
-    layer_of_words(Origin::Variable(name.to_owned()), &key, value)
+    Layer::of_words(Origin::Variable(name.to_owned()), &key, value)
 }
 
 #[cfg(test)]

@@ -152,7 +152,7 @@ fn images_and_state_are_shown_live() {
 }
 
 #[test]
-fn a_image_is_whole_before_the_next_one_comes() {
+fn an_image_is_whole_before_the_next_one_comes() {
     with_page(|page| {
         page.until("/left.jpg", |answer| answer.status == 200);
         for side in [0, 1] {
@@ -163,7 +163,8 @@ fn a_image_is_whole_before_the_next_one_comes() {
         let mut socket = page.send(format!("GET /left.mjpg HTTP/1.1\r\nHost: {host}\r\n\r\n").as_bytes());
         let (mut bytes, mut piece) = (Vec::new(), [0; 4096]);
         // A browser waits for the boundary behind a part.
-        while bytes.windows(22).filter(|text| text == b"\r\n--pb3dp-next-image").count() < 2 {
+        let boundary = b"\r\n--pb3dp-next-image";
+        while bytes.windows(boundary.len()).filter(|text| text == boundary).count() < 2 {
             let length = socket.read(&mut piece).unwrap();
             assert!(length > 0, "the stream has ended");
             bytes.extend_from_slice(&piece[..length]);
