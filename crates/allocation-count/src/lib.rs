@@ -1,6 +1,7 @@
-//! The system's allocator, counting what it is asked for. A test that names this crate has it, and compares before and after.
+//! A counting wrapper around the system allocator. A test that links this crate uses it, and compares the counts before and after
+//! an operation.
 //!
-//! For tests only: it is the allocator of every program that it is linked into.
+//! For tests only: it is the allocator of every program that links this crate.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -15,27 +16,27 @@ thread_local! {
 static REQUESTS_OF_ALL: AtomicUsize = AtomicUsize::new(0);
 static HELD_BYTES: AtomicUsize = AtomicUsize::new(0);
 
-/// Requests of the running thread so far.
+/// Allocations of the current thread so far.
 pub fn requests() -> usize {
     REQUESTS.get()
 }
 
-/// Bytes that the running thread has asked for so far.
+/// Bytes allocated by the current thread so far.
 pub fn bytes() -> usize {
     BYTES.get()
 }
 
-/// Requests of all threads so far, but for those that were left out.
+/// Allocations of all threads so far, except excluded threads.
 pub fn requests_of_all_threads() -> usize {
     REQUESTS_OF_ALL.load(Ordering::SeqCst)
 }
 
-/// Bytes that all threads together have asked for and not given back.
+/// Bytes allocated by all threads together and not yet freed.
 pub fn held_bytes() -> usize {
     HELD_BYTES.load(Ordering::SeqCst)
 }
 
-/// Leaves the running thread out of [`requests_of_all_threads`] from now on.
+/// Excludes the current thread from [`requests_of_all_threads`] from now on.
 pub fn leave_this_thread_out() {
     IS_LEFT_OUT.set(true);
 }
@@ -52,7 +53,7 @@ fn count(bytes: usize) {
     }
 }
 
-// SAFETY: every call is passed on to the system's allocator unchanged.
+// SAFETY: every call is passed on to the system allocator unchanged.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count(layout.size());
@@ -91,7 +92,7 @@ mod tests {
 
     #[test]
     fn what_is_given_back_is_not_held() {
-        // Other tests ask for less than this.
+        // Other tests allocate less than this.
         const LARGE: usize = 1 << 24;
         let before = held_bytes();
         let mut large = black_box(vec![1u8; LARGE]);
@@ -122,7 +123,7 @@ mod tests {
             std::thread::spawn(work).join().expect("the thread ends")
         });
         assert_eq!(counted.map(|[own, _]| own), [MANY, MANY]);
-        // Others may ask for something meanwhile.
+        // Other threads may allocate in the meantime.
         assert!(counted[0][1] >= MANY && counted[1][1] < MANY, "{counted:?}");
     }
 }

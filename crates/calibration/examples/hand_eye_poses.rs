@@ -1,7 +1,7 @@
 //! Writes the poses of the simulated rigs of `tests/hand_eye.rs` as CSV, for `tests/data/hand_eye_by_opencv.py`.
 //!
-//! One line per stop: rig, stop, then the flange in the base and the board in the left camera, each as a rotation vector (rad) and a
-//! translation (m). The board's pose is the one that the corners in both images give.
+//! One line per stop: rig, stop, then the flange in the base and the board in the left camera, each as a rotation vector (rad)
+//! and a translation (m). The board pose is computed from the corners in both images.
 
 #![allow(
     clippy::expect_used,

@@ -1,10 +1,10 @@
-//! The joint adjustment: cameras, their poses to each other and the board's pose in every view, by least squares of the
+//! Joint bundle adjustment: cameras, poses between the cameras and the board pose of every view, by least squares of the
 //! reprojection errors of all corners.
 //!
-//! Levenberg-Marquardt on the normal equations; the poses of the board are eliminated view by view (Schur complement: Triggs
-//! et al., Bundle Adjustment: A Modern Synthesis, 2000, section 6.1), so what is solved is as large as the number of parameters
-//! that all views share. Poses move by `exp(xi)`, `xi` = [translation; rotation]: the second camera's in its own frame, the
-//! board's in the frame of the board.
+//! Levenberg-Marquardt on the normal equations. The board poses are eliminated view by view (Schur complement: Triggs et al.,
+//! Bundle Adjustment: A Modern Synthesis, 2000, section 6.1), so the reduced system only has the parameters shared by all views.
+//! Poses are updated by `exp(xi)`, `xi` = [translation; rotation]: the pose of the second camera in its own frame, the board
+//! poses in the frame of the board.
 
 use nalgebra::{
     DMatrix, DVector, Isometry3, Matrix2x3, Matrix3, Matrix6, Matrix6xX, MatrixXx6, Point3, SMatrix, Vector2, Vector6,
@@ -14,92 +14,94 @@ use pb3dp_geometry::{Camera, CameraError, Pinhole, se3, so3};
 use crate::board::{BoardCorner, Chessboard, Sighting};
 use crate::lens::LensModel;
 
-/// Steps allowed; a good start takes five to fifteen.
+/// Maximum number of iterations; a good start takes five to fifteen.
 const STEPS_MAX: usize = 200;
-/// Where damping begins, and where no step helps any more.
+/// Initial damping, and the damping at which the adjustment gives up.
 const DAMPING: [f64; 2] = [1e-4, 1e12];
-/// A step that lowers the cost by a smaller share is the last one.
+/// The adjustment ends when an iteration lowers the cost by a smaller share.
 const DECREASE_MIN: f64 = 1e-13;
-/// Numbers of the board's shape: the surfaces of [`Chessboard::surfaces`].
+/// Number of board shape parameters: the surfaces of [`Chessboard::surfaces`].
 pub(crate) const SHAPE: usize = 3;
-/// Numbers of a pinhole.
+/// Number of pinhole parameters.
 const PINHOLE: usize = 4;
-/// Numbers of a pose.
+/// Number of pose parameters.
 pub(crate) const POSE: usize = 6;
 
-/// What is to be explained: the sightings of each view, one per camera.
+/// The observations: the detected corners of each view, one set per camera.
 pub(crate) struct Observations<'a> {
     pub board: &'a Chessboard,
     pub views: Vec<Vec<&'a Sighting>>,
 }
 
-/// Everything that is estimated.
+/// All estimated parameters.
 #[derive(Clone, Debug)]
 pub(crate) struct State {
     pub lens: LensModel,
     pub cameras: Vec<Camera>,
-    /// `cam_c_from_cam_0`; the first one is the identity and stays it.
+    /// `cam_c_from_cam_0`; the first one is fixed to the identity.
     pub from_first: Vec<Isometry3<f64>>,
     /// `cam_0_from_board` of each view.
     pub boards: Vec<Isometry3<f64>>,
-    /// By how much the board stands out of its plane, metres; `None` where it is taken as flat.
+    /// Out-of-plane deviation of the board, metres; `None` if the board is assumed flat.
     pub shape: Option<[f64; SHAPE]>,
 }
 
 /// The normal equations of one view.
 #[derive(Clone)]
 struct ViewEquations {
-    /// Shared parameters among themselves.
+    /// Block of the shared parameters.
     shared: DMatrix<f64>,
     shared_gradient: DVector<f64>,
-    /// Shared parameters by the board's pose.
+    /// Block of the shared parameters and the board pose.
     mixed: DMatrix<f64>,
     pose: Matrix6<f64>,
     pose_gradient: Vector6<f64>,
     cost: f64,
 }
 
-/// The normal equations with the poses eliminated.
+/// The normal equations with the board poses eliminated.
 pub(crate) struct Reduced {
-    /// The information about the shared parameters, per px^2 of noise.
+    /// Information matrix of the shared parameters, per px^2 of noise.
     pub information: DMatrix<f64>,
-    /// What each view adds to it.
+    /// Contribution of each view to the information.
     pub by_view: Vec<DMatrix<f64>>,
-    /// The gradient that each view adds.
+    /// Gradient contribution of each view.
     pub gradients: Vec<DVector<f64>>,
-    /// Inverse of each view's information about its pose, the shared parameters known.
+    /// Inverse of each view's information about its pose, with the shared parameters fixed.
     pub pose_inverses: Vec<Matrix6<f64>>,
-    /// How each pose follows the shared parameters: minus `pose_inverse * mixed^T`.
+    /// Derivative of each pose with respect to the shared parameters: minus `pose_inverse * mixed^T`.
     pub pose_by_shared: Vec<Matrix6xX<f64>>,
 }
 
-/// Why an adjustment came to no end.
+/// Why an adjustment failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum AdjustmentError {
-    /// A corner that the cameras, as they are thought to be, cannot see.
-    #[error("view {view}: a corner would lie behind the camera or beyond what its lens can image: leave this view out")]
+    /// A corner is not visible with the current camera estimates.
+    #[error(
+        "view {view}: a corner lies behind the camera or outside the valid range of the lens model; leave this view out"
+    )]
     NotVisible {
         /// Index of the view.
         view: usize,
     },
-    /// The views leave something open.
+    /// The views do not determine a parameter.
     #[error(
         "the views do not determine {parameter}: show the board tilted by 20 to 40 degrees in several directions, and in all corners of the image"
     )]
     Undetermined {
-        /// The parameter that is least known.
+        /// The least determined parameter.
         parameter: String,
     },
-    /// No end within the steps allowed.
+    /// No convergence within the allowed iterations.
     #[error(
-        "the adjustment did not settle within {steps} steps: show more views of the board, tilted and near the borders"
+        "the adjustment did not converge within {steps} steps; add views of the board, tilted and near the image borders"
     )]
     NotSettled {
-        /// Steps made.
+        /// Number of iterations.
         steps: usize,
     },
-    /// A camera that cannot be.
-    #[error("the adjustment led to a camera that cannot be")]
+    /// The camera parameters became invalid.
+    #[error("the adjustment led to invalid camera parameters")]
     Camera(#[from] CameraError),
 }
 
@@ -108,17 +110,17 @@ impl State {
         PINHOLE + self.lens.coefficient_count()
     }
 
-    /// Number of parameters that all views share.
+    /// Number of parameters shared by all views.
     pub(crate) fn shared_count(&self) -> usize {
         self.shape_column() + if self.shape.is_some() { SHAPE } else { 0 }
     }
 
-    /// The first of the columns of the board's shape.
+    /// First column of the board shape parameters.
     pub(crate) fn shape_column(&self) -> usize {
         self.cameras.len() * self.shared_per_camera() + (self.cameras.len() - 1) * POSE
     }
 
-    /// A corner of the board, out of its plane as the shape has it.
+    /// A corner of the board in the frame `board`, including the board shape.
     fn corner_in_board(&self, board: &Chessboard, corner: &BoardCorner) -> Point3<f64> {
         let mut in_board = board.corner_in_board(corner.column, corner.row);
         if let Some(shape) = &self.shape {
@@ -145,13 +147,13 @@ impl State {
         names
     }
 
-    /// Moved by a step of the shared parameters and one of each pose.
+    /// The state updated by a step of the shared parameters and of each pose.
     pub(crate) fn moved(&self, shared: &DVector<f64>, poses: &[Vector6<f64>]) -> Result<Self, CameraError> {
         let mut next = self.clone();
         for (board, step) in next.boards.iter_mut().zip(poses) {
             *board *= se3::exp(step);
         }
-        // Cameras that stay are not made anew, so that they may have any lens.
+        // Fixed cameras are kept unchanged, so that they may have any lens model.
         if shared.iter().all(|step| *step == 0.0) {
             return Ok(next);
         }
@@ -175,18 +177,18 @@ impl State {
         Ok(next)
     }
 
-    /// The first of the columns of a camera's pose.
+    /// First column of a camera's pose parameters.
     fn pose_column(&self, camera: usize) -> usize {
         self.cameras.len() * self.shared_per_camera() + (camera - 1) * POSE
     }
 
-    /// The normal equations of one view; `None` where a corner is not visible.
+    /// The normal equations of one view; `None` if a corner is not visible.
     fn view_equations(&self, observations: &Observations<'_>, view: usize) -> Option<ViewEquations> {
         self.view_equations_with(observations, view, 0, |_| Vec::new())
     }
 
-    /// The same with `count` further parameters behind the shared ones; `columns` gives the derivatives of a corner's pixel by
-    /// those that it depends on.
+    /// As [`Self::view_equations`], with `count` additional parameters after the shared ones; `columns` gives the derivatives of
+    /// a corner's pixel with respect to the additional parameters.
     fn view_equations_with(
         &self,
         observations: &Observations<'_>,
@@ -218,7 +220,7 @@ impl State {
         Some(equations)
     }
 
-    /// Where a corner should be seen, and the derivatives of its pixel.
+    /// Predicted pixel of a corner, and its derivatives.
     fn corner_row(
         &self,
         index: usize,
@@ -264,7 +266,7 @@ impl State {
         (0..observations.views.len()).map(of).collect()
     }
 
-    /// Errors of all corners of one camera in one view, predicted minus seen, px; `None` where a corner is not visible.
+    /// Errors of all corners of one camera in one view, predicted minus observed, px; `None` if a corner is not visible.
     pub(crate) fn errors(
         &self,
         observations: &Observations<'_>,
@@ -280,7 +282,7 @@ impl State {
         corners.map(of).collect()
     }
 
-    /// Half the sum of the squared errors, px^2; infinite where a corner is not visible.
+    /// Half the sum of the squared errors, px^2; infinite if a corner is not visible.
     fn cost(&self, observations: &Observations<'_>) -> f64 {
         let all =
             (0..observations.views.len()).flat_map(|view| (0..self.cameras.len()).map(move |camera| (view, camera)));
@@ -292,23 +294,23 @@ impl State {
     }
 }
 
-/// A corner as a state predicts it.
+/// The predicted image of a corner.
 pub(crate) struct Predicted {
     pub view: usize,
     pub camera: usize,
     pub pixel: Vector2<f64>,
-    /// Derivative of the pixel by the point in the camera's frame, px per metre.
+    /// Derivative of the pixel with respect to the point in the camera frame, px per metre.
     pub by_point: Matrix2x3<f64>,
 }
 
 /// The derivatives of one corner's pixel.
 struct Row {
-    /// Column of a shared parameter, and the derivative by it.
+    /// Column of a shared parameter, and the derivative with respect to it.
     shared: Vec<(usize, Vector2<f64>)>,
     pose: SMatrix<f64, 2, POSE>,
 }
 
-/// How a point moves, seen after `turn`, when its frame moves by `[translation; rotation]`.
+/// Derivative of a point, seen after `turn`, with respect to a motion `[translation; rotation]` of its frame.
 pub(crate) fn point_by_motion(point: &Point3<f64>, turn: &Matrix3<f64>) -> SMatrix<f64, 3, POSE> {
     let mut by = SMatrix::<f64, 3, POSE>::zeros();
     by.fixed_view_mut::<3, 3>(0, 0).copy_from(turn);
@@ -317,7 +319,7 @@ pub(crate) fn point_by_motion(point: &Point3<f64>, turn: &Matrix3<f64>) -> SMatr
 }
 
 impl ViewEquations {
-    /// The corners of one camera, which all depend on the same parameters.
+    /// Adds the corners of one camera, which all depend on the same parameters.
     fn add(&mut self, rows: &[(Vector2<f64>, Row)]) {
         let Some((_, first)) = rows.first() else { return };
         let count = first.shared.len();
@@ -346,7 +348,7 @@ impl ViewEquations {
         self.cost += 0.5 * errors.norm_squared();
     }
 
-    /// With the diagonal made larger by the share `damping`.
+    /// The equations with the diagonal enlarged by the share `damping`.
     fn damped(mut self, damping: f64) -> Self {
         for n in 0..POSE {
             self.pose[(n, n)] *= 1.0 + damping;
@@ -358,7 +360,7 @@ impl ViewEquations {
     }
 }
 
-/// Eliminates the poses; `None` where a view does not determine its own.
+/// Eliminates the poses; `None` if a view does not determine its pose.
 fn reduce(views: &[ViewEquations]) -> Option<Reduced> {
     let count = views.first()?.shared.nrows();
     let mut reduced = Reduced {
@@ -381,7 +383,7 @@ fn reduce(views: &[ViewEquations]) -> Option<Reduced> {
     Some(reduced)
 }
 
-/// Solves the damped equations for a step of the shared parameters and one of each pose.
+/// Solves the damped equations for a step of the shared parameters and of each pose.
 fn step(views: &[ViewEquations], damping: f64, cameras_stay: bool) -> Option<(DVector<f64>, Vec<Vector6<f64>>)> {
     let damped: Vec<ViewEquations> = views.iter().cloned().map(|view| view.damped(damping)).collect();
     let reduced = reduce(&damped)?;
@@ -397,10 +399,10 @@ fn step(views: &[ViewEquations], damping: f64, cameras_stay: bool) -> Option<(DV
     Some((shared, poses))
 }
 
-/// Adjusts everything, or with `cameras_stay` the poses of the board alone.
+/// Adjusts all parameters, or only the board poses if `cameras_stay` is set.
 ///
 /// # Errors
-/// A corner that is not visible from where the adjustment begins, or no end.
+/// A corner is not visible at the start, or no convergence.
 pub(crate) fn adjust(
     start: State,
     observations: &Observations<'_>,
@@ -419,7 +421,7 @@ pub(crate) fn adjust(
                 step(&equations, damping, cameras_stay).and_then(|(shared, poses)| state.moved(&shared, &poses).ok());
             match next.map(|next| (next.cost(observations), next)) {
                 Some((next_cost, next)) if next_cost < cost => break (next_cost, next),
-                // Not lower, but as low as rounding allows.
+                // Equal cost within rounding also counts as convergence.
                 Some((next_cost, next)) if next_cost <= cost * (1.0 + DECREASE_MIN) => break (next_cost, next),
                 _ => damping *= 10.0,
             }
@@ -436,7 +438,7 @@ pub(crate) fn adjust(
 /// The reduced equations at a state.
 ///
 /// # Errors
-/// A corner that is not visible, or a parameter that the views do not determine.
+/// A corner is not visible, or the views do not determine a parameter.
 pub(crate) fn reduced_at(
     state: &State,
     observations: &Observations<'_>,
@@ -460,8 +462,8 @@ pub(crate) fn reduced_at(
     Ok(reduced)
 }
 
-/// The normal equations with `count` further parameters behind the shared ones, the poses eliminated, and the cost, px^2; `None`
-/// where a corner is not visible or a view does not determine its pose.
+/// The normal equations with `count` additional parameters after the shared ones and the poses eliminated, and the cost, px^2;
+/// `None` if a corner is not visible or a view does not determine its pose.
 pub(crate) fn reduced_with(
     state: &State,
     observations: &Observations<'_>,

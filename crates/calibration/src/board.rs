@@ -1,12 +1,12 @@
-//! The calibration target: what is known of it before it is seen.
+//! Calibration boards: pattern, size and corner positions.
 
 use calib_targets_aruco::{Dictionary, resolve_dictionary};
 use nalgebra::Point3;
 
-/// A plane board, described by the corners that are seen of it: points where four squares meet, or the corners of tags.
+/// A planar calibration board, described by its detectable corners: points where four squares meet, or the corners of tags.
 ///
-/// Corners have a column and a row. Of chessboards and ChArUco boards these are the inner corners, of AprilGrids two columns and
-/// two rows belong to each tag.
+/// Corners have a column and a row. For chessboards and ChArUco boards these count the inner corners; for AprilGrids each tag has
+/// two columns and two rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Board {
     columns: u32,
@@ -14,21 +14,21 @@ pub struct Board {
     pattern: Pattern,
 }
 
-/// A board that [`Board::new`] makes.
+/// A board created by [`Board::new`].
 pub type Chessboard = Board;
 
-/// What is printed on a board.
+/// The printed pattern of a board.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Pattern {
     /// Squares.
     Chessboard { square_m: f64 },
-    /// Squares with markers in the white ones, as OpenCV prints them since 4.6: the first square is black.
+    /// Squares with markers in the white squares, as OpenCV prints them since 4.6: the first square is black.
     Charuco { square_m: f64, marker_m: f64, markers: Markers },
-    /// Tags 36h11 with black squares between their corners, as Kalibr prints them: tag 0 below on the left.
+    /// Tags 36h11 with black squares between their corners, as Kalibr prints them: tag 0 is at the lower left.
     AprilGrid { tag_m: f64, spacing: f64 },
 }
 
-/// A family of markers.
+/// A marker dictionary.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Markers(pub Dictionary);
 
@@ -43,7 +43,7 @@ impl PartialEq for Markers {
 pub enum BoardError {
     /// Too few or too many corners.
     #[error(
-        "a board of {columns} x {rows} inner corners: each number must be between 3 and 100; inner corners are the points where four squares meet, one fewer than squares"
+        "a board of {columns} x {rows} inner corners: each number must be between 3 and 100; count the points where four squares meet, one fewer than squares per side"
     )]
     Corners {
         /// Inner corners along a row.
@@ -63,57 +63,57 @@ pub enum BoardError {
         /// The smallest number.
         least: u32,
     },
-    /// A board that looks the same after a quarter turn.
+    /// A board that is symmetric under a quarter turn.
     #[error(
-        "a board of {corners} x {corners} inner corners looks the same after a quarter turn, so two cameras may disagree about its first corner: use one with unequal numbers, best one odd and one even as 9 x 6"
+        "a board of {corners} x {corners} inner corners looks the same after a quarter turn, so its first corner is ambiguous; use unequal numbers, best one odd and one even, for example 9 x 6"
     )]
     Equal {
         /// Inner corners along both sides.
         corners: u32,
     },
-    /// A square or tag of impossible size.
-    #[error("{what} of {side_mm} mm: must be between 1 and 1000 mm; measure ten of them with a ruler and divide")]
+    /// Square or tag size out of range.
+    #[error("{what} of {side_mm} mm: must be between 1 and 1000 mm; measure ten with a ruler and divide")]
     Side {
         /// Squares or tags.
         what: &'static str,
         /// The side, millimetres.
         side_mm: f64,
     },
-    /// Markers that are not inside of their squares.
-    #[error("markers of {marker_mm} mm in squares of {square_mm} mm: must be between 0.3 and 0.95 of a square")]
+    /// Markers that do not fit into their squares.
+    #[error("markers of {marker_mm} mm in squares of {square_mm} mm: the ratio must be between 0.3 and 0.95")]
     Marker {
         /// The side of a marker, millimetres.
         marker_mm: f64,
         /// The side of a square, millimetres.
         square_mm: f64,
     },
-    /// A gap between tags that is none.
-    #[error("tags with a spacing of {spacing}: the gap over the side of a tag, must be between 0.1 and 1")]
+    /// Gap between tags out of range.
+    #[error("tag spacing {spacing} (gap divided by the side of a tag): must be between 0.1 and 1")]
     Spacing {
-        /// The gap between two tags over the side of a tag.
+        /// The gap between two tags divided by the side of a tag.
         spacing: f64,
     },
-    /// No such family of markers.
+    /// Unknown marker dictionary.
     #[error(
-        "{name:?} is no dictionary of markers: DICT_4X4_50 to DICT_7X7_1000, DICT_APRILTAG_36h11, as OpenCV names them"
+        "unknown marker dictionary {name:?}; use an OpenCV name: DICT_4X4_50 to DICT_7X7_1000, DICT_APRILTAG_36h11"
     )]
     Dictionary {
-        /// The name that was given.
+        /// The given name.
         name: String,
     },
-    /// More markers than the family has.
-    #[error("the board has {needed} markers, and {name} only {there}: take a larger dictionary")]
+    /// More markers than the dictionary has.
+    #[error("the board needs {needed} markers, {name} has only {there}; use a larger dictionary")]
     Markers {
         /// Markers of the board.
         needed: usize,
-        /// Markers of the family.
+        /// Markers of the dictionary.
         there: usize,
-        /// The family.
+        /// The dictionary.
         name: &'static str,
     },
 }
 
-/// The family of the tags of an AprilGrid, by the name that OpenCV has for it.
+/// The dictionary of the AprilGrid tags, by its OpenCV name.
 pub(crate) const APRIL_TAGS: &str = "DICT_APRILTAG_36h11";
 
 /// A side in metres.
@@ -125,7 +125,7 @@ fn dictionary(name: &str) -> Result<Dictionary, BoardError> {
     resolve_dictionary(name).ok_or_else(|| BoardError::Dictionary { name: name.to_owned() })
 }
 
-/// Whether the family has as many markers.
+/// Checks that the dictionary has enough markers.
 fn enough(dictionary: &Dictionary, needed: usize) -> Result<(), BoardError> {
     let there = dictionary.codes().len();
     if needed <= there { Ok(()) } else { Err(BoardError::Markers { needed, there, name: dictionary.name() }) }
@@ -135,7 +135,7 @@ impl Board {
     /// A chessboard of `columns` x `rows` inner corners whose squares have sides of `square_m` metres.
     ///
     /// # Errors
-    /// Fewer than 3 or more than 100 corners in a direction, as many in both, squares below 1 mm or above 1 m.
+    /// Fewer than 3 or more than 100 corners in a direction, equal numbers in both directions, squares below 1 mm or above 1 m.
     pub fn new(columns: u32, rows: u32, square_m: f64) -> Result<Self, BoardError> {
         if !(3..=100).contains(&columns) || !(3..=100).contains(&rows) {
             return Err(BoardError::Corners { columns, rows });
@@ -147,11 +147,12 @@ impl Board {
         Ok(Self { columns, rows, pattern: Pattern::Chessboard { square_m } })
     }
 
-    /// A ChArUco board of `squares_x` x `squares_y` squares with sides of `square_m` metres, markers of `marker_m` metres from a
-    /// dictionary of OpenCV in the white ones; the square at the top on the left is black (OpenCV's pattern since 4.6).
+    /// A ChArUco board of `squares_x` x `squares_y` squares with sides of `square_m` metres, with markers of `marker_m` metres
+    /// from an OpenCV dictionary in the white squares. The square at the upper left is black (OpenCV's pattern since 4.6).
     ///
     /// # Errors
-    /// Fewer than 3 or more than 50 squares in a direction, impossible sizes, a dictionary that is not known or too small.
+    /// Fewer than 3 or more than 50 squares in a direction, sizes out of range, an unknown dictionary or one with too few
+    /// markers.
     pub fn charuco(
         [squares_x, squares_y]: [u32; 2],
         square_m: f64,
@@ -171,11 +172,11 @@ impl Board {
         Ok(Self { columns: squares_x - 1, rows: squares_y - 1, pattern })
     }
 
-    /// An AprilGrid of `tags_x` x `tags_y` tags of the family 36h11 with sides of `tag_m` metres, and gaps of `spacing` times
-    /// this, as Kalibr prints it: black squares in the gaps touch the tags' corners.
+    /// An AprilGrid of `tags_x` x `tags_y` tags of the family 36h11 with sides of `tag_m` metres and gaps of `spacing * tag_m`,
+    /// as Kalibr prints it: black squares in the gaps touch the corners of the tags.
     ///
     /// # Errors
-    /// Fewer than 2 or more than 50 tags in a direction or more than the family has, impossible sizes.
+    /// Fewer than 2 or more than 50 tags in a direction or more than the family has, sizes out of range.
     pub fn april_grid([tags_x, tags_y]: [u32; 2], tag_m: f64, spacing: f64) -> Result<Self, BoardError> {
         if !(2..=50).contains(&tags_x) || !(2..=50).contains(&tags_y) {
             return Err(BoardError::Size { columns: tags_x, rows: tags_y, what: "tags", least: 2 });
@@ -202,7 +203,7 @@ impl Board {
         &self.pattern
     }
 
-    /// What the board is called in texts: a chessboard, a ChArUco board, an AprilGrid.
+    /// Name of the board type in texts: a chessboard, a ChArUco board, an AprilGrid.
     pub fn kind(&self) -> &'static str {
         match self.pattern {
             Pattern::Chessboard { .. } => "a chessboard",
@@ -219,7 +220,7 @@ impl Board {
         }
     }
 
-    /// How many corners there are.
+    /// Number of corners.
     pub fn corner_count(&self) -> usize {
         (self.columns * self.rows) as usize
     }
@@ -229,7 +230,7 @@ impl Board {
         Point3::new(self.along(column), self.along(row), 0.0)
     }
 
-    /// The distance of a column or row from the first one, metres.
+    /// Distance of a column or row from the first one, metres.
     fn along(&self, index: u32) -> f64 {
         match self.pattern {
             Pattern::Chessboard { square_m } | Pattern::Charuco { square_m, .. } => f64::from(index) * square_m,
@@ -239,40 +240,40 @@ impl Board {
         }
     }
 
-    /// The surfaces of second order of which a board that is not flat is made, at a corner: bowed along the rows, bowed along the
-    /// columns, twisted. The first two are 1 in the middle and 0 at the board's borders, the last one is 1 at corner (0, 0).
+    /// Second-order surfaces that describe a board that is not flat, evaluated at a corner: bow along the rows, bow along the
+    /// columns, twist. The first two are 1 in the middle and 0 at the borders of the board, the last one is 1 at corner (0, 0).
     pub(crate) fn surfaces(&self, column: u32, row: u32) -> [f64; 3] {
         let place = |at: u32, all: u32| 2.0 * self.along(at) / self.along(all - 1) - 1.0;
         let (u, v) = (place(column, self.columns), place(row, self.rows));
         [1.0 - u * u, 1.0 - v * v, u * v]
     }
 
-    /// Whether the board tells which way up it is: by its markers, or by the colours of its squares if one number of corners is
-    /// odd and the other one even.
+    /// Whether the orientation of the board is unique: by its markers, or by the colours of its squares if one number of corners
+    /// is odd and the other even.
     pub fn is_told_from_its_half_turn(&self) -> bool {
         !matches!(self.pattern, Pattern::Chessboard { .. }) || (self.columns + self.rows) % 2 == 1
     }
 }
 
-/// One corner of the board in an image.
+/// One detected corner of the board in an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BoardCorner {
-    /// Its column on the board.
+    /// Column on the board.
     pub column: u32,
-    /// Its row on the board.
+    /// Row on the board.
     pub row: u32,
-    /// Where it was seen; whole numbers are pixel centres.
+    /// Detected pixel position; whole numbers are pixel centres.
     pub pixel: nalgebra::Vector2<f64>,
 }
 
-/// The corners of a board in one image, by row, then column; no two are the same.
+/// The detected corners of a board in one image, by row, then column, without duplicates.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct Sighting {
     corners: Vec<BoardCorner>,
 }
 
 impl Sighting {
-    /// A sighting of the given corners, put in order; of two with the same place on the board the first one is kept.
+    /// Detected corners, sorted; of two corners with the same column and row the first one is kept.
     pub fn new(mut corners: Vec<BoardCorner>) -> Self {
         corners.sort_by_key(|corner| (corner.row, corner.column));
         corners.dedup_by_key(|corner| (corner.row, corner.column));
@@ -284,7 +285,7 @@ impl Sighting {
         &self.corners
     }
 
-    /// The same pixels on the board turned by half a turn about its normal.
+    /// The same pixels, assigned to the board turned by half a turn about its normal.
     pub(crate) fn half_turned(&self, board: &Board) -> Self {
         let turn = |corner: &BoardCorner| BoardCorner {
             column: board.columns() - 1 - corner.column,
@@ -294,7 +295,7 @@ impl Sighting {
         Self::new(self.corners.iter().map(turn).collect())
     }
 
-    /// The corner at a place of the board, if it was seen.
+    /// The corner with this column and row, if it was detected.
     pub fn at(&self, column: u32, row: u32) -> Option<&BoardCorner> {
         let key = (row, column);
         let index = self.corners.binary_search_by_key(&key, |corner| (corner.row, corner.column)).ok()?;

@@ -1,7 +1,7 @@
-//! What view of the board is missing next, and when there are enough.
+//! Suggests the next view of the board, and decides when there are enough.
 //!
-//! Judged by how the board stood in the views so far ([`Stand`]), so that it can be told before anything is calibrated. The wishes
-//! are those of the gates: cells of both images without corners, tilts in all four directions, near views, and enough of them.
+//! The decision uses the board poses in the views so far ([`Stand`]), so it needs no calibration. The requested views follow the
+//! gates: image cells without corners, tilts in all four directions, close-up views, and a minimum number of views.
 
 use std::fmt;
 
@@ -11,29 +11,29 @@ use crate::gates::{Gate, Limits};
 use crate::selection::seen;
 use crate::stand::{CELLS, Cells, Stand};
 
-/// So many views are enough if everything else is.
+/// This number of views is enough if everything else is covered.
 const VIEWS_ENOUGH: usize = 15;
-/// With so many the rest is not worth the time.
+/// With this number of views, more coverage is not worth the time.
 pub const VIEWS_MAX: usize = 25;
-/// A view counts as tilted in a direction from here on; what is asked for is more.
+/// Minimum tilt that counts as tilted in a direction; the requested tilt is larger.
 const TILTED_DEG: f64 = 18.0;
 const TILT_ASKED_DEG: f64 = 30.0;
-/// Views that are wanted in each direction of tilt.
+/// Views required in each direction of tilt.
 const TILTED_EACH: usize = 2;
-/// A board with this side (of a square of its area, as a share of the image's width) is near; where both cameras never see the
-/// whole board so large, this share of the largest is. What is asked for, and how many.
+/// Size from which the board counts as near: side of a square with the board's area, as a share of the image width. If both
+/// cameras never see the whole board that large, a share of the largest size counts. Then the requested size and number.
 const NEAR: f64 = 0.36;
 const NEAR_OF_LARGEST: f64 = 0.85;
 const NEAR_ASKED: f64 = 0.42;
 const NEAR_VIEWS: usize = 4;
-/// The size that is asked for otherwise, so that the board fits into the corners of the image.
+/// Requested size of other views, so that the board fits into the image corners.
 const MIDDLE_ASKED: f64 = 0.3;
-/// Parts of the image across and down.
+/// Parts of the image, horizontally and vertically.
 const PARTS: u32 = 3;
-/// Coverage beyond the gate's limit, as corners that are at a border of a cell may fall into the next one.
+/// Coverage added to the gate's limit, because corners at a cell border may fall into the next cell.
 const COVERAGE_MORE: f64 = 0.04;
 
-/// A direction into which the board is tilted: the side that is farther away.
+/// Direction of board tilt, named by the side that is farther away.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Farther {
     /// Its right side.
@@ -47,7 +47,7 @@ pub enum Farther {
 }
 
 impl Farther {
-    /// All of them, in the order in which they are asked for.
+    /// All directions, in the order in which they are requested.
     pub const ALL: [Self; 4] = [Self::Right, Self::Lower, Self::Left, Self::Upper];
 
     /// The direction in [`Stand::tilt_deg`].
@@ -60,7 +60,7 @@ impl Farther {
         }
     }
 
-    /// Its name, for people.
+    /// Display name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Right => "right",
@@ -71,14 +71,14 @@ impl Farther {
     }
 }
 
-/// A view that is wanted.
+/// A requested view of the board.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wish {
     /// Part of the image: column and row, each 0 to 2.
     pub part: [u32; 2],
-    /// Which side is to be farther away; `None` is a board that faces the cameras.
+    /// The side that should be farther away; `None` for a board facing the cameras.
     pub farther: Option<Farther>,
-    /// By how much, degrees.
+    /// Requested tilt, degrees.
     pub tilt_deg: f64,
     /// Side of a square with the board's area, as a share of the image's width.
     pub size: f64,
@@ -99,7 +99,7 @@ impl fmt::Display for Wish {
         };
         write!(f, "hold the board {place} of the images")?;
         if self.part != [1, 1] {
-            write!(f, ", as far out as both still show all of it")?;
+            write!(f, ", as far out as possible with the whole board in both images")?;
         }
         match self.farther {
             Some(side) => write!(f, ", its {} side {:.0} degrees farther away", side.name(), self.tilt_deg)?,
@@ -109,36 +109,36 @@ impl fmt::Display for Wish {
     }
 }
 
-/// What there is so far.
+/// The views so far, summarised.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Progress {
     /// Views.
     pub views: usize,
-    /// Cells of each image in which corners were seen.
+    /// Cells of each image in which corners were detected.
     pub cells: Vec<Cells>,
     /// Views in which each side was farther away, in the order of [`Farther::ALL`].
     pub tilted: [usize; 4],
-    /// Views in which the board was near.
+    /// Views with the board near the cameras.
     pub near: usize,
 }
 
 impl Progress {
-    /// Of the camera with the lowest, as the gate has it.
+    /// Coverage of the worst camera, as the gate computes it.
     pub fn coverage(&self) -> f64 {
         self.cells.iter().map(|cells| cells.share()).fold(1.0, f64::min)
     }
 }
 
-/// What is missing next.
+/// The progress and the next requested view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Advice {
-    /// What there is so far.
+    /// Progress so far.
     pub progress: Progress,
-    /// The next view; `None` if it is enough.
+    /// The next view; `None` if there are enough.
     pub wish: Option<Wish>,
 }
 
-/// Says what view is missing next. `limits` are those of the gates that will judge.
+/// Suggests the next view. `limits` are the limits of the gates that will judge the calibration.
 pub fn advice(stands: &[Stand], limits: &Limits) -> Advice {
     let cameras = stands.iter().map(|stand| stand.cells.len()).max().unwrap_or(1);
     let tilted = Farther::ALL
@@ -166,16 +166,17 @@ pub fn advice(stands: &[Stand], limits: &Limits) -> Advice {
     Advice { progress, wish: Some(wish) }
 }
 
-/// The part of the image with the most to gain, the rarest tilt, and every third view near, in the middle.
+/// The image part with the most uncovered cells, with the rarest tilt; every third view is near the cameras, in the middle.
 fn next(stands: &[Stand], progress: &Progress, is_covered: bool) -> Wish {
     let rarest = Farther::ALL.into_iter().zip(progress.tilted).min_by_key(|(_, count)| *count).map(|(side, _)| side);
-    // More near ones are asked for between the others, as the same side of the board is not turned away in all of them.
+    // Additional near views are interleaved with the others, so that different sides of the board are tilted away.
     let is_near = progress.near < NEAR_VIEWS && (is_covered || 4 * progress.near < stands.len());
     if is_near {
         return Wish { part: [1, 1], farther: rarest, tilt_deg: TILT_ASKED_DEG, size: NEAR_ASKED };
     }
     let parts = (0..PARTS).flat_map(|row| (0..PARTS).map(move |column| [column, row]));
-    // The middle fills itself. A part that was asked for and stays empty is where not both cameras can see the board.
+    // The middle is covered by the other views. A part that was requested and stays empty is one where not both cameras see the
+    // board.
     let outer = parts.filter(|part| *part != [1, 1]);
     let gain = |part: &[u32; 2]| {
         let visits = stands.iter().filter(|stand| part_of(&stand.centre) == *part).count();
@@ -185,7 +186,7 @@ fn next(stands: &[Stand], progress: &Progress, is_covered: bool) -> Wish {
     Wish { part, farther: rarest, tilt_deg: TILT_ASKED_DEG, size: MIDDLE_ASKED }
 }
 
-/// The part of the image for the middle of a board there: outer parts begin where a board of a third of the width ends.
+/// The image part for a board centre; the outer parts begin where a board of a third of the image width ends.
 fn part_of(centre: &Vector2<f64>) -> [u32; 2] {
     [centre.x, centre.y].map(|share| {
         if share < 0.42 {
@@ -198,7 +199,7 @@ fn part_of(centre: &Vector2<f64>) -> [u32; 2] {
     })
 }
 
-/// Cells of a part without corners, in all images together.
+/// Cells of a part without corners, summed over all images.
 fn empty_cells(progress: &Progress, part: [u32; 2]) -> u32 {
     let cells = (0..CELLS[1]).flat_map(|row| (0..CELLS[0]).map(move |column| [column, row]));
     let in_part = |[column, row]: &[u32; 2]| [PARTS * column / CELLS[0], PARTS * row / CELLS[1]] == part;

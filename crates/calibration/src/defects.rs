@@ -1,10 +1,9 @@
-//! What the errors of a fit say about how the images were taken: a board that is not flat, a camera that was refocused, a board
-//! that moved between the exposures of the two eyes.
+//! Detects defects of the image set from the residuals of a fit: a board that is not flat, a camera that was refocused, a board
+//! that moved between the exposures of the two cameras.
 //!
-//! The shape of the board is a part of the fit. The others add parameters to the model that the fit has none for: they are
-//! estimated together, with everything that the fit estimates left free, by one Gauss-Newton step from the end of the fit, where
-//! it is exact but for what is of second order in the defects. So a defect is told by its own name and size, however much of it
-//! the other parameters have taken up.
+//! The board shape is part of the fit. The other defects add parameters that the fit does not have. They are estimated together
+//! with all parameters of the fit, by one Gauss-Newton step from the solution of the fit; the step is exact up to second order in
+//! the defects. Each defect is therefore reported with its own name and size, even if other parameters have absorbed part of it.
 
 use nalgebra::{DMatrix, DVector, Vector2};
 
@@ -12,51 +11,51 @@ use crate::adjust::{Predicted, SHAPE, State, reduced_with};
 use crate::board::Chessboard;
 use crate::fit::{Fit, View, observations};
 
-/// How large the defects are thought to be before anything is seen: the standard deviation of each parameter. Wide, so that they
-/// matter only for what the views do not determine.
+/// Prior standard deviation of each defect parameter. The priors are wide, so that they only matter for parameters that the views
+/// do not determine.
 const FOCUS_SHARE: f64 = 0.1;
 const SHIFT_PX: f64 = 3.0;
-/// The noise of corners, px, against which these are weighed.
+/// Assumed corner noise, px, for weighting the priors.
 const NOISE_PX: f64 = 0.1;
-/// A change is looked for between views of which at least so many are on each side.
+/// Minimum number of views on each side of a searched focal length change.
 const SIDE_VIEWS_MIN: usize = 3;
-/// So many standard deviations are taken off what is found, so that noise is not taken for a defect.
+/// Number of standard deviations subtracted from each result, so that noise is not reported as a defect.
 const SIGMAS: f64 = 3.0;
 
-/// What was found; of each the part that noise does not explain.
+/// The detected defects; noise is subtracted from each value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Defects {
-    /// Distance of the two planes between which the board's corners lie, metres; `None` where the views did not determine its
+    /// Distance between the two planes that enclose the board corners, metres; `None` if the views do not determine the board
     /// shape.
     pub flatness_m: Option<f64>,
     /// A camera whose focal length changed.
     pub refocused: Refocused,
-    /// How the board moved between the exposures of the two eyes; of a stereo head only.
+    /// Motion of the board between the exposures of the two cameras; only for a stereo rig.
     pub moved: Option<Moved>,
 }
 
-/// The largest change of a focal length that can be told.
+/// The largest detected change of a focal length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Refocused {
     /// Index of the camera.
     pub camera: usize,
     /// Index of the first view after the change.
     pub from_view: usize,
-    /// By which share of it the focal length changed; 0 if noise explains it.
+    /// Relative change of the focal length; 0 if noise explains it.
     pub share: f64,
 }
 
-/// How the board in the right image lies beside the place where the left image and the head have it.
+/// Displacement of the board in the right image from the position predicted by the left image and the stereo rig.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moved {
-    /// Root mean square over views, along rows and columns together, less what noise explains, px.
+    /// Root mean square over the views, rows and columns together, noise subtracted, px.
     pub rms_px: f64,
-    /// Index of the view with the largest.
+    /// Index of the view with the largest displacement.
     pub worst_view: usize,
 }
 
 impl Defects {
-    /// What the errors of a fit to these views say; `None` where the equations cannot be solved.
+    /// Estimates the defects from the residuals of a fit to these views; `None` if the equations cannot be solved.
     pub fn of<const N: usize>(fit: &Fit<N>, views: &[View<N>]) -> Option<Self> {
         let changes = SIDE_VIEWS_MIN..=views.len().saturating_sub(SIDE_VIEWS_MIN);
         let equations = Equations::of(fit, views)?;
@@ -76,26 +75,25 @@ impl Defects {
     }
 }
 
-/// The defects' parameters: the change of each camera, the shift of each view.
+/// The defect parameters: the change of each camera, the shift of each view.
 struct Estimate {
     values: DVector<f64>,
-    /// Of the values, what they were thought to be before included.
+    /// Posterior covariance of the values, priors included.
     posterior: DMatrix<f64>,
-    /// How they scatter where there are no defects: what the views do not determine stays near zero.
+    /// Covariance of the estimates if there are no defects; parameters that the views do not determine stay near zero.
     scatter: DMatrix<f64>,
     cameras: usize,
     from_view: usize,
 }
 
-/// The normal equations of everything that the fit estimates, then the focal length of each camera in each view, then the shifts of
-/// each view.
+/// The normal equations of all fit parameters, then the focal length of each camera in each view, then the shifts of each view.
 struct Equations {
     information: DMatrix<f64>,
     gradient: DVector<f64>,
     cost: f64,
-    /// How many numbers were seen.
+    /// Number of observations.
     numbers: usize,
-    /// How many of the parameters are the fit's.
+    /// Number of fit parameters.
     first: usize,
     cameras: usize,
     views: usize,
@@ -118,7 +116,7 @@ impl Equations {
         })
     }
 
-    /// With one change of each camera's focal length, which stays from a view on.
+    /// Solves with one change of each camera's focal length, from the given view on.
     fn solved(&self, from_view: usize) -> Option<Estimate> {
         let behind = self.first + self.cameras * self.views;
         let count = self.information.nrows() - behind + self.cameras;
@@ -158,12 +156,13 @@ impl Equations {
     }
 }
 
-/// The derivatives of a corner's pixel by the focal length of its camera in its view, as a share, and by the shift of its view, px.
+/// Derivatives of a corner's pixel with respect to the relative focal length of its camera in its view, and to the shift of its
+/// view, px.
 fn columns(state: &State, board: &Chessboard, views: usize, at: &Predicted) -> Vec<(usize, Vector2<f64>)> {
     let p = state.cameras[at.camera].pinhole();
     let mut columns = vec![(at.camera * views + at.view, at.pixel - Vector2::new(p.cx, p.cy))];
     if at.camera > 0 {
-        // The board moves by what is one pixel at its distance.
+        // A shift of the board that corresponds to one pixel at its distance.
         let cam_from_board = state.from_first[at.camera] * state.boards[at.view];
         let middle = cam_from_board * board.corner_in_board(board.columns() / 2, board.rows() / 2);
         let shift = state.cameras.len() * views + 2 * at.view;
@@ -174,17 +173,17 @@ fn columns(state: &State, board: &Chessboard, views: usize, at: &Predicted) -> V
 }
 
 impl Estimate {
-    /// The change of a camera's focal length that noise does not explain.
+    /// The change of a camera's focal length, noise subtracted.
     fn refocused(&self, camera: usize) -> Refocused {
         let beyond = self.values[camera].abs() - SIGMAS * self.scatter[(camera, camera)].sqrt();
         Refocused { camera, from_view: self.from_view, share: beyond.max(0.0) }
     }
 
-    /// The shifts of the views less what noise explains.
+    /// The shifts of the views, noise subtracted.
     ///
-    /// If shifts have the standard deviation tau, their squares in units of their information add up to the number of shifts that
-    /// the views determine, plus tau^2 times the trace of the information: the estimate of DerSimonian and Laird (Controlled
-    /// Clinical Trials 7 (1986), section 3), less the scatter of that sum.
+    /// If shifts have the standard deviation tau, the sum of their squares, weighted by their information, is the number of
+    /// shifts that the views determine plus tau^2 times the trace of the information. This is the estimate of DerSimonian and
+    /// Laird (Controlled Clinical Trials 7 (1986), section 3), minus the scatter of that sum.
     fn moved(&self, views: usize) -> Option<Moved> {
         let (first, count) = (self.cameras, 2 * views);
         let shifts = self.values.rows(first, count).into_owned();
@@ -201,7 +200,7 @@ impl Estimate {
     }
 }
 
-/// From the lowest to the highest corner of the board, less what noise explains.
+/// Height between the lowest and the highest corner of the board, noise subtracted.
 fn flatness_m<const N: usize>(fit: &Fit<N>) -> Option<f64> {
     let shape = DVector::from_row_slice(&fit.board_shape_m()?);
     let board = &fit.board;

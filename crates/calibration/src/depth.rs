@@ -1,4 +1,4 @@
-//! What errors of a calibration do to a depth.
+//! Effect of calibration errors on depth.
 
 use nalgebra::{DMatrix, DVector, Point3, Vector2, Vector3};
 use pb3dp_geometry::StereoRig;
@@ -6,7 +6,7 @@ use pb3dp_geometry::StereoRig;
 use crate::adjust::State;
 use crate::fitted_rig::{FitError, rig_of};
 
-/// Steps of the differences, in standard deviations of a parameter.
+/// Step of the numerical derivatives, in standard deviations of a parameter.
 const STEP_SIGMAS: f64 = 0.1;
 
 /// Standard deviation of the triangulated depth of a point on the axis of the left camera, metres.
@@ -31,14 +31,14 @@ pub(crate) fn sigma_m(state: &State, covariance: &DMatrix<f64>, depth_m: f64) ->
     Ok(gradient.dot(&(covariance * &gradient)).max(0.0).sqrt())
 }
 
-/// The point in `cam_left` that a pair of pixels shows, metres.
+/// The point in `cam_left` triangulated from a pair of pixels, metres.
 pub(crate) fn triangulated(rig: &StereoRig, left: &Vector2<f64>, right: &Vector2<f64>) -> Option<Vector3<f64>> {
     let (a, b) = (rig.left().unproject(left).ok()?, rig.right().unproject(right).ok()?);
     let cam_left_from_cam_right = rig.cam_right_from_cam_left().inverse();
     Some(meeting(&a, &cam_left_from_cam_right.transform_vector(&b), &cam_left_from_cam_right.translation_m()))
 }
 
-/// The point in the middle between two rays: one from the origin, one from `second_origin`.
+/// The midpoint between two rays: one from the origin, one from `second_origin`.
 pub(crate) fn meeting(first: &Vector3<f64>, second: &Vector3<f64>, second_origin: &Vector3<f64>) -> Vector3<f64> {
     let (aa, ab, bb) = (first.dot(first), first.dot(second), second.dot(second));
     let (ao, bo) = (first.dot(second_origin), second.dot(second_origin));

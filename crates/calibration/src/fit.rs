@@ -1,4 +1,4 @@
-//! From sightings of a board to cameras: the fit of one lens model, with what is known about its errors.
+//! Fits cameras with one lens model to detected boards, and estimates the covariance.
 
 use nalgebra::{DMatrix, Isometry3, Vector2};
 use pb3dp_geometry::frames::{Board, CamLeft};
@@ -10,16 +10,16 @@ use crate::fitted_rig::{FitError, VIEWS_MIN, rig_of};
 use crate::lens::LensModel;
 use crate::start::{board_pose, first_camera};
 
-/// One view of the board by all `N` cameras at the same time.
+/// One view of the board, taken by all `N` cameras at the same time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View<const N: usize> {
-    /// What it is called, for instance the name of its file.
+    /// Name of the view, for example its file name.
     pub name: String,
-    /// What each camera saw; the left one first.
+    /// The detected corners of each camera; the left camera first.
     pub sightings: [Sighting; N],
 }
 
-/// Names of the cameras, as parameters and files have them.
+/// Names of the cameras in parameters and files.
 pub fn sides<const N: usize>() -> [&'static str; N] {
     std::array::from_fn(|index| match (N, index) {
         (1, _) => "camera",
@@ -28,32 +28,32 @@ pub fn sides<const N: usize>() -> [&'static str; N] {
     })
 }
 
-/// The error of one corner.
+/// The reprojection error of one corner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CornerError {
-    /// The corner as it was seen.
+    /// The detected corner.
     pub corner: BoardCorner,
-    /// Predicted minus seen, px.
+    /// Predicted minus detected, px.
     pub error_px: Vector2<f64>,
 }
 
-/// The covariance of the parameters that all views share.
+/// The covariance of the parameters shared by all views.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Covariance {
-    /// Names: `left.fx`, `right.k1`, `cam_right_from_cam_left.x_m`; pixels, metres and radians. The pose moves by
-    /// `exp([x y z rx ry rz])` in `cam_right`.
+    /// Names: `left.fx`, `right.k1`, `cam_right_from_cam_left.x_m`; pixels, metres and radians. The pose is perturbed by `exp([x
+    /// y z rx ry rz])` in `cam_right`.
     pub names: Vec<String>,
     /// The matrix, in the order of the names.
     pub matrix: DMatrix<f64>,
-    /// Standard deviation of a corner in a row or column, px, as the errors have it.
+    /// Standard deviation of a corner in a row or column, px, estimated from the residuals.
     pub corner_sigma_px: f64,
-    /// By how much the variance was raised because views differ from each other by more than their corners explain; 1 if
-    /// not. The matrix has it already.
+    /// Factor applied to the variance because views differ from each other by more than corner noise; 1 if they do not. The
+    /// matrix includes this factor.
     pub view_scatter: f64,
 }
 
 impl Covariance {
-    /// Of the cameras and their pose alone, without the shape of the board.
+    /// The covariance of the cameras and their pose, without the board shape.
     #[must_use]
     pub fn of_cameras(&self) -> Self {
         let kept: Vec<usize> =
@@ -85,22 +85,22 @@ impl<const N: usize> Fit<N> {
     /// Fits cameras with images of the given size to all views together.
     ///
     /// # Errors
-    /// Too few views, views that leave something open, or that no camera explains.
+    /// Too few views, a parameter that the views do not determine, or views that fit no camera model.
     pub fn new(views: &[View<N>], board: &Chessboard, size: ImageSize, lens: LensModel) -> Result<Self, FitError> {
         let start = start(views, board, size)?;
         Self::from_start(views, board, lens, &start)
     }
 
-    /// As [`Self::new`], from where another fit of the same or more views has ended.
+    /// As [`Self::new`], starting from another fit to the same or more views.
     pub(crate) fn near(&self, views: &[View<N>], board: &Chessboard, lens: LensModel) -> Result<Self, FitError> {
         let boards = poses(&self.state, views, board).ok_or(FitError::NoStart { side: sides::<N>()[0] })?;
         Self::from_start(views, board, lens, &State { boards, ..self.state.clone() })
     }
 
-    /// Fits again from where this fit has ended, with the shape of the board among what is estimated: a surface of second order.
+    /// Refines this fit with the board shape as additional parameters: a surface of second order.
     ///
     /// # Errors
-    /// Views that leave the shape open: not tilted enough.
+    /// The views do not determine the shape: the board is not tilted enough.
     pub fn with_shape(&self, views: &[View<N>]) -> Result<Self, FitError> {
         let start = State { shape: Some([0.0; SHAPE]), ..self.state.clone() };
         Self::from_start(views, &self.board, self.state.lens, &start)
@@ -111,8 +111,8 @@ impl<const N: usize> Fit<N> {
         &self.board
     }
 
-    /// By how much the board stands out of its plane, metres: bowed along its rows and its columns, in the middle, and twisted, at
-    /// corner (0, 0); `None` where it was taken as flat.
+    /// Out-of-plane deviation of the board, metres: bow along its rows and its columns, in the middle, and twist, at corner (0,
+    /// 0); `None` if the board is assumed flat.
     pub fn board_shape_m(&self) -> Option<[f64; 3]> {
         self.state.shape
     }
@@ -135,13 +135,13 @@ impl<const N: usize> Fit<N> {
         self.state.lens
     }
 
-    /// The board as the first camera sees it, view by view.
+    /// The board pose in the first camera, view by view.
     pub fn cam_left_from_board(&self) -> impl Iterator<Item = Pose<CamLeft, Board>> + '_ {
         self.state.boards.iter().map(|pose| Pose::from_isometry(*pose))
     }
 
-    /// The shared parameters by name, in the order of the covariance: pixels, metres and radians; of a pose its translation and its
-    /// rotation vector.
+    /// The shared parameters by name, in the order of the covariance: pixels, metres and radians; a pose is given by its
+    /// translation and rotation vector.
     pub fn parameters(&self) -> Vec<(String, f64)> {
         let of_camera = |camera: &Camera| {
             let p = camera.pinhole();
@@ -163,15 +163,15 @@ impl<const N: usize> Fit<N> {
         &self.errors
     }
 
-    /// What is known about the errors of the shared parameters.
+    /// The covariance of the shared parameters.
     pub fn covariance(&self) -> &Covariance {
         &self.covariance
     }
 
-    /// Errors of the corners of views that the fit has not seen: only the board's pose is fitted to each of them.
+    /// Corner errors of held-out views; only the board pose is fitted to each of these views.
     ///
     /// # Errors
-    /// A view whose board cannot be placed.
+    /// The board pose of a view cannot be computed.
     pub(crate) fn errors_of_other_views(
         &self,
         views: &[View<N>],
@@ -186,16 +186,16 @@ impl<const N: usize> Fit<N> {
 }
 
 impl Fit<2> {
-    /// The stereo head.
+    /// The stereo rig.
     ///
     /// # Errors
-    /// A right camera that does not stand to the right of the left one.
+    /// The right camera is not to the right of the left camera.
     pub fn rig(&self) -> Result<StereoRig, FitError> {
         rig_of(&self.state)
     }
 
-    /// Standard deviation of the depth of a point straight ahead of the left camera that the errors of the calibration leave,
-    /// metres; corners of its image taken as exact.
+    /// Standard deviation of the depth of a point straight ahead of the left camera that is caused by calibration errors, metres;
+    /// image corners are assumed exact.
     ///
     /// # Errors
     /// As [`Self::rig`].
@@ -208,7 +208,7 @@ pub(crate) fn observations<'a, const N: usize>(views: &'a [View<N>], board: &'a 
     Observations { board, views: views.iter().map(|view| view.sightings.iter().collect()).collect() }
 }
 
-/// Each camera by itself, then their poses to each other from the view that agrees best with the others.
+/// Initial values: each camera separately, then the poses between the cameras from the view that agrees best with the others.
 fn start<const N: usize>(views: &[View<N>], board: &Chessboard, size: ImageSize) -> Result<State, FitError> {
     if views.len() < VIEWS_MIN {
         return Err(FitError::Views { seen: views.len() });
@@ -223,7 +223,7 @@ fn start<const N: usize>(views: &[View<N>], board: &Chessboard, size: ImageSize)
     Ok(State { lens: alone[0].lens, cameras, from_first, boards: alone.swap_remove(0).boards, shape: None })
 }
 
-/// One camera with a simple lens.
+/// Initial values of one camera with a simple lens.
 fn start_of_one(sightings: &[&Sighting], board: &Chessboard, size: ImageSize) -> Option<Result<State, FitError>> {
     let camera = first_camera(sightings, board, size)?;
     let boards: Option<Vec<_>> = sightings.iter().map(|sighting| board_pose(&camera, sighting, board)).collect();
@@ -240,7 +240,7 @@ fn start_of_one(sightings: &[&Sighting], board: &Chessboard, size: ImageSize) ->
     Some(settle(LensModel::Radial1, &state).and_then(|state| settle(LensModel::Radial2, &state)))
 }
 
-/// Of the poses that the views give, the one nearest to all others.
+/// The pose with the smallest distance to all others, of the poses from the views.
 fn middle_pose(first: &[Isometry3<f64>], other: &[Isometry3<f64>]) -> Isometry3<f64> {
     let poses: Vec<Isometry3<f64>> = first.iter().zip(other).map(|(first, other)| other * first.inverse()).collect();
     let length = poses.iter().map(|pose| pose.translation.vector.norm()).sum::<f64>() / poses.len().max(1) as f64;
@@ -252,12 +252,12 @@ fn middle_pose(first: &[Isometry3<f64>], other: &[Isometry3<f64>]) -> Isometry3<
     poses.iter().min_by(|a, b| sum(a).total_cmp(&sum(b))).copied().unwrap_or_default()
 }
 
-/// The board's poses in other views, from the first camera.
+/// The board poses in other views, from the first camera.
 fn poses<const N: usize>(state: &State, views: &[View<N>], board: &Chessboard) -> Option<Vec<Isometry3<f64>>> {
     views.iter().map(|view| board_pose(&state.cameras[0], &view.sightings[0], board)).collect()
 }
 
-/// The same state with another lens model, whose further coefficients begin at zero.
+/// The same state with another lens model; additional coefficients start at zero.
 fn with_lens(state: &State, lens: LensModel) -> Result<State, FitError> {
     let camera =
         |camera: &Camera| Camera::new(camera.size(), *camera.pinhole(), lens.lens(camera.distortion().coefficients()));
@@ -282,12 +282,12 @@ fn corner_errors<const N: usize>(
     Ok(all)
 }
 
-/// The covariance of the shared parameters at the end of an adjustment.
+/// The covariance of the shared parameters at the solution.
 ///
-/// The noise comes from the errors themselves, all corners alike. Errors that the corners of a view share (a bent board, a
-/// lens that the model does not fit) make views disagree by more than that. The sum of the views' gradients is zero, and
-/// with independent errors their squares add up to the noise times the trace of what follows from the information; where
-/// they exceed it by more than two standard deviations of chance, the covariance is raised by that ratio.
+/// The noise is estimated from the residuals, equally for all corners. Errors shared by the corners of a view (a bent board, an
+/// unsuitable lens model) make views differ by more than this noise. The sum of the view gradients is zero. With independent
+/// errors the sum of their squares equals the noise times the trace that follows from the information. If the sum exceeds this
+/// value by more than two standard deviations of chance, the covariance is multiplied by the ratio.
 fn covariance(state: &State, observations: &Observations<'_>) -> Result<Covariance, FitError> {
     let all_sides: &[&str] = if state.cameras.len() == 1 { &sides::<1>() } else { &sides::<2>() };
     let reduced = reduced_at(state, observations, all_sides)?;

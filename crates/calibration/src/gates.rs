@@ -1,16 +1,16 @@
-//! Gates: what a calibration must reach to be used, and what to do where it does not.
+//! Quality gates: the limits that a calibration must meet, and the advice if it does not.
 
 use std::fmt;
 
 use crate::defects::Defects;
 use crate::quality::Quality;
 
-/// Something that is judged.
+/// A judged quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Gate {
     /// Number of views.
     Views,
-    /// Share of the image in which the board was seen.
+    /// Share of the image covered by detected corners.
     Coverage,
     /// How much the board was tilted.
     Tilt,
@@ -18,22 +18,22 @@ pub enum Gate {
     Flatness,
     /// Whether a focal length changed.
     Focus,
-    /// Whether the board moved between the exposures of the two eyes.
+    /// Whether the board moved between the exposures of the two cameras.
     Motion,
     /// Reprojection error.
     Reprojection,
-    /// Error of views that the fit has not seen, over that of the others.
+    /// Error of held-out views, divided by the error of the fitted views.
     HeldOut,
-    /// Rows of the rectified images.
+    /// Vertical misalignment (epipolar error) of the rectified images.
     Rows,
-    /// The baseline beside one that was measured otherwise.
+    /// The baseline compared with an independently measured one.
     Scale,
-    /// Error of depth that the calibration leaves.
+    /// Depth error caused by the calibration.
     Depth,
 }
 
 impl Gate {
-    /// All of them, in the order in which they are told.
+    /// All gates, in display order.
     pub const ALL: [Self; 11] = [
         Self::Views,
         Self::Coverage,
@@ -70,7 +70,7 @@ impl Gate {
         matches!(self, Self::Views | Self::Coverage | Self::Tilt)
     }
 
-    /// What is measured; `None` if this calibration has no such number.
+    /// The measured value; `None` if this calibration does not have it.
     fn measured(self, quality: &Quality) -> Option<f64> {
         match self {
             Self::Views => Some(quality.views as f64),
@@ -89,54 +89,56 @@ impl Gate {
         }
     }
 
-    /// What to do where it is not good.
+    /// Advice if the grade is not good.
     pub fn advice(self) -> &'static str {
         match self {
             Self::Views => "take more images of the board, 15 to 20",
             Self::Coverage => "show the board in the corners and at the borders of the image, of both cameras",
             Self::Tilt => "tilt the board by 20 to 40 degrees, about both its axes, in several views",
             Self::Flatness => {
-                "the board is bent: fix it to glass or an aluminium plate, or take another one, and take all images again"
+                "the board is bent: fix it to a glass or aluminium plate, or use another board, and take all images again"
             }
             Self::Focus => {
-                "a focal length changed between the views: lock the focus, switch autofocus off, do not touch the lenses, and take all images again"
+                "a focal length changed between the views: disable autofocus, lock the focus, do not touch the lenses, and take all images again"
             }
             Self::Motion => {
-                "the two eyes do not see the board at the same place: hold the board still (put it down or on a tripod), expose both cameras at the same time, fix them to each other, and take the images again"
+                "the two cameras disagree about the board position: hold the board still (put it down or on a tripod), synchronise the exposures, fix the cameras to each other, and take the images again"
             }
             Self::Reprojection => {
-                "look at the views with the largest errors: blur, a bent board, a camera that was touched or refocused; leave them out or take them again"
+                "check the views with the largest errors for blur, a bent board, or a camera that was touched or refocused; leave these views out or take them again"
             }
             Self::HeldOut => {
-                "the fit explains its own views better than others: take more views, or choose a lens model with fewer coefficients"
+                "the fit does not generalise to held-out views: take more views, or choose a lens model with fewer coefficients"
             }
             Self::Rows => {
-                "the two cameras do not agree: fix them to each other, leave their focus alone, expose them at the same time, hold the board still, and take the images again"
+                "the rectified images are vertically misaligned: fix the cameras to each other, do not change the focus, synchronise the exposures, hold the board still, and take the images again"
             }
             Self::Scale => {
-                "the baseline is not the one that was measured: measure ten squares of the board and divide, correct --square, or measure the baseline again"
+                "the baseline differs from the measured one: measure ten squares of the board, divide and correct --square, or measure the baseline again"
             }
-            Self::Depth => "show the board nearer, larger in the image and at the working distance, in more views",
+            Self::Depth => {
+                "add views with the board at the working distance and with the board nearer, so that it is larger in the image"
+            }
         }
     }
 }
 
-/// A number of the defects; not a number, which is refused, where they could not be estimated.
+/// A value of the defects; NaN, which is refused, if the defects could not be estimated.
 fn defects(quality: &Quality, number: impl Fn(&Defects) -> f64) -> f64 {
     quality.defects.as_ref().map_or(f64::NAN, number)
 }
 
-/// Up to where a gate is good, and from where it refuses.
+/// The limits of a gate: good, and refused.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limit {
-    /// As good as this is good.
+    /// Good up to this value, inclusive.
     pub good: f64,
-    /// Worse than this is refused.
+    /// Refused if worse than this value.
     pub refused: f64,
 }
 
 impl Limit {
-    /// The limit, if its numbers make sense for a gate of which larger (`is_floor`) or smaller is better.
+    /// The limit, if its numbers are consistent for a gate where larger (`is_floor`) or smaller is better.
     pub(crate) fn checked(self, key: &'static str, is_floor: bool) -> Result<Self, LimitError> {
         let Self { good, refused } = self;
         let ordered = if is_floor { good >= refused } else { good <= refused };
@@ -154,10 +156,10 @@ pub struct Limits {
     limits: [Limit; Gate::ALL.len()],
 }
 
-/// A limit that makes no sense.
+/// An invalid limit.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
-    "gates.{key}: good = {good}, refused = {refused}: both must be finite and not negative, and good must be the {better} one"
+    "gates.{key}: good = {good}, refused = {refused}; both must be finite and not negative, and good must be the {better} one"
 )]
 pub struct LimitError {
     key: &'static str,
@@ -191,10 +193,10 @@ impl Limits {
         self.limits[gate as usize]
     }
 
-    /// The same with another limit of one gate.
+    /// The same limits with the limit of one gate replaced.
     ///
     /// # Errors
-    /// Numbers that are not finite, negative, or the wrong way round.
+    /// Numbers that are not finite, negative, or in the wrong order.
     pub fn with(mut self, gate: Gate, limit: Limit) -> Result<Self, LimitError> {
         self.limits[gate as usize] = limit.checked(gate.key(), gate.is_floor())?;
         Ok(self)
@@ -207,10 +209,10 @@ impl Limits {
     }
 }
 
-/// How a gate was passed.
+/// The grade of a judged value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Grade {
-    /// As it should be.
+    /// Meets the recommended limit.
     Good,
     /// Usable.
     Fair,
@@ -219,7 +221,7 @@ pub enum Grade {
 }
 
 impl Grade {
-    /// Its name in files and on the screen.
+    /// Name in files and printed texts.
     pub fn name(self) -> &'static str {
         match self {
             Self::Good => "good",
@@ -229,26 +231,26 @@ impl Grade {
     }
 }
 
-/// What one gate says.
+/// The result of one gate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Verdict {
     /// The gate.
     pub gate: Gate,
-    /// What was measured, in the unit of the gate's key.
+    /// The measured value, in the unit of the gate's key.
     pub measured: f64,
-    /// What it was held against.
+    /// The limit it was compared with.
     pub limit: Limit,
 }
 
 impl Verdict {
-    /// How it was passed; a number that is not finite is refused.
+    /// The grade; a value that is not finite is refused.
     pub fn grade(&self) -> Grade {
         self.limit.grade(self.measured, self.gate.is_floor())
     }
 }
 
 impl Limit {
-    /// How a number passes; one that is not finite is refused.
+    /// Grades a value; a value that is not finite is refused.
     pub(crate) fn grade(self, measured: f64, is_floor: bool) -> Grade {
         let as_good_as = |limit: f64| if is_floor { measured >= limit } else { measured <= limit };
         match (as_good_as(self.good), as_good_as(self.refused)) {
@@ -258,7 +260,7 @@ impl Limit {
         }
     }
 
-    /// The line of a gate: what was measured, the limits, and what to do if it is not good.
+    /// The printed line of a gate: measured value, limits, and advice if it is not good.
     pub(crate) fn line(self, key: &str, measured: f64, is_floor: bool, advice: &str) -> String {
         let word = if is_floor { "from" } else { "up to" };
         let Self { good, refused } = self;

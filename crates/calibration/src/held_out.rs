@@ -1,4 +1,4 @@
-//! What a calibration is worth on views that it has not seen, and the lens model chosen by that.
+//! Cross-validation of a calibration, and selection of the lens model by its held-out error.
 
 use nalgebra::Vector2;
 use pb3dp_geometry::ImageSize;
@@ -9,11 +9,11 @@ use crate::fitted_rig::FitError;
 use crate::fitted_rig::VIEWS_MIN;
 use crate::lens::LensModel;
 
-/// Into how many parts the views are divided: each part is predicted from the others.
+/// Number of parts for cross-validation: each part of the views is predicted from the others.
 const PARTS: usize = 5;
-/// A model with more coefficients must lower the held-out error by this share to be worth them: several times what a coefficient too many
-/// costs (half its share of all observations, some 0.02 % each). What a lens has and its model lacks goes into other numbers, a turned
-/// camera first, long before it is 1 %.
+/// Relative decrease of the held-out error that justifies a model with more coefficients: several times the cost of an
+/// unnecessary coefficient (half its share of all observations, about 0.02 % each). Distortion that the model lacks is absorbed
+/// by other parameters, first by a rotation of the camera, long before the error reaches 1 %.
 const WORTH: f64 = 0.002;
 
 /// The held-out error of one lens model.
@@ -21,27 +21,27 @@ const WORTH: f64 = 0.002;
 pub struct HeldOut {
     /// The model.
     pub lens: LensModel,
-    /// Root mean square of the distance between predicted and seen corners in views that the fit has not seen, px; or why
-    /// there is none.
+    /// Root mean square of the distance between predicted and detected corners in held-out views, px; or why it could not be
+    /// computed.
     pub rms_px: Result<f64, FitError>,
 }
 
-/// The chosen fit and what it was chosen from.
+/// The selected fit and the candidates.
 #[derive(Clone, Debug)]
 pub struct Chosen<const N: usize> {
     /// The fit to all views.
     pub fit: Fit<N>,
     /// Its held-out error, px.
     pub held_out_rms_px: f64,
-    /// All models that were tried.
+    /// All tested models.
     pub tried: Vec<HeldOut>,
 }
 
-/// Fits the given lens models, and the shape of the board with them, and keeps the one with the fewest
-/// coefficients whose held-out error is within 0.2 % of the lowest.
+/// Fits the given lens models, including the board shape, and selects the one with the fewest coefficients whose held-out error
+/// is within 0.2 % of the lowest.
 ///
 /// # Errors
-/// Too few views, or that of the last model if none could be fitted.
+/// Too few views, or the error of the last model if none could be fitted.
 pub fn choose<const N: usize>(
     views: &[View<N>],
     board: &Chessboard,
@@ -54,10 +54,10 @@ pub fn choose<const N: usize>(
     let mut fits: Vec<(Fit<N>, f64)> = Vec::new();
     let mut tried = Vec::new();
     for lens in models {
-        // Each model begins where the simpler one before it has ended.
+        // Each model starts from the solution of the simpler one before it.
         let fit = match fits.last() {
             Some((simpler, _)) => simpler.near(views, board, *lens),
-            // A shape that the views do not determine is no reason to refuse them: the board is taken as flat then.
+            // If the views do not determine the board shape, they are not refused; the board is assumed flat.
             None => Fit::new(views, board, size, *lens).map(|flat| flat.with_shape(views).unwrap_or(flat)),
         };
         let rms_px = fit.and_then(|fit| Ok((held_out_rms_px(&fit, views, board)?, fit))).map(|(rms_px, fit)| {
@@ -76,7 +76,7 @@ pub fn choose<const N: usize>(
     }
 }
 
-/// Root mean square of the held-out errors of a fit's model, px; view `i` is in part `i` modulo the number of parts.
+/// Root mean square of the held-out errors for a fit's model, px; view `i` belongs to part `i` modulo the number of parts.
 fn held_out_rms_px<const N: usize>(fit: &Fit<N>, views: &[View<N>], board: &Chessboard) -> Result<f64, FitError> {
     let parts = PARTS.min(views.len());
     let (mut sum, mut count) = (0.0, 0_usize);

@@ -1,4 +1,4 @@
-//! What is printed black on a board.
+//! The black areas of a printed board.
 
 use crate::board::{APRIL_TAGS, Board, Pattern};
 use calib_targets_aruco::resolve_dictionary;
@@ -9,20 +9,20 @@ use std::fmt::Write;
 /// A black rectangle in the frame `board`, metres: x along the rows, y down the columns.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rectangle {
-    /// The side on the left.
+    /// Left side.
     pub x_m: f64,
-    /// The side at the top.
+    /// Top side.
     pub y_m: f64,
-    /// Along the rows.
+    /// Width along the rows.
     pub width_m: f64,
-    /// Down the columns.
+    /// Height down the columns.
     pub height_m: f64,
 }
 
 /// Width of a tag's border, in bits, as Kalibr prints it.
 const TAG_BORDER_BITS: u32 = 2;
 
-/// Everything black on a board; the rest is white. Corner (0, 0) is the origin.
+/// All black rectangles of a board; the rest is white. Corner (0, 0) is the origin.
 pub fn ink(board: &Board) -> Vec<Rectangle> {
     let mut ink = Vec::new();
     match *board.pattern() {
@@ -43,13 +43,13 @@ pub fn ink(board: &Board) -> Vec<Rectangle> {
     ink
 }
 
-/// The squares of a board by column and row, row by row, from the one at the top on the left.
+/// The squares of a board by column and row, row by row, starting at the upper left.
 fn places(board: &Board) -> impl Iterator<Item = (u32, u32)> {
     let (columns, rows) = (board.columns() + 1, board.rows() + 1);
     (0..rows).flat_map(move |y| (0..columns).map(move |x| (x, y)))
 }
 
-/// Black squares; the one at the top on the left is black.
+/// Black squares; the upper left one is black.
 fn squares(board: &Board, square_m: f64, ink: &mut Vec<Rectangle>) {
     ink.extend(places(board).filter(|(x, y)| (x + y) % 2 == 0).map(|(x, y)| Rectangle {
         x_m: (f64::from(x) - 1.0) * square_m,
@@ -59,7 +59,7 @@ fn squares(board: &Board, square_m: f64, ink: &mut Vec<Rectangle>) {
     }));
 }
 
-/// The tags of an AprilGrid, counted from below on the left, and the squares at their corners.
+/// The tags of an AprilGrid, counted from the lower left, and the squares at their corners.
 fn tags(board: &Board, tag_m: f64, spacing: f64, ink: &mut Vec<Rectangle>) {
     let (across, down) = (board.columns() / 2, board.rows() / 2);
     let (pitch_m, gap_m) = (tag_m * (1.0 + spacing), tag_m * spacing);
@@ -71,7 +71,7 @@ fn tags(board: &Board, tag_m: f64, spacing: f64, ink: &mut Vec<Rectangle>) {
     let places = (0..down).rev().flat_map(|y| (0..across).map(move |x| (x, y)));
     for ((x, y), code) in places.zip(codes) {
         let cells = Cells { bits: 6, border: TAG_BORDER_BITS, side_m: tag_m };
-        // Upright as AprilTag has it, which is OpenCV's turned by half a turn.
+        // The upright orientation of AprilTag is OpenCV's turned by half a turn.
         let is_black = |x: u32, y: u32| code >> (35 - (y * cells.bits + x)) & 1 == 1;
         cells.draw([f64::from(x) * pitch_m, f64::from(y) * pitch_m], is_black, ink);
     }
@@ -96,7 +96,7 @@ impl Cells {
                     (Some(x), Some(y)) => is_black(x, y),
                     _ => true,
                 };
-                // Cells beside each other in one piece, so that no line shows between them.
+                // Adjacent cells are merged, so that no line shows between them.
                 let run = (x..all).take_while(|x| black(*x)).count() as u32;
                 if run > 0 {
                     ink.push(Rectangle {
@@ -112,7 +112,7 @@ impl Cells {
     }
 }
 
-/// The corners `[left, top, right, bottom]` of everything black, metres.
+/// Bounding box `[left, top, right, bottom]` of all black areas, metres.
 pub fn extent_m(ink: &[Rectangle]) -> [f64; 4] {
     ink.iter().fold([f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY], |extent, rectangle| {
         let [left, top, right, bottom] = extent;
@@ -125,12 +125,12 @@ pub fn extent_m(ink: &[Rectangle]) -> [f64; 4] {
     })
 }
 
-/// A board as an image.
+/// A board drawn as an image.
 #[derive(Clone, Debug)]
 pub struct Drawn {
-    /// The image; a pixel is as dark as the share of it that is printed.
+    /// The image; the darkness of a pixel is the share of its area that is printed.
     pub image: GrayImage,
-    /// The corner of the image at its top on the left, in the frame `board`, metres.
+    /// Upper left corner of the image in the frame `board`, metres.
     pub origin_m: Vector2<f64>,
 }
 
@@ -160,14 +160,14 @@ pub fn draw(ink: &[Rectangle], px_per_m: f64, margin_m: f64) -> Drawn {
     Drawn { image, origin_m }
 }
 
-/// The pixels of a row that a stretch covers, and which share of each.
+/// The pixels of a row covered by an interval, with the covered share of each pixel.
 fn shares(start: f64, length: f64, all: u32) -> impl Iterator<Item = (u32, f64)> {
     let end = start + length;
     let (first, last) = (start.floor().max(0.0) as u32, (end.ceil().max(0.0) as u32).min(all));
     (first..last).map(move |n| (n, (end.min(f64::from(n) + 1.0) - start.max(f64::from(n))).clamp(0.0, 1.0)))
 }
 
-/// A board as SVG in its true size, with a white margin.
+/// A board as SVG in true size, with a white margin.
 pub fn svg(ink: &[Rectangle], margin_m: f64) -> String {
     let [left, top, right, bottom] = extent_m(ink).map(|at| at * 1e3);
     let margin = margin_m * 1e3;
@@ -178,7 +178,7 @@ pub fn svg(ink: &[Rectangle], margin_m: f64) -> String {
     for rectangle in ink {
         let (x, y) = (rectangle.x_m * 1e3 - left + margin, rectangle.y_m * 1e3 - top + margin);
         let (width, height) = (rectangle.width_m * 1e3, rectangle.height_m * 1e3);
-        // Writing to a text does not fail.
+        // Writing to a `String` does not fail.
         let _ = writeln!(text, "<rect x=\"{x:.4}\" y=\"{y:.4}\" width=\"{width:.4}\" height=\"{height:.4}\"/>");
     }
     text.push_str("</svg>\n");

@@ -1,26 +1,26 @@
-//! Which coefficients of a lens are estimated.
+//! Lens models: the set of estimated distortion coefficients.
 
 use std::fmt;
 
 use pb3dp_geometry::Distortion;
 
-/// A lens model: how many coefficients describe the lens, fewest first.
+/// A lens model, by its distortion coefficients; fewest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum LensModel {
     /// k1.
     Radial1,
     /// k1, k2.
     Radial2,
-    /// k1, k2, p1, p2; what Kalibr calls `radtan`.
+    /// k1, k2, p1, p2; `radtan` in Kalibr.
     Brown4,
-    /// k1, k2, p1, p2, k3; what ROS calls `plumb_bob`, and OpenCV's default.
+    /// k1, k2, p1, p2, k3; `plumb_bob` in ROS, and OpenCV's default.
     Brown5,
-    /// k1, k2, p1, p2, k3, k4, k5, k6; what ROS calls `rational_polynomial`.
+    /// k1, k2, p1, p2, k3, k4, k5, k6; `rational_polynomial` in ROS.
     Rational8,
 }
 
 impl LensModel {
-    /// All of them, fewest coefficients first.
+    /// All models, fewest coefficients first.
     pub const ALL: [Self; 5] = [Self::Radial1, Self::Radial2, Self::Brown4, Self::Brown5, Self::Rational8];
 
     /// Its name on the command line and in files.
@@ -34,18 +34,18 @@ impl LensModel {
         }
     }
 
-    /// The model of a name.
+    /// The model with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|model| model.name() == name)
     }
 
-    /// The names of the coefficients that are estimated, in the order of [`Distortion`].
+    /// The names of the estimated coefficients, in the order of [`Distortion`].
     pub fn coefficient_names(self) -> &'static [&'static str] {
         let all: &'static [&'static str] = &["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
         &all[..self.coefficient_count()]
     }
 
-    /// How many coefficients are estimated.
+    /// Number of estimated coefficients.
     pub fn coefficient_count(self) -> usize {
         match self {
             Self::Radial1 => 1,
@@ -56,7 +56,7 @@ impl LensModel {
         }
     }
 
-    /// A lens with the given coefficients; what is missing is zero, what is too much is dropped.
+    /// Distortion with the given coefficients; missing ones are zero, surplus ones are ignored.
     pub(crate) fn lens(self, values: &[f64]) -> Distortion {
         let mut all = [0.0; 8];
         for (to, from) in all.iter_mut().zip(values.iter().take(self.coefficient_count())) {

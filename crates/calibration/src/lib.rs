@@ -1,17 +1,17 @@
-//! Calibrates cameras and stereo heads from images of a board, and judges the result.
+//! Calibrates cameras, stereo rigs and their mounting on a robot from images of a board, and judges the result.
 //!
-//! The way of the data: [`detection::find_board`] finds the corners of a [`board::Board`] in an image,
-//! [`fit::Fit`] adjusts all cameras, their poses to each other and the board's poses together, [`held_out::choose`] chooses
-//! the lens model by views that the fit has not seen, [`quality::Quality`] puts the result into numbers, and
-//! [`gates::Limits`] judges them. Calibrations as files are those of `pb3dp_record::calibration_files`.
+//! Data flow: [`detection::find_board`] detects the corners of a [`board::Board`] in an image. [`fit::Fit`] adjusts all cameras,
+//! the pose between the cameras and the board poses together. [`held_out::choose`] selects the lens model by its error on
+//! held-out views. [`quality::Quality`] computes the quality figures, and [`gates::Limits`] judges them. Calibration files are
+//! read and written by `pb3dp_record::calibration_files`.
 //!
-//! [`hand_eye`] finds where the cameras sit on a robot.
+//! [`hand_eye`] estimates the pose of the cameras on a robot.
 //!
-//! The size of a square cannot be judged by images: with squares that are taken 1 % too large every length is 1 % too
-//! long, and all errors stay the same. Measure ten squares with a ruler, and after the calibration a length.
+//! Images cannot reveal a wrong square size: if the squares are entered 1 % too large, every length is 1 % too long and all
+//! residuals stay the same. Measure ten squares with a ruler, and check a known length after the calibration.
 //!
 //! This library reads no files and no clock; the program `pb3dp-calibrate`, which `pb3dp calibrate` starts, does. It is a
-//! crate of its own so that what finds boards stays out of the real-time program.
+//! separate crate to keep the board detectors out of the real-time program.
 
 mod adjust;
 pub mod board;

@@ -1,4 +1,4 @@
-//! The program `pb3dp-calibrate`, which `pb3dp calibrate` starts: command line, images, and what is told of a calibration.
+//! The program `pb3dp-calibrate`, which `pb3dp calibrate` starts: command line, image files and printed results.
 
 mod command;
 

@@ -1,4 +1,4 @@
-//! What a calibration is like, in numbers that gates can judge.
+//! Quality figures of a calibration, judged by the gates.
 
 use nalgebra::{Vector2, Vector3};
 use pb3dp_geometry::{Camera, ImageSize, RectificationError, StereoRig};
@@ -10,51 +10,51 @@ use crate::fitted_rig::FitError;
 use crate::held_out::Chosen;
 use crate::stand::Cells;
 
-/// So many views must be tilted at least as much as the tilt that is told.
+/// Number of views that must be tilted at least by the reported tilt.
 const TILTED_VIEWS: usize = 3;
 
-/// How far rows of the rectified images are apart, right minus left, px.
+/// Vertical misalignment (epipolar error) of the rectified images, right row minus left row, px.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RowError {
     /// Root mean square.
     pub rms_px: f64,
     /// Mean: a constant shift.
     pub mean_px: f64,
-    /// 95 % of the corners are below this, without sign.
+    /// 95th percentile of the absolute value.
     pub p95_px: f64,
 }
 
-/// A calibration in numbers.
+/// The quality figures of a calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Quality {
-    /// Views used.
+    /// Number of views used.
     pub views: usize,
-    /// Corners of all views and cameras.
+    /// Number of corners in all views and cameras.
     pub corners: usize,
-    /// Root mean square of the distance between predicted and seen corners, px, all cameras together.
+    /// Reprojection error: root mean square distance between predicted and detected corners, px, all cameras together.
     pub reprojection_rms_px: f64,
-    /// The same, camera by camera.
+    /// Reprojection error per camera.
     pub reprojection_rms_by_camera_px: Vec<f64>,
-    /// The same, view by view.
+    /// Reprojection error per view.
     pub reprojection_rms_by_view_px: Vec<(String, f64)>,
-    /// The same for views that the fit has not seen.
+    /// Reprojection error of held-out views.
     pub held_out_rms_px: f64,
-    /// Share of the image's cells in which a corner was seen, of the camera with the lowest.
+    /// Share of the image cells that contain a corner, of the camera with the lowest share.
     pub coverage: f64,
-    /// Three views show the board tilted by at least so much, degrees.
+    /// At least three views show the board tilted by this angle or more, degrees.
     pub tilt_deg: f64,
-    /// What the errors say about the board and how the images were taken; `None` where they cannot say it.
+    /// Detected defects of the board and of the image set; `None` if they could not be estimated.
     pub defects: Option<Defects>,
-    /// The baseline over the one that was measured otherwise, less 1; where one was given.
+    /// Baseline divided by an independently measured one, minus 1; only if one was given.
     pub scale_error_share: Option<f64>,
-    /// Rows of the rectified images; of a stereo head only.
+    /// Vertical misalignment of the rectified images; only for a stereo rig.
     pub rows: Option<RowError>,
-    /// Standard deviation of depth that the calibration leaves at the working distance, as a share of it; of a stereo head only.
+    /// Standard deviation of depth caused by the calibration at the working distance, as a share of it; only for a stereo rig.
     pub depth_sigma_share: Option<f64>,
 }
 
 impl Quality {
-    /// Held-out error over the error of the views that the fit has seen.
+    /// Error of held-out views divided by the error of the fitted views.
     pub fn held_out_ratio(&self) -> f64 {
         self.held_out_rms_px / self.reprojection_rms_px
     }
@@ -64,21 +64,21 @@ impl Quality {
         self.reprojection_rms_by_view_px.iter().max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// With the scale judged by a baseline that was measured otherwise, with a ruler or by the maker of the head.
+    /// The same with the scale judged by an independently known baseline, from a ruler or the data sheet.
     #[must_use]
     pub fn with_known_baseline(self, rig: &StereoRig, known_m: f64) -> Self {
         Self { scale_error_share: Some(rig.baseline_m() / known_m - 1.0), ..self }
     }
 
-    /// Of a single camera.
+    /// The quality of a single camera.
     pub fn of_camera(chosen: &Chosen<1>, views: &[View<1>], size: ImageSize) -> Self {
         of(chosen, views, size)
     }
 
-    /// Of a stereo head that is to work at `depth_m`.
+    /// The quality of a stereo rig with working distance `depth_m`.
     ///
     /// # Errors
-    /// A pair that cannot be rectified.
+    /// The stereo pair cannot be rectified.
     pub fn of_stereo(
         chosen: &Chosen<2>,
         views: &[View<2>],
@@ -94,11 +94,11 @@ impl Quality {
 /// Why a stereo calibration could not be judged.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum QualityError {
-    /// It is no stereo head.
+    /// The cameras do not form a valid stereo rig.
     #[error(transparent)]
     Fit(#[from] FitError),
-    /// It cannot be rectified.
-    #[error("the pair cannot be rectified")]
+    /// The stereo pair cannot be rectified.
+    #[error("the stereo pair cannot be rectified")]
     Rectification(#[from] RectificationError),
 }
 
@@ -131,12 +131,12 @@ fn of<const N: usize>(chosen: &Chosen<N>, views: &[View<N>], size: ImageSize) ->
     }
 }
 
-/// Share of the cells of an image in which a corner was seen.
+/// Share of the image cells that contain a corner.
 fn coverage<'a>(sightings: impl Iterator<Item = &'a Sighting>, size: ImageSize) -> f64 {
     sightings.fold(Cells::default(), |cells, sighting| cells.with(Cells::of(sighting, size))).share()
 }
 
-/// By how much the board's normal leaves the axis of the first camera in the third most tilted view, degrees.
+/// Angle between the board normal and the axis of the first camera in the third most tilted view, degrees.
 fn tilt_deg<const N: usize>(fit: &Fit<N>) -> f64 {
     let tilt = |normal: Vector3<f64>| normal.z.abs().min(1.0).acos().to_degrees();
     let mut tilts: Vec<f64> =
@@ -145,19 +145,19 @@ fn tilt_deg<const N: usize>(fit: &Fit<N>) -> f64 {
     tilts.get(TILTED_VIEWS - 1).copied().unwrap_or(0.0)
 }
 
-/// By how much the rows of a corner differ in the rectified images.
+/// Vertical misalignment of one corner in the rectified images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RowDifference {
-    /// Where the left camera saw it, px.
+    /// Position in the left image, px.
     pub left_px: Vector2<f64>,
     /// Right row minus left row, px of the rectified images.
     pub difference_px: f64,
 }
 
-/// Rows of all corners that both cameras saw.
+/// Vertical misalignment of all corners detected in both cameras.
 ///
 /// # Errors
-/// A pair that cannot be rectified.
+/// The stereo pair cannot be rectified.
 pub fn row_differences(rig: &StereoRig, views: &[View<2>]) -> Result<Vec<RowDifference>, RectificationError> {
     let rectified = rig.rectify()?;
     let (left_turn, right_turn) = (
@@ -182,10 +182,10 @@ pub fn row_differences(rig: &StereoRig, views: &[View<2>]) -> Result<Vec<RowDiff
     Ok(differences)
 }
 
-/// Rows of all corners in the rectified images.
+/// Statistics of the vertical misalignment over all corners.
 ///
 /// # Errors
-/// A pair that cannot be rectified.
+/// The stereo pair cannot be rectified.
 pub fn row_error(rig: &StereoRig, views: &[View<2>]) -> Result<RowError, RectificationError> {
     let mut differences: Vec<f64> = row_differences(rig, views)?.iter().map(|row| row.difference_px).collect();
     let count = differences.len().max(1) as f64;

@@ -1,4 +1,4 @@
-//! Reports of calibrations as one page of HTML: the verdict with what to do, the gates, and the errors over the images.
+//! HTML reports of calibrations on one page: verdict with advice, gates, and errors over the images.
 
 mod hand_eye;
 
@@ -16,20 +16,20 @@ use crate::quality::{Quality, row_differences};
 use crate::stand::{CELLS, cell_of};
 pub use hand_eye::of_hand_eye;
 
-/// A gate as a report shows it, whatever was judged.
+/// A gate as shown in a report, for any kind of calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GateLine {
     /// Its name, with the unit.
     pub name: String,
-    /// What was measured.
+    /// The measured value.
     pub measured: f64,
-    /// As good as this is good.
+    /// Good up to this value, inclusive.
     pub good: f64,
-    /// Worse than this is refused.
+    /// Refused if worse than this value.
     pub refused: f64,
-    /// How it was passed.
+    /// The grade.
     pub grade: Grade,
-    /// What to do where it is not good.
+    /// Advice if the grade is not good.
     pub advice: String,
 }
 
@@ -60,7 +60,7 @@ impl fmt::Display for GateLine {
     }
 }
 
-/// The verdict in words: good, usable, or refused by how many gates.
+/// The verdict as text: good, usable, or the number of gates that refuse.
 pub fn verdict_in_words(gates: &[GateLine]) -> (Tone, String) {
     let of = |grade: Grade| gates.iter().filter(|gate| gate.grade == grade).count();
     match (of(Grade::Refused), of(Grade::Fair)) {
@@ -70,7 +70,7 @@ pub fn verdict_in_words(gates: &[GateLine]) -> (Tone, String) {
     }
 }
 
-/// Adds the verdict with what to do, the worst gate first, and the table of all gates. For every kind of calibration.
+/// Adds the verdict with advice, worst gate first, and the table of all gates. For every kind of calibration.
 #[must_use]
 pub fn add_gates(report: Report, gates: &[GateLine]) -> Report {
     let (tone, words) = verdict_in_words(gates);
@@ -110,10 +110,10 @@ pub fn of_camera(
     ending(errors(report, chosen, views, size), chosen, quality, verdicts)
 }
 
-/// The report of a stereo head that is to work at `depth_m`.
+/// The report of a stereo rig with working distance `depth_m`.
 ///
 /// # Errors
-/// A pair that cannot be rectified, and what [`Fit::rig`] refuses.
+/// The stereo pair cannot be rectified, and the errors of [`Fit::rig`].
 pub fn of_stereo(
     chosen: &Chosen<2>,
     quality: &Quality,
@@ -126,12 +126,12 @@ pub fn of_stereo(
         ("baseline", format!("{:.2} mm", rig.baseline_m() * 1e3)),
         ("reprojection, rms", format!("{:.3} px", quality.reprojection_rms_px)),
     ];
-    figures.extend(quality.rows.map(|rows| ("rows, rms", format!("{:.3} px", rows.rms_px))));
+    figures.extend(quality.rows.map(|rows| ("vertical misalignment, rms", format!("{:.3} px", rows.rms_px))));
     let sigma = quality.depth_sigma_share;
     let at = format!("standard deviation of depth at {:.0} mm", depth_m * 1e3);
     figures.extend(sigma.map(|share| (at.as_str(), format!("{:.3} mm", share * depth_m * 1e3))));
     let size = rig.left().size();
-    let report = beginning("Calibration of a stereo head", quality, verdicts).figures(&figures);
+    let report = beginning("Calibration of a stereo rig", quality, verdicts).figures(&figures);
     let rows = row_differences(&rig, views)?;
     let vectors: Vec<VectorAt> =
         rows.iter().map(|row| VectorAt { at_px: row.left_px.into(), vector_px: [0.0, row.difference_px] }).collect();
@@ -139,31 +139,31 @@ pub fn of_stereo(
     let by_cell = mean_by_cell(rows.iter().map(|row| (row.left_px, row.difference_px.powi(2))), size);
     let plots = [
         ImagePlot::new(
-            "right row minus left row at the place in the left image (down: the right one is lower)",
+            "right row minus left row, at the position in the left image (down: lower in the right image)",
             wide(size),
         )
         .vectors(vectors, SeriesColor::Purple, magnified),
-        ImagePlot::new("its root mean square by cell, px", wide(size)).cells(
+        ImagePlot::new("vertical misalignment by cell, px rms", wide(size)).cells(
             CELLS[0] as usize,
             by_cell.into_iter().map(f64::sqrt).collect(),
             2,
         ),
     ];
     let report = errors(report, chosen, views, size)
-        .heading("Rows of the rectified images")
-        .paragraph("Points of the world must lie in the same row of both images. What is alike all over comes from the cameras having moved against each other; what changes over the image, from a lens or a focus that has changed.")
+        .heading("Vertical misalignment of the rectified images")
+        .paragraph("After rectification a scene point must lie in the same row of both images. A uniform misalignment means that the cameras have moved relative to each other; a misalignment that varies over the image means that a lens or focus has changed.")
         .image_plots(&plots);
     Ok(ending(report, chosen, quality, verdicts))
 }
 
-/// Why there is no report.
+/// Why no report could be made.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ReportError {
-    /// The cameras are no head.
+    /// The cameras do not form a valid stereo rig.
     #[error(transparent)]
     Fit(#[from] crate::fitted_rig::FitError),
-    /// They cannot be rectified.
-    #[error("the pair cannot be rectified")]
+    /// The stereo pair cannot be rectified.
+    #[error("the stereo pair cannot be rectified")]
     Rectification(#[from] RectificationError),
 }
 
@@ -172,7 +172,7 @@ fn beginning(title: &str, quality: &Quality, verdicts: &[Verdict]) -> Report {
     let scale = if verdicts.iter().any(|verdict| verdict.gate.key().starts_with("scale")) {
         String::new()
     } else {
-        " Not judged: the size of the squares, which images cannot tell; measure a known length with the calibrated cameras.".to_owned()
+        " Not judged: the size of the squares, which images cannot reveal; measure a known length with the calibrated cameras.".to_owned()
     };
     add_gates(Report::new(title), &gates)
         .paragraph(&format!("{} views, {} corners.{scale}", quality.views, quality.corners))
@@ -181,13 +181,13 @@ fn beginning(title: &str, quality: &Quality, verdicts: &[Verdict]) -> Report {
 /// Errors and coverage over the images of each camera.
 fn errors<const N: usize>(report: Report, chosen: &Chosen<N>, views: &[View<N>], size: ImageSize) -> Report {
     let by_camera: Vec<Vec<VectorAt>> = (0..N).map(|camera| vectors_of(&chosen.fit, camera)).collect();
-    // One scale, so that the cameras can be compared.
+    // A common scale, so that the cameras can be compared.
     let magnified = ImagePlot::magnification(&by_camera.concat(), size.width);
     let plots: Vec<ImagePlot> = sides::<N>()
         .into_iter()
         .zip(by_camera)
         .map(|(side, vectors)| {
-            ImagePlot::new(format!("{side}: predicted minus seen corners"), wide(size)).vectors(
+            ImagePlot::new(format!("{side}: predicted minus detected corners"), wide(size)).vectors(
                 vectors,
                 SeriesColor::Red,
                 magnified,
@@ -195,18 +195,18 @@ fn errors<const N: usize>(report: Report, chosen: &Chosen<N>, views: &[View<N>],
         })
         .collect();
     report
-        .heading("Errors of the corners")
-        .paragraph("Good ones point everywhere. Where neighbours point the same way, the lens model does not fit, the board is bent, or a camera has changed.")
+        .heading("Reprojection errors")
+        .paragraph("The vectors should point in random directions. If neighbouring vectors point in the same direction, the lens model does not fit, the board is bent, or a camera has changed.")
         .image_plots(&plots)
-        .heading("Where the board was seen")
+        .heading("Image coverage")
         .image_plots(&coverage_plots(views, size))
 }
 
-/// How many corners were seen in each cell, camera by camera.
+/// Number of corners detected in each cell, camera by camera.
 pub fn coverage_plots<const N: usize>(views: &[View<N>], size: ImageSize) -> Vec<ImagePlot> {
     let plot = |(camera, side): (usize, &str)| {
         let counts = counts_by_cell(views.iter().map(|view| &view.sightings[camera]), size);
-        ImagePlot::new(format!("{side}: corners seen in each cell"), wide(size)).cells(CELLS[0] as usize, counts, 0)
+        ImagePlot::new(format!("{side}: detected corners per cell"), wide(size)).cells(CELLS[0] as usize, counts, 0)
     };
     sides::<N>().into_iter().enumerate().map(plot).collect()
 }
@@ -224,7 +224,7 @@ fn ending<const N: usize>(report: Report, chosen: &Chosen<N>, quality: &Quality,
     {
         by_view = by_view.limit(name, value);
     }
-    let mut by_lens = Bars::new("error of each lens model on views that its fit has not seen, px rms", 4);
+    let mut by_lens = Bars::new("error of each lens model on held-out views, px rms", 4);
     let mut failed = Vec::new();
     for held_out in &chosen.tried {
         let mark = if held_out.lens == chosen.fit.lens() { " (chosen)" } else { "" };
@@ -239,23 +239,20 @@ fn ending<const N: usize>(report: Report, chosen: &Chosen<N>, quality: &Quality,
     }
     let covariance = chosen.fit.covariance();
     let raised = if covariance.view_scatter > 1.0 {
-        format!(
-            ", raised {:.1} times because views differ by more than their corners explain",
-            covariance.view_scatter.sqrt()
-        )
+        format!(", raised {:.1} times because views differ by more than corner noise", covariance.view_scatter.sqrt())
     } else {
         String::new()
     };
     report.heading("Numbers").table(&parameters(&chosen.fit)).paragraph(&format!(
-        "One standard deviation each, all other numbers unknown too, from {:.3} px per corner{raised}.",
+        "Marginal standard deviations, from {:.3} px per corner{raised}.",
         covariance.corner_sigma_px
     ))
 }
 
-/// All numbers that were estimated, with their standard deviations; the pose in millimetres and degrees.
+/// All estimated parameters with their standard deviations; the pose in millimetres and degrees.
 fn parameters<const N: usize>(fit: &Fit<N>) -> Table {
     let values: BTreeMap<String, f64> = fit.parameters().into_iter().collect();
-    let mut table = Table::new(["number", "value", "standard deviation"]);
+    let mut table = Table::new(["parameter", "value", "standard deviation"]);
     for name in &fit.covariance().names {
         let sigma = fit.covariance().sigma(name).unwrap_or(f64::NAN);
         let (shown, factor) = match (name.strip_suffix("_m"), name.strip_suffix("_rad")) {
@@ -279,7 +276,7 @@ fn vectors_of<const N: usize>(fit: &Fit<N>, camera: usize) -> Vec<VectorAt> {
     corners.map(|error| VectorAt { at_px: error.corner.pixel.into(), vector_px: error.error_px.into() }).collect()
 }
 
-/// Corners in each cell, row by row.
+/// Number of corners in each cell, row by row.
 fn counts_by_cell<'a>(sightings: impl Iterator<Item = &'a Sighting>, size: ImageSize) -> Vec<f64> {
     let mut counts = vec![0.0; (CELLS[0] * CELLS[1]) as usize];
     for corner in sightings.flat_map(Sighting::corners) {
@@ -289,7 +286,7 @@ fn counts_by_cell<'a>(sightings: impl Iterator<Item = &'a Sighting>, size: Image
     counts
 }
 
-/// Mean of values by cell, row by row; not a number where there are none.
+/// Mean of values by cell, row by row; NaN for cells without values.
 fn mean_by_cell(values: impl Iterator<Item = (nalgebra::Vector2<f64>, f64)>, size: ImageSize) -> Vec<f64> {
     let mut sums = vec![(0.0, 0.0); (CELLS[0] * CELLS[1]) as usize];
     for (pixel, value) in values {

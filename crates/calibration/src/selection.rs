@@ -1,4 +1,4 @@
-//! Which pairs of a recording are taken as views: sharp ones of a board at rest, each of which adds something.
+//! Selects views from a recording: sharp images of a stationary board, each of which adds information.
 
 use pb3dp_geometry::ImageSize;
 
@@ -6,17 +6,17 @@ use crate::board::Chessboard;
 use crate::fit::View;
 use crate::stand::{Cells, Judge, Stand};
 
-/// What a view must be like.
+/// Requirements for a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wanted {
-    /// No more views than this.
+    /// Maximum number of views.
     pub views_max: usize,
-    /// Blur of the board's edges that is allowed, px ([`crate::sharpness::blur_px`]).
+    /// Maximum blur of the board edges, px ([`crate::sharpness::blur_px`]).
     pub blur_max_px: f64,
-    /// How fast corners may move in the image, px per second.
+    /// Maximum speed of the corners in the image, px per second.
     pub speed_max_px_per_s: f64,
-    /// What a view must add: how different it is from all others, in the measure of [`Stand::apart`], and a tenth for each cell in
-    /// which a camera has not seen a corner yet.
+    /// Minimum contribution of a view: its difference from all other views, measured by [`Stand::apart`], plus a tenth for each
+    /// cell that a camera has not covered yet.
     pub worth_min: f64,
 }
 
@@ -26,38 +26,38 @@ impl Default for Wanted {
     }
 }
 
-/// What new cells of the two images are worth beside difference.
+/// Contribution of one newly covered cell.
 const CELL_WORTH: f64 = 0.1;
 
 /// A pair in which both cameras see the board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Candidate<const N: usize> {
-    /// What the cameras saw.
+    /// The detected corners.
     pub view: View<N>,
-    /// Blur of the blurrier image, px; `None` where it cannot be measured.
+    /// Blur of the blurrier image, px; `None` if it cannot be measured.
     pub blur_px: Option<f64>,
 }
 
-/// What was taken, and why the rest was not.
+/// The selected views, and why the others were left out.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Selection {
     /// Indices of the views, in the order of the candidates.
     pub chosen: Vec<usize>,
-    /// Left out because the edges are blurred.
+    /// Left out because the board edges are blurred.
     pub blurred: usize,
     /// Left out because the board moves.
     pub moving: usize,
-    /// Left out because others show the same.
+    /// Left out because they are similar to other views.
     pub nothing_new: usize,
-    /// Left out because no camera explains them.
+    /// Left out because the corners fit no camera model.
     pub unexplained: usize,
 }
 
-/// Chooses views, the one that adds most first. `speed_px_per_s` measures how fast the board moves in the image of a candidate;
-/// it is asked for candidates only that would be taken, as it costs more images, and `None` is that it cannot be told.
+/// Selects views, the one with the largest contribution first. `speed_px_per_s` measures the speed of the board in a candidate;
+/// `None` means that it cannot be determined. It needs more images, so it is called only for candidates that would be selected.
 ///
 /// # Errors
-/// That of `speed_px_per_s`.
+/// An error of `speed_px_per_s`.
 pub fn select<const N: usize, E>(
     candidates: &[Candidate<N>],
     board: &Chessboard,
@@ -96,22 +96,22 @@ pub fn select<const N: usize, E>(
     Ok(selection)
 }
 
-/// Whether a stand adds enough to others.
+/// Whether a view adds enough to the others.
 pub fn adds(stand: &Stand, others: &[Stand], wanted: &Wanted) -> bool {
     worth(stand, others.iter(), wanted).is_some()
 }
 
-/// What a stand adds to others; `None` if that is too little.
+/// The contribution of a view; `None` if it is too small.
 fn worth<'a>(stand: &Stand, others: impl Iterator<Item = &'a Stand> + Clone, wanted: &Wanted) -> Option<f64> {
     let apart = others.clone().map(|other| stand.apart(other)).fold(f64::INFINITY, f64::min);
-    // The first one is the one that fills most of the image: it is nearest and seen best.
+    // The first view is the one that fills most of the image: the board is near and well resolved.
     let apart = if apart.is_finite() { apart } else { stand.size };
     let new = stand.cells.iter().enumerate().map(|(camera, cells)| cells.without(seen(others.clone(), camera)).count());
     let worth = apart + CELL_WORTH * f64::from(new.sum::<u32>());
     (worth >= wanted.worth_min).then_some(worth)
 }
 
-/// The cells of a camera's image in which corners were seen.
+/// The image cells of a camera that contain corners.
 pub fn seen<'a>(stands: impl Iterator<Item = &'a Stand>, camera: usize) -> Cells {
     stands.filter_map(|stand| stand.cells.get(camera)).fold(Cells::default(), |all, cells| all.with(*cells))
 }

@@ -1,4 +1,4 @@
-//! How sharp a board is in an image, and how far it has moved between two.
+//! Blur of a board in an image, and its motion between two images.
 
 use image::GrayImage;
 use nalgebra::Vector2;
@@ -6,21 +6,20 @@ use pb3dp_record::metrics::median;
 
 use crate::board::Sighting;
 
-/// Places along an edge whose profiles are averaged, as shares of its length.
+/// Positions along an edge whose profiles are averaged, as shares of its length.
 const ALONG: [f64; 5] = [0.3, 0.4, 0.5, 0.6, 0.7];
-/// Half the length of a profile: this share of the shorter side of a square, and at most so many pixels.
+/// Half the length of a profile, as a share of the shorter side of a square; then the maximum, px.
 const REACH: f64 = 0.3;
 const REACH_MAX_PX: f64 = 8.0;
 /// Distance of two samples of a profile, px.
 const STEP_PX: f64 = 0.25;
-/// Edges with less contrast, in grey levels, tell nothing.
+/// Minimum contrast of an edge, grey levels.
 const CONTRAST_MIN: f64 = 16.0;
-/// So many edges of each direction must tell something.
+/// Minimum number of usable edges in each direction.
 const EDGES_MIN: usize = 4;
 
-/// Standard deviation of the blur of the edges between squares, px: of the blurrier one of the board's two directions, so that
-/// motion along one of them counts. A perfect image has about 0.6, because pixels are not points. `None` where too few edges
-/// can be judged.
+/// Standard deviation of the blur of the edges between squares, px: the larger value of the two board directions, so that motion
+/// along one of them counts. A perfect image has about 0.6, because of the pixel area. `None` if too few edges are usable.
 pub fn blur_px(image: &GrayImage, sighting: &Sighting) -> Option<f64> {
     let mut across = Vec::new();
     let mut down = Vec::new();
@@ -36,8 +35,8 @@ pub fn blur_px(image: &GrayImage, sighting: &Sighting) -> Option<f64> {
     Some(of_enough(&across)?.max(of_enough(&down)?))
 }
 
-/// Blur of the edge that runs from a corner along `edge`: contrast over the steepest slope, which a Gaussian of standard deviation
-/// s makes `s * sqrt(2 pi)`.
+/// Blur of the edge that runs from a corner along `edge`: contrast divided by the steepest slope, which is `s * sqrt(2 pi)` for a
+/// Gaussian of standard deviation s.
 fn edge_blur_px(image: &GrayImage, from: Vector2<f64>, edge: Vector2<f64>, reach_px: f64) -> Option<f64> {
     let normal = Vector2::new(-edge.y, edge.x).normalize();
     let count = (2.0 * reach_px / STEP_PX).round() as usize + 1;
@@ -54,13 +53,13 @@ fn edge_blur_px(image: &GrayImage, from: Vector2<f64>, edge: Vector2<f64>, reach
     let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
     let (first, last) = (profile.get(..end)?, profile.get(count - end..)?);
     let contrast = (mean(last) - mean(first)).abs();
-    // Over a pixel, so that noise makes no edge steep.
+    // The slope is taken over one pixel, so that noise does not make an edge steep.
     let over = (1.0 / STEP_PX) as usize;
     let slope = profile.windows(over + 1).map(|part| (part[over] - part[0]).abs()).fold(0.0, f64::max);
     (end > 0 && contrast >= CONTRAST_MIN).then(|| contrast / (slope * std::f64::consts::TAU.sqrt()))
 }
 
-/// The image between its pixels; `None` outside.
+/// Interpolated image value; `None` outside.
 fn sample(image: &GrayImage, at: Vector2<f64>) -> Option<f64> {
     let (x, y) = (at.x.floor(), at.y.floor());
     if !(x >= 0.0 && y >= 0.0 && x + 1.0 < f64::from(image.width()) && y + 1.0 < f64::from(image.height())) {
@@ -71,7 +70,7 @@ fn sample(image: &GrayImage, at: Vector2<f64>) -> Option<f64> {
     Some((1.0 - b) * ((1.0 - a) * grey(0, 0) + a * grey(1, 0)) + b * ((1.0 - a) * grey(0, 1) + a * grey(1, 1)))
 }
 
-/// Root mean square of how far the corners that both sightings have are apart, px; `None` if there are none.
+/// Root mean square displacement of the corners common to both detections, px; `None` if there are none.
 pub fn moved_px(first: &Sighting, second: &Sighting) -> Option<f64> {
     let ways = first.corners().iter().filter_map(|corner| {
         let other = second.at(corner.column, corner.row)?;
@@ -88,7 +87,7 @@ mod tests {
 
     const SIDE: f64 = 24.0;
 
-    /// A turned board of 6 x 5 corners whose edges are blurred by a Gaussian, and then along x by motion.
+    /// A rotated board of 6 x 5 corners whose edges are blurred by a Gaussian, and then along x by motion.
     fn drawn(sigma_px: f64, motion_px: f64) -> (GrayImage, Sighting) {
         let (sin, cos) = 0.2_f64.sin_cos();
         let place = |c: f64, r: f64| Vector2::new(50.0 + SIDE * (cos * c - sin * r), 40.0 + SIDE * (sin * c + cos * r));
@@ -122,7 +121,7 @@ mod tests {
         println!("blur and what was measured, px: {measured:?}; moved by 6 px: {}", blur(0.7, 6.0));
         assert!(measured[0].1 < 0.7, "{measured:?}");
         for (sigma, seen) in &measured[1..] {
-            // The pixels' own width adds to it.
+            // The pixel area adds to the blur.
             assert!((seen - (sigma * sigma + 0.2_f64).sqrt()).abs() < 0.15 * sigma, "{measured:?}");
         }
         assert!(blur(0.7, 6.0) > 1.8);

@@ -1,5 +1,5 @@
-//! How the board stands before the cameras in a view: where in the images, how tilted, how far. What a view adds to others is
-//! judged by it, before anything is calibrated.
+//! Position and orientation of the board relative to the cameras in a view: image position, tilt, distance. Used to judge what a
+//! view adds to others, before any calibration.
 
 use nalgebra::{Vector2, Vector3};
 use pb3dp_geometry::{Camera, ImageSize};
@@ -8,12 +8,12 @@ use crate::board::{Chessboard, Sighting};
 use crate::fit::View;
 use crate::start::{board_pose, first_camera};
 
-/// Cells into which an image is divided, across and down.
+/// Number of image cells, horizontally and vertically.
 pub const CELLS: [u32; 2] = [8, 6];
-/// Views from which the focal length is guessed.
+/// Maximum number of views used to guess the focal length.
 const GUESSED_FROM: usize = 12;
 
-/// The cell of an image in which a pixel lies: column and row.
+/// The image cell of a pixel: column and row.
 pub fn cell_of(pixel: &Vector2<f64>, size: ImageSize) -> [u32; 2] {
     let cell = |at: f64, length: u32, cells: u32| {
         ((at + 0.5) / f64::from(length) * f64::from(cells)).clamp(0.0, f64::from(cells - 1)) as u32
@@ -21,12 +21,12 @@ pub fn cell_of(pixel: &Vector2<f64>, size: ImageSize) -> [u32; 2] {
     [cell(pixel.x, size.width, CELLS[0]), cell(pixel.y, size.height, CELLS[1])]
 }
 
-/// A set of cells of an image.
+/// A set of image cells.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Cells(u64);
 
 impl Cells {
-    /// The cells in which corners were seen.
+    /// The cells that contain detected corners.
     pub fn of(sighting: &Sighting, size: ImageSize) -> Self {
         let mut cells = Self::default();
         for corner in sighting.corners() {
@@ -36,57 +36,58 @@ impl Cells {
         cells
     }
 
-    /// Both sets together.
+    /// The union of both sets.
     #[must_use]
     pub fn with(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
 
-    /// What the other set does not have.
+    /// The cells that are not in the other set.
     #[must_use]
     pub fn without(self, other: Self) -> Self {
         Self(self.0 & !other.0)
     }
 
-    /// How many there are.
+    /// Number of cells.
     pub fn count(self) -> u32 {
         self.0.count_ones()
     }
 
-    /// Their share of the image.
+    /// Share of the image.
     pub fn share(self) -> f64 {
         f64::from(self.count()) / f64::from(CELLS[0] * CELLS[1])
     }
 
-    /// Whether a cell is among them.
+    /// Whether the set contains a cell.
     pub fn has(self, [column, row]: [u32; 2]) -> bool {
         column < CELLS[0] && row < CELLS[1] && self.0 >> (row * CELLS[0] + column) & 1 == 1
     }
 }
 
-/// How the board stands in a view.
+/// Position and orientation of the board in a view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stand {
-    /// Cells of each image in which corners were seen, the left one first.
+    /// Cells of each image that contain corners, the left image first.
     pub cells: Vec<Cells>,
-    /// Middle of the seen corners, as shares of an image's width and height, 0 to 1; the mean of all images.
+    /// Centre of the detected corners, as shares of image width and height, 0 to 1; the mean of all images.
     pub centre: Vector2<f64>,
-    /// Side of a square with the area that the board has in the first image, as a share of the image's width.
+    /// Apparent size: side of a square with the board's area in the first image, as a share of the image width.
     pub size: f64,
-    /// How the board is turned away from facing the first camera along the ray to it, degrees: x where its right side is
-    /// farther away, y where its lower side is.
+    /// Tilt of the board relative to the ray from the first camera, degrees: x if its right side is farther away, y if its lower
+    /// side is.
     pub tilt_deg: Vector2<f64>,
-    /// How its rows are turned in the image, degrees, from -90 to 90.
+    /// Rotation of its rows in the image, degrees, from -90 to 90.
     pub roll_deg: f64,
 }
 
 impl Stand {
-    /// The tilt without its direction, degrees.
+    /// Magnitude of the tilt, degrees.
     pub fn tilt_angle_deg(&self) -> f64 {
         self.tilt_deg.norm()
     }
 
-    /// How different two stands are: 1 is half the image aside, 40 degrees of tilt, 60 degrees of turn, or twice as large.
+    /// Difference of two views: 1 corresponds to half an image of shift, 40 degrees of tilt, 60 degrees of rotation, or twice the
+    /// size.
     pub fn apart(&self, other: &Self) -> f64 {
         let aside = (self.centre - other.centre).norm_squared() / 0.25;
         let tilt = (self.tilt_deg - other.tilt_deg).norm_squared() / 1600.0;
@@ -97,7 +98,7 @@ impl Stand {
     }
 }
 
-/// Judges stands by a guessed camera; good to some degrees and percent.
+/// Estimates board poses with a guessed camera; accurate to some degrees and percent.
 #[derive(Clone, Debug)]
 pub struct Judge {
     camera: Camera,
@@ -105,7 +106,7 @@ pub struct Judge {
 }
 
 impl Judge {
-    /// Guesses the first camera from views of the board; `None` if no focal length explains them.
+    /// Guesses the first camera from views of the board; `None` if no focal length fits them.
     pub fn new<const N: usize>(views: &[View<N>], board: &Chessboard, size: ImageSize) -> Option<Self> {
         let every = views.len().div_ceil(GUESSED_FROM).max(1);
         let sightings: Vec<&Sighting> = views.iter().step_by(every).filter_map(|view| view.sightings.first()).collect();
@@ -115,12 +116,12 @@ impl Judge {
         Some(Self { camera: first_camera(&sightings, board, size)?, size })
     }
 
-    /// By a camera that is known.
+    /// Uses a known camera.
     pub fn of_camera(camera: Camera) -> Self {
         Self { size: camera.size(), camera }
     }
 
-    /// The stand of the board in a view; `None` if its corners do not determine it.
+    /// The board pose in a view; `None` if its corners do not determine it.
     pub fn stand<const N: usize>(&self, view: &View<N>, board: &Chessboard) -> Option<Stand> {
         let first = view.sightings.first()?;
         let pose = board_pose(&self.camera, first, board)?;
@@ -129,7 +130,7 @@ impl Judge {
         let (width, height) = (f64::from(self.size.width), f64::from(self.size.height));
         let ray = self.camera.unproject(&middle).ok()?.normalize();
         let normal = pose.rotation * Vector3::z();
-        // From the ray to the normal, along the shortest way.
+        // Shortest rotation from the ray to the normal.
         let (right, down) = (Vector3::y().cross(&ray).normalize(), ray.cross(&Vector3::x()).normalize());
         let angle = normal.dot(&ray).clamp(-1.0, 1.0).acos().to_degrees();
         let aside = Vector2::new(normal.dot(&right), normal.dot(&down));
@@ -144,13 +145,13 @@ impl Judge {
     }
 }
 
-/// The middle of the corners that were seen, px.
+/// Centre of the detected corners, px.
 fn middle_px(sighting: &Sighting) -> Vector2<f64> {
     let count = sighting.corners().len().max(1) as f64;
     sighting.corners().iter().map(|corner| corner.pixel).sum::<Vector2<f64>>() / count
 }
 
-/// The area that the board's corners span in the image, px^2, from their spread.
+/// Area spanned by the board corners in the image, px^2, from their variances.
 fn area_px(sighting: &Sighting) -> f64 {
     let (count, mean) = (sighting.corners().len().max(1) as f64, middle_px(sighting));
     let mut spread = nalgebra::Matrix2::zeros();
@@ -158,6 +159,6 @@ fn area_px(sighting: &Sighting) -> f64 {
         let aside = corner.pixel - mean;
         spread += aside * aside.transpose() / count;
     }
-    // Evenly filled rectangles with sides a and b have variances of a^2 / 12 and b^2 / 12.
+    // Uniformly filled rectangles with sides a and b have variances of a^2 / 12 and b^2 / 12.
     12.0 * spread.determinant().max(0.0).sqrt()
 }

@@ -1,4 +1,4 @@
-//! First guesses: poses of the board from homographies, the focal length from a scan.
+//! Initial values: board poses from homographies, the focal length from a scan.
 
 use nalgebra::{
     Isometry3, Matrix3, Point2, Rotation3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2, Vector3,
@@ -7,12 +7,12 @@ use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole};
 
 use crate::board::{Chessboard, Sighting};
 
-/// Focal lengths that are tried, in image widths: from wide angle to tele lens.
+/// Scanned focal lengths, in image widths: from wide-angle to telephoto lens.
 const FOCAL_RANGE: [f64; 2] = [0.3, 12.0];
-/// How many of them, in equal ratios.
+/// Number of scanned focal lengths, in equal ratios.
 const FOCAL_STEPS: i32 = 40;
 
-/// The board's pose in a camera's frame (`cam_from_board`), from one sighting; `None` if its corners do not determine it.
+/// The board pose in a camera frame (`cam_from_board`), from one detection; `None` if its corners do not determine it.
 pub(crate) fn board_pose(camera: &Camera, sighting: &Sighting, board: &Chessboard) -> Option<Isometry3<f64>> {
     let mut pairs = Vec::with_capacity(sighting.corners().len());
     for corner in sighting.corners() {
@@ -23,7 +23,7 @@ pub(crate) fn board_pose(camera: &Camera, sighting: &Sighting, board: &Chessboar
     pose_of(&homography(&pairs)?)
 }
 
-/// A camera without distortion whose focal length explains the sightings best, the principal point in the image's middle.
+/// A camera without distortion with the best-fitting focal length, and the principal point at the image centre.
 pub(crate) fn first_camera(sightings: &[&Sighting], board: &Chessboard, size: ImageSize) -> Option<Camera> {
     let (width, height) = (f64::from(size.width), f64::from(size.height));
     let ratio = (FOCAL_RANGE[1] / FOCAL_RANGE[0]).powf(1.0 / f64::from(FOCAL_STEPS));
@@ -45,7 +45,7 @@ pub(crate) fn first_camera(sightings: &[&Sighting], board: &Chessboard, size: Im
         let squares = sightings.iter().zip(&from_board).map(|(sighting, pixel_from_board)| {
             misfit(&camera, &pose_of(&(ray_from_pixel * pixel_from_board))?, sighting, board)
         });
-        // The median view: one odd view must not choose the lens.
+        // The median over the views: one outlier view must not decide the focal length.
         let mut squares = squares.collect::<Option<Vec<f64>>>()?;
         squares.sort_by(f64::total_cmp);
         Some((squares.iter().take(squares.len().div_ceil(2)).sum::<f64>(), camera))
@@ -53,7 +53,7 @@ pub(crate) fn first_camera(sightings: &[&Sighting], board: &Chessboard, size: Im
     tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, camera)| camera)
 }
 
-/// Mean squared error of the corners of one sighting at a pose, px^2.
+/// Mean squared error of the corners of one view at a pose, px^2.
 fn misfit(camera: &Camera, cam_from_board: &Isometry3<f64>, sighting: &Sighting, board: &Chessboard) -> Option<f64> {
     let mut sum = 0.0;
     for corner in sighting.corners() {
@@ -89,7 +89,7 @@ fn homography(pairs: &[(Point2<f64>, Vector2<f64>)]) -> Option<Matrix3<f64>> {
     Some(to.try_inverse()? * h * from)
 }
 
-/// Moves points to their centroid and to a mean distance of the square root of 2 from it.
+/// Translates points to their centroid and scales them to a mean distance of the square root of 2.
 fn normalisation(points: impl Iterator<Item = Vector2<f64>> + Clone) -> Option<Matrix3<f64>> {
     let count = points.clone().count() as f64;
     let centre = points.clone().sum::<Vector2<f64>>() / count;
@@ -101,7 +101,7 @@ fn normalisation(points: impl Iterator<Item = Vector2<f64>> + Clone) -> Option<M
 /// The pose whose plane has this homography in normalised coordinates (Zhang, TPAMI 22 (2000), section 3.1).
 fn pose_of(h: &Matrix3<f64>) -> Option<Isometry3<f64>> {
     let scale = 2.0 / (h.column(0).norm() + h.column(1).norm());
-    // The board is before the camera.
+    // The board is in front of the camera.
     let scale = if h[(2, 2)] < 0.0 { -scale } else { scale };
     let (x, y, translation) = (h.column(0) * scale, h.column(1) * scale, h.column(2) * scale);
     let svd = Matrix3::from_columns(&[x, y, x.cross(&y)]).svd(true, true);

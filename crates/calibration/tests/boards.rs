@@ -1,5 +1,5 @@
-//! Boards with markers: images that OpenCV 4.14.0 drew and looked at (tests/data/coded_boards_by_opencv.py), boards that we
-//! print, and calibrations from views in which boards are seen in part.
+//! Boards with markers: images drawn and evaluated by OpenCV 4.14.0 (tests/data/coded_boards_by_opencv.py), boards printed by
+//! this crate, and calibrations from partly visible boards.
 
 #![allow(
     clippy::expect_used,
@@ -31,7 +31,7 @@ fn april_grid() -> Board {
     Board::april_grid([6, 6], 0.024, 0.3).expect("a board")
 }
 
-/// A corner of an image: where it is, and where OpenCV found it.
+/// A corner of an image: its true position, and OpenCV's result.
 struct Truth {
     pixel: Vector2<f64>,
     opencv: Option<Vector2<f64>>,
@@ -86,7 +86,7 @@ fn corners_of_images_that_opencv_drew_are_found_where_they_are() {
             opencv[0],
             opencv[1]
         );
-        // No corner has another one's place, as many are found as OpenCV finds or nearly, and as well.
+        // No corner is assigned to another one; nearly as many corners as OpenCV are found, with the same accuracy.
         assert!(worst < 1.0, "{name}: {worst}");
         assert!(errors.len() as f64 >= 0.9 * theirs.len() as f64, "{name}");
         assert!(ours[0] < 0.12 && ours[1] < 0.35, "{name}: {ours:?}");
@@ -106,7 +106,7 @@ fn boards_that_we_print_are_found_in_their_images() {
             (corner.pixel - (place * px_per_m).add_scalar(-0.5)).norm()
         };
         let [median, p95] = median_and_p95(&sighting.corners().iter().map(error).collect::<Vec<_>>());
-        println!("{}: median {median:.3} px, p95 {p95:.3} px from where it was drawn", board.kind());
+        println!("{}: median error {median:.3} px, p95 {p95:.3} px", board.kind());
         assert!(median < 0.1 && p95 < 0.5, "{}: {median}, {p95}", board.kind());
     }
 }
@@ -157,7 +157,7 @@ fn the_program_prints_boards_that_are_found() {
     }
 }
 
-/// The share of numbers within one stated standard deviation, over heads that saw a board.
+/// Share of parameters within one stated standard deviation, over rigs that saw a board.
 fn share_within(
     name: &str,
     board: &Board,
@@ -181,7 +181,7 @@ fn share_within(
     }
     let share = within as f64 / all as f64;
     println!(
-        "{name}: {seen} of {corners} corners seen; within one standard deviation: {:.1} % of {all}",
+        "{name}: {seen} of {corners} corners detected; within one standard deviation: {:.1} % of {all}",
         100.0 * share
     );
     assert!((share - 0.683).abs() <= 0.08, "{name}: {share}");

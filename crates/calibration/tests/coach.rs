@@ -1,4 +1,4 @@
-//! A simulated operator who does what the coach says, as well as hands can.
+//! A simulated operator who follows the coach, with the accuracy of human hands.
 
 #![allow(
     clippy::expect_used,
@@ -31,7 +31,7 @@ const GOOD: Session = Session {
     tilt_max_rad: 0.0,
 };
 
-/// The board where it is wanted, with the errors of a hand: from there towards the middle until both cameras see all of it.
+/// The board at the requested position, with the errors of a hand; moved towards the middle until both cameras see all of it.
 fn follow(wish: &Wish, rig: &StereoRig, random: &mut Random, name: String) -> View<2> {
     let board = board();
     let middle = board.corner_in_board(board.columns() - 1, board.rows() - 1).coords * 0.5;
@@ -44,7 +44,7 @@ fn follow(wish: &Wish, rig: &StereoRig, random: &mut Random, name: String) -> Vi
     let turn = Vector3::new((way.y + off(8.0)).to_radians(), (-way.x + off(8.0)).to_radians(), off(20.0).to_radians());
     let out = Vector2::new(f64::from(wish.part[0]) - 1.0, f64::from(wish.part[1]) - 1.0);
     let shake = Vector2::new(off(0.04), off(0.04));
-    // What does not fit is held farther away, and what leaves an image nearer to the middle of both.
+    // A board that does not fit is held farther away; a board that leaves an image is moved towards the middle of both images.
     for (back, step) in (0..12).flat_map(|back| (0..=30).map(move |step| (back, step))) {
         let distance_m = distance_m * 1.05_f64.powi(back);
         let ahead = Point3::new(0.0, 0.0, distance_m);
@@ -65,7 +65,7 @@ fn follow(wish: &Wish, rig: &StereoRig, random: &mut Random, name: String) -> Vi
     panic!("the board does not fit into both images: {wish:?}");
 }
 
-/// Views of an operator who follows the advice until it is enough.
+/// Views of an operator who follows the advice until there are enough views.
 fn coached(rig: &StereoRig, random: &mut Random) -> Vec<View<2>> {
     let mut views: Vec<View<2>> = Vec::new();
     loop {
@@ -77,7 +77,7 @@ fn coached(rig: &StereoRig, random: &mut Random) -> Vec<View<2>> {
             Some(wish) => views.push(follow(&wish, rig, random, format!("{:02}", views.len()))),
             None => return views,
         }
-        assert!(views.len() <= VIEWS_MAX, "it is never enough");
+        assert!(views.len() <= VIEWS_MAX, "there are never enough views");
     }
 }
 
@@ -145,7 +145,10 @@ fn the_advice_is_said_in_words() {
     let second = advice(&[stand], &Limits::default());
     println!("{:?}: {}", second.progress, second.wish.expect("a view"));
     let text = second.wish.expect("a view").to_string();
-    assert!(text.contains("corner of the images, as far out as both still show all of it"), "{text}");
+    assert!(
+        text.contains("corner of the images, as far out as possible with the whole board in both images"),
+        "{text}"
+    );
     assert!(text.contains("its right side 30 degrees farther away"), "{text}");
 }
 
@@ -160,7 +163,7 @@ fn a_stand_is_what_was_done() {
             let view = follow(&wish, &truth, &mut random, "00".to_owned());
             let stand = judge.stand(&view, &board()).expect("a stand");
             let along = stand.tilt_deg.dot(&farther.direction());
-            // Held in a corner the same turn is another tilt against the ray there.
+            // In an image corner the same rotation is a different tilt against the ray.
             assert!((10.0..60.0).contains(&along), "{wish:?}: {stand:?}");
             assert!((stand.size / 0.3 - 1.0).abs() < 0.3, "{stand:?}");
             assert!((stand.centre.x - 0.5) * (f64::from(part[0]) - 1.0) >= 0.0, "{stand:?}");

@@ -1,4 +1,4 @@
-//! Simulated heads on arms: hand-eye calibrations against exact truth, beside OpenCV, and planted defects.
+//! Simulated stereo rigs on arms: hand-eye calibrations compared with the ground truth and with OpenCV, and planted defects.
 
 #![allow(
     clippy::expect_used,
@@ -22,24 +22,24 @@ use crate::arm::{GOOD, JointWorld, Visit, World};
 use crate::support::{Random, Session, board};
 use pb3dp_test_support::sweep;
 
-/// As many as OpenCV had.
+/// Number of rigs evaluated with OpenCV.
 const RIGS: u32 = 100;
 
 fn rigs() -> u32 {
     sweep(20, RIGS)
 }
 
-/// Of those that take long: joints for each pose, a calibration of the head.
+/// Number of rigs for slow tests: joints for each pose, a calibration of the stereo rig.
 fn rigs_of_arm() -> u32 {
     sweep(10, 40)
 }
 
-/// How far the share within one standard deviation may be from 68.3 %: 0.08 of the long sweep, more of fewer rigs.
+/// Tolerance of the share within one standard deviation around 68.3 %: 0.08 for the long sweep, more for fewer rigs.
 fn share_tolerance(rigs: u32, long: u32) -> f64 {
     0.08 * (f64::from(long) / f64::from(rigs)).sqrt()
 }
 
-/// Where the board is, about, metres.
+/// Approximate distance of the board, metres.
 const DISTANCE_M: f64 = 0.5;
 
 fn fit(stops: &[HandEyeStop], rig: &StereoRig) -> Result<HandEyeFit, HandEyeError> {
@@ -62,12 +62,12 @@ fn apart(a: &Isometry3<f64>, b: &Isometry3<f64>) -> [f64; 2] {
     [(a.translation.vector - b.translation.vector).norm() * 1e3, a.rotation.angle_to(&b.rotation).to_degrees()]
 }
 
-/// Median and 95th of a hundred.
+/// Median and 95th percentile.
 fn quantiles(values: &[f64]) -> [f64; 2] {
     [50.0, 95.0].map(|percent| percentile(values, percent).unwrap())
 }
 
-/// What a hundred rigs show.
+/// Results over a hundred rigs.
 #[derive(Default)]
 struct Tally {
     /// Errors of each pose: mm and degrees.
@@ -105,7 +105,7 @@ impl Tally {
         self.within as f64 / self.all as f64
     }
 
-    /// Median and 95th of a hundred of a pose's errors.
+    /// Median and 95th percentile of the errors of a pose.
     fn of(&self, pose: usize) -> [[f64; 2]; 2] {
         [0, 1].map(|which| quantiles(&self.errors[pose].iter().map(|error| error[which]).collect::<Vec<_>>()))
     }
@@ -117,7 +117,7 @@ impl Tally {
             println!("  {name}: median {:.3} mm, {:.4} deg; p95 {:.3} mm, {:.4} deg", mm[0], deg[0], mm[1], deg[1]);
         }
         println!(
-            "  within one stated sigma: {:.1} % of {} numbers, mean square {:.2}; robot noise over the stated one: median {:.2}",
+            "  within one stated sigma: {:.1} % of {} numbers, mean square {:.2}; robot noise over the stated noise: median {:.2}",
             100.0 * self.share(),
             self.all,
             self.squares / self.all as f64,
@@ -234,10 +234,10 @@ fn errors_of_the_stereo_calibration_are_counted() {
     }
     let [median, p95] = quantiles(&points_mm);
     println!(
-        "a point 500 mm ahead, on the flange: median {median:.3}, p95 {p95:.3} mm; mean square over the stated one {squares:.2}"
+        "a point 500 mm ahead, on the flange: median {median:.3}, p95 {p95:.3} mm; mean square over the stated variance {squares:.2}"
     );
     assert!((0.5..1.8).contains(&squares), "{squares}");
-    counted.tell("heads calibrated from 15 views, errors counted", &["flange_from_cam_left", "base_from_board"]);
+    counted.tell("stereo rigs calibrated from 15 views, errors included", &["flange_from_cam_left", "base_from_board"]);
     println!("  without: {:.1} % within one stated sigma", 100.0 * left_out.share());
     assert!((counted.share() - 0.683).abs() <= share_tolerance(rigs_of_arm(), 40), "{}", counted.share());
     assert!(counted.share() > left_out.share() + 0.05, "{}", left_out.share());
@@ -246,7 +246,7 @@ fn errors_of_the_stereo_calibration_are_counted() {
     assert!(counted.refused <= 1, "{}", counted.refused);
 }
 
-/// What OpenCV's five methods make of the same stops (tests/data/hand_eye_by_opencv.py).
+/// Results of OpenCV's five methods for the same stops (tests/data/hand_eye_by_opencv.py).
 const OPENCV: &str = include_str!("data/opencv_4_14_hand_eye.csv");
 
 #[test]
@@ -309,7 +309,7 @@ fn stops_that_were_recorded_while_moving_are_found() {
         }
         let [median_mm, p95_mm] = quantiles(&errors);
         println!(
-            "{moving} of 15 stops 5 mm off: {found} of {} found, {wrong} good ones rejected; errors: median {median_mm:.3}, p95 {p95_mm:.3} mm",
+            "{moving} of 15 stops with 5 mm error: {found} of {} found, {wrong} good stops rejected; errors: median {median_mm:.3}, p95 {p95_mm:.3} mm",
             moving * rigs() as usize
         );
         assert_eq!(found, moving * rigs() as usize);
@@ -320,7 +320,7 @@ fn stops_that_were_recorded_while_moving_are_found() {
 
 #[test]
 fn wrong_squares_are_refused_and_named() {
-    // Typed wrong here alone, and typed wrong when the head was calibrated, too: then its baseline is wrong as well.
+    // Wrong square size in this calibration only, or in the stereo calibration as well, which makes its baseline wrong too.
     for both in [false, true] {
         for seed in 0..rigs() {
             let (world, stops) = visited(seed, &Visit { squares: 1.01, ..GOOD });
@@ -338,12 +338,12 @@ fn wrong_squares_are_refused_and_named() {
                 println!("{told}\n{:?}", fit.scales);
             }
             assert!(scale.grade() == Grade::Refused && told.contains("measure the squares"), "seed {seed}: {told}");
-            assert_eq!(told.contains("calibrate the stereo head"), both, "seed {seed}: {told}");
+            assert_eq!(told.contains("calibrate the stereo rig"), both, "seed {seed}: {told}");
         }
     }
 }
 
-/// Why a calibration is refused, in a word.
+/// Why a calibration is refused, as one word.
 fn reason(fit: Result<HandEyeFit, HandEyeError>) -> String {
     match fit {
         Err(error) => format!("{error:?}").split([' ', '{']).next().unwrap_or_default().to_owned(),

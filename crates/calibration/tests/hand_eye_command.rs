@@ -1,5 +1,5 @@
-//! A head on an arm, calibrated by the commands alone, from rendered images: first look, proposed poses, head, hand, and the
-//! board on the other arm.
+//! A stereo rig on an arm, calibrated with the commands only, from rendered images: first view, proposed poses, stereo rig,
+//! hand-eye, and the board on the other arm.
 
 #![allow(
     clippy::expect_used,
@@ -32,7 +32,7 @@ fn text(output: &Output) -> String {
     format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
 }
 
-/// What a command that succeeds says.
+/// Output of a successful command.
 fn told(args: &[&str]) -> String {
     let output = calibrate(args);
     let told = text(&output);
@@ -40,7 +40,7 @@ fn told(args: &[&str]) -> String {
     told
 }
 
-/// A cell with two arms, one of which carries the board.
+/// A workcell with two arms, one of which carries the board.
 struct Cell {
     world: World,
     painters: [Painter; 2],
@@ -54,7 +54,7 @@ impl Cell {
         vs_base_from_tc_base * tc * tc_flange_from_board
     }
 
-    /// Where an arm says it is.
+    /// Reported pose of an arm.
     fn stand(&mut self, flange: &Isometry3<f64>) -> ArmStand {
         let noise = Vector6::from_fn(|n, _| {
             self.random.normal() * if n < 3 { GOOD.robot_sigma_m } else { GOOD.robot_sigma_rad }
@@ -77,7 +77,7 @@ impl Cell {
                 painter.image(&pose, &board(), &mut self.random).save(folder.join(file)).expect("written");
             }
             let [left, right] = files;
-            // An arm that rests says the same each time.
+            // A stationary arm reports the same pose each time.
             let [vs, tc] = [0, 1].map(|arm| match resting[arm] {
                 Some((pose, stand)) if pose == arms[arm] => stand,
                 _ => self.stand(&arms[arm]),
@@ -93,7 +93,7 @@ impl Cell {
     }
 }
 
-/// The six numbers of a pose that is off by 10 mm and 3 degrees.
+/// The six numbers of a pose with an error of 10 mm and 3 degrees.
 fn guess(pose: &Isometry3<f64>) -> String {
     let off =
         Isometry3::from_parts(Vector3::new(0.006, -0.006, 0.005).into(), so3::exp(&Vector3::new(0.03, 0.03, -0.03)));
@@ -116,7 +116,7 @@ fn check(name: &str, found: &Isometry3<f64>, truth: &Isometry3<f64>, [mm, deg]: 
     assert!(distance < mm && angle < deg, "{name}: {distance} mm, {angle} deg");
 }
 
-/// The head with a focal length that is wrong by 2 %, as a file that nobody measured has it.
+/// The stereo rig with a 2 % error of the focal length, saved as a nominal calibration.
 fn save_nominal(rig: &StereoRig, file: &Path) {
     let camera = |camera: &Camera| {
         let p = camera.pinhole();
@@ -132,7 +132,7 @@ fn save_nominal(rig: &StereoRig, file: &Path) {
 
 const TARGET: [&str; 4] = ["--board", "9x6", "--square", "25"];
 
-/// Where the arms are at the first look: the board about in the middle of the images.
+/// Arm poses of the first view: the board is approximately in the middle of the images.
 fn first_look(cell: &Cell) -> [Isometry3<f64>; 2] {
     let tc = Isometry3::from_parts(Vector3::new(0.9, 0.15, 0.6).into(), so3::exp(&Vector3::new(0.2, 1.5, 0.3)));
     let middle = board().corner_in_board(8, 5).coords * 0.5;
@@ -155,7 +155,7 @@ fn head_hand_and_both_arms_are_calibrated_by_the_commands_alone() {
     let look = cell.record("look", &[first]).display().to_string();
     save_nominal(&cell.world.rig, Path::new(&nominal));
 
-    // Poses of the arm with the cameras; the head and the hand from them.
+    // Poses of the arm with the cameras; then the stereo and hand-eye calibration from them.
     let guessed = guess(&cell.world.flange_from_cam_left);
     let from_look = ["propose", "--recording", &look, "--calib", &nominal];
     println!("{}", told(&[&from_look, &TARGET[..], &["--guess", &guessed, "--out", &vs_poses]].concat()));
@@ -179,7 +179,7 @@ fn head_hand_and_both_arms_are_calibrated_by_the_commands_alone() {
     assert_eq!(found.judgement.cameras[1].serial.as_deref(), Some("B2"));
     assert_eq!(found.judgement.date, "2026-11-22T09:00:00Z");
 
-    // Squares that are typed wrong.
+    // Wrong square size.
     let wrong = calibrate(&[&hand[..], &["--board", "9x6", "--square", "25.25"]].concat());
     let said = text(&wrong);
     assert!(!wrong.status.success(), "{said}");
@@ -187,7 +187,7 @@ fn head_hand_and_both_arms_are_calibrated_by_the_commands_alone() {
     both_arms(&mut cell, first[0], [&look, &stops, &calib, &hand_eye]);
 }
 
-/// The same cell with poses of the arm that carries the board.
+/// The same workcell with poses of the arm that carries the board.
 fn both_arms(cell: &mut Cell, vs: Isometry3<f64>, [look, stops, calib, hand_eye]: [&str; 4]) {
     let Place::Carried { vs_base_from_tc_base, tc_flange_from_board } = cell.world.place else { panic!("carried") };
     let tc_poses = cell.folder.join("tc.toml").display().to_string();
@@ -200,7 +200,10 @@ fn both_arms(cell: &mut Cell, vs: Isometry3<f64>, [look, stops, calib, hand_eye]
     let both = ["hand-eye", "--recording", stops, &more, "--calib", calib, "--out", hand_eye];
     let told_both = told(&[&both, &TARGET[..]].concat());
     println!("{told_both}");
-    assert!(told_both.contains("the board is on the flange of tc") && told_both.contains("[arms.tc]"), "{told_both}");
+    assert!(
+        told_both.contains("the board is mounted on the flange of tc") && told_both.contains("[arms.tc]"),
+        "{told_both}"
+    );
     let found = load_hand_eye(Path::new(hand_eye)).expect("a hand-eye calibration");
     let BoardPlace::Carried { vs_base_from_tc_base: bases, tc_flange_from_board: on_flange } = found.board else {
         panic!("{:?}", found.board)
@@ -210,13 +213,14 @@ fn both_arms(cell: &mut Cell, vs: Isometry3<f64>, [look, stops, calib, hand_eye]
     check("tc_flange_from_board", on_flange.isometry(), &tc_flange_from_board, [1.0, 0.15]);
 }
 
-/// The camera on the flange, by itself and for a point that is seen.
+/// Checks the camera pose on the flange, and the position of a visible point.
 fn check_hand(found: &HandEye, cell: &Cell, calib: &str) {
-    // The pose by itself has the errors of the head, whose lens model is simpler than the truth; a point that is seen has not.
+    // The camera pose includes the errors of the stereo rig, whose lens model is simpler than the truth; a visible point does
+    // not.
     check("flange_from_cam_left", found.flange_from_cam_left.isometry(), &cell.world.flange_from_cam_left, [2.0, 0.3]);
     let believed = load_stereo(&[PathBuf::from(calib)]).expect("a head").rig;
     let point_mm = cell.world.point_error_m(&believed, &found.flange_from_cam_left, 0.5) * 1e3;
-    println!("a point 500 mm ahead, on the flange: {point_mm:.3} mm from the truth");
+    println!("a point 500 mm ahead, on the flange: error {point_mm:.3} mm");
     assert!(point_mm < 1.2, "{point_mm}");
 }
 

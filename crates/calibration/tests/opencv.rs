@@ -1,5 +1,5 @@
-//! Beside OpenCV 4.14.0 on real images: adjustment on the same corners (tests/data/stereo_by_opencv.py), and corners of the
-//! same images (tests/data/corners_by_opencv.py).
+//! Comparison with OpenCV 4.14.0 on real images: adjustment of the same corners (tests/data/stereo_by_opencv.py), and corners of
+//! the same images (tests/data/corners_by_opencv.py).
 
 #![allow(
     clippy::expect_used,
@@ -19,14 +19,14 @@ use pb3dp_geometry::ImageSize;
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 
-/// One set of images, and what OpenCV made of it.
+/// One set of images, with OpenCV's results.
 struct Set {
     board: Chessboard,
-    /// Corners as `pb3dp calibrate` found them.
+    /// Corners found by `pb3dp calibrate`.
     corners: &'static str,
     /// OpenCV's calibration from those corners.
     stereo: &'static str,
-    /// Corners that OpenCV found.
+    /// Corners found by OpenCV.
     theirs: &'static str,
     views: usize,
     /// The lens model of both calibrations.
@@ -51,7 +51,7 @@ fn bumblebee2_chessboards() -> Set {
         stereo: include_str!("data/bumblebee2_4_14_stereo.csv"),
         theirs: include_str!("data/bumblebee2_4_14_corners.csv"),
         views: 11,
-        // What `--lens auto` chooses. With five coefficients for lenses without distortion OpenCV stops before the lowest point.
+        // The choice of `--lens auto`. With five coefficients for lenses without distortion OpenCV stops before the minimum.
         lens: LensModel::Radial1,
     }
 }
@@ -73,7 +73,7 @@ impl Set {
         seen.into_iter().map(view).collect()
     }
 
-    /// What OpenCV found: numbers by name.
+    /// OpenCV's results: numbers by name.
     fn opencv(&self) -> BTreeMap<&'static str, Vec<f64>> {
         let line = |line: &'static str| {
             let (name, numbers) = line.split_once(',').expect(line);
@@ -83,7 +83,7 @@ impl Set {
     }
 }
 
-/// Our adjustment against OpenCV's on the same corners; gives our baseline, mm.
+/// Compares our adjustment with OpenCV's on the same corners; returns our baseline, mm.
 fn check_calibration(set: &Set) -> f64 {
     let (views, opencv) = (set.views(), set.opencv());
     assert_eq!(views.len(), set.views);
@@ -123,7 +123,7 @@ fn stereo_calibration_agrees_with_opencv() {
 #[test]
 fn bumblebee2_agrees_with_opencv_and_with_its_maker() {
     let baseline_mm = check_calibration(&bumblebee2_chessboards());
-    // 120.0 mm by the maker, 120.4 mm by OpenCV in other hands.
+    // 120.0 mm in the data sheet, 120.4 mm in other OpenCV calibrations.
     assert!((119.6..=120.8).contains(&baseline_mm), "{baseline_mm}");
 }
 
@@ -163,7 +163,7 @@ fn corners_are_where_opencv_sees_them() {
             let ([median, p95], count) = (of(method), apart[method].len());
             println!("{name}: {method}: median {median:.3} px, 95 % within {p95:.3} px, {count} corners");
         }
-        // About as far from either of OpenCV's ways as these are from each other.
+        // The distance to either OpenCV method is similar to the distance between these methods.
         let [median, p95] = of("sb to subpix").map(|px| 1.25 * px);
         for method in ["sb", "subpix"] {
             assert!(of(method)[0] <= median && of(method)[1] <= p95, "{name}, {method}: {:?}", of(method));

@@ -1,4 +1,4 @@
-//! The poses that are proposed: the board stays whole in both images although little is known, and a head can be calibrated from them.
+//! Proposed poses: the whole board stays in both images despite uncertain inputs, and the poses allow a stereo calibration.
 
 #![allow(
     clippy::expect_used,
@@ -28,7 +28,7 @@ const WISH: Wish = Wish {
     focal_error: 0.02,
 };
 
-/// The board about in the middle of the left image.
+/// The board approximately in the middle of the left image.
 fn first_look(random: &mut Random, distance_m: f64) -> Isometry3<f64> {
     let middle = board().corner_in_board(8, 5).coords * 0.5;
     let at = Vector3::new(random.between(0.02, 0.07), random.between(-0.03, 0.03), distance_m);
@@ -36,7 +36,7 @@ fn first_look(random: &mut Random, distance_m: f64) -> Isometry3<f64> {
     Isometry3::from_parts(at.into(), turn) * Isometry3::translation(-middle.x, -middle.y, 0.0)
 }
 
-/// The head with another focal length.
+/// The stereo rig with another focal length.
 fn with_focal(rig: &StereoRig, factor: f64) -> StereoRig {
     let camera = |camera: &Camera| {
         let p = camera.pinhole();
@@ -46,7 +46,7 @@ fn with_focal(rig: &StereoRig, factor: f64) -> StereoRig {
     StereoRig::new(camera(rig.left()), camera(rig.right()), *rig.cam_right_from_cam_left()).expect("a head")
 }
 
-/// A direction, evenly.
+/// A uniformly distributed direction.
 fn direction(random: &mut Random) -> Vector3<f64> {
     Vector3::from_fn(|_, _| random.normal()).normalize()
 }
@@ -59,7 +59,7 @@ fn the_board_stays_whole_and_the_views_calibrate_the_head() {
     for seed in 0..RIGS {
         let mut random = Random::new(4000 + seed);
         let world = World::in_room(&mut random);
-        // What is believed is wrong by as much as is allowed for.
+        // The assumed values have the maximum allowed errors.
         let factor = if seed % 2 == 0 { 1.02 } else { 1.0 / 1.02 };
         let believed = with_focal(&world.rig, factor);
         let (turn, shift) =
@@ -83,7 +83,7 @@ fn the_board_stays_whole_and_the_views_calibrate_the_head() {
         let verdicts = Limits::default().judge(&quality);
         let bad: Vec<_> = verdicts.iter().filter(|v| v.grade() != Grade::Good).map(|v| (v.gate, v.measured)).collect();
         println!(
-            "seed {seed}, focal length {:.0}: coverage promised {:.2?}, measured {:.2}, tilt {:.0} deg; not good: {bad:?}",
+            "seed {seed}, focal length {:.0}: coverage predicted {:.2?}, measured {:.2}, tilt {:.0} deg; not good: {bad:?}",
             world.rig.left().pinhole().fx,
             views.coverage,
             quality.coverage,
@@ -112,14 +112,14 @@ fn the_way_is_short_and_turns_about_both_axes() {
     let poses: Vec<_> = views.cam_left_from_board.iter().map(|view| *view.isometry()).collect();
     let turn = |a: &Isometry3<f64>, b: &Isometry3<f64>| a.rotation.angle_to(&b.rotation).to_degrees();
     let way: f64 = poses.windows(2).map(|pair| turn(&pair[0], &pair[1])).sum::<f64>() + turn(&first, &poses[0]);
-    // In the order of a hash instead.
+    // Compared with an order given by a hash.
     let mut shuffled = poses.clone();
     for index in 0..shuffled.len() {
         let other = random.between(0.0, shuffled.len() as f64) as usize;
         shuffled.swap(index, other);
     }
     let other: f64 = shuffled.windows(2).map(|pair| turn(&pair[0], &pair[1])).sum();
-    println!("turns along the way: {way:.0} deg, in another order {other:.0} deg");
+    println!("rotation along the path: {way:.0} deg, in another order {other:.0} deg");
     assert!(way < 0.8 * other, "{way} and {other}");
     let mut spread = nalgebra::Matrix3::zeros();
     for pose in &poses {

@@ -1,4 +1,4 @@
-//! Recordings at full rate: which pairs are taken, what comes of them, and what the report says.
+//! Recordings at full frame rate: selected pairs, resulting calibrations, and reports.
 
 #![allow(
     clippy::expect_used,
@@ -29,7 +29,7 @@ fn text(output: &Output) -> String {
     format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
 }
 
-/// Tags are closed in the order in which they are opened, and nothing is loaded from elsewhere.
+/// Tags are closed in the order in which they are opened, and no external resource is loaded.
 fn check_html(html: &str) {
     let mut open: Vec<&str> = Vec::new();
     for tag in html.split('<').skip(1) {
@@ -45,13 +45,13 @@ fn check_html(html: &str) {
         }
     }
     assert!(open.is_empty(), "{open:?}");
-    // Images are letters that may say anything.
+    // Base64 image data may contain any letters.
     let images = html.split("base64,").skip(1).map(|rest| rest.split('"').next().expect("an end"));
     let said = images.fold(html.to_owned(), |html, image| html.replace(image, ""));
     assert!(!said.contains("<script") && !said.contains("http") && !said.contains("NaN"), "{said}");
 }
 
-/// Frames that were taken as views.
+/// Frames selected as views.
 fn frames(corners: &Path) -> BTreeSet<usize> {
     let text = fs::read_to_string(corners).expect("corners");
     let number = |line: &str| line.split(',').next().expect(line).parse().expect(line);
@@ -75,12 +75,12 @@ fn views_are_chosen_from_a_recording_and_the_head_is_found() {
     let told = text(&output);
     println!("{told}");
     assert!(output.status.success(), "{told}");
-    assert!(told.contains(&format!("of {} pairs, took", rests.len())), "{told}");
-    assert!(told.contains("the board moves by more than"), "{told}");
+    assert!(told.contains(&format!("of {} pairs, selected", rests.len())), "{told}");
+    assert!(told.contains("the board moves faster than"), "{told}");
     let chosen = frames(Path::new(&corners));
     let at: BTreeSet<Option<usize>> = chosen.iter().map(|frame| rests[*frame]).collect();
     assert!(!at.contains(&None) && !at.contains(&Some(blurred)), "{chosen:?}");
-    assert_eq!(at.len(), chosen.len(), "one of each place: {chosen:?}");
+    assert_eq!(at.len(), chosen.len(), "one per board pose: {chosen:?}");
     assert!(at.len() >= places.len() - 2, "{at:?}");
     let calibration = load_stereo(&[toml.clone().into()]).expect("a calibration");
     let (found, truth) = (&calibration.rig, &studio.rig);
@@ -99,7 +99,7 @@ fn report_says_what_the_file_says(html: &str, gates: &[JudgedGate], told: &str) 
     assert!(html.contains("data:image/jpeg;base64,") && html.matches("drawn").count() > 4);
 }
 
-/// A page with the gates and the verdict of a file and of what was told.
+/// Checks that a page shows the gates and the verdict of the file and of the printed output.
 fn says(html: &str, gates: &[JudgedGate], told: &str) {
     let html = fs::read_to_string(html).expect("a report");
     check_html(&html);
@@ -111,7 +111,7 @@ fn says(html: &str, gates: &[JudgedGate], told: &str) {
     assert!(html.contains(&format!("Verdict: {verdict}")), "{verdict}");
 }
 
-/// The same board holds, one that is typed wrong does not.
+/// The same board passes verification, a wrong square size does not.
 fn verified(toml: &str, common: &[&str]) {
     let verify = |square: &str, further: &[&str]| calibrate(&[&["verify", toml], common, &[square], further].concat());
     let good = verify("25", &["--corners", "0,0", "8,5", "--length", "235.85"]);
@@ -126,7 +126,7 @@ fn verified(toml: &str, common: &[&str]) {
     let measured_wrong = verify("25", &["--corners", "0,0", "8,5", "--length", "231"]);
     assert!(!measured_wrong.status.success() && text(&measured_wrong).contains("refused  length_percent = 2."));
     let no_corner = verify("25", &["--corners", "0,0", "9,5", "--length", "231"]);
-    assert!(text(&no_corner).contains("corner 9,5 is seen by both cameras in no view"), "{}", text(&no_corner));
+    assert!(text(&no_corner).contains("corner 9,5 is visible to both cameras in no view"), "{}", text(&no_corner));
 }
 
 #[test]
@@ -154,7 +154,7 @@ fn each_stop_of_an_arm_is_a_view() {
     assert!(seen.contains("\nstop 00,left,0,0,") && seen.contains("\nstop 05,right,8,5,"), "{}", text(&output));
 }
 
-/// The hand sees a board that rests in the room, from many stops.
+/// The cameras see a stationary board from many stops.
 #[test]
 fn what_was_touched_is_where_the_cameras_say() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -188,7 +188,7 @@ fn what_was_touched_is_where_the_cameras_say() {
     let flange_from_cam_left = Pose::from_isometry(flange_from_cam_left);
     let hand_eye = HandEye { flange_from_cam_left, board: place, judgement };
     save_hand_eye(&hand_eye, &path("hand_eye.toml")).expect("written");
-    // The third one was read wrongly by `off_mm`.
+    // The third point has a reading error of `off_mm`.
     let touch_file = |off_mm: f64| {
         let place = |([column, row], off_mm): ([u32; 2], f64)| {
             let at = base_from_board * board().corner_in_board(column, row) * 1e3;
@@ -214,7 +214,7 @@ fn what_was_touched_is_where_the_cameras_say() {
     assert!(told.lines().any(|line| line.starts_with("corner 3,5: touched at") && line.contains("12 stops")), "{told}");
 }
 
-/// The page of a hand-eye calibration by the stops of a folder says what its file says.
+/// The report of a hand-eye calibration from the stops of a folder agrees with its file.
 fn hand_eye_has_a_report(folder: &Path) {
     let [recording, calib, html, out] =
         ["", "calib.json", "hand.html", "found.toml"].map(|name| folder.join(name).display().to_string());
@@ -228,13 +228,13 @@ fn hand_eye_has_a_report(folder: &Path) {
     assert!(page.contains("left_5.png") && page.contains("base_from_board.rz, degrees"));
 }
 
-/// Lines that a program writes, one by one.
+/// Output lines of a program, one by one.
 fn lines(child: &mut std::process::Child) -> impl Iterator<Item = String> + use<> {
     let stdout = child.stdout.take().expect("a pipe");
     std::io::BufRead::lines(std::io::BufReader::new(stdout)).map(|line| line.expect("a line"))
 }
 
-/// The recording grows only when the coach has said something about what there is: no clock decides.
+/// The recording grows only after the coach has printed a line about the previous pairs, so no timing is involved.
 #[test]
 fn the_coach_looks_at_a_recording_that_grows() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -252,13 +252,13 @@ fn the_coach_looks_at_a_recording_that_grows() {
     let mut writer = film::writer(&recording, &studio.rig);
     let pair = studio.pair(&places[0], 0.0);
     film::push(&mut writer, &pair);
-    // One pair alone does not tell whether the board rests.
-    assert!(told.next().expect("a line").contains("0 views, 0 % covered: the board moves"));
+    // One pair alone does not show whether the board is stationary.
+    assert!(told.next().expect("a line").contains("0 views, 0 % covered: the board is moving"));
     assert!(told.next().expect("a line").contains("next: hold the board in the middle of the images"));
     film::push(&mut writer, &pair);
     assert!(told.next().expect("a line").contains("1 views") && told.next().expect("a line").contains("next: "));
     film::push(&mut writer, &pair);
-    assert!(told.next().expect("a line").contains("such a view is there already"));
+    assert!(told.next().expect("a line").contains("similar to an earlier view"));
     assert!(told.next().expect("a line").contains("next: "));
     for _ in 0..2 {
         film::push(&mut writer, &studio.pair(&places[3], 0.0));
@@ -271,7 +271,7 @@ fn the_coach_looks_at_a_recording_that_grows() {
     check_html(&html.replace("http-equiv", ""));
     writer.finish().expect("written");
     let rest: Vec<String> = told.collect();
-    assert!(rest.iter().any(|line| line.contains("the recording has ended with 2 views")), "{rest:?}");
+    assert!(rest.iter().any(|line| line.contains("the recording ended with 2 views")), "{rest:?}");
     assert!(!child.wait().expect("it ends").success());
     assert!(html.contains("Calibration coach") && html.contains("http-equiv=\"refresh\""));
 }

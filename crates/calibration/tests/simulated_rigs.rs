@@ -1,4 +1,4 @@
-//! Simulated stereo heads: the stated standard deviations are those of the errors, and planted defects are refused.
+//! Simulated stereo rigs: the stated standard deviations match the errors, and planted defects are refused.
 
 #![allow(
     clippy::expect_used,
@@ -22,7 +22,7 @@ fn rigs() -> u32 {
     sweep(12, 100)
 }
 
-/// What a careful session is like: a board that is flat to 0.2 mm, corners to 0.1 px.
+/// A careful session: a board that is flat to 0.2 mm, corners accurate to 0.1 px.
 const GOOD: Session = Session {
     views: 15,
     corner_sigma_px: 0.1,
@@ -75,7 +75,7 @@ fn check_standard_deviations(name: &str, session: &Session) {
     );
     let rigs = f64::from(rigs());
     assert!((share - 0.683).abs() <= 0.8 / rigs.sqrt(), "{name}: {share}");
-    // Each by itself: four standard deviations of a share of so many.
+    // Each parameter by itself: four standard deviations of a share estimated from this many samples.
     let (mean, four_sigma) = (0.683 * rigs, 4.0 * (0.683 * 0.317 * rigs).sqrt());
     let is_near = |count: &usize| (*count as f64 - mean).abs() <= four_sigma;
     assert!(by_name.values().all(is_near), "{name}: {by_name:?}");
@@ -87,14 +87,14 @@ fn stated_standard_deviations_are_those_of_the_errors() {
     check_standard_deviations("board flat to 0.2 mm", &GOOD);
 }
 
-/// What refuses a session: the gates, or the message of an error.
+/// Why a session was refused: the gates, or the message of an error.
 struct Refusal {
     gates: Vec<Gate>,
     told: String,
 }
 
-/// A simulated session of a seed, judged; the squares are thought to be `square_mm` large (they are 25), and the baseline is known to
-/// 1 %.
+/// A simulated session of a seed, judged; the squares are assumed to be `square_mm` large (true size 25), and the baseline is
+/// known to 1 %.
 fn judged(seed: u32, session: &Session, models: &[LensModel], (square_mm, exchanged): (f64, bool)) -> Refusal {
     let mut random = Random::new(1000 + seed);
     let truth = rig(&mut random);
@@ -134,7 +134,7 @@ fn good_sessions_pass() {
     assert!(count <= sweep(1, 3), "{count}");
 }
 
-/// A defect, by the sessions that have it, and what may refuse it: gates, or words of an error.
+/// A defect: the sessions that have it, and the gates or error words that may refuse it.
 struct Planted {
     name: &'static str,
     session: fn(&mut Random) -> Session,
@@ -147,7 +147,7 @@ const AS_IT_IS: fn(&mut Random) -> (f64, bool) = |_| (25.0, false);
 
 const PLANTED: [Planted; 8] = [
     Planted {
-        name: "squares typed wrongly",
+        name: "wrong square size",
         session: |_| GOOD,
         typed: |random| ([24.0, 26.0, 20.0, 30.0, 52.0, 2.5][random.between(0.0, 6.0) as usize], false),
         gates: &[Gate::Scale],
@@ -168,7 +168,7 @@ const PLANTED: [Planted; 8] = [
         words: "",
     },
     Planted {
-        name: "2 ms between the eyes, board at 50 to 200 mm/s",
+        name: "2 ms between the exposures of the cameras, board at 50 to 200 mm/s",
         session: |random| Session { moved_between_eyes_m: 0.002 * random.between(0.05, 0.2), ..GOOD },
         typed: AS_IT_IS,
         gates: &[Gate::Motion],
@@ -182,7 +182,7 @@ const PLANTED: [Planted; 8] = [
         words: "",
     },
     Planted {
-        name: "exchanged eyes",
+        name: "left and right images exchanged",
         session: |_| GOOD,
         typed: |_| (25.0, true),
         gates: &[],
@@ -193,7 +193,7 @@ const PLANTED: [Planted; 8] = [
         session: |random| Session { views: random.between(3.0, 6.0) as usize, ..GOOD },
         typed: AS_IT_IS,
         gates: &[Gate::Views],
-        words: "views of the board can be used",
+        words: "usable views of the board",
     },
     Planted {
         name: "views tilted by 6 degrees at most",
@@ -204,7 +204,7 @@ const PLANTED: [Planted; 8] = [
     },
 ];
 
-/// Some of the planted defects, in a thread of their own.
+/// Checks some of the planted defects, in a separate thread.
 fn check_planted(range: std::ops::Range<usize>) {
     let (rigs, mut missed) = (rigs(), 0);
     for planted in &PLANTED[range] {
@@ -257,7 +257,7 @@ fn the_lens_that_is_chosen_leaves_nothing_to_other_numbers() {
         let chosen = choose(&views, &board(), SIZE, &models).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
         *by_lens.entry(chosen.fit.lens().to_string()).or_insert(0) += 1;
         for (name, error) in normalised_errors(&chosen.fit, &truth) {
-            // Coefficients of a simpler model are not those of the truth.
+            // Coefficients of a simpler model differ from those of the truth.
             if ["fx", "fy", "cx", "cy", "_m", "_rad"].iter().any(|end| name.ends_with(end)) {
                 within += usize::from(error.abs() <= 1.0);
                 all += 1;
@@ -266,6 +266,6 @@ fn the_lens_that_is_chosen_leaves_nothing_to_other_numbers() {
     }
     let share = within as f64 / all as f64;
     println!("chosen: {by_lens:?}; within one standard deviation: {:.1} % of {all}", 100.0 * share);
-    // It was 61 % when a model was taken whose held-out error was 1 % above the lowest.
+    // It was 61 % when a model was accepted whose held-out error was 1 % above the lowest.
     assert!((share - 0.683).abs() <= sweep(0.12, 0.06), "{share}");
 }

@@ -1,4 +1,4 @@
-//! Two calibrations beside each other, and lengths, on simulated heads with exact truth.
+//! Comparison of two calibrations, and lengths, on simulated stereo rigs with exact ground truth.
 
 #![allow(
     clippy::expect_used,
@@ -38,7 +38,7 @@ fn calibrated(truth: &StereoRig, random: &mut Random) -> Known {
     Known { rig: fit.rig().expect("a head"), names: covariance.names.clone(), covariance: covariance.matrix.clone() }
 }
 
-/// The right camera turned by a tenth of a degree about its vertical axis.
+/// The right camera rotated by a tenth of a degree about its vertical axis.
 fn touched_head(rig: &StereoRig) -> StereoRig {
     let turn = Pose::from_parts(Vector3::zeros(), so3::exp(&Vector3::new(0.0, 0.1_f64.to_radians(), 0.0)));
     StereoRig::new(*rig.left(), *rig.right(), turn * *rig.cam_right_from_cam_left()).expect("a head")
@@ -64,7 +64,7 @@ fn two_calibrations_of_one_head_differ_by_chance_and_those_of_a_touched_one_do_n
         assert_eq!(limits.judge(Check::Difference, depth_m * 1e3).grade, Grade::Refused, "seed {seed}: {depth_m}");
     }
     let mean = squares / f64::from(HEADS);
-    println!("same head: mean square {mean:.2} of 1, {refused} of {HEADS} refused");
+    println!("same rig: mean square {mean:.2} of 1, {refused} of {HEADS} refused");
     assert!((0.7..1.4).contains(&mean) && refused == 0);
 }
 
@@ -100,7 +100,7 @@ fn lengths_on_fresh_views_tell_the_scale_and_the_wrong_square() {
         assert!((wrong.scale * 1.02 - good.scale).abs() < 1e-6, "seed {seed}: {wrong:?}, {good:?}");
         assert!(depth_sigma_m(&known, 0.5).is_some_and(|sigma_m| sigma_m < 0.003), "seed {seed}");
     }
-    println!("worst scale of 20 heads: {:.3} %", 100.0 * worst);
+    println!("worst scale of 20 rigs: {:.3} %", 100.0 * worst);
     assert!(worst < 0.003, "{worst}");
 }
 
@@ -109,7 +109,7 @@ fn touched_corners_are_where_the_cameras_say() {
     let mut random = Random::new(91);
     let truth = rig(&mut random);
     let seen = views(&truth, &Session { corner_sigma_px: 0.0, ..GOOD }, &mut random);
-    // The board rests in the room, so each view has a hand of its own.
+    // The board is stationary in the room, so each view has its own hand pose.
     let base_from_board = Isometry3::new(Vector3::new(0.5, -0.2, 0.1), Vector3::new(2.8, 0.3, -0.2));
     let corners = [[0, 0], [8, 1], [3, 5]];
     let poses: Vec<Isometry3<f64>> =
@@ -125,7 +125,7 @@ fn touched_corners_are_where_the_cameras_say() {
     assert!(touched(&truth, &seen, &poses, &[touch([12, 0], 0.0)]).is_err());
 }
 
-/// The board's frame from three triangulated corners: an own way, beside the adjustment.
+/// The board frame from three triangulated corners: an independent computation, without the adjustment.
 fn board_from_cam_left(rig: &StereoRig, view: &pb3dp_calibration::fit::View<2>) -> Isometry3<f64> {
     let [o, x, y]: [Point3<f64>; 3] =
         [[0, 0], [8, 0], [0, 5]].map(|corner| corner_in_cam_left(rig, view, corner).expect("seen"));

@@ -31,6 +31,7 @@ pub mod looking;
 mod losses;
 pub mod machine;
 pub mod marks;
+pub mod message_codes;
 pub mod methods;
 pub mod moving;
 pub mod noting;

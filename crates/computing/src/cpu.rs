@@ -1,6 +1,6 @@
-//! Which data-parallel kernels run: chosen at run time from what the processor has.
+//! Selection of the vector kernels at run time, from the instruction sets of the processor.
 
-/// A family of kernels. All families give the same bits; they differ in speed only.
+/// A family of kernels. All families give bit-identical results; they differ in speed only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum KernelSet {
     /// Portable code, on every processor.
@@ -48,7 +48,7 @@ impl KernelSet {
     }
 }
 
-/// A family that was found to run on this processor: the proof that the kernels need to be called.
+/// A family that this processor is known to support. The kernels require it as an argument.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Kernels(KernelSet);
 
@@ -58,7 +58,7 @@ impl Kernels {
         Self(KernelSet::best())
     }
 
-    /// A given family, if this processor has its instructions.
+    /// The given family, if this processor has its instructions.
     pub fn of(set: KernelSet) -> Option<Self> {
         set.is_available().then_some(Self(set))
     }
@@ -68,7 +68,7 @@ impl Kernels {
         KernelSet::ALL.into_iter().filter(|set| set.is_available()).map(Self)
     }
 
-    /// Which family this is.
+    /// The family of these kernels.
     pub fn set(self) -> KernelSet {
         self.0
     }

@@ -1,4 +1,4 @@
-//! Vector kernels from one source ([`wide!`]), and random numbers from a seed ([`rng`]): the same bits on every machine.
+//! Vector kernels ([`wide!`]) and seeded random numbers ([`rng`]) with bit-identical results on every machine.
 
 pub mod cpu;
 pub mod rng;

@@ -1,13 +1,13 @@
-//! Random numbers of searches and of tests: the same on every platform, from a seed alone.
+//! Seeded random numbers for searches and tests: the same on every platform.
 
-/// SplitMix64 (Steele, Lea and Flood, 2014): 64 bits of state, period 2^64, passes the usual batteries.
+/// SplitMix64 (Steele, Lea and Flood, 2014): 64 bits of state, period 2^64, passes the usual test batteries.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SplitMix64 {
     state: u64,
 }
 
 impl SplitMix64 {
-    /// The generator of a seed; every seed is good.
+    /// Creates a generator from a seed; every seed is suitable.
     pub fn new(seed: u64) -> Self {
         Self { state: seed }
     }
@@ -31,17 +31,18 @@ impl SplitMix64 {
         self.unit() < p
     }
 
-    /// From 0 (included) to 1 (excluded), in steps of 2^-53.
+    /// Uniformly distributed from 0 (included) to 1 (excluded), in steps of 2^-53.
     pub fn unit(&mut self) -> f64 {
         (self.next_u64() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Evenly between two numbers.
+    /// Uniformly distributed between two numbers.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.unit()
     }
 
-    /// Normal, with mean 0 and variance 1 (Box and Muller); its last bit may differ between mathematics libraries. For tests.
+    /// Normally distributed with mean 0 and variance 1 (Box and Muller). The last bit may differ between mathematics libraries.
+    /// For tests.
     pub fn normal(&mut self) -> f64 {
         let radius = (-2.0 * (self.unit() + f64::MIN_POSITIVE).ln()).sqrt();
         radius * (std::f64::consts::TAU * self.unit()).cos()

@@ -1,12 +1,12 @@
-//! Kernels from one source, compiled for several vector widths.
+//! Portable vector kernels: one source, compiled for several vector widths.
 //!
-//! The body of a kernel is an `#[inline(always)]` function. [`wide!`](crate::wide!) compiles it for every processor (on aarch64 that
-//! includes NEON), for AVX2 and for AVX-512, and calls the version that the given [`Kernels`](crate::cpu::Kernels) prove to
-//! run here. Rust neither reorders nor fuses floating-point operations, so all versions give the same bits: sums that are to
-//! run in vector lanes are written as such, with partial sums.
+//! The body of a kernel is an `#[inline(always)]` function. [`wide!`](crate::wide!) compiles it for every processor (on aarch64
+//! that includes NEON), for AVX2 and for AVX-512. It calls the version that the given [`Kernels`](crate::cpu::Kernels) permit.
+//! Rust neither reorders nor fuses floating-point operations, so all versions give bit-identical results. Sums in vector lanes
+//! are therefore written explicitly with partial sums.
 
 /// Defines a function that runs a kernel (an `#[inline(always)]` function of the same arguments) with the vectors of the
-/// [`Kernels`](crate::cpu::Kernels) that it gets as its first argument.
+/// [`Kernels`](crate::cpu::Kernels) passed as its first argument.
 #[macro_export]
 macro_rules! wide {
     ($(#[$meta:meta])* $vis:vis fn $name:ident($($arg:ident: $type:ty),* $(,)?) $(-> $out:ty)? = $kernel:path;) => {

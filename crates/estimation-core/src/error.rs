@@ -1,33 +1,33 @@
-//! What the estimators refuse.
+//! Errors of the estimators.
 
-/// Why an estimation part was refused; no pose found is a value, not an error.
+/// Why an estimation request was rejected. A pose that cannot be determined is not an error but a [`crate::status::Status`].
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EstimationError {
     /// A parameter is out of its range.
     #[error("{name} is {value}: {expected}")]
     Parameter {
-        /// Which parameter.
+        /// Name of the parameter.
         name: &'static str,
         /// Its value.
         value: f64,
-        /// What is allowed.
+        /// The allowed range.
         expected: &'static str,
     },
-    /// An image has another size than the calibration says.
+    /// The image size differs from the image size of the calibration.
     #[error(
-        "the {eye} image is {width}x{height}, its calibration is for {expected_width}x{expected_height}: use the calibration of this image size"
+        "the {eye} image is {width}x{height}, but its calibration is for {expected_width}x{expected_height}: use the calibration of this image size"
     )]
     ImageSize {
         /// Which camera.
         eye: &'static str,
-        /// Columns found.
+        /// Width of the image, pixels.
         width: usize,
-        /// Rows found.
+        /// Height of the image, pixels.
         height: usize,
-        /// Columns of the calibration.
+        /// Width in the calibration, pixels.
         expected_width: usize,
-        /// Rows of the calibration.
+        /// Height in the calibration, pixels.
         expected_height: usize,
     },
     /// The images still carry lens distortion.
@@ -36,7 +36,7 @@ pub enum EstimationError {
         /// Which camera.
         eye: &'static str,
     },
-    /// The model has no point that can vote.
+    /// The photo model has no point with a hue.
     #[error("the photo model has no usable point: {inner} inner and {outer} outer points have a hue")]
     EmptyModel {
         /// Inner points with a hue.
@@ -44,7 +44,7 @@ pub enum EstimationError {
         /// Outer points with a hue.
         outer: usize,
     },
-    /// The region was refused.
+    /// The region was rejected.
     #[error(transparent)]
     Region(#[from] crate::region::RegionError),
     /// An image could not be undistorted.
@@ -53,29 +53,29 @@ pub enum EstimationError {
     /// The rig has no common image plane.
     #[error("the pair cannot be rectified")]
     Rectification(#[from] pb3dp_geometry::RectificationError),
-    /// A pixel has no ray, or a camera is malformed.
+    /// A pixel has no ray, or a camera model is invalid.
     #[error(transparent)]
     Camera(#[from] pb3dp_geometry::CameraError),
-    /// No method of that name.
+    /// There is no method of this name.
     #[error("there is no method \"{name}\": known methods are {known}")]
     UnknownMethod {
-        /// The name asked for.
+        /// The requested name.
         name: String,
-        /// The names that exist.
+        /// The names of the existing methods.
         known: String,
     },
-    /// A tracker was asked for the next frame before the first.
-    #[error("there is no target yet: the first request has to mark one")]
+    /// A tracker received a frame before any target was marked.
+    #[error("no target yet: mark a target in the first request")]
     NotStarted,
-    /// A method for single pairs was asked for a tracker.
-    #[error("the method {method} answers for single pairs only: choose another one for sequences")]
+    /// A tracker was requested for a method that estimates single pairs only.
+    #[error("the method {method} estimates single pairs only and cannot track: choose another method for sequences")]
     OnlyPairs {
-        /// Its name.
+        /// Name of the method.
         method: &'static str,
     },
 }
 
-/// Refuses a parameter that is not finite or outside `[min, max]`.
+/// Rejects a parameter that is not finite or outside `[min, max]`.
 pub fn check_range(
     name: &'static str,
     value: f64,

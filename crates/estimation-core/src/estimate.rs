@@ -1,4 +1,4 @@
-//! The answer to "where is this surface": a plane, a status, and why.
+//! Results of the estimators: a plane or a pose, a status, and the reason for the status.
 
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
@@ -9,14 +9,14 @@ use crate::plane_hypothesis::PlaneHypothesis;
 use crate::region::RegionWarning;
 use crate::status::Status;
 
-/// What may make an estimate worse than it looks.
+/// Warnings about an estimate: conditions that may make it worse than its status suggests.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EstimateWarning {
-    /// The region may serve badly.
+    /// The region may be unsuitable.
     #[error(transparent)]
     Region(#[from] RegionWarning),
-    /// The search ended below a score that the probe has met by chance.
+    /// The search ended at a lower fitness than a coarse grid of probes found.
     #[error(
         "the search ended at fitness {found:.3}, a coarse grid found {grid:.3}: allow more generations or narrow the search range"
     )]
@@ -26,36 +26,38 @@ pub enum EstimateWarning {
         /// Highest fitness of the probe.
         grid: f64,
     },
-    /// The answer is tilted by more than was to be searched.
-    #[error("the answer is tilted beyond the {limit_deg:.0} degrees that were searched: allow more tilt (--tilt-max)")]
+    /// The estimated tilt is outside the searched range.
+    #[error(
+        "the estimated tilt is beyond the {limit_deg:.0} degrees of the search range: raise the limit (--tilt-max)"
+    )]
     BeyondTilt {
         /// Largest tilt of the search range, degrees.
         limit_deg: f64,
     },
-    /// The region is no plane.
-    #[error("the region is no plane: mark a part that is flat, or track it, which recovers its surface")]
+    /// The region is not planar.
+    #[error("the region is not planar: mark a flat part, or track it (tracking recovers the surface)")]
     NoPlane,
-    /// The caller's time was over before the method had done everything.
-    #[error("cut short by the deadline: this is the best answer so far")]
+    /// The deadline stopped the method before its last step.
+    #[error("cut short by the deadline: this is the best estimate so far")]
     CutShort,
-    /// The rows of the two images are further apart than those of a calibrated rig.
+    /// The vertical misalignment of the image pair is larger than that of a calibrated rig.
     #[error(
-        "rows of the right image lie up to {offset_max_px:.1} px off: this is taken into account, but depth and normal rest \
-         on the same calibration: see that both cameras are triggered at the same moment, or calibrate again"
+        "vertical misalignment of up to {offset_max_px:.1} px: corrected here, but depth and normal depend on the same \
+         calibration: check that both cameras are triggered simultaneously, or recalibrate"
     )]
     RowsOff {
-        /// Largest offset anywhere in the rectified images, pixels.
+        /// Largest vertical offset anywhere in the rectified images, pixels.
         offset_max_px: f64,
     },
-    /// The answer lies at an end of the depth range.
-    #[error("the answer, z = {z_mm:.1} mm, lies at the end of the depth range: widen the range")]
+    /// The estimated depth is at an end of the depth range.
+    #[error("the estimated depth, z = {z_mm:.1} mm, is at the end of the depth range: widen the range")]
     EndOfRange {
         /// Depth, millimetres.
         z_mm: f64,
     },
 }
 
-/// A plane in `cam_left`, as found on one pair.
+/// A plane in `cam_left`, estimated from one stereo pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanePose {
     /// Depth of the plane on the ray of the region's centroid, metres.
@@ -67,8 +69,8 @@ pub struct PlanePose {
 }
 
 impl PlanePose {
-    /// The plane of an inverse-depth plane; `z_m` is taken on `centre_ray` (third component 1). `None` if the plane is not
-    /// in front of the camera there.
+    /// Converts an inverse-depth plane; `z_m` is the depth on `centre_ray` (third component 1). `None` if the plane is not in
+    /// front of the camera there.
     pub fn from_inverse_depth_plane(q: Vector3<f64>, centre_ray: &Vector3<f64>) -> Option<Self> {
         let inverse_depth = q.dot(centre_ray);
         let length = q.norm();
@@ -86,65 +88,66 @@ impl PlanePose {
     }
 }
 
-/// The best of all 2^24 chromosomes: what lies between it and an answer is the fault of the search, what lies between it and
-/// the truth the fault of the fitness.
+/// The best of all 2^24 chromosomes. The difference between this optimum and an estimate is the error of the search; the
+/// difference between this optimum and the truth is the error of the fitness.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReferenceOptimum {
-    /// The hypothesis of the lowest chromosome that reaches the highest fitness.
+    /// The hypothesis of the lowest chromosome that has the highest fitness.
     pub psi: PlaneHypothesis,
-    /// The highest fitness, at most 1. An answer of this fitness has no search error, wherever on the plateau it lies.
+    /// The highest fitness, at most 1. An estimate with this fitness has no search error, wherever on the plateau it is.
     pub fitness: f64,
-    /// How many chromosomes reach it, `psi` included: votes are counted, so the summit is a plateau.
+    /// Number of chromosomes with this fitness, `psi` included. Votes are counted, so the maximum is a plateau.
     pub ties: u64,
 }
 
-/// Another surface in the same region.
+/// A second surface in the same region.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SecondPlane {
-    /// The plane in `cam_left`; its depth is on the ray of the region's centroid, like that of the first.
+    /// The plane in `cam_left`; its depth is on the ray of the region's centroid, as for the first plane.
     pub pose: PlanePose,
-    /// Share of the region's pixels that lie on this plane and not on the first, 0 to 1.
+    /// Share of the region's pixels on this plane and not on the first plane, 0 to 1.
     pub share: f64,
 }
 
-/// The outcome for one pair.
+/// Plane estimate for one stereo pair.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlaneEstimate {
-    /// How far the answer can be trusted.
+    /// Confidence class of the estimate.
     pub status: Status,
-    /// What led to the status.
+    /// Measured reason for the status.
     pub reason: String,
-    /// What may make the answer worse than it looks.
+    /// Conditions that may make the estimate worse than its status suggests.
     pub warnings: Vec<EstimateWarning>,
     /// Centroid of the region's pixels, raw left image, pixels.
     pub centroid_px: Vector2<f64>,
-    /// The plane; `None` where the method cannot say: status `not-observable`.
+    /// The plane; `None` if the method cannot determine it (status `not-observable`).
     pub pose: Option<PlanePose>,
-    /// The best hypothesis, also where it decides nothing; its depth is on the ray of the model's centre, which for images
-    /// with distortion differs from the centroid's ray by a fraction of a pixel. `None` if nothing was searched.
+    /// The best hypothesis, also if it was rejected. Its depth is on the ray of the model's centre. In distorted images this
+    /// ray differs from the centroid's ray by a fraction of a pixel. `None` if nothing was searched.
     pub psi: Option<PlaneHypothesis>,
     /// Fitness of `psi`, at most 1.
     pub fitness: Option<f64>,
-    /// Standard deviation of the depth, metres; `None`: the method cannot say.
+    /// Standard deviation of the depth, metres; `None` if the method does not provide it.
     pub z_sigma_m: Option<f64>,
-    /// Standard deviation of the normal, radians; `None`: the method cannot say.
+    /// Standard deviation of the normal, radians; `None` if the method does not provide it.
     pub normal_sigma_rad: Option<f64>,
-    /// Covariance of `(z, theta_x, theta_y)` of the plane (metres and radians; see
-    /// [`PlaneHypothesis`] for the angles); `None`: the method cannot say.
+    /// Covariance of `(z, theta_x, theta_y)` of the plane (metres and radians; see [`PlaneHypothesis`] for the angles). `None`
+    /// if the method does not provide it.
     pub plane_covariance: Option<Matrix3<f64>>,
-    /// The other surface of a region that straddles a depth edge; `None` if none was found, or the method does not look.
+    /// The other surface of a region that straddles a depth edge. `None` if none was found or the method does not search for
+    /// it.
     pub second_plane: Option<SecondPlane>,
-    /// Row of the right image minus row of the left one at the region, of the rectified pair, pixels; `None`: the method
-    /// takes the rows as they are.
+    /// Vertical offset at the region in the rectified pair: row of the right image minus row of the left image, pixels. `None`
+    /// if the method does not measure row offsets.
     pub row_offset_px: Option<f64>,
-    /// The best of all chromosomes; `None` unless the method's configuration asks for it.
+    /// The best of all chromosomes; `None` unless the method's configuration requests it.
     pub reference_optimum: Option<ReferenceOptimum>,
-    /// The left camera of the raw image, for [`Self::depth_at_pixel`].
+    /// Left camera of the raw image, for [`Self::depth_at_pixel`].
     pub left_camera: Camera,
 }
 
 impl PlaneEstimate {
-    /// An answer without a pose, from a left camera, about a region with this centroid (raw image, pixels).
+    /// An estimate without a pose, for a region with this centroid (raw left image, pixels).
     pub fn without_pose(status: Status, reason: String, centroid_px: Vector2<f64>, left_camera: Camera) -> Self {
         Self {
             status,
@@ -174,8 +177,8 @@ impl PlaneEstimate {
         self.pose.map(|pose| pose.normal_in_cam_left)
     }
 
-    /// The frame of the model on the plane, and its covariance if the method states that of the plane: origin on the ray of `pixel` (raw
-    /// left image), axes and covariance as in [`TrackEstimate`]. `None` as in [`Self::depth_at_pixel`].
+    /// The model frame on the plane, with its covariance if the method provides the covariance of the plane. The origin is on
+    /// the ray of `pixel` (raw left image); axes and covariance as in [`TrackEstimate`]. `None` as in [`Self::depth_at_pixel`].
     pub fn model_frame(&self, pixel: &Vector2<f64>) -> Option<ModelFrame> {
         let ray = self.left_camera.unproject(pixel).ok()?;
         let pose = self.pose?;
@@ -187,45 +190,46 @@ impl PlaneEstimate {
         Some(ModelFrame { cam_left_from_model: frame, covariance })
     }
 
-    /// Depth of the plane on the ray of a pixel of the raw left image, metres. `None` without a pose, where the pixel has no
-    /// ray, or where the plane is not in front of the camera.
+    /// Depth of the plane on the ray of a pixel of the raw left image, metres. `None` if there is no pose, if the pixel has no
+    /// ray, or if the plane is not in front of the camera there.
     pub fn depth_at_pixel(&self, pixel: &Vector2<f64>) -> Option<f64> {
         let ray = self.left_camera.unproject(pixel).ok()?;
         self.pose?.depth_on_ray(&ray)
     }
 }
 
-/// The outcome for one frame.
+/// Tracking result for one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrackEstimate {
-    /// How far the answer can be trusted; `lost` where there is none.
+    /// Confidence class of the estimate; `lost` if the target was not found.
     pub status: Status,
-    /// What led to the status.
+    /// Measured reason for the status.
     pub reason: String,
-    /// Why the marked region or what was found in it may serve badly: told once, by the start; empty in every later frame.
+    /// Warnings about the marked region and the initial estimate. Reported once, with the first frame; empty in all later
+    /// frames.
     pub warnings: Vec<EstimateWarning>,
-    /// Pose of the model in the left camera; `None` if lost or not observable.
+    /// Pose of the model in the left camera; `None` if the target is lost or not observable.
     ///
-    /// Model frame: origin at the plane point on the ray of the region's centroid in the first frame, z along the plane's
-    /// normal away from the camera, x the image's x axis projected into the plane in the first frame. A method that cannot
-    /// measure the rotation about the normal holds it: the first axes, carried by the known motion of the camera and turned
-    /// by the smallest rotation that brings z to the normal found.
+    /// Model frame: the origin is the plane point on the ray of the region's centroid in the first frame. The z axis is the
+    /// plane normal, pointing away from the camera. The x axis is the image's x axis, projected into the plane in the first
+    /// frame. A method that cannot measure the rotation about the normal keeps it constant: it moves the first axes with the
+    /// known camera motion and applies the smallest rotation that aligns z with the estimated normal.
     pub cam_left_from_model: Option<Pose<CamLeft, Model>>,
-    /// Covariance of the pose; `None`: the method cannot say.
+    /// Covariance of the pose; `None` if the method does not provide it.
     pub covariance: Option<Matrix6<f64>>,
-    /// Best hypothesis, about the centre of this frame's region; `None` if nothing was searched, or the method has none.
+    /// Best hypothesis, at the centre of this frame's region. `None` if nothing was searched or the method has no hypotheses.
     pub psi: Option<PlaneHypothesis>,
-    /// Agreement of model and images, at most 1: the fitness of `psi`, or for the direct method the smaller of the correlations
-    /// of its view with both images.
+    /// Agreement of model and images, at most 1: the fitness of `psi`, or, for the direct method, the smaller of the
+    /// correlations of its view with the two images.
     pub fitness: Option<f64>,
     /// Outline of the region in this frame, raw left image, pixels.
     pub outline_px: Vec<Vector2<f64>>,
-    /// Whether the rotation about the normal was measured; never by the published method.
+    /// Whether the rotation about the normal was measured. The published method never measures it.
     pub rotation_about_normal_observed: bool,
 }
 
 impl TrackEstimate {
-    /// An answer without a pose.
+    /// A result without a pose.
     pub fn without_pose(status: Status, reason: String) -> Self {
         Self {
             status,

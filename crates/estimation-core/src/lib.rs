@@ -1,8 +1,9 @@
-//! What every estimation method shares: the [region] of the target, the [plane hypothesis](plane_hypothesis) that is searched,
-//! the [request](method) and the trait that every method implements, the [answer](estimate) with its [status], and vector kernels from one source ([`mod@wide`]).
+//! Types shared by all estimation methods: the [region] of the target, the [plane hypothesis](plane_hypothesis), the
+//! [request](method) and the trait of a method, the [estimate](estimate) with its [status], and vector kernels ([`mod@wide`]).
 //!
-//! No method lives here, and no file, clock, thread or environment.
+//! This crate contains no method and uses no file, clock, thread or environment.
 
+mod codes;
 pub mod error;
 pub mod estimate;
 pub mod method;

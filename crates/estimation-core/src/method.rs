@@ -1,4 +1,4 @@
-//! What an estimation method is asked, and what every one of them can be asked for.
+//! The request to an estimation method, and the trait that all methods implement.
 
 use std::fmt::Debug;
 
@@ -13,53 +13,53 @@ use crate::plane_hypothesis::SearchRange;
 use crate::region::Region;
 use crate::row_offset::RowMeasurement;
 
-/// One pair of raw images, and what is to be found in it.
+/// One pair of raw images, and the target to estimate in it.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct EstimateRequest<'a> {
     /// Raw image of the left camera.
     pub left: &'a RgbImage,
-    /// Raw image of the right camera, of the same moment.
+    /// Raw image of the right camera, exposed at the same time.
     pub right: &'a RgbImage,
-    /// A new target; `None`: the one of the request before.
+    /// A new target; `None` keeps the target of the previous request.
     pub target: Option<MarkedTarget<'a>>,
-    /// What is known before about a target that is followed.
+    /// Prior knowledge about a tracked target.
     pub prior: FramePrior,
-    /// How long the answer may take.
+    /// Time limit of the estimate.
     pub deadline: Deadline<'a>,
 }
 
-/// A target that somebody has pointed at.
+/// A target that the operator has marked.
 #[derive(Clone, Copy, Debug)]
 pub struct MarkedTarget<'a> {
-    /// Its pixels in the left image.
+    /// Pixels of the target in the left image.
     pub region: &'a Region,
     /// Depths and tilts to search.
     pub range: &'a SearchRange,
 }
 
-/// What the caller knows about a frame before it is looked at.
+/// Prior knowledge of the caller about a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FramePrior {
-    /// Motion of the left camera between the last exposure and this one, from the arm: only the target's own motion is then
-    /// left to find.
+    /// Motion of the left camera between the previous exposure and this one, from the arm. With it the tracker only has to
+    /// estimate the target's own motion.
     pub cam_left_prev_from_cam_left_now: Option<Pose<CamLeft, CamLeft>>,
-    /// The expected pose, from a filter of the caller; it takes the place of the method's own prediction. Methods that do not
-    /// predict leave it aside.
+    /// Predicted pose from a filter of the caller; it replaces the method's own prediction. Methods without prediction ignore
+    /// it.
     pub cam_left_from_model: Option<Pose<CamLeft, Model>>,
-    /// Time between the last exposure and this one, seconds; `None`: as between the two before.
+    /// Time between the previous exposure and this one, seconds; `None`: the same as the previous interval.
     pub dt_s: Option<f64>,
 }
 
 impl FramePrior {
-    /// Nothing is known but, perhaps, the motion of the camera.
+    /// A prior with the camera motion only, if it is known.
     pub fn of_motion(cam_left_prev_from_cam_left_now: Option<&Pose<CamLeft, CamLeft>>) -> Self {
         Self { cam_left_prev_from_cam_left_now: cam_left_prev_from_cam_left_now.copied(), ..Self::default() }
     }
 }
 
-/// Until when a method may work: it asks between its steps, and once the caller says no, the best answer so far is judged and given.
-/// The first step and the judgement always take place.
+/// Time limit of a method. The method checks it between its steps; once it has passed, the method evaluates and returns the
+/// best estimate so far. The first step and the final evaluation always run.
 #[derive(Default)]
 pub struct Deadline<'a> {
     caller: Option<&'a mut dyn FnMut() -> bool>,
@@ -67,13 +67,13 @@ pub struct Deadline<'a> {
 }
 
 impl Deadline<'_> {
-    /// Whether there is time for one more step; once there is none, it stays so.
+    /// Whether there is time for one more step. Once false, it stays false.
     pub fn may_continue(&mut self) -> bool {
         self.is_over = self.is_over || self.caller.as_mut().is_some_and(|may_continue| !may_continue());
         !self.is_over
     }
 
-    /// Whether a method was told to come to an end.
+    /// Whether the deadline has stopped the method.
     pub fn is_over(&self) -> bool {
         self.is_over
     }
@@ -86,48 +86,48 @@ impl Debug for Deadline<'_> {
 }
 
 impl<'a> EstimateRequest<'a> {
-    /// A new target, with all the time that it takes.
+    /// Request for a new target, without a time limit.
     pub fn of_target(left: &'a RgbImage, right: &'a RgbImage, region: &'a Region, range: &'a SearchRange) -> Self {
         let target = Some(MarkedTarget { region, range });
         Self { left, right, target, prior: FramePrior::default(), deadline: Deadline::default() }
     }
 
-    /// The next frame of the target that is followed, with all the time that it takes.
+    /// Request for the next frame of the tracked target, without a time limit.
     pub fn of_next(left: &'a RgbImage, right: &'a RgbImage, prior: &FramePrior) -> Self {
         Self { left, right, target: None, prior: *prior, deadline: Deadline::default() }
     }
 
-    /// The same for as long as the caller says that it may go on.
+    /// Adds a deadline: the method continues while `may_continue` returns true.
     pub fn until(self, may_continue: &'a mut dyn FnMut() -> bool) -> Self {
         Self { deadline: Deadline { caller: Some(may_continue), is_over: false }, ..self }
     }
 
-    /// The target, for a method that does not follow one.
+    /// The marked target, for a method that does not track.
     ///
     /// # Errors
-    /// If none is marked.
+    /// If no target is marked.
     pub fn marked(&self) -> Result<MarkedTarget<'a>, EstimationError> {
         self.target.ok_or(EstimationError::NotStarted)
     }
 }
 
-/// A method, for single pairs ([`PlaneEstimate`]) or for sequences ([`TrackEstimate`]).
+/// An estimation method, for single pairs ([`PlaneEstimate`]) or for sequences ([`TrackEstimate`]).
 pub trait EstimationMethod: Debug + Send {
-    /// What it answers.
+    /// Type of the estimate.
     type Answer: Answer;
 
-    /// As [`Self::estimate`], without the word about a deadline.
+    /// Same as [`Self::estimate`], without the warning about a deadline.
     ///
     /// # Errors
     /// As [`Self::estimate`].
     fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<Self::Answer, EstimationError>;
 
-    /// Where the target is. That it cannot be known is no error but a status.
+    /// Estimates the pose of the target. A pose that cannot be determined is reported by the status, not by an error.
     ///
-    /// The same requests give the same answers, after whatever other requests for other targets.
+    /// The result is deterministic: it depends on the requests for this target only, not on earlier targets.
     ///
     /// # Errors
-    /// Images that do not fit the calibration, a region that cannot serve, a bad range, or no target yet.
+    /// Images that do not match the calibration, an unsuitable region, an invalid range, or no target yet.
     fn estimate(&mut self, mut request: EstimateRequest<'_>) -> Result<Self::Answer, EstimationError> {
         let mut answer = self.answer(&mut request)?;
         if request.deadline.is_over() {
@@ -136,42 +136,42 @@ pub trait EstimationMethod: Debug + Send {
         Ok(answer)
     }
 
-    /// Goes on with another calibrated pair of cameras; what was learned about the last one is forgotten.
+    /// Switches to another stereo rig; everything learned about the previous rig is discarded.
     ///
     /// # Errors
-    /// A rig that the method cannot use.
+    /// A rig that the method does not support.
     fn set_rig(&mut self, rig: &StereoRig) -> Result<(), EstimationError>;
 
-    /// Learns from a pair of raw images what belongs to the rig or the scene and not to a target, once per rig or scene; all later
-    /// answers use it. `None`: the method takes rigs as they are.
+    /// Measures properties of the rig or scene (not of a target) on a pair of raw images. Call it once per rig or scene; all
+    /// later estimates use the result. `None` if the method has nothing to measure.
     ///
     /// # Errors
-    /// Images that do not fit the calibration.
+    /// Images that do not match the calibration.
     fn prepare(&mut self, left: &RgbImage, right: &RgbImage) -> Result<Option<RowMeasurement>, EstimationError> {
         let _ = (left, right);
         Ok(None)
     }
 
-    /// Uses what [`Self::prepare`] found on another pair of the same rig or scene.
+    /// Uses a result of [`Self::prepare`] from another pair of the same rig or scene.
     fn use_rows(&mut self, measured: &RowMeasurement) {
         let _ = measured;
     }
 
-    /// Whether the last marked target was not taken, so that it has to be marked again.
+    /// Whether the last marked target was rejected and has to be marked again.
     fn wants_region(&self) -> bool {
         false
     }
 
-    /// The target's surface in `model`, as far as it is known; empty before a target was found, and for a method that does not
-    /// recover it.
+    /// The recovered surface of the target in `model`. Empty before a target was found, and for methods that do not recover the
+    /// surface.
     fn surface(&self) -> Vec<SurfacePoint> {
         Vec::new()
     }
 }
 
-/// An answer that can say that it was cut short.
+/// An estimate that can be marked as stopped by the deadline.
 pub trait Answer {
-    /// Says so.
+    /// Marks the estimate as stopped by the deadline.
     fn mark_cut_short(&mut self);
 }
 
@@ -188,13 +188,13 @@ impl Answer for TrackEstimate {
     }
 }
 
-/// A point of a target's surface.
+/// A point on the target's surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfacePoint {
     /// Position in `model`, metres.
     pub position_in_model_m: Point3<f64>,
     /// Unit normal in `model`, towards the camera of the first frame.
     pub normal_in_model: Vector3<f64>,
-    /// Red, green, blue of the first left image, 0 to 255.
+    /// Red, green, blue in the first left image, 0 to 255.
     pub rgb: [u8; 3],
 }

@@ -1,4 +1,4 @@
-//! The frame of a model on its plane, and what the covariance of a plane is of that frame.
+//! The model frame on its plane, and its covariance derived from the covariance of the plane.
 
 use nalgebra::{Matrix3, Matrix6, Matrix6x3, Rotation3, Unit, UnitQuaternion, Vector3};
 use pb3dp_geometry::Pose;
@@ -6,20 +6,21 @@ use pb3dp_geometry::frames::{CamLeft, Model};
 
 use crate::plane_hypothesis::PlaneHypothesis;
 
-/// Steps of the numerical derivatives: metres and radians. Chosen: the error of second order is below 1e-9 of the derivative.
+/// Step sizes of the numerical derivatives, metres and radians. Chosen: the second-order error is below 1e-9 of the derivative.
 const STEP: f64 = 1e-5;
 
 /// The frame of a model on its plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ModelFrame {
-    /// The frame.
+    /// Pose of the model frame.
     pub cam_left_from_model: Pose<CamLeft, Model>,
-    /// Covariance of `xi = (rho, phi)` in `true pose = pose * exp(xi)`, metres and radians; `None`: the method cannot say.
+    /// Covariance of `xi = (rho, phi)` in `true pose = pose * exp(xi)`, metres and radians; `None` if the method does not
+    /// provide it.
     pub covariance: Option<Matrix6<f64>>,
 }
 
-/// The frame on a plane whose origin lies at `origin_in_cam_left` (metres), z along the normal away from the camera, x as
-/// near to the camera's x axis as the plane allows.
+/// The frame on a plane with its origin at `origin_in_cam_left` (metres), z along the normal away from the camera, and x as
+/// close to the camera's x axis as the plane allows.
 pub fn model_frame_on_plane(
     origin_in_cam_left: Vector3<f64>,
     normal_in_cam_left: &Vector3<f64>,
@@ -32,15 +33,15 @@ pub fn model_frame_on_plane(
     Some(Pose::from_parts(origin_in_cam_left, rotation))
 }
 
-/// The frame of a hypothesis on the ray `centre_ray` (third component 1).
+/// The model frame of a hypothesis on the ray `centre_ray` (third component 1).
 fn frame_of(plane: &PlaneHypothesis, centre_ray: &Vector3<f64>) -> Option<Pose<CamLeft, Model>> {
     model_frame_on_plane(centre_ray * plane.z_m, &-plane.normal())
 }
 
-/// Covariance of `xi = (rho, phi)` in `true pose = pose * exp(xi)` (metres and radians, axes of the model), from that of
-/// `(z, theta_x, theta_y)` of its plane: `J C J^T` with the derivatives of the frame.
+/// Covariance of `xi = (rho, phi)` in `true pose = pose * exp(xi)` (metres and radians, axes of the model), propagated from the
+/// covariance of `(z, theta_x, theta_y)` of its plane: `J C J^T` with the derivatives of the frame.
 ///
-/// Its rank is 3: the origin is on its ray and x along the image's rows by definition, so neither is uncertain.
+/// Its rank is 3: by definition the origin is on its ray and x is along the image rows, so neither contributes uncertainty.
 pub fn frame_covariance(
     plane: &PlaneHypothesis,
     centre_ray: &Vector3<f64>,
@@ -79,7 +80,7 @@ mod tests {
         assert!(model_frame_on_plane(Vector3::zeros(), &Vector3::x()).is_none(), "seen edge-on: no frame");
     }
 
-    /// The frame moves as its covariance says: drawn planes against the stated matrix.
+    /// The frames of randomly drawn planes have the stated covariance.
     #[test]
     fn the_covariance_is_that_of_drawn_planes() {
         let plane = PlaneHypothesis { z_m: 0.52, theta_x_rad: 0.31, theta_y_rad: -0.42 };

@@ -1,11 +1,11 @@
-//! A hypothesis is a plane, and a plane is a homography: psi = (z, theta_x, theta_y) and what it does to pixels.
+//! Plane hypotheses: psi = (z, theta_x, theta_y), and the homography that each plane induces between the images.
 //!
 //! The plane goes through the point `z_m` times the ray of the model's centre pixel (third component of the ray is 1).
-//! Its normal `n = Ry(theta_y) Rx(theta_x) e_z` points away from the cameras. Everything is in `cam_left`, metres and
-//! radians. The inverse-depth plane `q = n / (n . p0)` holds the same three numbers in the form in which the map between
-//! the images is linear: the inverse depth of the plane on a ray `d` is `q . d`.
+//! Its normal `n = Ry(theta_y) Rx(theta_x) e_z` points away from the cameras. All quantities are in `cam_left`, metres and
+//! radians. The inverse-depth plane `q = n / (n . p0)` holds the same three numbers in a form that makes the map between the
+//! images linear: the inverse depth of the plane on a ray `d` is `q . d`.
 //!
-//! Images are taken as free of distortion: undistort or rectify first (see `pb3dp_geometry::maps`).
+//! The images must be free of distortion: undistort or rectify them first (see `pb3dp_geometry::maps`).
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 use pb3dp_geometry::{Distortion, ImageSize, Pinhole, StereoRig};
@@ -32,16 +32,16 @@ impl PlaneHypothesis {
         Vector3::new(sy * cx, -sx, cy * cx)
     }
 
-    /// `q = n / (n . p0)`, in 1/m; `None` if the depth is not positive or the plane is seen from behind or edge-on at the
-    /// centre (`n . d_c <= 0`). `centre_ray` has third component 1.
+    /// `q = n / (n . p0)`, in 1/m; `None` if the depth is not positive, or if the camera sees the plane from behind or edge-on
+    /// at the centre (`n . d_c <= 0`). `centre_ray` has third component 1.
     pub fn inverse_depth_plane(&self, centre_ray: &Vector3<f64>) -> Option<Vector3<f64>> {
         let normal = self.normal();
         let distance_m = self.z_m * normal.dot(centre_ray);
         (self.z_m > 0.0 && distance_m > 0.0 && distance_m.is_finite()).then(|| normal / distance_m)
     }
 
-    /// The hypothesis of an inverse-depth plane; `None` if that plane lies behind the camera on the centre's ray or its
-    /// normal points towards the camera.
+    /// The hypothesis of an inverse-depth plane; `None` if the plane is behind the camera on the centre's ray or its normal
+    /// points towards the camera.
     pub fn from_inverse_depth_plane(q: &Vector3<f64>, centre_ray: &Vector3<f64>) -> Option<Self> {
         let inverse_depth = q.dot(centre_ray);
         let length = q.norm();
@@ -59,8 +59,8 @@ impl PlaneHypothesis {
         (inverse_depth > 0.0).then(|| 1.0 / inverse_depth)
     }
 
-    /// Where a left pixel lands in the right image: inverse projection on the plane and re-projection (eqs (4) to (7) of
-    /// the paper). `None` if the point is behind a camera.
+    /// Projects a left pixel into the right image: inverse projection onto the plane and re-projection (eqs (4) to (7) of the
+    /// paper). `None` if the point is behind a camera.
     pub fn right_pixel(
         &self,
         pair: &PinholePair,
@@ -74,14 +74,14 @@ impl PlaneHypothesis {
             .then(|| pair.right.pixel_from_normalized(&(point_in_cam_right.xy() / point_in_cam_right.z)))
     }
 
-    /// The same map for all pixels, `H = K_R (R + t qT) K_L^-1`; `None` if the plane is not in front of the left camera at
-    /// the centre.
+    /// The same map as a homography, `H = K_R (R + t qT) K_L^-1`; `None` if the plane is not in front of the left camera at the
+    /// centre.
     pub fn homography(&self, pair: &PinholePair, centre_px: &Vector2<f64>) -> Option<Matrix3<f64>> {
         Some(pair.image_right_from_image_left(&self.inverse_depth_plane(&pair.left_ray(centre_px))?))
     }
 }
 
-/// Two pinholes without distortion and the rigid motion between them: what a plane needs of a stereo rig.
+/// Two pinhole cameras without distortion and the rigid transform between them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PinholePair {
     left: Pinhole,
@@ -94,7 +94,7 @@ pub struct PinholePair {
 }
 
 impl PinholePair {
-    /// From a rig whose images carry no distortion.
+    /// Creates the pair from a rig without lens distortion.
     ///
     /// # Errors
     /// A camera with distortion.
@@ -146,7 +146,7 @@ impl PinholePair {
         &self.translation_m
     }
 
-    /// Whether rows correspond and columns differ by disparity alone.
+    /// Whether the pair is rectified: rows correspond, and columns differ by the disparity only.
     pub fn is_rectified(&self) -> bool {
         self.rectified
     }
@@ -157,7 +157,7 @@ impl PinholePair {
         Vector3::new(xy.x, xy.y, 1.0)
     }
 
-    /// The homography of the plane `q` (inverse depth, 1/m): right pixels of left pixels, up to scale.
+    /// The homography of the plane `q` (inverse depth, 1/m): maps left pixels to right pixels, up to scale.
     pub fn image_right_from_image_left(&self, q: &Vector3<f64>) -> Matrix3<f64> {
         self.infinite_homography() + self.epipole() * self.pixel_plane(q).transpose()
     }
@@ -167,7 +167,7 @@ impl PinholePair {
         self.right.matrix() * self.rotation * inverse_camera_matrix(&self.left)
     }
 
-    /// `K_R t`: image of the left camera's centre in the right image, times its depth in metres.
+    /// `K_R t`: the epipole in the right image (image of the left camera's centre), times its depth in metres.
     pub fn epipole(&self) -> Vector3<f64> {
         self.right.matrix() * self.translation_m
     }
@@ -184,7 +184,7 @@ fn inverse_camera_matrix(pinhole: &Pinhole) -> Matrix3<f64> {
     Matrix3::new(ix, 0.0, -pinhole.cx * ix, 0.0, iy, -pinhole.cy * iy, 0.0, 0.0, 1.0)
 }
 
-/// Which hypotheses are searched; the chromosome spans exactly this box.
+/// Search range of the hypotheses; the chromosomes cover exactly this box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SearchRange {
     /// Nearest depth, metres.
@@ -196,17 +196,17 @@ pub struct SearchRange {
 }
 
 impl SearchRange {
-    /// A checked range.
+    /// Creates a validated range.
     ///
     /// # Errors
-    /// A depth that is not positive, a far end that is not beyond the near end, a tilt outside 0 to 85 degrees.
+    /// A depth that is not positive, a far limit not beyond the near limit, or a tilt outside 0 to 85 degrees.
     pub fn new(z_min_m: f64, z_max_m: f64, tilt_max_rad: f64) -> Result<Self, EstimationError> {
         let range = Self { z_min_m, z_max_m, tilt_max_rad };
         range.validate()?;
         Ok(range)
     }
 
-    /// See [`SearchRange::new`].
+    /// Checks the limits, see [`SearchRange::new`].
     ///
     /// # Errors
     /// The parameter that is out of its range.
@@ -226,7 +226,7 @@ impl SearchRange {
         )
     }
 
-    /// Whether a hypothesis lies in the range (a rounding of 1e-9 is forgiven).
+    /// Whether a hypothesis is in the range (with a tolerance of 1e-9 for rounding).
     pub fn contains(&self, psi: &PlaneHypothesis) -> bool {
         let tilt = self.tilt_max_rad + 1e-9;
         psi.z_m >= self.z_min_m - 1e-9
@@ -235,7 +235,7 @@ impl SearchRange {
             && psi.theta_y_rad.abs() <= tilt
     }
 
-    /// Middle of the range, untilted.
+    /// Centre of the range, without tilt.
     pub fn centre(&self) -> PlaneHypothesis {
         PlaneHypothesis { z_m: 0.5 * (self.z_min_m + self.z_max_m), theta_x_rad: 0.0, theta_y_rad: 0.0 }
     }

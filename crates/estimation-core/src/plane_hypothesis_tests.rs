@@ -12,7 +12,7 @@ fn general() -> PinholePair {
     PinholePair::from_rig(&scene::general_rig(SIZE)).expect("pair")
 }
 
-/// From an independent calculation (explicit rotation matrices in Python, ray-plane intersection, no homography).
+/// Golden values from an independent calculation (explicit rotation matrices in Python, ray-plane intersection, no homography).
 #[test]
 fn agrees_with_golden_projections() {
     let normal = PSI.normal();
@@ -50,14 +50,15 @@ fn planes_behind_the_camera_are_refused() {
     let pair = general();
     let ray = pair.left_ray(&CENTRE);
     assert_eq!(PlaneHypothesis { z_m: -0.4, ..PSI }.inverse_depth_plane(&ray), None);
-    // The centre's ray is right of the axis: a tilt about y of a little more than 90 degrees minus its angle hides the plane.
+    // The centre's ray is right of the optical axis. A tilt about y slightly above 90 degrees minus the ray's angle hides the
+    // plane.
     let angle = (ray.x).atan();
     let hidden =
         PlaneHypothesis { theta_x_rad: 0.0, theta_y_rad: angle - std::f64::consts::FRAC_PI_2 - 0.01, z_m: 0.4 };
     assert_eq!(hidden.homography(&pair, &CENTRE), None);
     let edge_on = PlaneHypothesis { theta_y_rad: angle - std::f64::consts::FRAC_PI_2 + 0.01, ..hidden };
     assert!(edge_on.homography(&pair, &CENTRE).is_some());
-    // Far from the centre, that plane lies beyond its horizon.
+    // Far from the centre, this pixel is beyond the horizon of the plane.
     assert_eq!(edge_on.right_pixel(&pair, &CENTRE, &Vector2::new(600.0, 240.0)), None);
 }
 
@@ -81,7 +82,7 @@ fn search_ranges_are_checked() {
 }
 
 proptest! {
-    /// Points of the plane, made in three dimensions and projected by both cameras, obey the hypothesis.
+    /// Points of the plane, constructed in 3D and projected by both cameras, agree with the hypothesis.
     #[test]
     fn agrees_with_projection_in_space(
         z_m in 0.3..1.2, theta_x_rad in -0.8..0.8, theta_y_rad in -0.8..0.8,

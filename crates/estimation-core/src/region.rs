@@ -1,8 +1,8 @@
-//! The operator's "this object": which pixels of the left image belong to the target.
+//! The target region: the pixels of the left image that belong to the target.
 //!
-//! A region is given as a rectangle, a polygon, a mask or a click, and rasterised to a [`RegionMask`]. Coordinates are
-//! pixels of the raw left image, integer coordinates are pixel centres. Regions that cannot serve are refused with a
-//! [`RegionError`]; regions that may serve badly are told by [`RegionWarning`]s from [`Region::inspect`].
+//! A region is given as a rectangle, a polygon, a mask or a click, and rasterised to a [`RegionMask`]. Coordinates are pixels
+//! of the raw left image; integer coordinates are pixel centres. Unusable regions are rejected with a [`RegionError`].
+//! [`Region::inspect`] reports regions that may be unsuitable as [`RegionWarning`]s.
 
 use image::{GrayImage, RgbImage};
 use nalgebra::Vector2;
@@ -15,10 +15,10 @@ pub mod polygon;
 
 pub use mask::{PixelBox, RegionMask};
 
-/// Vertices and rectangles farther from the origin than this are refused, pixels.
+/// Vertices and rectangles farther from the origin than this are rejected, pixels.
 const COORDINATE_MAX_PX: f64 = 100_000.0;
 
-/// The target in the left image, as the operator marks it.
+/// The target region in the left image, as marked by the operator.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Region {
     /// Columns `x..x + width` and rows `y..y + height`.
@@ -32,15 +32,15 @@ pub enum Region {
         /// Number of rows, pixels.
         height: u32,
     },
-    /// A closed polygon: the pixels whose centre is inside by the even-odd rule or lies on the outline.
+    /// A closed polygon: all pixels whose centre is inside by the even-odd rule or on the outline.
     Polygon {
-        /// Vertices (u, v) in order, either way round, pixels.
+        /// Vertices (u, v) in order, clockwise or counter-clockwise, pixels.
         vertices_px: Vec<Vector2<f64>>,
     },
-    /// An image of the left image's size: every pixel that is not zero is inside.
+    /// A mask of the same size as the left image: every non-zero pixel is inside.
     Mask(GrayImage),
-    /// The connected surface around a pixel: grown from it by hue if it is coloured, by luminance if it is grey, with
-    /// the tolerances of [`RegionConfig`] and holes filled. Of a many-coloured object this takes one colour only.
+    /// The connected surface around a pixel. It is grown by hue if the pixel is coloured, by luminance if it is grey, with the
+    /// tolerances of [`RegionConfig`]; holes are filled. On a multi-coloured object the region covers one colour only.
     Click {
         /// Column, pixels.
         x: i32,
@@ -49,24 +49,23 @@ pub enum Region {
     },
 }
 
-/// Limits and tolerances for regions. None of them is stated in the paper.
+/// Limits and tolerances for regions. The paper states none of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RegionConfig {
     /// Smallest region that is accepted, pixels inside the image. Default 150.
     pub area_min_px: usize,
-    /// A click joins pixels whose hue differs from the seed's by at most this, degrees. Default 20.
+    /// Largest hue difference from the seed of a click, degrees. Default 20.
     pub click_hue_tolerance_deg: f64,
-    /// A click on grey joins pixels whose luminance differs from the seed's by at most this, grey levels. Default 20.
+    /// Largest luminance difference from the seed of a click on grey, grey levels. Default 20.
     pub click_luminance_tolerance: f64,
-    /// A pixel (3x3 mean) is coloured if its largest and smallest channel differ by at least this, grey levels.
-    /// Default 24.
+    /// A pixel (3x3 mean) is coloured if its largest and smallest channel differ by at least this, grey levels. Default 24.
     pub click_chroma_min: f64,
-    /// A region grown from a click may take at most this share of the image. Default 0.35.
+    /// Largest share of the image that a region grown from a click may cover. Default 0.35.
     pub click_area_share_max: f64,
-    /// Warn of a grey region if a smaller share of its pixels is coloured. Default 0.3.
+    /// Warns of a grey region if the share of coloured pixels is below this. Default 0.3.
     pub coloured_share_min: f64,
-    /// Warn of a textureless region if the luminance of its 3x3 means varies by less, standard deviation in grey
-    /// levels. Default 3.
+    /// Warns of a textureless region if the standard deviation of the luminance of its 3x3 means is below this, grey levels.
+    /// Default 3.
     pub luminance_deviation_min: f64,
 }
 
@@ -84,16 +83,16 @@ impl Default for RegionConfig {
     }
 }
 
-/// Why a region was refused.
+/// Why a region was rejected.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RegionError {
-    /// A polygon needs an inside.
+    /// A polygon with fewer than three vertices.
     #[error("the region polygon has {count} vertices: give at least 3")]
     TooFewVertices {
         /// Number of vertices.
         count: usize,
     },
-    /// A vertex is not a number or far off every image.
+    /// A vertex is not a number, or far outside any image.
     #[error("vertex {index} of the region polygon is ({x}, {y}): coordinates must be finite and within 100000 px")]
     Vertex {
         /// Index of the vertex, from 0.
@@ -103,7 +102,7 @@ pub enum RegionError {
         /// Row.
         y: f64,
     },
-    /// A rectangle is far off every image.
+    /// A rectangle far outside any image.
     #[error("the region rectangle {width} x {height} at ({x}, {y}) is out of range: give pixels of the left image")]
     Rectangle {
         /// First column.
@@ -115,19 +114,19 @@ pub enum RegionError {
         /// Rows.
         height: u32,
     },
-    /// Nothing of the region is in the image.
+    /// The region is entirely outside the image.
     #[error(
         "the region ({covered_px} px) lies outside the left image of {image_width} x {image_height} px: check the coordinates"
     )]
     OffImage {
-        /// Pixels that the region covers, all outside.
+        /// Number of pixels of the region, all outside.
         covered_px: usize,
         /// Columns of the image.
         image_width: u32,
         /// Rows of the image.
         image_height: u32,
     },
-    /// Too few pixels.
+    /// The region has too few pixels.
     #[error("the region has {area_px} px inside the left image, at least {area_min_px} are needed: mark a larger area")]
     TooSmall {
         /// Pixels inside the image.
@@ -135,9 +134,9 @@ pub enum RegionError {
         /// The minimum, [`RegionConfig::area_min_px`].
         area_min_px: usize,
     },
-    /// A mask of another size.
+    /// The mask and the left image differ in size.
     #[error(
-        "the mask has {mask_width} x {mask_height} px but the left image {image_width} x {image_height}: they must agree"
+        "the mask has {mask_width} x {mask_height} px but the left image {image_width} x {image_height}: the sizes must be equal"
     )]
     MaskSize {
         /// Columns of the mask.
@@ -149,7 +148,7 @@ pub enum RegionError {
         /// Rows of the image.
         image_height: u32,
     },
-    /// The clicked pixel is not in the image.
+    /// The clicked pixel is outside the image.
     #[error("the click ({x}, {y}) lies outside the left image of {image_width} x {image_height} px")]
     ClickOffImage {
         /// Column.
@@ -161,7 +160,7 @@ pub enum RegionError {
         /// Rows of the image.
         image_height: u32,
     },
-    /// A grown region took most of the image.
+    /// The region grown from a click covers too much of the image.
     #[error(
         "the region grown from the click ({x}, {y}) by {measure} covers {area_px} px, more than {area_max_px}: the click lies on the background, or the background has the target's {measure}; mark a rectangle or polygon instead"
     )]
@@ -172,12 +171,12 @@ pub enum RegionError {
         y: i32,
         /// Pixels of the grown region.
         area_px: usize,
-        /// The most that is accepted.
+        /// Largest accepted number of pixels.
         area_max_px: usize,
-        /// What was compared: hue or luminance.
+        /// The compared property: hue or luminance.
         measure: &'static str,
     },
-    /// A grown region is tiny.
+    /// The region grown from a click is too small.
     #[error(
         "the region grown from the click ({x}, {y}) by {measure} has {area_px} px, at least {area_min_px} are needed: click on a larger patch of one colour, or mark a rectangle or polygon"
     )]
@@ -190,35 +189,35 @@ pub enum RegionError {
         area_px: usize,
         /// The minimum, [`RegionConfig::area_min_px`].
         area_min_px: usize,
-        /// What was compared: hue or luminance.
+        /// The compared property: hue or luminance.
         measure: &'static str,
     },
 }
 
-/// What may make a region serve badly.
+/// Conditions that may make a region unsuitable.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RegionWarning {
-    /// A part of the region is not in the image.
-    #[error("{outside_px} of the region's {covered_px} px lie outside the left image and are left out")]
+    /// Part of the region is outside the image.
+    #[error("{outside_px} of the region's {covered_px} px lie outside the left image and are ignored")]
     PartlyOffImage {
-        /// Pixels outside.
+        /// Pixels outside the image.
         outside_px: usize,
-        /// Pixels in all.
+        /// Total number of pixels.
         covered_px: usize,
     },
     /// Two edges of the polygon cross.
     #[error(
-        "edges {first_edge} and {second_edge} of the region polygon cross: areas enclosed twice are left out (even-odd rule); check the order of the vertices"
+        "edges {first_edge} and {second_edge} of the region polygon cross: areas enclosed twice are excluded (even-odd rule); check the order of the vertices"
     )]
     SelfIntersecting {
-        /// Index of one edge, from its first vertex.
+        /// Index of the first edge (index of its first vertex).
         first_edge: usize,
-        /// Index of the other.
+        /// Index of the second edge.
         second_edge: usize,
     },
-    /// Hue means little here.
+    /// Most pixels are grey, so their hue is unreliable.
     #[error(
-        "only {coloured_percent:.0} % of the region's pixels are coloured (limit {limit_percent:.0} %): hue means little on grey; choose a coloured target"
+        "only {coloured_percent:.0} % of the region's pixels are coloured (limit {limit_percent:.0} %): the hue of grey pixels is unreliable; choose a coloured target"
     )]
     Grey {
         /// Share of coloured pixels, percent.
@@ -226,7 +225,7 @@ pub enum RegionWarning {
         /// Limit, percent.
         limit_percent: f64,
     },
-    /// Nothing to hold on to but the outline.
+    /// The region has no texture; only its outline can be matched.
     #[error(
         "the region's luminance varies by {deviation:.1} grey levels (limit {limit:.1}): it has no texture, only its outline can be matched; include the outline or choose a textured part"
     )]
@@ -239,20 +238,20 @@ pub enum RegionWarning {
 }
 
 impl Region {
-    /// The pixels of `left` that belong to the region. What lies outside the image is left out.
+    /// Rasterises the region: the pixels of `left` that belong to it. Parts outside the image are ignored.
     ///
     /// # Errors
-    /// Regions that cannot serve: off the image, too small, malformed; see [`RegionError`].
+    /// Unusable regions: outside the image, too small, or malformed; see [`RegionError`].
     pub fn rasterize(&self, left: &RgbImage, config: &RegionConfig) -> Result<RegionMask, RegionError> {
         let mut mask = RegionMask::empty(ImageSize { width: 0, height: 0 });
         self.rasterize_into(left, config, &mut mask)?;
         Ok(mask)
     }
 
-    /// As [`Self::rasterize`]; the pixels of a rectangle or polygon are written into the memory that `mask` has.
+    /// Same as [`Self::rasterize`]; rectangles and polygons reuse the memory of `mask`.
     ///
     /// # Errors
-    /// As [`Self::rasterize`]; what the mask holds then is arbitrary.
+    /// As [`Self::rasterize`]; the contents of the mask are then undefined.
     pub fn rasterize_into(
         &self,
         left: &RgbImage,
@@ -284,14 +283,14 @@ impl Region {
         Ok(())
     }
 
-    /// What may make the region serve badly; `mask` is the outcome of [`Self::rasterize`] on the same image.
+    /// Warnings about the region; `mask` is the result of [`Self::rasterize`] on the same image.
     pub fn inspect(&self, left: &RgbImage, mask: &RegionMask, config: &RegionConfig) -> Vec<RegionWarning> {
         let mut warnings = self.inspect_shape(mask);
         warnings.extend(appearance_warnings(left, mask, config));
         warnings
     }
 
-    /// As [`Self::inspect`], of the shape alone: for methods that judge texture by themselves.
+    /// Same as [`Self::inspect`], for the shape only: for methods that evaluate the texture themselves.
     pub fn inspect_shape(&self, mask: &RegionMask) -> Vec<RegionWarning> {
         let mut warnings = Vec::new();
         let covered_px = match self {
@@ -311,8 +310,8 @@ impl Region {
         warnings
     }
 
-    /// The region's outline as a polygon, pixels: its own corners where it has them, else traced around the largest
-    /// part of `mask`.
+    /// The region's outline as a polygon, pixels: its own vertices if it has them, otherwise traced around the largest part of
+    /// `mask`.
     pub fn outline_px(&self, mask: &RegionMask) -> Vec<Vector2<f64>> {
         match self {
             Self::Polygon { vertices_px } => vertices_px.clone(),

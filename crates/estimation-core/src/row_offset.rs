@@ -1,39 +1,39 @@
-//! How far the rows of the right rectified image are off those of the left one.
+//! Vertical misalignment between the rows of the right and the left rectified image.
 
 use nalgebra::Vector2;
 
-/// Affine row offset of a rectified pair: what the left image shows on row `v` stands in the right image, at the right
-/// pixel `(u, w)`, on row `w = v + offset(u, w)`.
+/// Affine row offset of a rectified pair: a point on row `v` of the left image appears in the right image, at the right pixel
+/// `(u, w)`, on row `w = v + offset(u, w)`.
 ///
-/// A perfect calibration gives zero. Coordinates are rectified pixels of the full right image.
+/// With a perfect calibration the offset is zero. Coordinates are rectified pixels of the full right image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RowOffset {
-    /// Where `offset_px` holds.
+    /// Reference pixel of `offset_px`.
     pub centre_px: Vector2<f64>,
-    /// Offset at the centre, pixels; positive: the right image is lower.
+    /// Offset at `centre_px`, pixels; positive if the right image is lower.
     pub offset_px: f64,
-    /// Change along columns and rows, pixel per pixel.
+    /// Gradient along columns and rows, pixels per pixel.
     pub slope: Vector2<f64>,
 }
 
 impl RowOffset {
-    /// Offset at a right pixel, pixels.
+    /// Offset at a pixel of the right image, pixels.
     pub fn at(&self, right_px: &Vector2<f64>) -> f64 {
         self.offset_px + self.slope.dot(&(right_px - self.centre_px))
     }
 
-    /// The offset in pixels of an image whose pixels are `scale` full ones wide.
+    /// The same offset for a reduced image, in which one pixel is `scale` full-size pixels wide.
     pub fn at_scale(&self, scale: f64) -> Self {
         let centre_px = (self.centre_px.add_scalar(0.5) / scale).add_scalar(-0.5);
         Self { centre_px, offset_px: self.offset_px / scale, slope: self.slope }
     }
 
-    /// Whether there is nothing to correct.
+    /// Whether the offset is zero everywhere.
     pub fn is_zero(&self) -> bool {
         self.offset_px == 0.0 && self.slope == Vector2::zeros()
     }
 
-    /// Largest magnitude within an image of `width` x `height`, pixels.
+    /// Largest absolute offset within an image of `width` x `height`, pixels.
     pub fn magnitude_max_px(&self, width: u32, height: u32) -> f64 {
         let (right, bottom) = (f64::from(width.saturating_sub(1)), f64::from(height.saturating_sub(1)));
         let corners = [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)];
@@ -41,13 +41,13 @@ impl RowOffset {
     }
 }
 
-/// A row offset as it was measured on one pair.
+/// A row offset measured on one pair.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RowMeasurement {
-    /// The offset; zero if too few points were found again.
+    /// The offset; zero if too few points were matched.
     pub rows: RowOffset,
-    /// Points found again.
+    /// Number of matched points.
     pub matches: usize,
-    /// Standard deviation (robust) of a point around the fit, pixels.
+    /// Robust standard deviation of a point about the fit, pixels.
     pub spread_px: f64,
 }

@@ -1,26 +1,26 @@
-//! How far an answer can be trusted: one vocabulary for every method.
+//! Status of an estimate: one vocabulary for all methods.
 
 use std::fmt;
 
-/// What an estimator says of its own answer.
+/// Confidence class that an estimator assigns to its own estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Status {
     /// Depth and tilt are determined.
     Ok,
     /// The depth is determined, the tilt is not.
     WeakTilt,
-    /// Two or more depths explain the images equally well; the given one may be wrong.
+    /// Two or more depths explain the images equally well; the reported one may be wrong.
     Ambiguous,
-    /// The images do not determine the pose with this method; no pose is given.
+    /// This method cannot determine the pose from these images; no pose is reported.
     NotObservable,
-    /// A tracker has lost its target; no pose is given.
+    /// The tracker has lost its target; no pose is reported.
     Lost,
-    /// The input was refused; no pose is given.
+    /// The input was rejected; no pose is reported.
     Error,
 }
 
 impl Status {
-    /// The name in files and logs.
+    /// The name used in files and logs.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Ok => "ok",
@@ -32,7 +32,7 @@ impl Status {
         }
     }
 
-    /// Whether the depth may be used.
+    /// Whether the depth is reliable enough to be used.
     pub fn depth_is_sure(self) -> bool {
         matches!(self, Self::Ok | Self::WeakTilt)
     }
@@ -44,11 +44,11 @@ impl fmt::Display for Status {
     }
 }
 
-/// A status and why.
+/// A status and its reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Verdict {
-    /// How far the answer can be trusted.
+    /// Confidence class of the estimate.
     pub status: Status,
-    /// What was measured that led to the status, in words.
+    /// The measured reason for the status, as text.
     pub reason: String,
 }

@@ -1,17 +1,17 @@
-//! Sine, cosine and arc tangent that give the same bits on every platform: the system libraries differ in the last place,
-//! and the same seed must give the same answer everywhere.
+//! Sine, cosine and arc tangent with bit-identical results on every platform. The system libraries differ in the last digit,
+//! and the same seed must give the same estimate everywhere.
 //!
-//! They are made of sums, products, quotients and square roots alone, which IEEE 754 rounds alike everywhere. What follows
-//! from images to answer uses no other functions of an angle; nalgebra's own call the system library.
+//! The functions use only sums, products, quotients and square roots, which IEEE 754 rounds identically everywhere. The
+//! estimation pipeline uses no other trigonometric functions; those of nalgebra call the system library.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::{Matrix2, Rotation2};
 
-/// Terms of the power series behind the first; the last one is below half a unit in the last place at pi/2.
+/// Terms of the power series after the first one; the last term is below half a unit in the last place at pi/2.
 const TERMS: usize = 11;
 
-/// Terms of the series of the arc tangent; the last one is below half a unit in the last place at tan(pi/16).
+/// Terms of the arc tangent series; the last term is below half a unit in the last place at tan(pi/16).
 const ARC_TERMS: u32 = 12;
 
 /// `1 / ((2k + 2)(2k + 3))` and `1 / ((2k + 1)(2k + 2))`: quotients of successive terms of sin x / x and of cos x.
@@ -41,7 +41,7 @@ pub fn sin_cos(angle_rad: f64) -> (f64, f64) {
     (angle_rad * sine, cosine)
 }
 
-/// The turn of the plane by any angle, radians.
+/// Rotation of the plane by any angle, radians.
 pub fn rotation(angle_rad: f64) -> Rotation2<f64> {
     let half_turns = (angle_rad / PI).round();
     let (sine, cosine) = sin_cos(angle_rad - half_turns * PI);
@@ -66,7 +66,7 @@ pub fn atan2(y: f64, x: f64) -> f64 {
 
 /// Arc tangent of `t` in `[0, 1]`.
 fn arc_tangent(t: f64) -> f64 {
-    // tan(a / 2) = t / (1 + sqrt(1 + t2)), twice: at most tan(pi/16) = 0.2 is left.
+    // tan(a / 2) = t / (1 + sqrt(1 + t2)), applied twice: the argument is then at most tan(pi/16) = 0.2.
     let half = |t: f64| t / (1.0 + (1.0 + t * t).sqrt());
     let quarter = half(half(t));
     let square = quarter * quarter;
@@ -128,7 +128,7 @@ mod tests {
 
     #[test]
     fn every_platform_gives_these_bits() {
-        // From the same formulas in another language on IEEE doubles.
+        // From the same formulas in another language with IEEE doubles.
         let bits = |value: f64| value.to_bits();
         assert_eq!(bits(atan2(-0.3, 0.7)), 0xbfd9_e9bf_3d20_dc73);
         assert_eq!(bits(atan2(0.9, -0.31)), 0x3ffe_70b1_d0e8_80b2);

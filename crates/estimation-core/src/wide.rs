@@ -1,11 +1,11 @@
-//! Sums in vector lanes, for kernels from one source ([`wide!`]).
+//! Sums in vector lanes, for the portable vector kernels ([`wide!`]).
 
 pub use pb3dp_computing::wide;
 
-/// Partial sums of a vectorised sum: two AVX-512 registers of single precision would be 32, one is 16.
+/// Number of partial sums of a vectorised sum, 16: one AVX-512 register of single precision (two would be 32).
 pub const LANES: usize = 16;
 
-/// The sum of partial sums, always in the same order.
+/// Adds the partial sums, always in the same order.
 #[inline(always)]
 pub fn sum_lanes(lanes: &[f32; LANES]) -> f32 {
     let mut eight: [f32; 8] = std::array::from_fn(|i| lanes[i] + lanes[i + 8]);

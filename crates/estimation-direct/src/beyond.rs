@@ -1,9 +1,9 @@
-//! What lies beyond the searched range of depths.
+//! Planes beyond the searched depth range.
 //!
-//! A range that misses the target leaves the search nothing but what resembles it: one period of a repetitive texture further
-//! on, or chance. The range alone cannot tell. The right image can, where it shows the target: so a doubtful answer is
-//! compared with the best plane of all depths at which the right image shows anything. Both are judged in the same way and
-//! on the same level, a coarser one than that of the search.
+//! If the range misses the target, the search finds only something similar: the next period of a repetitive texture, or a
+//! chance match. The range alone cannot reveal this, but the right image can if it shows the target. A doubtful estimate is
+//! therefore compared with the best plane among all depths that the right image shows. Both are evaluated in the same way and
+//! on the same level, which is coarser than that of the search.
 
 use pb3dp_estimation_core::cpu::Kernels;
 
@@ -15,17 +15,19 @@ use super::search::hypotheses::HypothesisRules;
 use super::search::{PlaneSearch, PlaneSearchConfig};
 use crate::outcome::{ColdStartOutcome, surface_score};
 
-/// The comparison runs on the first level on which the region has at most this many pixels. Chosen: with it and [`DECISIVE_CORRELATION`] 22
-/// of 8064 random real rectangles in wrong ranges are sure and wrong, with 1600 px and without the latter 42.
+/// The comparison runs on the first level on which the region has at most this many pixels. Chosen: with it and
+/// [`DECISIVE_CORRELATION`] 22 of 8064 random real rectangles in wrong ranges are confident and wrong, with 1600 px and without
+/// the latter 42.
 const AREA_MAX_PX: usize = 900;
-/// Planes whose disparity at the centroid is off the range by no more than this are not beyond it, pixels: what lies at an end of the range
-/// is told apart from what lies in it. Chosen; no sweep is on record.
+/// Planes whose disparity at the centroid is at most this far outside the range do not count as beyond it, pixels: a plane at
+/// an end of the range must be distinguishable from one inside it. Chosen; no sweep is on record.
 const END_PX: f64 = 2.0;
 
-/// Most three-point planes that are drawn: what is looked for has most of the region. Chosen, a third of `direct.search.draws`.
+/// Largest number of three-point planes drawn: the plane sought covers most of the region. Chosen, a third of
+/// `direct.search.draws`.
 const DRAWS: usize = 100;
 
-/// Looks beyond ranges; keeps its buffers.
+/// Searches beyond the depth range; keeps its buffers.
 #[derive(Clone, Debug)]
 pub(super) struct Beyond {
     pyramid: RegionPyramid,
@@ -43,18 +45,18 @@ impl Default for Beyond {
     }
 }
 
-/// A plane beyond the range and how it stands to the answer.
+/// A plane beyond the depth range, and its score relative to the estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BeyondRange {
     /// The plane in the rectified pair.
     pub plane: DisparityPlane,
-    /// Its score over that of the answer.
+    /// Its score divided by the score of the estimate.
     pub score_ratio: f64,
 }
 
 impl Beyond {
-    /// The best plane whose disparity at the region's centroid is not among those of `source`, with its score over that of
-    /// `answer` and all planes within them; `None` if there is none.
+    /// The best plane whose disparity at the region's centroid is not among those of `source`. Its score is relative to the
+    /// best score of `answer` and of all planes within the range. `None` if there is no such plane.
     #[allow(clippy::too_many_arguments, reason = "two configurations, the pair, and what was found")]
     pub fn best(
         &mut self,
@@ -67,7 +69,7 @@ impl Beyond {
     ) -> Option<BeyondRange> {
         let searched_px = source.disparity_px;
         let region = source.region.bbox()?;
-        // From infinity to where the right image ends.
+        // From infinity to the end of the right image.
         let lowest = -front_end.geometry().disparity_offset_px;
         let visible_px = DisparityRange { lowest, highest: f64::from(region.x + region.width) };
         let wide = PyramidSource { disparity_px: visible_px, search_area_px: AREA_MAX_PX, ..*source };
@@ -100,13 +102,15 @@ impl Beyond {
     }
 }
 
-/// A surface with this score and [`DECISIVE_CORRELATION`] needs no comparison. Chosen: without any, 587 of these 8064 are sure and wrong.
+/// A surface with this score and [`DECISIVE_CORRELATION`] needs no comparison. Chosen: without any, 587 of these 8064 are
+/// confident and wrong.
 const DECISIVE_SCORE: f64 = 1.2;
-/// Correlations that it needs. Chosen: 81 of 1513 right answers in right ranges lose their `ok`, without it and with 1600 px 71.
+/// Correlation that it needs. Chosen: 81 of 1513 correct estimates in correct ranges lose their `ok`, without it and with 1600
+/// px 71.
 const DECISIVE_CORRELATION: f64 = 0.9;
 
-/// Whether an answer leaves doubts. What only resembles the target may correlate well on the coarse level that was searched;
-/// so the finest one that the patches looked at counts as well.
+/// Whether an estimate is doubtful. Something similar to the target may correlate well on the coarse level of the search, so
+/// the finest level of the patches is checked as well.
 pub(super) fn is_doubtful(outcome: &ColdStartOutcome) -> bool {
     let correlation = outcome.first.patches.mean_correlation.min(outcome.finest.mean_correlation);
     outcome.first.score < DECISIVE_SCORE || correlation < DECISIVE_CORRELATION

@@ -1,6 +1,6 @@
-//! From a region and a range of depths to one refined plane: search, patches, refinement.
+//! Cold start: from a region and a depth range to one refined plane, by search, patches and refinement.
 //!
-//! Works in the rectified pair; [`super::estimator`] makes an answer of what is found here.
+//! Works in the rectified pair; [`super::estimator`] converts the result into an estimate.
 
 mod contest;
 mod levels;
@@ -24,22 +24,22 @@ use crate::reach;
 /// Parameters of the cold start.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ColdStartConfig {
-    /// The search over all disparities runs first on the first level on which the region has at most this many pixels.
+    /// The search over all disparities first runs on the first level on which the region has at most this many pixels.
     pub quick_area_px: usize,
-    /// Where that does not decide, it runs on the first level on which the region has at most this many pixels.
+    /// If this search is not decisive, it is repeated on the first level on which the region has at most this many pixels.
     pub search_area_px: usize,
-    /// Share of the region's pixels that must lie on one plane for the quick search to decide.
+    /// Share of the region's pixels that must lie on one plane for the quick search to be decisive.
     pub quick_share_min: f64,
-    /// Patches are looked at down to the first level on which the region has at most this many pixels.
+    /// Patches are evaluated down to the first level on which the region has at most this many pixels.
     pub patch_area_px: usize,
-    /// The search.
+    /// Parameters of the search.
     pub search: PlaneSearchConfig,
-    /// The patches.
+    /// Parameters of the patches.
     pub patches: PatchConfig,
-    /// The refinement.
+    /// Parameters of the refinement.
     pub refine: RefineConfig,
-    /// A small region whose tilt is uncertain is refined together with what agrees with its plane up to so many pixels
-    /// around it, 0 to 16; 0: the region alone.
+    /// A small region with an uncertain tilt is refined together with the pixels around it that agree with its plane, up to
+    /// this distance in pixels, 0 to 16; 0: the region only.
     pub surroundings_px: usize,
 }
 
@@ -91,7 +91,7 @@ impl ColdStartConfig {
     }
 }
 
-/// The ranges of the refinement that may be set from outside.
+/// Checks the ranges of the refinement parameters that can be configured.
 fn validate_refine(refine: &RefineConfig) -> Result<(), EstimationError> {
     let area = refine.area_max_px as f64;
     check_range("direct.refine.area_max_px", area, (200.0, 1e6), "must be between 200 and 1000000")?;
@@ -108,25 +108,27 @@ fn validate_refine(refine: &RefineConfig) -> Result<(), EstimationError> {
     check_range("direct.refine.blur_sigma_px2", blur, (0.0, 5.0), "must be between 0 and 5 squared pixels")
 }
 
-/// What the calibration of real rigs leaves of disparity, pixels: on real pairs with known truth, covariances without it are too small.
-/// Where the calibration is exact, as on rendered pairs, it is to be set to what is right there. Chosen; no sweep is on record.
+/// Residual disparity error of the calibration of real rigs, pixels: on real pairs with ground truth, covariances without it
+/// are too small. If the calibration is exact, as on rendered pairs, set the value that is correct there. Chosen; no sweep is
+/// on record.
 const CALIBRATION_SIGMA_PX: f64 = 0.03;
-/// Lenses, focus and the demosaicing of colours make edges of real pairs differ by this much, squared pixels. Chosen: with this and the
-/// slope of rows 22 of 116 sure rectangles of 30 to 50 px on chessboards are off by more than 5 degrees, without 49 of 166.
+/// Lenses, focus and the demosaicing of colours make edges of real pairs differ by this much, squared pixels. Chosen: with this
+/// and the slope of rows 22 of 116 confident rectangles of 30 to 50 px on chessboards have errors above 5 degrees, without 49
+/// of 166.
 const BLUR_SIGMA_PX2: f64 = 0.2;
 
-/// A candidate on the finest level.
+/// A candidate, refined down to the finest level.
 #[derive(Clone, Copy, Debug)]
 struct Descent {
-    /// The plane that the patches make of the candidate's.
+    /// The plane fitted to the patches, starting from the candidate.
     plane: DisparityPlane,
-    /// What they say of it.
+    /// Result of the patches for this plane.
     patches: PatchOutcome,
     /// Index of the level.
     level: usize,
 }
 
-/// Finds planes; keeps its buffers.
+/// Finds the plane of a region without a start value; keeps its buffers.
 #[derive(Clone, Debug, Default)]
 pub struct ColdStart {
     config: ColdStartConfig,
@@ -144,7 +146,7 @@ pub struct ColdStart {
 }
 
 impl ColdStart {
-    /// With all buffers empty.
+    /// Creates a cold start with empty buffers.
     pub fn new(config: ColdStartConfig, kernels: Kernels) -> Self {
         let refiner = PlaneRefiner::new(config.refine.clone(), kernels);
         let pyramid = RegionPyramid::up_to(config.finest_area_px());
@@ -156,12 +158,12 @@ impl ColdStart {
         &self.config
     }
 
-    /// The region of the last pair.
+    /// The pyramid of the last region.
     pub fn pyramid(&self) -> &RegionPyramid {
         &self.pyramid
     }
 
-    /// Index of the level that the last answer was searched on.
+    /// Index of the level on which the last result was searched.
     pub fn searched_level(&self) -> usize {
         self.searched
     }
@@ -171,9 +173,9 @@ impl ColdStart {
         &self.surfaces
     }
 
-    /// Searches the plane of a region within the disparities of `source`; `is_tilt_allowed` says which planes are tilted by
-    /// no more than the search range allows. Once `may_continue` says no, finer levels and the refinement are left out.
-    /// `None` if there is no candidate.
+    /// Searches the plane of a region within the disparities of `source`. `is_tilt_allowed` checks a plane's tilt against the
+    /// search range. Once `may_continue` returns false, finer levels and the refinement are skipped. `None` if there is no
+    /// candidate.
     pub fn run(
         &mut self,
         front_end: &StereoFrontEnd,
@@ -237,8 +239,8 @@ impl ColdStart {
         })
     }
 
-    /// The best plane beyond the searched disparities, if what was found in the last pair leaves doubts and the right image
-    /// shows one; the other arguments are those of [`Self::run`].
+    /// The best plane beyond the searched disparities, if the result for the last pair is doubtful and the right image shows
+    /// such a plane. The other arguments are those of [`Self::run`].
     pub fn look_beyond(
         &mut self,
         outcome: &ColdStartOutcome,
@@ -253,7 +255,8 @@ impl ColdStart {
         self.beyond.best(front_end, source, &outcome.first.plane, configs, is_tilt_allowed, self.kernels)
     }
 
-    /// The plane of a small region with what agrees around it, if that is known better; see [`super::surroundings`].
+    /// Refines the plane of a small region together with its agreeing surroundings, if this is more accurate; see
+    /// [`super::surroundings`].
     fn with_surroundings(
         &mut self,
         own: RefinedPlane,
@@ -273,8 +276,8 @@ impl ColdStart {
         wide.filter(|wide| surroundings::replaces(wide, &own)).unwrap_or(own)
     }
 
-    /// The plane that explains the most clear disparities within a pixel, if there are many, it is not the first of `known`, and
-    /// it is not another surface.
+    /// The plane that explains the most clear disparities within one pixel. `None` if there are too few of them, if the plane
+    /// equals the first of `known`, or if it is another surface.
     fn widest(&mut self, known: &[DisparityPlane], allowed: impl Fn(&DisparityPlane) -> bool) -> Option<WidestPlane> {
         let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[self.searched]);
         let tolerance_px = (WIDEST_PX / level.scale as f64).max(WIDEST_LEVEL_PX_MIN);
@@ -294,7 +297,7 @@ impl ColdStart {
             self.kernels,
         )?;
         let plane = level.full_plane(&found.plane, centre);
-        // Where disparities lie on a plane and not around it, one that is farther from it is another surface.
+        // If the disparities lie on a plane and do not scatter around it, a more distant plane is another surface.
         if !is_spread && (plane.at(&centre) - known[0].at(&centre)).abs() > WIDEST_PX {
             return None;
         }
@@ -302,7 +305,7 @@ impl ColdStart {
         self.box_corners().iter().any(apart).then_some(WidestPlane { plane, is_spread })
     }
 
-    /// The plane that explains the most clear disparities, whatever its depth and tilt, with its share of the region.
+    /// The plane of any depth and tilt that explains the most clear disparities, with its share of the region.
     fn unlimited(&mut self) -> Option<(DisparityPlane, f64)> {
         let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[self.searched]);
         let (none, config) = (std::iter::empty(), &self.config.search);
@@ -310,25 +313,25 @@ impl ColdStart {
         Some((level.full_plane(&found.plane, centre), found.share * self.search.valid_share))
     }
 
-    /// The period of the region's texture, if a plane that is off by it would lie outside the searched disparities.
+    /// The period of the region's texture, if a plane shifted by one period would be outside the searched disparities.
     fn repeats_px(&mut self, plane: &DisparityPlane, searched_px: DisparityRange, infinity_px: f64) -> Option<f64> {
         let level = &self.pyramid.levels()[self.searched];
         let scale = level.scale as f64;
         let own_px = plane.at(&self.pyramid.centroid_px());
-        // Nearer than this the right image does not show the middle of the region.
+        // At closer range the right image does not show the middle of the region.
         let nearest_px = searched_px.highest.min(self.pyramid.centroid_px().x);
         let leaves_px = (own_px - searched_px.lowest).min(nearest_px - own_px).max(0.0);
         let places = (own_px / scale, infinity_px / scale);
         Some(scale * self.repetition.period_px(level, &level.level_plane(plane), places, leaves_px / scale)?)
     }
 
-    /// Looks at the patches around a plane.
+    /// Evaluates the patches for a plane.
     fn look(&mut self, index: usize, plane: &DisparityPlane) -> PatchOutcome {
         let level = &mut self.pyramid.levels_mut()[index];
         self.patches.run(level, &level.level_plane(plane), &self.config.patches, self.kernels)
     }
 
-    /// Looks at the patches of every candidate and puts the candidates into order.
+    /// Evaluates the patches of every candidate and sorts the candidates.
     fn judge_candidates(&mut self, index: usize, centre: Vector2<f64>) {
         if self.masks.len() < self.search.candidates.len() {
             self.masks.resize_with(self.search.candidates.len(), Vec::new);
@@ -345,8 +348,8 @@ impl ColdStart {
         self.look_again_at_near_equals(index, centre);
     }
 
-    /// Candidates are looked at where single pixels have put them. Where another is nearly as good as the best, that is not
-    /// fair to the one that was farther off, so those are looked at again where their patches have put them.
+    /// Candidates are first evaluated at the plane from single pixels. If another candidate is nearly as good as the best, this
+    /// is unfair to the one that started farther away, so these candidates are evaluated again at the plane from their patches.
     fn look_again_at_near_equals(&mut self, index: usize, centre: Vector2<f64>) {
         let Some(first) = self.surfaces.first().copied() else { return };
         let is_near = |other: &Surface| other.score >= NEARLY_EQUAL * first.score;
@@ -365,8 +368,8 @@ impl ColdStart {
         self.surfaces.sort_by(|a, b| b.score.total_cmp(&a.score));
     }
 
-    /// From the level that was searched to the finest one for patches, one or two looks each. The levels are left with the
-    /// pixels marked that agree with the plane.
+    /// Refines a plane from the searched level to the finest patch level, with one or two evaluations per level. Afterwards the
+    /// levels mark the pixels that agree with the plane.
     fn descend(&mut self, start: DisparityPlane, may_continue: &mut dyn FnMut() -> bool) -> Descent {
         let (centre, coarsest, limit) = (self.pyramid.centroid_px(), self.searched, self.config.patch_area_px);
         let finest = self.pyramid.levels().iter().position(|l| l.area_px <= limit).unwrap_or(coarsest).min(coarsest);
@@ -382,7 +385,8 @@ impl ColdStart {
         }
     }
 
-    /// What was found on a level, or the plane that clearly more of its patches lie closely on, if no fewer support that one.
+    /// The plane found on a level, or the plane that clearly more of its patches fit closely, if at least as many patches
+    /// support it.
     fn closest(
         &mut self,
         index: usize,
@@ -400,7 +404,7 @@ impl ColdStart {
         (plane, outcome)
     }
 
-    /// Looks at the patches around a plane, and puts it right; once more if that has moved it.
+    /// Evaluates the patches for a plane and corrects the plane; evaluates them again if the correction was not small.
     fn look_twice(&mut self, index: usize, plane: &mut DisparityPlane, centre: Vector2<f64>) -> PatchOutcome {
         let mut outcome = self.look(index, plane);
         let found = self.pyramid.levels()[index].full_plane(&outcome.plane, centre);
@@ -413,7 +417,7 @@ impl ColdStart {
         outcome
     }
 
-    /// Whether what the patches of a level say of one plane holds for another.
+    /// Whether the patch result for one plane is valid for another.
     fn is_settled(&self, index: usize, a: &DisparityPlane, b: &DisparityPlane) -> bool {
         let limit = SETTLED_PX * self.pyramid.levels()[index].scale as f64;
         self.box_corners().iter().all(|at| (a.at(at) - b.at(at)).abs() <= limit)
@@ -426,7 +430,7 @@ impl ColdStart {
         [corner(0, 0), corner(w, 0), corner(0, h), corner(w, h)]
     }
 
-    /// The other surface with the most pixels of its own, and the best other explanation of the same pixels.
+    /// The other surface with the most pixels of its own, and the best alternative explanation of the same pixels.
     fn rivals(&self, first: &Surface) -> (Option<Rival>, Option<Rival>) {
         let (mut second, mut alias): (Option<Rival>, Option<Rival>) = (None, None);
         for other in self.surfaces.iter().skip(1).filter(|other| self.differs(&first.plane, &other.plane)) {
@@ -459,8 +463,8 @@ impl ColdStart {
         }
     }
 
-    /// Whether two planes differ by more than two pixels of the search level in the middle of the region or, on average, at
-    /// the corners of its box.
+    /// Whether two planes differ by more than two pixels of the search level at the region's centroid or, on average, at the
+    /// corners of its box.
     fn differs(&self, a: &DisparityPlane, b: &DisparityPlane) -> bool {
         let limit = 2.0 * self.pyramid.levels()[self.searched].scale as f64;
         let gap = |at: &Vector2<f64>| (a.at(at) - b.at(at)).abs();
@@ -468,29 +472,36 @@ impl ColdStart {
     }
 }
 
-/// A plane with more support than this has its outline in its place, and is no alias. Chosen, see `repetition::REPEATS_MIN`.
+/// With more support than this, the outline of the plane is at the correct position, so the plane is not an alias. Chosen, see
+/// `repetition::REPEATS_MIN`.
 const WHOLE_SUPPORT_MIN: f64 = 0.7;
-/// With less support than this, the region may be no plane. Chosen: of 85 such regions 46 % of true disparities are met, 38 % without.
+/// With less support than this, the region may not be planar. Chosen: of 85 such regions 46 % of true disparities are met, 38 %
+/// without.
 const PLANE_SUPPORT_MIN: f64 = 0.5;
-/// If what agrees with a plane correlates less, noise may be why the rest does not. Chosen; no sweep is on record.
+/// If the pixels that agree with a plane correlate less than this, noise may be why the others do not agree. Chosen; no sweep
+/// is on record.
 const PLANE_CORRELATION_MIN: f64 = 0.8;
-/// Disparities this near to a plane are explained by it, pixels. Chosen: the measure of the benchmark of real regions that are no plane.
+/// Disparities this close to a plane are explained by it, pixels. Chosen: the criterion of the benchmark of real non-planar
+/// regions.
 const WIDEST_PX: f64 = 1.0;
-/// And at least so near, pixels of the level that was searched. Chosen; no sweep is on record.
+/// Lower bound of this distance, in pixels of the searched level. Chosen; no sweep is on record.
 const WIDEST_LEVEL_PX_MIN: f64 = 0.5;
-/// It replaces a refined plane that is off by more at a corner of the region's box, pixels. Chosen; no sweep is on record.
+/// The plane replaces a refined plane that differs by more than this at a corner of the region's box, pixels. Chosen; no sweep
+/// is on record.
 const WIDEST_APART_PX: f64 = 0.5;
-/// Clear disparities speak for the region if this share of its pixels has one. With 0.5 one real case across a depth edge is lost.
+/// Clear disparities represent the region if this share of its pixels has one. With 0.5 one real case across a depth edge is
+/// lost.
 const WIDEST_VALID_MIN: f64 = 0.6;
-/// If half of the tolerance holds less than this share of what the whole holds, disparities lie spread around the plane; evenly spread ones
-/// give one half, those of a plane nearly one. Chosen between these.
+/// Disparities scatter around the plane if half of the tolerance contains less than this share of those within the full
+/// tolerance. Uniformly distributed disparities give one half, those of a plane nearly one. Chosen between these.
 const SPREAD_NEAR_MAX: f64 = 0.6;
-/// A rival that shares more than this of its pixels with the first explains the same surface otherwise. Chosen; no sweep is on record.
+/// A rival that shares more than this of its pixels with the first surface is another explanation of the same surface. Chosen;
+/// no sweep is on record.
 const OVERLAP_OF_ALIAS: f64 = 0.5;
-/// What the patches say of a plane holds for another that differs by no more than this at the corners of the region's box, pixels of the
-/// level: the top of a correlation is flat. Chosen; no sweep is on record.
+/// A patch result is valid for another plane that differs by at most this at the corners of the region's box, pixels of the
+/// level: the peak of a correlation is flat. Chosen; no sweep is on record.
 const SETTLED_PX: f64 = 0.1;
-/// Candidates whose score is at least this share of the best one's are nearly as good. Chosen; no sweep is on record.
+/// Candidates with at least this share of the best score are nearly as good. Chosen; no sweep is on record.
 const NEARLY_EQUAL: f64 = 0.9;
-/// A second surface has at least this share of the region for itself. Chosen; no sweep is on record.
+/// Smallest share of the region that a second surface must have for itself. Chosen; no sweep is on record.
 const OWN_SHARE_MIN: f64 = 0.08;

@@ -1,7 +1,7 @@
-//! Luminance and chroma of a window of an image.
+//! Luminance and chroma channels of a window of an image.
 //!
-//! `Y = (R + G + B) / sqrt 3`, `A = sqrt(2/3) (R - (G + B) / 2)`, `B' = (G - B) / sqrt 2`: an orthonormal turn of RGB. `A`
-//! and `B'` are the saturation-weighted hue vector: linear, of constant noise, never undefined; equal independent noise of
+//! `Y = (R + G + B) / sqrt 3`, `A = sqrt(2/3) (R - (G + B) / 2)`, `B' = (G - B) / sqrt 2`: an orthonormal rotation of RGB. `A`
+//! and `B'` form the saturation-weighted hue vector: linear, with constant noise, never undefined. Equal independent noise of
 //! the three channels stays equal and independent.
 
 use image::RgbImage;
@@ -10,24 +10,24 @@ use pb3dp_estimation_core::wide::{LANES, wide};
 
 use super::image_plane::{ImagePlane, PixelWindow};
 
-/// Rows of the turn from RGB to (Y, A, B'), at right angles: (1, 1, 1) / sqrt 3, (2, -1, -1) / sqrt 6 and (0, 1, -1) / sqrt 2.
+/// Rows of the rotation from RGB to (Y, A, B'): (1, 1, 1) / sqrt 3, (2, -1, -1) / sqrt 6 and (0, 1, -1) / sqrt 2.
 pub const OPPONENT_FROM_RGB: [[f32; 3]; 3] = [
     [0.577_350_26, 0.577_350_26, 0.577_350_26],
     [0.816_496_6, -0.408_248_3, -0.408_248_3],
     [0.0, std::f32::consts::FRAC_1_SQRT_2, -std::f32::consts::FRAC_1_SQRT_2],
 ];
 
-/// A pixel with a channel at or above this may be cut off by the sensor. Chosen, one below the end of the range.
+/// A pixel with a channel at or above this value may be saturated. Chosen, one below the end of the range.
 pub const SATURATED_FROM: u8 = 254;
 
-/// Which channels are wanted.
+/// Selection of the channels to compute.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wanted {
-    /// `Y` only; the other planes are left empty.
+    /// `Y` only; the other planes stay empty.
     Luminance,
     /// `Y`, `A` and `B'`.
     Colour,
-    /// Red, green and blue as they are, in the places of `Y`, `A` and `B'`.
+    /// Red, green and blue unchanged, stored in place of `Y`, `A` and `B'`.
     Rgb,
 }
 
@@ -41,21 +41,21 @@ impl Wanted {
 /// The channels of one window of one image.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ColourPlanes {
-    /// Where the planes lie in the (rectified) image.
+    /// Position of the planes in the (rectified) image.
     pub window: PixelWindow,
-    /// Luminance Y, then A and B' (of no size if only the luminance was wanted); or red, green and blue.
+    /// Luminance Y, then A and B' (empty if only the luminance was requested); or red, green and blue.
     pub planes: [ImagePlane; 3],
-    /// Per pixel: 0 if it can be used, else [`SATURATED`] or [`UNSEEN`].
+    /// Per pixel: 0 if usable, otherwise [`SATURATED`] or [`UNSEEN`].
     pub flags: Vec<u8>,
 }
 
 /// Flag of a pixel with a channel at [`SATURATED_FROM`] or above.
 pub const SATURATED: u8 = 1;
-/// Flag of a pixel that the raw image does not show.
+/// Flag of a pixel that is outside the raw image.
 pub const UNSEEN: u8 = 2;
 
 impl ColourPlanes {
-    /// Luminance.
+    /// The luminance plane.
     pub fn luminance(&self) -> &ImagePlane {
         &self.planes[0]
     }
@@ -69,7 +69,7 @@ impl ColourPlanes {
         self.flags.resize(window.width * window.height, 0);
     }
 
-    /// Takes the part of `window` inside an image.
+    /// Computes the channels of the part of `window` inside the image.
     pub fn update(&mut self, image: &RgbImage, window: PixelWindow, wanted: Wanted, kernels: Kernels) {
         let window = window.clipped(image.width(), image.height());
         self.resize(window, wanted);
@@ -89,8 +89,8 @@ impl ColourPlanes {
 }
 
 impl ColourPlanes {
-    /// Takes the luminance of the part of `window` inside an image at half the size: means of 2 x 2 pixels, and their flags.
-    /// The window counts full pixels and starts at even ones.
+    /// Computes the luminance of the part of `window` inside the image at half the size: means of 2 x 2 pixels, and their
+    /// flags. The window is given in full-size pixels and starts at even ones.
     pub fn update_halved(&mut self, image: &RgbImage, window: PixelWindow, kernels: Kernels) {
         let full = window.clipped(image.width(), image.height());
         let window = full.halved();
@@ -105,7 +105,7 @@ impl ColourPlanes {
     }
 }
 
-/// Pixels of a halved row that are worked on at a time.
+/// Number of halved pixels processed at a time.
 const HALVED: usize = 64;
 
 wide! {
@@ -123,7 +123,7 @@ fn halved_row_kernel(upper: &[u8], lower: &[u8], luminance: &mut [f32], flags: &
             *sum = u16::from(*upper) + u16::from(*lower);
             highest = highest.max((*upper).max(*lower));
         }
-        // Sums of three bytes that stand side by side in both rows, wherever they start; every sixth pair is wanted.
+        // Sums of three adjacent bytes of both rows, for every start; only every sixth pair is used.
         for (i, three) in threes.iter_mut().enumerate() {
             *three = sums[i] + sums[i + 1] + sums[i + 2];
         }

@@ -1,8 +1,8 @@
-//! The Cramér-Rao bound: how well a plane can be known from one pair at best.
+//! The Cramér-Rao bound: lower bound of the covariance of a plane estimated from one pair.
 //!
-//! Both images carry independent noise, so the difference of two pixels has twice its variance; the texture is unknown, and
-//! so are gain and offset of every channel. With the gradient `g` along rows of the noise-free image, the information on
-//! `(d0, du, dv)` is the sum over pixels of `g^2 m m^T / (2 sigma^2)`, `m = (1, u, v)`, less what gain and offset take.
+//! Both images have independent noise, so the difference of two pixels has twice the variance. The texture is unknown, and so
+//! are gain and offset of every channel. With the gradient `g` along rows of the noise-free image, the information on `(d0, du,
+//! dv)` is the sum over pixels of `g^2 m m^T / (2 sigma^2)`, `m = (1, u, v)`, minus the part lost to gain and offset.
 
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
 
@@ -11,7 +11,7 @@ use super::disparity_plane::{DisparityPlane, RectifiedGeometry, inverse_depth_fr
 /// A pixel of a noise-free channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BoundSample {
-    /// Pixel relative to where the plane is described, pixels.
+    /// Pixel relative to the reference point of the plane, pixels.
     pub at_px: Vector2<f64>,
     /// Value, grey levels.
     pub value: f64,
@@ -19,8 +19,8 @@ pub struct BoundSample {
     pub gradient: f64,
 }
 
-/// Information on `(d0, du, dv)` in one channel with independent noise of `noise_sigma` grey levels in both images; gain
-/// and offset between the eyes are unknown. Channels add up.
+/// Information on `(d0, du, dv)` in one channel with independent noise of `noise_sigma` grey levels in both images; gain and
+/// offset between the cameras are unknown. The information of several channels is added.
 pub fn channel_information(samples: impl IntoIterator<Item = BoundSample>, noise_sigma: f64) -> Matrix3<f64> {
     let mut plane = Matrix3::zeros();
     let mut cross = Matrix3x2::zeros();
@@ -39,28 +39,28 @@ pub fn channel_information(samples: impl IntoIterator<Item = BoundSample>, noise
     (plane - taken) / (2.0 * noise_sigma * noise_sigma)
 }
 
-/// Standard deviation of the disparity that one pixel tells, pixels: both images carry independent noise of `noise_sigma` grey
-/// levels, and the channels together have a root mean square of `gradient` grey levels per pixel along rows.
+/// Standard deviation of the disparity of one pixel, pixels: both images have independent noise of `noise_sigma` grey levels,
+/// and all channels together have a root mean square gradient of `gradient` grey levels per pixel along rows.
 pub fn pixel_disparity_sigma(noise_sigma: f64, gradient: f64) -> f64 {
     std::f64::consts::SQRT_2 * noise_sigma / gradient
 }
 
-/// Information on `(d0, du, dv)` at the middle of a rectangle of `size_px`, each pixel of which tells its own disparity to
-/// `pixel_sigma_px`: what [`channel_information`] comes to for a texture that is the same everywhere.
+/// Information on `(d0, du, dv)` at the centre of a rectangle of `size_px`, if each pixel measures its own disparity with a
+/// standard deviation of `pixel_sigma_px`. This is the value of [`channel_information`] for a homogeneous texture.
 pub fn rectangle_information(size_px: &Vector2<f64>, pixel_sigma_px: f64) -> Matrix3<f64> {
     let squares = size_px.component_mul(size_px) / 12.0;
     let each = size_px.product() / (pixel_sigma_px * pixel_sigma_px);
     Matrix3::from_diagonal(&(Vector3::new(1.0, squares.x, squares.y) * each))
 }
 
-/// Covariance of `(d0, du, dv)` that an error of calibration of `sigma_px` at the centre, and as much over half the region's
-/// side, leaves; `half_px` are these half sides.
+/// Covariance of `(d0, du, dv)` due to a calibration error of `sigma_px` at the centre and the same error over half the
+/// region's side; `half_px` are these half sides.
 pub fn calibration_covariance(sigma_px: f64, half_px: &Vector2<f64>) -> Matrix3<f64> {
     let slope = |half: f64| (sigma_px / half.max(1.0)).powi(2);
     Matrix3::from_diagonal(&Vector3::new(sigma_px * sigma_px, slope(half_px.x), slope(half_px.y)))
 }
 
-/// What a covariance of `(d0, du, dv)` means in space.
+/// Standard deviations of depth and normal that follow from a covariance of `(d0, du, dv)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaneSigma {
     /// Standard deviation of the depth on the ray of the plane's centre, metres.
@@ -69,8 +69,8 @@ pub struct PlaneSigma {
     pub normal_rad: f64,
 }
 
-/// Depth and normal from the covariance of `(d0, du, dv)` at the plane's centre (for the bound, the inverse of the
-/// information); `None` for a plane at or beyond infinity.
+/// Depth and normal from the covariance of `(d0, du, dv)` at the plane's centre (for the bound: the inverse of the
+/// information). `None` for a plane at or beyond infinity.
 pub fn plane_sigma(
     covariance: &Matrix3<f64>,
     plane: &DisparityPlane,
@@ -105,7 +105,7 @@ mod tests {
         }
     }
 
-    /// A sine along columns of period `2 pi / k`, amplitude `a`: mean squared gradient `a^2 k^2 / 2`, and the mean of
+    /// A sine along columns of period `2 pi / k`, amplitude `a`: the mean squared gradient is `a^2 k^2 / 2`, and the mean of
     /// gradient times value is zero.
     #[test]
     fn a_sine_gives_what_the_closed_form_says() {
@@ -130,7 +130,7 @@ mod tests {
         let rectangle = rectangle_information(&Vector2::new(127.0, 121.0), pixel_sigma);
         for axis in 0..3 {
             let ratio = rectangle[(axis, axis)] / information[(axis, axis)];
-            // Of whole periods it would be closer.
+            // With whole periods the agreement would be closer.
             assert!((ratio - 1.0).abs() < 0.03, "axis {axis}: {ratio}");
         }
     }

@@ -1,9 +1,9 @@
-//! A plane as a rectified pair sees it: disparity is an affine function of the left pixel.
+//! A plane in a rectified pair: the disparity is an affine function of the left pixel.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 use pb3dp_geometry::StereoRig;
 
-/// What the rectified pair needs to turn disparity into depth.
+/// Geometry of the rectified pair, for the conversion between disparity and depth.
 ///
 /// Rays are those of the rectified left camera, third component 1; pixels are rectified pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,15 +12,15 @@ pub struct RectifiedGeometry {
     pub focal_px: Vector2<f64>,
     /// Principal point of the left camera, pixels.
     pub left_principal_px: Vector2<f64>,
-    /// Column of the right camera's principal point minus the left one's, pixels: what is added to a disparity to get
-    /// `fx B / z`.
+    /// Column of the right camera's principal point minus that of the left camera, pixels. Added to a disparity it gives `fx B
+    /// / z`.
     pub disparity_offset_px: f64,
     /// Baseline, metres.
     pub baseline_m: f64,
 }
 
 impl RectifiedGeometry {
-    /// Of a rig that is rectified; what it says of another is meaningless.
+    /// The geometry of a rectified rig; meaningless for any other rig.
     pub fn of_rectified(rig: &StereoRig) -> Self {
         let (left, right) = (rig.left().pinhole(), rig.right().pinhole());
         Self {
@@ -53,23 +53,23 @@ impl RectifiedGeometry {
     }
 }
 
-/// Disparities that are searched, in rectified pixels of the full image.
+/// Range of searched disparities, in rectified pixels of the full image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DisparityRange {
-    /// That of the farthest depth.
+    /// Disparity of the farthest depth.
     pub lowest: f64,
-    /// That of the nearest depth.
+    /// Disparity of the nearest depth.
     pub highest: f64,
 }
 
 /// Disparity `d(u, v) = d0 + du (u - u0) + dv (v - v0)` in rectified pixels of the full image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DisparityPlane {
-    /// `(u0, v0)`: where `d0` holds, left pixel.
+    /// `(u0, v0)`: reference pixel of `d0` in the left image.
     pub centre_px: Vector2<f64>,
     /// Disparity at the centre, pixels: left column minus right column.
     pub d0_px: f64,
-    /// Slope along columns and rows, pixel per pixel.
+    /// Slope along columns and rows, pixels per pixel.
     pub slope: Vector2<f64>,
 }
 
@@ -79,7 +79,7 @@ impl DisparityPlane {
         self.d0_px + self.slope.dot(&(pixel - self.centre_px))
     }
 
-    /// The same plane, described at another pixel.
+    /// The same plane with another reference pixel.
     pub fn centred_at(&self, centre_px: Vector2<f64>) -> Self {
         Self { centre_px, d0_px: self.at(&centre_px), slope: self.slope }
     }
@@ -118,7 +118,8 @@ impl DisparityPlane {
     }
 }
 
-/// The linear part of the map from `(d0, du, dv)` at `centre_px` to the inverse-depth plane, 1/m: for covariances.
+/// The linear part of the map from `(d0, du, dv)` at `centre_px` to the inverse-depth plane, 1/m; used to propagate
+/// covariances.
 pub fn inverse_depth_from_disparity(geometry: &RectifiedGeometry, centre_px: &Vector2<f64>) -> Matrix3<f64> {
     let (f, c) = (geometry.focal_px, geometry.left_principal_px - centre_px);
     Matrix3::new(0.0, f.x, 0.0, 0.0, 0.0, f.y, 1.0, c.x, c.y) / geometry.focal_baseline_px_m()

@@ -28,11 +28,11 @@ use pb3dp_estimation_core::row_offset::{RowMeasurement, RowOffset};
 /// Parameters of the direct method.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DirectConfig {
-    /// Regions.
+    /// Parameters of regions.
     pub region: RegionConfig,
-    /// From nothing to a plane.
+    /// Parameters of the cold start.
     pub cold_start: ColdStartConfig,
-    /// The judgement of answers.
+    /// Limits of the status.
     pub verdict: DirectVerdictConfig,
 }
 
@@ -47,10 +47,10 @@ impl DirectConfig {
     }
 }
 
-/// The direct method on single pairs.
+/// Estimator of the direct method for single pairs.
 ///
-/// A rig whose rows are misaligned by some tenths of a pixel costs accuracy: measure its row offset once with
-/// [`Self::measure_rows`], or give it with [`Self::set_rows`]. A small rest is found with every plane.
+/// A vertical misalignment of some tenths of a pixel reduces the accuracy: measure the row offset once with
+/// [`Self::measure_rows`], or set it with [`Self::set_rows`]. A small residual offset is estimated with every plane.
 #[derive(Clone, Debug)]
 pub struct DirectEstimator {
     front_end: StereoFrontEnd,
@@ -61,7 +61,7 @@ pub struct DirectEstimator {
     mask: RegionMask,
 }
 
-/// What turns a plane of the rectified pair into one of the raw left camera.
+/// Conversion of planes from the rectified pair to the raw left camera.
 struct RawView {
     geometry: RectifiedGeometry,
     /// Rotation `cam_left_from_cam_left_rect`.
@@ -81,7 +81,7 @@ impl RawView {
 }
 
 impl DirectEstimator {
-    /// An estimator for a calibrated pair, rectified or not, with lens distortion or without.
+    /// Creates an estimator for a calibrated pair, rectified or not, with or without lens distortion.
     ///
     /// # Errors
     /// A parameter out of its range, or a rig that cannot be rectified.
@@ -89,7 +89,7 @@ impl DirectEstimator {
         Self::with_kernels(rig, config, Kernels::best())
     }
 
-    /// As [`Self::new`], with given kernels; the answers are the same, the speed is not.
+    /// As [`Self::new`], with the given kernels; the estimates are identical, the speed differs.
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -106,11 +106,11 @@ impl DirectEstimator {
         &self.config
     }
 
-    /// Measures the row offset of the rig on a pair of raw images and uses it from now on. It takes some
-    /// milliseconds, and is for once per rig or per scene. Where too few points are found again the offset is zero.
+    /// Measures the row offset of the rig on a pair of raw images and uses it from now on. It takes some milliseconds and is
+    /// intended once per rig or per scene. With too few matched points the offset is zero.
     ///
     /// # Errors
-    /// Images that do not fit the calibration.
+    /// Images that do not match the calibration.
     pub fn measure_rows(&mut self, left: &RgbImage, right: &RgbImage) -> Result<RowMeasurement, EstimationError> {
         self.front_end.check(left, right)?;
         let measured = measure_rows(&self.front_end, left, right);
@@ -118,12 +118,12 @@ impl DirectEstimator {
         Ok(measured)
     }
 
-    /// The row offset in use.
+    /// The current row offset.
     pub fn rows(&self) -> &RowOffset {
         &self.rows
     }
 
-    /// Uses a row offset that is known.
+    /// Sets a known row offset.
     pub fn set_rows(&mut self, rows: RowOffset) {
         self.rows = rows;
     }
@@ -133,7 +133,7 @@ impl DirectEstimator {
         (offset_max_px > ROWS_OFF_MAX_PX).then_some(EstimateWarning::RowsOff { offset_max_px })
     }
 
-    /// What the cold start of the last pair found.
+    /// Outcome of the cold start for the last pair.
     pub fn outcome(&self) -> Option<&ColdStartOutcome> {
         self.outcome.as_ref()
     }
@@ -158,7 +158,8 @@ impl DirectEstimator {
         let is_exact = self.config.cold_start.refine.calibration_sigma_px == 0.0;
         let (plane, covariance) = answer(outcome, side_px, is_exact);
         let Some(pose) = view.pose(&plane) else {
-            estimate.reason = "the best plane lies behind the camera: check range and calibration".to_owned();
+            estimate.reason =
+                "the best plane is behind the camera: check the depth range and the calibration".to_owned();
             return;
         };
         let spread = covariance.map(|covariance| Spread::of(&covariance, &plane, &pose, view));
@@ -186,22 +187,24 @@ impl DirectEstimator {
             estimate.warnings.push(EstimateWarning::EndOfRange { z_mm: 1000.0 * pose.z_m });
             if estimate.status.depth_is_sure() {
                 estimate.status = Status::Ambiguous;
-                estimate.reason.push_str(", but it lies at the end of the depth range: the target may lie beyond");
+                estimate
+                    .reason
+                    .push_str(", but the plane is at the end of the depth range: the target may be beyond it");
             }
         }
-        // What is exactly at the limit may be found a little beyond it.
+        // A tilt exactly at the limit may be estimated slightly beyond it.
         if !TiltLimits::new(range).allow(&view.inverse_depth_plane(&plane)) {
             let limit_deg = range.tilt_max_rad.to_degrees();
             estimate.warnings.push(EstimateWarning::BeyondTilt { limit_deg });
             let is_beyond = spread.is_some_and(|spread| spread.is_tilted_beyond(&pose, range.tilt_max_rad));
             if is_beyond && estimate.status.depth_is_sure() {
                 estimate.status = Status::Ambiguous;
-                estimate.reason.push_str(", but it is tilted beyond the range: raise the limit (--tilt-max)");
+                estimate.reason.push_str(", but the tilt is out of range: raise the limit (--tilt-max)");
             }
         }
     }
 
-    /// Known and found row offset at the region's centroid.
+    /// Sum of the known and the estimated row offset at the region's centroid.
     fn row_offset_px(&self, outcome: &ColdStartOutcome, plane: &DisparityPlane) -> f64 {
         let right_px = plane.centre_px - Vector2::new(plane.d0_px, 0.0);
         self.rows.at(&right_px) + outcome.refined.map_or(0.0, |refined| refined.row_offset_px)
@@ -213,12 +216,12 @@ impl DirectEstimator {
     }
 }
 
-/// Without the refinement, where the time did not suffice for it, there is no standard deviation, and the status is `weak-tilt` at
-/// best. The same request gives the same answer after any other requests that do not change the row offset.
+/// Without refinement, if the time was not sufficient, there is no standard deviation, and the status is at best `weak-tilt`.
+/// Estimates are deterministic: the result depends only on the request and the row offset, not on earlier requests.
 impl EstimationMethod for DirectEstimator {
     type Answer = PlaneEstimate;
 
-    /// The plane of a region of one pair of raw images, from nothing: no start value, the whole range is searched.
+    /// Estimates the plane of a region in one pair of raw images, without a start value: the whole range is searched.
     fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<PlaneEstimate, EstimationError> {
         let MarkedTarget { region, range } = request.marked()?;
         let EstimateRequest { left, right, deadline, .. } = request;
@@ -263,7 +266,7 @@ impl EstimationMethod for DirectEstimator {
         Ok(estimate)
     }
 
-    /// Parameters and memory are kept, the row offset is not.
+    /// Keeps parameters and memory, but not the row offset.
     fn set_rig(&mut self, rig: &StereoRig) -> Result<(), EstimationError> {
         self.front_end = StereoFrontEnd::new(rig, self.front_end.kernels())?;
         (self.rows, self.outcome) = (RowOffset::default(), None);
@@ -271,7 +274,7 @@ impl EstimationMethod for DirectEstimator {
         Ok(())
     }
 
-    /// Measures the row offset of the rig and uses it from now on; some milliseconds. Where too few points are found again the
+    /// Measures the row offset of the rig and uses it from now on; takes some milliseconds. With too few matched points the
     /// offset is zero.
     fn prepare(&mut self, left: &RgbImage, right: &RgbImage) -> Result<Option<RowMeasurement>, EstimationError> {
         self.measure_rows(left, right).map(Some)
@@ -282,17 +285,17 @@ impl EstimationMethod for DirectEstimator {
     }
 }
 
-/// Rows that are further off than this tell of a calibration that does not hold, pixels. Chosen: those of real rigs stay below 0.6.
+/// A vertical misalignment above this indicates an invalid calibration, pixels. Chosen: that of real rigs stays below 0.6.
 const ROWS_OFF_MAX_PX: f64 = 1.5;
 
-/// Whether both images are one; two that show nothing, each of one colour, may well be equal.
+/// Whether both images are identical. Two blank images of one colour may be equal and do not count.
 fn is_same_image(left: &RgbImage, right: &RgbImage) -> bool {
     let shows_something = || left.pixels().any(|pixel| Some(pixel) != left.pixels().next());
     left.as_raw() == right.as_raw() && shows_something()
 }
 
-/// What speaks against a sure answer and lies outside of what was searched: depths at which the right image does not show the
-/// region, and those beyond the range, where a plane may reach `score_max` of the answer's score.
+/// Reasons against a confident estimate from outside the searched range: depths at which the right image does not show the
+/// region, and depths beyond the range, where a plane may reach `score_max` of the estimate's score.
 fn objection(
     cold_start: &mut ColdStart,
     outcome: &ColdStartOutcome,
@@ -301,7 +304,7 @@ fn objection(
     (view, score_max): (&RawView, f64),
 ) -> Option<String> {
     let centre_px = cold_start.pyramid().centroid_px();
-    // From this disparity on, the middle of the region is out of the right image.
+    // From this disparity on, the middle of the region is outside the right image.
     let leaves_px = centre_px.x;
     let correlation = outcome.finest.mean_correlation;
     if source.disparity_px.highest > leaves_px && correlation < UNSEEN_CORRELATION_MIN {
@@ -313,35 +316,40 @@ fn objection(
     (found.score_ratio > score_max).then(|| lies_beyond(z_m, found.score_ratio))
 }
 
-/// An answer so near to an end of the range is warned of, pixels: the search sees hardly less beyond. Chosen; no sweep is on record.
+/// An estimate this close to an end of the range gets a warning, pixels: the search covers little beyond the end. Chosen; no
+/// sweep is on record.
 const END_OF_RANGE_PX: f64 = 0.5;
 
-/// Patches agree with a plane as with their own if support times correlation is worse by at most this. Chosen; no sweep is on record.
+/// Patches agree with a plane as well as with their own if support times correlation is lower by at most this. Chosen; no sweep
+/// is on record.
 const AGREEMENT_TOLERANCE: f64 = 0.005;
-/// Planes are the same to patches if they differ by no more at the region's border, pixels. Chosen; no sweep is on record.
+/// Patches cannot distinguish planes that differ by at most this at the region's border, pixels. Chosen; no sweep is on record.
 const PATCH_PRECISION_PX: f64 = 0.25;
-/// Patches compare rows as they are: with rows farther off than this they are wrong themselves, pixels. Chosen; no sweep is on record.
+/// Patches ignore row offsets: with larger row offsets than this they are wrong themselves, pixels. Chosen; no sweep is on
+/// record.
 const PATCH_ROWS_PX: f64 = 0.2;
 
-/// Of two planes that err on their own, equally far, each has half of the variance of their difference, which is the sum of both.
+/// If two planes have independent errors of equal size, each has half of the variance of their difference (the sum of both
+/// variances).
 const EQUAL_ERRORS: f64 = 0.5;
 
-/// Planes much nearer than this at the border of the region, pixels, differ by noise, which moves the patches more than the refined plane.
-/// Fitted on rendered grey and crab targets: errors are 1.01 to 1.08 times those of the refined plane, with half of it 1.10 to 1.39; of
-/// real windows of 28 to 40 px half of it lets 243 of 288 pass, this 241.
+/// Planes much closer than this at the border of the region, pixels, differ by noise, which moves the patches more than the
+/// refined plane. Fitted on rendered grey and crab targets: errors are 1.01 to 1.08 times those of the refined plane, with half
+/// of it 1.10 to 1.39; of real windows of 28 to 40 px half of it lets 243 of 288 pass, this 241.
 const PATCH_SIGMA_PX: f64 = 0.2;
-/// Where patches correlate less, noise moves them further than the refinement. Chosen; no sweep is on record.
+/// If patches correlate less than this, noise moves them further than the refinement. Chosen; no sweep is on record.
 const CLEAR_CORRELATION_MIN: f64 = 0.9;
 
-/// The plane of an outcome with the covariance of `(d0, du, dv)`: between the refined plane, if the refinement came to rest near
-/// the patches' plane, and that of the patches. On real surfaces both err on their own and equally far, so the mean of both is
-/// better than either; but patches cannot tell planes apart that are as near as they are precise, so the answer goes the less
-/// towards their plane the nearer it is. Where that is farther off, and they agree with the refined plane clearly less than with
-/// their own, the answer lies half-way. Where no plane fits, the answer is the one that explains the most disparities.
+/// The final plane of an outcome with the covariance of `(d0, du, dv)`: a weighted mean of the refined plane and the patch
+/// plane, if the refinement converged near the patch plane. On real surfaces both have independent errors of equal size, so
+/// their mean is better than either. Patches cannot distinguish planes closer than their own precision, so the weight of the
+/// patch plane decreases with the distance between the planes. If the patch plane is farther away, and the patches agree with
+/// the refined plane clearly less than with their own, the result is half-way between the two. If no plane fits, the result is
+/// the plane that explains the most disparities.
 ///
-/// Two planes of the same pixels that differ by `gap` and err on their own, equally far, have half of `gap gap^T` as variance
-/// each, and their mean a quarter. Where images hold no errors but noise (`is_exact`), that of the refinement is known to be
-/// the smaller one, and it is the answer if the patches agree with it.
+/// Two planes of the same pixels that differ by `gap` and have independent errors of equal size each have half of `gap gap^T`
+/// as variance, and their mean has a quarter. If the images have no errors except noise (`is_exact`), the refined plane is
+/// known to have the smaller variance; it is the result if the patches agree with it.
 fn answer(outcome: &ColdStartOutcome, side_px: f64, is_exact: bool) -> (DisparityPlane, Option<Matrix3<f64>>) {
     let Some(refined) = &outcome.refined else {
         return (outcome.widest.map_or(outcome.patch_plane, |widest| widest.plane), None);
@@ -371,8 +379,8 @@ fn answer(outcome: &ColdStartOutcome, side_px: f64, is_exact: bool) -> (Disparit
     (refined.plane.with_parameters(&(own + gap * moved_by)), Some(refined.covariance + gap * gap.transpose() * counted))
 }
 
-/// Which share of the way to the patches' plane the answer goes if the planes are `apart_px` apart at the region's border:
-/// `is_better` says that the patches agree with their own plane clearly more, `is_clear` that noise moves them little.
+/// Weight of the patch plane if the planes are `apart_px` apart at the region's border. `is_better`: the patches agree clearly
+/// better with their own plane. `is_clear`: noise moves the patches little.
 fn towards_patches(apart_px: f64, is_better: bool, is_clear: bool) -> f64 {
     match is_better && apart_px > PATCH_PRECISION_PX {
         true => 0.5,
@@ -381,13 +389,12 @@ fn towards_patches(apart_px: f64, is_better: bool, is_clear: bool) -> f64 {
     }
 }
 
-/// Variance of what lies a share of the way from one estimate to another that errs on its own and equally far, over the squared
-/// difference of both.
+/// Variance of the weighted mean of two estimates with independent errors of equal size, divided by their squared difference.
 fn variance_between(share: f64) -> f64 {
     EQUAL_ERRORS * ((1.0 - share).powi(2) + share.powi(2))
 }
 
-/// The plane that explains the most, if it lies within the depths of the range but is tilted by more than it allows.
+/// The plane that explains the most disparities, if its depth is within the range but its tilt is not.
 fn steeper(outcome: &ColdStartOutcome, view: &RawView, range: &SearchRange) -> Option<Steeper> {
     let (plane, share) = outcome.unlimited?;
     let pose = view.pose(&plane)?;
@@ -399,27 +406,28 @@ fn steeper(outcome: &ColdStartOutcome, view: &RawView, range: &SearchRange) -> O
         .then_some(Steeper { tilt_deg: tilt_rad.to_degrees(), share })
 }
 
-/// A plane that is steeper than allowed is named if it explains so many times as many pixels. Chosen; no sweep is on record.
+/// A steeper plane than allowed is reported if it explains this many times as many pixels. Chosen; no sweep is on record.
 const STEEPER_GAIN_MIN: f64 = 1.5;
 
-/// Disparities of the ends of a depth range on the centroid's ray, lowest first.
+/// Disparities of the two ends of a depth range on the centroid's ray, lowest first.
 fn disparity_range(view: &RawView, range: &SearchRange) -> DisparityRange {
     let depth_factor = (view.turn.transpose() * view.ray).z;
     let at = |z_m: f64| view.geometry.disparity_px(z_m * depth_factor);
     DisparityRange { lowest: at(range.z_max_m), highest: at(range.z_min_m) }
 }
 
-/// Root mean square angle between the middle of a half-sphere and normals spread evenly over it, `sqrt(pi - 2)`, radians: a
-/// normal that faces the camera cannot be known worse.
+/// Root mean square angle between the pole of a half-sphere and normals distributed uniformly over it, `sqrt(pi - 2)`, radians:
+/// upper bound of the uncertainty of a normal that faces the camera.
 const ANY_NORMAL_RAD: f64 = 1.0684;
 
-/// An answer is tilted beyond the range if it exceeds the limit by so many standard deviations. Chosen: 95 % of normal errors.
+/// An estimate is tilted beyond the range if it exceeds the limit by this many standard deviations. Chosen: 95 % of normal
+/// errors.
 const TILT_SIGMAS: f64 = 2.0;
 
 /// Uncertainty of a plane in `cam_left`.
 #[derive(Clone, Copy, Debug)]
 struct Spread {
-    /// Of `(z, theta_x, theta_y)`: metres and radians.
+    /// Covariance of `(z, theta_x, theta_y)`: metres and radians.
     covariance: Matrix3<f64>,
     normal_sigma_rad: f64,
 }
@@ -465,7 +473,7 @@ impl TiltLimits {
         Self { tangent: range.tilt_max_rad.tan(), sine: range.tilt_max_rad.sin() }
     }
 
-    /// Whether an inverse-depth plane in `cam_left` is tilted by no more.
+    /// Whether the tilt of an inverse-depth plane in `cam_left` is within the limits.
     fn allow(&self, q: &Vector3<f64>) -> bool {
         q.z > 0.0 && q.x.abs() <= self.tangent * q.z && q.y.abs() <= self.sine * q.norm()
     }
@@ -493,7 +501,7 @@ mod tests {
         DisparityPlane { centre_px: Vector2::new(380.0, 210.0), d0_px: 133.0, slope: Vector2::new(0.06, -0.04) }
     }
 
-    /// Differences of the plane's own parameters, not the formula's.
+    /// Checks against numerical differences of the plane's parameters, not against the formula.
     #[test]
     fn the_covariance_is_that_of_small_changes() {
         let (view, plane) = (view(), plane());
@@ -519,13 +527,13 @@ mod tests {
                 assert!((spread.covariance[(i, j)] - expected[(i, j)]).abs() < 1e-4 * scale, "{i} {j}");
             }
         }
-        // A turn by theta_y moves the normal by cos theta_x of it.
+        // A rotation by theta_y moves the normal by cos theta_x of it.
         let cosine = psi(&p0).y.cos();
         let sum = expected[(1, 1)] + cosine * cosine * expected[(2, 2)];
         assert!((spread.normal_sigma_rad - sum.sqrt()).abs() < 1e-4 * sum.sqrt());
     }
 
-    /// Where two estimates err on their own and equally far, the mean has half the variance of each.
+    /// If two estimates have independent errors of equal size, their mean has half the variance of each.
     #[test]
     fn the_answer_goes_at_most_half_way_to_the_patches() {
         assert_eq!((variance_between(0.0), variance_between(0.5)), (0.5, 0.25));

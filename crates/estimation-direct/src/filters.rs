@@ -5,13 +5,14 @@ use pb3dp_estimation_core::wide::{LANES, wide};
 
 use super::image_plane::ImagePlane;
 
-/// Most weights of a smoothing kernel on either side of its centre. Chosen; no sweep is on record.
+/// Largest number of kernel weights on each side of the centre. Chosen; no sweep is on record.
 pub const RADIUS_MAX: usize = 15;
 
-/// Weights of the spline's prefilter beyond this are below a thousandth (sqrt 3 (2 - sqrt 3)^6 = 0.0006), and smoothing makes them smaller.
+/// Weights of the spline's prefilter beyond this are below a thousandth (sqrt 3 (2 - sqrt 3)^6 = 0.0006), and smoothing reduces
+/// them further.
 const SPLINE_RADIUS: usize = 5;
 
-/// A row of weights that sum up to 1, the same on both sides of their centre.
+/// Symmetric filter weights with sum 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Taps {
     radius: usize,
@@ -30,8 +31,8 @@ impl Taps {
         Self { radius, weights: std::array::from_fn(|i| (value(i) / sum) as f32) }
     }
 
-    /// A Gaussian of standard deviation `sigma_px`, then from values to the coefficients of the cubic spline through them:
-    /// with the coefficients `c`, the filtered signal at `i` is `(c[i - 1] + 4 c[i] + c[i + 1]) / 6`.
+    /// A Gaussian of standard deviation `sigma_px`, followed by the cubic spline prefilter (values to coefficients): with the
+    /// coefficients `c`, the filtered signal at `i` is `(c[i - 1] + 4 c[i] + c[i + 1]) / 6`.
     pub fn spline(sigma_px: f64) -> Self {
         let smooth = Self::gaussian(sigma_px);
         // The impulse response of the spline's prefilter: pole sqrt(3) - 2 (Unser 1999).
@@ -47,7 +48,7 @@ impl Taps {
         Self { radius, weights: std::array::from_fn(|i| if i <= 2 * radius { (value(i) / sum) as f32 } else { 0.0 }) }
     }
 
-    /// Weights on either side of the centre.
+    /// Number of weights on each side of the centre.
     pub fn radius(&self) -> usize {
         self.radius
     }
@@ -65,9 +66,9 @@ pub struct Smoother {
 }
 
 impl Smoother {
-    /// Smooths pixels along rows and along columns; beyond its edges an image is taken to go on as its outermost pixels.
+    /// Smooths pixels along rows and along columns; the border pixels are replicated beyond the edges.
     ///
-    /// A pixel has as many values as there are planes in `out`; they stand side by side in the rows of `source`. `middle` is
+    /// A pixel has as many values as there are planes in `out`; they are interleaved in the rows of `source`. `middle` is
     /// subtracted from them.
     pub fn smooth_pixels(
         &mut self,
@@ -96,16 +97,16 @@ impl Smoother {
     }
 }
 
-/// Rows of pixels that are to be smoothed.
+/// Rows of pixels to be smoothed.
 #[derive(Clone, Copy, Debug)]
 pub struct PixelRows<'a> {
-    /// Columns and rows of the whole, pixels.
+    /// Columns and rows of the whole image, pixels.
     pub size: (usize, usize),
-    /// Some rows of it; further columns are not used.
+    /// Some of its rows; additional columns are ignored.
     pub rows: &'a ImagePlane,
-    /// Which row of the whole they begin with.
+    /// Row of the whole image at which `rows` begins.
     pub first: usize,
-    /// First row that is wanted, and one past the last: only those are written.
+    /// First row to compute, and one past the last: only these are written.
     pub wanted: (usize, usize),
 }
 
@@ -151,14 +152,14 @@ fn smooth_pixels_kernel<const N: usize>(
     }
 }
 
-/// Writes the values of pixels, less the middles, each into a row of its own.
+/// Writes the values of pixels, minus `middle`, each channel into its own row.
 #[inline(always)]
 fn take_apart<const N: usize>(pixels: &[f32], middle: &[f32; N], mut out: [&mut [f32]; N]) {
     let (pixels, _) = pixels.as_chunks::<N>();
     let (groups, rest) = pixels.as_chunks::<LANES>();
     for (k, group) in groups.iter().enumerate() {
         for (c, out) in out.iter_mut().enumerate() {
-            // A whole group at a time: its places are known, so it is shuffled, not gathered.
+            // A whole group at a time: with known positions the compiler shuffles instead of gathering.
             let values: [f32; LANES] = std::array::from_fn(|i| group[i][c] - middle[c]);
             out[k * LANES..][..LANES].copy_from_slice(&values);
         }
@@ -170,13 +171,13 @@ fn take_apart<const N: usize>(pixels: &[f32], middle: &[f32; N], mut out: [&mut 
     }
 }
 
-/// Columns that are filtered side by side where the row is long enough: so many sums need not wait for each other.
+/// Number of columns filtered together in a long row: with this many independent sums no sum waits for another.
 const SIDE_BY_SIDE: usize = 4 * LANES;
 
-/// Where the values of the weights begin.
+/// Start positions of the values for each weight.
 type Starts = [usize; 2 * RADIUS_MAX + 1];
 
-/// In a row, every weight begins one value further on.
+/// Within a row, each weight starts one value further on.
 const ROW_STARTS: Starts = {
     let mut starts = [0; 2 * RADIUS_MAX + 1];
     let mut j = 0;
@@ -187,7 +188,7 @@ const ROW_STARTS: Starts = {
     starts
 };
 
-/// Writes all columns of a row; the last group may overlap the one before.
+/// Writes all columns of a row; the last group may overlap the previous one.
 #[inline(always)]
 fn filter_groups(values: &[f32], starts: &Starts, taps: &Taps, out: &mut [f32]) {
     let width = out.len();
@@ -206,8 +207,8 @@ fn filter_groups(values: &[f32], starts: &Starts, taps: &Taps, out: &mut [f32]) 
     }
 }
 
-/// Writes `N` neighbouring columns from `first` on: weight `j` meets the values from `starts[j] + first` on. Uses that the
-/// weights are the same on both sides of their centre.
+/// Writes `N` adjacent columns from `first` on: weight `j` applies to the values from `starts[j] + first` on. Uses the symmetry
+/// of the weights.
 #[inline(always)]
 fn filter_group<const N: usize>(values: &[f32], starts: &Starts, taps: &Taps, first: usize, out: &mut [f32]) {
     let (weights, radius) = (taps.weights(), taps.radius);
@@ -258,7 +259,7 @@ mod tests {
         }
     }
 
-    /// Smooths by the definition: a sum over all pairs of weights, edges repeated.
+    /// Smooths by definition: a sum over all pairs of weights, with replicated borders.
     fn plain_sum(
         value: impl Fn(usize, usize) -> f32,
         size: (usize, usize),
@@ -279,7 +280,7 @@ mod tests {
     fn check<const N: usize>((width, height): (usize, usize), middle: [f32; N]) {
         let value = |x: usize, y: usize, c: usize| ((x * 37 + y * 101 + c * 53) % 97) as f32;
         let (along, across) = (Taps::spline(0.6), Taps::gaussian(0.8));
-        // One row is missing at each end, and one column is too many.
+        // One row is missing at each end, and there is one extra column.
         let rows = ImagePlane::from_fn(N * width + 1, height - 2, |i, y| {
             if i < N * width { value(i / N, y + 1, i % N) } else { f32::NAN }
         });

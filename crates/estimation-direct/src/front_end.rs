@@ -1,7 +1,7 @@
-//! From raw images to channels of the rectified pair.
+//! Front end: from raw images to channels of the rectified pair.
 //!
-//! Images of a rectified rig are used as they are. Those of any other rig are resampled, window by window, with a cubic
-//! kernel (Keys 1981, a = -1/2), which costs less sharpness than a linear one.
+//! Images of a rectified rig are used unchanged. Images of any other rig are resampled, window by window, with a cubic kernel
+//! (Keys 1981, a = -1/2), which loses less sharpness than a linear one.
 
 use std::borrow::Cow;
 
@@ -19,29 +19,30 @@ use super::colour_planes::{ColourPlanes, OPPONENT_FROM_RGB, SATURATED, SATURATED
 use super::disparity_plane::RectifiedGeometry;
 use super::image_plane::PixelWindow;
 
-/// Makes windows of the rectified pair from raw images.
+/// Creates windows of the rectified pair from raw images.
 #[derive(Clone, Debug)]
 pub struct StereoFrontEnd {
     raw: StereoRig,
     geometry: RectifiedGeometry,
     size: [ImageSize; 2],
     cam_left_rect_from_cam_left: Pose<CamLeftRect, CamLeft>,
-    /// Left and right map, if the rig is not rectified.
+    /// Left and right remap table, if the rig is not rectified.
     maps: Option<[RemapTable; 2]>,
     kernels: Kernels,
 }
 
-/// Which camera.
+/// Selects a camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Eye {
-    /// The left one.
+    /// The left camera.
     Left,
-    /// The right one.
+    /// The right camera.
     Right,
 }
 
 impl StereoFrontEnd {
-    /// For a calibrated rig; computes the maps if it is not rectified, which takes some tens of milliseconds.
+    /// Creates the front end of a calibrated rig. If the rig is not rectified it computes the maps, which takes some tens of
+    /// milliseconds.
     ///
     /// # Errors
     /// A rig that cannot be rectified.
@@ -72,17 +73,17 @@ impl StereoFrontEnd {
         &self.raw
     }
 
-    /// The rectified pair.
+    /// Geometry of the rectified pair.
     pub fn geometry(&self) -> &RectifiedGeometry {
         &self.geometry
     }
 
-    /// Size of the rectified image of an eye.
+    /// Size of the rectified image of a camera.
     pub fn size(&self, eye: Eye) -> ImageSize {
         self.size[eye as usize]
     }
 
-    /// The turn from the left camera to the rectified one.
+    /// The rotation from the left camera to the rectified left camera.
     pub fn cam_left_rect_from_cam_left(&self) -> &Pose<CamLeftRect, CamLeft> {
         &self.cam_left_rect_from_cam_left
     }
@@ -92,10 +93,10 @@ impl StereoFrontEnd {
         self.kernels
     }
 
-    /// Refuses raw images of another size than the calibration's.
+    /// Rejects raw images with a size other than the calibration's.
     ///
     /// # Errors
-    /// Which image has which size.
+    /// An error with the camera and both sizes.
     pub fn check(&self, left: &RgbImage, right: &RgbImage) -> Result<(), EstimationError> {
         for (eye, image, camera) in [("left", left, self.raw.left()), ("right", right, self.raw.right())] {
             let expected = camera.size();
@@ -112,10 +113,10 @@ impl StereoFrontEnd {
         Ok(())
     }
 
-    /// A region of the raw left image in the rectified one.
+    /// Maps a region of the raw left image to the rectified left image.
     ///
     /// # Errors
-    /// A mask of another size than the left image.
+    /// A mask with a size other than the left image's.
     pub fn rectified_region<'a>(&self, raw: &'a RegionMask) -> Result<Cow<'a, RegionMask>, EstimationError> {
         let Some([map, _]) = &self.maps else { return Ok(Cow::Borrowed(raw)) };
         let (source_size, size) = (raw.size(), map.size());
@@ -126,7 +127,7 @@ impl StereoFrontEnd {
         Ok(Cow::Owned(RegionMask::from_fn(size, |x, y| destination[(y * size.width + x) as usize] != 0)))
     }
 
-    /// The rectified left pixel of a raw one.
+    /// Maps a raw left pixel to the rectified left image.
     ///
     /// # Errors
     /// A pixel without a ray.
@@ -139,13 +140,13 @@ impl StereoFrontEnd {
         Ok((ray.xy() / ray.z).component_mul(&g.focal_px) + g.left_principal_px)
     }
 
-    /// Whether raw images are resampled, or used as they are.
+    /// Whether raw images are resampled or used unchanged.
     pub fn resamples(&self) -> bool {
         self.maps.is_some()
     }
 
-    /// The channels of the part of `window` (rectified pixels) inside the rectified image of an eye; `raw` is the image as
-    /// it came, of the size that [`Self::check`] has seen.
+    /// Loads the channels of the part of `window` (rectified pixels) inside the rectified image of a camera. `raw` is the
+    /// unmodified image, with the size verified by [`Self::check`].
     pub fn load(&self, eye: Eye, raw: &RgbImage, window: PixelWindow, wanted: Wanted, out: &mut ColourPlanes) {
         match &self.maps {
             None => out.update(raw, window, wanted, self.kernels),
@@ -153,7 +154,7 @@ impl StereoFrontEnd {
         }
     }
 
-    /// As [`Self::load`] at half the size: `window` counts full pixels and starts at even ones.
+    /// As [`Self::load`] at half the size: `window` is in full-size pixels and starts at even ones.
     pub fn load_halved(
         &self,
         eye: Eye,
@@ -180,7 +181,7 @@ impl StereoFrontEnd {
     }
 }
 
-/// Rows of the turn that leaves colours as they are.
+/// Rows of the identity, which leaves colours unchanged.
 const PLAIN: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
 fn resample(map: &RemapTable, raw: &RgbImage, window: PixelWindow, wanted: Wanted, out: &mut ColourPlanes) {
@@ -199,8 +200,8 @@ fn resample(map: &RemapTable, raw: &RgbImage, window: PixelWindow, wanted: Wante
     }
 }
 
-/// The colour at a place between pixels, and whether a pixel that it comes from is saturated; `None` where the kernel would
-/// reach over the border.
+/// The colour at a sub-pixel position, and whether a contributing pixel is saturated. `None` if the kernel extends beyond the
+/// border.
 fn cubic(raw: &RgbImage, at: &Vector2<f64>) -> Option<([f32; 3], u8)> {
     let (x, y) = (at.x.floor(), at.y.floor());
     let last = (f64::from(raw.width()) - 3.0, f64::from(raw.height()) - 3.0);
@@ -222,7 +223,7 @@ fn cubic(raw: &RgbImage, at: &Vector2<f64>) -> Option<([f32; 3], u8)> {
     Some((sum, if highest >= SATURATED_FROM { SATURATED } else { 0 }))
 }
 
-/// Weights of the four neighbours at -1, 0, 1, 2 for a place `t` in 0..1 (Keys, "Cubic convolution interpolation for digital
+/// Weights of the four neighbours at -1, 0, 1, 2 for a position `t` in 0..1 (Keys, "Cubic convolution interpolation for digital
 /// image processing", 1981, a = -1/2).
 fn keys(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector2;
 
-/// A box of whole pixels that may start anywhere.
+/// A window of whole pixels with any origin, also outside the image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PixelWindow {
     /// First column.
@@ -27,7 +27,7 @@ impl PixelWindow {
         Self { x, y, width, height }
     }
 
-    /// The window on a grid of twice the pixel; its start must be even.
+    /// The window on a grid with pixels of twice the size; its start must be even.
     pub fn halved(&self) -> Self {
         Self { x: self.x / 2, y: self.y / 2, width: self.width / 2, height: self.height / 2 }
     }
@@ -57,13 +57,13 @@ impl ImagePlane {
         Self { width, height, values: vec![0.0; width * height] }
     }
 
-    /// The plane of `value(x, y)`.
+    /// Creates a plane from `value(x, y)`.
     pub fn from_fn(width: usize, height: usize, mut value: impl FnMut(usize, usize) -> f32) -> Self {
         let values = (0..width * height).map(|i| value(i % width, i / width)).collect();
         Self { width, height, values }
     }
 
-    /// Takes a new size; what it holds is arbitrary afterwards. Allocates only if it was never as large.
+    /// Sets a new size; the contents are undefined afterwards. Allocates only if the plane was never as large.
     pub fn resize(&mut self, width: usize, height: usize) {
         (self.width, self.height) = (width, height);
         self.values.resize(width * height, 0.0);
@@ -99,7 +99,8 @@ impl ImagePlane {
         &mut self.values[y * self.width..(y + 1) * self.width]
     }
 
-    /// Bilinear value; `None` outside the centres of the outermost pixels. For tests and rare use: kernels do their own.
+    /// Bilinear value; `None` outside the centres of the outermost pixels. For tests and rare use: kernels interpolate
+    /// themselves.
     pub fn sample(&self, at: &Vector2<f64>) -> Option<f64> {
         let inside = |c: f64, length: usize| c >= 0.0 && length >= 2 && c <= (length - 1) as f64;
         if !inside(at.x, self.width) || !inside(at.y, self.height) {
@@ -112,8 +113,8 @@ impl ImagePlane {
         Some(mix(upper) * (1.0 - b) + mix(lower) * b)
     }
 
-    /// Writes the plane at half the size into `out`: means of 2 x 2 pixels; a last odd column or row is left out. Pixel
-    /// `(x, y)` of the half plane has its centre at `(2 x + 0.5, 2 y + 0.5)` of this one.
+    /// Writes the plane at half the size into `out`: means of 2 x 2 pixels; an odd last column or row is dropped. Pixel `(x,
+    /// y)` of the half-size plane has its centre at `(2 x + 0.5, 2 y + 0.5)` of this one.
     pub fn halve_into(&self, out: &mut Self) {
         out.resize(self.width / 2, self.height / 2);
         for y in 0..out.height {

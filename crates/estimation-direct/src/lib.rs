@@ -1,7 +1,7 @@
-//! The direct method: planes and poses from grey levels at sub-pixel precision, of any texture.
+//! The direct method: planes and poses from grey levels with sub-pixel precision, on any texture.
 //!
-//! Everything that looks for planes works on rectified images, where a plane is an affine disparity
-//! ([`disparity_plane`]): images of a rectified pair as they are, others through a map ([`front_end`]).
+//! The plane search works on rectified images, in which a plane is an affine disparity ([`disparity_plane`]). Images of a
+//! rectified pair are used unchanged, others are remapped ([`front_end`]).
 
 mod beyond;
 pub mod cold_start;

@@ -1,9 +1,9 @@
-//! Sums with names: structs of sums of one kind, lane by lane in the inner loops and then folded.
+//! Named sums: structs of sums of one kind, accumulated lane by lane in the inner loops and then folded.
 
 use nalgebra::{Matrix3, Vector3};
 use pb3dp_estimation_core::wide::LANES;
 
-/// Defines a struct of sums, generic over what a sum is: lanes, or their total in double precision.
+/// Defines a struct of sums, generic over the type of a sum: lanes, or their total in double precision.
 macro_rules! named_sums {
     ($(#[$meta:meta])* $vis:vis struct $name:ident { $($(#[$doc:meta])* $field:ident,)* }) => {
         $(#[$meta])*
@@ -15,7 +15,7 @@ macro_rules! named_sums {
         impl $name<[f32; pb3dp_estimation_core::wide::LANES]> {
             $vis const ZERO: Self = Self { $($field: [0.0; pb3dp_estimation_core::wide::LANES],)* };
 
-            /// Each sum over its lanes.
+            /// Folds each sum over its lanes.
             #[inline(always)]
             $vis fn folded(&self) -> $name<f64> {
                 $name { $($field: f64::from(pb3dp_estimation_core::wide::sum_lanes(&self.$field)),)* }
@@ -49,7 +49,7 @@ named_sums! {
 }
 
 impl PlaneSums<[f32; LANES]> {
-    /// Adds to a lane the vote at `(x, y)` with weight `w`; `wr` is the weight times the residual.
+    /// Adds the vote at `(x, y)` with weight `w` to a lane; `wr` is the weight times the residual.
     #[inline(always)]
     pub(crate) fn add(&mut self, lane: usize, x: f32, y: f32, w: f32, wr: f32) {
         let (wx, wy) = (w * x, w * y);
@@ -66,7 +66,7 @@ impl PlaneSums<[f32; LANES]> {
 }
 
 impl PlaneSums<f64> {
-    /// The step of `(p0, p1, p2)` to the minimum; `None` if the votes determine none.
+    /// The step of `(p0, p1, p2)` to the minimum; `None` if the votes do not determine it.
     pub(crate) fn step(&self) -> Option<Vector3<f64>> {
         let Self { w, wx, wy, wxx, wxy, wyy, wr, wrx, wry } = *self;
         let h = Matrix3::new(w, wx, wy, wx, wxx, wxy, wy, wxy, wyy);

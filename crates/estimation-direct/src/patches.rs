@@ -1,9 +1,9 @@
-//! Slanted patches: how far the right eye is off a plane, around every pixel of the region.
+//! Slanted patches: disparity correction of a plane at every pixel of the region.
 //!
-//! The right window is warped by the plane, so that a pixel and its partner stand at the same place. Where the plane is wrong
-//! by `e` pixels of disparity, the 15 x 15 neighbourhoods agree best after a shift by `-e / (1 - a)` columns (`a`: the
-//! plane's slope along columns). The agreement is the zero-mean normalised cross-correlation of all whole shifts within a
-//! reach, from running sums; a parabola gives the fraction.
+//! The right window is warped by the plane, so that corresponding pixels have the same coordinates. If the plane has a
+//! disparity error of `e` pixels, the 15 x 15 neighbourhoods agree best after a shift by `-e / (1 - a)` columns (`a`: the
+//! plane's slope along columns). The agreement is the zero-mean normalised cross-correlation for all whole shifts within a
+//! reach, computed from running sums; a parabola gives the sub-pixel part.
 
 mod closest;
 mod fit;
@@ -20,18 +20,19 @@ use super::colour_planes::ColourPlanes;
 use super::region_pyramid::{LevelPlane, RegionLevel, is_seen};
 use super::search::volume::LevelBox;
 
-/// Pixels from the centre of a patch to its side. Chosen: other sizes brought nothing to the prototype of ADR 7 on 256 real regions.
+/// Half width of a patch: pixels from its centre to its side. Chosen: other sizes gave no improvement in the prototype of ADR 7
+/// on 256 real regions.
 pub const RADIUS: usize = 7;
 /// Side of a patch.
 pub(super) const SIDE: usize = 2 * RADIUS + 1;
-/// Most columns that a patch is shifted by. Chosen; no sweep is on record.
+/// Largest shift of a patch, columns. Chosen; no sweep is on record.
 pub const REACH_MAX: usize = 3;
 /// Number of pixels of a patch.
 pub(super) const PATCH_PX: f32 = (SIDE * SIDE) as f32;
-/// Patches are looked at around the pixels of one row in so many. Chosen for time: as many real cases pass as with every row.
+/// Patches are evaluated on every n-th row. Chosen for time: as many real cases pass as with every row.
 const ROW_STEP: usize = 2;
 
-/// Bit of [`RegionLevel::support`]: the pixel may be used, as far as its patch can tell.
+/// Bit of [`RegionLevel::support`]: the pixel is usable, according to its patch.
 pub const USABLE: u8 = 1;
 /// Bit of [`RegionLevel::support`]: the pixel's patch has texture and agrees with the plane.
 pub const SUPPORTS: u8 = 2;
@@ -39,16 +40,16 @@ pub const SUPPORTS: u8 = 2;
 /// Parameters of the patches.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PatchConfig {
-    /// Columns that a patch is shifted by to both sides, 1 to [`REACH_MAX`].
+    /// Shift of a patch to either side, columns, 1 to [`REACH_MAX`].
     pub reach: usize,
-    /// Farthest peak of a patch that supports the plane, pixels of the level.
+    /// Largest shift of a patch that supports the plane, pixels of the level.
     pub support_px: f64,
     /// Lowest correlation of a patch that supports the plane.
     pub correlation_min: f64,
-    /// A patch whose luminance varies by less (standard deviation) says nothing.
+    /// A patch with a smaller standard deviation of luminance is ignored.
     pub texture_min: f64,
-    /// A patch with this mean gradient along the row (root mean square, luminance per pixel) has half the weight of a very
-    /// sharp one.
+    /// Mean gradient along the row at which a patch has half the weight of a very sharp one (root mean square, luminance per
+    /// pixel).
     pub gradient_half: f64,
 }
 
@@ -74,16 +75,16 @@ impl PatchConfig {
     }
 }
 
-/// What the patches say of a plane.
+/// Patch result for a plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PatchOutcome {
     /// The plane, corrected by the supporting patches.
     pub plane: LevelPlane,
-    /// Share of the region's pixels whose patch could be looked at and has texture.
+    /// Share of the region's pixels whose patch could be evaluated and has texture.
     pub textured_share: f64,
-    /// Share of the textured ones that support the given plane.
+    /// Share of the textured patches that support the given plane.
     pub support_share: f64,
-    /// Mean correlation, at the given plane, of the supporting ones; 0 if there is none.
+    /// Mean correlation of the supporting patches at the given plane; 0 if there are none.
     pub mean_correlation: f64,
 }
 
@@ -96,13 +97,13 @@ pub struct SlantedPatches {
     rows: kernels::Rows,
     votes: PatchVotes,
     sampled: Sampled,
-    /// The plane that was looked at last.
+    /// The last evaluated plane.
     given: Option<LevelPlane>,
 }
 
 impl SlantedPatches {
-    /// Looks at all patches around `plane` and fits a better plane. Writes into `level.support` which pixels of the region
-    /// agree with `plane` or have nothing to say.
+    /// Evaluates all patches for `plane` and fits a better plane. Writes into `level.support` which pixels of the region agree
+    /// with `plane` or cannot be evaluated.
     pub fn run(
         &mut self,
         level: &mut RegionLevel,
@@ -136,14 +137,13 @@ impl SlantedPatches {
         tally.outcome(level.area_px, corrected(plane, correction))
     }
 
-    /// A plane that clearly more of the patches of the last run lie closely on than on the one that was given there, if there is
-    /// one.
+    /// A plane that clearly more patches of the last run fit closely than the plane given there; `None` if there is none.
     pub fn closest_plane(&mut self, kernels: Kernels) -> Option<LevelPlane> {
         let given = self.given?;
         Some(corrected(&given, Some(self.sampled.closest(kernels)?)))
     }
 
-    /// Writes what the patches of one row say for that row and the next.
+    /// Writes the result of one row of patches for that row and the next.
     fn judge_rows(
         &mut self,
         level: &mut RegionLevel,
@@ -193,7 +193,7 @@ wide! {
     fn centre_row(row: &[f32], mean: f32, left: &mut [f32], gradient: &mut [f32]) = centre_row_kernel;
 }
 
-/// Values without the mean, and gradients along the row, 0 at its ends.
+/// Values minus the mean, and gradients along the row (0 at its ends).
 #[inline(always)]
 fn centre_row_kernel(row: &[f32], mean: f32, left: &mut [f32], gradient: &mut [f32]) {
     let width = row.len();
@@ -207,7 +207,7 @@ fn centre_row_kernel(row: &[f32], mean: f32, left: &mut [f32], gradient: &mut [f
     }
 }
 
-/// The plane whose disparity is larger by `correction.0 + correction.1 x + correction.2 y` columns of shift.
+/// The plane with its disparity increased by `correction.0 + correction.1 x + correction.2 y` columns of shift.
 fn corrected(plane: &LevelPlane, correction: Option<[f64; 3]>) -> LevelPlane {
     let Some(shift) = correction else { return *plane };
     // A shift by k columns of the warped image is a change of disparity by -k (1 - a).
@@ -220,7 +220,7 @@ fn corrected(plane: &LevelPlane, correction: Option<[f64; 3]>) -> LevelPlane {
     }
 }
 
-/// Columns of the right image at the places of one row, cubic; the border is repeated.
+/// Columns of the right image at the positions of one row, cubic; the border is replicated.
 #[allow(clippy::too_many_arguments, reason = "a kernel takes its buffers and settings one by one")]
 fn warp_row(
     right: &ColourPlanes,
@@ -245,10 +245,10 @@ wide! {
     fn warp_places(source: &[f32], start: f32, step: f32, mean: f32, out: &mut [f32]) = warp_places_kernel;
 }
 
-/// Values at the places `start`, `start + step`, ... less the mean.
+/// Values at the positions `start`, `start + step`, ... minus the mean.
 #[inline(always)]
 fn warp_places_kernel(source: &[f32], start: f32, step: f32, mean: f32, out: &mut [f32]) {
-    // Over a group, places drift by less than a pixel from one column per column.
+    // Within a group, positions deviate by less than a pixel from one column per column.
     match (step - 1.0).abs() {
         drift if drift < 1.0 / 16.0 => warp_groups::<16>(source, start, step, mean, out),
         drift if drift < 1.0 / 8.0 => warp_groups::<8>(source, start, step, mean, out),
@@ -257,13 +257,13 @@ fn warp_places_kernel(source: &[f32], start: f32, step: f32, mean: f32, out: &mu
     }
 }
 
-/// In groups of `G` places: the four neighbours of each begin at one of two columns.
+/// In groups of `G` positions: the four neighbours of each begin at one of two columns.
 #[inline(always)]
 fn warp_groups<const G: usize>(source: &[f32], start: f32, step: f32, mean: f32, out: &mut [f32]) {
     let (drift, last) = (step - 1.0, source.len() as f32 - 1.0);
     let mut first = 0;
     while first < out.len() {
-        // The last group may overlap the one before.
+        // The last group may overlap the previous one.
         let k = first.min(out.len().saturating_sub(G));
         let from = start + step * k as f32;
         let low = from.min(from + drift * (G - 1) as f32).floor();
@@ -287,14 +287,14 @@ fn warp_groups<const G: usize>(source: &[f32], start: f32, step: f32, mean: f32,
     }
 }
 
-/// The value `t` after the second of four neighbours (Keys 1981, a = -1/2).
+/// Cubic interpolation at `t` after the second of four neighbours (Keys 1981, a = -1/2).
 #[inline(always)]
 fn cubic([a, b, c, d]: [f32; 4], t: f32) -> f32 {
     let (p, q) = (c - a, 2.0 * a - 5.0 * b + 4.0 * c - d);
     b + 0.5 * t * (p + t * (q + t * (3.0 * (b - c) + d - a)))
 }
 
-/// The value at any place of a row.
+/// The interpolated value at any position of a row.
 #[inline(always)]
 fn value_at(source: &[f32], at: f32) -> f32 {
     let floor = at.floor();
@@ -304,7 +304,7 @@ fn value_at(source: &[f32], at: f32) -> f32 {
     }
 }
 
-/// Linear near the ends of a row, whose last values are repeated.
+/// Linear interpolation near the ends of a row; the last values are replicated.
 fn border_value(source: &[f32], at: f32) -> f32 {
     let last = source.len() - 1;
     let at = at.clamp(0.0, last as f32);
@@ -313,7 +313,7 @@ fn border_value(source: &[f32], at: f32) -> f32 {
     source[floor] + (at - floor as f32) * (next - source[floor])
 }
 
-/// The region's box, larger by a patch's radius where the window allows it.
+/// The region's box, enlarged by a patch's radius where the window allows it.
 fn patch_box(level: &RegionLevel) -> LevelBox {
     super::search::region_box(level, RADIUS)
 }
@@ -334,7 +334,7 @@ fn mean_of(eye: &ColourPlanes, area: &LevelBox) -> f32 {
     sum_lanes(&sums) / count.max(1) as f32
 }
 
-/// Pixels too near to the window's border for a patch keep the right to speak for themselves.
+/// Pixels too close to the window's border for a patch stay usable.
 fn keep_unseen_pixels(level: &mut RegionLevel, area: &LevelBox) {
     let width = level.left.window.width;
     let columns = area.x + RADIUS..area.x + area.width - RADIUS.min(area.width);
@@ -378,7 +378,7 @@ mod tests {
         100.0 + waves.iter().map(|(u, v, phase)| 20.0 * (u * x + v * y + phase).sin()).sum::<f64>()
     }
 
-    /// A level of 70 x 50 pixels whose right eye shows the texture through `TRUTH`, but for columns from `edge` on, which
+    /// A level of 70 x 50 pixels whose right image shows the texture through `TRUTH`, except for columns from `edge` on, which
     /// are 4 pixels nearer.
     fn level(edge: f64) -> RegionLevel {
         let mut level = RegionLevel { scale: 1, ..RegionLevel::default() };
@@ -388,7 +388,7 @@ mod tests {
         for y in 0..50 {
             for x in 0..70 {
                 level.left.planes[0].row_mut(y)[x] = texture(x as f64, y as f64) as f32;
-                // The left column that meets this right one: x_left - (c + a x_left + b y) = x.
+                // The left column that corresponds to this right column: x_left - (c + a x_left + b y) = x.
                 let from = |nearer: f64| (x as f64 + TRUTH.c + nearer + TRUTH.b * y as f64) / (1.0 - TRUTH.a);
                 let source = if from(4.0) >= edge { from(4.0) } else { from(0.0) };
                 level.right.planes[0].row_mut(y)[x] = (1.2 * texture(source, y as f64) - 15.0) as f32;

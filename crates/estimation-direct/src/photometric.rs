@@ -1,10 +1,10 @@
-//! Refinement of a plane: the right eye, seen through the plane, is made to look like the left eye.
+//! Photometric refinement of a plane: minimises the difference between the left image and the right image warped by the plane.
 //!
 //! Gauss-Newton in the disparity plane `(d0, du, dv)` and a small row offset, from coarse to fine. Each channel (red, green,
-//! blue) has a gain and an offset of its own, which are eliminated in every step. Tukey's weights keep what does not belong
-//! to the plane out. Where the rows turn out to be off, or one eye is less sharp than the other, the channels are made anew
-//! with the rows moved and the sharper eye smoothed, and the steps go on. The covariance is that of the scores of blocks of
-//! pixels (sandwich), not the inverse of the Gauss-Newton matrix.
+//! blue) has its own gain and offset, which are eliminated in every step. Tukey's weights reject pixels that do not belong to
+//! the plane. If the rows turn out to be misaligned, or one image is less sharp than the other, the channels are recomputed
+//! with the rows moved and the sharper image smoothed, and the iteration continues. The covariance is a sandwich estimate from
+//! the scores of pixel blocks, not the inverse of the Gauss-Newton matrix.
 
 mod covariance;
 mod kernel;
@@ -30,73 +30,74 @@ use super::front_end::StereoFrontEnd;
 use super::image_plane::PixelWindow;
 use super::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 
-/// Fewest points that are refined. Chosen; no sweep is on record.
+/// Smallest number of points for a refinement. Chosen; no sweep is on record.
 const POINTS_MIN: usize = 40;
-/// Tukey's limit of a residual starts no lower, grey levels. Chosen: in the prototype of ADR 7 a start at 4 failed with unequal gains.
+/// Lower bound of Tukey's initial residual limit, grey levels. Chosen: in the prototype of ADR 7 a start at 4 failed with
+/// unequal gains.
 const START_LIMIT_GREY: f64 = 15.0;
-/// The border is judged at this step on the finest level. Chosen; no sweep is on record.
+/// Step on the finest level at which the border is tested. Chosen; no sweep is on record.
 const BORDER_JUDGED_AT: usize = 2;
-/// The border is judged if it and the rest have this many points. Chosen; no sweep is on record.
+/// The border is tested if the border and the interior each have this many points. Chosen; no sweep is on record.
 const BORDER_POINTS_MIN: f64 = 200.0;
-/// The border is bad with less than this of the weight of others, or more than that of their squares. Chosen; no sweep is on record.
+/// The border is rejected if its mean weight is below this share of the interior's. Chosen; no sweep is on record.
 const BORDER_WEIGHT_MIN: f64 = 0.9;
+/// The border is rejected if its mean square is above this multiple of the interior's. Chosen; no sweep is on record.
 const BORDER_SQUARES_MAX: f64 = 1.25;
-/// The plane has converged if the last step moved no point of the region further, pixels of the level. Chosen; no sweep is on record.
+/// The plane has converged if the last step moved no point of the region by more than this, pixels of the level. Chosen; no
+/// sweep is on record.
 const SETTLED_PX: f64 = 0.03;
-/// First steps take one group of points in so many, while that many points are left. Chosen: the real cases pass as without.
+/// The first steps use every n-th group of points, as long as enough points remain. Chosen: the real cases pass as without.
 const THINNING_MAX: usize = 4;
 const THINNED_POINTS: usize = 1200;
-/// That ends when a step moves no point of the region further than this, pixels of the level. Chosen; no sweep is on record.
+/// Thinning ends when a step moves no point of the region by more than this, pixels of the level. Chosen; no sweep is on record.
 const THINNED_TO_PX: f64 = 0.1;
-/// A step of so many standard deviations, by single pixels' noise, is small enough. Chosen: real cases pass as with steps of 0.006 px.
+/// A step below this many standard deviations (by single-pixel noise) is small enough. Chosen: real cases pass as with steps of 0.006 px.
 const SIGMAS_LEFT: f64 = 0.1;
-/// The channels are made anew at most so often. Chosen; no sweep is on record.
+/// Largest number of times that the channels are recomputed. Chosen; no sweep is on record.
 const PASSES_MAX: usize = 4;
-/// Rows are moved if they are off by this, pixels: less is linear. Chosen; no sweep is on record.
+/// Rows are moved if their offset reaches this, pixels: a smaller offset is linear. Chosen; no sweep is on record.
 const ROWS_MOVED_FROM_PX: f64 = 0.1;
-/// The sharper eye is smoothed if the variances of blur differ by this, squared pixels of the level. Chosen; no sweep is on record.
+/// The sharper image is smoothed if the blur variances differ by this, squared pixels of the level. Chosen; no sweep is on record.
 const BLUR_EVENED_FROM_PX2: f64 = 0.3;
-/// Noise may make so much of the squared gradients of texture; more, and both images are smoothed more. Chosen; no sweep is on record.
+/// Largest ratio of noise to texture in the squared gradients; above it, both images are smoothed more. Chosen; no sweep is on record.
 const NOISE_SHARE_MAX: f64 = 0.5;
-/// The smoothing is chosen so that noise makes this share. Chosen; no sweep is on record.
+/// Target value of this ratio for the smoothing. Chosen; no sweep is on record.
 const NOISE_SHARE: f64 = 0.3;
 /// Largest smoothing, pixels of the level. Chosen; no sweep is on record.
 const SMOOTHING_MAX_PX: f64 = 1.6;
-/// So many standard deviations of the blur that differs, the background is mixed into the border. Chosen; no sweep is on record.
+/// The background mixes into the border over this many standard deviations of the blur difference. Chosen; no sweep is on record.
 const MIXED_SIGMAS: f64 = 2.0;
-/// Residuals are never taken to be better than this, grey levels. Chosen; rounding alone leaves 1 / sqrt(12) = 0.29.
+/// Lower bound of the residuals' standard deviation, grey levels. Chosen; rounding alone leaves 1 / sqrt(12) = 0.29.
 const SIGMA_MIN_GREY: f64 = 0.3;
 
 /// Parameters of the refinement.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RefineConfig {
-    /// Most levels that are used, the finest first.
+    /// Largest number of levels used, starting with the finest.
     pub levels_max: usize,
     /// The finest level is the first on which the region has at most this many pixels.
     pub area_max_px: usize,
-    /// Most points per level; those with the strongest gradients are taken.
+    /// Largest number of points per level; those with the strongest gradients are used.
     pub points_max: usize,
-    /// Most steps on the finest level.
+    /// Largest number of steps on the finest level.
     pub iterations_max: usize,
-    /// A plane that moves further than this at the region's centroid has not converged, pixels.
+    /// A plane that moves by more than this at the region's centroid has not converged, pixels.
     pub jump_max_px: f64,
-    /// Width of the border of the region that is always left out, pixels; half of the share below at most.
+    /// Width of the region's border that is always excluded, pixels; at most half of the share below.
     pub erosion_min_px: f64,
-    /// Width of the border that is left out if it agrees worse than the rest, pixels.
+    /// Width of the border that is excluded if it agrees worse than the interior, pixels.
     pub erosion_max_px: f64,
-    /// Share of the square root of the region's area that may be left out at each side.
+    /// Largest excluded width at each side, as a share of the square root of the region's area.
     pub erosion_share_max: f64,
     /// Standard deviation of the smoothing, pixels of a level.
     pub smoothing_px: f64,
-    /// Standard deviation of where a pixel samples the scene, pixels: gradient times this counts as noise.
+    /// Standard deviation of the sampling position of a pixel, pixels: gradient times this counts as noise.
     pub place_sigma_px: f64,
-    /// Standard deviation of the row offset that is left after the pair's known offset, pixels; 0 keeps the rows fixed.
+    /// Standard deviation of the row offset that remains after the pair's known offset, pixels; 0 keeps the rows fixed.
     pub row_sigma_px: f64,
-    /// Standard deviation of disparity that a calibration error leaves at the region's centroid and, as a slope, over half
-    /// the region's side, pixels.
+    /// Standard deviation of the calibration's disparity error at the centroid and, as a slope, over half the region's side, pixels.
     pub calibration_sigma_px: f64,
-    /// Standard deviation of the difference between the variances of both images' blur at an edge, squared pixels. The width of
-    /// an edge must not be taken for a slope.
+    /// Standard deviation of the difference of both images' blur variances at an edge, squared pixels. Keeps blur from passing as a slope.
     pub blur_sigma_px2: f64,
 }
 
@@ -123,31 +124,31 @@ impl Default for RefineConfig {
 /// A refined plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RefinedPlane {
-    /// The plane, at the region's centroid.
+    /// The plane, with the region's centroid as its reference pixel.
     pub plane: DisparityPlane,
     /// Covariance of `(d0, du, dv)` of [`Self::plane`]: pixels, and pixel per pixel.
     pub covariance: Matrix3<f64>,
-    /// Row of the right image minus row of the left one, beyond what the pyramid knows, pixels.
+    /// Row of the right image minus row of the left image, in addition to the pyramid's row offset, pixels.
     pub row_offset_px: f64,
-    /// Variance of the right eye's blur minus that of the left one's, as far as it was evened out, squared pixels.
+    /// Blur variance of the right image minus that of the left image, as far as it was compensated, squared pixels.
     pub blur_px2: f64,
     /// Share of the points that agree with the plane, 0 to 1.
     pub inlier_share: f64,
-    /// Share of the points that the right window shows, 0 to 1.
+    /// Share of the points inside the right window, 0 to 1.
     pub seen_share: f64,
-    /// Standard deviation of the residuals of points that agree, grey levels of the first channel.
+    /// Standard deviation of the residuals of agreeing points, grey levels of the first channel.
     pub residual_sigma: f64,
-    /// Gain of the right eye over the left one: a right value is this times the left one.
+    /// Gain of the right image relative to the left: a right value is this times the left one.
     pub gain: f64,
-    /// How many points were compared on the finest level.
+    /// Number of points compared on the finest level.
     pub points: usize,
-    /// Steps on all levels.
+    /// Number of steps on all levels.
     pub iterations: usize,
-    /// Whether the last step was small and the plane has stayed near its start.
+    /// Whether the last step was small and the plane stayed close to its start.
     pub converged: bool,
 }
 
-/// Refines planes; keeps its buffers, so that it allocates only when a region is larger than all before.
+/// Refines planes; keeps its buffers, so that it allocates only for a region larger than all previous ones.
 #[derive(Clone, Debug, Default)]
 pub struct PlaneRefiner {
     config: RefineConfig,
@@ -162,17 +163,17 @@ pub struct PlaneRefiner {
     pulls: BlockPulls,
 }
 
-/// What goes from level to level.
+/// State carried from level to level.
 #[derive(Clone, Copy, Debug)]
 struct Progress {
     plane: DisparityPlane,
     row_px: f64,
-    /// Variance of the right eye's blur minus that of the left one's, squared pixels of the level.
+    /// Blur variance of the right image minus that of the left image, squared pixels of the level.
     blur_px2: f64,
-    /// Smoothing of the sharper eye, pixels of the level.
+    /// Smoothing of the sharper image, pixels of the level.
     smoothing_px: f64,
     states: Option<[ChannelState; CHANNELS_MAX]>,
-    /// States to start with, if they are known already.
+    /// Initial channel states, if already known.
     first: Option<[ChannelState; CHANNELS_MAX]>,
     weights: [f64; CHANNELS_MAX],
     iterations: usize,
@@ -180,39 +181,39 @@ struct Progress {
 }
 
 impl Progress {
-    /// Standard deviations of the smoothing of the left and the right eye that make both equally sharp, pixels of the level.
+    /// Standard deviations of the smoothing of the left and the right image that make both equally sharp, pixels of the level.
     fn smoothings_px(&self) -> (f64, f64) {
         let own = self.smoothing_px.powi(2);
         ((own + self.blur_px2.max(0.0)).sqrt(), (own - self.blur_px2.min(0.0)).sqrt())
     }
 }
 
-/// What the points of the left eye were made of: they serve again where only the right eye changes.
+/// Input of the left image's points; they are reused if only the right image changes.
 #[derive(Clone, Copy, Debug)]
 struct Made {
     scale: usize,
     rims: Rims,
-    /// The box of the marked pixels and their number.
+    /// The box of the marked pixels, and their number.
     marked: (PixelWindow, usize),
     wish: Wish,
     channels: usize,
 }
 
-/// A level that is ready to be compared.
+/// A level prepared for the comparison.
 struct Prepared {
-    /// The centre of the points, place in the left window.
+    /// The centre of the points, position in the left window.
     centre: Vector2<f64>,
     scale: f64,
     channels: usize,
     /// Half the extent of the points, pixels of the level.
     half: Vector2<f64>,
-    /// Right column of the right planes minus the left column of the left window, at shift zero.
+    /// Right column of the right planes minus left column of the left window, at shift zero.
     column_shift: f64,
-    /// Row offset in the right planes, pixels of the level.
+    /// Row offset already applied to the right planes, pixels of the level.
     row_applied: f64,
-    /// Whether some points lie on a border that may turn out bad.
+    /// Whether some points are on a border that may be rejected.
     has_border: bool,
-    /// For the first steps.
+    /// Thinning for the first steps.
     thinning: Thinning,
     count: usize,
 }
@@ -228,8 +229,8 @@ impl PlaneRefiner {
         &self.config
     }
 
-    /// Refines a plane on the supported pixels of a region; `pyramid` is made of `source`. `None` if there are too few of
-    /// them or the right window does not show them.
+    /// Refines a plane on the supported pixels of a region; `pyramid` is built from `source`. `None` if there are too few
+    /// pixels, or if the right window does not show them.
     pub fn refine(
         &mut self,
         front_end: &StereoFrontEnd,
@@ -278,13 +279,13 @@ impl PlaneRefiner {
         self.finish(level, &prepared, &progress, &sums, start)
     }
 
-    /// The sums over all points at the place reached; `None` before the first step.
+    /// The sums over all points at the current state; `None` before the first step.
     fn sums_there(&self, level: &RegionLevel, prepared: &Prepared, progress: &Progress) -> Option<Sums> {
         let states = progress.states?;
         Some(self.accumulate(&self.warp(level, prepared, progress, &states), Thinning::NONE))
     }
 
-    /// Chooses a stronger smoothing where noise makes much of the gradients; says whether it does.
+    /// Increases the smoothing if noise dominates the gradients; returns whether it did.
     fn smooth_more(&self, level: &RegionLevel, prepared: &Prepared, progress: &mut Progress) -> bool {
         let states = self.start_states(level, prepared, progress);
         let sums = self.accumulate(&self.warp(level, prepared, progress, &states), prepared.thinning);
@@ -303,7 +304,7 @@ impl PlaneRefiner {
         true
     }
 
-    /// Says whether the channels must be made anew: rows or sharpness are not what they were made for, or the plane moves.
+    /// Whether the channels must be recomputed, because rows or sharpness have changed since, or the plane has not converged.
     fn adapt(&self, sums: &Sums, prepared: &Prepared, progress: &mut Progress) -> bool {
         let (left, right) = progress.smoothings_px();
         let change = Sharpness { left_px: left, right_px: right }.difference_px2(&sums.sharpness);
@@ -316,7 +317,7 @@ impl PlaneRefiner {
             || (progress.row_px - prepared.row_applied * prepared.scale).abs() > ROWS_MOVED_FROM_PX
     }
 
-    /// Smooths both images around the region as the plane maps it, and takes the points.
+    /// Smooths both images around the region as mapped by the plane, and collects the points.
     fn prepare(&mut self, pair: &Pair<'_>, level: &RegionLevel, progress: &Progress) -> Option<Prepared> {
         let scale = level.scale as f64;
         let side_px = (level.area_px as f64).sqrt();
@@ -337,7 +338,7 @@ impl PlaneRefiner {
         let margin = reach_px(left_px.max(right_px)) as u32 + 1;
         let part = inside(&bounds.grown(margin), &level.left.window);
         let right_part = self.right_part(level, progress, &bounds, margin + 3)?;
-        // Gradients along columns need one row more on either side.
+        // Gradients along columns need one more row on either side.
         let wish = Wish { part, rows: rows_of(&bounds.grown(1), 0, &part), smoothing_px: left_px };
         let known = known.filter(|made| made.wish == wish);
         let channels = match known {
@@ -378,7 +379,7 @@ impl PlaneRefiner {
         })
     }
 
-    /// The part of the right window that the points can need.
+    /// The part of the right window that the points may need.
     fn right_part(
         &self,
         level: &RegionLevel,
@@ -431,7 +432,7 @@ impl PlaneRefiner {
         std::array::from_fn(|c| self.right.planes[c].values())
     }
 
-    /// Gauss-Newton steps on one level.
+    /// Runs the Gauss-Newton steps on one level.
     fn descend(&mut self, level: &RegionLevel, prepared: &Prepared, progress: &mut Progress, finest: bool) {
         let channels = prepared.channels;
         let mut thinning = if progress.states.is_none() { prepared.thinning } else { Thinning::NONE };
@@ -468,8 +469,8 @@ impl PlaneRefiner {
         progress.states = Some(states);
     }
 
-    /// Leaves the border of the region out if it agrees worse than the rest: there the background shines in when a camera
-    /// is out of focus.
+    /// Excludes the border of the region if it agrees worse than the interior: if a camera is out of focus, the background
+    /// mixes into the border.
     fn drop_bad_border(&mut self, warp: &Warp, all: Sums) -> Sums {
         let squares = |sums: &Sums| sums.channel.iter().take(warp.channels).map(|s| s.products.rr).sum::<f64>();
         let inner = &all.inner;
@@ -499,7 +500,7 @@ impl PlaneRefiner {
         normal
     }
 
-    /// Variances and weights of the channels as the residuals and gradients say.
+    /// Updates variances and weights of the channels from the residuals and gradients.
     fn follow_scale(
         &self,
         sums: &Sums,
@@ -516,7 +517,7 @@ impl PlaneRefiner {
         }
     }
 
-    /// Gains, offsets and variances to start a level with.
+    /// Initial gains, offsets and variances of a level.
     fn start_states(
         &self,
         level: &RegionLevel,

@@ -1,9 +1,9 @@
-//! The region of one pair as both images show it, at full size and halved again and again.
+//! Image pyramid of the region in both images: full size and repeatedly halved.
 //!
-//! Every level lies on a fixed grid: pixel `X` of the grid of scale `s` covers the rectified pixels `s X .. s X + s`, so its
-//! centre is at `s (X + 0.5) - 0.5`. Windows start on the grid of the coarsest level. The rows of the right eye are moved by
-//! the pair's [`RowOffset`] when they are loaded, so that on every level equal grid rows show the same, up to what the row
-//! offset does not know.
+//! Every level has a fixed grid: pixel `X` of the grid of scale `s` covers the rectified pixels `s X .. s X + s`, so its centre
+//! is at `s (X + 0.5) - 0.5`. Windows start on the grid of the coarsest level. The rows of the right image are moved by the
+//! pair's [`RowOffset`] when they are loaded. Equal grid rows then correspond on every level, up to the error of the row
+//! offset.
 
 use image::RgbImage;
 use nalgebra::Vector2;
@@ -20,16 +20,16 @@ use super::row_shift::shift_rows;
 use crate::front_end::halve_eye;
 use pb3dp_estimation_core::row_offset::RowOffset;
 
-/// Most levels of a pyramid. Chosen; no sweep is on record.
+/// Largest number of levels. Chosen; no sweep is on record.
 pub const LEVELS_MAX: usize = 6;
 /// A level is halved if its part of the region has more pixels than this. Chosen; no sweep is on record.
 const HALVED_FROM_PX: usize = 600;
-/// Pixels of the search level that the windows reach over the region: half a patch, 7 px, and 3 px for a filter.
+/// Margin of the windows around the region, pixels of the search level: half a patch, 7 px, and 3 px for a filter.
 const MARGIN_PX: u32 = 10;
-/// Pixels that the windows reach over a small region, whose surroundings may help.
+/// Margin of the windows around a small region, whose surroundings may be used.
 const SURROUNDINGS_PX: u32 = (reach::REACH_MAX_PX + reach::MARGIN_PX) as u32;
 
-/// What a pyramid is made of.
+/// Input of a pyramid.
 #[derive(Clone, Copy, Debug)]
 pub struct PyramidSource<'a> {
     /// Raw left image.
@@ -38,11 +38,11 @@ pub struct PyramidSource<'a> {
     pub right: &'a RgbImage,
     /// The region in the rectified left image.
     pub region: &'a RegionMask,
-    /// Disparities that the right window must hold, pixels: lowest and highest.
+    /// Disparities that the right window must cover, pixels: lowest and highest.
     pub disparity_px: DisparityRange,
-    /// What is known of the rows.
+    /// Known row offset.
     pub rows: RowOffset,
-    /// Which channels.
+    /// Channels to compute.
     pub wanted: Wanted,
     /// The search runs on the first level on which the region has at most this many pixels.
     pub search_area_px: usize,
@@ -53,14 +53,14 @@ pub struct PyramidSource<'a> {
 pub struct RegionLevel {
     /// Rectified pixels per pixel of this level: 1, 2, 4, ...
     pub scale: usize,
-    /// The left eye; its `window` counts pixels of this level's grid.
+    /// The left image; its `window` is in pixels of this level's grid.
     pub left: ColourPlanes,
-    /// The right eye; its `window` counts pixels of this level's grid.
+    /// The right image; its `window` is in pixels of this level's grid.
     pub right: ColourPlanes,
     /// Per pixel of the left window: 1 if it belongs to the region.
     pub region: Vec<u8>,
-    /// Per pixel of the left window: bit 0 is set if it is to be used for refinement. The region, until the patches know
-    /// better; see [`USABLE`](super::patches::USABLE) and [`SUPPORTS`](super::patches::SUPPORTS).
+    /// Per pixel of the left window: bit 0 is set if the pixel is used for refinement. Initially the region; the patches update
+    /// it, see [`USABLE`](super::patches::USABLE) and [`SUPPORTS`](super::patches::SUPPORTS).
     pub support: Vec<u8>,
     /// Number of pixels of the region.
     pub area_px: usize,
@@ -81,25 +81,25 @@ pub struct LevelPlane {
 }
 
 impl RegionLevel {
-    /// The rectified left pixel of a place in the left window.
+    /// Converts a position in the left window to a rectified left pixel.
     pub fn full_from_level(&self, at: &Vector2<f64>) -> Vector2<f64> {
         let origin = Vector2::new(f64::from(self.left.window.x), f64::from(self.left.window.y));
         ((at + origin).add_scalar(0.5) * self.scale as f64).add_scalar(-0.5)
     }
 
-    /// The place in the left window of a rectified left pixel.
+    /// Converts a rectified left pixel to a position in the left window.
     pub fn level_from_full(&self, pixel: &Vector2<f64>) -> Vector2<f64> {
         let origin = Vector2::new(f64::from(self.left.window.x), f64::from(self.left.window.y));
         (pixel.add_scalar(0.5) / self.scale as f64).add_scalar(-0.5) - origin
     }
 
-    /// First column of the left window minus first column of the right one, pixels of the level: what is taken from a grid
-    /// disparity to get a shift between the windows.
+    /// First column of the left window minus first column of the right window, pixels of the level. Subtracted from a grid
+    /// disparity it gives a shift between the windows.
     pub fn column_shift(&self) -> i32 {
         self.left.window.x - self.right.window.x
     }
 
-    /// A plane in this level's pixels.
+    /// Converts a plane to this level's pixels.
     pub fn level_plane(&self, plane: &DisparityPlane) -> LevelPlane {
         let at_origin = plane.at(&self.full_from_level(&Vector2::zeros()));
         LevelPlane {
@@ -110,20 +110,20 @@ impl RegionLevel {
         }
     }
 
-    /// A plane from this level's pixels, described at `centre_px`.
+    /// Converts a plane from this level's pixels, with reference pixel `centre_px`.
     pub fn full_plane(&self, plane: &LevelPlane, centre_px: Vector2<f64>) -> DisparityPlane {
         let d0_px = (plane.c + f64::from(self.column_shift())) * self.scale as f64;
         let centre = self.full_from_level(&Vector2::zeros());
         DisparityPlane { centre_px: centre, d0_px, slope: Vector2::new(plane.a, plane.b) }.centred_at(centre_px)
     }
 
-    /// Uses the whole region for refinement again.
+    /// Marks the whole region for refinement again.
     pub fn reset_support(&mut self) {
         self.support.clone_from(&self.region);
     }
 }
 
-/// The levels of one region of one pair, the finest first. Allocates only when a region is larger than all before.
+/// The levels of one region of one pair, the finest first. Allocates only for a region larger than all previous ones.
 #[derive(Clone, Debug, Default)]
 pub struct RegionPyramid {
     levels: Vec<RegionLevel>,
@@ -132,7 +132,7 @@ pub struct RegionPyramid {
     centroid_px: Vector2<f64>,
     area_px: usize,
     box_px: PixelBox,
-    /// Levels on which the region has more pixels are left out, if there is a limit.
+    /// Levels on which the region has more pixels are omitted, if a limit is set.
     area_max_px: Option<usize>,
     loaded: ColourPlanes,
     halved: [ColourPlanes; 2],
@@ -140,8 +140,8 @@ pub struct RegionPyramid {
 }
 
 impl RegionPyramid {
-    /// A pyramid without the levels on which the region has more than `area_max_px` pixels: its finest level may be a halved
-    /// one.
+    /// A pyramid without the levels on which the region has more than `area_max_px` pixels: its finest level may already be
+    /// reduced.
     pub fn up_to(area_max_px: usize) -> Self {
         Self { area_max_px: Some(area_max_px), ..Self::default() }
     }
@@ -176,8 +176,8 @@ impl RegionPyramid {
         self.box_px
     }
 
-    /// Takes the region from a pair of images; `false`, and no levels, if the rectified region is empty or the right image
-    /// holds none of the disparities.
+    /// Loads the region from a pair of images. Returns `false`, with no levels, if the rectified region is empty or the right
+    /// image covers none of the disparities.
     pub fn update(&mut self, front_end: &StereoFrontEnd, source: &PyramidSource<'_>) -> bool {
         self.used = 0;
         let (Some(box_px), Some(centroid_px)) = (source.region.bbox(), source.region.centroid_px()) else {
@@ -206,7 +206,7 @@ impl RegionPyramid {
         true
     }
 
-    /// Windows of both images that start on the coarsest grid.
+    /// Windows of both images, aligned to the coarsest grid.
     fn windows(
         &self,
         front_end: &StereoFrontEnd,
@@ -268,7 +268,7 @@ impl RegionPyramid {
     }
 }
 
-/// The channels of a window (full size) of an eye, halved so many times.
+/// The channels of a window (full size) of an image, halved this many times.
 fn load_eye(
     front: &StereoFrontEnd,
     (eye, raw): (Eye, &RgbImage),
@@ -318,7 +318,7 @@ impl RegionLevel {
     }
 }
 
-/// A pixel of half the size belongs to the region if half of its four pixels do.
+/// A half-size pixel belongs to the region if half of its four pixels do.
 fn halve_region(finer: &[u8], fine_width: usize, kernels: Kernels, out: &mut Vec<u8>) {
     let (width, height) = (fine_width / 2, finer.len() / fine_width.max(1) / 2);
     out.clear();
@@ -341,7 +341,7 @@ fn halve_region_row_kernel(upper: &[u8], lower: &[u8], out: &mut [u8]) {
     }
 }
 
-/// Whether a pixel with these flags is shown by the image at all.
+/// Whether a pixel with these flags is inside the image.
 pub fn is_seen(flags: u8) -> bool {
     flags & UNSEEN == 0
 }
@@ -419,7 +419,7 @@ mod tests {
                 assert_eq!((a.left.window, &a.left.flags), (b.left.window, &b.left.flags));
                 let gap = |p: &ColourPlanes, q: &ColourPlanes| {
                     let pairs = p.luminance().values().iter().zip(q.luminance().values());
-                    // Rows at the border of the window are moved from other sides.
+                    // Rows at the border of the window are moved with replicated rows.
                     let inner = pairs.skip(4 * p.window.width).take((p.window.height - 8) * p.window.width);
                     inner.map(|(p, q)| (p - q).abs()).fold(0.0, f32::max)
                 };

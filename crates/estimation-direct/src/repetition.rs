@@ -1,45 +1,46 @@
-//! Whether a region's texture repeats along its rows.
+//! Detects whether a region's texture repeats along its rows.
 //!
-//! A repetitive target fits the right image one period off nearly as well as in its true place. Where that place is within
-//! the depth range the search compares both; where it is not, only the left image can tell: if the region looks like its
-//! own copy, moved along the rows, the place of the answer is one of several.
+//! A repetitive target fits the right image almost as well one period away from the correct position. If the correct position
+//! is in the depth range, the search compares both. If it is not, only the left image can reveal the repetition: if the region
+//! looks like a copy of itself, moved along the rows, the estimate is one of several possible positions.
 //!
-//! On a tilted target a period is longer where it is nearer, so the copy is moved in proportion to the disparity (plus what
-//! infinity has), which again is a plane.
+//! On a tilted target the period is longer where the target is nearer. The copy is therefore moved in proportion to the
+//! disparity (plus the offset to infinity), which again gives a plane.
 
 use super::region_pyramid::{LevelPlane, RegionLevel, is_seen};
 
-/// Points that are compared. Chosen; no sweep is on record.
+/// Largest number of points compared. Chosen; no sweep is on record.
 const POINTS_MAX: usize = 400;
-/// Noise in the normalisation of neighbourhoods, luminance. The default of `direct.search.noise_grey`, which is chosen.
+/// Noise term in the normalisation of neighbourhoods, luminance. The default of `direct.search.noise_grey`, which is chosen.
 const NOISE_GREY: f32 = 2.0;
-/// A texture repeats if its neighbourhoods correlate so well with those one period away, on average over all points, relative to
-/// themselves. Chosen; no sweep is on record. With the rule as a whole, 7 searches of 11 boards in two wrong ranges each were wrong and
-/// `ok`, without it 15.
+/// Smallest mean correlation of neighbourhoods with those one period away, relative to their correlation with themselves, for a
+/// repeating texture. Chosen; no sweep is on record. With the rule as a whole, 7 searches of 11 boards in two wrong ranges each
+/// were wrong and `ok`, without it 15.
 const REPEATS_MIN: f32 = 0.35;
-/// Before that, the correlation must have fallen to this share of the summit: smooth texture repeats nearby. Chosen; no sweep is on record.
+/// Before the peak, the correlation must have fallen to this share of it: smooth texture is similar to itself nearby. Chosen;
+/// no sweep is on record.
 const VALLEY_MAX: f32 = 0.5;
-/// At least this share of the points must have a partner in the region. Chosen; no sweep is on record.
+/// Smallest share of the points with a partner in the region. Chosen; no sweep is on record.
 const PARTNERS_MIN: f32 = 0.4;
-/// Fewer points with texture say nothing, in units of a neighbourhood with much texture. Chosen; no sweep is on record.
+/// Smallest amount of textured points, in units of a neighbourhood with strong texture. Chosen; no sweep is on record.
 const TEXTURED_MIN: f32 = 40.0;
 
 /// Finds periods; keeps its buffers.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Repetition {
     points: Vec<(usize, usize)>,
-    /// Of every point: its neighbourhood, its agreement with itself, and its disparity to infinity.
+    /// Per point: its neighbourhood, its correlation with itself, and its disparity relative to infinity.
     own: Vec<(Neighbourhood, f32, f64)>,
-    /// Of every pixel in a row with points: its neighbourhood, where the region has it.
+    /// Neighbourhood of every region pixel in a row with points.
     table: Vec<Neighbourhood>,
-    /// Where the table's part of a row of the window begins.
+    /// Start of each window row in the table.
     starts: Vec<usize>,
 }
 
 impl Repetition {
-    /// The shortest period of the region's texture along the rows, from `shortest_px` on, where the plane has disparity
-    /// `middle_px`; pixels of the level. `infinity_px` is added to disparities so that they are zero at infinity. `None` if
-    /// the texture does not repeat within half of the region's width.
+    /// The shortest period of the region's texture along the rows, from `shortest_px` on, at the plane's disparity `middle_px`;
+    /// pixels of the level. `infinity_px` is added to disparities so that they are zero at infinity. `None` if the texture does
+    /// not repeat within half of the region's width.
     pub fn period_px(
         &mut self,
         level: &RegionLevel,
@@ -53,7 +54,7 @@ impl Repetition {
             return None;
         }
         self.describe_rows(level);
-        // What is dark here and bright there half a period away is seen as a valley.
+        // If the texture is inverted half a period away (dark for bright), this is the valley.
         let (mut valley, mut summit) = (f32::MAX, None::<(usize, f32)>);
         for shift in (0.5 * shortest_px).max(1.0) as usize..=longest {
             let value = self.resemblance(level, all, shift as f64 / (middle_px + infinity_px));
@@ -69,7 +70,7 @@ impl Repetition {
         None
     }
 
-    /// Takes the points, and returns how many columns they cover.
+    /// Selects the points, and returns the number of columns that they cover.
     fn take(&mut self, level: &RegionLevel, plane: &LevelPlane, infinity_px: f64) -> usize {
         let (width, height) = (level.left.window.width, level.left.window.height);
         let step = level.area_px.div_ceil(POINTS_MAX).max(1);
@@ -92,7 +93,7 @@ impl Repetition {
         high.saturating_sub(low)
     }
 
-    /// Takes the neighbourhoods of all pixels of the region in the rows that have points.
+    /// Computes the neighbourhoods of all region pixels in the rows that have points.
     fn describe_rows(&mut self, level: &RegionLevel) {
         let width = level.left.window.width;
         self.table.clear();
@@ -113,8 +114,8 @@ impl Repetition {
         }
     }
 
-    /// Mean correlation of the points with those that are farther right by `shift` of their disparity to infinity, over that
-    /// with themselves; 0 if too few of these lie in the region.
+    /// Mean correlation of the points with the pixels farther right by `shift` times their disparity relative to infinity,
+    /// divided by their correlation with themselves; 0 if too few of these pixels are in the region.
     fn resemblance(&self, level: &RegionLevel, all: f32, shift: f64) -> f32 {
         let width = level.left.window.width;
         let (mut sum, mut own) = (0.0, 0.0);
@@ -130,7 +131,7 @@ impl Repetition {
     }
 }
 
-/// A neighbourhood of 3 x 3 pixels without its mean, of a length of nearly one where it has texture.
+/// A neighbourhood of 3 x 3 pixels minus its mean, with a norm of nearly one if it has texture.
 #[derive(Clone, Copy, Debug)]
 struct Neighbourhood([f32; 9]);
 
@@ -140,7 +141,7 @@ impl Neighbourhood {
     }
 }
 
-/// The rows around one that is neither the first nor the last.
+/// The three rows around an interior row.
 fn rows_around(level: &RegionLevel, y: usize) -> [&[f32]; 3] {
     let plane = level.left.luminance();
     std::array::from_fn(|j| plane.row(y + j - 1))
@@ -166,7 +167,7 @@ mod tests {
 
     const SIZE: usize = 90;
 
-    /// A level whose left eye shows `brightness`, with a region of 80 x 70 pixels.
+    /// A level whose left image shows `brightness`, with a region of 80 x 70 pixels.
     fn level(brightness: impl Fn(f64, f64) -> f64) -> RegionLevel {
         let mut level = RegionLevel { scale: 1, ..RegionLevel::default() };
         let window = PixelWindow { x: 0, y: 0, width: SIZE, height: SIZE };
@@ -196,7 +197,8 @@ mod tests {
         assert_eq!(period(&board, 0.0, 41.0), None);
     }
 
-    /// The period grows with the disparity: its places stand at the logarithm of the distance to infinity's.
+    /// The period grows with the disparity: the repetitions are equidistant in the logarithm of the distance to infinity's
+    /// position.
     #[test]
     fn the_period_of_a_tilted_board_is_that_in_the_middle() {
         let slope = 0.4;

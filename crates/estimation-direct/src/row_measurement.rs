@@ -1,8 +1,8 @@
-//! The row offset of a pair, from many points all over both images.
+//! Measurement of a pair's row offset, from many points distributed over both images.
 //!
-//! Points with texture in both directions are found again in the other eye: over all disparities on a quarter of the size,
-//! then closer and closer, at last between pixels (Lucas and Kanade, with means and gains taken out). A robust affine fit
-//! through their row differences is the offset. It takes some milliseconds and is meant for once per rig or scene.
+//! Points with texture in both directions are matched in the right image: over all disparities at a quarter of the size, then
+//! refined level by level, and finally to sub-pixel accuracy (Lucas and Kanade, with means and gains removed). The offset is a
+//! robust affine fit to their row differences. It takes some milliseconds and is intended once per rig or scene.
 
 use image::RgbImage;
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
@@ -19,24 +19,26 @@ use pb3dp_estimation_core::row_offset::{RowMeasurement, RowOffset};
 
 /// Level of the exhaustive search. Chosen; no sweep is on record.
 const COARSE: usize = 2;
-/// Pixels of the coarse level between points. Chosen; no sweep is on record.
+/// Spacing of the points, pixels of the coarse level. Chosen; no sweep is on record.
 const SPACING: usize = 4;
-/// Pixels from a point to the side of its patch. Chosen; no sweep is on record.
+/// Half width of a patch. Chosen; no sweep is on record.
 const RADIUS: usize = 4;
 const SIDE: usize = 2 * RADIUS + 1;
 const PATCH: usize = SIDE * SIDE;
 /// Lowest correlation of a match, coarse and fine. Chosen; no sweep is on record.
 const CORRELATION_MIN: [f64; 2] = [0.75, 0.85];
-/// The best place must be better by this than any that is not its neighbour. Chosen; no sweep is on record.
+/// Smallest difference in correlation between the best position and any position that is not its neighbour. Chosen; no sweep is
+/// on record.
 const MARGIN_MIN: f64 = 0.05;
 /// Smallest root mean square of the gradient along rows and along columns, luminance per pixel. Chosen; no sweep is on record.
 const GRADIENT_MIN: f64 = 3.0;
-/// Fewest matches for an affine offset; from a quarter of that on a constant is fitted. Chosen; no sweep is on record.
+/// Smallest number of matches for an affine offset; with at least a quarter of that a constant is fitted. Chosen; no sweep is
+/// on record.
 const MATCHES_MIN: usize = 60;
-/// Rows farther off than this are not matched, pixels. Chosen; no sweep is on record.
+/// Largest row offset that is matched, pixels. Chosen; no sweep is on record.
 const OFFSET_MAX_PX: f64 = 6.0;
 
-/// One point found again: right pixel, and its row minus the left row.
+/// One matched point: right pixel, and its row minus the left row.
 #[derive(Clone, Copy, Debug)]
 struct RowMatch {
     right_px: Vector2<f64>,
@@ -104,12 +106,12 @@ fn find_again(levels: &[RegionLevel], search: &mut CoarseSearch<'_>, point: Vect
     (offset_px.abs() <= OFFSET_MAX_PX).then_some(RowMatch { right_px, offset_px })
 }
 
-/// Finds patches again on the coarse level of the right eye.
+/// Matches patches on the coarse level of the right image.
 struct CoarseSearch<'a> {
     right: &'a ImagePlane,
-    /// Per place of a patch, by its first column and row: 1 over the length of the patch's deviations from its mean.
+    /// Per patch position (its first column and row): 1 / norm of the patch minus its mean.
     certainty: ImagePlane,
-    /// Correlations along the rows looked at.
+    /// Correlations along the compared rows.
     scores: [Vec<f32>; 3],
     kernels: Kernels,
 }
@@ -128,7 +130,7 @@ impl<'a> CoarseSearch<'a> {
         Self { right, certainty, scores: Default::default(), kernels }
     }
 
-    /// The best place of a patch on its row and the rows beside it, if it is clearly the best.
+    /// The best position of a patch on its row and the adjacent rows, if it is clearly the best.
     fn find(&mut self, patch: &Patch, y: i64) -> Option<Vector2<i64>> {
         let mut best = (f32::NEG_INFINITY, (0, 0));
         for (scores, row) in self.scores.iter_mut().zip(y - 1..=y + 1) {
@@ -161,7 +163,8 @@ wide! {
 
 #[inline(always)]
 fn certainty_row_kernel(rows: &[&[f32]; SIDE], sums: &mut [f32], squares: &mut [f32], out: &mut [f32]) {
-    // Grey levels about the middle of luminance, so that single precision is enough for the difference of the squares.
+    // Grey levels relative to the middle of the luminance range, so that single precision is enough for the difference of the
+    // squares.
     const MIDDLE: f32 = 220.0;
     sums.fill(0.0);
     squares.fill(0.0);
@@ -187,7 +190,7 @@ wide! {
     fn correlate_row(patch: &[f32; PATCH], rows: &[&[f32]; SIDE], certainty: &[f32], scores: &mut [f32]) = correlate_row_kernel;
 }
 
-/// Correlations of a patch of mean 0 and length 1 with all places along a row.
+/// Correlations of a patch (mean 0, norm 1) with all positions along a row.
 #[inline(always)]
 fn correlate_row_kernel(patch: &[f32; PATCH], rows: &[&[f32]; SIDE], certainty: &[f32], scores: &mut [f32]) {
     let width = scores.len();
@@ -206,7 +209,7 @@ fn correlate_row_kernel(patch: &[f32; PATCH], rows: &[&[f32]; SIDE], certainty: 
     }
 }
 
-/// A patch, normalised to mean 0 and length 1.
+/// A patch, normalised to mean 0 and norm 1.
 #[derive(Clone, Copy, Debug)]
 struct Patch {
     values: [f32; PATCH],
@@ -244,7 +247,7 @@ impl Patch {
         Some(Self { values, has_texture: along >= enough && down >= enough })
     }
 
-    /// Correlation with the patch of another plane around a place; `None` where that has no patch or it is uniform.
+    /// Correlation with the patch of another plane around a position; `None` if the patch is outside the plane or uniform.
     fn correlation_at(&self, plane: &ImagePlane, place: Vector2<i64>) -> Option<f32> {
         let (x, y) = (place.x, place.y);
         let r = RADIUS as i64;
@@ -269,10 +272,10 @@ impl Patch {
     }
 }
 
-/// Steps of the fit between pixels. Chosen; no sweep is on record.
+/// Number of sub-pixel steps. Chosen; no sweep is on record.
 const STEPS: usize = 5;
 
-/// Lucas and Kanade around a match: what is to be added to the right place, pixels. `None` if it runs away.
+/// Lucas-Kanade refinement of a match: correction of the right position, pixels. `None` if it diverges.
 fn refine(left: &ImagePlane, right: &ImagePlane, at: Vector2<i64>, place: Vector2<i64>) -> Option<Vector2<f64>> {
     let template = Patch::take(left, at)?;
     let mut shift = Vector2::zeros();
@@ -301,7 +304,7 @@ fn refine(left: &ImagePlane, right: &ImagePlane, at: Vector2<i64>, place: Vector
     Some(shift)
 }
 
-/// A patch of the right image at a fraction of a pixel, normalised.
+/// A patch of the right image at a sub-pixel position, normalised.
 fn sample(right: &ImagePlane, place: Vector2<i64>, shift: &Vector2<f64>) -> Option<[f64; PATCH]> {
     let floor = shift.map(f64::floor);
     let (a, b) = (shift.x - floor.x, shift.y - floor.y);
@@ -324,7 +327,7 @@ fn sample(right: &ImagePlane, place: Vector2<i64>, shift: &Vector2<f64>) -> Opti
     (length > 0.0).then(|| values.map(|v| v / length))
 }
 
-/// A robust affine function of the right pixel through the matches.
+/// Robust fit of an affine function of the right pixel to the matches.
 fn fit(matches: &[RowMatch]) -> RowMeasurement {
     let median = |mut values: Vec<f64>| -> f64 {
         values.sort_by(f64::total_cmp);

@@ -8,11 +8,11 @@ use super::colour_planes::{ColourPlanes, UNSEEN, Wanted};
 use super::image_plane::ImagePlane;
 use pb3dp_estimation_core::row_offset::RowOffset;
 
-/// Columns that are moved by one and the same offset.
+/// Number of columns moved by the same offset.
 pub(super) const BLOCK: usize = 2 * LANES;
 
-/// Writes `source` into `out` so that row `v` holds what `source` shows at row `v + offset`: cubic between rows, flagged as
-/// unseen where `source` has no such row.
+/// Writes `source` into `out` so that row `v` shows `source` at row `v + offset`. The rows are interpolated with a cubic
+/// kernel, and pixels without a source row are flagged as unseen.
 pub(super) fn shift_rows(source: &ColourPlanes, rows: &RowOffset, kernels: Kernels, out: &mut ColourPlanes) {
     let window = source.window;
     let wanted = if source.planes[1].width() > 0 { Wanted::Colour } else { Wanted::Luminance };
@@ -21,7 +21,7 @@ pub(super) fn shift_rows(source: &ColourPlanes, rows: &RowOffset, kernels: Kerne
     let last = window.height as f64 - 1.0;
     let step = rows.slope.x * BLOCK as f64;
     for y in 0..window.height {
-        // Of the first block, in the middle of its columns; every further block is a step on.
+        // Offset of the first block, at the centre of its columns; each further block adds a step.
         let centre = Vector2::new(f64::from(window.x) + (BLOCK - 1) as f64 / 2.0, f64::from(window.y) + y as f64);
         let first = y as f64 + rows.at(&centre);
         let sources = source.planes.each_ref().map(ImagePlane::values);
@@ -48,8 +48,8 @@ pub(super) fn shift_rows(source: &ColourPlanes, rows: &RowOffset, kernels: Kerne
 }
 
 wide! {
-    /// One row of all planes, whose blocks lie at the fractional rows `first`, `first + step`, ...; rows beyond the border
-    /// repeat the border.
+    /// One row of all planes, whose blocks are at the fractional rows `first`, `first + step`, ...; rows beyond the border
+    /// replicate the border.
     fn shift_row(sources: [&[f32]; 3], width: usize, height: usize, first: f64, step: f64, out: [&mut [f32]; 3]) = shift_row_kernel;
 }
 
@@ -94,7 +94,7 @@ fn mix<const N: usize>([a, b, c, d]: [&[f32; N]; 4], weights: [f32; 4], out: &mu
     }
 }
 
-/// Weights of the four rows at -1, 0, 1, 2 for a place `t` in 0..1 (Keys 1981, a = -1/2).
+/// Weights of the four rows at -1, 0, 1, 2 for a position `t` in 0..1 (Keys 1981, a = -1/2).
 #[inline(always)]
 pub(super) fn keys(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);

@@ -1,4 +1,4 @@
-//! From the whole range of depths to a few candidate planes, on one level of the pyramid.
+//! Plane search: from the whole depth range to a few candidate planes, on one level of the pyramid.
 
 pub mod aggregate;
 pub mod hypotheses;
@@ -19,21 +19,22 @@ use self::volume::{COST_NEUTRAL, CostVolume, LevelBox};
 use super::disparity_plane::DisparityRange;
 use super::region_pyramid::{LevelPlane, RegionLevel};
 
-/// Pixels around the region's box that take part in the aggregation. Chosen; no sweep is on record.
+/// Margin around the region's box that takes part in the aggregation, pixels. Chosen; no sweep is on record.
 const MARGIN: usize = 2;
-/// A plane moved along the rows is looked at if the region agrees with it by this share of the best. Chosen; no sweep is on record.
+/// A plane moved along the rows becomes a seed if the region agrees with it by this share of the best. Chosen; no sweep is on
+/// record.
 const ALIAS_SHARE: f64 = 0.5;
 
 /// Parameters of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaneSearchConfig {
-    /// Noise of a pixel in the normalisation of neighbourhoods, luminance.
+    /// Noise term of a pixel in the normalisation of neighbourhoods, luminance.
     pub noise: f64,
     /// Costs of changes of disparity; a pixel without agreement costs 63.
     pub penalties: Penalties,
-    /// When a disparity counts.
+    /// Acceptance rules for a disparity.
     pub winner: WinnerRules,
-    /// How planes are drawn.
+    /// Rules for drawing planes.
     pub hypotheses: HypothesisRules,
 }
 
@@ -66,12 +67,12 @@ impl PlaneSearchConfig {
     }
 }
 
-/// A candidate plane in pixels of the level that was searched.
+/// A candidate plane in pixels of the searched level.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaneCandidate {
     /// The plane.
     pub plane: LevelPlane,
-    /// Share of the region's clear disparities that lie on it, soft.
+    /// Soft share of the region's clear disparities on the plane.
     pub share: f64,
 }
 
@@ -93,7 +94,7 @@ pub struct PlaneSearch {
 }
 
 impl PlaneSearch {
-    /// Searches disparities `range_px` (full size) on `level`. `allowed` says which planes are within the range of tilts.
+    /// Searches the disparities `range_px` (full size) on `level`. `allowed` checks a plane's tilt against the range.
     pub fn run(
         &mut self,
         level: &RegionLevel,
@@ -107,7 +108,7 @@ impl PlaneSearch {
         }
     }
 
-    /// The first half of [`Self::run`]: finds the clear disparities; `false` if the right window shows none of the range.
+    /// First half of [`Self::run`]: finds the clear disparities; `false` if the right window shows none of the range.
     pub fn match_pixels(
         &mut self,
         level: &RegionLevel,
@@ -127,7 +128,7 @@ impl PlaneSearch {
         true
     }
 
-    /// Whether at least `share` of the clear disparities lies on one plane; if so, the answer is no with a probability of
+    /// Whether at least `share` of the clear disparities lie on one plane. If they do, the probability of a negative answer is
     /// less than one in a million.
     pub fn has_plane(
         &mut self,
@@ -138,7 +139,7 @@ impl PlaneSearch {
         kernels: Kernels,
     ) -> bool {
         let size = Vector2::new(self.volume.area.width as f64, self.volume.area.height as f64);
-        // Of three points all lie on it with this probability.
+        // Probability that all of three points lie on it.
         let misses = 1e-6_f64.ln() / (1.0 - share.powi(3)).max(1e-9).ln();
         let rules =
             HypothesisRules { draws: (misses.ceil() as usize).min(config.hypotheses.draws), ..config.hypotheses };
@@ -146,7 +147,7 @@ impl PlaneSearch {
         self.hypotheses.best_share(&self.points, size, &rules, allowed, kernels) >= share
     }
 
-    /// The second half of [`Self::run`]: finds the planes through the clear disparities.
+    /// Second half of [`Self::run`]: finds the planes through the clear disparities.
     pub fn find_planes(
         &mut self,
         level: &RegionLevel,
@@ -178,8 +179,8 @@ impl PlaneSearch {
         }
     }
 
-    /// The plane that most of the clear disparities of the last search lie on, counted with `tolerance_px` (pixels of the
-    /// level); `seeds` are counted whether they are allowed or not.
+    /// The plane with the most clear disparities of the last search, counted with `tolerance_px` (pixels of the level); `seeds`
+    /// are counted whether they are allowed or not.
     pub fn widest(
         &mut self,
         level: &RegionLevel,
@@ -199,13 +200,13 @@ impl PlaneSearch {
         Some(PlaneCandidate { plane: level_plane(&self.volume, level, &best.plane), share: best.share })
     }
 
-    /// Share of the clear disparities of the last search that lie on a plane, soft, with a tolerance in pixels of the level.
+    /// Soft share of the clear disparities of the last search on a plane, with a tolerance in pixels of the level.
     pub fn share_within(&self, level: &RegionLevel, plane: &LevelPlane, tolerance_px: f64, kernels: Kernels) -> f64 {
         inlier_share(&self.points, &coefficients(&self.volume, level, plane), tolerance_px, kernels)
     }
 
-    /// Moves the best plane through all disparities: where else the region as a whole agrees well is left in the seeds, as
-    /// shifts. A repetitive texture has such places.
+    /// Moves the best plane through all disparities. Other shifts at which the region as a whole agrees well become seeds. A
+    /// repetitive texture has such shifts.
     fn sweep(&mut self, level: &RegionLevel, area: LevelBox, plane: &PlaneCoefficients, kernels: Kernels) {
         let count = self.volume.count;
         self.column.clear();
@@ -230,7 +231,7 @@ impl PlaneSearch {
         }
     }
 
-    /// Clear disparities of the region, in pixels of the box and steps of the volume.
+    /// Collects the clear disparities of the region, in pixels of the box and steps of the volume.
     fn collect(&mut self, level: &RegionLevel, area: LevelBox) {
         self.points.clear();
         let stride = level.left.window.width;
@@ -247,7 +248,7 @@ impl PlaneSearch {
         self.valid_share = self.points.len() as f64 / level.area_px.max(1) as f64;
     }
 
-    /// Fronto-parallel planes: where most pixels have their disparity, and where the region as a whole agrees best.
+    /// Seeds fronto-parallel planes: where most pixels have their disparity, and where the region as a whole agrees best.
     fn make_seeds(&mut self, level: &RegionLevel, area: LevelBox, kernels: Kernels) {
         self.seeds.clear();
         self.histogram.clear();
@@ -268,28 +269,27 @@ impl PlaneSearch {
     }
 }
 
-/// From pixels of the box and steps of the volume to a plane of the level.
+/// Converts from pixels of the box and steps of the volume to a plane of the level.
 fn level_plane(volume: &CostVolume, level: &RegionLevel, p: &PlaneCoefficients) -> LevelPlane {
     let at_origin = p.x - p.y * volume.area.x as f64 - p.z * volume.area.y as f64;
     let c = at_origin + f64::from(volume.first) - f64::from(level.column_shift());
     LevelPlane { a: p.y, b: p.z, c, row: level.left.window.y - level.right.window.y }
 }
 
-/// The way back.
+/// The inverse conversion.
 fn coefficients(volume: &CostVolume, level: &RegionLevel, plane: &LevelPlane) -> PlaneCoefficients {
     let at_corner = plane.c + plane.a * volume.area.x as f64 + plane.b * volume.area.y as f64;
     Vector3::new(at_corner - f64::from(volume.first) + f64::from(level.column_shift()), plane.a, plane.b)
 }
 
-/// Pixels whose agreement is summed up in 16 bits: 512 times 126, twice [`COST_NEUTRAL`], is below 65536.
+/// Number of pixels whose agreement is summed in 16 bits: 512 times 126, twice [`COST_NEUTRAL`], is below 65536.
 const SUMMED_PX: usize = 512;
 
 wide! {
     fn add_agreement(costs: &[u8], inside: &[u8], stride: usize, sums: &mut Vec<u16>, column: &mut [u32]) = add_agreement_kernel;
 }
 
-/// Adds, disparity by disparity, by how much the pixels of a row that are inside agree better than not at all, plus
-/// [`COST_NEUTRAL`].
+/// Adds, per disparity, the agreement of the inside pixels of a row relative to no agreement, plus [`COST_NEUTRAL`].
 #[inline(always)]
 fn add_agreement_kernel(costs: &[u8], inside: &[u8], stride: usize, sums: &mut Vec<u16>, column: &mut [u32]) {
     for (costs, inside) in costs.chunks(SUMMED_PX * stride).zip(inside.chunks(SUMMED_PX)) {
@@ -316,7 +316,7 @@ wide! {
         column: &mut [u32]) = add_swept_kernel;
 }
 
-/// The same, each pixel from the disparity that a plane has there: `count` before to `count` after.
+/// The same relative to the plane's disparity at each pixel: from `count` below to `count` above.
 #[inline(always)]
 fn add_swept_kernel(
     costs: &[u8],
@@ -378,9 +378,9 @@ pub(super) fn region_box(level: &RegionLevel, margin: usize) -> LevelBox {
     LevelBox { x: x0, y: y0, width: x1.saturating_sub(x0), height: y1.saturating_sub(y0) }
 }
 
-/// The first and the last place of a row that is not zero.
+/// The first and the last non-zero position of a row.
 pub(super) fn ends_of(row: &[u8]) -> Option<(usize, usize)> {
-    // Most of a row is zeros before and behind: these are passed over in blocks.
+    // Most of a row is zero at both ends: these parts are skipped in blocks.
     const BLOCK: usize = 16;
     let is_clear = |block: &[u8]| block.iter().fold(0, |all, one| all | one) == 0;
     let before = BLOCK * row.chunks(BLOCK).take_while(|block| is_clear(block)).count();
@@ -390,8 +390,8 @@ pub(super) fn ends_of(row: &[u8]) -> Option<(usize, usize)> {
     Some((first, last))
 }
 
-/// The disparities of a range, and one more at either end, at which the right window shows some of the left one; `None` if
-/// there are none. A calibration that fits nothing must not ask for more than the images have.
+/// The disparities of a range, plus one at either end, at which the right window shows part of the left one; `None` if there
+/// are none. It keeps the memory within the size of the images if the calibration is invalid.
 fn visible(level: &RegionLevel, range: &RangeInclusive<i32>) -> Option<RangeInclusive<i32>> {
     let (left, right) = (&level.left.window, &level.right.window);
     let lowest = left.x.saturating_sub(right.x.saturating_add(right.width as i32));

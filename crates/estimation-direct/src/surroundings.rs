@@ -1,13 +1,13 @@
-//! What lies around a small region, where it goes on in the region's plane.
+//! Extension of a small region by surroundings in the same plane.
 //!
-//! A region of 30 pixels has a short lever for its tilt, and often its surface goes on beyond the outline. So the pixels
-//! around it are cut into tiles, and every tile is asked how far the right eye is off the plane that the region alone has
-//! given. A tile serves if both images agree there, if its shift is no larger than the covariance of the region's plane and the
-//! tile's own noise allow, and if it touches the region or another tile that serves. The plane is then refined on both
-//! together, and replaces the region's own where the two are consistent.
+//! A region of 30 pixels has a short lever for its tilt, and its surface often continues beyond the outline. The pixels around
+//! it are therefore divided into tiles, and every tile measures its disparity offset from the plane of the region alone. A tile
+//! is accepted if both images agree there, if its shift is no larger than the covariance of the region's plane and the tile's
+//! own noise allow, and if it touches the region or another accepted tile. The plane is then refined on region and tiles
+//! together. The result replaces the region's own plane if the two are consistent.
 //!
-//! A tile may belong to another object that lies in the same plane at this moment; for the plane of this pair that is right.
-//! The region, its support and what a tracker makes of them stay as they were.
+//! A tile may belong to another object that lies in the same plane at this moment; for the plane of this pair it is valid. The
+//! region, its support and a tracker's model of them remain unchanged.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
@@ -19,33 +19,35 @@ use super::photometric::RefinedPlane;
 use super::region_pyramid::{LevelPlane, RegionLevel};
 use crate::reach::REACH_MAX_PX;
 
-/// A normal with a smaller standard deviation needs no help, radians (1 degree). Chosen; no sweep is on record. With the surroundings as
-/// they are chosen here 116 of 128 and 124 of 160 real windows of 28 to 40 px pass, without 113 and 122.
+/// A normal with a smaller standard deviation needs no surroundings, radians (1 degree). Chosen; no sweep is on record. With
+/// the surroundings as they are chosen here 116 of 128 and 124 of 160 real windows of 28 to 40 px pass, without 113 and 122.
 const NORMAL_SIGMA_RAD: f64 = 0.0175;
 /// Side of a tile, pixels. Chosen; no sweep is on record.
 const TILE: usize = 4;
-/// Fewest pixels of a tile that are asked. Chosen; no sweep is on record.
+/// Smallest number of pixels for the fit of a tile. Chosen; no sweep is on record.
 const TILE_PX_MIN: f64 = 48.0;
-/// Lowest correlation of a tile that serves. Chosen; no sweep is on record.
+/// Lowest correlation of an accepted tile. Chosen; no sweep is on record.
 const CORRELATION_MIN: f64 = 0.8;
-/// A tile's shift is no larger than so many standard deviations of what is expected. Chosen: 95 % of normal errors.
+/// Largest shift of a tile, in standard deviations of the expected shift. Chosen: 95 % of normal errors.
 const SIGMAS_MAX: f64 = 2.0;
-/// Nor is it larger than this, pixels. Chosen; no sweep is on record.
+/// Largest shift of a tile, pixels. Chosen; no sweep is on record.
 const SHIFT_MAX_PX: f64 = 0.3;
-/// Standard deviation of a tile's shift that is no noise of pixels (interpolation, shading, relief), pixels. Chosen; no sweep is on record.
+/// Standard deviation of a tile's shift not due to pixel noise (interpolation, shading, relief), pixels. Chosen; no sweep is on
+/// record.
 const SYSTEMATIC_SIGMA_PX: f64 = 0.05;
-/// A tile whose shift is known no better than this says nothing, pixels. Chosen; no sweep is on record.
+/// Tiles with a larger standard deviation of the shift are ignored, pixels. Chosen; no sweep is on record.
 const TILE_SIGMA_MAX_PX: f64 = 0.3;
-/// Residuals of a tile are not taken to be better than this, grey levels. Chosen; no sweep is on record.
+/// Lower bound of a tile's residual standard deviation, grey levels. Chosen; no sweep is on record.
 const NOISE_MIN_GREY: f64 = 1.0;
 /// Parameters of a tile's fit: shift, gain, offset.
 const FITTED: f64 = 3.0;
-/// Largest squared distance of the new plane from the own one, in standard deviations of that: 95 % of chi-squared of three.
+/// Largest squared distance of the new plane from the region's own, in standard deviations of the latter: 95 % of chi-squared
+/// of three.
 const DISTANCE_MAX: f64 = 7.81;
-/// The slopes' variance must shrink to this. Chosen; no sweep is on record.
+/// Largest ratio of the slopes' variance with and without the surroundings. Chosen; no sweep is on record.
 const SHRINKAGE_MAX: f64 = 0.7;
 
-/// Finds what goes on around a region; keeps its buffers.
+/// Finds the surroundings that continue a region; keeps its buffers.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Surroundings {
     region: Vec<u8>,
@@ -60,21 +62,21 @@ pub(super) struct Surroundings {
     tiles: Vec<Tile>,
 }
 
-/// How a tile stands to the plane.
+/// State of a tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Tile {
-    /// Outside, or nothing to say.
+    /// Outside the windows, or without information.
     #[default]
     Silent,
-    /// Agrees, but is not connected yet.
+    /// Agrees with the plane, but is not connected yet.
     Agrees,
-    /// Part of the region, or connected with it.
+    /// Part of the region, or connected to it.
     Serves,
 }
 
 impl Surroundings {
-    /// Adds to the region and support of a level of full size what agrees with `refined` up to `reach` pixels around it.
-    /// Returns the number of pixels added; [`Self::restore`] takes them away again.
+    /// Adds to the region and support of a full-size level the pixels up to `reach` around it that agree with `refined`.
+    /// Returns the number of pixels added; [`Self::restore`] removes them again.
     pub fn extend(&mut self, level: &mut RegionLevel, refined: &RefinedPlane, reach: usize, kernels: Kernels) -> usize {
         self.region.clone_from(&level.region);
         self.support.clone_from(&level.support);
@@ -111,14 +113,14 @@ impl Surroundings {
         added
     }
 
-    /// Gives `level` its own region and support back.
+    /// Restores the original region and support of `level`.
     pub fn restore(&self, level: &mut RegionLevel) {
         level.region.clone_from(&self.region);
         level.support.clone_from(&self.support);
         level.area_px = self.area_px;
     }
 
-    /// Adds what the pixels of a row have to say to their tiles.
+    /// Adds the terms of a row's pixels to their tiles.
     fn add_row(&mut self, level: &RegionLevel, plane: &LevelPlane, y: usize, middle: f32, kernels: Kernels) {
         let width = level.left.window.width;
         let (region, reached) = (&level.region[y * width..][..width], &self.reached[y * width..][..width]);
@@ -147,7 +149,7 @@ impl Surroundings {
         }
     }
 
-    /// Judges a tile by its own pixels and those of the tiles around it.
+    /// Classifies a tile by its own pixels and those of the adjacent tiles.
     fn ask(&self, level: &RegionLevel, refined: &RefinedPlane, column: usize, row: usize, columns: usize) -> Tile {
         let own = &self.sums[row * columns + column];
         if own.own > own.pixels / 2 {
@@ -174,7 +176,7 @@ impl Surroundings {
         if expected && is_clear { Tile::Agrees } else { Tile::Silent }
     }
 
-    /// Lets tiles serve that agree and touch one that serves.
+    /// Accepts agreeing tiles that touch an accepted tile.
     fn connect(&mut self, columns: usize, rows: usize) {
         loop {
             let mut changed = false;
@@ -205,17 +207,17 @@ impl Surroundings {
 /// Terms of a pixel.
 const TERMS: usize = 10;
 
-/// Where the right eye shows a row of the left one: column `start + step x`.
+/// Mapping of a left row to the right image: column `start + step x`.
 #[derive(Clone, Copy, Debug)]
 struct RowLine {
     start: f32,
     step: f32,
-    /// Taken off both images, which changes only the offset between them and keeps sums small.
+    /// Subtracted from both images; it changes only the offset between them and keeps sums small.
     middle: f32,
 }
 
 wide! {
-    /// Of every pixel of a row the products of gradient, left value, 1 and right value: zero for those not `wanted`.
+    /// Products of gradient, left value, 1 and right value for every pixel of a row; zero for pixels not `wanted`.
     fn row_terms(left: &[f32], right: &[f32], wanted: &[u8], line: RowLine, taps: &mut [[f32; 4]],
         terms: &mut [[f32; TERMS]]) = row_terms_kernel;
 }
@@ -232,7 +234,7 @@ fn row_terms_kernel(
     let last = right.len() as f32 - 2.0;
     for (x, taps) in taps.iter_mut().enumerate() {
         let at = line.start + line.step * x as f32;
-        // Beyond the ends nothing is used.
+        // Nothing beyond the ends is used.
         let first = if at >= 1.0 && at < last { at as usize - 1 } else { usize::MAX };
         match right.get(first..first.saturating_add(4)) {
             Some(four) => taps.copy_from_slice(four),
@@ -247,7 +249,7 @@ fn row_terms_kernel(
         let [before, here, next, after] = taps[x];
         let is_wanted = wanted[x] != 0 && !here.is_nan();
         let r = here + t * (next - here) - line.middle;
-        // What a shift of the right eye by one column adds.
+        // The change due to a shift of the right image by one column.
         let (own, other) =
             (0.5 * (left[x + 1] - left[x - 1]), 0.5 * ((next - before) * (1.0 - t) + (after - here) * t));
         let (d, l) = (0.5 * (own + other), left[x] - line.middle);
@@ -258,7 +260,7 @@ fn row_terms_kernel(
     }
 }
 
-/// A value in the middle of those of the left eye.
+/// A typical value of the left image.
 fn middle_of(level: &RegionLevel) -> f32 {
     let values = level.left.luminance().values();
     let (sum, count) = values.iter().step_by(37).fold((0.0, 0.0_f32), |(sum, count), value| (sum + value, count + 1.0));
@@ -273,15 +275,15 @@ struct TileFit {
     squares: f64,
     sum: f64,
     count: f64,
-    /// Sum of the places.
+    /// Sum of the positions.
     middle: Vector2<f64>,
-    /// Pixels within reach, and those of them that belong to the region.
+    /// Number of pixels within reach, and number of those that belong to the region.
     pixels: usize,
     own: usize,
 }
 
 impl TileFit {
-    /// Adds the terms of pixels side by side from `x` on.
+    /// Adds the terms of adjacent pixels from `x` on.
     fn add(&mut self, pixels: &[[f32; TERMS]], x: usize, y: usize) {
         let mut sum = [0.0_f32; TERMS];
         let mut columns = 0.0;
@@ -322,19 +324,19 @@ impl TileFit {
     }
 }
 
-/// What a tile says.
+/// Result of a tile's fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct TileShift {
-    /// Columns that the right eye is off the plane.
+    /// Shift of the right image relative to the plane, columns.
     shift_px: f64,
     /// Its standard deviation.
     sigma_px: f64,
-    /// Correlation between the eyes after the shift.
+    /// Correlation between the images after the shift.
     correlation: f64,
 }
 
-/// Whether a refined plane is so uncertain in its tilt that surroundings are worth while: the normal's standard deviation, as
-/// if the plane faced the camera.
+/// Whether the tilt of a refined plane is so uncertain that surroundings are worthwhile: the normal's standard deviation, as if
+/// the plane faced the camera.
 pub(super) fn are_wanted(refined: &RefinedPlane, geometry: &RectifiedGeometry) -> bool {
     let full = refined.plane.d0_px + geometry.disparity_offset_px;
     let variance = |k: usize, focal_px: f64| refined.covariance[(k, k)] * (focal_px / full).powi(2);
@@ -342,8 +344,8 @@ pub(super) fn are_wanted(refined: &RefinedPlane, geometry: &RectifiedGeometry) -
     refined.converged && full > 0.0 && sigma_rad > NORMAL_SIGMA_RAD
 }
 
-/// Whether a plane that was refined with the surroundings is to replace the region's own: it is better known, and where the
-/// region's own covariance allows it to be.
+/// Whether a plane refined with the surroundings replaces the region's own: it is more accurate and consistent with the
+/// region's covariance.
 pub(super) fn replaces(wide: &RefinedPlane, own: &RefinedPlane) -> bool {
     let gap = wide.plane.centred_at(own.plane.centre_px).parameters() - own.plane.parameters();
     let distance = own.covariance.try_inverse().map_or(f64::MAX, |inverse| gap.dot(&(inverse * gap)));
@@ -351,7 +353,7 @@ pub(super) fn replaces(wide: &RefinedPlane, own: &RefinedPlane) -> bool {
     wide.converged && distance <= DISTANCE_MAX && slopes(wide) < SHRINKAGE_MAX * slopes(own)
 }
 
-/// Adds the pixels up to `reach` columns and rows around a mask of zeros and ones.
+/// Adds the pixels up to `reach` columns and rows around a binary mask.
 fn dilate(mask: &mut [u8], distance: &mut Vec<u8>, width: usize, reach: u8) {
     for row in mask.chunks_exact_mut(width.max(1)) {
         let (mut before, mut after) = (u8::MAX, u8::MAX);
@@ -369,7 +371,7 @@ fn dilate(mask: &mut [u8], distance: &mut Vec<u8>, width: usize, reach: u8) {
         distance.resize(width, u8::MAX);
         let rows = mask.len() / width.max(1);
         for y in (0..rows).map(|y| if is_upward { rows - 1 - y } else { y }) {
-            // Bit 0 is the mask, bit 1 what is added to it.
+            // Bit 0 is the mask, bit 1 the added pixels.
             for (pixel, distance) in mask[y * width..(y + 1) * width].iter_mut().zip(distance.iter_mut()) {
                 *distance = if *pixel & 1 != 0 { 0 } else { distance.saturating_add(1) };
                 *pixel |= u8::from(*distance <= reach) << 1;
@@ -397,7 +399,7 @@ mod tests {
         100.0 + waves.iter().map(|(u, v, phase)| 20.0 * (u * x + v * y + phase).sin()).sum::<f64>()
     }
 
-    /// A level with a region of 30 x 30 pixels in its middle on `TRUTH`; columns from `edge` on are `nearer` pixels nearer.
+    /// A level with a region of 30 x 30 pixels in its centre on `TRUTH`; columns from `edge` on are `nearer` pixels nearer.
     fn level(edge: f64, nearer: f64) -> RegionLevel {
         let mut level = RegionLevel { scale: 1, ..RegionLevel::default() };
         let window = PixelWindow { x: 0, y: 0, width: SIZE, height: SIZE };
@@ -438,7 +440,7 @@ mod tests {
         }
     }
 
-    /// Pixels added left and right of the region.
+    /// Number of pixels added left and right of the region.
     fn added(level: &mut RegionLevel, refined: &RefinedPlane) -> (usize, usize) {
         let own = level.clone();
         let mut surroundings = Surroundings::default();
@@ -473,7 +475,7 @@ mod tests {
     fn a_surface_that_goes_on_is_used_and_given_back() {
         let mut level = level(f64::MAX, 0.0);
         let refined = refined(&level, 0.003);
-        // Twelve columns of 54 pixels on each side; the right window ends a little earlier.
+        // Twelve columns of 54 pixels on each side; the right window ends slightly earlier.
         let (left, right) = added(&mut level, &refined);
         assert!(left > 500 && right > 500, "{left} {right}");
     }

@@ -1,4 +1,4 @@
-//! How far an answer of the direct method can be trusted, and why.
+//! Status of an estimate of the direct method, and its reason.
 
 use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -6,20 +6,19 @@ use pb3dp_estimation_core::status::{Status, Verdict};
 
 use crate::outcome::{ColdStartOutcome, support_of};
 
-/// Limits between the statuses. They were chosen on real pairs.
+/// Limits between the statuses. Chosen on real pairs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DirectVerdictConfig {
-    /// Smallest share of the region's pixels whose patch has texture and agrees with the plane; below: `not-observable`.
-    /// 0 to 1. Default 0.15.
+    /// Smallest share (0 to 1) of the region's pixels whose patch has texture and agrees with the plane; below:
+    /// `not-observable`. Default 0.15.
     pub support_min: f64,
-    /// With a smaller share than this the answer is `ambiguous` at best, because the region is no plane. 0 to 1. Default 0.4.
+    /// Below this share the estimate is at best `ambiguous`, because the region is not planar. 0 to 1. Default 0.4.
     pub support_sure_min: f64,
-    /// Another explanation of the same pixels, in the range or beyond it, whose score reaches this share of the best one's
-    /// makes the answer `ambiguous`, on the level of the search or on the finest one. 0 to 1.
-    /// Default 0.85.
+    /// An alternative explanation of the same pixels, inside or outside the range, with at least this share of the best score
+    /// makes the estimate `ambiguous`, on the search level or on the finest level. 0 to 1. Default 0.85.
     pub alias_score_max: f64,
-    /// Another surface with this share of the number of pixels of the first makes the answer `ambiguous`. 0 to 1.
-    /// Default 0.65.
+    /// A second surface with at least this share (0 to 1) of the first surface's number of pixels makes the estimate
+    /// `ambiguous`. Default 0.65.
     pub second_share_max: f64,
     /// Largest standard deviation of the normal, degrees; above: `weak-tilt`. 0 to 90. Default 5.
     pub normal_sigma_max_deg: f64,
@@ -53,7 +52,7 @@ impl DirectVerdictConfig {
     }
 }
 
-/// A plane that the search was not to look for.
+/// A plane with a larger tilt than allowed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Steeper {
     /// The larger of its two tilts, degrees.
@@ -62,79 +61,80 @@ pub(super) struct Steeper {
     pub share: f64,
 }
 
-/// What was searched.
+/// The searched range.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Searched {
     /// Depths and tilts.
     pub range: SearchRange,
-    /// A plane within the depths that explains more, but is tilted by more than the range allows.
+    /// A plane within the depths that explains more, but exceeds the tilt limit.
     pub steeper: Option<Steeper>,
 }
 
-/// Why the search found nothing to begin with.
+/// Reason if the search found no candidate.
 pub(super) fn nothing_found(range: &SearchRange) -> String {
     format!(
-        "at {:.0} to {:.0} mm the right image shows nothing of the region: check the depth range (--z-range), the region and the calibration",
+        "the region is not visible in the right image at {:.0} to {:.0} mm: check the depth range (--z-range), the region and the calibration",
         1e3 * range.z_min_m,
         1e3 * range.z_max_m
     )
 }
 
-/// What is said where a plane beyond the range of depths, at `z_m` if it lies in front of the camera, explains the region as
-/// well as the answer or better.
+/// Reason if a plane outside the depth range, at `z_m` if it is in front of the camera, explains the region as well as the
+/// estimate or better.
 pub(super) fn lies_beyond(z_m: Option<f64>, score_ratio: f64) -> String {
     let place = z_m.map_or("far away".to_owned(), |z_m| format!("at about {:.0} mm", 1e3 * z_m));
     format!(
-        "a plane {place}, outside the depth range, explains the region with {:.0} % of the score: the target may lie there, widen the range (--z-range)",
+        "a plane {place}, outside the depth range, explains the region with {:.0} % of the score: the target may be there; widen the range (--z-range)",
         100.0 * score_ratio
     )
 }
 
-/// Where some of the searched depths are out of the right image's sight, the patches that agree must correlate so well: a texture that
-/// resembles itself correlates less with another part of it. Chosen; no sweep is on record.
+/// If the right image does not show some of the searched depths, the agreeing patches must have this correlation: a
+/// self-similar texture correlates less with another part of itself. Chosen; no sweep is on record.
 pub(super) const UNSEEN_CORRELATION_MIN: f64 = 0.75;
 
-/// What is said where the region may be at a depth nearer than `z_m`, at which the right image does not show it.
+/// Reason if the region may be nearer than `z_m`, where the right image does not show it.
 pub(super) fn may_be_unseen(z_m: f64, correlation: f64) -> String {
     format!(
-        "nearer than {:.0} mm the right image would not show the middle of the region, and what it shows correlates by {correlation:.2} only (limit {UNSEEN_CORRELATION_MIN}): mark what both cameras see, or narrow the range (--z-range)",
+        "nearer than {:.0} mm the middle of the region is outside the right image, and the matching patches correlate by only {correlation:.2} (limit {UNSEEN_CORRELATION_MIN}): mark an area that both cameras see, or narrow the range (--z-range)",
         1e3 * z_m
     )
 }
 
-/// What is said where both images are one.
+/// Reason if both images are identical.
 pub(super) const SAME_IMAGE: &str =
-    "left and right are the same image: they say nothing of depth; check the file names or the cameras";
+    "left and right are the same image and give no depth: check the file names or the cameras";
 
-/// Why few pixels agree with one plane, and what to do.
+/// Cause of a low support, and remedy.
 fn cause(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdictConfig) -> String {
     let range = &searched.range;
-    // With less it would be no answer either.
+    // With less support it would not be a valid result either.
     let steeper = searched.steeper.filter(|steeper| steeper.share >= limits.support_min);
     if let Some(Steeper { tilt_deg, share }) = steeper {
         return format!(
-            "a plane tilted by {tilt_deg:.0} degrees explains {:.0} %, but the largest tilt is {:.0} degrees: raise it (--tilt-max)",
+            "a plane tilted by {tilt_deg:.0} degrees explains {:.0} %, but the tilt limit is {:.0} degrees: raise it (--tilt-max)",
             100.0 * share,
             range.tilt_max_rad.to_degrees()
         );
     }
     if outcome.unlimited.is_none_or(|(_, share)| share < ANY_SHARE_MIN) {
         return format!(
-            "at {:.0} to {:.0} mm the right image shows nothing that matches: check the depth range (--z-range) and the calibration; noise and blur do the same",
+            "no match in the right image at {:.0} to {:.0} mm: check the depth range (--z-range) and the calibration, and check the images for noise and blur",
             1e3 * range.z_min_m,
             1e3 * range.z_max_m
         );
     }
-    "it is not flat, or shows several surfaces: mark a part that is flat".to_owned()
+    "the region is not flat or contains several surfaces: mark a flat part".to_owned()
 }
 
-/// If no plane explains this share of the region, range, calibration or images are to blame. Chosen; no sweep is on record.
+/// If no plane explains this share of the region, the cause is the range, the calibration or the images. Chosen; no sweep is on
+/// record.
 const ANY_SHARE_MIN: f64 = 0.1;
 
-/// Too little of a region has texture if its share is smaller than this. Chosen; no sweep is on record.
+/// Smallest sufficient share of the region with texture. Chosen; no sweep is on record.
 const TEXTURED_MIN: f64 = 0.3;
 
-/// What is said where too little of the region has texture or agrees with the plane.
+/// Verdict if too little of the region has texture or agrees with the plane.
 fn too_little(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdictConfig) -> Option<Verdict> {
     let (textured, support) = (outcome.finest.textured_share, support_of(&outcome.finest));
     let sure_min = limits.support_sure_min;
@@ -143,20 +143,20 @@ fn too_little(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVe
     }
     if textured < TEXTURED_MIN {
         let (textured, limit) = (100.0 * textured, 100.0 * TEXTURED_MIN);
-        let seen = format!("only {textured:.0} % of the region have texture (limit {limit:.0} %)");
-        let reason = format!("{seen}: choose a target with texture, or more light");
+        let seen = format!("only {textured:.0} % of the region has texture (limit {limit:.0} %)");
+        let reason = format!("{seen}: choose a textured target or add light");
         return Some(Verdict { status: Status::NotObservable, reason });
     }
     let (status, limit) = match support < limits.support_min {
         true => (Status::NotObservable, 100.0 * limits.support_min),
         false => (Status::Ambiguous, 100.0 * sure_min),
     };
-    let seen = format!("only {:.0} % of the region agree with one plane (limit {limit:.0} %)", 100.0 * support);
+    let seen = format!("only {:.0} % of the region agrees with one plane (limit {limit:.0} %)", 100.0 * support);
     Some(Verdict { status, reason: format!("{seen}; {}", cause(outcome, searched, limits)) })
 }
 
-/// Whether the region has texture, but not enough of it agrees with one plane for a sure answer, or its disparities lie
-/// spread around every plane.
+/// Whether the region has texture but too little of it agrees with one plane for a confident estimate, or its disparities
+/// scatter around every plane.
 pub(super) fn is_no_plane(outcome: &ColdStartOutcome, limits: &DirectVerdictConfig) -> bool {
     let sure_min = limits.support_sure_min;
     let lacks_support = outcome.finest.textured_share >= TEXTURED_MIN && support_of(&outcome.finest) < sure_min;
@@ -167,18 +167,18 @@ fn lies_spread(outcome: &ColdStartOutcome) -> bool {
     outcome.widest.is_some_and(|widest| widest.is_spread)
 }
 
-/// What is said where another plane is nearly as good on the finest level.
+/// Reason if another plane is nearly as good on the finest level.
 fn contested(outcome: &ColdStartOutcome, limits: &DirectVerdictConfig) -> Option<String> {
     let other = outcome.contender.filter(|other| other.score_ratio > limits.alias_score_max)?;
     let gap_px = other.plane.d0_px - outcome.patch_plane.d0_px;
     Some(format!(
-        "a plane {gap_px:+.1} px of disparity away is nearly as good, with {:.0} % of the score (limit {:.0} %): the texture resembles itself",
+        "a plane {gap_px:+.1} px of disparity away is nearly as good, with {:.0} % of the score (limit {:.0} %): the texture is self-similar",
         100.0 * other.score_ratio,
         100.0 * limits.alias_score_max
     ))
 }
 
-/// The status of an outcome; `normal_sigma_rad` is the standard deviation of the answer's normal.
+/// The status of an outcome; `normal_sigma_rad` is the standard deviation of the estimated normal.
 pub(super) fn judge(
     outcome: &ColdStartOutcome,
     normal_sigma_rad: Option<f64>,
@@ -193,11 +193,8 @@ pub(super) fn judge(
     let support = support_of(finest);
     let agreeing = 100.0 * support;
     if lies_spread(outcome) {
-        let seen = "disparities lie spread around every plane, and the one that explains the most is given";
-        return say(
-            Status::Ambiguous,
-            format!("{seen} ({agreeing:.0} % of the region agree): mark a part that is flat"),
-        );
+        let seen = "the disparities scatter around every plane; the plane with the most support is reported";
+        return say(Status::Ambiguous, format!("{seen} ({agreeing:.0} % of the region agrees): mark a flat part"));
     }
     if let Some(alias) = outcome.alias.filter(|alias| alias.score_ratio > limits.alias_score_max) {
         let gap_px = alias.plane.d0_px - outcome.patch_plane.d0_px;
@@ -214,8 +211,10 @@ pub(super) fn judge(
         return say(Status::Ambiguous, reason);
     }
     if let Some(period_px) = outcome.repeats_px {
-        let seen = format!("the texture repeats every {period_px:.0} px, and only {agreeing:.0} % of the region agree");
-        let advice = "the target may lie outside the depth range: widen it (--z-range)";
+        let seen = format!(
+            "the texture repeats every {period_px:.0} px, and only {agreeing:.0} % of the region agrees with the plane"
+        );
+        let advice = "the target may be outside the depth range; widen it (--z-range)";
         return say(Status::Ambiguous, format!("{seen}: {advice}"));
     }
     let first_share = support_of(&outcome.first.patches);
@@ -223,14 +222,14 @@ pub(super) fn judge(
         return say(
             Status::Ambiguous,
             format!(
-                "two surfaces have nearly the same share of the region, {:.0} % and {:.0} %: mark one of them",
+                "two surfaces cover similar shares of the region, {:.0} % and {:.0} %: mark one of them",
                 100.0 * first_share,
                 100.0 * second.own_share
             ),
         );
     }
     let agreed = format!(
-        "{:.0} % of the region agree with the plane at a mean correlation of {:.2}",
+        "{:.0} % of the region agrees with the plane at a mean correlation of {:.2}",
         100.0 * support,
         finest.mean_correlation
     );
@@ -239,13 +238,13 @@ pub(super) fn judge(
         Some(sigma_deg) => say(
             Status::WeakTilt,
             format!(
-                "{agreed}, but the normal is known to {sigma_deg:.1} degrees only (limit {:.1})",
+                "{agreed}, but the normal has a standard deviation of {sigma_deg:.1} degrees (limit {:.1})",
                 limits.normal_sigma_max_deg
             ),
         ),
         None => say(
             Status::WeakTilt,
-            format!("{agreed}, but the tilt was not refined: too few pixels with texture, or no time"),
+            format!("{agreed}, but the tilt was not refined: too few textured pixels, or no time left"),
         ),
     }
 }

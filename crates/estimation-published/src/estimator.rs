@@ -1,11 +1,11 @@
-//! The method as published, end to end: hue model of the left image, RM-GA over planes, votes in the right image.
+//! The published method, end to end: hue model of the left image, RM-GA over planes, votes in the right image.
 //!
-//! [`PublishedEstimator`] answers one pair from nothing (cold start); [`PublishedTracker`] follows a target from frame to
-//! frame. Both take raw images of any calibrated pair: images with lens distortion are undistorted first, everything
-//! inside works on pinholes.
+//! [`PublishedEstimator`] estimates single pairs without a start value (cold start); [`PublishedTracker`] tracks a target from
+//! frame to frame. Both accept raw images of any calibrated pair. Images with lens distortion are undistorted first; all
+//! further steps use pinhole cameras.
 //!
-//! The paper gives no status. Here every answer is judged by [`crate::observability`]; a target whose pixels have no hue
-//! is not searched at all.
+//! The paper defines no status. Here [`crate::observability`] evaluates every estimate. A target whose pixels have no hue is
+//! not searched.
 
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
@@ -36,32 +36,32 @@ pub use pb3dp_estimation_core::estimate::TrackEstimate;
 pub use tracker::PublishedTracker;
 pub use tracker_config::TrackerConfig;
 
-/// The answer lies at an end of the depth range if it is this close to it, as a share of the range.
+/// An estimate this close to an end of the depth range counts as being at the end, as a share of the range.
 const END_OF_RANGE_SHARE: f64 = 0.004;
 
-/// Everything that the published method leaves open.
+/// All parameters that the published method leaves open.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PublishedConfig {
-    /// When a pixel has a hue.
+    /// Conditions under which a pixel has a hue.
     pub hue: HueConfig,
-    /// Points of the model. Default here: 600 on the target and 400 around it; fewer points cost less time and give a
-    /// rougher fitness.
+    /// Points of the model. Default here: 600 on the target and 400 around it; fewer points cost less time and give a coarser
+    /// fitness.
     pub model: PhotoModelConfig,
-    /// The votes.
+    /// Parameters of the votes.
     pub fitness: FitnessConfig,
-    /// The genetic algorithm; its `generations` are those of a frame of the tracker.
+    /// The genetic algorithm; its `generations` apply to a frame of the tracker.
     pub rmga: RmGaConfig,
-    /// Generations of a cold start.
+    /// Parameters of the cold start.
     pub cold_start: ColdStartConfig,
-    /// Regions.
+    /// Parameters of regions.
     pub region: RegionConfig,
-    /// The judgement of answers.
+    /// Limits for the evaluation of estimates.
     pub observability: ObservabilityConfig,
-    /// What a target must have to be searched at all.
+    /// Minimum requirements for a target to be searched.
     pub hue_support: HueSupportConfig,
-    /// Region tracking and loss.
+    /// Parameters of region tracking and loss.
     pub tracker: TrackerConfig,
-    /// Whether an estimate also looks up the best of all 2^24 chromosomes (about a second). Default false.
+    /// Whether an estimate also computes the best of all 2^24 chromosomes (about a second). Default false.
     pub reference_optimum: bool,
 }
 
@@ -82,7 +82,7 @@ impl Default for PublishedConfig {
     }
 }
 
-/// The search from nothing.
+/// Parameters of the search without a start value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ColdStartConfig {
     /// Generations, 1 to 100000. Default 40: the genetic algorithm reaches its optimum in 20 to 40.
@@ -95,7 +95,7 @@ impl Default for ColdStartConfig {
     }
 }
 
-/// How much of the target must have a hue.
+/// Minimum hue content of a target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HueSupportConfig {
     /// Smallest share of the target's model points that have a hue, 0 to 1. Default 0.3.
@@ -127,25 +127,25 @@ impl PublishedConfig {
         check_range("hue support coloured_share_min", share, (0.0, 1.0), "must be between 0 and 1")
     }
 
-    /// The limits for answers whose depth is known roughly from the frame before.
+    /// The limits for estimates whose depth is roughly known from the previous frame.
     fn tracked_observability(&self) -> ObservabilityConfig {
         ObservabilityConfig { depth_spread_sure: self.tracker.depth_spread_sure, ..self.observability }
     }
 
-    /// The genetic algorithm of a cold start.
+    /// Parameters of the genetic algorithm for a cold start.
     fn cold_start_rmga(&self) -> RmGaConfig {
         RmGaConfig { generations: self.cold_start.generations, ..self.rmga }
     }
 }
 
-/// The published method on single pairs.
+/// Estimator of the published method for single pairs.
 #[derive(Clone, Debug)]
 pub struct PublishedEstimator {
     core: Core,
 }
 
 impl PublishedEstimator {
-    /// An estimator for a calibrated pair, rectified or not, with lens distortion or without.
+    /// Creates an estimator for a calibrated pair, rectified or not, with or without lens distortion.
     ///
     /// # Errors
     /// A parameter out of its range.
@@ -153,7 +153,7 @@ impl PublishedEstimator {
         Ok(Self { core: Core::new(rig, config, Kernels::best())? })
     }
 
-    /// As [`Self::new`], with given kernels; the answers are the same, the speed is not.
+    /// As [`Self::new`], with the given kernels; the estimates are identical, the speed differs.
     ///
     /// # Errors
     /// A parameter out of its range.
@@ -184,12 +184,12 @@ impl PublishedEstimator {
     }
 }
 
-/// For images without lens distortion the same request gives the same answer on every machine; with distortion the undistortion may
-/// differ in last bits between system libraries.
+/// Without lens distortion the same request gives the same estimate on every machine. With distortion the undistortion may
+/// differ in the last bits between system libraries.
 impl EstimationMethod for PublishedEstimator {
     type Answer = PlaneEstimate;
 
-    /// The plane of a region of one pair of raw images, from nothing: no start value, the whole range is searched.
+    /// Estimates the plane of a region in one pair of raw images, without a start value: the whole range is searched.
     fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<PlaneEstimate, EstimationError> {
         let MarkedTarget { region, range } = request.marked()?;
         let EstimateRequest { left, right, deadline, .. } = request;
@@ -205,7 +205,7 @@ impl EstimationMethod for PublishedEstimator {
         let mut rmga = RmGa::new(rmga_config, *range)?;
         let mut population = Population::random(&rmga_config);
         let Some(found) = self.core.search(&mut rmga, &mut population, deadline)? else {
-            estimate.reason = "every hypothesis of the search range lies behind a camera: check the range".to_owned();
+            estimate.reason = "every hypothesis of the search range is behind a camera: check the range".to_owned();
             return Ok(estimate);
         };
         let landscape = self.core.survey(&found, range)?;
@@ -222,9 +222,9 @@ impl EstimationMethod for PublishedEstimator {
     }
 }
 
-/// Shared by estimator and tracker.
+/// Methods shared by estimator and tracker.
 impl Core {
-    /// An estimate that says nothing yet.
+    /// An empty estimate.
     fn blank_estimate(&self, centroid_px: nalgebra::Vector2<f64>, warnings: Vec<EstimateWarning>) -> PlaneEstimate {
         let blank = PlaneEstimate::without_pose(Status::NotObservable, String::new(), centroid_px, *self.left_camera());
         PlaneEstimate { warnings, ..blank }

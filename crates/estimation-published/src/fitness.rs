@@ -1,16 +1,16 @@
-//! The published fitness: every model point votes whether it finds its own hue in the right image (eqs (8) to (10)).
+//! The published fitness: every model point votes on whether it finds its own hue in the right image (eqs (8) to (10)).
 //!
 //! ```text
 //! inner: +2 if |H_M - H_I| <= 20 degrees, else -1         (8)
 //! outer: +0.1 if |H_M - H_I| <= 20 degrees, else -2       (9)
 //! F = (sum inner + sum outer) / (2 N_in + 0.1 N_out)      (10)
 //! ```
-//! Votes are counted in tenths, so every score is an exact integer. Addresses are rounded to the nearest pixel: in fixed
-//! point for rectified pairs, in single-precision IEEE arithmetic of a stated order for general ones. Therefore every
-//! kernel gives the same bits; which one runs is chosen by [`Kernels`].
+//! Votes are counted in tenths, so every score is an exact integer. Pixel addresses are rounded to the nearest pixel: in fixed
+//! point for rectified pairs, in single-precision IEEE arithmetic with a defined order for general ones. All kernels therefore
+//! give bit-identical results; [`Kernels`] selects one.
 //!
-//! [`HueFitness`] holds the memory; [`HueFitness::prepare`] takes one frame and gives a [`PreparedFitness`] that scores
-//! any number of hypotheses, from any number of threads.
+//! [`HueFitness`] holds the memory. [`HueFitness::prepare`] loads one frame and returns a [`PreparedFitness`], which scores any
+//! number of hypotheses from any number of threads.
 
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
@@ -30,27 +30,27 @@ use batch::{BATCH, Counts, Frame};
 use points::PointSet;
 use rectified::{MatchTable, Window};
 
-/// Largest image side that the fixed-point addresses can hold, pixels.
+/// Largest image side that the fixed-point addresses support, pixels.
 const IMAGE_SIDE_MAX_PX: u32 = 8192;
 
-/// How a point votes that lands outside the right image or on a pixel without hue. The paper does not say.
+/// Vote of a point outside the right image or on a pixel without hue. The paper does not define it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Unseen {
-    /// As a mismatch: a hypothesis gains nothing by pushing points out of the image. The default.
+    /// Counts as a mismatch: a hypothesis gains nothing by moving points out of the image. The default.
     #[default]
     Mismatch,
-    /// Not at all; the normalisation of eq. (10) stays the same.
+    /// No vote; the normalisation of eq. (10) does not change.
     Abstain,
 }
 
-/// What the paper leaves open about eqs (8) to (10).
+/// Parameters that the paper leaves open in eqs (8) to (10).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FitnessConfig {
-    /// Largest hue difference of a match, degrees of 360, 0 to 180. The paper's 20 has no unit; default 20 degrees. Hues
-    /// are stored in steps of 0.011 degrees: a difference of up to the tolerance always matches, one that exceeds it by
-    /// 0.02 degrees never does.
+    /// Largest hue difference of a match, degrees of 360, 0 to 180. The paper's 20 has no unit; default 20 degrees. Hues are
+    /// stored in steps of 0.011 degrees: a difference of up to the tolerance always matches, one larger by 0.02 degrees never
+    /// does.
     pub hue_tolerance_deg: f64,
-    /// The vote of points that see nothing.
+    /// Vote of points that are outside the image or on a pixel without hue.
     pub unseen: Unseen,
 }
 
@@ -70,7 +70,7 @@ impl FitnessConfig {
         check_range("fitness hue_tolerance_deg", self.hue_tolerance_deg, (0.0, 180.0), expected)
     }
 
-    /// The tolerance in steps of 1/65536 turn. Both hues are rounded to 1/32768 turn, so one such step is allowed for.
+    /// The tolerance in steps of 1/65536 turn. Both hues are rounded to 1/32768 turn, so the tolerance includes one such step.
     fn tolerance_steps(&self) -> u16 {
         let half_steps = (self.hue_tolerance_deg / 360.0 * 32768.0 + 1.0).floor().clamp(0.0, 16384.0);
         (half_steps as u16) << 1
@@ -84,13 +84,13 @@ pub struct Votes {
     pub inner_matches: u32,
     /// Outer points that match.
     pub outer_matches: u32,
-    /// Inner points that land on a pixel with a hue.
+    /// Inner points on a pixel with a hue.
     pub inner_seen: u32,
-    /// Outer points that land on a pixel with a hue.
+    /// Outer points on a pixel with a hue.
     pub outer_seen: u32,
 }
 
-/// Memory of the fitness, kept between frames: nothing is allocated once the largest frame has been seen.
+/// Memory of the fitness, kept between frames: nothing is allocated after the largest frame.
 #[derive(Clone, Debug)]
 pub struct HueFitness {
     config: FitnessConfig,
@@ -102,7 +102,7 @@ pub struct HueFitness {
 }
 
 impl HueFitness {
-    /// With given kernels; [`Kernels::best`] is the usual choice.
+    /// Creates a fitness with the given kernels; [`Kernels::best`] is the usual choice.
     ///
     /// # Errors
     /// A parameter out of its range.
@@ -123,11 +123,11 @@ impl HueFitness {
         &self.config
     }
 
-    /// Takes one frame: the model of the left image and the hues of the right one. Hypotheses outside `range` will be
-    /// refused.
+    /// Loads one frame: the model of the left image and the hues of the right image. Hypotheses outside `range` are rejected.
     ///
     /// # Errors
-    /// A right image whose size is not that of the calibration or exceeds 8192 pixels, a model without points, a bad range.
+    /// A right image with a size other than the calibration's or larger than 8192 pixels, a model without points, or an invalid
+    /// range.
     pub fn prepare<'a>(
         &'a mut self,
         pair: &PinholePair,
@@ -156,7 +156,7 @@ impl HueFitness {
     }
 }
 
-/// Every hue is within half a turn of every other: with this tolerance a match is a pixel that has a hue.
+/// Every hue is within half a turn of every other: with this tolerance every pixel with a hue matches.
 const SEEN_TOLERANCE: u16 = 0x8000;
 
 fn check_right_image(pair: &PinholePair, right: &HuePlane) -> Result<(), EstimationError> {
@@ -188,7 +188,7 @@ pub struct PreparedFitness<'a> {
 }
 
 impl PreparedFitness<'_> {
-    /// `F` of eq. (10) from a score; `None` for a refused hypothesis.
+    /// `F` of eq. (10) from a score; `None` for a rejected hypothesis.
     pub fn fitness(&self, score: i32) -> Option<f64> {
         (score != REFUSED).then(|| f64::from(score) / f64::from(self.score_max()))
     }
@@ -203,7 +203,7 @@ impl PreparedFitness<'_> {
         (self.memory.inner.len(), self.memory.outer.len())
     }
 
-    /// The votes of one hypothesis; `None` if it is refused. For reports and tests: it allocates, unlike
+    /// The votes of one hypothesis; `None` if it is rejected. For reports and tests: it allocates, unlike
     /// [`PlaneScore::score`].
     pub fn votes(&self, psi: &PlaneHypothesis) -> Option<Votes> {
         let (mut matches, mut seen) = (Counts::default(), Counts::default());

@@ -1,26 +1,26 @@
-//! Hue of the HSV hexagon, with an explicit gate for pixels that have none.
+//! Hue of the HSV hexagon, with an explicit gate for pixels without a hue.
 //!
-//! A hue is a 16-bit angle, 65536 steps to the full turn, so that subtraction wraps by itself: 359 degrees and 1 degree are
-//! neighbours. Its lowest bit says whether the pixel has a hue at all, which leaves steps of 0.011 degrees.
+//! A hue is a 16-bit angle, 65536 steps per turn, so subtraction wraps automatically: 359 degrees and 1 degree are neighbours.
+//! The lowest bit indicates whether the pixel has a hue, which leaves steps of 0.011 degrees.
 
 use image::RgbImage;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::wide::wide;
 
-/// Elements before and behind the pixels, so that kernels may read a whole vector at either end.
+/// Number of padding elements before and after the pixels, so that kernels may read a whole vector at either end.
 pub(crate) const PAD: usize = 64;
 
 /// Steps of [`Hue`] in a full turn.
 const STEPS_PER_TURN: f64 = 65536.0;
 
-/// When a pixel has a hue. The paper does not say; hue is noise where these are small.
+/// Conditions under which a pixel has a hue. The paper does not define them; with small values hue is noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HueConfig {
     /// Smallest saturation `(max - min) / max`, 0 to 1; applied in steps of 1/256. Default 0.08: above grey cards and lamps
-    /// (0.04), and low enough for the faint colours of real scenes, on which a gate of 0.15 loses every tenth target and
-    /// makes the others worse (exhaustive optimum on 104 planar real cases: 87 instead of 79 usable, median depth error
-    /// 2.0 % instead of 2.8 %).
+    /// (0.04), and low enough for the faint colours of real scenes. There a gate of 0.15 loses every tenth target and makes the
+    /// others worse (exhaustive optimum on 104 planar real cases: 87 instead of 79 usable, median depth error 2.0 % instead of
+    /// 2.8 %).
     pub saturation_min: f64,
     /// Smallest value `max / 255`, 0 to 1; applied in steps of 1/255. Default 0.10.
     pub value_min: f64,
@@ -42,7 +42,7 @@ impl HueConfig {
         check_range("hue value_min", self.value_min, (0.0, 1.0), "must be between 0 and 1")
     }
 
-    /// The gates as the integers that the kernels compare; numbers out of range are clamped.
+    /// The gates as integers for the kernels; values out of range are clamped.
     fn gate(&self) -> Gate {
         Gate {
             saturation_min: (self.saturation_min * 256.0).round().clamp(0.0, 256.0) as u16,
@@ -51,7 +51,7 @@ impl HueConfig {
     }
 }
 
-/// [`HueConfig`] in integers.
+/// [`HueConfig`] in integer form.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Gate {
     /// A pixel passes if `256 * (max - min) >= saturation_min * max`.
@@ -65,7 +65,7 @@ struct Gate {
 pub struct Hue(u16);
 
 impl Hue {
-    /// The nearest hue to an angle in degrees.
+    /// The hue nearest to an angle in degrees.
     pub fn from_degrees(angle_deg: f64) -> Self {
         let half_steps = (angle_deg / 360.0 * (STEPS_PER_TURN / 2.0)).round();
         Self(((half_steps.rem_euclid(STEPS_PER_TURN / 2.0) as u16) << 1) | 1)
@@ -97,7 +97,7 @@ pub struct HuePlane {
 }
 
 impl HuePlane {
-    /// The hues of an image, with the fastest kernels of this processor.
+    /// Computes the hues of an image with the fastest kernels of this processor.
     pub fn from_rgb(rgb: &RgbImage, config: &HueConfig) -> Self {
         let mut plane = Self::default();
         plane.update_from_rgb(rgb, config, Kernels::best());
@@ -125,7 +125,7 @@ impl HuePlane {
         self.height
     }
 
-    /// Hue of a pixel; `None` outside the image or where the pixel has no hue.
+    /// Hue of a pixel; `None` outside the image or if the pixel has no hue.
     pub fn at(&self, column: i32, row: i32) -> Option<Hue> {
         let (u, v) = (usize::try_from(column).ok()?, usize::try_from(row).ok()?);
         if u >= self.width || v >= self.height {
@@ -149,7 +149,7 @@ impl HuePlane {
 /// Steps of 1/32768 turn in a sixth of a turn.
 const STEPS_PER_SECTOR: f32 = 32768.0 / 6.0;
 
-/// 3 * 2^22: there, neighbouring numbers are one apart, so a sum with it is rounded to a whole number, which its lowest bits hold.
+/// 3 * 2^22: at this value adjacent floats differ by one, so adding it rounds to an integer, stored in the lowest bits.
 const ROUNDER: f32 = 12_582_912.0;
 
 wide! {
@@ -157,7 +157,7 @@ wide! {
     fn convert(rgb: &[u8], gate: Gate, out: &mut [u16]) = convert_kernel;
 }
 
-/// Pixels that are converted together: each step of the work is a loop of its own over them, which becomes a few vector instructions.
+/// Number of pixels converted together: each step is a separate loop over them, which compiles to a few vector instructions.
 const BLOCK: usize = 64;
 
 #[inline(always)]
@@ -176,8 +176,8 @@ fn convert_kernel(rgb: &[u8], gate: Gate, out: &mut [u16]) {
 
 /// Angles in the upper 15 bits and the validity bit, or 0 for a pixel without hue.
 ///
-/// The sector is that of the largest channel, red before green before blue where they are equal. One IEEE division and one
-/// multiplication in single precision, rounded to the nearest even integer, so that every kernel gives the same bits.
+/// The sector is that of the largest channel; of equal channels, red before green before blue. One IEEE division and one
+/// multiplication in single precision, rounded to the nearest even integer, so that all kernels give bit-identical results.
 #[inline(always)]
 fn convert_block(rgb: &[u8; 3 * BLOCK], gate: Gate, hues: &mut [u16; BLOCK]) {
     let [mut red, mut green, mut blue] = [[0i16; BLOCK]; 3];

@@ -1,9 +1,8 @@
-//! The method as published, for comparison: Pb3DP by hue and a real-time multi-step genetic algorithm.
+//! The published method, for comparison: Pb3DP with hue and a real-time multi-step genetic algorithm.
 //!
-//! A [photo model](photo_model) is taken from the left image, a
-//! [plane hypothesis](pb3dp_estimation_core::plane_hypothesis) puts it on a plane in space, the plane's homography puts it into
-//! the right image, and the [fitness] counts how many points find their own hue there. A [search] finds the hypothesis with the
-//! highest fitness; [`observability`] judges it.
+//! A [photo model](photo_model) is sampled from the left image. A [plane hypothesis](pb3dp_estimation_core::plane_hypothesis)
+//! places it on a plane in space, and the plane's homography projects it into the right image. The [fitness] counts the points
+//! that find their own hue there. A [search] finds the hypothesis with the highest fitness; [`observability`] evaluates it.
 
 pub mod estimator;
 pub mod fitness;

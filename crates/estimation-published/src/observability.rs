@@ -1,19 +1,19 @@
-//! Whether the images determine the answer: a look at the landscape of the score around and away from it.
+//! Observability of an estimate: evaluates the fitness landscape near and far from the estimate.
 //!
-//! A high fitness is not knowledge: on a target of one hue before a background of the same hue every hypothesis scores 1.
-//! So the answer is judged by what else scores as well, and by how far the summit moves when other points had been
-//! sampled:
+//! A high fitness does not prove an estimate: on a target of one hue in front of a background of the same hue every hypothesis
+//! scores 1. The estimate is therefore evaluated by its rivals with a similar score, and by the motion of the maximum if other
+//! points had been sampled:
 //!
-//! 1. The score is taken on a coarse grid over the whole search range and on a fine grid around the answer.
-//! 2. The model's points are cut into square blocks. Each of a number of resamples draws as many blocks as there are,
-//!    with replacement (a block bootstrap: neighbouring points are not independent), and finds the hypotheses whose
-//!    fitness is highest within a small tolerance.
-//! 3. The rms deviation of these summits from the answer, over all resamples, is the *spread*: of depth (relative) and of
-//!    the normal (angle). A flat landscape gives a spread as wide as the search range, a rough or lopsided one a spread
-//!    that measures how much the answer owes to chance.
+//! 1. The score is computed on a coarse grid over the whole search range and on a fine grid around the estimate.
+//! 2. The model's points are divided into square blocks. Each resample draws as many blocks as there are, with replacement (a
+//!    block bootstrap: neighbouring points are not independent), and finds the hypotheses whose fitness is highest within a
+//!    small tolerance.
+//! 3. The rms deviation of these maxima from the estimate, over all resamples, is the *spread*: of depth (relative) and of the
+//!    normal (angle). A flat landscape gives a spread as wide as the search range; a rough or asymmetric one gives a spread
+//!    that measures the influence of chance on the estimate.
 //!
-//! The probe is deterministic and knows nothing of the truth; its limits are parameters of [`ObservabilityConfig`]. It
-//! does not see a bias that all points share (a wrong calibration, relief), so the spreads are not given out as standard
+//! The probe is deterministic and does not know the ground truth; its limits are parameters of [`ObservabilityConfig`]. It
+//! cannot detect a bias common to all points (a wrong calibration, relief). The spreads are therefore not reported as standard
 //! deviations.
 
 use nalgebra::Vector3;
@@ -25,25 +25,25 @@ use pb3dp_estimation_core::trig;
 
 use crate::search::{PlaneScore, REFUSED};
 
-/// Nodes of the fine grid on either side of the answer, in depth and in each tilt; beside a coarse grid, and alone.
+/// Nodes of the fine grid on either side of the estimate, in depth and in each tilt: with a coarse grid, and alone.
 const FINE_HALF: i32 = 6;
 const FINE_HALF_ALONE: i32 = 4;
 
-/// An answer nearer than this to an end of the search range, as a share of the depth, may be the foot of a summit outside.
+/// Smallest distance of an estimate from an end of the search range, as a share of the depth. A closer estimate may be the
+/// slope of a maximum outside the range.
 const END_OF_RANGE_ROOM: f64 = 0.005;
 
-/// Bands of disparity in which rivals are looked for.
+/// Number of disparity bands in which rivals are searched.
 const RIVAL_BANDS: usize = 8;
-/// Steps of the climb to the summit of a rival.
+/// Largest number of steps of the climb to a rival's maximum.
 const CLIMB_STEPS_MAX: usize = 16;
 
-/// Grids and limits of the probe.
+/// Grids and limits of the observability probe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ObservabilityConfig {
-    /// Step of the coarse grid in disparity at the model's centre, pixels, 0.1 to 20; the fine grid's is half of it.
-    /// Default 1.
+    /// Step of the coarse grid in disparity at the model's centre, pixels, 0.1 to 20; the fine grid has half of it. Default 1.
     pub disparity_step_px: f64,
-    /// Most depths of the coarse grid, 8 to 1024; wide ranges are sampled coarser. Default 96.
+    /// Largest number of depths of the coarse grid, 8 to 1024; wide ranges are sampled more coarsely. Default 96.
     pub depth_nodes_max: usize,
     /// Largest tilt step of the coarse grid, radians. Default 15 degrees.
     pub coarse_tilt_step_rad: f64,
@@ -53,23 +53,24 @@ pub struct ObservabilityConfig {
     pub blocks_per_side: u32,
     /// Number of resamples, 4 to 1000. Default 24.
     pub resamples: usize,
-    /// Number of hypotheses that take part in the resamples, the best of the grids, 100 to 100000. Default 1000.
+    /// Number of hypotheses used in the resamples, the best of the grids, 100 to 100000. Default 1000.
     pub candidates_max: usize,
-    /// Hypotheses whose fitness is lower than a resample's highest by at most this share together with it. Default 0.01.
+    /// Hypotheses whose fitness is lower than a resample's highest by at most this count as equal to it. Default 0.01.
     pub fitness_tolerance: f64,
-    /// Not observable if the summit stands less than this above the median of the coarse grid. Default 0.1.
+    /// Smallest height of the maximum above the median of the coarse grid; below: not observable. Default 0.1.
     pub height_min: f64,
-    /// Not observable if the spread of depth is larger than this share of the depth. Default 0.05.
+    /// Largest spread of the depth, as a share of the depth; above: not observable. Default 0.05.
     pub depth_spread_max: f64,
-    /// Ambiguous if the spread of depth is larger than this share of the depth. Default 0.008: on real scenes nearly all
-    /// depths below it were within 1 %.
+    /// Spread of the depth, as a share of the depth, above which the estimate is ambiguous. Default 0.008: on real scenes
+    /// nearly all depths below it were within 1 %.
     pub depth_spread_sure: f64,
-    /// Ambiguous if a depth farther away than `depth_spread_max` reaches this share of the summit's height. Default 0.85.
+    /// Share of the maximum's height that a depth farther away than `depth_spread_max` may reach; above: ambiguous. Default
+    /// 0.85.
     pub runner_up_max: f64,
-    /// Ambiguous if the fitness of the answer is below this, 0 to 1: votes for and against nearly balance. A high fitness
-    /// proves nothing, a low one does. Below zero: not observable. Default 0.35.
+    /// Fitness below which the estimate is ambiguous, 0 to 1: positive and negative votes nearly balance. A high fitness proves
+    /// nothing, but a low one does. Below zero: not observable. Default 0.35.
     pub fitness_sure: f64,
-    /// Weak tilt if the spread of the normal is larger than this, radians. Default 6 degrees.
+    /// Spread of the normal above which the tilt is weak, radians. Default 6 degrees.
     pub tilt_spread_sure_rad: f64,
 }
 
@@ -121,14 +122,14 @@ impl ObservabilityConfig {
 }
 
 impl ObservabilityConfig {
-    /// The status that the spreads of depth (relative) and normal (radians) near the answer allow, and why. It cannot see
-    /// other peaks.
+    /// The status that follows from the spreads of depth (relative) and normal (radians) near the estimate, with its reason. It
+    /// does not consider other peaks.
     pub fn verdict_nearby(&self, (depth_spread, tilt_spread_rad): (f64, f64)) -> Verdict {
         let (status, reason) = if depth_spread > self.depth_spread_sure {
             (Status::Ambiguous, depth_reason(depth_spread, self.depth_spread_sure))
         } else if tilt_spread_rad > self.tilt_spread_sure_rad {
             let (spread_deg, limit_deg) = (tilt_spread_rad.to_degrees(), self.tilt_spread_sure_rad.to_degrees());
-            let reason = format!("the normal is determined to {spread_deg:.1} degrees only (limit {limit_deg:.1})");
+            let reason = format!("the normal varies by {spread_deg:.1} degrees when resampled (limit {limit_deg:.1})");
             (Status::WeakTilt, reason)
         } else {
             let (percent, degrees) = (100.0 * depth_spread, tilt_spread_rad.to_degrees());
@@ -139,39 +140,39 @@ impl ObservabilityConfig {
 }
 
 fn depth_reason(spread: f64, limit: f64) -> String {
-    format!("the depth is determined to {:.2} % only (limit {:.2} %)", 100.0 * spread, 100.0 * limit)
+    format!("the depth varies by {:.2} % when resampled (limit {:.2} %)", 100.0 * spread, 100.0 * limit)
 }
 
-/// A score and the highest value that it can reach.
+/// A score and its highest possible value.
 #[derive(Clone, Copy, Debug)]
 pub struct Scored<S> {
     /// The score.
     pub score: S,
-    /// Its highest possible value: score over this is the fitness.
+    /// Highest possible value; the fitness is the score divided by it.
     pub score_max: i32,
 }
 
-/// What the probe found.
+/// Result of the probe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Landscape {
     /// Number of hypotheses that were scored.
     pub hypotheses: usize,
-    /// Highest fitness among them, the answer included.
+    /// Highest fitness among them, including the estimate.
     pub fitness_highest: f64,
     /// Median fitness of the coarse grid.
     pub fitness_median: f64,
-    /// Best hypothesis whose depth differs from the answer's by more than `depth_spread_max`, and its fitness.
+    /// Best hypothesis whose depth differs from the estimate's by more than `depth_spread_max`, and its fitness.
     pub runner_up: Option<(PlaneHypothesis, f64)>,
     /// Spread of the depth, as a share of the depth.
     pub depth_spread: f64,
     /// Spread of the normal, radians.
     pub tilt_spread_rad: f64,
-    /// Room between the answer and the nearer and the farther end of the search range, as shares of the depth.
+    /// Distance from the estimate to the near and to the far end of the search range, as shares of the depth.
     pub range_room: (f64, f64),
 }
 
 impl Landscape {
-    /// The status that these figures allow, and why.
+    /// The status that follows from these numbers, with its reason.
     pub fn verdict(&self, config: &ObservabilityConfig) -> Verdict {
         let height = self.fitness_highest - self.fitness_median;
         if height < config.height_min {
@@ -206,7 +207,7 @@ impl Landscape {
     fn narrow_reason(&self, config: &ObservabilityConfig) -> String {
         let (near, far) = self.range_room;
         format!(
-            "the search range leaves {:.1} % of the depth before and {:.1} % behind the answer: the target may lie outside; widen the range (at least {:.1} and together {:.0} % are needed)",
+            "the search range extends only {:.1} % of the depth before and {:.1} % behind the estimate: the target may be outside it; widen the range (each side needs {:.1} %, both together {:.0} %)",
             100.0 * near,
             100.0 * far,
             100.0 * END_OF_RANGE_ROOM,
@@ -216,18 +217,18 @@ impl Landscape {
 
     fn flat_reason(&self, height: f64, config: &ObservabilityConfig) -> String {
         format!(
-            "the fitness is flat: its summit {:.3} stands {height:.3} above the median of the search range (limit {:.2}); target and background may share their hue",
+            "the fitness is flat: its peak {:.3} is {height:.3} above the median of the search range (limit {:.2}); target and background may have the same hue",
             self.fitness_highest, config.height_min
         )
     }
 }
 
-/// Where the probe looks.
+/// Input of the probe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProbeTarget {
-    /// The answer to judge.
+    /// The estimate to evaluate.
     pub answer: PlaneHypothesis,
-    /// What was searched.
+    /// The searched range.
     pub range: SearchRange,
     /// Focal length times baseline, pixel metres: disparity = this / depth.
     pub focal_baseline_px_m: f64,
@@ -241,7 +242,7 @@ pub struct LandscapeProbe {
     whole: Vec<i32>,
     /// Scores of the blocks, one row per block.
     blocks: Vec<i32>,
-    /// Squared deviations from the answer: relative depth, angle of the normal.
+    /// Squared deviations from the estimate: relative depth, angle of the normal.
     deviations: Vec<(f64, f64)>,
     sums: Vec<i32>,
 }
@@ -262,7 +263,7 @@ impl LandscapeProbe {
         &self.config
     }
 
-    /// Surveys the whole search range and the surroundings of the answer. `blocks` are the scores of disjoint parts of the
+    /// Surveys the whole search range and the neighbourhood of the estimate. `blocks` are the scores of disjoint parts of the
     /// points of `whole`.
     pub fn survey<S: PlaneScore>(
         &mut self,
@@ -303,7 +304,7 @@ impl LandscapeProbe {
         }
     }
 
-    /// As [`Self::survey`], but of the fine grid alone: cheap enough for every frame of a tracker, blind to other peaks.
+    /// As [`Self::survey`], on the fine grid only: fast enough for every frame of a tracker, but it misses other peaks.
     pub fn survey_nearby<S: PlaneScore>(
         &mut self,
         whole: &Scored<S>,
@@ -318,7 +319,7 @@ impl LandscapeProbe {
         self.spreads(blocks)
     }
 
-    /// Depths evenly spaced in disparity, tilts evenly spaced in angle.
+    /// Adds hypotheses with depths equidistant in disparity and tilts equidistant in angle.
     fn add_coarse_grid(&mut self, target: &ProbeTarget) {
         let range = &target.range;
         let (far, near) = (target.focal_baseline_px_m / range.z_max_m, target.focal_baseline_px_m / range.z_min_m);
@@ -363,7 +364,7 @@ impl LandscapeProbe {
         }
     }
 
-    /// Scores all hypotheses and drops those that cannot be scored; returns how many of the first `coarse` remain.
+    /// Scores all hypotheses and removes those that cannot be scored; returns how many of the first `coarse` remain.
     fn score_whole<S: PlaneScore>(&mut self, score: &S, coarse: usize) -> usize {
         self.whole.clear();
         self.whole.resize(self.hypotheses.len(), REFUSED);
@@ -383,8 +384,8 @@ impl LandscapeProbe {
         coarse_kept
     }
 
-    /// Keeps the hypotheses that may win a resample: about the best `candidates_max`. Of a plateau that is larger than that,
-    /// an even selection.
+    /// Keeps the hypotheses that may win a resample: about the best `candidates_max`. From a larger plateau it takes a uniform
+    /// selection.
     fn keep_candidates(&mut self) {
         let (total, wanted) = (self.whole.len(), self.config.candidates_max);
         if total <= wanted {
@@ -396,7 +397,7 @@ impl LandscapeProbe {
         let (mut kept, mut seen) = (0, 0);
         for i in 0..total {
             if self.whole[i] >= threshold {
-                // Bresenham's rule: `wanted` of `reaching`, evenly spread.
+                // Bresenham's rule: `wanted` of `reaching`, uniformly distributed.
                 if (seen + 1) * wanted / reaching > seen * wanted / reaching {
                     self.hypotheses[kept] = self.hypotheses[i];
                     kept += 1;
@@ -417,7 +418,7 @@ impl LandscapeProbe {
         }));
     }
 
-    /// The best hypothesis far from the answer in depth: of every band of disparities the best one climbs to its summit.
+    /// The best hypothesis far from the estimate in depth: in every band of disparities, the best one climbs to its maximum.
     fn runner_up<S: PlaneScore>(&self, score: &S, target: &ProbeTarget) -> Option<(PlaneHypothesis, i32)> {
         let far = self.config.depth_spread_max * self.config.depth_spread_max;
         let mut starts: [Option<usize>; RIVAL_BANDS] = [None; RIVAL_BANDS];
@@ -434,8 +435,8 @@ impl LandscapeProbe {
         summits.max_by_key(|(_, score)| *score)
     }
 
-    /// The summit near a hypothesis of the coarse grid, which seldom meets a narrow peak itself: the best of the 26
-    /// neighbours again and again, with steps that are halved where none is better. Stays far from the answer in depth.
+    /// The maximum near a hypothesis of the coarse grid, which rarely hits a narrow peak itself: repeatedly the best of the 26
+    /// neighbours, with steps halved if none is better. Stays far from the estimate in depth.
     fn climb<S: PlaneScore>(
         &self,
         score: &S,
@@ -470,7 +471,7 @@ impl LandscapeProbe {
         best
     }
 
-    /// Rms deviation of the resampled summits from the answer: relative depth, and angle of the normal in radians.
+    /// Rms deviation of the resampled maxima from the estimate: relative depth, and angle of the normal in radians.
     fn spreads<S: PlaneScore>(&mut self, blocks: &[Scored<S>]) -> (f64, f64) {
         let n = self.hypotheses.len();
         if n == 0 || blocks.is_empty() {
@@ -493,7 +494,7 @@ impl LandscapeProbe {
         ((depth / resamples).sqrt(), (angle / resamples).sqrt())
     }
 
-    /// Draws blocks with replacement and adds up their scores; returns the highest possible sum.
+    /// Draws blocks with replacement and adds their scores; returns the highest possible sum.
     fn resample<S>(&mut self, blocks: &[Scored<S>], rng: &mut SplitMix64) -> i32 {
         let n = self.hypotheses.len();
         self.sums.clear();

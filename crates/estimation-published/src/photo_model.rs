@@ -1,10 +1,10 @@
-//! The photo model: sample points of the left image, each with its hue, on the target and in a band around it.
+//! The photo model: sample points of the left image with their hues, on the target and in a band around it.
 //!
-//! No prior data is needed; the model can be made again in every frame. The paper leaves counts, spacing and the band open:
-//! they are parameters here. Points stand on a regular grid whose spacing follows from the area and the wanted count, so
-//! the count is met approximately (within 15 % for compact regions; a region with fewer pixels gives one point per pixel).
-//! A grid point whose pixel has no hue (see [`HueConfig`](crate::hue::HueConfig)) is left out: it neither votes nor counts
-//! in the fitness' normalisation.
+//! No prior data is needed; the model can be rebuilt in every frame. The paper leaves counts, spacing and the band open; here
+//! they are parameters. The points are on a regular grid whose spacing follows from the area and the wanted count, so the count
+//! is approximate (within 15 % for compact regions; a region with fewer pixels gives one point per pixel). A grid point whose
+//! pixel has no hue (see [`HueConfig`](crate::hue::HueConfig)) is dropped: it neither votes nor counts in the fitness'
+//! normalisation.
 
 use nalgebra::Vector2;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
@@ -12,17 +12,17 @@ use pb3dp_estimation_core::region::RegionMask;
 
 use crate::hue::{Hue, HuePlane};
 
-/// Counts and band of a photo model.
+/// Point counts and band of a photo model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PhotoModelConfig {
     /// Wanted number of points on the target, 1 to 20000. Default 240.
     pub inner_points: u32,
     /// Wanted number of points in the band, 0 (no band) to 20000. Default 80.
     pub outer_points: u32,
-    /// Grid points of either set are never closer to each other than this, pixels, 1 to 100. Default 1. With counts that are
-    /// out of reach, this alone sets the spacing.
+    /// Smallest distance between grid points of either set, pixels, 1 to 100. Default 1. If the counts cannot be reached, this
+    /// parameter alone determines the spacing.
     pub spacing_min_px: u32,
-    /// Distance between the region and the band, pixels, 0 to 200: keeps the blurred outline out. Default 2.
+    /// Distance between the region and the band, pixels, 0 to 200: excludes the blurred outline. Default 2.
     pub band_gap_px: u32,
     /// Width of the band, pixels, 1 to 200. Default 8.
     pub band_width_px: u32,
@@ -70,7 +70,7 @@ pub struct PhotoModel {
     outer_sampled: usize,
 }
 
-/// Work space of [`PhotoModel::resample`], kept between frames so that nothing is allocated.
+/// Work space of [`PhotoModel::resample`], kept between frames to avoid allocation.
 #[derive(Clone, Debug)]
 pub struct PhotoModelScratch {
     near: RegionMask,
@@ -85,14 +85,14 @@ impl Default for PhotoModelScratch {
 }
 
 impl PhotoModel {
-    /// The model of `region` in the left image whose hues are `hue`. Empty if the region is empty.
+    /// Samples the model of `region` in the left image with the hues `hue`. Empty if the region is empty.
     pub fn sample(hue: &HuePlane, region: &RegionMask, config: &PhotoModelConfig) -> Self {
         let mut model = Self::default();
         model.resample(hue, region, config, &mut PhotoModelScratch::default());
         model
     }
 
-    /// Makes the model anew in the memory of the old one.
+    /// Rebuilds the model in its existing memory.
     pub fn resample(
         &mut self,
         hue: &HuePlane,
@@ -118,23 +118,23 @@ impl PhotoModel {
         self.outer_sampled = outer_grid.sample(&scratch.far, |u, v| near.contains(u, v), hue, &mut self.outer);
     }
 
-    /// A model from given points, for callers that choose the points themselves.
+    /// A model from given points, for callers that select the points themselves.
     pub fn from_points(centre_px: Vector2<f64>, inner: Vec<ModelPoint>, outer: Vec<ModelPoint>) -> Self {
         let (inner_sampled, outer_sampled) = (inner.len(), outer.len());
         Self { centre_px, inner, outer, inner_sampled, outer_sampled }
     }
 
-    /// The model's centre: mean of the region's pixels, left image.
+    /// The model's centre: centroid of the region's pixels in the left image.
     pub fn centre_px(&self) -> Vector2<f64> {
         self.centre_px
     }
 
-    /// Points on the target that have a hue, row by row.
+    /// Points on the target with a hue, row by row.
     pub fn inner(&self) -> &[ModelPoint] {
         &self.inner
     }
 
-    /// Points in the band that have a hue, row by row.
+    /// Points in the band with a hue, row by row.
     pub fn outer(&self) -> &[ModelPoint] {
         &self.outer
     }
@@ -149,27 +149,27 @@ impl PhotoModel {
         self.outer_sampled
     }
 
-    /// Share of the target's grid points that have a hue, 0 to 1; 0 for an empty model. Low on grey targets, where this
-    /// method cannot work.
+    /// Share of the target's grid points with a hue, 0 to 1; 0 for an empty model. It is low on grey targets, for which this
+    /// method does not work.
     pub fn coloured_share(&self) -> f64 {
         self.inner.len() as f64 / self.inner_sampled.max(1) as f64
     }
 }
 
-/// Regular grid through the pixel next to the centre.
+/// Regular grid through the pixel nearest to the centre.
 struct Grid {
     origin: (i32, i32),
     spacing_px: f64,
 }
 
 impl Grid {
-    /// One point per `area_px / points`, but never closer than `spacing_min_px`, nor than one pixel.
+    /// One point per `area_px / points`, with a spacing of at least `spacing_min_px` and at least one pixel.
     fn new(centre_px: Vector2<f64>, area_px: usize, points: u32, spacing_min_px: u32) -> Self {
         let spacing_px = (area_px as f64 / f64::from(points.max(1))).sqrt().max(f64::from(spacing_min_px.max(1)));
         Self { origin: (centre_px.x.round() as i32, centre_px.y.round() as i32), spacing_px }
     }
 
-    /// Appends the grid points inside `mask` that are not excluded and have a hue; returns how many there were with or
+    /// Appends the grid points inside `mask` that are not excluded and have a hue; returns the number of grid points with or
     /// without hue.
     fn sample(
         &self,

@@ -7,7 +7,7 @@ use crate::hue::HueConfig;
 
 const SIZE: ImageSize = ImageSize { width: 200, height: 160 };
 
-/// Hue rises with the column; grey below row 120.
+/// The hue increases with the column; grey below row 120.
 fn left_image() -> HuePlane {
     let image =
         RgbImage::from_fn(
@@ -27,7 +27,7 @@ fn disc(u: i32, v: i32, radius: i32) -> RegionMask {
     })
 }
 
-/// Distance to the nearest pixel of the mask, by looking at all of them.
+/// Distance to the nearest pixel of the mask, by exhaustive search.
 fn distance_px(mask: &RegionMask, point: &ModelPoint) -> f64 {
     let mut nearest = f64::INFINITY;
     mask.for_each(|x, y| {
@@ -135,7 +135,7 @@ proptest! {
         let mut reused = PhotoModel::sample(&hue, &disc(60, 60, 33), &PhotoModelConfig::default());
         reused.resample(&hue, &region, &config, &mut PhotoModelScratch::default());
         prop_assert_eq!(&fresh, &reused);
-        // Rows are evenly spaced to within the rounding to pixels.
+        // Rows are equidistant up to rounding to pixels.
         let mut rows: Vec<i32> = fresh.inner().iter().map(|p| p.v).collect();
         rows.dedup();
         let gaps: Vec<i32> = rows.windows(2).map(|pair| pair[1] - pair[0]).collect();

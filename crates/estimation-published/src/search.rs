@@ -1,7 +1,7 @@
-//! Searches for the plane with the highest score.
+//! Search for the plane with the highest score.
 //!
-//! [`rmga`] is the paper's genetic algorithm, [`exhaustive`] visits every chromosome and so separates the error of a search
-//! from the error of what it maximises. Both work on any [`PlaneScore`].
+//! [`rmga`] is the paper's genetic algorithm. [`exhaustive`] evaluates every chromosome, which separates the error of a search
+//! from the error of the score. Both work with any [`PlaneScore`].
 
 pub mod chromosome;
 pub mod exhaustive;
@@ -9,14 +9,15 @@ pub mod rmga;
 
 use pb3dp_estimation_core::plane_hypothesis::PlaneHypothesis;
 
-/// Score of a hypothesis that cannot be scored: a point behind a camera, a tilt out of range. Less than every real score.
+/// Score of a hypothesis that cannot be scored, because a point is behind a camera or the tilt is out of range. Less than every
+/// real score.
 pub const REFUSED: i32 = i32::MIN;
 
-/// Something that can be maximised over planes. Integer scores, so that every machine ranks alike.
+/// A score that can be maximised over planes. Scores are integers, so that every machine ranks equally.
 pub trait PlaneScore {
-    /// Writes the score of each hypothesis, larger is better, [`REFUSED`] for those that cannot be scored.
+    /// Writes the score of each hypothesis; larger is better, and [`REFUSED`] marks those that cannot be scored.
     ///
-    /// The result for a hypothesis depends on that hypothesis alone, not on its place in the batch. Does not allocate.
-    /// Both slices have the same length; what exceeds the shorter one is left alone.
+    /// The result for a hypothesis depends on this hypothesis only, not on its position in the batch. Does not allocate. Both
+    /// slices have the same length; elements beyond the shorter one are not changed.
     fn score(&self, hypotheses: &[PlaneHypothesis], scores: &mut [i32]);
 }

@@ -1,14 +1,14 @@
-//! The published fitness, written down point by point: the reference for correctness and for speed.
+//! The published fitness, implemented point by point: the reference for correctness and for speed.
 //!
-//! Double precision, hue by the textbook formula at every sample, a branch for every case. Nothing of the estimators is
-//! used, so agreement means something; the time it takes is what their kernels are compared with.
+//! Double precision, hue by the textbook formula at every sample, a branch for every case. No code of the estimators is used, so
+//! agreement is meaningful; its run time is the baseline for their kernels.
 #![allow(clippy::expect_used, reason = "support code of tests, with inputs that are valid")]
 
 use image::RgbImage;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use pb3dp_geometry::StereoRig;
 
-/// The paper's 20.
+/// The value 20 of the paper.
 const TOLERANCE_DEG: f64 = 20.0;
 
 /// A model point: left pixel and hue in degrees.
@@ -48,7 +48,7 @@ pub struct Naive<'a> {
     pub value_min: f64,
 }
 
-/// A plane and the rig, as the projection needs them.
+/// A plane and the rig, in the form needed by the projection.
 struct Plane {
     normal: Vector3<f64>,
     distance_m: f64,
@@ -70,8 +70,8 @@ impl Naive<'_> {
         sum / (2.0 * self.inner.len() as f64 + 0.1 * self.outer.len() as f64)
     }
 
-    /// Fewest and most matches of inner and of outer points, if every address may be off by `slack_px` and hue differences of
-    /// up to 20.02 degrees may pass for 20.
+    /// Minimum and maximum number of matches of inner and of outer points, if every pixel address may deviate by `slack_px` and
+    /// hue differences of up to 20.02 degrees may count as 20.
     #[allow(dead_code, reason = "the speed example needs the fitness alone")]
     pub fn match_bounds(&self, z_m: f64, theta_x_rad: f64, theta_y_rad: f64, slack_px: f64) -> [(u32, u32); 2] {
         let plane = self.plane(z_m, theta_x_rad, theta_y_rad);
@@ -107,7 +107,7 @@ impl Naive<'_> {
         Vector3::new((u - k.cx) / k.fx, (v - k.cy) / k.fy, 1.0)
     }
 
-    /// Inverse projection on the plane and re-projection; `None` behind a camera.
+    /// Inverse projection onto the plane and re-projection; `None` behind a camera.
     fn project(&self, plane: &Plane, point: &Point) -> Option<Vector2<f64>> {
         let ray = self.left_ray(point.u, point.v);
         let depth_m = plane.distance_m / plane.normal.dot(&ray);

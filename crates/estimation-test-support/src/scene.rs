@@ -1,6 +1,6 @@
-//! Synthetic stereo pairs for tests and benchmarks: a coloured disc on a tilted plane before a coloured panel.
+//! Synthetic stereo pairs for tests and benchmarks: a coloured disc on a tilted plane in front of a coloured panel.
 //!
-//! Both images are ray cast from the scene, pixel by pixel, with nothing of the estimators: neither the homography nor the
+//! Both images are ray cast from the scene, pixel by pixel, without code of the estimators: neither the homography nor the
 //! inverse-depth plane is used here.
 #![allow(clippy::expect_used, reason = "support code of tests, with inputs that are valid")]
 
@@ -14,7 +14,7 @@ pub const DISC_RADIUS_M: f64 = 0.055;
 /// Distance of the panel behind the disc's plane, metres.
 const PANEL_BEHIND_M: f64 = 0.03;
 
-/// Where the disc stands: depth on the ray of the centre pixel and tilts, as `normal = Ry Rx e_z`.
+/// Pose of the disc: depth on the ray of the centre pixel and tilts, as `normal = Ry Rx e_z`.
 #[derive(Clone, Copy, Debug)]
 pub struct Scene {
     /// Centre of the disc in the left image.
@@ -25,7 +25,7 @@ pub struct Scene {
     pub theta_x_rad: f64,
     /// Tilt about y, radians.
     pub theta_y_rad: f64,
-    /// Largest noise of a channel, grey levels.
+    /// Maximum noise of a channel, grey levels.
     pub noise: f64,
 }
 
@@ -38,7 +38,7 @@ pub fn rectified_rig(size: ImageSize) -> StereoRig {
     rig(size, left, right, Pose::from_translation(Vector3::new(-0.1, 0.0, 0.0)))
 }
 
-/// A rig with nothing in common between its eyes: rotated right camera, unequal intrinsics, baseline not along x.
+/// A rig with different cameras: rotated right camera, unequal intrinsics, baseline not along x.
 pub fn general_rig(size: ImageSize) -> StereoRig {
     let (w, h) = (f64::from(size.width) / 640.0, f64::from(size.height) / 480.0);
     let left = Pinhole { fx: 740.0 * w, fy: 755.0 * h, cx: 310.0 * w, cy: 250.0 * h };
@@ -78,13 +78,13 @@ impl Scene {
         Point3::from(self.centre_in_cam_left(rig) + x * along_x_m + y * along_y_m)
     }
 
-    /// Whether a left pixel sees the disc.
+    /// Whether the disc is visible at a left pixel.
     pub fn sees_disc(&self, rig: &StereoRig, u: u32, v: u32) -> bool {
         let ray = rig.left().unproject(&Vector2::new(f64::from(u), f64::from(v))).expect("ray");
         self.disc_coordinates(rig, &Vector3::zeros(), &ray, 0.0).norm() <= DISC_RADIUS_M
     }
 
-    /// Where a ray (in `cam_left`) meets the plane that lies `behind_m` behind the disc, in the disc's coordinates.
+    /// Intersection of a ray (in `cam_left`) with the plane `behind_m` behind the disc, in the disc's coordinates.
     fn disc_coordinates(&self, rig: &StereoRig, eye: &Vector3<f64>, ray: &Vector3<f64>, behind_m: f64) -> Vector2<f64> {
         let [x, y, normal] = self.axes();
         let centre = self.centre_in_cam_left(rig) + normal * behind_m;
@@ -153,12 +153,12 @@ fn hsv(hue: f64, saturation: f64, value: f64) -> [f64; 3] {
     [channel(5.0), channel(3.0), channel(1.0)]
 }
 
-/// A number in 0..1 that depends on `n` alone: the one at place `n`, from 1, after the seed 0.
+/// A number in 0..1 that depends only on `n`: number `n`, from 1, of the sequence with the seed 0.
 fn unit_hash(n: u64) -> f64 {
     SplitMix64::new(n.wrapping_sub(1).wrapping_mul(0x9E37_79B9_7F4A_7C15)).unit()
 }
 
-/// Bits that depend on a place of a lattice and on a seed alone.
+/// Bits that depend only on a lattice position and a seed.
 pub fn lattice_hash(x: u32, y: u32, seed: u32) -> u32 {
     let h = x.wrapping_mul(0x9E37_79B1) ^ y.wrapping_mul(0x85EB_CA77) ^ seed.wrapping_mul(0xC2B2_AE3D);
     let h = (h ^ (h >> 15)).wrapping_mul(0x2C1B_3C6D);

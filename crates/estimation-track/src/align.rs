@@ -1,4 +1,4 @@
-//! Gauss-Newton from coarse to fine: the pose at which a kept view explains both images.
+//! Gauss-Newton alignment from coarse to fine: estimates the pose at which a stored view explains both images.
 
 use nalgebra::{Isometry3, Vector6};
 use pb3dp_estimation_core::cpu::Kernels;
@@ -15,34 +15,37 @@ use super::surface::Surface;
 use super::view::View;
 use crate::kernels::Correlation;
 
-/// Variance that residuals start with before anything is known, grey levels squared: small starts reject everything where the cameras
-/// differ in gain. Chosen, 40 squared; no sweep is on record.
+/// Initial variance of the residuals, squared grey levels: small initial values reject everything if the cameras differ in
+/// gain. Chosen, 40 squared; no sweep is on record.
 const VARIANCE_START: f32 = 1600.0;
-/// Smallest variance, grey levels squared: below, quantisation counts (1/12 for each of two images). Chosen; no sweep is on record.
+/// Smallest variance, squared grey levels: below it, quantisation dominates (1/12 for each of two images). Chosen; no sweep is
+/// on record.
 const VARIANCE_MIN: f32 = 0.5;
-/// What the robust weights take off the variance of normal residuals. Chosen; by chi-squared of three it is 1.18 at `kernels::TUKEY`.
+/// Factor by which the robust weights reduce the variance of normal residuals. Chosen; by chi-squared of three it is 1.18 at
+/// `kernels::TUKEY`.
 const TUKEY_LOSS: f32 = 1.25;
-/// A level is done when a step moves the points by less, pixels of that level. Chosen; no sweep is on record.
+/// A level has converged when a step moves the points by less than this, pixels of that level. Chosen; no sweep is on record.
 const STEP_DONE_PX: [f64; LEVELS] = [0.012, 0.05, 0.1, 0.15];
-/// Rounds in which weights and variances find each other, in each step. Chosen; no sweep is on record.
+/// Number of rounds in which weights and variances are updated alternately, in each step. Chosen; no sweep is on record.
 const SCALE_ROUNDS: usize = 3;
-/// A view resembles the images from this correlation on, by level. Chosen; no sweep is on record.
+/// Smallest correlation at which a view matches the images, by level. Chosen; no sweep is on record.
 const RESEMBLANCE_MIN: [f64; LEVELS] = [0.75, 0.7, 0.6, 0.0];
-/// Fewer points in sight than this determine nothing. Chosen; no sweep is on record.
+/// Smallest number of visible points for an alignment. Chosen; no sweep is on record.
 const POINTS_MIN: f32 = 24.0;
-/// Standard deviations of a motion between frames that is not believed in at all: metres and radians. Chosen; no sweep is on record.
+/// Prior standard deviations of the motion between frames: metres and radians. Larger motions are implausible. Chosen; no sweep
+/// is on record.
 const MOTION_SIGMA: (f64, f64) = (0.1, 0.7);
 
-/// Everything that is carried from frame to frame.
+/// State carried from frame to frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Estimate {
     pub(super) cam_left_from_model: Pose<CamLeft, Model>,
     pub(super) row_offset_px: f64,
     pub(super) gain: [[f32; CHANNELS]; 2],
     pub(super) offset: [[f32; CHANNELS]; 2],
-    /// Of the residuals at full resolution.
+    /// Variance of the residuals at full resolution.
     pub(super) variance: [[f32; CHANNELS]; TERMS],
-    /// Standard deviation of a patch's offset against the kept view, grey levels.
+    /// Standard deviation of a patch's offset relative to the stored view, grey levels.
     pub(super) patch_sigma: f64,
 }
 
@@ -59,26 +62,26 @@ impl Estimate {
     }
 }
 
-/// What a frame is aligned with.
+/// Input of an alignment.
 pub(super) struct Problem<'a> {
     pub(super) surface: &'a mut Surface,
     pub(super) view: &'a View,
     pub(super) images: &'a [EyeImages; 2],
     pub(super) rig: &'a StereoRig,
-    /// What is known of row offset and surface.
+    /// Prior knowledge of row offset and surface.
     pub(super) knowledge: &'a Knowledge,
 }
 
-/// Where an alignment begins.
+/// Level at which an alignment starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum StartLevel {
-    /// At the finest level at which view and images already resemble each other.
+    /// The finest level at which view and images already match.
     Resembling,
-    /// At the coarsest level.
+    /// The coarsest level.
     Coarsest,
 }
 
-/// What earlier frames know.
+/// Knowledge from earlier frames.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Knowledge {
     /// Row offset, pixels, and its information, 1/px^2.
@@ -88,12 +91,12 @@ pub(super) struct Knowledge {
     pub(super) shape_information: nalgebra::Matrix3<f64>,
 }
 
-/// What came out.
+/// Result of an alignment.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Aligned {
-    /// Whether the last step moved nothing.
+    /// Whether the last step was below the convergence limit.
     pub(super) has_converged: bool,
-    /// The last step, for the surface.
+    /// The last step, for updating the surface.
     pub(super) last: Step,
 }
 
@@ -123,8 +126,8 @@ impl Aligner {
         }
     }
 
-    /// Aligns on `levels`, coarse to fine; `may_continue` is asked before each step. `None` if too little is in sight or
-    /// the equations determine nothing.
+    /// Aligns on `levels`, coarse to fine; calls `may_continue` before each step. `None` if too few points are visible or the
+    /// equations are singular.
     pub(super) fn align(
         &mut self,
         problem: &mut Problem<'_>,
@@ -170,8 +173,8 @@ impl Aligner {
         aligned
     }
 
-    /// The finest level at which the view already resembles both images: from there Gauss-Newton finds the way, and coarser
-    /// levels, which know less, would only lead astray.
+    /// The finest level at which the view already matches both images. Gauss-Newton converges from there; coarser levels
+    /// contain less information and could only mislead it.
     fn first_level(
         &mut self,
         problem: &mut Problem<'_>,
@@ -189,7 +192,7 @@ impl Aligner {
         (*levels.end(), true)
     }
 
-    /// Correlation of the view with the image that it resembles less.
+    /// Correlation of the view with the image that it matches worse.
     pub(super) fn resemblance(&self, problem: &Problem<'_>, level: usize) -> f64 {
         let [left, right] = kernels::correlate(self.kernels, &self.seen[level], &problem.view.levels[level], None);
         left.value().min(right.value())
@@ -200,7 +203,7 @@ impl Aligner {
         kernels::correlate(self.kernels, &self.seen[0], view, Some(&self.residuals))
     }
 
-    /// One step.
+    /// Runs one step.
     fn step(
         &mut self,
         problem: &mut Problem<'_>,
@@ -231,7 +234,7 @@ impl Aligner {
         Some(step)
     }
 
-    /// Projects, samples and weighs at the present estimate.
+    /// Projects, samples and weights the points at the current estimate.
     pub(super) fn look(
         &mut self,
         problem: &Problem<'_>,
@@ -275,8 +278,9 @@ impl Aligner {
         );
     }
 
-    /// The equations at the estimate, patch by patch, at full resolution: for covariance, relief and judgement. Variances
-    /// are held below `variance_max`. What the last step has sampled is used again if it `is_fresh`: if that step moved nothing.
+    /// The normal equations at the estimate, patch by patch, at full resolution: for covariance, relief and evaluation.
+    /// Variances are limited to `variance_max`. If it `is_fresh`, i.e. the last step moved nothing, the samples of that step
+    /// are reused.
     pub(super) fn examine(
         &mut self,
         problem: &Problem<'_>,
@@ -317,7 +321,7 @@ impl Aligner {
         Some(equations)
     }
 
-    /// Mean residual of each patch against the kept view: how far shading departs, as a standard deviation in grey levels.
+    /// Spread of the patches' mean residuals relative to the stored view: standard deviation of the shading, grey levels.
     pub(super) fn patch_spread(&self) -> f64 {
         let (mut sum, mut weight) = (0.0, 0.0);
         for patch in &self.patches[..self.scores.len()] {
@@ -331,7 +335,7 @@ impl Aligner {
         if weight > 0.0 { (sum / weight).max(0.0).sqrt() } else { 0.0 }
     }
 
-    /// Projects one level of the surface into the left image, for taking a view.
+    /// Projects one level of the surface into the left image, for storing a view.
     pub(super) fn project_left(
         &mut self,
         problem_surface: &mut Surface,
@@ -353,7 +357,7 @@ impl Free {
 }
 
 impl Estimate {
-    /// As a level begins: nothing is known of its residuals.
+    /// Initial photometric state of a level: its residuals are unknown.
     pub(super) fn photometry(&self) -> Photometry {
         self.photometry_with([[VARIANCE_START; CHANNELS]; TERMS])
     }
@@ -378,7 +382,7 @@ impl Estimate {
 }
 
 impl Photometry {
-    /// Takes the variance of the residuals over; within a level it only falls.
+    /// Updates the variance of the residuals; within a level it only decreases.
     fn learn(&mut self, sums: &ResidualSums) {
         for term in 0..TERMS {
             for c in 0..CHANNELS {
@@ -409,7 +413,7 @@ impl Problem<'_> {
         self.knowledge.prior(estimate)
     }
 
-    /// How far a step moves the points, pixels.
+    /// Largest motion of the points by a step, pixels.
     fn moved_px(&self, estimate: &Estimate, unknowns: &Unknowns) -> f64 {
         let scale = self.rig.left().pinhole().fx / estimate.cam_left_from_model.translation_m().z.abs().max(1e-3);
         let (rho, phi) = (unknowns.fixed_rows::<3>(0).norm(), unknowns.fixed_rows::<3>(3).norm());

@@ -1,6 +1,6 @@
-//! Cells of an image that points of a surface fall into.
+//! Grid cells of an image, which group the points of a surface.
 
-/// Cells over a region.
+/// Grid of cells over a region.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Cells {
     /// Centre of cell (0, 0), raw pixels.
@@ -12,7 +12,7 @@ pub(super) struct Cells {
     pub(super) cells: Vec<Cell>,
 }
 
-/// A cell and the pixels chosen in it, raw pixels.
+/// A cell and its selected pixels, raw pixels.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Cell {
     pub(super) column: usize,

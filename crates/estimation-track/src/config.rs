@@ -2,31 +2,31 @@
 
 use pb3dp_estimation_core::error::{EstimationError, check_range};
 
-/// What the direct tracker leaves open.
+/// Parameters of the direct tracker.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DirectTrackerConfig {
-    /// Points of the model at full resolution, 64 to 16384. More points cost time in proportion and lower the error with
-    /// their square root. Default 1024.
+    /// Number of points of the model at full resolution, 64 to 16384. Time grows in proportion to the number of points, and the
+    /// error decreases with its square root. Default 1024.
     pub points: usize,
-    /// Pixels that are left out along the region's outline, where a defocused camera mixes target and background, 0 to 50.
-    /// Default 6.
+    /// Width of the border excluded along the region's outline, pixels, 0 to 50: a defocused camera mixes target and background
+    /// there. Default 6.
     pub erosion_px: u32,
-    /// Most steps of Gauss-Newton per frame and level, 1 to 50. Default 16.
+    /// Largest number of Gauss-Newton steps per frame and level, 1 to 50. Default 16.
     pub steps_max: usize,
-    /// Most kept views, 1 to 100; the first one is never given up. Default 12.
+    /// Largest number of stored views, 1 to 100; the first one is never replaced. Default 12.
     pub views_max: usize,
-    /// A new view is kept when every kept one is turned by more than this, degrees, 2 to 60. Default 16.
+    /// A new view is stored if every stored view differs by more than this rotation, degrees, 2 to 60. Default 16.
     pub view_turn_deg: f64,
-    /// A new view is kept when every kept one is larger or smaller by more than this factor, 1.05 to 4. Default 1.4.
+    /// A new view is stored if every stored view differs by more than this scale factor, 1.05 to 4. Default 1.4.
     pub view_scale: f64,
     /// Standard deviation of the surface about its plane, pixels of disparity, 0 (the target is flat) to 10. Default 1.5.
     pub relief_sigma_px: f64,
-    /// Lost if fewer of the points in sight fit, as a share, 0.05 to 0.95. Default 0.35.
+    /// Smallest share of the visible points that must fit, 0.05 to 0.95; below: `lost`. Default 0.35.
     pub inlier_share_min: f64,
-    /// Lost if the correlation of the kept view with either image is less than this share of what its noise allows, 0 to
-    /// 1. Default 0.6.
+    /// Smallest correlation of the stored view with each image, as a share of the value that its noise allows, 0 to 1; below:
+    /// `lost`. Default 0.6.
     pub correlation_min: f64,
-    /// `weak-tilt` if the normal's standard deviation is larger, degrees, 0.01 to 90. Default 3.
+    /// Largest standard deviation of the normal, degrees, 0.01 to 90; above: `weak-tilt`. Default 3.
     pub tilt_sigma_sure_deg: f64,
 }
 

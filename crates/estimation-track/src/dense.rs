@@ -1,6 +1,7 @@
-//! Small dense symmetric systems in place, row-major.
+//! Small dense symmetric systems, solved in place, row-major.
 
-/// Replaces the lower triangle of a symmetric positive matrix by its Cholesky factor; `false` if it is none.
+/// Replaces the lower triangle of a symmetric positive definite matrix by its Cholesky factor; `false` if it is not positive
+/// definite.
 pub(super) fn cholesky(matrix: &mut [f64], n: usize) -> bool {
     for i in 0..n {
         let (above, row) = matrix.split_at_mut(i * n);
@@ -41,7 +42,7 @@ pub(super) fn solve_upper(factor: &[f64], n: usize, b: &mut [f64]) {
     }
 }
 
-/// Four sums side by side, so that they fit a vector register.
+/// Four partial sums, which fit a vector register.
 #[inline(always)]
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut sums = [0.0; 4];
@@ -68,7 +69,7 @@ mod tests {
         let matrix = &half * half.transpose() + DMatrix::identity(n, n);
         let b = DVector::from_fn(n, |i, _| (i as f64).cos());
         let expected = matrix.clone().cholesky().map(|c| c.solve(&b)).unwrap_or_else(|| DVector::zeros(n));
-        // Symmetric: rows are columns.
+        // Symmetric, so rows are columns.
         let mut factor: Vec<f64> = matrix.as_slice().to_vec();
         assert!(cholesky(&mut factor, n));
         let mut x = b.as_slice().to_vec();

@@ -1,24 +1,24 @@
-//! How much a target's texture has that chance does not show elsewhere.
+//! Distinctiveness of a target's texture: its number of independent points.
 
 use pb3dp_estimation_core::wide::LANES;
 
 use super::kernels::{CHANNELS, ViewGroup};
 use super::surface::SurfaceLevel;
 
-/// Points that are compared with each other, at most. Chosen; no sweep is on record.
+/// Largest number of points that are compared with each other. Chosen; no sweep is on record.
 const POINTS_MAX: usize = 1024;
-/// Classes of distance, over the extent of the target. Chosen; no sweep is on record.
+/// Number of distance classes over the extent of the target. Chosen; no sweep is on record.
 const DISTANCES: usize = 64;
-/// What an alignment adapts: six of motion, gain and offset.
+/// Number of parameters of an alignment: six of motion, gain and offset.
 const ADAPTED: f64 = 8.0;
 
 /// A point: its pixel in the first view and its channels.
 type Point = ([f32; 2], [f32; CHANNELS]);
 
-/// How many independent points a target's texture is worth: two unrelated images of such texture correlate by chance with a
-/// variance of one over this number (Clifford, Richardson and Hemon 1989, for equal textures).
+/// Effective number of independent points of a target's texture: two unrelated images of such texture correlate by chance with
+/// a variance of one over this number (Clifford, Richardson and Hemon 1989, for equal textures).
 ///
-/// Smooth and regular textures are worth few points, however many are looked at.
+/// Smooth and regular textures have few independent points, however many points are sampled.
 pub(super) fn independent_points(level: &SurfaceLevel, view: &[ViewGroup]) -> f64 {
     let groups = level.groups.iter().zip(&level.places).zip(view);
     let all: Vec<Point> = groups
@@ -43,7 +43,8 @@ fn independent(mut points: Vec<Point>) -> f64 {
     if variance <= 0.0 || extent <= 0.0 {
         return 0.0;
     }
-    // Pairs of points and the sum of their products, by distance; no distance is more than twice that from the first point.
+    // Pairs of points and the sum of their products, by distance; no distance exceeds twice the largest distance from the first
+    // point.
     let mut classes = [(0.0, 0.0); DISTANCES];
     for (i, point) in points.iter().enumerate() {
         for other in &points[..i] {
@@ -56,8 +57,8 @@ fn independent(mut points: Vec<Point>) -> f64 {
     count * count / (count + 2.0 * classes.iter().map(shared).sum::<f64>())
 }
 
-/// By how many standard deviations a correlation is more than chance would show, of a target worth so many `independent`
-/// points of which a share fits (Fisher's transformation).
+/// Number of standard deviations by which a correlation exceeds chance, for a target with this many `independent` points of
+/// which a share fits (Fisher's transformation).
 pub(super) fn beyond_chance(correlation: f64, share: f64, independent: f64) -> f64 {
     correlation.clamp(0.0, 0.999).atanh() * (independent * share - ADAPTED).max(0.0).sqrt()
 }

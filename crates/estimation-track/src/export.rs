@@ -1,4 +1,4 @@
-//! The recovered surface, for a file.
+//! Export of the recovered surface.
 
 use nalgebra::{Point3, Unit, Vector3};
 use pb3dp_estimation_core::method::SurfacePoint;
@@ -6,10 +6,10 @@ use pb3dp_estimation_direct::colour_planes::OPPONENT_FROM_RGB;
 
 use super::kernels::{SurfaceGroup, ViewGroup};
 
-/// A point of a lane of the surface, with the colour that the first view gave it.
+/// A surface point of one lane, with its colour in the first view.
 pub(super) fn surface_point(group: &SurfaceGroup, view: &ViewGroup, lane: usize) -> SurfacePoint {
     let base = |k: usize| Vector3::from_fn(|axis, _| f64::from(group.base[3 * k + axis].0[lane]));
-    // Columns and rows of the first image run right and down, so their product points away from its camera.
+    // Columns and rows of the first image run right and down, so their cross product points away from the camera.
     let away = Unit::try_new(base(0).cross(&base(1)), 0.0).map_or_else(Vector3::z, Unit::into_inner);
     let value = view.value.map(|v| v.0[lane]);
     let rgb = std::array::from_fn(|c| {

@@ -1,4 +1,4 @@
-//! The window of one raw image that a frame looks at, as a pyramid that is quick to sample between pixels.
+//! The required window of one raw image, as a pyramid with fast sub-pixel sampling.
 
 use image::RgbImage;
 use pb3dp_estimation_core::cpu::Kernels;
@@ -20,32 +20,32 @@ pub(super) struct TexelPlane {
     pub(super) texels: Vec<Texel>,
 }
 
-/// The window itself, as it came: a quarter of the memory of texels, and the points that are looked at are few.
+/// The unmodified window: it takes a quarter of the memory of texels, and only few points are sampled.
 #[derive(Clone, Debug, Default)]
 pub(super) struct RgbPlane {
     width: usize,
     height: usize,
-    /// Rows of red, green, blue, and [`PADDING`] more bytes.
+    /// Rows of red, green, blue, followed by [`PADDING`] bytes.
     rgb: Vec<u8>,
 }
 
-/// Bytes behind the last pixel, so that sixteen bytes can be read from any of the last four.
+/// Bytes after the last pixel, so that sixteen bytes can be read from any of the last four.
 const PADDING: usize = 16;
 
-/// A window of a raw image and its halves.
+/// Pyramid of a window of a raw image.
 #[derive(Clone, Debug, Default)]
 pub(super) struct EyeImages {
-    /// Where level 0 lies in the raw image.
+    /// Position of level 0 in the raw image.
     pub(super) window: PixelWindow,
     pub(super) full: RgbPlane,
-    /// The levels from 1 on; 0 stays empty.
+    /// The levels from 1 on; level 0 stays empty.
     pub(super) levels: [TexelPlane; LEVELS],
     mixed: Vec<f32>,
     line: Vec<Texel>,
 }
 
 impl EyeImages {
-    /// Takes the part of `window` inside the image; allocates only if no window was ever as large.
+    /// Loads the part of `window` inside the image; allocates only if no previous window was as large.
     pub(super) fn update(&mut self, image: &RgbImage, window: PixelWindow, kernels: Kernels) {
         let window = aligned(window).clipped(image.width(), image.height());
         self.window = window;
@@ -78,13 +78,13 @@ impl EyeImages {
         }
     }
 
-    /// The texel at a place between pixel centres of a level; `None` where the kernel would reach over the border.
+    /// The texel at a sub-pixel position of a level; `None` if the kernel would extend beyond the border.
     #[inline(always)]
     pub(super) fn sample(&self, level: usize, x: f32, y: f32) -> Option<Texel> {
         if level == 0 { cubic_rgb(&self.full, x, y) } else { cubic(&self.levels[level], x, y) }
     }
 
-    /// Makes room for whole images of this size.
+    /// Allocates memory for whole images of this size.
     pub(super) fn reserve(&mut self, width: usize, height: usize) {
         for (level, plane) in self.levels.iter_mut().enumerate().skip(1) {
             plane.reserve(width >> level, height >> level);
@@ -100,7 +100,7 @@ impl EyeImages {
     }
 }
 
-/// The window grown to whole pixels of the coarsest level, so that the same target is sampled in the same phase.
+/// The window extended to whole pixels of the coarsest level, so that the same target is always sampled in the same phase.
 fn aligned(window: PixelWindow) -> PixelWindow {
     let step = 1_i32 << (LEVELS - 1);
     let (x, y) = (window.x.div_euclid(step) * step, window.y.div_euclid(step) * step);
@@ -116,13 +116,13 @@ impl TexelPlane {
         }
     }
 
-    /// Makes room for a plane of this size.
+    /// Allocates memory for a plane of this size.
     pub(super) fn reserve(&mut self, width: usize, height: usize) {
         self.texels.reserve((width * height).saturating_sub(self.texels.len()));
     }
 
-    /// The plane at half the size: weights 1 3 3 1 along columns and rows, which keep the places of pixels and leave little
-    /// that a grid of half the density would fold back. At the border the outermost pixels are repeated.
+    /// Writes the plane at half the size. The weights 1 3 3 1 along columns and rows preserve the positions of pixels and leave
+    /// little aliasing at half the density. At the border the outermost pixels are replicated.
     fn halve_into(&self, out: &mut Self, line: &mut Vec<Texel>, kernels: Kernels) {
         out.resize(self.width / 2, self.height / 2);
         if line.len() < self.width + 2 {
@@ -216,7 +216,7 @@ fn halve_rgb_row_kernel(line: &[f32], out: &mut [Texel]) {
     }
 }
 
-/// A mean of pixels that is as bright as this has saturated pixels among them, or nearly. Chosen; no sweep is on record.
+/// A pixel mean of at least this brightness contains saturated pixels, or nearly saturated ones. Chosen; no sweep is on record.
 const SATURATED_MEAN: f32 = 250.0;
 
 #[inline(always)]
@@ -245,11 +245,11 @@ fn halve_row_kernel(line: &[Texel], out: &mut [Texel]) {
     }
 }
 
-/// The texel at a place between pixel centres, smoothed by a cubic B-spline (standard deviation 0.58 px in each direction,
-/// wherever between the centres the place is); `None` where the kernel would reach over the border.
+/// The texel at a sub-pixel position, smoothed by a cubic B-spline (standard deviation 0.58 px in each direction, independent
+/// of the sub-pixel position); `None` if the kernel would extend beyond the border.
 ///
-/// The points are far fewer than the pixels: a kernel that passes through the pixels would give each point the noise of one
-/// pixel, more or less of it with the place between the centres.
+/// There are far fewer points than pixels. An interpolating kernel would give each point the noise of one pixel, which would
+/// vary with the sub-pixel position.
 #[inline(always)]
 fn cubic(plane: &TexelPlane, x: f32, y: f32) -> Option<Texel> {
     let (column, row) = (x.floor(), y.floor());
@@ -258,7 +258,7 @@ fn cubic(plane: &TexelPlane, x: f32, y: f32) -> Option<Texel> {
     }
     let (columns, rows) = (b_spline(x - column), b_spline(y - row));
     let start = (row as usize - 1) * plane.width + column as usize - 1;
-    // Four texels of four channels are sixteen lanes: first the rows are mixed, then the columns.
+    // Four texels of four channels are sixteen lanes: the rows are combined first, then the columns.
     let mut mixed = [0.0_f32; 16];
     for (j, weight) in rows.iter().enumerate() {
         let line = plane.texels[start + j * plane.width..].first_chunk::<4>()?.as_flattened();
@@ -279,7 +279,7 @@ fn cubic_rgb(plane: &RgbPlane, x: f32, y: f32) -> Option<Texel> {
     }
     let (columns, rows) = (b_spline(x - column), b_spline(y - row));
     let start = 3 * ((row as usize - 1) * plane.width + column as usize - 1);
-    // Four pixels of three bytes are twelve of sixteen lanes: first the rows are mixed, then the columns.
+    // Four pixels of three bytes are twelve of sixteen lanes: the rows are combined first, then the columns.
     let (mut mixed, mut brightest) = ([0.0_f32; 16], [0_u8; 16]);
     for (j, weight) in rows.iter().enumerate() {
         let line = plane.rgb[start + 3 * j * plane.width..].first_chunk::<16>()?;
@@ -298,7 +298,7 @@ fn cubic_rgb(plane: &RgbPlane, x: f32, y: f32) -> Option<Texel> {
     Some(opponent(rgb, f32::from(saturated)))
 }
 
-/// Weights of the cubic B-spline over four pixels, between whose inner two the place is a share `t` of the way.
+/// Weights of the cubic B-spline over four pixels; `t` is the position between the inner two, 0 to 1.
 #[inline(always)]
 fn b_spline(t: f32) -> [f32; 4] {
     let (s, t2, t3) = (1.0 - t, t * t, t * t * t);

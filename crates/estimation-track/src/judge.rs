@@ -1,4 +1,4 @@
-//! Whether what was found is the target.
+//! Acceptance test: whether an alignment has found the target.
 
 use std::fmt;
 
@@ -8,31 +8,32 @@ use super::distinct::beyond_chance;
 use super::kernels::{CHANNELS, ResidualGroup, SeenGroup, TERMS, ViewGroup};
 use crate::kernels::{Correlation, Moments};
 
-/// A point fits if its robust weight reaches this. Chosen; no sweep is on record.
+/// Smallest robust weight of an inlier. Chosen; no sweep is on record.
 pub(super) const FITS_FROM: f32 = 0.3;
 
-/// Share of inliers that plane and relief must reach in the first pair where no plane was found by itself. Chosen; no sweep is on record.
+/// Inlier share of plane and relief required in the first pair if the plane search found no plane. Chosen; no sweep is on
+/// record.
 const SURFACE_INLIERS_MIN: f64 = 0.7;
-/// Correlation that they must reach there. Chosen; no sweep is on record.
+/// Correlation required in this case. Chosen; no sweep is on record.
 const SURFACE_CORRELATION_MIN: f64 = 0.85;
-/// Share of the points that the right image must show there. Chosen; no sweep is on record.
+/// Share of the points that the right image must show in this case. Chosen; no sweep is on record.
 const SURFACE_VISIBLE_MIN: f64 = 0.8;
-/// By how many standard deviations the correlation must be more than chance would show there: each patch of the relief is tried at many
-/// disparities. Chosen: without such a limit 8 of 15 regions in pairs of unrelated soft images were followed with `ok`.
+/// Number of standard deviations by which the correlation must exceed chance in this case: each patch of the relief is tested
+/// at many disparities. Chosen: without such a limit 8 of 15 regions in pairs of unrelated soft images were tracked with `ok`.
 const SURFACE_BEYOND_CHANCE_MIN: f64 = 8.0;
-/// Images disagree if one of them fits at less than this share of the points that fit another. Chosen; no sweep is on record.
+/// Images disagree if the smallest of the inlier shares is below this ratio of the largest. Chosen; no sweep is on record.
 const AGREEMENT_MIN: f64 = 0.85;
 
-/// How well a kept view fits both images.
+/// Quality of the fit of a stored view to both images.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Fit {
-    /// Share of the model's points that the view and each image show, left and right, 0 to 1.
+    /// Share of the model's points visible in the view and in each image, left and right, 0 to 1.
     pub visible_share: [f64; 2],
-    /// Share of those that fit within the noise: view against left image, view against right image, left against right.
+    /// Share of these points that fit within the noise: view against left image, view against right image, left against right.
     pub inlier_share: [f64; TERMS],
-    /// Correlation of the view with each image over the points that fit, -1 to 1.
+    /// Correlation of the view with each image over the inliers, -1 to 1.
     pub correlation: [f64; 2],
-    /// What the correlation would be if noise alone disturbed it.
+    /// Expected correlation if noise were the only disturbance.
     pub correlation_expected: [f64; 2],
 }
 
@@ -40,13 +41,13 @@ pub struct Fit {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limits {
     pub(super) inlier_share_min: f64,
-    /// As a share of what is expected.
+    /// As a share of the expected correlation.
     pub(super) correlation_min: f64,
     pub(super) visible_share_min: f64,
 }
 
 impl Limits {
-    /// The same for what must fit better by this factor.
+    /// The limits, scaled by a factor for a stricter test.
     pub(super) fn stricter(self, factor: f64) -> Self {
         Self {
             inlier_share_min: (self.inlier_share_min * factor).min(0.95),
@@ -56,7 +57,7 @@ impl Limits {
     }
 }
 
-/// What a fit lacks.
+/// The first limit that a fit misses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Misfit {
     what: &'static str,
@@ -71,7 +72,7 @@ impl fmt::Display for Misfit {
 }
 
 impl Fit {
-    /// Of one level; `correlations` are weighted, `reference` are the variances of residuals of a target that fits.
+    /// Measures the fit on one level; `correlations` are weighted, `reference` are the residual variances of a fitting target.
     pub(super) fn measure(
         seen: &[[SeenGroup; 2]],
         view: &[ViewGroup],
@@ -109,15 +110,15 @@ impl Fit {
     pub(super) fn misfit(&self, limits: &Limits) -> Option<Misfit> {
         const EYES: [&str; 2] = ["left", "right"];
         const VISIBLE: [&str; 2] =
-            ["the part of the target in the left image", "the part of the target in the right image"];
+            ["the visible share of the target in the left image", "the visible share of the target in the right image"];
         const INLIERS: [&str; TERMS] = [
-            "the share of the target's points that fit the left image",
-            "the share of the target's points that fit the right image",
-            "the share of the target's points that fit each other in left and right image",
+            "the inlier share of the target's points in the left image",
+            "the inlier share of the target's points in the right image",
+            "the inlier share of the target's points between left and right image",
         ];
         const CORRELATION: [&str; 2] = [
-            "the correlation with the left image, of what noise allows,",
-            "the correlation with the right image, of what noise allows,",
+            "the correlation with the left image, relative to its noise limit,",
+            "the correlation with the right image, relative to its noise limit,",
         ];
         let short = |what, value: f64, limit: f64| {
             (value.is_nan() || value < limit).then_some(Misfit {
@@ -138,8 +139,8 @@ impl Fit {
         short(INLIERS[2], self.inlier_share[2], limits.inlier_share_min)
     }
 
-    /// Whether the first pair shows one surface beyond doubt: to be asked where no plane was found. Its texture is worth so
-    /// many `independent` points; a relief can be bent until soft texture fits any other.
+    /// Whether the first pair certainly shows one surface; used if no plane was found. Its texture has this many `independent`
+    /// points. The test is needed because a relief can be deformed until soft texture fits any other.
     pub(super) fn is_a_surface(&self, independent: f64) -> bool {
         let (share, correlation) = (self.inlier_share[1], self.correlation[1]);
         share >= SURFACE_INLIERS_MIN
@@ -148,13 +149,13 @@ impl Fit {
             && beyond_chance(correlation, share * self.visible_share[1], independent) >= SURFACE_BEYOND_CHANCE_MIN
     }
 
-    /// Whether the view fits one image clearly better than the other, or than they fit each other.
+    /// Whether the view fits one image clearly better than the other, or better than the images fit each other.
     pub(super) fn images_disagree(&self) -> bool {
         let (low, high) = self.inlier_share.iter().fold((1.0_f64, 0.0_f64), |(a, b), &x| (a.min(x), b.max(x)));
         low < AGREEMENT_MIN * high
     }
 
-    /// One number for comparing fits of the same surface.
+    /// Scalar quality for comparing fits of the same surface.
     pub(super) fn goodness(&self) -> f64 {
         self.inlier_share[0] * self.inlier_share[1] * self.correlation[0].max(0.0) * self.correlation[1].max(0.0)
     }

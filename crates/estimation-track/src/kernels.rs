@@ -1,107 +1,108 @@
-//! The inner loops: points into both images, residuals, weights, normal equations.
+//! The inner loops: projection of points into both images, residuals, weights, normal equations.
 
 use pb3dp_estimation_core::wide::{LANES, wide};
 
 use super::images::{EyeImages, Texel};
 use super::lanes::{Lanes, each_lane};
 
-/// Unknowns beside gains: the motion `[rho; phi]` of the model in its own frame (metres, radians), the row offset of the
+/// Unknowns without the gains: the motion `[rho; phi]` of the model in its own frame (metres, radians), the row offset of the
 /// right image (pixels), the change of the inverse-depth plane of the surface (1/m).
 pub(super) const UNKNOWNS: usize = 10;
 /// Index of the row offset.
 pub(super) const ROW: usize = 6;
-/// Index of the first of three numbers of the surface's plane.
+/// Index of the first of the three unknowns of the surface's plane.
 pub(super) const SHAPE: usize = 7;
-/// Entries of the upper triangle.
+/// Number of entries of the upper triangle.
 pub(super) const TRIANGLE: usize = UNKNOWNS * (UNKNOWNS + 1) / 2;
 /// Channels: Y, A, B'.
 pub(super) const CHANNELS: usize = 3;
-/// Residuals per point and channel: kept view against left, kept view against right, left against right.
+/// Residuals per point and channel: stored view against left, stored view against right, left against right.
 pub(super) const TERMS: usize = 3;
-/// Gain and offset of the left and the right eye: places in a group of four.
+/// Gain and offset of the left and the right image: indices in a group of four.
 const GAIN: usize = 0;
 const OFFSET: usize = 1;
 const LEFT: usize = 0;
 const RIGHT: usize = 2;
-/// Numbers that the offset of a patch leaves: with every unknown, with gain and offset of both images, with itself, residual.
+/// Products of a patch's offset: with every unknown, with gain and offset of both images, with itself, and with the residual.
 pub(super) const PATCH: usize = UNKNOWNS + 6;
-/// Index of the first of the four with gains and offsets, of the offset with itself, and with the residual.
+/// Index of the first of the four products with gains and offsets, of the product with itself, and of that with the residual.
 pub(super) const PATCH_GAINS: usize = UNKNOWNS;
 pub(super) const PATCH_OWN: usize = UNKNOWNS + 4;
 pub(super) const PATCH_RESIDUAL: usize = UNKNOWNS + 5;
 
-/// A group of points of the surface, in `model`.
+/// A group of surface points, in `model`.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct SurfaceGroup {
     /// Position, metres.
     pub(super) point: [Lanes; 3],
-    /// Derivative of the position by the raw left pixel (u, v) of the first view, metres per pixel: x, y, z by u, then by v.
+    /// Derivative of the position with respect to the raw left pixel (u, v) of the first view, metres per pixel: x, y, z by u,
+    /// then by v.
     pub(super) base: [Lanes; 6],
-    /// Derivative of the position by the inverse depth in the first view.
+    /// Derivative of the position with respect to the inverse depth in the first view.
     pub(super) slide: [Lanes; 3],
     /// Ray (x, y) in the first view; its third component is 1.
     pub(super) ray: [Lanes; 2],
-    /// 1 where there is a point.
+    /// 1 for a point, 0 for an empty lane.
     pub(super) mask: Lanes,
 }
 
-/// A lens, linear about where each point is expected: normalised (x, y), its pixel (u, v), and the derivative of the pixel
-/// (u by x, u by y, v by x, v by y).
+/// A lens, linearised at the expected position of each point: normalised (x, y), its pixel (u, v), and the derivative of the
+/// pixel (u by x, u by y, v by x, v by y).
 pub(super) type LensGroup = [Lanes; 8];
 
-/// How a kept view shows a group.
+/// A group of points in a stored view.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ViewGroup {
     /// The channels.
     pub(super) value: [Lanes; CHANNELS],
-    /// Their derivatives by the raw left pixel of the first view, along the surface.
+    /// Their derivatives with respect to the raw left pixel of the first view, along the surface.
     pub(super) gradient: [[Lanes; 2]; CHANNELS],
-    /// 1 where the view shows the point.
+    /// 1 if the point is visible in the view.
     pub(super) valid: Lanes,
 }
 
-/// A group in one image of the present pair.
+/// A group of points in one image of the current pair.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct SeenGroup {
     /// Raw pixel.
     pub(super) pixel: [Lanes; 2],
-    /// Derivative of the pixel (u, then v) by the position in `model`.
+    /// Derivative of the pixel (u, then v) with respect to the position in `model`.
     pub(super) by_point: [Lanes; 6],
-    /// Derivative of the first view's pixel by this pixel: inverse of the local warp, row-major.
+    /// Derivative of the first view's pixel with respect to this pixel: inverse of the local warp, row-major.
     pub(super) unwarp: [Lanes; 4],
-    /// The channels there.
+    /// The channels at the pixel.
     pub(super) value: [Lanes; CHANNELS],
-    /// 1 where the image shows the point.
+    /// 1 if the point is visible in the image.
     pub(super) valid: Lanes,
 }
 
 /// Residuals and weights of a group.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ResidualGroup {
-    /// Left and right image minus the kept view.
+    /// Left and right image minus the stored view.
     pub(super) residual: [[Lanes; CHANNELS]; 2],
     /// Robust weight of each term, 0 to 1.
     pub(super) weight: [Lanes; TERMS],
 }
 
-/// What the residuals are weighed with.
+/// Gains, offsets and variances for the weighting of residuals.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Photometry {
-    /// Gain and offset by eye and channel.
+    /// Gain and offset by camera and channel.
     pub(super) gain: [[f32; CHANNELS]; 2],
     pub(super) offset: [[f32; CHANNELS]; 2],
-    /// Variance of each term and channel, grey levels squared.
+    /// Variance of each term and channel, squared grey levels.
     pub(super) variance: [[f32; CHANNELS]; TERMS],
 }
 
-/// What the residuals came to.
+/// Sums of the residuals.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ResidualSums {
     /// Weighted squares by term and channel.
     pub(super) squares: [[f32; CHANNELS]; TERMS],
     /// Weights by term.
     pub(super) weights: [f32; TERMS],
-    /// Points that the images show, by term.
+    /// Number of visible points by term.
     pub(super) points: [f32; TERMS],
 }
 
@@ -114,27 +115,27 @@ wide! {
 }
 
 wide! {
-    /// Reads the channels where the groups are seen.
+    /// Samples the channels at the projected points.
     pub(super) fn sample(images: &EyeImages, level: usize, seen: &mut [[SeenGroup; 2]], eye: usize) = sample_kernel;
 }
 
 wide! {
-    /// Residuals against a kept view, and their robust weights.
+    /// Computes residuals relative to a stored view, and their robust weights.
     pub(super) fn weigh(seen: &[[SeenGroup; 2]], view: &[ViewGroup], photometry: &Photometry, out: &mut [ResidualGroup]) -> ResidualSums = weigh_kernel;
 }
 
 wide! {
-    /// Adds the normal equations of groups to `sums`; the part of each group's own offset goes to `patches`.
+    /// Adds the normal equations of groups to `sums`; the terms of each group's own offset are written to `patches`.
     pub(super) fn accumulate(surface: &[SurfaceGroup], seen: &[[SeenGroup; 2]], view: &[ViewGroup], residuals: &[ResidualGroup], weights: &PairWeights, sums: &mut NormalSums, patches: &mut [[f32; PATCH]]) = accumulate_kernel;
 }
 
 wide! {
-    /// Sums for the correlation of a view with both images: over all points seen, or by their weights.
+    /// Sums for the correlation of a view with both images: over all visible points, or weighted.
     pub(super) fn correlate(seen: &[[SeenGroup; 2]], view: &[ViewGroup], residuals: Option<&[ResidualGroup]>) -> [Correlation; 2] = correlate_kernel;
 }
 
 wide! {
-    /// The right-hand side of each group by itself, and its second derivatives by its inverse depth.
+    /// The right-hand side of each group, and its second derivatives with respect to its inverse depth.
     pub(super) fn score(surface: &[SurfaceGroup], seen: &[[SeenGroup; 2]], view: &[ViewGroup], residuals: &[ResidualGroup], weights: &PairWeights, scores: &mut [GroupScore]) = score_kernel;
 }
 
@@ -143,11 +144,12 @@ wide! {
 pub(super) struct GroupScore {
     /// Derivative times residual.
     pub(super) slope: [f32; UNKNOWNS],
-    /// By channel: residual with (gain left, offset left, gain right, offset right).
+    /// By channel: product of the residual with (gain left, offset left, gain right, offset right).
     pub(super) gain_slope: [[f32; 4]; CHANNELS],
-    /// Second derivatives by the inverse depth of the group and each unknown; the last one is by itself twice.
+    /// Second derivatives with respect to the inverse depth of the group and each unknown; the last one is with respect to the
+    /// inverse depth twice.
     pub(super) by_depth: [f32; UNKNOWNS],
-    /// By channel: second derivatives by the inverse depth and each gain and offset, with the opposite sign.
+    /// By channel: second derivatives with respect to the inverse depth and each gain and offset, with the opposite sign.
     pub(super) gain_by_depth: [[f32; 4]; CHANNELS],
 }
 
@@ -273,9 +275,10 @@ fn dot(a: &[Lanes; 3], b: &[Lanes; 3]) -> Lanes {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// A surface patch that shrinks to less of its area in the first view is not used. Chosen; no sweep is on record.
+/// Smallest ratio of a surface patch's area to its area in the first view; patches seen more edge-on are not used. Chosen; no
+/// sweep is on record.
 const EDGE_ON: f32 = 0.08;
-/// Share of saturated pixels above which a sample is not used. Chosen; no sweep is on record.
+/// Largest share of saturated pixels in a usable sample. Chosen; no sweep is on record.
 const SATURATED_MAX: f32 = 0.15;
 
 #[inline(always)]
@@ -300,7 +303,7 @@ fn sample_kernel(images: &EyeImages, level: usize, seen: &mut [[SeenGroup; 2]], 
     }
 }
 
-/// The texel at a raw pixel of a level, for making views.
+/// The texel at a raw pixel of a level, for storing views.
 pub(super) fn texel_at(images: &EyeImages, level: usize, pixel: [f32; 2]) -> Option<Texel> {
     let origin_px = images.origin_px();
     let factor = 1.0 / (1_u32 << level) as f32;
@@ -308,7 +311,8 @@ pub(super) fn texel_at(images: &EyeImages, level: usize, pixel: [f32; 2]) -> Opt
     images.sample(level, x, y)
 }
 
-/// Beyond this many standard deviations (root mean square over the channels) a residual has no weight. Chosen; no sweep is on record.
+/// Residual limit in standard deviations (root mean square over the channels); larger residuals have no weight. Chosen; no
+/// sweep is on record.
 const TUKEY: f32 = 3.0;
 
 #[inline(always)]
@@ -361,7 +365,7 @@ fn weigh_kernel(
     }
 }
 
-/// Inverse variances of the three terms by channel, for residuals that share the noise of the kept view.
+/// Inverse variances of the three terms by channel, for residuals that share the noise of the stored view.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PairWeights {
     pub(super) by_term: [[f32; CHANNELS]; TERMS],
@@ -374,15 +378,15 @@ pub(super) struct NormalSums {
     pub(super) hessian: [Lanes; TRIANGLE],
     /// Derivative times residual.
     pub(super) slope: [Lanes; UNKNOWNS],
-    /// By channel: each unknown with (gain left, offset left, gain right, offset right).
+    /// By channel: product of each unknown with (gain left, offset left, gain right, offset right).
     pub(super) cross: [[[Lanes; 4]; UNKNOWNS]; CHANNELS],
     /// By channel: for left-left, left-right, right-right.
     pub(super) gains: [[GainSums; 3]; CHANNELS],
-    /// By channel: residual with (gain left, offset left, gain right, offset right).
+    /// By channel: product of the residual with (gain left, offset left, gain right, offset right).
     pub(super) gain_slope: [[Lanes; 4]; CHANNELS],
 }
 
-/// Weighted sums over the kept view's values: what gains and offsets have with each other.
+/// Weighted sums over the stored view's values: products of gains and offsets with each other.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct GainSums {
     pub(super) value_squared: Lanes,
@@ -409,7 +413,7 @@ fn pair_weights(residual: &ResidualGroup, weights: &PairWeights, channel: usize)
     [left.scale(by_term[0][channel]), right.scale(by_term[1][channel]), pair.scale(by_term[2][channel])]
 }
 
-/// Derivatives of a channel of one image by the unknowns.
+/// Derivatives of a channel of one image with respect to the unknowns.
 #[inline(always)]
 fn derivatives(surface: &SurfaceGroup, seen: &SeenGroup, gradient: &[Lanes; 2], eye: usize) -> [Lanes; UNKNOWNS] {
     let by_u = gradient[0] * seen.unwarp[0] + gradient[1] * seen.unwarp[2];
@@ -530,7 +534,7 @@ impl MomentSums<Lanes> {
     }
 }
 
-/// Variances of view and image and their covariance, summed over the channels, grey levels squared.
+/// Variances of view and image and their covariance, summed over the channels, squared grey levels.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Moments {
     pub(super) view: f64,
@@ -552,7 +556,7 @@ impl Correlation {
         }
     }
 
-    /// The number of points, by weight.
+    /// The weighted number of points.
     pub(super) fn count(&self) -> f64 {
         self.count
     }
@@ -568,7 +572,7 @@ impl Correlation {
         moments
     }
 
-    /// Normalised cross-correlation over all channels, -1 to 1; 0 where nothing varies.
+    /// Normalised cross-correlation over all channels, -1 to 1; 0 if there is no variation.
     pub(super) fn value(&self) -> f64 {
         let Moments { view, image, covariance } = self.moments();
         if view > 1e-9 && image > 1e-9 { (covariance / (view * image).sqrt()).clamp(-1.0, 1.0) } else { 0.0 }

@@ -1,4 +1,4 @@
-//! Derivatives against finite differences, with cameras, poses and surfaces that are nothing in particular.
+//! Derivatives compared with finite differences, with arbitrary cameras, poses and surfaces.
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3, Vector6};
 use pb3dp_estimation_core::cpu::Kernels;
@@ -18,7 +18,7 @@ fn pose() -> Isometry3<f64> {
     se3::exp(&Vector6::new(0.03, -0.05, 0.5, 0.3, -0.2, 0.4))
 }
 
-/// Points on a bent surface in `model`, as functions of three numbers of a plane in a first camera.
+/// Points on a curved surface in `model`, as functions of three parameters of a plane in a first camera.
 struct Scene {
     first_from_model: Isometry3<f64>,
     rays: Vec<Vector3<f64>>,
@@ -49,7 +49,7 @@ impl Scene {
             for axis in 0..3 {
                 group.point[axis].0[i] = point[axis] as f32;
                 group.slide[axis].0[i] = slide[axis] as f32;
-                // Any two directions that span the surface will do.
+                // Any two directions that span the surface are suitable.
                 group.base[axis].0[i] = [6.6e-4, 1e-5, 2e-4][axis];
                 group.base[3 + axis].0[i] = [-3e-5, 6.8e-4, -1e-4][axis];
             }
@@ -117,7 +117,7 @@ fn every_unknown_moves_the_pixel_as_its_derivative_says() {
     }
 }
 
-/// Views and images of noise, so that no term vanishes.
+/// Views and images of noise, so that no term is zero.
 fn noisy_groups(count: usize) -> (Vec<SurfaceGroup>, Vec<[SeenGroup; 2]>, Vec<ViewGroup>) {
     let value = |seed: usize| {
         Lanes(std::array::from_fn(|i| SplitMix64::new((seed * LANES + i) as u64).between(-100.0, 100.0) as f32))
@@ -169,7 +169,7 @@ fn every_kernel_set_gives_the_same_bits() {
     }
 }
 
-/// The sums of all groups are the sums of each.
+/// The sums of all groups equal the sum over each group.
 #[test]
 fn scores_of_groups_add_up_to_the_normal_equations() {
     let (surface, seen, view) = noisy_groups(4);
@@ -198,7 +198,7 @@ fn scores_of_groups_add_up_to_the_normal_equations() {
     }
 }
 
-/// The weights of the three differences are the inverse covariance of two residuals that share a noise.
+/// The weights of the three differences equal the inverse covariance of two residuals that share a noise.
 #[test]
 fn pair_weights_are_the_inverse_of_the_joint_covariance() {
     let (kept, left, right) = (7.0_f32, 11.0_f32, 5.0_f32);

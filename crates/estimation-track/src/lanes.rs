@@ -6,8 +6,8 @@ use pb3dp_estimation_core::wide::sum_lanes;
 
 pub(crate) use pb3dp_estimation_core::wide::LANES;
 
-/// The lanes made one by one. Not by a closure: those are not always inlined into functions of wider vectors, and then cost a
-/// call per lane.
+/// Builds the lanes one by one. Not with a closure: closures are not always inlined into functions of wider vectors, and then
+/// cost a call per lane.
 macro_rules! each_lane {
     ($i:ident => $value:expr) => {{
         let mut lanes = [0.0; $crate::lanes::LANES];

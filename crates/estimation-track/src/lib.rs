@@ -1,16 +1,17 @@
-//! The direct method over time: six degrees of freedom from kept views.
+//! The direct tracker: six degrees of freedom from stored views.
 //!
-//! The target is a `surface` (points of the first view on a plane with a relief) and a few kept `view`s of it. A frame is
-//! one small problem (`align`): at which pose does the nearest view explain both images? Unknown beside the pose are gain
-//! and offset of each channel of each camera, the row offset of the right camera, an offset of each patch that both cameras
-//! share (shading that does not turn with the target), and what the first pair left open about the plane of the surface.
-//! View, left and right image have noise of their own each, so three differences are weighed together: view against left,
-//! view against right, left against right; where the view no longer fits (light), the last one still holds depth and tilt.
+//! The target is represented by a `surface` (points of the first view on a plane with a relief) and a few stored `view`s. Each
+//! frame is one small problem (`align`): the pose at which the nearest view explains both images. Further unknowns are gain and
+//! offset of each channel of each camera, the row offset of the right camera, an offset of each patch common to both cameras
+//! (shading that does not rotate with the target), and the components of the surface's plane that the first pair left
+//! undetermined. View, left and right image each have independent noise. Therefore three differences are weighted jointly: view
+//! against left, view against right, left against right. If the light changes and the view no longer fits, the last difference
+//! still determines depth and tilt.
 //!
-//! Full resolution is read from the raw images, through the lens, made linear about the expected place of each point: nothing
-//! is undistorted or rectified.
+//! Full resolution is read from the raw images. The lens model is linearised at the expected position of each point, so no
+//! image is undistorted or rectified.
 //!
-//! Several targets are several [`DirectTracker`]s on the same pair: they share nothing, and cost adds up.
+//! To track several targets, use several [`DirectTracker`]s on the same pair: they share nothing, and their costs add up.
 
 mod align;
 pub mod cells;

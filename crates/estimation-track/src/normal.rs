@@ -1,13 +1,13 @@
-//! The normal equations of one step: from sums to a step, a covariance, and what the step leaves of the surface.
+//! The normal equations of one step: from sums to a step, a covariance, and the information about the surface.
 
 use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
 
 use super::kernels::{CHANNELS, GroupScore, NormalSums, PATCH, PATCH_GAINS, PATCH_OWN, PATCH_RESIDUAL, PairWeights};
 use super::kernels::{ROW, SHAPE, TERMS, UNKNOWNS};
 
-/// Gain and offset of both images in every channel.
+/// Number of gains and offsets of both images in all channels.
 const GAINS: usize = 4 * CHANNELS;
-/// All unknowns of a step.
+/// Number of all unknowns of a step.
 pub(super) const ALL: usize = UNKNOWNS + GAINS;
 
 pub(super) type Unknowns = SVector<f64, UNKNOWNS>;
@@ -15,26 +15,26 @@ pub(super) type UnknownsMatrix = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 pub(super) type AllMatrix = SMatrix<f64, ALL, ALL>;
 pub(super) type AllVector = SVector<f64, ALL>;
 
-/// Standard deviation that a gain may differ from the last one, and an offset in grey levels. Chosen; no sweep is on record.
+/// Standard deviation of a gain from its last value, and of an offset in grey levels. Chosen; no sweep is on record.
 const GAIN_SIGMA: f64 = 0.3;
 const OFFSET_SIGMA: f64 = 40.0;
-/// A covariance is widened by at most this. Chosen; no sweep is on record.
+/// Largest inflation of a covariance. Chosen; no sweep is on record.
 const INFLATION_MAX: f64 = 25.0;
-/// Gradients come from the same noisy view as the residuals, and are smoothed, as is what neighbouring points see; robust weights count a
-/// point that fits for less than it tells. Fitted on rendered sequences (as `bench accuracy -- --only track/`), eight kinds, six starts
-/// each: NEES 0.83 to 1.65, about inversely to it.
+/// Correction of the variance. Gradients come from the same noisy view as the residuals, and both are smoothed, as are the
+/// samples of neighbouring points; robust weights underrate fitting points. Fitted on rendered sequences (as `bench accuracy --
+/// --only track/`), eight kinds, six starts each: NEES 0.83 to 1.65, about inversely to it.
 const SHARED_NOISE: f64 = 1.25;
 
-/// Which unknowns a step may move.
+/// Selection of the free unknowns of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Free {
     /// The motion and the row offset.
     Motion,
     /// Everything.
     Everything,
-    /// The surface and the row offset: the first pair, where the motion is none by definition.
+    /// The surface and the row offset: for the first pair, where the motion is zero by definition.
     Surface,
-    /// The row offset alone, beside the gains.
+    /// The row offset only, with the gains.
     Row,
 }
 
@@ -49,7 +49,7 @@ impl Free {
     }
 }
 
-/// What is known beforehand: information and where it points (information times deviation).
+/// Prior knowledge: information, and information times deviation.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Prior {
     pub(super) information: UnknownsMatrix,
@@ -111,8 +111,8 @@ impl NormalEquations {
         }
     }
 
-    /// Takes out an offset of each patch, common to both images, of standard deviation `sigma` grey levels: shading that does
-    /// not turn with the target.
+    /// Eliminates an offset of each patch, common to both images, with standard deviation `sigma` grey levels: shading that
+    /// does not rotate with the target.
     pub(super) fn remove_patch_offsets(&mut self, patches: &[[f32; PATCH]], sigma: f64) {
         let prior = 1.0 / (sigma * sigma);
         const TOUCHED: usize = PATCH_OWN;
@@ -131,7 +131,7 @@ impl NormalEquations {
         }
     }
 
-    /// The matrix as a whole, with priors, and with the unknowns that are held taken out.
+    /// The complete matrix with priors, without the fixed unknowns.
     fn closed(&self, prior: &Prior, free: Free) -> (AllMatrix, AllVector) {
         let (mut matrix, mut rhs) = (self.matrix, self.rhs);
         matrix.fill_lower_triangle_with_upper_triangle();
@@ -153,7 +153,7 @@ impl NormalEquations {
         (matrix, rhs)
     }
 
-    /// The step to the minimum; `None` if the equations determine none.
+    /// The step to the minimum; `None` if the equations are singular.
     pub(super) fn solve(&self, prior: &Prior, free: Free) -> Option<Step> {
         let (matrix, rhs) = self.closed(prior, free);
         let solution = matrix.cholesky()?.solve(&rhs);
@@ -163,7 +163,7 @@ impl NormalEquations {
         solution.iter().all(|x| x.is_finite()).then_some(step)
     }
 
-    /// The equations solved as far as they can be without the surface; `None` if they determine nothing.
+    /// Solves the equations without the surface; `None` if they are singular.
     pub(super) fn inverse(&self, prior: &Prior, free: Free) -> Option<Equations> {
         let (matrix, rhs) = self.closed(prior, free);
         let inverse = matrix.cholesky()?.inverse();
@@ -175,8 +175,8 @@ impl NormalEquations {
     }
 }
 
-/// Covariance of pose, row offset and gains for independent noise of the assumed size and a surface that is known, zero for
-/// what is held; and the right-hand side.
+/// Covariance of pose, row offset and gains for independent noise of the assumed size and a known surface (zero for fixed
+/// unknowns), and the right-hand side.
 #[derive(Clone, Debug)]
 pub(super) struct Equations {
     pub(super) inverse: AllMatrix,
@@ -184,9 +184,9 @@ pub(super) struct Equations {
 }
 
 impl Equations {
-    /// Covariance of the pose on a known surface: that of independent noise, widened by as much as the scores of whole
-    /// patches vary more than it would let them, plus what errors of the patches' depths do to it, of standard deviations
-    /// `depth_sigma` (1/m) and independent.
+    /// Covariance of the pose on a known surface. It is the covariance of independent noise, inflated by the factor by which
+    /// the scores of whole patches vary more than expected. Added to it is the effect of independent depth errors of the
+    /// patches with standard deviations `depth_sigma` (1/m).
     pub(super) fn pose_covariance(
         &self,
         patches: &[PatchScore],
@@ -209,18 +209,19 @@ impl Equations {
     }
 }
 
-/// The equations' right-hand side of one patch.
+/// The right-hand side of one patch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PatchScore {
     slope: [f32; UNKNOWNS],
     gain_slope: [f32; GAINS],
-    /// Second derivatives by the inverse depth of the patch and each unknown; the last one is by itself twice.
+    /// Second derivatives with respect to the inverse depth of the patch and each unknown; the last one is with respect to the
+    /// inverse depth twice.
     by_depth: [f32; UNKNOWNS],
     gain_by_depth: [f32; GAINS],
 }
 
 impl PatchScore {
-    /// The score of a group, after its own offset has been taken out.
+    /// The score of a group, after eliminating its own offset.
     pub(super) fn of(group: &GroupScore, patch: &[f32; PATCH], sigma: f64) -> Self {
         let own = 1.0 / (patch[PATCH_OWN] + 1.0 / (sigma * sigma) as f32);
         let factor = patch[PATCH_RESIDUAL] * own;
@@ -245,7 +246,7 @@ impl PatchScore {
         })
     }
 
-    /// Second derivatives by the inverse depth of the patch and everything else.
+    /// Second derivatives with respect to the inverse depth of the patch and all other unknowns.
     pub(super) fn cross(&self) -> AllVector {
         AllVector::from_fn(|i, _| match i {
             i if i < UNKNOWNS => f64::from(self.by_depth[i]),
@@ -253,20 +254,20 @@ impl PatchScore {
         })
     }
 
-    /// What the patch says of its own inverse depth.
+    /// Information of the patch about its own inverse depth.
     pub(super) fn depth_information(&self) -> f64 {
         f64::from(self.by_depth[UNKNOWNS - 1])
     }
 
-    /// Pull of the residuals on the inverse depth of the patch.
+    /// Gradient of the residuals with respect to the inverse depth of the patch.
     pub(super) fn depth_pull(&self) -> f64 {
         -f64::from(self.slope[UNKNOWNS - 1])
     }
 }
 
 impl PairWeights {
-    /// Weights for the variances of the three differences between a kept view, a left and a right image that have noise of
-    /// their own each: the inverse of the joint covariance, written as weights of the three differences.
+    /// Weights for the variances of the three differences between a stored view, a left and a right image with independent
+    /// noise: the inverse of the joint covariance, expressed as weights of the three differences.
     pub(super) fn of(variance: &[[f32; CHANNELS]; TERMS]) -> Self {
         let mut by_term = [[0.0; CHANNELS]; TERMS];
         for c in 0..CHANNELS {

@@ -1,4 +1,5 @@
-//! Which part of a region is one surface: what is marked across a depth edge shows two, and they need not move together.
+//! Finds the part of a region that is one surface: a region marked across a depth edge contains two, which may move
+//! independently.
 
 use nalgebra::{Matrix3, Vector3};
 use pb3dp_estimation_core::region::RegionMask;
@@ -10,18 +11,20 @@ use super::relief::Relief;
 use super::shape::Shape;
 use super::surface::Surface;
 
-/// A patch belongs to a surface if this share of its points fits the right image. Chosen; no sweep is on record. With the rule as a whole
-/// about 1 % of the `ok` frames of rectangles across depth edges are wrong, without 463 of 6830.
+/// Smallest share of a patch's points that must fit the right image if the patch belongs to a surface. Chosen; no sweep is on
+/// record. With the rule as a whole about 1 % of the `ok` frames of rectangles across depth edges are wrong, without 463 of
+/// 6830.
 const FITTING_MIN: f64 = 0.6;
-/// And if its squared residuals are at most this much of those of the quarter that fits best. Chosen; no sweep is on record.
+/// Largest ratio of a patch's squared residuals to those of the best-fitting quarter. Chosen; no sweep is on record.
 const NOISE_MAX: f64 = 3.0;
-/// Plus this share of its texture: what lies elsewhere leaves twice the texture. Chosen; no sweep is on record.
+/// Additional tolerance as a share of the patch's texture: a patch at another depth leaves twice the texture. Chosen; no sweep
+/// is on record.
 const UNEXPLAINED_MAX: f64 = 0.2;
-/// Neighbours are one surface if depth changes by at most this much of the way along the image from one to the other. Chosen, 63 degrees.
+/// Neighbours are one surface if the depth changes by at most this multiple of their lateral distance. Chosen, 63 degrees.
 const STEEPEST: f64 = 2.0;
-/// Less than this share of the points beside the surface is left to the robust weights. Chosen; no sweep is on record.
+/// If a smaller share of the points is off the surface, the robust weights handle them. Chosen; no sweep is on record.
 const BESIDE_MIN: f64 = 0.15;
-/// The same where a larger one was taken out before, so that there are several surfaces. Chosen; no sweep is on record.
+/// The same limit if a larger part was removed before, so that there are several surfaces. Chosen; no sweep is on record.
 const BESIDE_SEVERAL_MIN: f64 = 0.05;
 
 /// A part of the surface.
@@ -29,18 +32,18 @@ const BESIDE_SEVERAL_MIN: f64 = 0.05;
 pub(super) struct Part {
     /// Its plane in the first left camera: inverse depth is `plane . ray`.
     pub(super) plane: Vector3<f64>,
-    /// By node of the relief: whether it belongs to the part.
+    /// Per node of the relief: whether it belongs to the part.
     pub(super) nodes: Vec<bool>,
 }
 
-/// What a node of the relief shows.
+/// Measurements at a node of the relief.
 #[derive(Clone, Copy, Debug, Default)]
 struct Node {
-    /// Points that the first left image shows, and how many of them fit the right one.
+    /// Number of points visible in the first left image, and number of those that fit the right image.
     points: f64,
     fitting: f64,
-    /// Squared residuals of the right image over its points, and squared differences from the mean of its patch that the left
-    /// image shows, all channels, grey levels squared.
+    /// Squared residuals of the right image over the node's points, and squared deviations of the left image from the patch
+    /// mean, all channels, squared grey levels.
     residual: f64,
     texture: f64,
     /// Position in the first left camera, metres.
@@ -68,7 +71,8 @@ impl Node {
     }
 }
 
-/// The largest part that is one surface, where that is not all of it; `of_several`: of what is left of several surfaces.
+/// The largest part that is one surface; `None` if the whole region is. `of_several`: the region is the remainder of several
+/// surfaces.
 pub(super) fn largest_part(
     surface: &Surface,
     view: &[ViewGroup],
@@ -117,14 +121,14 @@ fn largest(nodes: &[Node], shape: &Shape) -> Vec<bool> {
     (0..nodes.len()).map(|i| fits[i] && Some(part[i]) == best).collect()
 }
 
-/// Squared residual of a point of the quarter of the nodes that fits best.
+/// Squared residual per point of the best-fitting quarter of the nodes.
 fn noise(nodes: &[Node]) -> f64 {
     let mut squares: Vec<f64> = nodes.iter().filter(|n| n.points > 0.0).map(|n| n.residual / n.points).collect();
     squares.sort_unstable_by(f64::total_cmp);
     squares.get(squares.len() / 4).copied().unwrap_or(0.0)
 }
 
-/// Whether a surface from one point to the other would be no steeper than a surface that can be compared.
+/// Whether a surface through both points is not too steep to be compared.
 fn is_one_surface(a: &Vector3<f64>, b: &Vector3<f64>) -> bool {
     let sight = (a + b).normalize();
     let way = b - a;
@@ -132,7 +136,7 @@ fn is_one_surface(a: &Vector3<f64>, b: &Vector3<f64>) -> bool {
     deep.abs() <= STEEPEST * (way - sight * deep).norm()
 }
 
-/// The plane with the least squared differences of inverse depth.
+/// The plane with the least-squares inverse depth.
 fn plane_through<'a>(nodes: impl Iterator<Item = &'a Node>) -> Option<Vector3<f64>> {
     let (mut matrix, mut rhs) = (Matrix3::identity() * 1e-9, Vector3::zeros());
     for node in nodes {
@@ -144,8 +148,8 @@ fn plane_through<'a>(nodes: impl Iterator<Item = &'a Node>) -> Option<Vector3<f6
 }
 
 impl Part {
-    /// Its pixels among those of a region, and those of them that are in the region's `inner` ones and not next to another
-    /// part, by `border_px`.
+    /// The part's pixels among those of a region, and the subset of them inside the region's `inner` mask that are at least
+    /// `border_px` away from other parts.
     pub(super) fn pixels(&self, relief: &Relief, [mask, inner]: &[RegionMask; 2], border_px: u32) -> [RegionMask; 2] {
         let patches = relief.patches_of(&self.nodes);
         let own = RegionMask::from_fn(mask.size(), |x, y| {

@@ -1,24 +1,24 @@
-//! Where the target is expected in the next frame.
+//! Prediction of the target's pose in the next frame.
 
 use nalgebra::Vector3;
 use pb3dp_estimation_core::method::FramePrior;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, so3};
 
-/// The last pose and how the target moved: its origin at a constant velocity, its axes at a constant angular velocity, both
-/// in a frame that does not move with the camera.
+/// The last pose and the motion model: constant velocity of the origin and constant angular velocity of the axes, in a frame
+/// that does not move with the camera.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
     pub(super) cam_left_from_model: Pose<CamLeft, Model>,
-    /// Metres and radians per unit of time (seconds, or frames where no time is given), in `cam_left`.
+    /// Metres and radians per unit of time (seconds, or frames if no time is given), in `cam_left`.
     velocity: Option<(Vector3<f64>, Vector3<f64>)>,
     /// Units of time between the last two frames.
     interval: f64,
 }
 
-/// What is left of the velocity after each frame without the target. Chosen; no sweep is on record.
+/// Factor by which the velocity decreases in each frame without the target. Chosen; no sweep is on record.
 const COASTING: f64 = 0.6;
-/// Longest step that is extrapolated, as a multiple of the last one. Chosen; no sweep is on record.
+/// Longest extrapolated interval, as a multiple of the last one. Chosen; no sweep is on record.
 const STRETCH_MAX: f64 = 8.0;
 
 impl Motion {
@@ -52,7 +52,7 @@ impl Motion {
         Pose::from_parts(self.cam_left_from_model.translation_m() + linear * by, rotation)
     }
 
-    /// Takes over the pose found.
+    /// Updates the motion with the estimated pose.
     pub(super) fn learn(&mut self, found: &Pose<CamLeft, Model>, prior: &FramePrior) {
         let step = self.step(prior);
         let prev_from_now = prior.cam_left_prev_from_cam_left_now.unwrap_or_else(Pose::coincident);
@@ -64,7 +64,7 @@ impl Motion {
         (self.cam_left_from_model, self.interval) = (*found, step);
     }
 
-    /// The target was not found: it is expected where it would have gone, ever slower.
+    /// The target was not found: the prediction continues with decreasing velocity.
     pub(super) fn coast(&mut self, prior: &FramePrior) {
         let (found, step) = (self.predict(prior), self.step(prior));
         let now_from_prev = prior.cam_left_prev_from_cam_left_now.unwrap_or_else(Pose::coincident).inverse().rotation();
@@ -74,7 +74,7 @@ impl Motion {
         (self.cam_left_from_model, self.interval) = (found, step);
     }
 
-    /// The target was found again: where it is known, how it moves not.
+    /// The target was found again: its pose is known, its velocity is not.
     pub(super) fn restart(&mut self, found: &Pose<CamLeft, Model>) {
         *self = Self { interval: self.interval, ..Self::resting(*found) };
     }
@@ -111,7 +111,7 @@ mod tests {
         let second = prev_from_now.inverse() * pose();
         assert!((motion.predict(&prior).inverse() * second).log().norm() < 1e-12);
         motion.learn(&second, &prior);
-        // A target that stands still while the camera moves has no velocity of its own.
+        // A stationary target has no velocity of its own while the camera moves.
         let third = prev_from_now.inverse() * second;
         assert!((motion.predict(&prior).inverse() * third).log().norm() < 1e-12);
     }

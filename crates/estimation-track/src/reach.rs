@@ -1,4 +1,4 @@
-//! Whether a lost target can be where something resembles it.
+//! Plausibility of a candidate for a lost target.
 
 use nalgebra::Point3;
 use pb3dp_geometry::frames::{CamLeft, Model};
@@ -7,54 +7,54 @@ use pb3dp_geometry::{Pose, StereoRig};
 use super::distinct::beyond_chance;
 use super::judge::Fit;
 
-/// A lost target is not believed to have gone farther than this, and this much per second more. Chosen; no sweep is on record.
+/// Largest distance that a lost target may have moved, metres, and the increase per second. Chosen; no sweep is on record.
 const REACH_M: f64 = 0.05;
 const SPEED_MAX_M_PER_S: f64 = 2.0;
-/// Nor to have turned by more than this, 20 degrees, and this much per second more. Chosen; no sweep is on record.
+/// Largest angle that it may have rotated, radians (20 degrees), and the increase per second. Chosen; no sweep is on record.
 const REACH_RAD: f64 = 0.35;
 const SPEED_MAX_RAD_PER_S: f64 = 6.0;
-/// Within this of where it is expected a target need not be seen more clearly than noise allows. Chosen; no sweep is on record.
+/// Closer than this to the predicted pose, a candidate need not match better than noise allows. Chosen; no sweep is on record.
 const NEAR_M: f64 = 0.02;
-/// The same of its turn. Chosen; no sweep is on record.
+/// The same for the rotation. Chosen; no sweep is on record.
 const NEAR_RAD: f64 = 0.15;
-/// Elsewhere both images must correlate with the view by at least this. Chosen; no sweep is on record.
+/// Farther away, both images must correlate with the view by at least this. Chosen; no sweep is on record.
 const AFAR_CORRELATION_MIN: f64 = 0.75;
-/// And they must show it at this share of its points. Chosen; no sweep is on record.
+/// Farther away, both images must show at least this share of its points as inliers. Chosen; no sweep is on record.
 const AFAR_INLIERS_MIN: f64 = 0.65;
-/// Elsewhere the correlation must also be this many standard deviations more than chance would show. Chosen: a search tries some hundred
-/// thousand places, and chance exceeds 5 once in 3.5 million.
+/// Farther away, the correlation must also exceed chance by this many standard deviations. Chosen: a search tests some hundred
+/// thousand positions, and chance exceeds 5 once in 3.5 million.
 const BEYOND_CHANCE_MIN: f64 = 5.0;
 
-/// Something that resembles a lost target.
+/// A candidate for a lost target.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sighting<'a> {
     pub(super) fit: &'a Fit,
-    /// How many independent points the target's texture is worth.
+    /// Number of independent points of the target's texture.
     pub(super) independent: f64,
-    /// How far it is from where the target is expected, metres and radians.
+    /// Distance from the predicted pose, metres and radians.
     pub(super) way_m: f64,
     pub(super) turn_rad: f64,
     /// Time since the target was last found, seconds.
     pub(super) away_s: f64,
-    /// Whether something else is known that looks like the target.
+    /// Whether a similar object is known.
     pub(super) has_twin: bool,
 }
 
 impl Sighting<'_> {
-    /// Whether a target that was never lost can have moved there between two frames: what fits poorly far from where it is
-    /// expected is something else, or the wrong way round.
+    /// Whether a target that was never lost can have moved there between two frames: a poor fit far from the predicted pose is
+    /// another object, or a mirrored tilt.
     pub(super) fn can_have_moved(&self) -> bool {
         self.is_near() || self.is_clear()
     }
 
-    /// Whether the target can have come there since it was last found; and where that is not near the place where it is
-    /// expected, whether it is seen clearly. Noise must not be the excuse for a poor correlation there, and a texture that has
-    /// little to tell it by is not told there.
+    /// Whether the target can have moved there since it was last found. Far from the predicted pose, the match must also be
+    /// clear: noise is no excuse for a poor correlation there, and a target with little distinctive texture is not recognised
+    /// there.
     pub(super) fn can_be_the_target(&self) -> bool {
         self.is_near() || self.is_within_reach() && self.is_clear() && !self.has_twin
     }
 
-    /// Whether it is either the target or its twin.
+    /// Whether the candidate is either the target or its twin.
     pub(super) fn is_one_of_two(&self) -> bool {
         self.has_twin && self.is_within_reach() && self.is_clear()
     }
@@ -64,7 +64,7 @@ impl Sighting<'_> {
             && self.turn_rad <= REACH_RAD + SPEED_MAX_RAD_PER_S * self.away_s
     }
 
-    /// Whether what is seen beside the target could be taken for it.
+    /// Whether a candidate away from the target could be mistaken for it.
     pub(super) fn is_another(&self) -> bool {
         self.way_m > NEAR_M && self.is_clear()
     }
@@ -82,7 +82,7 @@ impl Sighting<'_> {
     }
 }
 
-/// Share of an outline's points that lie within the image that shows fewer of them, hidden or not.
+/// Share of an outline's points inside the image that contains fewer of them, whether occluded or not.
 pub(super) fn in_sight(outline: &[Point3<f64>], pose: &Pose<CamLeft, Model>, rig: &StereoRig) -> f64 {
     let right_pose = *rig.cam_right_from_cam_left() * *pose;
     let eyes = [(rig.left(), pose.isometry()), (rig.right(), right_pose.isometry())];

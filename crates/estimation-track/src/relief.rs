@@ -1,4 +1,4 @@
-//! The relief: by how much the surface leaves its plane, per patch of the first view, in pixels of disparity.
+//! The relief: deviation of the surface from its plane, per patch of the first view, in pixels of disparity.
 
 use nalgebra::{Vector2, Vector3};
 use pb3dp_geometry::Camera;
@@ -6,39 +6,41 @@ use pb3dp_geometry::Camera;
 use super::shape::Grid;
 use crate::cells::Cells;
 
-/// Neighbours differ by about this much, pixels. Chosen; no sweep is on record.
+/// Typical difference between neighbours, pixels. Chosen; no sweep is on record.
 const NEIGHBOUR_SIGMA_PX: f64 = 0.7;
-/// Much larger steps cost no more than this. Chosen; no sweep is on record.
+/// Largest cost of a step between neighbours. Chosen; no sweep is on record.
 const NEIGHBOUR_COST_MAX: f64 = 6.0;
-/// Most nodes: a frame's time grows with their third power. Chosen, 11 x 11.
+/// Largest number of nodes: a frame's time grows with their third power. Chosen, 11 x 11.
 const NODES_MAX: usize = 121;
-/// Share of the bend at a patch that its offset may be wrong by: about what bilinear interpolation leaves of a parabola. Fitted on eleven
-/// rendered sequences, six starts each: NEES of reliefs of 10 mm 0.7 and of 25 mm 1.6, with 0.45 it was 0.3 and 0.45.
+/// Expected error of a patch's offset as a share of the surface's curvature at the patch: about the error of bilinear
+/// interpolation on a parabola. Fitted on eleven rendered sequences, six starts each: NEES of reliefs of 10 mm 0.7 and of 25 mm
+/// 1.6, with 0.45 it was 0.3 and 0.45.
 const BEND_SHARE: f64 = 0.18;
-/// Rounds in which neighbours tell each other what they believe. Chosen; no sweep is on record.
+/// Number of message-passing rounds between neighbours. Chosen; no sweep is on record.
 const ROUNDS: usize = 12;
 
-/// Offsets on a grid of patches, bilinear in between. Patches without points take the mean of those with points next to them.
+/// Offsets on a grid of patches, bilinear in between. A patch without points has the mean offset of the adjacent patches with
+/// points.
 #[derive(Clone, Debug)]
 pub(super) struct Relief {
     first_centre_px: [f64; 2],
     side_px: f64,
     columns: usize,
     rows: usize,
-    /// Disparity that the surface has more than its plane, pixels.
+    /// Disparity of the surface relative to its plane, pixels.
     offset_px: Vec<f64>,
-    /// Patches without points, and those with points that stand in for each.
+    /// Patches without points, and the patches with points that replace each of them.
     stand_ins: Vec<(usize, Vec<usize>)>,
     /// Patch of each group of the finest level.
     patch_of_group: Vec<usize>,
     /// Node of each group, see [`Self::grid`].
     node_of_group: Vec<usize>,
-    /// Inverse depth of a pixel of disparity, 1/m.
+    /// Inverse depth per pixel of disparity, 1/m.
     inverse_depth_per_px: f64,
 }
 
 impl Relief {
-    /// No relief.
+    /// Creates a flat relief.
     pub(super) fn over(cells: &Cells, inverse_depth_per_px: f64) -> Self {
         let (columns, rows) = (cells.columns.max(1), cells.rows.max(1));
         let patch_of_group: Vec<usize> = cells.cells.iter().map(|cell| cell.row * columns + cell.column).collect();
@@ -65,7 +67,7 @@ impl Relief {
         &self.node_of_group
     }
 
-    /// By patch: whether its node is among those `kept`; where it has no points, whether those of all that stand in for it are.
+    /// Per patch: whether its node is among those `kept`; for a patch without points, whether all nodes that replace it are.
     pub(super) fn patches_of(&self, kept: &[bool]) -> Vec<bool> {
         let mut patches = vec![false; self.offset_px.len()];
         for (&node, &patch) in self.node_of_group.iter().zip(&self.patch_of_group) {
@@ -77,12 +79,12 @@ impl Relief {
         patches
     }
 
-    /// Holds that there is no relief.
+    /// Sets the relief to zero permanently.
     pub(super) fn hold_flat(&mut self) {
         self.offset_px.fill(0.0);
     }
 
-    /// Puts the whole surface off its plane by this disparity, pixels.
+    /// Sets the offset of the whole surface from its plane, pixels of disparity.
     pub(super) fn set_all(&mut self, offset_px: f64) {
         self.offset_px.fill(offset_px);
     }
@@ -96,8 +98,8 @@ impl Relief {
         place(1, self.rows) * self.columns + place(0, self.columns)
     }
 
-    /// Takes the offsets of the candidates that explain the pair best, `costs` (negative log likelihoods) by patch and
-    /// candidate, between neighbours that differ little.
+    /// Selects the candidate offsets that explain the pair best while neighbours differ little; `costs` are negative log
+    /// likelihoods by patch and candidate.
     pub(super) fn take_best(&mut self, candidates_px: &[f64], costs: &[Vec<f64>], sigma_px: f64) {
         let labels = beliefs(self, candidates_px, costs, sigma_px);
         for &patch in &self.patch_of_group {
@@ -106,7 +108,8 @@ impl Relief {
         self.fill();
     }
 
-    /// Standard deviation of each group's inverse depth, 1/m, for what a grid of patches cannot say of a bent surface.
+    /// Standard deviation of each group's inverse depth, 1/m, due to the limited resolution of the patch grid on a curved
+    /// surface.
     pub(super) fn depth_sigma(&self) -> impl Iterator<Item = f64> + '_ {
         self.patch_of_group.iter().map(|&patch| {
             let (mut sum, mut count) = (0.0, 0.0);
@@ -118,8 +121,8 @@ impl Relief {
         })
     }
 
-    /// The patches with points as nodes, several patches to a node where there are many; `pixels` are those of each group, raw
-    /// pixels of the first view.
+    /// Builds nodes from the patches with points; with many patches, several share a node. `pixels` are those of each group,
+    /// raw pixels of the first view.
     pub(super) fn grid(&mut self, pixels: impl Iterator<Item = Vec<[f64; 2]>>, camera: &Camera) -> Grid {
         let side = (self.patch_of_group.len() as f64 / NODES_MAX as f64).sqrt().ceil().max(1.0) as usize;
         let across = self.columns.div_ceil(side);
@@ -193,12 +196,12 @@ impl Relief {
         self.fill();
     }
 
-    /// Inverse depth of a pixel of disparity, 1/m.
+    /// Inverse depth per pixel of disparity, 1/m.
     pub(super) fn inverse_depth_per_px(&self) -> f64 {
         self.inverse_depth_per_px
     }
 
-    /// Gives the patches without points what stands in for them.
+    /// Fills the patches without points from their replacements.
     fn fill(&mut self) {
         for (patch, known) in &self.stand_ins {
             let sum: f64 = known.iter().map(|&other| self.offset_px[other]).sum();
@@ -206,7 +209,7 @@ impl Relief {
         }
     }
 
-    /// The patches that a raw pixel of the first view lies between, with their shares.
+    /// The patches around a raw pixel of the first view, with their interpolation weights.
     fn corners(&self, pixel: [f64; 2]) -> [(usize, f64); 4] {
         let ((left, right, a), (top, bottom, b)) = self.place(pixel);
         let at = |column: usize, row: usize| row * self.columns + column;
@@ -218,7 +221,7 @@ impl Relief {
         ]
     }
 
-    /// Columns and rows on either side of a pixel, and how far it is between them, 0 to 1.
+    /// Columns and rows on either side of a pixel, and its fractional position between them, 0 to 1.
     fn place(&self, pixel: [f64; 2]) -> ((usize, usize, f64), (usize, usize, f64)) {
         let place = |axis: usize, count: usize| {
             let x = ((pixel[axis] - self.first_centre_px[axis]) / self.side_px).clamp(0.0, (count - 1) as f64);
@@ -228,7 +231,7 @@ impl Relief {
         (place(0, self.columns), place(1, self.rows))
     }
 
-    /// What is added to the plane's inverse depth at a raw pixel of the first view, 1/m, and its slope by u and v.
+    /// Correction of the plane's inverse depth at a raw pixel of the first view, 1/m, and its derivatives by u and v.
     pub(super) fn at(&self, pixel: [f64; 2]) -> (f64, [f64; 2]) {
         let ((left, right, a), (top, bottom, b)) = self.place(pixel);
         let node = |column: usize, row: usize| self.offset_px[row * self.columns + column];
@@ -242,7 +245,7 @@ impl Relief {
     }
 }
 
-/// For each patch without points those with points beside, above and below it, or else across its corners.
+/// For each patch without points, the horizontally or vertically adjacent patches with points, or otherwise the diagonal ones.
 fn stand_ins(patch_of_group: &[usize], columns: usize, rows: usize) -> Vec<(usize, Vec<usize>)> {
     let mut has_points = vec![false; columns * rows];
     patch_of_group.iter().for_each(|&patch| has_points[patch] = true);
@@ -263,8 +266,8 @@ fn stand_ins(patch_of_group: &[usize], columns: usize, rows: usize) -> Vec<(usiz
         .collect()
 }
 
-/// The edges between neighbours, and the shortest ones that join what they leave apart: a target's parts are one surface
-/// also where the region between them is too narrow for a patch.
+/// The edges between neighbours, and the shortest edges that connect otherwise separate parts. A target is one surface even if
+/// the region between its parts is too narrow for a patch.
 fn hang_together(neighbours: &[(usize, usize)], centres: &[[f64; 2]]) -> Vec<(usize, usize, f64)> {
     let mut part: Vec<usize> = (0..centres.len()).collect();
     let mut edges = Vec::with_capacity(neighbours.len());
@@ -294,7 +297,7 @@ fn neighbours(patch: usize, columns: usize, rows: usize) -> impl Iterator<Item =
     [left, right, up, down].into_iter().flatten()
 }
 
-/// Lowest cost of each candidate at each patch together with all other patches: min-sum messages between neighbours.
+/// Lowest total cost of each candidate at each patch, over all other patches: min-sum messages between neighbours.
 fn beliefs(relief: &Relief, candidates_px: &[f64], costs: &[Vec<f64>], sigma_px: f64) -> Vec<Vec<f64>> {
     let (count, labels) = (relief.offset_px.len(), candidates_px.len());
     let mut own = vec![vec![0.0; labels]; count];
@@ -336,7 +339,7 @@ fn beliefs(relief: &Relief, candidates_px: &[f64], costs: &[Vec<f64>], sigma_px:
     belief
 }
 
-/// On which side of `patch` its neighbour lies, and on which side of the neighbour the patch.
+/// Side of `patch` on which the neighbour is, and side of the neighbour on which the patch is.
 fn sides(patch: usize, neighbour: usize, columns: usize) -> (usize, usize) {
     match neighbour {
         n if n + 1 == patch && columns > 1 => (0, 1),
@@ -346,7 +349,7 @@ fn sides(patch: usize, neighbour: usize, columns: usize) -> (usize, usize) {
     }
 }
 
-/// Place of the minimum between candidates at equal distances.
+/// Sub-candidate position of the minimum; the candidates are equidistant.
 fn lowest(candidates_px: &[f64], costs: &[f64]) -> f64 {
     let best = (0..costs.len()).min_by(|&a, &b| costs[a].total_cmp(&costs[b])).unwrap_or(0);
     if best == 0 || best + 1 >= costs.len() {
@@ -358,7 +361,7 @@ fn lowest(candidates_px: &[f64], costs: &[f64]) -> f64 {
     candidates_px[best] + shift * (candidates_px[best + 1] - candidates_px[best])
 }
 
-/// Patch of each group of a level, for levels whose groups are not the patches.
+/// Patch of each group of a level, for levels with other groups than the patches.
 pub(super) fn patches_of(relief: &Relief, pixels: impl Iterator<Item = [f64; 2]>) -> Vec<usize> {
     let mut group_of_patch = vec![usize::MAX; relief.offset_px.len()];
     for (group, &patch) in relief.patch_of_group.iter().enumerate() {

@@ -25,7 +25,7 @@ fn cells(places: &[(usize, usize)]) -> Cells {
     }
 }
 
-/// A body with a claw that touches it nowhere, and a leg that touches it with a corner.
+/// A body with a separate claw, and a leg that touches it at a corner.
 fn crab() -> Cells {
     let body = (3..8).flat_map(|column| (2..6).map(move |row| (column, row)));
     let claw = [(0, 0), (1, 0), (0, 1)];
@@ -42,7 +42,7 @@ fn grid(relief: &mut Relief, cells: &Cells) -> Grid {
     relief.grid(cells.cells.iter().map(|cell| cell.pixels.clone()), &camera)
 }
 
-/// What was tried last must not stay where there are no points: it would bend the surface along its border.
+/// The last tested offset must not remain in patches without points: it would bend the surface along its border.
 #[test]
 fn patches_without_points_follow_those_with_points() {
     let cells = crab();
@@ -57,7 +57,7 @@ fn patches_without_points_follow_those_with_points() {
     assert!(relief.depth_sigma().all(|sigma| sigma == 0.0));
 }
 
-/// The offset of a point is what the shares of its group's nodes say, also between patches with and without points.
+/// The offset of a point equals the weighted sum over its group's nodes, also between patches with and without points.
 #[test]
 fn the_shares_of_nodes_are_what_the_surface_does() {
     let cells = crab();
@@ -72,7 +72,7 @@ fn the_shares_of_nodes_are_what_the_surface_does() {
     }
 }
 
-/// Parts that touch nowhere are held together: else each of them were a surface of its own, and a flat target not flat.
+/// Separate parts are connected: otherwise each would be a surface of its own, and a flat target would not be flat.
 #[test]
 fn all_nodes_hang_together() {
     let cells = crab();

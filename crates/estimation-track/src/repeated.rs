@@ -1,39 +1,39 @@
-//! Whether one eye delivers the same image again while the other one sees something new.
+//! Detects a camera that repeats its last image while the other camera delivers a new one.
 
 use image::RgbImage;
 use pb3dp_estimation_direct::image_plane::PixelWindow;
 
-/// What the other eye must see that is new, mean absolute difference in grey levels: noise alone makes more in a real camera. Chosen.
+/// Mean absolute difference of a new image of the other camera, grey levels: in a real camera noise alone exceeds this. Chosen.
 const NEW_FROM_GREY: f64 = 0.5;
 
-/// The part of an image that showed the target.
+/// The part of an image that contained the target.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Remembered {
-    /// Within the image.
+    /// Position within the image.
     window: PixelWindow,
     bytes: Vec<u8>,
 }
 
 impl Remembered {
-    /// Takes memory for whole images.
+    /// Allocates memory for whole images.
     pub(super) fn reserve(&mut self, pixels: usize) {
         self.bytes.reserve(3 * pixels);
     }
 
-    /// Keeps a part of an image.
+    /// Stores a part of an image.
     pub(super) fn keep(&mut self, image: &RgbImage, window: &PixelWindow) {
         self.window = window.clipped(image.width(), image.height());
         self.bytes.clear();
         rows(image, &self.window).for_each(|row| self.bytes.extend_from_slice(row));
     }
 
-    /// Whether an image is the same there, to the last bit.
+    /// Whether an image is bit-identical in this part.
     fn is_repeated(&self, image: &RgbImage) -> bool {
         let known = self.bytes.chunks_exact((3 * self.window.width).max(1));
         !self.bytes.is_empty() && rows(image, &self.window).eq(known)
     }
 
-    /// Mean absolute difference to an image, grey levels.
+    /// Mean absolute difference from an image, grey levels.
     fn difference_grey(&self, image: &RgbImage) -> f64 {
         let now = rows(image, &self.window).flatten();
         let sum: u64 = now.zip(&self.bytes).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
@@ -47,7 +47,7 @@ fn rows<'a>(image: &'a RgbImage, window: &PixelWindow) -> impl Iterator<Item = &
     image.as_raw().chunks_exact(stride.max(1)).skip(y).take(window.height).map(move |row| &row[3 * x..3 * (x + width)])
 }
 
-/// The eye, 0 or 1, whose image is the last one again, although the other eye sees something new.
+/// Index of the camera (0 left, 1 right) that repeats its last image while the other camera delivers a new one.
 pub(super) fn stuck_eye(remembered: &[Remembered; 2], images: [&RgbImage; 2]) -> Option<usize> {
     [0, 1].into_iter().find(|&eye| {
         let other = 1 - eye;

@@ -1,5 +1,5 @@
-//! A lost target is looked for in the whole left image, at an eighth of the resolution, and along the disparities of what
-//! is found there.
+//! Search for a lost target: in the whole left image at an eighth of the resolution, then along the disparities of each
+//! candidate.
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
@@ -12,27 +12,27 @@ use super::kernels::{CHANNELS, SurfaceGroup, ViewGroup, texel_at};
 use super::view::View;
 use crate::kernels::{Correlation, MomentSums};
 
-/// Points of a template, at most. Chosen; no sweep is on record.
+/// Largest number of points of a template. Chosen; no sweep is on record.
 const POINTS_MAX: usize = 64;
-/// Fewer points are no template. Chosen; no sweep is on record.
+/// Smallest number of points of a template. Chosen; no sweep is on record.
 const POINTS_MIN: usize = 12;
-/// Places kept of each search. Chosen; no sweep is on record.
+/// Number of positions kept from each search. Chosen; no sweep is on record.
 pub(super) const PLACES: usize = 3;
-/// Depths that are tried, as multiples of the template's. Chosen; no sweep is on record.
+/// Range of tested depths, as a factor on the template's depth. Chosen; no sweep is on record.
 const DEPTH_REACH: f64 = 1.6;
-/// Most depths tried. Chosen; no sweep is on record.
+/// Largest number of tested depths. Chosen; no sweep is on record.
 const DEPTHS_MAX: usize = 160;
-/// Share of a template that must lie in the image. Chosen; no sweep is on record.
+/// Smallest share of a template inside the image. Chosen; no sweep is on record.
 const VISIBLE_MIN: f64 = 0.7;
 
-/// A place in the left image where a template fits.
+/// A position in the left image at which a template fits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Place {
     pub(super) cam_left_from_model: Pose<CamLeft, Model>,
     pub(super) correlation: f64,
 }
 
-/// A point of a template: where it lies from the template's centre, whole pixels of the coarsest level, and its channels.
+/// A template point: its offset from the template's centre, whole pixels of the coarsest level, and its channels.
 #[derive(Clone, Copy, Debug, Default)]
 struct TemplatePoint {
     offset_px: [i32; 2],
@@ -48,7 +48,7 @@ pub(super) struct Searcher {
 }
 
 impl Searcher {
-    /// Room for images of this size.
+    /// Allocates buffers for images of this size.
     pub(super) fn new(width: u32, height: u32, kernels: Kernels) -> Self {
         let side = 1_usize << (LEVELS - 1);
         Self {
@@ -58,7 +58,7 @@ impl Searcher {
         }
     }
 
-    /// The best places of the target, seen with the rotation and at the depth of `hypothesis`, in the left image.
+    /// The best positions of the target in the left image, with the rotation and the depth of `hypothesis`.
     pub(super) fn places(
         &mut self,
         groups: &[SurfaceGroup],
@@ -141,7 +141,7 @@ impl Searcher {
     }
 }
 
-/// The hypothesis, seen from the same side and at the same depth, on another ray (third component 1).
+/// The hypothesis moved to another ray (third component 1), with the same viewing direction and depth.
 fn moved_to_ray(hypothesis: &Pose<CamLeft, Model>, ray: &Vector3<f64>) -> Pose<CamLeft, Model> {
     let from = hypothesis.translation_m();
     let turn = nalgebra::UnitQuaternion::rotation_between(&from, ray).unwrap_or_default();
@@ -193,7 +193,7 @@ fn score_row_kernel(
     }
 }
 
-/// A pose moved along its ray to the distance at which the right image fits the view best.
+/// Moves a pose along its ray to the distance at which the right image fits the view best.
 pub(super) fn depth_by_stereo(
     groups: &[SurfaceGroup],
     view: &[ViewGroup],
@@ -220,7 +220,7 @@ pub(super) fn depth_by_stereo(
     (correlation > 0.2).then(|| Pose::from_parts(pose.translation_m() * scale, pose.rotation()))
 }
 
-/// Correlation with the right image of the surface at another distance.
+/// Correlation of the right image with the surface at another distance.
 fn right_correlation(
     groups: &[SurfaceGroup],
     view: &[ViewGroup],
@@ -247,10 +247,10 @@ fn right_correlation(
     if correlation.count() < VISIBLE_MIN * tried { -1.0 } else { correlation.value() }
 }
 
-/// Turns that are tried about the axis of sight, radians (20 and 40 degrees). Chosen; no sweep is on record.
+/// Tested rotations about the line of sight, radians (20 and 40 degrees). Chosen; no sweep is on record.
 const ROLLS: [f64; 5] = [0.0, 0.35, -0.35, 0.7, -0.7];
 
-/// The `index`-th guess from where the target may be seen: as last seen, and as each view was, each also rolled.
+/// The `index`-th hypothesis of the viewing direction: that of the last pose, and that of each view, each also rolled.
 pub(super) fn hypothesis(index: usize, last: &Pose<CamLeft, Model>, views: &[View]) -> (usize, Pose<CamLeft, Model>) {
     let sources = views.len() + 1;
     let (source, roll) = (index % sources, ROLLS[index / sources % ROLLS.len()]);
@@ -260,7 +260,7 @@ pub(super) fn hypothesis(index: usize, last: &Pose<CamLeft, Model>, views: &[Vie
     (source, pose)
 }
 
-/// The pose with its tilt mirrored: the normal is on the other side of the axis of sight.
+/// The pose with its tilt mirrored at the line of sight.
 pub(super) fn mirrored(pose: &Pose<CamLeft, Model>) -> Pose<CamLeft, Model> {
     let normal = pose.rotation() * Vector3::z();
     let sight = pose.translation_m().try_normalize(1e-9).unwrap_or_else(Vector3::z);
@@ -269,7 +269,7 @@ pub(super) fn mirrored(pose: &Pose<CamLeft, Model>) -> Pose<CamLeft, Model> {
     Pose::from_parts(pose.translation_m(), turn * pose.rotation())
 }
 
-/// How many different guesses there are.
+/// Number of different hypotheses.
 pub(super) fn hypotheses(views: usize) -> usize {
     (views + 1) * ROLLS.len()
 }

@@ -1,71 +1,73 @@
-//! What all frames together know of the surface: an information filter over the nodes of the relief.
+//! Surface shape from all frames: an information filter over the nodes of the relief.
 //!
-//! A frame says something about every patch's depth, and about its own pose, gains and row offset, and the two are not
-//! independent: a wrong tilt of the surface is a wrong tilt of the pose. So pose, gains and row offset are taken out of each
-//! frame's equations together (Schur complement) and what is left, information about all nodes at once, is added up. With it
-//! the pose of a frame is corrected for what it shares with the surface, and its covariance holds what is still open.
+//! A frame has information about every patch's depth, and about its own pose, gains and row offset. The two are not
+//! independent: a tilt error of the surface is a tilt error of the pose. Pose, gains and row offset are therefore marginalised
+//! from each frame's equations (Schur complement). The remaining information about all nodes is accumulated. It corrects the
+//! pose of a frame for the error shared with the surface, and the covariance of the pose includes the remaining uncertainty of
+//! the surface.
 //!
-//! Unknowns are the disparities of the nodes in the first view beyond the plane of the start, pixels. A surface is as smooth
-//! as it shows itself to be: differences between neighbours are normal with a variance that maximises the evidence of all
-//! frames. Planes are free.
+//! The unknowns are the disparities of the nodes in the first view relative to the initial plane, pixels. The smoothness of the
+//! surface is estimated: differences between neighbours are normally distributed with a variance that maximises the evidence of
+//! all frames. Planes are not penalised.
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::dense::{cholesky, log_determinant, solve_lower, solve_upper};
 use super::normal::{ALL, AllVector, Equations, PatchScore};
 
-/// Range of the variance of the difference between neighbours, pixels squared, and the factor between those compared. Chosen; no sweep is
-/// on record.
+/// Range of the variance of the difference between neighbours, squared pixels, and the factor between tested values. Chosen; no
+/// sweep is on record.
 const ROUGHNESS: (f64, f64) = (1e-6, 1.0);
 const ROUGHNESS_STEP: f64 = 2.0;
-/// Where the search begins. Chosen; no sweep is on record.
+/// Initial value of the search. Chosen; no sweep is on record.
 const ROUGHNESS_START: f64 = 0.02;
-/// In how many steps it must end at the start of a target. Chosen; no sweep is on record.
+/// Largest number of search steps at the initialisation of a target. Chosen; no sweep is on record.
 const STEPS_AT_START: usize = 8;
-/// Logarithm of how much likelier the data must be with a relief than without one (150 times). Chosen; no sweep is on record.
+/// Log likelihood ratio that the data must give for a relief compared with none (150 times). Chosen; no sweep is on record.
 const EVIDENCE_MIN: f64 = 5.0;
-/// Roughness is looked at again when this much more is known. Chosen; no sweep is on record.
+/// The roughness is estimated again when the information has grown by this factor. Chosen; no sweep is on record.
 const NEWS: f64 = 1.5;
-/// Most that a node moves in a frame, pixels. Chosen; no sweep is on record.
+/// Largest motion of a node in a frame, pixels. Chosen; no sweep is on record.
 const MOVE_MAX_PX: f64 = 0.5;
-/// The relief is never held for surer than this per node on average, 1/px^2: what is left is not noise. Chosen; no sweep is on record.
+/// Largest information about the relief per node on average, 1/px^2: the residual error is not noise. Chosen; no sweep is on
+/// record.
 const INFORMATION_MAX: f64 = 2e4;
 
-/// How much of what a frame says is taken over.
+/// Weights of a frame's information.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shares {
-    /// Of what it says about the relief, whatever the plane.
+    /// Weight of the information about the relief, for any plane.
     pub(super) relief: f64,
-    /// Of what it says about the plane.
+    /// Weight of the information about the plane.
     pub(super) plane: f64,
-    /// All frames together are told no more of the plane than so many times what this one says.
+    /// Limit of the plane information from all frames, as a multiple of this frame's.
     pub(super) plane_in_all: f64,
 }
 
-/// The nodes of a relief that have points, and how groups of points hang on them.
+/// The nodes of a relief that have points, and the relation between groups of points and nodes.
 #[derive(Clone, Debug)]
 pub(super) struct Grid {
-    /// By group: nodes and their shares.
+    /// Per group: nodes and their weights.
     pub(super) shares: Vec<Vec<(usize, f64)>>,
-    /// Pairs of neighbours and how far they are from each other, in patches. All nodes hang together.
+    /// Pairs of neighbours and their distance, in patches. The graph is connected.
     pub(super) edges: Vec<(usize, usize, f64)>,
-    /// Disparity at a node for each number of a plane (x, y, 1), up to a common factor.
+    /// Disparity at a node per parameter of a plane (x, y, 1), up to a common factor.
     pub(super) plane: Vec<Vector3<f64>>,
 }
 
-/// See the module.
+/// Information filter of the surface shape; see the module documentation.
 #[derive(Clone, Debug)]
 pub(super) struct Shape {
     grid: Grid,
-    /// Of the data alone: information, 1/px^2 (row-major), and information times disparity.
+    /// Information of the data alone, 1/px^2 (row-major), and information times disparity.
     information: Vec<f64>,
     vector: Vec<f64>,
     prior: Vec<f64>,
-    /// What [`Self::learn`] has taken over about the plane, as information about the factors of [`Grid::plane`].
+    /// Information about the plane that [`Self::learn`] has used, with respect to the factors of [`Grid::plane`].
     plane_learnt: Matrix3<f64>,
     roughness: f64,
     may_be_rough: bool,
-    /// 1/px^2, that no node leaves the plane.
+    /// Prior information that a node lies on the plane, 1/px^2.
     own: f64,
     evidence_of_prior: f64,
     known_at_roughness: f64,
@@ -79,10 +81,11 @@ pub(super) struct Shape {
     rows: Vec<f64>,
 }
 
-/// What a frame says about the nodes.
+/// Information of a frame about the nodes.
 #[derive(Clone, Debug, Default)]
 struct FrameShape {
-    /// Second derivatives by node and the other unknowns, and those times their covariance; [`ALL`] per node.
+    /// Second derivatives with respect to node and the other unknowns, and their products with the covariance; [`ALL`] per
+    /// node.
     cross: Vec<f64>,
     scaled: Vec<f64>,
     information: Vec<f64>,
@@ -91,7 +94,8 @@ struct FrameShape {
 }
 
 impl Shape {
-    /// Nothing is known; `sigma_px` is the standard deviation of the surface about its plane, 0 for a flat one.
+    /// Creates a shape without information; `sigma_px` is the standard deviation of the surface about its plane, 0 for a flat
+    /// one.
     pub(super) fn over(grid: Grid, sigma_px: f64) -> Self {
         let n = grid.plane.len();
         let is_flat = sigma_px <= 0.0;
@@ -126,7 +130,7 @@ impl Shape {
         self.mean.len()
     }
 
-    /// Forgets everything; the surface is at `mean`.
+    /// Removes all information; the surface is at `mean`.
     pub(super) fn restart(&mut self, mean: &[f64]) {
         self.information.fill(0.0);
         self.vector.fill(0.0);
@@ -135,8 +139,8 @@ impl Shape {
         self.mean.copy_from_slice(mean);
     }
 
-    /// Reads a frame's equations: `equations` about pose, gains and row offset, `scores` of the groups, `px` the inverse depth
-    /// of a pixel of disparity.
+    /// Reads a frame's equations: `equations` for pose, gains and row offset, `scores` of the groups, `px` the inverse depth
+    /// per pixel of disparity.
     pub(super) fn read(&mut self, equations: &Equations, scores: &[PatchScore], px: f64) {
         let n = self.count();
         let frame = &mut self.frame;
@@ -173,12 +177,12 @@ impl Shape {
         }
     }
 
-    /// Takes all that the frame last read says, and moves the surface; `false` if that determines nothing.
+    /// Adds all information of the last frame read, and updates the surface; `false` if the system is singular.
     pub(super) fn learn_all(&mut self) -> bool {
         self.add()
     }
 
-    /// Takes shares of what the frame last read says, and moves the surface; `false` if that determines nothing.
+    /// Adds weighted information of the last frame read, and updates the surface; `false` if the system is singular.
     pub(super) fn learn(&mut self, shares: &Shares) -> bool {
         self.weigh_frame(shares);
         self.add()
@@ -210,17 +214,17 @@ impl Shape {
         true
     }
 
-    /// Weighs what the frame last read says about the relief, whatever the plane, and the rest.
+    /// Weights the information of the last frame read: one weight for the relief (for any plane), one for the plane.
     fn weigh_frame(&mut self, shares: &Shares) {
         let Self { grid, frame, rows, plane_learnt, .. } = self;
         let stiffness = plane_stiffness(&grid.plane, &frame.information, rows);
-        // Where rounding leaves nothing to be told of the plane, all of it counts as the relief does.
+        // If rounding leaves no information about the plane, all information gets the weight of the relief.
         let beyond_relief = take_of_plane(plane_learnt, &stiffness, shares).unwrap_or_default();
         weigh((&mut frame.information, &mut frame.pull), shares.relief, (&beyond_relief, &grid.plane, rows));
     }
 
-    /// Forgets of the relief what is beyond [`INFORMATION_MAX`]. Of the plane nothing is forgotten: later frames say less of it
-    /// than the first pair, so that it would follow what they get wrong.
+    /// Reduces the information about the relief to [`INFORMATION_MAX`]. The information about the plane is kept: later frames
+    /// contain less of it than the first pair, so the plane would follow their errors.
     fn bound_relief(&mut self) {
         let n = self.count();
         let known: f64 = (0..n).map(|i| self.information[i * n + i]).sum();
@@ -236,13 +240,14 @@ impl Shape {
         weigh((information, vector), kept, (&(inverse * (1.0 - kept)), &grid.plane, rows));
     }
 
-    /// Nothing is learnt from the frame last read.
+    /// Skips the information of the last frame read.
     pub(super) fn hold(&mut self) -> bool {
         self.before.copy_from_slice(&self.mean);
         self.solve()
     }
 
-    /// Correction of the pose last read for a surface that has moved since, and what the surface leaves open of it.
+    /// Correction of the pose last read for a surface that has moved since, and the contribution of the surface to its
+    /// covariance.
     pub(super) fn pose(&mut self) -> (Vector6<f64>, Matrix6<f64>) {
         let n = self.count();
         let (mut step, mut covariance) = (Vector6::zeros(), Matrix6::zeros());
@@ -270,7 +275,7 @@ impl Shape {
         (step, covariance)
     }
 
-    /// The mean of data and prior, into `frame.column`; the factor is left for [`Self::pose`].
+    /// Combines data and prior into the mean, in `frame.column`; the factor is kept for [`Self::pose`].
     fn solve(&mut self) -> bool {
         let n = self.count();
         self.factor.iter_mut().zip(self.information.iter().zip(&self.prior)).for_each(|(f, (a, b))| *f = a + b);
@@ -283,8 +288,8 @@ impl Shape {
         self.frame.column.iter().all(|x| x.is_finite())
     }
 
-    /// Looks for the roughness of the largest evidence, in at most `steps` steps from the last one; a flat surface stays flat
-    /// unless the evidence against it is strong.
+    /// Searches the roughness with the largest evidence, in at most `steps` steps from the last value. A flat surface stays
+    /// flat unless the evidence against it is strong.
     fn find_roughness(&mut self, steps: usize) {
         let start = if self.is_flat() { ROUGHNESS_START } else { self.roughness };
         let (mut found, mut best) = (start, self.evidence(start).unwrap_or(f64::MIN));
@@ -321,7 +326,7 @@ impl Shape {
         Some(self.evidence_of_prior + 0.5 * (explained - log_determinant(&self.factor, n)))
     }
 
-    /// The prior for a roughness: neighbours differ little, and nodes leave the plane little, whatever the plane.
+    /// Sets the prior for a roughness: small differences between neighbours, and small deviations of nodes from any plane.
     fn set_prior(&mut self, roughness: f64) {
         let n = self.count();
         let Self { prior, factor, grid, own, rows, .. } = self;
@@ -356,7 +361,7 @@ impl Shape {
         }
     }
 
-    /// The plane that the nodes have in common, by what is known of each, as a factor of [`Grid::plane`].
+    /// The plane common to all nodes, weighted by their information, as factors of [`Grid::plane`].
     pub(super) fn common_plane(&self) -> Vector3<f64> {
         let n = self.count();
         let (mut matrix, mut rhs) = (Matrix3::identity() * 1e-9, Vector3::zeros());
@@ -368,7 +373,7 @@ impl Shape {
         matrix.cholesky().map(|c| c.solve(&rhs)).unwrap_or_default()
     }
 
-    /// Pairs of neighbours and how far they are from each other, in patches.
+    /// Pairs of neighbours and their distance, in patches.
     pub(super) fn edges(&self) -> &[(usize, usize, f64)] {
         &self.grid.edges
     }
@@ -378,19 +383,19 @@ impl Shape {
         &self.grid.plane
     }
 
-    /// What a node has beyond a plane, pixels.
+    /// Deviation of a node from a plane, pixels.
     pub(super) fn beyond(&self, node: usize, plane: &Vector3<f64>) -> f64 {
         self.mean[node] - self.grid.plane[node].dot(plane)
     }
-    /// By how much the nodes moved last, root mean square, pixels.
+    /// Root mean square of the last motion of the nodes, pixels.
     pub(super) fn moved_px(&self) -> f64 {
         let squares = self.mean.iter().zip(&self.before).map(|(now, before)| (now - before).powi(2));
         (squares.sum::<f64>() / self.count().max(1) as f64).sqrt()
     }
 }
 
-/// What `information` about nodes says about the plane that they share, with `rows` of three numbers per node: the product of
-/// information and planes.
+/// Information about the common plane that follows from the `information` about nodes. `rows`, with three numbers per node,
+/// receives the product of information and planes.
 fn plane_stiffness(planes: &[Vector3<f64>], information: &[f64], rows: &mut [f64]) -> Matrix3<f64> {
     let n = planes.len();
     let mut stiffness = Matrix3::zeros();
@@ -403,8 +408,8 @@ fn plane_stiffness(planes: &[Vector3<f64>], information: &[f64], rows: &mut [f64
     stiffness + Matrix3::identity() * (1e-9 * stiffness.trace().abs() + 1e-9)
 }
 
-/// Adds to `learnt` what is to be taken of a frame that says `stiffness` about the plane; what that is beyond the relief's share, for
-/// [`weigh`]. None if `stiffness` is not positive definite.
+/// Adds to `learnt` the part of a frame's plane information `stiffness` that is used. Returns the difference between this part
+/// and the relief's weight, for [`weigh`]. `None` if `stiffness` is not positive definite.
 fn take_of_plane(learnt: &mut Matrix3<f64>, stiffness: &Matrix3<f64>, shares: &Shares) -> Option<Matrix3<f64>> {
     let lower = stiffness.cholesky()?.l();
     let inverse = lower.solve_lower_triangular(&Matrix3::identity())?;
@@ -417,7 +422,7 @@ fn take_of_plane(learnt: &mut Matrix3<f64>, stiffness: &Matrix3<f64>, shares: &S
     Some(inverse.transpose() * (taken - Matrix3::identity() * shares.relief) * inverse)
 }
 
-/// Takes a share of information and vector, and of the part along the plane what `by_plane` says beyond that.
+/// Scales information and vector by a share, and adds `by_plane` for the component along the plane.
 fn weigh(
     (information, vector): (&mut [f64], &mut [f64]),
     share: f64,

@@ -1,4 +1,4 @@
-//! The filter on made-up frames: what is known is the disparity of each node, with noise.
+//! The filter on synthetic frames: the disparity of each node is known, with noise.
 
 use pb3dp_estimation_core::rng::SplitMix64;
 
@@ -23,13 +23,13 @@ fn grid() -> Grid {
     }
 }
 
-/// Normal numbers of a seed.
+/// Normally distributed numbers from a seed.
 fn noise(count: usize, seed: u64) -> Vec<f64> {
     let mut random = SplitMix64::new(seed);
     (0..count).map(|_| random.normal()).collect()
 }
 
-/// What a frame says that measures `truth` (pixels, by node), each node by itself.
+/// Reads a frame that measures `truth` (pixels, by node), each node independently.
 fn show(shape: &mut Shape, truth: &[f64], seed: u64) {
     let n = shape.count();
     shape.frame.information.fill(0.0);
@@ -61,7 +61,7 @@ fn a_plane_stays_a_plane_whatever_the_noise() {
         let relief = rms((0..shape.count()).map(|node| shape.beyond(node, &plane)));
         assert!(relief < 1e-3, "seed {seed}: relief {relief} px");
         let wrong = rms(shape.mean.iter().zip(&truth).map(|(mean, truth)| mean - truth));
-        // Three numbers out of 64 noisy ones.
+        // Three parameters from 64 noisy values.
         assert!(wrong < 0.1 * 3.0 * (3.0_f64 / 64.0).sqrt(), "seed {seed}: {wrong} px");
     }
 }
@@ -76,7 +76,7 @@ fn a_relief_is_found_and_gets_better_with_every_frame() {
         assert!(shape.learn_all());
         errors.push(rms(shape.mean.iter().zip(&truth).map(|(mean, truth)| mean - truth)));
     }
-    // Noise of 0.1 px per frame, less what neighbours say.
+    // Noise of 0.1 px per frame, reduced by the information from neighbours.
     assert!(errors[0] < 0.1 && errors[15] < 0.5 * errors[0], "{errors:?}");
 }
 
@@ -103,7 +103,7 @@ fn however_many_frames_repeat_it_the_plane_moves_no_further_than_two_of_them_wou
     let flat = vec![0.0; SIDE * SIDE];
     let lifted: Vec<f64> = grid().plane.iter().map(|p| p.dot(&Vector3::new(0.3, -0.2, 0.4))).collect();
     let mut shape = Shape::over(grid(), 1.5);
-    // The start knows as much as ten frames.
+    // The initialisation has the information of ten frames.
     for seed in 1..=10 {
         show(&mut shape, &flat, seed);
         assert!(shape.learn_all());
@@ -114,14 +114,14 @@ fn however_many_frames_repeat_it_the_plane_moves_no_further_than_two_of_them_wou
         rms(shape.grid.plane.iter().map(|plane| plane.dot(&by)))
     };
     let all_px = rms(lifted.iter().copied());
-    // More than INFORMATION_MAX would allow.
+    // More than INFORMATION_MAX allows.
     for seed in 11..1000 {
         show(&mut shape, &lifted, seed);
         assert!(shape.learn(&shares));
     }
     let share = moved_px(&shape) / all_px;
     assert!((share - 2.0 / 12.0).abs() < 0.03, "{share}");
-    // A frame that knows ten times as much is heard again.
+    // A frame with ten times the information has an effect again.
     for seed in 1000..1020 {
         show(&mut shape, &lifted, seed);
         shape.frame.information.iter_mut().chain(&mut shape.frame.pull).for_each(|x| *x *= 10.0);
@@ -142,7 +142,7 @@ fn a_frame_that_rounding_has_spoilt_counts_no_more_than_others() {
 
 #[test]
 fn what_the_pose_may_explain_is_not_learnt() {
-    // One unknown of the pose moves all nodes alike: a frame then says nothing about their mean.
+    // One unknown of the pose moves all nodes equally, so a frame has no information about their mean.
     let mut shape = Shape::over(grid(), 1.5);
     let n = shape.count();
     let truth = bumps();
@@ -164,6 +164,6 @@ fn what_the_pose_may_explain_is_not_learnt() {
     assert!((mean(&shape) - before).abs() < 1e-6, "{before} {}", mean(&shape));
     let (step, open) = shape.pose();
     assert!(step[0].abs() < 1e-6);
-    // The mean is as open as one frame left it.
+    // The uncertainty of the mean is that after one frame.
     assert!((open[(0, 0)] * KNOWN * n as f64 - 1.0).abs() < 0.1, "{}", open[(0, 0)]);
 }

@@ -1,4 +1,4 @@
-//! The relief from the first pair.
+//! Relief from the first stereo pair.
 
 use nalgebra::Vector3;
 use pb3dp_estimation_core::wide::LANES;
@@ -9,18 +9,18 @@ use super::normal::Free;
 use super::relief::patches_of;
 use crate::kernels::Correlation;
 
-/// Step between candidate offsets, pixels of disparity, and how many standard deviations they reach. Chosen; no sweep is on record.
+/// Step between candidate offsets, pixels of disparity, and their range in standard deviations. Chosen; no sweep is on record.
 const STEP_PX: f64 = 0.5;
 const REACH_SIGMAS: f64 = 5.0;
-/// Levels whose points take part in the choice between candidates. Chosen; no sweep is on record.
+/// Levels with points that contribute to the choice between candidates. Chosen; no sweep is on record.
 const LEVELS_USED: usize = 2;
-/// Most rounds of refinement. Chosen: five ended 0.2 degrees from where more of them lead.
+/// Largest number of refinement rounds. Chosen: five ended 0.2 degrees from where more of them lead.
 const ROUNDS: usize = 40;
-/// The move (root mean square over the patches, pixels) after which none follows. Chosen; no sweep is on record.
+/// Convergence limit of a round (root mean square over the patches), pixels. Chosen; no sweep is on record.
 const MOVE_DONE_PX: f64 = 0.003;
 
-/// Finds the relief between candidates, then refines plane and patches in turn. The pose is held: it is the definition of
-/// the frame `model`.
+/// Selects the relief among candidates, then refines plane and patches alternately. The pose is fixed, because it defines the
+/// frame `model`.
 pub(super) fn find(aligner: &mut Aligner, problem: &mut Problem<'_>, estimate: &mut Estimate, sigma_px: f64) {
     if sigma_px > 0.0 {
         choose(aligner, problem, estimate, sigma_px);

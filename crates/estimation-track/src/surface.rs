@@ -1,4 +1,4 @@
-//! The target's surface: points chosen in the first view, on a plane with a relief, for every level of the pyramid.
+//! The target's surface: points selected in the first view, on a plane with a relief, for every level of the pyramid.
 
 use nalgebra::{Point3, Vector2, Vector3};
 use pb3dp_estimation_core::region::RegionMask;
@@ -13,23 +13,24 @@ use super::relief::Relief;
 use super::shape::Shape;
 use crate::cells::{Cell, Cells};
 
-/// Sub-cells along a side of a cell: each gives its sharpest pixel, a cell is a group. Chosen; no sweep is on record.
+/// Number of sub-cells along a cell's side: each contributes its sharpest pixel, and a cell is a group. Chosen; no sweep is on
+/// record.
 const SUB_CELLS: usize = 4;
-/// Correlation of the noise of two points by the distance of their columns or rows, pixels: of white noise, read through a cubic B-spline
-/// on a pixel, (1, 4, 1) / 6: sums of products 18, 8 and 1 over 36.
+/// Correlation of the noise of two points by the distance of their columns or rows, pixels. For white noise, sampled on a pixel
+/// with a cubic B-spline, (1, 4, 1) / 6: sums of products 18, 8 and 1 over 36.
 const SHARED_BY_DISTANCE: [f64; 3] = [1.0, 8.0 / 18.0, 1.0 / 18.0];
-/// What that makes of the sharpest thousand of ten thousand pixels, see [`Surface::noise_sharing`]: of points spread evenly by chance it
-/// would be 1 + 0.1 (2^2 - 1) = 1.3. How it was measured is not on record.
+/// Typical effect of this correlation for the sharpest thousand of ten thousand pixels, see [`Surface::noise_sharing`]; for
+/// uniformly random points it would be 1 + 0.1 (2^2 - 1) = 1.3. How it was measured is not on record.
 const SHARING_USUAL: f64 = 1.5;
-/// A cell with fewer points is left out. Chosen; no sweep is on record.
+/// Smallest number of points of a cell. Chosen; no sweep is on record.
 const CELL_POINTS_MIN: usize = 4;
 
-/// Where a group's points lie in the first view.
+/// Positions of a group's points in the first view.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PlaceGroup {
     /// Raw left pixel (u, v).
     pub(super) pixel: [Lanes; 2],
-    /// Derivative of the ray (x by u, x by v, y by u, y by v) by the pixel.
+    /// Derivative of the ray (x by u, x by v, y by u, y by v) with respect to the pixel.
     ray_by_pixel: [Lanes; 4],
 }
 
@@ -48,20 +49,20 @@ pub(super) struct Surface {
     /// The plane in the first left camera: inverse depth is `plane . ray`, plus the relief.
     pub(super) plane: Vector3<f64>,
     pub(super) relief: Relief,
-    /// What is known of both.
+    /// Information about plane and relief.
     pub(super) shape: Shape,
-    /// The plane that disparities in [`Self::shape`] are counted from.
+    /// The reference plane of the disparities in [`Self::shape`].
     plane_of_shape: Vector3<f64>,
     pub(super) model_from_first: Pose<Model, CamLeft>,
     /// Distance of the farthest point from the origin of `model`, metres.
     pub(super) radius_m: f64,
-    /// By how much less the points say because they share noise, beyond what they do on targets with ten pixels for each
-    /// point: what is known of those is measured.
+    /// Factor by which shared noise reduces the information of the points, relative to targets with ten pixels per point, for
+    /// which the total effect was measured.
     pub(super) noise_sharing: f64,
 }
 
-/// Where the frame `model` lies in the first left camera: origin on `centre_ray` in the plane, z along the normal away from
-/// the camera, x the image's x axis projected into the plane.
+/// Pose of the frame `model` in the first left camera: origin on `centre_ray` in the plane, z along the normal away from the
+/// camera, x the image's x axis projected into the plane.
 pub(super) fn model_frame(plane: &Vector3<f64>, centre_ray: &Vector3<f64>) -> Option<Pose<CamLeft, Model>> {
     let inverse_depth = plane.dot(centre_ray);
     let z = plane.try_normalize(1e-12)?;
@@ -72,7 +73,7 @@ pub(super) fn model_frame(plane: &Vector3<f64>, centre_ray: &Vector3<f64>) -> Op
 }
 
 impl Surface {
-    /// Chooses points inside `region` (already eroded) of the first left image.
+    /// Selects points inside `region` (already eroded) of the first left image.
     pub(super) fn choose(
         left: &EyeImages,
         region: &RegionMask,
@@ -120,14 +121,14 @@ impl Surface {
         surface
     }
 
-    /// Forgets what is known of the surface; it stays where it is.
+    /// Removes the information about the surface; the surface itself does not change.
     pub(super) fn restart_shape(&mut self) {
         self.plane_of_shape = self.plane;
         let nodes = self.relief.nodes(self.shape.mean.len());
         self.shape.restart(&nodes);
     }
 
-    /// Moves plane and relief to where the shape is now.
+    /// Sets plane and relief to the current shape.
     pub(super) fn take_shape(&mut self) {
         let plane = self.shape.common_plane();
         self.plane = self.plane_of_shape + plane * self.relief.inverse_depth_per_px();
@@ -136,7 +137,7 @@ impl Surface {
         self.rebuild();
     }
 
-    /// Positions of all points from plane and relief.
+    /// Computes the positions of all points from plane and relief.
     pub(super) fn rebuild(&mut self) {
         let model_from_first = self.model_from_first;
         for level in &mut self.levels {
@@ -148,7 +149,7 @@ impl Surface {
         }
     }
 
-    /// By how much the points at full resolution say less than as many with noise of their own.
+    /// Information loss of the points at full resolution due to shared noise.
     fn shared_noise(&self) -> f64 {
         let places = self.levels[0].groups.iter().zip(&self.levels[0].places);
         let pixels = places.flat_map(|(group, place)| {
@@ -173,8 +174,8 @@ impl Surface {
         self.levels[0].groups.iter().map(|group| group.mask.sum() as usize).sum()
     }
 
-    /// Makes the lens of an eye linear about where the points of a level are expected; a lens without distortion is linear
-    /// everywhere and stays as it is.
+    /// Linearises the lens of a camera at the expected positions of a level's points. A lens without distortion is linear
+    /// everywhere and remains unchanged.
     pub(super) fn linearise_lens(
         &mut self,
         level: usize,
@@ -199,8 +200,8 @@ impl Surface {
     }
 }
 
-/// By how much points (row, column) say less than as many with noise of their own: each is read with its surroundings
-/// (`images.rs`), which neighbours share.
+/// Information loss of points (row, column) due to shared noise, as a factor: each is sampled with its neighbourhood
+/// (`images.rs`), which adjacent points share.
 fn shared_noise(mut pixels: Vec<[i32; 2]>) -> f64 {
     pixels.sort_unstable();
     let reach = SHARED_BY_DISTANCE.len() as i32 - 1;
@@ -262,7 +263,7 @@ fn place_point(
     }
 }
 
-/// A pixel that might be chosen: column and row in its level, and how sharp it is.
+/// A candidate pixel: column and row in its level, and its sharpness.
 struct Candidate {
     x: usize,
     y: usize,
@@ -343,7 +344,7 @@ impl SurfaceLevel {
     }
 }
 
-/// Puts a pixel into a lane, if it has a ray.
+/// Stores a pixel in a lane, if it has a ray.
 fn set_place(group: &mut SurfaceGroup, place: &mut PlaceGroup, i: usize, camera: &Camera, pixel: [f64; 2]) {
     let at = |du: f64, dv: f64| camera.unproject(&Vector2::new(pixel[0] + du, pixel[1] + dv)).ok();
     let rays = [at(0.0, 0.0), at(0.5, 0.0), at(-0.5, 0.0), at(0.0, 0.5), at(0.0, -0.5)];

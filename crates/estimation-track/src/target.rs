@@ -1,4 +1,4 @@
-//! One target: its surface, its views, and what is known of it.
+//! One target: its surface, its stored views, and its state.
 
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector2};
 use pb3dp_estimation_core::cpu::Kernels;
@@ -25,42 +25,42 @@ use super::surface::Surface;
 use super::view::View;
 use pb3dp_estimation_core::method::{FramePrior, SurfacePoint};
 
-/// What is taken over of a frame's information about the surface: all frames share the noise of the kept view, of which disparities, that
-/// tell the relief, hardly have any. The plane's tilt is told by the view alone: half of the variance is its own, so any number of frames
-/// tells no more than two would without it (`plane_in_all`). The two others are chosen; no sweep is on record.
+/// Weights of a frame's information about the surface. All frames share the noise of the stored view, which hardly affects the disparities
+/// that determine the relief. The view alone determines the plane's tilt: half of the variance is the view's own, so any number of frames
+/// gives no more information than two would without it (`plane_in_all`). The two other weights are chosen; no sweep is on record.
 const SHARES: Shares = Shares { relief: 0.5, plane: 0.15, plane_in_all: 2.0 };
-/// As above, about the row offset. Chosen; no sweep is on record.
+/// Weight of a frame's information about the row offset. Chosen; no sweep is on record.
 const ROW_SHARE: f64 = 0.02;
-/// The most that is believed of the row offset (0.01 px). Chosen; no sweep is on record.
+/// Largest information about the row offset (0.01 px). Chosen; no sweep is on record.
 const ROW_INFORMATION_MAX: f64 = 1e4;
-/// Variances of residuals are judged by those of frames that fitted, times this. Chosen; no sweep is on record.
+/// Largest ratio of residual variances to those of fitting frames. Chosen; no sweep is on record.
 const VARIANCE_SLACK: f32 = 3.0;
-/// How fast the reference follows. Chosen; no sweep is on record.
+/// Rate at which the reference variances are updated. Chosen; no sweep is on record.
 const REFERENCE_RATE: f32 = 0.05;
-/// Least share of the model that must be visible. Chosen; no sweep is on record.
+/// Smallest visible share of the model. Chosen; no sweep is on record.
 const VISIBLE_MIN: f64 = 0.35;
-/// A fit is as good as noise allows from these shares of the expected correlation and of inliers on. Chosen; no sweep is on record.
+/// A fit is as good as noise allows if it reaches these shares of the expected correlation and of inliers. Chosen; no sweep is on record.
 const WELL_CORRELATED: f64 = 0.96;
 const WELL_FITTING: f64 = 0.88;
-/// Templates per frame while the target is lost. Chosen: with this and the next three a lost frame took less than 10 ms.
+/// Number of templates per frame while the target is lost. Chosen: with this and the next three a lost frame took less than 10 ms.
 const TEMPLATES_PER_FRAME: usize = 7;
-/// Places that are looked into then. Chosen, see [`TEMPLATES_PER_FRAME`].
+/// Number of candidate positions tested per lost frame. Chosen, see [`TEMPLATES_PER_FRAME`].
 const CANDIDATES: usize = 4;
-/// Steps per level of a first look into a place. Chosen, see [`TEMPLATES_PER_FRAME`].
+/// Steps per level in the rough alignment of a candidate. Chosen, see [`TEMPLATES_PER_FRAME`].
 const ROUGH_STEPS: usize = 6;
-/// The correlation that such a look must reach. Chosen, see [`TEMPLATES_PER_FRAME`].
+/// Correlation that the rough alignment must reach. Chosen, see [`TEMPLATES_PER_FRAME`].
 const ROUGH_RESEMBLANCE_MIN: f64 = 0.5;
-/// A target and its twin are farther apart than this, metres, and one is nearer than the other by this factor. Chosen; no sweep is on
-/// record.
+/// Smallest distance between a target and its twin, metres, and the factor by which one must be nearer to the prediction than
+/// the other. Chosen; no sweep is on record.
 const APART_M: f64 = 0.02;
 const CLEARLY_NEARER: f64 = 2.0;
-/// A target that is found again must fit by this much better than one that was never lost. Chosen; no sweep is on record.
+/// Factor by which the limits are stricter for a target that is found again. Chosen; no sweep is on record.
 const FOUND_AGAIN_STRICTER: f64 = 1.25;
-/// Range of the shading's standard deviation, grey levels, and how fast it follows. Chosen; no sweep is on record.
+/// Range of the shading's standard deviation, grey levels, and its update rate. Chosen; no sweep is on record.
 const PATCH_SIGMA: (f64, f64) = (0.5, 30.0);
 const PATCH_SIGMA_RATE: f64 = 0.2;
 
-/// What a frame is looked at with.
+/// Input of a frame.
 pub(super) struct Frame<'a> {
     pub(super) images: &'a [EyeImages; 2],
     pub(super) rig: &'a StereoRig,
@@ -70,9 +70,9 @@ pub(super) struct Frame<'a> {
 #[derive(Clone, Debug)]
 pub(super) struct Target {
     pub(super) surface: Surface,
-    /// Views in use; the first is the start.
+    /// Views in use; the first one is the initial view.
     pub(super) views: Vec<View>,
-    /// Views to come, made beforehand so that keeping one takes no memory.
+    /// Preallocated views, so that storing a view allocates no memory.
     spare_views: Vec<View>,
     view: usize,
     aligner: Aligner,
@@ -88,31 +88,31 @@ pub(super) struct Target {
     pub(super) covariance: Option<Matrix6<f64>>,
     pub(super) fit: Fit,
     reference: [[f32; CHANNELS]; TERMS],
-    /// How many independent points the texture is worth.
+    /// Number of independent points of the texture.
     independent_points: f64,
-    /// Whether the first pair shows something else that could be taken for the target.
+    /// Whether the first pair contains a similar object.
     has_twin: bool,
 }
 
-/// How a frame ended.
+/// Result of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Ending {
     /// The pose was found and fits.
     Found,
-    /// It does not fit.
+    /// The alignment does not fit.
     Misfit(Misfit),
-    /// Too little of where the target is expected is in sight to say anything.
+    /// Too little of the predicted target is inside the images.
     OutOfSight,
-    /// The target is expected in sight, and nothing resembles it.
+    /// The predicted target is inside the images, but nothing matches it.
     NothingAlike,
-    /// An eye (0 left, 1 right) delivers its last image again.
+    /// A camera (0 left, 1 right) repeats its last image.
     Stuck(usize),
-    /// What resembles the target is farther from where it was than it can have moved, or resembles it too little for that.
+    /// A candidate is too far from the prediction, or matches too poorly at this distance, or is not unique.
     OutOfReach,
 }
 
 impl Target {
-    /// A target whose surface is near `surface`'s plane, in the first pair (both windows loaded).
+    /// Creates a target with a surface close to the plane of `surface`, in the first pair (both windows loaded).
     pub(super) fn first(
         mut surface: Surface,
         pose: Pose<CamLeft, Model>,
@@ -159,7 +159,8 @@ impl Target {
         let Some(view) = views.first() else { return };
         let mut problem = Problem { surface, view, images: frame.images, rig: frame.rig, knowledge };
         stereo_relief::find(aligner, &mut problem, estimate, frame.config.relief_sigma_px);
-        // The view is the left image itself: it differs from it as little as from the right one by noise alone.
+        // The view is the left image itself, so its difference from the left image is as small as noise alone makes that from
+        // the right.
         estimate.variance[0] = estimate.variance[1];
         self.reference = self.estimate.variance;
         if let Some(equations) = self.examine(frame, false) {
@@ -168,13 +169,13 @@ impl Target {
         }
     }
 
-    /// The largest part of the region that is one surface, where that is not all of it; `of_several`: of what is left of
-    /// several surfaces.
+    /// The largest part of the region that is one surface; `None` if the whole region is. `of_several`: the region is the
+    /// remainder of several surfaces.
     pub(super) fn largest_part(&self, of_several: bool) -> Option<Part> {
         largest_part(&self.surface, &self.views[0].levels[0], &self.aligner.residuals, of_several)
     }
 
-    /// Looks for others that look the same, in the whole first pair.
+    /// Searches the whole first pair for similar objects.
     pub(super) fn look_for_twins(&mut self, frame: &Frame<'_>) {
         let (estimate, fit) = (self.estimate, self.fit);
         let own = estimate.cam_left_from_model;
@@ -191,7 +192,7 @@ impl Target {
         (self.estimate, self.fit) = (estimate, fit);
     }
 
-    /// The points of the surface, as the first view showed them.
+    /// The points of the surface, with their colours in the first view.
     pub(super) fn surface_points(&self) -> Vec<SurfacePoint> {
         let (groups, view) = (&self.surface.levels[0].groups, &self.views[0].levels[0]);
         let lanes = groups.iter().zip(view).flat_map(|(group, view)| {
@@ -200,7 +201,7 @@ impl Target {
         lanes.collect()
     }
 
-    /// Aligns from a predicted pose, and judges.
+    /// Aligns from a predicted pose, and evaluates the fit.
     pub(super) fn follow(
         &mut self,
         predicted: &Pose<CamLeft, Model>,
@@ -224,7 +225,7 @@ impl Target {
         Ending::Found
     }
 
-    /// What was found, or what another start finds if that fits better.
+    /// Keeps the result, or takes that of another start if it fits better.
     fn or_better(
         &mut self,
         found: Option<NormalEquations>,
@@ -242,8 +243,8 @@ impl Target {
         Some(self.examine(frame, false).unwrap_or(found))
     }
 
-    /// What was found, or the same with the tilt mirrored if that fits better. To one eye a small target looks nearly the
-    /// same either way; if the images do not agree, an alignment may have ended at the wrong one of the two.
+    /// Keeps the result, or takes that with mirrored tilt if it fits better. With one camera a small target looks nearly the
+    /// same with its tilt mirrored; if the images do not agree, an alignment may have ended at the wrong tilt.
     fn or_mirrored(
         &mut self,
         found: Option<NormalEquations>,
@@ -257,7 +258,7 @@ impl Target {
         self.or_better(found, (&mirrored, StartLevel::Resembling), frame, may_continue)
     }
 
-    /// One alignment from a pose, examined and judged by [`Self::fit`].
+    /// One alignment from a pose, examined and evaluated by [`Self::fit`].
     fn attempt(
         &mut self,
         from: &Pose<CamLeft, Model>,
@@ -272,7 +273,7 @@ impl Target {
         Some(equations)
     }
 
-    /// Whether the fit is as good as noise allows, so that nothing better is to be looked for.
+    /// Whether the fit is as good as noise allows, so that no better one needs to be searched.
     fn fits_well(&self) -> bool {
         let relative = |eye: usize| self.fit.correlation[eye] / self.fit.correlation_expected[eye];
         relative(0).min(relative(1)) >= WELL_CORRELATED
@@ -319,7 +320,7 @@ impl Target {
         self.fit = Fit::measure(&seen[0], view, residuals, &correlations, points, &self.reference);
     }
 
-    /// Says how sure the pose is; if the frame `learns`, takes over what it says about the surface, and corrects the pose.
+    /// Computes the covariance of the pose; if the frame `learns`, adds its information to the surface and corrects the pose.
     fn conclude(&mut self, equations: &NormalEquations, learns: bool) {
         let Self { surface, aligner, estimate, knowledge, .. } = self;
         self.covariance = None;
@@ -343,8 +344,8 @@ impl Target {
         knowledge.row_offset_px = estimate.row_offset_px;
     }
 
-    /// Takes over what the frame says about surface, row offset, noise and shading. Later views hang on poses that were
-    /// found, errors included, so they say nothing about the surface: what they would say is their own error.
+    /// Updates surface, row offset, noise and shading. Later views are tied to estimated poses and their errors. They therefore
+    /// contribute no information about the surface, only their own errors.
     fn learn(&mut self, equations: &NormalEquations) {
         let fits_well = self.fits_well();
         self.conclude(equations, fits_well && self.view == 0);
@@ -359,7 +360,7 @@ impl Target {
         estimate.patch_sigma += PATCH_SIGMA_RATE * (spread - estimate.patch_sigma);
     }
 
-    /// The view nearest to a pose, and how far it is: 1 where a new view is due.
+    /// The view nearest to a pose, and its distance: 1 where a new view is due.
     fn nearest_view(&self, pose: &Pose<CamLeft, Model>, config: &DirectTrackerConfig) -> (usize, f64) {
         let distance = |view: &View| view.distance(pose, config.view_turn_deg.to_radians(), config.view_scale);
         let mut best = (0, f64::MAX);
@@ -372,7 +373,7 @@ impl Target {
         best
     }
 
-    /// Ends a frame in which the target was found: motion, and a new view if all are far.
+    /// Completes a frame in which the target was found: updates the motion, and stores a new view if all are far.
     pub(super) fn accept(&mut self, frame: &Frame<'_>, prior: &FramePrior) {
         let pose = self.estimate.cam_left_from_model;
         if self.lost_frames > 0 {
@@ -387,7 +388,7 @@ impl Target {
         }
     }
 
-    /// Keeps the present left image as a view; with all places taken, in the place of the one that served longest ago.
+    /// Stores the current left image as a view; if there is no free slot, it replaces the least recently used view.
     fn keep_view(&mut self, frame: &Frame<'_>, only_fitting: bool) {
         let pose = self.estimate.cam_left_from_model;
         let index = if let Some(view) = self.spare_views.pop() {
@@ -407,7 +408,7 @@ impl Target {
         self.views[index].last_used = self.frame;
     }
 
-    /// Looks for a lost target in whole images.
+    /// Searches for a lost target in whole images.
     pub(super) fn search(
         &mut self,
         predicted: &Pose<CamLeft, Model>,
@@ -454,7 +455,7 @@ impl Target {
         ending
     }
 
-    /// Aligns at a place of the search, and judges.
+    /// Aligns at a candidate position, and evaluates the fit.
     fn look_into(
         &mut self,
         (place, with_depth): (Place, bool),
@@ -472,12 +473,12 @@ impl Target {
         self.fit.misfit(&self.limits(frame.config)).map_or(Ok(equations), |misfit| Err(Ending::Misfit(misfit)))
     }
 
-    /// Whether the first pair shows one surface beyond doubt.
+    /// Whether the first pair certainly shows one surface.
     pub(super) fn is_a_surface(&self) -> bool {
         self.fit.is_a_surface(self.independent_points)
     }
 
-    /// The estimate, where the target was expected elsewhere.
+    /// The estimate as a candidate, relative to the expected pose.
     fn sighting(&self, expected: &Pose<CamLeft, Model>) -> Sighting<'_> {
         let found = &self.estimate.cam_left_from_model;
         Sighting {
@@ -490,7 +491,7 @@ impl Target {
         }
     }
 
-    /// A few steps at coarse levels: a place that then does not resemble the target is not worth more.
+    /// Runs a few steps at coarse levels; a candidate that does not match afterwards is dropped.
     fn rough(
         &mut self,
         start: &Pose<CamLeft, Model>,
@@ -512,7 +513,7 @@ impl Target {
         depth_by_stereo(groups, view, LEVEL, pose, &frame.images[1], frame.rig)
     }
 
-    /// Places that this frame's share of the templates finds.
+    /// Candidate positions from this frame's share of the templates.
     fn places(&mut self, frame: &Frame<'_>) -> [Option<Place>; PLACES * TEMPLATES_PER_FRAME] {
         let mut all = [None; PLACES * TEMPLATES_PER_FRAME];
         let count = hypotheses(self.views.len());
@@ -529,7 +530,7 @@ impl Target {
         all
     }
 
-    /// Places in the left image that look like a view of the target from this pose.
+    /// Positions in the left image that look like a view of the target from this pose.
     fn places_of(&mut self, view: usize, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> [Option<Place>; PLACES] {
         const LEVEL: usize = LEVELS - 1; // Chosen; no sweep is on record.
         let (groups, view) = (&self.surface.levels[LEVEL].groups, &self.views[view].levels[LEVEL]);
@@ -537,17 +538,17 @@ impl Target {
     }
 }
 
-/// Something that looks like the target as much as its twin does.
+/// A candidate that looks like the target as much as its twin does.
 #[derive(Clone, Copy, Debug)]
 struct Alike {
     view: usize,
-    /// From where the target is expected, metres.
+    /// Distance from the predicted pose, metres.
     way_m: f64,
     estimate: Estimate,
     fit: Fit,
 }
 
-/// The target, if it and its twin are both in sight and it is clearly nearer to where it is expected. One alone may be either.
+/// The target, if it and its twin are both visible and one is clearly nearer to the predicted pose. A single one may be either.
 fn nearest_of_several(alike: &[Option<Alike>]) -> Option<Alike> {
     let all = || alike.iter().flatten();
     let nearest = all().min_by(|a, b| a.way_m.total_cmp(&b.way_m))?;
@@ -557,7 +558,7 @@ fn nearest_of_several(alike: &[Option<Alike>]) -> Option<Alike> {
     is_clear.then_some(*nearest)
 }
 
-/// Keeps the best places behind the prediction, best first; a place next to a better one is not kept.
+/// Inserts a position into the sorted list after the prediction; a position next to a better one is dropped.
 fn insert(candidates: &mut [Option<(Place, bool)>; CANDIDATES + 1], place: Place) {
     let at = place.cam_left_from_model.translation_m();
     let near = |other: &Place| (other.cam_left_from_model.translation_m() - at).norm() < 0.02 * at.z.abs();

@@ -1,4 +1,4 @@
-//! From frame to frame: the tracker that callers see.
+//! The direct tracker: public interface, frame by frame.
 
 use std::fmt::Write;
 
@@ -23,33 +23,34 @@ use super::repeated::{Remembered, stuck_eye};
 use super::surface::{Surface, model_frame};
 use super::target::{Ending, Frame, Target};
 
-/// Margin of the windows about the predicted target, pixels, with a velocity known. Chosen; no sweep is on record.
+/// Margin of the windows around the predicted target, pixels, if the velocity is known. Chosen; no sweep is on record.
 const MARGIN_PX: u32 = 24;
-/// The same without a velocity. Chosen; no sweep is on record.
+/// The same if the velocity is unknown. Chosen; no sweep is on record.
 const MARGIN_UNSURE_PX: u32 = 48;
-/// Time between frames where the caller does not tell it, seconds: that of cameras with 30 frames per second.
+/// Time between frames if the caller does not give it, seconds: that of cameras with 30 frames per second.
 const USUAL_INTERVAL_S: f64 = 1.0 / 30.0;
-/// Margin at the start: the relief may reach beyond the plane's outline in the right image. Chosen; no sweep is on record.
+/// Margin at initialisation: the relief may extend beyond the plane's outline in the right image. Chosen; no sweep is on
+/// record.
 const MARGIN_START_PX: u32 = 40;
 
-/// Follows one target in six degrees of freedom.
+/// Tracks one target in six degrees of freedom.
 ///
-/// A request with a marked target finds its plane and relief in that pair and keeps its view. Each request without one finds the
-/// pose at which a kept view explains both images of the next pair (gains and offsets of both images, the row offset of the
-/// right one, and what is still open about the surface are unknowns beside the pose), judges it, and keeps a new view where
-/// none is near. A pose that does not fit is not given: the status is `lost`, and from that very frame on the target is
-/// looked for in the whole image.
+/// A request with a marked target estimates its plane and relief in that pair and stores its view. Each request without one
+/// estimates the pose at which a stored view explains both images of the next pair. Further unknowns are gains and offsets of
+/// both images, the row offset of the right image, and the undetermined components of the surface. The tracker evaluates the
+/// pose, and stores a new view if no stored one is near. A pose that does not fit is not reported: the status is `lost`, and
+/// from that frame on the tracker searches the whole image for the target.
 ///
 /// Frame `model`: origin in the plane on the ray of the region's centroid in the first left image, z along the plane's normal
 /// away from the camera, x the image's x axis projected into the plane. The pose of the first frame is this definition; all
-/// later ones are measured. Where the region shows several surfaces, one of them is followed, and the centroid is that of
-/// its pixels.
+/// later poses are measured. If the region contains several surfaces, the tracker follows one of them, and the centroid is that
+/// of its pixels.
 ///
 /// The covariance is that of `xi = [rho; phi]` (metres, radians; axes of `model`) in `true = found * exp(xi)`, see
-/// [`Pose::perturbed_in_from`]; it contains what is open about the surface since the first frame, and is widened where
-/// residuals of neighbouring points agree more than noise would.
+/// [`Pose::perturbed_in_from`]. It includes the uncertainty of the surface since the first frame, and is inflated if residuals
+/// of neighbouring points correlate more than noise would.
 ///
-/// Several targets are several trackers on the same pair: they share nothing, and cost adds up.
+/// To track several targets, use several trackers on the same pair: they share nothing, and their costs add up.
 #[derive(Clone, Debug)]
 pub struct DirectTracker {
     rig: StereoRig,
@@ -58,14 +59,15 @@ pub struct DirectTracker {
     estimator: DirectEstimator,
     region_config: RegionConfig,
     images: [EyeImages; 2],
-    /// Where the last frame showed the target.
+    /// The parts of the last images that contained the target.
     remembered: [Remembered; 2],
     target: Option<Target>,
     was_started: bool,
 }
 
 impl DirectTracker {
-    /// A tracker for a calibrated pair, rectified or not, with lens distortion or without; `pair` is of its cold start.
+    /// Creates a tracker for a calibrated pair, rectified or not, with or without lens distortion; `pair` configures its cold
+    /// start.
     ///
     /// # Errors
     /// A parameter out of its range, or a rig that cannot be rectified.
@@ -73,7 +75,7 @@ impl DirectTracker {
         Self::with_kernels(rig, pair, config, Kernels::best())
     }
 
-    /// As [`Self::new`], with given kernels; the answers are the same, the speed is not.
+    /// As [`Self::new`], with the given kernels; the estimates are identical, the speed differs.
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -111,8 +113,9 @@ impl DirectTracker {
         &self.config
     }
 
-    /// A new target. If the plane is not observable there is none, and the status says so; unless what kept it from being one is a
-    /// relief, and plane and relief together explain both images. The relief is found whatever the deadline.
+    /// Initialises a new target. If the plane is not observable there is no target, and the status reports it. Exception: the
+    /// region has a relief, and plane and relief together explain both images. The relief is always estimated, whatever the
+    /// deadline.
     fn start(&mut self, request: &mut EstimateRequest<'_>) -> Result<TrackEstimate, EstimationError> {
         let MarkedTarget { region, range } = request.marked()?;
         let (left, right) = (request.left, request.right);
@@ -143,8 +146,8 @@ impl DirectTracker {
         Ok(TrackEstimate { status, reason, warnings: refused.warnings, ..estimate })
     }
 
-    /// What is said if half of the recovered surface lies nearer or farther than the depth range allows: a relief may reach
-    /// a target that the range misses, from a plane that is none.
+    /// Reason if half of the recovered surface is nearer or farther than the depth range: from a wrong plane, a relief may
+    /// reach a target outside the range.
     fn surface_outside(&self, pose: &Pose<CamLeft, Model>, range: &SearchRange) -> Option<String> {
         let depth_m = |point: &SurfacePoint| pose.transform_point(&point.position_in_model_m).z;
         let mut depths_m: Vec<f64> = self.surface().iter().map(depth_m).collect();
@@ -152,7 +155,7 @@ impl DirectTracker {
         let z_m = *depths_m.get(depths_m.len() / 2)?;
         (!(range.z_min_m..=range.z_max_m).contains(&z_m)).then(|| {
             format!(
-                "the surface that fits lies {:.0} mm away, outside of the depth range of {:.0} to {:.0} mm: widen it (--z-range)",
+                "the fitted surface is {:.0} mm away, outside the depth range of {:.0} to {:.0} mm: widen it (--z-range)",
                 1e3 * z_m,
                 1e3 * range.z_min_m,
                 1e3 * range.z_max_m
@@ -160,7 +163,7 @@ impl DirectTracker {
         })
     }
 
-    /// The plane of a region that is not one plane: a start for its relief, which then decides.
+    /// The plane of a region that is not planar: a start value for its relief, which is then decisive.
     fn unsure_plane(&self, found: &PlaneEstimate) -> Option<PlanePose> {
         let is_no_plane = found.status == Status::NotObservable || found.warnings.contains(&EstimateWarning::NoPlane);
         let psi = found.psi.filter(|_| is_no_plane)?;
@@ -168,10 +171,10 @@ impl DirectTracker {
         PlanePose::from_inverse_depth_plane(psi.inverse_depth_plane(&ray)?, &ray)
     }
 
-    /// A new target, where the plane of its region is known to a few pixels of disparity.
+    /// Initialises a new target from its plane, known to a few pixels of disparity.
     ///
     /// # Errors
-    /// Images that do not fit the calibration, a region that cannot serve.
+    /// Images that do not match the calibration, or an unsuitable region.
     pub fn start_from_plane(
         &mut self,
         left: &RgbImage,
@@ -187,7 +190,7 @@ impl DirectTracker {
         let outline_px = region.outline_px(&mask);
         let q = plane.inverse_depth_plane;
         let Some(mut target) = self.first_target((left, right), &outline_px, (&mask, &inner), q)? else {
-            let reason = "the region has too little to hold on to once its border is left out".to_owned();
+            let reason = "the region has too little texture to track once its border is excluded".to_owned();
             return Ok(TrackEstimate { reason, ..blank() });
         };
         let mut pixels = [mask, inner];
@@ -197,7 +200,7 @@ impl DirectTracker {
             let [own, inside] = &pixels;
             let Some(next) = self.first_target((left, right), &outline_px, (own, inside), part.plane)? else {
                 let reason =
-                    "the region shows several surfaces, and of each too little to hold on to: mark one of them";
+                    "the region contains several surfaces, each with too little texture to track: mark one of them";
                 let reason = reason.to_owned();
                 return Ok(TrackEstimate { reason, ..blank() });
             };
@@ -212,7 +215,7 @@ impl DirectTracker {
         Ok(estimate)
     }
 
-    /// A target whose points lie in `inner` pixels of a region, near a plane; `None` if there are too few.
+    /// A target with points in the `inner` pixels of a region, near a plane; `None` if there are too few.
     fn first_target(
         &mut self,
         (left, right): (&RgbImage, &RgbImage),
@@ -233,7 +236,7 @@ impl DirectTracker {
         Ok(Some(Target::first(surface, pose, outline_in_model, &frame, self.kernels)))
     }
 
-    /// Points of the first left image, and where the model's frame lies; `None` if there are too few.
+    /// Points of the first left image, and the pose of the model frame; `None` if there are too few.
     fn first_surface(
         &mut self,
         left: &RgbImage,
@@ -260,8 +263,7 @@ impl DirectTracker {
         Ok((surface.points() >= POINTS_MIN).then_some((surface, pose)))
     }
 
-    /// Follows the target into the next pair, for a loop that must not allocate: the answer is written into `estimate`, whose buffers
-    /// are used again.
+    /// Tracks the target in the next pair without allocation: the result is written into `estimate`, whose buffers are reused.
     ///
     /// # Errors
     /// As [`EstimationMethod::estimate`].
@@ -278,12 +280,12 @@ impl DirectTracker {
             }
             self.report(Ending::OutOfSight, estimate);
             estimate.status = Status::NotObservable;
-            estimate.reason.push_str("the start found no target to follow: mark it again");
+            estimate.reason.push_str("initialisation found no target to track: mark the target again");
             return Ok(());
         };
         let ending = self.follow(&mut target, left, right, prior, &mut || deadline.may_continue());
         if deadline.is_over() {
-            // The equations of a pose that has not come to rest say how sure one that has would be.
+            // Before convergence, the equations give the covariance of a converged pose, which would be too small.
             target.covariance = None;
         }
         self.target = Some(target);
@@ -324,7 +326,7 @@ impl DirectTracker {
                 self.load_whole(left, right);
                 let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
                 let again = target.search(&predicted, &frame, may_continue);
-                // What the target lacks where it is expected says more than that it is nowhere else.
+                // The misfit at the predicted pose is more informative than a failed search elsewhere.
                 if again == Ending::Found || ending == Ending::OutOfSight {
                     ending = again;
                 }
@@ -340,7 +342,7 @@ impl DirectTracker {
         ending
     }
 
-    /// Keeps what both images show where the target was found last.
+    /// Stores the parts of both images that contained the target in its last pose.
     fn remember(&mut self, target: &Target, left: &RgbImage, right: &RgbImage) {
         let pose = target.estimate.cam_left_from_model;
         let right_pose = *self.rig.cam_right_from_cam_left() * pose;
@@ -358,7 +360,7 @@ impl DirectTracker {
         }
     }
 
-    /// Converts the windows around the expected target.
+    /// Converts the windows around the predicted target.
     fn load(
         &mut self,
         left: &RgbImage,
@@ -375,12 +377,12 @@ impl DirectTracker {
         }
     }
 
-    /// How well the kept view fits the last frame; `None` before a start.
+    /// Fit of the stored view to the last frame; `None` before initialisation.
     pub fn fit(&self) -> Option<&Fit> {
         self.target.as_ref().map(|target| &target.fit)
     }
 
-    /// How many views are kept.
+    /// Number of stored views.
     pub fn views(&self) -> usize {
         self.target.as_ref().map_or(0, |target| target.views.len())
     }
@@ -399,21 +401,20 @@ impl DirectTracker {
                 let (stuck, other) = if eye == 0 { ("left", "right") } else { ("right", "left") };
                 write!(
                     out.reason,
-                    "the {stuck} image is the last one again while the {other} one is new: check that camera"
+                    "the {stuck} image has not changed while the {other} image has: check the {stuck} camera"
                 )
             }
             Ending::OutOfSight => {
-                write!(out.reason, "the target is expected out of sight of at least one camera")
+                write!(out.reason, "the predicted target is outside the image of at least one camera")
             }
             Ending::NothingAlike => write!(
                 out.reason,
-                "nothing resembles the target, neither where it is expected nor elsewhere: it is hidden, or looks different"
+                "target not found, neither at the predicted pose nor elsewhere: it is occluded or its appearance has changed"
             ),
             Ending::OutOfReach => {
                 write!(
                     out.reason,
-                    "what resembles the target is too far from where it was, too unlike it to be believed there, or not the only \
-                     one of its kind"
+                    "a candidate was found, but it is too far from the predicted pose, matches too poorly there, or is not unique"
                 )
             }
             Ending::Found => Ok(()),
@@ -434,7 +435,7 @@ impl DirectTracker {
         let limit = self.config.tilt_sigma_sure_deg;
         let tilt_deg = covariance.map_or(f64::INFINITY, |c| (c[(3, 3)] + c[(4, 4)]).sqrt().to_degrees());
         let sure = tilt_deg <= limit;
-        let verb = if sure { "is determined" } else { "is not" };
+        let verb = if sure { "is determined" } else { "is not determined" };
         let _ = write!(
             reason,
             "the normal's standard deviation is {tilt_deg:.2} degrees (limit {limit:.2}): the tilt {verb}"
@@ -446,8 +447,8 @@ impl DirectTracker {
 impl EstimationMethod for DirectTracker {
     type Answer = TrackEstimate;
 
-    /// A marked target is taken from a cold start; without one the target is followed. A lost target is a status, and so is a target
-    /// that the start did not find: `not-observable` until it is marked again.
+    /// Initialises a marked target by a cold start; otherwise tracks the current target. A lost target is reported by the
+    /// status. So is a target that the initialisation did not find: `not-observable` until it is marked again.
     fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<TrackEstimate, EstimationError> {
         if request.target.is_some() {
             return self.start(request);
@@ -474,9 +475,9 @@ impl EstimationMethod for DirectTracker {
 /// A surface and the pose of its frame.
 type FirstSurface = (Surface, Pose<CamLeft, Model>);
 
-/// How often the surface of a region that shows several is looked for again among what is left. Chosen; no sweep is on record.
+/// Largest number of attempts to find one surface in the remainder of a region with several. Chosen; no sweep is on record.
 const PARTS_MAX: usize = 4;
-/// Fewer points than this are no target. Chosen; no sweep is on record.
+/// Smallest number of points of a target. Chosen; no sweep is on record.
 const POINTS_MIN: usize = 40;
 
 fn check_sizes(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Result<(), EstimationError> {
@@ -495,7 +496,7 @@ fn check_sizes(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Result<(),
     Ok(())
 }
 
-/// What the cold start warns of; a tracked surface need be no plane.
+/// Warnings of the cold start, without the planarity warning: a tracked surface need not be planar.
 fn warnings_of(found: &PlaneEstimate) -> Vec<EstimateWarning> {
     found.warnings.iter().filter(|warning| **warning != EstimateWarning::NoPlane).cloned().collect()
 }

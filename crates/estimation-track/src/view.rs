@@ -1,4 +1,4 @@
-//! Kept views: how the surface looked from somewhere.
+//! Stored views: appearance of the surface from one pose.
 
 use pb3dp_estimation_core::wide::LANES;
 use pb3dp_geometry::Pose;
@@ -7,17 +7,17 @@ use pb3dp_geometry::frames::{CamLeft, Model};
 use super::images::{EyeImages, LEVELS};
 use super::kernels::{ResidualGroup, SeenGroup, ViewGroup, texel_at};
 
-/// The surface's channels, as the left camera showed them once.
+/// The surface's channels in the left image of one frame.
 #[derive(Clone, Debug)]
 pub(super) struct View {
     pub(super) cam_left_from_model: Pose<CamLeft, Model>,
     pub(super) levels: [Vec<ViewGroup>; LEVELS],
-    /// Frame in which it last served.
+    /// Last frame in which the view was used.
     pub(super) last_used: u64,
 }
 
 impl View {
-    /// Room for views of a surface with so many groups per level.
+    /// Allocates a view for a surface with these numbers of groups per level.
     pub(super) fn empty(groups: [usize; LEVELS]) -> Self {
         Self {
             cam_left_from_model: Pose::coincident(),
@@ -26,7 +26,7 @@ impl View {
         }
     }
 
-    /// How far the view is from a pose: turn over `turn_rad`, plus scale over `scale`; turning about the axis of sight
+    /// Distance of the view from a pose: rotation over `turn_rad`, plus scale over `scale`. Rotation about the line of sight
     /// counts half, because it hides nothing.
     pub(super) fn distance(&self, pose: &Pose<CamLeft, Model>, turn_rad: f64, scale: f64) -> f64 {
         let turn = pose.rotation() * self.cam_left_from_model.rotation().inverse();
@@ -37,8 +37,8 @@ impl View {
         turned.hypot(scaled)
     }
 
-    /// Takes one level from the left image; `seen` are the groups projected with this view's pose. Points that do not fit
-    /// (residuals given) are hidden by something, also by the target itself, and left out.
+    /// Stores one level from the left image; `seen` are the groups projected with this view's pose. Points that do not fit (if
+    /// residuals are given) are occluded, possibly by the target itself, and excluded.
     pub(super) fn take_level(
         &mut self,
         level: usize,

@@ -1,4 +1,4 @@
-//! The entry: estimators and trackers by the name of their method.
+//! Entry point: estimators and trackers, selected by the name of their method.
 
 use std::fmt;
 use std::str::FromStr;
@@ -16,21 +16,21 @@ pub use pb3dp_estimation_core::row_offset::RowMeasurement;
 pub use pb3dp_estimation_published::estimator::{PublishedEstimator, PublishedTracker};
 pub use pb3dp_estimation_track::DirectTracker;
 
-/// A method of this crate.
+/// The estimation methods of this project.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Method {
-    /// RM-GA on hue votes, as published.
+    /// The published method: RM-GA on hue votes.
     Published,
-    /// Semi-global search, slanted patches and photometric refinement, of any texture.
+    /// The direct method: semi-global search, slanted patches and photometric refinement; works on any texture.
     Direct,
 }
 
 impl Method {
-    /// All methods: who is not here is not found by name.
+    /// All methods. [`Self::from_name`] finds only the methods in this list.
     pub const ALL: [Self; 2] = [Self::Published, Self::Direct];
 
-    /// Its name in commands, configurations and results.
+    /// Name of the method in commands, configurations and results.
     pub fn name(self) -> &'static str {
         match self {
             Self::Published => "published",
@@ -38,20 +38,20 @@ impl Method {
         }
     }
 
-    /// What it is for, in a line.
+    /// One-line description.
     pub fn summary(self) -> &'static str {
         match self {
             Self::Published => "RM-GA on hue votes, the method of the paper",
-            Self::Direct => "photometric, of any texture, with covariances; tracks in six degrees of freedom",
+            Self::Direct => "photometric, works on any texture, gives covariances; tracks in six degrees of freedom",
         }
     }
 
-    /// Whether its tracker recovers the surface of the target, see [`EstimationMethod::surface`].
+    /// Whether the tracker of this method recovers the surface of the target, see [`EstimationMethod::surface`].
     pub fn recovers_surface(self) -> bool {
         self == Self::Direct
     }
 
-    /// The method of a name.
+    /// Finds a method by its name.
     ///
     /// # Errors
     /// An unknown name; the error lists the known ones.
@@ -76,14 +76,14 @@ impl fmt::Display for Method {
     }
 }
 
-/// Parameters of every method.
+/// Parameters of all methods.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct EstimatorConfig {
-    /// Of the published method.
+    /// Parameters of the published method.
     pub published: PublishedConfig,
-    /// Of the direct method.
+    /// Parameters of the direct method.
     pub direct: DirectConfig,
-    /// Of the direct method on sequences.
+    /// Parameters of the direct tracker.
     pub track: DirectTrackerConfig,
 }
 
@@ -91,7 +91,7 @@ type PairMethod = Box<dyn EstimationMethod<Answer = PlaneEstimate>>;
 type SequenceMethod = Box<dyn EstimationMethod<Answer = TrackEstimate>>;
 
 impl Method {
-    /// What answers for single pairs.
+    /// Creates the estimator for single pairs.
     fn for_pairs(self, rig: &StereoRig, config: &EstimatorConfig) -> Result<PairMethod, EstimationError> {
         Ok(match self {
             Self::Published => Box::new(PublishedEstimator::new(rig, config.published.clone())?),
@@ -99,7 +99,7 @@ impl Method {
         })
     }
 
-    /// What answers for sequences.
+    /// Creates the tracker for sequences.
     fn for_sequences(self, rig: &StereoRig, config: &EstimatorConfig) -> Result<SequenceMethod, EstimationError> {
         Ok(match self {
             Self::Published => Box::new(PublishedTracker::new(rig, config.published.clone())?),
@@ -108,7 +108,7 @@ impl Method {
     }
 }
 
-/// An estimator of any method, for single pairs.
+/// Estimator for single pairs, with any method.
 #[derive(Debug)]
 pub struct Estimator {
     method: Method,
@@ -116,7 +116,7 @@ pub struct Estimator {
 }
 
 impl Estimator {
-    /// An estimator of `method` for a calibrated pair.
+    /// Creates an estimator with `method` for a calibrated stereo rig.
     ///
     /// # Errors
     /// A parameter out of its range.
@@ -129,7 +129,7 @@ impl Estimator {
         self.method
     }
 
-    /// The plane of a region of one pair of raw images.
+    /// Estimates the plane of a region in one pair of raw images.
     ///
     /// # Errors
     /// See [`EstimationMethod::estimate`].
@@ -137,29 +137,29 @@ impl Estimator {
         self.inner.estimate(request)
     }
 
-    /// Goes on with another rig, see [`EstimationMethod::set_rig`].
+    /// Switches to another rig, see [`EstimationMethod::set_rig`].
     ///
     /// # Errors
-    /// A rig that the method cannot use.
+    /// A rig that the method does not support.
     pub fn set_rig(&mut self, rig: &StereoRig) -> Result<(), EstimationError> {
         self.inner.set_rig(rig)
     }
 
-    /// Learns what belongs to the rig or the scene, see [`EstimationMethod::prepare`].
+    /// Measures properties of the rig or the scene, see [`EstimationMethod::prepare`].
     ///
     /// # Errors
-    /// Images that do not fit the calibration.
+    /// Images that do not match the calibration.
     pub fn prepare(&mut self, left: &RgbImage, right: &RgbImage) -> Result<Option<RowMeasurement>, EstimationError> {
         self.inner.prepare(left, right)
     }
 
-    /// Uses what [`Self::prepare`] found on another pair of the same rig or scene.
+    /// Uses a result of [`Self::prepare`] from another pair of the same rig or scene.
     pub fn use_rows(&mut self, measured: &RowMeasurement) {
         self.inner.use_rows(measured);
     }
 }
 
-/// A tracker of any method, for sequences.
+/// Tracker for sequences, with any method.
 #[derive(Debug)]
 pub struct Tracker {
     method: Method,
@@ -167,7 +167,7 @@ pub struct Tracker {
 }
 
 impl Tracker {
-    /// A tracker of `method` for a calibrated pair.
+    /// Creates a tracker with `method` for a calibrated stereo rig.
     ///
     /// # Errors
     /// A parameter out of its range.
@@ -180,7 +180,7 @@ impl Tracker {
         self.method
     }
 
-    /// Takes a marked target, or follows the last one into the next pair of raw images.
+    /// Initialises a marked target, or tracks the current target in the next pair of raw images.
     ///
     /// # Errors
     /// See [`EstimationMethod::estimate`].
@@ -188,13 +188,13 @@ impl Tracker {
         self.inner.estimate(request)
     }
 
-    /// Whether the last marked target was not taken, so that it has to be marked again. Never of the published method, which tries
-    /// its region again by itself.
+    /// Whether the last marked target was rejected and has to be marked again. Always false for the published method, which
+    /// retries its region by itself.
     pub fn wants_region(&self) -> bool {
         self.inner.wants_region()
     }
 
-    /// The target's surface in `model`, as far as it is known, see [`EstimationMethod::surface`].
+    /// The recovered surface of the target in `model`, see [`EstimationMethod::surface`].
     pub fn surface(&self) -> Vec<SurfacePoint> {
         self.inner.surface()
     }

@@ -1,10 +1,10 @@
 //! Projection-based 3D perception: pose of an unknown object from one stereo pair.
 //!
-//! The entry: estimators and trackers [by the name of their method](estimator), what a rig can reach
-//! ([`rig_plan`]), and whether its calibration still holds ([`pair_check`]).
+//! Contents: estimators and trackers [by the name of their method](estimator), planning of a stereo rig's accuracy
+//! ([`rig_plan`]), and a check of images against their calibration ([`pair_check`]).
 //!
-//! This crate knows images, calibration and geometry. It touches no file, clock, thread or environment; a caller who wants
-//! threads splits the work with the interfaces given here.
+//! This crate works on images, calibration and geometry. It uses no file, clock, thread or environment; a caller that needs
+//! threads distributes the work itself.
 
 pub mod estimator;
 pub mod pair_check;

@@ -1,17 +1,17 @@
-//! Whether two images fit the calibration that they came with.
+//! Consistency check of a stereo pair against its calibration.
 //!
-//! Sizes alone do not tell exchanged images or a calibration of another rig from the right ones, and a search on such
-//! input ends in a confusing status. So well-textured patches of the left image are looked for in the right one, along
-//! the epipolar curve that the calibration predicts (distortion included) and beside it. The curve runs on through
-//! infinity to points behind the cameras: scenes are never there, but exchanged images look as if they were. What is
-//! judged is the inverse depth and not the sign of `u_left - u_right`, which says nothing if the principal columns differ.
+//! Image sizes alone cannot reveal swapped images or a calibration of another rig, and a search on such input ends in a
+//! confusing status. This check therefore searches for well-textured patches of the left image in the right image, along the
+//! epipolar curve that the calibration predicts (distortion included) and in a band around it. The curve continues through
+//! infinity to points behind the cameras: no scene is there, but swapped images match there. The check evaluates the inverse
+//! depth and not the sign of `u_left - u_right`, which has no meaning if the principal columns differ.
 //!
-//! Two things cannot be seen: a wrong focal length or baseline, which moves matches along their curves only; and an
-//! exchange if the principal columns differ by more than half of the scene's disparities, because the exchanged images
-//! then lie in front of the cameras as well.
+//! Two errors cannot be detected. A wrong focal length or baseline only moves matches along their curves. Swapped images remain
+//! undetected if the principal columns differ by more than half of the scene's disparities, because the swapped images then
+//! match in front of the cameras as well.
 //!
-//! Only distinctive matches count, and only those that agree about their distance from the curve; repeated or missing
-//! texture thus leads to [`PairVerdict::Unknown`] and not to an alarm.
+//! Only distinctive matches count, and only those that agree in their distance from the curve. Repeated or missing texture
+//! therefore leads to [`PairVerdict::Unknown`] and not to a warning.
 
 mod matching;
 mod plane;
@@ -25,64 +25,64 @@ use pb3dp_geometry::StereoRig;
 
 use self::matching::{Match, matches_of};
 
-/// Fewest well-textured patches to judge by.
+/// Smallest number of well-textured patches for a verdict.
 const PATCHES_MIN: usize = 30;
-/// Fewest agreeing matches to judge by.
+/// Smallest number of agreeing matches for a verdict.
 const AGREEING_MIN: usize = 16;
-/// Half width of the band of distances from the curve in which matches agree, pixels.
+/// Half width of the band of distances from the curve within which matches agree, pixels.
 const AGREEMENT_PX: f64 = 1.5;
-/// Matches agree by chance if a smaller share of them does; evenly spread ones give 0.12.
+/// Smallest share of agreeing matches that is not chance; uniformly distributed matches give 0.12.
 const AGREEING_SHARE_MIN: f64 = 0.5;
-/// The median distance from the curve up to which rows agree, pixels.
+/// Largest median distance from the curve of a consistent pair, pixels.
 const ROW_OFFSET_MAX_PX: f64 = 1.5;
-/// A match is behind the cameras from this disparity on, pixels; far points and small errors of calibration stay below.
+/// A match is behind the cameras from this disparity on, pixels; distant points and small calibration errors stay below.
 const BEHIND_MIN_PX: f64 = 2.0;
-/// If at least this share of the agreeing matches lies behind the cameras, something is wrong: no scene is there.
+/// If at least this share of the agreeing matches is behind the cameras, the calibration is wrong: no scene is there.
 const BEHIND_SHARE_MAX: f64 = 0.25;
 /// Images are unrelated if fewer than this share of the patches has an agreeing match.
 const FOUND_SHARE_MIN: f64 = 0.1;
-/// Patches are compared without turning them, so cameras may be turned about their axis by this, degrees.
+/// Largest roll between the cameras, degrees: patches are compared without rotating them.
 const ROLL_MAX_DEG: f64 = 5.0;
 
-/// What the images say about the calibration.
+/// Result of the check of a pair against its calibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PairVerdict {
-    /// The images fit the calibration, as far as the patches can tell.
+    /// The images match the calibration, within what the patches can show.
     Consistent,
-    /// The images do not fit, most often because they match behind the cameras, and are consistent once exchanged.
+    /// The images do not match, usually because matches are behind the cameras, but are consistent once swapped.
     Swapped,
-    /// Patches match behind the cameras, and exchanging the images would not help.
+    /// Patches match behind the cameras, and swapping the images does not help.
     BehindCameras,
-    /// The patches match beside their epipolar lines.
+    /// The matches have an offset from their epipolar lines.
     RowsDisagree {
-        /// Median distance, pixels of the right image; positive is down.
+        /// Median offset, pixels of the right image; positive is down.
         offset_px: f64,
     },
-    /// Hardly any patch is found where the calibration allows: other scene, other moment, or other cameras.
+    /// Almost no patch is found where the calibration allows: another scene, another time, or other cameras.
     Unrelated,
-    /// Too little distinctive texture to say, or cameras turned against each other by more than 5 degrees.
+    /// Too little distinctive texture for a verdict, or a roll of more than 5 degrees between the cameras.
     Unknown,
 }
 
-/// The verdict and the figures behind it.
+/// The verdict and the numbers behind it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PairCheck {
     /// The verdict.
     pub verdict: PairVerdict,
-    /// Well-textured patches of the left image that were looked for.
+    /// Well-textured patches of the left image that were searched for.
     pub patches: usize,
-    /// How many of them were found without a rival.
+    /// Number of patches with an unambiguous match.
     pub matches: usize,
-    /// How many matches agree about their distance from the epipolar line, within 1.5 px.
+    /// Number of matches that agree in their distance from the epipolar line, within 1.5 px.
     pub agreeing: usize,
-    /// How many of the agreeing matches lie behind the cameras, by more than 2 px of disparity.
+    /// Number of agreeing matches behind the cameras, by more than 2 px of disparity.
     pub behind: usize,
-    /// How many patches match in front of the cameras once the images are exchanged. Images that are consistent are
-    /// not tried the other way around: 0.
+    /// Number of patches that match in front of the cameras once the images are swapped. Consistent images are not tested in
+    /// swapped order: 0.
     pub fitting_exchanged: usize,
-    /// Median distance of the agreeing matches from their epipolar lines, pixels of the right image, positive is down.
+    /// Median distance of the agreeing matches from their epipolar lines, pixels of the right image; positive is down.
     pub row_offset_px: Option<f64>,
-    /// Spread of these distances: 1.4826 times the median of their deviations from the median, pixels.
+    /// Spread of these distances: 1.4826 times their median absolute deviation, pixels.
     pub row_spread_px: Option<f64>,
 }
 
@@ -106,9 +106,9 @@ impl PairCheck {
     }
 }
 
-/// Compares a stereo pair with the calibration it came with.
+/// Checks a stereo pair against its calibration.
 ///
-/// Images whose sizes are not those of the rig are [`PairVerdict::Unknown`]: refuse them before.
+/// Images with a size other than the rig's give [`PairVerdict::Unknown`]: reject them before.
 pub fn check_pair(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> PairCheck {
     let fits = |camera: &pb3dp_geometry::Camera, image: &RgbImage| {
         (camera.size().width, camera.size().height) == image.dimensions()
@@ -129,13 +129,13 @@ pub fn check_pair(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> PairChe
     PairCheck { verdict, fitting_exchanged, ..check }
 }
 
-/// Angle by which a vertical of the left camera is turned in the right one.
+/// Roll angle between the cameras: rotation of the left camera's vertical axis in the right image.
 fn roll_deg(rig: &StereoRig) -> f64 {
     let down = rig.cam_right_from_cam_left().transform_vector(&nalgebra::Vector3::y());
     trig::atan2(-down.x, down.y).to_degrees()
 }
 
-/// The verdict on a set of matches.
+/// The verdict for a set of matches.
 fn judge(patches: usize, matches: &[Match]) -> PairCheck {
     let agreeing = agreeing(matches);
     let row_offset_px = median(agreeing.iter().map(|found| found.offset_px));
@@ -155,7 +155,7 @@ fn judge(patches: usize, matches: &[Match]) -> PairCheck {
 }
 
 impl PairCheck {
-    /// The verdict that follows from the figures, exchanged images apart.
+    /// The verdict that follows from the numbers, without the swapped images.
     fn judged(&self) -> PairVerdict {
         let agreeing = self.agreeing as f64;
         match self.row_offset_px {
@@ -171,7 +171,7 @@ impl PairCheck {
     }
 }
 
-/// Whether so many of all matches agree that it is no chance.
+/// Whether more matches agree than by chance.
 fn is_peak(count: usize, matches: usize) -> bool {
     count >= AGREEING_MIN && count as f64 >= AGREEING_SHARE_MIN * matches as f64
 }

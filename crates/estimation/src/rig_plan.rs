@@ -1,8 +1,8 @@
-//! What a stereo head can give, from its geometry alone: for choosing cameras, lenses and baseline before they are bought.
+//! Expected accuracy of a stereo rig from its geometry alone, for choosing cameras, lenses and baseline before buying them.
 //!
-//! The head has two equal cameras without distortion, side by side and parallel. The target is a flat square that faces them,
-//! midway between their axes. docs/rig.md derives the formulas; what an error of disparity means in space is computed by
-//! [`plane_sigma`], as for measured planes.
+//! The rig has two equal, parallel cameras without distortion, side by side. The target is a flat square that faces the
+//! cameras, midway between their axes. docs/rig.md derives the formulas. [`plane_sigma`] propagates disparity errors to depth
+//! and normal, as for measured planes.
 
 use nalgebra::{Matrix3, Vector2};
 use pb3dp_estimation_direct::cramer_rao::{
@@ -11,36 +11,36 @@ use pb3dp_estimation_direct::cramer_rao::{
 use pb3dp_estimation_direct::disparity_plane::{DisparityPlane, RectifiedGeometry};
 use pb3dp_geometry::ImageSize;
 
-/// Two equal, parallel cameras; their axes meet the middles of their images.
+/// A stereo rig of two equal, parallel cameras with centred principal points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StereoHead {
-    /// From one optical centre to the other, metres.
+    /// Distance between the optical centres, metres.
     pub baseline_m: f64,
     /// Focal length, pixels.
     pub focal_px: f64,
-    /// Of either image.
+    /// Size of each image.
     pub size: ImageSize,
 }
 
-/// How well the disparity of a single pixel is known.
+/// Standard deviation of the disparity of a single pixel, from its source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PixelNoise {
-    /// From noise and texture of the images.
+    /// Derived from noise and texture of the images.
     Image {
-        /// Standard deviation of a pixel of either image, grey levels.
+        /// Standard deviation of a pixel of each image, grey levels.
         noise_grey: f64,
         /// Root mean square of the gradient along rows, all channels together, grey levels per pixel.
         gradient_grey_per_px: f64,
     },
-    /// As somebody has measured it: standard deviation, pixels.
+    /// Given by a measurement.
     Disparity {
-        /// Of one pixel, independent of its neighbours.
+        /// Standard deviation of one pixel's disparity, independent of its neighbours, pixels.
         sigma_px: f64,
     },
 }
 
 impl PixelNoise {
-    /// Standard deviation of the disparity that one pixel tells, pixels.
+    /// Standard deviation of the disparity of one pixel, pixels.
     pub fn disparity_sigma_px(&self) -> f64 {
         match *self {
             Self::Image { noise_grey, gradient_grey_per_px } => pixel_disparity_sigma(noise_grey, gradient_grey_per_px),
@@ -49,43 +49,43 @@ impl PixelNoise {
     }
 }
 
-/// What is looked at, and how.
+/// Target, noise and timing of the planned view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conditions {
     /// Side of the square target, metres.
     pub target_m: f64,
-    /// How well one pixel's disparity is known.
+    /// Noise of one pixel's disparity.
     pub noise: PixelNoise,
-    /// What calibration leaves: at the target's middle and, as a slope, over half its side, pixels of disparity.
+    /// Residual calibration error, pixels of disparity: at the target's centre and, as a slope, over half its side.
     pub calibration_px: f64,
-    /// Speed of the target before the cameras, along the baseline, metres per second.
+    /// Speed of the target relative to the cameras, along the baseline, metres per second.
     pub speed_m_per_s: f64,
-    /// For how long light is gathered, seconds.
+    /// Exposure time, seconds.
     pub exposure_s: f64,
-    /// From the middle of one camera's exposure to that of the other, seconds.
+    /// Time between the mid-exposures of the two cameras, seconds.
     pub skew_s: f64,
 }
 
-/// A lens, as far as its focus matters (thin lens).
+/// Focus of a lens (thin-lens model).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lens {
-    /// From one pixel to the next on the sensor, metres.
+    /// Pixel pitch of the sensor, metres.
     pub pixel_m: f64,
-    /// Focal length over the diameter of the aperture.
+    /// f-number: focal length over the diameter of the aperture.
     pub f_number: f64,
-    /// Where it is focused, metres from the lens.
+    /// Focus distance, metres from the lens.
     pub focused_at_m: f64,
 }
 
 impl Lens {
-    /// Focal length of the lens, metres, for a focal length in pixels: that of the image, from the lens to the sensor, of
-    /// which the lens is nearer by what focusing takes.
+    /// Focal length of the lens, metres, for a focal length in pixels. The focal length in pixels gives the distance from the
+    /// lens to the sensor, which is longer than the focal length of the lens by the focus extension.
     pub fn focal_m(&self, focal_px: f64) -> f64 {
         let to_sensor_m = focal_px * self.pixel_m;
         to_sensor_m * self.focused_at_m / (to_sensor_m + self.focused_at_m)
     }
 
-    /// Diameter of the disc that a point at this depth becomes, pixels.
+    /// Diameter of the blur disc of a point at this depth, pixels.
     pub fn defocus_px(&self, focal_px: f64, z_m: f64) -> f64 {
         let aperture_m = self.focal_m(focal_px) / self.f_number;
         focal_px * aperture_m * (1.0 / z_m - 1.0 / self.focused_at_m).abs()
@@ -95,41 +95,41 @@ impl Lens {
 /// Standard deviations of depth and normal of the target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlannedErrors {
-    /// What the noise of the images allows at best.
+    /// Lower bound from the image noise.
     pub noise: PlaneSigma,
-    /// What calibration adds: the same in all images of one pose.
+    /// Contribution of the calibration error: identical in all images of one pose.
     pub calibration: PlaneSigma,
-    /// Both.
+    /// Image noise and calibration combined.
     pub both: PlaneSigma,
 }
 
-/// What the head gives at one distance.
+/// Expected accuracy of the rig at one distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlannedView {
     /// The distance, metres.
     pub z_m: f64,
     /// Left column minus right column, pixels.
     pub disparity_px: f64,
-    /// How much depth a pixel of disparity is, metres.
+    /// Depth change per pixel of disparity, metres.
     pub depth_per_px_m: f64,
-    /// Share of what one camera sees at this distance that the other sees as well, 0 to 1.
+    /// Share of one camera's field of view at this distance that the other camera sees as well, 0 to 1.
     pub overlap_share: f64,
     /// Side of the target, pixels.
     pub target_px: f64,
-    /// Of the target's pose; `None` if the target is not wholly in both images.
+    /// Errors of the target's pose; `None` if the target is not entirely in both images.
     pub errors: Option<PlannedErrors>,
-    /// How far the target moves while light is gathered, pixels.
+    /// Motion blur: motion of the target during the exposure, pixels.
     pub blur_px: f64,
-    /// The exposure in which it moves by one pixel, seconds; infinite if it rests.
+    /// Exposure time during which the target moves by one pixel, seconds; infinite if it is stationary.
     pub one_pixel_exposure_s: f64,
-    /// How far it moves between both exposures, pixels: of disparity along the baseline, of rows across it.
+    /// Motion between the two exposures, pixels: of disparity along the baseline, of rows across it.
     pub skew_px: f64,
-    /// How much depth that is, metres.
+    /// Depth error due to this motion, metres.
     pub skew_depth_m: f64,
 }
 
 impl StereoHead {
-    /// The geometry that images of this head have.
+    /// The image geometry of this rig.
     pub fn geometry(&self) -> RectifiedGeometry {
         let middle = |pixels: u32| 0.5 * (f64::from(pixels) - 1.0);
         RectifiedGeometry {
@@ -140,19 +140,19 @@ impl StereoHead {
         }
     }
 
-    /// Angles of view, horizontal and vertical, radians.
+    /// Fields of view, horizontal and vertical, radians.
     pub fn view_rad(&self) -> [f64; 2] {
         [self.size.width, self.size.height].map(|pixels| 2.0 * (0.5 * f64::from(pixels) / self.focal_px).atan())
     }
 
-    /// The nearest distance at which a square of this side is wholly in both images, midway between the cameras, metres.
+    /// Shortest distance at which a square of this side is entirely in both images, midway between the cameras, metres.
     pub fn nearest_in_both_m(&self, target_m: f64) -> f64 {
         let across_m = self.focal_px * (target_m + self.baseline_m) / f64::from(self.size.width);
         let down_m = self.focal_px * target_m / f64::from(self.size.height);
         across_m.max(down_m)
     }
 
-    /// What this head gives at a distance; all lengths and times must be positive or zero, and `z_m` positive.
+    /// Expected accuracy at a distance. All lengths and times must be positive or zero, and `z_m` positive.
     pub fn at(&self, z_m: f64, conditions: &Conditions) -> PlannedView {
         let geometry = self.geometry();
         let disparity_px = geometry.disparity_px(z_m);
@@ -211,7 +211,8 @@ mod tests {
         }
     }
 
-    /// The closed forms of docs/method.md and docs/rig.md, and a plane whose edges are off by a tenth of a pixel, by hand.
+    /// The closed forms of docs/method.md and docs/rig.md, and a plane with an error of a tenth of a pixel at its edges, by
+    /// hand.
     #[test]
     fn figures_are_those_of_the_closed_forms() {
         let view = HEAD.at(0.5, &conditions());
@@ -222,7 +223,7 @@ mod tests {
         let errors = view.errors.unwrap();
         close(errors.calibration.depth_m, 0.25 / 74.0 * 0.1);
         close(errors.noise.depth_m, 0.25 / 74.0 * (std::f64::consts::SQRT_2 * 3.0 / 8.0) / 162.8);
-        // Of the slope over half the side, z / b times it, about both axes.
+        // Slope over half the side, times z / b, about both axes.
         let tilt = 0.5 / 0.1 * (0.1 / 81.4);
         assert!((errors.calibration.normal_rad / (tilt * std::f64::consts::SQRT_2) - 1.0).abs() < 0.02);
         close(view.skew_depth_m, 0.5 * 0.08 * 0.001 / 0.1);
@@ -275,7 +276,7 @@ mod tests {
         assert_eq!((view.blur_px, view.skew_depth_m, view.one_pixel_exposure_s), (0.0, 0.0, f64::INFINITY));
     }
 
-    /// A thin lens of 4.8 mm at f/2, traced: the image of a point at z lies at f z / (z - f) behind it.
+    /// A thin lens of 4.8 mm at f/2, traced: the image of a point at z is at f z / (z - f) behind it.
     #[test]
     fn a_point_out_of_focus_is_a_disc() {
         let (focal_m, at_m, z_m) = (4.8e-3, 0.5, 0.3);

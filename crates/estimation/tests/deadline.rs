@@ -1,4 +1,4 @@
-//! Answers that are cut short: whatever time there is, the best so far, with a word about it.
+//! Estimates stopped by the deadline: with any time limit, the best estimate so far, with a warning.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
 use image::{GrayImage, Luma};
@@ -25,7 +25,7 @@ fn range() -> SearchRange {
     SearchRange::new(0.4, 0.7, 0.7).unwrap()
 }
 
-/// The answer after so many steps.
+/// The estimate after a number of steps.
 fn after(method: Method, pair: &Pair, steps: usize) -> PlaneEstimate {
     let mut estimator = Estimator::new(method, &pair.rig, &EstimatorConfig::default()).unwrap();
     let mut left = steps;
@@ -69,7 +69,7 @@ fn a_deadline_gives_the_best_answer_so_far() {
     }
 }
 
-/// Without its refinement the direct method is still nearer than a chromosome's step, but does not vouch for the tilt.
+/// Without refinement the direct method is still within one chromosome step, but does not report the tilt as determined.
 #[test]
 fn the_direct_method_without_time_is_coarse_and_says_so() {
     let pair = pair(0.53);
@@ -91,7 +91,7 @@ fn tracking_within_a_deadline_gives_a_pose_or_says_lost() {
             .unwrap();
         assert!(cut.reason.contains("cut short"), "{method}: {}", cut.reason);
         assert!(cut.cam_left_from_model.is_some() || cut.status == Status::Lost, "{method}: {cut:?}");
-        // The published method judges what it has by its landscape; the direct one would judge a step by its end.
+        // The published method evaluates its fitness landscape; the direct method evaluates the final step.
         let vouches = cut.covariance.is_some() || cut.status == Status::Ok;
         assert!(method == Method::Published || !vouches, "{}", cut.reason);
         let whole =

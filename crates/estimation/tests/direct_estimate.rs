@@ -1,4 +1,4 @@
-//! The direct method on single pairs: rendered discs of known depth and tilt, and what must not be answered.
+//! The direct method on single pairs: rendered discs of known depth and tilt, and inputs that must not be estimated.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
 use image::RgbImage;
@@ -92,7 +92,7 @@ fn the_same_pair_gives_the_same_answer_after_another() {
     assert_eq!(estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range())).unwrap(), first);
 }
 
-/// A target at the end of the range may lie beyond it.
+/// A target at the end of the range may be beyond it.
 #[test]
 fn an_answer_at_the_end_of_the_range_is_ambiguous() {
     let rig = scene::rectified_rig(SIZE);
@@ -115,10 +115,10 @@ fn an_answer_at_the_end_of_the_range_is_ambiguous() {
     assert_eq!(within.status, Status::Ok, "{}", within.reason);
     let near_the_end = found(within.pose.unwrap().z_m + 1e-4);
     assert_eq!(near_the_end.status, Status::Ambiguous, "{}", near_the_end.reason);
-    assert!(near_the_end.reason.ends_with("the target may lie beyond"), "{}", near_the_end.reason);
+    assert!(near_the_end.reason.ends_with("the target may be beyond it"), "{}", near_the_end.reason);
 }
 
-/// A region that is wrong in itself is told of, and so is an answer that the range should not have let through.
+/// Unsuitable regions are reported, and estimates outside the range are reported too.
 #[test]
 fn warnings_tell_of_the_region_and_of_tilts_beyond_the_range() {
     let rig = scene::rectified_rig(SIZE);

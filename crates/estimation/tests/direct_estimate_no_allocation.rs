@@ -1,5 +1,5 @@
-//! Once it has seen regions of all sizes, an estimate of the direct method asks for no memory but for the words of its
-//! answer.
+//! After it has processed regions of all sizes, an estimate of the direct method allocates no memory except for the text of its
+//! reason.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
 use nalgebra::Vector2;
@@ -11,14 +11,14 @@ use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 
 use crate::plane_pair::{Paint, Setup, Texture, render};
 
-/// The words of an answer, and the crossings of a row with a polygon.
+/// Upper bound for the text of a reason, and for the crossings of a row with a polygon.
 const WORDS_MAX: usize = 1500;
 
 #[test]
 fn a_later_estimate_asks_for_the_words_of_its_answer_only() {
     let pair = render(&Setup::default(), &Texture::new(Paint::Crab, 5), &Texture::new(Paint::Sand, 9));
     let range = SearchRange { z_min_m: 0.35, z_max_m: 0.9, tilt_max_rad: 60_f64.to_radians() };
-    // The target with some of what is behind it, so that both searches run; and a smaller region.
+    // The target with part of its background, so that both searches run; and a smaller region.
     let around = |half: f64| {
         let corners = [(-half, -half), (half, -half), (half, half), (-half, half)];
         Region::Polygon { vertices_px: corners.map(|(x, y)| Vector2::new(330.0 + x, 240.0 + y)).to_vec() }

@@ -1,4 +1,4 @@
-//! What the direct method says where no plane, or none that was allowed, fits the region.
+//! Reasons of the direct method if no plane, or no allowed plane, fits the region.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
 use image::{Rgb, RgbImage};
@@ -28,7 +28,7 @@ fn texture(x: f64, y: f64) -> f64 {
     128.0 + waves.iter().map(|(u, v, phase)| 16.0 * (u * x + v * y + phase).sin()).sum::<f64>()
 }
 
-/// The pair of a texture in the right image and disparities in the left one.
+/// A stereo pair: a texture in the right image, and the left image displaced by the given disparities.
 fn pair(disparity_px: impl Fn(f64, f64) -> f64) -> (RgbImage, RgbImage) {
     let render = |at: &dyn Fn(f64, f64) -> f64| {
         RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| {
@@ -39,7 +39,7 @@ fn pair(disparity_px: impl Fn(f64, f64) -> f64) -> (RgbImage, RgbImage) {
     (render(&|u, v| u - disparity_px(u, v)), render(&|u, _| u))
 }
 
-/// Disparities of a parabola: half of the tolerance of a pixel takes in two thirds as many as the plane half-way up does.
+/// Disparities of a parabola: half a pixel of tolerance includes two thirds as many disparities as the plane half-way up.
 #[test]
 fn of_a_curved_surface_the_plane_that_explains_most_is_given_as_ambiguous() {
     const CURVATURE: f64 = 0.0015;
@@ -60,7 +60,7 @@ fn of_a_curved_surface_the_plane_that_explains_most_is_given_as_ambiguous() {
     let share = explained.count() as f64 / most;
     assert!(share > 0.92, "{share} of what one plane can explain");
 
-    // It is a surface beyond doubt all the same.
+    // Nevertheless it is clearly a surface.
     assert!(found.warnings.contains(&EstimateWarning::NoPlane), "{:?}", found.warnings);
     let mut tracker = DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).unwrap();
     let range = SearchRange::new(0.4, 0.7, 60_f64.to_radians()).unwrap();
@@ -68,8 +68,8 @@ fn of_a_curved_surface_the_plane_that_explains_most_is_given_as_ambiguous() {
     assert_eq!(started.status, Status::Ok, "{}", started.reason);
 }
 
-/// A range that misses the target leaves planes that are none; a relief reaches the target from some of them, but the
-/// model would lie where nothing is.
+/// If the range misses the target, planes without a surface remain. A relief can reach the target from some of them, but the
+/// model would then be where no surface is.
 #[test]
 fn a_surface_outside_the_range_is_not_tracked() {
     let rig = scene::rectified_rig(SIZE);
@@ -88,13 +88,13 @@ fn a_surface_outside_the_range_is_not_tracked() {
     for gap in [0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1] {
         for missed in [started(0.35, 0.5 * (1.0 - gap)), started(0.5 * (1.0 + gap), 0.8)] {
             assert!(!missed.status.depth_is_sure(), "{gap}: {} {}", missed.status, missed.reason);
-            told += usize::from(missed.reason.contains("the surface that fits lies"));
+            told += usize::from(missed.reason.contains("the fitted surface is"));
         }
     }
     assert!(told > 0, "no relief has reached the target");
 }
 
-/// A target that has less than half of the region, before something farther away, with something in front of both.
+/// A target that covers less than half of the region, in front of a farther surface and behind a nearer one.
 #[test]
 fn the_answer_is_not_another_surface_than_the_first() {
     let rig = scene::rectified_rig(SIZE);
@@ -124,7 +124,7 @@ fn a_limit_of_the_tilt_that_is_too_small_is_named() {
     assert_eq!(found(75.0).status, Status::Ok, "{}", found(75.0).reason);
     let limited = found(12.0);
     assert!(!limited.status.depth_is_sure(), "{:?} {}", limited.status, limited.reason);
-    assert!(limited.reason.contains("the largest tilt is 12 degrees: raise it (--tilt-max)"), "{}", limited.reason);
+    assert!(limited.reason.contains("the tilt limit is 12 degrees: raise it (--tilt-max)"), "{}", limited.reason);
 }
 
 #[test]
@@ -144,8 +144,8 @@ fn a_range_that_misses_the_target_is_named() {
     assert!(outside.reason.contains("at 50 to 80 mm"), "{}", outside.reason);
 }
 
-/// The end of a range is a matter of disparity: 21 m of depth do not make what is 20 mm inside of it doubtful, and 16 mm from
-/// the far end of a narrow one half a pixel is all that is left.
+/// The end of a range is measured in disparity. With 21 m of depth, a target 20 mm inside the range is not ambiguous; and 16 mm
+/// from the far end of a narrow range are only half a pixel.
 #[test]
 fn the_end_of_a_range_is_half_a_pixel_of_disparity() {
     let rig = scene::rectified_rig(SIZE);
@@ -173,10 +173,10 @@ fn missing_texture_is_named() {
     let region = Region::Rectangle { x: 250, y: 180, width: 120, height: 100 };
     let found = estimate(&rig, (&blank, &blank), &region, [0.35, 0.8, 60.0]);
     assert_eq!(found.status, Status::NotObservable);
-    assert!(found.reason.contains("choose a target with texture"), "{}", found.reason);
+    assert!(found.reason.contains("choose a textured target"), "{}", found.reason);
 }
 
-/// Stripes across the rows, 40 px apart, 112 px of disparity away, on a background without texture.
+/// Stripes across the rows, 40 px apart, at 112 px of disparity, on a background without texture.
 fn stripes(at: impl Fn(f64) -> f64) -> RgbImage {
     let brightness = |x: f64, y: f64| match (x / 20.0).floor() + (y / 24.0).floor() {
         field if !(180.0..480.0).contains(&x) || !(60.0..420.0).contains(&y) => 120.0 + 0.0 * field,
@@ -192,8 +192,8 @@ fn a_repetitive_target_outside_the_range_is_not_taken_for_its_alias() {
     let (fb, offset) = (rig.left().pinhole().fx * 0.1, rig.right().pinhole().cx - rig.left().pinhole().cx);
     let (left, right) = (stripes(|u| u), stripes(|u| u + 112.0));
     let z_m = |disparity_px: f64| fb / (disparity_px + offset);
-    // Alone in the range are the places one or two periods further on; near the left end of the board these show only a
-    // part of the region.
+    // The range contains only positions one or two periods further on. Near the left end of the board these show only part of
+    // the region.
     for (x, width, [low_px, high_px]) in [(190, 90, [130.0, 190.0]), (380, 90, [50.0, 95.0])] {
         let region = Region::Rectangle { x, y: 150, width, height: 110 };
         let missed = estimate(&rig, (&left, &right), &region, [z_m(high_px), z_m(low_px), 60.0]);
@@ -211,7 +211,7 @@ fn the_same_image_twice_says_nothing() {
         Scene { centre_px: Vector2::new(352.0, 236.0), z_m: 0.5, theta_x_rad: 0.2, theta_y_rad: -0.3, noise: 3.0 };
     let (left, _) = scene.render(&rig);
     let region = Region::Rectangle { x: 312, y: 196, width: 80, height: 80 };
-    // With disparity zero in the range and without.
+    // With disparity zero inside the range and without.
     for z_max_m in [100.0, 0.8] {
         let found = estimate(&rig, (&left, &left), &region, [0.35, z_max_m, 60.0]);
         assert_eq!(found.status, Status::NotObservable, "{}", found.reason);
@@ -219,8 +219,8 @@ fn the_same_image_twice_says_nothing() {
     }
 }
 
-/// One edge across the rows and one nearly along them, as of a chessboard, blurred more by the right camera: the width of an
-/// edge looks like a slope, and noise does not tell the difference.
+/// One edge across the rows and one almost along them, as on a chessboard, with more blur in the right camera. The width of an
+/// edge looks like a slope, and noise does not reveal the difference.
 #[test]
 fn the_width_of_an_edge_is_not_taken_for_a_sure_slope() {
     let rig = scene::rectified_rig(SIZE);
@@ -253,10 +253,10 @@ fn the_width_of_an_edge_is_not_taken_for_a_sure_slope() {
             }
         }
     }
-    assert!(wrong[0] == 0 && wrong[1] > 0, "sure and wrong: {}, and {} without", wrong[0], wrong[1]);
+    assert!(wrong[0] == 0 && wrong[1] > 0, "confident and wrong: {}, and {} without", wrong[0], wrong[1]);
 }
 
-/// Rows that are off are corrected; so far off the calibration cannot be trusted.
+/// Vertical misalignment is corrected; beyond a limit the calibration cannot be trusted.
 #[test]
 fn rows_that_no_calibrated_rig_has_are_told() {
     let rig = scene::rectified_rig(SIZE);
@@ -279,7 +279,7 @@ fn rows_that_no_calibrated_rig_has_are_told() {
     }
 }
 
-/// The right image holds the target out of range and, within it, something that only resembles it.
+/// In the right image the target is out of range, and a similar object is within the range.
 #[test]
 fn what_resembles_a_target_outside_the_range_is_not_taken_for_it() {
     let rig = scene::rectified_rig(SIZE);
@@ -305,7 +305,7 @@ fn what_resembles_a_target_outside_the_range_is_not_taken_for_it() {
     assert!((held.pose.unwrap().z_m * (112.0 + offset) / fb - 1.0).abs() < 1e-3);
 }
 
-/// The tilt is a part of the range as the depth is: what lies beyond it by more than its own uncertainty was not searched.
+/// The tilt is part of the range, as the depth is: a tilt beyond it by more than its uncertainty was not searched.
 #[test]
 fn an_answer_tilted_beyond_the_range_is_not_sure() {
     let rig = scene::rectified_rig(SIZE);
@@ -325,7 +325,7 @@ fn an_answer_tilted_beyond_the_range_is_not_sure() {
     }
 }
 
-/// A flat part of a region that is something else for the most part.
+/// A flat part of a region that is mostly something else.
 #[test]
 fn a_plane_that_has_little_of_the_region_is_not_sure() {
     let rig = scene::rectified_rig(SIZE);
@@ -340,12 +340,13 @@ fn a_plane_that_has_little_of_the_region_is_not_sure() {
     };
     let little = found(140);
     assert!(!little.status.depth_is_sure(), "{} {}", little.status, little.reason);
-    assert!(little.reason.contains("mark a part that is flat"), "{}", little.reason);
+    assert!(little.reason.contains("mark a flat part"), "{}", little.reason);
     assert_eq!(found(50).status, Status::Ok, "{}", found(50).reason);
 }
 
-/// Where pixels are joined, the region looks more like another place in the range than like its own, whose shading differs;
-/// what is fine agrees in its own place alone. Both are near each other on the coarse level, or the other one is far ahead.
+/// Where pixels are binned, the region resembles another position in the range more than its own, because its shading differs.
+/// Fine texture agrees at its own position only. On the coarse level the two are close to each other, or the other one scores
+/// far higher.
 #[test]
 fn what_resembles_a_target_on_coarse_levels_alone_is_not_taken_for_it() {
     let rig = scene::rectified_rig(SIZE);

@@ -1,4 +1,5 @@
-//! The direct method on small regions: what goes on around them in their plane helps the tilt, anything else does not hurt.
+//! The direct method on small regions: a plane that continues around the region improves the tilt; other surroundings do no
+//! harm.
 #![allow(clippy::unwrap_used, reason = "helpers of tests, with inputs that are valid")]
 
 use nalgebra::Vector2;
@@ -12,7 +13,7 @@ use pb3dp_geometry::ImageSize;
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 
-/// The answers without and with the surroundings.
+/// The estimates without and with the surroundings.
 fn both(scene: &Scene, region: &Region, range: &SearchRange) -> [PlaneEstimate; 2] {
     let rig = scene::rectified_rig(SIZE);
     let (left, right) = scene.render(&rig);
@@ -50,12 +51,12 @@ fn a_surface_that_goes_on_around_a_small_region_nearly_halves_the_error_of_its_n
     }
     let rms = squares.map(|sum| f64::sqrt(sum / count));
     assert!(rms[1] < 0.65 * rms[0], "{rms:?}");
-    // What is claimed follows: neither left behind nor smaller than the error.
+    // The claimed variance follows: neither much larger nor smaller than the error.
     let ratio = squares[1] / claimed[1];
     assert!((0.05..2.0).contains(&ratio), "squared error over claimed variance {ratio}");
 }
 
-/// The whole disc, of some 20 pixels radius: around it is the panel, half a pixel of disparity behind.
+/// The whole disc, with a radius of about 20 pixels; around it is the panel, half a pixel of disparity behind.
 #[test]
 fn a_background_behind_a_small_region_changes_nothing() {
     let range = SearchRange::new(1.0, 4.0, 60f64.to_radians()).unwrap();

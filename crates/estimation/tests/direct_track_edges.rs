@@ -1,4 +1,4 @@
-//! Small rectangles across the edge of a disc that moves before another one at rest: what is tracked is one surface.
+//! Small rectangles across the edge of a disc that moves in front of a stationary disc: the tracker must follow one surface.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -11,13 +11,13 @@ use pb3dp_geometry::Pose;
 
 use crate::moving_plane::{RADIUS_M, Shot, moving, plane, rectified_rig, render_all};
 
-/// How far the disc at rest lies behind the other one, and beside it.
+/// Distance of the stationary disc behind the other one, and its lateral offset.
 const BEHIND_M: f64 = 0.035;
 const BESIDE_M: f64 = 0.06;
 const FRAMES: u32 = 20;
 const FPS: f64 = 15.0;
 
-/// Sure and wrong frames of a track from a rectangle around a pixel.
+/// Number of confident and of wrong frames of a track from a rectangle around a pixel.
 fn track(centre_px: [f64; 2], side_px: u32) -> (u32, u32) {
     let rig = rectified_rig();
     let mut tracker =
@@ -47,7 +47,7 @@ fn track(centre_px: [f64; 2], side_px: u32) -> (u32, u32) {
         sure += 1;
         let motion = pose * first.inverse();
         let origin = Point3::from(first.translation.vector);
-        // The surface moves with the disc, or it is at rest.
+        // The surface moves with the disc, or it is stationary.
         let is_right = [disc(frame) * disc(0).inverse(), Isometry3::identity()].iter().any(|truth| {
             let way_m = (motion * origin - truth * origin).norm();
             let turn_deg = motion.rotation.angle_to(&truth.rotation).to_degrees();
@@ -74,6 +74,6 @@ fn a_rectangle_across_a_depth_edge_is_tracked_as_one_surface() {
         }
     }
     println!("{sure} sure frames; wrong (step, side, frames): {wrong:?}");
-    assert!(wrong.is_empty(), "wrong frames that are sure (place, side, frames): {wrong:?}");
-    assert!(sure >= 100, "only {sure} sure frames of {}", 9 * FRAMES);
+    assert!(wrong.is_empty(), "confident but wrong frames (position, side, frames): {wrong:?}");
+    assert!(sure >= 100, "only {sure} confident frames of {}", 9 * FRAMES);
 }

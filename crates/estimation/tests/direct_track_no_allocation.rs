@@ -1,4 +1,4 @@
-//! A tracked frame of the direct method does not allocate, nor does a lost one.
+//! Tracked and lost frames of the direct method do not allocate.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior};
@@ -16,12 +16,12 @@ fn frames_do_not_allocate() {
         DirectTracker::new(&rig, DirectConfig::default(), DirectTrackerConfig::default()).expect("tracker");
     let (left, right) = shot(Some(first), 0);
     tracker.start_from_plane(&left, &right, &region(&rig, &first), &plane(&first)).expect("start");
-    // Seen, hidden, seen: turning, so that views are kept too.
+    // Visible, hidden, visible; with rotation, so that views are stored too.
     let frames: Vec<_> =
         (1..20).map(|frame| shot((frame % 10 < 8).then(|| moving(f64::from(frame) / 15.0)), frame)).collect();
     let prior = FramePrior::default();
     let mut estimate = tracker.estimate(EstimateRequest::of_next(&frames[0].0, &frames[0].1, &prior)).expect("update");
-    // The first lost frame makes the longest reason and the largest windows.
+    // The first lost frame has the longest reason and the largest windows.
     estimate.reason.reserve(400);
     let mut counts = Vec::with_capacity(frames.len());
     for (left, right) in &frames[1..] {

@@ -1,4 +1,4 @@
-//! The steady-state frame loop does not allocate: conversion, model, preparation, search.
+//! The steady-state frame loop (conversion, model, preparation, search) does not allocate.
 #![allow(clippy::expect_used, reason = "inputs that are valid")]
 
 use nalgebra::Vector2;

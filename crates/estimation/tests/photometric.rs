@@ -1,4 +1,4 @@
-//! What the refinement of a plane reaches on ray-traced pairs, beside the Cramér-Rao bound.
+//! Accuracy of the plane refinement on ray-traced pairs, compared with the Cramér-Rao bound.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -16,7 +16,7 @@ use pb3dp_estimation_test_support::every_kernel;
 
 use crate::plane_pair::{self, Paint, Pair, SIZE, Setup, Texture, render};
 
-/// A pair, taken in, and its true plane.
+/// A prepared pair and its true plane.
 struct Taken {
     front_end: StereoFrontEnd,
     region: RegionMask,
@@ -58,7 +58,7 @@ impl Taken {
     }
 }
 
-/// Errors of one answer.
+/// Errors of one estimate.
 struct Errors {
     z_mm: f64,
     normal_deg: f64,
@@ -77,7 +77,7 @@ fn errors(taken: &Taken, found: &RefinedPlane) -> Errors {
     }
 }
 
-/// Bound from the noise-free left image, without the rim of 3 px that mixes with the background.
+/// Bound from the noise-free left image, without the border of 3 px that mixes with the background.
 fn bound(pair: &Pair, taken: &Taken) -> (f64, f64) {
     let width = SIZE.width as i32;
     let inside = |i: i32| {
@@ -101,7 +101,7 @@ fn bound(pair: &Pair, taken: &Taken) -> (f64, f64) {
     (sigma.depth_m * 1e3, sigma.normal_rad.to_degrees())
 }
 
-/// Root mean squares over poses, and those of the bound.
+/// Root mean squares over the poses: errors and bounds.
 #[derive(Default)]
 struct Summary {
     z_mm: f64,
@@ -145,7 +145,7 @@ fn run(paint: Paint, poses: u64, setup: impl Fn(&mut SplitMix64) -> Setup) -> Su
     }
 }
 
-/// Root mean squares against factors times the bound; few poses, so the factors leave room for chance.
+/// Compares root mean squares with factors times the bound; with few poses the factors leave room for chance.
 fn check(paint: Paint, factors: (f64, f64), setup: impl Fn(&mut SplitMix64) -> Setup) -> Summary {
     let s = run(paint, 5, setup);
     let text = format!("z {:.4} of {:.4} mm, normal {:.3} of {:.3} deg", s.z_mm, s.bound.0, s.normal_deg, s.bound.1);
@@ -173,7 +173,7 @@ fn colour_is_used_where_luminance_is_blank() {
 
 #[test]
 fn gain_and_white_balance_do_not_matter() {
-    // The right eye has less contrast for the same noise, which the bound does not know.
+    // The right camera has less contrast at the same noise, which the bound does not model.
     check(Paint::Grey, (1.9, 2.2), |_| Setup { gain: [0.72; 3], bias: [9.0, 9.0, 9.0], ..Setup::default() });
     check(Paint::Crab, (1.9, 2.6), |_| Setup { gain: [1.2, 1.0, 0.8], ..Setup::default() });
 }
@@ -226,7 +226,7 @@ fn a_start_far_off_is_not_called_converged() {
         let found = refine(off_px);
         assert!(!found.converged, "{off_px}: {found:?}");
     }
-    // From nearby the same pair is one that is called converged.
+    // From a closer start the same pair is reported as converged.
     let found = refine(0.7);
     assert!(found.converged, "{found:?}");
 }

@@ -1,4 +1,4 @@
-//! The refinement of a plane does not allocate once it has seen a region of the size.
+//! The refinement of a plane does not allocate after it has processed a region of the same size.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
 use pb3dp_estimation_core::cpu::Kernels;

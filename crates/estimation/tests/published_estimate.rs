@@ -1,4 +1,4 @@
-//! The published method on single rendered pairs: what it finds, and what it refuses to say.
+//! The published method on single rendered pairs: correct estimates, and inputs that it must reject.
 
 #![allow(clippy::expect_used)]
 
@@ -35,7 +35,7 @@ fn estimate(rig: &StereoRig, look: Look, config: PublishedConfig) -> PlaneEstima
     estimator.estimate(EstimateRequest::of_target(&left, &right, &polygon(rig), &range())).expect("images that fit")
 }
 
-/// Depth on the centroid's ray within `z_percent`, normal within `normal_deg` of the truth, and no more said than that.
+/// Checks the depth on the centroid's ray within `z_percent` and the normal within `normal_deg`; no uncertainty is claimed.
 #[track_caller]
 fn check_pose(rig: &StereoRig, estimate: &PlaneEstimate, (z_percent, normal_deg): (f64, f64)) {
     let truth_m = common::true_depth_m(rig, &pose(), &estimate.centroid_px);
@@ -44,8 +44,8 @@ fn check_pose(rig: &StereoRig, estimate: &PlaneEstimate, (z_percent, normal_deg)
     let to_camera = -pose().transform_vector(&nalgebra::Vector3::z());
     let z_error = 100.0 * (z_m / truth_m - 1.0);
     let normal_error = common::angle_deg(&normal, &to_camera);
-    assert!(z_error.abs() < z_percent, "z is {z_error:.2} % off: {estimate:?}");
-    assert!(normal_error < normal_deg, "the normal is {normal_error:.1} degrees off: {estimate:?}");
+    assert!(z_error.abs() < z_percent, "depth error {z_error:.2} %: {estimate:?}");
+    assert!(normal_error < normal_deg, "normal error {normal_error:.1} degrees: {estimate:?}");
     assert!((normal.norm() - 1.0).abs() < 1e-12 && normal.z < 0.0, "a unit normal towards the camera");
     assert_eq!((estimate.z_sigma_m, estimate.normal_sigma_rad), (None, None), "the method cannot say");
     // The depth elsewhere on the plane follows from the same three numbers.
@@ -77,7 +77,7 @@ fn a_target_of_one_hue_gives_its_depth() {
 
 #[test]
 fn distortion_that_is_ignored_spoils_the_answer() {
-    // The counter-test to the distorted rig above: the same images with a calibration that leaves the lenses out.
+    // Counter-test to the distorted rig above: the same images with a calibration without lens distortion.
     let rig = common::distorted_rig();
     let Shot { left, right } = common::render(&rig, Some(&pose()), Look::Colourful);
     let mut blind = PublishedEstimator::new(&rig.undistorted(), PublishedConfig::default()).expect("a config");
@@ -104,7 +104,7 @@ fn a_background_of_the_same_hue_is_not_observable() {
         let found = estimate(&rig, Look::SameHue, PublishedConfig::default());
         assert_eq!(found.status, Status::NotObservable, "{found:?}");
         assert_eq!(found.pose, None);
-        assert!(found.fitness.expect("searched") > 0.95, "a high fitness is not knowledge: {found:?}");
+        assert!(found.fitness.expect("searched") > 0.95, "a high fitness proves nothing: {found:?}");
     }
 }
 
@@ -173,7 +173,7 @@ fn the_reference_optimum_tells_how_wide_its_plateau_is() {
     let config = PublishedConfig { model: few, reference_optimum: true, ..PublishedConfig::default() };
     let found = estimate(&common::rectified_rig(), Look::SameHue, config);
     let ReferenceOptimum { psi, fitness, ties } = found.reference_optimum.expect("asked for");
-    // Everything has one hue: wherever the plane puts the region into the image, all votes agree.
+    // Everything has one hue: all votes agree, wherever the plane projects the region in the image.
     assert_eq!((fitness, found.fitness), (1.0, Some(1.0)));
     assert_ne!(found.psi, Some(psi), "two of many that are equal");
     assert!(ties > 1 << 20 && ties <= 1 << 24, "{ties}");

@@ -24,7 +24,7 @@ fn start_pose() -> Pose<CamLeft, Model> {
     common::target_at((-20.0, 8.0, 495.0), (-9.0, 14.0, 5.0))
 }
 
-/// A tracker that has seen the first frame, and what it said.
+/// A tracker after the first frame, and its estimate.
 fn started(rig: &StereoRig, look: Look) -> (PublishedTracker, TrackEstimate) {
     let mut tracker = PublishedTracker::new(rig, PublishedConfig::default()).expect("a config");
     let Shot { left, right } = common::render(rig, Some(&start_pose()), look);
@@ -44,20 +44,20 @@ fn follow(
     tracker.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::of_motion(motion))).expect("images that fit")
 }
 
-/// The target's point that the tracker calls its origin, in the frame of `target`.
+/// The target point that the tracker uses as the origin, in the frame of `target`.
 fn origin_on(target: &Pose<CamLeft, Model>, estimate: &TrackEstimate) -> Vector3<f64> {
     let origin = estimate.cam_left_from_model.expect("a pose").translation_m();
     target.inverse().transform_point(&origin.into()).coords
 }
 
-/// The origin sticks to the same point of the target within `origin_mm`, the normal is within `normal_deg` of the truth.
+/// The origin stays on the same point of the target within `origin_mm`; the normal is within `normal_deg` of the truth.
 #[track_caller]
 fn check(target: &Pose<CamLeft, Model>, first: Vector3<f64>, estimate: &TrackEstimate, (mm, degrees): (f64, f64)) {
     let strayed_mm = 1000.0 * (origin_on(target, estimate) - first).norm();
-    assert!(strayed_mm < mm, "the origin has strayed by {strayed_mm:.2} mm: {estimate:?}");
+    assert!(strayed_mm < mm, "the origin has drifted by {strayed_mm:.2} mm: {estimate:?}");
     let normal = estimate.cam_left_from_model.expect("a pose").transform_vector(&Vector3::z());
     let error_deg = common::angle_deg(&normal, &target.transform_vector(&Vector3::z()));
-    assert!(error_deg < degrees, "the normal is {error_deg:.1} degrees off: {estimate:?}");
+    assert!(error_deg < degrees, "normal error {error_deg:.1} degrees: {estimate:?}");
     assert!(!estimate.rotation_about_normal_observed && estimate.covariance.is_none());
 }
 
@@ -71,7 +71,7 @@ fn the_first_frame_defines_the_model() {
     assert!(z.z > 0.8, "z points away from the camera");
     assert!(x.x > 0.0 && x.dot(&Vector3::x().cross(&z)).abs() < 1e-9, "x is the image's x axis in the plane");
     assert!((x.cross(&y) - z).norm() < 1e-12, "right-handed");
-    // The origin is seen at the region's centroid, and the outline is the one given.
+    // The origin is at the region's centroid, and the outline is the one given.
     let outline = common::outline_px(&rig, &start_pose());
     for (given, seen) in outline.iter().zip(&estimate.outline_px) {
         assert!((given - seen).norm() < 1e-3, "{given} {seen}");
@@ -103,7 +103,7 @@ fn a_moving_target_is_followed_by_every_kind_of_rig() {
 #[test]
 fn the_known_motion_of_the_camera_carries_pose_region_and_population() {
     let rig = common::general_rig();
-    // Per frame 14 mm, and 5 degrees of which most is about the optical axis.
+    // Per frame 14 mm and 5 degrees, most of it about the optical axis.
     let turn = UnitQuaternion::from_euler_angles(0.02, -0.03, 0.08);
     let motion: Pose<CamLeft, CamLeft> = Pose::from_parts(Vector3::new(0.011, -0.006, 0.008), turn);
     let (mut tracker, first) = started(&rig, Look::Colourful);
@@ -118,13 +118,13 @@ fn the_known_motion_of_the_camera_carries_pose_region_and_population() {
         let estimate = follow(&mut tracker, &rig, Some(&target), Some(&motion));
         assert!(estimate.status.depth_is_sure(), "{estimate:?}");
         check(&target, origin, &estimate, (6.0, 6.0));
-        // The target stands still, so its x axis does too, up to the error of the normal.
+        // The target is stationary, so its x axis is too, up to the error of the normal.
         let x = x_of(&estimate).expect("a pose");
         assert!(common::angle_deg(&x, &x_true) < 7.0, "{estimate:?}");
-        // Who does not know the motion holds the rotation about the normal in the camera.
+        // Without the camera motion the tracker keeps the rotation about the normal constant in the camera frame.
         let blind_x = x_of(&follow(&mut blind, &rig, Some(&target), None));
         if step == 4 {
-            let x = blind_x.expect("who is blind to the motion still follows");
+            let x = blind_x.expect("without the camera motion the target is still tracked");
             assert!(common::angle_deg(&x, &x_true) > 10.0, "{x}");
         }
     }
@@ -141,7 +141,7 @@ fn a_target_that_disappears_is_lost_and_found_again() {
         assert_eq!(estimate.cam_left_from_model, None);
         assert!(estimate.reason.contains("hue"), "{}", estimate.reason);
     }
-    // It comes back 35 mm farther right.
+    // The target reappears 35 mm farther right.
     let back = common::target_at((15.0, 8.0, 500.0), (-9.0, 14.0, 5.0));
     let estimate = follow(&mut tracker, &rig, Some(&back), None);
     assert!(estimate.status.depth_is_sure(), "{estimate:?}");
@@ -159,7 +159,7 @@ fn a_target_that_leaves_the_image_is_lost() {
     let behind: Pose<CamLeft, CamLeft> = Pose::from_translation(Vector3::new(0.0, 0.0, 2.0));
     let estimate = follow(&mut tracker, &rig, None, Some(&behind));
     assert_eq!(estimate.status, Status::Lost);
-    assert!(estimate.reason.contains("sight"), "{}", estimate.reason);
+    assert!(estimate.reason.contains("outside the image"), "{}", estimate.reason);
 }
 
 #[test]
@@ -172,7 +172,7 @@ fn what_can_not_be_observed_is_tried_again_in_the_next_frame() {
         .estimate(EstimateRequest::of_next(&left, &right, &FramePrior::of_motion(None)))
         .expect("images that fit");
     assert_eq!(estimate.status, Status::NotObservable);
-    assert_eq!(estimate.warnings, [], "a warning is told once");
+    assert_eq!(estimate.warnings, [], "a warning is reported once");
     let estimate = follow(&mut tracker, &rig, Some(&start_pose()), None);
     assert!(estimate.status.depth_is_sure(), "a coloured target in the same region: {estimate:?}");
     let mut unused = PublishedTracker::new(&rig, PublishedConfig::default()).expect("a config");

@@ -1,4 +1,5 @@
-//! What the published tracker must never claim: rivals in depth, regions that cannot be re-centred, targets without hue.
+//! False claims that the published tracker must not make: rivals in depth, regions that cannot be re-centred, targets without
+//! hue.
 
 #![allow(clippy::expect_used)]
 
@@ -15,10 +16,10 @@ use pb3dp_geometry::{Pose, StereoRig};
 
 use crate::common::{self, Look, Shot};
 
-/// Frames after which a target that is never sure is given up, in these tests.
+/// In these tests: number of frames without a confident pose after which the target is dropped.
 const ASSURE_FRAMES_MAX: u32 = 4;
 
-/// Rows of the backdrop above and below the target that belong to the region with two depths.
+/// Backdrop rows above and below the target that belong to the region with two depths.
 const BACKDROP_ROWS: u32 = 27;
 
 fn range() -> SearchRange {
@@ -31,7 +32,7 @@ fn tracker(rig: &StereoRig, outer_points: u32) -> PublishedTracker {
     PublishedTracker::new(rig, PublishedConfig { tracker, model, ..PublishedConfig::default() }).expect("a config")
 }
 
-/// Where the target is in frame `k`: it drifts a little.
+/// Pose of the target in frame `k`; it drifts slowly.
 fn pose(k: u32) -> Pose<CamLeft, Model> {
     let k = f64::from(k);
     common::target_at((-20.0 + 1.5 * k, 8.0 - k, 495.0 + k), (-4.0, 6.0 - 0.5 * k, 5.0))
@@ -56,7 +57,7 @@ fn update(
     tracker.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::of_motion(None))).expect("images that fit")
 }
 
-/// The target is given up, for good.
+/// Checks that the tracker has dropped the target and does not accept it again.
 #[track_caller]
 fn check_given_up(tracker: &mut PublishedTracker, rig: &StereoRig, look: Look) {
     for k in 0..3 {
@@ -67,7 +68,7 @@ fn check_given_up(tracker: &mut PublishedTracker, rig: &StereoRig, look: Look) {
     }
 }
 
-/// The target together with so much of the backdrop above and below that both planes explain about half of the region.
+/// The target with so much backdrop above and below that each plane explains about half of the region.
 fn both_layers(rig: &StereoRig) -> Region {
     let corners = common::outline_px(rig, &pose(0));
     let (first, last) =
@@ -79,7 +80,7 @@ fn both_layers(rig: &StereoRig) -> Region {
 #[test]
 fn a_target_with_a_rival_depth_is_never_sure_and_is_given_up() {
     let rig = common::rectified_rig();
-    // The band around the region would speak for the backdrop alone.
+    // The band around the region would favour the backdrop alone.
     let mut tracker = tracker(&rig, 0);
     let first = start(&mut tracker, &rig, Look::TwoLayers, &both_layers(&rig));
     assert_eq!(first.status, Status::Ambiguous, "{first:?}");
@@ -87,7 +88,7 @@ fn a_target_with_a_rival_depth_is_never_sure_and_is_given_up() {
     for k in 1..=ASSURE_FRAMES_MAX {
         let estimate = update(&mut tracker, &rig, Some(&pose(k)), Look::TwoLayers);
         assert!(matches!(estimate.status, Status::Ambiguous | Status::NotObservable), "{k}: {estimate:?}");
-        assert!(estimate.fitness.is_some(), "still looked at: {estimate:?}");
+        assert!(estimate.fitness.is_some(), "still searched: {estimate:?}");
     }
     check_given_up(&mut tracker, &rig, Look::TwoLayers);
 }
@@ -118,7 +119,7 @@ fn a_grey_target_is_given_up_until_it_is_marked_again() {
         let estimate = update(&mut tracker, &rig, Some(&pose(k)), Look::Grey);
         assert_eq!((estimate.status, estimate.cam_left_from_model), (Status::NotObservable, None), "{estimate:?}");
     }
-    // A coloured target is not taken any more either: the region may show something else by now.
+    // A coloured target is rejected from here on as well, because the region may show something else by now.
     check_given_up(&mut tracker, &rig, Look::Colourful);
     let again = start(&mut tracker, &rig, Look::Colourful, &region);
     assert!(again.status.depth_is_sure(), "{again:?}");
@@ -135,7 +136,7 @@ fn a_target_found_again_at_another_depth_keeps_its_model_frame() {
         target.inverse() * estimate.cam_left_from_model.expect("a pose")
     };
     let first_in_target = in_target(&pose(0), &first);
-    // The camera turns by 20 degrees about its axis: from here on the model's x axis is not the image's.
+    // The camera rotates by 20 degrees about its axis: the model's x axis is no longer the image's.
     let motion: Pose<CamLeft, CamLeft> =
         Pose::from_parts(Vector3::new(0.004, -0.003, 0.002), UnitQuaternion::from_euler_angles(0.0, 0.01, 0.35));
     let turned = motion.inverse() * pose(0);
@@ -147,7 +148,7 @@ fn a_target_found_again_at_another_depth_keeps_its_model_frame() {
     for _ in 0..2 {
         assert_eq!(update(&mut tracker, &rig, None, Look::Colourful).status, Status::Lost);
     }
-    // A fifth farther away, and tilted otherwise; nobody has turned it about its normal.
+    // A fifth farther away with another tilt; there is no rotation about its normal.
     let tilt = UnitQuaternion::from_euler_angles(0.1, -0.12, 0.0);
     let back: Pose<CamLeft, Model> = Pose::from_parts(Vector3::new(0.004, -0.006, 0.590), tilt * turned.rotation());
     for _ in 0..3 {
@@ -155,7 +156,7 @@ fn a_target_found_again_at_another_depth_keeps_its_model_frame() {
         assert_ne!(estimate.status, Status::Lost, "{estimate:?}");
         let found_in_target = in_target(&back, &estimate);
         let strayed_m = found_in_target.translation_m() - first_in_target.translation_m();
-        assert!(strayed_m.norm() < 0.010, "the origin has strayed by {strayed_m} m: {estimate:?}");
+        assert!(strayed_m.norm() < 0.010, "the origin has drifted by {strayed_m} m: {estimate:?}");
         let [x_first, x] = [first_in_target, found_in_target].map(|pose| pose.transform_vector(&Vector3::x()));
         assert!(common::angle_deg(&x_first, &x) < 6.0, "{estimate:?}");
     }

@@ -1,4 +1,4 @@
-//! What is planned for a stereo head against what the direct method reaches on ray-traced pairs of it.
+//! Planned accuracy of a stereo rig compared with the accuracy of the direct method on ray-traced pairs.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
 use image::{GrayImage, Luma};
@@ -11,7 +11,7 @@ use pb3dp_estimation_direct::estimator::{DirectConfig, DirectEstimator};
 
 use crate::plane_pair::{self, Paint, Pair, SIZE, Setup, Texture, render};
 
-/// Pixels of the target whose neighbours along the row show it as well, and the rms gradient there, all channels together.
+/// Number of target pixels whose row neighbours are on the target as well, and the rms gradient there, all channels together.
 fn texture_of(pair: &Pair) -> (usize, f64) {
     let inner: Vec<usize> =
         (2..pair.target.len() - 2).filter(|&i| pair.target[i - 2..=i + 2].iter().all(|on| *on)).collect();
@@ -20,7 +20,7 @@ fn texture_of(pair: &Pair) -> (usize, f64) {
     (inner.len(), (squares / inner.len() as f64).sqrt())
 }
 
-/// Depth in millimetres and normal in degrees, root mean squares: reached, and planned; and the mean gradient.
+/// Depth (mm) and normal (degrees), root mean squares: measured and planned; and the mean gradient.
 fn reached_and_planned(paint: Paint, base: &Setup) -> ([[f64; 2]; 2], f64) {
     const POSES: u64 = 8;
     let (target, sand) = (Texture::new(paint, 5), Texture::new(Paint::Sand, 99));
@@ -71,8 +71,8 @@ fn reached_and_planned(paint: Paint, base: &Setup) -> ([[f64; 2]; 2], f64) {
     ([reached, planned].map(rms), gradients / POSES as f64)
 }
 
-/// The poses of all heads together know the rms of a depth to 14 % and that of a normal to 10 % (one sigma), hence 0.7; an image
-/// of finite resolution, and points left out, cost what is above 1.
+/// Sampling error over all rigs and poses: 14 % for the rms depth and 10 % for the rms normal (one sigma), hence the lower
+/// limit 0.7. The finite image resolution and excluded points account for values above 1.
 #[test]
 fn the_direct_method_reaches_what_was_planned_and_no_more() {
     let far = Setup { z_m: 0.7, ..Setup::default() };

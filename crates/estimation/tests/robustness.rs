@@ -1,4 +1,4 @@
-//! Whatever comes in: no panic, no number that is none, always a reason.
+//! Arbitrary input: no panic, no number that is not finite, always a reason.
 
 use pb3dp_test_support::sweep;
 use proptest::prelude::*;
@@ -6,7 +6,7 @@ use proptest::test_runner::{RngSeed, TestRunner};
 
 use crate::abuse;
 
-/// Chosen: any value serves, but the same value gives the same inputs in every run. `PROPTEST_RNG_SEED` replaces it.
+/// Chosen: any value works, but a fixed value gives the same inputs in every run. `PROPTEST_RNG_SEED` replaces it.
 const SEED: u64 = 20_260;
 
 /// Runs the body of a fuzz target on seeded random bytes. A test of xtask fails if a fuzz target has no such call.
@@ -26,7 +26,7 @@ fn every_method_survives_any_pair() {
     survives_seeded_bytes("estimators", sweep(96, 960), 0..64, abuse::every_method_survives);
 }
 
-/// The extremes by name, so that no run misses them: every pattern, in images of 100, 1, 3 and 16 pixels.
+/// The extreme cases by name, so that every run covers them: every pattern, in images of 100, 1, 3 and 16 pixels.
 #[test]
 fn every_method_survives_the_classics() {
     for pattern in 0..9_u8 {
@@ -34,14 +34,14 @@ fn every_method_survives_the_classics() {
             let mut bytes = abuse::ordinary_prefix(side_choice);
             // Three frames of one pattern, then shifts.
             bytes.extend([2, pattern, pattern, pattern, pattern, 5, 0, 9, 0, 13, 0]);
-            // Bytes that are no abuse check nothing.
+            // Bytes that make no abuse test nothing.
             assert_eq!(abuse::Abuse::from_bytes(&bytes).unwrap().pairs.len(), 3, "{pattern} {side_choice}");
             abuse::every_method_survives(&bytes);
         }
     }
 }
 
-/// The generator makes what the other tests believe: most abuses are pairs that a method works on.
+/// Checks the generator: most abuses are pairs that a method accepts.
 #[test]
 fn most_abuses_reach_the_methods() {
     let mut worked = 0;
@@ -61,17 +61,17 @@ fn most_abuses_reach_the_methods() {
             .is_ok()
         }));
     }
-    // The bytes are the same each time: 14 when this was written.
+    // The bytes are the same in every run; this gave 14 when the test was written.
     assert!(worked >= 12, "{worked} of 40");
 }
 
-/// What the fuzzer has found, each with what it was.
+/// Inputs found by fuzzing, each with its cause.
 #[test]
 fn every_method_survives_what_fuzzing_found() {
     let found: [&[u8]; 2] = [
         // Found by proptest.
         &[212, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 160, 48, 6, 42, 0, 0, 2],
-        // Intrinsics that turn the depth range into 10^9 pixels of disparity, for which memory was asked.
+        // Intrinsics that turn the depth range into 10^9 pixels of disparity, with a matching memory request.
         &[
             10, 114, 255, 255, 33, 0, 0, 0, 255, 255, 255, 255, 255, 255, 33, 0, 0, 0, 255, 255, 255, 219, 72, 0, 0, 0,
             219, 218,

@@ -1,4 +1,4 @@
-//! What is no surface is not tracked: two images that do not belong together, of soft texture.
+//! Two unrelated images of soft texture: no surface may be tracked.
 #![allow(clippy::unwrap_used, reason = "inputs that are valid")]
 
 use image::{Rgb, RgbImage};
@@ -14,7 +14,7 @@ use pb3dp_geometry::ImageSize;
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 
-/// Waves of 60 to 200 px without symmetry, others for every seed.
+/// Waves of 60 to 200 px without symmetry; other waves for every seed.
 fn soft_image(seed: u32) -> RgbImage {
     let mut random = SplitMix64::new(u64::from(seed));
     let waves: Vec<[f64; 3]> = (0..12)

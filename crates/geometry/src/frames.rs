@@ -1,8 +1,8 @@
-//! The coordinate frames of the project, as marker types. `docs/frames.md` gives origin and axes of each.
+//! The coordinate frames of the project, as marker types. `docs/frames.md` defines origin and axes of each.
 
 /// A coordinate frame, known at compile time.
 pub trait Frame: Copy + Send + Sync + 'static {
-    /// The frame's name as it stands in files, logs and documents.
+    /// The frame's name in files, logs and documents.
     const NAME: &'static str;
 }
 
@@ -20,23 +20,23 @@ macro_rules! frames {
 }
 
 frames! {
-    /// Fixed to the cell, z up.
+    /// Fixed to the workcell, z up.
     World = "world";
     /// Base of an arm: z up, x forward.
     Base = "base";
     /// Last link of an arm; z along the last joint's axis, away from the arm.
     Flange = "flange";
-    /// Base of the arm that carries the target, where both arms are spoken of.
+    /// Base of the arm that carries the target, if both arms are involved.
     TcBase = "tc_base";
-    /// Flange of the arm that carries the target, where both arms are spoken of.
+    /// Flange of the arm that carries the target, if both arms are involved.
     TcFlange = "tc_flange";
-    /// The frame of the hand whose pose is servoed; fixed to the flange.
+    /// The hand (end effector), whose pose is controlled; fixed to the flange.
     Hand = "hand";
     /// Left camera: optical centre, x right, y down, z forward.
     CamLeft = "cam_left";
     /// Right camera: optical centre, x right, y down, z forward.
     CamRight = "cam_right";
-    /// Left camera after rectification: same centre as `cam_left`, axes turned so that rows are epipolar lines.
+    /// Left camera after rectification: same centre as `cam_left`, axes rotated so that rows are epipolar lines.
     CamLeftRect = "cam_left_rect";
     /// Right camera after rectification.
     CamRightRect = "cam_right_rect";

@@ -1,7 +1,7 @@
 //! Typed frames, SE(3), pinhole cameras with distortion, and stereo rigs.
 //!
-//! Everything is in SI units (metres, radians, seconds) and `f64`; image coordinates are pixels with integer pixel
-//! centres. The frames and their axes are described in `docs/frames.md`. This crate does no I/O and knows no arm.
+//! All quantities are in SI units (metres, radians, seconds) and `f64`; image coordinates are pixels with integer pixel
+//! centres. `docs/frames.md` describes the frames and their axes. This crate does no I/O and is independent of any arm.
 //!
 //! Main types: [`Pose`] (a rigid transform `a_from_b` with its frames in the type), [`Twist`], [`Camera`],
 //! [`StereoRig`], [`maps::RemapTable`] (undistortion and rectification of images), [`MonotonicTime`], and the functions

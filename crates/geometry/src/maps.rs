@@ -1,6 +1,6 @@
-//! Precomputed tables that resample images: undistortion and rectification.
+//! Precomputed remap tables: undistortion and rectification of images.
 //!
-//! Images are byte slices, rows from top to bottom without padding, one byte per pixel or three (interleaved RGB).
+//! Images are byte slices, rows from top to bottom without padding, with one byte per pixel or three (interleaved RGB).
 
 use nalgebra::{Point3, Vector2};
 
@@ -13,10 +13,10 @@ const STEPS: u32 = 256;
 /// Marks destination pixels without a source.
 const NO_SOURCE: u32 = u32::MAX;
 
-/// For each pixel of a destination image, where in the source image it comes from, to 1/256 of a pixel.
+/// Remap table: for each pixel of a destination image its position in the source image, to 1/256 of a pixel.
 ///
-/// Destination pixels whose source lies outside the source image, or that the lens cannot image, are *invalid*: the
-/// remap functions set them to 0 and [`RemapTable::valid_mask`] tells which they are.
+/// Destination pixels whose source is outside the source image, or that the lens cannot image, are *invalid*: the remap
+/// functions set them to 0, and [`RemapTable::valid_mask`] marks them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RemapTable {
     size: ImageSize,
@@ -35,7 +35,7 @@ struct Tap {
 /// Why an image could not be remapped.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RemapError {
-    /// The source image is not of the size that the table was made for.
+    /// The size of the source image differs from that of the table.
     #[error(
         "the source image has {}x{} pixels, but the table was made for {}x{}: use the calibration of this camera mode",
         .actual.width, .actual.height, .expected.width, .expected.height
@@ -53,15 +53,15 @@ pub enum RemapError {
         buffer: &'static str,
         /// Its length.
         actual: usize,
-        /// The length that the size asks for.
+        /// The required length.
         expected: usize,
     },
 }
 
 impl RemapTable {
-    /// A table from any map: `source_of` gives the source pixel of a destination pixel, or `None`.
+    /// Creates a table from any map: `source_of` gives the source pixel of a destination pixel, or `None`.
     ///
-    /// Source images narrower or lower than two pixels leave every pixel invalid.
+    /// With source images narrower or lower than two pixels every pixel is invalid.
     pub fn from_fn(
         size: ImageSize,
         source_size: ImageSize,
@@ -77,7 +77,7 @@ impl RemapTable {
         Self { size, source_size, taps }
     }
 
-    /// The table that undistorts images of `camera`: the destination is the image of [`Camera::undistorted`].
+    /// The table that undistorts images of `camera`; the destination is the image of [`Camera::undistorted`].
     pub fn undistort(camera: &Camera) -> Self {
         let ideal = camera.undistorted();
         Self::from_fn(ideal.size(), camera.size(), |pixel| {
@@ -86,10 +86,10 @@ impl RemapTable {
         })
     }
 
-    /// The table that makes the image of the distortion-free pinhole of `destination` out of the image of `source`, the
-    /// two sharing their optical centre.
+    /// The table that converts the image of `source` into the image of the distortion-free pinhole of `destination`; both share
+    /// their optical centre.
     ///
-    /// Only the rotation of `destination_from_source` counts, and the destination's distortion is left out.
+    /// Only the rotation of `destination_from_source` is used, and the destination's distortion is ignored.
     pub fn rotate<To: Frame, From: Frame>(
         source: &Camera,
         destination: &Camera,
@@ -129,7 +129,7 @@ impl RemapTable {
         })
     }
 
-    /// 255 where a destination pixel has a source, 0 elsewhere; one byte per pixel.
+    /// Mask of the valid destination pixels: 255 if a pixel has a source, 0 otherwise; one byte per pixel.
     pub fn valid_mask(&self) -> Vec<u8> {
         self.taps.iter().map(|tap| if tap.index == NO_SOURCE { 0 } else { 255 }).collect()
     }
@@ -137,7 +137,7 @@ impl RemapTable {
     /// Resamples an interleaved RGB image, bilinear.
     ///
     /// # Errors
-    /// A source of another size than the table's, or a buffer of the wrong length; `destination` is then untouched.
+    /// A source with a size other than the table's, or a buffer of the wrong length; `destination` is then unchanged.
     pub fn remap_rgb(&self, source: &[u8], source_size: ImageSize, destination: &mut [u8]) -> Result<(), RemapError> {
         self.remap_bilinear::<3>(source, source_size, destination)
     }
@@ -184,7 +184,7 @@ impl RemapTable {
                 continue;
             }
             let start = tap.index as usize * CHANNELS;
-            // One bounds check per row; the two pixels of a row lie side by side.
+            // One bounds check per row; the two pixels of a row are adjacent.
             let above = &source[start..start + 2 * CHANNELS];
             let below = &source[start + stride..start + stride + 2 * CHANNELS];
             let (right, down) = (u32::from(tap.right), u32::from(tap.below));
@@ -230,10 +230,10 @@ impl Tap {
     }
 }
 
-/// Whole pixel and 1/256 of a coordinate, such that the next pixel exists too.
+/// Integer pixel and 1/256 fraction of a coordinate, such that the next pixel exists too.
 fn split(coordinate: f64, length: u32) -> Option<(u32, u16)> {
     let last = length.checked_sub(1)?;
-    // Rounding to the grid may carry a coordinate onto the edge, so the test comes after it.
+    // Rounding to the grid may move a coordinate onto the edge, so the test follows it.
     let steps = (coordinate * f64::from(STEPS)).round();
     if last == 0 || !(steps >= 0.0 && steps <= f64::from(last) * f64::from(STEPS)) {
         return None;

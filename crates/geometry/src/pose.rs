@@ -1,4 +1,4 @@
-//! Rigid transforms with their frames in the type.
+//! Rigid transforms with their frames encoded in the type.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -11,9 +11,10 @@ use nalgebra::{
 use crate::frames::Frame;
 use crate::se3;
 
-/// A rigid transform `to_from_from`: maps coordinates in `From` to coordinates in `To`; equally, the pose of `From` in `To`.
+/// A rigid transform `to_from_from`: maps coordinates in `From` to coordinates in `To`; equivalently, the pose of `From` in
+/// `To`.
 ///
-/// Composition is only possible where equal frames meet: `Pose<A, B> * Pose<B, C>` is a `Pose<A, C>`.
+/// Only transforms with a common frame can be composed: `Pose<A, B> * Pose<B, C>` is a `Pose<A, C>`.
 /// Translation in metres.
 pub struct Pose<To: Frame, From: Frame> {
     isometry: Isometry3<f64>,
@@ -21,12 +22,12 @@ pub struct Pose<To: Frame, From: Frame> {
 }
 
 impl<To: Frame, From: Frame> Pose<To, From> {
-    /// Claims that `isometry` maps coordinates in `From` to coordinates in `To`.
+    /// Creates a pose from an isometry that maps coordinates in `From` to coordinates in `To`.
     pub fn from_isometry(isometry: Isometry3<f64>) -> Self {
         Self { isometry, frames: PhantomData }
     }
 
-    /// The pose whose origin lies at `translation_m` in `To` and whose axes are turned by `rotation`.
+    /// Creates a pose from its origin `translation_m` in `To` and the rotation of its axes.
     pub fn from_parts(translation_m: Vector3<f64>, rotation: UnitQuaternion<f64>) -> Self {
         Self::from_isometry(Isometry3::from_parts(Translation3::from(translation_m), rotation))
     }
@@ -36,15 +37,16 @@ impl<To: Frame, From: Frame> Pose<To, From> {
         Self::from_parts(translation_m, UnitQuaternion::identity())
     }
 
-    /// Claims that the two frames coincide.
+    /// The identity: the two frames coincide.
     pub fn coincident() -> Self {
         Self::from_isometry(Isometry3::identity())
     }
 
-    /// From a rotation matrix and a translation in metres; the matrix is re-orthonormalised to the nearest rotation.
+    /// Creates a pose from a rotation matrix and a translation in metres; the matrix is re-orthonormalised to the nearest
+    /// rotation.
     ///
-    /// Meant for matrices that are rotations but for rounding or few digits; whoever reads them from outside checks that
-    /// first. A matrix that mirrors, is singular or not finite gives a pose without meaning, though never a panic.
+    /// Intended for matrices that are rotations up to rounding or few digits; a caller that reads them from outside must check
+    /// that first. A matrix that is singular, not finite or contains a reflection gives a meaningless pose, but never a panic.
     pub fn from_rotation_matrix(rotation: &Matrix3<f64>, translation_m: Vector3<f64>) -> Self {
         let rotation = Rotation3::from_matrix_unchecked(nearest_orthogonal(rotation));
         Self::from_parts(translation_m, UnitQuaternion::new_normalize(*UnitQuaternion::from_rotation_matrix(&rotation)))
@@ -95,7 +97,8 @@ impl<To: Frame, From: Frame> Pose<To, From> {
         self.isometry.rotation.angle()
     }
 
-    /// The claim that `exp(xi)` maps coordinates in `From` to coordinates in `To`; `xi` is `[rho; phi]`, metres and radians.
+    /// Exponential map: the pose `exp(xi)` that maps coordinates in `From` to coordinates in `To`; `xi` is `[rho; phi]`, metres
+    /// and radians.
     pub fn exp(xi: &Vector6<f64>) -> Self {
         Self::from_isometry(se3::exp(xi))
     }
@@ -120,7 +123,7 @@ impl<To: Frame, From: Frame> Pose<To, From> {
         *self * Pose::<From, From>::exp(xi)
     }
 
-    /// The pose a fraction `s` of the way to `end`, along the screw that joins them; see [`se3::interpolate`].
+    /// Interpolates a fraction `s` of the way to `end`, along the connecting screw motion; see [`se3::interpolate`].
     pub fn interpolate(&self, end: &Self, s: f64) -> Self {
         Self::from_isometry(se3::interpolate(&self.isometry, &end.isometry, s))
     }
@@ -130,8 +133,8 @@ impl<To: Frame, From: Frame> Pose<To, From> {
         self.isometry.translation.vector.iter().chain(self.isometry.rotation.coords.iter()).all(|x| x.is_finite())
     }
 
-    /// The same numbers under other frame names: for a named, stated identification of frames (an arm's `base` with the
-    /// place where this arm stands, say).
+    /// The same numbers with other frame names, for an explicit identification of frames (for example an arm's `base` with the
+    /// position of this arm).
     pub fn relabel<To2: Frame, From2: Frame>(&self) -> Pose<To2, From2> {
         Pose::from_isometry(self.isometry)
     }

@@ -1,4 +1,4 @@
-//! Rectification of a stereo rig: both cameras turned so that image rows are epipolar lines.
+//! Rectification of a stereo rig: rotates both cameras so that image rows are epipolar lines.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
@@ -8,43 +8,43 @@ use crate::maps::RemapTable;
 use crate::pose::Pose;
 use crate::stereo_rig::{StereoRig, StereoRigError};
 
-/// The smallest sine of the angle between the baseline and the mean viewing direction: below it the cameras look along
-/// the line that joins them and no common image plane is left.
+/// Smallest sine of the angle between the baseline and the mean viewing direction. Below it the cameras look along the
+/// baseline, and there is no common image plane.
 const BASELINE_SINE_MIN: f64 = 0.2;
-/// The smallest cosine between an original optical axis and the rectified one (60 degrees): beyond it the rectified image
+/// Smallest cosine between an original optical axis and the rectified one (60 degrees); at larger angles the rectified image
 /// would be mostly empty.
 const TURN_COSINE_MIN: f64 = 0.5;
 
-/// A rectified rig and the way to it.
+/// A rectified rig, and the rotations and remap tables that lead to it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rectification {
-    /// The rectified rig: no distortion, no rotation, equal fx, fy and cy, the right camera at `(B, 0, 0)`. What the type
-    /// calls `cam_left` and `cam_right` are here the rectified frames.
+    /// The rectified rig: no distortion, no rotation, equal fx, fy and cy, the right camera at `(B, 0, 0)`. The type's
+    /// `cam_left` and `cam_right` are the rectified frames here.
     pub rig: StereoRig,
-    /// Makes the rectified left image from the original one.
+    /// Converts the original left image into the rectified one.
     pub left: RemapTable,
-    /// Makes the rectified right image from the original one.
+    /// Converts the original right image into the rectified one.
     pub right: RemapTable,
-    /// The turn of the left camera about its optical centre.
+    /// The rotation of the left camera about its optical centre.
     pub cam_left_rect_from_cam_left: Pose<CamLeftRect, CamLeft>,
-    /// The turn of the right camera about its optical centre.
+    /// The rotation of the right camera about its optical centre.
     pub cam_right_rect_from_cam_right: Pose<CamRightRect, CamRight>,
 }
 
 /// Why a rig cannot be rectified.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RectificationError {
-    /// The baseline runs along the viewing direction.
+    /// The baseline is almost parallel to the viewing direction.
     #[error(
-        "the baseline is only {angle_deg:.1} degrees off the mean viewing direction: such a pair has no common image plane; check the translation of the calibration"
+        "the baseline is only {angle_deg:.1} degrees from the mean viewing direction, so the pair has no common image plane: check the translation of the calibration"
     )]
     BaselineAlongView {
         /// Angle between baseline and mean optical axis, degrees.
         angle_deg: f64,
     },
-    /// A camera would have to be turned too far.
+    /// Rectification would have to rotate a camera too far.
     #[error(
-        "the {camera} camera would have to be turned by {angle_deg:.1} degrees, 60 are allowed; check the rotation of the calibration"
+        "rectification would rotate the {camera} camera by {angle_deg:.1} degrees (limit 60): check the rotation of the calibration"
     )]
     Turn {
         /// `left` or `right`.
@@ -52,24 +52,24 @@ pub enum RectificationError {
         /// Angle between the optical axis and the rectified one, degrees.
         angle_deg: f64,
     },
-    /// The rectified camera was refused, or a source image's centre has no ray.
+    /// The rectified camera is invalid, or the centre of a source image has no ray.
     #[error("no rectified camera")]
     Camera(#[from] CameraError),
-    /// The rectified rig was refused.
+    /// The rectified rig is invalid.
     #[error("no rectified rig")]
     Rig(#[from] StereoRigError),
 }
 
 impl StereoRig {
-    /// The rectified rig, the turns that lead to it and the tables that rectify images.
+    /// Computes the rectified rig, the rotations to it, and the remap tables for the images.
     ///
-    /// The common x axis is the baseline, the common z axis is the mean viewing direction made perpendicular to it, so the
-    /// turn is shared by the two cameras. Focal lengths are the means of both cameras, each image keeps its centre (hence
-    /// cx may differ and disparities have an offset), cy is common, and both images take the larger size. A rig that is
-    /// rectified already comes out unchanged. Costs about as much as projecting every pixel twice.
+    /// The common x axis is the baseline. The common z axis is the mean viewing direction made perpendicular to it, so both
+    /// cameras share the rotation. Focal lengths are the means of both cameras, each image keeps its centre (hence cx may
+    /// differ and disparities have an offset), cy is common, and both images take the larger size. A rig that is already
+    /// rectified remains unchanged. The cost is about that of projecting every pixel twice.
     ///
     /// # Errors
-    /// A baseline along the viewing direction, a camera that would have to be turned by more than 60 degrees, or a lens
+    /// A baseline along the viewing direction, a camera that would have to be rotated by more than 60 degrees, or a lens
     /// without a ray at its image's centre.
     pub fn rectify(&self) -> Result<Rectification, RectificationError> {
         let left_turn = rectified_axes(self)?;
@@ -100,7 +100,7 @@ fn rectified_axes(rig: &StereoRig) -> Result<Matrix3<f64>, RectificationError> {
     let right_view_in_cam_left = rig.cam_right_from_cam_left().inverse().transform_vector(&Vector3::z());
     let view = Vector3::z() + right_view_in_cam_left;
     let y = view.cross(&x);
-    // Opposite views, whose sum is zero, are refused here too.
+    // This also rejects opposite views, whose sum is zero.
     if y.norm() <= BASELINE_SINE_MIN * view.norm() {
         return Err(RectificationError::BaselineAlongView { angle_deg: view.angle(&x).to_degrees() });
     }
@@ -117,7 +117,7 @@ fn check_turn(camera: &'static str, turn: &Matrix3<f64>) -> Result<(), Rectifica
     Ok(())
 }
 
-/// Cameras with common focal lengths and row, in which each source image's centre stays at the centre.
+/// Cameras with common focal lengths and common cy, in which each source image's centre stays at the centre.
 fn rectified_cameras(
     rig: &StereoRig,
     left_turn: &Matrix3<f64>,

@@ -1,14 +1,14 @@
 //! The group of rigid motions: exponential, logarithm, adjoint, Jacobians, interpolation.
 //!
-//! Tangent vectors are `[rho; phi]`: linear part first (metres), angular part second (radians). All functions here work on
-//! plain isometries; [`Pose`](crate::Pose) wraps those that respect frames. Formulas: Barfoot, *State Estimation for
-//! Robotics*, section 7.1.
+//! Tangent vectors are `[rho; phi]`: linear part first (metres), angular part second (radians). All functions here use plain
+//! isometries; [`Pose`](crate::Pose) wraps those that respect frames. Formulas: Barfoot, *State Estimation for Robotics*,
+//! section 7.1.
 
 use nalgebra::{Isometry3, Matrix3, Matrix6, Translation3, Vector3, Vector6};
 
 use crate::so3;
 
-/// Below this angle (radians) the coefficients come from their series.
+/// Below this angle (radians) the coefficients are computed from their series.
 const SERIES_BELOW_RAD: f64 = 1.0;
 
 /// The rigid motion of a constant unit-time twist `xi = [rho; phi]`.
@@ -52,7 +52,7 @@ pub fn right_jacobian_inverse(xi: &Vector6<f64>) -> Matrix6<f64> {
     left_jacobian_inverse(&-xi)
 }
 
-/// The motion a fraction `s` of the way from `a` to `b` along the screw that joins them: `a exp(s log(a^-1 b))`.
+/// The motion a fraction `s` of the way from `a` to `b` along the connecting screw motion: `a exp(s log(a^-1 b))`.
 ///
 /// `s` = 0 gives `a`, 1 gives `b`; other values extrapolate at the same constant twist.
 pub fn interpolate(a: &Isometry3<f64>, b: &Isometry3<f64>, s: f64) -> Isometry3<f64> {

@@ -1,9 +1,9 @@
 //! The rotation group: exponential, logarithm, Jacobians.
 //!
 //! A rotation vector `phi` is axis times angle, radians. The Jacobians relate small changes of `phi` to small rotations:
-//! `exp(phi + d) = exp(left_jacobian(phi) d) exp(phi) = exp(phi) exp(right_jacobian(phi) d)` to first order in `d`.
-//! Formulas: Barfoot, *State Estimation for Robotics*, section 7.1. Series take over where the closed forms would lose
-//! digits, so that every function is accurate to about 1e-14 from 0 to pi.
+//! `exp(phi + d) = exp(left_jacobian(phi) d) exp(phi) = exp(phi) exp(right_jacobian(phi) d)` to first order in `d`. Formulas:
+//! Barfoot, *State Estimation for Robotics*, section 7.1. Where the closed forms would lose digits, series replace them, so
+//! that every function is accurate to about 1e-14 from 0 to pi.
 
 use nalgebra::{Matrix3, Quaternion, Unit, UnitQuaternion, Vector3};
 
@@ -21,14 +21,14 @@ pub fn hat(v: &Vector3<f64>) -> Matrix3<f64> {
 pub fn exp(phi: &Vector3<f64>) -> UnitQuaternion<f64> {
     let half_rad = 0.5 * phi.norm();
     let sinc = if half_rad < 1e-5 { 1.0 - half_rad * half_rad / 6.0 } else { half_rad.sin() / half_rad };
-    // Normalising removes the last rounding; the norm is 1 within a few ulp, so it cannot fail.
+    // Normalising removes the last rounding error; the norm is 1 within a few ulp, so it cannot fail.
     Unit::new_normalize(Quaternion::from_parts(half_rad.cos(), phi * (0.5 * sinc)))
 }
 
 /// The rotation vector of `rotation`, radians, norm at most pi.
 ///
-/// Taken from the quaternion with an arctangent, so it keeps full precision next to 0 and next to pi. At exactly pi both
-/// `phi` and `-phi` are right; one of them is returned.
+/// Computed from the quaternion with an arctangent, so it keeps full precision near 0 and near pi. At exactly pi both `phi` and
+/// `-phi` are correct; one of them is returned.
 pub fn log(rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
     let q = if rotation.w < 0.0 { -rotation.into_inner() } else { rotation.into_inner() };
     let sin_half = q.imag().norm();
@@ -78,8 +78,8 @@ pub(crate) fn angle_minus_sin(x: f64) -> f64 {
     (x - x.sin()) / (x * x * x)
 }
 
-/// Sum of an alternating series in `x^2` whose first term is `first` and whose `n`-th coefficient is `ratio(n)` times the
-/// one before. Ten terms reach rounding for `x` up to 1 where the ratios fall like `1 / n^2`.
+/// Sum of an alternating series in `x^2` with first term `first`; its `n`-th coefficient is `ratio(n)` times the previous one.
+/// Ten terms reach rounding for `x` up to 1 if the ratios decrease like `1 / n^2`.
 pub(crate) fn alternating_series(x: f64, first: f64, ratio: impl Fn(f64) -> f64) -> f64 {
     let (mut term, mut sum) = (first, first);
     for n in 1..10 {
@@ -92,7 +92,7 @@ pub(crate) fn alternating_series(x: f64, first: f64, ratio: impl Fn(f64) -> f64)
 /// `(1 - (x / 2) cot(x / 2)) / x^2`.
 fn inverse_coefficient(x: f64) -> f64 {
     if x < INVERSE_SERIES_BELOW_RAD {
-        // Bernoulli numbers over factorials.
+        // Bernoulli numbers divided by factorials.
         const COEFFICIENTS: [f64; 7] = [
             1.0 / 12.0,
             1.0 / 720.0,

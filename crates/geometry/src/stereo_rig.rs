@@ -1,4 +1,4 @@
-//! Two cameras fixed to each other.
+//! Stereo rig: two cameras fixed to each other.
 
 use nalgebra::Vector3;
 
@@ -6,7 +6,7 @@ use crate::camera::{Camera, CameraError, Distortion};
 use crate::frames::{CamLeft, CamRight};
 use crate::pose::Pose;
 
-/// A calibrated stereo pair, not assumed rectified.
+/// A calibrated stereo pair, not necessarily rectified.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StereoRig {
     left: Camera,
@@ -14,33 +14,33 @@ pub struct StereoRig {
     cam_right_from_cam_left: Pose<CamRight, CamLeft>,
 }
 
-/// Why a rig was refused.
+/// Why a rig was rejected.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StereoRigError {
-    /// The cameras stand at the same place.
+    /// The baseline is out of range.
     #[error("baseline is {baseline_m} m: it must be longer than 0.1 mm and shorter than 10 m")]
     Baseline {
         /// Distance between the optical centres, metres.
         baseline_m: f64,
     },
-    /// Left and right are exchanged.
+    /// Left and right are swapped.
     #[error(
-        "the right camera's centre lies {right_by_m} m to the right of the left one's, it must lie to the right by at least half the baseline: left and right are swapped, or the sign of the translation is wrong"
+        "the right camera's centre is {right_by_m} m to the right of the left camera's (at least half the baseline is needed): left and right are swapped, or the sign of the translation is wrong"
     )]
     Swapped {
         /// x of the right camera's centre in `cam_left`, metres.
         right_by_m: f64,
     },
-    /// A camera was refused.
+    /// A camera was rejected.
     #[error(transparent)]
     Camera(#[from] CameraError),
 }
 
 impl StereoRig {
-    /// A rig from its cameras and `cam_right_from_cam_left` (maps coordinates in `cam_left` to `cam_right`, metres).
+    /// Creates a rig from its cameras and `cam_right_from_cam_left` (maps coordinates in `cam_left` to `cam_right`, metres).
     ///
     /// # Errors
-    /// A baseline out of range, or a right camera that does not lie to the right of the left one: the x of its centre in
+    /// A baseline out of range, or a right camera that is not to the right of the left camera: the x of its centre in
     /// `cam_left` must be at least half the baseline.
     pub fn new(
         left: Camera,
@@ -84,14 +84,13 @@ impl StereoRig {
         self.cam_right_from_cam_left.inverse().translation_m()
     }
 
-    /// The rig of the same pinholes without distortion, for images that went through the tables of
-    /// [`crate::maps::RemapTable::undistort`].
+    /// The rig with the same pinholes without distortion, for images remapped by [`crate::maps::RemapTable::undistort`].
     pub fn undistorted(&self) -> Self {
         Self { left: self.left.undistorted(), right: self.right.undistorted(), ..*self }
     }
 
-    /// Whether rows are epipolar lines and columns differ by disparity alone: no distortion, no rotation, a baseline along
-    /// x, equal fx, fy and cy (cx may differ).
+    /// Whether rows are epipolar lines and columns differ by disparity only: no distortion, no rotation, a baseline along x,
+    /// equal fx, fy and cy (cx may differ).
     pub fn is_rectified(&self) -> bool {
         let (l, r) = (self.left.pinhole(), self.right.pinhole());
         let t = self.cam_right_from_cam_left.translation_m();

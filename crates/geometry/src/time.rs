@@ -5,7 +5,7 @@ use std::time::Duration;
 
 /// A point in time on one monotonic clock: nanoseconds since that clock's origin.
 ///
-/// Clocks are injected (`pb3dp-hal-api`'s `Clock`); this type only carries their readings.
+/// Clocks are injected (`pb3dp-hal-api`'s `Clock`); this type only holds their readings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct MonotonicTime {
     nanos: u64,

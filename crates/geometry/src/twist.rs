@@ -19,7 +19,7 @@ pub struct Twist<In: Frame> {
 }
 
 impl<In: Frame> Twist<In> {
-    /// Claims that both velocities are expressed in `In`.
+    /// Creates a twist; both velocities must be expressed in `In`.
     pub fn new(linear_m_per_s: Vector3<f64>, angular_rad_per_s: Vector3<f64>) -> Self {
         Self { linear_m_per_s, angular_rad_per_s, frame: PhantomData }
     }
@@ -40,7 +40,8 @@ impl<In: Frame> Twist<In> {
         Self::new(vector.fixed_rows::<3>(0).into_owned(), vector.fixed_rows::<3>(3).into_owned())
     }
 
-    /// The same velocities of the same point, expressed in another frame (both parts are rotated, the point stays).
+    /// The same velocities of the same point, expressed in another frame (both parts are rotated; the reference point does not
+    /// change).
     pub fn expressed_in<To: Frame>(&self, to_from_in: &Pose<To, In>) -> Twist<To> {
         Twist::new(
             to_from_in.transform_vector(&self.linear_m_per_s),

@@ -1,4 +1,4 @@
-//! Poses, twists, times, and what a stereo rig refuses.
+//! Poses, twists, times, and invalid stereo rigs.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail loudly, as tests do")]
 
@@ -64,7 +64,7 @@ fn times_neither_wrap_nor_lose_their_sign() {
 
 #[test]
 fn rotation_matrices_with_few_digits_become_the_nearest_rotation() {
-    // Half a turn about a skew axis, where conversions are most delicate, written with four digits.
+    // Half a turn about a skew axis, where conversions are most sensitive, written with four digits.
     let exact = so3::exp(&(Vector3::new(0.36, -0.48, 0.8) * std::f64::consts::PI)).to_rotation_matrix().into_inner();
     let pose = Pose::<Base, Flange>::from_rotation_matrix(&exact, Vector3::zeros());
     assert!((pose.rotation_matrix() - exact).amax() < 1e-15);
@@ -72,10 +72,10 @@ fn rotation_matrices_with_few_digits_become_the_nearest_rotation() {
     let rounded = Pose::<Base, Flange>::from_rotation_matrix(&written, Vector3::zeros()).rotation_matrix();
     assert!((rounded - exact).amax() < 1e-4);
     assert!((rounded * rounded.transpose() - Matrix3::identity()).amax() < 1e-15);
-    // Nearest: R^T M is symmetric, as the factors of a polar decomposition are.
+    // It is the nearest rotation if R^T M is symmetric, as for the factors of a polar decomposition.
     let stretch = rounded.transpose() * written;
     assert!((stretch - stretch.transpose()).amax() < 1e-15, "{stretch}");
-    // Without meaning, but it returns.
+    // The result is meaningless, but the function returns.
     for bad in [Matrix3::zeros(), Matrix3::from_element(f64::NAN), -Matrix3::identity()] {
         let _ = Pose::<Base, Flange>::from_rotation_matrix(&bad, Vector3::zeros());
     }

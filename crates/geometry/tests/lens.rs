@@ -1,4 +1,4 @@
-//! Lens models against OpenCV, against finite differences, and there and back over the whole image.
+//! Lens models compared with OpenCV and with finite differences, and round trips over the whole image.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail loudly, as tests do")]
 
 use nalgebra::{Matrix2x3, Point3, Vector2};
@@ -15,7 +15,7 @@ fn camera(distortion: Distortion) -> Camera {
     Camera::new(SIZE, Pinhole { fx: 742.5, fy: 738.25, cx: 331.25, cy: 228.5 }, distortion).unwrap()
 }
 
-/// A short lens: the corners of the image are 79 degrees off the axis.
+/// A short lens: the corners of the image are 79 degrees from the axis.
 fn fisheye() -> Camera {
     Camera::new(SIZE, Pinhole { fx: 285.5, fy: 286.25, cx: 331.25, cy: 228.5 }, EQUIDISTANT).unwrap()
 }
@@ -58,7 +58,8 @@ fn projection_agrees_with_opencv() {
     check_pixels(&fisheye(), &points, &wide);
 }
 
-/// Golden values: `cv2.projectPoints(points, z, z, K, D)[1][:4, 3:6]`, the derivative by the translation, same version.
+/// Golden values: `cv2.projectPoints(points, z, z, K, D)[1][:4, 3:6]`, the derivative with respect to the translation, same
+/// version.
 #[test]
 fn projection_jacobian_agrees_with_opencv() {
     let golden = [
@@ -105,8 +106,8 @@ fn the_fisheye_really_is_wide() {
     assert!(ray.xy().norm().atan().to_degrees() < 85.0);
 }
 
-/// A strong barrel lens: the radial polynomial `r - 0.4 r^3` turns at `r = sqrt(1 / 1.2)`, where its value is
-/// `2 / 3 * sqrt(1 / 1.2)` = 0.6086.
+/// A strong barrel lens: the radial polynomial `r - 0.4 r^3` has its maximum at `r = sqrt(1 / 1.2)`, with the value `2 / 3 *
+/// sqrt(1 / 1.2)` = 0.6086.
 #[test]
 fn pixels_past_the_fold_are_refused_by_name_and_points_past_it_are_not_imaged() {
     let distortion = Distortion::BrownConrady5 { coefficients: [-0.4, 0.0, 0.0, 0.0, 0.0] };
@@ -154,8 +155,8 @@ fn bad_parameters_are_refused_by_name() {
     assert_eq!(name(SIZE, good, Distortion::Equidistant { coefficients: [0.0, f64::INFINITY, 0.0, 0.0] }), "k2");
 }
 
-/// Coefficients as real lenses have them, up to a strong wide-angle barrel and a moderate pincushion: k2 goes with the
-/// square of k1, and a rational model has a numerator and a divisor of like size.
+/// Coefficients typical of real lenses, up to a strong wide-angle barrel and a moderate pincushion: k2 is proportional to the
+/// square of k1, and a rational model has a numerator and a divisor of similar size.
 fn lens() -> impl Strategy<Value = Camera> {
     let pinhole = (600.0..900.0_f64, 0.97..1.03_f64, 290.0..350.0_f64, 210.0..270.0_f64);
     let brown = (-0.35..0.15_f64, 0.8..1.5_f64, -0.002..0.002_f64, -0.002..0.002_f64, -0.01..0.03_f64);

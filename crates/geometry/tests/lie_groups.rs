@@ -1,4 +1,4 @@
-//! SO(3) and SE(3) against Pinocchio, against power series and against finite differences.
+//! SO(3) and SE(3) compared with Pinocchio, power series and finite differences.
 
 use std::f64::consts::PI;
 
@@ -72,7 +72,7 @@ fn rotations_close_to_pi_and_to_zero_keep_their_digits() {
     for angle_rad in [PI, PI - 1e-12, PI - 1e-7, 1.0, 1e-7, 1e-12, 1e-15, 1e-200, 0.0] {
         let phi = axis * angle_rad;
         let back = so3::log(&so3::exp(&phi));
-        // At pi itself the two signs are the same rotation.
+        // At pi itself both signs are the same rotation.
         let error =
             if angle_rad > PI - 1e-14 { (back - phi).norm().min((back + phi).norm()) } else { (back - phi).norm() };
         assert!(error <= 1e-15 * (1.0 + angle_rad), "log(exp({angle_rad} * axis)) is off by {error:e}");
@@ -117,7 +117,7 @@ fn power_series(matrix: &DMatrix<f64>, shift: u32) -> DMatrix<f64> {
     sum
 }
 
-/// Tangent vectors whose angle is spread over all magnitudes, from far below the series' threshold to pi.
+/// Tangent vectors with angles over all magnitudes, from far below the series' threshold to pi.
 fn tangent() -> impl Strategy<Value = Vector6<f64>> {
     (prop::array::uniform6(-1.0..1.0_f64), -12.0..0.0_f64, prop::bool::ANY).prop_filter_map(
         "no direction",
@@ -173,7 +173,7 @@ proptest! {
 
     #[test]
     fn derivative_of_the_logarithm_is_the_inverse_jacobian(xi in tangent(), column in 0_usize..6) {
-        // Stay off pi, where the logarithm jumps.
+        // Avoids pi, where the logarithm is discontinuous.
         prop_assume!(se3::split(&xi).1.norm() < 3.1);
         let step = 1e-6;
         let mut d = Vector6::zeros();

@@ -1,4 +1,4 @@
-//! Undistortion and rectification: the geometry before any pixel is touched, then the pixels.
+//! Undistortion and rectification: first the geometry without pixels, then the pixels.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail loudly, as tests do")]
 
 use nalgebra::{Point3, Vector2, Vector3};
@@ -25,7 +25,7 @@ fn rig(rotation_vector_rad: [f64; 3], right_centre_in_cam_left: [f64; 3]) -> Ste
     StereoRig::new(left_camera(), right_camera(), Pose::from_parts(translation_m, rotation)).unwrap()
 }
 
-/// Verged, rolled, the right camera lower and further ahead.
+/// Verged and rolled, with the right camera lower and further ahead.
 fn verged() -> StereoRig {
     rig([0.03, -0.09, 0.05], [0.098, 0.011, 0.017])
 }
@@ -38,10 +38,10 @@ fn rectified_rig_is_rectified_and_keeps_the_baseline() {
     assert!((rig.baseline_m() - verged().baseline_m()).abs() < 1e-15);
     assert!((rig.left().pinhole().fx - 363.75).abs() < 1e-12, "the mean of both focal lengths");
     assert!((rig.left().pinhole().fy - 364.875).abs() < 1e-12);
-    // The turn takes the right camera's centre onto the x axis.
+    // The rotation moves the right camera's centre onto the x axis.
     let centre = rectification.cam_left_rect_from_cam_left.transform_vector(&verged().right_centre_in_cam_left());
     assert!((centre - Vector3::new(verged().baseline_m(), 0.0, 0.0)).norm() < 1e-15, "{centre}");
-    // Each original centre stays at the centre of its rectified image, but for the row, which the two share.
+    // Each original centre stays at the centre of its rectified image, except for the row, which both share.
     let ray = verged().left().unproject(&Vector2::new(159.5, 119.5)).unwrap();
     let in_rect = rectification.cam_left_rect_from_cam_left.transform_vector(&ray);
     let pixel = rig.left().project(&Point3::from(in_rect)).unwrap();
@@ -70,7 +70,7 @@ fn rectifying_a_rectified_rig_changes_nothing() {
 
 #[test]
 fn rigs_without_a_common_image_plane_are_refused() {
-    // The right camera stands 31 degrees off the left axis and looks 62 degrees to the right.
+    // The right camera is 31 degrees from the left axis and looks 62 degrees to the right.
     let along = rig([0.0, -1.08, 0.0], [0.06, 0.0, 0.1]);
     assert!(
         matches!(along.rectify(), Err(RectificationError::BaselineAlongView { .. })),
@@ -105,7 +105,7 @@ proptest! {
         let rectification = rig.rectify().unwrap();
         let in_cam_left = Point3::new(point.0 * point.2, point.1 * point.2, point.2);
         let in_cam_right = rig.cam_right_from_cam_left().transform_point(&in_cam_left);
-        // As the images would have it: pixel of the original camera, its ray, turned, pixel of the rectified camera.
+        // The same via the images: pixel of the original camera, its ray, rotated, pixel of the rectified camera.
         let (Some(left), Some(right)) = (rig.left().project(&in_cam_left), rig.right().project(&in_cam_right)) else {
             return Err(TestCaseError::reject("out of view"));
         };
@@ -117,7 +117,7 @@ proptest! {
         let left = rectification.rig.left().project(&Point3::from(left)).unwrap();
         let right = rectification.rig.right().project(&Point3::from(right)).unwrap();
         prop_assert!((left.y - right.y).abs() < 1e-9, "rows {} and {}", left.y, right.y);
-        // And the disparity gives the depth along the rectified axis.
+        // The disparity gives the depth along the rectified axis.
         let depth_m = rectification.cam_left_rect_from_cam_left.transform_point(&in_cam_left).z;
         let (l, r) = (rectification.rig.left().pinhole(), rectification.rig.right().pinhole());
         let disparity = (left.x - l.cx) - (right.x - r.cx);
@@ -125,7 +125,7 @@ proptest! {
     }
 }
 
-/// Smooth colours as functions of the viewing ray, so that any camera's image of them can be computed.
+/// Smooth colours as functions of the viewing ray, so that the image of any camera can be computed.
 fn colour(ray: &Vector3<f64>) -> [f64; 3] {
     let (x, y) = (ray.x / ray.z, ray.y / ray.z);
     [
@@ -135,7 +135,7 @@ fn colour(ray: &Vector3<f64>) -> [f64; 3] {
     ]
 }
 
-/// The image that `camera`, turned by `world_from_cam`, takes of the colours.
+/// The image of the colours in `camera`, rotated by `world_from_cam`.
 fn image(camera: &Camera, turn: impl Fn(Vector3<f64>) -> Vector3<f64>) -> Vec<u8> {
     let size = camera.size();
     let pixels = (0..size.height).flat_map(|v| (0..size.width).map(move |u| (u, v)));
@@ -239,7 +239,7 @@ fn wrong_sizes_are_refused_and_leave_the_destination_alone() {
 fn pose_types_of_the_rectification_meet() {
     let rectification = verged().rectify().unwrap();
     let rect: Pose<CamRight, CamLeft> = *verged().cam_right_from_cam_left();
-    // cam_right_rect_from_cam_left_rect has no rotation left.
+    // cam_right_rect_from_cam_left_rect has no rotation.
     let joined =
         rectification.cam_right_rect_from_cam_right * rect * rectification.cam_left_rect_from_cam_left.inverse();
     assert!(joined.rotation_angle_rad() < 1e-14);

@@ -1,4 +1,4 @@
-//! The chain of joints from the base of an arm to its flange.
+//! The kinematic chain from the base of an arm to its flange.
 
 use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 use pb3dp_geometry::Pose;
@@ -11,7 +11,7 @@ use crate::{DOF, JointVector};
 
 /// A serial arm of six or seven revolute joints.
 ///
-/// `base` is the frame of the base link, `flange` that of the tip link, as the description defines them.
+/// `base` is the frame of the base link, `flange` that of the tip link, as defined in the description.
 #[derive(Clone, Debug)]
 pub struct Chain {
     joints: Vec<urdf::MovingJoint>,
@@ -19,11 +19,11 @@ pub struct Chain {
     limits: JointLimits,
 }
 
-/// Where every joint of an arm is, for one set of joint angles.
+/// Poses of all joints of an arm, for one set of joint angles.
 #[derive(Clone, Debug)]
 pub struct JointFrames {
-    /// Pose of each joint's frame (turned by its angle: the frame of the link behind it) in the base frame, metres; behind the last joint
-    /// the last joint's.
+    /// Pose of each joint's frame (rotated by its angle: the frame of the link after it) in the base frame, metres; entries
+    /// after the last joint repeat the last joint's.
     pub base_from_joint: [Isometry3<f64>; DOF],
     /// Axis of each joint in the base frame.
     pub axis_in_base: [Unit<Vector3<f64>>; DOF],
@@ -44,17 +44,17 @@ impl JointFrames {
 }
 
 impl Chain {
-    /// The chain between two links of a URDF text. Fixed joints may lie between the revolute ones.
+    /// Reads the chain between two links from a URDF text. Fixed joints may be between the revolute ones.
     ///
     /// # Errors
-    /// If the text is no URDF, or what lies between the links is not a chain of six or seven revolute joints with limits and
+    /// If the text is not a URDF, or the part between the links is not a chain of six or seven revolute joints with limits and
     /// axes of length 1; the error names the joint or link.
     pub fn from_urdf_str(xml: &str, base_link: &str, tip_link: &str) -> Result<Self, ChainError> {
         let ChainParts { joints, last_joint_from_tip, limits } = urdf::read(xml, base_link, tip_link)?;
         Ok(Self { joints, last_joint_from_flange: last_joint_from_tip, limits })
     }
 
-    /// How many joints the arm has.
+    /// Number of joints of the arm.
     pub fn joints(&self) -> usize {
         self.joints.len()
     }
@@ -64,10 +64,10 @@ impl Chain {
         self.joints.iter().map(|joint| joint.name.as_str()).collect()
     }
 
-    /// The joint between upper arm and forearm of an arm whose first three axes meet in a shoulder and whose last three meet in a wrist
-    /// (S-R-S): at zero such an arm is stretched, at the end of its reach. `None` for arms of other build.
+    /// The joint between upper arm and forearm of an S-R-S arm (the first three axes meet in a shoulder, the last three in a
+    /// wrist). At zero such an arm is fully extended. `None` for other arms.
     pub fn elbow(&self) -> Option<usize> {
-        /// Axes that pass each other by no more than this meet, metres.
+        /// Largest distance between two axes that count as intersecting, metres.
         const MEET_M: f64 = 1e-6;
         let frames = self.joint_frames(&JointVector::repeat(0.4));
         let line =
@@ -82,7 +82,7 @@ impl Chain {
         (self.joints.len() == 7 && meet([0, 1, 2]) && meet([4, 5, 6])).then_some(3)
     }
 
-    /// Position and speed limits of the description.
+    /// Position and speed limits from the description.
     pub fn limits(&self) -> &JointLimits {
         &self.limits
     }
@@ -117,7 +117,7 @@ impl Chain {
     }
 
     /// As [`Self::jacobian`], with the linear velocity of another point that is fixed to the flange: `point_in_base`, metres,
-    /// is where it is at this moment. `frames` must come from this chain.
+    /// is its current position. `frames` must come from this chain.
     pub fn jacobian_at(&self, frames: &JointFrames, point_in_base: &Point3<f64>) -> Jacobian {
         let mut jacobian = Jacobian::zeros();
         for (i, (base_from_joint, axis)) in
@@ -131,8 +131,8 @@ impl Chain {
     }
 }
 
-/// The point half-way between two lines (point and direction of length 1) where they are nearest, and how far apart they are there;
-/// `None` for parallel ones.
+/// The midpoint between two lines (point and direction of length 1) where they are nearest, and their distance there; `None`
+/// for parallel lines.
 fn nearest_to_both(
     (one_m, one): (Vector3<f64>, Vector3<f64>),
     (other_m, other): (Vector3<f64>, Vector3<f64>),

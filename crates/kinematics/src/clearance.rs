@@ -1,4 +1,5 @@
-//! Room between two arms: each is a set of capsules, and the room is the smallest distance between any two of them.
+//! Clearance between two arms: each arm is a set of capsules, and the clearance is the smallest distance between any two of
+//! them.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use pb3dp_geometry::Pose;
@@ -6,22 +7,22 @@ use pb3dp_geometry::frames::{Base, World};
 
 use crate::{DOF, JointFrames, JointVector};
 
-/// All points within `radius_m` of a straight line between two points. Metres; the frame is the owner's.
+/// A capsule: all points within `radius_m` of a line segment. Metres; the frame is the owner's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Capsule {
-    /// Ends of the line.
+    /// End points of the segment.
     pub ends_m: [Point3<f64>; 2],
-    /// Distance of the surface from the line.
+    /// Distance of the surface from the segment.
     pub radius_m: f64,
 }
 
 impl Capsule {
-    /// Distance between the surfaces, metres; negative where the capsules overlap, by how deep at most.
+    /// Distance between the surfaces, metres; negative if the capsules overlap, by at most the penetration depth.
     pub fn distance_m(&self, other: &Self) -> f64 {
         segment_distance(&self.ends_m, &other.ends_m) - self.radius_m - other.radius_m
     }
 
-    /// The smallest ball around it: its middle and its radius, metres.
+    /// The smallest enclosing sphere: its centre and its radius, metres.
     fn ball(&self) -> (Point3<f64>, f64) {
         let [a, b] = self.ends_m;
         (nalgebra::center(&a, &b), 0.5 * (b - a).norm() + self.radius_m)
@@ -32,36 +33,36 @@ impl Capsule {
     }
 }
 
-/// What a part of an arm is fixed to.
+/// Body to which a part of an arm is attached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Carrier {
-    /// The base: it does not move.
+    /// The base, which does not move.
     Base,
-    /// The link behind a joint, counted from the base, 0 to 6.
+    /// The link after a joint, numbered from the base, 0 to 6.
     Joint(usize),
-    /// The flange, with all that is mounted there: a tool, cameras, a target.
+    /// The flange with everything mounted there: a tool, cameras, a target.
     Flange,
 }
 
-/// A part of an arm, as large as whatever it stands for, cables included.
+/// A part of an arm; the capsule must enclose the real part, including cables.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArmPart {
-    /// For messages: `upper arm`.
+    /// Name for messages, for example `upper arm`.
     pub name: String,
-    /// What it is fixed to.
+    /// Body to which it is attached.
     pub carrier: Carrier,
     /// Its shape in the carrier's frame, metres.
     pub capsule: Capsule,
 }
 
-/// Why parts cannot be the shape of an arm.
+/// Why parts are not a valid collision shape of an arm.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ArmShapeError {
-    /// No part at all: nothing would ever be too near.
-    #[error("the shape of the arm has no parts; give at least one capsule")]
+    /// There are no parts, so that no clearance would ever be too small.
+    #[error("the arm's collision shape has no parts; give at least one capsule")]
     Empty,
-    /// A number is no length.
-    #[error("part `{part}`: {value} m is not possible; radii must be above 0 and all numbers finite")]
+    /// A number is not a valid length.
+    #[error("part `{part}`: {value} m is invalid; radii must be above 0 and all numbers finite")]
     Number {
         /// Name of the part.
         part: String,
@@ -69,7 +70,7 @@ pub enum ArmShapeError {
         value: f64,
     },
     /// A joint that the arm does not have.
-    #[error("part `{part}` is fixed to joint {joint}; joints are counted from the base, 0 to 6")]
+    #[error("part `{part}` is attached to joint {joint}; joints are numbered from the base, 0 to 6")]
     NoSuchJoint {
         /// Name of the part.
         part: String,
@@ -78,16 +79,16 @@ pub enum ArmShapeError {
     },
 }
 
-/// The parts of an arm.
+/// Collision shape of an arm.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArmShape {
     parts: Vec<ArmPart>,
 }
 
-/// The two parts that are nearest to each other.
+/// The two parts nearest to each other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clearance<'a> {
-    /// Room between them, metres; negative where they overlap.
+    /// Distance between them, metres; negative if they overlap.
     pub distance_m: f64,
     /// Part of the first arm.
     pub first: &'a str,
@@ -95,22 +96,22 @@ pub struct Clearance<'a> {
     pub second: &'a str,
 }
 
-/// An arm at one moment: its shape, where it stands, and where its joints are.
+/// An arm at one moment: its shape, its base pose, and its joint poses.
 #[derive(Clone, Copy, Debug)]
 pub struct PlacedArm<'a> {
     /// The shape.
     pub shape: &'a ArmShape,
-    /// Where the base stands.
+    /// Pose of the base.
     pub world_from_base: &'a Pose<World, Base>,
     /// Joint frames of the arm's own chain.
     pub frames: &'a JointFrames,
 }
 
 impl ArmShape {
-    /// A shape of these parts.
+    /// Creates a shape from its parts.
     ///
     /// # Errors
-    /// No part, a radius that is not positive, a number that is not finite, or a joint that does not exist.
+    /// No parts, a radius that is not positive, a number that is not finite, or a joint that does not exist.
     pub fn new(parts: Vec<ArmPart>) -> Result<Self, ArmShapeError> {
         if parts.is_empty() {
             return Err(ArmShapeError::Empty);
@@ -138,10 +139,10 @@ impl ArmShape {
 }
 
 impl PlacedArm<'_> {
-    /// How far any point of a part moves at most, metres, while every joint turns by at most `reach_rad` from where it is.
+    /// Upper bound of the motion of any point of a part, metres, while every joint rotates by at most `reach_rad`.
     ///
-    /// From the tip on: a joint moves what it carries along an arc around its axis, whose radius is that of the part's farther
-    /// end and what the joints behind it may have added.
+    /// Computed from the tip on: a joint moves everything that it carries along an arc around its axis. The radius of the arc
+    /// is the distance of the part's farther end, plus the motion that the joints after it may have added.
     fn moves_by(&self, part: &ArmPart, reach_rad: &JointVector) -> f64 {
         let (joints, base_from_part) = match part.carrier {
             Carrier::Base => return 0.0,
@@ -168,33 +169,33 @@ impl PlacedArm<'_> {
         part.capsule.moved(&(self.world_from_base.isometry() * base_from_part))
     }
 
-    /// The part in `world`, as far larger as it moves at most while every joint turns by at most `reach_rad`.
+    /// The part in `world`, enlarged by its largest motion while every joint rotates by at most `reach_rad`.
     fn swept(&self, part: &ArmPart, reach_rad: &JointVector) -> Capsule {
         let capsule = self.in_world(part);
         Capsule { radius_m: capsule.radius_m + self.moves_by(part, reach_rad), ..capsule }
     }
 }
 
-/// Far more than rounding makes of a distance in a cell.
+/// Far above the rounding error of a distance in a workcell.
 const ROUNDING_M: f64 = 1e-9;
 
-/// Parts whose places are known together; arms have fewer.
+/// Number of parts whose positions are buffered together; arms have fewer.
 const PARTS_AT_ONCE: usize = 16;
 
-/// The room between two arms. Where a place is not a number it is minus infinity.
+/// The clearance between two arms; minus infinity if a position is not a number.
 pub fn clearance<'a>(first: &PlacedArm<'a>, second: &PlacedArm<'a>) -> Clearance<'a> {
     let nowhere = JointVector::zeros();
     clearance_within((first, &nowhere), (second, &nowhere))
 }
 
-/// The room that is left between two arms wherever their joints go within `reach_rad` of where they are, each for itself: a
-/// lower bound. Where a place is not a number it is minus infinity.
+/// Lower bound of the clearance between two arms while each joint moves independently within `reach_rad` of its position; minus
+/// infinity if a position is not a number.
 pub fn clearance_within<'a>(
     (first, first_reach_rad): (&PlacedArm<'a>, &JointVector),
     (second, second_reach_rad): (&PlacedArm<'a>, &JointVector),
 ) -> Clearance<'a> {
     let mut nearest: Option<Clearance<'a>> = None;
-    // On the stack: this is asked for in every cycle, which may not allocate.
+    // On the stack: this runs in every cycle, which must not allocate.
     for others in second.shape.parts.chunks(PARTS_AT_ONCE) {
         let nothing = Capsule { ends_m: [Point3::origin(); 2], radius_m: 0.0 };
         let mut others_swept = [(nothing, nothing.ball()); PARTS_AT_ONCE];
@@ -206,13 +207,13 @@ pub fn clearance_within<'a>(
             let one_swept = first.swept(one, first_reach_rad);
             let (middle, radius_m) = one_swept.ball();
             for (other, (other_swept, (other_middle, other_radius_m))) in others.iter().zip(&others_swept) {
-                // Most parts are so far apart that the balls around them tell.
+                // For most parts the distance of the enclosing spheres is decisive.
                 let apart_m = (middle - other_middle).norm() - radius_m - other_radius_m;
                 if nearest.is_some_and(|so_far| apart_m > so_far.distance_m + ROUNDING_M) {
                     continue;
                 }
                 let distance_m = one_swept.distance_m(other_swept);
-                // What is no number is no room.
+                // A NaN counts as no clearance.
                 let distance_m = if distance_m.is_nan() { f64::NEG_INFINITY } else { distance_m };
                 if nearest.is_none_or(|so_far| distance_m < so_far.distance_m) {
                     nearest = Some(Clearance { distance_m, first: &one.name, second: &other.name });
@@ -226,8 +227,8 @@ pub fn clearance_within<'a>(
 
 /// Distance between two line segments.
 ///
-/// The smallest value of a convex quadratic form of two numbers within 0 to 1: at the minimum of the whole form if that lies
-/// inside, else on one of the four edges, where an end of one segment is nearest to the other segment.
+/// Minimum of a convex quadratic form of two parameters within 0 to 1. It is the unconstrained minimum if that is inside.
+/// Otherwise it is on one of the four edges, where an end of one segment is nearest to the other segment.
 fn segment_distance(a: &[Point3<f64>; 2], b: &[Point3<f64>; 2]) -> f64 {
     let ends = [
         distance_to_segment(&a[0], b),
@@ -236,7 +237,7 @@ fn segment_distance(a: &[Point3<f64>; 2], b: &[Point3<f64>; 2]) -> f64 {
         distance_to_segment(&b[1], a),
     ];
     let on_an_edge = ends.into_iter().fold(f64::INFINITY, |least, distance| match distance {
-        // `min` would drop what is no number.
+        // `min` would drop a NaN.
         _ if distance.is_nan() => distance,
         _ if distance < least => distance,
         _ => least,
@@ -244,12 +245,12 @@ fn segment_distance(a: &[Point3<f64>; 2], b: &[Point3<f64>; 2]) -> f64 {
     inner_distance(a, b).map_or(on_an_edge, |inner| inner.min(on_an_edge))
 }
 
-/// Distance of the common perpendicular of two segments, if its feet lie within both.
+/// Length of the common perpendicular of two segments, if both feet are inside the segments.
 fn inner_distance(a: &[Point3<f64>; 2], b: &[Point3<f64>; 2]) -> Option<f64> {
     let (along_a, along_b, between) = (a[1] - a[0], b[1] - b[0], b[0] - a[0]);
     let normal: Vector3<f64> = along_a.cross(&along_b);
     let squared = normal.norm_squared();
-    // Of parallel segments an end is among the nearest points.
+    // For parallel segments, an end is among the nearest points.
     if squared <= 1e-18 * along_a.norm_squared() * along_b.norm_squared() || squared == 0.0 {
         return None;
     }
@@ -306,7 +307,7 @@ mod tests {
         assert!(rod.distance_m(&lost).is_nan() && lost.distance_m(&rod).is_nan());
     }
 
-    /// The arm of the rig, straight up, with a part at its flange; another one that stands 2 m away.
+    /// The rig's arm, straight up, with a part at its flange; and another arm 2 m away.
     fn two_arms(check: impl Fn(&crate::Chain, &ArmShape, &[Pose<World, Base>; 2])) {
         let urdf = include_str!("../../../configs/robots/pa10_gen2.urdf");
         let chain = crate::Chain::from_urdf_str(urdf, "base_link", "flange").unwrap();
@@ -338,19 +339,19 @@ mod tests {
             let bases_m = (2.0f64 * 2.0 + 0.1 * 0.1).sqrt();
             let room = clearance(&first, &second);
             assert!(room.distance_m < bases_m - 0.2 && room.distance_m > bases_m - 0.31, "{room:?}");
-            // S1 turns what stands on its axis, and the tool's end 50 mm beside it.
+            // S1 rotates the part on its axis, and the tool's end 50 mm from it.
             let mut reach_rad = JointVector::zeros();
             reach_rad[0] = 0.1;
             let within = clearance_within((&first, &reach_rad), (&second, &JointVector::zeros()));
             assert!((room.distance_m - within.distance_m - 0.005).abs() < 1e-12, "{room:?} {within:?}");
-            // S2 turns the tool's end about the shoulder, 0.45 + 0.48 + 0.07 + 0.2 m below it.
+            // S2 rotates the tool's end about the shoulder, 0.45 + 0.48 + 0.07 + 0.2 m below it.
             (reach_rad[0], reach_rad[1]) = (0.0, 0.1);
             let within = clearance_within((&first, &reach_rad), (&second, &JointVector::zeros()));
             assert!((room.distance_m - within.distance_m - 0.12).abs() < 2e-3, "{room:?} {within:?}");
         });
     }
 
-    /// By hand, on the arm that stands up: the elbow is 0.45 m above the shoulder, the flange 0.55 m above the elbow.
+    /// By hand, for the upright arm: the elbow is 0.45 m above the shoulder, the flange 0.55 m above the elbow.
     #[test]
     fn what_is_carried_moves_by_the_arcs_of_all_joints_below_it() {
         two_arms(|chain, shape, places| {
@@ -363,9 +364,9 @@ mod tests {
             // The joint that carries a part moves it as well.
             let upper_arm = of(Carrier::Joint(1), [0.0, 0.0, 0.45], [0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]);
             assert!((upper_arm - 0.1 * 0.45).abs() < 1e-12, "{upper_arm}");
-            // A joint behind a part does not.
+            // A joint after a part does not.
             assert_eq!(of(Carrier::Joint(1), [0.0, 0.0, 0.45], [0.0, 0.0, 0.3, 0.4, 0.5, 0.6, 0.7]), 0.0);
-            // What E1 adds is farther from the shoulder when S2 turns.
+            // The motion added by E1 increases the distance from the shoulder when S2 rotates.
             let tool = of(Carrier::Flange, [0.0, 0.0, 0.2], [0.0, -0.2, 0.0, 0.3, 0.0, 0.0, 0.0]);
             let by_elbow_m = 0.3 * (0.55 + 0.2);
             let by_hand_m = by_elbow_m + 0.2 * (0.45 + 0.55 + 0.2 + by_elbow_m);
@@ -387,7 +388,7 @@ mod tests {
         });
     }
 
-    /// Whatever is left out of the comparison does not matter.
+    /// Reference without the early exits of the comparison.
     fn of_all_pairs(first: (&PlacedArm<'_>, &JointVector), second: (&PlacedArm<'_>, &JointVector)) -> f64 {
         let swept = |(arm, reach_rad): (&PlacedArm<'_>, &JointVector)| -> Vec<Capsule> {
             arm.shape.parts.iter().map(|part| arm.swept(part, reach_rad)).collect()
@@ -408,7 +409,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(500) })]
 
-        /// Wherever the joints of both arms go within their reach, there is at least the room that was told.
+        /// Wherever the joints of both arms move within their reach, the clearance is at least the reported one.
         #[test]
         fn no_pose_within_reach_has_less_room(
             first in any_joints(2.0), second in any_joints(2.0), first_part in any_joints(1.0), second_part in any_joints(1.0),
@@ -430,7 +431,7 @@ mod tests {
             });
         }
 
-        /// No pair of points on a fine grid is nearer, and some is nearly as near.
+        /// No pair of points on a fine grid is nearer, and at least one is nearly as near.
         #[test]
         fn segments_are_as_far_apart_as_their_points(
             a in [any_point(), any_point()], b in [any_point(), any_point()],

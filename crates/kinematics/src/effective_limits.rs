@@ -1,17 +1,17 @@
-//! What an arm may do in one run, computed once.
+//! Effective limits of an arm for one run, computed once.
 
 use crate::{DOF, JointLimits, JointLimitsError, JointVector};
 
-/// What is stated about an arm, before it is one set of limits.
+/// The configured limits of an arm, from which the effective limits are computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StatedLimits {
-    /// Of the robot description: angles (rad) that must never be passed, and the speeds (rad/s) that the drives have.
+    /// From the robot description: angles (rad) that must never be exceeded, and the speeds (rad/s) of the drives.
     pub servo: JointLimits,
-    /// Lower ends of the range to work in, rad; within the servo limits.
+    /// Lower ends of the operating range, rad; within the servo limits.
     pub operating_min_rad: JointVector,
-    /// Upper ends of that range, rad.
+    /// Upper ends of the operating range, rad.
     pub operating_max_rad: JointVector,
-    /// Share of the drives' speeds that may be used, above 0 to 1.
+    /// Share of the drives' speeds that may be used, above 0 and at most 1.
     pub speed_scale: f64,
     /// Largest acceleration of each joint, rad/s^2.
     pub acceleration_max_rad_per_s2: JointVector,
@@ -19,8 +19,8 @@ pub struct StatedLimits {
     pub jerk_max_rad_per_s3: JointVector,
 }
 
-/// What an arm may do in this run. Limiter, guard, controller, planner and commissioning receive this one type: what it says is
-/// what counts, and nobody multiplies by a scale again.
+/// The limits of an arm in this run. Limiter, guard, controller, planner and commissioning all use this type. Its values are
+/// final: no further scaling is applied.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EffectiveLimits {
     servo: JointLimits,
@@ -29,19 +29,19 @@ pub struct EffectiveLimits {
     jerk_max_rad_per_s3: JointVector,
 }
 
-/// Why stated limits are none.
+/// Why configured limits are invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum EffectiveLimitsError {
-    /// The operating range is no range within the servo limits.
-    #[error("the operating range does not fit")]
+    /// The operating range is not a range within the servo limits.
+    #[error("the operating range is invalid")]
     OperatingRange(#[source] JointLimitsError),
     /// The speed scale is out of range.
-    #[error("speed scale {0} is out of range; above 0 to 1 is possible")]
+    #[error("speed scale {0} is out of range; it must be above 0 and at most 1")]
     SpeedScale(f64),
-    /// A speed is no limit.
+    /// A speed limit is invalid.
     #[error("speed limit {0} rad/s is not a positive, finite number")]
     Speed(f64),
-    /// An acceleration is no limit.
+    /// An acceleration limit is invalid.
     #[error("axis {}: acceleration limit {value} rad/s^2 is not a positive, finite number", joint + 1)]
     Acceleration {
         /// Index from the base, 0 to 6.
@@ -49,7 +49,7 @@ pub enum EffectiveLimitsError {
         /// The number given, rad/s^2.
         value: f64,
     },
-    /// A jerk is no limit.
+    /// A jerk limit is invalid.
     #[error("axis {}: jerk limit {value} rad/s^3 is not a positive, finite number", joint + 1)]
     Jerk {
         /// Index from the base, 0 to 6.
@@ -60,10 +60,10 @@ pub enum EffectiveLimitsError {
 }
 
 impl StatedLimits {
-    /// The limits that count.
+    /// Computes the effective limits.
     ///
     /// # Errors
-    /// The first number that is no limit.
+    /// The first invalid number.
     pub fn effective(&self) -> Result<EffectiveLimits, EffectiveLimitsError> {
         let scale = self.speed_scale;
         if !(scale > 0.0 && scale <= 1.0) {
@@ -95,12 +95,12 @@ fn first_of_no_use(limits: &JointVector) -> Option<(usize, f64)> {
 }
 
 impl EffectiveLimits {
-    /// Angles (rad) that must never be passed, and the speeds (rad/s) that the drives have: faster than these nothing can be.
+    /// Angles (rad) that must never be exceeded, and the speeds (rad/s) of the drives, which no motion can exceed.
     pub fn servo(&self) -> &JointLimits {
         &self.servo
     }
 
-    /// Where the arm works, rad, and how fast, rad/s.
+    /// Operating range, rad, and operating speeds, rad/s.
     pub fn operating(&self) -> &JointLimits {
         &self.operating
     }
@@ -120,10 +120,10 @@ impl EffectiveLimits {
         &self.jerk_max_rad_per_s3
     }
 
-    /// The same with no joint faster than this, rad/s, nor than this share of what its drive has.
+    /// The same limits with all joints limited to this speed, rad/s, and to this share of the drive's speed.
     ///
     /// # Errors
-    /// If the speed is not positive and finite, or the share not above 0 to 1.
+    /// If the speed is not positive and finite, or the share not above 0 and at most 1.
     pub fn slowed(&self, velocity_max_rad_per_s: f64, drive_share_max: f64) -> Result<Self, EffectiveLimitsError> {
         if !(drive_share_max > 0.0 && drive_share_max <= 1.0) {
             return Err(EffectiveLimitsError::SpeedScale(drive_share_max));

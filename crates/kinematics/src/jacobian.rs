@@ -1,7 +1,7 @@
 //! Singular values of a Jacobian and its damped inverse.
 //!
-//! A Jacobian mixes metres and radians, so its singular values depend on the unit of length. Here it is always the metre: for
-//! an arm of one metre's reach both halves then weigh about the same.
+//! A Jacobian mixes metres and radians, so its singular values depend on the unit of length. Here the unit is always the metre:
+//! for an arm with a reach of one metre both halves then have about the same weight.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -10,25 +10,25 @@ use crate::DOF;
 /// Rows `[linear; angular]` (m/s, rad/s), one column per joint (rad/s).
 pub type Jacobian = SMatrix<f64, 6, DOF>;
 
-/// From a twist `[linear; angular]` to joint velocities.
+/// Maps a twist `[linear; angular]` to joint velocities.
 pub type PseudoInverse = SMatrix<f64, DOF, 6>;
 
-/// More sweeps than a 7x6 matrix ever needs (5 to 8); the bound is there for numbers that are not finite.
+/// More sweeps than a 7x6 matrix ever needs (5 to 8); the limit exists for numbers that are not finite.
 const SWEEPS_MAX: usize = 30;
 
-/// Columns whose cosine is below this are orthogonal.
+/// Columns with a cosine below this are orthogonal.
 const ORTHOGONAL: f64 = 1e-14;
 
-/// How strongly motion along nearly lost directions is damped.
+/// Damping of motion along nearly singular directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Damping {
     threshold: f64,
     factor_max: f64,
 }
 
-/// Why numbers cannot be a damping.
+/// Why numbers are not a valid damping.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("damping {name} is {value}, it must be a positive, finite number")]
+#[error("damping {name} is {value}; it must be a positive, finite number")]
 pub struct DampingError {
     /// `threshold` or `factor_max`.
     pub name: &'static str,
@@ -37,7 +37,7 @@ pub struct DampingError {
 }
 
 impl Damping {
-    /// Damping that sets in where a singular value falls below `threshold` and grows to `factor_max` where it is zero.
+    /// Damping that starts when a singular value falls below `threshold` and grows to `factor_max` at zero.
     ///
     /// # Errors
     /// If a number is not positive and finite.
@@ -50,12 +50,12 @@ impl Damping {
         Ok(Self { threshold, factor_max })
     }
 
-    /// Singular value below which there is damping.
+    /// Singular value below which damping is active.
     pub fn threshold(&self) -> f64 {
         self.threshold
     }
 
-    /// Damping factor where the singular value is zero.
+    /// Damping factor at a singular value of zero.
     pub fn factor_max(&self) -> f64 {
         self.factor_max
     }
@@ -63,7 +63,7 @@ impl Damping {
     /// Largest gain of a [`damped_pseudo_inverse`]: joint speed (rad/s) per unit of twist (m/s and rad/s).
     pub fn gain_max(&self) -> f64 {
         let ratio_squared = (self.factor_max / self.threshold).powi(2);
-        // Up to a ratio of 1/sqrt(2) the peak lies below the threshold, beyond it on the threshold.
+        // Up to a ratio of 1/sqrt(2) the peak is below the threshold, above it on the threshold.
         if ratio_squared <= 0.5 { 0.5 / (self.factor_max * (1.0 - ratio_squared).sqrt()) } else { 1.0 / self.threshold }
     }
 
@@ -74,7 +74,7 @@ impl Damping {
     }
 }
 
-/// A Jacobian taken apart into its singular values and directions: what they are asked for more than once costs once.
+/// Singular value decomposition of a Jacobian, stored so that repeated queries cost only one decomposition.
 ///
 /// `jacobian = left * columns^T`, with orthonormal `left` and orthogonal `columns` whose lengths are the singular values.
 #[derive(Clone, Copy, Debug)]
@@ -84,7 +84,7 @@ pub struct SingularForm {
 }
 
 impl SingularForm {
-    /// Of this Jacobian.
+    /// Decomposes a Jacobian.
     pub fn new(jacobian: &Jacobian) -> Self {
         orthogonalise(jacobian)
     }
@@ -96,18 +96,18 @@ impl SingularForm {
         values.into()
     }
 
-    /// Smallest singular value: 0 where the arm cannot move in some direction. Units: see the module.
+    /// Smallest singular value: 0 if the arm cannot move in some direction. For units see the module documentation.
     pub fn smallest_value(&self) -> f64 {
         self.values()[5]
     }
 
-    /// Least-squares inverse of the Jacobian whose gain stays bounded at singularities.
+    /// Damped least-squares inverse of the Jacobian, with a bounded gain at singularities.
     ///
-    /// Each singular value sigma is inverted as sigma / (sigma^2 + lambda^2) with
-    /// lambda^2 = (1 - (sigma/threshold)^2) factor_max^2 below the threshold and 0 above it. Damped least squares after
-    /// Nakamura and Hanafusa (1986), with the variable factor confined to the lost directions after Chiaverini (1997): away from
-    /// singularities it is exactly the Moore-Penrose inverse, the result is continuous in the Jacobian, and directions that
-    /// the arm can still move in are not slowed. The gain never exceeds [`Damping::gain_max`].
+    /// Each singular value sigma is inverted as sigma / (sigma^2 + lambda^2) with lambda^2 = (1 - (sigma/threshold)^2)
+    /// factor_max^2 below the threshold and 0 above it. Damped least squares after Nakamura and Hanafusa (1986), with the
+    /// variable factor limited to the singular directions after Chiaverini (1997). Away from singularities it is exactly the
+    /// Moore-Penrose inverse, the result is continuous in the Jacobian, and directions in which the arm can still move are not
+    /// slowed. The gain never exceeds [`Damping::gain_max`].
     pub fn damped_inverse(&self, damping: &Damping) -> PseudoInverse {
         let mut inverse = PseudoInverse::zeros();
         for i in 0..6 {
@@ -139,12 +139,12 @@ pub fn manipulability(jacobian: &Jacobian) -> f64 {
     singular_values(jacobian).iter().product()
 }
 
-/// One-sided Jacobi iteration (Hestenes 1958) on the transposed Jacobian: total, bounded, and accurate for small singular
-/// values, which an eigendecomposition of `J J^T` is not.
+/// One-sided Jacobi iteration (Hestenes 1958) on the transposed Jacobian: always terminates, and is accurate for small singular
+/// values, unlike an eigendecomposition of `J J^T`.
 fn orthogonalise(jacobian: &Jacobian) -> SingularForm {
     let mut columns = jacobian.transpose();
     let mut left = SMatrix::<f64, 6, 6>::identity();
-    // Nothing below this is told from zero, so that two lost directions do not turn about each other for ever.
+    // Values below this count as zero, so that two singular directions do not rotate about each other forever.
     let negligible = jacobian.norm_squared() * f64::EPSILON * f64::EPSILON;
     for _ in 0..SWEEPS_MAX {
         let mut turned = false;
@@ -167,9 +167,9 @@ fn orthogonalise(jacobian: &Jacobian) -> SingularForm {
     SingularForm { columns, left }
 }
 
-/// Cosine and sine of the smaller of the turns that make two columns with these products orthogonal.
+/// Cosine and sine of the smaller of the rotations that make two columns with these products orthogonal.
 fn orthogonalising_turn(aa: f64, bb: f64, ab: f64) -> (f64, f64) {
-    // Not above 1e32, as `ab` is not negligible: no square overflows, and no `hypot` is needed.
+    // At most 1e32, because `ab` is not negligible: no square overflows, and `hypot` is not needed.
     let zeta = (bb - aa) / (2.0 * ab);
     let tangent = zeta.signum() / (zeta.abs() + (1.0 + zeta * zeta).sqrt());
     let cosine = 1.0 / (1.0 + tangent * tangent).sqrt();

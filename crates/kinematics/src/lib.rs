@@ -1,13 +1,13 @@
-//! Serial arm kinematics from URDF: forward kinematics, Jacobian, limits. No device, no file.
+//! Serial arm kinematics from URDF: forward kinematics, Jacobian, limits. The crate uses no device and no file.
 //!
-//! * [`Chain`] is read from a URDF text and answers where the flange and every joint are, and how they move.
-//! * [`JointLimits`] are the position and speed limits that the description states.
-//! * [`EffectiveLimits`] are what one arm may do in one run: everything that moves it, or watches it, receives them.
-//! * [`clearance()`] is the room between two arms, [`clearance_within`] what is left of it while their joints move.
+//! * [`Chain`] is read from a URDF text and computes the poses of the flange and of every joint, and the Jacobian.
+//! * [`JointLimits`] are the position and speed limits from the description.
+//! * [`EffectiveLimits`] are the limits of one arm in one run, used by everything that moves or monitors it.
+//! * [`clearance()`] is the distance between two arms, [`clearance_within`] a lower bound while their joints move.
 //! * [`reach()`] finds the joint angles that bring the flange to a pose.
-//! * [`damped_pseudo_inverse`], [`smallest_singular_value`] and [`manipulability`] judge and invert a [`Jacobian`].
+//! * [`damped_pseudo_inverse`], [`smallest_singular_value`] and [`manipulability`] invert and evaluate a [`Jacobian`].
 //!
-//! Metres, radians, seconds; six or seven revolute joints, as the description has them, counted from the base.
+//! Units are metres, radians and seconds; six or seven revolute joints, as in the description, numbered from the base.
 
 pub mod chain;
 pub mod clearance;
@@ -33,24 +33,24 @@ pub use limits::{JointLimits, JointLimitsError, PositionViolation};
 pub use reach::{NotReached, reach};
 pub use urdf::ChainError;
 
-/// The most joints that an arm can have. How many it has says its description ([`Chain::joints`]).
+/// Largest number of joints of an arm. The description gives the actual number ([`Chain::joints`]).
 pub const DOF: usize = 7;
 
-/// One number per joint, base to tip: positions (rad), velocities (rad/s) or accelerations, as the name of the variable says.
+/// One number per joint, base to tip: positions (rad), velocities (rad/s) or accelerations, according to the variable's name.
 ///
-/// Of an arm with fewer joints than [`DOF`] the last numbers belong to none: they are zero, have a range of [`NO_JOINT_RAD`] to either
-/// side, and nothing that the arm does depends on them, for their columns of the Jacobian are zero.
+/// For an arm with fewer joints than [`DOF`] the last numbers are unused: they are zero and have a range of [`NO_JOINT_RAD`] to
+/// either side. Nothing depends on them, because their columns of the Jacobian are zero.
 pub type JointVector = SVector<f64, DOF>;
 
-/// In place of a limit where there is no joint, rad and rad/s: so wide that nothing comes near it.
+/// Limit of a joint that does not exist, rad and rad/s: so large that it is never reached.
 pub const NO_JOINT_RAD: f64 = 1e3;
 
-/// Measured joints at one moment.
+/// Measured joint state at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointState {
-    /// When they were measured, on the program's monotonic clock.
+    /// Time of the measurement, on the program's monotonic clock.
     pub at: MonotonicTime,
-    /// Joint angles, rad, never wrapped (some joints turn by more than half a turn).
+    /// Joint angles, rad, never wrapped (some joints rotate by more than half a turn).
     pub position_rad: JointVector,
     /// Joint velocities, rad/s.
     pub velocity_rad_per_s: JointVector,

@@ -4,7 +4,7 @@ use crate::JointVector;
 
 /// Position and speed limits, one number per joint.
 ///
-/// Made by [`JointLimits::new`], so every number is finite, each minimum is below its maximum and each speed is positive.
+/// Created by [`JointLimits::new`], so every number is finite, each minimum is below its maximum and each speed is positive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointLimits {
     position_min_rad: JointVector,
@@ -12,12 +12,12 @@ pub struct JointLimits {
     velocity_max_rad_per_s: JointVector,
 }
 
-/// Why numbers cannot be limits.
+/// Why numbers are not valid limits.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum JointLimitsError {
     /// The position range is empty or not finite.
     #[error(
-        "axis {}: position limits {min_rad} to {max_rad} rad are no range; give finite numbers, minimum below maximum",
+        "axis {}: position limits {min_rad} to {max_rad} rad are not a range; give finite numbers, minimum below maximum",
         joint + 1
     )]
     Position {
@@ -55,12 +55,12 @@ pub enum JointLimitsError {
     },
 }
 
-/// A joint that lies outside its range.
+/// A joint outside its range.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PositionViolation {
     /// Index from the base, 0 to 6.
     pub joint: usize,
-    /// Where it is, rad.
+    /// Position of the joint, rad.
     pub position_rad: f64,
     /// Lower end of its range, rad.
     pub min_rad: f64,
@@ -69,7 +69,7 @@ pub struct PositionViolation {
 }
 
 impl JointLimits {
-    /// Limits from numbers: positions in rad, speeds in rad/s.
+    /// Creates limits from positions in rad and speeds in rad/s.
     ///
     /// # Errors
     /// If a range is empty, a speed is not positive or a number is not finite; the error names the joint.
@@ -90,10 +90,10 @@ impl JointLimits {
         Ok(Self { position_min_rad, position_max_rad, velocity_max_rad_per_s })
     }
 
-    /// The same speeds with a position range inside this one: an operating range within the hard one, say.
+    /// The same speeds with a position range inside this one, for example an operating range within the hard limits.
     ///
     /// # Errors
-    /// If the new range is empty, not finite or reaches beyond this one; the error names the joint.
+    /// If the new range is empty, not finite or exceeds this one; the error names the joint.
     pub fn with_position_range(&self, min_rad: JointVector, max_rad: JointVector) -> Result<Self, JointLimitsError> {
         let inner = Self::new(min_rad, max_rad, self.velocity_max_rad_per_s)?;
         for joint in 0..crate::DOF {

@@ -1,4 +1,4 @@
-//! Joint angles that bring the flange to a pose.
+//! Inverse kinematics: joint angles that bring the flange to a pose.
 
 use nalgebra::Vector6;
 use pb3dp_geometry::frames::{Base, Flange};
@@ -6,34 +6,34 @@ use pb3dp_geometry::{Pose, Twist};
 
 use crate::{Chain, Damping, JointVector, damped_pseudo_inverse};
 
-/// A pose that is met within this, in metres and radians, is reached.
+/// Largest error of a reached pose, metres and radians.
 const REACHED_WITHIN: f64 = 1e-9;
-/// Steps allowed, and the longest one of a joint.
+/// Largest number of steps, and the longest step of a joint.
 const STEPS_MAX: usize = 500;
 const STEP_MAX_RAD: f64 = 0.05;
 
-/// A pose that was not reached.
+/// A pose that could not be reached.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("out of reach: the flange stays {:.1} mm and {:.2} degrees away", 1e3 * position_error_m, angle_error_rad.to_degrees())]
+#[error("out of reach: the flange ends {:.1} mm and {:.2} degrees from the pose", 1e3 * position_error_m, angle_error_rad.to_degrees())]
 pub struct NotReached {
-    /// How far the flange stays away, metres.
+    /// Remaining position error of the flange, metres.
     pub position_error_m: f64,
-    /// By how much it stays turned, radians.
+    /// Remaining angular error, radians.
     pub angle_error_rad: f64,
 }
 
-/// `[linear; angular]` that leads from one pose to the other in one second, in `base`.
+/// `[linear; angular]` twist that moves one pose to the other in one second, in `base`.
 pub fn twist_between(from: &Pose<Base, Flange>, to: &Pose<Base, Flange>) -> Vector6<f64> {
     let linear = to.translation_m() - from.translation_m();
     let angular = (to.rotation() * from.rotation().inverse()).scaled_axis();
     Twist::<Base>::new(linear, angular).to_vector()
 }
 
-/// Newton steps of bounded length from `start_rad` to the joint angles at which the flange is at a pose; of all that do, those near the
-/// start. Joint limits are not looked at.
+/// Newton steps of bounded length from `start_rad` to joint angles at which the flange has a pose; of several solutions, one
+/// near the start. Joint limits are not checked.
 ///
 /// # Errors
-/// A pose that is out of reach, or on whose way the arm is too singular.
+/// A pose that is out of reach, or a singularity on the path to it.
 pub fn reach(
     chain: &Chain,
     start_rad: &JointVector,
@@ -56,7 +56,7 @@ pub fn reach(
     Err(NotReached { position_error_m, angle_error_rad })
 }
 
-/// Position and angle of a `[linear; angular]` error.
+/// Position error and angular error of a `[linear; angular]` error.
 fn sizes(error: &Vector6<f64>) -> (f64, f64) {
     (error.fixed_rows::<3>(0).norm(), error.fixed_rows::<3>(3).norm())
 }

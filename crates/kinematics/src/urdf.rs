@@ -1,4 +1,5 @@
-//! From a URDF text to the constant parts of a chain; everything that is not a plain chain of six or seven revolute joints is refused.
+//! Reads the constant parts of a chain from a URDF text; rejects everything except a plain chain of six or seven revolute
+//! joints.
 
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 use urdf_rs::{Joint, JointType, Robot};
@@ -6,79 +7,81 @@ use urdf_rs::{Joint, JointType, Robot};
 use crate::limits::{JointLimits, JointLimitsError};
 use crate::{DOF, JointVector, NO_JOINT_RAD};
 
-/// Largest deviation of a joint axis from length 1 that is taken as rounding of the file.
+/// Largest deviation of a joint axis from length 1 that counts as rounding in the file.
 const AXIS_LENGTH_TOLERANCE: f64 = 1e-4;
 
-/// With fewer joints a hand cannot turn and move in all directions.
+/// With fewer joints a hand cannot rotate and move in all directions.
 const JOINTS_MIN: usize = 6;
 
 /// Why a robot description cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ChainError {
-    /// The text is no URDF.
+    /// The text is not a URDF.
     #[error("the robot description cannot be read as URDF")]
     Parse(#[source] urdf_rs::UrdfError),
-    /// A link that was asked for does not exist.
+    /// A requested link does not exist.
     #[error("robot `{robot}` has no link `{link}`; it has: {links}")]
     UnknownLink {
         /// Name of the robot.
         robot: String,
-        /// The link asked for.
+        /// The requested link.
         link: String,
         /// All links, separated by commas.
         links: String,
     },
-    /// The tip does not hang on the base.
+    /// The tip is not connected to the base.
     #[error(
-        "no chain from link `{base}` to link `{tip}`: link `{stopped_at}` is no joint's child; check the parent and child of its joint"
+        "no chain from link `{base}` to link `{tip}`: link `{stopped_at}` is not the child of any joint; check the parent and child of its joint"
     )]
     Broken {
-        /// The base asked for.
+        /// The requested base.
         base: String,
-        /// The tip asked for.
+        /// The requested tip.
         tip: String,
-        /// The link at which the way to the base ends.
+        /// The link at which the path to the base ends.
         stopped_at: String,
     },
-    /// Two joints claim the same child, or joints form a circle.
-    #[error("link `{link}` is reached by joint `{joint}` and again: the description is no tree")]
+    /// Two joints have the same child, or joints form a loop.
+    #[error(
+        "link `{link}` is the child of joint `{joint}` and of another joint, or part of a loop: the description is not a tree"
+    )]
     NotATree {
-        /// The link that is met twice.
+        /// The link that was found twice.
         link: String,
         /// A joint that leads to it.
         joint: String,
     },
-    /// A joint of a kind that this chain cannot have.
-    #[error("joint `{joint}` is {kind}; only revolute (with limits) and fixed joints are possible")]
+    /// A joint of an unsupported kind.
+    #[error("joint `{joint}` is {kind}; only revolute (with limits) and fixed joints are supported")]
     JointKind {
         /// Name of the joint.
         joint: String,
-        /// What it is.
+        /// Kind of the joint.
         kind: String,
     },
-    /// Too few moving joints to bring a hand anywhere, or more than [`DOF`].
-    #[error("the chain from `{base}` to `{tip}` has {count} revolute joints ({joints}), 6 or 7 are possible")]
+    /// Too few moving joints to move a hand freely, or more than [`DOF`].
+    #[error("the chain from `{base}` to `{tip}` has {count} revolute joints ({joints}); 6 or 7 are supported")]
     JointCount {
-        /// The base asked for.
+        /// The requested base.
         base: String,
-        /// The tip asked for.
+        /// The requested tip.
         tip: String,
-        /// How many were found.
+        /// Number of revolute joints found.
         count: usize,
         /// Their names, separated by commas.
         joints: String,
     },
-    /// A joint's limits are missing or senseless.
-    #[error("joint `{joint}`: <limit> is missing or senseless; it needs lower < upper (rad) and velocity > 0 (rad/s)")]
+    /// A joint's limits are missing or invalid.
+    #[error("joint `{joint}`: <limit> is missing or invalid; it needs lower < upper (rad) and velocity > 0 (rad/s)")]
     Limits {
         /// Name of the joint.
         joint: String,
-        /// Which number is wrong.
+        /// The invalid number.
         #[source]
         source: JointLimitsError,
     },
-    /// A joint's axis has not the length 1.
+    /// A joint's axis does not have length 1.
     #[error("joint `{joint}`: axis {axis:?} has length {length}, not 1")]
     Axis {
         /// Name of the joint.
@@ -96,8 +99,8 @@ pub enum ChainError {
         /// The joint that it follows.
         leader: String,
     },
-    /// A joint's origin holds a number that is not finite.
-    #[error("joint `{joint}`: origin xyz {xyz:?} rpy {rpy:?} holds a number that is not finite")]
+    /// A joint's origin contains a number that is not finite.
+    #[error("joint `{joint}`: origin xyz {xyz:?} rpy {rpy:?} contains a number that is not finite")]
     Origin {
         /// Name of the joint.
         joint: String,
@@ -108,13 +111,13 @@ pub enum ChainError {
     },
 }
 
-/// A moving joint: where it sits on the joint before it (fixed joints between them included), and what it turns about.
+/// A moving joint: its pose on the previous joint (including fixed joints in between), and its axis.
 #[derive(Clone, Debug)]
 pub(crate) struct MovingJoint {
     pub name: String,
-    /// From the previous moving joint's frame (turned by its angle), or the base link.
+    /// Pose in the previous moving joint's frame (rotated by its angle), or in the base link.
     pub parent_from_joint: Isometry3<f64>,
-    /// In the joint's own frame.
+    /// Axis in the joint's own frame.
     pub axis: Unit<Vector3<f64>>,
 }
 
@@ -213,7 +216,7 @@ fn axis(joint: &Joint) -> Result<Unit<Vector3<f64>>, ChainError> {
     let axis = *joint.axis.xyz;
     let vector = Vector3::from(axis);
     let length = vector.norm();
-    // Written so that NaN is refused too.
+    // Written so that NaN is rejected too.
     if (length - 1.0).abs() <= AXIS_LENGTH_TOLERANCE {
         return Ok(Unit::new_normalize(vector));
     }

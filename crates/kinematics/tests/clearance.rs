@@ -1,4 +1,4 @@
-//! The room between two PA-10 arms that stand 804 mm apart, as in the two-arm cells of the literature.
+//! Clearance between two PA-10 arms 804 mm apart, as in the two-arm workcells of the literature.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -15,7 +15,7 @@ fn part(name: &str, carrier: Carrier, ends_m: [[f64; 3]; 2], radius_m: f64) -> A
     ArmPart { name: name.to_owned(), carrier, capsule: Capsule { ends_m: ends_m.map(Point3::from), radius_m } }
 }
 
-/// Column, upper arm (from the shoulder, behind S2, to the elbow), forearm (behind E1) and a camera bar across the flange.
+/// Column, upper arm (from the shoulder, after S2, to the elbow), forearm (after E1) and a camera bar across the flange.
 fn shape() -> ArmShape {
     ArmShape::new(vec![
         part("column", Carrier::Base, [[0.0, 0.0, 0.0], [0.0, 0.0, 0.317]], 0.12),
@@ -55,24 +55,24 @@ fn two_upright_arms_are_a_base_distance_apart() {
     let found = room([0.0; 7], [0.0; 7]);
     assert!((found.distance_m - (0.804 - 2.0 * (0.1 + 0.03))).abs() < 1e-12, "{} {:?}", found.distance_m, found.parts);
     assert_eq!(found.parts, ["camera bar", "camera bar"]);
-    // Turned across by W2, they leave the room to the columns.
+    // Rotated across by W2, they leave the columns as the nearest parts.
     let across = room([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 90.0], [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -90.0]);
     assert!((across.distance_m - (0.804 - 2.0 * 0.12)).abs() < 1e-12, "{} {:?}", across.distance_m, across.parts);
     assert_eq!(across.parts, ["column", "column"]);
 }
 
-/// Both bases look at each other. S2 = 90 degrees lays the first arm towards the second: its elbow is 0.45 m away at shoulder
-/// height, and the forearm goes on for 0.48 m, through the column of the second arm.
+/// Both bases face each other. S2 = 90 degrees lowers the first arm towards the second: its elbow is 0.45 m away at shoulder
+/// height, and the forearm extends a further 0.48 m, through the column of the second arm.
 #[test]
 fn an_arm_that_leans_over_reaches_the_other() {
     let over = room([0.0, 90.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 7]);
     assert!((over.distance_m + (0.08 + 0.12)).abs() < 1e-9, "{} {:?}", over.distance_m, over.parts);
-    // With the elbow bent up again the upper arm is nearest: 0.804 - 0.45, less both radii.
+    // With the elbow bent up again the upper arm is nearest: 0.804 - 0.45, minus both radii.
     let bent = room([0.0, 90.0, 0.0, -90.0, 0.0, 0.0, 0.0], [0.0; 7]);
     let by_hand = 0.804 - 0.45 - 0.1 - 0.12;
     assert!((bent.distance_m - by_hand).abs() < 1e-9, "{} {:?}, {by_hand}", bent.distance_m, bent.parts);
     assert_eq!(bent.parts, ["upper arm", "column"]);
-    // S1 turns it away.
+    // S1 rotates it away.
     let away = room([180.0, 90.0, 0.0, -90.0, 0.0, 0.0, 0.0], [0.0; 7]);
     assert!(away.distance_m > 0.5, "{}", away.distance_m);
 }
@@ -92,6 +92,6 @@ fn parts_that_are_none_are_refused_by_name() {
         assert_eq!(error, ArmShapeError::Number { part: "bar".to_owned(), value: radius_m });
     }
     let error = ArmShape::new(bar(Carrier::Joint(7), 0.1)).unwrap_err().to_string();
-    assert!(error.contains("`bar` is fixed to joint 7"), "{error}");
+    assert!(error.contains("`bar` is attached to joint 7"), "{error}");
     assert!(ArmShape::new(vec![part("x", Carrier::Base, [[0.0; 3], [0.0, f64::NAN, 0.0]], 0.1)]).is_err());
 }

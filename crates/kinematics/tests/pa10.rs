@@ -1,4 +1,4 @@
-//! The robot descriptions in `configs/robots` against independent values.
+//! The robot descriptions in `configs/robots` compared with independent values.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -18,7 +18,7 @@ fn chain(urdf: &str) -> Chain {
     Chain::from_urdf_str(urdf, "base_link", "flange").unwrap()
 }
 
-/// `digits` decimals are printed, so half a unit of the last one is allowed.
+/// `digits` decimals are printed, so half a unit of the last one is the tolerance.
 fn check_position(pose: &Pose<Base, Flange>, expected_m: [f64; 3], digits: i32) {
     let off = (pose.translation_m() - Vector3::from(expected_m)).amax();
     assert!(off <= 0.5001 * 10f64.powi(-digits), "{pose:?}, expected {expected_m:?}, off by {off}");
@@ -29,8 +29,8 @@ fn check_rotation(pose: &Pose<Base, Flange>, expected: Matrix3<f64>) {
     assert!(off <= 0.5001e-9, "{pose:?}, expected {expected}, off by {off}");
 }
 
-// Golden values: product of elementary rotations and translations of the published DH tables, worked out in Python apart from
-// this code; three conventions (standard DH, modified DH, joint chain) agreed to 3e-16.
+// Golden values: product of elementary rotations and translations of the published DH tables, computed in Python independently
+// of this code; three conventions (standard DH, modified DH, joint chain) agreed to 3e-16.
 #[test]
 fn stands_straight_up_at_zero() {
     for (urdf, height_m) in [(GEN1, 1.345), (GEN2, 1.317)] {
@@ -79,7 +79,7 @@ fn all_joints_golden_vector() {
     check_rotation(&gen2, rotation);
 }
 
-/// Well away from singularities and from every symmetry; E2 and W2 beyond and near half a turn.
+/// Far from singularities and from every symmetry; E2 and W2 beyond and near half a turn.
 fn asymmetric() -> JointVector {
     JointVector::from([0.37, -0.81, 1.13, -1.42, 2.6, 0.93, -3.3])
 }
@@ -163,7 +163,7 @@ fn joint_origins_follow_the_arm() {
     for (length, expected) in lengths.iter().zip(expected) {
         assert!((length - expected).abs() < 1e-12, "{lengths:?}");
     }
-    // Shoulder, elbow and wrist lie on straight links: S3 between S2 and E1, E2 between E1 and W1.
+    // Shoulder, elbow and wrist are on straight links: S3 between S2 and E1, E2 between E1 and W1.
     let straight = |a: usize, b: usize, c: usize| (origins[b] - origins[a]).cross(&(origins[c] - origins[b])).norm();
     assert!(straight(2, 3, 4) < 1e-12 && straight(4, 5, 6) < 1e-12);
     assert!(straight(3, 4, 5) > 0.01, "the elbow is bent in this pose");
@@ -270,7 +270,7 @@ fn poses_are_reached_near_the_start_and_those_out_of_reach_are_told() {
     let reached_rad = reach(&chain, &start_rad, &wanted, &damping).unwrap();
     let off = chain.forward(&reached_rad).inverse() * wanted;
     assert!(off.translation_m().norm() < 1e-8 && off.rotation_angle_rad() < 1e-8, "{off:?}");
-    // Seven joints: others do as well, but none far away.
+    // With seven joints other solutions exist, but none far away is acceptable.
     assert!((reached_rad - start_rad).norm() <= (wanted_rad - start_rad).norm() * 1.1, "{reached_rad}");
     let far = Pose::from_parts(wanted.translation_m() * 3.0, wanted.rotation());
     let refused = reach(&chain, &start_rad, &far, &damping).unwrap_err();

@@ -1,4 +1,4 @@
-//! Descriptions that are no chain of seven revolute joints are refused, with the name of the joint or link.
+//! Descriptions that are not a chain of seven revolute joints are rejected, with the name of the joint or link.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -12,7 +12,7 @@ fn refused(urdf: &str, tip: &str) -> ChainError {
     Chain::from_urdf_str(urdf, "base_link", tip).unwrap_err()
 }
 
-/// One change to the good file must be refused with a message that holds every one of `words`.
+/// One change to the good file must be rejected with a message that contains every one of `words`.
 fn check(from: &str, to: &str, words: &[&str]) {
     assert!(GEN1.contains(from), "`{from}` is not in the file: nothing would be tested");
     let error = refused(&GEN1.replacen(from, to, 1), "flange");
@@ -45,9 +45,9 @@ fn broken_chain() {
 
 #[test]
 fn circle_and_second_parent() {
-    check(r#"<parent link="base_link"/>"#, r#"<parent link="link_3"/>"#, &["no tree"]);
+    check(r#"<parent link="base_link"/>"#, r#"<parent link="link_3"/>"#, &["not a tree"]);
     let second = r#"<joint name="again" type="fixed"><parent link="link_1"/><child link="link_5"/></joint></robot>"#;
-    check("</robot>", second, &["link `link_5`", "no tree"]);
+    check("</robot>", second, &["link `link_5`", "not a tree"]);
 }
 
 #[test]

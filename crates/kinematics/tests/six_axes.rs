@@ -1,4 +1,4 @@
-//! An arm with six axes: what a description with fewer joints than the capacity means everywhere.
+//! An arm with six axes: the meaning of a description with fewer joints than the capacity.
 
 use nalgebra::Matrix4;
 use pb3dp_kinematics::{Chain, DOF, JointVector, NO_JOINT_RAD, singular_values};
@@ -11,10 +11,10 @@ fn pa10() -> Chain {
     Chain::from_urdf_str(include_str!("../../../configs/robots/pa10_gen2.urdf"), "base_link", "flange").unwrap()
 }
 
-/// Off every symmetry.
+/// Without any symmetry.
 const JOINTS_RAD: [f64; DOF] = [0.3, -1.1, 1.4, -0.7, 0.9, -0.4, 0.0];
 
-/// From the Denavit-Hartenberg parameters, multiplied out in another language (Python with numpy).
+/// From the Denavit-Hartenberg parameters, multiplied in another language (Python with numpy).
 #[test]
 fn the_flange_is_where_the_published_parameters_put_it() {
     let expected = Matrix4::new(
@@ -63,7 +63,7 @@ fn nothing_depends_on_the_joint_that_there_is_not() {
 fn an_arm_with_shoulder_and_wrist_has_an_elbow_and_others_have_none() {
     assert_eq!(pa10().elbow(), Some(3));
     assert_eq!(ur5e_like().elbow(), None);
-    // A shoulder whose axes pass each other is none.
+    // Axes that do not intersect are not a shoulder.
     let bent =
         include_str!("../../../configs/robots/pa10_gen2.urdf").replacen("xyz=\"0 0 0.317\"", "xyz=\"0.02 0 0.317\"", 1);
     assert_ne!(bent, include_str!("../../../configs/robots/pa10_gen2.urdf"));
@@ -75,5 +75,5 @@ fn too_few_and_too_many_joints_are_refused_with_their_number() {
     let text = include_str!("../../../configs/robots/ur5e_like.urdf");
     let fixed = text.replacen("name=\"wrist_3\" type=\"revolute\"", "name=\"wrist_3\" type=\"fixed\"", 1);
     let message = Chain::from_urdf_str(&fixed, "base_link", "flange").unwrap_err().to_string();
-    assert!(message.contains("has 5 revolute joints") && message.contains("6 or 7 are possible"), "{message}");
+    assert!(message.contains("has 5 revolute joints") && message.contains("6 or 7 are supported"), "{message}");
 }

@@ -8,8 +8,11 @@ use pb3dp_commissioning::mock_arm::MockArmArgs;
 use crate::arguments::{EstimateArgs, RunArgs, TrackArgs};
 use crate::commands::calibrate::CalibrateArgs;
 use crate::commands::cameras::CamerasArgs;
+use crate::commands::completions::CompletionsArgs;
 use crate::commands::config::ConfigArgs;
 use crate::commands::doctor::DoctorArgs;
+use crate::commands::explain::ExplainArgs;
+use crate::commands::generate::GenerateArgs;
 use crate::commands::identify::IdentifyArgs;
 use crate::commands::rig::RigArgs;
 use crate::logging::LogFormat;
@@ -86,6 +89,13 @@ pub enum Command {
     Config(ConfigArgs),
     /// Check whether this machine can do what a rig asks of it, and say what to do where it cannot (docs/rig.md).
     Doctor(DoctorArgs),
+    /// Print cause and remedy of a message, by its code.
+    Explain(ExplainArgs),
+    /// Print the completion script for a shell.
+    Completions(CompletionsArgs),
+    /// Write the reference pages, manual pages and completion scripts.
+    #[command(hide = true)]
+    Generate(GenerateArgs),
 }
 
 #[cfg(test)]

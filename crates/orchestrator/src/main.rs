@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::process::ExitCode;
 
-use clap::Parser;
+use clap::{CommandFactory, Parser};
 use pb3dp_orchestrator::cli::{Cli, Command};
 use pb3dp_orchestrator::{commands, logging, panics};
 
@@ -38,11 +38,17 @@ fn main() -> ExitCode {
         Command::Rig(args) => commands::rig::run(args),
         Command::Config(args) => commands::config::run(args),
         Command::Doctor(args) => commands::doctor::run(args),
+        Command::Explain(args) => commands::explain::run(args),
+        Command::Completions(args) => commands::completions::run(args, Cli::command()),
+        Command::Generate(args) => commands::generate::run(args, &Cli::command()),
     };
     match outcome {
         Ok(code) => code,
         Err(error) => {
-            tracing::error!("{error:#}");
+            match pb3dp_wiring::message_codes::code_of(&error) {
+                Some(known) => tracing::error!(code = known.code, "{error:#}"),
+                None => tracing::error!("{error:#}"),
+            }
             ExitCode::FAILURE
         }
     }

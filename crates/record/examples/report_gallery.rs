@@ -1,5 +1,5 @@
-//! Writes a report with every kind of content, to look at: `cargo run -p pb3dp-record --example report_gallery -- FILE`.
-//! The curves are made up; they only show how content looks.
+//! Writes a demo report with every kind of content: `cargo run -p pb3dp-record --example report_gallery -- FILE`. The curves are
+//! synthetic and only demonstrate the layout.
 
 use std::path::PathBuf;
 
@@ -30,7 +30,7 @@ fn panel(axis: usize) -> LinePlot {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let file = PathBuf::from(std::env::args().nth(1).ok_or("give the file to write")?);
+    let file = PathBuf::from(std::env::args().nth(1).ok_or("no output file; give its name as the argument")?);
     let cases = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/cases");
     let mut strip = Vec::new();
     let mut animation = Animation::new(AnimationLimits { width_max_px: 480, frames_max: 20 });
@@ -61,8 +61,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         "\u{2212}3.97",
         "208",
     ]);
-    Report::new("What a report can hold")
-        .paragraph("Figures, a table, six panels with marks, a long series, images. The curves are made up.")
+    Report::new("Report contents")
+        .paragraph("Figures, a table, six panels with marks, a long series, images. The curves are synthetic.")
         .figures(&[
             ("position rms", "1.20 mm".into()),
             ("orientation rms", "0.41\u{b0}".into()),

@@ -1,8 +1,8 @@
-//! Images in files: loading with errors that name the file, and encoding.
+//! Image files: loading with errors that name the file, and encoding.
 //!
-//! Everything inside is 8-bit sRGB without alpha. Grey images are expanded to three equal channels. Images with
-//! 16 bits per channel are refused, because the file does not say which part of the range is in use (a 12-bit camera's
-//! image would come out black); transparent pixels are refused, because they have no colour.
+//! All images in memory are 8-bit sRGB without alpha. Grey images are expanded to three equal channels. Images with 16 bits per
+//! channel are refused, because the file does not state which part of the range is used (an image of a 12-bit camera would appear
+//! black). Transparent pixels are refused, because they have no colour.
 
 use std::fmt;
 use std::io::Cursor;
@@ -19,23 +19,23 @@ use pb3dp_geometry::ImageSize;
 pub struct ImageFileError {
     /// The file.
     pub file: PathBuf,
-    /// The check that failed, and what to do.
+    /// The failed check, and what to do.
     pub problem: ImageProblem,
     #[source]
     source: Option<Box<dyn std::error::Error + Send + Sync>>,
 }
 
-/// Which check an image file failed.
+/// The check that an image file failed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ImageProblem {
-    /// There is no such file.
+    /// The file does not exist.
     Missing,
-    /// It is a folder.
+    /// The path is a folder.
     Folder,
     /// The file cannot be read or written.
     Io,
-    /// It is neither PNG nor JPEG.
+    /// Neither PNG nor JPEG.
     UnknownFormat,
     /// The content ends early or is damaged.
     Damaged,
@@ -43,9 +43,9 @@ pub enum ImageProblem {
     Size {
         /// Size of the image.
         found: ImageSize,
-        /// Size that was asked for.
+        /// Required size.
         expected: ImageSize,
-        /// Where the expectation comes from: `the calibration`, `left.png`.
+        /// Source of the requirement: `the calibration`, `left.png`.
         because_of: String,
     },
     /// More than 8 bits per channel.
@@ -55,7 +55,7 @@ pub enum ImageProblem {
     },
     /// Some pixels are not opaque.
     Transparent,
-    /// It is not the 16-bit grey image that a disparity map must be.
+    /// Not the 16-bit grey image that a disparity map must be.
     NotDisparity {
         /// The pixel format found.
         found: String,
@@ -99,7 +99,7 @@ impl ImageFileError {
 
     fn io(file: &Path, source: std::io::Error) -> Self {
         match source.kind() {
-            // The system's words would only repeat it.
+            // The system error would only repeat the message.
             std::io::ErrorKind::NotFound => Self::new(file, ImageProblem::Missing),
             _ if file.is_dir() => Self::new(file, ImageProblem::Folder),
             _ => Self::caused_by(file, ImageProblem::Io, source),
@@ -130,7 +130,7 @@ pub fn load_rgb(file: &Path) -> Result<RgbImage, ImageFileError> {
     }
 }
 
-/// Loads as [`load_rgb`] and checks the size; `because_of` says in the message where the expectation comes from.
+/// As [`load_rgb`], with a check of the size; `because_of` names the source of the requirement in the message.
 ///
 /// # Errors
 /// As [`load_rgb`], and [`ImageProblem::Size`].
@@ -151,7 +151,7 @@ fn decode(file: &Path) -> Result<DynamicImage, ImageFileError> {
     match reader.format() {
         None if bytes.is_empty() => return Err(ImageFileError::new(file, ImageProblem::Damaged)),
         Some(ImageFormat::Png) => {}
-        // The decoder fills what is missing of a JPEG with grey; stale or invented pixels must not pass as an image.
+        // The decoder fills missing parts of a JPEG with grey; such an image must be refused.
         Some(ImageFormat::Jpeg) if !jpeg_is_complete(&bytes) => {
             return Err(ImageFileError::new(file, ImageProblem::Damaged));
         }
@@ -161,14 +161,13 @@ fn decode(file: &Path) -> Result<DynamicImage, ImageFileError> {
     reader.decode().map_err(|e| ImageFileError::caused_by(file, ImageProblem::Damaged, e))
 }
 
-/// Whether the markers of a JPEG file lead from its start (SOI) through at least one scan to its end (EOI);
-/// ITU-T T.81, annex B.
+/// Whether the markers of a JPEG file lead from its start (SOI) through at least one scan to its end (EOI); ITU-T T.81, annex B.
 fn jpeg_is_complete(bytes: &[u8]) -> bool {
     let mut at = 2;
     let mut scans = 0;
     while at + 1 < bytes.len() {
         if bytes[at] != 0xFF {
-            // Entropy-coded data of a scan; between other segments it would be damage.
+            // Entropy-coded data of a scan; between other segments it means damage.
             if scans == 0 {
                 return false;
             }
@@ -190,7 +189,7 @@ fn jpeg_is_complete(bytes: &[u8]) -> bool {
     false
 }
 
-/// A disparity map: truth for the left image, pixels.
+/// A disparity map: ground truth for the left image, pixels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DisparityMap {
     size: ImageSize,
@@ -201,7 +200,7 @@ impl DisparityMap {
     /// Stored units per pixel of disparity.
     pub const UNITS_PER_PX: f64 = 64.0;
 
-    /// Loads a 16-bit grey PNG of 64 times the disparity `u_left - u_right`, 0 where it is unknown.
+    /// Loads a 16-bit grey PNG of 64 times the disparity `u_left - u_right`; 0 means unknown.
     ///
     /// # Errors
     /// A missing or damaged file, or one that is not 16-bit grey.
@@ -217,7 +216,7 @@ impl DisparityMap {
         }
     }
 
-    /// A map from its stored units, row by row; `None` if their number does not fit the size.
+    /// A map from its stored units, row by row; `None` if their number does not match the size.
     pub fn from_scaled(size: ImageSize, scaled: Vec<u16>) -> Option<Self> {
         let pixels = u64::from(size.width) * u64::from(size.height);
         (scaled.len() as u64 == pixels).then_some(Self { size, scaled })
@@ -238,12 +237,12 @@ impl DisparityMap {
     }
 }
 
-/// How a recorder stores images.
+/// Storage format of recorded images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StoredFormat {
-    /// Lossless, as small as it gets.
+    /// Lossless, smallest lossless size.
     Png,
-    /// Lossless, for images that come one after another: several times as fast as [`Self::Png`], and larger.
+    /// Lossless, for image streams: several times as fast as [`Self::Png`], and larger.
     QuickPng,
     /// Smaller, lossy.
     Jpeg {
@@ -253,7 +252,7 @@ pub enum StoredFormat {
 }
 
 impl StoredFormat {
-    /// The file name's extension.
+    /// The file name extension.
     pub fn extension(self) -> &'static str {
         match self {
             Self::Png | Self::QuickPng => "png",
@@ -265,7 +264,7 @@ impl StoredFormat {
 /// Encodes an image in memory.
 ///
 /// # Errors
-/// Only if the image is empty or too large for the format.
+/// The image is empty or too large for the format.
 pub fn encode(image: &RgbImage, format: StoredFormat) -> Result<Vec<u8>, image::ImageError> {
     let mut bytes = Vec::new();
     let (width, height) = image.dimensions();
@@ -289,7 +288,7 @@ pub fn encode(image: &RgbImage, format: StoredFormat) -> Result<Vec<u8>, image::
 /// Writes an image file.
 ///
 /// # Errors
-/// If the image cannot be encoded or the file cannot be written.
+/// The image cannot be encoded or the file cannot be written.
 pub fn save(image: &RgbImage, file: &Path, format: StoredFormat) -> Result<(), ImageFileError> {
     let bytes = encode(image, format).map_err(|e| ImageFileError::caused_by(file, ImageProblem::Io, e))?;
     std::fs::write(file, bytes).map_err(|e| ImageFileError::io(file, e))

@@ -1,21 +1,21 @@
-//! Readers and writers of everything that pb3dp keeps in files: calibrations, datasets, images and reports; and the
-//! error measures that reports are made of.
+//! Readers and writers of all pb3dp files: calibrations, datasets, images and reports; and the error measures used in reports.
 //!
 //! * [`calibration_files`]: stereo calibrations of ROS, Kalibr, OpenCV and our own;
 //! * [`dataset`]: case folders and sequence folders, checked;
 //! * [`images`]: images in files;
-//! * [`metrics`]: errors against truth, statistics, lag;
+//! * [`metrics`]: errors against ground truth, statistics, lag;
 //! * [`overlay`]: drawing on images, animated images;
 //! * [`image_quality`]: brightness and sharpness of images;
-//! * [`plain_zero`]: numbers for people, whose zero has no sign;
+//! * [`plain_zero`]: display of numbers without negative zero;
 //! * [`point_cloud`]: coloured surface points as PLY;
-//! * [`stops`]: where arms stood while images were taken, and where they are wanted;
+//! * [`stops`]: arm poses recorded with images, and poses to visit;
 //! * [`report`]: self-contained HTML reports with SVG plots.
 //!
-//! Files hold millimetres and degrees where people read them; inside everything is metres and radians. This crate
-//! estimates nothing, reads no clock and no environment, and touches only the files it is told to.
+//! Files that people read hold millimetres and degrees; all internal values are metres and radians. This crate estimates nothing,
+//! reads no clock and no environment, and accesses only the given files.
 
 pub mod calibration_files;
+mod codes;
 pub mod dataset;
 pub mod image_quality;
 pub mod images;

@@ -1,6 +1,6 @@
-//! Numbers for people: zero has no sign.
+//! Display of numbers without negative zero.
 
-/// The text with `0.00` in the place of `-0.00`, which a number that is rounded becomes; its length stays the same.
+/// Replaces `-0.00`, the result of rounding, by `0.00` in a text; the length stays the same.
 pub fn plain_zero(text: &str) -> String {
     let bytes = text.as_bytes();
     let is_part = |at: usize| bytes.get(at).is_some_and(|byte| byte.is_ascii_alphanumeric() || *byte == b'.');

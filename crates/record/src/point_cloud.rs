@@ -1,4 +1,4 @@
-//! Coloured surface points in PLY files, as MeshLab, CloudCompare and Open3D read them.
+//! Coloured surface points in PLY files for MeshLab, CloudCompare and Open3D.
 //!
 //! Binary little-endian; per vertex `x y z nx ny nz` (single precision, millimetres and unit vectors) and
 //! `red green blue` (bytes). A comment in the header names the frame and the unit.
@@ -29,11 +29,11 @@ pub struct SurfacePoint {
 #[derive(Debug, thiserror::Error)]
 pub enum PointCloudError {
     /// A point is not a number.
-    #[error("{}: point {index} is not finite: the cloud is not written", file.display())]
+    #[error("{}: point {index} is not finite; the cloud is not written", file.display())]
     NotFinite {
         /// The file.
         file: PathBuf,
-        /// Which point.
+        /// Index of the point.
         index: usize,
     },
     /// The file cannot be written.
@@ -41,7 +41,7 @@ pub enum PointCloudError {
     Write {
         /// The file.
         file: PathBuf,
-        /// What the system says.
+        /// The system error.
         source: std::io::Error,
     },
 }
@@ -67,7 +67,7 @@ pub fn write_ply<F: Frame>(file: &Path, points: &[SurfacePoint]) -> Result<(), P
 fn cloud(frame: &str, points: &[SurfacePoint]) -> Ply<DefaultElement> {
     let mut ply = Ply::<DefaultElement>::new();
     ply.header.encoding = Encoding::BinaryLittleEndian;
-    ply.header.comments.push(format!("surface seen by pb3dp, frame {frame}, millimetres"));
+    ply.header.comments.push(format!("surface measured by pb3dp, frame {frame}, millimetres"));
     let mut vertex = ElementDef::new("vertex".to_owned());
     for (names, scalar) in [(&FLOATS[..], ScalarType::Float), (&BYTES[..], ScalarType::UChar)] {
         for name in names {
@@ -105,7 +105,7 @@ mod tests {
         vec![point(0.25, [255, 0, 128]), point(-0.001, [1, 2, 3])]
     }
 
-    /// The bytes of the format, by hand: an ASCII header, then 27 bytes per vertex.
+    /// The bytes of the format, computed by hand: an ASCII header, then 27 bytes per vertex.
     #[test]
     fn the_file_is_what_the_format_says() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Calibration files: what independent software wrote, there and back, and nothing ever panics.
+//! Calibration files: files written by independent software, round trips, and no panics on damaged files.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail loudly, as tests do")]
 
@@ -33,7 +33,7 @@ const EIGHT: Distortion =
     Distortion::BrownConrady8 { coefficients: [0.42, -0.21, -0.0009, 0.0013, 0.05, 0.71, -0.13, 0.02] };
 const WIDE: Distortion = Distortion::Equidistant { coefficients: [-0.012, 0.0043, -0.0021, 0.0004] };
 
-/// Largest relative difference of the pinholes, and of the pose in metres and radians; the lenses must be equal.
+/// Largest relative difference of the pinholes, and of the pose in metres and radians; the distortions must be equal.
 fn difference(a: &StereoRig, b: &StereoRig) -> f64 {
     let mut worst = 0.0_f64;
     for (a, b) in [(a.left(), b.left()), (a.right(), b.right())] {
@@ -51,7 +51,7 @@ fn file_written_by_opencv_is_read() {
     assert_eq!(calibration.format, CalibrationFormat::OpenCv);
     assert!(difference(&calibration.rig, &rig([FIVE, EIGHT])) < 1e-14);
     assert_eq!(calibration.notes.len(), 1, "{:?}", calibration.notes);
-    assert!(calibration.notes[0].contains("taken as millimetres"), "{:?}", calibration.notes);
+    assert!(calibration.notes[0].contains("millimetres are assumed"), "{:?}", calibration.notes);
     assert!(calibration.source.ends_with("opencv_4_14_stereo.yaml"));
 }
 
@@ -135,7 +135,7 @@ fn a_calibration_of_no_cameras_is_known_by_its_own_words() {
     let text = std::fs::read_to_string(&nominal).unwrap();
     let says = load_stereo(&[nominal]).unwrap().not_measured.unwrap();
     assert!(says.starts_with("none: the numbers of the drawing"), "{says}");
-    // Other words, and what is no text, are notes.
+    // Other texts and other types are notes.
     for other in ["\"0.2 px rms of 40 boards\"", "{\"rms_px\": 0.2}"] {
         let text = text.replace(&format!("\"{says}\""), other);
         assert_eq!(load_texts(&[("calib.json", &text)]).unwrap().not_measured, None, "{other}");
@@ -154,16 +154,16 @@ fn other_spellings_of_opencv_files_are_read() {
     let calibration = load_texts(&[("stereo.yml", &spelled)]).unwrap();
     assert!(difference(&calibration.rig, &rig([FIVE, EIGHT])) < 1e-14);
     assert_eq!(calibration.notes, Vec::<String>::new(), "the unit is stated");
-    // Split as OpenCV's stereo sample does, and in metres.
+    // Split as in OpenCV's stereo sample, and in metres.
     let cut = text.find("R: !!").unwrap();
     let extrinsics =
         format!("%YAML:1.0\n---\n{}", text[cut..].replace("-98.5, 1.25, 2.75", "-0.0985, 0.00125, 0.00275"));
     let calibration = load_texts(&[("intrinsics.yml", &text[..cut]), ("extrinsics.yml", &extrinsics)]).unwrap();
     assert!(difference(&calibration.rig, &rig([FIVE, EIGHT])) < 1e-14);
-    assert!(calibration.notes[0].contains("taken as metres"));
+    assert!(calibration.notes[0].contains("metres are assumed"));
 }
 
-/// Of which nothing is known.
+/// A judgement with unknown contents.
 fn judgement() -> Judgement {
     Judgement {
         date: String::new(),
@@ -176,7 +176,7 @@ fn judgement() -> Judgement {
     }
 }
 
-/// Written and read again by one format.
+/// Writes a rig in one format and reads it back.
 fn there_and_back(format: CalibrationFormat, rig: &StereoRig) -> StereoCalibration {
     let directory = tempfile::tempdir().unwrap();
     let (left, right) = (directory.path().join("left.yaml"), directory.path().join("right.yaml"));
@@ -285,8 +285,7 @@ fn good_files() -> Vec<(&'static str, String)> {
     ]
 }
 
-/// Loads damaged bytes alone and beside a good file; an answer of any kind will do, a panic will not. A refusal must be
-/// one that names the file.
+/// Loads damaged bytes alone and beside a good file. Any answer is accepted, a panic is not. An error must name the file.
 fn load_damaged(name: &str, bytes: &[u8]) {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join(name);

@@ -1,4 +1,4 @@
-//! Wrong and inconsistent calibration files: each refusal names file, key and reason.
+//! Wrong and inconsistent calibration files: each error names file, key and reason.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests may fail loudly, as tests do")]
 
@@ -11,8 +11,8 @@ fn data(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
 }
 
-/// Replaces `from`, which must occur, in a good text and expects a refusal that begins with the file's name and `start`
-/// and contains `reason`.
+/// Replaces `from`, which must occur, in a good text and expects an error that begins with the file name and `start` and contains
+/// `reason`.
 fn check(files: &[(&str, &str)], edited: usize, from: &str, to: &str, [start, reason]: [&str; 2]) {
     let directory = tempfile::tempdir().unwrap();
     let mut paths = Vec::new();
@@ -43,30 +43,34 @@ fn ros_pairs() {
     let files = [("left.yaml", left.as_str()), ("right.yaml", right.as_str())];
     let in_left = |from: &str, to: &str, expected| check(&files, 0, from, to, expected);
     let in_right = |from: &str, to: &str, expected| check(&files, 1, from, to, expected);
-    in_left("image_width: 640", "image_width: 0", ["left.yaml: image_width: 0", "no number of pixels"]);
-    in_left("image_width: 640", "image_width: 639.5", ["left.yaml: image_width: 639.5", "no number of pixels"]);
+    in_left("image_width: 640", "image_width: 0", ["left.yaml: image_width: 0", "not a number of pixels"]);
+    in_left("image_width: 640", "image_width: 639.5", ["left.yaml: image_width: 639.5", "not a number of pixels"]);
     in_left("image_height: 480\n", "", ["left.yaml: image_height: is missing", ""]);
     in_left("742.5", "-742.5", ["left.yaml: camera_matrix: fx is -742.5", "must be positive"]);
     in_left("742.5, 0.0", "742.5, 0.4", ["left.yaml: camera_matrix: ", "the skew, is 0.4"]);
     in_left("331.25", "1331.25", ["left.yaml: camera_matrix: cx is 1331.25", "far outside the image"]);
     in_left("742.5", ".nan", ["left.yaml: camera_matrix.data[0]: ", "not a finite number"]);
     in_left("742.5, ", "", ["left.yaml: camera_matrix.data: has 8 elements", "rows x cols is 3 x 3"]);
-    in_left("plumb_bob", "fov", ["left.yaml: distortion_model: ", "the distortion model fov is not known"]);
+    in_left("plumb_bob", "fov", ["left.yaml: distortion_model: ", "unknown distortion model fov"]);
     in_left("plumb_bob", "equidistant", ["left.yaml: distortion_coefficients: has 5 coefficients", "has 4"]);
-    in_left("plumb_bob", "[1, 2]", ["left.yaml: distortion_model: must be a text", ""]);
+    in_left("plumb_bob", "[1, 2]", ["left.yaml: distortion_model: must be a string", ""]);
     in_left("rows: 3\n  cols: 3", "rows: 3\n  cols: 2", ["left.yaml: camera_matrix.data: has 9 elements", ""]);
     in_left("image_width: 640", "image_width: 320", ["right.yaml: projection_matrix: ", "320x480"]);
     in_left("749.2912867", "700.2912867", ["right.yaml: projection_matrix: element [0][0]", "in the left file"]);
     in_right("749.2912867", "7492.912867", ["right.yaml: projection_matrix: its fx is 7492.9", "factor of 5"]);
     in_right("-73.8398", "73.8398", ["right.yaml: projection_matrix: ", "swapped"]);
     in_right("-73.83989060364465", "0", ["right.yaml: projection_matrix: ", "calibrated one by one"]);
-    in_right("-73.8398906", "-73839.8906", ["right.yaml: projection_matrix: the baseline comes to 98.5", "unit"]);
-    in_right("0.99953007", "-0.99953007", ["right.yaml: rectification_matrix: is no rotation", ""]);
-    in_right("0.99953007", "0.97953007", ["right.yaml: rectification_matrix: is no rotation", "off the identity"]);
-    // Exchanged, and one alone.
+    in_right("-73.8398906", "-73839.8906", ["right.yaml: projection_matrix: the baseline is 98.5", "unit"]);
+    in_right("0.99953007", "-0.99953007", ["right.yaml: rectification_matrix: is not a rotation", ""]);
+    in_right(
+        "0.99953007",
+        "0.97953007",
+        ["right.yaml: rectification_matrix: is not a rotation", "differs from the identity"],
+    );
+    // Exchanged files, and one file alone.
     let exchanged = [files[1], files[0]];
     check(&exchanged, 0, "image", "image", ["right.yaml: projection_matrix: element [0][3]", "exchanged"]);
-    check(&files[..1], 0, "image", "image", ["left.yaml: camera_matrix: ", "name the left and the right file"]);
+    check(&files[..1], 0, "image", "image", ["left.yaml: camera_matrix: ", "give the left and the right file"]);
 }
 
 #[test]
@@ -101,10 +105,10 @@ cam1:
     check("[640, 480]", "[752, 480]", ["camchain.yaml: cam1.T_cn_cnm1: ", "752x480"]);
     check("  - [0.0, 0.0, 1.0, 0.002]\n", "", ["camchain.yaml: cam1.T_cn_cnm1: has 3 x 4 elements, 4 x 4", ""]);
     check("[0.0, 0.0, 1.0, 0.002]", "[0.0, 0.0, 1.0]", ["camchain.yaml: cam1.T_cn_cnm1[2]: has 3 elements", ""]);
-    check("[0.0, 0.0, 1.0, 0.002]", "[0.0, 0.0, -1.0, 0.002]", ["camchain.yaml: cam1.T_cn_cnm1: ", "it mirrors"]);
+    check("[0.0, 0.0, 1.0, 0.002]", "[0.0, 0.0, -1.0, 0.002]", ["camchain.yaml: cam1.T_cn_cnm1: ", "reflection"]);
     check("0.0, 1.0]", "0.0, 2.0]", ["camchain.yaml: cam1.T_cn_cnm1: ", "last row"]);
     check("-0.11", "0.11", ["camchain.yaml: cam1.T_cn_cnm1: ", "swapped"]);
-    check("-0.11", "-110", ["camchain.yaml: cam1.T_cn_cnm1: the baseline comes to 110", "unit of length"]);
+    check("-0.11", "-110", ["camchain.yaml: cam1.T_cn_cnm1: the baseline is 110", "unit of length"]);
     check("-0.11", "-0.11, 7", ["camchain.yaml: cam1.T_cn_cnm1[1]: has 4 elements", ""]);
     check("-0.11", "x", ["camchain.yaml: cam1.T_cn_cnm1[0][3]: \"x\" is not a finite number", ""]);
     check("[640, 480]\ncam1", "[640, 480\ncam1", ["camchain.yaml, line ", "not valid YAML"]);
@@ -120,13 +124,13 @@ fn opencv_files() {
     check("image_width: 640\n", "", ["stereo.yaml: image_width: is missing", "imageWidth"]);
     check("T: !!", "T9: !!", ["stereo.yaml: T: is missing", "translation"]);
     check("-98.5, 1.25, 2.75", "-98.5, 1.25", ["stereo.yaml: T.data: has 2 elements", "3 x 1"]);
-    check("-98.5", "-4.5", ["stereo.yaml: T: is 5.", "add the key units"]);
-    check("-98.5", "-98500", ["stereo.yaml: T: the baseline comes to 98.5", "between 0.001 and 10 m"]);
+    check("-98.5", "-4.5", ["stereo.yaml: T: has length 5.", "add the key units"]);
+    check("-98.5", "-98500", ["stereo.yaml: T: the baseline is 98.5", "between 0.001 and 10 m"]);
     check("-98.5", "98.5", ["stereo.yaml: T: ", "swapped"]);
     check("-98.5", ".Nan", ["stereo.yaml: T.data[0]: ", "not a finite number"]);
-    check("image_width", "units: inch\nimage_width", ["stereo.yaml: units: \"inch\" is not known", "use mm"]);
+    check("image_width", "units: inch\nimage_width", ["stereo.yaml: units: unknown unit \"inch\"", "use mm"]);
     check("0.02, 0., 0.,", "0.02, 0., 1.,", ["stereo.yaml: D2: has a thin prism or tilt", "5 or 8"]);
-    check("0.99913513687758537", "0.5", ["stereo.yaml: R: is no rotation", "determinant"]);
+    check("0.99913513687758537", "0.5", ["stereo.yaml: R: is not a rotation", "determinant"]);
     check("image_width", "distortion_model: fisheye\nimage_width", ["stereo.yaml: D1: has 5", "fisheye has 4"]);
     check("735., 0., 318.75", "735., 0., 31875", ["stereo.yaml: M2: cx is 31875", "another image size"]);
     check("-0.31, 0.12,", "-0.31,", ["stereo.yaml: D1.data: has 4 elements", "1 x 5"]);
@@ -143,11 +147,15 @@ fn case_calibrations() {
     let check = |from: &str, to: &str, expected| check(&[("calib.json", text)], 0, from, to, expected);
     check("-100", "100", ["calib.json: t_mm: ", "swapped"]);
     check("[-100, 0, 0]", "[-100, 0]", ["calib.json: t_mm: has 1 x 2 elements, 3 x 1 are needed", ""]);
-    check("\"baseline_mm\": 100", "\"baseline_mm\": 120", ["calib.json: baseline_mm: is 120, but t_mm is 100", ""]);
+    check(
+        "\"baseline_mm\": 100",
+        "\"baseline_mm\": 120",
+        ["calib.json: baseline_mm: is 120, but the length of t_mm is 100", ""],
+    );
     check("\"doffs_px\": 12", "\"doffs_px\": -12", ["calib.json: doffs_px: is -12", "is 12"]);
     check("[640, 480]", "[64, 48]", ["calib.json: K_left: cx is 319.5", "another image size"]);
-    check("[[1, 0, 0], [0, 1, 0]", "[[1, 0, 0], [0, 1, 0.2]", ["calib.json: R: is no rotation", ""]);
-    check("[0, 740, 239.5]", "[0, 741, 239.5]", ["calib.json: rectified: is true", "say otherwise"]);
+    check("[[1, 0, 0], [0, 1, 0]", "[[1, 0, 0], [0, 1, 0.2]", ["calib.json: R: is not a rotation", ""]);
+    check("[0, 740, 239.5]", "[0, 741, 239.5]", ["calib.json: rectified: is true", "contradict it"]);
     check(
         "none (rectified)",
         "see manual",
@@ -165,27 +173,27 @@ fn case_calibrations() {
 #[test]
 fn files_that_are_no_calibrations() {
     let none = load_stereo(&[]).unwrap_err().to_string();
-    assert!(none.starts_with("0 calibration files were named"), "{none}");
+    assert!(none.starts_with("0 calibration files were given"), "{none}");
     let missing = load_stereo(&[PathBuf::from("no/such/calib.yaml")]).unwrap_err();
     assert!(matches!(missing, CalibrationFileError::Read { .. }));
     assert!(missing.to_string().starts_with("no/such/calib.yaml: cannot be read: "), "{missing}");
     let empty = tempfile::tempdir().unwrap();
     let error = load_stereo(&[empty.path().to_path_buf()]).unwrap_err().to_string();
-    let expected = "holds neither left.yaml and right.yaml nor calib.json: name the file of the calibration itself";
+    let expected = "contains neither left.yaml and right.yaml nor calib.json; give the calibration file itself";
     assert!(error.ends_with(expected), "{error}");
     fs::copy(data("ros_pair/left.yaml"), empty.path().join("left.yaml")).unwrap();
     let error = load_stereo(&[empty.path().to_path_buf()]).unwrap_err().to_string();
     assert!(error.contains("right.yaml: cannot be read: "), "{error}");
     let other = [("robot.yaml", "speed: 3\ngain: 4\n")];
-    check(&other, 0, "gain", "gain", ["robot.yaml: no stereo calibration", "top-level keys: gain, speed"]);
+    check(&other, 0, "gain", "gain", ["robot.yaml: not a stereo calibration", "top-level keys: gain, speed"]);
     for format in ["ROS camera_info", "Kalibr camchain", "OpenCV stereo YAML", "calib.json"] {
         check(&other, 0, "gain", "gain", ["robot.yaml: ", format]);
     }
-    check(&[("x.yaml", "just words")], 0, "just", "", ["x.yaml: no stereo calibration", "top-level keys: none"]);
+    check(&[("x.yaml", "just words")], 0, "just", "", ["x.yaml: not a stereo calibration", "top-level keys: none"]);
     let long = format!("cam0: {}", "x".repeat(2 << 20));
     check(&[("x.yaml", &long)], 0, "cam0", "cam0", ["x.yaml: cannot be read", "longer than 1048576 bytes"]);
     let directory = tempfile::tempdir().unwrap();
     fs::write(directory.path().join("x.yaml"), [0xff, 0xfe, 0x00]).unwrap();
     let error = load_stereo(&[directory.path().join("x.yaml")]).unwrap_err().to_string();
-    assert!(error.ends_with("x.yaml: is no text, so no calibration: name a YAML or JSON file"), "{error}");
+    assert!(error.ends_with("x.yaml: is not text, so not a calibration; give a YAML or JSON file"), "{error}");
 }

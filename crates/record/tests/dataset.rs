@@ -1,4 +1,4 @@
-//! The dataset format from outside: the test data of the repository, its schema, and what the writers write.
+//! The dataset format from outside: test data of the repository, JSON schema, and output of the writers.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests may fail the test")]
 
@@ -84,7 +84,7 @@ fn the_test_data_load_and_follow_the_schema() {
     }
 }
 
-/// The truth states one plane three times: as normal and depth, as normal and distance, and as disparities.
+/// The ground truth gives one plane three times: as normal and depth, as normal and distance, and as disparities.
 fn check_truth_is_consistent(truth: &PlaneTruth, centroid_px: [f64; 2], rig: &StereoRig) {
     let ray = rig.left().unproject(&Vector2::from(centroid_px)).unwrap();
     let h_m = -truth.normal_in_cam_left.dot(&ray) * truth.z_m;
@@ -254,7 +254,7 @@ fn frames_written_by_others_count_as_far_as_they_are_kept() {
         files.push(writer.accept(&frame).unwrap());
         files[usize::from(i)].save(&left, &right).unwrap();
     }
-    // The third one could not be written, say.
+    // Simulates that the third image could not be written.
     writer.keep(2);
     assert_eq!((writer.frames(), writer.finish().unwrap().frames), (2, 2));
     assert!(files[1].right.exists() && !files[2].left.exists() && !files[3].right.exists());
@@ -264,7 +264,7 @@ fn frames_written_by_others_count_as_far_as_they_are_kept() {
     assert_eq!((images.left, images.right), (image(1), image(101)));
 }
 
-/// A recording that nobody finishes: how many frames, and what happens to the folder then.
+/// An unfinished recording with some frames, after `fate` has modified its folder.
 fn broken_off(frames: u8, fate: impl FnOnce(&Path)) -> Result<Sequence, DatasetError> {
     let dir = tempfile::tempdir().unwrap();
     let mut writer = SequenceWriter::create(dir.path(), &rig(), draft(StoredFormat::QuickPng)).unwrap();
@@ -280,7 +280,7 @@ fn broken_off(frames: u8, fate: impl FnOnce(&Path)) -> Result<Sequence, DatasetE
 fn what_was_recorded_until_a_program_was_killed_can_be_read() {
     let whole = broken_off(3, |folder| {
         assert!(!folder.join("sequence.json").exists());
-        // Nothing is recorded over it.
+        // No other recording overwrites it.
         let again = SequenceWriter::create(folder, &rig(), draft(StoredFormat::QuickPng)).unwrap_err();
         assert!(matches!(again, DatasetError::Exists { .. }), "{again}");
         let sequence = load_sequence(folder).unwrap();
@@ -303,12 +303,12 @@ fn what_was_recorded_until_a_program_was_killed_can_be_read() {
     assert_eq!(broken_off(4, |folder| cut("right_0003.png", folder, 7)).unwrap().frames(), 3);
     assert_eq!(frames(|folder| std::fs::remove_file(folder.join("left_0003.png")).unwrap()), 3);
     assert_eq!(broken_off(4, |folder| cut("sequence.unfinished.jsonl", folder, 9)).unwrap().frames(), 3);
-    // What is in the middle costs its own frame.
+    // A damaged frame in the middle costs only this frame.
     assert_eq!(frames(|folder| std::fs::remove_file(folder.join("left_0001.png")).unwrap()), 4);
-    // Not even the first frame is whole.
+    // Not even the first frame is complete.
     let none = broken_off(1, |folder| std::fs::remove_file(folder.join("left_0000.png")).unwrap()).unwrap_err();
     assert!(none.to_string().contains("sequence.unfinished.jsonl") && none.to_string().contains("`frames`"), "{none}");
-    // Where no frame came there is nothing in the way of the next recording.
+    // A recording without frames does not block the next one.
     let dir = tempfile::tempdir().unwrap();
     drop(SequenceWriter::create(dir.path(), &rig(), draft(StoredFormat::QuickPng)).unwrap());
     assert_eq!(recorded(dir.path(), StoredFormat::Png).unwrap(), 3);
@@ -331,7 +331,7 @@ fn an_image_that_can_not_be_written_is_not_counted() {
     std::fs::create_dir(dir.path().join("right_0001.png")).unwrap();
     let error = writer.push(frame(2)).unwrap_err();
     assert!(error.to_string().contains("right_0001.png") && !error.is_disk_full(), "{error}");
-    assert!(!dir.path().join("left_0001.png").exists(), "half a frame is none");
+    assert!(!dir.path().join("left_0001.png").exists(), "an incomplete frame is removed");
     std::fs::remove_dir(dir.path().join("right_0001.png")).unwrap();
     writer.push(frame(2)).unwrap();
     assert_eq!(writer.finish().unwrap().frames, 2);

@@ -1,4 +1,4 @@
-//! Our TOML file of a hand-eye calibration: there and back bit by bit, and what is refused.
+//! Our TOML file of a hand-eye calibration: bit-exact round trip, and refused files.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail loudly, as tests do")]
 
@@ -59,7 +59,7 @@ fn a_hand_eye_calibration_comes_back_bit_by_bit() {
         assert_eq!(load_hand_eye(&file).unwrap(), hand_eye);
         assert_eq!(load_hand_eye(&file).unwrap().judgement.refusals().count(), 1);
     }
-    // It is no stereo calibration, and the reader of these says what it found.
+    // It is not a stereo calibration, and the stereo reader reports the keys it found.
     let error = load_stereo(std::slice::from_ref(&file)).unwrap_err().to_string();
     assert!(error.contains("flange_from_cam_left"), "{error}");
 }
@@ -72,8 +72,13 @@ fn what_is_wrong_is_named() {
         (room(), "calibration 1", "calibration 2", "format: is \"pb3dp hand-eye calibration 2\""),
         (room(), "[base_from_board]", "[board_from_base]", "base_from_board: is missing"),
         (carried(), "[tc_flange_from_board]", "[tc_flange]", "tc_flange_from_board: is missing"),
-        (room(), "rotation_wxyz = [0.", "rotation_wxyz = [1.", "flange_from_cam_left.rotation_wxyz: is no rotation"),
-        (room(), "translation_m = [0.0", "translation_m = [40.0", "flange_from_cam_left.translation_m: is 40."),
+        (
+            room(),
+            "rotation_wxyz = [0.",
+            "rotation_wxyz = [1.",
+            "flange_from_cam_left.rotation_wxyz: is not a unit quaternion",
+        ),
+        (room(), "translation_m = [0.0", "translation_m = [40.0", "flange_from_cam_left.translation_m: has length 40."),
         (room(), "grade = \"refused\"", "grade = \"good\"", "gates.stops.grade"),
         (room(), "measured = 7.0", "measured = nan", "gates.stops.measured"),
     ] {

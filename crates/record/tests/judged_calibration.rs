@@ -1,4 +1,4 @@
-//! Our TOML file of a calibration: there and back bit by bit, and what is refused.
+//! Our TOML file of a calibration: bit-exact round trip, and refused files.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail loudly, as tests do")]
 
@@ -65,7 +65,7 @@ fn a_calibration_comes_back_bit_by_bit() {
         let loaded = load();
         assert_eq!((loaded.rig, loaded.format), (rig, CalibrationFormat::Judged));
         assert_eq!(loaded.judgement, Some(judgement));
-        assert_eq!(loaded.notes, ["reprojection_rms_px refused it when it was made: it was 0.7"]);
+        assert_eq!(loaded.notes, ["gate reprojection_rms_px refused this calibration when it was made: measured 0.7"]);
     }
     let bare = Judgement {
         cameras: Default::default(),
@@ -87,7 +87,7 @@ fn the_cameras_of_a_recording_come_back() {
     let good = fs::read_to_string(&file).unwrap();
     for (from, to, named) in [
         ("focus = -3", "focus = 2.5", "left.focus: is 2.5"),
-        ("focus = -3", "fokus = -3", "left.fokus: is not known here: serial, place, focus"),
+        ("focus = -3", "fokus = -3", "left.fokus: unknown key; the keys are serial, place, focus"),
         ("[right]", "[both]", "right: is missing"),
         ("cameras 1", "cameras 2", "format: is \"pb3dp cameras 2\""),
     ] {

@@ -1,4 +1,4 @@
-//! Recordings of stops and poses to visit: there and back bit by bit, and what is refused.
+//! Recordings of stops and poses to visit: bit-exact round trip, and refused files.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail loudly, as tests do")]
 
@@ -58,7 +58,7 @@ fn mistakes_are_named_with_their_keys() {
         ("left/000001.png", "../000001.png", "stop[1].left: must be a file in or below this folder"),
         ("left/000001.png", "/000001.png", "stop[1].left: must be a file in or below this folder"),
         ("rotation_wxyz = [", "rotation_wxyz = [2.0, ", "stop[0].vs.base_from_flange.rotation_wxyz: has 5 numbers"),
-        ("[stop.tc]", "[stop.arm]", "stop[0].arm: is not known here"),
+        ("[stop.tc]", "[stop.arm]", "stop[0].arm: unknown key"),
         ("left = \"left/000000.png\"", "", "stop[0].left: is missing"),
     ] {
         let bad = good.replacen(from, to, 1);

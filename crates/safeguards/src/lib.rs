@@ -1,36 +1,36 @@
-//! The safeguards that keep an arm from moving wrongly, by name, so that a test build can switch them off one by one and show that each
-//! is there for something.
+//! The safeguards that prevent wrong arm motion, by name. A test build can disable them one by one and show that each is
+//! necessary.
 //!
-//! Whoever holds a safeguard asks [`is_off`]. Without the feature `disabled-guards` that is the constant `false`, and nothing of this
-//! crate is left in a program. With the feature a build without debug assertions does not compile, so that no release of `pb3dp` has it; a
-//! test build of `pb3dp` says so in its version ([`CAN_BE_OFF`]).
+//! The code that implements a safeguard calls [`is_off`]. Without the feature `disabled-guards` this is the constant `false`, and
+//! no code of this crate remains in a program. With the feature a build without debug assertions does not compile, so no release
+//! of `pb3dp` contains it; a test build of `pb3dp` reports it in its version ([`CAN_BE_OFF`]).
 
 #[cfg(all(feature = "disabled-guards", not(debug_assertions)))]
 compile_error!(
-    "the feature disabled-guards is for tests, which are built with debug assertions: no program for real arms may have it"
+    "the feature disabled-guards is only for test builds with debug assertions: no program for real arms may have it"
 );
 
-/// Whether this is a test build in which safeguards can be switched off.
+/// Whether this is a test build in which safeguards can be disabled.
 pub const CAN_BE_OFF: bool = cfg!(feature = "disabled-guards");
 
 macro_rules! safeguards {
     ($($name:ident $text:literal $what:literal)*) => {
-        /// What keeps an arm from moving wrongly.
+        /// A safeguard against wrong arm motion.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub enum Safeguard {
             $(#[doc = $what] $name,)*
         }
 
         impl Safeguard {
-            /// All of them.
+            /// All safeguards.
             pub const ALL: &'static [Self] = &[$(Self::$name),*];
 
-            /// The name in tables: where it is, then what it looks at.
+            /// Name in tables: the component, then the checked quantity.
             pub const fn name(self) -> &'static str {
                 match self { $(Self::$name => $text,)* }
             }
 
-            /// What it does, in a sentence without an end.
+            /// Description, a sentence without a full stop.
             pub const fn what(self) -> &'static str {
                 match self { $(Self::$name => $what,)* }
             }
@@ -39,52 +39,52 @@ macro_rules! safeguards {
 }
 
 safeguards! {
-    EmergencyStop "supervisor: emergency_stop" "Both arms stop when an arm tells of an emergency stop"
+    EmergencyStop "supervisor: emergency_stop" "Both arms stop when an arm reports an emergency stop"
     ArmFault "supervisor: arm_fault" "Both arms stop when an arm has a fault"
-    ArmDisabled "supervisor: arm_disabled" "The hand rests while the drives of an arm are off, until the operator's word"
-    ClockStepped "supervisor: clock_stepped" "Both arms rest after a step of the clock"
-    OperatorSilent "supervisor: operator_silent" "Both arms stop without a sign of life of the operator"
-    JointsStale "supervisor: joints_stale" "Both arms rest without fresh joints of both"
-    TargetChanged "supervisor: target_changed" "The hand rests when another target is followed than was started"
-    FrameStale "supervisor: frame_stale" "The hand rests without fresh images"
-    FrameOrder "supervisor: frame_order" "The hand rests when images come out of order"
-    TargetLost "supervisor: target_lost" "The hand rests after a target that was lost"
-    EstimateStale "supervisor: estimate_stale" "The hand rests without a fresh, confident pose"
-    PositionJump "supervisor: position_jump" "The hand rests while the target seems to jump"
-    OrientationJump "supervisor: orientation_jump" "The hand rests while the target seems to turn at once"
-    Outlier "supervisor: outlier" "The hand rests while the target is not where its motion leads to expect it"
-    PositionUncertain "supervisor: position_uncertain" "The hand rests while the position is uncertain"
-    OrientationUncertain "supervisor: orientation_uncertain" "The hand rests while the orientation is uncertain"
-    CameraSkew "supervisor: camera_skew" "The hand rests while both cameras are not exposed together"
-    ControllerRests "supervisor: controller_rests" "The hand rests when the controller gives no velocity"
-    TimelyWords "supervisor: age of words" "A word that was said too long ago, or to another state, is not obeyed"
-    ClearForWords "supervisor: time before a word" "What comes and goes from image to image has to be gone for a while before start and resume"
-    ObservationAge "controller: age of observations" "The controller rests without a fresh observation"
-    ObservationTrust "controller: trusted observations" "The controller follows only what the estimator stands by"
-    JointsAge "controller: age of joints" "The controller rests without fresh joints"
-    JointsForward "controller: clock" "The controller rests when time steps back"
+    ArmDisabled "supervisor: arm_disabled" "The hand holds while the drives of an arm are disabled, until the operator's command"
+    ClockStepped "supervisor: clock_stepped" "Both arms hold after a step of the clock"
+    OperatorSilent "supervisor: operator_silent" "Both arms stop without an operator heartbeat"
+    JointsStale "supervisor: joints_stale" "Both arms hold without fresh joint measurements of both arms"
+    TargetChanged "supervisor: target_changed" "The hand holds when the tracked target is not the started one"
+    FrameStale "supervisor: frame_stale" "The hand holds without fresh images"
+    FrameOrder "supervisor: frame_order" "The hand holds when images arrive out of order"
+    TargetLost "supervisor: target_lost" "The hand holds after the target is lost"
+    EstimateStale "supervisor: estimate_stale" "The hand holds without a fresh, confident pose"
+    PositionJump "supervisor: position_jump" "The hand holds while the estimated position jumps"
+    OrientationJump "supervisor: orientation_jump" "The hand holds while the estimated orientation jumps"
+    Outlier "supervisor: outlier" "The hand holds while the estimate deviates from the predicted target motion"
+    PositionUncertain "supervisor: position_uncertain" "The hand holds while the position is uncertain"
+    OrientationUncertain "supervisor: orientation_uncertain" "The hand holds while the orientation is uncertain"
+    CameraSkew "supervisor: camera_skew" "The hand holds while the camera exposures are not synchronous"
+    ControllerRests "supervisor: controller_rests" "The hand holds when the controller outputs no velocity"
+    TimelyWords "supervisor: age of words" "A command that is too old, or was given in another state, is ignored"
+    ClearForWords "supervisor: time before a word" "Intermittent conditions must be absent for a while before start and resume"
+    ObservationAge "controller: age of observations" "The controller outputs no velocity without a fresh observation"
+    ObservationTrust "controller: trusted observations" "The controller follows only confident estimates"
+    JointsAge "controller: age of joints" "The controller outputs no velocity without fresh joint measurements"
+    JointsForward "controller: clock" "The controller outputs no velocity when time steps back"
     LimiterSpeed "limiter: speed" "No command is faster than its limit"
-    LimiterRange "limiter: range" "No command leads beyond the operating range, braking counted"
+    LimiterRange "limiter: range" "No command leads beyond the operating range, including the braking distance"
     LimiterAcceleration "limiter: acceleration and jerk" "Commands change within the limits of acceleration and jerk"
-    LimiterStale "limiter: age of samples" "Each joint comes to rest without a fresh sample"
+    LimiterStale "limiter: age of samples" "Each joint stops without a fresh sample"
     GuardRange "guard: range" "A joint beyond its servo or mechanical range is stopped"
-    GuardJump "guard: jumps of samples" "Samples that jump are thrown away, two in a row stop the arm"
+    GuardJump "guard: jumps of samples" "Samples that jump are rejected, two in a row stop the arm"
     GuardSpeed "guard: speed" "A joint that is too fast is stopped"
-    GuardTracking "guard: tracking" "A joint that does not go where it is told is stopped"
-    CouplingRoom "coupling: room" "No command brings both arms too near to each other"
-    CouplingStop "coupling: stop of both" "An arm that fails stops the other one"
+    GuardTracking "guard: tracking" "A joint that does not follow its command is stopped"
+    CouplingRoom "coupling: room" "No command brings both arms too close to each other"
+    CouplingStop "coupling: stop of both" "An arm that fails stops the other arm"
     TripLine "trip line" "The driver of an arm that fails stops the other arm at once"
     DriverLink "driver: lost answers" "Three exchanges without an answer stop the arm"
-    DriverMeasurementAge "driver: age of measurements" "Answers that tell of an old measurement stop the arm"
-    DriverWatchdog "driver: age of commands" "A command that no other follows fades and stops the arm"
+    DriverMeasurementAge "driver: age of measurements" "Replies with an old measurement stop the arm"
+    DriverWatchdog "driver: age of commands" "A command without a successor fades and stops the arm"
     DriverAlarms "driver: alarms" "Alarms and switches of the arm stop it"
-    DriverTorque "driver: torque" "A joint that carries too much for too long stops the arm"
-    GatewayWatchdog "gateway: age of commands" "A host that is silent has the arm fade and stop"
+    DriverTorque "driver: torque" "A joint torque that is too high for too long stops the arm"
+    GatewayWatchdog "gateway: age of commands" "A silent host makes the arm fade and stop"
     GatewayBus "gateway: lost replies" "Three cycles without a reply of the controller stop the arm"
     GatewayAlarms "gateway: alarms" "Alarms and switches of the arm stop it"
 }
 
-/// Whether a test has switched this safeguard off: never, in this build.
+/// Whether a test has disabled this safeguard: never, in this build.
 #[cfg(not(feature = "disabled-guards"))]
 #[inline(always)]
 pub const fn is_off(_: Safeguard) -> bool {
@@ -98,16 +98,16 @@ mod switches {
     use super::Safeguard;
 
     thread_local! {
-        /// One bit for each.
+        /// One bit per safeguard.
         static OFF: Cell<u64> = const { Cell::new(0) };
     }
 
-    /// Whether a test has switched this safeguard off on this thread.
+    /// Whether a test has disabled this safeguard on this thread.
     pub fn is_off(safeguard: Safeguard) -> bool {
         OFF.get() & bit(safeguard) != 0
     }
 
-    /// Does something on this thread without these safeguards; afterwards those are back that were there before, after a panic, too.
+    /// Runs `work` on this thread without these safeguards; afterwards the previous state is restored, even after a panic.
     pub fn without<T>(safeguards: &[Safeguard], work: impl FnOnce() -> T) -> T {
         let before = OFF.get();
         let _back = Back(before);

@@ -8,6 +8,7 @@
 //! The arm goes on only from what is measured: with each rest, stop, fault, reset and selection [`Decision::rearm`] tells the
 //! controller to drop its set-points, and nothing is permitted before it has new ones.
 
+mod codes;
 mod findings;
 mod inputs;
 mod log;

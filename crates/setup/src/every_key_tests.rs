@@ -272,7 +272,7 @@ fn keys_of_other_cameras_are_refused_with_key_and_backend() {
         (
             "rig.toml",
             |root| put(root, "camera", "format", "H264"),
-            "camera.format: \"H264\" is no layout of pixels that is taken; write one of: YUYV, RGB3",
+            "camera.format: \"H264\" is not a supported pixel format; use one of: YUYV, RGB3",
         ),
         (
             "rig.toml",
@@ -316,7 +316,9 @@ fn eyes_that_are_no_cameras_are_refused() {
     let of_left = table("rig.toml")["camera"]["left"]["device"].clone();
     assert!(refusal("device", of_left).unwrap().contains("camera.left.device is the same"));
     assert!(
-        refusal("device", "the right one".into()).unwrap().contains("camera.right.device: `the right one` names no")
+        refusal("device", "the right one".into())
+            .unwrap()
+            .contains("camera.right.device: `the right one` is not a camera name")
     );
     for word in ["keep", "auto"] {
         assert_eq!(refusal("gain", word.into()), None);

@@ -61,6 +61,19 @@ pub fn explain(key: &str) -> Result<Vec<Explanation>, Vec<String>> {
         .collect())
 }
 
+/// Explains every key of the built-in setups.
+#[must_use]
+pub fn explain_all() -> Vec<Explanation> {
+    let of_one = |(key, values): (String, _)| Explanation {
+        about: about(&key),
+        unit: unit_of(&key),
+        allowed: allowed(&key),
+        values,
+        key,
+    };
+    all_keys().into_iter().map(of_one).collect()
+}
+
 /// Whether some setup takes a key that none states.
 fn is_taken(key: &str) -> bool {
     let is_known = |line: &String| line.trim_start().starts_with(key) && !line.contains("unknown key");

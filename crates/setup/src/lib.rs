@@ -1,5 +1,6 @@
 //! Configuration files: read, checked, and turned into the parameters of the parts.
 
+mod codes;
 pub mod direct;
 mod error;
 pub mod estimator;

@@ -1,85 +1,85 @@
-//! What goes wrong with simulated cameras, as data: a kind, and from when until when.
+//! Faults of simulated cameras as data: a kind, a start time and an end time.
 //!
-//! What is random about it follows from a seed and the number of the pair.
+//! Random choices follow from a seed and the number of the pair.
 
 use std::time::Duration;
 
-/// Which eye it happens to.
+/// The camera or cameras affected by a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Eyes {
-    /// The left one.
+    /// The left camera.
     Left,
-    /// The right one.
+    /// The right camera.
     Right,
     /// Both.
     Both,
 }
 
 impl Eyes {
-    /// Whether the left and the right eye are among them.
+    /// Whether the left and the right camera are affected.
     pub fn are(self) -> [bool; 2] {
         [self != Self::Right, self != Self::Left]
     }
 }
 
-/// What goes wrong.
+/// The kind of a camera fault.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CameraFaultKind {
-    /// This share of the pairs does not come, 0 to 1.
+    /// This share of the pairs is dropped, 0 to 1.
     Dropped {
-        /// Of the pairs.
+        /// Share of the pairs.
         share: f64,
     },
-    /// In the place of this share of the pairs the one before comes again, 0 to 1.
+    /// This share of the pairs is replaced by the previous pair, 0 to 1.
     Repeated {
-        /// Of the pairs.
+        /// Share of the pairs.
         share: f64,
-        /// With the number and time of the pair that should have come; otherwise with its own.
+        /// Whether the repeated pair carries the number and time of the missing pair; otherwise it keeps its own.
         as_new: bool,
     },
-    /// Pairs come later than they should by so many periods of the camera.
+    /// Pairs are delivered late by this number of camera periods.
     Late {
-        /// How many, 1 to 100.
+        /// Delay in periods, 1 to 100.
         pairs: u32,
     },
-    /// The lower rows of this share of the pairs are still those of the pair before, 0 to 1.
+    /// The lower rows of this share of the pairs still show the previous pair, 0 to 1.
     Torn {
-        /// Of the pairs.
+        /// Share of the pairs.
         share: f64,
     },
-    /// The right eye shows the pair before.
+    /// The right camera shows the previous pair.
     Skewed {
-        /// What the camera says of it: right time less left time, nanoseconds.
+        /// Time difference reported by the camera: right time minus left time, nanoseconds.
         stamped_nanos: i64,
     },
-    /// The same images come again and again as new ones.
+    /// The same images are delivered repeatedly as new ones.
     Frozen,
-    /// No light.
+    /// Black images: no light.
     Black {
-        /// Where.
+        /// Affected cameras.
         eyes: Eyes,
     },
-    /// Too much light everywhere.
+    /// Saturated images.
     Saturated {
-        /// Where.
+        /// Affected cameras.
         eyes: Eyes,
     },
     /// A step of exposure or gain.
     Brightness {
-        /// Where.
+        /// Affected cameras.
         eyes: Eyes,
-        /// All grey levels times this, 0 to 100.
+        /// Factor on all grey levels, 0 to 100.
         factor: f64,
     },
-    /// A bar hangs before the target, nearer to the cameras.
+    /// A bar occludes the target, nearer to the cameras.
     Occluder {
-        /// Its width as a share of the image's, 0 to 1.
+        /// Width of the bar as a share of the image width, 0 to 1.
         width_share: f64,
-        /// It moves across the images in the time of the fault; otherwise it hangs in their middle.
+        /// Whether the bar moves across the images during the fault; otherwise it stays in their middle.
         crosses: bool,
     },
-    /// The right image is not where the calibration has it: to first order what is wrong with the angles of one eye, the
-    /// baseline or a focal length.
+    /// The right image is displaced relative to the calibration: to first order the effect of wrong camera angles, a wrong
+    /// baseline or a wrong focal length.
     Miscalibrated {
         /// To the right, pixels.
         columns_px: f64,
@@ -87,7 +87,7 @@ pub enum CameraFaultKind {
         rows_px: f64,
         /// About the image's centre, radians.
         roll_rad: f64,
-        /// From the image's centre.
+        /// Scale about the image centre.
         scale: f64,
     },
 }
@@ -130,43 +130,43 @@ impl CameraFaultKind {
     }
 }
 
-/// A fault and its time.
+/// A fault with its start and end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraFault {
-    /// What goes wrong.
+    /// The kind of the fault.
     pub kind: CameraFaultKind,
-    /// From then on, since the camera began.
+    /// Start, since the start of the camera.
     pub from: Duration,
-    /// Until then, since the camera began.
+    /// End, since the start of the camera.
     pub until: Duration,
 }
 
-/// All that goes wrong with a camera.
+/// All faults of a camera.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CameraFaults {
-    /// In any order; several at once are possible.
+    /// The faults in any order; several may be active at once.
     pub list: Vec<CameraFault>,
-    /// Selects what is random.
+    /// Seed of the random choices.
     pub seed: u32,
 }
 
-/// Why a fault cannot be.
+/// Why a fault was refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct CameraFaultError(String);
 
 impl CameraFaults {
-    /// Whether every number can be.
+    /// Checks every number.
     ///
     /// # Errors
-    /// The fault, the number and what is allowed.
+    /// The fault, the number and the allowed range.
     pub fn validate(&self) -> Result<(), CameraFaultError> {
         for fault in &self.list {
             let name = fault.kind.name();
             let refuse = |message: String| Err(CameraFaultError(message));
             if fault.until <= fault.from {
                 return refuse(format!(
-                    "camera fault {name}: it ends at {:?} and begins at {:?}; let it end later",
+                    "camera fault {name}: ends at {:?}, but begins at {:?}; set a later end",
                     fault.until, fault.from
                 ));
             }
@@ -174,7 +174,7 @@ impl CameraFaults {
             if let Some((key, value, min, max)) =
                 numbers.into_iter().flatten().find(|(_, value, min, max)| !(min..=max).contains(&value))
             {
-                return refuse(format!("camera fault {name}: {key} is {value}: set it between {min} and {max}"));
+                return refuse(format!("camera fault {name}: {key} is {value}; set it between {min} and {max}"));
             }
         }
         Ok(())
@@ -193,8 +193,8 @@ mod tests {
     fn a_fault_that_can_not_be_is_refused() {
         let refusal = |fault| CameraFaults { list: vec![fault], seed: 0 }.validate().unwrap_err().to_string();
         let wrong = refusal(fault(CameraFaultKind::Torn { share: 1.5 }, 0, 1));
-        assert_eq!(wrong, "camera fault torn: share is 1.5: set it between 0 and 1");
-        assert!(refusal(fault(CameraFaultKind::Frozen, 5, 5)).contains("let it end later"));
+        assert_eq!(wrong, "camera fault torn: share is 1.5; set it between 0 and 1");
+        assert!(refusal(fault(CameraFaultKind::Frozen, 5, 5)).contains("set a later end"));
         let nan = CameraFaultKind::Brightness { eyes: Eyes::Both, factor: f64::NAN };
         assert!(refusal(fault(nan, 0, 1)).contains("factor is NaN"));
     }

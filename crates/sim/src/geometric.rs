@@ -1,8 +1,7 @@
-//! A tracker without images: the true pose of a target that both cameras have in view, with noise of a stated covariance.
+//! A simulated tracker without images: the true pose of a target visible to both cameras, plus noise of a stated covariance.
 //!
-//! For runs in which pixels are not the subject: no image is rendered and none is looked at. What a tracker of images gets
-//! wrong by the images (relief, texture, light, occlusion) is not in here; what it gets wrong by noise, and what it cannot see,
-//! is.
+//! For simulation runs that do not study image processing: no image is rendered or processed. The noise of an image tracker and
+//! the visibility limits are simulated; errors caused by the image content (relief, texture, light, occlusion) are not.
 
 use std::fmt;
 
@@ -37,7 +36,7 @@ impl PoseSigma {
         Matrix6::from_diagonal(&self.of_xi().map(|sigma| sigma * sigma))
     }
 
-    /// A sample of xi; the same words give the same one.
+    /// A sample of xi; deterministic in `words`.
     fn sample(&self, words: &[u32]) -> Vector6<f64> {
         let base = hash(words);
         Vector6::from_fn(|row, _| normal(hash(&[base, row as u32]))).component_mul(&self.of_xi())
@@ -57,35 +56,35 @@ impl PoseSigma {
     }
 }
 
-/// Sum of twelve even numbers: mean 0, variance 1, within 6; from additions alone, so the same on every machine.
+/// Sum of twelve uniform numbers: mean 0, variance 1, within 6; additions only, so the result is the same on every machine.
 fn normal(seed: u32) -> f64 {
     (0..12).map(|k| unit(hash(&[seed, k]))).sum::<f64>() - 6.0
 }
 
-/// What the tracker without images gets wrong and cannot see.
+/// Error model and visibility limits of the tracker without images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GeometricConfig {
     /// White noise of each frame.
     pub noise: PoseSigma,
-    /// What a lock gets wrong for as long as it lasts: where on the target its model frame is.
+    /// Constant error of an initialisation: error of the model frame on the target.
     pub lock: PoseSigma,
-    /// Smallest share of the target's outline that both images must show, 0 to 1.
+    /// Minimum share of the target outline visible in both images, 0 to 1.
     pub in_view_share_min: f64,
-    /// Largest angle between the target's normal and the ray to its centre, radians, 0.1 to 1.5.
+    /// Maximum angle between the target normal and the ray to its centre, radians, 0.1 to 1.5.
     pub turned_max_rad: f64,
-    /// Smallest depth of its centre, metres, above 0.
+    /// Minimum depth of its centre, metres, above 0.
     pub z_min_m: f64,
-    /// Largest depth of its centre, metres.
+    /// Maximum depth of its centre, metres.
     pub z_max_m: f64,
-    /// Selects noise.
+    /// Seed of the noise.
     pub seed: u32,
 }
 
-/// A number of the configuration is refused.
+/// A parameter is out of its range.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("parameter {key} of the geometric tracker is {value}: set it between {min} and {max}")]
+#[error("parameter {key} of the geometric tracker is {value}; set it between {min} and {max}")]
 pub struct GeometricError {
-    /// Which one.
+    /// Name of the parameter.
     pub key: &'static str,
     /// Its value.
     pub value: f64,
@@ -122,16 +121,16 @@ pub enum OutOfView {
         /// Largest allowed.
         max_m: f64,
     },
-    /// Seen from too flat an angle, or from behind.
+    /// Seen at too flat an angle, or from behind.
     TurnedAway {
         /// Angle between the normal and the ray, radians.
         angle_rad: f64,
         /// Largest allowed.
         max_rad: f64,
     },
-    /// Too little of it is in both images.
+    /// Too little of the target is visible in both images.
     OutOfImage {
-        /// Share of the outline that is.
+        /// Share of the outline visible in both images.
         share: f64,
         /// Smallest allowed.
         min: f64,
@@ -142,32 +141,29 @@ impl fmt::Display for OutOfView {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::Depth { z_m, min_m, max_m } => {
-                write!(
-                    f,
-                    "the target is {:.0} mm away, allowed are {:.0} to {:.0}",
-                    z_m * 1e3,
-                    min_m * 1e3,
-                    max_m * 1e3
-                )
+                write!(f, "the target is {:.0} mm away, allowed is {:.0} to {:.0}", z_m * 1e3, min_m * 1e3, max_m * 1e3)
             }
             Self::TurnedAway { angle_rad, max_rad } => {
                 let (angle, most) = (angle_rad.to_degrees(), max_rad.to_degrees());
-                write!(f, "the target is turned away by {angle:.0} degrees, at most {most:.0} are allowed")
+                write!(f, "the target is turned away by {angle:.0} degrees, at most {most:.0} degrees are allowed")
             }
             Self::OutOfImage { share, min } => {
                 let (share, least) = (100.0 * share, 100.0 * min);
-                write!(f, "{share:.0} % of the target's outline are in both images, at least {least:.0} % are needed")
+                write!(
+                    f,
+                    "{share:.0} % of the target's outline is visible in both images, at least {least:.0} % is needed"
+                )
             }
         }
     }
 }
 
-/// What the tracker says of one frame.
+/// The result of the tracker for one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sighting {
     /// Pose of the model in the left camera, or why there is none.
     pub cam_left_from_model: Result<Pose<CamLeft, Model>, OutOfView>,
-    /// Whether a target was locked on to before or in this frame.
+    /// Whether a target was initialised before or in this frame.
     pub is_locked: bool,
 }
 
@@ -180,41 +176,41 @@ pub struct GeometricFrame {
     pub exposed_at: MonotonicTime,
     /// Middle of the right exposure minus middle of the left exposure, nanoseconds.
     pub skew_nanos: i64,
-    /// Whether it would be other pixels than those of the frame before.
+    /// Whether the pixels would differ from those of the previous frame.
     pub is_new: bool,
-    /// What a tracker says of it, as far as nothing hinders it.
+    /// Result of the tracker, without the hindrance.
     pub sighting: Sighting,
-    /// What hinders it.
+    /// Effect of a camera fault on the result.
     pub hindrance: Option<Hindrance>,
-    /// The truth.
+    /// Ground truth.
     pub cam_left_from_target: Pose<CamLeft, Target>,
 }
 
-/// What a fault of a camera does to a tracker of its images.
+/// The effect of a camera fault on an image tracker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hindrance {
-    /// It finds no pose, for this reason.
+    /// The tracker finds no pose, for this reason.
     Blind(&'static str),
-    /// It does not stand by its pose, for this reason.
+    /// The tracker reports low confidence, for this reason.
     Doubtful(&'static str),
 }
 
 /// A tracker without images.
 ///
-/// Its model frame is like that of a tracker of images: origin at the target's centre on its front plane, z along the plane's
-/// normal away from the camera, x the image's x axis projected into the plane in the frame of the lock; then displaced by what the
-/// lock gets wrong, and fixed to the target.
+/// Its model frame follows an image tracker: origin at the target centre on its front plane, z along the plane normal away from
+/// the camera, x the image x axis projected into the plane in the frame of initialisation. The frame is then displaced by the
+/// initialisation error and fixed to the target.
 #[derive(Clone, Debug)]
 pub struct GeometricTracker {
     config: GeometricConfig,
     rig: StereoRig,
     outline_m: Vec<Point3<f64>>,
-    /// Where on the target the model frame is believed to be.
+    /// Assumed pose of the model frame on the target.
     target_from_model: Option<Pose<Target, Model>>,
 }
 
 impl GeometricTracker {
-    /// A tracker that has no target yet. `outline_m` are points of the target in its own frame, as in
+    /// A tracker without a target. `outline_m` are points of the target in its own frame, as in
     /// [`TargetModel`](crate::targets::TargetModel).
     ///
     /// # Errors
@@ -229,8 +225,8 @@ impl GeometricTracker {
         &self.config
     }
 
-    /// Looks at the target, which is truly at `cam_left_from_target`, in the frame with this number. The first frame that has it
-    /// in view is locked on to.
+    /// Observes the target at its true pose `cam_left_from_target`, in the frame with this number. The tracker is initialised in
+    /// the first frame in which the target is visible.
     pub fn look(&mut self, cam_left_from_target: &Pose<CamLeft, Target>, frame: u64) -> Sighting {
         if let Err(reason) = self.in_view(cam_left_from_target) {
             return Sighting { cam_left_from_model: Err(reason), is_locked: self.target_from_model.is_some() };
@@ -246,9 +242,9 @@ impl GeometricTracker {
         Sighting { cam_left_from_model: Ok(found), is_locked: true }
     }
 
-    /// What a tracker takes this pose for when the right image is not where the calibration has it: shifted (pixels to the
-    /// right), turned (radians) and scaled about its centre, all by little. To first order, which is
-    /// a wrong depth, and tilts that grow with depth over baseline. None if it would be behind the cameras.
+    /// The pose that a tracker computes if the right image is displaced relative to the calibration: shifted (pixels to the
+    /// right), rotated (radians) and scaled about its centre, all by small amounts. To first order: a wrong depth, and tilts that
+    /// grow with depth over baseline. `None` if the pose would be behind the cameras.
     pub fn misjudged(
         &self,
         cam_left_from_model: &Pose<CamLeft, Model>,
@@ -271,7 +267,7 @@ impl GeometricTracker {
         &self.rig
     }
 
-    /// The outline in the left image, as far as it lies before the camera, pixels.
+    /// The outline in the left image, without points behind the camera, pixels.
     pub fn outline_px(&self, cam_left_from_target: &Pose<CamLeft, Target>) -> Vec<Vector2<f64>> {
         let pixel = |point: &Point3<f64>| self.rig.left().project(&cam_left_from_target.transform_point(point));
         self.outline_m.iter().filter_map(pixel).collect()
@@ -294,7 +290,7 @@ impl GeometricTracker {
         Ok(())
     }
 
-    /// Share of the outline's points that both images show; of a target with `enough` of them no more are looked for.
+    /// Share of the outline points visible in both images; the search ends once `enough` is reached.
     fn share_in_view(&self, cam_left_from_target: &Pose<CamLeft, Target>, enough: f64) -> f64 {
         let is_seen = |point: &&Point3<f64>| {
             let in_left = cam_left_from_target.transform_point(point);
@@ -313,17 +309,17 @@ impl GeometricTracker {
     }
 }
 
-/// Whether an image shows a point, as far as nothing is before it.
+/// Whether a point lies inside an image, ignoring occlusion.
 fn shows(camera: &Camera, point_in_cam: &Point3<f64>) -> bool {
     let size = camera.size();
     let inside = |coordinate: f64, count: u32| (-0.5..=f64::from(count) - 0.5).contains(&coordinate);
     camera.project(point_in_cam).is_some_and(|pixel| inside(pixel.x, size.width) && inside(pixel.y, size.height))
 }
 
-/// The model frame of a lock without error.
+/// The model frame of an error-free initialisation.
 fn facing(cam_left_from_target: &Pose<CamLeft, Target>) -> Pose<Target, Model> {
     let across = cam_left_from_target.inverse().transform_vector(&Vector3::x());
-    // About the normal, which stays: the image's x axis projected into the plane. It is seen from less than 90 degrees off.
+    // Rotation about the normal: the image x axis projected into the plane. The view is less than 90 degrees from frontal.
     Pose::from_parts(Vector3::zeros(), UnitQuaternion::from_scaled_axis(Vector3::z() * across.y.atan2(across.x)))
 }
 
@@ -429,7 +425,7 @@ mod tests {
             (pose([0.05, 0.0, -0.5], [0.0; 3]), "-500 mm away"),
             (pose([0.0, 0.0, 0.5], [1.3, 0.0, 0.0]), "turned away by 74 degrees"),
             (pose([0.0, 0.0, 0.5], [std::f64::consts::PI, 0.0, 0.0]), "turned away by 180 degrees"),
-            // The left image shows all of it, the right one its right half.
+            // The left image shows the whole target, the right image its right half.
             (pose([-0.17, 0.0, 0.5], [0.0; 3]), "50 % of the target's outline"),
             (pose([0.3, 0.0, 0.5], [0.0; 3]), "0 % of the target's outline"),
         ] {
@@ -451,6 +447,6 @@ mod tests {
         let mut config = CONFIG;
         config.lock.tilt_rad = 0.7;
         let error = config.validate().unwrap_err().to_string();
-        assert_eq!(error, "parameter lock.tilt_rad of the geometric tracker is 0.7: set it between 0 and 0.5");
+        assert_eq!(error, "parameter lock.tilt_rad of the geometric tracker is 0.7; set it between 0 and 0.5");
     }
 }

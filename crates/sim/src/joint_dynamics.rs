@@ -1,11 +1,11 @@
-//! Joints of an arm that follows velocity commands: delay, lag, saturation, end stops, quantised angles.
+//! Joint dynamics of an arm that follows velocity commands: delay, lag, saturation, end stops, quantised angles.
 //!
 //! Every joint follows v' = clamp((u - v) / tau, +-a), x' = v, with the delayed and saturated command u. Between two commands
-//! this has a closed form, and [`JointPlant`] keeps these pieces instead of stepping: the answer at a time depends on the
-//! commands alone, to the last bit, and not on how often or in what steps the plant was advanced; a past time is answered as
-//! exactly as the present one.
+//! this has a closed form. [`JointPlant`] stores these pieces instead of integrating in steps. The state at a time therefore
+//! depends on the commands only, to the last bit, and not on the number or size of the steps; past states are as exact as the
+//! present one.
 //!
-//! Joints that are not held by their drive ([`AxisMode`]) follow the same law with other numbers ([`JointMechanics`]).
+//! Joints that are not held by their drive ([`AxisMode`]) follow the same law with other parameters ([`JointMechanics`]).
 
 mod mechanics;
 mod motion;
@@ -22,10 +22,10 @@ use motion::{Drive, JointPath};
 /// Angle of one resolver count of the PA-10, rad: 360 degrees / (16384 counts x gear 50).
 pub const PA10_ANGLE_QUANTUM_RAD: f64 = std::f64::consts::TAU / (16384.0 * 50.0);
 
-/// What the joints can do and how their drives answer.
+/// Capabilities of the joints and response of their drives.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointPlantConfig {
-    /// End stops (rad), at which a joint comes to rest at once, and speeds (rad/s), to which commands are saturated.
+    /// End stops (rad), at which a joint stops at once, and speeds (rad/s), to which commands are saturated.
     pub limits: JointLimits,
     /// Largest acceleration and deceleration of each joint, rad/s^2.
     pub acceleration_max_rad_per_s2: JointVector,
@@ -33,13 +33,13 @@ pub struct JointPlantConfig {
     pub velocity_time_constant: Duration,
     /// Time from a command to its effect.
     pub command_delay: Duration,
-    /// Step of the measured angles, rad; zero: measured exactly. [`PA10_ANGLE_QUANTUM_RAD`] for a PA-10.
+    /// Step of the measured angles, rad; zero: no quantisation. [`PA10_ANGLE_QUANTUM_RAD`] for a PA-10.
     pub angle_quantum_rad: f64,
-    /// How far back [`JointPlant::position_at`] can look.
+    /// Time span covered by [`JointPlant::position_at`].
     pub history: Duration,
 }
 
-/// Why joints cannot be simulated.
+/// Errors of the joint simulation.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum JointPlantError {
     /// A number of the configuration is out of range.
@@ -47,14 +47,14 @@ pub enum JointPlantError {
     Config {
         /// Field of [`JointPlantConfig`].
         name: &'static str,
-        /// Index from the base, 0 to 6, where the number belongs to a joint.
+        /// Index from the base, 0 to 6, if the number belongs to a joint.
         joint: Option<usize>,
         /// The number.
         value: f64,
-        /// What is allowed.
+        /// The allowed values.
         allowed: &'static str,
     },
-    /// The start is outside the end stops.
+    /// The start position is outside the end stops.
     #[error("axis {} starts at {:.2} degrees, outside its end stops, {:.2} to {:.2} degrees", .0.joint + 1, .0.position_rad.to_degrees(), .0.min_rad.to_degrees(), .0.max_rad.to_degrees())]
     Start(PositionViolation),
     /// A command is not finite.
@@ -73,27 +73,27 @@ pub struct JointPlant {
     config: JointPlantConfig,
     mechanics: JointMechanics,
     now: MonotonicTime,
-    /// What holds or moves each joint, and the velocity that those with a drive follow.
+    /// Mode of each joint, and the velocity followed by joints with an active drive.
     modes: [AxisMode; DOF],
     velocity_rad_per_s: JointVector,
-    /// Reaches into the future until the next command takes effect.
+    /// The current piece, valid until the next command takes effect.
     current: Piece,
     /// The pieces before it, oldest first.
     past: VecDeque<Piece>,
-    /// Commands on their way, in the order in which they take effect.
+    /// Delayed commands, in the order in which they take effect.
     pending: VecDeque<Pending>,
 }
 
-/// A command on its way.
+/// A command that has not taken effect yet.
 #[derive(Clone, Copy, Debug)]
 struct Pending {
     effective: MonotonicTime,
     velocity_rad_per_s: JointVector,
-    /// The end of an earlier command, which a newer command makes void.
+    /// The expiry of an earlier command; a newer command cancels it.
     is_expiry: bool,
 }
 
-/// The motion of all joints from one change of command to the next.
+/// The motion of all joints between two changes of command.
 #[derive(Clone, Debug)]
 struct Piece {
     start: MonotonicTime,
@@ -102,10 +102,10 @@ struct Piece {
 }
 
 impl JointPlant {
-    /// Joints at rest at `position_rad` at the time `at`, with the default [`JointMechanics`].
+    /// Joints stationary at `position_rad` at the time `at`, with the default [`JointMechanics`].
     ///
     /// # Errors
-    /// If a number of the configuration is out of range, or the start lies outside the end stops.
+    /// A number of the configuration is out of range, or the start lies outside the end stops.
     pub fn new(
         config: JointPlantConfig,
         position_rad: JointVector,
@@ -124,39 +124,39 @@ impl JointPlant {
         Ok(Self { config, mechanics, now: at, modes, velocity_rad_per_s: rest, current, past, pending })
     }
 
-    /// The same joints with this friction, these brakes and this gravity in place of the default ones; before anything was
-    /// commanded.
+    /// The same joints with this friction, these brakes and this gravity instead of the default ones; only before the first
+    /// command.
     ///
     /// # Errors
-    /// If a number is out of range.
+    /// A number is out of range.
     pub fn with_mechanics(mut self, mechanics: JointMechanics) -> Result<Self, JointPlantError> {
         mechanics.check()?;
         self.mechanics = mechanics;
         Ok(self)
     }
 
-    /// What this plant was made from.
+    /// The configuration.
     pub fn config(&self) -> &JointPlantConfig {
         &self.config
     }
 
-    /// The time to which the plant was advanced.
+    /// The time to which the plant has advanced.
     pub fn now(&self) -> MonotonicTime {
         self.now
     }
 
-    /// Gives a velocity command (rad/s) at the time `at`; it takes effect a command delay later, saturated to the speed
-    /// limits, and holds until the next. It can neither change the past nor overtake an earlier command: it takes effect at
-    /// [`Self::now`], or with the last command before it, if that is later.
+    /// Gives a velocity command (rad/s) at the time `at`. It takes effect after the command delay, saturated to the speed limits,
+    /// and holds until the next command. A command cannot change the past or overtake an earlier command: it takes effect no
+    /// earlier than [`Self::now`] and no earlier than the previous command.
     ///
     /// # Errors
-    /// If a number is not finite; nothing is changed then.
+    /// A number is not finite; then nothing is changed.
     pub fn command(&mut self, at: MonotonicTime, velocity_rad_per_s: JointVector) -> Result<(), JointPlantError> {
         if let Some(joint) = (0..DOF).find(|&joint| !velocity_rad_per_s[joint].is_finite()) {
             return Err(JointPlantError::Command { joint, velocity_rad_per_s: velocity_rad_per_s[joint] });
         }
         let arrives = (at + self.config.command_delay).max(self.now);
-        // An expiry before this command still happens, whether the plant was advanced to it already or not.
+        // An expiry before this command still happens, even if the plant has not advanced to it yet.
         if self.pending.back().is_some_and(|last| last.is_expiry && last.effective >= arrives) {
             self.pending.pop_back();
         }
@@ -165,7 +165,7 @@ impl JointPlant {
         Ok(())
     }
 
-    /// As [`Self::command`], for a drive with a watchdog: without another command within `valid_for` the joints come to rest.
+    /// As [`Self::command`], for a drive with a watchdog: without another command within `valid_for` the joints stop.
     ///
     /// # Errors
     /// As [`Self::command`].
@@ -182,8 +182,8 @@ impl JointPlant {
         Ok(())
     }
 
-    /// Drops all commands on their way and brings the joints to rest from `at` (or [`Self::now`], if that is later) on,
-    /// without command delay, as the drives decelerate.
+    /// Drops all pending commands and stops the joints from `at` on (or [`Self::now`], if that is later), without command delay,
+    /// with the deceleration of the drives.
     pub fn halt(&mut self, at: MonotonicTime) {
         self.advance_to(at);
         self.pending.clear();
@@ -191,11 +191,11 @@ impl JointPlant {
         self.take_effect(self.now);
     }
 
-    /// Changes what holds or moves each joint, from `at` (or [`Self::now`], if that is later) on and without command delay.
-    /// Velocity commands are kept, and joints with a drive follow them.
+    /// Changes the mode of each joint, from `at` on (or [`Self::now`], if that is later), without command delay. Velocity
+    /// commands are kept, and joints with an active drive follow them.
     ///
     /// # Errors
-    /// If a velocity is not finite; nothing is changed then.
+    /// A velocity is not finite; then nothing is changed.
     pub fn set_modes(&mut self, at: MonotonicTime, modes: [AxisMode; DOF]) -> Result<(), JointPlantError> {
         for (joint, mode) in modes.iter().enumerate() {
             if let AxisMode::Driven { velocity_rad_per_s } = *mode
@@ -212,17 +212,17 @@ impl JointPlant {
         Ok(())
     }
 
-    /// The velocity command on its way or in effect that was given last, rad/s.
+    /// The most recent velocity command, pending or in effect, rad/s.
     pub fn commanded_rad_per_s(&self) -> &JointVector {
         self.pending.back().map_or(&self.velocity_rad_per_s, |last| &last.velocity_rad_per_s)
     }
 
-    /// What holds or moves each joint.
+    /// The mode of each joint.
     pub fn modes(&self) -> &[AxisMode; DOF] {
         &self.modes
     }
 
-    /// Lets time pass up to `at`; a time before [`Self::now`] does nothing.
+    /// Advances to `at`; a time before [`Self::now`] has no effect.
     pub fn advance_to(&mut self, at: MonotonicTime) {
         self.now = self.now.max(at);
         while let Some(next) = self.pending.front().copied().filter(|next| next.effective <= self.now) {
@@ -237,7 +237,7 @@ impl JointPlant {
         }
     }
 
-    /// Measured joints at the present: angles quantised, velocities exact.
+    /// Measured joints at the present time: angles quantised, velocities exact.
     pub fn state(&self) -> JointState {
         let (position_rad, velocity_rad_per_s) = self.current.at(self.now);
         let quantum = self.config.angle_quantum_rad;
@@ -245,7 +245,7 @@ impl JointPlant {
         JointState { at: self.now, position_rad: position_rad.map(measured), velocity_rad_per_s }
     }
 
-    /// True angles (rad, not quantised) at a time between the start or [`JointPlantConfig::history`] ago and the present;
+    /// True angles (rad, not quantised) at a time between the start, or [`JointPlantConfig::history`] ago, and the present;
     /// `None` outside.
     pub fn position_at(&self, at: MonotonicTime) -> Option<JointVector> {
         self.motion_at(at).map(|(position_rad, _)| position_rad)
@@ -271,7 +271,7 @@ impl JointPlant {
         let drives = self.mechanics.drives(&self.config, &self.modes, &position);
         let targets = self.mechanics.targets(&self.modes, &position, &self.velocity_rad_per_s);
         let replaced = std::mem::replace(&mut self.current, Piece::new(drives, at, &position, &velocity, &targets));
-        // Of two commands at one moment the later one counts.
+        // Of two commands at the same time the later one counts.
         if replaced.start < at {
             self.past.push_back(replaced);
         }

@@ -1,6 +1,6 @@
-//! The simulated cell: scene, rasteriser, arm dynamics, with exact ground truth.
+//! The simulated workcell: scene, rasteriser, arm dynamics, with exact ground truth.
 //!
-//! Everything is deterministic: time and seeds come from outside, there is no clock, no thread and no file in here.
+//! Everything is deterministic: time and seeds are inputs; this crate uses no clock, thread or file.
 
 pub mod camera_faults;
 pub mod geometric;

@@ -1,6 +1,7 @@
-//! Seeded randomness from integer hashes: the same numbers on every machine, in any order, on any thread.
+//! Seeded random numbers from integer hashes: the same on every machine, in any order, on any thread.
 //!
-//! Nothing here calls a function of the mathematics library whose last bit could differ between machines; only additions,
+//! No function of the maths library is used whose last bit could differ between machines; only additions, multiplications,
+//! divisions and rounding.
 //! multiplications, divisions and rounding are used.
 
 use nalgebra::Vector3;
@@ -20,7 +21,7 @@ pub fn hash(words: &[u32]) -> u32 {
     words.iter().fold(0x2545_F491, |state, &word| extend(state, word))
 }
 
-/// Hash of the numbers before, whose hash is `state`, and of one more.
+/// Extends the hash `state` of previous numbers by one more.
 fn extend(state: u32, word: u32) -> u32 {
     mix(state.rotate_left(7) ^ mix(word.wrapping_add(0x68E3_1DA4)))
 }
@@ -30,7 +31,7 @@ pub fn unit(hash: u32) -> f64 {
     f64::from(hash >> 8) / f64::from(1u32 << 24)
 }
 
-/// Smooth random field over the plane or space: values at integer points, blended in between.
+/// Smooth random field over the plane or space: values at integer points, interpolated in between.
 #[derive(Clone, Copy, Debug)]
 pub struct ValueNoise {
     seed: u32,
@@ -99,14 +100,14 @@ pub struct ScatteredPoints {
     seed: u32,
 }
 
-/// The scattered point nearest to a place.
+/// The scattered point nearest to a position.
 #[derive(Clone, Copy, Debug)]
 pub struct NearestPoint {
     /// Distance to it.
     pub distance: f64,
     /// Distance to the second nearest.
     pub second_distance: f64,
-    /// Random number of its own.
+    /// Random number of this point.
     pub id: u32,
 }
 
@@ -147,10 +148,10 @@ pub fn smooth_step(from: f64, to: f64, x: f64) -> f64 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Offsets of neighbouring cells: the nearest points tend to lie in the first, and then most others need no look.
+/// Order of neighbouring cells: the nearest points are usually in the first ones, so that most others can be skipped.
 const NEAR_FIRST: [i32; 3] = [0, -1, 1];
 
-/// Distance from a place in a cell, 0 to 1, to the cell that lies `offset` cells further.
+/// Distance from a position in a cell, 0 to 1, to the cell `offset` cells away.
 fn gap(place: f64, offset: i32) -> f64 {
     match offset {
         0 => 0.0,
@@ -159,7 +160,8 @@ fn gap(place: f64, offset: i32) -> f64 {
     }
 }
 
-/// Integer part, rounded down, and the rest. Without `floor`, which is a call where the processor's own is not used.
+/// Integer part, rounded down, and the remainder. Without `floor`, which is a function call on processors without a native
+/// instruction.
 fn cell(x: f64) -> (i32, f64) {
     let toward_zero = x as i32;
     let floor = toward_zero.saturating_sub(i32::from(f64::from(toward_zero) > x));

@@ -1,9 +1,10 @@
-//! Whether an arm can follow an experiment from where it stands, and by how much it cannot.
+//! Checks whether an arm can follow an experiment from its base pose, and by how much it exceeds a limit.
 //!
-//! Both arms of the cell move with the target: one carries it, the other keeps a fixed place before it. So the way of either
-//! flange is rigidly tied to the target's ([`FlangePath`]), and [`check_experiment`] follows it by resolved rates, the same
-//! way in which the arms are driven: damped pseudo-inverse, without use of the redundant joint.
+//! Both arms of the workcell move with the target: one carries it, the other keeps a fixed pose relative to it. The path of
+//! either flange is therefore rigidly tied to the path of the target ([`FlangePath`]). [`check_experiment`] follows it by
+//! resolved-rate control, in the same way as the arms are driven: damped pseudo-inverse, without using the redundant joint.
 
+mod codes;
 mod refusal;
 
 use nalgebra::{Vector3, Vector6};
@@ -19,11 +20,11 @@ use crate::trajectory::Trajectory;
 
 pub use self::refusal::{PathRefusal, ToolSpeed};
 
-/// The drift of the integration is led back with this rate, 1/s.
+/// Gain that corrects the drift of the integration, 1/s.
 const CORRECTION_PER_S: f64 = 10.0;
-/// Farther off the path than this the arm does not follow it, m and rad.
+/// Maximum path deviation for the arm to count as following it, m and rad.
 const FOLLOWS_WITHIN: f64 = 1e-3;
-/// The way of a flange that is rigidly tied to a moving target, and of the tool on it.
+/// The path of a flange that is rigidly tied to a moving target, and of the tool on it.
 #[derive(Clone, Copy)]
 pub struct FlangePath<'a> {
     trajectory: &'a dyn Trajectory,
@@ -33,7 +34,7 @@ pub struct FlangePath<'a> {
 }
 
 impl<'a> FlangePath<'a> {
-    /// The flange of the arm that carries the target at `flange_from_target` and stands at `world_from_base`; the tool is the
+    /// The flange of the arm with base pose `world_from_base` that carries the target at `flange_from_target`; the tool is the
     /// target.
     pub fn of_carrier(
         trajectory: &'a dyn Trajectory,
@@ -44,8 +45,8 @@ impl<'a> FlangePath<'a> {
         Self { trajectory, base_from_world, target_from_flange, tool_in_target_m: Vector3::zeros() }
     }
 
-    /// The flange of the arm that stands at `world_from_base` and keeps its hand at `model_from_hand` before the target,
-    /// without lag or error; the tool is the hand. `target_from_model` says where on the target the model's frame is.
+    /// The flange of the arm with base pose `world_from_base` that keeps its hand at `model_from_hand` relative to the target,
+    /// without lag or error; the tool is the hand. `target_from_model` is the pose of the model frame on the target.
     pub fn of_follower(
         trajectory: &'a dyn Trajectory,
         world_from_base: &Pose<World, Base>,
@@ -62,7 +63,7 @@ impl<'a> FlangePath<'a> {
         }
     }
 
-    /// Pose of the flange `t_s` seconds after the beginning.
+    /// Pose of the flange `t_s` seconds after the start.
     pub fn base_from_flange_at(&self, t_s: f64) -> Pose<Base, Flange> {
         self.base_from_world * self.trajectory.pose_at(t_s) * self.target_from_flange
     }
@@ -86,26 +87,26 @@ impl<'a> FlangePath<'a> {
         (target.linear_m_per_s + target.angular_rad_per_s.cross(&lever), target.angular_rad_per_s)
     }
 
-    /// Seconds from beginning to end.
+    /// Duration, seconds.
     pub fn duration_s(&self) -> f64 {
         self.trajectory.duration_s()
     }
 }
 
-/// What an arm must keep along the whole path, besides its limits.
+/// Requirements along the whole path, in addition to the arm limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PathRequirements {
-    /// Smallest singular value of the Jacobian (metres and radians) that is accepted.
+    /// Minimum singular value of the Jacobian (metres and radians).
     pub singular_value_min: f64,
-    /// Distance that each joint keeps from the ends of its range, rad.
+    /// Minimum distance of each joint from the ends of its range, rad.
     pub limit_margin_rad: f64,
-    /// Largest speeds of the tool; `None`: any.
+    /// Maximum speeds of the tool; `None`: unlimited.
     pub tool_speed_max: Option<ToolSpeedMax>,
     /// Time between two checked points, seconds, 0.0005 to 0.1.
     pub step_s: f64,
 }
 
-/// Largest speeds of a tool.
+/// Maximum speeds of a tool.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToolSpeedMax {
     /// Of its origin, m/s, above 0.
@@ -115,7 +116,8 @@ pub struct ToolSpeedMax {
 }
 
 impl PathRequirements {
-    /// The requirements of the experiment: singular value 0.05, 3 degrees of margin, steps of 10 ms. The tool's speed is not limited.
+    /// The requirements of the experiment: singular value 0.05, 3 degrees of margin, steps of 10 ms. The tool speed is not
+    /// limited.
     pub const OF_EXPERIMENT: Self = Self {
         singular_value_min: 0.05,
         limit_margin_rad: 3.0 * std::f64::consts::PI / 180.0,
@@ -124,26 +126,26 @@ impl PathRequirements {
     };
 }
 
-/// The extreme of one number along a path, and when it occurred.
+/// The extreme of a value along a path, and its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extreme {
-    /// The number; its unit is that of the field that holds it.
+    /// The value; its unit is that of the field that holds it.
     pub value: f64,
-    /// Seconds after the beginning of the path.
+    /// Seconds after the start of the path.
     pub at_s: f64,
 }
 
-/// How an arm follows a path that it can follow.
+/// Results for a path that the arm can follow.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PathReport {
-    /// Joint angles at the beginning of the path, rad: reached from the given ones.
+    /// Joint angles at the start of the path, rad: reached from the given ones.
     pub begin_rad: JointVector,
-    /// Joint angles at the end, rad. They differ a little from the beginning even if the path is closed: resolved rates do
-    /// not return the redundant joint exactly.
+    /// Joint angles at the end, rad. They differ slightly from the start even for a closed path: resolved-rate control does not
+    /// return the redundant joint exactly.
     pub end_rad: JointVector,
     /// Smallest singular value of the Jacobian, metres and radians.
     pub singular_value_min: Extreme,
-    /// Largest joint speed per joint, as a share of what is allowed; 1 is just possible.
+    /// Largest speed of each joint, as a share of its limit; 1 is just possible.
     pub speed_ratio_max: [Extreme; DOF],
     /// Largest joint acceleration per joint, rad/s^2.
     pub acceleration_max_rad_per_s2: [Extreme; DOF],
@@ -151,20 +153,19 @@ pub struct PathReport {
     pub tool_linear_max_m_per_s: Extreme,
     /// Largest angular speed of the tool, rad/s.
     pub tool_angular_max_rad_per_s: Extreme,
-    /// Smallest distance to an end of the range per joint, rad.
+    /// Smallest distance of each joint to an end of its range, rad.
     pub limit_margin_min_rad: [Extreme; DOF],
     /// Largest distance between the flange and its path in the numerical integration, m.
     pub position_error_max_m: Extreme,
 }
 
-/// Follows `path` with the arm and states how near it comes to its limits.
+/// Follows `path` with the arm and reports the distances to its limits.
 ///
-/// The arm first goes from `start_rad` to the beginning of the path (without regard to speed), then follows it by resolved
-/// rates.
+/// The arm first moves from `start_rad` to the start of the path (ignoring speed), then follows it by resolved-rate control.
 ///
 /// # Errors
-/// The first place at which reach, joint range or singular value break a requirement; else the worst place of the whole path
-/// at which a joint must be too fast, or else the tool, or else a joint's change of speed.
+/// The first point at which reach, joint range or singular value violate a requirement. Otherwise the worst point of the whole
+/// path at which a joint is too fast, or the tool is too fast, or a joint acceleration is too high, in this order.
 pub fn check_experiment(
     chain: &Chain,
     limits: &EffectiveLimits,
@@ -230,7 +231,7 @@ impl PathReport {
         }
     }
 
-    /// Takes one point of the path into the extremes of the joints.
+    /// Updates the extremes of the joints with one point of the path.
     fn note_joints(
         &mut self,
         limits: &JointLimits,
@@ -256,12 +257,12 @@ impl PathReport {
         self.tool_angular_max_rad_per_s.raise(angular_rad_per_s, at_s);
     }
 
-    /// The joint that uses most of its allowed speed, and how much of it.
+    /// The joint with the largest share of its allowed speed, and this share.
     pub fn fastest_joint(&self) -> (usize, Extreme) {
         worst(&self.speed_ratio_max, |a, b| a > b)
     }
 
-    /// The joint that comes nearest to an end of its range, and how near (rad).
+    /// The joint nearest to an end of its range, and the distance (rad).
     pub fn tightest_joint(&self) -> (usize, Extreme) {
         worst(&self.limit_margin_min_rad, |a, b| a < b)
     }
@@ -324,7 +325,7 @@ fn check_range(
     })
 }
 
-/// The worst excess of a joint's range along the path: the first one says little about how much is missing.
+/// The largest range violation of a joint along the path: the first violation says little about the required change.
 #[derive(Default)]
 struct WorstRange {
     excess_rad: f64,
@@ -340,7 +341,7 @@ impl WorstRange {
         }
     }
 
-    /// A joint that had left its range before is the cause of what followed.
+    /// If a joint left its range earlier, that is the cause of the later refusal.
     fn or(&self, refusal: PathRefusal) -> PathRefusal {
         self.refusal.clone().unwrap_or(refusal)
     }
@@ -408,7 +409,7 @@ fn check_requirements(requirements: &PathRequirements) -> Result<(), PathRefusal
     }
 }
 
-/// Damping that only acts where the path is refused anyway.
+/// Damping that acts only where the path is refused anyway.
 fn damping(requirements: &PathRequirements) -> Result<Damping, PathRefusal> {
     let threshold = 0.5 * requirements.singular_value_min;
     Damping::new(threshold, threshold).map_err(|error| PathRefusal::Requirement {

@@ -1,7 +1,7 @@
 //! The renderer: stereo images of a scene, with exact ground truth.
 //!
-//! Geometry is exact: each pixel centre (integer coordinates) has its own ray, lens distortion included, and textures are
-//! read where that ray meets the surface. Surfaces are smoothed by filtered textures; pixels on an edge between surfaces are
+//! Geometry is exact: each pixel centre (integer coordinates) has its own ray, lens distortion included, and textures are sampled
+//! where that ray meets the surface. Surfaces are anti-aliased by filtered textures; pixels on an edge between surfaces are
 //! sampled sixteen times. The same scene, poses, seed and frame index give the same bytes on every machine and in any order.
 
 mod coverage;
@@ -28,10 +28,10 @@ use crate::sensor::{NoiseKey, SensorConfig, SensorError};
 use crate::targets::part::{SceneObject, ScenePart};
 use crate::wide::kernels;
 
-/// Light where nothing is seen, in 256ths of a grey level.
+/// Background light where no surface is visible, in 256ths of a grey level.
 const EMPTY: [u16; 3] = [96 << 8; 3];
 
-/// Why a renderer could not be made or used.
+/// Errors of the renderer.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RenderError {
     /// A camera of the rig cannot be rendered.
@@ -39,12 +39,12 @@ pub enum RenderError {
     Camera {
         /// `left` or `right`.
         eye: &'static str,
-        /// Why.
+        /// The reason.
         #[source]
         source: CameraError,
     },
     /// The images of the rig differ in size.
-    #[error("the left image is {}x{} and the right one {}x{}: the simulated pair needs equal sizes",
+    #[error("the left image is {}x{} and the right image {}x{}; the simulated pair needs equal sizes",
         left.width, left.height, right.width, right.height)]
     Sizes {
         /// Size of the left image.
@@ -56,22 +56,22 @@ pub enum RenderError {
     #[error(transparent)]
     Sensor(#[from] SensorError),
     /// An exposure without poses.
-    #[error("an exposure needs at least one moment to be rendered: it has none")]
+    #[error("the exposure has no poses; at least one is needed")]
     NoPoses,
 }
 
-/// What the left camera sees, exactly, per pixel centre.
+/// Exact ground truth of the left camera, per pixel centre.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GroundTruth {
     /// Size of the maps.
     pub size: ImageSize,
-    /// Depth (z in `cam_left`), metres, row-major; 0 where nothing is seen.
+    /// Depth (z in `cam_left`), metres, row-major; 0 where no surface is visible.
     pub depth_m: Vec<f32>,
-    /// The object seen.
+    /// The visible object.
     pub object: Vec<SceneObject>,
 }
 
-/// Calls both, each once, in any order or at the same time.
+/// A function that calls both closures once, in any order or in parallel.
 pub type RunBoth = fn(&mut (dyn FnMut() + Send), &mut (dyn FnMut() + Send));
 
 /// Renders stereo pairs of one scene with one rig.
@@ -107,16 +107,16 @@ impl StereoRenderer {
         Ok(Self { scene, rig, seed, eyes, run_both })
     }
 
-    /// The same with both images of a pair made by what `run_both` calls; the images do not depend on the order.
+    /// Renders both images of a pair through `run_both`; the images do not depend on the order of the calls.
     #[must_use]
     pub fn with_run_both(mut self, run_both: RunBoth) -> Self {
         self.run_both = run_both;
         self
     }
 
-    /// The same with surfaces sampled twice as fine along either axis and blurred by the lens before the pixels integrate
-    /// them, as light is: textures finer than a pixel make hardly any false patterns then. For measurements of thousandths
-    /// of a pixel; takes about five times as long.
+    /// Samples surfaces twice as finely along both axes and applies the lens blur before the pixel integration, as in a real
+    /// camera. Textures finer than a pixel then cause hardly any aliasing. For measurements of thousandths of a pixel; about five
+    /// times slower.
     ///
     /// # Errors
     /// A camera with a pixel that has no ray.
@@ -127,8 +127,8 @@ impl StereoRenderer {
         Ok(self)
     }
 
-    /// The same with cameras out of focus: standard deviation of a blur that comes on top of the sensor's
-    /// [`lens_blur_px`](SensorConfig::lens_blur_px), for the left and the right camera, pixels, 0 to 4.
+    /// Defocuses the cameras: standard deviation of a blur added to the sensor's [`lens_blur_px`](SensorConfig::lens_blur_px),
+    /// for the left and the right camera, pixels, 0 to 4.
     ///
     /// # Errors
     /// A blur out of range.
@@ -157,17 +157,17 @@ impl StereoRenderer {
         self.rig.left().size()
     }
 
-    /// Renders one pair, sharp: everything stands still at `poses`.
+    /// Renders one pair without motion blur, with everything stationary at `poses`.
     ///
-    /// `frame_index` selects the noise: use a new one for every pair. The images are made to size and overwritten.
+    /// `frame_index` selects the noise: use a new one for every pair. The images are resized and overwritten.
     pub fn render_pair(&mut self, poses: &ScenePoses, frame_index: u64, left: &mut RgbImage, right: &mut RgbImage) {
         self.expose(std::slice::from_ref(poses), frame_index, left, right);
     }
 
-    /// Renders one pair with motion blur: the mean of the light at several moments of the exposure.
+    /// Renders one pair with motion blur: the mean of the light at several times during the exposure.
     ///
     /// # Errors
-    /// If there is no moment.
+    /// No pose is given.
     pub fn render_exposure(
         &mut self,
         moments: &[ScenePoses],
@@ -191,14 +191,14 @@ impl StereoRenderer {
         });
     }
 
-    /// The left image without noise, quantisation and limits: red, green, blue, row-major, grey levels.
+    /// The left image without noise, quantisation and clipping: red, green, blue, row-major, grey levels.
     ///
-    /// The limit that the renderer's images approach with many exposures; for what depends on exact gradients.
+    /// It is the limit of the mean of many exposures; use it where exact gradients matter.
     pub fn ideal_left(&mut self, poses: &ScenePoses, image: &mut Vec<f32>) {
         self.eyes[0].ideal(&self.scene, poses, image);
     }
 
-    /// What the left camera sees at `poses`: depth and object of every pixel centre.
+    /// Depth and object of every pixel centre of the left camera at `poses`.
     pub fn ground_truth(&mut self, poses: &ScenePoses) -> GroundTruth {
         let seen = self.eyes[0].see(&self.scene, poses);
         let depth_m = seen.inv_z.iter().map(|&inv_z| if inv_z > 0.0 { 1.0 / inv_z } else { 0.0 }).collect();
@@ -220,7 +220,7 @@ fn object_of(scene: &Scene, seen: u32) -> SceneObject {
     if seen == NOTHING { SceneObject::Nothing } else { scene.parts()[(seen >> TRIANGLE_BITS) as usize].object }
 }
 
-/// Shades everything that one view sees.
+/// Shades everything visible in one view.
 fn shade(
     edges: &mut EdgePixels,
     view: &View,
@@ -234,7 +234,7 @@ fn shade(
     edges.shade(&seen, light);
 }
 
-/// What is shaded: the parts of the scene and their triangles as seen by one camera.
+/// Input of the shading: the parts of the scene and their triangles as seen by one camera.
 struct Seen<'a> {
     view: &'a View,
     visibility: &'a Visibility,
@@ -289,7 +289,7 @@ mod tests {
         let camera = |cx: f64| {
             let pinhole = Pinhole { fx: 231.0, fy: 229.0, cx, cy: 73.0 };
             let distortion = Distortion::BrownConrady5 { coefficients: [-0.2, 0.1, 0.001, -0.002, 0.0] };
-            // A width that is no multiple of any vector, so that remainders are used.
+            // A width that is not a multiple of any vector width, so that remainders are tested.
             Camera::new(ImageSize { width: 205, height: 147 }, pinhole, distortion).unwrap()
         };
         let rig =

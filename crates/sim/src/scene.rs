@@ -1,4 +1,4 @@
-//! What stands in the simulated cell, and where at one moment.
+//! Contents of the simulated workcell, and their poses at one time.
 
 use nalgebra::Vector3;
 use pb3dp_geometry::frames::{CamLeft, Target, World};
@@ -7,56 +7,56 @@ use pb3dp_geometry::{MonotonicTime, Pose};
 use crate::targets::part::{SceneError, ScenePart, check};
 use crate::targets::{self, BackdropConfig, TargetConfig, TargetModel};
 
-/// Where the moving things of the cell are at one moment. Metres.
+/// Poses of the moving parts of the workcell at one time. Metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScenePoses {
-    /// Pose of the left camera in `world`; the right one follows from the rig.
+    /// Pose of the left camera in `world`; the right camera follows from the rig.
     pub world_from_cam_left: Pose<World, CamLeft>,
     /// Pose of the carried target in `world`.
     pub world_from_target: Pose<World, Target>,
 }
 
-/// Tells where everything is at a given time: a script, or the simulated arms.
+/// Provides all poses at a given time: a script, or the simulated arms.
 ///
-/// Times asked for do not go back. With a running clock they lie in the past, by up to one period and one exposure of the
-/// camera (an image shows what was, not what is), so a source fed by live arms keeps that much history.
+/// Requested times never decrease. With a running clock they lie in the past, by up to one period and one exposure of the camera
+/// (an image shows the past), so a source fed by live arms stores that much history.
 pub trait PoseSource: Send {
     /// Poses at time `at`.
     fn poses_at(&mut self, at: MonotonicTime) -> ScenePoses;
 }
 
-/// Nothing moves.
+/// A constant scene.
 impl PoseSource for ScenePoses {
     fn poses_at(&mut self, _at: MonotonicTime) -> ScenePoses {
         *self
     }
 }
 
-/// Light in the cell: even light from everywhere and one wide lamp, without shadows.
+/// Light in the workcell: uniform ambient light and one wide lamp, without shadows.
 ///
-/// A surface gets `ambient + lamp (1 + cos a) / 2`, with a the angle between its normal and the direction to the lamp: it
-/// is brightest towards the lamp, falls smoothly, and never gets black.
+/// A surface receives `ambient + lamp (1 + cos a) / 2`, where a is the angle between its normal and the direction to the lamp. It
+/// is brightest towards the lamp, decreases smoothly, and never gets black.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lighting {
-    /// Light from everywhere.
+    /// Ambient light.
     pub ambient: f64,
     /// Light of the lamp on a surface that faces it.
     pub lamp: f64,
     /// Direction to the lamp in `world`; any length but zero.
     pub towards_lamp_in_world: Vector3<f64>,
-    /// The lamp's reflection on the surfaces; `None`: all surfaces are matt.
+    /// Specular reflection of the lamp; `None`: all surfaces are matt.
     pub highlight: Option<Highlight>,
 }
 
-/// The reflection of the lamp, as Phong has it: `strength (r . v)^exponent`, with r the mirrored direction to the lamp and
-/// v the direction to the camera. White, added to the surface's own colour, and different for the two cameras.
+/// Specular reflection of the lamp, Phong model: `strength (r . v)^exponent`, where r is the mirrored direction to the lamp and v
+/// the direction to the camera. White, added to the surface colour, and different for the two cameras.
 ///
-/// It is computed at the corners of the triangles and blended in between: triangles must be small beside the highlight.
+/// It is computed at the corners of the triangles and interpolated: triangles must be small compared with the highlight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Highlight {
     /// Light in the middle of the reflection, grey levels, 0 to 255.
     pub strength_grey: f64,
-    /// How narrow it is, 1 to 200: at 40 it has fallen to a half 11 degrees from its middle.
+    /// Sharpness, 1 to 200: at 40 the reflection has dropped to a half at 11 degrees from its centre.
     pub exponent: i32,
 }
 
@@ -68,7 +68,7 @@ impl Default for Lighting {
 }
 
 impl Lighting {
-    /// The same light everywhere, 1.
+    /// Uniform light of 1.
     pub const EVEN: Self =
         Self { ambient: 1.0, lamp: 0.0, towards_lamp_in_world: Vector3::new(0.0, 0.0, 1.0), highlight: None };
 
@@ -79,8 +79,8 @@ impl Lighting {
         self.ambient + self.lamp * (0.5 + 0.5 * cosine)
     }
 
-    /// The reflection towards a camera at `towards_camera_in_world` (any length) on a surface with the given unit normal,
-    /// grey levels.
+    /// The specular reflection towards a camera at `towards_camera_in_world` (any length) on a surface with the given unit
+    /// normal, grey levels.
     pub fn shine_on(
         &self,
         highlight: &Highlight,
@@ -96,27 +96,27 @@ impl Lighting {
     }
 }
 
-/// What the cell holds.
+/// Contents of the workcell.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneConfig {
     /// The target and its shape.
     pub target: TargetConfig,
     /// The panel behind it, if any.
     pub backdrop: Option<BackdropConfig>,
-    /// Light.
+    /// Lighting.
     pub lighting: Lighting,
-    /// Selects textures and bumps.
+    /// Seed of textures and bumps.
     pub seed: u32,
 }
 
 impl SceneConfig {
-    /// `target` over the usual backdrop under the usual light.
+    /// `target` in front of the default backdrop with the default lighting.
     pub fn new(target: TargetConfig) -> Self {
         Self { target, backdrop: Some(BackdropConfig::default()), lighting: Lighting::default(), seed: 1 }
     }
 }
 
-/// Everything that can be seen.
+/// All visible objects.
 #[derive(Clone, Debug)]
 pub struct Scene {
     parts: Vec<ScenePart>,
@@ -125,7 +125,7 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Makes the target, its backdrop and the room, with their textures. Takes some tenths of a second.
+    /// Creates the target, its backdrop and the room, with their textures. Takes some tenths of a second.
     ///
     /// # Errors
     /// A number out of its range.
@@ -148,7 +148,7 @@ impl Scene {
     /// A scene of given parts, for tests and other targets; parts that are listed first are drawn first.
     ///
     /// # Errors
-    /// If there are too many surfaces.
+    /// There are too many surfaces.
     pub fn from_parts(parts: Vec<ScenePart>, target: TargetModel, lighting: Lighting) -> Result<Self, SceneError> {
         let triangles = parts.iter().map(|part| part.mesh.triangles.len()).sum();
         if parts.len() > 4000 || triangles > 500_000 {
@@ -193,7 +193,7 @@ mod tests {
         let light = Lighting { towards_lamp_in_world: Vector3::new(3.0, 0.0, 3.0), ..Lighting::EVEN };
         let shine = |x: f64, y: f64, z: f64| light.shine_on(&highlight, &Vector3::z(), &Vector3::new(x, y, z));
         assert!((shine(-2.0, 0.0, 2.0) - 64.0).abs() < 1e-9);
-        // 10 degrees off the mirrored direction: cos(10 deg)^40 = 0.5420.
+        // 10 degrees from the mirrored direction: cos(10 deg)^40 = 0.5420.
         let (sin, cos) = 55.0f64.to_radians().sin_cos();
         assert!((shine(-sin, 0.0, cos) - 64.0 * 0.5420).abs() < 0.02, "{}", shine(-sin, 0.0, cos));
         assert_eq!(shine(1.0, 0.0, 1.0), 0.0);
@@ -206,6 +206,6 @@ mod tests {
         let mut config = SceneConfig::new(TargetConfig::crab(0.010));
         config.lighting.ambient = -1.0;
         let message = Scene::build(&config).unwrap_err().to_string();
-        assert_eq!(message, "scene parameter lighting.ambient is -1: set it between 0 and 4");
+        assert_eq!(message, "scene parameter lighting.ambient is -1; set it between 0 and 4");
     }
 }

@@ -1,4 +1,4 @@
-//! From the light on the sensor to the image: lens blur, exposure, gain, noise, quantisation.
+//! Sensor model, from light to image: lens blur, exposure, gain, noise, quantisation.
 //!
 //! Grey levels are proportional to light (no gamma): a surface of texture colour 200 under light 1 gives grey level 200.
 
@@ -7,7 +7,7 @@ use pb3dp_computing::wide;
 use crate::noise;
 use crate::wide::kernels;
 
-/// What the two sensors do to the light.
+/// Parameters of the two sensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorConfig {
     /// Standard deviation of the lens blur in pixels, 0 to 0.7.
@@ -23,8 +23,8 @@ pub struct SensorConfig {
 }
 
 impl Default for SensorConfig {
-    /// A good machine-vision pair that is not photometrically calibrated: noise of 2 grey levels in mid-grey, and a right
-    /// camera that is a little brighter and warmer.
+    /// A good machine-vision pair without photometric calibration: noise of 2 grey levels in mid-grey, and a right camera that is
+    /// slightly brighter and warmer.
     fn default() -> Self {
         Self {
             lens_blur_px: 0.5,
@@ -37,7 +37,7 @@ impl Default for SensorConfig {
 }
 
 impl SensorConfig {
-    /// A perfect sensor: no blur, no noise, equal responses; only quantisation is left.
+    /// A perfect sensor: no blur, no noise, equal responses; only quantisation remains.
     pub const IDEAL: Self = Self {
         lens_blur_px: 0.0,
         read_noise_grey: 0.0,
@@ -84,11 +84,11 @@ impl EyeResponse {
     pub const NEUTRAL: Self = Self { exposure: 1.0, gain: [1.0; 3], offset_grey: [0.0; 3] };
 }
 
-/// A sensor parameter was refused.
+/// A sensor parameter is out of its range.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("sensor parameter {name} is {value}: set it between {min} and {max}")]
+#[error("sensor parameter {name} is {value}; set it between {min} and {max}")]
 pub struct SensorError {
-    /// Which parameter.
+    /// Name of the parameter.
     pub name: &'static str,
     /// Its value.
     pub value: f64,
@@ -98,7 +98,7 @@ pub struct SensorError {
     pub max: f64,
 }
 
-/// Which noise an image gets: every combination has noise of its own.
+/// Selects the noise of an image: every combination has different noise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct NoiseKey {
     pub(crate) seed: u32,
@@ -113,7 +113,7 @@ const BYTES_INVERSE_SIGMA: f32 = 0.006_765_875;
 /// Adding this to a number below 2^22 leaves the number, rounded, in the low bits of the sum.
 const ROUNDING: f32 = 8_388_608.0;
 
-/// Turns light into images, one row at a time.
+/// Converts light to images, one row at a time.
 #[derive(Clone, Debug)]
 pub(crate) struct Developer {
     scale: [f32; 3],
@@ -122,7 +122,7 @@ pub(crate) struct Developer {
     shot_variance: f32,
     /// Weight of each neighbour in the blur, in 1/65536.
     blur_weight: u32,
-    /// One row, blurred along the columns, with one pixel more on either side.
+    /// One row, blurred along the columns, with one additional pixel on either side.
     row: Vec<u16>,
     blurred: Vec<u16>,
 }
@@ -141,18 +141,18 @@ impl Developer {
         }
     }
 
-    /// Spreads the light of a whole image by a lens that is out of focus: standard deviation `sigma_px`, on top of the
-    /// blur of the sensor's own lens. `light` as in [`Self::develop`].
+    /// Defocuses the light of a whole image: standard deviation `sigma_px`, in addition to the blur of the sensor's lens. `light`
+    /// as in [`Self::develop`].
     pub(crate) fn defocus(&mut self, light: &mut [u16], sigma_px: f64) {
         spread(light, self.blurred.len(), sigma_px);
     }
 
-    /// The light comes blurred: the lens adds nothing.
+    /// Disables the lens blur, for light that is already blurred.
     pub(crate) fn leave_blur_out(&mut self) {
         self.blur_weight = 0;
     }
 
-    /// The image without noise, quantisation and limits, grey levels; `light` as in [`Self::develop`].
+    /// The image without noise, quantisation and clipping, grey levels; `light` as in [`Self::develop`].
     pub(crate) fn develop_ideal(&mut self, light: &[u16], image: &mut Vec<f32>) {
         let stride = self.blurred.len();
         let rows = light.len() / stride;
@@ -167,7 +167,7 @@ impl Developer {
         }
     }
 
-    /// Develops a whole image: `light` in 256ths of a grey level, red, green, blue, row-major.
+    /// Converts a whole image: `light` in 256ths of a grey level, red, green, blue, row-major.
     pub(crate) fn develop(&mut self, light: &[u16], key: &NoiseKey, image: &mut [u8]) {
         develop(kernels(), self, light, key, image);
     }
@@ -194,7 +194,7 @@ impl Developer {
 
     #[inline(always)]
     fn expose_row(&self, light: &[u16], keys: [u32; 2], first_index: u32, out: &mut [u8]) {
-        // Values of eight whole pixels: a pattern of gains that vector units of any width like.
+        // Values of eight whole pixels: a pattern of gains suitable for vector units of any width.
         const PERIOD: usize = 24;
         let scale: [f32; PERIOD] = std::array::from_fn(|i| self.scale[i % 3]);
         let offset: [f32; PERIOD] = std::array::from_fn(|i| self.offset[i % 3]);
@@ -222,7 +222,7 @@ wide! {
     fn develop(developer: &mut Developer, light: &[u16], key: &NoiseKey, image: &mut [u8]) = Developer::develop_kernel;
 }
 
-/// Spreads the light of an image whose rows have `stride` values by a standard deviation `sigma_px`.
+/// Blurs an image whose rows have `stride` values with a standard deviation `sigma_px`.
 pub(crate) fn spread(light: &mut [u16], stride: usize, sigma_px: f64) {
     // Passes of a kernel (w, 1 - 2w, w) add their variances, 2w each; up to 0.49 the kernel has no side lobes.
     let variance = sigma_px * sigma_px;
@@ -246,7 +246,7 @@ wide! {
     fn blur_line(lines: [&[u16]; 3], weight: u32, padded: &mut [u16], out: &mut [u16]) = blur_row;
 }
 
-/// A nearly normal number: the sum of four random bytes, mean 0, variance 1, never beyond 3.46.
+/// An approximately normal number: the sum of four random bytes, mean 0, variance 1, within 3.46.
 #[inline(always)]
 fn standard_noise(index: u32, keys: [u32; 2]) -> f32 {
     let mut x = index.wrapping_mul(0x9E37_79B1) ^ keys[0];
@@ -258,7 +258,7 @@ fn standard_noise(index: u32, keys: [u32; 2]) -> f32 {
     (sum as i32 as f32 - BYTES_MEAN) * BYTES_INVERSE_SIGMA
 }
 
-/// Blurs with the kernel (w, 1 - 2w, w) along columns, then along rows; image borders are repeated.
+/// Blurs with the kernel (w, 1 - 2w, w) along columns, then along rows; border pixels are replicated.
 #[inline(always)]
 fn blur_row(lines: [&[u16]; 3], weight: u32, padded: &mut [u16], out: &mut [u16]) {
     let centre = 65536 - 2 * weight;
@@ -387,7 +387,7 @@ mod tests {
         let config = SensorConfig { lens_blur_px: 1.5, ..SensorConfig::IDEAL };
         assert_eq!(
             config.validate().unwrap_err().to_string(),
-            "sensor parameter lens_blur_px is 1.5: set it between 0 and 0.7"
+            "sensor parameter lens_blur_px is 1.5; set it between 0 and 0.7"
         );
         let mut config = SensorConfig::default();
         config.validate().unwrap();

@@ -1,7 +1,7 @@
-//! Targets, backdrop and room: meshes and textures made from a seed. All are own work; there are no images in here.
+//! Targets, backdrop and room: meshes and textures generated from a seed. All are original; this crate contains no image files.
 //!
-//! A target's frame `target` has its origin at the target's centre on its front plane, x right, y down and z away from the
-//! cameras when it is seen frontally: the axes of the `model` frame.
+//! The frame `target` has its origin at the target centre on its front plane, x right, y down and z away from the cameras when
+//! seen frontally: the axes of the `model` frame.
 
 pub mod backdrop;
 pub mod board;
@@ -28,7 +28,7 @@ use texture::Texture;
 
 use crate::targets::part::{Anchor, SceneError, SceneObject, ScenePart, check};
 
-/// Which target, and its shape.
+/// The target and its shape.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TargetConfig {
     /// A crab, about 110 mm wide, mostly of one hue (14 degrees +- 8) with dark spots.
@@ -66,22 +66,22 @@ impl TargetConfig {
         Self::Crab { relief_m }
     }
 
-    /// The card in its usual size.
+    /// The card in its default size.
     pub const fn card() -> Self {
         Self::Card { size_m: [0.12, 0.09] }
     }
 
-    /// The box in its usual size.
+    /// The box in its default size.
     pub const fn grey_box() -> Self {
         Self::GreyBox { size_m: [0.11, 0.085, 0.06] }
     }
 
-    /// The potato in its usual size.
+    /// The potato in its default size.
     pub const fn potato() -> Self {
         Self::Potato { size_m: [0.115, 0.08, 0.07] }
     }
 
-    /// Name as it stands in configurations: `crab`, `card`, `box`, `potato`; of a board, which stands in none, `chessboard`.
+    /// Name in configurations: `crab`, `card`, `box`, `potato`; `chessboard` for a board, which no configuration uses.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Crab { .. } => "crab",
@@ -93,13 +93,13 @@ impl TargetConfig {
     }
 }
 
-/// What is known about a target besides its image.
+/// Geometry of a target.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TargetModel {
     /// `crab`, `card`, `box`, `potato`, `chessboard`.
     pub name: &'static str,
-    /// The target's outline seen frontally from half a metre, as points on its surface in `target`, metres; the last point is
-    /// joined to the first. Projected into the left image it is the region that an operator would draw.
+    /// The target's outline seen frontally from half a metre, as points on its surface in `target`, metres; the polygon is
+    /// closed. Projected into the left image it is the region that an operator would draw.
     ///
     /// The front plane is z = 0: the front face of a flat target, the mean over the visible front of a relief or solid.
     pub outline_m: Vec<Point3<f64>>,
@@ -107,14 +107,14 @@ pub struct TargetModel {
     pub rear_z_m: f64,
 }
 
-/// A target in the making: any origin.
+/// A target under construction, with any origin.
 pub(crate) struct Draft {
     pub(crate) name: &'static str,
     pub(crate) surfaces: Vec<(Mesh, Arc<Texture>)>,
     pub(crate) outline_m: Vec<Point3<f64>>,
 }
 
-/// Makes a target.
+/// Creates a target.
 ///
 /// # Errors
 /// A number out of its range.
@@ -130,7 +130,7 @@ pub fn build(config: &TargetConfig, seed: u32) -> Result<(TargetModel, Vec<Scene
     Ok(finish(draft))
 }
 
-/// What [`build`] knows of a target, without its textures: for whoever renders nothing.
+/// The geometry of [`build`], without textures: for simulations that render nothing.
 ///
 /// # Errors
 /// A number out of its range.
@@ -168,12 +168,12 @@ fn check_config(config: &TargetConfig) -> Result<(), SceneError> {
     sizes.iter().try_for_each(|&size| check("target.size_m", size, 0.02, 0.4))
 }
 
-/// Width and height of a chessboard with so many inner corners and the white around it, metres.
+/// Width and height of a chessboard with these inner corners, including the white border, metres.
 pub fn board_size_m(corners: [u32; 2], square_m: f64) -> [f64; 2] {
     corners.map(|corners| f64::from(corners + 3) * square_m)
 }
 
-/// Makes a target of the crab's outline and relief (metres, 0 to 0.04) in any paint: for measurements in which only the
+/// Creates a target with the crab's outline and relief (metres, 0 to 0.04) in any paint: for measurements in which only the
 /// texture differs.
 ///
 /// # Errors
@@ -184,7 +184,7 @@ pub fn build_painted(paint: Paint, relief_m: f64, seed: u32) -> Result<(TargetMo
     Ok(finish(Draft { name: paint.name(), ..crab::build_with(relief_m, seed, texture) }))
 }
 
-/// Moves the origin to the outline's centroid on the front plane.
+/// Moves the origin to the centroid of the outline on the front plane.
 fn finish(mut draft: Draft) -> (TargetModel, Vec<ScenePart>) {
     let (area, moments) = draft
         .surfaces
@@ -260,7 +260,7 @@ mod tests {
     #[test]
     fn sizes_out_of_range_are_refused() {
         let error = build(&TargetConfig::Card { size_m: [0.12, 4.0] }, 1).unwrap_err().to_string();
-        assert_eq!(error, "scene parameter target.size_m is 4: set it between 0.02 and 0.4");
+        assert_eq!(error, "scene parameter target.size_m is 4; set it between 0.02 and 0.4");
         assert!(build(&TargetConfig::crab(f64::NAN), 1).is_err());
     }
 }

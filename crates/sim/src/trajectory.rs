@@ -1,7 +1,7 @@
-//! How the target moves: the twelve marked steps of the paper's Fig. 7, and sinusoids for the frequency response.
+//! Target motions: the twelve marked steps of the paper's Fig. 7, and sinusoids for the frequency response.
 //!
-//! A trajectory gives the target's pose in `world` as a function of the seconds since it began. Rotations turn the target
-//! about its own origin, which stays where it is. Time comes from the caller; nothing here reads a clock.
+//! A trajectory gives the target pose in `world` as a function of the seconds since its start. Rotations turn the target about
+//! its own origin, which stays fixed. Time is an input; nothing here reads a clock.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_geometry::frames::{Target, World};
 use pb3dp_geometry::{Pose, Twist};
 
-/// One of the six ways in which the target moves.
+/// One of the six motion axes of the target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Channel {
     /// Translation along x.
@@ -43,12 +43,12 @@ impl Channel {
         }
     }
 
-    /// The channel of that [`Self::name`].
+    /// The channel with this [`Self::name`].
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|channel| channel.name() == name)
     }
 
-    /// Whether the channel turns the target; otherwise it moves it.
+    /// Whether the channel rotates the target; otherwise it translates it.
     pub fn is_rotation(self) -> bool {
         matches!(self, Self::Rx | Self::Ry | Self::Rz)
     }
@@ -63,7 +63,7 @@ impl Channel {
     }
 }
 
-/// Which frame's axes the words x, y, z of an experiment mean. They stay fixed while the target moves.
+/// The frame whose axes are meant by x, y, z of an experiment. The axes stay fixed while the target moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExperimentAxes {
     /// The axes of `world`: z up.
@@ -73,14 +73,14 @@ pub enum ExperimentAxes {
     TargetAtStart,
 }
 
-/// A moment of the experiment that reports and plots mark.
+/// A time in the experiment that reports and plots mark.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mark {
-    /// Counts from 1, as (1) to (12) in Fig. 7.
+    /// Number from 1, as (1) to (12) in Fig. 7.
     pub number: usize,
-    /// Seconds since the trajectory began.
+    /// Seconds since the start of the trajectory.
     pub at_s: f64,
-    /// What begins here: `x +100 mm`, `rz back`.
+    /// The motion that begins here: `x +100 mm`, `rz back`.
     pub label: String,
 }
 
@@ -88,51 +88,51 @@ pub struct Mark {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TrajectoryError {
     /// A number is out of its range.
-    #[error("trajectory parameter {key} is {value}: allowed is {allowed}")]
+    #[error("trajectory parameter {key} is {value}; allowed is {allowed}")]
     Parameter {
-        /// Which parameter.
+        /// Name of the parameter.
         key: &'static str,
         /// Its value.
         value: f64,
-        /// What is allowed.
+        /// The allowed values.
         allowed: &'static str,
     },
     /// Nothing would move.
-    #[error("trajectory parameter channels is empty: name at least one of x, y, z, rx, ry, rz")]
+    #[error("trajectory parameter channels is empty; give at least one of x, y, z, rx, ry, rz")]
     NoChannels,
 }
 
-/// A motion of the target in the cell.
+/// A motion of the target in the workcell.
 pub trait Trajectory: Send + Sync {
-    /// Pose of the target `t_s` seconds after the beginning; before it the start pose, behind the end the last one.
+    /// Target pose `t_s` seconds after the start; the start pose before it, the last pose after the end.
     fn pose_at(&self, t_s: f64) -> Pose<World, Target>;
 
     /// Velocity of the target's origin and its angular velocity at that time, both expressed in `world`.
     fn twist_at(&self, t_s: f64) -> Twist<World>;
 
-    /// What reports mark, in the order of time.
+    /// The marks for reports, in the order of time.
     fn marks(&self) -> &[Mark];
 
-    /// Seconds from beginning to end.
+    /// Duration, seconds.
     fn duration_s(&self) -> f64;
 }
 
-/// Numbers of the step experiment; lengths and angles may be negative to turn the direction round.
+/// Parameters of the step experiment; negative lengths and angles reverse the direction.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepExperimentConfig {
-    /// Which channels move, one after another, each there and back.
+    /// The channels that move, one after another, each out and back.
     pub channels: Vec<Channel>,
-    /// Way of a translation, metres, -1 to 1.
+    /// Displacement of a translation, metres, -1 to 1.
     pub translation_m: f64,
-    /// Way of a rotation, radians, -pi to pi (exclusive).
+    /// Angle of a rotation, radians, -pi to pi (exclusive).
     pub rotation_rad: f64,
-    /// Duration of each move, seconds, 0.05 to 600; or 0: the target is there at once, as no arm could carry it.
+    /// Duration of each move, seconds, 0.05 to 600; or 0: an instantaneous jump, which no arm could follow.
     pub move_s: f64,
-    /// Rest behind each move, seconds, 0 to 600; 0.05 to 600 behind sudden ones.
+    /// Hold time after each move, seconds, 0 to 600; 0.05 to 600 after jumps.
     pub hold_s: f64,
-    /// Rest before the first move, seconds, 0 to 600: time for the hand to reach its place.
+    /// Hold time before the first move, seconds, 0 to 600: time for the hand to reach its pose.
     pub lead_in_s: f64,
-    /// Which axes are meant.
+    /// The frame of the axes.
     pub axes: ExperimentAxes,
 }
 
@@ -151,7 +151,7 @@ impl Default for StepExperimentConfig {
     }
 }
 
-/// The experiment of Fig. 7: each channel in turn goes out and returns by minimum-jerk moves with rests between.
+/// The experiment of Fig. 7: each channel in turn moves out and back by minimum-jerk moves with holds between them.
 #[derive(Clone, Debug)]
 pub struct StepExperiment {
     config: StepExperimentConfig,
@@ -160,7 +160,7 @@ pub struct StepExperiment {
 }
 
 impl StepExperiment {
-    /// The experiment that begins with the target at `world_from_target`.
+    /// The experiment that starts with the target at `world_from_target`.
     ///
     /// # Errors
     /// A parameter out of its range, or no channel.
@@ -170,7 +170,7 @@ impl StepExperiment {
         }
         check_amplitudes(config.translation_m, config.rotation_rad)?;
         if config.move_s == 0.0 {
-            in_range("hold_s", config.hold_s, 0.05, 600.0, "0.05 to 600 s behind sudden moves")?;
+            in_range("hold_s", config.hold_s, 0.05, 600.0, "0.05 to 600 s after sudden moves")?;
         } else {
             in_range("move_s", config.move_s, 0.05, 600.0, "0, or 0.05 to 600 s")?;
             in_range("hold_s", config.hold_s, 0.0, 600.0, "0 to 600 s")?;
@@ -221,12 +221,12 @@ impl Trajectory for StepExperiment {
     }
 }
 
-/// A target that rests.
+/// A stationary target.
 #[derive(Clone, Debug)]
 pub struct AtRest {
-    /// Where it is.
+    /// Pose of the target.
     pub world_from_target: Pose<World, Target>,
-    /// For how long, seconds.
+    /// Duration, seconds.
     pub duration_s: f64,
 }
 
@@ -248,25 +248,25 @@ impl Trajectory for AtRest {
     }
 }
 
-/// Numbers of a sinusoid.
+/// Parameters of a sinusoid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SineConfig {
-    /// Which channel moves.
+    /// The channel that moves.
     pub channel: Channel,
-    /// Half of the way from one end to the other: metres, -1 to 1, or radians, -pi to pi (exclusive).
+    /// Amplitude: metres, -1 to 1, or radians, -pi to pi (exclusive).
     pub amplitude: f64,
     /// Duration of one period, seconds, 0.1 to 600.
     pub period_s: f64,
     /// Periods at full amplitude, 1 to 1000.
     pub periods: u32,
-    /// Rest before the motion, seconds, 0 to 600.
+    /// Hold time before the motion, seconds, 0 to 600.
     pub lead_in_s: f64,
-    /// Which axes are meant.
+    /// The frame of the axes.
     pub axes: ExperimentAxes,
 }
 
 impl SineConfig {
-    /// Beginning and end of the part at full amplitude, seconds: what a frequency response is taken from.
+    /// Start and end of the part at full amplitude, seconds; used for the frequency response.
     pub fn steady_s(&self) -> (f64, f64) {
         let from = self.lead_in_s + self.period_s;
         (from, from + self.period_s * f64::from(self.periods))
@@ -274,7 +274,7 @@ impl SineConfig {
 }
 
 /// A sinusoid on one channel: grows over one period, stays at full amplitude, fades over one period. Position, velocity and
-/// acceleration are continuous, so that an arm can follow from rest.
+/// acceleration are continuous, so that an arm can follow from standstill.
 #[derive(Clone, Debug)]
 pub struct Sine {
     config: SineConfig,
@@ -339,17 +339,17 @@ impl Trajectory for Sine {
     }
 }
 
-/// A motion of the target by its numbers.
+/// A motion of the target, by its parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub enum MotionConfig {
-    /// Moves out and back with rests between.
+    /// Moves out and back with holds between them.
     Steps(StepExperimentConfig),
     /// A sinusoid of one channel.
     Sine(SineConfig),
 }
 
 impl MotionConfig {
-    /// The motion that begins with the target at `world_from_target`.
+    /// The motion that starts with the target at `world_from_target`.
     ///
     /// # Errors
     /// A parameter out of its range, or no channel.
@@ -360,7 +360,7 @@ impl MotionConfig {
         })
     }
 
-    /// Which axes are meant.
+    /// The frame of the axes.
     pub fn axes(&self) -> ExperimentAxes {
         match self {
             Self::Steps(config) => config.axes,
@@ -368,20 +368,20 @@ impl MotionConfig {
         }
     }
 
-    /// Whether the target is elsewhere at once.
+    /// Whether the target jumps.
     pub fn is_sudden(&self) -> bool {
         matches!(self, Self::Steps(config) if config.move_s == 0.0)
     }
 }
 
-/// How far (m or rad) and how fast (per second) the target is off its start along one channel.
+/// Displacement (m or rad) and velocity (per second) of the target along one channel.
 struct Displacement {
     channel: Channel,
     value: f64,
     rate: f64,
 }
 
-/// Where the target started, and the axes that the channels mean.
+/// Start pose of the target, and the axes of the channels.
 #[derive(Clone, Copy, Debug)]
 struct StartFrame {
     start: Pose<World, Target>,
@@ -422,7 +422,8 @@ impl StartFrame {
     }
 }
 
-/// Share of the way (0 to 1) of a minimum-jerk move at the share `s` of its time, and its derivative by `s`.
+/// Position (share of the displacement, 0 to 1) of a minimum-jerk move at the share `s` of its time, and its derivative with
+/// respect to `s`.
 fn minimum_jerk(s: f64) -> (f64, f64) {
     let s = s.clamp(0.0, 1.0);
     let share = s * s * s * (10.0 + s * (-15.0 + s * 6.0));
@@ -434,7 +435,7 @@ fn way(channel: Channel, translation_m: f64, rotation_rad: f64) -> f64 {
     if channel.is_rotation() { rotation_rad } else { translation_m }
 }
 
-/// `+100 mm` or `-20 deg`: millimetres and degrees for the reader.
+/// `+100 mm` or `-20 deg`: millimetres and degrees for display.
 fn way_text(channel: Channel, way: f64) -> String {
     if channel.is_rotation() { format!("{:+.4} deg", way.to_degrees()) } else { format!("{:+.4} mm", way * 1e3) }
         .replace(".0000", "")

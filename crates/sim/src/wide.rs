@@ -1,8 +1,8 @@
-//! Which vectors the kernels of the renderer and the sensor use. All give the same bits; a test of the renderer compares them.
+//! Selection of the vector kernels of the renderer and the sensor. All give the same bits; a test of the renderer compares them.
 
 use pb3dp_computing::cpu::Kernels;
 
-/// The fastest kernels of this processor (or those that a test has chosen).
+/// The fastest kernels of this processor (or those selected by a test).
 pub(crate) fn kernels() -> Kernels {
     #[cfg(test)]
     if let Some(chosen) = tests::CHOSEN.with(std::cell::Cell::get) {

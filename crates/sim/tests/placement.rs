@@ -1,4 +1,4 @@
-//! The default cell: both arms follow the experiment of Fig. 7 well away from singular poses and limits; other places and
+//! The default workcell: both arms follow the experiment of Fig. 7 well away from singular poses and limits; other base poses and
 //! motions are refused with the reason.
 #![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
 
@@ -15,8 +15,8 @@ use pb3dp_sim::trajectory::{
     Channel, ExperimentAxes, Sine, SineConfig, StepExperiment, StepExperimentConfig, Trajectory,
 };
 
-/// Start angles of the arm with the cameras and of the arm with the target, rad: both flanges stand 0.25 m above their bases
-/// and look along the x axis of the base, 0.68 m and 0.66 m before it, elbow up.
+/// Start angles of the arm with the cameras and of the arm with the target, rad: both flanges are 0.25 m above their bases and
+/// point along the x axis of the base, 0.68 m and 0.66 m in front of it, elbow up.
 const VS_START_RAD: [f64; 7] = [0.0, 0.792_674_858, 0.0, 1.701_517_843, 0.0, -0.923_396_375, 0.0];
 const TC_START_RAD: [f64; 7] = [0.0, 0.766_062_566, 0.0, 1.757_789_259, 0.0, -0.953_055_499, 0.0];
 
@@ -24,10 +24,10 @@ fn chain() -> Chain {
     Chain::from_urdf_str(include_str!("../../../configs/robots/pa10_gen2.urdf"), "base_link", "flange").unwrap()
 }
 
-/// The operating tier, degrees to either side.
+/// The operating range, degrees to either side.
 const OPERATING_DEG: [f64; 7] = [170.0, 88.0, 168.0, 131.0, 249.0, 159.0, 249.0];
 
-/// This share of the speeds, in a range of the same size to either side, with drives that are strong enough for anything.
+/// This share of the speeds, in a range of the same size to either side, with drives of sufficient acceleration for any motion.
 fn stated(chain: &Chain, speed_scale: f64, operating_deg: [f64; 7]) -> StatedLimits {
     let max = JointVector::from(operating_deg).map(f64::to_radians);
     StatedLimits {
@@ -54,13 +54,13 @@ fn world_from_tc_base() -> Pose<World, Base> {
     Pose::from_parts(Vector3::new(1.0, 0.0, 0.7), turned)
 }
 
-/// Camera bracket: 60 mm before the flange; at a joint angle of 0 the flange's x axis points down, so a quarter turn makes
-/// the hand's x point to the right.
+/// Camera bracket: 60 mm in front of the flange; at a joint angle of 0 the flange's x axis points down, so a quarter turn makes
+/// the hand's x axis point to the right.
 fn flange_from_hand() -> Pose<Flange, Hand> {
     Pose::from_parts(Vector3::new(0.0, 0.0, 0.06), UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -FRAC_PI_2))
 }
 
-/// The panel stands 100 mm before the flange; the target's z points back into the arm, its y down.
+/// The panel is 100 mm in front of the flange; the target's z axis points back into the arm, its y axis down.
 fn flange_from_target() -> Pose<Flange, Target> {
     let axes = Matrix3::new(0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0);
     Pose::from_rotation_matrix(&axes, Vector3::new(0.0, 0.0, 0.1))
@@ -121,7 +121,7 @@ fn the_default_cell_starts_with_the_hand_500_mm_before_the_target_axes_parallel(
     let hand_from_target = world_from_hand.inverse() * world_from_target(&chain);
     assert!((hand_from_target.translation_m() - Vector3::new(0.0, 0.0, 0.5)).norm() < 1e-8, "{hand_from_target:?}");
     assert!(hand_from_target.rotation_angle_rad() < 1e-8, "{hand_from_target:?}");
-    // The cameras look along world x, their right is world -y, their down world -z.
+    // The cameras point along world x, their right is world -y, their down is world -z.
     let axes = world_from_hand.rotation_matrix();
     let expected = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
     assert!((axes - expected).norm() < 1e-8, "{axes}");
@@ -139,7 +139,7 @@ fn both_arms_stay_away_from_singular_poses_and_limits_in_either_direction() {
                 assert!(report.fastest_joint().1.value < speed_ratio, "{arm:?} {sign} {axes:?}: {report:#?}");
                 assert!(report.tightest_joint().1.value > 15f64.to_radians(), "{arm:?} {sign} {axes:?}: {report:#?}");
                 assert!(report.position_error_max_m.value < 1e-6, "{arm:?} {sign} {axes:?}: {report:#?}");
-                // The accelerations that a careful driver allows: 2 rad/s^2 at shoulder and elbow, 5 at the wrist.
+                // Accelerations allowed by a careful driver: 2 rad/s^2 at shoulder and elbow, 5 at the wrist.
                 for (joint, peak) in report.acceleration_max_rad_per_s2.iter().enumerate() {
                     assert!(peak.value < if joint < 4 { 2.0 } else { 5.0 }, "{arm:?} joint {joint}: {peak:?}");
                 }
@@ -150,7 +150,7 @@ fn both_arms_stay_away_from_singular_poses_and_limits_in_either_direction() {
 
 #[test]
 fn a_report_agrees_with_the_chain_itself() {
-    // Where the arm ends is on the path, and the speeds are those between neighbouring solutions.
+    // The end pose is on the path, and the speeds match the differences of neighbouring solutions.
     let chain = chain();
     let one = |step_s: f64| {
         let experiment = steps(StepExperimentConfig { channels: vec![Channel::Rx], ..Default::default() });
@@ -211,13 +211,13 @@ fn a_change_of_speed_that_the_drives_do_not_allow_is_refused_by_joint_and_ratio(
     assert_eq!((joint, at_s, needed_rad_per_s2, allowed_rad_per_s2), (1, peak.at_s, peak.value, most[1]));
     assert!((ratio - 1.25).abs() < 1e-12, "{message}");
     assert!(message.contains("1.25 times too much") && message.contains("1.12-fold"), "{message}");
-    // What the message advises helps.
+    // The advice of the message works.
     assert!(check(1.13).is_ok());
 }
 
 #[test]
 fn a_tool_that_would_be_too_fast_is_refused_by_quantity_and_ratio() {
-    // The speed of a smooth move is at most 15/8 of its mean; turning the target swings the hand about it at 500 mm.
+    // The speed of a smooth move is at most 15/8 of its mean; rotating the target swings the hand about it at 500 mm.
     let most_joints = limits(&chain(), 0.6);
     let angular = 15.0 / 8.0 * 20f64.to_radians() / 2.0;
     let most = |linear_m_per_s, angular_rad_per_s| PathRequirements {
@@ -237,7 +237,7 @@ fn a_tool_that_would_be_too_fast_is_refused_by_quantity_and_ratio() {
         assert!((needed - speed).abs() < 1e-6 && (allowed - 0.8 * speed).abs() < 1e-12, "{message}");
         assert!((ratio - 1.25).abs() < 1e-4 && at_s > 3.0, "{message}");
         assert!(message.contains(unit) && message.contains("1.25 times too fast"), "{message}");
-        // Enough is enough, and the arm that carries the target does not swing with it.
+        // The advised duration is sufficient, and the arm that carries the target does not swing with it.
         assert!(check_for(CellArm::Vs, &one_axis(channel, 2.51), &most_joints, &requirements).is_ok());
     }
     let carrier = check_for(CellArm::Tc, &one_axis(Channel::Rx, 2.0), &most_joints, &most(0.01, 1.0)).unwrap();
@@ -261,7 +261,7 @@ fn sinusoids_are_followed_down_to_the_period_that_shoulder_and_forearm_allow() {
     }
 }
 
-/// A step experiment about the place where the TC-arm holds the target in this pose of its joints.
+/// A step experiment around the target pose that the TC-arm has with these joint angles.
 fn refused_from(start_deg: [f64; 7], config: StepExperimentConfig, max_deg: [f64; 7]) -> PathRefusal {
     let chain = chain();
     let start = JointVector::from(start_deg).map(f64::to_radians);
@@ -276,7 +276,7 @@ fn refused_from(start_deg: [f64; 7], config: StepExperimentConfig, max_deg: [f64
 fn the_zero_pose_and_the_usual_home_are_refused() {
     let refusal = refused_from([0.0; 7], StepExperimentConfig::default(), OPERATING_DEG);
     assert!(matches!(refusal, PathRefusal::Singular { at_s: 0.0, value, .. } if value < 1e-9), "{refusal}");
-    // From home, the hand's 20 degrees about y need more reach than there is: the hand 500 mm before the target.
+    // From home, 20 degrees of the hand about y exceed the reach: the hand is 500 mm in front of the target.
     let home = JointVector::from([45.0, 30.0, 0.0, 60.0, 0.0, 45.0, 0.0]).map(f64::to_radians);
     let chain = chain();
     let world_from_hand = world_from_vs_base() * chain.forward(&home) * flange_from_hand();

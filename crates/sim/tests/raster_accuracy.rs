@@ -1,4 +1,4 @@
-//! The renderer is the ground truth for sub-pixel stereo: places in its images against the camera model.
+//! The renderer is the ground truth for sub-pixel stereo: positions in its images are compared with the camera model.
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy allows them in #[test] functions only, not in their helpers.
 
 use crate::support::{distorted_rig, poses, rectified_rig, render, square_scene, turned};
@@ -19,7 +19,7 @@ fn marks(x: f64, y: f64) -> [f64; 3] {
     [250.0 * (-0.5 * squared).exp(); 3]
 }
 
-/// Centre of the light within 8 px of a place.
+/// Centroid of the light within 8 px of a position.
 fn centre_of_light(image: &RgbImage, near: &Vector2<f64>) -> Vector2<f64> {
     let (mut sum, mut light) = (Vector2::zeros(), 0.0);
     for row in (near.y - 8.0).round() as u32..=(near.y + 8.0).round() as u32 {
@@ -32,8 +32,8 @@ fn centre_of_light(image: &RgbImage, near: &Vector2<f64>) -> Vector2<f64> {
     sum / light
 }
 
-/// Where the centre of a mark's light must lie: the plane's light projected piece by piece. (A tilted mark's centre of light
-/// is not the projection of its centre: its nearer half looks larger. A piece's area in the image goes with depth^-3.)
+/// Expected centroid of the light of a mark: the light of the plane projected piece by piece. (The centroid of a tilted mark is
+/// not the projection of its centre: its nearer half appears larger. The image area of a piece is proportional to depth^-3.)
 fn expected_centre(
     mark: &Point3<f64>,
     camera: &Camera,
@@ -50,7 +50,7 @@ fn expected_centre(
     Some(sum / light)
 }
 
-/// Compares all marks in the image with the projections of their places; returns how many.
+/// Compares all marks in the image with their projections; returns the number of marks.
 fn check_marks(image: &RgbImage, camera: &Camera, to_cam: impl Fn(&Point3<f64>) -> Point3<f64>) -> usize {
     let (mut count, mut mean_error) = (0, Vector2::zeros());
     for (i, j) in (-8..=8).flat_map(|j| (-8..=8).map(move |i| (i, j))) {
@@ -61,12 +61,12 @@ fn check_marks(image: &RgbImage, camera: &Camera, to_cam: impl Fn(&Point3<f64>) 
             continue;
         }
         let error = centre_of_light(image, &expected) - expected;
-        assert!(error.norm() < 0.02, "mark {i}, {j} at {expected}: off by {error}");
+        assert!(error.norm() < 0.02, "mark {i}, {j} at {expected}: error {error}");
         mean_error += error;
         count += 1;
     }
     mean_error /= count as f64;
-    assert!(mean_error.norm() < 0.002, "all marks are off by {mean_error}");
+    assert!(mean_error.norm() < 0.002, "mean error of all marks {mean_error}");
     count
 }
 
@@ -119,9 +119,9 @@ fn edges_cover_their_exact_share_of_the_pixels() {
         // 0.03 px along a perimeter of 590 px.
         assert!((covered - area).abs() < 0.03 * 592.0, "step {step}: {covered} px for {area}");
         let error = moments / covered - centroid;
-        // Sixteen samples put an edge along a row or column within 1/32 px, and slanted edges much closer.
+        // Sixteen samples locate an edge along a row or column to 1/32 px, and slanted edges much more accurately.
         let limit = if step % 2 == 0 { 0.032 } else { 0.01 };
-        assert!(error.amax() < limit, "step {step}: the square is off by {error}");
+        assert!(error.amax() < limit, "step {step}: position error of the square {error}");
     }
 }
 
@@ -144,8 +144,8 @@ fn correlation(a: &RgbImage, b: &RgbImage, in_a: (i64, i64), in_b: (i64, i64)) -
 
 /// Disparity at a left pixel: best whole-pixel correlation, refined by a parabola through its neighbours.
 ///
-/// Done from left to right and back, because a parabola leans towards the side on which the window gains contrast, and that
-/// side changes with the direction.
+/// Computed from left to right and back, because the parabola is biased towards the side on which the window gains contrast, and
+/// that side depends on the direction.
 fn measured_disparity(left: &RgbImage, right: &RgbImage, pixel: (i64, i64), around: f64) -> f64 {
     let refine = |score: &dyn Fn(i64) -> f64| {
         let first = around.round() as i64 - 6;
@@ -165,7 +165,7 @@ fn disparity_is_focal_length_times_baseline_over_depth() {
     let textured = |x: f64, y: f64| [128.0 + 240.0 * (noise.fractal(x / 0.006, y / 0.006, 2) - 0.5); 3];
     let rig = rectified_rig();
     let mut errors = Vec::new();
-    // Parallel planes: a window of the correlation has one disparity.
+    // Parallel planes: a correlation window has one disparity.
     for depth in [0.402, 0.455, 0.5, 0.617] {
         let cam_left_from_target = turned([0.02, 0.01, depth], [0.0, 0.0, 0.1]);
         let scene = square_scene(0.5, 10, textured);
@@ -173,10 +173,10 @@ fn disparity_is_focal_length_times_baseline_over_depth() {
         for pixel in [(260, 100), (330, 150), (391, 240), (430, 310), (300, 355), (473, 131)] {
             let expected = 740.0 * 0.1 / depth;
             let error = measured_disparity(&left, &right, pixel, expected) - expected;
-            assert!(error.abs() < 0.02, "depth {depth}, pixel {pixel:?}: {expected} px, off by {error}");
+            assert!(error.abs() < 0.02, "depth {depth}, pixel {pixel:?}: {expected} px, error {error}");
             errors.push(error);
         }
     }
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-    assert!(mean.abs() < 0.005, "disparities are off by {mean} px on the average");
+    assert!(mean.abs() < 0.005, "mean disparity error {mean} px");
 }

@@ -1,4 +1,4 @@
-//! What the renderer promises beside geometry: reproducibility, ground truth, motion blur, colours, refusals.
+//! Renderer properties other than geometry: reproducibility, ground truth, motion blur, colours, refusals.
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy allows them in #[test] functions only, not in their helpers.
 
 use image::RgbImage;
@@ -33,7 +33,7 @@ fn fingerprint(images: &[RgbImage]) -> u64 {
 #[test]
 fn images_of_a_seed_are_the_same_bytes_everywhere() {
     let mut renderer = crab_renderer(&SensorConfig::default(), 5);
-    // Noted from the first rendering: whoever changes an image on purpose writes the new number here.
+    // Recorded from the first rendering; update the value after an intentional change of an image.
     assert_eq!(format!("{:016x}", fingerprint(&pair(&mut renderer, 3, 0.05))), "373aa3745d4e9f3e");
 }
 
@@ -194,7 +194,7 @@ fn only_the_camera_that_is_out_of_focus_is_blurred() {
     };
     assert!(contrast(&blurred[1]) < 0.5 * contrast(&sharp[1]));
     let error = renderer.with_defocus_px(0.0, 5.0).unwrap_err().to_string();
-    assert_eq!(error, "sensor parameter defocus_px is 5: set it between 0 and 4");
+    assert_eq!(error, "sensor parameter defocus_px is 5; set it between 0 and 4");
 }
 
 #[test]
@@ -227,7 +227,7 @@ fn a_reflection_lies_where_the_mirror_would_show_the_lamp() {
     let (mut sum, mut weights) = (Vector2::zeros(), 0.0);
     for (pixel, (matt, glossy)) in matt.chunks_exact(3).zip(glossy.chunks_exact(3)).enumerate() {
         let added = f64::from(glossy[0] - matt[0]);
-        // Its middle, which lies on the shell.
+        // The centre of the target, which lies on the shell.
         if added > 45.0 {
             sum += Vector2::new((pixel % 640) as f64, (pixel / 640) as f64) * added;
             weights += added;
@@ -241,7 +241,7 @@ fn a_reflection_lies_where_the_mirror_would_show_the_lamp() {
 
 #[test]
 fn fine_sampling_shows_the_same_places_with_fewer_false_patterns() {
-    // Soft stripes of 1.6 px: the fine images must show hardly anything, the plain ones show beats.
+    // Soft stripes of 1.6 px: the fine images must show hardly any aliasing, the plain ones show beats.
     let stripes = |x: f64, _: f64| [130.0 + 90.0 * (x / 0.00108 * std::f64::consts::TAU).sin(); 3];
     let scene = square_scene(0.25, 11, stripes);
     let poses = poses(turned([0.0, 0.0, 0.5], [0.01, -0.02, 0.0]));
@@ -273,7 +273,7 @@ fn fine_sampling_shows_the_same_places_with_fewer_false_patterns() {
             let pairs = a.iter().zip(&b[3 * shift as usize..]);
             pairs.map(|(&a, &b)| (f64::from(a) - f64::from(b)).powi(2)).sum::<f64>()
         };
-        // Half a pixel off would make it as different as its neighbours are.
+        // A shift by half a pixel would make it as different as its neighbours are.
         assert!(difference(a, b, 0) < 0.15 * difference(a, b, 1), "{} {}", difference(a, b, 0), difference(a, b, 1));
     }
 }

@@ -1,4 +1,4 @@
-//! The target's motions: exact amplitudes, smoothness, and twists that are the derivative of the pose.
+//! Target motions: exact amplitudes, smoothness, and twists that are the derivative of the pose.
 #![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -10,7 +10,7 @@ use pb3dp_sim::trajectory::{
 };
 use proptest::prelude::*;
 
-/// A target that stands somewhere, turned in all three axes.
+/// A target at some position, rotated about all three axes.
 fn somewhere() -> Pose<World, Target> {
     Pose::from_parts(Vector3::new(0.9, -0.12, 0.83), UnitQuaternion::from_scaled_axis(Vector3::new(0.4, -1.1, 0.7)))
 }
@@ -76,7 +76,7 @@ fn marks_stand_where_the_moves_begin() {
     for mark in marks {
         let speed = |t: f64| experiment.twist_at(t).to_vector().norm();
         assert!(speed(mark.at_s - 0.01) == 0.0, "moves before mark {}", mark.number);
-        assert!(speed(mark.at_s + 0.01) > 0.0, "rests behind mark {}", mark.number);
+        assert!(speed(mark.at_s + 0.01) > 0.0, "stationary after mark {}", mark.number);
     }
 }
 
@@ -162,9 +162,9 @@ fn bad_parameters_are_refused_by_name() {
         change(&mut config);
         StepExperiment::new(config, somewhere()).unwrap_err().to_string()
     };
-    assert!(refused(|c| c.move_s = 0.01).contains("move_s is 0.01: allowed is 0, or 0.05 to 600 s"));
+    assert!(refused(|c| c.move_s = 0.01).contains("move_s is 0.01; allowed is 0, or 0.05 to 600 s"));
     assert!(
-        refused(|c| (c.move_s, c.hold_s) = (0.0, 0.0)).contains("hold_s is 0: allowed is 0.05 to 600 s behind sudden")
+        refused(|c| (c.move_s, c.hold_s) = (0.0, 0.0)).contains("hold_s is 0; allowed is 0.05 to 600 s after sudden")
     );
     assert!(refused(|c| c.translation_m = f64::NAN).contains("translation_m is NaN"));
     assert!(refused(|c| c.rotation_rad = 3.2).contains("rotation_rad is 3.2"));
@@ -190,7 +190,7 @@ fn check_smooth(trajectory: &dyn Trajectory, t_s: f64, jerk_bound: f64) -> Resul
     let h = 1e-4;
     let twist = trajectory.twist_at(t_s).to_vector();
     let error = (twist - difference(trajectory, t_s, h)).norm();
-    prop_assert!(error < 1e-8 + jerk_bound * h * h, "twist is off by {error} at {t_s} s");
+    prop_assert!(error < 1e-8 + jerk_bound * h * h, "twist error {error} at {t_s} s");
     let (before, after) = (trajectory.twist_at(t_s - h).to_vector(), trajectory.twist_at(t_s + h).to_vector());
     let jump = (after - 2.0 * twist + before).norm() / h;
     prop_assert!(jump <= 2.0 * jerk_bound * h + 1e-8, "acceleration jumps by {jump} at {t_s} s");

@@ -1,7 +1,8 @@
-//! What tests of every crate share. For tests only: no program of the product links this crate.
+//! Shared test support of all crates. For tests only: no program of the product links this crate.
 //!
-//! * [`in_real_time`] runs a test whose threads must run in time, and decides whether a failure is the product's or the machine's.
-//! * [`sweep`] is the size of a sweep, which `cargo xtask test --all` makes long.
+//! * [`in_real_time`] runs a test whose threads must meet deadlines, and decides whether a failure is caused by the product or
+//!   the machine.
+//! * [`sweep`] is the size of a sweep; `cargo xtask test --all` uses the long size.
 //! * [`not_checked`] reports a test that this machine cannot run. `cargo xtask test` counts these reports.
 
 #![allow(clippy::expect_used, reason = "a test that cannot be set up fails")]

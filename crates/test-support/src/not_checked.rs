@@ -2,19 +2,19 @@
 
 use std::io::Write;
 
-/// What such a report begins with. `cargo xtask test` looks for this at the start of a line.
+/// Start of such a report. `cargo xtask test` searches for it at the start of a line.
 const MARK: &str = "NOT CHECKED";
 
-/// Letters of a reason that are shown.
+/// Maximum number of characters of a reason that are shown.
 const LENGTH: usize = 300;
 
-/// Reports that a test, or a part of one, was not checked on this machine: rights, tools or processor features are missing, or the
-/// machine did not keep time.
+/// Reports that a test, or a part of one, was not checked on this machine: permissions, tools or processor features are missing,
+/// or the machine did not meet its deadlines.
 ///
-/// The line goes to standard error directly, past the capture of the test harness, so that every way of running the test shows it.
-/// The test passes for its harness; `cargo xtask test` counts it as skipped.
+/// The line goes directly to standard error, bypassing the capture of the test harness, so that every test runner shows it. The
+/// test passes for its harness; `cargo xtask test` counts it as skipped.
 pub fn not_checked(name: &str, reason: &str) {
     let reason: String = reason.replace('\n', " ").chars().take(LENGTH).collect();
-    // A closed standard error is no reason to fail.
+    // A closed standard error is not a failure.
     let _ = writeln!(std::io::stderr(), "{MARK}: {name}: {reason}");
 }

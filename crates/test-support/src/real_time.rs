@@ -1,4 +1,4 @@
-//! Tests whose threads must run in time.
+//! Tests whose threads must meet real-time deadlines.
 
 use std::any::{Any, type_name};
 use std::fs::File;
@@ -11,15 +11,15 @@ use crate::scheduling::{Entered, Policy, Preferred};
 use crate::verdict::{Tries, Verdict, judge};
 use crate::witness::{Delay, Witness};
 
-/// The delays of the running test's own threads.
+/// Delays recorded by the threads of the running test.
 static OWN: Mutex<Vec<Delay>> = Mutex::new(Vec::new());
 
-/// How a test holds the lock of all tests in real time.
+/// How a test holds the lock of all real-time tests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turn {
-    /// No other test in real time runs.
+    /// No other real-time test runs.
     Alone,
-    /// Others of this kind may run: the test mostly sleeps, and leaves most of a cycle for the others.
+    /// Other tests of this kind may run: the test mostly sleeps, and leaves most of a cycle to others.
     BesideOthers,
 }
 
@@ -27,31 +27,32 @@ fn of<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The priority of the threads of a test.
+/// Priority of the threads of a test.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Priority {
-    /// One of SCHED_FIFO, where that is granted.
+    /// A SCHED_FIFO priority, if granted.
     Granted,
-    /// Among all usual threads, before most of them where that is granted, unless a thread asks for a priority itself.
+    /// The default policy, preferred over most threads if granted, unless a thread requests a priority itself.
     Usual,
 }
 
-/// Records that a thread of the running test was late by itself, just now.
+/// Records that a thread of the running test was late now, by its own measurement.
 pub fn note_lateness(late: Duration) {
     note_lateness_at(Instant::now(), late);
 }
 
-/// As [`note_lateness`], for a delay that is read later than it ended: witnesses are asked about the moment at which it ended.
+/// As [`note_lateness`], for a delay that is read after it ended: it is compared with the witnesses at the time when it ended.
 pub fn note_lateness_at(at: Instant, late: Duration) {
     of(&OWN).push(Delay { at, late });
 }
 
-/// Runs a test whose threads must run in time: under one lock of all such tests of this user, in whichever process, with a priority of
-/// SCHED_FIFO where that is granted, beside witnesses of the machine. No other such test runs meanwhile.
+/// Runs a test whose threads must meet deadlines: under one lock of all such tests of this user, in any process, with a
+/// SCHED_FIFO priority if granted, beside witness threads that observe the machine. No other such test runs at the same time.
 ///
-/// A failure counts at once if the machine kept time. If the machine was late the test is tried again, up to [`Tries::MAX`] times;
-/// when none passes the test fails, unless each failure was lateness and the machine was as late in that moment. Then the test is
-/// reported as not checked. What an arm does when its machine is late is tested in virtual time, and in the emulated computer.
+/// A failure counts at once if the machine met its deadlines. If the machine was late, the test is tried again, up to
+/// [`Tries::MAX`] times. If no try passes, the test fails, unless each failure was lateness and the machine was equally late at
+/// that time; then the test is reported as not checked. The behaviour of an arm on a late machine is tested in virtual time, and
+/// in the emulated computer.
 ///
 /// # Panics
 /// If the test fails.
@@ -59,7 +60,7 @@ pub fn in_real_time<T: Fn()>(test: T) {
     in_real_time_as(&name_of::<T>(), Turn::Alone, Priority::Granted, test);
 }
 
-/// As [`in_real_time`], for a test that mostly sleeps: others of this kind may run meanwhile.
+/// As [`in_real_time`], for a test that mostly sleeps: other tests of this kind may run at the same time.
 ///
 /// # Panics
 /// If the test fails.
@@ -67,8 +68,9 @@ pub fn in_real_time_beside_others<T: Fn()>(test: T) {
     in_real_time_as(&name_of::<T>(), Turn::BesideOthers, Priority::Granted, test);
 }
 
-/// As [`in_real_time`], for a test of programs or threads that compute: they ask for the priority that they need themselves, as they do
-/// on a rig. With a priority for all of their computing they would hold up the lines on which they depend.
+/// As [`in_real_time`], for a test of programs or threads with computing load: they request the priority that they need
+/// themselves, as on a rig. With a priority for all their computing they would block the communication lines on which they
+/// depend.
 ///
 /// # Panics
 /// If the test fails.
@@ -76,7 +78,7 @@ pub fn programs_in_real_time<T: Fn()>(test: T) {
     in_real_time_as(&name_of::<T>(), Turn::Alone, Priority::Usual, test);
 }
 
-/// As [`programs_in_real_time`], beside others.
+/// As [`programs_in_real_time`], in parallel with other such tests.
 ///
 /// # Panics
 /// If the test fails.
@@ -84,7 +86,7 @@ pub fn programs_in_real_time_beside_others<T: Fn()>(test: T) {
     in_real_time_as(&name_of::<T>(), Turn::BesideOthers, Priority::Usual, test);
 }
 
-/// As [`in_real_time`], for a test whose name its type does not tell.
+/// As [`in_real_time`], for a test whose name does not follow from its type.
 ///
 /// # Panics
 /// If the test fails.
@@ -114,7 +116,7 @@ pub fn in_real_time_as(name: &str, turn: Turn, priority: Priority, test: impl Fn
     }
 }
 
-/// The path of a test by the type of its closure: `integration::real_time::io_arm::a_name::{{closure}}`.
+/// The path of a test from the type of its closure: `integration::real_time::io_arm::a_name::{{closure}}`.
 fn name_of<T>() -> String {
     let name = type_name::<T>().split("::{{closure}}").next().unwrap_or_default();
     name.split_once("::").map_or(name, |(_crate, path)| path).to_owned()
@@ -125,7 +127,7 @@ fn text(panic: &(dyn Any + Send)) -> &str {
     owned.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without a text")
 }
 
-/// Waits until the test may run. The lock is held as long as the file is open.
+/// Waits until the test may run. The lock is held while the file is open.
 fn take_turn(turn: Turn) -> File {
     let name = format!("pb3dp-real-time-tests-{}.lock", rustix::process::geteuid().as_raw());
     let path = std::env::temp_dir().join(name);

@@ -2,13 +2,13 @@
 
 use rustix::thread::{CpuSet, sched_setaffinity};
 
-/// Priority of the threads of a test in real time: above all threads without such a priority, below every thread of the product that asks
-/// for one (40 and more).
+/// Priority of the threads of a real-time test: above all threads without such a priority, below every thread of the product that
+/// requests one (40 and more).
 const TEST: i32 = 1;
 /// Priority of a witness: the computing of the test itself must not count as lateness of the machine.
 const WITNESS: i32 = 2;
 
-/// Niceness of tests of whole programs, which compute: before all other programs, but no wall for the threads of the kernel.
+/// Niceness of tests of whole programs, which compute: preferred over all other programs, but not over kernel threads.
 const OF_PROGRAMS: i32 = -10;
 
 /// A scheduling policy with its priority.
@@ -19,36 +19,37 @@ pub struct Policy {
 }
 
 impl Policy {
-    /// Of tests in real time.
+    /// Policy of real-time tests.
     pub const TEST: Self = Self { policy: libc::SCHED_FIFO, priority: TEST };
-    /// Of witnesses.
+    /// Policy of witnesses.
     pub const WITNESS: Self = Self { policy: libc::SCHED_FIFO, priority: WITNESS };
 
-    /// Of the calling thread.
+    /// Policy of the calling thread.
     pub fn current() -> Self {
         let mut parameters = libc::sched_param { sched_priority: 0 };
-        // SAFETY: both calls read the calling thread (0) only; the parameters live through the second.
+        // SAFETY: both calls read the calling thread (0) only; the parameters outlive the second call.
         let policy = unsafe { libc::sched_getscheduler(0) };
         unsafe { libc::sched_getparam(0, &raw mut parameters) };
         Self { policy, priority: parameters.sched_priority }
     }
 
-    /// Gives the calling thread this policy, which threads and processes that it starts inherit. Whether the system grants it.
+    /// Applies this policy to the calling thread; threads and processes that it starts inherit it. Returns whether the system
+    /// grants it.
     pub fn enter(self) -> bool {
         let parameters = libc::sched_param { sched_priority: self.priority };
-        // SAFETY: the parameters live through the call, which changes nothing but the policy of this thread (0).
+        // SAFETY: the parameters outlive the call, which only changes the policy of this thread (0).
         unsafe { libc::sched_setscheduler(0, self.policy, &raw const parameters) == 0 }
     }
 }
 
-/// The calling thread runs with a policy until this goes.
+/// The calling thread runs with a policy until this value is dropped.
 pub struct Entered {
     before: Policy,
     is_granted: bool,
 }
 
 impl Entered {
-    /// Enters the policy where the system grants it.
+    /// Enters the policy if the system grants it.
     pub fn new(policy: Policy) -> Self {
         let before = Policy::current();
         Self { before, is_granted: policy.enter() }
@@ -63,8 +64,8 @@ impl Drop for Entered {
     }
 }
 
-/// The calling thread goes before others of the usual policy until this goes, where that is granted; so do threads and processes that it
-/// starts.
+/// The calling thread is preferred over others of the default policy until this value is dropped, if granted; threads and
+/// processes that it starts inherit this.
 pub struct Preferred {
     before: i32,
 }
@@ -92,7 +93,7 @@ impl Drop for Preferred {
     }
 }
 
-/// Keeps the calling thread on one processor, where that is granted.
+/// Binds the calling thread to one processor, if granted.
 pub fn run_on(cpu: usize) {
     let mut set = CpuSet::new();
     if cpu < CpuSet::MAX_CPU {

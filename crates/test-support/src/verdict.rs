@@ -1,10 +1,10 @@
-//! Whether a failure in real time is the product's or the machine's.
+//! Decides whether a real-time failure is caused by the product or the machine.
 
 use std::time::Duration;
 
 use crate::witness::{Delay, PERIOD, TOO_LATE, Testimony};
 
-/// Words with which the product and its tests name lateness of threads and lines.
+/// Words used by the product and its tests for lateness of threads and lines.
 const LATENESS: [&str; 9] = [
     "began late",
     "cycle-missed",
@@ -17,18 +17,18 @@ const LATENESS: [&str; 9] = [
     "Timeout",
 ];
 
-/// Who is to blame for a failure.
+/// The cause of a failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Blame {
-    /// The machine kept time: the failure counts at once.
+    /// The machine met its deadlines: the failure counts at once.
     Product,
-    /// The test reports lateness, and a witness was as late in that moment: the try shows nothing.
+    /// The test reports lateness, and a witness was equally late at that time: the try is inconclusive.
     Machine,
-    /// The machine was late, but the failure is no lateness: the test is tried again, and the failure counts if no try passes.
+    /// The machine was late, but the failure is not lateness: the test is tried again, and the failure counts if no try passes.
     Unclear,
 }
 
-/// Judges a failure by its text, by the delays that the test itself recorded, and by what the witnesses saw meanwhile.
+/// Judges a failure by its text, by the delays recorded by the test itself, and by the observations of the witnesses.
 pub fn judge(text: &str, own: &[Delay], seen: &Testimony) -> Blame {
     let longest = own.iter().max_by_key(|delay| delay.late).filter(|delay| delay.late > TOO_LATE);
     let is_lateness = longest.is_some() || LATENESS.iter().any(|word| text.contains(word));
@@ -43,14 +43,14 @@ pub fn judge(text: &str, own: &[Delay], seen: &Testimony) -> Blame {
     }
 }
 
-/// What the failures of a test came to.
+/// The result after the tries of a test.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// The test is tried again.
     Open,
     /// The test fails with its last failure.
     Failed,
-    /// Every try failed by lateness, and the machine was as late each time.
+    /// Every try failed by lateness, and the machine was equally late each time.
     NotChecked {
         /// The longest delay of the machine.
         worst: Duration,
@@ -66,10 +66,10 @@ pub struct Tries {
 }
 
 impl Tries {
-    /// Tries after which a test is not tried again.
+    /// Maximum number of tries.
     pub const MAX: u32 = 7;
 
-    /// After one more failure.
+    /// Updates the verdict after one more failure.
     pub fn failed(&mut self, blame: Blame, seen: &Testimony) -> Verdict {
         self.failures += 1;
         self.excused += u32::from(blame == Blame::Machine);

@@ -1,8 +1,8 @@
-//! How late the machine itself is: threads that only sleep, and bytes that only go through a pseudo-terminal.
+//! Measures the lateness of the machine itself: threads that only sleep, and bytes that only pass through a pseudo-terminal.
 //!
-//! On each processor one thread sleeps for a millisecond again and again, in the scheduling class of the test. What delays this thread
-//! delays the product: another program, the kernel, the hypervisor. In the class SCHED_FIFO the witness stands one priority above the
-//! test, so that the product's own computing is never taken for lateness of the machine.
+//! On each processor one thread repeatedly sleeps for a millisecond, in the scheduling class of the test. Whatever delays this
+//! thread (another program, the kernel, the hypervisor) also delays the product. In the class SCHED_FIFO the witness has a
+//! priority one above the test, so that the product's own computing is never counted as lateness of the machine.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -18,33 +18,33 @@ use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 
 use crate::scheduling::{Policy, run_on};
 
-/// Time from one waking to the next.
+/// Interval between wake-ups.
 pub const PERIOD: Duration = Duration::from_millis(1);
-/// A machine that is later than this does not keep the cycles of an arm (10 ms, of which an exchange may take half).
+/// A machine that is later than this does not meet the cycles of an arm (10 ms, of which an exchange may take half).
 pub const TOO_LATE: Duration = Duration::from_millis(5);
 /// Delays below this are not recorded.
 const WORTH_RECORDING: Duration = Duration::from_millis(1);
-/// Delays that a thread records; the worst is kept in any case.
+/// Maximum number of delays recorded by a thread; the worst one is always kept.
 const ROOM: usize = 1 << 14;
 
-/// One delay: a thread or a byte was due before and came at this time.
+/// One delay: a thread or a byte was due earlier and came at this time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Delay {
-    /// When it came.
+    /// Time of arrival.
     pub at: Instant,
-    /// How late.
+    /// Delay.
     pub late: Duration,
 }
 
 impl Delay {
-    /// Whether both lasted at the same time.
+    /// Whether both delays overlap in time.
     pub fn overlaps(&self, other: &Self) -> bool {
         let begin = |delay: &Self| delay.at.checked_sub(delay.late).unwrap_or(delay.at);
         begin(self) <= other.at && begin(other) <= self.at
     }
 }
 
-/// What the witnesses of a test saw.
+/// The observations of the witnesses of a test.
 #[derive(Clone, Debug, Default)]
 pub struct Testimony {
     /// The delays worth recording, of all witnesses.
@@ -57,7 +57,7 @@ impl Testimony {
     fn see(&mut self, due: Instant, at: Instant) {
         let late = at.saturating_duration_since(due);
         self.worst = self.worst.max(late);
-        // Without asking the heap for anything: tests count what it is asked for.
+        // Without heap allocation: tests count allocations.
         if late >= WORTH_RECORDING && self.delays.len() < self.delays.capacity() {
             self.delays.push(Delay { at, late });
         }
@@ -74,7 +74,7 @@ impl Testimony {
     }
 }
 
-/// Threads that record how late they wake.
+/// Threads that record their wake-up delay.
 #[derive(Debug)]
 pub struct Witness {
     is_over: Arc<AtomicBool>,
@@ -83,10 +83,11 @@ pub struct Witness {
 }
 
 impl Witness {
-    /// Witnesses with this policy, where it is granted. All of them run when this returns, and ask the heap for nothing until they end.
+    /// Starts witnesses with this policy, if granted. All of them run when this returns, and make no heap allocations until they
+    /// end.
     ///
     /// # Errors
-    /// If the system gives no thread or no pseudo-terminal.
+    /// The system provides no thread or no pseudo-terminal.
     pub fn start(policy: Policy) -> io::Result<Self> {
         let mut witness = Self { is_over: Arc::default(), threads: Vec::new(), policy };
         for cpu in 0..available_parallelism()?.get() {
@@ -106,7 +107,7 @@ impl Witness {
         let begun = Arc::clone(&runs);
         let policy = self.policy;
         let thread = Builder::new().name("witness".to_owned()).spawn(move || {
-            // Not granted: the witness waits among all other programs, as the test does.
+            // Not granted: the witness competes with all other programs, as the test does.
             policy.enter();
             let mut testimony = Testimony::with_room();
             begun.wait();
@@ -118,7 +119,7 @@ impl Witness {
         Ok(())
     }
 
-    /// What all of them saw.
+    /// Stops the witnesses and returns their observations.
     pub fn end(mut self) -> Testimony {
         self.is_over.store(true, Ordering::Relaxed);
         let seen = self.threads.drain(..).filter_map(|thread| thread.join().ok());
@@ -154,13 +155,13 @@ fn open_line() -> io::Result<(File, File)> {
     Ok((File::from(near), far))
 }
 
-/// How long a byte takes through the line: a thread of the kernel carries it.
+/// Measures how long a byte takes through the line, which is served by a kernel thread.
 fn echo(mut near: File, mut far: File, testimony: &mut Testimony, is_over: &AtomicBool) {
     while !is_over.load(Ordering::Relaxed) {
         let sent = Instant::now();
-        // A line that fails shows nothing; nor does a byte that was lost: a program of another test that still looks for its own line may
-        // have taken it, as the numbers of pseudo-terminals are used again. It may have set the line up in its way, too, so a read waits
-        // for nothing.
+        // A line error shows nothing. Neither does a lost byte: a program of another test that still looks for its own line may
+        // have read it, because the numbers of pseudo-terminals are reused. It may also have changed the line settings, so that a
+        // read does not block.
         match near.write_all(&[0x55]).and_then(|()| wait_for_byte(&far)).and_then(|()| far.read(&mut [0])) {
             Ok(0) => {}
             Ok(_) => testimony.see(sent, Instant::now()),
@@ -171,7 +172,7 @@ fn echo(mut near: File, mut far: File, testimony: &mut Testimony, is_over: &Atom
     }
 }
 
-/// Until there is a byte, for a second at most.
+/// Waits for a byte, for at most a second.
 fn wait_for_byte(line: &File) -> io::Result<()> {
     let second = Timespec { tv_sec: 1, tv_nsec: 0 };
     poll(&mut [PollFd::new(line, PollFlags::IN)], Some(&second))?;
@@ -184,7 +185,7 @@ mod tests {
 
     #[test]
     fn a_held_processor_is_seen() {
-        // No thread with a lower or without a priority can hold a witness up: the record itself is checked.
+        // No thread with a lower or without a priority can delay a witness: the record itself is checked.
         let mut testimony = Testimony::with_room();
         let due = Instant::now();
         testimony.see(due, due + Duration::from_micros(900));
@@ -211,14 +212,14 @@ mod tests {
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 while begun.elapsed() < Duration::from_millis(100) {
-                    // Nothing there is no error of the thief's.
+                    // The thief finding no byte is not an error.
                     let _ = thief.read(&mut [0; 64]);
                 }
                 is_over.store(true, Ordering::Relaxed);
             });
             echo(near, far, &mut Testimony::with_room(), &is_over);
         });
-        // The byte that was taken last is waited for, for a second.
+        // The reader waits a second for the byte that was taken last.
         assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
     }
 

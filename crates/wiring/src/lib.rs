@@ -7,6 +7,7 @@ mod cameras;
 pub mod commissioning;
 mod flights;
 mod greeting;
+pub mod message_codes;
 mod nominal;
 mod simulated;
 

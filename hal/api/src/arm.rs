@@ -1,23 +1,23 @@
-//! The arm.
+//! The arm traits and their data.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use pb3dp_kinematics::{JointState, JointVector};
 
-/// What an arm is, as read back from the device.
+/// Identity and cycle time of an arm, as read back from the device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArmInfo {
-    /// For messages: `vs-robot (pa10 mock)`.
+    /// Name for messages: `vs-robot (pa10 mock)`.
     pub name: String,
-    /// Time between two exchanges that the device expects.
+    /// Time between two exchanges expected by the device.
     pub cycle: Duration,
 }
 
-/// What the arm is asked to do until the next exchange.
+/// The command for an arm until the next exchange.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum JointCommand {
-    /// Come to rest and stay (ramped by the device's own deceleration); brakes stay open.
+    /// Stop and hold (ramped by the device's own deceleration); brakes stay open.
     Hold,
     /// Move each joint at this velocity, rad/s.
     Velocity(JointVector),
@@ -28,7 +28,7 @@ pub enum JointCommand {
 pub enum ArmState {
     /// Connected, brakes on, no motion possible.
     Disabled,
-    /// Drives on, velocities are followed.
+    /// Drives enabled, velocities are followed.
     Enabled,
     /// Stopped by a fault of the arm, its link or its limits.
     Fault,
@@ -36,7 +36,7 @@ pub enum ArmState {
     EStop,
 }
 
-/// The kind of an arm error: what a policy decides on.
+/// The kind of an arm error: policies decide by it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ArmErrorKind {
@@ -48,11 +48,11 @@ pub enum ArmErrorKind {
     Timeout,
     /// The arm has stopped and latched a fault.
     Fault,
-    /// The link is gone.
+    /// The link is lost.
     Disconnected,
 }
 
-/// An arm error: its kind and a sentence that names the arm, the joint, the value and what to do.
+/// An arm error: its kind and a sentence that names the arm, the joint, the value and the remedy.
 #[derive(Debug, thiserror::Error)]
 #[error("{message}")]
 pub struct ArmError {
@@ -64,7 +64,7 @@ pub struct ArmError {
     source: Option<Box<dyn std::error::Error + Send + Sync>>,
 }
 
-/// What an error says.
+/// The message of an error.
 #[derive(Debug)]
 enum Message {
     Text(String),
@@ -76,26 +76,26 @@ impl std::fmt::Display for Message {
         match self {
             Self::Text(text) => f.write_str(text),
             Self::Late { arm, age, cycle } => {
-                write!(f, "arm {arm}: no measurement since {age:?}, a cycle has {cycle:?}; it holds, try again")
+                write!(f, "arm {arm}: no measurement for {age:?}, the cycle is {cycle:?}; the arm holds, try again")
             }
         }
     }
 }
 
 impl ArmError {
-    /// An error without a cause of its own.
+    /// An error without an underlying cause.
     pub fn new(kind: ArmErrorKind, message: impl Into<String>) -> Self {
         Self { kind, message: Message::Text(message.into()), joint: None, code: None, source: None }
     }
 
-    /// A `Timeout`: the newest measurement is of this age, and every cycle should have one. It is common on a bad line, and takes
-    /// nothing from the heap.
+    /// A `Timeout`: the newest measurement has this age, although one is expected in every cycle. This error is common on a bad
+    /// line, and is created without heap allocation.
     pub fn late(arm: Arc<str>, age: Duration, cycle: Duration) -> Self {
         let message = Message::Late { arm, age, cycle };
         Self { kind: ArmErrorKind::Timeout, message, joint: None, code: None, source: None }
     }
 
-    /// An error with the error that caused it.
+    /// An error with its underlying cause.
     pub fn caused_by(
         kind: ArmErrorKind,
         message: impl Into<String>,
@@ -104,7 +104,7 @@ impl ArmError {
         Self { kind, message: Message::Text(message.into()), joint: None, code: None, source: Some(source.into()) }
     }
 
-    /// The same error of this joint, counted from the base, 0 to 6.
+    /// The same error for this joint, counted from the base, 0 to 6.
     #[must_use]
     pub fn of_joint(self, joint: usize) -> Self {
         Self { joint: Some(joint), ..self }
@@ -116,35 +116,35 @@ impl ArmError {
         Self { code: Some(code), ..self }
     }
 
-    /// What a policy decides on.
+    /// The kind: policies decide by it.
     pub fn kind(&self) -> ArmErrorKind {
         self.kind
     }
 
-    /// The joint that it is about, if it is about one.
+    /// The joint concerned, if any.
     pub fn joint(&self) -> Option<usize> {
         self.joint
     }
 
-    /// The alarm code of the device, if there is one.
+    /// The alarm code of the device, if any.
     pub fn code(&self) -> Option<u16> {
         self.code
     }
 }
 
-/// An arm that takes joint velocities.
+/// An arm that is commanded by joint velocities.
 ///
 /// # For backend authors
-/// * `exchange` hands over one command and returns the newest measured joints. It returns within twice [`ArmInfo::cycle`].
-/// * A command with a number that is not finite is `Rejected` and nothing of it reaches the arm; the arm holds.
-/// * Before [`ArmPower::enable`], `Velocity` is `NotEnabled`; `Hold` always succeeds while the link is there.
+/// * `exchange` sends one command and returns the newest measured joints. It returns within twice [`ArmInfo::cycle`].
+/// * A command with a number that is not finite is `Rejected` and never reaches the arm; the arm holds.
+/// * Before [`ArmPower::enable`], `Velocity` is `NotEnabled`; `Hold` always succeeds while the link is up.
 /// * Any error cancels the motion: the arm holds until the next accepted command.
-/// * Samples never go back in time. Angles are never wrapped (some joints turn by more than half a turn).
+/// * Samples never go back in time. Angles are never wrapped (some joints rotate by more than half a turn).
 pub trait Arm: Send {
-    /// What this arm is.
+    /// Identity and cycle time of this arm.
     fn info(&self) -> &ArmInfo;
 
-    /// One cycle: command out, measured joints in.
+    /// One cycle: sends the command and returns the measured joints.
     ///
     /// # Errors
     /// See [`ArmErrorKind`].
@@ -154,30 +154,31 @@ pub trait Arm: Send {
 /// Drives and brakes of an arm.
 ///
 /// # For backend authors
-/// * `enable` succeeds only from `Disabled`; it never clears a fault. The arm is at rest and holds afterwards.
-/// * Where `enable` takes its time, `begin_enable` returns at once, and `poll_enable` tells when it is done. `exchange` measures
-///   meanwhile, so that whoever switches an arm on watches it from the moment on in which its brakes open, and every other arm, too.
-///   What wraps an arm passes both on.
-/// * Where `stop` takes its time, `begin_stop` gives the order and returns at once; `stop` waits for the rest of it.
-/// * `stop` ramps to rest, closes the brakes and is harmless when repeated; it leads to `Disabled`, or leaves a latched state.
-/// * `reset` clears a latched state whose cause is gone, to `Disabled`, never further; where nothing is latched it does nothing.
+/// * `enable` succeeds only from `Disabled`; it never clears a fault. Afterwards the arm is stationary and holds.
+/// * If `enable` takes time, `begin_enable` returns at once, and `poll_enable` reports when it is done. `exchange` measures
+///   meanwhile, so that the caller monitors this arm, and every other arm, from the moment when its brakes open. A wrapper of an
+///   arm forwards both calls.
+/// * If `stop` takes time, `begin_stop` gives the order and returns at once; `stop` waits until the arm has stopped.
+/// * `stop` ramps to standstill, closes the brakes and is harmless when repeated; it leads to `Disabled`, or leaves a latched
+///   state.
+/// * `reset` clears a latched state whose cause is gone, to `Disabled`, never further; if nothing is latched it does nothing.
 ///   Only an operator's action calls it.
 pub trait ArmPower: Send {
     /// State of drives and brakes.
     fn state(&self) -> ArmState;
 
-    /// Whether it is latched only because another arm of its cell stopped: then that one is to be reset first.
+    /// Whether it is latched only because another arm of its workcell stopped; then the other arm must be reset first.
     fn is_stopped_by_other(&self) -> bool {
         false
     }
 
-    /// Switches the drives on.
+    /// Enables the drives.
     ///
     /// # Errors
     /// `Fault` or `Rejected` with the reason.
     fn enable(&mut self) -> Result<(), ArmError>;
 
-    /// Begins to switch the drives on. An arm that does so in no time has nothing to begin.
+    /// Begins to enable the drives. An arm that enables at once has nothing to begin.
     ///
     /// # Errors
     /// As [`Self::enable`].
@@ -185,32 +186,32 @@ pub trait ArmPower: Send {
         self.enable()
     }
 
-    /// Whether what [`Self::begin_enable`] has begun is done; to be asked in each cycle, and no more behind an error.
+    /// Whether the operation started by [`Self::begin_enable`] is complete; to be called in each cycle, and not after an error.
     ///
     /// # Errors
-    /// As [`Self::enable`]. The arm has to be stopped then.
+    /// As [`Self::enable`]. Then the arm must be stopped.
     fn poll_enable(&mut self) -> Result<bool, ArmError> {
         Ok(true)
     }
 
-    /// Gives the stop order; [`Self::stop`] has to follow. So two arms come to rest at the same time.
+    /// Gives the stop order; [`Self::stop`] must follow. Two arms can thus be stopped at the same time.
     ///
     /// # Errors
-    /// If the arm cannot be told.
+    /// The arm cannot be reached.
     fn begin_stop(&mut self) -> Result<(), ArmError> {
         Ok(())
     }
 
-    /// Comes to rest and switches the drives off.
+    /// Stops the arm and disables the drives.
     ///
     /// # Errors
-    /// If the arm cannot be told.
+    /// The arm cannot be reached.
     fn stop(&mut self) -> Result<(), ArmError>;
 
     /// Clears a latched fault or emergency stop.
     ///
     /// # Errors
-    /// If the cause is still there.
+    /// The cause is still present.
     fn reset(&mut self) -> Result<(), ArmError>;
 }
 

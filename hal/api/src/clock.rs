@@ -1,4 +1,4 @@
-//! The clock.
+//! The clock trait.
 
 use pb3dp_geometry::MonotonicTime;
 

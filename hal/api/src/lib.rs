@@ -1,13 +1,14 @@
-//! Traits of the hardware that pb3dp needs, and the data that crosses them. No implementations.
+//! Traits of the hardware that pb3dp needs, and their data types. No implementations.
 //!
 //! * [`StereoCamera`] delivers stereo pairs with the time of exposure.
-//! * [`Arm`] takes joint velocities and returns measured joints; [`ArmPower`] switches drives and brakes.
-//! * [`Clock`] tells the time; everything else is told it.
+//! * [`Arm`] accepts joint velocities and returns measured joints; [`ArmPower`] controls drives and brakes.
+//! * [`Clock`] provides the time; all other code receives the time from it.
 //!
-//! Each trait carries a contract "for backend authors"; the crate `pb3dp-hal-conformance` tests a backend against it.
+//! Each trait defines a contract "for backend authors"; the crate `pb3dp-hal-conformance` tests a backend against it.
 
 pub mod arm;
 pub mod clock;
+mod codes;
 pub mod stereo_camera;
 
 pub use arm::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand};

@@ -1,11 +1,11 @@
-//! The stereo camera.
+//! The stereo camera trait and its data.
 
 use std::time::Duration;
 
 use image::RgbImage;
 use pb3dp_geometry::{ImageSize, MonotonicTime};
 
-/// Two images taken together.
+/// A stereo pair.
 #[derive(Clone, Debug)]
 pub struct FramePair {
     /// Counts pairs from 0; a gap means that pairs were lost before they reached this backend.
@@ -33,10 +33,10 @@ impl FramePair {
     }
 }
 
-/// What a camera delivers, as read back from the device after negotiation.
+/// Stream parameters of a camera, as read back from the device after negotiation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StereoCameraInfo {
-    /// For messages: `replay /data/run7`, `v4l2 usb-1.2 + usb-1.3`.
+    /// Name for messages: `replay /data/run7`, `v4l2 usb-1.2 + usb-1.3`.
     pub name: String,
     /// Size of both images.
     pub size: ImageSize,
@@ -44,23 +44,23 @@ pub struct StereoCameraInfo {
     pub period: Option<Duration>,
 }
 
-/// The kind of a camera error: what a policy decides on.
+/// The kind of a camera error: policies decide by it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum CameraErrorKind {
     /// No pair arrived in time; the next call may succeed.
     Timeout,
-    /// One pair is damaged or missing and was skipped; the next call goes on behind it.
+    /// One pair is damaged or missing and was skipped; the next call continues after it.
     BadPair,
-    /// A recording has ended; every further call says so again.
+    /// A recording has ended; every further call reports this again.
     EndOfStream,
-    /// The device is gone; it must be opened again.
+    /// The device is gone; it must be reopened.
     Disconnected,
     /// The device, file or configuration cannot be used at all.
     Unusable,
 }
 
-/// A camera error: its kind, a sentence that names the thing and the value, and the cause.
+/// A camera error: its kind, a sentence that names the device and the value, and the cause.
 #[derive(Debug, thiserror::Error)]
 #[error("{message}")]
 pub struct CameraError {
@@ -71,12 +71,12 @@ pub struct CameraError {
 }
 
 impl CameraError {
-    /// An error without a cause of its own.
+    /// An error without an underlying cause.
     pub fn new(kind: CameraErrorKind, message: impl Into<String>) -> Self {
         Self { kind, message: message.into(), source: None }
     }
 
-    /// An error with the error that caused it.
+    /// An error with its underlying cause.
     pub fn caused_by(
         kind: CameraErrorKind,
         message: impl Into<String>,
@@ -85,7 +85,7 @@ impl CameraError {
         Self { kind, message: message.into(), source: Some(source.into()) }
     }
 
-    /// What a policy decides on.
+    /// The kind: policies decide by it.
     pub fn kind(&self) -> CameraErrorKind {
         self.kind
     }
@@ -94,16 +94,16 @@ impl CameraError {
 /// A calibrated pair of cameras that delivers images.
 ///
 /// # For backend authors
-/// * `next_pair_into` blocks until a pair that was not yet delivered is complete, or `timeout` (on the backend's own clock)
-///   has passed, whichever is first; it never blocks for longer than twice `timeout`.
-/// * A delivered pair is whole, of the size that `info` states, and newer than every pair before: `sequence` and
-///   `exposed_at` both increase strictly. Stale or damaged images are an error, never delivered as new.
-/// * After an error `pair` may hold anything; the fields must not be used.
-/// * After `Timeout` or `BadPair` the next call goes on. After `EndOfStream` or `Disconnected` every call returns the same
-///   kind until the backend is made anew.
+/// * `next_pair_into` blocks until a pair that was not yet delivered is complete, or `timeout` (on the backend's own clock) has
+///   passed, whichever is first; it never blocks for longer than twice `timeout`.
+/// * A delivered pair is complete, of the size that `info` states, and newer than every pair before: `sequence` and `exposed_at`
+///   both increase strictly. Stale or damaged images are an error, never delivered as new.
+/// * After an error `pair` may contain anything; its fields must not be used.
+/// * After `Timeout` or `BadPair` the next call continues. After `EndOfStream` or `Disconnected` every call returns the same kind
+///   until the backend is created again.
 /// * A backend of recordings or simulations may ignore `timeout`; it then never waits.
 pub trait StereoCamera: Send {
-    /// What this camera delivers.
+    /// Stream parameters of this camera.
     fn info(&self) -> &StereoCameraInfo;
 
     /// Fills `pair` with the next stereo pair, re-using its buffers.
@@ -112,7 +112,7 @@ pub trait StereoCamera: Send {
     /// See [`CameraErrorKind`].
     fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError>;
 
-    /// The next pair in buffers of its own.
+    /// The next pair in newly allocated buffers.
     ///
     /// # Errors
     /// As [`Self::next_pair_into`].

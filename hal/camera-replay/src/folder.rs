@@ -1,4 +1,4 @@
-//! Pairing the images of a plain folder.
+//! Pairs the images of a plain folder.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -14,9 +14,9 @@ struct Half {
 
 type Found = BTreeMap<NaturalName, Half>;
 
-/// The pairs of a folder in the order of their names. Either `left<name>` and `right<name>` in the folder itself, or
-/// `<name>` in its subfolders `left` and `right`. Where an image has no partner, the file that should be there is
-/// returned, so that the pair is reported as missing it.
+/// The pairs of a folder in the order of their names. Either `left<name>` and `right<name>` in the folder itself, or `<name>` in
+/// its subfolders `left` and `right`. If an image has no partner, the expected file name is returned, so that the pair is
+/// reported as missing it.
 pub(crate) fn image_pairs(folder: &Path) -> Result<Vec<(PathBuf, PathBuf)>, CameraError> {
     let mut flat = Found::new();
     for file in images_in(folder)? {
@@ -42,10 +42,10 @@ pub(crate) fn image_pairs(folder: &Path) -> Result<Vec<(PathBuf, PathBuf)>, Came
         (true, false) => Ok(completed(nested, |name, side| folder.join(side).join(name))),
         (true, true) => Err(refuse(
             folder,
-            "it has no images left_*.png and right_*.png (or .jpg), and no subfolders left and right with images",
+            "no images left_*.png and right_*.png (or .jpg), and no subfolders left and right with images",
         )),
         (false, false) => {
-            Err(refuse(folder, "it has images of its own and subfolders left and right: keep one of the two"))
+            Err(refuse(folder, "it contains both images and subfolders left and right; keep one of the two"))
         }
     }
 }
@@ -56,7 +56,7 @@ fn refuse(folder: &Path, reason: &str) -> CameraError {
 
 fn images_in(folder: &Path) -> Result<Vec<PathBuf>, CameraError> {
     let unreadable = |source: std::io::Error| {
-        let message = format!("cannot read the folder {}: check that it exists", folder.display());
+        let message = format!("cannot read the folder {}; check that it exists", folder.display());
         CameraError::caused_by(CameraErrorKind::Unusable, message, source)
     };
     let mut images = Vec::new();
@@ -80,13 +80,13 @@ fn insert(found: &mut Found, name: &str, is_left: bool, file: PathBuf) -> Result
     match place.replace(file.clone()) {
         None => Ok(()),
         Some(other) => {
-            let message = format!("{} and {} are one image twice: keep one", other.display(), file.display());
+            let message = format!("{} and {} are the same image twice; keep one", other.display(), file.display());
             Err(CameraError::new(CameraErrorKind::Unusable, message))
         }
     }
 }
 
-/// Fills in the name that a missing image should have, with its partner's extension.
+/// Fills in the file name expected for a missing image, with its partner's extension.
 fn completed(found: Found, path: impl Fn(&str, &str) -> PathBuf) -> Vec<(PathBuf, PathBuf)> {
     let partner = |name: &str, side: &str, other: &Option<PathBuf>| {
         let extension = other.as_ref().and_then(|file| file.extension()).unwrap_or_default().to_string_lossy();
@@ -102,7 +102,7 @@ fn completed(found: Found, path: impl Fn(&str, &str) -> PathBuf) -> Vec<(PathBuf
     found.into_iter().map(pair).collect()
 }
 
-/// A name that is ordered with its numbers by value: `a2` before `a10`.
+/// A name for natural sorting: `a2` before `a10`.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct NaturalName {
     parts: Vec<Part>,
@@ -183,7 +183,7 @@ mod tests {
             assert!(message.contains(part), "{message}");
         };
         refused(&["photo.png"], "no images left_*.png");
-        refused(&["left_1.png", "left_1.jpg", "right_1.png"], "one image twice");
+        refused(&["left_1.png", "left_1.jpg", "right_1.png"], "same image twice");
         refused(&["left_1.png", "right_1.png", "left/1.png"], "keep one of the two");
         let error = image_pairs(Path::new("/nonexistent/folder")).unwrap_err();
         assert!(error.to_string().contains("/nonexistent/folder"));

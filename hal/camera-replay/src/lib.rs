@@ -1,9 +1,9 @@
 //! Stereo camera backend that replays recorded pairs.
 //!
 //! [`ReplayCamera`] plays a sequence folder, a case folder (one pair), or a plain folder of images with a calibration;
-//! `docs/dataset-format.md` describes all three. It plays as fast as it is asked, in the original timing on an injected
-//! clock, or step by step; once or for ever. A pair with an image that is missing, damaged or of another size is one
-//! error of kind `BadPair` that names the file; the next call goes on behind it.
+//! `docs/dataset-format.md` describes all three. It plays at maximum speed, in the original timing on an injected clock, or step
+//! by step; once or endlessly. A pair with an image that is missing, damaged or of another size gives one error of kind `BadPair`
+//! that names the file; the next call continues after it.
 //!
 //! Images are delivered as they were recorded, not undistorted or rectified.
 
@@ -24,24 +24,24 @@ use pb3dp_record::images::{ImageFileError, load_rgb_of_size};
 pub use pacing::{Pacing, Stepper};
 use source::{RecordedPair, Source};
 
-/// What happens after the last pair.
+/// Behaviour after the last pair.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Repeat {
     /// The stream ends.
     Once,
-    /// The recording starts again; sequence numbers and times go on increasing.
+    /// The recording starts again; sequence numbers and times keep increasing.
     Forever,
 }
 
-/// How a recording is played.
+/// Replay options.
 #[derive(Clone, Debug)]
 pub struct ReplayOptions {
-    /// When pairs are delivered.
+    /// Delivery timing.
     pub pacing: Pacing,
-    /// What happens after the last pair.
+    /// Behaviour after the last pair.
     pub repeat: Repeat,
-    /// Time between pairs where the recording has no times of its own (plain folders), and between the last and the first
-    /// pair of a recording with a single one.
+    /// Time between pairs if the recording has no times (plain folders), and between the last and the first pair of a recording
+    /// with a single pair.
     pub period: Duration,
 }
 
@@ -60,19 +60,18 @@ pub struct ReplayCamera {
     source: Source,
     pacing: Pacing,
     repeat: Repeat,
-    /// Pairs that were delivered or skipped, over all rounds.
+    /// Number of pairs delivered or skipped, over all rounds.
     position: u64,
-    /// Time of the first pair on the clock that `exposed_at` is told in; set by the first call.
+    /// Time of the first pair on the clock of `exposed_at`; set by the first call.
     started_at: Option<MonotonicTime>,
 }
 
 impl ReplayCamera {
-    /// Opens a folder of any of the three kinds: with a `sequence.json`, with a `case.json`, or with images and a
-    /// `calib.json` (or a ROS pair `left.yaml`, `right.yaml`).
+    /// Opens a folder of any of the three kinds: with a `sequence.json`, with a `case.json`, or with images and a `calib.json`
+    /// (or a ROS pair `left.yaml`, `right.yaml`).
     ///
     /// # Errors
-    /// Kind `Unusable` if the folder, its description or its calibration cannot be used; images are looked at when
-    /// their turn comes.
+    /// Kind `Unusable` if the folder, its description or its calibration cannot be used; images are checked when they are played.
     pub fn open(folder: &Path, options: ReplayOptions) -> Result<Self, CameraError> {
         if is_sequence(folder) {
             Self::open_sequence(&load_sequence(folder).map_err(|e| unusable(folder, e))?, options)
@@ -83,7 +82,7 @@ impl ReplayCamera {
         }
     }
 
-    /// Opens a plain folder of images with a calibration from elsewhere: one file, or a left and a right one.
+    /// Opens a plain folder of images with a separate calibration: one file, or a left and a right file.
     ///
     /// # Errors
     /// Kind `Unusable` if there are no images, their names are ambiguous, or the calibration cannot be used.
@@ -91,7 +90,7 @@ impl ReplayCamera {
         let pairs = folder::image_pairs(folder)?;
         let calibration = load_stereo(calibration).map_err(|e| {
             let message = format!(
-                "cannot replay the images in {}: give a calibration, or put a {CALIBRATION_FILE} there",
+                "cannot replay the images in {}: no calibration; give one, or put a {CALIBRATION_FILE} there",
                 folder.display()
             );
             CameraError::caused_by(CameraErrorKind::Unusable, message, e)
@@ -99,7 +98,7 @@ impl ReplayCamera {
         Self::new(folder, Source::of_images(pairs, options.period), calibration, options)
     }
 
-    /// Opens the one pair of a case; its time is zero.
+    /// Opens the single pair of a case; its time is zero.
     ///
     /// # Errors
     /// Kind `Unusable` if the calibration cannot be used.
@@ -125,7 +124,7 @@ impl ReplayCamera {
         options: ReplayOptions,
     ) -> Result<Self, CameraError> {
         if options.period.is_zero() {
-            let message = format!("cannot replay {}: the period must be longer than zero", folder.display());
+            let message = format!("cannot replay {}: the period is zero; it must be longer", folder.display());
             return Err(CameraError::new(CameraErrorKind::Unusable, message));
         }
         let info = StereoCameraInfo {
@@ -137,12 +136,12 @@ impl ReplayCamera {
         Ok(Self { info, calibration, source, pacing, repeat, position: 0, started_at: None })
     }
 
-    /// The two cameras and their pose.
+    /// The two cameras and the pose between them.
     pub fn rig(&self) -> &StereoRig {
         &self.calibration.rig
     }
 
-    /// The calibration with where it came from.
+    /// The calibration with its source.
     pub fn calibration(&self) -> &StereoCalibration {
         &self.calibration
     }
@@ -152,7 +151,7 @@ impl ReplayCamera {
         self.source.pairs()
     }
 
-    /// Waits until the pair at `position` is due and returns its time of exposure.
+    /// Waits until the pair at `position` is due and returns its exposure time.
     fn wait(&mut self, timeout: Duration) -> Result<MonotonicTime, CameraError> {
         let since_start = self.source.since_start(self.position);
         match &self.pacing {
@@ -195,14 +194,14 @@ impl StereoCamera for ReplayCamera {
 
     fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
         if self.repeat == Repeat::Once && self.position >= self.source.pairs() {
-            let message = format!("{}: all {} pairs are played", self.info.name, self.source.pairs());
+            let message = format!("{}: all {} pairs have been played", self.info.name, self.source.pairs());
             return Err(CameraError::new(CameraErrorKind::EndOfStream, message));
         }
         let exposed_at = self.wait(timeout)?;
         let recorded = self.source.pair(self.position);
         let loaded = self.load_into(recorded, pair);
         let (sequence, skew_nanos) = (self.position, recorded.skew_nanos);
-        // Good or bad, this pair is done: the next call goes on behind it.
+        // This pair is consumed, even if it is bad: the next call continues after it.
         self.position += 1;
         loaded?;
         pair.sequence = sequence;
@@ -212,7 +211,7 @@ impl StereoCamera for ReplayCamera {
     }
 }
 
-/// Loads an image into a buffer; the buffer's memory is kept if it has the right size.
+/// Loads an image into a buffer; the buffer memory is reused if it has the right size.
 fn load_into(file: &Path, size: ImageSize, because_of: &str, buffer: &mut RgbImage) -> Result<(), ImageFileError> {
     let image = load_rgb_of_size(file, size, because_of)?;
     if buffer.dimensions() == image.dimensions() {

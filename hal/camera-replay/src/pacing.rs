@@ -1,4 +1,4 @@
-//! When pairs are delivered.
+//! Delivery timing of a replay.
 
 use std::fmt;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
@@ -6,17 +6,17 @@ use std::time::Duration;
 
 use pb3dp_hal_api::Clock;
 
-/// When pairs are delivered.
+/// Delivery timing.
 #[derive(Clone, Default)]
 pub enum Pacing {
-    /// At once, as fast as they are asked for; `exposed_at` is the time of the recording.
+    /// At once, whenever a pair is requested; `exposed_at` is the time of the recording.
     #[default]
     Unpaced,
-    /// At the recorded intervals on this clock, beginning with the first call; `exposed_at` is the time on this clock.
-    /// A caller that is too slow gets every pair, late; none is dropped.
+    /// At the recorded intervals on this clock, beginning with the first call; `exposed_at` is the time on this clock. A caller
+    /// that is too slow gets every pair late; none is dropped.
     Original(Arc<dyn Clock>),
-    /// One pair for each step that the other half of this stepper is told; `exposed_at` is the time of the recording.
-    /// A call without a step waits in real time until its timeout.
+    /// One pair for each step released through a clone of this stepper; `exposed_at` is the time of the recording. A call without
+    /// a step waits in real time until its timeout.
     Stepped(Stepper),
 }
 
@@ -30,7 +30,7 @@ impl fmt::Debug for Pacing {
     }
 }
 
-/// Lets a replay go on, pair by pair. Clones are handles of the same replay.
+/// Releases the pairs of a replay one by one. Clones are handles of the same replay.
 #[derive(Clone, Debug, Default)]
 pub struct Stepper {
     shared: Arc<Steps>,
@@ -43,19 +43,19 @@ struct Steps {
 }
 
 impl Stepper {
-    /// A stepper without open steps.
+    /// A stepper without released steps.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Allows one more pair; a damaged one counts.
+    /// Releases one more pair; a damaged pair counts.
     pub fn step(&self) {
         let mut open = self.shared.open.lock().unwrap_or_else(PoisonError::into_inner);
         *open = open.saturating_add(1);
         self.shared.more.notify_one();
     }
 
-    /// Takes a step, waiting for one up to `timeout`; whether there was one.
+    /// Consumes a step, waiting for one up to `timeout`; returns whether there was one.
     pub(crate) fn take(&self, timeout: Duration) -> bool {
         let open = self.shared.open.lock().unwrap_or_else(PoisonError::into_inner);
         let waited = self.shared.more.wait_timeout_while(open, timeout, |open| *open == 0);

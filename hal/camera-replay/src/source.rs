@@ -11,7 +11,7 @@ use pb3dp_record::dataset::Sequence;
 pub(crate) struct RecordedPair {
     pub(crate) left: PathBuf,
     pub(crate) right: PathBuf,
-    /// From the first pair of the recording to this one.
+    /// Time since the first pair of the recording.
     pub(crate) since_first: Duration,
     pub(crate) skew_nanos: i64,
 }
@@ -22,12 +22,12 @@ pub(crate) struct Source {
     pairs: Vec<RecordedPair>,
     first_at: MonotonicTime,
     period: Option<Duration>,
-    /// From the first pair of one round to the first of the next.
+    /// Time between the first pairs of consecutive rounds.
     round: Duration,
 }
 
 impl Source {
-    /// Images without times, one every `period`.
+    /// Images without times, one per `period`.
     pub(crate) fn of_images(files: Vec<(PathBuf, PathBuf)>, period: Duration) -> Self {
         let pairs: Vec<_> = (0..)
             .zip(files)
@@ -37,7 +37,7 @@ impl Source {
         Self { pairs, first_at: MonotonicTime::ZERO, period: Some(period), round }
     }
 
-    /// A sequence; `period` serves as the time to the next round if it has one frame only.
+    /// A sequence; if it has one frame only, `period` is the time to the next round.
     pub(crate) fn of_sequence(sequence: &Sequence, period: Duration) -> Self {
         let first_s = sequence.times_s.first().copied().unwrap_or(0.0);
         let since_first = |at_s: f64| Duration::from_nanos(((at_s - first_s) * 1e9).round().max(0.0) as u64);
@@ -63,29 +63,29 @@ impl Source {
         self.pairs.len() as u64
     }
 
-    /// Time between pairs, if it is the same (to a fifth) between all.
+    /// Time between pairs, if it is constant (to a fifth).
     pub(crate) fn period(&self) -> Option<Duration> {
         self.period
     }
 
-    /// Time of the first pair on the recording's own clock; zero if that was negative.
+    /// Time of the first pair on the clock of the recording; zero if it was negative.
     pub(crate) fn first_at(&self) -> MonotonicTime {
         self.first_at
     }
 
-    /// The pair at a position that counts on over all rounds.
+    /// The pair at a position that counts over all rounds.
     pub(crate) fn pair(&self, position: u64) -> &RecordedPair {
         &self.pairs[(position % self.pairs()) as usize]
     }
 
-    /// From the very first pair to the one at a position that counts on over all rounds.
+    /// Time from the very first pair to the one at a position that counts over all rounds.
     pub(crate) fn since_start(&self, position: u64) -> Duration {
         let rounds = u32::try_from(position / self.pairs()).unwrap_or(u32::MAX);
         self.round.saturating_mul(rounds).saturating_add(self.pair(position).since_first)
     }
 }
 
-/// The median step, so that gaps of lost frames do not count.
+/// The median step, so that gaps of lost frames are ignored.
 fn typical_step(steps: &[Duration]) -> Option<Duration> {
     let mut sorted = steps.to_vec();
     sorted.sort_unstable();

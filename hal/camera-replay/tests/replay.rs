@@ -1,4 +1,4 @@
-//! The replay camera on recordings that the recorder of this repository wrote.
+//! The replay camera with recordings written by the recorder of this repository.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests may fail the test")]
 
@@ -31,7 +31,7 @@ fn image(value: u8) -> RgbImage {
     RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| Rgb([value, u as u8, v as u8]))
 }
 
-/// Records `frames` pairs; the red channel tells them apart: 2 i on the left, 2 i + 1 on the right.
+/// Records `frames` pairs, identified by the red channel: 2 i on the left, 2 i + 1 on the right.
 fn record(folder: &Path, frames: u8) {
     let draft = SequenceDraft {
         region_polygon_left_px: vec![[2.0, 2.0], [20.0, 2.0], [20.0, 12.0]],
@@ -91,7 +91,7 @@ fn pairs_carry_their_images_times_and_skew() {
         let frame = (i % 3) as u8;
         assert_eq!((&pair.left, &pair.right), (&image(2 * frame), &image(2 * frame + 1)));
         assert_eq!((pair.sequence, pair.skew_nanos), (i, 1_500));
-        // The rounds follow each other at the same period.
+        // The rounds follow each other with the same period.
         assert_eq!(pair.exposed_at.as_nanos(), 7_000_000_000 + PERIOD_NANOS * i);
     }
 }
@@ -132,13 +132,13 @@ fn original_timing_waits_on_the_clock_and_times_out_by_it() {
     let mut camera = open(dir.path(), Pacing::Original(clock.clone()), Repeat::Once);
     let first = camera.next_pair(SECOND).unwrap();
     assert_eq!(first.exposed_at.as_nanos(), 500_000_000);
-    // Too short a timeout: the clock moves by it, and the pair stays next.
+    // With a timeout that is too short the clock advances by the timeout, and the pair stays pending.
     let error = camera.next_pair(Duration::from_millis(20)).unwrap_err();
     assert_eq!((error.kind(), clock.now().as_nanos()), (CameraErrorKind::Timeout, 520_000_000));
     let second = camera.next_pair(Duration::from_millis(20)).unwrap();
     assert_eq!((second.sequence, second.exposed_at.as_nanos()), (1, 533_000_000));
     assert_eq!(clock.now().as_nanos(), 533_000_000);
-    // A late caller gets every pair, with the times at which they were due.
+    // A late caller gets every pair, with its due time.
     clock.sleep_until(MonotonicTime::from_nanos(900_000_000));
     let late = camera.next_pair(SECOND).unwrap();
     assert_eq!((late.sequence, late.exposed_at.as_nanos()), (2, 566_000_000));

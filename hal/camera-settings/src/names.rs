@@ -1,34 +1,34 @@
-//! Names of cameras that stay theirs, whatever number their devices get.
+//! Persistent camera names, independent of the device numbers.
 
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// What a camera is known by.
+/// The name of a camera.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CameraName {
-    /// Where it is plugged in, as its driver tells it.
+    /// Its port, as reported by the driver.
     Bus {
-        /// As the driver tells it.
+        /// Bus string reported by the driver.
         bus: String,
-        /// Which of the device's nodes; without it the first one that captures.
+        /// Index of the device node; default: the first one that captures.
         index: Option<u32>,
     },
     /// Its serial number.
     Serial {
-        /// As the system tells it.
+        /// Serial number reported by the system.
         serial: String,
-        /// Which of the device's nodes; without it the first one that captures.
+        /// Index of the device node; default: the first one that captures.
         index: Option<u32>,
     },
-    /// The file of its node, which may be another camera's tomorrow.
+    /// The file of its node, which may belong to another camera after a restart.
     Path(PathBuf),
 }
 
-/// A text that is no name of a camera.
+/// A text that is not a camera name.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{0}` names no camera: write bus:PLACE, serial:NUMBER (both as `pb3dp cameras list` shows them) or /dev/videoN"
+    "`{0}` is not a camera name; write bus:PLACE, serial:NUMBER (both as shown by `pb3dp cameras list`) or /dev/videoN"
 )]
 pub struct CameraNameError(String);
 

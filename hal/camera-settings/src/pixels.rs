@@ -1,24 +1,24 @@
-//! How cameras lay out the pixels of an image.
+//! Pixel formats of cameras.
 
-/// How a device lays out the pixels of an image.
+/// The pixel format of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PixelFormat {
     /// `YUYV`: two pixels in four bytes, Y0 U Y1 V.
     Yuyv,
-    /// `GREY`: one byte of brightness.
+    /// `GREY`: one byte of luminance.
     Grey,
     /// `RGB3`: red, green, blue.
     Rgb24,
     /// `BGR3`: blue, green, red.
     Bgr24,
-    /// `RGGB`, `GRBG`, `GBRG`, `BA81`: one byte of one colour, as the sensor has it.
+    /// `RGGB`, `GRBG`, `GBRG`, `BA81`: one byte of one colour per pixel, the raw sensor data.
     Bayer8(BayerOrder),
-    /// `MJPG`: each image a JPEG of its own, with or without its Huffman tables.
+    /// `MJPG`: each image is a separate JPEG, with or without its Huffman tables.
     Mjpg,
 }
 
 impl PixelFormat {
-    /// Every format, those first that cost least.
+    /// Every format, fastest conversion first.
     pub const ALL: [Self; 9] = [
         Self::Yuyv,
         Self::Rgb24,
@@ -31,7 +31,7 @@ impl PixelFormat {
         Self::Mjpg,
     ];
 
-    /// The four letters by which V4L2 names it (kernel documentation, "Image Formats").
+    /// The four-character code in V4L2 (kernel documentation, "Image Formats").
     pub const fn fourcc(self) -> [u8; 4] {
         match self {
             Self::Yuyv => *b"YUYV",
@@ -46,16 +46,16 @@ impl PixelFormat {
         }
     }
 
-    /// The format of that name, if it is one that can be converted.
+    /// The format with that code, if it can be converted.
     pub fn of_fourcc(fourcc: [u8; 4]) -> Option<Self> {
         Self::ALL.into_iter().find(|format| format.fourcc() == fourcc)
     }
 
-    /// Bytes of one row without padding; `None` where an image has no rows of fixed length.
+    /// Bytes of one row without padding; `None` for formats without rows of fixed length.
     pub fn row_bytes(self, width: u32) -> Option<usize> {
         let width = width as usize;
         match self {
-            // Two pixels share their colour: an odd last pixel has a pair of its own.
+            // Two pixels share their chroma: an odd last pixel has its own pair.
             Self::Yuyv => Some(width.div_ceil(2) * 4),
             Self::Grey | Self::Bayer8(_) => Some(width),
             Self::Rgb24 | Self::Bgr24 => Some(3 * width),
@@ -64,9 +64,9 @@ impl PixelFormat {
     }
 }
 
-/// Four letters that name no format that is taken.
+/// Four letters that are not a supported format.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{text:?} is no layout of pixels that is taken; write one of: {}", PixelFormat::ALL.map(|format| format.to_string()).join(", "))]
+#[error("{text:?} is not a supported pixel format; use one of: {}", PixelFormat::ALL.map(|format| format.to_string()).join(", "))]
 pub struct UnknownFormat {
     text: String,
 }
@@ -86,7 +86,7 @@ impl std::fmt::Display for PixelFormat {
     }
 }
 
-/// The colours of the upper left square of 2x2 pixels, row by row.
+/// The colours of the upper left 2x2 pixels, row by row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum BayerOrder {
     /// Red, green; green, blue.

@@ -1,32 +1,33 @@
-//! When an image was exposed, from the stamp of its buffer.
+//! Exposure time of an image, computed from the buffer timestamp.
 
 use std::time::Duration;
 
-/// What the stamp of a buffer means (`V4L2_BUF_FLAG_TIMESTAMP_*`, `V4L2_BUF_FLAG_TSTAMP_SRC_*`).
+/// The meaning of a buffer timestamp (`V4L2_BUF_FLAG_TIMESTAMP_*`, `V4L2_BUF_FLAG_TSTAMP_SRC_*`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StampSource {
     /// `CLOCK_MONOTONIC` when the last pixel of the image had been received.
     EndOfFrame,
     /// `CLOCK_MONOTONIC` when the exposure began.
     StartOfExposure,
-    /// Any other clock, or one that the driver does not tell of.
+    /// Any other clock, or unknown.
     Unknown,
 }
 
-/// What is known of a camera besides its stamps.
+/// Timing properties of a camera in addition to its timestamps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StampModel {
-    /// From the end of the exposure until the last pixel has been received, for drivers that stamp the end of a frame.
+    /// Time from the end of the exposure until the last pixel was received, for drivers that stamp the end of a frame.
     pub readout: Duration,
-    /// By how much a stamp is later than what it stands for: of a driver that stamps when the first data arrive, say.
+    /// Delay of a timestamp relative to the event it stands for, for example for a driver that stamps the arrival of the first
+    /// data.
     pub delay: Duration,
 }
 
 impl StampModel {
-    /// The middle of the exposure on the clock of the stamp, nanoseconds; `None` if it is not known what the stamp means.
+    /// The middle of the exposure on the clock of the timestamp, nanoseconds; `None` if the meaning of the timestamp is unknown.
     ///
-    /// Kernel documentation, "Buffers", `V4L2_BUF_FLAG_TSTAMP_SRC_*`: a stamp is the begin of the exposure, or the moment at which the last
-    /// pixel of the frame has been received.
+    /// Kernel documentation, "Buffers", `V4L2_BUF_FLAG_TSTAMP_SRC_*`: a timestamp is the start of the exposure, or the time when
+    /// the last pixel of the frame was received.
     pub fn mid_exposure_nanos(&self, stamp_nanos: i64, source: StampSource, exposure: Duration) -> Option<i64> {
         let half = nanos(exposure) / 2;
         let from_stamp = match source {
@@ -38,7 +39,7 @@ impl StampModel {
     }
 }
 
-/// A duration as a signed number; those of 292 years and more are all the same.
+/// A duration as a signed number; saturated at 292 years.
 pub fn nanos(duration: Duration) -> i64 {
     i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX)
 }

@@ -1,4 +1,4 @@
-//! What goes wrong with cameras, on request: the same faults for rendered images and for the camera without images.
+//! Injected camera faults: the same faults for rendered images and for the camera without images.
 
 mod delivery;
 mod images;
@@ -11,7 +11,7 @@ use pb3dp_sim::noise::{hash, unit};
 pub(crate) use delivery::{Delivered, Delivery};
 pub use images::FaultyCamera;
 
-/// The faults of a camera that began at a time.
+/// The fault plan of a camera, with its start time.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
     faults: CameraFaults,
@@ -24,20 +24,20 @@ impl Plan {
         Ok(Self { faults, began })
     }
 
-    /// What goes wrong with the pair of this number that was exposed at this time.
+    /// The faults of the pair with this number and exposure time.
     pub(crate) fn at(&self, sequence: u64, exposed_at: MonotonicTime) -> Vec<CameraFault> {
         let age = exposed_at.saturating_since(self.began);
         let active = self.faults.list.iter().enumerate().filter(|(_, fault)| (fault.from..fault.until).contains(&age));
         active.filter(|(index, fault)| self.befalls(*index, &fault.kind, sequence)).map(|(_, fault)| *fault).collect()
     }
 
-    /// How far through its time a fault is, 0 to 1.
+    /// Progress of a fault through its duration, 0 to 1.
     pub(crate) fn progress(&self, fault: &CameraFault, exposed_at: MonotonicTime) -> f64 {
         let age = exposed_at.saturating_since(self.began).saturating_sub(fault.from);
         age.as_secs_f64() / (fault.until - fault.from).as_secs_f64()
     }
 
-    /// Whether a fault that happens to a share of the pairs happens to this one.
+    /// Whether a fault that affects a share of the pairs affects this one.
     fn befalls(&self, index: usize, kind: &CameraFaultKind, sequence: u64) -> bool {
         let share = match *kind {
             CameraFaultKind::Dropped { share }
@@ -49,9 +49,9 @@ impl Plan {
     }
 }
 
-/// Where the bar hangs in the left and the right image: first column and the one behind the last, as shares of the width.
+/// Position of the bar in the left and the right image: first column and one past the last, as shares of the width.
 pub(crate) fn bar(width_share: f64, crosses: bool, progress: f64) -> [[f64; 2]; 2] {
-    /// How much farther left it is in the right image, as a share of the width: a bar 350 to 400 mm before usual cameras.
+    /// Shift to the left in the right image, as a share of the width: a bar 350 to 400 mm in front of usual cameras.
     const DISPARITY: f64 = 0.3;
     let centre =
         if crosses { progress * (1.0 + DISPARITY + width_share) - (DISPARITY + width_share) / 2.0 } else { 0.5 };
@@ -86,7 +86,7 @@ mod tests {
         assert!((900..1100).contains(&dropped), "{dropped}");
         let other = Plan::new(CameraFaults { seed: 4, ..plan.faults.clone() }, began).unwrap();
         let differs = |sequence| at(1000, sequence) != other.at(sequence, began + Duration::from_secs(1));
-        assert!((0..100).any(differs), "another seed drops others");
+        assert!((0..100).any(differs), "another seed drops other pairs");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! A camera that renders nothing, with the tracker that would look at its images.
+//! A camera without rendering, combined with a simulated tracker.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,18 +14,18 @@ use crate::SimCameraConfig;
 use crate::faults::{Delivered, Delivery, Plan, bar};
 use crate::schedule::ExposureSchedule;
 
-/// For messages.
+/// Name for messages.
 const NAME: &str = "camera without images";
 
-/// Factors of brightness at which a tracker still sees something.
+/// Range of brightness factors in which a tracker still works.
 const BRIGHTNESS_SEEN: std::ops::RangeInclusive<f64> = 0.2..=4.0;
-/// For so many frames after a step of brightness a tracker is not sure.
+/// Number of frames with low confidence after a step of brightness.
 const FRAMES_AFTER_STEP: u32 = 3;
-/// Offset of the right image's rows beyond which nothing fits, pixels.
+/// Maximum vertical misalignment of the right image for stereo matching, pixels.
 const ROWS_OFF_MAX_PX: f64 = 2.0;
 
-/// Exposes at the times of a [`SimStereoCamera`](crate::SimStereoCamera) and says what a tracker would: the true pose at
-/// mid-exposure, with noise. Number and times of frames are those that the camera with images would give.
+/// Exposes at the times of a [`SimStereoCamera`](crate::SimStereoCamera) and returns the result of a tracker: the true pose at
+/// mid-exposure, with noise. Number and times of frames are those of the camera with images.
 pub struct GeometricCamera {
     tracker: GeometricTracker,
     poses: Box<dyn PoseSource>,
@@ -33,9 +33,9 @@ pub struct GeometricCamera {
     exposure: Duration,
     plan: Plan,
     delivery: Delivery<GeometricFrame>,
-    /// The true pose in the frame before.
+    /// The true pose in the previous frame.
     before: Option<Pose<CamLeft, Target>>,
-    /// Factors of brightness of both cameras in the frame before, and how many frames ago they changed.
+    /// Brightness factors of both cameras in the previous frame, and the number of frames since they changed.
     brightness: ([f64; 2], u32),
 }
 
@@ -71,15 +71,15 @@ impl GeometricCamera {
         })
     }
 
-    /// The same camera with these faults, whose times count from `began`: with what each of them does to a tracker of images.
+    /// The same camera with these faults and their effect on an image tracker; fault times count from `began`.
     ///
     /// # Errors
-    /// `Unusable` for a fault that cannot be.
+    /// `Unusable` for an invalid fault.
     pub fn with_faults(self, faults: CameraFaults, began: MonotonicTime) -> Result<Self, CameraError> {
         Ok(Self { plan: Plan::new(faults, began)?, ..self })
     }
 
-    /// What it sees with.
+    /// The tracker configuration.
     pub fn config(&self) -> &GeometricConfig {
         self.tracker.config()
     }
@@ -87,7 +87,7 @@ impl GeometricCamera {
     /// Waits for the end of the next exposure.
     ///
     /// # Errors
-    /// `Timeout` if there is none in this time, or a fault takes it, `BadPair` if the poses are not finite.
+    /// `Timeout` if there is none in this time, or a fault drops it, `BadPair` if the poses are not finite.
     pub fn next_frame(&mut self, timeout: Duration) -> Result<GeometricFrame, CameraError> {
         let (sequence, start) = self.schedule.wait_for_next(NAME, timeout)?;
         let exposed_at = start + self.exposure / 2;
@@ -113,7 +113,7 @@ impl GeometricCamera {
         self.delivery.deliver(frame, &faults)
     }
 
-    /// What faults do to a tracker of the images.
+    /// Effect of faults on a tracker of the images.
     fn hindrances(&mut self, frame: &mut GeometricFrame, faults: &[CameraFault]) {
         let mut brightness = [1.0; 2];
         for fault in faults {
@@ -131,7 +131,7 @@ impl GeometricCamera {
                 CameraFaultKind::Occluder { width_share, crosses } => {
                     let sides = bar(width_share, crosses, self.plan.progress(fault, frame.exposed_at));
                     self.is_hidden(&frame.cam_left_from_target, sides[0])
-                        .then_some(Hindrance::Blind("something is before the target"))
+                        .then_some(Hindrance::Blind("the target is occluded"))
                 }
                 CameraFaultKind::Skewed { stamped_nanos } => {
                     frame.skew_nanos = stamped_nanos;
@@ -159,7 +159,7 @@ impl GeometricCamera {
             frame.hindrance = Some(Hindrance::Doubtful("brightness has just changed"));
         }
     }
-    /// The right image is not where the calibration has it.
+    /// Effect of a right image that is displaced relative to the calibration.
     fn misjudge(
         &self,
         frame: &mut GeometricFrame,
@@ -168,7 +168,7 @@ impl GeometricCamera {
         scale: f64,
     ) -> Option<Hindrance> {
         if rows_px.abs() > ROWS_OFF_MAX_PX {
-            return Some(Hindrance::Blind("the rows of the images do not fit"));
+            return Some(Hindrance::Blind("the vertical misalignment of the images is too large"));
         }
         let found = frame.sighting.cam_left_from_model.ok()?;
         match self.tracker.misjudged(&found, columns_px, roll_rad, scale) {
@@ -180,7 +180,7 @@ impl GeometricCamera {
         }
     }
 
-    /// Whether more than half of the target's outline is behind a bar between these sides, as shares of the left image's width.
+    /// Whether more than half of the target outline is behind a bar between these sides, as shares of the left image width.
     fn is_hidden(&self, cam_left_from_target: &Pose<CamLeft, Target>, sides: [f64; 2]) -> bool {
         let outline_px = self.tracker.outline_px(cam_left_from_target);
         let width = f64::from(self.tracker.rig().left().size().width);
@@ -213,7 +213,7 @@ mod tests {
         }
     }
 
-    /// A target 500 mm away that goes to the right by 60 mm/s.
+    /// A target 500 mm away that moves to the right at 60 mm/s.
     fn passing(kind: CameraFaultKind) -> Vec<Option<GeometricFrame>> {
         let camera = Camera::new(
             ImageSize { width: 640, height: 480 },
@@ -250,7 +250,7 @@ mod tests {
         Some((found.translation_m().x * 1e5).round() / 100.0)
     }
 
-    /// Frames 2, 3 and 4 suffer.
+    /// Frames 2, 3 and 4 are affected.
     #[test]
     fn what_reaches_a_tracker() {
         let x = |kind| passing(kind).iter().map(x_mm).collect::<Vec<_>>();
@@ -303,7 +303,7 @@ mod tests {
         // A disparity of 148 pixels at 500 mm.
         let near = |found: f64, expected: f64| assert!((found - expected).abs() < 0.01, "{found} {expected}");
         near(z_mm(CameraFaultKind::Miscalibrated { columns_px: 3.0, rows_px: 1.0, roll_rad: 0.0, scale: 1.0 }), 510.34);
-        // The right eye shows the target 3 mm farther left: 4.44 pixels.
+        // The right camera shows the target 3 mm farther left: 4.44 pixels.
         near(z_mm(CameraFaultKind::Skewed { stamped_nanos: 5 }), 500.0 * 148.0 / 152.44);
         assert_eq!(passing(CameraFaultKind::Skewed { stamped_nanos: 5 })[3].unwrap().skew_nanos, 5);
     }

@@ -1,9 +1,9 @@
-//! Stereo camera backend that renders the simulated cell.
+//! Stereo camera backend that renders the simulated workcell.
 //!
-//! [`SimStereoCamera`] exposes at fixed times of an injected clock, asks a `PoseSource` where everything was then, and renders
-//! the pair. It knows no arm: whoever simulates the arms implements `PoseSource`. [`GeometricCamera`] exposes at the same times and
-//! renders nothing: it stands for camera and tracker in one, for runs in which pixels are not the subject. Both can be made to suffer
-//! [`CameraFaults`](pb3dp_sim::camera_faults::CameraFaults): [`FaultyCamera`] does it to images.
+//! [`SimStereoCamera`] exposes at fixed times of an injected clock, queries the poses at these times from a `PoseSource`, and
+//! renders the pair. It does not depend on arms: the arm simulation implements `PoseSource`. [`GeometricCamera`] exposes at the
+//! same times and renders nothing: it combines camera and tracker, for runs that do not study image processing. Both support
+//! [`CameraFaults`](pb3dp_sim::camera_faults::CameraFaults): [`FaultyCamera`] applies them to images.
 
 mod faults;
 mod geometric;
@@ -21,17 +21,17 @@ pub use faults::FaultyCamera;
 pub use geometric::GeometricCamera;
 use schedule::ExposureSchedule;
 
-/// Most moments of one exposure.
+/// Maximum number of times rendered per exposure.
 const BLUR_MOMENTS_MAX: u32 = 64;
 
-/// When the camera exposes.
+/// Timing of the simulated camera.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SimCameraConfig {
     /// Time between exposures.
     pub period: Duration,
     /// Length of an exposure, at most `period`. Without motion blur it only sets the time at which a pair is ready.
     pub exposure: Duration,
-    /// Moments of an exposure that are rendered and averaged: 1 for sharp images, more for motion blur (each costs a
+    /// Number of times during an exposure that are rendered and averaged: 1 for sharp images, more for motion blur (each costs a
     /// rendering), at most 64.
     pub blur_moments: u32,
     /// Pairs until the end of the stream; `None` never ends.
@@ -54,17 +54,17 @@ impl SimCameraConfig {
     fn validate(&self) -> Result<(), CameraError> {
         let refuse = |message: String| Err(CameraError::new(CameraErrorKind::Unusable, message));
         if self.period.is_zero() {
-            return refuse("the period of the simulated camera is 0: it must be positive".to_owned());
+            return refuse("the period of the simulated camera is 0; it must be positive".to_owned());
         }
         if self.exposure > self.period {
             return refuse(format!(
-                "the exposure of the simulated camera is {:?}: it must not be longer than the period, {:?}",
+                "the exposure of the simulated camera is {:?}; it must not exceed the period, {:?}",
                 self.exposure, self.period
             ));
         }
         if !(1..=BLUR_MOMENTS_MAX).contains(&self.blur_moments) {
             return refuse(format!(
-                "the simulated camera is to render {} moments per exposure: set 1 to {BLUR_MOMENTS_MAX}",
+                "blur_moments of the simulated camera is {}; set 1 to {BLUR_MOMENTS_MAX}",
                 self.blur_moments
             ));
         }
@@ -74,13 +74,13 @@ impl SimCameraConfig {
 
 /// A simulated stereo camera with a global shutter and no skew.
 ///
-/// Exposure `k` begins `k` periods after the camera was made. A call delivers the newest exposure that is complete and was
-/// not yet delivered, and otherwise waits for the next one: a caller that is late loses pairs (a gap in `sequence`) instead of
-/// falling behind, as with a real camera. So poses are asked for times up to one period and one exposure in the past of the
-/// clock, and never going back from pair to pair.
+/// Exposure `k` begins `k` periods after the camera was created. A call delivers the newest complete exposure that was not yet
+/// delivered, otherwise it waits for the next one. A late caller therefore loses pairs (a gap in `sequence`) instead of falling
+/// behind, as with a real camera. Poses are requested for times up to one period and one exposure in the past of the clock, and
+/// these times never decrease from pair to pair.
 ///
-/// Rendering takes processor time in the call. With a clock that only moves when somebody sleeps, images and times depend
-/// on nothing but configuration, seed and poses.
+/// Rendering uses processor time within the call. With a clock that only advances when a thread sleeps, images and times depend
+/// only on configuration, seed and poses.
 pub struct SimStereoCamera {
     renderer: StereoRenderer,
     poses: Box<dyn PoseSource>,
@@ -113,17 +113,17 @@ impl SimStereoCamera {
         Ok(Self { renderer, poses, config, info, schedule, delivered: 0, moments })
     }
 
-    /// The renderer, for its scene and ground truth.
+    /// The renderer, for access to its scene and ground truth.
     pub fn renderer_mut(&mut self) -> &mut StereoRenderer {
         &mut self.renderer
     }
 
-    /// Asks where everything is during the exposure that begins at `start`.
+    /// Requests the poses during the exposure that begins at `start`.
     fn gather_poses(&mut self, start: MonotonicTime) -> Result<(), CameraError> {
         let (exposure, count) = (self.config.exposure, self.config.blur_moments);
         self.moments.clear();
         for moment in 0..count {
-            // Middles of equal slices, so that a single moment is mid-exposure.
+            // Centres of equal time slices, so that a single pose is at mid-exposure.
             let at = start + exposure * (2 * moment + 1) / (2 * count);
             let poses = self.poses.poses_at(at);
             if !(poses.world_from_cam_left.is_finite() && poses.world_from_target.is_finite()) {
@@ -137,7 +137,7 @@ impl SimStereoCamera {
     }
 
     fn end_of_stream(&self) -> CameraError {
-        let message = format!("{}: all {} pairs were delivered", self.info.name, self.delivered);
+        let message = format!("{}: all {} pairs have been delivered", self.info.name, self.delivered);
         CameraError::new(CameraErrorKind::EndOfStream, message)
     }
 }

@@ -1,4 +1,4 @@
-//! When simulated cameras expose.
+//! Exposure schedule of simulated cameras.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -23,8 +23,8 @@ impl ExposureSchedule {
         Self { start: clock.now(), clock, period: config.period, exposure: config.exposure, next_sequence: 0 }
     }
 
-    /// Waits for the end of the newest exposure that was not yet delivered; its number, and when it began. Whatever becomes of it,
-    /// it is not offered again.
+    /// Waits for the end of the newest exposure that was not yet delivered; returns its number and start time. The exposure is
+    /// not offered again, whatever the caller does with it.
     ///
     /// # Errors
     /// `Timeout` if it ends later than `timeout` from now.
@@ -35,7 +35,7 @@ impl ExposureSchedule {
         let ready = start + self.exposure;
         if ready > now + timeout {
             self.clock.sleep_until(now + timeout);
-            let message = format!("{name}: no pair within {timeout:?}, the next one is due later");
+            let message = format!("{name}: no pair within {timeout:?}; the next one is due later");
             return Err(CameraError::new(CameraErrorKind::Timeout, message));
         }
         self.clock.sleep_until(ready);
@@ -43,7 +43,7 @@ impl ExposureSchedule {
         Ok((sequence, start))
     }
 
-    /// When an exposure begins.
+    /// Start time of an exposure.
     fn exposure_start(&self, sequence: u64) -> MonotonicTime {
         let nanos = self.period.as_nanos().saturating_mul(u128::from(sequence));
         self.start + Duration::from_nanos(u64::try_from(nanos).unwrap_or(u64::MAX))

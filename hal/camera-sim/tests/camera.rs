@@ -1,4 +1,4 @@
-//! The simulated camera against the contract, its times, and what it does when its caller is late.
+//! The simulated camera: contract, times, and behaviour with a late caller.
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy allows them in #[test] functions only, not in their helpers.
 
 use std::sync::{Arc, Mutex};
@@ -29,7 +29,7 @@ fn renderer() -> StereoRenderer {
     StereoRenderer::new(scene, rig, &SensorConfig::IDEAL, 1).unwrap()
 }
 
-/// The target moves to the right at half a metre per second; every question is noted.
+/// The target moves to the right at half a metre per second; every request is recorded.
 #[derive(Clone, Default)]
 struct Mover {
     asked: Arc<Mutex<Vec<MonotonicTime>>>,
@@ -113,11 +113,11 @@ fn a_late_caller_loses_pairs_but_gets_the_newest() {
         (pair.sequence, pair.exposed_at, clock.now())
     };
     assert_eq!(next_at(0), (0, millis(3), millis(6)));
-    // A little late: the exposure that has just ended is still the newest.
+    // Slightly late: the exposure that has just ended is still the newest.
     assert_eq!(next_at(50), (1, millis(33), millis(50)));
-    // Very late: 2, 3 and 4 are gone, exposure 5 ended at 156 ms.
+    // Very late: 2, 3 and 4 are lost, exposure 5 ended at 156 ms.
     assert_eq!(next_at(170), (5, millis(153), millis(170)));
-    // Early again: waits.
+    // Early again: the call waits.
     assert_eq!(next_at(171), (6, millis(183), millis(186)));
 }
 
@@ -154,11 +154,11 @@ fn configurations_out_of_range_are_refused_with_the_value() {
     };
     check(SimCameraConfig { period: Duration::ZERO, exposure: Duration::ZERO, ..config(1, None) }, "period");
     check(SimCameraConfig { exposure: Duration::from_millis(31), ..config(1, None) }, "31ms");
-    check(config(0, None), "0 moments");
-    check(config(65, None), "65 moments");
+    check(config(0, None), "is 0; set 1 to 64");
+    check(config(65, None), "is 65; set 1 to 64");
 }
 
-/// The camera without images gives the frames that the other one would, at the same times, asking for the same poses.
+/// The camera without images gives the same frames as the other one, at the same times, with the same pose requests.
 #[test]
 fn without_images_frames_come_at_the_same_times() {
     let config = SimCameraConfig { pairs: None, ..config(1, None) };

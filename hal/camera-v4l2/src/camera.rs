@@ -1,4 +1,4 @@
-//! Two cameras as one.
+//! Two V4L2 cameras as one stereo camera.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,21 +17,22 @@ use crate::stream::{Drained, Stream, StreamConfig, StreamCounters};
 use crate::timing::ClockMap;
 use crate::video::{VideoNode, VideoSystem};
 
-/// Without any image for so many periods a camera is silent. One that sends is late by less than a period: on an emulated computer
-/// with one busy processor `vivid` was 43 to 61 ms behind the image before in place of 33 (maximum of 300 images, 1.8 periods).
-/// Where a single image is lost the next one comes at that very time, and may be told as silent; it is delivered by the next call.
+/// A camera without any image for this number of periods counts as silent. A working camera is late by less than a period: on an
+/// emulated computer with one busy processor the images of `vivid` were 43 to 61 ms apart instead of 33 (maximum of 300 images,
+/// 1.8 periods). After a single lost image the next one arrives at exactly this time, so that the camera may be reported as
+/// silent; the image is delivered by the next call.
 const SILENT_PERIODS: f64 = 2.0;
 
-/// The same where images come that are no good: the camera is there, one image may be damaged, and the next one late by half a period.
+/// The same for a camera whose images are invalid: one image may be damaged, and the next one late by half a period.
 const DAMAGED_PERIODS: f64 = 2.5;
 
-/// An image may wait in the driver for so many periods; with those of a late caller it was filled long ago.
+/// Maximum time, in periods, that an image may wait in the driver; the buffered images of a late caller are older.
 const AGE_PERIODS_MAX: u32 = 4;
 
-/// Memory for images that the driver fills: one is held, one is filled, two are room for a caller that is late.
+/// Number of driver buffers: one is held, one is being filled, two are reserve for a late caller.
 const BUFFERS: u32 = 4;
 
-/// What has come, and what was left out.
+/// Counters of received and dropped images.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StereoCounters {
     /// Of the left camera.
@@ -44,7 +45,7 @@ pub struct StereoCounters {
     pub skew_refused: u64,
     /// Largest skew of a delivered pair.
     pub skew_max_nanos: u64,
-    /// How the cameras run against each other; `None` before it is known.
+    /// Drift between the two cameras; `None` before it is known.
     pub drift: Option<Drift>,
 }
 
@@ -57,18 +58,18 @@ pub enum Side {
     Right,
 }
 
-/// What one camera of the two is known by, and how its lens is set.
+/// Identity of a camera and its lens setting.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CameraIdentity {
-    /// Its serial number.
+    /// Serial number.
     pub serial: Option<String>,
-    /// Where it is plugged in.
+    /// Port it is connected to.
     pub place: String,
-    /// What holds its lens.
+    /// Focus setting.
     pub focus: Focus,
 }
 
-/// Two V4L2 devices that deliver pairs. Both are closed when one is lost; it is opened anew then.
+/// Two V4L2 devices that deliver pairs. If one is lost both are closed, and the camera must be opened again.
 pub struct V4l2StereoCamera {
     info: StereoCameraInfo,
     found: [Found; 2],
@@ -82,21 +83,21 @@ pub struct V4l2StereoCamera {
     counters: StereoCounters,
     drift: DriftEstimator,
     last: Option<(u64, MonotonicTime)>,
-    /// What was heard of each side last; `None` before its first good image.
+    /// Last sign of life of each side; `None` before its first good image.
     heard: [Option<Heard>; 2],
 }
 
-/// When a camera had its last images, or it was last told that it has none.
+/// Time of the last images of a camera, or of the last report that it has none.
 #[derive(Clone, Copy, Debug)]
 struct Heard {
-    /// Of whatever quality.
+    /// Images of any quality.
     any: MonotonicTime,
-    /// Good ones.
+    /// Good images.
     good: MonotonicTime,
 }
 
 impl Heard {
-    /// Takes down what came of taking images.
+    /// Updates the times after draining the driver.
     fn note(heard: &mut Option<Self>, drained: Drained, now: MonotonicTime) {
         if drained.has_life {
             *heard = Some(Self { any: now, good: now });
@@ -108,15 +109,15 @@ impl Heard {
 
 enum State {
     Open(Box<[Stream; 2]>),
-    /// What every call says.
+    /// The message of every call.
     Lost(String),
 }
 
 impl V4l2StereoCamera {
-    /// Opens both devices, brings them into the mode and state that is asked for, reads it back, and starts them.
+    /// Opens both devices, sets the requested mode and controls, reads them back, and starts the streams.
     ///
     /// # Errors
-    /// `Disconnected` if a device is not there, `Unusable` if it is used by others, may not be used, or is not what is asked for.
+    /// `Disconnected` if a device is missing; `Unusable` if it is in use, not permitted, or not as requested.
     pub fn open(
         system: Arc<dyn VideoSystem>,
         clock: Arc<dyn Clock>,
@@ -135,22 +136,19 @@ impl V4l2StereoCamera {
         let right_mode = prepare(right.as_mut(), &right_found, &config.right)?;
         let size = left_mode.mode.layout.size;
         if size != right_mode.mode.layout.size {
-            return Err(unusable(
-                &name,
-                format!("images differ in size: {size:?} and {:?}", right_mode.mode.layout.size),
-            ));
+            return Err(unusable(&name, format!("image sizes differ: {size:?} and {:?}", right_mode.mode.layout.size)));
         }
         let [period, other] = [&left_mode, &right_mode].map(|prepared| prepared.mode.period_s);
         if (period - other).abs() > 1e-6 * period {
             return Err(unusable(
                 &name,
-                format!("rates differ: {:.4} and {:.4} images per second", 1.0 / period, 1.0 / other),
+                format!("frame rates differ: {:.4} and {:.4} images per second", 1.0 / period, 1.0 / other),
             ));
         }
         let period = Duration::from_secs_f64(period);
         if config.skew_max >= period {
             let what = format!(
-                "a skew of {:?} cannot be told from the next image, which comes after {period:?}",
+                "the maximum skew is {:?}, it must be shorter than the frame period of {period:?}",
                 config.skew_max
             );
             return Err(unusable(&name, what));
@@ -177,7 +175,7 @@ impl V4l2StereoCamera {
         })
     }
 
-    /// What has come and what was left out since it was opened.
+    /// Counters of received and dropped images since opening.
     pub fn counters(&self) -> StereoCounters {
         let mut counters = self.counters;
         if let State::Open(streams) = &self.state {
@@ -188,7 +186,7 @@ impl V4l2StereoCamera {
         counters
     }
 
-    /// The mode that a camera has agreed to.
+    /// The negotiated mode of a camera.
     ///
     /// # Errors
     /// `Disconnected` after the loss of a camera.
@@ -196,10 +194,10 @@ impl V4l2StereoCamera {
         Ok(self.stream(side)?.config.mode)
     }
 
-    /// What a camera is known by, and how its lens is set now.
+    /// Identity and present lens setting of a camera.
     ///
     /// # Errors
-    /// As the driver has it; `Disconnected` after the loss of a camera.
+    /// Errors of the driver; `Disconnected` after the loss of a camera.
     pub fn identity(&mut self, side: Side) -> Result<CameraIdentity, CameraError> {
         let stream = self.stream(side)?;
         let device = stream.config.device.clone();
@@ -211,17 +209,17 @@ impl V4l2StereoCamera {
     /// Controls of a camera with their values.
     ///
     /// # Errors
-    /// As the driver has it; `Disconnected` after the loss of a camera.
+    /// Errors of the driver; `Disconnected` after the loss of a camera.
     pub fn controls(&mut self, side: Side) -> Result<Vec<Control>, CameraError> {
         let stream = self.stream(side)?;
         let device = stream.config.device.clone();
         controls::controls(stream.node()).map_err(|error| failed(&device, "reading its controls", error))
     }
 
-    /// Sets a control while the camera runs, and reads it back. The time of exposure that images are stamped by follows.
+    /// Sets a control while the camera runs, and reads it back. The exposure time used for the timestamps is updated.
     ///
     /// # Errors
-    /// If the value is not possible or not kept; `Disconnected` after the loss of a camera.
+    /// The value is not possible or not kept; `Disconnected` after the loss of a camera.
     pub fn set_control(&mut self, side: Side, id: u32, value: i32) -> Result<(), CameraError> {
         let stream = self.stream(side)?;
         let device = stream.config.device.clone();
@@ -239,7 +237,7 @@ impl V4l2StereoCamera {
         }
     }
 
-    /// Closes both devices if the error is the loss of one, so that they can be opened anew.
+    /// Closes both devices if the error is a disconnection, so that they can be reopened.
     fn remember(&mut self, error: CameraError) -> CameraError {
         if error.kind() == CameraErrorKind::Disconnected {
             self.counters = self.counters();
@@ -265,7 +263,7 @@ impl V4l2StereoCamera {
         }
     }
 
-    /// Takes what there is from both drivers.
+    /// Takes all available images from both drivers.
     fn drain(&mut self) -> Result<(), CameraError> {
         let (now_nanos, now) = (self.system.monotonic_nanos(), self.clock.now());
         let State::Open(streams) = &mut self.state else { return Ok(()) };
@@ -275,7 +273,7 @@ impl V4l2StereoCamera {
         Ok(())
     }
 
-    /// Delivers a pair if there is one; leaves out images whose partners are lost.
+    /// Delivers a pair if there is one; drops images whose partners are lost.
     fn deliver(&mut self, pair: &mut FramePair) -> Result<bool, CameraError> {
         let State::Open(streams) = &mut self.state else { return Ok(false) };
         let [left, right] = &mut **streams;
@@ -306,17 +304,17 @@ impl V4l2StereoCamera {
         Ok(false)
     }
 
-    /// Gives a pair its time and number.
+    /// Sets time and number of a pair.
     fn stamp(&mut self, pair: &mut FramePair, left_nanos: i64, skew_nanos: i64) -> Result<(), CameraError> {
         let bad = |what: &str| CameraError::new(CameraErrorKind::BadPair, format!("{}: {what}", self.info.name));
         let exposed_at = self
             .clock_map
             .program_time(left_nanos)
-            .ok_or_else(|| bad("a pair was exposed before the program began"))?;
+            .ok_or_else(|| bad("a pair was exposed before the program start"))?;
         pair.sequence = match self.last {
             None => 0,
-            Some((_, last)) if exposed_at <= last => return Err(bad("a pair is not newer than the one before")),
-            // The drivers' own numbers are given twice or begin again; time does not.
+            Some((_, last)) if exposed_at <= last => return Err(bad("a pair is not newer than the previous one")),
+            // Sequence numbers of drivers may repeat or restart; time does not.
             Some((sequence, last)) => {
                 let periods = exposed_at.saturating_since(last).as_secs_f64() / self.period.as_secs_f64();
                 sequence + (periods.round() as u64).max(1)
@@ -333,8 +331,8 @@ impl V4l2StereoCamera {
     fn too_far(&self, skew_nanos: i64) -> CameraError {
         let millis = skew_nanos as f64 * 1e-6;
         let message = format!(
-            "{}: right was exposed {millis:.1} ms after left, at most {:.1} ms are allowed: at {:.0} mm/s that is {:.2} mm; trigger both \
-             cameras by hardware, or start them again until they fit",
+            "{}: right was exposed {millis:.1} ms after left, at most {:.1} ms is allowed; at {:.0} mm/s this is an error of {:.2} mm; use a \
+             hardware trigger for both cameras, or restart them until their exposures match",
             self.info.name,
             self.skew_max.as_secs_f64() * 1e3,
             self.speed_max_m_per_s * 1e3,
@@ -343,7 +341,7 @@ impl V4l2StereoCamera {
         CameraError::new(CameraErrorKind::BadPair, message)
     }
 
-    /// When the next camera would be silent or the call is over; an error if one is silent now. A camera that has never sent anything
+    /// When the next camera becomes silent or the call ends; an error if one is silent now. A camera that has never sent an image
     /// has the whole call to begin.
     fn complain_of_silence(
         &mut self,
@@ -358,9 +356,9 @@ impl V4l2StereoCamera {
                 [(any, SILENT_PERIODS), (good, DAMAGED_PERIODS)].map(|(at, n)| (at + self.period.mul_f64(n), n));
             let (silent_at, periods) = if of_any.0 <= of_good.0 { of_any } else { of_good };
             if now >= silent_at {
-                // The next call waits as long again.
+                // The next call waits equally long again.
                 *heard = Some(Heard { any: now, good: now });
-                let why = stream.complaint().unwrap_or("nothing arrives; look at its plug and cable");
+                let why = stream.complaint().unwrap_or("no data arrives; check its plug and cable");
                 let device = &stream.config.device;
                 let millis = now.saturating_since(good).as_secs_f64() * 1e3;
                 let message = format!("{device}: no good image for {millis:.0} ms, {periods} periods: {why}");
@@ -374,7 +372,7 @@ impl V4l2StereoCamera {
     fn complaints(&self) -> String {
         let State::Open(streams) = &self.state else { return String::new() };
         let lines = streams.iter().map(|stream| {
-            let nothing = if stream.counters.good == 0 { "no image yet" } else { "nothing wrong" };
+            let nothing = if stream.counters.good == 0 { "no image yet" } else { "no problem found" };
             format!("; {}: {}", stream.config.device, stream.complaint().unwrap_or(nothing))
         });
         lines.collect()
@@ -391,11 +389,12 @@ impl V4l2StereoCamera {
         let now_nanos = self.system.monotonic_nanos();
         for ((stream, ready), heard) in streams.iter_mut().zip(ready).zip(&mut self.heard) {
             if ready.has_failed {
-                // The driver's own error says more, if it has one.
+                // The driver's own error is more specific, if there is one.
                 let drained = stream.drain(now_nanos)?;
                 Heard::note(heard, drained, self.clock.now());
                 if drained.taken == 0 {
-                    let message = format!("{}: the driver has stopped its stream; open it again", stream.config.device);
+                    let message =
+                        format!("{}: the driver has stopped the stream; open the camera again", stream.config.device);
                     return Err(CameraError::new(CameraErrorKind::Disconnected, message));
                 }
             }
@@ -405,25 +404,25 @@ impl V4l2StereoCamera {
 }
 
 fn damaged(device: &str, error: PixelError) -> CameraError {
-    let message = format!("{device}: an image is damaged; if there are many, look at its cable and hub");
+    let message = format!("{device}: an image is damaged; if this happens often, check cable and hub");
     CameraError::caused_by(CameraErrorKind::BadPair, message, error)
 }
 
-/// Brings a device into the mode and state that is asked for.
+/// Sets the requested mode and controls of a device.
 fn prepare(node: &mut dyn VideoNode, found: &Found, config: &CameraConfig) -> Result<StreamConfig, CameraError> {
     let device = format!("{} ({})", config.name, found.entry.path.display());
     let mode = modes::negotiate(node, &device, &config.mode)?;
     let told = controls::apply(node, &device, &config.controls)?;
     let exposure = told.or(config.exposure).ok_or_else(|| {
-        let what = "it does not tell its time of exposure, without which it is not known when images were taken; set an exposure by \
-                    hand, or state its time";
+        let what = "it does not report its exposure time, which is needed for the image timestamps; set a manual exposure, \
+                    or give the exposure time";
         unusable(&device, what)
     })?;
     let period = Duration::from_secs_f64(mode.period_s);
-    // A stamp may be earlier than the arrival by exposure and transfer, which take up to a period each.
+    // A timestamp may be earlier than the arrival by exposure and transfer, which take up to a period each.
     let age_max = period * AGE_PERIODS_MAX + exposure + config.stamps.readout + config.stamps.delay;
     if nanos(age_max) == i64::MAX {
-        return Err(unusable(&device, "its times are longer than a life"));
+        return Err(unusable(&device, "its exposure, readout and delay times are too long"));
     }
     Ok(StreamConfig { device, mode, exposure, stamps: config.stamps, age_max })
 }
@@ -433,7 +432,7 @@ impl StereoCamera for V4l2StereoCamera {
         &self.info
     }
 
-    /// As the trait has it. A camera that falls silent is told two periods after its last image (`Timeout`), whatever `timeout` is.
+    /// As defined by the trait. A silent camera is reported two periods after its last image (`Timeout`), whatever `timeout` is.
     fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
         if let State::Lost(message) = &self.state {
             return Err(CameraError::new(CameraErrorKind::Disconnected, message.clone()));

@@ -1,8 +1,8 @@
 //! Exposure, gain, white balance and focus: set, and read back.
 //!
-//! The automatic modes are off unless they are asked for. Left and right would choose different values and look different to whoever
-//! compares them; automatic focus changes the focal length that was calibrated; automatic exposure changes the time of exposure, by
-//! which images are stamped, and may lower the rate.
+//! Automatic modes are disabled unless they are requested. Otherwise the left and right camera would choose different values and
+//! their images would differ. Autofocus changes the calibrated focal length. Automatic exposure changes the exposure time, which
+//! is needed for the timestamps, and may lower the frame rate.
 
 use std::io;
 use std::time::Duration;
@@ -13,54 +13,54 @@ use pb3dp_hal_api::CameraError;
 use crate::error::{failed, unusable};
 use crate::video::{ControlEntry, ControlKind, VideoNode};
 
-/// No device has more controls; one whose list has no end must not keep us.
+/// Maximum number of controls; protects against a driver whose list does not end.
 const CONTROLS_MAX: usize = 512;
 
-/// Numbers of controls, `include/uapi/linux/v4l2-controls.h`.
+/// Control IDs, `include/uapi/linux/v4l2-controls.h`.
 pub mod id {
-    /// White balance by the camera itself, 0 or 1.
+    /// Automatic white balance, 0 or 1.
     pub const AUTO_WHITE_BALANCE: u32 = 0x0098_090C;
-    /// Gain by the camera itself, 0 or 1.
+    /// Automatic gain, 0 or 1.
     pub const AUTO_GAIN: u32 = 0x0098_0912;
-    /// Gain, in units of the driver's own.
+    /// Gain, in units of the driver.
     pub const GAIN: u32 = 0x0098_0913;
     /// White balance, kelvin.
     pub const WHITE_BALANCE_TEMPERATURE: u32 = 0x0098_091A;
-    /// Who chooses the exposure: see the menu.
+    /// Exposure mode: see the menu.
     pub const EXPOSURE_AUTO: u32 = 0x009A_0901;
-    /// Time of exposure, 100 microseconds.
+    /// Exposure time, 100 microseconds.
     pub const EXPOSURE_ABSOLUTE: u32 = 0x009A_0902;
-    /// Whether the rate may fall where it is dark, 0 or 1.
+    /// Whether the frame rate may drop in the dark, 0 or 1.
     pub const EXPOSURE_AUTO_PRIORITY: u32 = 0x009A_0903;
-    /// Focus, in units of the driver's own.
+    /// Focus, in units of the driver.
     pub const FOCUS_ABSOLUTE: u32 = 0x009A_090A;
-    /// Focus by the camera itself, 0 or 1.
+    /// Autofocus, 0 or 1.
     pub const FOCUS_AUTO: u32 = 0x009A_090C;
 }
 
-/// Line of the menu `EXPOSURE_AUTO`: by hand.
+/// Item of the menu `EXPOSURE_AUTO`: manual.
 const EXPOSURE_MANUAL: i32 = 1;
-/// Lines of that menu: time by the camera (aperture fixed), and all by the camera.
+/// Items of that menu: automatic time with fixed aperture, and fully automatic.
 const EXPOSURE_BY_CAMERA: [i32; 2] = [3, 0];
 
 /// The unit of [`id::EXPOSURE_ABSOLUTE`].
 const EXPOSURE_UNIT: Duration = Duration::from_micros(100);
 
-/// What holds a lens where it is.
+/// Focus setting of a lens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Focus {
-    /// A hand: the camera knows nothing of it.
+    /// Manual lens: the camera does not control it.
     ByHand,
-    /// This value, in units of the driver's own.
+    /// This value, in units of the driver.
     Fixed(i32),
-    /// Nothing: the camera focuses by itself.
+    /// Autofocus is active.
     Automatic,
 }
 
-/// What holds a camera's lens now.
+/// Present focus setting of a camera.
 ///
 /// # Errors
-/// As the driver has it.
+/// Errors of the driver.
 pub fn focus_now(node: &dyn VideoNode, device: &str) -> Result<Focus, CameraError> {
     let controls = read(node, device)?;
     let value = |id| find(&controls, id).and_then(|control| control.value);
@@ -74,18 +74,18 @@ pub fn focus_now(node: &dyn VideoNode, device: &str) -> Result<Focus, CameraErro
 /// A control with its value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Control {
-    /// What the driver says of it.
+    /// Description by the driver.
     pub entry: ControlEntry,
-    /// Its value; `None` if it has none, or cannot be read.
+    /// Value; `None` if the control has none or cannot be read.
     pub value: Option<i32>,
-    /// Lines of its menu.
+    /// Menu items.
     pub menu: Vec<(i32, String)>,
 }
 
 /// All controls of a device with their values.
 ///
 /// # Errors
-/// As the driver has it.
+/// Errors of the driver.
 pub fn controls(node: &dyn VideoNode) -> io::Result<Vec<Control>> {
     let mut controls = Vec::new();
     let mut after = 0;
@@ -113,7 +113,7 @@ pub fn controls(node: &dyn VideoNode) -> io::Result<Vec<Control>> {
 /// Sets one control and reads it back.
 ///
 /// # Errors
-/// If there is none of that number, the value is not possible or is not kept, or as the driver has it.
+/// There is no control with this number, the value is not possible or is not kept, or an error of the driver.
 pub fn set(node: &mut dyn VideoNode, device: &str, id: u32, value: i32) -> Result<(), CameraError> {
     let controls = read(node, device)?;
     let control = find(&controls, id).ok_or_else(|| unusable(device, format!("it has no control {id:#010x}")))?;
@@ -121,11 +121,11 @@ pub fn set(node: &mut dyn VideoNode, device: &str, id: u32, value: i32) -> Resul
     verify(node, device, &control.entry, value)
 }
 
-/// Brings a camera into the state that is wished, and reads everything back at the end. Returns the time of exposure if the camera
-/// tells it.
+/// Applies the requested controls to a camera, and reads everything back at the end. Returns the exposure time if the camera
+/// reports it.
 ///
 /// # Errors
-/// If a property is asked for that the camera does not have, a value is not possible or not kept, or as the driver has it.
+/// A requested property is not available, a value is not possible or not kept, or an error of the driver.
 pub fn apply(
     node: &mut dyn VideoNode,
     device: &str,
@@ -144,22 +144,22 @@ pub fn apply(
     for (control, value) in &plan.steps {
         write(node, device, &control.entry, *value)?;
     }
-    // At the end: a control may change another one.
+    // At the end: setting a control may change another one.
     for (control, value) in &plan.steps {
         verify(node, device, &control.entry, *value)?;
     }
     exposure(node, device, &controls)
 }
 
-/// The time of exposure that a camera has now; `None` if it does not tell it, or chooses it by itself.
+/// Present exposure time of a camera; `None` if the camera does not report it, or in automatic mode.
 ///
 /// # Errors
-/// As the driver has it.
+/// Errors of the driver.
 pub fn exposure_now(node: &dyn VideoNode, device: &str) -> Result<Option<Duration>, CameraError> {
     exposure(node, device, &read(node, device)?)
 }
 
-/// The same, of a camera whose controls are known.
+/// As [`exposure_now`], for known controls.
 fn exposure(node: &dyn VideoNode, device: &str, controls: &[Control]) -> Result<Option<Duration>, CameraError> {
     let is_by_hand = match find(controls, id::EXPOSURE_AUTO) {
         Some(_) => {
@@ -176,7 +176,7 @@ fn exposure(node: &dyn VideoNode, device: &str, controls: &[Control]) -> Result<
     Ok(u32::try_from(units).ok().map(|units| EXPOSURE_UNIT * units))
 }
 
-/// What is to be written, in this order.
+/// The controls to write, in this order.
 struct Plan<'a> {
     device: &'a str,
     controls: &'a [Control],
@@ -199,11 +199,12 @@ impl Plan<'_> {
                 Setting::Auto => EXPOSURE_BY_CAMERA.into_iter().find(has),
                 _ => Some(EXPOSURE_MANUAL).filter(has),
             };
-            let line =
-                line.ok_or_else(|| unusable(self.device, format!("its control `{}` cannot do that", mode.entry.name)))?;
+            let line = line.ok_or_else(|| {
+                unusable(self.device, format!("its control `{}` does not have the requested mode", mode.entry.name))
+            })?;
             self.steps.push((mode, line));
         }
-        // A dark scene must not lower the rate.
+        // A dark scene must not lower the frame rate.
         self.steps.extend(find(self.controls, id::EXPOSURE_AUTO_PRIORITY).map(|control| (control, 0)));
         self.value("exposure time", id::EXPOSURE_ABSOLUTE, value)
     }
@@ -212,7 +213,7 @@ impl Plan<'_> {
         let by_camera = i32::from(wish == Setting::Auto);
         match find(self.controls, auto) {
             Some(control) => self.steps.push((control, by_camera)),
-            None if by_camera == 1 => return Err(self.lacks(name, "mode in which the camera chooses it")),
+            None if by_camera == 1 => return Err(self.lacks(name, "automatic mode")),
             None => {}
         }
         self.value(name, value, wish)
@@ -230,7 +231,7 @@ impl Plan<'_> {
         let there: Vec<&str> = self.controls.iter().map(|control| control.entry.name.as_str()).collect();
         unusable(
             self.device,
-            format!("it has no {what} for the {name}; leave it out, or use one of: {}", there.join(", ")),
+            format!("it has no {what} for the {name}; remove this setting, or use one of: {}", there.join(", ")),
         )
     }
 }
@@ -249,7 +250,7 @@ fn write(node: &mut dyn VideoNode, device: &str, entry: &ControlEntry, value: i3
     if value < *min || value > *max || !is_step {
         return Err(unusable(
             device,
-            format!("`{name}` cannot be {value}: it goes from {min} to {max} by steps of {step}"),
+            format!("`{name}` cannot be {value}; its range is {min} to {max} in steps of {step}"),
         ));
     }
     node.set_control(*id, value).map_err(|error| failed(device, &format!("setting `{name}` to {value}"), error))
@@ -262,10 +263,7 @@ fn verify(node: &dyn VideoNode, device: &str, entry: &ControlEntry, value: i32) 
     let name = &entry.name;
     let found = node.control(entry.id).map_err(|error| failed(device, &format!("reading `{name}` back"), error))?;
     if found != value {
-        return Err(unusable(
-            device,
-            format!("`{name}` was set to {value} and is {found}: the driver does not keep it"),
-        ));
+        return Err(unusable(device, format!("`{name}` was set to {value}, but the driver reports {found}")));
     }
     Ok(())
 }

@@ -1,13 +1,13 @@
 //! Stereo camera backend on two V4L2 devices.
 //!
-//! [`V4l2StereoCamera`] opens two cameras by names that stay theirs ([`names`]), asks for a mode and refuses what the driver has made of
-//! it in silence ([`modes`]), switches automatic modes off ([`controls`]), and delivers pairs: the newest images of both sides, with the
-//! middle of their exposures ([`timing`]), matched by time ([`pairing`]). Damaged, short, old and wrongly stamped images are left out
-//! and counted ([`StreamCounters`]); a camera that is lost or silent is an error two periods after its last image.
-//! [`ReopeningCamera`] goes on once lost devices are there again.
+//! [`V4l2StereoCamera`] opens two cameras by persistent names ([`names`]), requests a mode and refuses silent changes by the
+//! driver ([`modes`]), and disables automatic modes ([`controls`]). It delivers pairs: the newest images of both sides, with the
+//! middle of their exposures ([`timing`]), matched by time ([`pairing`]). Damaged, short, old and wrongly stamped images are
+//! dropped and counted ([`StreamCounters`]). A lost or silent camera is an error two periods after its last image.
+//! [`ReopeningCamera`] continues when lost devices are available again.
 //!
-//! [`pixels`] turns the bytes of a driver's buffer into an image, from every format that is taken. [`video`] is what is needed of the
-//! operating system, call by call; [`linux`] is how Linux does it, [`emulated`] are cameras that fail on request.
+//! [`pixels`] converts the bytes of a driver buffer to an image, from every supported format. [`video`] is the interface to the
+//! operating system, call by call; [`linux`] implements it on Linux, [`emulated`] provides cameras that fail on request.
 
 mod camera;
 pub mod controls;

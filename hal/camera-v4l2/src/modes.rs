@@ -1,4 +1,4 @@
-//! What a device offers, and asking for one of it: what the driver has silently made of a wish is refused.
+//! Modes offered by a device, and mode negotiation: silent changes by the driver are refused.
 
 use std::io;
 
@@ -11,15 +11,15 @@ use crate::error::{failed, unusable};
 use crate::pixels::{Layout, YuvMatrix, YuvRange};
 use crate::video::{FieldOrder, IntervalEntry, RawFormat, SizeEntry, VideoNode};
 
-/// No list of a driver is longer; one that has no end must not keep us.
+/// Maximum length of a driver list; protects against a list that does not end.
 const ENTRIES_MAX: u32 = 256;
 
-/// A rate that differs by more is another one. 29.97 and 30 differ by 10^-3.
+/// Tolerance of the frame rate. 29.97 and 30 differ by 10^-3.
 const RATE_TOLERANCE: f64 = 5e-4;
 
-/// `V4L2_COLORSPACE_REC709`, whose images are of BT.709 unless an encoding is named.
+/// `V4L2_COLORSPACE_REC709`, which implies BT.709 unless an encoding is given.
 const COLORSPACE_REC709: u32 = 3;
-/// `V4L2_COLORSPACE_JPEG`, whose numbers use the full range unless another one is named.
+/// `V4L2_COLORSPACE_JPEG`, which implies full range unless another quantisation is given.
 const COLORSPACE_JPEG: u32 = 7;
 /// `V4L2_YCBCR_ENC_709` and `V4L2_YCBCR_ENC_XV709`.
 const ENCODINGS_709: [u32; 2] = [2, 4];
@@ -31,16 +31,16 @@ const FULL_RANGE: u32 = 1;
 /// One format with its sizes and their rates.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OfferedFormat {
-    /// Four letters.
+    /// Four-character code.
     pub fourcc: [u8; 4],
-    /// Sizes, and for each one the times from image to image; none for a range of sizes.
+    /// Sizes with their frame intervals; no intervals for a range of sizes.
     pub sizes: Vec<(SizeEntry, Vec<IntervalEntry>)>,
 }
 
-/// What a device offers.
+/// The modes offered by a device.
 ///
 /// # Errors
-/// As the driver has it.
+/// Errors of the driver.
 pub fn offered(node: &dyn VideoNode) -> io::Result<Vec<OfferedFormat>> {
     all(|index| node.format_at(index))?
         .into_iter()
@@ -68,19 +68,19 @@ fn all<T>(entry_at: impl Fn(u32) -> io::Result<Option<T>>) -> io::Result<Vec<T>>
     Ok(entries)
 }
 
-/// What a camera has agreed to, as read back.
+/// The negotiated mode, as read back.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mode {
-    /// How images lie in memory.
+    /// Memory layout of the images.
     pub layout: Layout,
-    /// Time from image to image, seconds.
+    /// Frame interval, seconds.
     pub period_s: f64,
 }
 
-/// Asks for a mode and reads back what the driver has made of it.
+/// Requests a mode and reads it back.
 ///
 /// # Errors
-/// If anything of it is not as it was asked for, with both values; or as the driver has it.
+/// Any property differs from the request, with both values; or an error of the driver.
 pub fn negotiate(node: &mut dyn VideoNode, device: &str, request: &ModeRequest) -> Result<Mode, CameraError> {
     if let Some(input) = request.input {
         node.set_input(input).map_err(|error| failed(device, &format!("switching to input {input}"), error))?;
@@ -91,7 +91,7 @@ pub fn negotiate(node: &mut dyn VideoNode, device: &str, request: &ModeRequest) 
     }
     let ImageSize { width, height } = request.size;
     let wished = format!("{} of {width}x{height}", request.format);
-    // No stride, no length: a driver that is told those of another size keeps them.
+    // Stride and length are left to the driver: drivers keep a requested stride even for another size.
     let format = RawFormat { fourcc: request.format.fourcc(), size: (width, height), ..RawFormat::default() };
     node.set_format(&format).map_err(|error| failed(device, &format!("asking for {wished}"), error))?;
     let found = node.format().map_err(|error| failed(device, "reading its format back", error))?;
@@ -99,7 +99,7 @@ pub fn negotiate(node: &mut dyn VideoNode, device: &str, request: &ModeRequest) 
     if (found.fourcc, found.size) != (format.fourcc, format.size) {
         let letters = String::from_utf8_lossy(&found.fourcc).into_owned();
         let what = format!(
-            "asked for {wished}, the driver gives {letters} of {}x{}; {}",
+            "requested {wished}, the driver selected {letters} of {}x{}; {}",
             found.size.0,
             found.size.1,
             offers(node)
@@ -112,10 +112,8 @@ pub fn negotiate(node: &mut dyn VideoNode, device: &str, request: &ModeRequest) 
         FieldOrder::Other(_) => false,
     };
     if !is_taken {
-        let what = format!(
-            "gives even and odd lines at different times ({:?}), which tears what moves; choose another mode",
-            found.field
-        );
+        let what =
+            format!("the mode is interlaced ({:?}), which tears moving objects; choose another mode", found.field);
         return Err(unusable(device, what));
     }
     let (matrix, range) = colours(&found);
@@ -124,7 +122,7 @@ pub fn negotiate(node: &mut dyn VideoNode, device: &str, request: &ModeRequest) 
     if layout.stride < row || (found.image_bytes as usize) < layout.bytes_min() {
         let (stride, bytes) = (layout.stride, found.image_bytes);
         let what = format!(
-            "{wished} needs rows of {row} bytes, the driver states {stride}, and buffers of {bytes}; it is faulty"
+            "{wished} needs rows of {row} bytes, the driver reports {stride}, and buffers of {bytes}; the driver is faulty"
         );
         return Err(unusable(device, what));
     }
@@ -132,11 +130,13 @@ pub fn negotiate(node: &mut dyn VideoNode, device: &str, request: &ModeRequest) 
 }
 
 fn set_rate(node: &mut dyn VideoNode, device: &str, request: &ModeRequest) -> Result<f64, CameraError> {
-    let asked =
-        request.interval.seconds().ok_or_else(|| unusable(device, format!("no rate is {:?}", request.interval)))?;
+    let asked = request
+        .interval
+        .seconds()
+        .ok_or_else(|| unusable(device, format!("invalid frame interval {:?}", request.interval)))?;
     match node.set_interval(request.interval) {
         Ok(_) => {}
-        // The rate of a device without this call follows from its input.
+        // For a device without this call the rate follows from its input.
         Err(error) if Errno::from_io_error(&error) == Some(Errno::NOTTY) => {}
         Err(error) => return Err(failed(device, "setting its rate", error)),
     }
@@ -146,7 +146,7 @@ fn set_rate(node: &mut dyn VideoNode, device: &str, request: &ModeRequest) -> Re
     if !is_as_asked {
         let ImageSize { width, height } = request.size;
         let what = format!(
-            "asked for {:.3} images per second of {} {width}x{height}, the driver gives {:.3}; {}",
+            "requested {:.3} images per second of {} {width}x{height}, the driver selected {:.3}; {}",
             1.0 / asked,
             request.format,
             1.0 / found_s,
@@ -157,7 +157,8 @@ fn set_rate(node: &mut dyn VideoNode, device: &str, request: &ModeRequest) -> Re
     Ok(found_s)
 }
 
-/// What the bytes of `YUYV` mean: kernel documentation, "Defining Colorspaces in V4L2", with its defaults where nothing is said.
+/// Meaning of the `YUYV` bytes: kernel documentation, "Defining Colorspaces in V4L2", including its defaults for unspecified
+/// fields.
 fn colours(format: &RawFormat) -> (YuvMatrix, YuvRange) {
     let is_709 = ENCODINGS_709.contains(&format.encoding)
         || (!ENCODINGS_601.contains(&format.encoding) && format.colorspace == COLORSPACE_REC709);
@@ -167,7 +168,7 @@ fn colours(format: &RawFormat) -> (YuvMatrix, YuvRange) {
     (matrix, if is_full { YuvRange::Full } else { YuvRange::Limited })
 }
 
-/// What there is instead, for messages.
+/// The offered alternatives, for messages.
 fn offers(node: &dyn VideoNode) -> String {
     let Ok(formats) = offered(node) else { return "`pb3dp cameras list` shows what it offers".to_owned() };
     let formats: Vec<String> = formats.iter().map(OfferedFormat::to_string).collect();
@@ -223,12 +224,12 @@ mod tests {
         RawFormat { fourcc, size, field, stride: 1280, image_bytes: 614_400, ..RawFormat::default() }
     }
 
-    /// A television device: it has inputs and standards, and no call for its rate.
+    /// A television device: it has inputs and standards, and no call for its frame rate.
     fn television(answer: RawFormat) -> MockVideoNode {
         let mut node = MockVideoNode::new();
         node.expect_set_input().withf(|input| *input == 2).times(1).returning(|_| Ok(()));
         node.expect_set_standard().withf(|standard| *standard == 0x1000).times(1).returning(|_| Ok(()));
-        // Whatever was there before, stride and length are left to the driver.
+        // Whatever was set before, stride and length are left to the driver.
         let is_free = |format: &RawFormat| format.stride == 0 && format.image_bytes == 0 && format.size == (640, 480);
         node.expect_set_format().withf(is_free).times(1).returning(move |_| Ok(answer));
         node.expect_format().returning(move || Ok(answer));
@@ -265,10 +266,10 @@ mod tests {
     #[test]
     fn faulty_answers_are_refused() {
         for (answer, reason) in [
-            (RawFormat { stride: 960, ..answer() }, "needs rows of 1280 bytes, the driver states 960"),
+            (RawFormat { stride: 960, ..answer() }, "needs rows of 1280 bytes, the driver reports 960"),
             (RawFormat { image_bytes: 614_399, ..answer() }, "and buffers of 614399"),
-            (RawFormat { field: FieldOrder::Other(7), ..answer() }, "at different times (Other(7))"),
-            (RawFormat { size: (640, 240), ..answer() }, "the driver gives YUYV of 640x240"),
+            (RawFormat { field: FieldOrder::Other(7), ..answer() }, "interlaced (Other(7))"),
+            (RawFormat { size: (640, 240), ..answer() }, "the driver selected YUYV of 640x240"),
         ] {
             let error = negotiate(&mut television(answer), "grabber", &request()).unwrap_err();
             assert!(error.to_string().contains(reason), "{error}");

@@ -1,7 +1,7 @@
-//! Names of cameras that stay theirs, and which device has one.
+//! Persistent camera names, and the device for a name.
 //!
-//! `/dev/video0` is whoever came first, so left and right could change places at the next boot. The place where a camera is plugged in
-//! (`bus:usb-0000:00:14.0-2`) and its serial number (`serial:4F5A19C0`) stay.
+//! The number in `/dev/video0` depends on the order of detection, so left and right could be exchanged at the next boot. The port
+//! of a camera (`bus:usb-0000:00:14.0-2`) and its serial number (`serial:4F5A19C0`) are persistent.
 
 use std::path::PathBuf;
 
@@ -14,14 +14,14 @@ use crate::video::{Capability, NodeEntry, VideoNode, VideoSystem};
 /// A device that captures images.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Found {
-    /// As the system lists it.
+    /// Entry in the device list.
     pub entry: NodeEntry,
-    /// As it describes itself.
+    /// Capability reported by the device.
     pub capability: Capability,
 }
 
 impl Found {
-    /// The names by which it can be asked for again after the next boot, the best one first.
+    /// Names that are still valid after the next boot, the best one first.
     pub fn stable_names(&self) -> Vec<CameraName> {
         let index = self.entry.index.filter(|index| *index > 0);
         let bus = Some(self.capability.bus.clone()).filter(|bus| !bus.is_empty());
@@ -40,28 +40,28 @@ impl Found {
     }
 }
 
-/// What looking for cameras has found.
+/// The result of a search for cameras.
 #[derive(Debug, Default)]
 pub struct Listing {
     /// Devices that capture images, sorted by path.
     pub found: Vec<Found>,
-    /// Devices that could not be asked.
+    /// Devices that could not be queried.
     pub refused: Vec<(PathBuf, CameraError)>,
 }
 
-/// Looks for cameras; nodes of other use are left out.
+/// Searches for cameras; other nodes are skipped.
 ///
 /// # Errors
-/// If the system cannot be asked which devices there are.
+/// The system cannot list the devices.
 pub fn list(system: &dyn VideoSystem) -> Result<Listing, CameraError> {
-    let entries = system.entries().map_err(|error| failed("cameras", "looking for them", error))?;
+    let entries = system.entries().map_err(|error| failed("cameras", "listing the devices", error))?;
     let mut listing = Listing::default();
     for entry in entries {
         let device = entry.path.display().to_string();
         let asked = system
             .open(&entry.path)
-            .map_err(|error| failed(&device, "opening it", error))
-            .and_then(|node| node.capability().map_err(|error| failed(&device, "asking what it is", error)));
+            .map_err(|error| failed(&device, "opening the device", error))
+            .and_then(|node| node.capability().map_err(|error| failed(&device, "reading its capabilities", error)));
         match asked {
             Ok(capability) if capability.captures && capability.streams => {
                 listing.found.push(Found { entry, capability })
@@ -73,20 +73,20 @@ pub fn list(system: &dyn VideoSystem) -> Result<Listing, CameraError> {
     Ok(listing)
 }
 
-/// Opens the camera of that name.
+/// Opens the camera with this name.
 ///
 /// # Errors
-/// `Disconnected` if there is none, `Unusable` if the name fits several, or the one may not be opened.
+/// `Disconnected` if there is none; `Unusable` if the name matches several cameras, or the camera may not be opened.
 pub fn open(system: &dyn VideoSystem, name: &CameraName) -> Result<(Found, Box<dyn VideoNode>), CameraError> {
     let device = name.to_string();
-    // A rule of udev may have given the node a name of its own.
+    // A udev rule may have given the node another name.
     let name = &match name {
         CameraName::Path(path) => CameraName::Path(system.resolve(path).unwrap_or_else(|| path.clone())),
         CameraName::Bus { .. } | CameraName::Serial { .. } => name.clone(),
     };
     let listing = list(system)?;
     let mut fitting: Vec<&Found> = listing.found.iter().filter(|found| found.has(name)).collect();
-    // Of several nodes of one device the first one is meant; the same number twice means two devices.
+    // Of several nodes of one device the first one is used; the same serial number on two devices is ambiguous.
     let first = fitting.iter().map(|found| found.entry.index).min().unwrap_or_default();
     fitting.retain(|found| found.entry.index == first);
     let found = match fitting.as_slice() {
@@ -95,18 +95,19 @@ pub fn open(system: &dyn VideoSystem, name: &CameraName) -> Result<(Found, Box<d
         several => {
             let names: Vec<String> = several.iter().map(|found| describe(found)).collect();
             let what = format!(
-                "this name fits {} cameras: {}; use the name of a place, bus:...",
+                "this name matches {} cameras: {}; use the name of a port, bus:...",
                 names.len(),
                 names.join(", ")
             );
             return Err(unusable(&device, what));
         }
     };
-    let node = system.open(&found.entry.path).map_err(|error| failed(&device, "opening it", error))?;
-    // Between the list and now another camera may have taken the path.
-    let capability = node.capability().map_err(|error| failed(&device, "asking what it is", error))?;
+    let node = system.open(&found.entry.path).map_err(|error| failed(&device, "opening the device", error))?;
+    // Another camera may have taken the path since the listing.
+    let capability = node.capability().map_err(|error| failed(&device, "reading its capabilities", error))?;
     if capability != found.capability {
-        let message = format!("{device}: {} is another camera now; open it again", found.entry.path.display());
+        let message =
+            format!("{device}: {} now belongs to another camera; open the camera again", found.entry.path.display());
         return Err(CameraError::new(CameraErrorKind::Disconnected, message));
     }
     Ok((found, node))
@@ -118,11 +119,11 @@ fn describe(found: &Found) -> String {
 }
 
 fn missing(system: &dyn VideoSystem, device: &str, name: &CameraName, mut listing: Listing) -> CameraError {
-    // A device that may not be asked could be the one; its own error says more.
+    // A device that cannot be queried could be the requested one; its own error is more specific.
     let is_asked_for = |path: &PathBuf| !matches!(name, CameraName::Path(asked) if asked != path);
     if let Some(at) = listing.refused.iter().position(|(path, _)| is_asked_for(path)) {
         let (_, error) = listing.refused.swap_remove(at);
-        let message = format!("{device}: no camera that can be asked has this name, and one cannot be asked");
+        let message = format!("{device}: no accessible camera has this name, and one device cannot be queried");
         return CameraError::caused_by(error.kind(), message, error);
     }
     let there: Vec<String> = listing.found.iter().map(describe).collect();
@@ -130,8 +131,8 @@ fn missing(system: &dyn VideoSystem, device: &str, name: &CameraName, mut listin
     if let CameraName::Path(path) = name
         && system.resolve(path).is_some()
     {
-        return unusable(device, format!("this is no device that takes images; there are: {there}"));
+        return unusable(device, format!("not a capture device; available cameras: {there}"));
     }
-    let message = format!("{device}: there is no such camera; look at its plug and cable; there are: {there}");
+    let message = format!("{device}: no such camera; check plug and cable; available cameras: {there}");
     CameraError::new(CameraErrorKind::Disconnected, message)
 }

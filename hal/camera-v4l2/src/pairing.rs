@@ -1,9 +1,9 @@
-//! Which images of left and right belong together, and how their times drift apart.
+//! Pairing of left and right images, and the drift between the two cameras.
 
 use pb3dp_camera_settings::nanos;
 use std::time::Duration;
 
-/// What becomes of the newest image of each side.
+/// Decision about the newest image of each side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// They belong together.
@@ -12,14 +12,14 @@ pub enum Verdict {
     LeftIsOld,
     /// A later right image fits the left one better.
     RightIsOld,
-    /// No other images would fit better, but these are too far apart.
+    /// No other image would match better, but these are too far apart.
     TooFar,
 }
 
-/// Judges two images by the middles of their exposures.
+/// Compares two images by the middles of their exposures.
 ///
-/// Later images come one `period` after another. If the older one is more than half of it behind, its successor is nearer to the
-/// other image; if not, nothing nearer comes.
+/// Later images arrive one `period` after another. If the older one is more than half a period behind, its successor is nearer to
+/// the other image; otherwise no nearer image follows.
 pub fn judge(left_nanos: i64, right_nanos: i64, period: Duration, skew_max: Duration) -> Verdict {
     let skew = right_nanos.saturating_sub(left_nanos);
     if skew.saturating_abs() <= nanos(skew_max) {
@@ -33,25 +33,25 @@ pub fn judge(left_nanos: i64, right_nanos: i64, period: Duration, skew_max: Dura
     }
 }
 
-/// Pairs that the estimate of a drift looks back on: 17 s at 30 per second.
+/// Number of pairs used for the drift estimate: 17 s at 30 per second.
 const WINDOW: usize = 512;
 
-/// Fewer say nothing.
+/// Minimum number of pairs.
 const WINDOW_MIN: usize = 60;
 
-/// How the two cameras run against each other.
+/// Drift between the two cameras.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Drift {
-    /// Right less left exposure now, by the fitted line, seconds; between minus and plus half a period.
+    /// Present skew (right minus left exposure) from the fitted line, seconds; between minus and plus half a period.
     pub skew_s: f64,
-    /// By how much the skew grows, seconds per second. Synchronised cameras have zero.
+    /// Change of the skew, seconds per second; zero for synchronised cameras.
     pub rate: f64,
     /// Scatter of the skew about the line (rms), seconds.
     pub scatter_s: f64,
 }
 
 impl Drift {
-    /// Seconds until the skew exceeds a limit in either direction; zero if it does now, `None` if it never will.
+    /// Seconds until the skew exceeds a limit in either direction; zero if it exceeds it now, `None` if it never will.
     pub fn seconds_until(&self, skew_max: Duration) -> Option<f64> {
         let limit = skew_max.as_secs_f64();
         if self.skew_s.abs() > limit {
@@ -62,7 +62,7 @@ impl Drift {
     }
 }
 
-/// Fits a straight line to the skew of the last pairs. The skew of free-running cameras comes back after a period: it is unwrapped.
+/// Fits a straight line to the skew of the last pairs. The skew of free-running cameras repeats after a period; it is unwrapped.
 #[derive(Clone, Debug)]
 pub struct DriftEstimator {
     period_s: f64,
@@ -74,13 +74,13 @@ pub struct DriftEstimator {
 }
 
 impl DriftEstimator {
-    /// An estimator for images that come with this period.
+    /// An estimator for images with this period.
     pub fn new(period: Duration) -> Self {
         let period_s = period.as_secs_f64();
         Self { period_s, samples: [(0.0, 0.0); WINDOW], count: 0, first_nanos: 0, last_unwrapped_s: 0.0 }
     }
 
-    /// Takes a pair, delivered or refused.
+    /// Adds a pair, delivered or refused.
     pub fn add(&mut self, left_nanos: i64, skew_nanos: i64) {
         let skew_s = skew_nanos as f64 * 1e-9;
         if self.count == 0 {
@@ -148,7 +148,7 @@ mod tests {
         let mut estimator = DriftEstimator::new(PERIOD);
         assert_eq!(estimator.drift(), None);
         let period = PERIOD.as_nanos() as i64;
-        // 200 parts per million: 6.7 microseconds per pair, beginning at 15 ms; beyond half a period it comes back as negative.
+        // 200 parts per million: 6.7 microseconds per pair, starting at 15 ms; beyond half a period the skew becomes negative.
         for k in 0..700 {
             let skew = 15_000_000 + k * period / 5000 + if k % 2 == 0 { 40_000 } else { -40_000 };
             let wrapped = if skew > period / 2 { skew - period } else { skew };

@@ -1,4 +1,4 @@
-//! Two cameras that are opened anew after one of them was lost.
+//! Two cameras that are reopened after one of them was lost.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -10,14 +10,13 @@ use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera
 use crate::camera::{CameraIdentity, Side, StereoCounters, V4l2StereoCamera};
 use crate::video::VideoSystem;
 
-/// From one attempt to open lost cameras to the next one. An attempt asks every video device of the computer who it is.
+/// Time between two attempts to open lost cameras. An attempt queries every video device of the computer.
 const AGAIN: Duration = Duration::from_millis(250);
 
-/// A [`V4l2StereoCamera`] that outlives the loss of its devices: while they are away each call is a `Timeout` that says why, and once they
-/// are there again, in the same mode and with the same controls, pairs go on with the numbers and times behind those before.
+/// A [`V4l2StereoCamera`] that survives the loss of its devices. While they are missing each call is a `Timeout` with the reason.
+/// When they are available again, in the same mode and with the same controls, pairs continue with increasing numbers and times.
 ///
-/// A call in which cameras are opened takes as long as that does, which may be more than twice its `timeout`: all that their drivers
-/// do for it.
+/// A call that opens cameras takes as long as the drivers need, which may be more than twice its `timeout`.
 pub struct ReopeningCamera {
     system: Arc<dyn VideoSystem>,
     clock: Arc<dyn Clock>,
@@ -25,9 +24,9 @@ pub struct ReopeningCamera {
     info: StereoCameraInfo,
     reopen_for: Duration,
     state: State,
-    /// Number and time of the newest pair that was delivered.
+    /// Number and time of the newest delivered pair.
     last: Option<(u64, MonotonicTime)>,
-    /// From the numbers of the open camera to those that are delivered; `None` until its first pair.
+    /// Offset from the numbers of the open camera to the delivered numbers; `None` until its first pair.
     offset: Option<u64>,
     reopened: u64,
 }
@@ -40,16 +39,16 @@ enum State {
         why: String,
         counters: Box<StereoCounters>,
     },
-    /// What every call says.
+    /// The message of every call.
     GivenUp(String),
 }
 
 impl ReopeningCamera {
-    /// Opens both devices as [`V4l2StereoCamera::open`] does. After a loss they are looked for as long as `reopen_for` says; zero: not at
-    /// all.
+    /// Opens both devices as [`V4l2StereoCamera::open`] does. After a loss they are searched for the time `reopen_for`; zero: not
+    /// at all.
     ///
     /// # Errors
-    /// As [`V4l2StereoCamera::open`]: what is not there at the beginning is not waited for.
+    /// As [`V4l2StereoCamera::open`]: a device that is missing at the start is not waited for.
     pub fn open(
         system: Arc<dyn VideoSystem>,
         clock: Arc<dyn Clock>,
@@ -62,7 +61,7 @@ impl ReopeningCamera {
         Ok(Self { system, clock, config, info, reopen_for, state, last: None, offset: None, reopened: 0 })
     }
 
-    /// What has come and what was left out since the cameras were opened last.
+    /// Counters of received and dropped images since the cameras were opened last.
     pub fn counters(&self) -> StereoCounters {
         match &self.state {
             State::Open(camera) => camera.counters(),
@@ -71,7 +70,7 @@ impl ReopeningCamera {
         }
     }
 
-    /// What a camera is known by, and how its lens is set now.
+    /// Identity and present lens setting of a camera.
     ///
     /// # Errors
     /// As [`V4l2StereoCamera::identity`]; `Disconnected` while the cameras are lost.
@@ -84,12 +83,12 @@ impl ReopeningCamera {
         }
     }
 
-    /// How often they were opened anew.
+    /// Number of times the cameras were reopened.
     pub fn reopened(&self) -> u64 {
         self.reopened
     }
 
-    /// Closes both devices; each call says so until they are open again.
+    /// Closes both devices; each call reports this until they are open again.
     fn lose(&mut self, error: CameraError) -> CameraError {
         if self.reopen_for.is_zero() {
             self.state = State::GivenUp(error.to_string());
@@ -100,7 +99,7 @@ impl ReopeningCamera {
         let why = error.to_string();
         self.state = State::Lost { since, next_try: since, why: why.clone(), counters };
         self.offset = None;
-        CameraError::new(CameraErrorKind::Timeout, format!("{why}: for {:?} it is looked for", self.reopen_for))
+        CameraError::new(CameraErrorKind::Timeout, format!("{why}: trying to reopen for {:?}", self.reopen_for))
     }
 
     /// Tries to open both devices until `deadline`.
@@ -108,13 +107,13 @@ impl ReopeningCamera {
         while let State::Lost { since, next_try, why, .. } = &mut self.state {
             let now = self.clock.now();
             if now.saturating_since(*since) >= self.reopen_for {
-                let message = format!("{why}: it did not come back within {:?}", self.reopen_for);
+                let message = format!("{why}: not available again within {:?}", self.reopen_for);
                 self.state = State::GivenUp(message);
                 break;
             }
             if now < *next_try {
                 if now >= deadline {
-                    let message = format!("{why}: no pairs until the cameras are there again");
+                    let message = format!("{why}: no pairs until the cameras are available again");
                     return Err(CameraError::new(CameraErrorKind::Timeout, message));
                 }
                 self.clock.sleep_until((*next_try).min(deadline));
@@ -126,7 +125,8 @@ impl ReopeningCamera {
                     self.reopened += 1;
                     return Ok(());
                 }
-                // Whatever it is: a device whose plug is in again is not there, then not permitted, and then busy for a while.
+                // All errors are retried: after reconnection a device is first missing, then not permitted, and then busy for a
+                // while.
                 Err(error) => {
                     *why = error.to_string();
                     *next_try = self.clock.now() + AGAIN;
@@ -139,14 +139,14 @@ impl ReopeningCamera {
         }
     }
 
-    /// Gives a pair its number behind all before.
+    /// Gives a pair a number after all previous ones.
     fn renumber(&mut self, pair: &mut FramePair) -> Result<(), CameraError> {
         let offset = match (self.offset, self.last) {
             (Some(offset), _) => offset,
             (None, None) => 0,
             (None, Some((_, last))) if pair.exposed_at <= last => {
                 let message =
-                    format!("{}: a pair is not newer than those before the cameras were lost", self.info.name);
+                    format!("{}: a pair is not newer than the pairs before the cameras were lost", self.info.name);
                 return Err(CameraError::new(CameraErrorKind::BadPair, message));
             }
             (None, Some((sequence, last))) => {

@@ -1,4 +1,4 @@
-//! The stream of one camera: its buffers, what is taken from them, and what is left out and counted.
+//! The stream of one camera: buffer handling, validation of images, and counters of dropped images.
 
 use std::time::Duration;
 
@@ -11,72 +11,72 @@ use crate::modes::Mode;
 use crate::pixels::{Converter, PixelError};
 use crate::video::{Filled, Handle, VideoNode};
 
-/// A driver that fills buffers faster than they can be taken must not keep us.
+/// Maximum number of buffers taken at once; protects against a driver that fills buffers faster than they are taken.
 const BUFFERS_AT_ONCE_MAX: u32 = 64;
 
-/// How far a stamp may lie in the future: two clocks are read one after the other, and some drivers (`vivid`) stamp by when an image
-/// should have come, which is up to a tick of the kernel (4 ms at 250 Hz) before or after.
+/// Tolerance for timestamps in the future: two clocks are read one after the other, and some drivers (`vivid`) stamp the nominal
+/// time of an image, up to a kernel tick (4 ms at 250 Hz) before or after.
 const FUTURE_NANOS_MAX: i64 = 4_000_000;
 
-/// Images of one camera since it was opened: what came, and what was left out for which reason.
+/// Image counters of one camera since it was opened, by result.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StreamCounters {
-    /// Whole and new.
+    /// Complete and new.
     pub good: u64,
-    /// Good, but a newer one was there as well.
+    /// Good, but a newer image was available as well.
     pub superseded: u64,
-    /// Good, but without a partner on the other side.
+    /// Good, but without a matching image of the other side.
     pub unpaired: u64,
-    /// The driver knows that they are damaged, or a JPEG cannot be decoded.
+    /// Marked as damaged by the driver, or a JPEG that cannot be decoded.
     pub damaged: u64,
-    /// Fewer bytes than an image has.
+    /// Fewer bytes than an image needs.
     pub short: u64,
-    /// Numbers that the driver has left out.
+    /// Sequence numbers skipped by the driver.
     pub lost: u64,
-    /// Numbers that the driver has given twice, or that have gone back.
+    /// Sequence numbers that the driver repeated, or that went back.
     pub repeated: u64,
-    /// Stamps that are not later than the one before.
+    /// Timestamps that are not later than the previous one.
     pub not_newer: u64,
-    /// Stamps that lie in the future.
+    /// Timestamps in the future.
     pub future: u64,
-    /// Too old when they were taken.
+    /// Too old when taken from the driver.
     pub stale: u64,
-    /// Stamps of an unknown clock.
+    /// Timestamps of an unknown clock.
     pub unstamped: u64,
 }
 
-/// An image that waits for its partner.
+/// An image waiting for its partner.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Held {
     index: u32,
     bytes: usize,
-    /// Middle of the exposure on the clock of stamps.
+    /// Middle of the exposure on the timestamp clock.
     pub(crate) mid_nanos: i64,
 }
 
-/// What taking images from the driver has come to.
+/// The result of taking images from the driver.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Drained {
-    /// Buffers, with images of whatever quality.
+    /// Number of buffers, with images of any quality.
     pub(crate) taken: u32,
     /// There was a good image among them, or one that was good when it was made.
     pub(crate) has_life: bool,
 }
 
-const STALE: &str = "images are too old when they are taken";
+const STALE: &str = "images are too old when they are taken from the driver";
 
-/// What is fixed for a stream.
+/// Constant parameters of a stream.
 #[derive(Clone, Debug)]
 pub(crate) struct StreamConfig {
     pub(crate) device: String,
     pub(crate) mode: Mode,
     pub(crate) exposure: Duration,
     pub(crate) stamps: StampModel,
-    /// Images whose exposure was longer ago are left out.
+    /// Maximum age of an exposure; older images are dropped.
     pub(crate) age_max: Duration,
 }
 
-/// An open device that streams.
+/// An open, streaming device.
 pub(crate) struct Stream {
     pub(crate) config: StreamConfig,
     node: Box<dyn VideoNode>,
@@ -85,7 +85,7 @@ pub(crate) struct Stream {
     pub(crate) counters: StreamCounters,
     last_sequence: Option<u32>,
     last_stamp_nanos: Option<i64>,
-    /// Why the last image was left out, for messages.
+    /// Why the last image was dropped, for messages.
     complaint: Option<&'static str>,
 }
 
@@ -97,7 +97,7 @@ impl Stream {
         let given = node.request_buffers(buffers).map_err(|error| failed(device, "asking for buffers", error))?;
         // One is held, one is being filled, one waits to be filled.
         if given < 3 {
-            return Err(unusable(device, format!("the driver gives {given} buffers, at least 3 are needed")));
+            return Err(unusable(device, format!("the driver provides {given} buffers, at least 3 are needed")));
         }
         for index in 0..given {
             let length = node.map(index).map_err(|error| failed(device, "mapping its buffers", error))?;
@@ -105,7 +105,7 @@ impl Stream {
             if length < expected {
                 return Err(unusable(
                     device,
-                    format!("buffer {index} has {length} bytes, an image has {expected} or more"),
+                    format!("buffer {index} has {length} bytes, an image needs at least {expected}"),
                 ));
             }
             node.queue(index).map_err(|error| failed(device, "queueing its buffers", error))?;
@@ -139,12 +139,12 @@ impl Stream {
         self.held
     }
 
-    /// Why images are left out, for messages.
+    /// Why images are dropped, for messages.
     pub(crate) fn complaint(&self) -> Option<&'static str> {
         self.complaint
     }
 
-    /// Takes all that the driver has filled and keeps the newest good image.
+    /// Takes all filled buffers from the driver and keeps the newest good image.
     pub(crate) fn drain(&mut self, now_nanos: i64) -> Result<Drained, CameraError> {
         let mut drained = Drained::default();
         while drained.taken < BUFFERS_AT_ONCE_MAX {
@@ -162,21 +162,21 @@ impl Stream {
                     self.held = Some(held);
                 }
                 Err(complaint) => {
-                    // Who comes late finds old images; that is no fault of the camera.
+                    // A late caller finds old images; this is not a fault of the camera.
                     drained.has_life |= complaint == STALE;
                     self.complaint = Some(complaint);
                     self.queue(filled.index)?;
                 }
             }
             if filled.is_last {
-                let message = format!("{}: the camera has ended its stream; open it again", self.config.device);
+                let message = format!("{}: the camera has ended the stream; open the camera again", self.config.device);
                 return Err(CameraError::new(CameraErrorKind::Disconnected, message));
             }
         }
         Ok(drained)
     }
 
-    /// Counts what a driver's numbers tell. They are 32 bits, begin again, and are given twice by some drivers.
+    /// Counts gaps and repetitions of sequence numbers. They have 32 bits, wrap around, and are repeated by some drivers.
     fn count_sequence(&mut self, sequence: u32) {
         if let Some(last) = self.last_sequence {
             match sequence.wrapping_sub(last).cast_signed() {
@@ -200,17 +200,17 @@ impl Stream {
         }
         let Some(mid_nanos) = stamps.mid_exposure_nanos(filled.stamp_nanos, filled.source, exposure) else {
             counters.unstamped += 1;
-            return Err("its driver does not stamp by CLOCK_MONOTONIC, so it is not known when images were taken");
+            return Err("its driver does not use CLOCK_MONOTONIC timestamps, so the exposure times are unknown");
         };
         if filled.stamp_nanos.saturating_sub(now_nanos) > FUTURE_NANOS_MAX {
             counters.future += 1;
-            return Err("its stamps lie in the future: its driver stamps what is still to come");
+            return Err("its timestamps lie in the future; the driver stamps images in advance");
         }
         if self.last_stamp_nanos.is_some_and(|last| filled.stamp_nanos <= last) {
             counters.not_newer += 1;
-            // A clock that was set back goes on from where it is.
+            // After the clock was set back, times continue from its new value.
             self.last_stamp_nanos = Some(filled.stamp_nanos);
-            return Err("its stamps go back");
+            return Err("its timestamps go back");
         }
         self.last_stamp_nanos = Some(filled.stamp_nanos);
         if now_nanos.saturating_sub(mid_nanos) > nanos(age_max) {
@@ -220,20 +220,20 @@ impl Stream {
         Ok(Held { index: filled.index, bytes: filled.bytes, mid_nanos })
     }
 
-    /// Converts the image that is held.
+    /// Converts the held image.
     pub(crate) fn convert(&mut self, target: &mut RgbImage) -> Result<(), PixelError> {
         let Some(held) = self.held else { return Ok(()) };
         let memory = self.node.memory(held.index);
         let converted = self.converter.convert(&memory[..held.bytes.min(memory.len())], target);
         if converted.is_err() {
-            // It has looked good until now.
+            // It passed all checks until now.
             self.counters.good -= 1;
             self.counters.damaged += 1;
         }
         converted
     }
 
-    /// Gives the image that is held back to the driver.
+    /// Returns the held image to the driver.
     pub(crate) fn give_back(&mut self) -> Result<(), CameraError> {
         match self.held.take() {
             Some(held) => self.queue(held.index),
@@ -241,20 +241,20 @@ impl Stream {
         }
     }
 
-    /// As [`Self::give_back`], for one without a partner.
+    /// As [`Self::give_back`], for an image without a partner.
     pub(crate) fn drop_unpaired(&mut self) -> Result<(), CameraError> {
         self.counters.unpaired += 1;
         self.give_back()
     }
 
     fn queue(&mut self, index: u32) -> Result<(), CameraError> {
-        self.node.queue(index).map_err(|error| failed(&self.config.device, "giving a buffer back", error))
+        self.node.queue(index).map_err(|error| failed(&self.config.device, "returning a buffer", error))
     }
 }
 
 impl Drop for Stream {
     fn drop(&mut self) {
-        // Closing the device does the same; one that is gone refuses.
+        // Closing the device has the same effect; a disconnected device returns an error.
         let _ = self.node.stop();
     }
 }

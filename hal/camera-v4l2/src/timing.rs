@@ -1,14 +1,14 @@
-//! When an image was exposed, from the stamp of its buffer.
+//! Exposure time of an image, computed from the buffer timestamp.
 
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 
 use crate::video::VideoSystem;
 
-/// How often the two clocks are compared; the closest comparison counts.
+/// Number of clock comparisons; the closest one counts.
 const COMPARISONS: usize = 8;
 
-/// From the clock of stamps to the clock of the program; both are the same clock with another origin.
+/// Map from the timestamp clock to the program clock; both are the same clock with different origins.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ClockMap {
     program_less_stamps: i64,

@@ -1,4 +1,4 @@
-//! Two emulated cameras as one: the contract, times, pairs, and everything that goes wrong.
+//! Two emulated cameras as one stereo camera: contract, times, pairs, and all failures.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "helpers of tests")]
 
@@ -25,7 +25,7 @@ fn refused(result: Result<V4l2StereoCamera, CameraError>) -> (CameraErrorKind, S
 fn it_keeps_the_contract() {
     let rig = Rig::new();
     stereo_camera_suite(|| rig.opened(), &CameraExpectations::endless(40)).assert_passed();
-    // The same in the machine's time.
+    // The same in real time.
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let system = EmulatedSystem::new(clock.clone(), vec![EmulatedCamera::usual(0), EmulatedCamera::usual(1)]);
     let open = || V4l2StereoCamera::open(Arc::new(system.clone()), clock.clone(), &config()).unwrap();
@@ -62,12 +62,12 @@ fn a_late_caller_gets_the_newest_pair_and_never_an_old_one() {
     let rig = Rig::new();
     let mut camera = rig.opened();
     camera.next_pair(SECOND).unwrap();
-    // Less than the buffers hold: the newest one, at once.
+    // Fewer images than the buffers hold: the newest one is delivered at once.
     rig.clock.sleep_until(rig.clock.now() + millis(100));
     let (pair, took) = rig.timed(&mut camera);
     assert_eq!((pair.unwrap().sequence, took < 1.0), (3, true));
     assert_eq!(camera.counters().left.superseded, 2);
-    // Much more: what the buffers hold is long gone by.
+    // Many more: all buffered images are outdated.
     rig.clock.sleep_until(rig.clock.now() + SECOND);
     let now = rig.clock.now();
     let (pair, took) = rig.timed(&mut camera);
@@ -84,7 +84,7 @@ fn damaged_short_and_lost_images_are_left_out_and_counted() {
     camera.next_pair(SECOND).unwrap();
     let mut next = |number, change: fn(&mut Faults)| {
         rig.faults(number, change);
-        // Where an image is lost nothing comes for two periods, which is silence; the pair is there right behind it.
+        // After a lost image nothing arrives for two periods, which counts as silence; the pair follows directly.
         let pair = camera.next_pair(SECOND).or_else(|_| camera.next_pair(millis(1))).unwrap();
         (pair.sequence, camera.counters())
     };
@@ -113,14 +113,14 @@ fn wrong_stamps_are_refused_with_the_reason() {
     let mut camera = rig.opened();
     let error = camera.next_pair(SECOND).unwrap_err();
     assert_eq!(error.kind(), CameraErrorKind::Timeout);
-    assert!(error.to_string().contains("its stamps lie in the future"), "{error}");
+    assert!(error.to_string().contains("its timestamps lie in the future"), "{error}");
     assert!(camera.counters().left.future > 20 && camera.counters().pairs == 0);
 
     let rig = Rig::with(|_, camera| camera.source = StampSource::Unknown);
     let error = rig.opened().next_pair(SECOND).unwrap_err();
-    assert!(error.to_string().contains("does not stamp by CLOCK_MONOTONIC"), "{error}");
+    assert!(error.to_string().contains("does not use CLOCK_MONOTONIC"), "{error}");
 
-    // Stamps that go back once: that image is left out, and no time is delivered twice.
+    // Timestamps that go back once: that image is dropped, and no time is delivered twice.
     let rig = Rig::new();
     let mut camera = rig.opened();
     let before = camera.next_pair(SECOND).unwrap();
@@ -136,18 +136,19 @@ fn pairs_too_far_apart_are_refused_with_what_they_cost() {
     let mut camera = rig.opened();
     let error = camera.next_pair(SECOND).unwrap_err();
     assert_eq!(error.kind(), CameraErrorKind::BadPair);
-    let expected = "right was exposed 12.0 ms after left, at most 5.0 ms are allowed: at 100 mm/s that is 1.20 mm";
+    let expected =
+        "right was exposed 12.0 ms after left, at most 5.0 ms is allowed; at 100 mm/s this is an error of 1.20 mm";
     assert!(error.to_string().contains(expected), "{error}");
     assert_eq!(camera.counters().skew_refused, 1);
-    // A wider limit takes them.
+    // A wider limit accepts them.
     drop(camera);
     let mut camera = rig.open(&StereoConfig { skew_max: millis(15), ..config() }).unwrap();
     assert_eq!(camera.next_pair(SECOND).unwrap().skew_nanos, 12_000_000);
     drop(camera);
-    // A limit that reaches to the next image says nothing.
+    // A limit as long as the frame period is meaningless.
     let (kind, message) = refused(rig.open(&StereoConfig { skew_max: millis(34), ..config() }));
     assert_eq!(kind, CameraErrorKind::Unusable);
-    assert!(message.contains("cannot be told from the next image"), "{message}");
+    assert!(message.contains("must be shorter than the frame period"), "{message}");
 }
 
 #[test]
@@ -173,7 +174,7 @@ fn the_drift_of_free_running_cameras_is_measured() {
     assert!((drift.rate - 2e-4).abs() < 2e-6, "{drift:?}");
     let left = drift.seconds_until(SKEW_MAX).unwrap();
     assert!((left - (0.005 - drift.skew_s) / 2e-4).abs() < 0.2, "{left} s");
-    // When the time is over, pairs are refused; half a period later they fit again.
+    // When the predicted time is over, pairs are refused; half a period later they match again.
     let mut refused_pairs = 0;
     for _ in 0..6000 {
         refused_pairs += u32::from(camera.next_pair(SECOND).is_err());
@@ -206,7 +207,7 @@ fn the_loss_of_a_camera_is_told_within_two_periods_and_it_can_be_opened_again() 
             rig.faults(number, |faults| *faults = Faults::default());
             let again = camera.next_pair(SECOND).unwrap_err();
             assert_eq!((again.kind(), again.to_string()), (CameraErrorKind::Disconnected, error.to_string()));
-            // The old one is still there, and holds nothing.
+            // The old object still exists, and holds no device.
             rig.opened().next_pair(SECOND).unwrap();
         }
     }
@@ -222,7 +223,7 @@ fn both_cameras_unplugged_at_once_and_a_rig_that_is_not_there() {
     assert_eq!(rig.timed(&mut camera).0.unwrap_err().kind(), CameraErrorKind::Disconnected);
     let (kind, message) = refused(rig.open(&config()));
     assert_eq!(kind, CameraErrorKind::Disconnected);
-    assert_eq!(message, "serial:SN0000: there is no such camera; look at its plug and cable; there are: none");
+    assert_eq!(message, "serial:SN0000: no such camera; check plug and cable; available cameras: none");
 }
 
 #[test]
@@ -294,27 +295,27 @@ fn a_camera_that_never_begins_has_the_time_of_the_call() {
 #[test]
 fn devices_that_can_not_be_had_say_why_and_what_to_do() {
     for (call, errno, kind, advice) in [
-        (Call::Open, Errno::ACCESS, CameraErrorKind::Unusable, "one cannot be asked"),
-        (Call::SetFormat, Errno::BUSY, CameraErrorKind::Unusable, "another program has it (`fuser -v"),
-        (Call::RequestBuffers, Errno::BUSY, CameraErrorKind::Unusable, "another program has it"),
-        (Call::Start, Errno::NOSPC, CameraErrorKind::Unusable, "the USB bus has no room"),
-        (Call::Start, Errno::NODEV, CameraErrorKind::Disconnected, "the camera is gone"),
-        (Call::SetFormat, Errno::NOMEM, CameraErrorKind::Unusable, "the driver refuses it"),
+        (Call::Open, Errno::ACCESS, CameraErrorKind::Unusable, "one device cannot be queried"),
+        (Call::SetFormat, Errno::BUSY, CameraErrorKind::Unusable, "used by another program (`fuser -v"),
+        (Call::RequestBuffers, Errno::BUSY, CameraErrorKind::Unusable, "used by another program"),
+        (Call::Start, Errno::NOSPC, CameraErrorKind::Unusable, "not enough USB bandwidth"),
+        (Call::Start, Errno::NODEV, CameraErrorKind::Disconnected, "the camera is disconnected"),
+        (Call::SetFormat, Errno::NOMEM, CameraErrorKind::Unusable, "the driver refused the request"),
     ] {
         let rig = Rig::new();
         rig.faults(1, |faults| faults.calls = [(call, errno)].into());
         let (found, message) = refused(rig.open(&config()));
         assert!(found == kind && message.contains(advice) && message.contains("SN0001"), "{call:?} {errno}: {message}");
-        // Nothing is held after a failure.
+        // No device is held after a failure.
         rig.faults(1, |faults| *faults = Faults::default());
         rig.opened().next_pair(SECOND).unwrap();
     }
-    // A second program, in earnest.
+    // A second program that really holds the device.
     let rig = Rig::new();
     let first = rig.opened();
     let (_, message) = refused(rig.open(&config()));
     assert!(
-        message.starts_with("serial:SN0000 (/dev/video0): ") && message.contains("another program has it"),
+        message.starts_with("serial:SN0000 (/dev/video0): ") && message.contains("used by another program"),
         "{message}"
     );
     drop(first);
@@ -337,29 +338,29 @@ fn what_a_driver_changes_in_silence_is_refused() {
     };
     let message = refusal(|camera| camera.faults.other_size = Some((80, 60)));
     assert!(
-        message.contains("asked for YUYV of 64x48, the driver gives YUYV of 80x60; it offers YUYV 640x480 at 30"),
+        message.contains("requested YUYV of 64x48, the driver selected YUYV of 80x60; it offers YUYV 640x480 at 30"),
         "{message}"
     );
     let message = refusal(|camera| camera.formats = vec![(*b"H264", camera.formats[0].1.clone())]);
-    assert!(message.contains("the driver gives H264 of 64x48"), "{message}");
+    assert!(message.contains("the driver selected H264 of 64x48"), "{message}");
     let message = refusal(|camera| camera.faults.other_interval = Some(Interval { numerator: 1, denominator: 25 }));
-    assert!(message.contains("asked for 30.000 images per second of YUYV 64x48, the driver gives 25.000"), "{message}");
+    assert!(
+        message.contains("requested 30.000 images per second of YUYV 64x48, the driver selected 25.000"),
+        "{message}"
+    );
     let message =
         refusal(|camera| camera.faults.other_interval = Some(Interval { numerator: 1001, denominator: 30000 }));
-    assert!(message.contains("the driver gives 29.970"), "{message}");
+    assert!(message.contains("the driver selected 29.970"), "{message}");
     let message = refusal(|camera| camera.faults.other_interval = Some(Interval::default()));
-    assert!(message.contains("the driver gives 0.000"), "{message}");
+    assert!(message.contains("the driver selected 0.000"), "{message}");
     let message = refusal(|camera| camera.field = FieldOrder::Interlaced);
-    assert!(message.contains("which tears what moves"), "{message}");
+    assert!(message.contains("which tears moving objects"), "{message}");
     let message = refusal(|camera| camera.controls.retain(|(entry, _)| entry.id != id::EXPOSURE_ABSOLUTE));
     assert!(message.contains("it has no control for the exposure time"), "{message}");
     let message = refusal(|camera| camera.faults.forgetful = vec![id::EXPOSURE_ABSOLUTE]);
-    assert!(
-        message.contains("`Exposure Time, Absolute` was set to 40 and is 100: the driver does not keep it"),
-        "{message}"
-    );
+    assert!(message.contains("`Exposure Time, Absolute` was set to 40, but the driver reports 100"), "{message}");
     let message = refusal(|camera| camera.faults.forgetful = vec![id::AUTO_WHITE_BALANCE]);
-    assert!(message.contains("`White Balance, Automatic` was set to 0 and is 1"), "{message}");
+    assert!(message.contains("`White Balance, Automatic` was set to 0, but the driver reports 1"), "{message}");
 }
 
 #[test]
@@ -398,14 +399,14 @@ fn automatic_modes_are_off_and_controls_follow_while_it_runs() {
     let first = camera.next_pair(SECOND).unwrap();
     camera.set_control(Side::Left, id::GAIN, 90).unwrap();
     assert_eq!(value(&mut camera, id::GAIN), Some(90));
-    // A longer exposure of the left camera: its middle is 3 ms later, and the skew that much smaller.
+    // A longer exposure of the left camera: its middle is 3 ms later, and the skew is that much smaller.
     camera.set_control(Side::Left, id::EXPOSURE_ABSOLUTE, 100).unwrap();
     let second = camera.next_pair(SECOND).unwrap();
     let step = second.exposed_at.seconds_since(first.exposed_at) * 1e3;
     assert!((step - PERIOD_MILLIS - 3.0).abs() < 1e-3, "{step} ms");
     assert_eq!(second.skew_nanos, -1_000_000);
     let error = camera.set_control(Side::Right, id::GAIN, 300).unwrap_err();
-    assert!(error.to_string().contains("`Gain` cannot be 300: it goes from 0 to 255 by steps of 1"), "{error}");
+    assert!(error.to_string().contains("`Gain` cannot be 300; its range is 0 to 255 in steps of 1"), "{error}");
     let error = camera.set_control(Side::Right, 0x1234, 1).unwrap_err();
     assert!(error.to_string().contains("it has no control 0x00001234"), "{error}");
 }
@@ -416,7 +417,7 @@ fn an_unknown_exposure_is_refused_unless_it_is_stated() {
     let mut config = config();
     config.left.controls.exposure = Setting::Auto;
     let (_, message) = refused(rig.open(&config));
-    assert!(message.contains("it does not tell its time of exposure"), "{message}");
+    assert!(message.contains("it does not report its exposure time"), "{message}");
     config.left.exposure = Some(millis(4));
     rig.open(&config).unwrap().next_pair(SECOND).unwrap();
 }
@@ -428,7 +429,7 @@ fn names_stay_and_ambiguous_ones_are_refused() {
     assert_eq!(Rig::new().open(&swapped).unwrap().info().name, "v4l2 bus:usb-emulated-1 + /dev/video0");
     let rig = Rig::with(|_, camera| camera.entry.serial = Some("SN0000".to_owned()));
     let (_, message) = refused(rig.open(&config()));
-    assert!(message.contains("this name fits 2 cameras: /dev/video0 bus:usb-emulated-0"), "{message}");
+    assert!(message.contains("this name matches 2 cameras: /dev/video0 bus:usb-emulated-0"), "{message}");
     let mut same = config();
     same.right.name = "bus:usb-emulated-0".parse().unwrap();
     let (_, message) = refused(Rig::new().open(&same));
@@ -449,13 +450,13 @@ fn names_that_udev_gives_lead_to_their_cameras() {
     let mut config = config();
     config.left.name = "/dev/pb3dp/cam-left".parse().unwrap();
     rig.open(&config).unwrap().next_pair(SECOND).unwrap();
-    // The link goes with its camera.
+    // The link disappears with its camera.
     config.left.name = "/dev/pb3dp/cam-middle".parse().unwrap();
     let (_, message) = refused(rig.open(&config));
-    assert!(message.starts_with("/dev/pb3dp/cam-middle: there is no such camera; look at its plug"), "{message}");
+    assert!(message.starts_with("/dev/pb3dp/cam-middle: no such camera; check plug"), "{message}");
     config.left.name = "/dev/null".parse().unwrap();
     let (_, message) = refused(rig.open(&config));
-    assert!(message.starts_with("/dev/null: this is no device that takes images; there are: /dev/video0"), "{message}");
+    assert!(message.starts_with("/dev/null: not a capture device; available cameras: /dev/video0"), "{message}");
 }
 
 #[test]
@@ -473,7 +474,7 @@ fn the_steady_state_takes_nothing_from_the_heap() {
 
 #[test]
 fn time_passes_without_harm() {
-    // Twenty minutes of images that are lost, damaged and short now and then.
+    // Twenty minutes in which images are sometimes lost, damaged or short.
     let rig = Rig::new();
     let mut camera = rig.opened();
     let mut pair = FramePair::black(SMALL);

@@ -1,4 +1,4 @@
-//! Images of `MJPG`: whole ones with and without their tables, and every kind of broken one.
+//! `MJPG` images: complete ones with and without their tables, and every kind of damage.
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
@@ -10,7 +10,8 @@ use pb3dp_geometry::ImageSize;
 use pb3dp_hal_api::{CameraErrorKind, StereoCamera};
 use proptest::prelude::*;
 
-/// 160 x 96 pixels of a photograph as cameras send them: 4:2:2, the standard tables; in the second one a restart marker for each 8 rows.
+/// 160 x 96 pixels of a photograph in the format of cameras: 4:2:2, the standard tables; the second image has a restart marker
+/// per 8 rows.
 const PLAIN: &[u8] = include_bytes!("data/plain.jpg");
 const RESTARTS: &[u8] = include_bytes!("data/restarts.jpg");
 
@@ -25,7 +26,7 @@ fn decoded(bytes: &[u8]) -> Result<RgbImage, PixelError> {
     converter(160, 96).convert(bytes, &mut image).map(|()| image)
 }
 
-/// Leaves out every segment of that kind before the first scan.
+/// Removes every segment of that type before the first scan.
 fn without(bytes: &[u8], kind: u8) -> Vec<u8> {
     let (mut out, mut at) = (bytes[..2].to_vec(), 2);
     while bytes[at + 1] != 0xDA {
@@ -39,20 +40,20 @@ fn without(bytes: &[u8], kind: u8) -> Vec<u8> {
     out
 }
 
-/// As cameras send them.
+/// Without tables, as many cameras send them.
 fn bare(bytes: &[u8]) -> Vec<u8> {
     let bare = without(bytes, 0xC4);
     assert!(bare.len() + 400 < bytes.len(), "the encoder wrote tables, and they are gone");
     bare
 }
 
-/// Where the data of the scan begin.
+/// Start of the scan data.
 fn data_begin(bytes: &[u8]) -> usize {
     let scan = bytes.windows(2).rposition(|pair| pair == [0xFF, 0xDA]).unwrap();
     scan + 2 + usize::from(u16::from_be_bytes([bytes[scan + 2], bytes[scan + 3]]))
 }
 
-/// The image without some bytes.
+/// The image without some of its bytes.
 fn lacking(bytes: &[u8], from: usize, length: usize) -> Vec<u8> {
     [&bytes[..from], &bytes[from + length..]].concat()
 }
@@ -65,7 +66,7 @@ fn images_of_cameras_are_what_libjpeg_makes_of_them() {
         let error = found.iter().zip(expected.iter()).map(|(found, expected)| found.abs_diff(*expected)).max();
         assert!(error <= Some(4), "{error:?}");
         assert_eq!(decoded(&bare(bytes)).unwrap(), found);
-        // Drivers may give more bytes than the image has.
+        // Drivers may return more bytes than the image has.
         assert_eq!(decoded(&[bytes, &[0; 1000], &[0xFF, 0xD9]].concat()).unwrap(), found);
     }
 }
@@ -97,7 +98,7 @@ fn a_jpeg_whose_scan_is_cut_short_is_refused_though_its_end_is_marked() {
         for from in data_begin(&bytes)..end {
             match decoded(&lacking(&bytes, from, end - from)) {
                 Err(_) => refused += 1,
-                // The last bits may be those that are put there.
+                // The last bits may be the inserted ones.
                 Ok(found) => assert!(found == whole && from > end - 3, "cut at {from} of {end}"),
             }
         }
@@ -110,7 +111,7 @@ fn a_jpeg_that_lacks_a_packet_is_refused() {
     for bytes in [PLAIN, RESTARTS] {
         let (begin, end) = (data_begin(bytes), bytes.len() - 2);
         for length in [128, 188, 512, 1024] {
-            // Also the whole end of restart intervals: the markers before it still follow each other.
+            // Also the whole end of restart intervals: the markers before it are still consecutive.
             for from in (begin..end - length).step_by(3) {
                 assert!(decoded(&lacking(bytes, from, length)).is_err(), "{length} bytes from {from} on");
             }
@@ -124,24 +125,24 @@ fn what_is_no_whole_jpeg_is_refused_with_its_length() {
         let error = decoded(&PLAIN[..length]).unwrap_err();
         assert!(error.to_string().contains(&format!("{length} bytes")), "{error}");
     }
-    // A marker of the scan that is missing, and one that is given twice.
+    // A missing scan marker, and a repeated one.
     let is_restart = |pair: &[u8]| pair[0] == 0xFF && (0xD0..=0xD7).contains(&pair[1]);
     let at = RESTARTS.windows(2).position(is_restart).unwrap();
     for broken in [lacking(RESTARTS, at, 2), [&RESTARTS[..at + 2], &RESTARTS[at..]].concat()] {
         let error = decoded(&broken).unwrap_err().to_string();
-        assert!(error.contains("a piece of the scan: its markers do not follow each other"), "{error}");
+        assert!(error.contains("a part of the scan (its restart markers are not consecutive)"), "{error}");
     }
     let mut image = RgbImage::new(152, 96);
     let error = converter(152, 96).convert(PLAIN, &mut image).unwrap_err();
     assert_eq!(error.to_string(), "the JPEG has 160x96 pixels, expected are 152x96");
 }
 
-/// Bytes of the emulated camera's buffers.
+/// Size of the emulated camera's buffers, bytes.
 const BUFFER: u32 = 96 * 64;
 
 #[test]
 fn cut_images_of_a_camera_are_dropped_and_counted_and_the_next_ones_come() {
-    // Of ten images of the right camera the third one is cut short, and the sixth one lacks a packet.
+    // Of ten images of the right camera the third one is truncated, and the sixth one lacks a packet.
     fn paint(number: u64, memory: &mut [u8]) {
         let end = RESTARTS.len() - 2;
         let sent = match number % 10 {
@@ -186,7 +187,7 @@ proptest! {
             *place = byte;
         }
         bytes.truncate(length);
-        // Some damage cannot be seen; what counts is that nothing panics.
+        // Some damage cannot be detected; the code must not panic.
         let _ = decoded(&bytes);
     }
 }

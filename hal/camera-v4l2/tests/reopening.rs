@@ -1,4 +1,4 @@
-//! Cameras that are opened anew after one of them was lost.
+//! Cameras that are reopened after one of them was lost.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -21,7 +21,8 @@ fn reopening(rig: &Rig, reopen_for: Duration) -> ReopeningCamera {
     ReopeningCamera::open(Arc::new(rig.system.clone()), rig.clock.clone(), config(), reopen_for).unwrap()
 }
 
-/// Takes pairs for so long: how many came, what was said last, the newest. None is older than those before or than its delivery allows.
+/// Takes pairs for this duration: returns their number, the last message, and the newest pair. No pair is older than the previous
+/// ones or than its delivery allows.
 fn take(rig: &Rig, camera: &mut ReopeningCamera, duration: Duration, last: &mut (u64, MonotonicTime)) -> (u32, String) {
     let (end, mut came, mut said) = (rig.clock.now() + duration, 0, String::new());
     let mut pair = FramePair::black(SMALL);
@@ -64,7 +65,7 @@ fn pairs_go_on_behind_those_before_once_the_plug_is_in_again() {
         let (came, said) = take(&rig, &mut camera, SECOND * 3, &mut last);
         assert_eq!(came, 0);
         assert!(said.contains(&format!("serial:SN000{number}")) && said.contains("no pairs until"), "{said}");
-        // A new device knows nothing of what the old one was told.
+        // A new device does not have the settings of the old one.
         rig.system
             .with(number, |camera| {
                 camera.faults.is_unplugged = false;
@@ -75,7 +76,7 @@ fn pairs_go_on_behind_those_before_once_the_plug_is_in_again() {
         let (came, _) = take(&rig, &mut camera, SECOND, &mut last);
         assert!((20..=30).contains(&came), "{came}");
         assert_eq!(camera.reopened(), 1);
-        // Numbers stand for periods.
+        // Numbers count periods.
         let periods = last.1.seconds_since(before.1) * 1e3 / PERIOD_MILLIS;
         let numbers = (last.0 - before.0) as f64;
         assert!((numbers - periods).abs() < 2.0, "{numbers} numbers in {periods} periods");
@@ -95,7 +96,7 @@ fn a_plug_that_has_no_rights_yet_is_tried_again() {
         faults.calls.insert(Call::Open, Errno::ACCESS);
     });
     let (came, said) = take(&rig, &mut camera, SECOND, &mut last);
-    assert!(came == 0 && said.contains("cannot be asked"), "{came} came: {said}");
+    assert!(came == 0 && said.contains("cannot be queried"), "{came} came: {said}");
     rig.faults(1, |faults| faults.calls.clear());
     assert!(take(&rig, &mut camera, SECOND, &mut last).0 > 20);
 }
@@ -116,7 +117,7 @@ fn it_is_given_up_after_its_time_and_at_once_without_any() {
             }
         };
         assert_eq!(error.kind(), CameraErrorKind::Disconnected, "{error}");
-        // It stays so, whatever is plugged in.
+        // The state is final, even if the camera is connected again.
         rig.faults(0, |faults| faults.is_unplugged = false);
         assert_eq!(camera.next_pair(SECOND).unwrap_err().kind(), CameraErrorKind::Disconnected);
         (rig.clock.now().seconds_since(begin), error.to_string())
@@ -124,7 +125,7 @@ fn it_is_given_up_after_its_time_and_at_once_without_any() {
     let (took_s, _) = lost(Duration::ZERO);
     assert!(took_s < 0.1, "{took_s}");
     let (took_s, said) = lost(SECOND * 2);
-    assert!((2.0..2.4).contains(&took_s) && said.contains("did not come back within 2s"), "{took_s} s: {said}");
+    assert!((2.0..2.4).contains(&took_s) && said.contains("not available again within 2s"), "{took_s} s: {said}");
 }
 
 #[test]

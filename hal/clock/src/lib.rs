@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 
-/// Monotonic time of the machine; its origin is the moment at which it was made.
+/// Monotonic time of the machine; its origin is the time of creation.
 #[derive(Debug)]
 pub struct SystemClock {
     origin: Instant,
@@ -41,7 +41,7 @@ impl Clock for SystemClock {
     }
 }
 
-/// Time that passes only when somebody sleeps; for deterministic, faster-than-real-time runs in one thread.
+/// Virtual time that advances only when a thread sleeps; for deterministic, faster-than-real-time runs in one thread.
 #[derive(Debug, Default)]
 pub struct VirtualClock {
     nanos: AtomicU64,

@@ -1,4 +1,4 @@
-//! Both clocks keep the contract of their trait.
+//! Both clocks fulfil the contract of their trait.
 
 use std::time::{Duration, Instant};
 
@@ -31,7 +31,7 @@ fn virtual_time_passes_only_in_sleep() {
 #[test]
 fn system_clock_runs_with_the_machine() {
     let clock = SystemClock::new();
-    // Each reading of the one clock lies between two of the other, however long a thread waits in between.
+    // Each reading of one clock lies between two readings of the other, however long a thread waits in between.
     let outer = Instant::now();
     let before = clock.now();
     let inner = Instant::now();

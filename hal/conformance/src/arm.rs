@@ -8,29 +8,29 @@ use pb3dp_kinematics::{DOF, JointVector};
 
 use crate::Report;
 
-/// What the suite may ask of an arm.
+/// Test parameters of an arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmExpectations {
-    /// A speed that each joint can follow from where the arm is made, both ways, rad/s.
+    /// A speed that each joint can follow from its initial position, in both directions, rad/s.
     pub speed_rad_per_s: f64,
-    /// Time within which the arm reaches that speed from rest, or comes to rest from it.
+    /// Time within which the arm reaches that speed from standstill, or stops from it.
     pub settles_within: Duration,
 }
 
-/// Does something to an arm that commands cannot do.
+/// Triggers a condition of an arm that commands cannot trigger.
 pub type Hook<A> = Option<Box<dyn Fn(&mut A)>>;
 
-/// Faults that a backend can be made to have; the rules of those that are `None` are not tested.
+/// Faults that a backend can inject; the rules of those that are `None` are not tested.
 pub struct ArmHooks<A> {
-    /// The reply to the next exchange gets lost.
+    /// Loses the reply to the next exchange.
     pub lose_reply: Hook<A>,
-    /// A fault of the arm whose cause stays.
+    /// Raises a fault of the arm whose cause persists.
     pub raise_fault: Hook<A>,
-    /// That cause goes away.
+    /// Removes that cause.
     pub remove_fault_cause: Hook<A>,
-    /// Somebody presses the emergency stop.
+    /// Presses the emergency stop.
     pub press_e_stop: Hook<A>,
-    /// And releases it.
+    /// Releases the emergency stop.
     pub release_e_stop: Hook<A>,
 }
 
@@ -40,7 +40,7 @@ impl<A> Default for ArmHooks<A> {
     }
 }
 
-/// Holds an arm to its contract. Every call of `make` connects to a disabled arm at rest; `clock` is the arm's clock.
+/// Tests an arm against its contract. Every call of `make` connects to a disabled, stationary arm; `clock` is the arm's clock.
 ///
 /// The arm moves: each joint by about four times `speed * settles_within` to both sides of its start.
 ///
@@ -59,7 +59,7 @@ pub fn arm_suite<A: Arm + ArmPower>(
     let mut with_new_arm = |check: &dyn Fn(&mut Bench<'_, A>)| {
         let mut bench = Bench { arm: make(), clock, expectations, report: &mut report, last_sample: None };
         check(&mut bench);
-        // Whatever went wrong, no arm is left moving.
+        // The arm is stopped whatever went wrong.
         let _ = bench.arm.stop();
     };
     with_new_arm(&check_disabled);
@@ -101,7 +101,7 @@ struct Bench<'a, A> {
 }
 
 impl<A: Arm + ArmPower> Bench<'_, A> {
-    /// One exchange, with the rules that hold for each.
+    /// One exchange, with the rules that hold for every exchange.
     fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
         let called = self.clock.now();
         let result = self.arm.exchange(command);
@@ -120,7 +120,7 @@ impl<A: Arm + ArmPower> Bench<'_, A> {
         result
     }
 
-    /// The same command, cycle by cycle, for the time in which the arm settles; the last sample.
+    /// Repeats a command, cycle by cycle, for the settling time of the arm; returns the last sample.
     fn settle(&mut self, command: JointCommand) -> Option<JointState> {
         let cycle = self.arm.info().cycle.max(Duration::from_micros(100));
         let begin = self.clock.now();
@@ -139,7 +139,7 @@ impl<A: Arm + ArmPower> Bench<'_, A> {
         }
     }
 
-    /// Lets the time pass in which the arm settles, without a word to it.
+    /// Lets the settling time pass without any exchange.
     fn be_silent(&self) {
         self.clock.sleep_until(self.clock.now() + self.expectations.settles_within);
     }
@@ -151,7 +151,7 @@ impl<A: Arm + ArmPower> Bench<'_, A> {
         self.report.check("enables-at-rest", holds, || format!("enable returned {result:?}, the state is {state:?}"))
     }
 
-    /// Enabled and moving with every joint.
+    /// Enables the arm and moves every joint.
     fn enable_and_move(&mut self) -> bool {
         self.enable() && self.settle(self.all_joints()).is_some()
     }
@@ -179,7 +179,7 @@ impl<A: Arm + ArmPower> Bench<'_, A> {
         self.report.check(rule, state == expected, || format!("{when} the state is {state:?}, not {expected:?}"));
     }
 
-    /// A command that must be refused in a certain way.
+    /// Checks that a command is refused with the expected error kind.
     fn check_refused(&mut self, rule: &'static str, command: JointCommand, expected: ArmErrorKind, when: &str) {
         let result = self.exchange(command).map_err(|error| error.kind());
         self.report.check(rule, result.as_ref().err() == Some(&expected), || {
@@ -306,7 +306,7 @@ fn check_latching<A: Arm + ArmPower>(bench: &mut Bench<'_, A>, latching: &Latchi
     let enabled = bench.arm.enable();
     bench.report.check("enable-only-from-disabled", enabled.is_err(), || format!("enabled in {state:?}"));
     bench.check_state(rule, state, "after trying to enable");
-    // Whether stopping a stopped arm is an error is left open; what it must not do is clear the state.
+    // Whether stopping a stopped arm is an error is not specified; it must not clear the state.
     let _ = bench.arm.stop();
     bench.check_state(rule, state, "after a stop");
     let Some(remove) = latching.remove else { return };

@@ -7,43 +7,44 @@ use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, StereoCamera, Stere
 
 use crate::Report;
 
-/// Calls after the end of a stream that must all say so.
+/// Number of calls after the end of a stream that must all report it.
 const CALLS_AFTER_END: usize = 3;
 
-/// More time-outs in a row mean that nothing will ever come.
+/// Number of consecutive time-outs after which the test gives up.
 const TIMEOUTS_MAX: usize = 50;
 
-/// What a busy machine may add to the time of a call.
+/// Scheduling delay tolerated on a busy machine.
 const SCHEDULING_SLACK: Duration = Duration::from_millis(500);
 
-/// What a camera is expected to deliver.
+/// The expected behaviour of a camera.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CameraExpectations {
-    /// Whole pairs until `EndOfStream`; `None` for a camera that never ends.
+    /// Complete pairs until `EndOfStream`; `None` for a camera that never ends.
     pub pairs: Option<usize>,
-    /// Damaged or missing pairs that are reported as `BadPair` on the way to the end.
+    /// Damaged or missing pairs that are reported as `BadPair` before the end.
     pub bad_pairs: usize,
-    /// How many pairs of an endless camera are looked at.
+    /// Number of pairs of an endless camera that are checked.
     pub sample: usize,
-    /// Given to every call.
+    /// Timeout of every call.
     pub timeout: Duration,
-    /// Whether a camera made anew delivers the same images again, byte for byte.
+    /// Whether a camera created again delivers the same images, byte for byte.
     pub repeatable: bool,
 }
 
 impl CameraExpectations {
-    /// A recording of so many good pairs.
+    /// A recording with this number of good pairs.
     pub fn recording_of(pairs: usize) -> Self {
         Self { pairs: Some(pairs), bad_pairs: 0, sample: 0, timeout: Duration::from_secs(1), repeatable: true }
     }
 
-    /// A camera or a simulation that never ends, of which `sample` pairs are looked at.
+    /// A camera or a simulation that never ends, of which `sample` pairs are checked.
     pub fn endless(sample: usize) -> Self {
         Self { pairs: None, bad_pairs: 0, sample, timeout: Duration::from_secs(1), repeatable: false }
     }
 }
 
-/// Holds a camera to its contract. Every call of `make` opens it anew, at its beginning; but for `repeatable`, one is open at a time.
+/// Tests a camera against its contract. Every call of `make` opens it again from its start; except for `repeatable`, only one is
+/// open at a time.
 ///
 /// Rules: `info-is-real`, `info-stays`, `size-as-stated`, `newer-than-before`, `period-as-stated`, `buffers-are-reused`,
 /// `foreign-buffer-is-resized`, `returns-in-time`, `number-of-pairs`, `number-of-bad-pairs`,
@@ -56,7 +57,7 @@ pub fn stereo_camera_suite<C: StereoCamera>(make: impl Fn() -> C, expectations: 
     let stream = read_stream(&mut camera, expectations, &mut report);
     report.check("info-stays", *camera.info() == info, || format!("first {info:?}, then {:?}", camera.info()));
     check_counts(&stream, expectations, &mut report);
-    // A device can be open once only.
+    // A device can be open only once.
     drop(camera);
     check_buffers(&mut make(), expectations, &mut report);
     if expectations.repeatable {
@@ -65,7 +66,7 @@ pub fn stereo_camera_suite<C: StereoCamera>(make: impl Fn() -> C, expectations: 
     report
 }
 
-/// What was delivered, without the images.
+/// The results of a stream, without the images.
 #[derive(Default)]
 struct Stream {
     pairs: usize,
@@ -81,12 +82,12 @@ fn check_info(info: &StereoCameraInfo, report: &mut Report) {
     report.check("info-is-real", info.period != Some(Duration::ZERO), || "a period of zero".to_owned());
 }
 
-/// Reads until the end, or as many pairs as the sample of an endless camera has.
+/// Reads until the end, or the sample size of an endless camera.
 fn read_stream<C: StereoCamera>(camera: &mut C, expectations: &CameraExpectations, report: &mut Report) -> Stream {
     let mut stream = Stream::default();
     let mut pair = FramePair::black(camera.info().size);
     let mut timeouts = 0;
-    // One more than is expected, so that a surplus shows; every call but a time-out counts.
+    // One more than expected, so that a surplus is detected; every call except a time-out counts.
     let calls_max = expectations.pairs.map_or(expectations.sample, |pairs| pairs + expectations.bad_pairs + 1);
     let mut calls = 0;
     while calls < calls_max {
@@ -157,7 +158,7 @@ fn check_pair(pair: &FramePair, stream: &mut Stream, info: &StereoCameraInfo, re
     stream.last = Some(FramePair { left: Default::default(), right: Default::default(), ..*pair });
 }
 
-/// After the end or the loss of the device, every call says the same.
+/// After the end or the loss of the device, every call returns the same kind.
 fn check_end<C: StereoCamera>(
     camera: &mut C,
     first: &CameraError,
@@ -187,7 +188,7 @@ fn check_counts(stream: &Stream, expectations: &CameraExpectations, report: &mut
     report.check("number-of-bad-pairs", found == expected, || format!("{found} bad pairs, expected are {expected}"));
 }
 
-/// A buffer of the right size keeps its memory; one of another size is replaced.
+/// A buffer of the right size keeps its memory; a buffer of another size is replaced.
 fn check_buffers<C: StereoCamera>(camera: &mut C, expectations: &CameraExpectations, report: &mut Report) {
     let size = camera.info().size;
     let mut pair = FramePair::black(size);
@@ -208,7 +209,7 @@ fn check_buffers<C: StereoCamera>(camera: &mut C, expectations: &CameraExpectati
     }
 }
 
-/// Skips time-outs and as many bad pairs as are expected; `None` at the end.
+/// Skips time-outs and the expected number of bad pairs; `None` at the end.
 fn next_good<C: StereoCamera>(camera: &mut C, pair: &mut FramePair, expectations: &CameraExpectations) -> Option<()> {
     for _ in 0..=TIMEOUTS_MAX + expectations.bad_pairs {
         match camera.next_pair_into(pair, expectations.timeout) {

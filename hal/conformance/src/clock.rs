@@ -11,10 +11,10 @@ const READINGS: usize = 1000;
 const THREADS: usize = 4;
 const SLEEP: Duration = Duration::from_millis(3);
 
-/// What a busy machine may add to a call that does not wait.
+/// Scheduling delay tolerated on a busy machine for a call that does not wait.
 const SCHEDULING_SLACK: Duration = Duration::from_millis(500);
 
-/// Holds a clock to its contract. Takes some milliseconds of the clock's time.
+/// Tests a clock against its contract. Takes some milliseconds of the clock's time.
 ///
 /// Rules: `never-goes-back`, `one-time-for-all-threads`, `sleeps-to-the-deadline`, `does-not-wait-for-the-past`.
 pub fn clock_suite<C: Clock>(make: impl Fn() -> C) -> Report {
@@ -41,7 +41,7 @@ fn check_readings(clock: &dyn Clock, report: &mut Report) {
     }
 }
 
-/// Time read after a thread has ended is not before what that thread read, and the other way round.
+/// Time read after a thread has ended is not before the time read by that thread, and vice versa.
 fn check_threads<C: Clock>(clock: &C, report: &mut Report) {
     for _ in 0..THREADS {
         let before = clock.now();
@@ -78,7 +78,7 @@ fn check_past_deadline(clock: &dyn Clock, report: &mut Report) {
         report.check("never-goes-back", now >= last, || format!("a sleep to {past:?} led from {last:?} to {now:?}"));
         last = now;
     }
-    // A virtual clock must not advance; a real one goes on by what the calls cost.
+    // A virtual clock must not advance; a real one advances by the duration of the calls.
     let cost = last.saturating_since(before).max(started.elapsed());
     report.check("does-not-wait-for-the-past", cost <= SCHEDULING_SLACK, || format!("waited {cost:?}"));
 }

@@ -1,7 +1,7 @@
-//! One test suite that each hardware backend must pass.
+//! Test suites that each hardware backend must pass.
 //!
-//! [`stereo_camera_suite`], [`arm_suite`] and [`clock_suite`] hold a backend to the contract that its trait states "for backend
-//! authors" and return a [`Report`] with every rule that is broken:
+//! [`stereo_camera_suite`], [`arm_suite`] and [`clock_suite`] test a backend against the contract that its trait defines "for
+//! backend authors" and return a [`Report`] with every broken rule:
 //!
 //! ```no_run
 //! # let camera = pb3dp_hal_conformance::mocks::MockScriptedCamera::new;
@@ -9,7 +9,7 @@
 //! stereo_camera_suite(camera, &CameraExpectations::recording_of(12)).assert_passed();
 //! ```
 //!
-//! [`mocks`] are scripted doubles of the traits for unit tests. For tests only: nothing that is shipped depends on this crate.
+//! [`mocks`] are scripted doubles of the traits for unit tests. For tests only: no shipped program depends on this crate.
 
 pub mod arm;
 pub mod camera;

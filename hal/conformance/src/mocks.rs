@@ -1,6 +1,7 @@
-//! Scripted doubles of the hardware traits, for unit tests of what uses them (see the `mockall` crate for how to script them).
+//! Scripted doubles of the hardware traits, for unit tests of their users (see the `mockall` crate for scripting).
 //!
-//! For an arm that behaves like one, use the mock arm of `pb3dp-arm-pa10`; for a clock, the virtual clock of `pb3dp-hal-clock`.
+//! For an arm with realistic behaviour, use the mock arm of `pb3dp-arm-pa10`; for a clock, the virtual clock of
+//! `pb3dp-hal-clock`.
 
 #![allow(missing_docs, reason = "generated expectations; the methods are those of the traits")]
 
@@ -14,7 +15,7 @@ use pb3dp_hal_api::{
 };
 
 mock! {
-    /// An arm and its power that do as scripted.
+    /// A scripted arm and its power control.
     pub ScriptedArm {}
 
     impl Arm for ScriptedArm {
@@ -33,7 +34,7 @@ mock! {
 }
 
 mock! {
-    /// A camera that does as scripted.
+    /// A scripted camera.
     pub ScriptedCamera {}
 
     impl StereoCamera for ScriptedCamera {
@@ -43,7 +44,7 @@ mock! {
 }
 
 mock! {
-    /// A clock that tells the time as scripted.
+    /// A scripted clock.
     pub ScriptedClock {}
 
     impl Clock for ScriptedClock {

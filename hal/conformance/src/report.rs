@@ -1,8 +1,8 @@
-//! What a suite found.
+//! The results of a suite.
 
 use std::fmt;
 
-/// A rule of a contract that a backend breaks.
+/// A contract rule that a backend breaks.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Violation {
     /// Name of the rule, as the suite's documentation lists it.
@@ -11,7 +11,7 @@ pub struct Violation {
     pub found: String,
 }
 
-/// Every broken rule; empty if the backend keeps the contract.
+/// All broken rules; empty if the backend fulfils the contract.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Report {
     subject: String,
@@ -23,7 +23,7 @@ impl Report {
         Self { subject: subject.to_owned(), violations: Vec::new() }
     }
 
-    /// Notes a violation unless `holds`; `found` is only asked for then. Returns `holds`.
+    /// Records a violation unless `holds`; `found` is only evaluated then. Returns `holds`.
     pub(crate) fn check(&mut self, rule: &'static str, holds: bool, found: impl FnOnce() -> String) -> bool {
         if !holds {
             self.violations.push(Violation { rule, found: found() });
@@ -36,7 +36,7 @@ impl Report {
         self.violations.is_empty()
     }
 
-    /// The broken rules, in the order in which they were met; a rule may be broken more than once.
+    /// The broken rules, in the order of detection; a rule may be broken more than once.
     pub fn violations(&self) -> &[Violation] {
         &self.violations
     }

@@ -1,4 +1,4 @@
-//! Each rule of the arm suite catches an arm that breaks it, and a good arm passes.
+//! Each rule of the arm suite detects an arm that breaks it, and a good arm passes.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use pb3dp_kinematics::JointVector;
 
 const CYCLE: Duration = Duration::from_millis(10);
 
-/// What is wrong with an arm; one thing at a time.
+/// The defect of an arm; one at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Defect {
     None,
@@ -53,7 +53,7 @@ enum Defect {
     ResetFails,
 }
 
-/// Joints that follow at once: the simplest arm there is.
+/// Joints that follow at once: the simplest possible arm.
 struct TestArm {
     defect: Defect,
     info: ArmInfo,

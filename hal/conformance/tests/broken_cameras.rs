@@ -1,4 +1,4 @@
-//! Each rule of the camera suite catches a camera that breaks it, and a good camera passes.
+//! Each rule of the camera suite detects a camera that breaks it, and a good camera passes.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -13,7 +13,7 @@ use pb3dp_hal_conformance::{CameraExpectations, Report, stereo_camera_suite};
 const PAIRS: u64 = 5;
 const PERIOD: Duration = Duration::from_millis(33);
 
-/// What is wrong with a camera; one thing at a time.
+/// The defect of a camera; one at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Defect {
     None,
@@ -72,7 +72,7 @@ impl Camera {
         image.pixels_mut().for_each(|pixel| *pixel = colour);
     }
 
-    /// Anything but a pair that comes now.
+    /// Any result except a pair now.
     fn instead_of_a_pair(&mut self) -> Option<CameraErrorKind> {
         let end = match self.defect {
             Defect::EndsEarly => PAIRS - 1,

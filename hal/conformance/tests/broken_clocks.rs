@@ -1,4 +1,4 @@
-//! Each rule of the clock suite catches a clock that breaks it.
+//! Each rule of the clock suite detects a clock that breaks it.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -8,7 +8,7 @@ use pb3dp_hal_api::Clock;
 use pb3dp_hal_clock::{SystemClock, VirtualClock};
 use pb3dp_hal_conformance::clock_suite;
 
-/// Falls back by a microsecond now and then.
+/// Goes back by a microsecond now and then.
 #[derive(Default)]
 struct FallsBack {
     clock: VirtualClock,
@@ -32,7 +32,7 @@ fn a_clock_that_falls_back() {
     assert!(clock_suite(FallsBack::default).breaks("never-goes-back"));
 }
 
-/// Takes every deadline as the time, past ones as well.
+/// Uses every deadline as the time, past ones as well.
 #[derive(Default)]
 struct SetByDeadline(AtomicU64);
 
@@ -92,7 +92,7 @@ fn a_clock_that_waits_for_the_past() {
     assert!(clock_suite(WaitsForThePast::default).breaks("does-not-wait-for-the-past"));
 }
 
-/// Counts in each thread for itself.
+/// Counts separately in each thread.
 struct PerThread(SystemClock);
 
 impl Clock for PerThread {

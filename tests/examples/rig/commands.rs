@@ -95,6 +95,6 @@ fn second() -> Outcome {
     wait_for("the first program records", || std::fs::read_dir("/first").ok()?.nth(2).map(|_| ()))?;
     let (is_good, out, err) = said(&["cameras", "check", "--config", HERE, "--pairs", "30"])?;
     drop(first);
-    ensure(!is_good && err.contains(BUSES[0]) && err.contains("another program has it"), || format!("{out} {err}"))?;
+    ensure(!is_good && err.contains(BUSES[0]) && err.contains("used by another program"), || format!("{out} {err}"))?;
     Ok(err)
 }

@@ -85,7 +85,7 @@ fn pulled(world: &World, run: &mut Running) -> Outcome {
     // Closed again before the program has noticed: the driver comes back when nobody has it open.
     let node = names::open(&Linux, &name(PULLED))?.1;
     let _ = { node }.set_control(disconnect, 0);
-    let lost = run.wait_for("it is looked for", None)?;
+    let lost = run.wait_for("trying to reopen", None)?;
     ensure(lost.contains(BUSES[PULLED]), || format!("it said: {lost}"))?;
     let rests = run.wait_for("check the cameras", None)?;
     run.wait_for("tracking", Some("resume"))?;

@@ -204,7 +204,7 @@ fn ends_with_its_camera() {
         plug(&system, 0, false);
     });
     let failure = format!("{:#}", how.unwrap_err());
-    assert!(failure.contains("camera: bus:usb-emulated-0") && failure.contains("look at its plug"), "{failure}");
+    assert!(failure.contains("camera: bus:usb-emulated-0") && failure.contains("check its plug"), "{failure}");
     assert!(outcome.log.control.last().unwrap().t_s < 10.0);
 }
 
@@ -224,5 +224,5 @@ fn cameras_that_can_not_serve_are_refused_before_an_arm_is_switched_on() {
     });
     assert!(text.contains("left and right look exchanged") && text.contains("right.device"), "{text}");
     let text = refused(&|_, system| plug(system, 1, false));
-    assert!(text.contains("bus:usb-emulated-1: there is no such camera"), "{text}");
+    assert!(text.contains("bus:usb-emulated-1: no such camera"), "{text}");
 }

@@ -1,4 +1,4 @@
-//! Which board, and printing it.
+//! The board arguments, and `pb3dp calibrate board`, which writes a board for printing.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -12,48 +12,49 @@ use pb3dp_calibration::ink::{draw, ink, svg};
 
 use super::numbers;
 
-/// White around a printed board: as wide as this share of its shorter side.
+/// White margin around a printed board, as a share of its shorter side.
 const MARGIN_SHARE: f64 = 0.08;
-/// The longest side of an image of a board, pixels.
+/// Longest side of a board image, pixels.
 const SIDE_MAX_PX: f64 = 30_000.0;
 
-/// A board without its sizes.
+/// A board pattern without physical sizes.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum BoardName {
     /// Inner corners.
     Chessboard([u32; 2]),
-    /// Squares, and the dictionary.
+    /// Squares and marker dictionary.
     Charuco([u32; 2], String),
     /// Tags.
     AprilGrid([u32; 2]),
 }
 
-/// The board.
+/// Arguments that describe the board.
 #[derive(Clone, Debug, Args)]
 pub(super) struct BoardArgs {
-    /// 9x6: a chessboard, by its inner corners (where four squares meet), one fewer than squares. charuco:8x6:DICT_4X4_50: a ChArUco
-    /// board, by its squares and OpenCV's name of its dictionary. aprilgrid:6x6: an AprilGrid of Kalibr, by its tags.
+    /// Board pattern. 9x6: chessboard by its inner corners (where four squares meet; one fewer than squares per side).
+    /// charuco:8x6:DICT_4X4_50: ChArUco board by its squares and OpenCV dictionary name. aprilgrid:6x6: Kalibr AprilGrid by its
+    /// tags.
     #[arg(long, value_name = "BOARD", value_parser = numbers::board)]
     pub(super) board: BoardName,
-    /// Side of a square, mm, of a chessboard or a ChArUco board. Measure ten squares and divide: images cannot tell a wrong number.
+    /// Side of a square of a chessboard or ChArUco board, mm. Measure ten squares and divide: images cannot reveal a wrong size.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
     pub(super) square: Option<f64>,
     /// Side of a marker of a ChArUco board, mm.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
     pub(super) marker: Option<f64>,
-    /// Side of a tag of an AprilGrid, mm, from one outer black edge to the other.
+    /// Side of a tag of an AprilGrid, mm, between its outer black edges.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
     pub(super) tag: Option<f64>,
-    /// Gap between two tags of an AprilGrid, over the side of a tag.
+    /// Gap between two tags of an AprilGrid, divided by the side of a tag.
     #[arg(long, value_name = "SHARE", default_value = "0.3")]
     pub(super) spacing: f64,
 }
 
 impl BoardArgs {
-    /// The board, if all its sizes are given.
+    /// The board, if all required sizes are given.
     pub(super) fn board(&self) -> Result<Board> {
         let needed = |length: Option<f64>, option: &str| {
-            let missing = || format!("{option} MM: must be given with such a board; measure it with a ruler");
+            let missing = || format!("{option} MM is required for this board; measure it with a ruler");
             length.map(|length_mm| length_mm * 1e-3).with_context(missing)
         };
         let idle = match &self.board {
@@ -62,7 +63,7 @@ impl BoardArgs {
             BoardName::AprilGrid(_) => [("--square", self.square), ("--marker", self.marker)],
         };
         if let Some((option, _)) = idle.iter().find(|(_, length)| length.is_some()) {
-            bail!("{option}: such a board has none");
+            bail!("{option} does not apply to this board; remove it");
         }
         Ok(match &self.board {
             BoardName::Chessboard([columns, rows]) => Board::new(*columns, *rows, needed(self.square, "--square")?)?,
@@ -82,10 +83,10 @@ impl BoardArgs {
 pub(super) struct PrintArgs {
     #[command(flatten)]
     board: BoardArgs,
-    /// Where to write it: .svg or .png. Print it without scaling to the page, and measure it.
+    /// Output file: .svg or .png. Print it without scaling to the page, and measure the print.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Pixels per inch of a .png.
+    /// Resolution of a .png, pixels per inch.
     #[arg(long, default_value_t = 300, value_parser = clap::value_parser!(u32).range(50..=2400))]
     dpi: u32,
 }
@@ -100,18 +101,18 @@ pub(super) fn run(args: &PrintArgs) -> Result<ExitCode> {
     let (file, px_per_m) = (args.out.as_path(), f64::from(args.dpi) / 0.0254);
     let ends = |suffix: &str| file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(suffix));
     if ends("svg") {
-        std::fs::write(file, svg(&ink, margin_m)).with_context(|| format!("{}: cannot be written", file.display()))?;
+        std::fs::write(file, svg(&ink, margin_m)).with_context(|| format!("{}: cannot write file", file.display()))?;
     } else if ends("png") {
         if width_m.max(height_m) * px_per_m > SIDE_MAX_PX {
-            bail!("{} dpi: the image would be too large; take fewer, or write an .svg", args.dpi);
+            bail!("{} dpi: the image would be too large; use a lower --dpi, or write an .svg", args.dpi);
         }
         write_png(&draw(&ink, px_per_m, margin_m).image, px_per_m, file)
-            .with_context(|| format!("{}: cannot be written", file.display()))?;
+            .with_context(|| format!("{}: cannot write file", file.display()))?;
     } else {
-        bail!("{}: the format cannot be told from the name: use .svg or .png", file.display());
+        bail!("{}: unknown file extension; use .svg or .png", file.display());
     }
     super::tell(&format!(
-        "wrote {}: {}, black from edge to edge {:.2} x {:.2} mm; print it without scaling, fix it to something flat, and measure these lengths: they give the sizes to calibrate with",
+        "wrote {}: {}, printed area {:.2} x {:.2} mm; print it without scaling, fix it to a flat plate, and measure the print: use the measured sizes for the calibration",
         file.display(),
         board.kind(),
         width_m * 1e3,
@@ -120,7 +121,7 @@ pub(super) fn run(args: &PrintArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// A PNG that says how large its pixels are.
+/// Writes a PNG with its resolution in the pHYs chunk.
 fn write_png(image: &image::GrayImage, px_per_m: f64, file: &Path) -> Result<()> {
     let mut encoder = png::Encoder::new(BufWriter::new(File::create(file)?), image.width(), image.height());
     encoder.set_color(png::ColorType::Grayscale);

@@ -1,7 +1,7 @@
-//! `pb3dp calibrate coach`: looks at a recording while it grows, and says what view of the board is missing next.
+//! `pb3dp calibrate coach`: watches a recording while it is being made, and suggests the next view of the board.
 //!
-//! What it says stands in the terminal and, if wanted, on a page that loads itself again: a plain file, as a server would need the
-//! network and a browser on the same machine can open a file as well.
+//! The suggestions appear in the terminal and optionally on a self-refreshing HTML page. The page is a plain file: a server would
+//! need a network port, and a browser on the same machine can open a file.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -23,35 +23,35 @@ use pb3dp_record::stops::STOPS_FILE;
 use super::recording::Recording;
 use super::{gates_file, numbers, tell};
 
-/// Time between two looks, and how long nothing new may come.
+/// Polling interval, and how long to wait for new images.
 const PAUSE: Duration = Duration::from_millis(150);
 const PATIENCE_PAUSES: u32 = 400;
-/// Views from which on the focal length is guessed; before, the recording's own calibration must do.
+/// Views needed before the focal length is guessed; before that, the calibration of the recording is used.
 const GUESS_FROM: usize = 4;
-/// The page loads itself again after this time, s.
+/// Refresh interval of the page, s.
 const RELOAD_S: u32 = 1;
 
 /// Arguments of `pb3dp calibrate coach`.
 #[derive(Debug, Args)]
 pub(super) struct CoachArgs {
-    /// The folder into which `pb3dp cameras record` writes.
+    /// Folder that `pb3dp cameras record` writes to.
     #[arg(value_name = "DIR")]
     folder: PathBuf,
-    /// Inner corners of the chessboard, for instance 9x6.
+    /// Inner corners of the chessboard, for example 9x6.
     #[arg(long, value_name = "COLUMNSxROWS", value_parser = numbers::corners)]
     board: [u32; 2],
     /// Side of a square, mm.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
     square: f64,
-    /// Also write a page that loads itself again each second, to be opened in a browser.
+    /// Also write an HTML page that refreshes itself every second; open it in a browser.
     #[arg(long, value_name = "FILE.html")]
     page: Option<PathBuf>,
-    /// Limits of the gates that will judge (copy configs/calibration_gates.toml).
+    /// Gate limits for the later calibration (copy configs/calibration_gates.toml).
     #[arg(long, value_name = "FILE")]
     gates: Option<PathBuf>,
 }
 
-/// What the newest pair was worth.
+/// Result of checking the newest pair.
 #[derive(Clone, Debug, PartialEq)]
 enum Look {
     NoBoard(String),
@@ -66,16 +66,16 @@ impl Look {
     fn text(&self) -> String {
         match self {
             Self::NoBoard(reason) => reason.clone(),
-            Self::Blurred => "blurred: hold the board still, give more light, or focus".to_owned(),
-            Self::Moving => "the board moves: hold it still for a moment".to_owned(),
-            Self::SeenBefore => "such a view is there already".to_owned(),
-            Self::Unexplained => "no camera explains what is seen: check that the board is flat".to_owned(),
+            Self::Blurred => "blurred: hold the board still, add light, or focus the cameras".to_owned(),
+            Self::Moving => "the board is moving: hold it still for a moment".to_owned(),
+            Self::SeenBefore => "similar to an earlier view".to_owned(),
+            Self::Unexplained => "the corners fit no camera model: check that the board is flat".to_owned(),
             Self::Taken => "taken".to_owned(),
         }
     }
 }
 
-/// Numbers of the newest pair.
+/// Measurements of the newest pair.
 #[derive(Clone, Copy, Debug, Default)]
 struct Now {
     blur_px: Option<f64>,
@@ -83,7 +83,7 @@ struct Now {
     tilt_deg: Option<f64>,
 }
 
-/// What was taken so far.
+/// The views accepted so far.
 struct Coach<'a> {
     board: &'a Chessboard,
     limits: Limits,
@@ -92,7 +92,7 @@ struct Coach<'a> {
     told: Option<(Look, usize)>,
 }
 
-/// Runs the command until it is enough, or the recording ends; the latter is a failure if views are missing.
+/// Runs until there are enough views or the recording ends; ending with views missing is a failure.
 pub(super) fn run(args: &CoachArgs) -> Result<ExitCode> {
     let [columns, rows] = args.board;
     let board = Chessboard::new(columns, rows, args.square * 1e-3)?;
@@ -100,7 +100,7 @@ pub(super) fn run(args: &CoachArgs) -> Result<ExitCode> {
     let mut coach = Coach { board: &board, limits, args, views: Vec::new(), told: None };
     if args.folder.join(STOPS_FILE).exists() {
         bail!(
-            "{}: is a recording of stops, which does not grow: pb3dp calibrate stereo --recording uses it",
+            "{}: this is a recording of arm stops, which is already complete; use it with pb3dp calibrate stereo --recording",
             args.folder.display()
         );
     }
@@ -116,8 +116,8 @@ pub(super) fn run(args: &CoachArgs) -> Result<ExitCode> {
             }
             waited += 1;
             if waited > PATIENCE_PAUSES {
-                sequence.context("nothing new comes")?;
-                bail!("{}: nothing new comes: start `pb3dp cameras record`", args.folder.display());
+                sequence.context("no new images arrive")?;
+                bail!("{}: no new images arrive; start `pb3dp cameras record`", args.folder.display());
             }
             std::thread::sleep(PAUSE);
             continue;
@@ -130,16 +130,16 @@ pub(super) fn run(args: &CoachArgs) -> Result<ExitCode> {
     }
 }
 
-/// The recording as far as it is written; one that has just begun has no pair yet.
+/// Loads the part of the recording written so far; a recording that has just begun has no pair yet.
 fn newest(folder: &Path) -> Result<Sequence> {
     if !is_sequence(folder) {
-        bail!("{}: no recording has begun here: start `pb3dp cameras record --out` with this folder", folder.display());
+        bail!("{}: no recording in this folder; start `pb3dp cameras record --out` with this folder", folder.display());
     }
     Ok(load_sequence(folder)?)
 }
 
 impl Coach<'_> {
-    /// Looks at a pair and says what is missing; whether it is enough.
+    /// Checks a pair and reports what is missing; returns whether there are enough views.
     fn look(&mut self, sequence: &Sequence, frame: u64) -> Result<bool> {
         let recording = Recording::new(sequence, self.board)?;
         let mut now = Now::default();
@@ -156,15 +156,15 @@ impl Coach<'_> {
         }
         if let Some(file) = &self.args.page {
             let page = self.page(&look, &advice, &now).image_plots(&coverage_plots(&self.views, size));
-            // As a whole, so that no browser gets half of it.
+            // Written to a temporary file and renamed, so that the browser never reads an incomplete page.
             let partial = file.with_extension("partial");
             page.write(&partial)?;
-            std::fs::rename(&partial, file).with_context(|| format!("{}: cannot be written", file.display()))?;
+            std::fs::rename(&partial, file).with_context(|| format!("{}: cannot write file", file.display()))?;
         }
         Ok(advice.wish.is_none())
     }
 
-    /// Takes a pair as a view if it is worth it.
+    /// Accepts a pair as a view if it is useful.
     fn judged(
         &mut self,
         recording: &Recording<'_>,
@@ -191,7 +191,7 @@ impl Coach<'_> {
         Ok(Look::Taken)
     }
 
-    /// Judges stands: at first by the calibration that the recording has, which may be a nominal one.
+    /// Creates the judge of board poses; at first from the calibration of the recording, which may be nominal.
     fn judge(&self, sequence: &Sequence) -> Option<Judge> {
         let size = sequence.load_calibration().ok().map(|calibration| *calibration.rig.left());
         let known = size.filter(|_| self.views.len() < GUESS_FROM);
@@ -203,13 +203,13 @@ impl Coach<'_> {
         judge.iter().flat_map(|judge| self.views.iter().filter_map(|view| judge.stand(view, self.board))).collect()
     }
 
-    /// What to do now.
+    /// The instruction to the operator.
     fn next(&self, advice: &Advice) -> String {
         let [columns, rows] = self.args.board;
         match &advice.wish {
             Some(wish) => format!("next: {wish}"),
             None => format!(
-                "enough: stop the recording and run pb3dp calibrate stereo --recording {} --board {columns}x{rows} --square {} --out calibration.toml --report calibration.html",
+                "enough views: stop the recording and run pb3dp calibrate stereo --recording {} --board {columns}x{rows} --square {} --out calibration.toml --report calibration.html",
                 self.args.folder.display(),
                 self.args.square
             ),
@@ -231,7 +231,7 @@ impl Coach<'_> {
             (_, Look::SeenBefore) => Tone::Fair,
             _ => Tone::Bad,
         };
-        let mut tilts = Table::new(["side that was farther away", "views"]);
+        let mut tilts = Table::new(["side farther away", "views"]);
         for (side, count) in Farther::ALL.into_iter().zip(progress.tilted) {
             tilts = tilts.row([side.name().to_owned(), count.to_string()]);
         }
@@ -240,21 +240,21 @@ impl Coach<'_> {
             .verdict(tone, &self.next(advice), &[format!("now: {}", look.text())])
             .figures(&[
                 ("views", progress.views.to_string()),
-                ("of the image covered, worse camera", format!("{:.0} %", 100.0 * progress.coverage())),
-                ("blur of edges now", number(now.blur_px, " px")),
+                ("image coverage, worse camera", format!("{:.0} %", 100.0 * progress.coverage())),
+                ("edge blur now", number(now.blur_px, " px")),
                 ("motion now", number(now.speed_px_per_s, " px/s")),
                 ("tilt now", number(now.tilt_deg, "\u{b0}")),
-                ("near views", progress.near.to_string()),
+                ("close-up views", progress.near.to_string()),
             ])
             .table(&tilts)
-            .heading(&format!("Corners seen so far, {} and {}", sides::<2>()[0], sides::<2>()[1]))
+            .heading(&format!("Corners detected so far, {} and {}", sides::<2>()[0], sides::<2>()[1]))
     }
 
-    /// The recording has ended before it was enough.
+    /// Reports that the recording ended before there were enough views.
     fn ended(&self) -> Result<ExitCode> {
         let views = self.views.len();
         tell(&format!(
-            "the recording has ended with {views} views taken from its newest pairs, before it was enough; pb3dp calibrate stereo --recording looks at all of it, and says what the gates make of it"
+            "the recording ended with {views} views, which are not enough; pb3dp calibrate stereo --recording checks all its pairs and may find more views"
         ))?;
         Ok(ExitCode::FAILURE)
     }

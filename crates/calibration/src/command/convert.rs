@@ -1,4 +1,4 @@
-//! Calibrations in other formats.
+//! `pb3dp calibrate convert`: calibrations in other formats.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -13,11 +13,11 @@ use pb3dp_record::calibration_files::{
 /// Arguments of `pb3dp calibrate convert`.
 #[derive(Debug, Args)]
 pub(super) struct ConvertArgs {
-    /// The calibration: one file, a left and a right one, or a folder; the format is found from the contents.
+    /// The calibration: one file, a left and a right file, or a folder. The format is detected from the contents.
     #[arg(required = true, value_name = "FILE", num_args = 1..=2)]
     from: Vec<PathBuf>,
-    /// Where to write it: .json (ours), a Kalibr camchain (.kalibr.yaml), OpenCV (.opencv.yaml), or a folder for the ROS pair
-    /// left.yaml and right.yaml; what a .toml of ours says of the calibration's worth is lost there.
+    /// Output file: .json (our own), Kalibr camchain (.kalibr.yaml), OpenCV (.opencv.yaml), or a folder for the ROS pair
+    /// left.yaml and right.yaml. These formats lose the quality data of our .toml.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
 }
@@ -32,7 +32,7 @@ pub(super) fn run(args: &ConvertArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Refuses a name that asks for no format.
+/// Refuses an output name with an unknown format.
 pub(super) fn check_name(out: &Path) -> Result<()> {
     let name = out.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     let known = [".toml", ".json", ".kalibr.yaml", ".kalibr.yml", ".opencv.yaml", ".opencv.yml"];
@@ -40,24 +40,24 @@ pub(super) fn check_name(out: &Path) -> Result<()> {
         return Ok(());
     }
     anyhow::bail!(
-        "{}: the format cannot be told from the name: use .toml, .json, .kalibr.yaml, .opencv.yaml, or a folder",
+        "{}: unknown file extension; use .toml, .json, .kalibr.yaml, .opencv.yaml, or a folder",
         out.display()
     )
 }
 
-/// Writes a rig in the format that the name asks for, and says so.
+/// Writes a rig in the format given by the file name, and returns the message to print.
 pub(super) fn write(rig: &StereoRig, judgement: Option<&Judgement>, out: &Path) -> Result<String> {
     let name = out.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     let ends = |suffixes: &[&str]| suffixes.iter().any(|suffix| name.ends_with(suffix));
     let format = if ends(&[".toml"]) {
         let judgement = judgement.with_context(|| {
             format!(
-                "{}: a .toml of ours says how good a calibration is, which this one does not know: calibrate",
+                "{}: a .toml needs quality data, which this calibration does not have; use another format, or calibrate again",
                 out.display()
             )
         })?;
         save_judged(rig, judgement, out)?;
-        "a calibration with what is known of it"
+        "a calibration with its quality data"
     } else if ends(&[".json"]) {
         save_json(rig, out)?;
         "calib.json"
@@ -68,12 +68,12 @@ pub(super) fn write(rig: &StereoRig, judgement: Option<&Judgement>, out: &Path) 
         save_opencv(rig, out)?;
         "OpenCV stereo YAML"
     } else if out.extension().is_none() {
-        std::fs::create_dir_all(out).with_context(|| format!("{}: the folder cannot be made", out.display()))?;
+        std::fs::create_dir_all(out).with_context(|| format!("{}: cannot create folder", out.display()))?;
         save_ros_pair(rig, &out.join("left.yaml"), &out.join("right.yaml"))?;
         "a ROS camera_info pair"
     } else {
         anyhow::bail!(
-            "{}: the format cannot be told from the name: use .toml, .json, .kalibr.yaml, .opencv.yaml, or a folder",
+            "{}: unknown file extension; use .toml, .json, .kalibr.yaml, .opencv.yaml, or a folder",
             out.display()
         );
     };

@@ -1,4 +1,4 @@
-//! How unlike both cameras are while they are calibrated: what a run later compares its own images with.
+//! Differences between the two cameras at calibration time; a later run compares its own images with them.
 
 use pb3dp_record::metrics::median;
 use std::path::PathBuf;
@@ -7,8 +7,8 @@ use anyhow::Result;
 use pb3dp_record::image_quality::{Exposure, blur_of, brighter_by_percent, softer_by_px};
 use pb3dp_record::images::load_rgb;
 
-/// Medians over the pairs, by the names that a run knows them by (docs/rig.md, cameras that drift): blur that the right eye has and the
-/// left one has not, and by how much it is brighter. What the images do not tell is left out.
+/// Medians over the pairs, under the names that a run uses (docs/rig.md, cameras that drift): additional blur of the right
+/// camera, and the brightness of the right camera relative to the left. A value that the images do not determine is omitted.
 pub(super) fn numbers(pairs: &[[PathBuf; 2]]) -> Result<Vec<(String, f64)>> {
     let (mut softer_px, mut brighter_percent) = (Vec::new(), Vec::new());
     for [left, right] in pairs {
@@ -32,7 +32,7 @@ mod tests {
         let sharp = image::RgbImage::from_fn(160, 120, |x, y| {
             image::Rgb([if (x / 16 + y / 16) % 2 == 0 { 40 } else { 200 }; 3])
         });
-        // Something that a lens would make of it, so that no edge is a step.
+        // Slightly blurred as by a lens, so that no edge is a step.
         let left = image::imageops::blur(&sharp, 0.7);
         let mut right = image::imageops::blur(&sharp, 1.6);
         right.iter_mut().for_each(|level| *level = (f64::from(*level) * 0.8) as u8);

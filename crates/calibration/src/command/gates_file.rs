@@ -1,4 +1,4 @@
-//! Limits of the gates in a TOML file.
+//! Reads gate limits from a TOML file.
 
 use std::path::Path;
 
@@ -17,8 +17,8 @@ pub(super) fn read_hand_eye(file: &Path) -> Result<HandEyeLimits> {
 }
 
 fn read_with<T>(file: &Path, parse: impl Fn(&str) -> Result<T>) -> Result<T> {
-    let text = std::fs::read_to_string(file).with_context(|| format!("{}: cannot be read", file.display()))?;
-    parse(&text).with_context(|| format!("{}: no limits of gates", file.display()))
+    let text = std::fs::read_to_string(file).with_context(|| format!("{}: cannot read file", file.display()))?;
+    parse(&text).with_context(|| format!("{}: invalid gate limits", file.display()))
 }
 
 fn parse(text: &str) -> Result<Limits> {
@@ -33,22 +33,21 @@ fn parse_hand_eye(text: &str) -> Result<HandEyeLimits> {
     Ok(HandEyeGate::ALL.into_iter().zip(limits).try_fold(HandEyeLimits::default(), with)?)
 }
 
-/// The limits of the gates with the given keys, in their order, from the one table of a file.
+/// The gate limits for the given keys, in their order, from the only table of a file.
 fn table(text: &str, name: &str, keys: &[&str]) -> Result<Vec<Limit>> {
     let root: toml::Table = text.parse()?;
     if let Some(key) = root.keys().find(|key| *key != name) {
-        bail!("{key}: is not known here: the one table is {name}");
+        bail!("unknown key {key}: the only table is {name}");
     }
-    let gates =
-        root.get(name).and_then(toml::Value::as_table).with_context(|| format!("the table {name} is missing"))?;
+    let gates = root.get(name).and_then(toml::Value::as_table).with_context(|| format!("missing table {name}"))?;
     if let Some(key) = gates.keys().find(|key| !keys.contains(&key.as_str())) {
-        bail!("{name}.{key}: there is no such gate: {}", keys.join(", "));
+        bail!("unknown gate {name}.{key}; the gates are {}", keys.join(", "));
     }
     let limit = |key: &&str| {
         let table = gates.get(*key).and_then(toml::Value::as_table);
-        let table = table.with_context(|| format!("{name}.{key} is missing: {{ good = ..., refused = ... }}"))?;
+        let table = table.with_context(|| format!("{name}.{key} is missing; add {{ good = ..., refused = ... }}"))?;
         if let Some(other) = table.keys().find(|name| !["good", "refused"].contains(&name.as_str())) {
-            bail!("{name}.{key}.{other}: is not known here: good and refused are");
+            bail!("unknown key {name}.{key}.{other}; use good and refused");
         }
         let number = |which: &str| {
             let value = table.get(which);
@@ -87,7 +86,7 @@ mod tests {
             assert!(error.contains(named), "{error}");
         }
         let error = format!("{:#}", parse_hand_eye(FILE).expect_err("gates of cameras"));
-        assert!(error.contains("the one table is hand_eye_gates"), "{error}");
+        assert!(error.contains("the only table is hand_eye_gates"), "{error}");
         let without = FILE.lines().filter(|line| !line.starts_with("views")).collect::<Vec<_>>().join("\n");
         assert!(format!("{:#}", parse(&without).expect_err("a gate is missing")).contains("gates.views is missing"));
     }

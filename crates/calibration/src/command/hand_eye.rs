@@ -1,4 +1,4 @@
-//! `pb3dp calibrate hand-eye`: where the cameras sit on the arm.
+//! `pb3dp calibrate hand-eye`: estimates the pose of the cameras on the arm.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -19,17 +19,18 @@ use pb3dp_record::stops::{Stops, load_stops};
 
 use super::{gates_file, hand_eye_report, images, numbers, poses, tell};
 
-/// What is looked at, and through which cameras.
+/// The recordings, the cameras that made them, and the board.
 #[derive(Debug, Args)]
 pub(super) struct Recording {
-    /// Folders with the stops: a stops.toml, as `pb3dp arm visit` records it, and the images it names. Board and cameras must not have been
-    /// moved between them.
+    /// Folders with the stops: a stops.toml, as recorded by `pb3dp arm visit`, and its images. Board and cameras must not have
+    /// been moved between them.
     #[arg(long, required = true, value_name = "DIR", num_args = 1..)]
     recording: Vec<PathBuf>,
     /// The stereo calibration: one file, or a left and a right one.
     #[arg(long, required = true, value_name = "FILE", num_args = 1..=2)]
     calib: Vec<PathBuf>,
-    /// Inner corners of the chessboard (where four squares meet), one fewer than squares, for instance 9x6; one number odd, the other even.
+    /// Inner corners of the chessboard (where four squares meet; one fewer than squares per side), for example 9x6. One number
+    /// must be odd, the other even.
     #[arg(long, value_name = "COLUMNSxROWS", value_parser = numbers::corners)]
     board: [u32; 2],
     /// Side of a square, mm. Measure ten squares and divide.
@@ -42,27 +43,27 @@ pub(super) struct Recording {
 pub(super) struct HandEyeArgs {
     #[command(flatten)]
     recording: Recording,
-    /// Noise of an arm's flange from stop to stop, one standard deviation: millimetres in each direction, degrees about each axis.
+    /// Noise of the flange pose from stop to stop, one standard deviation: mm in each direction, degrees about each axis.
     #[arg(long, value_name = "MM,DEG", value_parser = numbers::robot_sigma, default_value = "0.1,0.02", allow_hyphen_values = true)]
     robot_sigma: RobotSigma,
-    /// The distance for which the hand is judged, mm.
+    /// Working distance at which the hand error is judged, mm.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, default_value = "500", allow_hyphen_values = true)]
     distance: f64,
-    /// Other limits than the built-in ones (copy configs/hand_eye_gates.toml).
+    /// Gate limits to use instead of the built-in ones (copy configs/hand_eye_gates.toml).
     #[arg(long, value_name = "FILE")]
     gates: Option<PathBuf>,
-    /// The setup whose arms.vs.world_from_base the lines for arms.tc are told with; without it the world is the base of vs.
+    /// Setup whose arms.vs.world_from_base is used to print the lines for arms.tc. Without it the world frame is the base of vs.
     #[arg(long, value_name = "FILE")]
     setup: Option<PathBuf>,
-    /// Also write a report as one page of HTML: the verdict, the gates, and each stop against all others.
+    /// Also write an HTML report on one page: verdict, gates, and each stop compared with all others.
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
-    /// Write the calibration (.toml), also where a gate refuses it.
+    /// Output file (.toml); written even if a gate refuses the calibration.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
 
-/// A recording whose images have been looked at.
+/// A recording with the boards detected in its images.
 pub(super) struct Looked {
     pub calibration: StereoCalibration,
     pub board: Chessboard,
@@ -72,7 +73,7 @@ pub(super) struct Looked {
 }
 
 impl Recording {
-    /// Finds the board in all images; stops at which a camera does not see it are left out, and told.
+    /// Detects the board in all images; reports and leaves out stops at which a camera does not see it.
     pub(super) fn look(&self) -> Result<Looked> {
         let [columns, rows] = self.board;
         let board = Chessboard::new(columns, rows, self.square * 1e-3)?;
@@ -91,7 +92,7 @@ impl Recording {
             }
         }
         if stops.is_empty() {
-            bail!("the board was found at none of {count} stops");
+            bail!("the board was detected at none of {count} stops");
         }
         Ok(Looked { calibration, board, date, stops })
     }
@@ -108,7 +109,7 @@ impl Recording {
                     name: view.name,
                     sightings: view.sightings,
                     base_from_flange: stop.vs.base_from_flange,
-                    // The same numbers; a base and a flange of its own.
+                    // The numbers stay the same; only the frames are renamed to those of tc.
                     tc_base_from_tc_flange: stop.tc.map(|tc| tc.base_from_flange.relabel()),
                 }),
                 Err((file, reason)) => tell(&format!("left out {}: {reason}", file.display()))?,
@@ -118,10 +119,11 @@ impl Recording {
     }
 }
 
-/// Lengths on the board that are off by a larger share are a typing error, in these squares or in those of the head's calibration.
+/// Board lengths with a larger relative error indicate an input mistake: either in --square or in the square size of the stereo
+/// calibration.
 const SQUARES_OFF_MAX: f64 = 0.03;
 
-/// Refuses squares that do not fit the head at all, before its errors are looked for elsewhere.
+/// Refuses a square size that contradicts the stereo rig before other errors are searched for.
 pub(super) fn check_squares<'a>(
     rig: &StereoRig,
     views: impl Iterator<Item = &'a [Sighting; 2]>,
@@ -129,9 +131,9 @@ pub(super) fn check_squares<'a>(
 ) -> Result<()> {
     match length_ratio(rig, views, board) {
         Some(ratio) if (ratio - 1.0).abs() > SQUARES_OFF_MAX => bail!(
-            "the squares do not fit this head: --square says {} mm, and by the head's calibration they are about {:.1} mm; measure ten squares \
-             with a ruler and divide, and correct --square, or calibrate the head again if it was done with the wrong one (or if these are \
-             not its cameras, or left and right are exchanged)",
+            "the square size contradicts the stereo calibration: --square is {} mm, the stereo calibration gives about {:.1} mm; \
+             measure ten squares with a ruler, divide, and correct --square. If --square is right, calibrate the stereo rig again \
+             (wrong square size used there, other cameras, or left and right exchanged)",
             (board.square_m() * 1e6).round() / 1e3,
             board.square_m() * 1e3 * ratio
         ),
@@ -146,7 +148,7 @@ pub(super) fn run(args: &HandEyeArgs) -> Result<ExitCode> {
     let looked = args.recording.look()?;
     if let Some(reason) = &looked.calibration.not_measured {
         bail!(
-            "{} is the calibration of no cameras ({reason}): calibrate the head first, with `pb3dp calibrate stereo`; the same images will do",
+            "{} is not a measured calibration ({reason}); calibrate the stereo rig first with `pb3dp calibrate stereo`; the same images can be used",
             looked.calibration.source
         );
     }
@@ -157,13 +159,13 @@ pub(super) fn run(args: &HandEyeArgs) -> Result<ExitCode> {
     let rig_covariance = covariance.map(|covariance| CalibrationCovariance::new(rig, covariance)).transpose()?;
     if rig_covariance.is_none() {
         tell(
-            "the stereo calibration does not say how good it is, so its errors are not counted; a .toml of `pb3dp calibrate stereo` does",
+            "the stereo calibration has no covariance, so its errors are not included; use a .toml from `pb3dp calibrate stereo`",
         )?;
     }
     tell(if tc_has_moved(&looked.stops) {
-        "both arms have moved: the board is on the flange of tc"
+        "both arms have moved: the board is mounted on the flange of tc"
     } else {
-        "the arm tc has not moved: the board is at rest in the room"
+        "the arm tc has not moved: the board is stationary in the room"
     })?;
     let given = Given { rig, rig_covariance: rig_covariance.as_ref(), board: &looked.board, robot: args.robot_sigma };
     let fit = HandEyeFit::new(&looked.stops, &given)?;
@@ -184,13 +186,13 @@ pub(super) fn run(args: &HandEyeArgs) -> Result<ExitCode> {
 
 fn write(hand_eye: &HandEye, out: &Path) -> Result<()> {
     if out.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("toml")) {
-        bail!("{}: a hand-eye calibration is written as .toml", out.display());
+        bail!("{}: unknown file extension; a hand-eye calibration is written as .toml", out.display());
     }
-    save_hand_eye(hand_eye, out).with_context(|| "the hand-eye calibration is lost")?;
+    save_hand_eye(hand_eye, out).with_context(|| "the hand-eye calibration was not saved")?;
     tell(&format!("wrote {}", out.display()))
 }
 
-/// What the file says.
+/// Contents of the calibration file.
 fn hand_eye(fit: &HandEyeFit, looked: &Looked, verdicts: &[HandEyeVerdict], distance_mm: f64) -> HandEye {
     let scales = fit.scales;
     let number = |name: &str, value: f64| (name.to_owned(), value);
@@ -222,7 +224,7 @@ fn hand_eye(fit: &HandEyeFit, looked: &Looked, verdicts: &[HandEyeVerdict], dist
         date: looked.date.clone(),
         tool: concat!("pb3dp-calibrate ", env!("CARGO_PKG_VERSION")).to_owned(),
         source: format!(
-            "{} stops, {} of them used; head: {}",
+            "{} stops, {} of them used; stereo rig: {}",
             fit.stops.len(),
             fit.used().count(),
             looked.calibration.source

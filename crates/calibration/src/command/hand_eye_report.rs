@@ -1,4 +1,4 @@
-//! What is told of a hand-eye calibration.
+//! Printed results of a hand-eye calibration.
 
 use pb3dp_calibration::gates::Grade;
 use pb3dp_calibration::hand_eye::gates::HandEyeVerdict;
@@ -7,7 +7,7 @@ use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, World};
 use pb3dp_geometry::{Frame, Pose, StereoRig, so3};
 use pb3dp_record::calibration_files::BoardPlace;
 
-/// So many stops with the largest differences are named.
+/// Number of stops with the largest differences to list.
 const WORST_STOPS: usize = 3;
 
 /// The poses with the standard deviation of each number, and the stops.
@@ -21,7 +21,7 @@ pub(super) fn fit(fit: &HandEyeFit, robot: RobotSigma) -> String {
         }
     }
     lines.push(format!(
-        "+- is one standard deviation, from {:.3} px per corner and an arm that is noisy by {:.2} times the stated {} mm and {} degrees",
+        "+- is one standard deviation, from {:.3} px per corner and an arm noise of {:.2} times the stated {} mm and {} degrees",
         fit.corner_sigma_px,
         fit.robot_noise_ratio,
         robot.translation_m * 1e3,
@@ -29,10 +29,10 @@ pub(super) fn fit(fit: &HandEyeFit, robot: RobotSigma) -> String {
     ));
     let scales = [("squares", fit.scales.squares), ("baseline", fit.scales.baseline)];
     let scales = scales.map(|(name, s)| format!("{name} {:.5} +- {:.5}", s.factor, s.sigma)).join(", ");
-    lines.push(format!("true over stated length, by the robot's metres: {scales}"));
+    lines.push(format!("true over stated length, with the robot as reference: {scales}"));
     lines.extend(fit.rejected().map(|stop| {
         format!(
-            "rejected stop {:?}: it disagrees with all others, by {:.2} mm and {:.3} degrees, {:.0} standard deviations",
+            "rejected stop {:?}: disagrees with all others by {:.2} mm and {:.3} degrees, {:.0} standard deviations",
             stop.name, stop.left_out_mm, stop.left_out_deg, stop.left_out_sigmas
         )
     }));
@@ -43,11 +43,12 @@ pub(super) fn fit(fit: &HandEyeFit, robot: RobotSigma) -> String {
         .take(WORST_STOPS)
         .map(|stop| format!("{:?} {:.2} mm, {:.3} degrees", stop.name, stop.left_out_mm, stop.left_out_deg));
     let worst = worst.collect::<Vec<_>>().join("; ");
-    lines.push(format!("where a stop sees the board, against the calibration by all others; the worst ones: {worst}"));
+    lines
+        .push(format!("board pose seen from a stop against the calibration from all other stops, worst ones: {worst}"));
     lines.join("\n")
 }
 
-/// A number of degrees as it was typed, after its way through radians.
+/// Rounds an angle that was entered in degrees and converted to radians and back.
 fn rounded(value: f64) -> f64 {
     (value * 1e9).round() / 1e9
 }
@@ -65,21 +66,22 @@ fn pose<To: Frame, From: Frame>(fit: &HandEyeFit, name: &str, pose: &Pose<To, Fr
 
 /// The lines to put into a setup.
 pub(super) fn lines(fit: &HandEyeFit, rig: &StereoRig, vs_world_from_base: Option<Pose<World, Base>>) -> String {
-    // The hand is midway between the eyes, with the axes of the left one.
+    // The hand frame is midway between the two cameras, with the axes of the left camera.
     let hand_from_cam_left: Pose<Hand, CamLeft> = Pose::from_translation(-0.5 * rig.right_centre_in_cam_left());
     let flange_from_hand: Pose<Flange, Hand> = fit.flange_from_cam_left() * hand_from_cam_left.inverse();
     let mut lines = vec![
-        "for the setup, with the hand midway between the eyes and turned as the left one:".to_owned(),
+        "lines for the setup; the hand frame is midway between the cameras, with the axes of the left camera:"
+            .to_owned(),
         "[mounts]".to_owned(),
         format!("flange_from_hand = {}", table(&flange_from_hand)),
         format!("hand_from_cam_left = {}", table(&hand_from_cam_left)),
     ];
     if let BoardPlace::Carried { vs_base_from_tc_base, .. } = fit.board() {
         let (world_from_base, note) = match vs_world_from_base {
-            Some(pose) => (pose, "where vs stands in the world is that of --setup"),
+            Some(pose) => (pose, "arms.vs.world_from_base is taken from --setup"),
             None => (
                 Pose::coincident(),
-                "with the base of vs as the world: give arms.vs a world_from_base of zeros, or name --setup",
+                "the world frame is the base of vs: set arms.vs.world_from_base to zeros, or give --setup",
             ),
         };
         lines.push(format!("[arms.tc]   # {note}"));

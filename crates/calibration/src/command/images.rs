@@ -1,4 +1,4 @@
-//! Images in folders: which belong together, and what they show.
+//! Image folders: pairing of the images, and board detection.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,17 +15,17 @@ use super::Seen;
 
 const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 
-/// The images of each view, by the name that the view has.
+/// The images of each view, by view name.
 pub(super) struct Images<const N: usize> {
     views: Vec<(String, [PathBuf; N])>,
     /// Images without a partner.
     alone: Vec<PathBuf>,
-    /// When they were taken, if that is written down.
+    /// When the images were taken, if recorded.
     date: Option<String>,
 }
 
 impl<const N: usize> Images<N> {
-    /// Looks into one folder per camera.
+    /// Lists one folder per camera and groups the images into views.
     pub(super) fn find(folders: &[&Path; N]) -> Result<Self> {
         let shared = N > 1 && folders.iter().all(|folder| folder == &folders[0]);
         let mut by_name: BTreeMap<String, [Option<PathBuf>; N]> = BTreeMap::new();
@@ -40,7 +40,7 @@ impl<const N: usize> Images<N> {
                 let slots = by_name.entry(name.clone()).or_insert_with(|| std::array::from_fn(|_| None));
                 if let Some(other) = slots[index].replace(file.clone()) {
                     bail!(
-                        "{} and {} are both image {name:?} of the {} camera: rename one",
+                        "{} and {} both give the view name {name:?} for the {} camera; rename one",
                         other.display(),
                         file.display(),
                         sides::<N>()[index]
@@ -59,16 +59,19 @@ impl<const N: usize> Images<N> {
         if views.is_empty() {
             let folders = folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(" and ");
             bail!(
-                "{folders}: no images of {N} camera(s) that belong together: PNG or JPEG files whose names differ only in the words left and right"
+                "{folders}: no matching images of {N} camera(s); needed are PNG or JPEG files whose names differ only in the words left and right"
             );
         }
         Ok(Self { views, alone, date: None })
     }
 
-    /// Finds the board in all of them. Views in which one camera does not see it are left out, and told.
+    /// Detects the board in all views. Reports and leaves out views in which one camera does not see it.
     pub(super) fn sightings(&self, board: &Chessboard) -> Result<Seen<N>> {
-        let mut told: Vec<String> =
-            self.alone.iter().map(|file| format!("left out {}: no partner", file.display())).collect();
+        let mut told: Vec<String> = self
+            .alone
+            .iter()
+            .map(|file| format!("left out {}: no matching image of the other camera", file.display()))
+            .collect();
         let first = &self.views[0].1[0];
         let size = size_of(&load_rgb(first)?);
         let (mut views, mut used) = (Vec::new(), Vec::new());
@@ -82,7 +85,7 @@ impl<const N: usize> Images<N> {
             }
         }
         if views.is_empty() {
-            bail!("the board was found in none of {} views:\n{}", self.views.len(), told.join("\n"));
+            bail!("the board was detected in none of {} views:\n{}", self.views.len(), told.join("\n"));
         }
         let newest = match &self.date {
             Some(date) => date.clone(),
@@ -93,13 +96,13 @@ impl<const N: usize> Images<N> {
 }
 
 impl Images<1> {
-    /// Refuses a folder in which the names say that there are two cameras.
+    /// Refuses a folder whose file names indicate two cameras.
     pub(super) fn check_one_camera(&self, folder: &Path) -> Result<()> {
         let named = |side: &str| self.views.iter().filter(|(name, _)| name.contains(side)).count();
         let [left, right] = ["left", "right"].map(named);
         if left > 0 && right > 0 {
             bail!(
-                "{}: {left} images are called left and {right} right: give a folder with the images of one camera, or calibrate both with \
+                "{}: {left} images are called left and {right} right; use a folder with the images of one camera, or calibrate both with \
                  `pb3dp calibrate stereo`",
                 folder.display()
             );
@@ -109,11 +112,11 @@ impl Images<1> {
 }
 
 impl Images<2> {
-    /// Those of a recording of stops, in their order.
+    /// The images of a recording of arm stops, in their order.
     pub(super) fn of_stops(folder: &Path) -> Result<Self> {
         let Stops { date, stops } = load_stops(folder)?;
         if stops.is_empty() {
-            bail!("{}: a recording without stops", folder.display());
+            bail!("{}: the recording has no stops", folder.display());
         }
         let view = |(number, stop): (usize, &Stop)| {
             (format!("stop {number:02}"), [&stop.left, &stop.right].map(|file| folder.join(file)))
@@ -122,18 +125,18 @@ impl Images<2> {
     }
 }
 
-/// When the newest of some images was written, RFC 3339: a calibration is as old as its images.
+/// Modification time of the newest image, RFC 3339; it dates the calibration.
 pub(super) fn written<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Result<String> {
     let mut times = Vec::new();
     for file in files {
         let time = std::fs::metadata(file).and_then(|metadata| metadata.modified());
-        times.push(time.with_context(|| format!("{}: its time cannot be read", file.display()))?);
+        times.push(time.with_context(|| format!("{}: cannot read modification time", file.display()))?);
     }
     let newest = times.into_iter().max().context("no images")?;
     Ok(humantime::format_rfc3339_seconds(newest).to_string())
 }
 
-/// One view, or the image in which the board was not found.
+/// One view, or the image in which the board was not detected and the reason.
 pub(super) fn view<const N: usize>(
     name: &str,
     files: &[PathBuf; N],
@@ -152,7 +155,7 @@ pub(super) fn view<const N: usize>(
     Ok(Ok(View { name: name.to_owned(), sightings: agreed(sightings, board) }))
 }
 
-/// Sightings of one board, whose first corner is the same one in all of them.
+/// Detections with the same first corner in all cameras.
 pub(super) fn agreed<const N: usize>(mut sightings: [Sighting; N], board: &Chessboard) -> [Sighting; N] {
     if let Some((first, others)) = sightings.split_first_mut() {
         for other in others.iter_mut().filter(|_| !board.is_told_from_its_half_turn()) {
@@ -164,7 +167,7 @@ pub(super) fn agreed<const N: usize>(mut sightings: [Sighting; N], board: &Chess
 
 /// The image files of a folder, by name.
 fn images_in(folder: &Path) -> Result<Vec<PathBuf>> {
-    let what = || format!("{}: cannot be read as a folder of images", folder.display());
+    let what = || format!("{}: cannot read image folder", folder.display());
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).with_context(what)? {
         let file = entry.with_context(what)?.path();

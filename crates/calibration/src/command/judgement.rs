@@ -1,4 +1,4 @@
-//! What a calibration file says of the calibration's making and worth.
+//! The origin and quality data stored in a calibration file.
 
 use std::path::Path;
 
@@ -9,10 +9,11 @@ use pb3dp_calibration::held_out::Chosen;
 use pb3dp_calibration::quality::Quality;
 use pb3dp_record::calibration_files::{CameraIdentity, JudgedGate, Judgement, ParameterCovariance, load_cameras};
 
-/// The file in the folder of a recording that names its cameras.
+/// The file in a recording folder that identifies the cameras.
 const CAMERAS: &str = "cameras.toml";
 
-/// The cameras that `named` names, or the `cameras.toml` in the folder of the left images or above it; without one nothing is known.
+/// The cameras in the file `named`, or in the `cameras.toml` in the folder of the left images or above it; unknown without a
+/// file.
 pub(super) fn cameras(named: Option<&Path>, left: &Path) -> Result<[CameraIdentity; 2]> {
     let near = || [Some(left), left.parent()].into_iter().flatten().map(|folder| folder.join(CAMERAS));
     let file = named.map(Path::to_path_buf).or_else(|| near().find(|file| file.is_file()));
@@ -23,14 +24,14 @@ pub(super) fn cameras(named: Option<&Path>, left: &Path) -> Result<[CameraIdenti
         }
         None => {
             super::tell(
-                "cameras: not known, and the file will not say which these were; --cameras names a cameras.toml (docs/calibration.md)",
+                "cameras unknown: the calibration file will not identify them; give --cameras with a cameras.toml (docs/calibration.md)",
             )?;
             Ok(Default::default())
         }
     }
 }
 
-/// Everything that is known of a stereo calibration but the cameras themselves.
+/// All quality data of a stereo calibration except the camera identities.
 pub(super) fn of(
     chosen: &Chosen<2>,
     quality: &Quality,

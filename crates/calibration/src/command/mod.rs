@@ -42,7 +42,7 @@ use self::images::Images;
 use self::propose::ProposeArgs;
 use self::verify::VerifyArgs;
 
-/// Calibrate cameras and stereo heads from images of a board, and say how good the result is.
+/// Calibrate cameras and stereo rigs from images of a board, and report the calibration quality.
 #[derive(Debug, Parser)]
 #[command(name = "pb3dp-calibrate", bin_name = "pb3dp calibrate", version, propagate_version = true)]
 pub struct Cli {
@@ -52,73 +52,74 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// One camera: focal lengths, principal point, lens.
+    /// Calibrate one camera: focal lengths, principal point, lens distortion.
     Intrinsics(IntrinsicsArgs),
-    /// A stereo head: both cameras and their pose to each other, in one adjustment.
+    /// Calibrate a stereo rig: both cameras and the pose between them, in one adjustment.
     Stereo(StereoArgs),
-    /// Look at a recording while it grows, and say what view of the board is missing next.
+    /// Watch a recording while it is being made, and suggest the next view of the board.
     Coach(CoachArgs),
-    /// Whether a calibration still holds: fresh views of the board, a second calibration, a length, places that were touched.
+    /// Check an existing calibration: with new views of the board, a second calibration, a known length, or touched points.
     Verify(VerifyArgs),
-    /// Where the cameras sit on the arm, and with a board on the other arm where both arms stand to each other.
+    /// Estimate the pose of the cameras on the arm (hand-eye); with the board on the other arm, also the pose between the two
+    /// arms.
     HandEye(HandEyeArgs),
-    /// The poses that an arm is to visit for a calibration, from a first look at the board.
+    /// Propose arm poses for a calibration, starting from one view of the board.
     Propose(ProposeArgs),
-    /// Write a board for printing.
+    /// Write a board file for printing.
     Board(board::PrintArgs),
-    /// Write a calibration in another format.
+    /// Convert a calibration to another format.
     Convert(ConvertArgs),
 }
 
-/// Which lens model is fitted.
+/// The lens model to fit.
 #[derive(Clone, Copy, Debug)]
 enum LensChoice {
-    /// The one whose held-out error says so.
+    /// The model selected by its held-out error.
     Auto,
-    /// This one.
+    /// A fixed model.
     Fixed(LensModel),
 }
 
-/// What both ways to calibrate take.
+/// Arguments common to camera and stereo calibration.
 #[derive(Debug, Args)]
 struct Common {
     #[command(flatten)]
     board: BoardArgs,
-    /// radial-1, radial-2, brown-4 (k1 k2 p1 p2), brown-5 (and k3), rational-8, or auto: the fewest coefficients whose error on
-    /// views that the fit has not seen is within 0.2 % of the lowest.
+    /// Lens model: radial-1, radial-2, brown-4 (k1 k2 p1 p2), brown-5 (and k3), rational-8, or auto. auto takes the fewest
+    /// coefficients whose error on held-out views is within 0.2 % of the lowest.
     #[arg(long, value_name = "MODEL", value_parser = numbers::lens, default_value = "auto")]
     lens: LensChoice,
-    /// Other limits than the built-in ones (copy configs/calibration_gates.toml).
+    /// Gate limits to use instead of the built-in ones (copy configs/calibration_gates.toml).
     #[arg(long, value_name = "FILE")]
     gates: Option<PathBuf>,
-    /// Also write a report as one page of HTML: errors and coverage over the images, rows, lens models, the worst views.
+    /// Also write an HTML report on one page: errors and coverage over the images, epipolar errors, lens models, worst views.
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
-    /// Also write the corners that were found, as CSV: view, camera, column, row, u, v.
+    /// Also write the detected corners as CSV: view, camera, column, row, u, v.
     #[arg(long, value_name = "FILE")]
     corners: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]
 struct IntrinsicsArgs {
-    /// Folder of the images, PNG or JPEG.
+    /// Folder of images, PNG or JPEG.
     #[arg(long, value_name = "DIR")]
     images: PathBuf,
     #[command(flatten)]
     common: Common,
 }
 
-/// Where stereo pairs are.
+/// Where the stereo pairs are read from.
 #[derive(Debug, Args)]
 struct Pairs {
-    /// A recording, as `pb3dp cameras record` makes it, also at full rate: views are chosen from it. Or one of stops of an arm
-    /// (stops.toml): each stop is a view.
+    /// A recording from `pb3dp cameras record`; views are selected from it, so full frame rate is fine. Or a recording of arm
+    /// stops (stops.toml), where each stop is one view.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["left", "right"])]
     recording: Option<PathBuf>,
-    /// Folder of the left images, PNG or JPEG. Images are paired by their names without the words left and right.
+    /// Folder of left images, PNG or JPEG. Images are paired by file name, ignoring the words left and right.
     #[arg(long, value_name = "DIR", requires = "right")]
     left: Option<PathBuf>,
-    /// Folder of the right images; if it is the same folder, those with `right` in their name.
+    /// Folder of right images. If it is the same folder, files with `right` in their name are used.
     #[arg(long, value_name = "DIR", requires = "left")]
     right: Option<PathBuf>,
 }
@@ -128,7 +129,7 @@ impl Pairs {
         match (&self.recording, &self.left, &self.right) {
             (Some(recording), ..) => recording::sightings(recording, board),
             (None, Some(left), Some(right)) => Images::<2>::find(&[left, right])?.sightings(board),
-            _ => anyhow::bail!("give --recording DIR, or --left DIR and --right DIR"),
+            _ => anyhow::bail!("no images given; use --recording DIR, or --left DIR and --right DIR"),
         }
     }
 
@@ -136,7 +137,7 @@ impl Pairs {
         self.recording.is_some() || self.left.is_some()
     }
 
-    /// The folder in which, or above which, a `cameras.toml` may be.
+    /// The folder to search for a `cameras.toml`; the folder above is searched as well.
     fn folder(&self) -> &Path {
         self.recording.as_deref().or(self.left.as_deref()).unwrap_or(Path::new("."))
     }
@@ -148,23 +149,23 @@ struct StereoArgs {
     pairs: Pairs,
     #[command(flatten)]
     common: Common,
-    /// The distance for which the head is judged, mm.
+    /// Working distance at which the stereo rig is judged, mm.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, default_value = "500", allow_hyphen_values = true)]
     distance: f64,
-    /// The baseline, mm, as measured with a ruler between the lenses, to 1 %, or as the maker states it: with it a wrong size of the
-    /// squares is found.
+    /// Baseline, mm, from the data sheet or measured between the lenses with a ruler to 1 %. Used to detect a wrong square size.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
     baseline: Option<f64>,
-    /// Write the calibration, also where a gate refuses it: .toml (ours, with gates, date and cameras, as docs/calibration.md has them), or
-    /// without these .json, a Kalibr camchain (.kalibr.yaml), OpenCV (.opencv.yaml), or a folder for the ROS pair left.yaml and right.yaml.
+    /// Output file; written even if a gate refuses the calibration. A .toml is our own format with gates, date and cameras
+    /// (docs/calibration.md). Formats without these: .json, Kalibr camchain (.kalibr.yaml), OpenCV (.opencv.yaml), or a folder
+    /// for the ROS pair left.yaml and right.yaml.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Which cameras these were (docs/calibration.md); without it the cameras.toml in or above the left folder.
+    /// File that identifies the cameras (docs/calibration.md). Default: the cameras.toml in the left folder or above it.
     #[arg(long, value_name = "FILE")]
     cameras: Option<PathBuf>,
 }
 
-/// Runs the command; a calibration that a gate refuses is a failure.
+/// Runs the command; a calibration refused by a gate is a failure.
 pub fn run(cli: &Cli) -> Result<ExitCode> {
     match &cli.what {
         What::Intrinsics(args) => intrinsics(args),
@@ -196,7 +197,7 @@ fn intrinsics(args: &IntrinsicsArgs) -> Result<ExitCode> {
 
 fn stereo(args: &StereoArgs) -> Result<ExitCode> {
     let (board, limits) = args.common.checked()?;
-    // What cannot be written is refused before all the work.
+    // Refuse an unusable output name before the long computation.
     args.out.as_deref().map(convert::check_name).transpose()?;
     for file in args.out.iter().chain(&args.common.report) {
         make_folder_of(file)?;
@@ -226,7 +227,7 @@ fn stereo(args: &StereoArgs) -> Result<ExitCode> {
     Ok(code)
 }
 
-/// Tells the numbers and the verdict.
+/// Prints the quality figures and the verdict.
 fn conclude<const N: usize>(chosen: &Chosen<N>, quality: &Quality, limits: &Limits) -> Result<ExitCode> {
     let verdicts = limits.judge(quality);
     tell(&report::fit(chosen))?;
@@ -250,40 +251,40 @@ impl Common {
 
     fn write_corners<const N: usize>(&self, views: &[View<N>]) -> Result<()> {
         let Some(file) = &self.corners else { return Ok(()) };
-        std::fs::write(file, report::corners(views)).with_context(|| format!("{}: cannot be written", file.display()))
+        std::fs::write(file, report::corners(views)).with_context(|| format!("{}: cannot write file", file.display()))
     }
 }
 
-/// Makes the folder in which a file is to be.
+/// Creates the parent folder of a file.
 fn make_folder_of(file: &Path) -> Result<()> {
     match file.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => {
-            std::fs::create_dir_all(folder).with_context(|| format!("{}: the folder cannot be made", folder.display()))
+            std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot create folder", folder.display()))
         }
         _ => Ok(()),
     }
 }
 
-/// Lines on standard output.
+/// Prints lines to standard output.
 fn tell(text: &str) -> Result<()> {
     if text.is_empty() {
         return Ok(());
     }
-    writeln!(std::io::stdout(), "{text}").context("standard output cannot be written")
+    writeln!(std::io::stdout(), "{text}").context("cannot write to standard output")
 }
 
-/// The whole chain of an error on standard error.
+/// Prints the whole error chain to standard error.
 pub fn tell_error(error: &anyhow::Error) {
-    // Nobody is left who could be told that this cannot be written.
+    // A failure to write to standard error cannot be reported anywhere.
     let _ = writeln!(std::io::stderr(), "error: {error:#}");
 }
 
-/// The images of all views have this size.
+/// Detected boards of all views; all images have the same size.
 #[derive(Debug)]
 struct Seen<const N: usize> {
     views: Vec<View<N>>,
     size: ImageSize,
-    /// When the newest of the images was written, RFC 3339.
+    /// Modification time of the newest image, RFC 3339.
     newest: String,
     /// Which images were left out, and why.
     told: String,

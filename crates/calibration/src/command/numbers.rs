@@ -1,4 +1,4 @@
-//! Words of the command line.
+//! Parsers of command line values.
 
 use pb3dp_calibration::hand_eye::RobotSigma;
 use pb3dp_calibration::lens::LensModel;
@@ -8,7 +8,7 @@ use super::board::BoardName;
 
 /// `9x6`.
 pub(super) fn corners(text: &str) -> Result<[u32; 2], String> {
-    let wrong = || format!("{text:?} is not COLUMNSxROWS, for instance 9x6");
+    let wrong = || format!("{text:?} is not COLUMNSxROWS; example: 9x6");
     let (columns, rows) = text.split_once(['x', 'X']).ok_or_else(wrong)?;
     let number = |text: &str| text.trim().parse::<u32>().map_err(|_| wrong());
     Ok([number(columns)?, number(rows)?])
@@ -20,15 +20,15 @@ pub(super) fn board(text: &str) -> Result<BoardName, String> {
         [numbers] => Ok(BoardName::Chessboard(corners(numbers)?)),
         ["charuco", squares, dictionary] => Ok(BoardName::Charuco(corners(squares)?, dictionary.to_owned())),
         ["aprilgrid", tags] => Ok(BoardName::AprilGrid(corners(tags)?)),
-        _ => Err(format!("{text:?} is no board: 9x6, charuco:8x6:DICT_4X4_50 or aprilgrid:6x6 are")),
+        _ => Err(format!("{text:?} is not a board; examples: 9x6, charuco:8x6:DICT_4X4_50, aprilgrid:6x6")),
     }
 }
 
-/// A length.
+/// A length in millimetres.
 pub(super) fn millimetres(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() && value > 0.0 && value <= 1e5 => Ok(value),
-        _ => Err(format!("{text:?} is no length in mm: a number between 0 and 100000")),
+        _ => Err(format!("{text:?} is not a length in mm; it must be a number between 0 and 100000")),
     }
 }
 
@@ -37,7 +37,7 @@ pub(super) fn robot_sigma(text: &str) -> Result<RobotSigma, String> {
     let number = |text: &str| text.trim().parse::<f64>().ok().filter(|number| number.is_finite() && *number > 0.0);
     let both = text.split_once(',').and_then(|(mm, degrees)| number(mm).zip(number(degrees)));
     let (mm, degrees) =
-        both.ok_or_else(|| format!("{text:?} is not MM,DEG, for instance 0.1,0.02, both above zero"))?;
+        both.ok_or_else(|| format!("{text:?} is not MM,DEG; both must be above zero, for example 0.1,0.02"))?;
     Ok(RobotSigma { translation_m: mm * 1e-3, rotation_rad: degrees.to_radians() })
 }
 
@@ -47,13 +47,13 @@ pub(super) fn lens(text: &str) -> Result<LensChoice, String> {
         return Ok(LensChoice::Auto);
     }
     let names = LensModel::ALL.map(LensModel::name).join(", ");
-    let model = LensModel::from_name(text).ok_or_else(|| format!("{text:?} is none of auto, {names}"))?;
+    let model = LensModel::from_name(text).ok_or_else(|| format!("{text:?} is not a lens model; use auto, {names}"))?;
     Ok(LensChoice::Fixed(model))
 }
 
 /// `8,0`: a corner of the board.
 pub(super) fn corner(text: &str) -> Result<[u32; 2], String> {
-    let wrong = || format!("{text:?} is not COLUMN,ROW, for instance 8,0");
+    let wrong = || format!("{text:?} is not COLUMN,ROW; example: 8,0");
     let (column, row) = text.split_once(',').ok_or_else(wrong)?;
     let number = |text: &str| text.trim().parse::<u32>().map_err(|_| wrong());
     Ok([number(column)?, number(row)?])

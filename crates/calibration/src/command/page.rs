@@ -1,4 +1,4 @@
-//! Reports as files: the page with the images of the worst views.
+//! HTML report files, with the images of the worst views.
 
 use std::path::Path;
 
@@ -14,12 +14,12 @@ use pb3dp_record::report::{ImagePlot, Report, ReportImage, VectorAt};
 
 use super::Seen;
 
-/// So many views with the largest errors are shown.
+/// Number of worst views shown.
 const WORST_VIEWS: usize = 3;
 /// Width of each image on the page.
 const WIDTH_PX: u32 = 480;
 
-/// Adds the images of the worst views, writes the page, and says so.
+/// Adds the images of the worst views, writes the page, and returns the message to print.
 pub(super) fn write<const N: usize>(
     page: Report,
     chosen: &Chosen<N>,
@@ -43,7 +43,7 @@ pub(super) fn write<const N: usize>(
             images.push(image(file, errors, magnified)?);
         }
         let together = images.into_iter().reduce(|left, right| side_by_side(&left, &right));
-        let caption = format!("view {name}: {rms_px:.3} px rms; errors drawn {magnified} times longer");
+        let caption = format!("view {name}: {rms_px:.3} px rms; error vectors drawn {magnified} times longer");
         strip.extend(together.map(|image| (image, caption)));
     }
     let strip: Vec<_> = strip.iter().map(|(image, caption)| (ReportImage::Photo(image), caption.clone())).collect();
@@ -51,7 +51,7 @@ pub(super) fn write<const N: usize>(
     Ok(format!("wrote {}: a report", file.display()))
 }
 
-/// An image, smaller, with its corners and their errors.
+/// A scaled image with its corners and error vectors.
 fn image(file: &Path, errors: &[CornerError], magnified: f64) -> Result<RgbImage> {
     let whole = load_rgb(file)?;
     let scale = (f64::from(WIDTH_PX) / f64::from(whole.width())).min(1.0);

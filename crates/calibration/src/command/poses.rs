@@ -10,7 +10,7 @@ use pb3dp_setup::layers::{Layers, SetupArgs};
 
 /// Six numbers: x, y, z in mm, and a rotation vector in degrees.
 pub(super) fn six(text: &str) -> Result<[f64; 6], String> {
-    let wrong = || format!("{text:?} are not six numbers X,Y,Z,RX,RY,RZ: mm, and a rotation vector in degrees");
+    let wrong = || format!("{text:?} is not six numbers X,Y,Z,RX,RY,RZ (mm, and a rotation vector in degrees)");
     let numbers = text.split(',').map(|number| number.trim().parse::<f64>().ok().filter(|number| number.is_finite()));
     numbers.collect::<Option<Vec<_>>>().and_then(|numbers| numbers.try_into().ok()).ok_or_else(wrong)
 }
@@ -21,7 +21,7 @@ pub(super) fn pose<To: Frame, From: Frame>([x, y, z, rx, ry, rz]: [f64; 6]) -> P
     Pose::from_parts(Vector3::new(x, y, z) * 1e-3, so3::exp(&turn))
 }
 
-/// The tables of a setup (`configs/rig.toml`) that say where things are; the whole of it is for `pb3dp run`.
+/// The pose tables of a setup (`configs/rig.toml`); `pb3dp run` reads the complete file.
 pub(super) struct Setup {
     file: PathBuf,
     root: toml::Table,
@@ -30,23 +30,23 @@ pub(super) struct Setup {
 impl Setup {
     pub(super) fn read(file: &Path) -> Result<Self> {
         let layers = Layers::read(&SetupArgs::of_file(file))?;
-        let root = layers.figment().extract().with_context(|| format!("{}: is no setup", file.display()))?;
+        let root = layers.figment().extract().with_context(|| format!("{}: invalid setup", file.display()))?;
         Ok(Self { file: file.to_path_buf(), root })
     }
 
-    /// Where an arm stands.
+    /// Pose of an arm's base in the world.
     pub(super) fn world_from_base(&self, arm: &str) -> Result<Pose<World, Base>> {
         self.pose(&["arms", arm, "world_from_base"])
     }
 
-    /// Where the left camera sits.
+    /// Pose of the left camera on the flange.
     pub(super) fn flange_from_cam_left(&self) -> Result<Pose<Flange, CamLeft>> {
         let flange_from_hand: Pose<Flange, Hand> = self.pose(&["mounts", "flange_from_hand"])?;
         let hand_from_cam_left: Pose<Hand, CamLeft> = self.pose(&["mounts", "hand_from_cam_left"])?;
         Ok(flange_from_hand * hand_from_cam_left)
     }
 
-    /// A pose whose frames are claimed by its key.
+    /// A pose whose frames are given by its key.
     fn pose<To: Frame, From: Frame>(&self, keys: &[&str]) -> Result<Pose<To, From>> {
         let place = || format!("{}: {}", self.file.display(), keys.join("."));
         let (last, above) = keys.split_last().with_context(place)?;
@@ -54,7 +54,7 @@ impl Setup {
         for key in above {
             table = table.and_then(|table| table.get(*key)).and_then(toml::Value::as_table);
         }
-        let value = table.and_then(|table| table.get(*last)).with_context(|| format!("{}: is missing", place()))?;
+        let value = table.and_then(|table| table.get(*last)).with_context(|| format!("{}: missing", place()))?;
         let three = |key: &str| {
             let list = value.get(key).and_then(toml::Value::as_array)?;
             let number = |value: &toml::Value| value.as_float().or_else(|| value.as_integer().map(|n| n as f64));

@@ -1,4 +1,4 @@
-//! `pb3dp calibrate propose`: the poses that an arm is to visit for a calibration.
+//! `pb3dp calibrate propose`: arm poses for a calibration.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -15,17 +15,17 @@ use pb3dp_record::stops::{ArmOfPoses, WantedPoses, save_poses};
 use super::hand_eye::Recording;
 use super::{numbers, poses, tell};
 
-/// What a pose of the camera that was guessed, and a focal length that nobody measured, may be wrong by.
+/// Assumed errors of a guessed camera pose and a nominal focal length.
 const GUESSED: (f64, f64, f64) = (0.010, 3.0, 0.02);
-/// What one may be wrong by that a calibration says.
+/// Assumed errors of a calibrated camera pose and focal length.
 const CALIBRATED: (f64, f64, f64) = (0.002, 0.5, 0.005);
 
-/// Which arm is to move.
+/// The arm to move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Arm {
-    /// The one with the cameras.
+    /// The arm with the cameras.
     Vs,
-    /// The one with the board.
+    /// The arm with the board.
     Tc,
 }
 
@@ -34,37 +34,38 @@ enum Arm {
 pub(super) struct ProposeArgs {
     #[command(flatten)]
     recording: Recording,
-    /// The arm that is to move; the other one rests where it was at the last stop of the recording.
+    /// The arm to move; the other one stays where it was at the last stop of the recording.
     #[arg(long, default_value = "vs")]
     arm: Arm,
-    /// How many poses: 15 to 20, and some to spare for those that the arm cannot reach.
+    /// Number of poses: 15 to 20, plus some spare for poses that the arm cannot reach.
     #[arg(long, default_value_t = 18)]
     count: usize,
-    /// From the left camera to the board, mm: the working distance.
+    /// Working distance from the left camera to the board, mm.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, default_value = "500", allow_hyphen_values = true)]
     distance: f64,
-    /// Where the left camera sits on the flange, about: 10 mm and 3 degrees are near enough. X,Y,Z in mm, and a rotation vector in degrees.
+    /// Approximate pose of the left camera on the flange; 10 mm and 3 degrees are accurate enough. X,Y,Z in mm, and a rotation
+    /// vector in degrees.
     #[arg(long, value_name = "X,Y,Z,RX,RY,RZ", value_parser = poses::six, allow_hyphen_values = true, conflicts_with = "hand_eye")]
     guess: Option<[f64; 6]>,
-    /// For --arm tc: where the base of tc stands in that of vs, about.
+    /// For --arm tc: approximate pose of the base of tc in the base of vs.
     #[arg(long, value_name = "X,Y,Z,RX,RY,RZ", value_parser = poses::six, allow_hyphen_values = true)]
     guess_bases: Option<[f64; 6]>,
-    /// A hand-eye calibration, which takes the place of the guesses it knows.
+    /// A hand-eye calibration; replaces the guesses it covers.
     #[arg(long, value_name = "FILE")]
     hand_eye: Option<PathBuf>,
-    /// A setup, whose mounts and places of the arms take the place of guesses.
+    /// A setup; its mounts and arm base poses replace the guesses.
     #[arg(long, value_name = "FILE")]
     setup: Option<PathBuf>,
-    /// Where to write the poses, for `pb3dp arm visit`.
+    /// Output file with the poses, for `pb3dp arm visit`.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
 }
 
-/// What is thought of the places of cameras and arms.
+/// Assumed poses of cameras and arms.
 struct Guesses {
     flange_from_cam_left: Pose<Flange, CamLeft>,
     vs_base_from_tc_base: Option<Pose<Base, TcBase>>,
-    /// Whether they are calibrated.
+    /// Whether the poses are calibrated.
     is_calibrated: bool,
 }
 
@@ -77,7 +78,7 @@ impl ProposeArgs {
             (None, Some(guess), _) => poses::pose(guess),
             (None, None, Some(setup)) => setup.flange_from_cam_left()?,
             (None, None, None) => bail!(
-                "where the cameras sit on the flange is not known: measure it by eye (--guess X,Y,Z,RX,RY,RZ), or name a --setup with mounts, or a --hand-eye calibration"
+                "pose of the cameras on the flange unknown; estimate it by eye (--guess X,Y,Z,RX,RY,RZ), or give a --setup with mounts, or a --hand-eye calibration"
             ),
         };
         let by_hand_eye = match hand_eye.as_ref().map(|hand_eye| hand_eye.board) {
@@ -87,7 +88,7 @@ impl ProposeArgs {
         let by_setup = || -> Result<Option<Pose<Base, TcBase>>> {
             let Some(setup) = &setup else { return Ok(None) };
             let vs = setup.world_from_base("vs")?;
-            // The same numbers; the base is that of tc.
+            // The numbers stay the same; only the base frame is renamed to that of tc.
             Ok(Some(vs.inverse() * setup.world_from_base("tc")?.relabel()))
         };
         let vs_base_from_tc_base = match (by_hand_eye, self.guess_bases, self.arm) {
@@ -104,16 +105,16 @@ impl ProposeArgs {
 pub(super) fn run(args: &ProposeArgs) -> Result<ExitCode> {
     let guesses = args.guesses()?;
     let looked = args.recording.look()?;
-    let Some(first) = looked.stops.last() else { bail!("the board was found at no stop") };
+    let Some(first) = looked.stops.last() else { bail!("the board was detected at no stop") };
     let drawn = &looked.calibration.rig;
     let of_look = looked.calibration.not_measured.as_ref().and_then(|_| {
-        tell("the calibration is that of no cameras: how they stand to each other is taken from the look").ok()?;
+        tell("the calibration is nominal: the pose between the cameras is estimated from this view of the board")
+            .ok()?;
         head_of_look(drawn, &looked.board, &first.sightings)
     });
     let rig = of_look.as_ref().unwrap_or(drawn);
-    let cam_left_from_board = place_board(rig, &looked.board, &first.sightings).with_context(|| {
-        format!("stop {:?}: no pose of the board explains its corners: check --board and --calib", first.name)
-    })?;
+    let cam_left_from_board = place_board(rig, &looked.board, &first.sightings)
+        .with_context(|| format!("stop {:?}: no board pose fits the corners; check --board and --calib", first.name))?;
     let (guess_error_m, guess_error_deg, _) = if guesses.is_calibrated { CALIBRATED } else { GUESSED };
     let (.., focal_error) = if looked.calibration.not_measured.is_some() { GUESSED } else { CALIBRATED };
     let wish = Wish {
@@ -134,16 +135,16 @@ pub(super) fn run(args: &ProposeArgs) -> Result<ExitCode> {
             WantedPoses { arm: ArmOfPoses::Vs, poses }
         }
         Arm::Tc => {
-            let tc = first.tc_base_from_tc_flange.context("the recording does not say where the arm tc was")?;
+            let tc = first.tc_base_from_tc_flange.context("the recording has no pose of the arm tc")?;
             let bases = guesses.vs_base_from_tc_base.context(
-                "where the base of tc stands in that of vs is not known: --guess-bases, or a --setup, or a --hand-eye calibration of both arms",
+                "pose of the base of tc in the base of vs unknown; give --guess-bases, a --setup, or a --hand-eye calibration of both arms",
             )?;
             let tc_base_from_cam_left = bases.inverse() * base_from_cam_left;
             let pose = |view: &Pose<CamLeft, _>| -> Pose<TcBase, TcFlange> {
                 let motion: Pose<CamLeft, CamLeft> = *view * cam_left_from_board.inverse();
                 tc_base_from_cam_left * motion * tc_base_from_cam_left.inverse() * tc
             };
-            // The file has one kind of poses, and says whose they are.
+            // The file holds poses of one arm, and names that arm.
             let poses = views.cam_left_from_board.iter().map(|view| pose(view).relabel()).collect();
             WantedPoses { arm: ArmOfPoses::Tc, poses }
         }
@@ -152,7 +153,7 @@ pub(super) fn run(args: &ProposeArgs) -> Result<ExitCode> {
     save_poses(&args.out, &wanted)?;
     let [left, right] = views.coverage.map(|share| 100.0 * share);
     tell(&format!(
-        "{} poses of {} for the last stop, {:?}; corners of the board will be in {left:.0} % of the cells of the left image and {right:.0} % of the right one\nwrote {}",
+        "{} poses of {} for the last stop, {:?}; the board corners will cover {left:.0} % of the left image and {right:.0} % of the right image\nwrote {}",
         wanted.poses.len(),
         wanted.arm.name(),
         first.name,

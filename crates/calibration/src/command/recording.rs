@@ -1,4 +1,4 @@
-//! Recordings: pairs at full rate, of which views are chosen, or stops of an arm, each of which is a view.
+//! Recordings: continuous recordings, from which views are selected, or arm stops, each of which is a view.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -20,24 +20,24 @@ use pb3dp_record::stops::STOPS_FILE;
 use super::Seen;
 use super::images::{Images, agreed, written};
 
-/// So many pairs of a recording are looked at, as long as that are not more than one in this time.
+/// Maximum number of pairs checked, and the minimum time between them.
 const LOOKS_MAX: u64 = 400;
 const LOOK_EVERY_S: f64 = 0.2;
-/// Neighbours farther away in time do not tell whether the board was still.
+/// Longest time between neighbouring pairs from which board motion is measured.
 const NEIGHBOUR_MAX_S: f64 = 0.6;
-/// Threads that look for boards.
+/// Threads used for board detection.
 const THREADS_MAX: usize = 4;
 
-/// So many reasons why there is no board are told.
+/// Number of detection failures listed by reason.
 const REASONS_TOLD: usize = 5;
 
-/// A pair that was looked at, by its number in the recording.
+/// A checked pair, by its number in the recording.
 struct Look {
     frame: u64,
     found: Result<Candidate<2>, String>,
 }
 
-/// Views of a recording.
+/// Detects the boards and selects the views of a recording.
 pub(super) fn sightings(folder: &Path, board: &Chessboard) -> Result<Seen<2>> {
     if folder.join(STOPS_FILE).is_file() {
         return Images::of_stops(folder)?.sightings(board);
@@ -57,22 +57,22 @@ pub(super) fn sightings(folder: &Path, board: &Chessboard) -> Result<Seen<2>> {
     let selection = select(&candidates, board, size, &wanted, speed)?;
     let told = told(&sequence, looks.len(), &selection, &without, &wanted);
     if selection.chosen.is_empty() {
-        bail!("{}: no pair can be used\n{told}", folder.display());
+        bail!("{}: no usable pair\n{told}", folder.display());
     }
     let files: Vec<[PathBuf; 2]> = selection.chosen.iter().map(|index| recording.files(frames[*index])).collect();
     let views = selection.chosen.iter().map(|index| candidates[*index].view.clone()).collect();
     Ok(Seen { views, size, newest: written(files.iter().flatten())?, told, files })
 }
 
-/// The first left image that is there.
+/// The first left image that exists.
 fn first_image(sequence: &Sequence) -> Result<PathBuf> {
     let mut files = (0..sequence.frames()).map(|frame| sequence.image_files(frame).0);
     files
         .find(|file| file.is_file())
-        .with_context(|| format!("{}: none of its images is there", sequence.folder.display()))
+        .with_context(|| format!("{}: all images of the recording are missing", sequence.folder.display()))
 }
 
-/// What was looked at, and why the rest was left out.
+/// Summary of the checked pairs, and why pairs were left out.
 fn told(
     sequence: &Sequence,
     looks: usize,
@@ -81,22 +81,22 @@ fn told(
     wanted: &Wanted,
 ) -> String {
     let mut lines = vec![format!(
-        "{}: looked at {looks} of {} pairs, took {} as views",
+        "{}: checked {looks} of {} pairs, selected {} as views",
         sequence.folder.display(),
         sequence.frames(),
         selection.chosen.len()
     )];
     if sequence.is_unfinished {
-        lines.push("the recording was broken off, or is still going on".to_owned());
+        lines.push("the recording is incomplete or still running".to_owned());
     }
     let mut reasons: Vec<(usize, String)> =
         without.iter().map(|(reason, count)| (*count, (*reason).to_owned())).collect();
     reasons.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
     let more = [
-        (selection.moving, format!("the board moves by more than {} px per second", wanted.speed_max_px_per_s)),
-        (selection.blurred, format!("edges are blurred by more than {} px", wanted.blur_max_px)),
-        (selection.nothing_new, "others show the same".to_owned()),
-        (selection.unexplained, "no camera explains what was seen".to_owned()),
+        (selection.moving, format!("the board moves faster than {} px per second", wanted.speed_max_px_per_s)),
+        (selection.blurred, format!("edge blur above {} px", wanted.blur_max_px)),
+        (selection.nothing_new, "similar to other views".to_owned()),
+        (selection.unexplained, "the corners fit no camera model".to_owned()),
     ];
     let rare: usize = reasons.iter().skip(REASONS_TOLD).map(|(count, _)| count).sum();
     reasons.truncate(REASONS_TOLD);
@@ -106,17 +106,17 @@ fn told(
     lines.join("\n")
 }
 
-/// What is needed to look at a pair.
+/// Context for checking pairs of a recording.
 pub(super) struct Recording<'a> {
     pub(super) sequence: &'a Sequence,
     board: &'a Chessboard,
-    /// Of its images.
+    /// Size of its images.
     pub(super) size: ImageSize,
     because_of: String,
 }
 
 impl<'a> Recording<'a> {
-    /// A recording whose first image tells the size of all.
+    /// A recording; the first image gives the size of all.
     pub(super) fn new(sequence: &'a Sequence, board: &'a Chessboard) -> Result<Self> {
         let first = first_image(sequence)?;
         let size = size_of(&load_rgb(&first)?);
@@ -127,7 +127,7 @@ impl<'a> Recording<'a> {
         <[PathBuf; 2]>::from(self.sequence.image_files(frame))
     }
 
-    /// Every n-th pair, so that none is missed that stands for a moment.
+    /// Every n-th pair, with n small enough to catch a board that is held still only for a moment.
     fn frames_to_look_at(&self) -> Vec<u64> {
         let frames = self.sequence.frames();
         let times_s = &self.sequence.times_s;
@@ -137,7 +137,7 @@ impl<'a> Recording<'a> {
         (0..frames).step_by(usize::try_from(every).unwrap_or(1)).collect()
     }
 
-    /// Looks at every n-th pair, on all processors.
+    /// Checks every n-th pair, on all processors.
     fn looks(&self) -> Result<Vec<Look>> {
         let frames = self.frames_to_look_at();
         let threads = std::thread::available_parallelism().map_or(1, usize::from).min(THREADS_MAX);
@@ -152,7 +152,7 @@ impl<'a> Recording<'a> {
         };
         std::thread::scope(|scope| {
             for _ in 1..threads {
-                // Where the system gives no thread, this one does all.
+                // If the system gives no thread, the current thread does all the work.
                 let _ = std::thread::Builder::new().spawn_scoped(scope, work);
             }
             work();
@@ -162,7 +162,7 @@ impl<'a> Recording<'a> {
         Ok(looks)
     }
 
-    /// What a pair shows, or why it cannot be used.
+    /// Board detection in one pair, or why the pair cannot be used.
     pub(super) fn look(&self, frame: u64) -> Result<Candidate<2>, String> {
         let mut sightings: [Sighting; 2] = Default::default();
         let mut blur: Option<f64> = Some(0.0);
@@ -181,8 +181,8 @@ impl<'a> Recording<'a> {
         Ok(image::DynamicImage::from(image).into_luma8())
     }
 
-    /// How fast the board moves in the left image, from the pair before to the one behind, px per second; `None` where it cannot
-    /// be told. A recording whose pairs are far apart in time was taken one by one, so nothing is asked of it.
+    /// Speed of the board in the left image, from the previous pair to the next, px per second; `None` if it cannot be
+    /// determined. Pairs far apart in time were taken one by one, so their speed is not checked.
     pub(super) fn speed_px_per_s(&self, frame: u64, candidate: &Candidate<2>) -> Result<Option<f64>> {
         let mut fastest: Option<f64> = None;
         let time_s = |frame: u64| usize::try_from(frame).ok().and_then(|at| self.sequence.times_s.get(at)).copied();

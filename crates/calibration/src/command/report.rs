@@ -1,4 +1,4 @@
-//! What is told of a calibration.
+//! Printed results of a calibration.
 
 use std::fmt::Write;
 
@@ -10,15 +10,15 @@ use pb3dp_calibration::quality::Quality;
 use pb3dp_calibration::report::{GateLine, verdict_in_words};
 use pb3dp_geometry::StereoRig;
 
-/// So many views with the largest errors are named.
+/// Number of worst views listed.
 const WORST_VIEWS: usize = 3;
 
-/// The cameras with the standard deviation of each number, and how the lens model was chosen.
+/// The cameras with the standard deviation of each number, and the lens model selection.
 pub(super) fn fit<const N: usize>(chosen: &Chosen<N>) -> String {
     let covariance = chosen.fit.covariance();
     let mut lines = Vec::new();
     if chosen.tried.len() > 1 {
-        lines.push("lens model: error on views that the fit has not seen, px".to_owned());
+        lines.push("lens model: error on held-out views, px".to_owned());
         for held_out in &chosen.tried {
             let mark = if held_out.lens == chosen.fit.lens() { "  <- chosen" } else { "" };
             lines.push(match &held_out.rms_px {
@@ -41,13 +41,12 @@ pub(super) fn fit<const N: usize>(chosen: &Chosen<N>) -> String {
         let sigma_mm = |name: &str| covariance.sigma(&format!("board.{name}")).unwrap_or(f64::NAN) * 1e3;
         let [rows, columns, twist] =
             std::array::from_fn(|n| format!("{:+.3} +- {:.3}", heights_m[n] * 1e3, sigma_mm(names[n])));
-        lines.push(format!(
-            "board: bowed along its rows by {rows} mm, along its columns by {columns} mm, twisted by {twist} mm"
-        ));
+        lines
+            .push(format!("board: bow along its rows {rows} mm, bow along its columns {columns} mm, twist {twist} mm"));
     }
     let scatter = covariance.view_scatter;
     let raised = if scatter > 1.0 {
-        format!(", raised {:.1} times because views differ by more than their corners explain", scatter.sqrt())
+        format!(", raised {:.1} times because views differ by more than corner noise", scatter.sqrt())
     } else {
         String::new()
     };
@@ -55,7 +54,7 @@ pub(super) fn fit<const N: usize>(chosen: &Chosen<N>) -> String {
     lines.join("\n")
 }
 
-/// The pose of the two cameras to each other.
+/// The pose between the two cameras.
 pub(super) fn rig(fit: &Fit<2>, rig: &StereoRig, depth_m: f64) -> Result<String> {
     let pose = rig.cam_right_from_cam_left();
     let (t, turn) = (pose.translation_m() * 1e3, pose.rotation().scaled_axis());
@@ -64,7 +63,7 @@ pub(super) fn rig(fit: &Fit<2>, rig: &StereoRig, depth_m: f64) -> Result<String>
     let [rx, ry, rz] = ["rx_rad", "ry_rad", "rz_rad"].map(|name| sigma(name).to_degrees());
     let degrees = [turn.x, turn.y, turn.z].map(f64::to_degrees);
     Ok(format!(
-        "baseline {:.3} mm; cam_right_from_cam_left: x {:.3} +- {x:.3}, y {:.3} +- {y:.3}, z {:.3} +- {z:.3} mm, rotation vector {:.4} +- {rx:.4}, {:.4} +- {ry:.4}, {:.4} +- {rz:.4} degrees\na depth of {:.0} mm straight ahead is known to +- {:.3} mm, as far as this calibration goes",
+        "baseline {:.3} mm; cam_right_from_cam_left: x {:.3} +- {x:.3}, y {:.3} +- {y:.3}, z {:.3} +- {z:.3} mm, rotation vector {:.4} +- {rx:.4}, {:.4} +- {ry:.4}, {:.4} +- {rz:.4} degrees\ndepth error from this calibration at {:.0} mm straight ahead: +- {:.3} mm",
         rig.baseline_m() * 1e3,
         t.x,
         t.y,
@@ -77,12 +76,12 @@ pub(super) fn rig(fit: &Fit<2>, rig: &StereoRig, depth_m: f64) -> Result<String>
     ))
 }
 
-/// The gates, the worst views, and the verdict in words.
+/// The gates, the worst views, and the verdict.
 pub(super) fn verdicts(quality: &Quality, verdicts: &[Verdict]) -> String {
     let mut lines: Vec<String> = Vec::new();
     if let Some(rows) = quality.rows {
         lines.push(format!(
-            "rows of the rectified images, right minus left: mean {:+.3} px, 95 % within {:.3} px",
+            "vertical misalignment of the rectified images, right minus left: mean {:+.3} px, 95 % within {:.3} px",
             rows.mean_px, rows.p95_px
         ));
     }
@@ -96,14 +95,14 @@ pub(super) fn verdicts(quality: &Quality, verdicts: &[Verdict]) -> String {
     lines.push(format!("verdict: {}", verdict_in_words(&gates).1));
     if quality.scale_error_share.is_none() {
         lines.push(
-            "not judged: the size of the squares, which images cannot tell: measure the baseline with a ruler and give --baseline, or measure a known length with the calibrated cameras"
+            "not judged: the size of the squares, which images cannot reveal; measure the baseline with a ruler and give --baseline, or measure a known length with the calibrated cameras"
                 .to_owned(),
         );
     }
     lines.join("\n")
 }
 
-/// Where the defects are that were found.
+/// Describes the detected defects.
 fn defects(quality: &Quality) -> Vec<String> {
     let Some(defects) = &quality.defects else { return Vec::new() };
     let name = |view: usize| quality.reprojection_rms_by_view_px.get(view).map_or("", |(name, _)| name.as_str());
@@ -112,15 +111,18 @@ fn defects(quality: &Quality) -> Vec<String> {
     if refocused.share > 0.0 {
         let side = if quality.rows.is_none() { "the" } else { sides::<2>()[refocused.camera.min(1)] };
         let from = name(refocused.from_view);
-        lines.push(format!("{side} camera: another focal length from view {from:?} on, in the order of the names"));
+        lines.push(format!("{side} camera: focal length changes from view {from:?} on, in the order of the names"));
     }
     if let Some(moved) = defects.moved.filter(|moved| moved.rms_px > 0.0) {
-        lines.push(format!("the eyes see the board at different places most in view {:?}", name(moved.worst_view)));
+        lines.push(format!(
+            "largest disagreement of the two cameras about the board position: view {:?}",
+            name(moved.worst_view)
+        ));
     }
     lines
 }
 
-/// Whether a gate refuses.
+/// Whether any gate refuses.
 pub(super) fn is_refused(verdicts: &[Verdict]) -> bool {
     verdicts.iter().any(|verdict| verdict.grade() == Grade::Refused)
 }
@@ -132,7 +134,7 @@ pub(super) fn corners<const N: usize>(views: &[View<N>]) -> String {
         for (side, sighting) in sides::<N>().into_iter().zip(&view.sightings) {
             for corner in sighting.corners() {
                 let (name, pixel) = (&view.name, corner.pixel);
-                // Writing to a text does not fail.
+                // Writing to a `String` does not fail.
                 let _ = writeln!(text, "{name},{side},{},{},{:.4},{:.4}", corner.column, corner.row, pixel.x, pixel.y);
             }
         }

@@ -1,4 +1,4 @@
-//! The touch test: corners of the board that somebody has touched with the arm, in a TOML file.
+//! The touch test: board corners touched with the arm, from a TOML file.
 
 use std::path::Path;
 
@@ -11,10 +11,10 @@ use pb3dp_record::stops::load_stops;
 
 use super::Seen;
 
-/// Fewer places cannot tell a turned hand from a shifted one.
+/// Fewer points cannot distinguish a rotated hand from a shifted one.
 const PLACES_MIN: usize = 3;
 
-/// Where the touched corners are by cameras, hand-eye calibration and the stops of a recording.
+/// Positions of the touched corners computed from the cameras, the hand-eye calibration and the stops of a recording.
 pub(super) fn run(
     known: &Known,
     seen: &Seen<2>,
@@ -22,14 +22,14 @@ pub(super) fn run(
     hand_eye: &Path,
     file: &Path,
 ) -> Result<Vec<TouchResult>> {
-    let text = std::fs::read_to_string(file).with_context(|| format!("{}: cannot be read", file.display()))?;
-    let touches = parse(&text).with_context(|| format!("{}: no touch test", file.display()))?;
+    let text = std::fs::read_to_string(file).with_context(|| format!("{}: cannot read file", file.display()))?;
+    let touches = parse(&text).with_context(|| format!("{}: invalid touch test", file.display()))?;
     let flange_from_cam_left = load_hand_eye(hand_eye)?.flange_from_cam_left;
     let stops = load_stops(recording).context("the touch test needs a recording of stops")?.stops;
     let mut poses: Vec<Isometry3<f64>> = Vec::with_capacity(seen.views.len());
     for [left, _] in &seen.files {
         let stop = stops.iter().find(|stop| recording.join(&stop.left) == *left);
-        let stop = stop.with_context(|| format!("{}: is the image of no stop", left.display()))?;
+        let stop = stop.with_context(|| format!("{}: no stop has this image", left.display()))?;
         poses.push(*(stop.vs.base_from_flange * flange_from_cam_left).isometry());
     }
     Ok(touched(&known.rig, &seen.views, &poses, &touches)?)
@@ -39,11 +39,11 @@ pub(super) fn run(
 fn parse(text: &str) -> Result<Vec<Touch>> {
     let root: toml::Table = text.parse()?;
     if let Some(key) = root.keys().find(|key| *key != "touch") {
-        bail!("{key}: is not known here: each place is a [[touch]]");
+        bail!("unknown key {key}: each point is a [[touch]]");
     }
-    let places = root.get("touch").and_then(toml::Value::as_array).context("there is no [[touch]]")?;
+    let places = root.get("touch").and_then(toml::Value::as_array).context("missing [[touch]]")?;
     if places.len() < PLACES_MIN {
-        bail!("touch: {} places, at least {PLACES_MIN} are needed, far from each other", places.len());
+        bail!("touch: {} points given, at least {PLACES_MIN} needed, far from each other", places.len());
     }
     places.iter().enumerate().map(|(number, place)| touch(number, place)).collect()
 }
@@ -52,13 +52,13 @@ fn touch(number: usize, place: &toml::Value) -> Result<Touch> {
     let known = ["board_corner", "base_position_mm"];
     let table = place.as_table().with_context(|| format!("touch[{number}]: must be a [[touch]]"))?;
     if let Some(key) = table.keys().find(|key| !known.contains(&key.as_str())) {
-        bail!("touch[{number}].{key}: is not known here: {}", known.join(", "));
+        bail!("unknown key touch[{number}].{key}; use {}", known.join(", "));
     }
     let [column, row] = numbers::<2>(table, number, "board_corner")?;
     let [x, y, z] = numbers::<3>(table, number, "base_position_mm")?;
     let is_place = |value: f64| value.fract() == 0.0 && (0.0..100.0).contains(&value);
     if !is_place(column) || !is_place(row) {
-        bail!("touch[{number}].board_corner: is [{column}, {row}], must be column and row of a corner, from 0");
+        bail!("touch[{number}].board_corner is [{column}, {row}]; must be column and row of a corner, counted from 0");
     }
     Ok(Touch { board_corner: [column as u32, row as u32], in_base_m: Point3::new(x, y, z) * 1e-3 })
 }
@@ -71,14 +71,14 @@ fn numbers<const N: usize>(table: &toml::Table, number: usize, key: &str) -> Res
     numbers.with_context(|| format!("touch[{number}].{key}: must be {N} numbers"))
 }
 
-/// Place by place.
+/// The result of each point.
 pub(super) fn told(results: &[TouchResult]) -> String {
     let line = |result: &TouchResult| {
         let [column, row] = result.touch.board_corner;
         let [touched, seen] = [result.touch.in_base_m, result.seen_in_base_m].map(|point| point * 1e3);
         let apart = seen - touched;
         format!(
-            "corner {column},{row}: touched at {:.2}, {:.2}, {:.2} mm in base, seen {:.2} mm beside it ({:+.2}, {:+.2}, {:+.2}; {} stops, scattered by {:.2} mm)",
+            "corner {column},{row}: touched at {:.2}, {:.2}, {:.2} mm in base, position error {:.2} mm ({:+.2}, {:+.2}, {:+.2}; {} stops, scatter {:.2} mm)",
             touched.x,
             touched.y,
             touched.z,
@@ -117,7 +117,7 @@ mod tests {
             ("[412.5, 45, 30]", "[412.5, 45]", "touch[2].base_position_mm: must be 3 numbers"),
             ("[412.5, 45, 30]", "[412.5, 45, nan]", "touch[2].base_position_mm"),
             ("board_corner = [8, 0]", "corner = [8, 0]", "touch[1].corner"),
-            ("\n[[touch]]\nboard_corner = [8, 0]\nbase_position_mm = [612.5, -80, 31.2]\n", "", "2 places"),
+            ("\n[[touch]]\nboard_corner = [8, 0]\nbase_position_mm = [612.5, -80, 31.2]\n", "", "2 points"),
         ] {
             let error = format!("{:#}", parse(&FILE.replacen(from, to, 1)).expect_err(to));
             assert!(error.contains(named), "{error}");

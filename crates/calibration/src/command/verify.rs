@@ -1,4 +1,4 @@
-//! `pb3dp calibrate verify`: whether a calibration still holds.
+//! `pb3dp calibrate verify`: checks an existing calibration.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -22,41 +22,41 @@ use super::{Pairs, Seen, numbers, tell, touch_test, verify_limits};
 /// Arguments of `pb3dp calibrate verify`.
 #[derive(Debug, Args)]
 pub(super) struct VerifyArgs {
-    /// The calibration, in any format that is read here.
+    /// The calibration, in any supported format.
     #[arg(value_name = "CALIBRATION")]
     calibration: PathBuf,
     #[command(flatten)]
     pairs: Pairs,
-    /// Inner corners of the chessboard, for instance 9x6.
+    /// Inner corners of the chessboard, for example 9x6.
     #[arg(long, value_name = "COLUMNSxROWS", value_parser = numbers::corners)]
     board: Option<[u32; 2]>,
-    /// Side of a square, mm, as measured.
+    /// Measured side of a square, mm.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]
     square: Option<f64>,
-    /// A second calibration of the same head.
+    /// A second calibration of the same stereo rig.
     #[arg(long, value_name = "CALIBRATION")]
     against: Option<PathBuf>,
-    /// Two corners of the board whose distance was measured with a ruler: column and row of each, from 0,0.
+    /// Two corners of the board whose distance was measured with a ruler: column and row of each, counted from 0,0.
     #[arg(long, value_name = "COLUMN,ROW", num_args = 2, value_parser = numbers::corner, requires = "length")]
     corners: Option<Vec<[u32; 2]>>,
-    /// That distance, mm.
+    /// The measured distance between the two --corners, mm.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, requires = "corners", allow_hyphen_values = true)]
     length: Option<f64>,
-    /// A touch test: a TOML file with corners of the board that the arm has touched (docs/calibration.md), for a recording of stops.
+    /// Touch test: a TOML file with board corners touched with the arm (docs/calibration.md); needs a recording of arm stops.
     #[arg(long, value_name = "FILE", requires = "hand_eye", requires = "recording")]
     touch: Option<PathBuf>,
-    /// The hand-eye calibration for it.
+    /// The hand-eye calibration for the touch test.
     #[arg(long, value_name = "FILE", requires = "touch")]
     hand_eye: Option<PathBuf>,
-    /// The distance for which the head is judged, mm.
+    /// Working distance at which the stereo rig is judged, mm.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, default_value = "500", allow_hyphen_values = true)]
     distance: f64,
-    /// Other limits than the built-in ones (copy configs/calibration_verify.toml).
+    /// Limits to use instead of the built-in ones (copy configs/calibration_verify.toml).
     #[arg(long, value_name = "FILE")]
     limits: Option<PathBuf>,
 }
 
-/// Runs the command; a calibration that a check refuses is a failure.
+/// Runs the command; a calibration refused by a check is a failure.
 pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
     let limits = args.limits.as_deref().map_or_else(|| Ok(VerifyLimits::default()), verify_limits::read)?;
     let calibration = load_stereo(std::slice::from_ref(&args.calibration))?;
@@ -68,7 +68,7 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
         tell(&format!("note: {note}"))?;
     }
     let mut gates = Vec::new();
-    // Squares of what the hand will be off, metres: what was seen, and what the calibration leaves by its own account.
+    // Squared contributions to the hand error, m^2: the measured ones, and the one from the covariance of the calibration.
     let mut hand_m2 = depth_sigma_m(&known, depth_m).map_or(0.0, |sigma_m| sigma_m.powi(2));
     if args.pairs.are_given() {
         let (seen, board) = args.seen()?;
@@ -87,7 +87,7 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
     if let Some(other) = &args.against {
         let second = self::known(&load_stereo(std::slice::from_ref(other))?);
         if second.rig.left().size() != known.rig.left().size() {
-            bail!("{}: is of images of another size: compare calibrations of the same images", other.display());
+            bail!("{}: the image size differs; compare calibrations with the same image size", other.display());
         }
         let comparison = compare(&known, &second, depth_m);
         tell(&of_comparison(&comparison, args.distance))?;
@@ -96,7 +96,7 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
     }
     if gates.is_empty() {
         bail!(
-            "nothing to verify it by: give --recording DIR (or --left and --right) with --board and --square, or --against CALIBRATION"
+            "no reference given; use --recording DIR (or --left and --right) with --board and --square, or --against CALIBRATION"
         );
     }
     if args.pairs.are_given() {
@@ -105,14 +105,14 @@ pub(super) fn run(args: &VerifyArgs) -> Result<ExitCode> {
     conclude(&gates, args.distance)
 }
 
-/// Tells the checks and the verdict.
+/// Prints the checks and the verdict.
 fn conclude(gates: &[GateLine], distance_mm: f64) -> Result<ExitCode> {
     for gate in gates {
         tell(&gate.to_string())?;
     }
     if let Some(gate) = gates.iter().find(|gate| gate.name == Check::HandError.key()) {
         tell(&format!(
-            "at {distance_mm:.0} mm the cameras put the hand wrong by about {:.2} mm; what arm and hand-eye calibration add is not in it",
+            "at {distance_mm:.0} mm the cameras contribute a hand error of about {:.2} mm; errors of the arm and of the hand-eye calibration are not included",
             gate.measured
         ))?;
     }
@@ -121,7 +121,7 @@ fn conclude(gates: &[GateLine], distance_mm: f64) -> Result<ExitCode> {
     Ok(if is_refused { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
-/// The calibration with what it says of its errors.
+/// The calibration with its covariance.
 fn known(calibration: &StereoCalibration) -> Known {
     let covariance = calibration.judgement.as_ref().and_then(|judgement| judgement.covariance.as_ref());
     let names = covariance.map_or_else(Vec::new, |covariance| covariance.names.clone());
@@ -132,13 +132,13 @@ fn known(calibration: &StereoCalibration) -> Known {
 
 impl VerifyArgs {
     fn seen(&self) -> Result<(Seen<2>, Chessboard)> {
-        let [columns, rows] = self.board.context("--board: must be given with images, for instance 9x6")?;
-        let square_mm = self.square.context("--square: must be given with images: the side of a square, mm")?;
+        let [columns, rows] = self.board.context("--board is required with images, for example 9x6")?;
+        let square_mm = self.square.context("--square is required with images: the side of a square, mm")?;
         let board = Chessboard::new(columns, rows, square_mm * 1e-3)?;
         Ok((self.pairs.sightings(&board)?, board))
     }
 
-    /// Corners that the arm has touched.
+    /// Check with corners touched by the arm.
     fn touched(&self, known: &Known, seen: &Seen<2>, limits: &VerifyLimits) -> Result<Option<GateLine>> {
         let (Some(file), Some(hand_eye)) = (&self.touch, &self.hand_eye) else { return Ok(None) };
         let results = touch_test::run(known, seen, self.pairs.folder(), hand_eye, file)?;
@@ -147,7 +147,7 @@ impl VerifyArgs {
         Ok(Some(limits.judge(Check::Touch, worst_m * 1e3)))
     }
 
-    /// The length that was measured with a ruler.
+    /// Check with a length measured with a ruler.
     fn ruler(&self, known: &Known, seen: &Seen<2>, limits: &VerifyLimits) -> Result<Option<GateLine>> {
         let (Some([from, to]), Some(length_mm)) = (self.corners.as_deref(), self.length) else { return Ok(None) };
         let lengths_m = lengths_m(&known.rig, &seen.views, [*from, *to])?;
@@ -163,12 +163,12 @@ impl VerifyArgs {
     }
 }
 
-/// Views by depth: what lengths on the board come to, and how flat it seems.
+/// Views by depth: relative length error, and apparent flatness of the board.
 fn of_views(checked: &Checked, depth_m: f64) -> String {
     let mut views: Vec<_> = checked.views.iter().collect();
     views.sort_by(|a, b| a.depth_m.total_cmp(&b.depth_m));
     let mut text = format!(
-        "{} views of a calibration that stays as it is: {:.3} px rms, rows {:+.3} px in the mean\n  depth, mm      views  length, % wrong    flat within, mm\n",
+        "{} views with this calibration: {:.3} px rms, mean vertical misalignment {:+.3} px\n  depth, mm      views  length error, %    flatness rms, mm\n",
         views.len(),
         checked.reprojection_rms_px,
         checked.rows.mean_px
@@ -179,7 +179,7 @@ fn of_views(checked: &Checked, depth_m: f64) -> String {
         let scatter = (part.iter().map(|view| (view.scale - 1.0 - mean).powi(2)).sum::<f64>() / count).sqrt();
         let flatness = (part.iter().map(|view| view.flatness_m.powi(2)).sum::<f64>() / count).sqrt();
         let (from, to) = (part[0].depth_m * 1e3, part[part.len() - 1].depth_m * 1e3);
-        // Writing to a text does not fail.
+        // Writing to a `String` does not fail.
         let _ = writeln!(
             text,
             "  {from:>4.0} to {to:<4.0}  {:>6}  {:>+7.3} +- {:.3}  {:>15.3}",
@@ -192,7 +192,7 @@ fn of_views(checked: &Checked, depth_m: f64) -> String {
     let scale = checked.scale_at(depth_m);
     let _ = write!(
         text,
-        "at {:.0} mm lengths come out {:+.3} +- {:.3} % wrong",
+        "at {:.0} mm the length error is {:+.3} +- {:.3} %",
         depth_m * 1e3,
         100.0 * (scale.scale - 1.0),
         100.0 * scale.sigma
@@ -201,20 +201,22 @@ fn of_views(checked: &Checked, depth_m: f64) -> String {
         Some(slope) => {
             let _ = write!(
                 text,
-                ", {:+.3} % more for each 100 mm farther away (alike at all depths: baseline or squares; growing: disparity)",
+                ", changing by {:+.3} % per 100 mm of depth (constant over depth: baseline or squares; growing: disparity)",
                 10.0 * slope
             );
         }
-        None => text.push_str("; show the board nearer and farther away to see whether that changes with depth"),
+        None => {
+            text.push_str("; show the board nearer and farther away to see whether the length error changes with depth")
+        }
     }
     text
 }
 
-/// Parameter by parameter, and over the image.
+/// Differences of the parameters, and over the image.
 fn of_comparison(comparison: &Comparison, distance_mm: f64) -> String {
     let mut text = String::new();
     if comparison.parameters.is_empty() {
-        text.push_str("parameters are not compared: not both files say how well they are known\n");
+        text.push_str("parameters are not compared: both files need a covariance\n");
     } else {
         text.push_str("second minus first, in standard deviations of the difference:\n");
     }
@@ -236,12 +238,12 @@ fn of_comparison(comparison: &Comparison, distance_mm: f64) -> String {
         Some(sigmas) => {
             let _ = writeln!(text, "all together: {sigmas:.2} standard deviations rms (1 is chance)");
         }
-        None => text.push_str("not judged together: not the same numbers were estimated in both\n"),
+        None => text.push_str("not judged together: the two calibrations estimated different parameters\n"),
     }
     let [depth_m, lateral_m, both_m] = comparison.p95_m();
     let _ = write!(
         text,
-        "a point at {distance_mm:.0} mm is placed differently by, in 95 % of the image: depth {:.3} mm, sideways {:.3} mm, both {:.3} mm ({} places)",
+        "difference of a point at {distance_mm:.0} mm, 95th percentile over the image: depth {:.3} mm, lateral {:.3} mm, both {:.3} mm ({} points)",
         depth_m * 1e3,
         lateral_m * 1e3,
         both_m * 1e3,

@@ -1,4 +1,4 @@
-//! Limits of the checks of `verify` in a TOML file.
+//! Reads the limits of the `verify` checks from a TOML file.
 
 use std::path::Path;
 
@@ -8,26 +8,26 @@ use pb3dp_calibration::verify::limits::{Check, VerifyLimits};
 
 /// Reads a file like `configs/calibration_verify.toml`: a table `checks` with all checks, each with `good` and `refused`.
 pub(super) fn read(file: &Path) -> Result<VerifyLimits> {
-    let text = std::fs::read_to_string(file).with_context(|| format!("{}: cannot be read", file.display()))?;
-    parse(&text).with_context(|| format!("{}: no limits of checks", file.display()))
+    let text = std::fs::read_to_string(file).with_context(|| format!("{}: cannot read file", file.display()))?;
+    parse(&text).with_context(|| format!("{}: invalid check limits", file.display()))
 }
 
 fn parse(text: &str) -> Result<VerifyLimits> {
     let root: toml::Table = text.parse()?;
     if let Some(key) = root.keys().find(|key| *key != "checks") {
-        bail!("{key}: is not known here: the one table is checks");
+        bail!("unknown key {key}: the only table is checks");
     }
-    let checks = root.get("checks").and_then(toml::Value::as_table).context("the table checks is missing")?;
+    let checks = root.get("checks").and_then(toml::Value::as_table).context("missing table checks")?;
     if let Some(key) = checks.keys().find(|key| Check::ALL.iter().all(|check| check.key() != *key)) {
-        bail!("checks.{key}: there is no such check: {}", Check::ALL.map(Check::key).join(", "));
+        bail!("unknown check checks.{key}; the checks are {}", Check::ALL.map(Check::key).join(", "));
     }
     let mut limits = VerifyLimits::default();
     for check in Check::ALL {
         let key = check.key();
         let table = checks.get(key).and_then(toml::Value::as_table);
-        let table = table.with_context(|| format!("checks.{key} is missing: {{ good = ..., refused = ... }}"))?;
+        let table = table.with_context(|| format!("checks.{key} is missing; add {{ good = ..., refused = ... }}"))?;
         if let Some(other) = table.keys().find(|name| !["good", "refused"].contains(&name.as_str())) {
-            bail!("checks.{key}.{other}: is not known here: good and refused are");
+            bail!("unknown key checks.{key}.{other}; use good and refused");
         }
         let number = |name: &str| {
             let value = table.get(name);

@@ -1,5 +1,5 @@
-//! Corners of AprilGrids: where black squares in the gaps touch the corners of tags, squares of a chessboard meet in effect, so
-//! the corners are those of the detector of chessboards; which four of them belong to a tag is tried out.
+//! Corners of AprilGrids. Where black squares in the gaps touch the corners of tags, squares meet as on a chessboard. The
+//! chessboard detector therefore finds the corners; combinations of four are then tested for a readable tag.
 
 use calib_targets_aruco::{MarkerCell, Matcher, ScanDecodeConfig, decode_marker_in_cell, resolve_dictionary};
 use calib_targets_chessboard::{GrayImageView, default_chess_config, detect_corners};
@@ -11,35 +11,35 @@ use super::refine::refined;
 use super::{NoBoard, enough, gray_view};
 use crate::board::{APRIL_TAGS, Board, BoardCorner, Sighting};
 
-/// So many neighbours of a corner are tried as the next corner of its tag; inside of tags there are corners as well.
+/// Neighbours of a corner tested as the next corner of its tag; tags also contain corners inside.
 const NEIGHBOURS: usize = 60;
-/// Beside a side of a tag it is black within and white without: so far from it, in lengths of the side.
+/// Sampling distance on both sides of a tag edge (black inside, white outside), as a share of the edge length.
 const BESIDE_SHARE: f64 = 0.06;
-/// The same in pixels, at least.
+/// Minimum sampling distance, px.
 const BESIDE_MIN_PX: f64 = 1.5;
-/// By how many grey values black and white differ there.
+/// Minimum contrast between black and white at an edge, grey levels.
 const CONTRAST_MIN: f64 = 20.0;
-/// Sides of a tag differ by no more than this ratio in an image.
+/// Maximum ratio of the side lengths of a tag in an image.
 const SIDES_RATIO_MAX: f64 = 2.5;
-/// The smallest sine of the angle between two sides.
+/// Minimum sine of the angle between two sides.
 const SINE_MIN: f64 = 0.35;
-/// The shortest side that can be read: ten cells, at least.
+/// Minimum readable side: at least ten cells.
 const SIDE_MIN_PX: f64 = 14.0;
-/// Bits that may be read wrongly; tags differ by eleven.
+/// Tolerated wrong bits; tags differ by eleven.
 const WRONG_BITS_MAX: u8 = 2;
-/// Widths of a tag's black border, in bits: Kalibr's, and that of other programs.
+/// Width of a tag's black border, in bits: Kalibr's, and that of other programs.
 const BORDERS_BITS: [usize; 2] = [2, 1];
-/// Side of a tag as it is sampled.
+/// Side of the resampled tag image, px.
 const SAMPLED_PX: f32 = 80.0;
 
-/// A tag: the corner at its top on the left, then clockwise, as indices of corners; and how many bits were wrong.
+/// A tag: indices of its corners, clockwise from the upper left, and the number of wrong bits.
 #[derive(Clone, Copy)]
 struct Tag {
     corners: [usize; 4],
     wrong_bits: u8,
 }
 
-/// Finds the corners of all tags that can be read; a part of the board will do.
+/// Finds the corners of all readable tags; a part of the board is enough.
 pub(super) fn find(image: &GrayImage, board: &Board) -> Result<Sighting, NoBoard> {
     let view = gray_view(image);
     let pixels: Vec<Vector2<f64>> = detect_corners(&view, &default_chess_config())
@@ -51,7 +51,7 @@ pub(super) fn find(image: &GrayImage, board: &Board) -> Result<Sighting, NoBoard
     let tags = tags.into_iter().max_by_key(BTreeMap::len).unwrap_or_default();
     let mut corners = Vec::new();
     for (id, tag) in tags.iter().filter_map(|(id, tag)| Some((*id, tag.as_ref()?))) {
-        // Tags are counted from below on the left, along the rows.
+        // Tags are counted from the lower left, along the rows.
         let (across, up) = (id % (board.columns() / 2), id / (board.columns() / 2));
         let Some(down) = (board.rows() / 2).checked_sub(1 + up) else { continue };
         let places = [(0, 0), (1, 0), (1, 1), (0, 1)];
@@ -67,13 +67,13 @@ pub(super) fn find(image: &GrayImage, board: &Board) -> Result<Sighting, NoBoard
     enough(corners, board)
 }
 
-/// Four corners, clockwise in the image, that may be those of a tag; each once.
+/// All sets of four corners, clockwise in the image, that may form a tag; each set once.
 fn quads(image: &GrayImage, pixels: &[Vector2<f64>]) -> Vec<[usize; 4]> {
     let next: Vec<Vec<usize>> = (0..pixels.len()).map(|first| next_corners(image, pixels, first)).collect();
     let meet = |a: usize, b: usize, c: usize| sides_fit(&(pixels[b] - pixels[a]), &(pixels[c] - pixels[b]));
     let mut quads = Vec::new();
     for (a, of_a) in next.iter().enumerate() {
-        // Each quad is found from all its corners; the one with the lowest index stands for it.
+        // Each quad is found from all its corners; the corner with the lowest index represents it.
         for b in of_a.iter().copied().filter(|b| *b > a) {
             for c in next[b].iter().copied().filter(|c| *c > a && meet(a, b, *c)) {
                 let fourth = next[c].iter().copied().filter(|d| *d > a && meet(b, c, *d) && meet(c, *d, a));
@@ -84,7 +84,7 @@ fn quads(image: &GrayImage, pixels: &[Vector2<f64>]) -> Vec<[usize; 4]> {
     quads
 }
 
-/// The corners to which a side of a tag may run from a corner, clockwise around the tag.
+/// The corners that a side of a tag may reach from a given corner, clockwise around the tag.
 fn next_corners(image: &GrayImage, pixels: &[Vector2<f64>], first: usize) -> Vec<usize> {
     let from = pixels[first];
     let mut near: Vec<(f64, usize)> = pixels
@@ -99,7 +99,7 @@ fn next_corners(image: &GrayImage, pixels: &[Vector2<f64>], first: usize) -> Vec
     near.into_iter().map(|(_, n)| n).collect()
 }
 
-/// Whether it is black on the right of the way from one point to the other, and white on its left (y is down).
+/// Whether the line from one point to the other has black on its right and white on its left (y is down).
 fn is_side(image: &GrayImage, from: &Vector2<f64>, to: &Vector2<f64>) -> bool {
     let along = to - from;
     let beside = (BESIDE_SHARE * along.norm()).max(BESIDE_MIN_PX) / along.norm();
@@ -116,13 +116,13 @@ fn is_side(image: &GrayImage, from: &Vector2<f64>, to: &Vector2<f64>) -> bool {
     })
 }
 
-/// Whether two sides may meet in a corner of a tag, the second one clockwise from the first one (y is down).
+/// Whether two sides may meet at a corner of a tag, the second one clockwise from the first one (y is down).
 fn sides_fit(along: &Vector2<f64>, down: &Vector2<f64>) -> bool {
     let (a, b) = (along.norm(), down.norm());
     a.max(b) <= SIDES_RATIO_MAX * a.min(b) && along.perp(down) >= SINE_MIN * a * b
 }
 
-/// The tags that can be read, by number; `None` where one number was read at two places.
+/// The readable tags, by number; `None` if one number was read at two positions.
 fn read(
     view: &GrayImageView<'_>,
     pixels: &[Vector2<f64>],
@@ -141,7 +141,7 @@ fn read(
             continue;
         }
         let mut corners = *quad;
-        // What OpenCV's dictionary calls upright is the tag turned by half a turn.
+        // OpenCV's upright orientation is the tag turned by half a turn.
         corners.rotate_left((usize::from(found.rotation) + 2) % 4);
         let tag = Tag { corners, wrong_bits: found.hamming };
         tags.entry(found.id).and_modify(|other| *other = better(other.take(), tag)).or_insert(Some(tag));
@@ -149,7 +149,7 @@ fn read(
     tags
 }
 
-/// Of two tags with one number the one with fewer wrong bits; none if they are alike, as one of them is wrong.
+/// The tag with fewer wrong bits of two tags with the same number; none on a tie, because one of them is wrong.
 fn better(one: Option<Tag>, other: Tag) -> Option<Tag> {
     match one {
         Some(one) if one.wrong_bits < other.wrong_bits => Some(one),

@@ -8,18 +8,18 @@ use super::refine::refined;
 use super::{NoBoard, enough, gray_view};
 use crate::board::{Board, BoardCorner, Markers, Sighting};
 
-/// Finds the corners that markers tell apart; a part of the board will do.
+/// Finds the corners identified by markers; a part of the board is enough.
 pub(super) fn find(
     image: &GrayImage,
     board: &Board,
     marker_share: f64,
     Markers(dictionary): Markers,
 ) -> Result<Sighting, NoBoard> {
-    // The library's frame and scale are not used: corners have their column and row.
+    // The frame and scale of the library are not used: corners have their column and row.
     let spec = CharucoBoardSpec::new(board.rows() + 1, board.columns() + 1, 1.0, marker_share as f32, dictionary);
     let view = gray_view(image);
     let detections = CharucoParams::sweep_for_board(&spec).into_iter().filter_map(|params| {
-        // A board that the library refuses is one that `Board` refuses; an image in which it sees none gives none.
+        // A board that the library refuses is one that `Board` refuses; a library error on an image means no corners.
         CharucoDetector::new(params).ok()?.detect(&view).ok()
     });
     let Some(best) = detections.max_by_key(|detection| detection.corners.len()) else { return Err(NoBoard::Markers) };

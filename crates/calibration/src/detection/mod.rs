@@ -1,8 +1,8 @@
-//! Where the corners of a board are in an image.
+//! Detects the corners of a board in an image.
 //!
-//! Corners and the order of those of a chessboard come from `calib-targets-chessboard`, those of ChArUco boards from
-//! `calib-targets-charuco`; what is done here is to hold a chessboard's grid against the board that was announced, to say which
-//! corner is the first one, and to find which corners belong to the tags of an AprilGrid.
+//! `calib-targets-chessboard` detects the corners and grid of chessboards, `calib-targets-charuco` those of ChArUco boards. This
+//! module compares a chessboard grid with the expected board, determines the first corner, and assigns corners to the tags of an
+//! AprilGrid.
 
 mod april_grid;
 mod charuco;
@@ -16,37 +16,37 @@ use nalgebra::Vector2;
 
 use crate::board::{Board, BoardCorner, Chessboard, Pattern, Sighting};
 
-/// Why an image shows no board that can be used.
+/// Why no usable board was detected in an image.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NoBoard {
-    /// Nothing that looks like a chessboard.
-    #[error("no chessboard is seen: check light, sharpness and that the whole board is in the image")]
+    /// No chessboard was detected.
+    #[error("no chessboard detected; check light and sharpness, and that the whole board is in the image")]
     None,
     /// A grid of another size.
     #[error(
-        "a grid of {seen_columns} x {seen_rows} corners is seen, the board has {columns} x {rows}: show the whole board, or correct the numbers of its inner corners"
+        "a grid of {seen_columns} x {seen_rows} corners was detected, the board has {columns} x {rows}; show the whole board, or correct its numbers of inner corners"
     )]
     Size {
-        /// Corners along the longer side of what is seen.
+        /// Corners along the longer side of the detected grid.
         seen_columns: u32,
         /// Corners along the other side.
         seen_rows: u32,
-        /// Of the board.
+        /// Columns of the board.
         columns: u32,
-        /// Of the board.
+        /// Rows of the board.
         rows: u32,
     },
-    /// No marker that can be read.
+    /// No readable marker.
     #[error(
-        "no marker of the board can be read: check light, sharpness and glare, come nearer, and compare the board with --board (its dictionary, its numbers)"
+        "no readable marker; check light, sharpness and glare, move the board nearer, and compare it with --board (dictionary and size)"
     )]
     Markers,
-    /// A board with markers of which too little is seen.
+    /// Too little of a board with markers is visible.
     #[error(
-        "only {seen} of the board's {all} corners are seen beside readable markers, at least {least} in 3 columns and 3 rows are needed: show more of the board, or come nearer"
+        "only {seen} of the board's {all} corners have readable markers, at least {least} in 3 columns and 3 rows are needed; show more of the board, or move it nearer"
     )]
     Few {
-        /// Corners seen.
+        /// Detected corners.
         seen: usize,
         /// Corners of the board.
         all: usize,
@@ -54,27 +54,27 @@ pub enum NoBoard {
         least: usize,
     },
     /// The grid has holes.
-    #[error("only {seen} of the board's {all} corners are seen: uncover the board, or avoid glare on it")]
+    #[error("only {seen} of the board's {all} corners were detected; uncover the board, or avoid glare on it")]
     Gaps {
-        /// Corners seen.
+        /// Detected corners.
         seen: usize,
         /// Corners of the board.
         all: usize,
     },
 }
 
-/// Smaller images show no board; the library that looks for corners panics on empty ones (chess-corners-core 2.1.0).
+/// Smaller images are rejected; the corner detector panics on empty images (chess-corners-core 2.1.0).
 const SIDE_MIN_PX: u32 = 32;
-/// The smallest share of a board's corners that must be seen.
+/// Minimum share of a chessboard's corners that must be detected.
 const SEEN_SHARE_MIN: f64 = 0.8;
 
-/// The smallest number of corners of a board with markers.
+/// Minimum number of corners for a board with markers.
 const CODED_MIN: usize = 12;
 
-/// Finds a board of any kind in an image. Chessboards must be seen as a whole, boards with markers in part.
+/// Detects a board of any type in an image. Chessboards must be completely visible; boards with markers may be partly visible.
 ///
 /// # Errors
-/// As [`find_chessboard`]; of boards with markers, none that can be read, or too few corners.
+/// As [`find_chessboard`]; for boards with markers, no readable marker or too few corners.
 pub fn find_board(image: &GrayImage, board: &Board) -> Result<Sighting, NoBoard> {
     if image.width().min(image.height()) < SIDE_MIN_PX {
         return Err(NoBoard::None);
@@ -86,12 +86,12 @@ pub fn find_board(image: &GrayImage, board: &Board) -> Result<Sighting, NoBoard>
     }
 }
 
-/// An image as the detectors take it.
+/// An image in the format of the detectors.
 fn gray_view(image: &GrayImage) -> GrayImageView<'_> {
     GrayImageView { width: image.width() as usize, height: image.height() as usize, data: image.as_raw().as_slice() }
 }
 
-/// The sighting of a board with markers, if it shows enough of it to place it.
+/// The detected corners of a board with markers, if there are enough to compute its pose.
 fn enough(corners: Vec<BoardCorner>, board: &Board) -> Result<Sighting, NoBoard> {
     let sighting = Sighting::new(corners);
     let different = |of: fn(&BoardCorner) -> u32| {
@@ -107,21 +107,21 @@ fn enough(corners: Vec<BoardCorner>, board: &Board) -> Result<Sighting, NoBoard>
     Ok(sighting)
 }
 
-/// Finds a chessboard in an image.
+/// Detects a chessboard in an image.
 ///
-/// Of a board that colours tell from its half turn, corner (0, 0) is the one whose square towards (1, 1) is dark. Of other
-/// boards it is one of the corners from where rows run to the right or columns downwards, and [`agree`] makes two images
-/// choose the same one.
+/// If the square colours make the orientation unique, corner (0, 0) is the one whose square towards (1, 1) is dark. For other
+/// boards it is one of the corners from which rows run to the right or columns downwards, and [`agree`] makes two images use the
+/// same one.
 ///
 /// # Errors
-/// No grid, one of another size than the board's, or one with gaps.
+/// No grid, a grid whose size differs from the board, or a grid with gaps.
 pub fn find_chessboard(image: &GrayImage, board: &Chessboard) -> Result<Sighting, NoBoard> {
     if image.width().min(image.height()) < SIDE_MIN_PX {
         return Err(NoBoard::None);
     }
     let corners = detect_corners(&gray_view(image), &default_chess_config());
     let grids = ChessboardParams::sweep_default().into_iter().filter_map(|params| {
-        // The parameters are the library's own, which it does not refuse.
+        // The parameters are the library defaults, which it does not refuse.
         ChessboardDetector::new(params).ok()?.detect(&corners)
     });
     let grid = grids.max_by_key(|grid| grid.corners.len()).ok_or(NoBoard::None)?;
@@ -132,10 +132,10 @@ pub fn find_chessboard(image: &GrayImage, board: &Chessboard) -> Result<Sighting
     Ok(sighting)
 }
 
-/// The detected grid on the board, turned by a quarter if its sides are exchanged.
+/// The detected grid assigned to the board, turned by a quarter turn if its sides are exchanged.
 ///
-/// Where the board's border or what lies behind it has added corners, the grid is larger than the board: the board is then the
-/// one part of it that holds all of the board's corners.
+/// If the border of the board or its background added corners, the grid is larger than the board. The board is then the only part
+/// of the grid that contains all corners of the board.
 fn placed(grid: &ChessboardDetection, board: &Chessboard) -> Result<Sighting, NoBoard> {
     let (columns, rows) = (board.columns() as i32, board.rows() as i32);
     let coordinates = || grid.corners.iter().map(|corner| (corner.grid.u, corner.grid.v));
@@ -153,7 +153,7 @@ fn placed(grid: &ChessboardDetection, board: &Chessboard) -> Result<Sighting, No
     let all = board.corner_count();
     let (seen, part) = match parts.as_slice() {
         [(seen, part)] => (*seen, part),
-        // Of several parts one must be whole, and no other.
+        // Exactly one of several candidate parts must be complete.
         [(seen, part), (next, _), ..] if *seen == all && *next < all => (*seen, part),
         _ => {
             let (seen_columns, seen_rows) = (across.max(down).unsigned_abs(), across.min(down).unsigned_abs());
@@ -186,14 +186,14 @@ impl Part {
         (self.u..self.u + self.width).contains(&u) && (self.v..self.v + self.height).contains(&v)
     }
 
-    /// Column and row of a place of the grid that it holds. A quarter turn, not a transposition: the board keeps its handedness.
+    /// Column and row on the board for a grid position. A quarter turn, not a transposition: the board keeps its handedness.
     fn on_board(&self, (u, v): (i32, i32)) -> (u32, u32) {
         let (right, down) = ((u - self.u).unsigned_abs(), (v - self.v).unsigned_abs());
         if self.turned { (down, self.width.unsigned_abs() - 1 - right) } else { (right, down) }
     }
 }
 
-/// Whether the squares of the first one's colour are darker than the others, judged at their middles.
+/// Whether the squares with the colour of the first square are darker than the others, judged at their centres.
 fn first_square_is_dark(image: &GrayImage, sighting: &Sighting) -> bool {
     let (mut sums, mut counts) = ([0.0_f64; 2], [0_u32; 2]);
     for corner in sighting.corners() {
@@ -210,8 +210,8 @@ fn first_square_is_dark(image: &GrayImage, sighting: &Sighting) -> bool {
     mean(0) < mean(1)
 }
 
-/// The second sighting of a board that looks the same after half a turn, turned so that rows run the same way in both
-/// images. For two cameras on one head, whose images are turned against each other by less than a quarter.
+/// The second detection of a board that is symmetric under a half turn, turned so that rows run the same way in both images. For
+/// two cameras on one rig, whose images are rotated relative to each other by less than a quarter turn.
 pub fn agree(first: &Sighting, second: Sighting, board: &Chessboard) -> Sighting {
     let along = |sighting: &Sighting| {
         let mean = |of: &dyn Fn(&BoardCorner) -> bool| {
@@ -274,7 +274,7 @@ mod tests {
         let board = Chessboard::new(9, 6, 0.02).expect("a board");
         let refusal = find_chessboard(&drawn(24, true), &board).expect_err("another board");
         assert_eq!(refusal, NoBoard::Size { seen_columns: 5, seen_rows: 4, columns: 9, rows: 6 });
-        // A smaller board is in a larger one in more than one place.
+        // A smaller board fits into a larger one at several positions.
         let smaller = Chessboard::new(4, 3, 0.02).expect("a board");
         let refusal = find_chessboard(&drawn(24, true), &smaller).expect_err("a larger board");
         assert_eq!(refusal, NoBoard::Size { seen_columns: 5, seen_rows: 4, columns: 4, rows: 3 });

@@ -1,17 +1,17 @@
-//! Corners of boards with markers, to a hundredth of a pixel.
+//! Corner refinement for boards with markers, to a hundredth of a pixel.
 
 use image::GrayImage;
 use nalgebra::{Matrix2, Vector2};
 
-/// Half the window in which a corner is refined, px, and the deviation of its weights.
+/// Half size of the refinement window, px, and the standard deviation of its weights.
 const WINDOW_PX: (i32, f64) = (3, 2.0);
-/// Refining a corner takes a few steps.
+/// Maximum number of refinement iterations.
 const STEPS_MAX: usize = 10;
-/// A corner that moves further while it is refined stays where it was, px.
+/// Maximum displacement during refinement, px; a corner that moves farther keeps its original position.
 const MOVE_MAX_PX: f64 = 1.5;
 
-/// The point from which edges around it run (Foerstner and Guelch, Intercommission Conference on Fast Processing of
-/// Photogrammetric Data, 1987): the detector of chessboards looks further around, where markers are.
+/// The point where the surrounding edges intersect (Foerstner and Guelch, Intercommission Conference on Fast Processing of
+/// Photogrammetric Data, 1987). The chessboard detector uses a larger neighbourhood, which would include the markers.
 pub(super) fn refined(image: &GrayImage, start: &Vector2<f64>) -> Vector2<f64> {
     let mut at = *start;
     for _ in 0..STEPS_MAX {
@@ -27,7 +27,7 @@ pub(super) fn refined(image: &GrayImage, start: &Vector2<f64>) -> Vector2<f64> {
     at
 }
 
-/// The point nearest to all edges in the window around a point; `None` at the image's border, or where edges run one way only.
+/// The point nearest to all edges in a window; `None` at the image border, or if all edges have the same direction.
 fn edges_meet(image: &GrayImage, at: &Vector2<f64>) -> Option<Vector2<f64>> {
     let (half, deviation) = WINDOW_PX;
     let (mut squares, mut places) = (Matrix2::zeros(), Vector2::zeros());
@@ -44,7 +44,7 @@ fn edges_meet(image: &GrayImage, at: &Vector2<f64>) -> Option<Vector2<f64>> {
     Some(squares.try_inverse()? * places).filter(|point| point.iter().all(|value| value.is_finite()))
 }
 
-/// The image between its pixels.
+/// Interpolated image value.
 fn value(image: &GrayImage, at: &Vector2<f64>) -> Option<f64> {
     let (x, y) = (at.x.floor(), at.y.floor());
     if x < 0.0 || y < 0.0 {

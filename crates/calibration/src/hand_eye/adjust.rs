@@ -1,7 +1,7 @@
-//! The adjustment: corners of all stops in both cameras, and the poses of the arms with their own noise, by least squares.
+//! Hand-eye adjustment: corners of all stops in both cameras, and the arm poses with their own noise, by least squares.
 //!
-//! Levenberg-Marquardt; the corrections of the arms' poses are eliminated stop by stop (Schur complement, as in
-//! `crate::adjust`), so what is solved has 12 to 20 unknowns however many stops there are.
+//! Levenberg-Marquardt. The corrections of the arm poses are eliminated stop by stop (Schur complement, as in `crate::adjust`),
+//! so the reduced system has 12 to 20 unknowns for any number of stops.
 
 use nalgebra::{DMatrix, DVector, Isometry3, Vector6};
 use pb3dp_geometry::se3;
@@ -10,13 +10,13 @@ use super::HandEyeError;
 use super::model::{LOCAL, POSE, SCALES, Seen, Setting, State};
 
 const STEPS_MAX: usize = 100;
-/// Where damping begins, and where no step helps any more.
+/// Initial damping, and the damping at which the adjustment gives up.
 const DAMPING: [f64; 2] = [1e-6, 1e12];
-/// A step that raises the cost by no larger share is as good as one that lowers it: rounding.
+/// Relative cost increase that counts as rounding; such an iteration is accepted.
 const DECREASE_MIN: f64 = 1e-12;
-/// A step that lowers the cost by a smaller share is the last one.
+/// The adjustment ends when an iteration lowers the cost by a smaller share.
 const SETTLED: f64 = 1e-10;
-/// Least eigenvalue of the scaled information, as a share of the largest, below which something is not determined.
+/// Smallest eigenvalue of the scaled information, as a share of the largest, for the parameters to be determined.
 const DETERMINED_MIN: f64 = 1e-11;
 
 /// The normal equations of one stop.
@@ -30,30 +30,30 @@ struct StopEquations {
     cost: f64,
 }
 
-/// The end of an adjustment.
+/// The result of an adjustment.
 #[derive(Clone)]
 pub(super) struct Adjusted {
     pub state: State,
-    /// Twice the cost: corners over their variance, and corrections of the arms over theirs.
+    /// Twice the cost: corner errors over their variance, and arm corrections over theirs.
     pub chi2: f64,
-    /// What each stop adds to the information about the shared parameters.
+    /// Contribution of each stop to the information of the shared parameters.
     pub information: Vec<DMatrix<f64>>,
-    /// The gradient that each stop adds; their sum is zero.
+    /// Gradient contribution of each stop; the sum is zero.
     pub gradients: Vec<DVector<f64>>,
 }
 
 impl Adjusted {
-    /// The information of all stops but one, or of all.
+    /// The information of all stops except the given one, or of all stops.
     pub(super) fn information_without(&self, stop: Option<usize>) -> DMatrix<f64> {
         let count = self.information.first().map_or(0, DMatrix::nrows);
         let others = self.information.iter().enumerate().filter(|(index, _)| Some(*index) != stop);
         others.fold(DMatrix::zeros(count, count), |sum, (_, information)| sum + information)
     }
 
-    /// The inverse of that.
+    /// The inverse of [`Self::information_without`].
     ///
     /// # Errors
-    /// A parameter that is not determined, by its name.
+    /// The name of a parameter that is not determined.
     pub(super) fn covariance_without(
         &self,
         stop: Option<usize>,
@@ -80,7 +80,7 @@ impl Adjusted {
     }
 }
 
-/// How far an arm's pose was corrected.
+/// The correction of an arm pose.
 fn correction(measured: &Isometry3<f64>, corrected: &Isometry3<f64>) -> Vector6<f64> {
     se3::log(&(measured.inverse() * corrected))
 }
@@ -133,11 +133,11 @@ fn equations(state: &State, index: usize, stop: &Seen<'_>, setting: &Setting<'_>
     Some(equations)
 }
 
-/// What is left of a stop's equations when its arms are eliminated.
+/// The equations of a stop with its arm corrections eliminated.
 struct Eliminated {
     information: DMatrix<f64>,
     gradient: DVector<f64>,
-    /// The arms' own step, and how it follows the shared parameters.
+    /// Step of the arm corrections, and its derivative with respect to the shared parameters.
     own: DVector<f64>,
     follows: DMatrix<f64>,
 }
@@ -158,7 +158,7 @@ fn eliminate(equations: &StopEquations, damping: f64) -> Option<Eliminated> {
     })
 }
 
-/// A damped step.
+/// The state after a damped step.
 fn next(state: &State, stops: &[StopEquations], damping: f64) -> Option<State> {
     let eliminated = stops.iter().map(|stop| eliminate(stop, damping)).collect::<Option<Vec<_>>>()?;
     let mut information: DMatrix<f64> = eliminated.iter().map(|stop| &stop.information).sum();
@@ -174,10 +174,10 @@ fn next(state: &State, stops: &[StopEquations], damping: f64) -> Option<State> {
     Some(next)
 }
 
-/// Adjusts everything from a start.
+/// Adjusts all parameters from a start.
 ///
 /// # Errors
-/// A corner that is not visible from where the adjustment begins, or no end.
+/// A corner is not visible at the start, or no convergence.
 pub(super) fn adjust(start: State, stops: &[Seen<'_>], setting: &Setting<'_>) -> Result<Adjusted, HandEyeError> {
     let mut state = start;
     let mut damping = DAMPING[0];

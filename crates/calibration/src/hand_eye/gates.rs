@@ -1,17 +1,17 @@
-//! Gates: what a hand-eye calibration must reach to be used, and what to do where it does not.
+//! Quality gates of a hand-eye calibration: the limits it must meet, and the advice if it does not.
 
 use std::fmt;
 
 use super::{HandEyeFit, Scale};
 use crate::gates::{Grade, Limit, LimitError};
 
-/// A factor of lengths is off only where chance does not explain it: by more than so many standard deviations.
+/// A length factor counts as wrong only if it deviates from 1 by more than this number of standard deviations.
 const SCALE_SIGMAS: f64 = 2.0;
 
-/// Something that is judged.
+/// A judged quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HandEyeGate {
-    /// Stops that were used.
+    /// Number of used stops.
     Stops,
     /// Stops that disagree with all others.
     Outliers,
@@ -19,18 +19,18 @@ pub enum HandEyeGate {
     RotationSpread,
     /// Reprojection error.
     Corners,
-    /// Place of the board by each stop, against the calibration by all others.
+    /// Board position at each stop, compared with the calibration from all other stops.
     LeftOutDistance,
-    /// The same, angle.
+    /// The same for the orientation.
     LeftOutAngle,
-    /// Lengths, by the robot's metres.
+    /// Lengths, with the robot as reference.
     Scale,
-    /// Error of the hand that the calibration leaves.
+    /// Hand error caused by the calibration.
     HandError,
 }
 
 impl HandEyeGate {
-    /// All of them, in the order in which they are told.
+    /// All gates, in display order.
     pub const ALL: [Self; 8] = [
         Self::Stops,
         Self::Outliers,
@@ -61,7 +61,7 @@ impl HandEyeGate {
         matches!(self, Self::Stops | Self::RotationSpread)
     }
 
-    /// What is measured, for a hand that works at the given distance.
+    /// The measured value, for a hand working at the given distance.
     fn measured(self, fit: &HandEyeFit, distance_m: f64) -> f64 {
         let used = fit.used().count() as f64;
         let rms =
@@ -78,21 +78,21 @@ impl HandEyeGate {
         }
     }
 
-    /// What to do where it is not good.
+    /// Advice if the grade is not good.
     fn advice(self, fit: &HandEyeFit) -> &'static str {
         match self {
             Self::Stops => "visit more poses, 15 to 20, from which both cameras see the whole board",
             Self::Outliers => {
-                "stops that disagree with all others: wait until the arm is still before an image, fix the board, and visit them again"
+                "some stops disagree with all others: wait until the arm is stationary before taking an image, fix the board, and visit these stops again"
             }
             Self::RotationSpread => {
-                "turn the flange about two axes at least, by 15 to 30 degrees each; `pb3dp calibrate propose` chooses such poses"
+                "rotate the flange about at least two axes, by 15 to 30 degrees each; `pb3dp calibrate propose` chooses such poses"
             }
             Self::Corners => {
-                "does the stereo calibration belong to these cameras, as they are now? Look for blur and a bent board, and calibrate the head anew from these images"
+                "check that the stereo calibration belongs to these cameras in their present state, check for blur and a bent board, and calibrate the stereo rig again from these images"
             }
             Self::LeftOutDistance | Self::LeftOutAngle => {
-                "the stops contradict each other: see that cameras and board are fixed and the arm is still, that the robot's description is that of this arm, and its zero positions are right"
+                "the stops contradict each other: check that cameras and board are fixed, that the arm is stationary at each stop, that the robot description matches this arm, and that its joint zero positions are correct"
             }
             Self::Scale => scale_advice(fit),
             Self::HandError => "visit more poses, with larger rotations, and with the board nearer",
@@ -100,25 +100,25 @@ impl HandEyeGate {
     }
 }
 
-/// How far a factor is from 1 beyond what chance explains.
+/// Deviation of a factor from 1, minus the part explained by chance.
 fn off(scale: Scale) -> f64 {
     worst(0.0, (scale.factor - 1.0).abs() - SCALE_SIGMAS * scale.sigma)
 }
 
-/// The larger one, and what is no number before any other: `max` would hide it.
+/// The larger value; NaN takes precedence, which `max` would hide.
 fn worst(a: f64, b: f64) -> f64 {
     if a > b || a.is_nan() { a } else { b }
 }
 
-/// Which length is wrong: both, if one is off by a third of the other at least.
+/// Which length is wrong; both, if the smaller deviation is at least a third of the larger one.
 fn scale_advice(fit: &HandEyeFit) -> &'static str {
     let [squares, baseline] = [fit.scales.squares, fit.scales.baseline].map(|scale| (scale.factor - 1.0).abs());
     if squares > 3.0 * baseline {
-        "measure the squares: their side is not what was typed here (ten squares with a ruler, divided by ten)"
+        "measure the squares: their side differs from --square (measure ten squares with a ruler and divide)"
     } else if baseline > 3.0 * squares {
-        "measure the squares with which the stereo head was calibrated, and calibrate it anew: its baseline is wrong"
+        "measure the squares used for the stereo calibration, and calibrate the stereo rig again: its baseline is wrong"
     } else {
-        "measure the squares (ten with a ruler, divided by ten), then calibrate the stereo head and the hand anew; if they are right, the robot's description is not that of this arm"
+        "measure the squares (measure ten with a ruler and divide), then calibrate the stereo rig and the hand again; if the squares are correct, the robot description does not match this arm"
     }
 }
 
@@ -150,16 +150,16 @@ impl HandEyeLimits {
         self.limits[gate as usize]
     }
 
-    /// The same with another limit of one gate.
+    /// The same limits with the limit of one gate replaced.
     ///
     /// # Errors
-    /// Numbers that are not finite, negative, or the wrong way round.
+    /// Numbers that are not finite, negative, or in the wrong order.
     pub fn with(mut self, gate: HandEyeGate, limit: Limit) -> Result<Self, LimitError> {
         self.limits[gate as usize] = limit.checked(gate.key(), gate.is_floor())?;
         Ok(self)
     }
 
-    /// Judges a calibration of a hand that works at the given distance.
+    /// Judges a calibration for a hand working at the given distance.
     pub fn judge(&self, fit: &HandEyeFit, distance_m: f64) -> Vec<HandEyeVerdict> {
         let of = |gate: HandEyeGate| HandEyeVerdict {
             gate,
@@ -171,21 +171,21 @@ impl HandEyeLimits {
     }
 }
 
-/// What one gate says.
+/// The result of one gate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HandEyeVerdict {
     /// The gate.
     pub gate: HandEyeGate,
-    /// What was measured, in the unit of the gate's key.
+    /// The measured value, in the unit of the gate's key.
     pub measured: f64,
-    /// What it was held against.
+    /// The limit it was compared with.
     pub limit: Limit,
-    /// What to do where it is not good.
+    /// Advice if the grade is not good.
     pub advice: &'static str,
 }
 
 impl HandEyeVerdict {
-    /// How it was passed; a number that is not finite is refused.
+    /// The grade; a value that is not finite is refused.
     pub fn grade(&self) -> Grade {
         self.limit.grade(self.measured, self.gate.is_floor())
     }

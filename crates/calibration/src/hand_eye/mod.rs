@@ -1,15 +1,15 @@
-//! Hand-eye calibration: where the cameras sit on the arm that carries them, and where the board is.
+//! Hand-eye calibration: the pose of the cameras on the arm that carries them, and the pose of the board.
 //!
-//! The corners of the board in both cameras and the poses that the robot states are adjusted together. A robot's pose is a
-//! measurement with noise of its own: each stop's flange pose gets a correction, held by a prior. The stereo calibration is
-//! known; what its errors do to the result is added to the covariance ([`CalibrationCovariance`]).
+//! The board corners in both cameras and the reported robot poses are adjusted together. A robot pose is a noisy measurement: the
+//! flange pose of each stop gets a correction, constrained by a prior. The stereo calibration is fixed; the effect of its errors
+//! is added to the covariance ([`CalibrationCovariance`]).
 //!
-//! The board is at rest in the room, or on the flange of the other arm; then the other arm's base and the board's pose on its
-//! flange are unknowns, too. In the names here `base` and `flange` are those of the arm with the cameras (`vs`), `tc_base` and
-//! `tc_flange` those of the other one.
+//! The board is either stationary in the room or mounted on the flange of the other arm. In the second case the base pose of the
+//! other arm and the board pose on its flange are unknowns as well. In names, `base` and `flange` belong to the arm with the
+//! cameras (`vs`), `tc_base` and `tc_flange` to the other arm.
 //!
-//! The robot knows metres. So the size of the squares, which images cannot tell, and the baseline are estimated as well,
-//! to be judged: [`Scales`].
+//! The robot provides absolute lengths. The size of the squares, which images cannot reveal, and the baseline are therefore
+//! estimated as well and judged: [`Scales`].
 
 mod adjust;
 pub mod gates;
@@ -34,23 +34,23 @@ use start::{Poses, rests, rotation_spread_deg};
 pub use uncertain::CalibrationCovariance;
 use uncertain::Direction;
 
-/// A corner is not known better than this, px: keeps weights finite where corners are exact.
+/// Lower limit of the corner noise, px; keeps weights finite if corners are exact.
 const CORNER_SIGMA_MIN_PX: f64 = 1e-3;
 
-/// One stop: what was seen, and where the arms said they were.
+/// One stop: the detected boards and the reported arm poses.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HandEyeStop {
-    /// What it is called, for instance the name of its left image.
+    /// Name of the stop, for example the name of its left image.
     pub name: String,
-    /// What the left and the right camera saw.
+    /// Detected corners in the left and right camera.
     pub sightings: [Sighting; 2],
-    /// The flange of the arm with the cameras, by its joints.
+    /// Flange pose of the arm with the cameras, from its joint positions.
     pub base_from_flange: Pose<Base, Flange>,
-    /// The flange of the other arm, by its joints, if there is one.
+    /// Flange pose of the other arm, from its joint positions, if there is one.
     pub tc_base_from_tc_flange: Option<Pose<TcBase, TcFlange>>,
 }
 
-/// How well an arm knows its flange: standard deviations of each of three directions and axes, from stop to stop.
+/// Noise of the flange pose from stop to stop: standard deviations per direction and per axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RobotSigma {
     /// Metres.
@@ -66,12 +66,12 @@ impl Default for RobotSigma {
     }
 }
 
-/// What a hand-eye calibration is made from.
+/// The inputs of a hand-eye calibration.
 #[derive(Clone, Copy, Debug)]
 pub struct Given<'a> {
-    /// The stereo head.
+    /// The stereo rig.
     pub rig: &'a StereoRig,
-    /// What is known of the errors of the stereo head.
+    /// Covariance of the stereo calibration, if known.
     pub rig_covariance: Option<&'a CalibrationCovariance>,
     /// The board.
     pub board: &'a Chessboard,
@@ -79,20 +79,20 @@ pub struct Given<'a> {
     pub robot: RobotSigma,
 }
 
-/// Why no hand-eye calibration came of the stops.
+/// Why a hand-eye calibration failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum HandEyeError {
     /// Too few stops.
     #[error(
-        "{seen} stops at which both cameras see the board, at least {STOPS_MIN} are needed, 15 are good: visit more poses"
+        "only {seen} stops at which both cameras see the board, at least {STOPS_MIN} are needed, 15 are good; visit more poses"
     )]
     Stops {
-        /// Stops that can be used.
+        /// Usable stops.
         seen: usize,
     },
-    /// A board that is taken for itself turned by half a turn.
+    /// A board that is symmetric under a half turn.
     #[error(
-        "a board of {columns} x {rows} corners looks the same after half a turn, so its pose cannot be told from stop to stop: use one with one odd and one even number of corners"
+        "a board of {columns} x {rows} corners looks the same after half a turn, so its orientation is ambiguous; use a board with one odd and one even number of corners"
     )]
     Board {
         /// Inner corners along a row.
@@ -100,72 +100,70 @@ pub enum HandEyeError {
         /// Inner corners along a column.
         rows: u32,
     },
-    /// A noise of the robot that cannot be.
-    #[error(
-        "the noise of the robot is given as {translation_mm} mm and {rotation_deg} degrees: both must be above zero"
-    )]
+    /// A robot noise out of range.
+    #[error("robot noise of {translation_mm} mm and {rotation_deg} degrees: both must be above zero")]
     Robot {
         /// Millimetres.
         translation_mm: f64,
         /// Degrees.
         rotation_deg: f64,
     },
-    /// A stop without the pose of the other arm, which has moved.
+    /// A stop without the pose of the other arm, although that arm has moved.
     #[error(
-        "stop {stop:?} does not say where the arm tc was, and others say that it has moved: record all stops with both arms"
+        "stop {stop:?} has no pose of the arm tc, although tc has moved between other stops; record all stops with both arms"
     )]
     NoTc {
         /// The stop.
         stop: String,
     },
-    /// A board that a stop's cameras cannot place.
+    /// A stop at which no board pose fits the corners.
     #[error(
-        "stop {stop:?}: no pose of the board explains its corners: does the stereo calibration belong to these cameras?"
+        "stop {stop:?}: no board pose fits the corners; check that the stereo calibration belongs to these cameras"
     )]
     Unplaced {
         /// The stop.
         stop: String,
     },
-    /// An arm that has turned about one axis only.
+    /// An arm that has rotated about one axis only.
     #[error(
-        "the arm {arm} has turned by {second_deg:.2} degrees rms about the axis that it used second most: its rotations must be about two axes at least, by 15 to 30 degrees each; let `pb3dp calibrate propose` choose the poses"
+        "the arm {arm} has rotated by only {second_deg:.2} degrees rms about its second axis of rotation; rotate about at least two axes, by 15 to 30 degrees each; `pb3dp calibrate propose` chooses such poses"
     )]
     Axes {
         /// Which arm.
         arm: &'static str,
-        /// Rotations between stops about the second axis, root mean square, degrees.
+        /// Rotations between stops about the second axis of rotation, root mean square, degrees.
         second_deg: f64,
     },
     /// Arms that always moved together.
     #[error(
-        "there are fewer than three pairs of stops between which the arm {arm} has moved and the other one has not: visit some poses of each arm while the other one rests"
+        "fewer than three pairs of stops between which only the arm {arm} has moved; visit some poses of each arm while the other arm is stationary"
     )]
     OneAtATime {
         /// Which arm.
         arm: &'static str,
     },
-    /// The stops leave something open.
+    /// The stops do not determine a parameter.
     #[error(
         "the stops do not determine {parameter}: visit poses that differ in rotations about two axes, by 15 to 30 degrees, and in distance"
     )]
     Undetermined {
-        /// The parameter that is least known.
+        /// The least determined parameter.
         parameter: String,
     },
-    /// A corner that should not be in sight.
+    /// A corner outside the field of view.
     #[error(
-        "a corner would lie behind a camera: the poses of the arm do not fit the images; do both belong to the same recording, and the stereo calibration to these cameras?"
+        "a corner lies behind a camera: the arm poses do not match the images; check that both belong to the same recording, and that the stereo calibration belongs to these cameras"
     )]
     NotVisible,
-    /// No end within the steps allowed.
-    #[error("the adjustment did not settle within {steps} steps: visit more poses, with rotations about two axes")]
+    /// No convergence within the allowed iterations.
+    #[error("the adjustment did not converge within {steps} steps; visit more poses, with rotations about two axes")]
     NotSettled {
-        /// Steps made.
+        /// Number of iterations.
         steps: usize,
     },
     /// No majority of stops agrees.
     #[error(
-        "only {agree} of {all} stops agree with each other: was the board or a camera moved between the stops, or the arm recorded while it moved?"
+        "only {agree} of {all} stops agree with each other; check that board and cameras were not moved between the stops, and that the arm was stationary at each stop"
     )]
     Contradiction {
         /// Stops that agree.
@@ -173,77 +171,77 @@ pub enum HandEyeError {
         /// All stops.
         all: usize,
     },
-    /// A covariance of other numbers.
+    /// A covariance of other parameters.
     #[error(
-        "the covariance of the stereo calibration speaks of {found} and not of {expected}: calibrate the head anew with this version"
+        "the stereo calibration has the covariance parameters {found}, expected are {expected}; calibrate the stereo rig again with this version"
     )]
     RigCovariance {
-        /// What it speaks of.
+        /// The parameters found.
         found: String,
-        /// What it should.
+        /// The expected parameters.
         expected: String,
     },
 }
 
-/// A factor of lengths, as the robot's metres have it.
+/// A length factor, with the robot as reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scale {
-    /// True over stated length.
+    /// True length divided by stated length.
     pub factor: f64,
     /// Its standard deviation.
     pub sigma: f64,
 }
 
-/// What the robot says of lengths that the cameras were told.
+/// Factors of the lengths given to the cameras, with the robot as reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scales {
-    /// Of the side of a square.
+    /// Factor of the side of a square.
     pub squares: Scale,
-    /// Of the baseline of the stereo calibration.
+    /// Factor of the baseline of the stereo calibration.
     pub baseline: Scale,
 }
 
-/// What one stop says of the others' calibration.
+/// One stop compared with the calibration from the other stops.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StopCheck {
     /// The stop.
     pub name: String,
-    /// Whether it was used; if not, it disagrees with all others.
+    /// Whether the stop was used; an unused stop disagrees with all others.
     pub used: bool,
-    /// Where its cameras see the board, against where the calibration by all other stops says it is: distance of the board's middle, mm.
+    /// Distance between the board centre seen at this stop and the one predicted by the calibration from all other stops, mm.
     pub left_out_mm: f64,
-    /// The same, angle, degrees.
+    /// The same for the angle, degrees.
     pub left_out_deg: f64,
-    /// The same in standard deviations of that difference, all six numbers together (Mahalanobis distance).
+    /// The same in standard deviations of the difference, all six parameters together (Mahalanobis distance).
     pub left_out_sigmas: f64,
-    /// Distance between predicted and seen corners, root mean square, px; none for a stop that was not used.
+    /// Distance between predicted and detected corners, root mean square, px; none for an unused stop.
     pub corner_rms_px: Option<f64>,
 }
 
-/// A hand-eye calibration, with what is known about its errors.
+/// A hand-eye calibration with its covariance.
 #[derive(Clone, Debug)]
 pub struct HandEyeFit {
     state: State,
     rig: StereoRig,
-    /// The covariance without the errors of the head, and these.
+    /// The covariance without the errors of the stereo calibration, and these errors.
     by_stops: DMatrix<f64>,
     by_head: Vec<Direction>,
-    /// Names of the parameters: `flange_from_cam_left.x_m`; metres and radians. Each pose moves by `exp([x y z rx ry rz])` on its
-    /// right side, in the frame it comes from.
+    /// Parameter names: `flange_from_cam_left.x_m`; metres and radians. Each pose is perturbed by `exp([x y z rx ry rz])` on its
+    /// right side, in its source frame.
     pub names: Vec<String>,
-    /// Their covariance.
+    /// Covariance of the parameters.
     pub covariance: DMatrix<f64>,
-    /// Each stop.
+    /// The results of each stop.
     pub stops: Vec<StopCheck>,
-    /// Standard deviation of a corner in a row or column, px, by each stop's corners alone.
+    /// Standard deviation of a corner in a row or column, px, from independent fits of each stop.
     pub corner_sigma_px: f64,
-    /// Distance between predicted and seen corners, root mean square over all stops that were used, px.
+    /// Distance between predicted and detected corners, root mean square over all used stops, px.
     pub corner_rms_px: f64,
-    /// Noise of the arms as the stops show it, over the one that was stated.
+    /// Noise of the arms estimated from the stops, divided by the stated noise.
     pub robot_noise_ratio: f64,
-    /// What the robot says of lengths.
+    /// Length factors with the robot as reference.
     pub scales: Scales,
-    /// Rotations between stops about the axis that is used second most, root mean square, degrees: of the arm that turned least.
+    /// Rotations between stops about the second axis of rotation, root mean square, degrees: of the arm that rotated least.
     pub rotation_spread_deg: f64,
 }
 
@@ -251,7 +249,7 @@ impl HandEyeFit {
     /// Calibrates from stops with images of the board.
     ///
     /// # Errors
-    /// Too few stops, stops that leave something open, or of which no majority agrees.
+    /// Too few stops, a parameter that the stops do not determine, or no majority of agreeing stops.
     pub fn new(stops: &[HandEyeStop], given: &Given<'_>) -> Result<Self, HandEyeError> {
         let RobotSigma { translation_m, rotation_rad } = given.robot;
         if !(translation_m > 0.0 && rotation_rad > 0.0 && translation_m.is_finite() && rotation_rad.is_finite()) {
@@ -279,7 +277,7 @@ impl HandEyeFit {
         Self::of(&all, checked, &setting, given.rig_covariance)
     }
 
-    /// With the lengths taken as they were stated, from the stops that agree when lengths are free.
+    /// Uses the stated lengths, with the stops that agree when the lengths are estimated.
     fn of(
         all: &All<'_>,
         checked: outliers::Settled,
@@ -339,13 +337,13 @@ impl HandEyeFit {
         })
     }
 
-    /// The left camera on the flange.
+    /// Pose of the left camera on the flange.
     pub fn flange_from_cam_left(&self) -> Pose<Flange, CamLeft> {
-        // Claimed by the chain of poses in `model`.
+        // The frames follow from the chain of poses in `model`.
         Pose::from_isometry(self.state.flange_from_cam)
     }
 
-    /// Where the board is.
+    /// Pose of the board.
     pub fn board(&self) -> BoardPlace {
         match self.state.place {
             Place::Room { base_from_board } => {
@@ -364,9 +362,9 @@ impl HandEyeFit {
         Some(self.covariance[(index, index)].max(0.0).sqrt())
     }
 
-    /// How far a point straight ahead of the left camera is expected to be from where the flange thinks it is, metres: one standard
-    /// deviation in space (root of the three variances' sum). Its images in both cameras are taken as exact; an error of the head
-    /// that the camera's pose on the flange makes good does not count.
+    /// Expected position error on the flange of a point straight ahead of the left camera, metres: one standard deviation in
+    /// space (root of the sum of the three variances). The image points in both cameras are assumed exact. An error of the stereo
+    /// calibration that the camera pose on the flange compensates does not count.
     pub fn hand_error_m(&self, distance_m: f64) -> f64 {
         let point = Point3::new(0.0, 0.0, distance_m);
         let by = crate::adjust::point_by_motion(&point, &nalgebra::Matrix3::identity());
@@ -378,25 +376,25 @@ impl HandEyeFit {
         (by_stops.max(0.0) + by_head.sum::<f64>()).sqrt()
     }
 
-    /// Stops that were used.
+    /// The used stops.
     pub fn used(&self) -> impl Iterator<Item = &StopCheck> {
         self.stops.iter().filter(|stop| stop.used)
     }
 
-    /// Stops that were not used because they disagree with all others.
+    /// The stops rejected because they disagree with all others.
     pub fn rejected(&self) -> impl Iterator<Item = &StopCheck> {
         self.stops.iter().filter(|stop| !stop.used)
     }
 }
 
-/// The stops in all three forms.
+/// The stops in all three representations.
 struct All<'a> {
     stops: &'a [HandEyeStop],
     seen: &'a [Seen<'a>],
     alone: &'a [(Poses, Corners)],
 }
 
-/// The board in the left camera by the corners in both images; `None` if no pose explains them.
+/// The board pose in the left camera from the corners in both images; `None` if no pose fits them.
 pub fn place_board(rig: &StereoRig, board: &Chessboard, sightings: &[Sighting; 2]) -> Option<Pose<CamLeft, Board>> {
     let [left, right] = sightings;
     let seen = Seen { sightings: [left, right], vs: Isometry3::identity(), tc: None, rests: [None; 2] };
@@ -408,11 +406,11 @@ pub fn place_board(rig: &StereoRig, board: &Chessboard, sightings: &[Sighting; 2
         scales_free: false,
     };
     let (cam_from_board, _) = seen.by_itself(&setting, board_pose(rig.left(), left, board)?, [1.0; SCALES])?;
-    // What the corners are projected from.
+    // Initial pose for the projection of the corners.
     Some(Pose::from_isometry(cam_from_board))
 }
 
-/// Whether the other arm has moved between the stops, so that it is the one that carries the board.
+/// Whether the other arm has moved between the stops, which means that it carries the board.
 pub fn tc_has_moved(stops: &[HandEyeStop]) -> bool {
     let mut poses = stops.iter().filter_map(|stop| stop.tc_base_from_tc_flange);
     let Some(first) = poses.next() else { return false };
@@ -438,7 +436,7 @@ fn seen(stops: &[HandEyeStop]) -> Result<Vec<Seen<'_>>, HandEyeError> {
     Ok(seen)
 }
 
-/// Of each stop the number of the first one at which an arm was in the same place, if there are several such stops.
+/// For each stop, the number of the first stop with the same arm pose, if several stops share the pose.
 fn places(seen: &[Seen<'_>], pose: impl Fn(&Seen<'_>) -> Option<Isometry3<f64>>) -> Vec<Option<usize>> {
     let first = |stop: &Seen<'_>| {
         let here = pose(stop)?;
@@ -449,7 +447,7 @@ fn places(seen: &[Seen<'_>], pose: impl Fn(&Seen<'_>) -> Option<Isometry3<f64>>)
     firsts.iter().map(|place| place.filter(|_| several(place))).collect()
 }
 
-/// The board by the corners of one stop alone.
+/// The board pose from the corners of one stop only.
 fn alone(seen: &Seen<'_>, stop: &HandEyeStop, setting: &Setting<'_>) -> Result<(Poses, Corners), HandEyeError> {
     let unplaced = || HandEyeError::Unplaced { stop: stop.name.clone() };
     let guess = board_pose(setting.rig.left(), seen.sightings[0], setting.board).ok_or_else(unplaced)?;
@@ -457,7 +455,7 @@ fn alone(seen: &Seen<'_>, stop: &HandEyeStop, setting: &Setting<'_>) -> Result<(
     Ok((Poses { vs: seen.vs, tc: seen.tc, cam_from_board }, corners))
 }
 
-/// Standard deviation of a corner by the stops' own fits, px.
+/// Standard deviation of a corner from independent fits of each stop, px.
 fn corner_sigma_px<'a>(alone: impl Iterator<Item = &'a Corners>) -> f64 {
     let (squares, free) = alone.fold((0.0, 0_usize), |(squares, free), corners| {
         (squares + corners.squares, free + (2 * corners.count).saturating_sub(POSE))
@@ -465,7 +463,7 @@ fn corner_sigma_px<'a>(alone: impl Iterator<Item = &'a Corners>) -> f64 {
     (squares / free.max(1) as f64).sqrt().max(CORNER_SIGMA_MIN_PX)
 }
 
-/// The factors of squares and baseline, of an adjustment in which they are free.
+/// The factors of squares and baseline, from an adjustment that estimates them.
 fn scales(adjusted: &Adjusted, factor: f64, setting: &Setting<'_>) -> Result<Scales, HandEyeError> {
     let covariance = adjusted.covariance_without(None, setting)? * factor;
     let first = covariance.nrows() - SCALES;
@@ -476,7 +474,7 @@ fn scales(adjusted: &Adjusted, factor: f64, setting: &Setting<'_>) -> Result<Sca
     Ok(Scales { squares: scale(0), baseline: scale(1) })
 }
 
-/// Rotations about the second axis, of the arm that turned least.
+/// Rotations about the second axis, of the arm that rotated least.
 fn spread_deg(seen: &[Seen<'_>]) -> f64 {
     let vs: Vec<Isometry3<f64>> = seen.iter().map(|seen| seen.vs).collect();
     let tc: Vec<Isometry3<f64>> = seen.iter().filter_map(|seen| seen.tc).collect();
@@ -484,17 +482,17 @@ fn spread_deg(seen: &[Seen<'_>]) -> f64 {
     if tc.is_empty() { of_vs } else { of_vs.min(rotation_spread_deg(&tc)) }
 }
 
-/// The difference of two poses of the board, in its own frame.
+/// The difference of two board poses, in the board frame.
 #[derive(Clone, Copy, Debug)]
 struct Difference {
-    /// `expected * exp(by)` is what was seen.
+    /// `expected * exp(by)` is the observed pose.
     by: Vector6<f64>,
-    /// Over its covariance: squared Mahalanobis distance.
+    /// Squared Mahalanobis distance.
     squared_sigmas: f64,
 }
 
 impl Difference {
-    /// Of the board's middle, metres.
+    /// Distance of the board centres, metres.
     fn distance_m(&self, board: &Chessboard) -> f64 {
         let middle = board.corner_in_board(board.columns() - 1, board.rows() - 1) * 0.5;
         (se3::exp(&self.by) * middle - middle).norm()

@@ -1,9 +1,9 @@
-//! The chain of poses from the board to the cameras, what each stop says of it, and how it follows the unknowns.
+//! The chain of poses from the board to the cameras, the information of each stop about it, and its derivatives.
 //!
-//! A stop's board is seen at `cam_left_from_board = X^-1 F^-1 Y`: `X` the camera on the flange, `F` the flange in the base, `Y` the
-//! board in the base, which is `Z G W` for a board on the other arm (its base, its flange, the board on it). All poses move by
-//! `exp(xi)` on their right side, `xi` = [translation; rotation], so every one of them moves the board in its own frame, and
-//! what the corners say of that motion is summed once per stop.
+//! At a stop the board is seen at `cam_left_from_board = X^-1 F^-1 Y`: `X` is the camera on the flange, `F` the flange in the
+//! base, `Y` the board in the base. For a board on the other arm `Y` is `Z G W` (its base, its flange, the board on it). All
+//! poses are perturbed by `exp(xi)` on their right side, `xi` = [translation; rotation]. Each of them therefore moves the board
+//! in its own frame, and the corner information about that motion is summed once per stop.
 
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix6, Point3, SMatrix, SVector, Vector2, Vector3, Vector6};
 use pb3dp_geometry::{Camera, StereoRig, se3};
@@ -11,80 +11,80 @@ use pb3dp_geometry::{Camera, StereoRig, se3};
 use crate::adjust::point_by_motion;
 use crate::board::{Chessboard, Sighting};
 
-/// Numbers of a pose.
+/// Number of pose parameters.
 pub(super) const POSE: usize = 6;
-/// What the corners of a stop speak of: the board's motion in its own frame, the factors of squares and baseline.
+/// Local parameters observed by the corners of a stop: board motion in its own frame, factors of squares and baseline.
 pub(super) const LOCAL: usize = POSE + SCALES;
-/// Factors of lengths: of the squares and of the baseline.
+/// Number of length factors: squares and baseline.
 pub(super) const SCALES: usize = 2;
 
-/// What one stop gives.
+/// The observations of one stop.
 #[derive(Clone)]
 pub(super) struct Seen<'a> {
-    /// What the left and the right camera saw.
+    /// Detected corners of the left and the right camera.
     pub sightings: [&'a Sighting; 2],
-    /// The arm that carries the cameras: its flange in its base.
+    /// Flange pose in the base of the arm that carries the cameras.
     pub vs: Isometry3<f64>,
-    /// The arm that carries the board, if one does.
+    /// Flange pose of the arm that carries the board, if one does.
     pub tc: Option<Isometry3<f64>>,
-    /// Of each arm, a number for the place where it rests, if it does so at several stops: it says the same there, with the same error.
+    /// For each arm, the number of its pose if several stops share it; the arm then reports the same pose with the same error.
     pub rests: [Option<usize>; 2],
 }
 
-/// An arm that rests has no noise from stop to stop, but for the rounding of its angles: its information is larger by this.
+/// Factor on the information of a stationary arm: it has no noise from stop to stop except rounding of its joint angles.
 const AT_REST: f64 = 1e4;
 
-/// What all stops share that is known.
+/// The known quantities shared by all stops.
 #[derive(Clone)]
 pub(super) struct Setting<'a> {
     pub rig: &'a StereoRig,
     pub board: &'a Chessboard,
     /// Standard deviation of a corner in a row or column, px.
     pub corner_sigma_px: f64,
-    /// Information of the correction of an arm's pose: the inverse of its prior covariance.
+    /// Information of an arm pose correction: the inverse of its prior covariance.
     pub robot_information: Matrix6<f64>,
     /// Whether the factors of squares and baseline are estimated.
     pub scales_free: bool,
 }
 
-/// Where the board is.
+/// Where the board is mounted.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Place {
     Room { base_from_board: Isometry3<f64> },
     Carried { vs_base_from_tc_base: Isometry3<f64>, tc_flange_from_board: Isometry3<f64> },
 }
 
-/// Everything that is estimated.
+/// All estimated parameters.
 #[derive(Clone, Debug)]
 pub(super) struct State {
     pub flange_from_cam: Isometry3<f64>,
     pub place: Place,
     /// Factors of squares and baseline.
     pub scales: [f64; SCALES],
-    /// The corrected flange poses of each stop: of the arm with the cameras and, if one carries the board, of the other one.
+    /// Corrected flange poses of each stop: of the arm with the cameras and, if it carries the board, of the other arm.
     pub arms: Vec<Vec<Isometry3<f64>>>,
 }
 
-/// What the corners of one stop say, per px^2 of noise.
+/// Information from the corners of one stop, per px^2 of noise.
 pub(super) struct Corners {
     pub information: SMatrix<f64, LOCAL, LOCAL>,
     pub gradient: SVector<f64, LOCAL>,
     /// Sum of the squared errors, px^2.
     pub squares: f64,
-    /// Corners of both cameras.
+    /// Number of corners of both cameras.
     pub count: usize,
 }
 
-/// How the board's motion in its own frame follows the unknowns.
+/// Derivatives of the board motion in its own frame with respect to the unknowns.
 pub(super) struct Links {
-    /// By the poses that all stops share.
+    /// With respect to the poses shared by all stops.
     pub shared: DMatrix<f64>,
-    /// By the corrections of the arms of this stop.
+    /// With respect to the arm corrections of this stop.
     pub arms: DMatrix<f64>,
 }
 
 impl Place {
-    /// Arms that move.
+    /// Number of arms that move.
     pub(super) fn arm_count(&self) -> usize {
         match self {
             Self::Room { .. } => 1,
@@ -92,7 +92,7 @@ impl Place {
         }
     }
 
-    /// Numbers of the poses that all stops share, the camera's among them.
+    /// Number of parameters of the poses shared by all stops, including the camera pose.
     pub(super) fn shared_pose_numbers(&self) -> usize {
         POSE * (1 + self.arm_count())
     }
@@ -110,7 +110,7 @@ impl Place {
 }
 
 impl State {
-    /// Number of parameters that all stops share.
+    /// Number of parameters shared by all stops.
     pub(super) fn shared_count(&self, setting: &Setting<'_>) -> usize {
         self.place.shared_pose_numbers() + if setting.scales_free { SCALES } else { 0 }
     }
@@ -130,7 +130,7 @@ impl State {
         names
     }
 
-    /// Moved by a step of the shared parameters; the arms' corrections stay.
+    /// The state after a step of the shared parameters; the arm corrections stay unchanged.
     pub(super) fn moved(&self, shared: &DVector<f64>) -> Self {
         let mut next = self.clone();
         next.flange_from_cam *= se3::exp(&shared.fixed_rows::<POSE>(0).into_owned());
@@ -141,14 +141,14 @@ impl State {
         next
     }
 
-    /// With the correction of one stop's arms moved.
+    /// Updates the arm corrections of one stop.
     pub(super) fn correct(&mut self, stop: usize, step: &DVector<f64>) {
         for (arm, pose) in self.arms[stop].iter_mut().enumerate() {
             *pose *= se3::exp(&step.fixed_rows::<POSE>(POSE * arm).into_owned());
         }
     }
 
-    /// The board in the base of the arm with the cameras, by given poses of the arms.
+    /// The board in the base of the arm with the cameras, for given arm poses.
     pub(super) fn base_from_board(&self, arms: &[Isometry3<f64>]) -> Isometry3<f64> {
         match self.place {
             Place::Room { base_from_board } => base_from_board,
@@ -158,13 +158,13 @@ impl State {
         }
     }
 
-    /// The board as the left camera should see it, by given poses of the arms.
+    /// The predicted board pose in the left camera, for given arm poses.
     pub(super) fn cam_from_board(&self, arms: &[Isometry3<f64>]) -> Isometry3<f64> {
         let base_from_flange = arms.first().copied().unwrap_or_default();
         (base_from_flange * self.flange_from_cam).inverse() * self.base_from_board(arms)
     }
 
-    /// How the board's motion in its own frame follows the unknowns, at given poses of the arms.
+    /// Derivatives of the board motion in its own frame with respect to the unknowns, at given arm poses.
     pub(super) fn links(&self, arms: &[Isometry3<f64>]) -> Links {
         let base_from_flange = arms.first().copied().unwrap_or_default();
         let flange_from_board = base_from_flange.inverse() * self.base_from_board(arms);
@@ -190,7 +190,7 @@ fn side_by_side(blocks: &[Matrix6<f64>]) -> DMatrix<f64> {
 }
 
 impl Seen<'_> {
-    /// The information of the correction of an arm's pose.
+    /// The information of an arm pose correction.
     pub(super) fn robot_information(&self, arm: usize, setting: &Setting<'_>) -> Matrix6<f64> {
         let rests = self.rests.get(arm).is_some_and(Option::is_some);
         setting.robot_information * if rests { AT_REST } else { 1.0 }
@@ -201,7 +201,7 @@ impl Seen<'_> {
         [Some(self.vs), self.tc].into_iter().flatten().collect()
     }
 
-    /// What the corners say of a board at `cam_from_board`; `None` where a corner is not visible.
+    /// Information of the corners about a board at `cam_from_board`; `None` if a corner is not visible.
     pub(super) fn corners(
         &self,
         setting: &Setting<'_>,
@@ -239,7 +239,7 @@ impl Seen<'_> {
         Some(sum)
     }
 
-    /// Sum of the squared errors of the corners, px^2; infinite where one is not visible.
+    /// Sum of the squared corner errors, px^2; infinite if a corner is not visible.
     pub(super) fn squares(
         &self,
         setting: &Setting<'_>,
@@ -266,7 +266,8 @@ impl Seen<'_> {
         sum
     }
 
-    /// The board in the left camera by the corners of this stop alone, from a first guess, with what they say there.
+    /// The board pose in the left camera from the corners of this stop only, from an initial guess, with the corner information
+    /// there.
     pub(super) fn by_itself(
         &self,
         setting: &Setting<'_>,
@@ -280,7 +281,7 @@ impl Seen<'_> {
             let information: Matrix6<f64> = corners.information.fixed_view::<POSE, POSE>(0, 0).into_owned();
             let gradient: Vector6<f64> = corners.gradient.fixed_rows::<POSE>(0).into_owned();
             let mut step = -information.cholesky()?.solve(&gradient);
-            // Shortened while it leads uphill; a guess from a homography takes three whole steps.
+            // The step is shortened while the cost rises; from a homography three full steps are enough.
             while self.squares(setting, &(cam_from_board * se3::exp(&step)), scales)
                 > corners.squares * (1.0 + 1e-9) + 1e-12
                 && step.amax() > 1e-12

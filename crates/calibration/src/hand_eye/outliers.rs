@@ -1,4 +1,4 @@
-//! Which stops agree: each one is held against the calibration by all others.
+//! Outlier rejection: each stop is compared with the calibration from all others.
 
 use nalgebra::{DMatrix, Matrix6, Vector6};
 use pb3dp_geometry::se3;
@@ -10,22 +10,22 @@ use super::{Difference, HandEyeError};
 
 /// Squared Mahalanobis distance in six dimensions that one in a thousand good stops exceeds.
 const SQUARED_SIGMAS_MAX: f64 = 22.46;
-/// Its median for good stops.
+/// Median of the squared Mahalanobis distance of good stops.
 const SQUARED_SIGMAS_MEDIAN: f64 = 5.35;
-/// The share of the stops, those nearest to the start, with which the first adjustment is made.
+/// Share of the stops, those nearest to the start, used in the first adjustment.
 const AT_FIRST: f64 = 0.6;
-/// Fewer agreeing stops than this share are no majority.
+/// Minimum share of agreeing stops for a majority.
 const MAJORITY: f64 = 0.55;
 
-/// The stops that agree, and their adjustment.
+/// The agreeing stops and their adjustment.
 pub(super) struct Settled {
     pub used: Vec<bool>,
     pub adjusted: Adjusted,
     pub variance_factor: f64,
 }
 
-/// By how much the noise of the arms exceeds the stated one, as a variance: what the chain of poses adds to the errors that the
-/// corners have by themselves, per degree of freedom.
+/// Variance factor by which the arm noise exceeds the stated noise: the errors that the chain of poses adds to the independent
+/// corner errors, per degree of freedom.
 pub(super) fn variance_factor(adjusted: &Adjusted, squares_alone: f64, setting: &Setting<'_>) -> f64 {
     let stops = adjusted.information.len();
     let free = (POSE * stops).saturating_sub(adjusted.state.shared_count(setting)).max(1);
@@ -33,11 +33,11 @@ pub(super) fn variance_factor(adjusted: &Adjusted, squares_alone: f64, setting: 
     ((adjusted.chi2 - by_corners) / free as f64).max(0.0)
 }
 
-/// Finds the stops that agree; lengths are as free as the setting says.
+/// Finds the agreeing stops; the setting decides whether lengths are estimated.
 ///
-/// From a start that explains most pairs of stops, the stop that differs most from the calibration by all others is left out while
-/// it differs by more than one in a thousand good ones would; one that was left out comes back when it agrees. Where the arms are
-/// noisier than stated, all differences are compared with what is usual among the stops.
+/// The start explains most pairs of stops. The stop with the largest difference from the calibration by all others is then
+/// removed, as long as this difference exceeds that of one in a thousand good stops. A removed stop is restored once it agrees.
+/// If the arms are noisier than stated, all differences are compared with the typical difference among the stops.
 pub(super) fn settle(
     seen: &[Seen<'_>],
     alone: &[(Poses, Corners)],
@@ -54,7 +54,7 @@ pub(super) fn settle(
             return Err(HandEyeError::Contradiction { agree, all: seen.len() });
         }
         let (adjusted, alone, checks) = match checked(&first, seen, alone, &used, setting) {
-            // What is nearest to the start may be of one arm alone, or turn about one axis.
+            // The stops nearest to the start may belong to one arm only, or rotate about one axis.
             Err(_) if is_first && agree < seen.len() => {
                 (used, is_first) = (vec![true; seen.len()], false);
                 continue;
@@ -65,7 +65,7 @@ pub(super) fn settle(
         let limit = SQUARED_SIGMAS_MAX * usual(&checks, &used);
         let all = || checks.iter().map(|check| check.squared_sigmas).enumerate();
         let worst = all().filter(|(i, d)| used[*i] && *d > limit).max_by(|a, b| a.1.total_cmp(&b.1));
-        // A stop comes back once only, so that this ends.
+        // A stop is restored only once, so that the loop ends.
         let best =
             all().filter(|(i, d)| !used[*i] && *d < limit && left_out[*i] < 2).min_by(|a, b| a.1.total_cmp(&b.1));
         match (worst, best) {
@@ -86,7 +86,7 @@ pub(super) fn settle(
     }
 }
 
-/// The adjustment of the stops that are used, the board by each stop alone with lengths as that found them, and each stop's difference.
+/// The adjustment of the used stops, the board pose from each stop alone with the adjusted lengths, and each stop's difference.
 type Checked = (Adjusted, Vec<(Poses, Corners)>, Vec<Difference>);
 
 fn checked(
@@ -102,7 +102,7 @@ fn checked(
     Ok((adjusted, alone, checks))
 }
 
-/// How large differences are among the stops that are used, as a variance over what it should be; not below 1.
+/// Typical difference among the used stops, as variance over its expected value; at least 1.
 fn usual(checks: &[Difference], used: &[bool]) -> f64 {
     let of_used = checks.iter().zip(used).filter(|(_, used)| **used);
     let mut squared: Vec<f64> = of_used.map(|(check, _)| check.squared_sigmas).collect();
@@ -111,7 +111,7 @@ fn usual(checks: &[Difference], used: &[bool]) -> f64 {
     (median / SQUARED_SIGMAS_MEDIAN).max(1.0)
 }
 
-/// The board by each stop alone, with lengths as an adjustment found them.
+/// The board pose from each stop alone, with the lengths of an adjustment.
 fn with_scales(
     seen: &[Seen<'_>],
     alone: &[(Poses, Corners)],
@@ -125,11 +125,11 @@ fn with_scales(
     seen.iter().zip(alone).map(of).collect::<Option<Vec<_>>>().ok_or(HandEyeError::NotVisible)
 }
 
-/// The stops that are nearest to the start.
+/// The stops nearest to the start.
 fn near_start(state: &State, poses: &[Poses]) -> Vec<bool> {
     let off = |(poses, arms): (&Poses, &Vec<_>)| {
         let apart = se3::log(&(poses.cam_from_board.inverse() * state.cam_from_board(arms)));
-        // A radian as half a metre.
+        // One radian counts as half a metre.
         apart.fixed_rows::<3>(0).norm() + 0.5 * apart.fixed_rows::<3>(3).norm()
     };
     let off: Vec<f64> = poses.iter().zip(&state.arms).map(off).collect();
@@ -149,10 +149,10 @@ fn only_seen<'a>(seen: &[Seen<'a>], used: &[bool]) -> Vec<Seen<'a>> {
     seen.iter().zip(used).filter(|(_, used)| **used).map(|(seen, _)| seen.clone()).collect()
 }
 
-/// Each stop against the calibration by all (other) stops that are used.
+/// Compares each stop with the calibration from all (other) used stops.
 ///
-/// Without the stop the calibration is where one step of the equations of the others leads: stops are many and their
-/// contradictions small, so the equations are the same there.
+/// The calibration without the stop is approximated by one step of the equations of the other stops. With many stops and small
+/// contradictions the equations are the same there.
 pub(super) fn checks(
     seen: &[Seen<'_>],
     alone: &[(Poses, Corners)],

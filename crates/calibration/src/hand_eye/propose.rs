@@ -1,8 +1,8 @@
-//! Which views of the board a calibration wants: the board whole in both images, everywhere in them, tilted and turned.
+//! Selects views of the board for a calibration: the whole board in both images, spread over the image area, tilted and rotated.
 //!
-//! From a first look at the board each wanted view is a motion `M` of the board as the left camera sees it. Whoever carries it
-//! out knows the camera's pose on the arm only roughly: with an error `E` of that pose the board moves by `E M E^-1` instead.
-//! So the views are tried with such errors, and with a wrong focal length, before they are proposed.
+//! Starting from one view of the board, each requested view is a motion `M` of the board in the left camera frame. The arm that
+//! executes it knows its camera pose only roughly: with an error `E` of that pose the board moves by `E M E^-1` instead.
+//! Candidate views are therefore tested with such errors, and with a wrong focal length.
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use pb3dp_geometry::frames::{Board, CamLeft};
@@ -12,76 +12,76 @@ use crate::board::{Chessboard, Sighting};
 use crate::stand::{CELLS, cell_of};
 use crate::start::board_pose;
 
-/// The distances that are tried, as shares of the wanted one.
+/// Candidate distances, as shares of the requested one.
 const DISTANCES: [f64; 4] = [0.8, 1.0, 1.25, 1.5];
-/// Tilts of the board against the axis of the camera, degrees, and how many directions of tilt there are.
+/// Candidate tilts of the board against the camera axis, degrees, and the number of tilt directions.
 const TILTS_DEG: [f64; 4] = [0.0, 15.0, 22.0, 30.0];
 const TILT_DIRECTIONS: u32 = 8;
-/// Turns about the viewing axis, degrees.
+/// Candidate rotations about the camera axis, degrees.
 const TURNS_DEG: [f64; 5] = [0.0, -15.0, 15.0, -30.0, 30.0];
-/// Places of the board's middle in the left image.
+/// Candidate positions of the board centre in the left image.
 const PLACES: [u32; 2] = [7, 5];
-/// The board's border stays so far inside of the images, px.
+/// Minimum distance between the board border and the image border, px.
 const MARGIN_PX: f64 = 5.0;
-/// Orientations that differ by more are as good as new ones, radians.
+/// Orientations that differ by more than this count as new, radians.
 const NEW_ORIENTATION_RAD: f64 = 0.35;
-/// What an orientation that is new is worth, in cells of the images.
+/// Value of a new orientation, in image cells.
 const NEW_ORIENTATION_CELLS: f64 = 6.0;
-/// A turn by a radian is as far as so many metres.
+/// Path length equivalent of a rotation, metres per radian.
 const WAY_M_PER_RAD: f64 = 0.5;
 
-/// What is wanted.
+/// The requested views.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wish {
-    /// Views.
+    /// Number of views.
     pub count: usize,
-    /// From the left camera to the board's middle, metres.
+    /// Distance from the left camera to the board centre, metres.
     pub distance_m: f64,
-    /// How wrong the pose of the camera on the arm may be: metres, in any direction.
+    /// Position error of the assumed camera pose on the arm, metres, in any direction.
     pub guess_error_m: f64,
-    /// The same, radians, about any axis.
+    /// Orientation error of the assumed camera pose, radians, about any axis.
     pub guess_error_rad: f64,
-    /// How wrong the focal length may be, as a share.
+    /// Relative error of the focal length.
     pub focal_error: f64,
 }
 
-/// Views that were chosen.
+/// The selected views.
 #[derive(Clone, Debug)]
 pub struct Views {
-    /// The board as the left camera is to see it, in the order of a short way that begins at the first look.
+    /// Board poses in the left camera, in the order of a short path that begins at the first view.
     pub cam_left_from_board: Vec<Pose<CamLeft, Board>>,
-    /// Share of the cells of the left and of the right image in which a corner will be seen.
+    /// Share of the cells of the left and right image that corners will cover.
     pub coverage: [f64; 2],
 }
 
 /// Why no views could be proposed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ProposeError {
-    /// Too few views in which the board is whole.
+    /// Too few views show the whole board.
     #[error(
-        "only {found} views {distance_mm:.0} mm away keep the board whole in both images, {wanted} are wanted: name a larger --distance, or take a smaller board"
+        "only {found} views at {distance_mm:.0} mm show the whole board in both images, {wanted} are needed; use a larger --distance or a smaller board"
     )]
     TooFew {
-        /// Views that were found.
+        /// Views found.
         found: usize,
-        /// Views that are wanted.
+        /// Views requested.
         wanted: usize,
         /// The distance, millimetres.
         distance_mm: f64,
     },
 }
 
-/// A view that may be chosen.
+/// A candidate view.
 struct Candidate {
     cam_from_board: Isometry3<f64>,
-    /// Cells of both images in which corners are seen.
+    /// Cells of both images that contain corners.
     cells: Vec<usize>,
 }
 
-/// Chooses views of a board from a first look at it.
+/// Selects views of a board, starting from one view of it.
 ///
 /// # Errors
-/// Fewer views than wanted that keep the board whole.
+/// Fewer views than requested show the whole board.
 pub fn propose(
     rig: &StereoRig,
     board: &Chessboard,
@@ -108,13 +108,13 @@ pub fn propose(
         |of_eye: &dyn Fn(&usize) -> bool| seen.iter().filter(|cell| of_eye(cell)).count() as f64 / f64::from(cells);
     let coverage = [share(&|index| *index < cells as usize), share(&|index| *index >= cells as usize)];
     let poses = chosen.iter().map(|index| candidates[*index].cam_from_board).collect();
-    // Views of the board as the left camera sees it.
+    // Board poses in the left camera frame.
     let cam_left_from_board = tour(first, poses).into_iter().map(Pose::from_isometry).collect();
     Ok(Views { cam_left_from_board, coverage })
 }
 
-/// A head of which only a drawing is known, with its right camera where one look at the board shows it: of cameras that are screwed on by
-/// hand nobody knows the angles to each other. `None` if the corners do not determine the board's pose in either image.
+/// A nominal stereo rig whose right camera pose is replaced by the one measured in one view of the board: the angles between
+/// cameras that were mounted by hand are unknown. `None` if the corners do not determine the board pose in either image.
 pub fn head_of_look(drawn: &StereoRig, board: &Chessboard, sightings: &[Sighting; 2]) -> Option<StereoRig> {
     let [left, right] = sightings;
     let cam_left_from_board = board_pose(drawn.left(), left, board)?;
@@ -123,7 +123,7 @@ pub fn head_of_look(drawn: &StereoRig, board: &Chessboard, sightings: &[Sighting
     StereoRig::new(*drawn.left(), *drawn.right(), cam_right_from_cam_left).ok()
 }
 
-/// How everything may really be: the cameras, the first look, and the error of the camera's pose on the arm.
+/// One hypothesis of the real setup: the cameras, the first view, and the error of the camera pose on the arm.
 struct World {
     cameras: [Camera; 2],
     right_from_left: Isometry3<f64>,
@@ -132,7 +132,7 @@ struct World {
 }
 
 impl World {
-    /// Whether the board is whole in both images after a motion that was wanted to be `motion`.
+    /// Whether the whole board is visible in both images after the requested motion `motion`.
     fn shows(&self, board: &Chessboard, motion: &Isometry3<f64>) -> bool {
         let cam_from_board = self.error * motion * self.error.inverse() * self.first;
         let poses = [cam_from_board, self.right_from_left * cam_from_board];
@@ -151,7 +151,7 @@ fn is_inside(camera: &Camera, pixel: &Vector2<f64>) -> bool {
     inside(pixel.x, width) && inside(pixel.y, height)
 }
 
-/// Corners and middles of the sides of the printed squares, which reach one square farther than the inner corners.
+/// Corners and edge midpoints of the printed squares, which extend one square beyond the inner corners.
 fn outline(board: &Chessboard) -> [Point3<f64>; 8] {
     let square = board.square_m();
     let (right, bottom) = (f64::from(board.columns()) * square, f64::from(board.rows()) * square);
@@ -169,13 +169,13 @@ fn outline(board: &Chessboard) -> [Point3<f64>; 8] {
     ]
 }
 
-/// As it is thought to be, and with each kind of error.
+/// The nominal setup, and one with each kind of error.
 fn worlds(rig: &StereoRig, first: &Isometry3<f64>, wish: &Wish) -> Vec<World> {
     let world = |focal: f64, error: Isometry3<f64>| {
         let camera = |camera: &Camera| {
             let p = camera.pinhole();
             let pinhole = Pinhole { fx: p.fx * focal, fy: p.fy * focal, ..*p };
-            // A focal length a little longer is as possible as the one it comes from.
+            // A camera with a slightly different focal length is as valid as the original one.
             Camera::new(camera.size(), pinhole, *camera.distortion()).unwrap_or(*camera)
         };
         let mut first = *first;
@@ -189,7 +189,7 @@ fn worlds(rig: &StereoRig, first: &Isometry3<f64>, wish: &Wish) -> Vec<World> {
     let mut errors = vec![Isometry3::identity()];
     for sign in [1.0, -1.0] {
         for axis in 0..3 {
-            // Each turn with a shift across it to either side.
+            // Each rotation with a lateral shift to either side.
             let (turn, across) = (Vector3::ith(axis, sign), (axis + 1) % 3);
             errors.push(error(turn, Vector3::ith(across, 1.0)));
             errors.push(error(turn, Vector3::ith(across, -1.0)));
@@ -199,7 +199,7 @@ fn worlds(rig: &StereoRig, first: &Isometry3<f64>, wish: &Wish) -> Vec<World> {
     errors.iter().flat_map(|error| focals.map(|focal| world(focal, *error))).collect()
 }
 
-/// All views that are considered.
+/// All candidate views.
 fn poses(rig: &StereoRig, board: &Chessboard, distance_m: f64) -> Vec<Isometry3<f64>> {
     let camera = rig.left();
     let size = camera.size();
@@ -247,7 +247,7 @@ fn candidate(rig: &StereoRig, board: &Chessboard, cam_from_board: Isometry3<f64>
     Some(Candidate { cam_from_board, cells })
 }
 
-/// One after the other, what is newest: cells of the images, and orientations.
+/// Greedy selection by new image cells and new orientations.
 fn choose(candidates: &[Candidate], count: usize) -> Vec<usize> {
     let cells = 2 * (CELLS[0] * CELLS[1]) as usize;
     let mut seen = vec![false; cells];
@@ -273,7 +273,7 @@ fn choose(candidates: &[Candidate], count: usize) -> Vec<usize> {
     chosen
 }
 
-/// A short way through all views that begins at the first look: always to the nearest one, then with detours taken out (2-opt).
+/// A short path through all views that begins at the first view: nearest neighbour, then improved by 2-opt.
 fn tour(first: &Isometry3<f64>, mut poses: Vec<Isometry3<f64>>) -> Vec<Isometry3<f64>> {
     let way = |a: &Isometry3<f64>, b: &Isometry3<f64>| {
         let apart = a * b.inverse();

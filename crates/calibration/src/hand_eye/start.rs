@@ -1,8 +1,8 @@
-//! Where the adjustment begins: closed forms, and the consensus of most pairs of stops.
+//! Initial values of the hand-eye adjustment: closed-form solutions, and the consensus of most pairs of stops.
 //!
-//! Between two stops the flange moves by `A` and what the camera sees by `B`, and `A X = X B` for the camera's pose `X` on the
-//! flange. Rotations first, from the rotation vectors (`alpha = R beta`: Park and Martin, IEEE Trans. Robotics and Automation 10
-//! (1994), section IV), as the rotation that fits them best; then the translation, which is linear.
+//! Between two stops the flange moves by `A` and the board in the camera by `B`, and `A X = X B` for the camera pose `X` on the
+//! flange. The rotation is solved first, from the rotation vectors (`alpha = R beta`: Park and Martin, IEEE Trans. Robotics and
+//! Automation 10 (1994), section IV), as the best-fitting rotation. The translation then follows from a linear system.
 
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use pb3dp_geometry::so3;
@@ -10,23 +10,23 @@ use pb3dp_geometry::so3;
 use super::HandEyeError;
 use super::model::{Place, State};
 
-/// Rotation vectors are not told apart from their opposites near half a turn.
+/// Largest usable rotation; near half a turn a rotation vector and its opposite cannot be distinguished.
 const TURN_MAX_RAD: f64 = 2.8;
-/// Rotations about a second axis below this are none, degrees rms.
+/// Rotations about a second axis below this value count as none, degrees rms.
 const SECOND_AXIS_MIN_DEG: f64 = 0.5;
-/// An arm whose flange is as near as this has not moved.
+/// Maximum flange displacement (translation, rotation) of an arm that counts as stationary.
 const AT_REST: (f64, f64) = (1e-3, 2e-3);
-/// How many starts are tried.
+/// Number of start hypotheses tested.
 const TRIED_MAX: usize = 500;
-/// The share of all pairs that a start must explain: of pairs without an outlier there are fewer than of stops.
+/// Share of all pairs that a start must explain; the share of pairs without outliers is smaller than the share of stops.
 const CONSENSUS: f64 = 0.35;
-/// A metre of translation counts as so many radians.
+/// Weight of translation: radians per metre.
 const RAD_PER_M: f64 = 2.0;
 
-/// The fewest stops of which a calibration is tried.
+/// Minimum number of stops for a calibration attempt.
 pub const STOPS_MIN: usize = 4;
 
-/// What one stop gives: flange poses and the board as the left camera sees it.
+/// The poses of one stop: flange poses and the board in the left camera.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Poses {
     pub vs: Isometry3<f64>,
@@ -44,26 +44,26 @@ struct Motions {
 }
 
 impl Motions {
-    /// `None` where the rotation is near half a turn.
+    /// `None` if the rotation is near half a turn.
     fn new(a: Isometry3<f64>, b: Isometry3<f64>) -> Option<Self> {
         let (alpha, beta) = (so3::log(&a.rotation), so3::log(&b.rotation));
         (alpha.norm().max(beta.norm()) < TURN_MAX_RAD).then_some(Self { a, b, alpha, beta })
     }
 
-    /// How badly `x` explains them.
+    /// The residual of `x`.
     fn misfit(&self, x: &Isometry3<f64>) -> f64 {
         let (ax, xb) = (self.a * x, x * self.b);
         ax.rotation.angle_to(&xb.rotation) + RAD_PER_M * (ax.translation.vector - xb.translation.vector).norm()
     }
 }
 
-/// Whether an arm has not moved between two poses of its flange.
+/// Whether an arm is stationary between two flange poses.
 pub(super) fn rests(a: &Isometry3<f64>, b: &Isometry3<f64>) -> bool {
     let apart = a.inverse() * b;
     apart.translation.vector.norm() < AT_REST.0 && apart.rotation.angle() < AT_REST.1
 }
 
-/// Root mean square of the rotations between stops about the axis that is used second most, degrees.
+/// Root mean square of the rotations between stops about the second axis of rotation, degrees.
 pub(super) fn rotation_spread_deg(flanges: &[Isometry3<f64>]) -> f64 {
     let mut sum = Matrix3::zeros();
     let mut count = 0.0_f64;
@@ -79,10 +79,10 @@ pub(super) fn rotation_spread_deg(flanges: &[Isometry3<f64>]) -> f64 {
     squares.get(1).copied().unwrap_or(0.0).max(0.0).sqrt().to_degrees()
 }
 
-/// The state from which the adjustment begins.
+/// The initial state of the adjustment.
 ///
 /// # Errors
-/// An arm that has not turned about two axes, or that never moved while the other one was at rest.
+/// An arm has not rotated about two axes, or never moved while the other one was stationary.
 pub(super) fn start(stops: &[Poses]) -> Result<State, HandEyeError> {
     let carried = stops.iter().all(|stop| stop.tc.is_some());
     let tc = |stop: &Poses| stop.tc.unwrap_or_default();
@@ -113,7 +113,7 @@ pub(super) fn start(stops: &[Poses]) -> Result<State, HandEyeError> {
     Ok(State { flange_from_cam, place, scales: [1.0; 2], arms })
 }
 
-/// The `X` that explains most of the pairs best.
+/// The `X` that fits most of the pairs best.
 fn consensus(pairs: &[Motions], arm: &'static str, carried: bool) -> Result<Isometry3<f64>, HandEyeError> {
     if pairs.len() < 3 {
         return Err(if carried {
@@ -133,7 +133,7 @@ fn consensus(pairs: &[Motions], arm: &'static str, carried: bool) -> Result<Isom
         *misfits.select_nth_unstable_by(at, f64::total_cmp).1
     };
     let all = (0..pairs.len()).flat_map(|i| (i + 1..pairs.len()).map(move |j| (i, j)));
-    // Taken evenly from all combinations; the step shares no divisor with their number's usual ones.
+    // An even selection from all combinations; the stride shares no divisor with usual numbers of combinations.
     let every = (pairs.len() * (pairs.len() - 1) / 2).div_ceil(TRIED_MAX) | 1;
     let tried = all.step_by(every).filter_map(|(i, j)| solve(&[pairs[i], pairs[j]])).chain(solve(pairs));
     let (best, x) = tried.map(|x| (score(&x), x)).min_by(|a, b| a.0.total_cmp(&b.0)).ok_or_else(axes)?;
@@ -151,7 +151,7 @@ fn second_axis_deg(pairs: &[Motions]) -> f64 {
     squares.get(1).copied().unwrap_or(0.0).max(0.0).sqrt().to_degrees()
 }
 
-/// `X` of `A X = X B` by least squares; `None` where the axes are parallel.
+/// `X` of `A X = X B` by least squares; `None` if the axes are parallel.
 fn solve(pairs: &[Motions]) -> Option<Isometry3<f64>> {
     let moment: Matrix3<f64> = pairs.iter().map(|pair| pair.alpha * pair.beta.transpose()).sum();
     let svd = moment.svd(true, true);
@@ -161,7 +161,7 @@ fn solve(pairs: &[Motions]) -> Option<Isometry3<f64>> {
     if sizes[1] <= 1e-4 * sizes[0] {
         return None;
     }
-    // The least singular value's direction is turned where the product mirrors.
+    // If the product is a reflection, the direction of the smallest singular value is flipped.
     let mut signs = Vector3::repeat(1.0);
     signs[svd.singular_values.imin()] = (u.determinant() * v_t.determinant()).signum();
     let rotation = Rotation3::from_matrix_unchecked(u * Matrix3::from_diagonal(&signs) * v_t);
@@ -180,7 +180,7 @@ fn solve(pairs: &[Motions]) -> Option<Isometry3<f64>> {
     is_finite.then(|| Isometry3::from_parts(Translation3::from(translation), rotation))
 }
 
-/// Of some poses the one nearest to all others.
+/// The pose nearest to all others.
 fn middle(poses: &[Isometry3<f64>]) -> Isometry3<f64> {
     let distance = |a: &Isometry3<f64>, b: &Isometry3<f64>| {
         let apart = a.inverse() * b;

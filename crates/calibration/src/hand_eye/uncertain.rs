@@ -1,4 +1,4 @@
-//! What errors do to a hand-eye calibration that are the same at several stops: those of the stereo calibration, and of an arm that rests.
+//! Covariance from errors shared by several stops: errors of the stereo calibration, and of an arm that is stationary.
 
 use nalgebra::{DMatrix, DVector, Isometry3, Point3, Vector2, Vector6};
 use pb3dp_geometry::{StereoRig, se3};
@@ -13,7 +13,7 @@ use crate::fit::sides;
 use crate::fitted_rig::rig_of;
 use crate::lens::LensModel;
 
-/// The covariance of a stereo calibration, as its file has it.
+/// The covariance of a stereo calibration, as stored in its file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibrationCovariance {
     lens: LensModel,
@@ -21,10 +21,10 @@ pub struct CalibrationCovariance {
 }
 
 impl CalibrationCovariance {
-    /// From the covariance of a file of ours.
+    /// Reads the covariance of our own file format.
     ///
     /// # Errors
-    /// Other parameters than those of a stereo head.
+    /// Parameters other than those of a stereo rig.
     pub fn new(rig: &StereoRig, covariance: &ParameterCovariance) -> Result<Self, HandEyeError> {
         let names_of = |lens: LensModel| head_of(rig, lens).shared_names(&sides::<2>());
         let lens = LensModel::ALL.into_iter().find(|lens| names_of(*lens) == covariance.names);
@@ -38,26 +38,26 @@ impl CalibrationCovariance {
     }
 }
 
-/// The head as the adjustment of cameras has it.
+/// The stereo rig as a state of the camera adjustment.
 fn head_of(rig: &StereoRig, lens: LensModel) -> head::State {
     let from_first = vec![Isometry3::identity(), *rig.cam_right_from_cam_left().isometry()];
     head::State { lens, cameras: vec![*rig.left(), *rig.right()], from_first, boards: Vec::new(), shape: None }
 }
 
-/// One uncertain direction of the head: the head moved by a standard deviation to either side, and what is adjusted to it.
+/// One uncertain direction of the stereo rig: the results with the rig perturbed by one standard deviation to either side.
 #[derive(Clone, Debug)]
 pub(super) struct Direction {
     pub sides: [(StereoRig, State); 2],
 }
 
 impl Direction {
-    /// How far the shared poses move by one standard deviation.
+    /// Change of the shared poses per standard deviation.
     pub(super) fn step(&self) -> DVector<f64> {
         let [(_, below), (_, above)] = &self.sides;
         difference(below, above) * 0.5
     }
 
-    /// How far a point moves on the flange by one standard deviation that both cameras see at given pixels, metres.
+    /// Displacement on the flange, per standard deviation, of a point seen at the given pixels of both cameras, metres.
     pub(super) fn point_step_m(&self, [left, right]: &[Vector2<f64>; 2]) -> f64 {
         let on_flange = |(rig, state): &(StereoRig, State)| {
             Some(state.flange_from_cam * Point3::from(triangulated(rig, left, right)?))
@@ -67,7 +67,7 @@ impl Direction {
     }
 }
 
-/// The head's uncertain directions, each moved by a standard deviation to either side, and everything adjusted anew.
+/// The uncertain directions of the stereo rig, each perturbed by one standard deviation to either side and readjusted.
 pub(super) fn directions(
     state: &State,
     seen: &[Seen<'_>],
@@ -75,7 +75,8 @@ pub(super) fn directions(
     covariance: &CalibrationCovariance,
 ) -> Result<Vec<Direction>, HandEyeError> {
     let head = head_of(setting.rig, covariance.lens);
-    // Of numbers of different units: scaled to standard deviations first, so that small ones are not taken for zero.
+    // The parameters have different units: they are scaled to standard deviations, so that small values are not truncated to
+    // zero.
     let sigma = covariance.matrix.diagonal().map(|variance| variance.max(0.0).sqrt());
     let inverse = sigma.map(|sigma| if sigma > 0.0 { 1.0 / sigma } else { 0.0 });
     let correlation = DMatrix::from_diagonal(&inverse) * &covariance.matrix * DMatrix::from_diagonal(&inverse);
@@ -94,8 +95,9 @@ pub(super) fn directions(
     Ok(directions)
 }
 
-/// How far the shared poses move by one standard deviation of each number of each place where an arm rests: its error there is the same
-/// at all these stops, so it is none from stop to stop. `factor` is that of the arms' variance.
+/// Change of the shared poses per standard deviation of each parameter of each pose that an arm keeps over several stops. The
+/// error of that pose is the same at all these stops, so it does not appear as noise from stop to stop. `factor` is the variance
+/// factor of the arms.
 pub(super) fn rest_directions(
     state: &State,
     seen: &[Seen<'_>],
@@ -130,7 +132,7 @@ pub(super) fn rest_directions(
     Ok(steps)
 }
 
-/// From one state's shared poses to the other's.
+/// The difference between the shared poses of two states.
 fn difference(from: &State, to: &State) -> DVector<f64> {
     let poses = |state: &State| match state.place {
         Place::Room { base_from_board } => vec![state.flange_from_cam, base_from_board],

@@ -23,7 +23,7 @@ impl From<&HandEyeVerdict> for GateLine {
     }
 }
 
-/// The report of a hand that is to work at `distance_m`.
+/// The report of a hand with working distance `distance_m`.
 pub fn of_hand_eye(fit: &HandEyeFit, verdicts: &[HandEyeVerdict], distance_m: f64) -> Report {
     let gates: Vec<GateLine> = verdicts.iter().map(GateLine::from).collect();
     let limit = |gate: HandEyeGate| verdicts.iter().find(|verdict| verdict.gate == gate).map(|verdict| verdict.limit);
@@ -31,27 +31,27 @@ pub fn of_hand_eye(fit: &HandEyeFit, verdicts: &[HandEyeVerdict], distance_m: f6
     let figures = [
         (at.as_str(), format!("{:.2} mm", fit.hand_error_m(distance_m) * 1e3)),
         ("stops used", format!("{} of {}", fit.used().count(), fit.stops.len())),
-        ("noise of the arm over the stated one", format!("{:.2}", fit.robot_noise_ratio)),
-        ("per corner", format!("{:.3} px", fit.corner_sigma_px)),
+        ("arm noise over the stated noise", format!("{:.2}", fit.robot_noise_ratio)),
+        ("corner noise", format!("{:.3} px", fit.corner_sigma_px)),
     ];
     add_gates(Report::new("Hand-eye calibration"), &gates)
         .figures(&figures)
         .heading("Stops")
-        .paragraph("Where each stop sees the board, against where the calibration by all other stops says it is. A stop that disagrees with all others is not used: the arm still moved, or something was touched.")
+        .paragraph("Board pose seen at each stop, compared with the calibration from all other stops. A stop that disagrees with all others is not used: the arm was still moving, or something was touched.")
         .bars(&[
             by_stop(fit, "distance by stop, mm", 3, limit(HandEyeGate::LeftOutDistance), |stop| stop.left_out_mm),
             by_stop(fit, "angle by stop, degrees", 4, limit(HandEyeGate::LeftOutAngle), |stop| stop.left_out_deg),
-            by_stop(fit, "error of the corners by stop, px rms", 3, limit(HandEyeGate::Corners), |stop| {
+            by_stop(fit, "reprojection error by stop, px rms", 3, limit(HandEyeGate::Corners), |stop| {
                 stop.corner_rms_px.unwrap_or(f64::NAN)
             }),
         ])
         .heading("Numbers")
         .table(&poses(fit))
-        .paragraph("Of each pose its translation and its rotation vector; one standard deviation is along and about the axes of the frame it comes from.")
+        .paragraph("Translation and rotation vector of each pose; the standard deviations are along and about the axes of its source frame.")
         .table(&scales(fit))
 }
 
-/// A bar for each stop, in their order.
+/// One bar per stop, in their order.
 fn by_stop(
     fit: &HandEyeFit,
     title: &str,
@@ -80,7 +80,7 @@ fn poses(fit: &HandEyeFit) -> Table {
             ("tc_flange_from_board", *tc_flange_from_board.isometry()),
         ]),
     }
-    let mut table = Table::new(["number", "value", "standard deviation"]);
+    let mut table = Table::new(["parameter", "value", "standard deviation"]);
     for (name, pose) in all {
         let (shift, turn) = (pose.translation.vector * 1e3, so3::log(&pose.rotation).map(f64::to_degrees));
         let degrees = 1_f64.to_degrees();
@@ -100,9 +100,9 @@ fn poses(fit: &HandEyeFit) -> Table {
     table
 }
 
-/// True over stated lengths, by the robot's metres.
+/// True over stated lengths, with the robot as reference.
 fn scales(fit: &HandEyeFit) -> Table {
-    let table = Table::new(["true over stated length, by the robot's metres", "value", "standard deviation"]);
+    let table = Table::new(["true over stated length, with the robot as reference", "value", "standard deviation"]);
     let row = |table: Table, (name, scale): (&str, crate::hand_eye::Scale)| {
         table.row([name.to_owned(), format!("{:.5}", scale.factor), format!("{:.5}", scale.sigma)])
     };

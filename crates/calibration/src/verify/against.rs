@@ -1,5 +1,5 @@
-//! A second calibration of the same head beside the first one: parameter by parameter in units of what both say of their errors,
-//! and in millimetres over the image.
+//! Comparison of two calibrations of the same stereo rig: parameter by parameter in standard deviations of both, and in
+//! millimetres over the image.
 
 use std::collections::BTreeMap;
 
@@ -9,55 +9,55 @@ use pb3dp_geometry::{Camera, StereoRig, se3};
 use super::triangulate;
 use crate::stand::CELLS;
 
-/// A calibration with what it says of its errors.
+/// A calibration with its covariance.
 #[derive(Clone, Debug)]
 pub struct Known {
-    /// The head.
+    /// The stereo rig.
     pub rig: StereoRig,
-    /// Names of the parameters, as [`crate::fit::Covariance`] has them; empty if nothing is known.
+    /// Names of the parameters, as in [`crate::fit::Covariance`]; empty if there is no covariance.
     pub names: Vec<String>,
-    /// Their covariance.
+    /// Covariance of the parameters.
     pub covariance: DMatrix<f64>,
 }
 
-/// How one parameter differs.
+/// The difference of one parameter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
-    /// Its name; pixels, metres, radians.
+    /// Name; pixels, metres, radians.
     pub name: String,
-    /// Second minus first; of the pose `log(second * first^-1)`, as the covariance has it.
+    /// Second minus first; for the pose `log(second * first^-1)`, as in the covariance.
     pub difference: f64,
-    /// Standard deviation of the difference, from both.
+    /// Standard deviation of the difference, from both calibrations.
     pub sigma: f64,
 }
 
 impl Difference {
-    /// In units of the standard deviation.
+    /// The difference in standard deviations.
     pub fn sigmas(&self) -> f64 {
         self.difference / self.sigma
     }
 }
 
-/// Where a second calibration places a point that the first one has at the working distance.
+/// Displacement of a point at the working distance between the first and the second calibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Displacement {
-    /// Its pixel in the left image.
+    /// Pixel in the left image.
     pub left_px: Vector2<f64>,
     /// Second depth minus first, metres.
     pub depth_m: f64,
-    /// How far it is moved sideways, metres.
+    /// Lateral displacement, metres.
     pub lateral_m: Vector2<f64>,
 }
 
-/// Two calibrations beside each other.
+/// The comparison of two calibrations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Comparison {
-    /// The parameters that both have estimated.
+    /// The parameters estimated by both.
     pub parameters: Vec<Difference>,
-    /// Root of the mean squared difference of all of them together, in units of what both say (Mahalanobis); 1 is what chance
-    /// makes of it. `None` if one of them does not say, or they do not have the same parameters.
+    /// Root mean squared difference of all parameters together, in standard deviations (Mahalanobis); 1 is expected by chance.
+    /// `None` if one calibration has no covariance or the parameters differ.
     pub sigmas: Option<f64>,
-    /// Over the left image, as far as the right camera sees the points too; row by row.
+    /// Over the left image, where the right camera sees the points as well; row by row.
     pub displacements: Vec<Displacement>,
 }
 
@@ -95,7 +95,7 @@ pub fn compare(first: &Known, second: &Known, depth_m: f64) -> Comparison {
 
 /// Root mean square in units of a covariance.
 fn mahalanobis(differences: &[Difference], joint: &DMatrix<f64>) -> Option<f64> {
-    // Scaled first: variances of a coefficient and of a focal length are ten orders of magnitude apart.
+    // Scaled first: the variances of a coefficient and of a focal length differ by ten orders of magnitude.
     let scale = joint.diagonal().map(|variance| 1.0 / variance.sqrt());
     let scaled =
         DMatrix::from_fn(joint.nrows(), joint.ncols(), |row, column| joint[(row, column)] * scale[row] * scale[column]);
@@ -104,17 +104,17 @@ fn mahalanobis(differences: &[Difference], joint: &DMatrix<f64>) -> Option<f64> 
     Some((square / differences.len() as f64).sqrt())
 }
 
-/// Names of a pose's parameters, in the order of [`se3`].
+/// Names of the pose parameters, in the order of [`se3`].
 const POSE: [&str; 6] = ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"];
 
-/// `log(second * first^-1)` of the pose of the cameras to each other, by name.
+/// `log(second * first^-1)` of the pose between the cameras, by name.
 fn motion(first: &StereoRig, second: &StereoRig) -> Vec<(String, f64)> {
     let [first, second] = [first, second].map(|rig| *rig.cam_right_from_cam_left().isometry());
     let xi: Vector6<f64> = se3::log(&(second * first.inverse()));
     POSE.iter().zip(xi.iter()).map(|(name, value)| (format!("cam_right_from_cam_left.{name}"), *value)).collect()
 }
 
-/// Parameters of the cameras by name.
+/// Camera parameters by name.
 fn values(rig: &StereoRig) -> BTreeMap<String, f64> {
     let of = |side: &'static str, camera: &Camera| {
         let p = *camera.pinhole();
@@ -125,7 +125,7 @@ fn values(rig: &StereoRig) -> BTreeMap<String, f64> {
     of("left", rig.left()).into_iter().chain(of("right", rig.right())).collect()
 }
 
-/// Points of the first calibration in the middles of the cells of the left image, as the second one places them.
+/// Displacement, by the second calibration, of points at the cell centres of the left image.
 fn displacements(first: &StereoRig, second: &StereoRig, depth_m: f64) -> Vec<Displacement> {
     let size = first.left().size();
     let [across, down] = CELLS.map(f64::from);
@@ -152,7 +152,7 @@ fn is_inside(camera: &Camera, pixel: &Vector2<f64>) -> bool {
 }
 
 impl Comparison {
-    /// Of all displacements 95 % are below these: depth, sideways, and both together, metres; not a number without any.
+    /// 95th percentiles of the displacements: depth, lateral, and both together, metres; NaN if there are none.
     pub fn p95_m(&self) -> [f64; 3] {
         let of = |length: &dyn Fn(&Displacement) -> f64| {
             let mut lengths: Vec<f64> = self.displacements.iter().map(length).collect();

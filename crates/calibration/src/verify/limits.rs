@@ -1,31 +1,31 @@
-//! What a calibration must hold when it is verified.
+//! Limits for the verification of a calibration.
 
 use crate::gates::{Grade, Limit, LimitError};
 use crate::report::GateLine;
 
-/// Something that is judged when a calibration is verified; smaller is better.
+/// A verified quantity; smaller is better.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Check {
-    /// Reprojection of fresh views, only the board's poses fitted.
+    /// Reprojection error of new views, with only the board poses fitted.
     Reprojection,
-    /// Rows of the rectified images of fresh views.
+    /// Vertical misalignment (epipolar error) of the rectified images in new views.
     Rows,
-    /// Lengths on the board against the stated ones at the working distance.
+    /// Lengths on the board compared with the stated ones, at the working distance.
     Scale,
-    /// A length that was measured with a ruler.
+    /// A length measured with a ruler.
     Length,
-    /// Difference of a second calibration, in units of what both say of their errors.
+    /// Difference from a second calibration, in standard deviations.
     Sigmas,
-    /// How far both calibrations place a point at the working distance from each other.
+    /// Distance between the positions that both calibrations compute for a point at the working distance.
     Difference,
-    /// Places that were touched.
+    /// Points touched with the arm.
     Touch,
-    /// How far the hand will be off at the working distance.
+    /// Expected hand error at the working distance.
     HandError,
 }
 
 impl Check {
-    /// All of them, in the order in which they are told.
+    /// All checks, in display order.
     pub const ALL: [Self; 8] = [
         Self::Reprojection,
         Self::Rows,
@@ -54,28 +54,28 @@ impl Check {
     fn advice(self) -> &'static str {
         match self {
             Self::Reprojection => {
-                "the cameras do not see the board as they did: look for a touched lens or focus, another size of images, or a wrong board; calibrate again"
+                "the cameras no longer match the calibration: check for a touched lens or focus, a different image size, or a wrong board; calibrate again"
             }
             Self::Rows => {
-                "the cameras have moved against each other, or are not exposed together: fix them and calibrate again"
+                "the cameras have moved relative to each other, or their exposures are not synchronised: fix them and calibrate again"
             }
             Self::Scale => {
-                "lengths come out wrong: measure ten squares of the board; if they are right, the cameras have moved against each other: calibrate again"
+                "lengths on the board are wrong: measure ten squares of the board; if --square is correct, the cameras have moved relative to each other: calibrate again"
             }
             Self::Length => {
-                "the ruler disagrees: measure the length once more, and ten squares of the board with which was calibrated; a wrong square makes everything wrong by the same share"
+                "the length differs from the ruler: measure it again, and measure ten squares of the calibration board; a wrong square size changes all lengths by the same percentage"
             }
             Self::Sigmas => {
-                "the calibrations differ by more than chance: a camera was touched in between, or one of them was made from few or moving views; make a third one"
+                "the calibrations differ by more than chance: a camera was touched in between, or one calibration was made from too few views or a moving board; make a third calibration"
             }
             Self::Difference => {
-                "take the better one of both, or calibrate once more with more views at the working distance"
+                "use the better of the two calibrations, or calibrate again with more views at the working distance"
             }
             Self::Touch => {
-                "what is touched is not where the cameras say: check that the flange's tool tip is the one that is entered, then do the hand-eye calibration again"
+                "the touched points disagree with the cameras: check the tool tip entered in the controller, then repeat the hand-eye calibration"
             }
             Self::HandError => {
-                "calibrate again, with views at the working distance; see the lines above for what is wrong"
+                "calibrate again, with views at the working distance; the lines above show what is wrong"
             }
         }
     }
@@ -107,16 +107,16 @@ impl VerifyLimits {
         self.limits[check as usize]
     }
 
-    /// The same with another limit of one check.
+    /// The same limits with the limit of one check replaced.
     ///
     /// # Errors
-    /// Numbers that are not finite, negative, or the wrong way round.
+    /// Numbers that are not finite, negative, or in the wrong order.
     pub fn with(mut self, check: Check, limit: Limit) -> Result<Self, LimitError> {
         self.limits[check as usize] = limit.checked(check.key(), false)?;
         Ok(self)
     }
 
-    /// Judges a number; one that is not finite is refused.
+    /// Judges a value; a value that is not finite is refused.
     pub fn judge(&self, check: Check, measured: f64) -> GateLine {
         let Limit { good, refused } = self.of(check);
         let grade = match measured {

@@ -1,7 +1,6 @@
-//! Whether a calibration still holds: on fresh views of the board, against a second calibration, and against lengths and places
-//! that somebody has measured.
+//! Verifies a calibration: with new views of the board, against a second calibration, and against measured lengths and points.
 //!
-//! Whatever is measured is put into one number that counts: how far the hand will be off at the working distance.
+//! The results are combined into one figure: the expected hand error at the working distance.
 
 pub mod against;
 pub mod limits;
@@ -19,30 +18,32 @@ use crate::lens::LensModel;
 use crate::quality::{RowError, row_error};
 use crate::start::board_pose;
 
-/// The scale is taken to change with depth where the views' depths differ by this ratio at least.
+/// Minimum ratio of the view depths to estimate a change of scale with depth.
 const DEPTH_RATIO_MIN: f64 = 1.15;
-/// Fewer views tell no slope.
+/// Minimum number of views for a slope.
 const SLOPE_VIEWS_MIN: usize = 4;
 
-/// Why a calibration cannot be verified.
+/// Why a calibration could not be verified.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum VerifyError {
-    /// Nothing to look at.
-    #[error("no view shows the board in both images: take some as for a calibration")]
+    /// No views.
+    #[error("no view shows the board in both images; take views as for a calibration")]
     NoViews,
-    /// A board that cannot be placed.
-    #[error("view {name}: this calibration cannot place the board: {reason}")]
+    /// The board pose could not be computed.
+    #[error("view {name}: no board pose with this calibration: {reason}")]
     View {
         /// The view.
         name: String,
-        /// What went wrong.
+        /// The reason.
         reason: String,
     },
-    /// It cannot be rectified.
-    #[error("the pair cannot be rectified")]
+    /// The stereo pair cannot be rectified.
+    #[error("the stereo pair cannot be rectified")]
     Rectification(#[from] RectificationError),
-    /// A corner that the board does not have, or no view shows.
-    #[error("corner {column},{row} is seen by both cameras in no view: give column and row of a corner, from 0,0")]
+    /// A corner that is not on the board, or that no view shows.
+    #[error(
+        "corner {column},{row} is visible to both cameras in no view; give column and row of a corner, counted from 0,0"
+    )]
     Corner {
         /// Its column.
         column: u32,
@@ -51,47 +52,47 @@ pub enum VerifyError {
     },
 }
 
-/// One view as a known calibration sees it.
+/// One view evaluated with a known calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CheckedView {
     /// Its name.
     pub name: String,
-    /// Root mean square of the distance between predicted and seen corners, both cameras, only the board's pose fitted; px.
+    /// Root mean square distance between predicted and detected corners, both cameras, with only the board pose fitted; px.
     pub reprojection_rms_px: f64,
-    /// Depth of the board's middle in the left camera, metres.
+    /// Depth of the board centre in the left camera, metres.
     pub depth_m: f64,
-    /// Length of the squares as triangulated over the stated one; 1 if the calibration is right.
+    /// Triangulated length of the squares over the stated one; 1 if the calibration is correct.
     pub scale: f64,
-    /// Root mean square of the distance of the triangulated corners from a plane, metres; noise of the corners is in it.
+    /// Root mean square distance of the triangulated corners from a plane, metres; includes corner noise.
     pub flatness_m: f64,
 }
 
-/// Fresh views as a known calibration sees them.
+/// New views evaluated with a known calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checked {
     /// View by view.
     pub views: Vec<CheckedView>,
-    /// Of all corners, px.
+    /// Over all corners, px.
     pub reprojection_rms_px: f64,
-    /// Rows of the rectified images.
+    /// Vertical misalignment of the rectified images.
     pub rows: RowError,
 }
 
-/// The scale at a depth, from views at several ones.
+/// The scale at a depth, from views at several depths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScaleAt {
     /// Measured over true length.
     pub scale: f64,
-    /// Standard deviation of it, from how much views differ.
+    /// Standard deviation of the scale, from the scatter of the views.
     pub sigma: f64,
-    /// Change of the scale per metre of depth, where the views tell it.
+    /// Change of the scale per metre of depth, if the views determine it.
     pub slope_per_m: Option<f64>,
 }
 
-/// Looks at views with a calibration that stays as it is.
+/// Evaluates views with a fixed calibration.
 ///
 /// # Errors
-/// No views, or one whose board the calibration cannot place.
+/// No views, or a view without a board pose.
 pub fn check(rig: &StereoRig, views: &[View<2>], board: &Chessboard) -> Result<Checked, VerifyError> {
     if views.is_empty() {
         return Err(VerifyError::NoViews);
@@ -104,7 +105,7 @@ pub fn check(rig: &StereoRig, views: &[View<2>], board: &Chessboard) -> Result<C
         let (on_board, in_cam_left) = triangulated(rig, view, board);
         let similarity = similarity(&on_board, &in_cam_left);
         let Similarity { scale, flatness, middle } =
-            similarity.ok_or_else(|| refuse("fewer than four of its corners are seen by both cameras".to_owned()))?;
+            similarity.ok_or_else(|| refuse("fewer than four corners are visible to both cameras".to_owned()))?;
         squares += sum;
         corners += count;
         checked.push(CheckedView {
@@ -120,8 +121,8 @@ pub fn check(rig: &StereoRig, views: &[View<2>], board: &Chessboard) -> Result<C
 }
 
 impl Checked {
-    /// The scale at a depth: a line over the depths of the views where they differ enough, else the mean. An error of the disparity
-    /// makes the scale change with depth, an error of the baseline or of the squares does not.
+    /// The scale at a depth: a line over the view depths if they differ enough, otherwise the mean. An error of the disparity
+    /// makes the scale change with depth; an error of the baseline or of the squares does not.
     pub fn scale_at(&self, depth_m: f64) -> ScaleAt {
         let count = self.views.len() as f64;
         let mean = |of: &dyn Fn(&CheckedView) -> f64| self.views.iter().map(of).sum::<f64>() / count.max(1.0);
@@ -139,12 +140,12 @@ impl Checked {
     }
 }
 
-/// Sum of squared errors of all corners with the board's pose fitted, px^2, and their number.
+/// Sum of the squared errors of all corners with the board pose fitted, px^2, and the number of corners.
 fn pose_errors(rig: &StereoRig, view: &View<2>, board: &Chessboard) -> Result<(f64, usize), AdjustmentError> {
     let unplaced = || AdjustmentError::Undetermined { parameter: "the pose of the board".to_owned() };
     let observations = Observations { board, views: vec![view.sightings.iter().collect()] };
     let start = State {
-        // Not used where cameras stay.
+        // Not used if the cameras are fixed.
         lens: LensModel::Radial1,
         cameras: vec![*rig.left(), *rig.right()],
         from_first: vec![Isometry3::identity(), *rig.cam_right_from_cam_left().isometry()],
@@ -161,8 +162,8 @@ fn pose_errors(rig: &StereoRig, view: &View<2>, board: &Chessboard) -> Result<(f
     Ok(squares)
 }
 
-/// Standard deviation of the depth of a point straight ahead that a calibration leaves by its own account, metres; `None` if it does
-/// not say enough.
+/// Standard deviation of the depth of a point straight ahead according to the covariance of a calibration, metres; `None` if the
+/// covariance is incomplete.
 pub fn depth_sigma_m(known: &Known, depth_m: f64) -> Option<f64> {
     let cameras = vec![*known.rig.left(), *known.rig.right()];
     let from_first = vec![Isometry3::identity(), *known.rig.cam_right_from_cam_left().isometry()];
@@ -175,7 +176,8 @@ pub fn depth_sigma_m(known: &Known, depth_m: f64) -> Option<f64> {
     crate::depth::sigma_m(&state, &known.covariance, depth_m).ok()
 }
 
-/// A point that both cameras see, in `cam_left`, metres: the middle between its two rays. `None` beyond what a lens can image.
+/// The point in `cam_left` triangulated from two pixels, metres: the midpoint between the rays. `None` outside the valid range of
+/// a lens model.
 pub fn triangulate(rig: &StereoRig, left_px: &Vector2<f64>, right_px: &Vector2<f64>) -> Option<Point3<f64>> {
     let (a, b) = (rig.left().unproject(left_px).ok()?, rig.right().unproject(right_px).ok()?);
     let cam_left_from_cam_right = rig.cam_right_from_cam_left().inverse();
@@ -183,7 +185,7 @@ pub fn triangulate(rig: &StereoRig, left_px: &Vector2<f64>, right_px: &Vector2<f
     point.iter().all(|value| value.is_finite()).then(|| point.into())
 }
 
-/// The corners that both cameras see: on the board, and triangulated.
+/// The corners visible to both cameras: on the board, and triangulated.
 fn triangulated(rig: &StereoRig, view: &View<2>, board: &Chessboard) -> (Vec<Point3<f64>>, Vec<Point3<f64>>) {
     let [left, right] = &view.sightings;
     let both = left.corners().iter().filter_map(|corner| {
@@ -194,8 +196,9 @@ fn triangulated(rig: &StereoRig, view: &View<2>, board: &Chessboard) -> (Vec<Poi
     both.unzip()
 }
 
-/// How long the squares of a board are by triangulation over how long they are said to be, the median over neighbouring corners of all
-/// views; `None` where too few corners are seen by both cameras. It is far from 1 where the squares were typed wrong, whatever else is.
+/// Triangulated size of the squares over the stated size, the median over neighbouring corners of all views. `None` if too few
+/// corners are visible to both cameras. The value is far from 1 if the square size was entered wrong, independently of other
+/// errors.
 pub fn length_ratio<'a>(
     rig: &StereoRig,
     views: impl Iterator<Item = &'a [Sighting; 2]>,
@@ -219,16 +222,16 @@ pub fn length_ratio<'a>(
     ratios.get(ratios.len() / 2).copied().filter(|ratio| ratio.is_finite())
 }
 
-/// Where a corner of the board is in `cam_left` in a view, metres; `None` if not both cameras see it.
+/// A corner of the board in `cam_left`, metres; `None` if not both cameras see it.
 pub fn corner_in_cam_left(rig: &StereoRig, view: &View<2>, [column, row]: [u32; 2]) -> Option<Point3<f64>> {
     let [left, right] = &view.sightings;
     triangulate(rig, &left.at(column, row)?.pixel, &right.at(column, row)?.pixel)
 }
 
-/// The distance of two corners of the board as triangulated, view by view, metres.
+/// Triangulated distance of two board corners, view by view, metres.
 ///
 /// # Errors
-/// A corner that no view shows.
+/// No view shows one of the corners.
 pub fn lengths_m(rig: &StereoRig, views: &[View<2>], corners: [[u32; 2]; 2]) -> Result<Vec<f64>, VerifyError> {
     for [column, row] in corners {
         if views.iter().all(|view| corner_in_cam_left(rig, view, [column, row]).is_none()) {
@@ -242,15 +245,15 @@ pub fn lengths_m(rig: &StereoRig, views: &[View<2>], corners: [[u32; 2]; 2]) -> 
     Ok(views.iter().filter_map(length).collect())
 }
 
-/// How triangulated points lie beside those of the board.
+/// The similarity between triangulated points and board points.
 struct Similarity {
     scale: f64,
     flatness: f64,
     middle: Vector3<f64>,
 }
 
-/// The scale that takes the first points to the second ones (Umeyama, TPAMI 13 (1991), equations 40 to 42), and how far the second
-/// ones are from a plane.
+/// The scale between the first and the second points (Umeyama, TPAMI 13 (1991), equations 40 to 42), and the distance of the
+/// second points from a plane.
 fn similarity(from: &[Point3<f64>], to: &[Point3<f64>]) -> Option<Similarity> {
     if from.len() < 4 {
         return None;

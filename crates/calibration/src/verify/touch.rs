@@ -1,4 +1,4 @@
-//! Corners of the board that somebody has touched with the arm, beside where the cameras say they are.
+//! Board corners touched with the arm, compared with the positions computed from the cameras.
 
 use nalgebra::{Isometry3, Point3};
 use pb3dp_geometry::StereoRig;
@@ -6,39 +6,40 @@ use pb3dp_geometry::StereoRig;
 use super::{VerifyError, corner_in_cam_left};
 use crate::fit::View;
 
-/// A corner of the board and where it was touched.
+/// A board corner and the position at which it was touched.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Touch {
     /// Column and row of the corner.
     pub board_corner: [u32; 2],
-    /// Where the arm's tip was, in the arm's `base`, metres.
+    /// Position of the tool tip in the arm's `base`, metres.
     pub in_base_m: Point3<f64>,
 }
 
-/// A touched corner as the cameras see it.
+/// A touched corner with its position computed from the cameras.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TouchResult {
-    /// What was touched.
+    /// The touched corner.
     pub touch: Touch,
-    /// Where the cameras say it is, in `base`, metres: the mean of all stops.
+    /// Position computed from the cameras, in `base`, metres: the mean of all stops.
     pub seen_in_base_m: Point3<f64>,
-    /// Root mean square of the stops around that mean, metres.
+    /// Root mean square scatter of the stops, metres.
     pub scatter_m: f64,
-    /// Stops at which both cameras saw it.
+    /// Stops at which both cameras saw the corner.
     pub stops: usize,
 }
 
 impl TouchResult {
-    /// How far both are apart, metres.
+    /// Distance between both positions, metres.
     pub fn error_m(&self) -> f64 {
         (self.seen_in_base_m - self.touch.in_base_m).norm()
     }
 }
 
-/// Where touched corners are by the cameras; `base_from_cam_left` is that of each view, from hand-eye calibration and arm.
+/// Positions of touched corners computed from the cameras; `base_from_cam_left` is the camera pose of each view, from the
+/// hand-eye calibration and the arm.
 ///
 /// # Errors
-/// A corner that no view shows.
+/// No view shows a corner.
 pub fn touched(
     rig: &StereoRig,
     views: &[View<2>],

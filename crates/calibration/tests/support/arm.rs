@@ -1,4 +1,4 @@
-//! Simulated stereo heads on an arm, and boards in a room or on another arm, with exact truth.
+//! Simulated stereo rigs on an arm, and boards in a room or on another arm, with exact ground truth.
 
 use nalgebra::{Isometry3, Matrix3x2, Point3, Vector2, Vector3, Vector6};
 use pb3dp_calibration::board::{BoardCorner, Chessboard, Sighting};
@@ -10,7 +10,7 @@ use pb3dp_kinematics::{Chain, Damping, JointVector, damped_pseudo_inverse};
 
 use crate::support::{Random, SIZE, board, rig};
 
-/// One rig: a head on an arm, and a board.
+/// One setup: a stereo rig on an arm, and a board.
 pub struct World {
     pub rig: StereoRig,
     pub flange_from_cam_left: Isometry3<f64>,
@@ -23,7 +23,7 @@ pub enum Place {
     Carried { vs_base_from_tc_base: Isometry3<f64>, tc_flange_from_board: Isometry3<f64> },
 }
 
-/// How a rig is visited, and what is wrong.
+/// How a setup is visited, and its defects.
 #[derive(Clone, Copy)]
 pub struct Visit {
     pub stops: usize,
@@ -31,13 +31,13 @@ pub struct Visit {
     /// Noise of the flange in each direction, m, and about each axis, rad.
     pub robot_sigma_m: f64,
     pub robot_sigma_rad: f64,
-    /// True side of a square over the stated one.
+    /// True side of a square divided by the stated one.
     pub squares: f64,
-    /// From the middle of the visit on the board is elsewhere, m.
+    /// Displacement of the board from the middle of the visit on, m.
     pub board_moved_m: f64,
-    /// Only turns about the camera's axis.
+    /// Only rotations about the camera axis.
     pub one_axis: bool,
-    /// So many stops whose joints were recorded while the arm moved, off by 5 mm.
+    /// Number of stops whose joints were recorded while the arm moved; pose error 5 mm.
     pub moving: usize,
 }
 
@@ -57,7 +57,7 @@ fn vector(random: &mut Random, largest: f64) -> Vector3<f64> {
 }
 
 impl World {
-    /// A head beside the axis of the flange, turned against it, and a board before it.
+    /// A stereo rig mounted beside the flange axis, rotated relative to it, and a board in front of it.
     pub fn in_room(random: &mut Random) -> Self {
         let base_from_board = Isometry3::from_parts(
             (Vector3::new(1.1, 0.1, 0.6) + vector(random, 0.2)).into(),
@@ -87,7 +87,7 @@ impl World {
         Self { rig: rig(random), flange_from_cam_left, place }
     }
 
-    /// How far a point straight ahead of the cameras, which both cameras see, is on the flange from where it is thought to be, metres.
+    /// Position error on the flange of a point straight ahead of the cameras, visible to both cameras, metres.
     pub fn point_error_m(
         &self,
         believed: &StereoRig,
@@ -102,7 +102,7 @@ impl World {
         let a = believed.left().unproject(&left).expect("a ray");
         let b = cam_left_from_cam_right.transform_vector(&believed.right().unproject(&right).expect("a ray"));
         let origin = cam_left_from_cam_right.translation_m();
-        // s a and origin + t b as near to each other as can be.
+        // s a and origin + t b at their closest approach.
         let rays = Matrix3x2::from_columns(&[a, -b]);
         let st = (rays.transpose() * rays).try_inverse().expect("two rays") * rays.transpose() * origin;
         let found = 0.5 * (a * st.x + origin + b * st.y);
@@ -119,7 +119,7 @@ impl World {
         }
     }
 
-    /// Visits the rig: poses from which both cameras see the whole board.
+    /// Visits the setup: poses from which both cameras see the whole board.
     pub fn visit(&self, visit: &Visit, random: &mut Random) -> Vec<HandEyeStop> {
         match self.place {
             Place::Room { .. } => (0..visit.stops).map(|index| self.room_stop(index, visit, random)).collect(),
@@ -136,7 +136,7 @@ impl World {
         self.stop(index, visit, (base_from_flange, None), sightings, random)
     }
 
-    /// The first half of the stops by the arm with the cameras, the others by the one with the board.
+    /// The first half of the stops by the arm with the cameras, the others by the arm with the board.
     fn carried_stops(&self, visit: &Visit, random: &mut Random) -> Vec<HandEyeStop> {
         let Place::Carried { vs_base_from_tc_base, tc_flange_from_board } = self.place else {
             panic!("a carried board")
@@ -157,7 +157,7 @@ impl World {
                 tc = vs_base_from_tc_base.inverse() * base_from_board * tc_flange_from_board.inverse();
             }
             let mut stop = self.stop(index, visit, (vs, Some(tc)), sightings, random);
-            // An arm that rests says the same each time.
+            // A stationary arm reports the same pose each time.
             if let Some(before) = stops.last() {
                 if index < half {
                     stop.tc_base_from_tc_flange = before.tc_base_from_tc_flange;
@@ -170,7 +170,7 @@ impl World {
         stops
     }
 
-    /// A pose of the board that both cameras see whole, with what they see.
+    /// A board pose visible completely to both cameras, with the detections.
     fn look(&self, visit: &Visit, random: &mut Random) -> (Isometry3<f64>, [Sighting; 2]) {
         loop {
             let pose = self.placed(visit, random);
@@ -195,7 +195,7 @@ impl World {
         Isometry3::from_parts((ray * distance_m).into(), turn) * Isometry3::translation(-middle.x, -middle.y, 0.0)
     }
 
-    /// What both cameras see of the board, the true size of its squares counted.
+    /// Detections of the board in both cameras, including the true size of its squares.
     pub fn sightings(
         &self,
         cam_left_from_board: &Isometry3<f64>,
@@ -207,7 +207,7 @@ impl World {
         Some([left, sighting(self.rig.right(), &right, visit, random)?])
     }
 
-    /// A stop as the robot tells it.
+    /// A stop as reported by the robot.
     fn stop(
         &self,
         index: usize,
@@ -251,19 +251,19 @@ fn sighting(camera: &Camera, cam_from_board: &Isometry3<f64>, visit: &Visit, ran
     Some(Sighting::new(corners))
 }
 
-/// A PA-10 with a head on its flange, a board before it, and noise in its joints.
+/// A PA-10 with a stereo rig on its flange, a board in front of it, and noise in its joints.
 pub struct JointWorld {
     pub world: World,
     chain: Chain,
-    /// The arm as the robot's description has it.
+    /// The arm according to the robot description.
     believed: Chain,
     rest_rad: JointVector,
     joint_sigma_rad: f64,
 }
 
 impl JointWorld {
-    /// A board about 0.5 m before the cameras; the joints' noise puts the flange off by `flange_sigma_m` (root of the sum of the three
-    /// variances).
+    /// A board about 0.5 m in front of the cameras; the joint noise causes a flange position error of `flange_sigma_m` (root of
+    /// the sum of the three variances).
     pub fn new(flange_sigma_m: f64, random: &mut Random) -> Self {
         let urdf = include_str!("../../../../configs/robots/pa10_gen2.urdf");
         let chain = Chain::from_urdf_str(urdf, "base_link", "flange").expect("an arm");
@@ -280,14 +280,14 @@ impl JointWorld {
         Self { world, believed: chain.clone(), chain, rest_rad, joint_sigma_rad: flange_sigma_m / levers }
     }
 
-    /// The same arm, taken for one of the first generation.
+    /// The same arm, with the robot description of the first generation.
     pub fn taken_for_the_first_generation(mut self) -> Self {
         let urdf = include_str!("../../../../configs/robots/pa10_gen1.urdf");
         self.believed = Chain::from_urdf_str(urdf, "base_link", "flange").expect("an arm");
         self
     }
 
-    /// Visits the poses that are proposed from a first look, with a camera that is thought to sit where it does not quite.
+    /// Visits the poses proposed from a first view, with an approximate camera pose.
     pub fn visit(&self, visit: &Visit, random: &mut Random) -> Vec<HandEyeStop> {
         let Place::Room { base_from_board } = self.world.place else { panic!("a board in a room") };
         let first = (self.chain.forward(&self.rest_rad).isometry() * self.world.flange_from_cam_left).inverse()
@@ -319,7 +319,7 @@ impl JointWorld {
         stops
     }
 
-    /// Joints with the flange at a pose, from the arm's rest on; `None` out of reach.
+    /// Joint positions with the flange at a pose, starting from the arm's home position; `None` if out of reach.
     fn joints(&self, base_from_flange: &Isometry3<f64>) -> Option<JointVector> {
         let mut joints_rad = self.rest_rad;
         for _ in 0..100 {

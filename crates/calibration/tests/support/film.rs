@@ -1,4 +1,4 @@
-//! Rendered recordings of a chessboard that is carried from place to place.
+//! Rendered recordings of a chessboard that is carried from pose to pose.
 
 use image::{GrayImage, Luma, RgbImage};
 use nalgebra::{Isometry3, Point3, Translation3, Vector2, Vector3};
@@ -9,7 +9,7 @@ use pb3dp_record::images::StoredFormat;
 
 pub const SIZE: ImageSize = ImageSize { width: 480, height: 360 };
 pub const RATE_HZ: f64 = 30.0;
-/// Pairs at each place, and on the way to the next one.
+/// Pairs at each pose, and on the path to the next one.
 pub const AT_REST: usize = 8;
 const ON_THE_WAY: usize = 4;
 
@@ -29,7 +29,7 @@ pub fn rig() -> StereoRig {
     StereoRig::new(left, right, cam_right_from_cam_left).expect("a head")
 }
 
-/// The board with its middle on the ray of a place in the left image (shares of its width and height).
+/// The board with its centre on the ray of a position in the left image (shares of its width and height).
 pub fn placed(rig: &StereoRig, place: [f64; 2], depth_m: f64, turn: [f64; 3]) -> Isometry3<f64> {
     let board = board();
     let middle = board.corner_in_board(board.columns() - 1, board.rows() - 1).coords * 0.5;
@@ -39,7 +39,7 @@ pub fn placed(rig: &StereoRig, place: [f64; 2], depth_m: f64, turn: [f64; 3]) ->
     Isometry3::from_parts((ray * (depth_m / ray.z)).into(), turn) * Translation3::from(-middle)
 }
 
-/// The places of a session: all corners of the image, several tilts and depths.
+/// The board poses of a session: all corners of the image, several tilts and depths.
 pub fn places(rig: &StereoRig) -> Vec<Isometry3<f64>> {
     let list = [
         ([0.58, 0.5], 0.36, [0.05, 0.1, 0.02]),
@@ -59,7 +59,7 @@ pub fn places(rig: &StereoRig) -> Vec<Isometry3<f64>> {
     list.into_iter().map(|(place, depth_m, turn)| placed(rig, place, depth_m, turn)).collect()
 }
 
-/// The board as a camera sees it, two by two samples in each pixel.
+/// The board as a camera sees it, with two by two samples per pixel.
 pub fn image(camera: &Camera, cam_from_board: &Isometry3<f64>, rays: &[Vector3<f64>]) -> GrayImage {
     let board = board();
     let (columns, rows) = (f64::from(board.columns()), f64::from(board.rows()));
@@ -138,8 +138,8 @@ pub fn push(writer: &mut SequenceWriter, [left, right]: &[RgbImage; 2]) {
     writer.push(frame).expect("written");
 }
 
-/// Records a board that is carried from place to place; at one of them the images are blurred. Returns at which place the board
-/// rests in each pair; `None` on the way.
+/// Records a board that is carried from pose to pose; at one of them the images are blurred. Returns the index of the board pose
+/// in each pair; `None` between poses.
 pub fn record(
     folder: &std::path::Path,
     studio: &Studio,

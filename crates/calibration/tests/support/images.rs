@@ -7,7 +7,7 @@ use pb3dp_geometry::Camera;
 
 use crate::support::{Random, SIZE};
 
-/// Each pixel is the mean of so many rays along each side.
+/// Rays per pixel along each side; the pixel is their mean.
 const RAYS: u32 = 3;
 
 /// A camera with the rays of its pixels.
@@ -26,7 +26,7 @@ impl Painter {
         Self { rays }
     }
 
-    /// The board before a grey wall, with a white border, and a little noise.
+    /// The board in front of a grey wall, with a white border, and some noise.
     pub fn image(&self, cam_from_board: &Isometry3<f64>, board: &Chessboard, random: &mut Random) -> GrayImage {
         let board_from_cam = cam_from_board.inverse();
         let origin = board_from_cam.translation.vector / board.square_m();
@@ -45,7 +45,7 @@ impl Painter {
     }
 }
 
-/// Grey of a place on the board's plane, in squares from its first inner corner.
+/// Grey level of a point on the board plane, in squares from its first inner corner.
 fn grey(x: f64, y: f64, board: &Chessboard) -> f64 {
     let (columns, rows) = (f64::from(board.columns()), f64::from(board.rows()));
     let within =

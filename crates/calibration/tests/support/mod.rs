@@ -1,4 +1,4 @@
-//! Simulated stereo heads with exact truth.
+//! Simulated stereo rigs with exact ground truth.
 
 use nalgebra::{Isometry3, Vector2, Vector3, Vector6};
 use pb3dp_calibration::board::{BoardCorner, Chessboard, Sighting};
@@ -8,7 +8,7 @@ use pb3dp_sim::noise::{hash, unit};
 
 pub const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 
-/// Numbers that a seed determines for ever.
+/// A deterministic random number generator.
 pub struct Random {
     seed: u32,
     count: u32,
@@ -19,7 +19,7 @@ impl Random {
         Self { seed, count: 0 }
     }
 
-    /// Evenly between two numbers.
+    /// Uniform between two numbers.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         self.count += 1;
         low + (high - low) * unit(hash(&[self.seed, self.count]))
@@ -32,19 +32,19 @@ impl Random {
     }
 }
 
-/// What is wrong with a simulated session, and how much.
+/// The defects of a simulated session.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Session {
     pub views: usize,
     /// Standard deviation of a corner, px.
     pub corner_sigma_px: f64,
-    /// The right camera's focal length is larger by this share from the middle of the session on.
+    /// Relative increase of the right camera's focal length from the middle of the session on.
     pub refocused: f64,
-    /// The board moves by this much between the two exposures, m, in a direction of its own in each view.
+    /// Displacement of the board between the two exposures, m, in a different direction in each view.
     pub moved_between_eyes_m: f64,
-    /// The board is bowed and twisted: the distance of the two planes between which its corners lie, m.
+    /// Bow and twist of the board: distance between the two planes that enclose its corners, m.
     pub flatness_m: f64,
-    /// The board moves while an image is exposed: the longest streak, px, in a direction of its own in each view.
+    /// Motion blur: the longest streak, px, in a different direction in each view.
     pub streak_max_px: f64,
     /// The largest tilt of the board, radians; 0.7 if this is 0.
     pub tilt_max_rad: f64,
@@ -56,7 +56,7 @@ struct Shape {
     twist_m: f64,
 }
 
-/// What a moving board does to the corners of one image.
+/// Effect of a moving board on the corners of one image.
 struct Streak {
     direction: Vector2<f64>,
     sigma_px: f64,
@@ -67,7 +67,7 @@ pub fn board() -> Chessboard {
     Chessboard::new(9, 6, 0.025).expect("a board")
 }
 
-/// A head with two different cameras, slightly turned against each other.
+/// A stereo rig with two different cameras, slightly rotated relative to each other.
 pub fn rig(random: &mut Random) -> StereoRig {
     let focal = random.between(500.0, 900.0);
     let mut camera = || {
@@ -95,13 +95,13 @@ pub fn rig(random: &mut Random) -> StereoRig {
     StereoRig::new(left, right, Pose::from_parts(shift, so3::exp(&turn))).expect("a head")
 }
 
-/// Views of the board by both cameras of a head, spread over the image, tilted and turned; boards that leave an image are
-/// not taken.
+/// Views of the board by both cameras of a rig, spread over the image, tilted and rotated; boards that leave an image are
+/// skipped.
 pub fn views(rig: &StereoRig, session: &Session, random: &mut Random) -> Vec<View<2>> {
     views_of(&board(), rig, session, 1.0, random)
 }
 
-/// The same of any board, of which both cameras see at least a share.
+/// The same for any board, with at least a given share of it visible to both cameras.
 pub fn views_of(
     board: &Chessboard,
     rig: &StereoRig,
@@ -126,7 +126,7 @@ pub fn views_of(
             * cam_left_from_board;
         let (way, length_px) =
             (random.between(0.0, std::f64::consts::TAU), session.streak_max_px * random.between(0.4, 1.0));
-        // Where the edges of a streak are found varies with its length, and the eyes do not see it alike.
+        // The detected edge position of a streak varies with its length, differently in the two cameras.
         let mut streak = || Streak {
             direction: Vector2::new(way.cos(), way.sin()),
             sigma_px: 0.15 * length_px,
@@ -155,7 +155,7 @@ pub fn views_of(
     views
 }
 
-/// The sightings of a board by both cameras; `None` if it leaves an image.
+/// The detections of a board by both cameras; `None` if it leaves an image.
 #[allow(dead_code, reason = "not every test that has this module places its boards by itself")]
 pub fn seen_by_both(
     rig: &StereoRig,
@@ -177,7 +177,7 @@ fn refocused(camera: &Camera, share: f64) -> Camera {
     Camera::new(camera.size(), pinhole, *camera.distortion()).expect("a camera")
 }
 
-/// The middle of the board on the ray of some pixel, the board filling a fifth to three quarters of the image's width.
+/// The board centre on the ray of a random pixel, the board filling a fifth to three quarters of the image width.
 fn placed(rig: &StereoRig, board: &Chessboard, session: &Session, random: &mut Random) -> Isometry3<f64> {
     let middle = board.corner_in_board(board.columns() - 1, board.rows() - 1).coords * 0.5;
     let distance_m = 2.0 * middle.x * rig.left().pinhole().fx / (random.between(0.3, 0.75) * f64::from(SIZE.width));

@@ -1,11 +1,11 @@
-//! Regions grown from a seed pixel, and connected parts of a mask.
+//! Region growing from a seed pixel, and connected components of a mask.
 
 use image::RgbImage;
 use pb3dp_geometry::ImageSize;
 
 use super::{RegionConfig, RegionMask};
 
-/// What a seed pixel looks like, and so which pixels belong to it.
+/// Colour class of a seed pixel, which decides the criterion for region growing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Seed {
     /// Coloured: pixels join by hue, degrees.
@@ -50,7 +50,8 @@ pub(super) fn smooth_colour(image: &RgbImage, x: u32, y: u32) -> SmoothColour {
     SmoothColour { hue_deg: (60.0 * sector).rem_euclid(360.0), chroma, luminance: (r + g + b) / 3.0 }
 }
 
-/// The seed's kind, and the pixels connected to it (four neighbours) that look like it, with holes filled.
+/// Grows the region of similar pixels connected to the seed (4-connected) and fills its holes; also returns the kind of the
+/// seed.
 pub(super) fn from_seed(image: &RgbImage, x: u32, y: u32, config: &RegionConfig) -> (Seed, RegionMask) {
     let colour = smooth_colour(image, x, y);
     let seed = if colour.chroma >= config.click_chroma_min {
@@ -70,13 +71,13 @@ pub(super) fn from_seed(image: &RgbImage, x: u32, y: u32, config: &RegionConfig)
     (seed, fill_holes(&flood(size, [(x, y)], alike)))
 }
 
-/// Shortest way around the hue circle, degrees, 0 to 180.
+/// Shortest angular distance between two hues, degrees, 0 to 180.
 pub(super) fn hue_distance_deg(a: f64, b: f64) -> f64 {
     let d = (a - b).rem_euclid(360.0);
     d.min(360.0 - d)
 }
 
-/// The pixels connected to `seeds` (four neighbours) for which `alike` holds.
+/// Pixels connected to `seeds` (4-connected) for which `alike` holds.
 fn flood(
     size: ImageSize,
     seeds: impl IntoIterator<Item = (u32, u32)>,
@@ -114,7 +115,7 @@ fn flood(
     reached
 }
 
-/// The mask and every pixel from which no path outside the mask leads to the image's border.
+/// Fills the holes of a mask: adds every pixel that cannot reach the image border without crossing the mask.
 fn fill_holes(mask: &RegionMask) -> RegionMask {
     let size = mask.size();
     let border = (0..size.width)
@@ -124,7 +125,7 @@ fn fill_holes(mask: &RegionMask) -> RegionMask {
     RegionMask::from_fn(size, |x, y| !outside.contains(x as i32, y as i32))
 }
 
-/// The largest connected part (four neighbours); of equal ones the first in reading order.
+/// The largest connected component (4-connected); among equal ones, the first in reading order.
 pub(super) fn largest_part(mask: &RegionMask) -> RegionMask {
     let mut best = RegionMask::empty(mask.size());
     let mut best_area = 0;

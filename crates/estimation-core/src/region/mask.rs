@@ -1,11 +1,11 @@
-//! A set of pixels of one image.
+//! Pixel masks: a set of pixels of one image.
 
 use nalgebra::Vector2;
 use pb3dp_geometry::ImageSize;
 
 use super::outline;
 
-/// Smallest box of whole pixels that holds a set of pixels: columns `x..x + width`, rows `y..y + height`.
+/// Bounding box of a set of pixels: columns `x..x + width`, rows `y..y + height`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PixelBox {
     /// First column.
@@ -18,7 +18,7 @@ pub struct PixelBox {
     pub height: u32,
 }
 
-/// The pixels of one image that belong to a region: one bit per pixel.
+/// A binary mask: the pixels of one image that belong to a region, one bit per pixel.
 ///
 /// Pixel (x, y) is column x, row y; integer coordinates are pixel centres.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -53,7 +53,7 @@ impl RegionMask {
         self.size
     }
 
-    /// Removes every pixel and takes a new size; keeps the memory.
+    /// Clears the mask and sets a new size; keeps the allocated memory.
     pub fn reset(&mut self, size: ImageSize) {
         self.size = size;
         self.words_per_row = (size.width as usize).div_ceil(64);
@@ -61,7 +61,7 @@ impl RegionMask {
         self.bits.resize(self.words_per_row * size.height as usize, 0);
     }
 
-    /// Whether pixel (x, y) is inside; `false` outside the image.
+    /// Whether pixel (x, y) is in the mask; `false` outside the image.
     #[inline]
     pub fn contains(&self, x: i32, y: i32) -> bool {
         if x < 0 || y < 0 || x >= self.size.width as i32 || y >= self.size.height as i32 {
@@ -87,17 +87,17 @@ impl RegionMask {
         set_bits(&mut self.bits[row..row + self.words_per_row], first as usize, last as usize);
     }
 
-    /// Whether no pixel is inside.
+    /// Whether the mask has no pixels.
     pub fn is_empty(&self) -> bool {
         self.bits.iter().all(|word| *word == 0)
     }
 
-    /// Number of pixels inside.
+    /// Number of pixels in the mask.
     pub fn area_px(&self) -> usize {
         self.bits.iter().map(|word| word.count_ones() as usize).sum()
     }
 
-    /// Mean of the coordinates of the pixels inside, pixels; `None` if the mask is empty.
+    /// Centroid of the mask, pixels; `None` if the mask is empty.
     pub fn centroid_px(&self) -> Option<Vector2<f64>> {
         let (mut count, mut sum_x, mut sum_y) = (0_u64, 0_u64, 0_u64);
         self.for_each_run(|y, first, last| {
@@ -109,7 +109,7 @@ impl RegionMask {
         (count > 0).then(|| Vector2::new(sum_x as f64 / 2.0, sum_y as f64) / count as f64)
     }
 
-    /// Smallest box that holds every pixel inside; `None` if the mask is empty.
+    /// Bounding box of the mask; `None` if the mask is empty.
     pub fn bbox(&self) -> Option<PixelBox> {
         let (mut x0, mut x1, mut y0, mut y1) = (u32::MAX, 0, u32::MAX, 0);
         self.for_each_run(|y, first, last| {
@@ -119,12 +119,12 @@ impl RegionMask {
         (x0 != u32::MAX).then(|| PixelBox { x: x0, y: y0, width: x1 - x0 + 1, height: y1 - y0 + 1 })
     }
 
-    /// Calls `visit(x, y)` for every pixel inside, row by row.
+    /// Calls `visit(x, y)` for every pixel in the mask, row by row.
     pub fn for_each(&self, mut visit: impl FnMut(u32, u32)) {
         self.for_each_run(|y, first, last| (first..=last).for_each(|x| visit(x, y)));
     }
 
-    /// Calls `visit(y, first, last)` for every run of pixels inside, row by row from left to right.
+    /// Calls `visit(y, first, last)` for every run of pixels in the mask, row by row from left to right.
     pub fn for_each_run(&self, mut visit: impl FnMut(u32, u32, u32)) {
         for y in 0..self.size.height {
             let mut start = 0;
@@ -135,7 +135,7 @@ impl RegionMask {
         }
     }
 
-    /// All pixels within `radius_px` (Euclidean, centre to centre) of a pixel inside, clipped to the image.
+    /// Dilation: all pixels within `radius_px` (Euclidean, centre to centre) of a pixel in the mask, clipped to the image.
     pub fn dilate(&self, radius_px: u32) -> Self {
         let mut grown = Self::empty(self.size);
         let radius = i64::from(radius_px);
@@ -148,8 +148,8 @@ impl RegionMask {
         grown
     }
 
-    /// The pixels that are farther than `radius_px` (Euclidean, centre to centre) from every pixel outside. Pixels beyond
-    /// the image's border count as outside.
+    /// Erosion: the pixels that are farther than `radius_px` (Euclidean, centre to centre) from every pixel outside the mask.
+    /// Pixels beyond the image border count as outside.
     pub fn erode(&self, radius_px: u32) -> Self {
         let mut kept = self.clone();
         let (width, height) = (i64::from(self.size.width), i64::from(self.size.height));
@@ -173,7 +173,7 @@ impl RegionMask {
         kept
     }
 
-    /// The mask moved by whole pixels; what leaves the image is lost.
+    /// The mask translated by whole pixels; pixels that leave the image are dropped.
     pub fn translate(&self, dx: i32, dy: i32) -> Self {
         let mut moved = Self::empty(self.size);
         let (dx, dy) = (i64::from(dx), i64::from(dy));
@@ -183,8 +183,9 @@ impl RegionMask {
         moved
     }
 
-    /// The outline of the largest connected part (four neighbours) as a polygon along pixel edges, simplified to within
-    /// 0.4 px, holes closed. Empty if the mask is empty. Rasterised again it gives that part back up to a few edge pixels.
+    /// Outline of the largest connected component (4-connected) as a polygon along pixel edges, simplified to within 0.4 px,
+    /// with holes closed. Empty if the mask is empty. Rasterising the outline reproduces the component except for a few edge
+    /// pixels.
     pub fn outline_px(&self) -> Vec<Vector2<f64>> {
         outline::largest(self)
     }
@@ -201,7 +202,7 @@ impl RegionMask {
         }
     }
 
-    /// First run of pixels inside in row `y` that begins at column `start` or later.
+    /// First run of mask pixels in row `y` that begins at column `start` or later.
     fn next_run(&self, y: u32, start: u32) -> Option<(u32, u32)> {
         let row = &self.bits[y as usize * self.words_per_row..][..self.words_per_row];
         let first = next_bit(row, start as usize, true)?;
@@ -210,7 +211,7 @@ impl RegionMask {
     }
 }
 
-/// Half width of a disc of `radius` at `dy` from its centre.
+/// Half width of a disc of `radius` at vertical distance `dy` from its centre.
 fn half_width(radius: i64, dy: i64) -> i64 {
     ((radius * radius - dy * dy) as f64).sqrt().floor() as i64
 }
@@ -221,7 +222,7 @@ fn set_bits(row: &mut [u64], first: usize, last: usize) {
     }
 }
 
-/// Word index and bit mask of every word that the bits `first..=last` touch.
+/// Word index and bit mask of every word that overlaps the bits `first..=last`.
 fn span_masks(first: usize, last: usize) -> impl Iterator<Item = (usize, u64)> {
     (first / 64..=last / 64).map(move |word| {
         let low = if word == first / 64 { u64::MAX << (first % 64) } else { u64::MAX };
@@ -252,7 +253,7 @@ mod tests {
     const SIZE: ImageSize = ImageSize { width: 150, height: 40 };
 
     fn blob() -> RegionMask {
-        // An L with a hole, across the 64-bit word borders and touching the right edge.
+        // An L with a hole, across the 64-bit word boundaries and touching the right edge.
         RegionMask::from_fn(SIZE, |x, y| {
             (x >= 60 && (5..30).contains(&y) && !(70..=72).contains(&x)) || ((60..132).contains(&x) && y >= 28)
         })

@@ -1,16 +1,16 @@
-//! Outline of a mask: pixel edges followed around the largest part, then simplified.
+//! Outline of a mask: traces the pixel edges around the largest component, then simplifies the polygon.
 
 use nalgebra::Vector2;
 
 use super::RegionMask;
 
-/// A point may leave the simplified outline by at most this much, pixels.
+/// Tolerance of the simplification: largest distance of a removed point from the simplified outline, pixels.
 const SIMPLIFY_TOLERANCE_PX: f64 = 0.4;
 
-/// Headings of the walk along pixel edges, clockwise on the screen: right, down, left, up.
+/// Directions of the edge tracing, clockwise in the image: right, down, left, up.
 const STEPS: [(i32, i32); 4] = [(1, 0), (0, 1), (-1, 0), (0, -1)];
 
-/// Outline of the largest part, see [`RegionMask::outline_px`].
+/// Outline of the largest component, see [`RegionMask::outline_px`].
 pub(super) fn largest(mask: &RegionMask) -> Vec<Vector2<f64>> {
     let part = super::grow::largest_part(mask);
     let mut start = None;
@@ -20,15 +20,15 @@ pub(super) fn largest(mask: &RegionMask) -> Vec<Vector2<f64>> {
     start.map(|start| simplify(&walk(&part, start))).unwrap_or_default()
 }
 
-/// Corners of the outline, walked with the region on the right hand, from the upper left corner of pixel `start`
-/// (the first pixel of its part in reading order). Corner (i, j) lies at (i - 0.5, j - 0.5).
+/// Corners of the outline, traced with the region on the right, from the upper left corner of pixel `start` (the first pixel of
+/// its component in reading order). Corner (i, j) is at (i - 0.5, j - 0.5).
 fn walk(part: &RegionMask, start: (i32, i32)) -> Vec<Vector2<f64>> {
     let (mut x, mut y) = start;
     let mut heading = 0;
     let mut corners = Vec::new();
     let steps_max = 4 * part.area_px() + 4;
     for _ in 0..steps_max {
-        // The two pixels ahead of corner (x, y), left and right of the heading.
+        // The two pixels ahead of corner (x, y), left and right of the direction.
         let (left, right) = match heading {
             0 => ((x, y - 1), (x, y)),
             1 => ((x, y), (x - 1, y)),
@@ -56,7 +56,7 @@ fn walk(part: &RegionMask, start: (i32, i32)) -> Vec<Vector2<f64>> {
     corners
 }
 
-/// Douglas-Peucker on the closed polygon, split at the point farthest from the last one.
+/// Douglas-Peucker on the closed polygon, split at the point farthest from the last point.
 fn simplify(corners: &[Vector2<f64>]) -> Vec<Vector2<f64>> {
     let Some(anchor) = corners.last().copied() else { return Vec::new() };
     let distance = |p: &Vector2<f64>| (p - anchor).norm_squared();
@@ -65,7 +65,7 @@ fn simplify(corners: &[Vector2<f64>]) -> Vec<Vector2<f64>> {
     kept[far] = true;
     kept[corners.len() - 1] = true;
     let mut open = vec![(far, corners.len() - 1)];
-    // The part from the anchor (which is also the last corner) to the far point, as indices shifted by one.
+    // The part from the anchor (also the last corner) to the farthest point, as indices shifted by one.
     let mut from_anchor = vec![anchor];
     from_anchor.extend_from_slice(&corners[..=far]);
     mark(corners, &mut open, &mut kept);

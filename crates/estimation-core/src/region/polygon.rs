@@ -1,28 +1,28 @@
-//! Polygons to pixels.
+//! Polygon rasterisation.
 //!
-//! A pixel is inside if its centre is inside the polygon by the even-odd rule, or lies on the outline. Spans are found
-//! row by row; rows outside the image are counted but not stored.
+//! A pixel is inside if its centre is inside the polygon by the even-odd rule, or on the outline. Spans are computed row by
+//! row; rows outside the image are counted but not stored.
 
 use nalgebra::Vector2;
 
 use super::RegionMask;
 
-/// A centre this close to the outline lies on it, pixels.
+/// A pixel centre closer to the outline than this counts as on the outline, pixels.
 const ON_OUTLINE_PX: f64 = 1e-9;
 
-/// Adds the pixels inside the polygon to `mask`; returns how many pixels (inside and outside the image) it covers.
+/// Adds the pixels inside the polygon to `mask`; returns the number of pixels that it covers, inside and outside the image.
 ///
-/// The vertices must be finite. Rows far outside the image cost time, so callers bound the coordinates.
+/// The vertices must be finite. Rows far outside the image cost time, so callers limit the coordinates.
 pub fn fill(vertices: &[Vector2<f64>], mask: &mut RegionMask) -> usize {
     for_each_span(vertices, |y, first, last| mask.insert_span(y, first, last))
 }
 
-/// How many pixels, inside and outside the image, the polygon covers; as in [`fill`].
+/// Number of pixels that the polygon covers, inside and outside the image; as in [`fill`].
 pub fn covered_px(vertices: &[Vector2<f64>]) -> usize {
     for_each_span(vertices, |_, _, _| {})
 }
 
-/// Calls `visit(y, first, last)` for every span of pixels; returns how many pixels they have.
+/// Calls `visit(y, first, last)` for every span of pixels; returns their total number of pixels.
 fn for_each_span(vertices: &[Vector2<f64>], mut visit: impl FnMut(i64, i64, i64)) -> usize {
     let mut crossings = Vec::new();
     let mut spans = Vec::new();
@@ -66,11 +66,11 @@ fn row_spans(vertices: &[Vector2<f64>], y: f64, crossings: &mut Vec<f64>, spans:
     };
     for (i, a) in vertices.iter().enumerate() {
         let b = vertices[(i + 1) % vertices.len()];
-        // Half-open in y, so that a vertex on the row is crossed once.
+        // Half-open in y, so that a vertex on the row counts as one crossing.
         if (a.y <= y) != (b.y <= y) {
             crossings.push(a.x + (y - a.y) / (b.y - a.y) * (b.x - a.x));
         }
-        // What the half-open rule may miss: vertices and level edges on the row itself.
+        // The half-open rule can miss vertices and horizontal edges on the row itself.
         if (a.y - y).abs() <= ON_OUTLINE_PX {
             let level = (b.y - y).abs() <= ON_OUTLINE_PX;
             push(if level { a.x.min(b.x) } else { a.x }, if level { a.x.max(b.x) } else { a.x });
@@ -109,7 +109,7 @@ mod tests {
         points.iter().map(|p| Vector2::new(p.0, p.1)).collect()
     }
 
-    /// Winding by angles: an independent test of "inside" for simple polygons.
+    /// Winding number by angles: an independent inside test for simple polygons.
     fn inside_by_angle(vertices: &[Vector2<f64>], x: f64, y: f64) -> bool {
         let turn: f64 = (0..vertices.len())
             .map(|i| {

@@ -12,7 +12,7 @@ const CONFIG: RegionConfig = RegionConfig {
     luminance_deviation_min: 3.0,
 };
 
-/// A red disc (hue about 0 with dark red spots) of radius 20 at (60, 40) on a grey ramp.
+/// A red disc (hue about 0, with dark red spots) of radius 20 at (60, 40) on a grey ramp.
 fn scene() -> RgbImage {
     RgbImage::from_fn(160, 90, |x, y| {
         let (dx, dy) = (f64::from(x) - 60.0, f64::from(y) - 40.0);
@@ -112,7 +112,7 @@ fn a_click_takes_the_coloured_object_across_its_dark_spots() {
 #[test]
 fn a_click_on_grey_grows_by_luminance() {
     let mask = Region::Click { x: 120, y: 40 }.rasterize(&scene(), &CONFIG).expect("a band of the ramp");
-    // The ramp has one level per column, so 20 levels are 20 columns either way.
+    // The ramp has one level per column, so 20 levels are 20 columns to either side.
     assert_eq!(mask.bbox(), Some(PixelBox { x: 100, y: 0, width: 41, height: 90 }));
 }
 

@@ -1,21 +1,22 @@
-//! Other explanations of the best candidate's pixels that come near it on the level of the search are compared with it on the
-//! finest one.
+//! Comparison of the best candidate with alternative explanations of the same pixels: alternatives close to it on the search
+//! level are compared with it on the finest level.
 //!
-//! Where pixels are joined, what only resembles the region may look as good as the region's own surface; finer pixels tell
-//! more. What they say decides, and where the levels disagree, or finer pixels leave two of them nearly equal, the outcome
-//! names the other one.
+//! After downsampling, something similar to the region may score as high as the region's own surface; finer pixels discriminate
+//! better and therefore decide. If the levels disagree, or if two candidates are nearly equal on the finest level, the outcome
+//! reports the other candidate.
 
 use super::{ColdStart, Descent, OVERLAP_OF_ALIAS, Surface};
 use crate::outcome::{Rival, surface_score};
 
-/// Candidates with this share of the best one's score, on the level where that is lower, are compared again. Chosen; no sweep is on record.
+/// Candidates with this share of the best score, on the level where it is lower, are compared again. Chosen; no sweep is on
+/// record.
 const NEAR_SCORE: f64 = 0.6;
 
 impl ColdStart {
-    /// Puts the surface first that is best on the finest level, of those that are near the best one of the level of the search
-    /// and explain mostly the same pixels, and says how it looks there. Where there are others, also returns the best of them,
-    /// with the larger of its score ratios on both levels if they disagree on which one is better, else with that on the
-    /// finest. `None` without surfaces.
+    /// Moves the surface to the front that is best on the finest level, among those close to the best one of the search level
+    /// that explain mostly the same pixels, and returns its evaluation there. If there are others, also returns the best of
+    /// them. Its score ratio is that of the finest level or, if the levels disagree on the better surface, the larger of both.
+    /// `None` without surfaces.
     pub(super) fn contest(&mut self, may_continue: &mut dyn FnMut() -> bool) -> Option<(Descent, Option<Rival>)> {
         let first = *self.surfaces.first()?;
         let descent = self.descend(first.plane, may_continue);
@@ -48,7 +49,7 @@ impl ColdStart {
             let rival = self.rival(&other, &first);
             Rival { score_ratio: rival.score_ratio.max(own / score), ..rival }
         };
-        // The levels are left as the best one marks them.
+        // Afterwards the levels hold the marks of the best surface.
         let plane = self.surfaces[0].plane;
         Some((self.descend(plane, may_continue), Some(rival)))
     }

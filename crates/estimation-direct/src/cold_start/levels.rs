@@ -1,24 +1,25 @@
-//! On which levels the search runs: coarse where that decides, finer where it does not.
+//! Choice of the search levels: coarse if that is decisive, otherwise finer.
 
 use super::super::disparity_plane::{DisparityPlane, DisparityRange};
 use super::super::region_pyramid::LevelPlane;
 use super::ColdStart;
 
-/// So much more of the region agrees with a plane by its patches than by single clear disparities. Chosen; no sweep is on record.
+/// Factor by which patches support a plane more than single clear disparities do. Chosen; no sweep is on record.
 const DECIDED_CLEAR: f64 = 1.5;
-/// The search begins on the first level on which the region has at most so many pixels: an eighth of the work of the next (a quarter of the
-/// pixels and half of the disparities of `direct.search.quick_area_max_px`).
+/// The search begins on the first level on which the region has at most this many pixels: an eighth of the work of the next (a
+/// quarter of the pixels and half of the disparities of `direct.search.quick_area_max_px`).
 const COARSE_AREA_PX: usize = 1500;
-/// It ends there if one plane holds this share of the clear disparities; soft, as noise takes a tenth or two. A second surface would take
-/// more. Chosen with the next two: of 613 real windows and 109 cases none changes its pass or status by ending there.
+/// The search ends there if one plane explains this share of the clear disparities; the share is soft, because noise takes a
+/// tenth or two. A second surface would take more. Chosen with the next two: of 613 real windows and 109 cases none changes its
+/// pass or status by ending there.
 const ONE_PLANE_SHARE: f64 = 0.75;
-/// These are this share of the region. Chosen, see [`ONE_PLANE_SHARE`].
+/// Smallest share of the region that these disparities must have. Chosen, see [`ONE_PLANE_SHARE`].
 const ONE_PLANE_CLEAR: f64 = 0.5;
-/// And this share of the patches with texture supports the plane. Chosen, see [`ONE_PLANE_SHARE`].
+/// Smallest share of the textured patches that must support the plane. Chosen, see [`ONE_PLANE_SHARE`].
 const ONE_PLANE_SUPPORT: f64 = 0.8;
 
 impl ColdStart {
-    /// Searches from coarse to fine until a level decides: what the finest one may cost is spent only where it is needed.
+    /// Searches from coarse to fine until a level is decisive, so that the cost of the finest level is spent only if needed.
     pub(super) fn search(
         &mut self,
         disparity_px: DisparityRange,
@@ -44,8 +45,8 @@ impl ColdStart {
         }
     }
 
-    /// Finds and judges the candidates on one level if one plane explains nearly all that single pixels say; whether the
-    /// patches then say so as well.
+    /// Finds and evaluates the candidates on one level, if one plane explains nearly all single-pixel disparities. Returns
+    /// whether the patches confirm it.
     fn search_plain_level(
         &mut self,
         index: usize,
@@ -72,7 +73,7 @@ impl ColdStart {
         })
     }
 
-    /// Finds and judges the candidates on one level.
+    /// Finds and evaluates the candidates on one level.
     fn search_level(&mut self, index: usize, disparity_px: DisparityRange, allowed: impl Fn(&DisparityPlane) -> bool) {
         self.searched = index;
         self.surfaces.clear();
@@ -82,7 +83,7 @@ impl ColdStart {
         self.judge_candidates(index, centre);
     }
 
-    /// Whether the best surface has so much of the region that a finer search would find the same.
+    /// Whether the best surface covers so much of the region that a finer search would find the same.
     fn is_decided(&self) -> bool {
         self.surfaces.first().is_some_and(|first| {
             let agreeing = first.patches.textured_share * first.patches.support_share;

@@ -1,9 +1,9 @@
-//! The plane that the most patches lie on closely.
+//! The plane that the most patches fit closely.
 //!
-//! Across a step of a few pixels a tilted plane may run through two surfaces: near to where it meets them patches support it,
-//! and single pixels are too coarse to object. But a patch knows its shift to a tenth of a pixel, and between those places
-//! its shift is off the plane. So planes are laid through the shifts of three patches each; where clearly more patches lie
-//! closely on one of them than on the plane that was looked at, that one is the surface.
+//! Across a step of a few pixels a tilted plane may cut through two surfaces. Patches near the intersections support it, and
+//! single pixels are too coarse to contradict it. But each patch measures its shift to a tenth of a pixel, and between the
+//! intersections this shift differs from the plane. Planes are therefore drawn through the shifts of three patches each; if
+//! clearly more patches fit one of these planes closely than the evaluated plane, this plane is the surface.
 
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::rng::SplitMix64;
@@ -11,24 +11,26 @@ use pb3dp_estimation_core::rng::SplitMix64;
 use super::fit::{PatchVotes, improve, weight_near};
 use super::kernels::{PeakLimits, RowPeaks};
 
-/// Patches that are asked, about. Chosen; no sweep is on record.
+/// Approximate number of sampled patches. Chosen; no sweep is on record.
 const PATCHES: usize = 600;
-/// Patches lie closely on a plane if they are off it by clearly less than this, pixels of the level. Chosen; no sweep is on record.
+/// Patches fit a plane closely if they differ from it by clearly less than this, pixels of the level. Chosen; no sweep is on
+/// record.
 const CLOSE_PX: f64 = 0.35;
-/// Drawn planes are counted with this width first, pixels of the level. Chosen; no sweep is on record.
+/// Drawn planes are first counted with this width, pixels of the level. Chosen; no sweep is on record.
 const DRAWN_PX: f64 = 0.5;
-/// With this share of the patches' weight closely on the plane that was looked at there is no other. Chosen; no sweep is on record.
+/// If this share of the patches' weight fits the evaluated plane closely, no other plane is searched. Chosen; no sweep is on
+/// record.
 const DECISIVE_SHARE: f64 = 0.5;
-/// Planes that are drawn. Chosen; no sweep is on record.
+/// Number of drawn planes. Chosen; no sweep is on record.
 const DRAWS: usize = 24;
-/// The best ones of these are improved. Chosen; no sweep is on record.
+/// Number of best drawn planes that are refined. Chosen; no sweep is on record.
 const IMPROVED: usize = 3;
-/// Another plane has so many times as much weight close to it. Chosen; no sweep is on record.
+/// Factor by which more weight must fit another plane closely. Chosen; no sweep is on record.
 const GAIN_MIN: f64 = 1.15;
-/// And it is off by so much at a corner of what the patches cover, pixels of the level. Chosen; no sweep is on record.
+/// Smallest difference of another plane at a corner of the patches' box, pixels of the level. Chosen; no sweep is on record.
 const APART_PX: f64 = 1.0;
 
-/// Patches with a shift of their own, and the weight of all.
+/// Sampled patches with their shifts, and the total weight.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sampled {
     votes: PatchVotes,
@@ -37,7 +39,7 @@ pub(super) struct Sampled {
 }
 
 impl Sampled {
-    /// Forgets all patches; of `area_px` pixels about [`PATCHES`] will be asked, those of one row and column in so many.
+    /// Removes all patches. Of `area_px` pixels about [`PATCHES`] will be sampled, at regular rows and columns.
     pub(super) fn start(&mut self, area_px: usize, row_step: usize) {
         self.votes.clear();
         self.all = 0.0;
@@ -45,12 +47,12 @@ impl Sampled {
         self.step = step.next_multiple_of(row_step).max(row_step);
     }
 
-    /// Whether patches of a row, counted from the first one, are asked.
+    /// Whether patches of a row, counted from the first one, are sampled.
     pub(super) fn takes_row(&self, row: usize) -> bool {
         row.is_multiple_of(self.step)
     }
 
-    /// Takes patches of a row from pixel `(x, y)` on; those beyond the limits have no vote, but weight.
+    /// Samples patches of a row from pixel `(x, y)` on; patches beyond the limits get no vote, but their weight counts.
     pub(super) fn take_row(&mut self, x: usize, y: usize, inside: &[u8], peaks: RowPeaks<'_>, limits: PeakLimits) {
         let RowPeaks { offset, correlation, weight } = peaks;
         for i in (0..inside.len()).step_by(self.step).filter(|&i| inside[i] != 0 && weight[i] > 0.0) {
@@ -61,7 +63,7 @@ impl Sampled {
         }
     }
 
-    /// Shifts of a plane that clearly more patches lie closely on than on the one that was looked at, if there is one.
+    /// Shifts of a plane that clearly more patches fit closely than the evaluated plane; `None` if there is none.
     pub(super) fn closest(&mut self, kernels: Kernels) -> Option<[f64; 3]> {
         let count = self.votes.len();
         if count < 3 {
@@ -95,7 +97,7 @@ impl Sampled {
         weight_near(&self.votes, plane, width_px, kernels) / f64::from(self.all)
     }
 
-    /// A plane put right by the patches near it, with the share of the weight that is close to it then.
+    /// A plane refined on the patches near it, with the share of the weight that then fits it closely.
     fn improved(&self, plane: [f64; 3], kernels: Kernels) -> Option<([f64; 3], f64)> {
         let mut plane = plane;
         for width_px in [2.0 * CLOSE_PX, 1.5 * CLOSE_PX, CLOSE_PX, CLOSE_PX] {
@@ -122,7 +124,7 @@ mod tests {
         sampled.closest(Kernels::best())
     }
 
-    /// The plane that was looked at meets the larger surface at its far end and then, behind a step, the smaller one.
+    /// The evaluated plane meets the larger surface at its far end and, behind a step, the smaller one.
     #[test]
     fn a_plane_that_bridges_a_step_is_told_from_the_surface() {
         let found = closest(|x| if x < 80.0 { 0.018 * (x - 10.0) } else { 0.0 }).unwrap();
@@ -134,7 +136,7 @@ mod tests {
     fn one_plane_has_no_other() {
         assert_eq!(closest(|_| 0.0), None);
         assert_eq!(closest(|x| 0.002 * (x - 50.0)), None);
-        // The larger of two surfaces was looked at, or all of a bent one.
+        // The larger of two surfaces was evaluated, or all of a curved one.
         assert_eq!(closest(|x| if x < 60.0 { 0.0 } else { 1.4 }), None);
         assert_eq!(closest(|x| 3e-4 * (x - 50.0) * (x - 50.0) - 0.3), None);
         assert_eq!(closest(|_| 3.0), None);

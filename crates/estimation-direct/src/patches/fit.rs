@@ -1,4 +1,4 @@
-//! A plane through the votes of patches.
+//! Robust fit of a plane through the votes of patches.
 
 use nalgebra::{Matrix3, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
@@ -29,7 +29,7 @@ impl PatchVotes {
         self.weight.push(weight);
     }
 
-    /// Adds the votes of a row from pixel `(x, y)` on; those outside the region have no weight.
+    /// Adds the votes of a row from pixel `(x, y)` on; those outside the region get no weight.
     pub(super) fn extend_row(&mut self, x: usize, y: usize, inside: &[u8], offset: &[f32], weight: &[f32]) {
         self.x.extend((x..x + inside.len()).map(|x| x as f32));
         self.y.resize(self.x.len(), y as f32);
@@ -41,7 +41,7 @@ impl PatchVotes {
         self.x.len()
     }
 
-    /// The plane through three votes; `None` if they stand in a line.
+    /// The plane through three votes; `None` if they are collinear.
     pub(super) fn through(&self, votes: [usize; 3]) -> Option<[f64; 3]> {
         let row = |i: usize| [1.0, f64::from(self.x[i]), f64::from(self.y[i])];
         let offset = Vector3::from(votes.map(|i| f64::from(self.offset[i])));
@@ -49,7 +49,7 @@ impl PatchVotes {
         plane.iter().all(|v| v.is_finite()).then(|| plane.into())
     }
 
-    /// How far two planes are apart, at most, at the corners of the box around all votes that count.
+    /// Largest distance between two planes at the corners of the box around all votes with weight.
     pub(super) fn gap(&self, a: &[f64; 3], b: &[f64; 3]) -> f64 {
         let places = || self.x.iter().zip(&self.y).zip(&self.weight).filter(|(_, weight)| **weight > 0.0);
         let ends = |values: &mut dyn Iterator<Item = f32>| {
@@ -60,7 +60,7 @@ impl PatchVotes {
         gap(x.0, y.0).max(gap(x.1, y.0)).max(gap(x.0, y.1)).max(gap(x.1, y.1))
     }
 
-    /// Fills the last group with votes that do not count.
+    /// Fills the last group with votes of no weight.
     pub(super) fn pad(&mut self) {
         while !self.x.len().is_multiple_of(LANES) {
             self.push(0.0, 0.0, 0.0, 0.0);
@@ -68,11 +68,11 @@ impl PatchVotes {
     }
 }
 
-/// Steps of re-weighting. Chosen; no sweep is on record.
+/// Number of re-weighting steps. Chosen; no sweep is on record.
 const STEPS: usize = 4;
 
-/// `offset = p0 + p1 x + p2 y` by Tukey's weights, whose width shrinks to `width_px`; `None` if the votes do not determine a
-/// plane.
+/// Fits `offset = p0 + p1 x + p2 y` with Tukey's weights, whose width shrinks to `width_px`; `None` if the votes do not
+/// determine a plane.
 pub(super) fn fit_votes(votes: &mut PatchVotes, width_px: f64, kernels: Kernels) -> Option<[f64; 3]> {
     votes.pad();
     let mut plane = Vector3::zeros();
@@ -81,7 +81,7 @@ pub(super) fn fit_votes(votes: &mut PatchVotes, width_px: f64, kernels: Kernels)
         let p: [f32; 3] = std::array::from_fn(|k| plane[k] as f32);
         let scale = (1.0 / (width * width)) as f32;
         let sums = sums(kernels, &votes.x, &votes.y, &votes.offset, &votes.weight, p, scale);
-        // Twenty pixels' worth of sharp patches.
+        // The weight of twenty pixels of sharp patches.
         if sums.w < 20.0 {
             return None;
         }
@@ -90,18 +90,18 @@ pub(super) fn fit_votes(votes: &mut PatchVotes, width_px: f64, kernels: Kernels)
     plane.iter().all(|v| v.is_finite()).then(|| plane.into())
 }
 
-/// The weight of the votes near a plane, by Tukey's weights of this width.
+/// Total weight of the votes near a plane, by Tukey's weights of this width.
 pub(super) fn weight_near(votes: &PatchVotes, plane: &[f64; 3], width_px: f64, kernels: Kernels) -> f64 {
     weighted(votes, plane, width_px, kernels).w
 }
 
-/// A plane moved to the middle of the votes near it; `None` if these do not determine one.
+/// A plane moved to the centre of the votes near it; `None` if they do not determine one.
 pub(super) fn improve(votes: &PatchVotes, plane: &[f64; 3], width_px: f64, kernels: Kernels) -> Option<[f64; 3]> {
     let moved = Vector3::from(*plane) + weighted(votes, plane, width_px, kernels).step()?;
     moved.iter().all(|v| v.is_finite()).then(|| moved.into())
 }
 
-/// Sums over padded votes.
+/// Weighted sums over padded votes.
 fn weighted(votes: &PatchVotes, plane: &[f64; 3], width_px: f64, kernels: Kernels) -> PlaneSums<f64> {
     let scale = (1.0 / (width_px * width_px)) as f32;
     sums(kernels, &votes.x, &votes.y, &votes.offset, &votes.weight, plane.map(|p| p as f32), scale)

@@ -6,9 +6,9 @@ use pb3dp_estimation_core::wide::{LANES, wide};
 use super::{PATCH_PX, PatchConfig, REACH_MAX, SIDE, SUPPORTS, USABLE};
 use crate::named_sums::named_sums;
 
-/// Shifts at most.
+/// Largest number of shifts.
 const SHIFTS_MAX: usize = 2 * REACH_MAX + 1;
-/// Sums of products of the left with the shifted right, then left, left squared, gradient squared, right, right squared.
+/// Sums of: products of the left with the shifted right image, left, left squared, gradient squared, right, right squared.
 const SUMS: usize = SHIFTS_MAX + 5;
 const LEFT: usize = SHIFTS_MAX;
 const LEFT_SQUARED: usize = SHIFTS_MAX + 1;
@@ -52,7 +52,7 @@ impl Rows {
         self.zeros.resize(wide, 0.0);
     }
 
-    /// Takes row `y` into the sums and the row that leaves the patch out of them.
+    /// Adds row `y` to the sums and subtracts the row that leaves the patch.
     pub(super) fn advance(
         &mut self,
         y: usize,
@@ -84,7 +84,7 @@ impl Rows {
         slide(kernels, &mut self.columns[RIGHT_SQUARED], w, w, wo, wo);
     }
 
-    /// Finds the best shift of every patch of the row in the middle.
+    /// Finds the best shift of every patch of the middle row.
     pub(super) fn peaks(&mut self, config: &PatchConfig, kernels: Kernels) {
         let used = (0..=2 * self.reach).chain(SHIFTS_MAX..SUMS);
         for k in used {
@@ -102,31 +102,31 @@ impl Rows {
         weigh(kernels, left, left_squared, gradient, texture, half, &mut self.weight);
     }
 
-    /// Says of every patch of the row whether its pixel is usable and supports the plane.
+    /// Marks for every patch of the row whether its pixel is usable and supports the plane.
     pub(super) fn judge(&mut self, limits: PeakLimits, kernels: Kernels) {
         judge(kernels, &self.offset, &self.correlation, &self.weight, limits, &mut self.verdict);
     }
 
-    /// Takes the verdicts over to the pixels of a row of the region, and counts these.
+    /// Copies the marks to the pixels of a row of the region, and counts these pixels.
     pub(super) fn spread_row(&self, inside: &[u8], support: &mut [u8], kernels: Kernels) -> Tally<f64> {
         spread_row(kernels, inside, &self.verdict, &self.correlation, &self.weight, support)
     }
 
-    /// What the patches of the row say.
+    /// Shift, correlation and weight of the patches of the row.
     pub(super) fn peaks_found(&self) -> RowPeaks<'_> {
         RowPeaks { offset: &self.offset, correlation: &self.correlation, weight: &self.weight }
     }
 }
 
-/// What the best agreement of a patch must keep: no farther away, and a correlation of at least.
+/// Limits of a patch's correlation peak: largest distance, and smallest correlation.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PeakLimits {
     pub shift_px: f32,
     pub correlation: f32,
 }
 
-/// What the patches of a row say: columns to the best agreement (beyond the reach if it lies at its end), that agreement, and
-/// how much each counts, 0 without texture.
+/// Results of the patches of a row: shift in columns to the best agreement (beyond the reach if it is at its end), its
+/// correlation, and the weight of the patch, 0 without texture.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RowPeaks<'a> {
     pub offset: &'a [f32],
@@ -178,7 +178,8 @@ fn spread_row_kernel(
 }
 
 named_sums! {
-    /// Counts of pixels of the region: those with texture, those that support the plane, and the correlations of the latter.
+    /// Counts of pixels of the region: those with texture, those that support the plane, and the sum of the latter's
+    /// correlations.
     pub(super) struct Tally { textured, supporting, correlation, }
 }
 
@@ -220,7 +221,7 @@ wide! {
     fn correlate(products: &mut [f32], left: &[f32], left_squared: &[f32], right: &[f32], right_squared: &[f32], floor: f32) = correlate_kernel;
 }
 
-/// Turns sums of products into correlations.
+/// Converts sums of products into correlations.
 #[inline(always)]
 fn correlate_kernel(
     products: &mut [f32],
@@ -243,7 +244,7 @@ wide! {
     fn find_peaks(correlations: &[Vec<f32>], reach: usize, offset: &mut [f32], correlation: &mut [f32]) = find_peaks_kernel;
 }
 
-/// The highest correlation and where it is, by a parabola; at an end of the reach: one column beyond.
+/// The highest correlation and its sub-column position by a parabola; at an end of the reach: one column beyond.
 #[inline(always)]
 fn find_peaks_kernel(correlations: &[Vec<f32>], reach: usize, offset: &mut [f32], correlation: &mut [f32]) {
     correlation.copy_from_slice(&correlations[0]);

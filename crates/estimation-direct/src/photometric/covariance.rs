@@ -1,11 +1,11 @@
-//! The covariance of a refined plane.
+//! Covariance of a refined plane.
 //!
-//! The residuals of neighbouring pixels are not independent: smoothing joins them over a few pixels, and on real surfaces
-//! relief, shading and lens errors join them over tens. So the covariance is a sandwich `H^-1 M H^-1`, where `M` sums up the
-//! outer products of what whole blocks of 8 x 8 pixels pull. If pixels were independent beyond a block, blocks of twice the
-//! side would give the same `M` but for chance; where they give more, the rest of the way to blocks of four and eight times
-//! the side is taken to add as much again at each doubling. On noise alone that changes little; on real surfaces it makes
-//! sigma two to three times larger.
+//! The residuals of neighbouring pixels are not independent: smoothing correlates them over a few pixels, and on real surfaces
+//! relief, shading and lens errors correlate them over tens. The covariance is therefore a sandwich `H^-1 M H^-1`, where `M` is
+//! the sum of the outer products of the scores of blocks of 8 x 8 pixels. If pixels were independent beyond a block, blocks of
+//! twice the side would give the same `M` except for chance. If they give more, the same growth is assumed for each further
+//! doubling, up to blocks of four and eight times the side. With pure noise this changes little; on real surfaces sigma grows
+//! by a factor of two to three.
 
 use nalgebra::{Matrix3, Matrix4, Vector2, Vector4};
 
@@ -13,20 +13,21 @@ pub(super) use super::super::cramer_rao::calibration_covariance as calibration;
 use super::RefineConfig;
 use super::kernel::Unmodelled;
 
-/// Fewest large blocks that say something about long-range correlation. Chosen; no sweep is on record.
+/// Smallest number of large blocks for an estimate of long-range correlation. Chosen; no sweep is on record.
 const LARGE_BLOCKS_MIN: usize = 16;
-/// How often the excess of large blocks over small ones repeats. Chosen; on ray-traced pairs it gave a third of the NEES as 0.7 to 1.5.
+/// Number of further doublings with the growth from small to large blocks. Chosen; on ray-traced pairs it gave a third of the
+/// NEES as 0.7 to 1.5.
 const DOUBLINGS: f64 = 2.0;
 /// Largest growth of the covariance per doubling. Chosen; no sweep is on record.
 const GROWTH_MAX: f64 = 3.0;
-/// Parameters and shades that the points have been fitted with: three of the plane, a row offset, a gain and an offset.
+/// Number of fitted parameters and photometric states: three of the plane, a row offset, a gain and an offset.
 const FITTED: f64 = 6.0;
 
-/// Mean square over squared mean of the sizes of pulls at four parameters that differ by chance alone. The sizes are chi-squared of four:
-/// mean square 24, mean 4, and 24 / 16 = 1.5.
+/// Mean square over squared mean of the sizes of four-parameter scores that differ by chance alone. The sizes are chi-squared
+/// with four degrees of freedom: mean square 24, mean 4, and 24 / 16 = 1.5.
 const CHANCE_OF_SIZES: f64 = 1.5;
 
-/// What every block of points pulls at `(d0, du, dv, row)`.
+/// Scores of every block of points with respect to `(d0, du, dv, row)`.
 #[derive(Clone, Debug, Default)]
 pub(super) struct BlockPulls {
     small: Vec<((u32, u32), Vector4<f64>)>,
@@ -35,7 +36,7 @@ pub(super) struct BlockPulls {
 }
 
 impl BlockPulls {
-    /// Sums the scores of points up by blocks; `ends` is one past the last point of every block.
+    /// Sums the scores of points by block; `ends` is one past the last point of every block.
     pub fn sum(&mut self, scores: &[Vec<f32>; 4], ends: &[usize], places: &[(u32, u32)]) {
         self.small.clear();
         let mut first = 0;
@@ -46,8 +47,8 @@ impl BlockPulls {
         }
     }
 
-    /// Covariance of `(d0, du, dv)`; `matrix` says how the sum of all scores answers to a change of the parameters, and
-    /// `row_information` is what was known of the row offset before. `None` where the matrix has no inverse.
+    /// Covariance of `(d0, du, dv)`. `matrix` is the derivative of the summed scores with respect to the parameters, and
+    /// `row_information` is the prior information on the row offset. `None` if the matrix has no inverse.
     pub fn covariance(&mut self, matrix: &Matrix4<f64>, row_information: f64) -> Option<Matrix3<f64>> {
         let inverse = matrix.try_inverse()?;
         let sum = products(self.small.iter().map(|(_, pull)| pull));
@@ -60,7 +61,7 @@ impl BlockPulls {
         Some((covariance + covariance.transpose()) * 0.5)
     }
 
-    /// How many blocks that pull equally hard would say as much: few edges in an otherwise blank region are few blocks.
+    /// Effective number of blocks, if all scores had equal size: a few edges in an otherwise blank region are few blocks.
     fn effective_count(&self, inverse: &Matrix4<f64>) -> f64 {
         let sizes = self.small.iter().map(|(_, pull)| pull.dot(&(inverse * pull)));
         let (sum, squares) = sizes.fold((0.0, 0.0), |(sum, squares), size| (sum + size, squares + size * size));
@@ -68,8 +69,8 @@ impl BlockPulls {
         if squares > 0.0 { (CHANCE_OF_SIZES * sum * sum / squares).min(count) } else { count }
     }
 
-    /// By how much blocks of twice the side make the covariance larger, beyond chance, at least 1; `small` is the sum of the
-    /// products of the small blocks.
+    /// Growth of the covariance with blocks of twice the side, beyond chance, at least 1; `small` is the sum of the products of
+    /// the small blocks.
     fn growth(&mut self, inverse: &Matrix4<f64>, small: &Matrix4<f64>) -> f64 {
         let columns = self.small.iter().map(|(place, _)| place.0 / 2 + 1).max().unwrap_or(0) as usize;
         let rows = self.small.iter().map(|(place, _)| place.1 / 2 + 1).max().unwrap_or(0) as usize;
@@ -88,7 +89,7 @@ impl BlockPulls {
             return 1.0;
         }
         let size = |middle: &Matrix4<f64>| (inverse * middle).fixed_view::<3, 3>(0, 0).trace();
-        // Chance makes one standard deviation of a sum of squares of three numbers per block.
+        // One standard deviation, by chance, of a sum of squares of three numbers per block.
         let chance = (2.0 / (3.0 * count as f64)).sqrt();
         let ratio = size(&products(used)) / size(small) - chance;
         if ratio.is_finite() { ratio.clamp(1.0, GROWTH_MAX) } else { 1.0 }
@@ -100,21 +101,21 @@ fn products<'a>(pulls: impl Iterator<Item = &'a Vector4<f64>>) -> Matrix4<f64> {
     pulls.fold(Matrix4::zeros(), |sum, pull| sum + pull * pull.transpose())
 }
 
-/// From pixels of a level to full pixels.
+/// Converts from pixels of a level to full-size pixels.
 pub(super) fn at_full_size(covariance: &Matrix3<f64>, scale: f64) -> Matrix3<f64> {
     let s = Matrix3::from_diagonal(&nalgebra::Vector3::new(scale, 1.0, 1.0));
     s * covariance * s
 }
 
-/// The covariance of a plane described `by` further on.
+/// The covariance of the same plane with its reference pixel moved by `by`.
 pub(super) fn moved(covariance: &Matrix3<f64>, by: &Vector2<f64>) -> Matrix3<f64> {
     let m = Matrix3::new(1.0, by.x, by.y, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
     m * covariance * m.transpose()
 }
 
-/// What differences between the eyes that are not modelled leave of `(d0, du, dv)`, in pixels of a level of this scale: rows that
-/// are off by as much more at the ends of the region, of these half sides, than in its middle as calibration leaves, and edges
-/// that are blurred differently. `inverse` is that of the normal equations.
+/// Covariance of `(d0, du, dv)` due to unmodelled differences between the images, in pixels of a level of this scale. They are:
+/// a row offset that differs at the ends of the region (with these half sides) from its centre by the residual calibration
+/// error, and edges with different blur. `inverse` is that of the normal equations.
 pub(super) fn unmodelled(
     inverse: &Matrix4<f64>,
     scores: &Unmodelled,
@@ -136,7 +137,7 @@ pub(super) fn unmodelled(
 mod tests {
     use super::*;
 
-    /// Points of a 96 x 96 region, every one of which pulls by `pull(x, y)` at each parameter.
+    /// Points of a 96 x 96 region; every point has the score `pull(x, y)` for each parameter.
     fn covariance(pull: impl Fn(usize, usize) -> f64) -> f64 {
         let mut scores: [Vec<f32>; 4] = Default::default();
         let (mut ends, mut places) = (Vec::new(), Vec::new());
@@ -170,14 +171,14 @@ mod tests {
 
     #[test]
     fn noise_that_is_alike_over_many_pixels_counts_as_one() {
-        // Squares of 4 pixels: 16 times the variance. Squares of 24 pixels: 576 times, of which small blocks see 64.
+        // Squares of 4 pixels: 16 times the variance. Squares of 24 pixels: 576 times, of which small blocks detect 64.
         let near = covariance(|x, y| noise(x / 4, y / 4)) * 9216.0;
         assert!((12.0..26.0).contains(&near), "{near}");
         let far = covariance(|x, y| noise(x / 24, y / 24)) * 9216.0;
         assert!((290.0..1200.0).contains(&far), "{far}");
     }
 
-    /// Nine of 144 blocks have all that pulls: with the six things fitted that is little, and it counts.
+    /// Nine of 144 blocks have non-zero scores: with six fitted parameters this is few, and the correction is significant.
     #[test]
     fn few_edges_are_few_blocks() {
         let is_edge = |x: usize, y: usize| (x / 8).is_multiple_of(4) && (y / 8).is_multiple_of(4);

@@ -1,7 +1,7 @@
-//! Means of an image over the pixels of a level, its rows moved by a fraction of a pixel.
+//! Means of an image over the pixels of a level, with its rows moved by a fraction of a pixel.
 //!
-//! Moving rows (cubic, Keys 1981) and taking means over squares are both sums along columns: they are one sum of
-//! `scale + 3` weighted rows here, straight from the bytes of the image. Values of a pixel stay side by side.
+//! Moving rows (cubic, Keys 1981) and averaging over squares are both sums along columns. Here they are one sum of `scale + 3`
+//! weighted rows, computed directly from the bytes of the image. The values of a pixel are interleaved.
 
 use nalgebra::Vector2;
 use pb3dp_estimation_core::wide::wide;
@@ -13,19 +13,19 @@ use pb3dp_estimation_core::row_offset::RowOffset;
 /// Rows of pixels.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ImageRows<'a, T> {
-    /// Row by row; the values of a pixel stand side by side.
+    /// Values row by row; the values of a pixel are interleaved.
     pub values: &'a [T],
     /// Values per row.
     pub stride: usize,
-    /// Where the first column that is wanted begins in a row.
+    /// Offset of the first required column in a row.
     pub start: usize,
-    /// Row of the full image that the values begin with.
+    /// Row of the full image at which the values begin.
     pub top: i32,
     /// Number of rows.
     pub rows: usize,
 }
 
-/// Which means are wanted.
+/// Grid of the means to compute.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Grid {
     /// Side of the squares, pixels.
@@ -34,7 +34,7 @@ pub(super) struct Grid {
     pub first: (i32, i32),
     /// Columns and rows, squares.
     pub size: (usize, usize),
-    /// Row `v` of the means shows what the image shows at row `v + offset`; `None`: as it is.
+    /// Row `v` of the means shows the image at row `v + offset`; `None`: rows are not moved.
     pub rows: Option<RowOffset>,
 }
 
@@ -43,12 +43,12 @@ impl Grid {
     #[inline(always)]
     pub fn offsets(&self, row: f64) -> (f64, f64) {
         let Some(rows) = &self.rows else { return (0.0, 0.0) };
-        // In the middle of the block's columns.
+        // Evaluated at the centre of the block's columns.
         let centre = Vector2::new(f64::from(self.first.0) + (BLOCK - 1) as f64 / 2.0, row);
         (rows.at(&centre), rows.slope.x * BLOCK as f64)
     }
 
-    /// First row and one past the last row of the full image that the means are made of, before any border.
+    /// First row and one past the last row of the full image that the means use, before clamping to the border.
     pub fn rows_read(&self) -> (i32, i32) {
         let s = self.scale as f64;
         let (first, last) = (f64::from(self.first.1), f64::from(self.first.1) + s * self.size.1 as f64 - 1.0);
@@ -65,7 +65,7 @@ impl Grid {
 }
 
 wide! {
-    /// Means of red, green and blue, side by side; `out` gets a column that it does not need.
+    /// Means of red, green and blue, interleaved; `out` gets one extra column.
     pub(super) fn average_colours(source: &ImageRows<'_, u8>, grid: &Grid, out: &mut ImagePlane) = average::<u8, 3, { 3 * BLOCK }>;
 }
 
@@ -75,11 +75,11 @@ wide! {
 }
 
 wide! {
-    /// Means of one channel that has been resampled.
+    /// Means of one resampled channel.
     pub(super) fn average_values(source: &ImageRows<'_, f32>, grid: &Grid, out: &mut ImagePlane) = average::<f32, 1, BLOCK>;
 }
 
-/// The means of `N` values per pixel; `W` are those of a block.
+/// The means of `N` values per pixel; `W` is the number of values of a block.
 #[inline(always)]
 fn average<T: Copy, const N: usize, const W: usize>(source: &ImageRows<'_, T>, grid: &Grid, out: &mut ImagePlane)
 where
@@ -87,7 +87,7 @@ where
 {
     let (scale, width) = (grid.scale, grid.size.0 * grid.scale);
     out.resize(grid.size.0 * N + 1, grid.size.1);
-    // What the pooling of the last pixel reads beyond it.
+    // The pooling of the last pixel reads beyond it.
     let mut full = [[0.0_f32; W]; 2];
     for y in 0..grid.size.1 {
         let row = f64::from(grid.first.1) + (y * scale) as f64;
@@ -108,10 +108,10 @@ where
 
 /// Weights of neighbouring rows.
 struct Weights {
-    /// The weights of moved rows, summed up before each.
+    /// Cumulative weights of the moved rows.
     before: [f32; 5],
     scale: usize,
-    /// Which of the `scale + 3` rows from the one above on take part.
+    /// Range of the `scale + 3` rows, counted from the row above, with a weight.
     range: (usize, usize),
 }
 
@@ -129,14 +129,14 @@ impl Weights {
         }
     }
 
-    /// The weight of a row: that of moved rows, summed up over the rows of the square.
+    /// The weight of a row: the weights of the moved rows, summed over the rows of the square.
     #[inline(always)]
     fn of(&self, row: usize) -> f32 {
         self.before[(row + 1).min(4)] - self.before[(row + 1).saturating_sub(self.scale).min(4)]
     }
 }
 
-/// The weighted sum of rows around row `top` of the image; rows beyond the border repeat the border.
+/// The weighted sum of rows around row `top` of the image; rows beyond the border replicate the border.
 #[inline(always)]
 fn mix<T: Copy, const W: usize>(
     source: &ImageRows<'_, T>,
@@ -157,7 +157,7 @@ fn mix<T: Copy, const W: usize>(
                 sums[i] += weight * f32::from(values[i]);
             }
         } else {
-            // At the end of the last row, where a whole block is no longer there.
+            // At the end of the last row, where less than a whole block remains.
             for (sum, value) in sums.iter_mut().zip(&source.values[start..]) {
                 *sum += weight * f32::from(*value);
             }
@@ -166,7 +166,7 @@ fn mix<T: Copy, const W: usize>(
     *out = sums;
 }
 
-/// Adds up the values of a block along rows, square by square, from the full column `first` on.
+/// Sums the values of a block along rows, square by square, from the full-size column `first` on.
 #[inline(always)]
 fn pool<const N: usize>(full: &[f32], scale: usize, first: usize, out: &mut [f32]) {
     let to = first / scale * N;
@@ -186,7 +186,7 @@ fn pool<const N: usize>(full: &[f32], scale: usize, first: usize, out: &mut [f32
     }
 }
 
-/// As [`pool`] with squares of side `S`, each of which is pooled at once.
+/// As [`pool`] for squares of side `S`, each summed at once.
 #[inline(always)]
 fn pool_squares<const N: usize, const S: usize>(full: &[f32], out: &mut [f32]) {
     let count = (full.len() - 1) / (N * S);
@@ -197,7 +197,7 @@ fn pool_squares<const N: usize, const S: usize>(full: &[f32], out: &mut [f32]) {
         return;
     }
     for i in 0..count {
-        // Four values at once; the fourth is written over by the next pixel.
+        // Four values at once; the next pixel overwrites the fourth.
         let mut sum = [0.0_f32; 4];
         for h in 0..S {
             if let Some(values) = full[(i * S + h) * N..].first_chunk::<4>() {
@@ -227,7 +227,7 @@ mod tests {
         })
     }
 
-    /// The mean of a square of a plane of the whole image.
+    /// Reference: the mean over one square of a plane of the whole image.
     fn mean(plane: &ImagePlane, grid: &Grid, x: usize, y: usize) -> f32 {
         let s = grid.scale;
         let (left, top) = (grid.first.0 as usize + s * x, grid.first.1 as usize + s * y);
@@ -239,7 +239,7 @@ mod tests {
         let image = image();
         let moved = RowOffset { centre_px: Vector2::new(50.0, 40.0), offset_px: -1.3, slope: Vector2::new(0.01, 0.0) };
         for (scale, rows) in [1, 2, 4, 8, 16].into_iter().flat_map(|s| [(s, None), (s, Some(moved))]) {
-            // Up to the last column; blocks of columns begin with the window.
+            // Up to the last column; blocks of columns begin at the window.
             let (x, size) = (if scale == 1 { 15 } else { 4 }, (96 / scale - usize::from(scale == 1) * 11, 64 / scale));
             let grid = Grid { scale, first: (x, 8), size, rows };
             let (mut whole, mut shifted) = (ColourPlanes::default(), ColourPlanes::default());
@@ -273,7 +273,7 @@ mod tests {
         let image = image();
         let rows = RowOffset { centre_px: Vector2::zeros(), offset_px: 0.7, slope: Vector2::new(0.0, 0.004) };
         for scale in [1, 2, 4, 16] {
-            // Its rows reach beyond the border.
+            // Its rows extend beyond the border.
             let grid = Grid { scale, first: (0, 0), size: (80 / scale, 80 / scale), rows: Some(rows) };
             assert!(grid.rows_read().0 <= -1 && grid.rows_read().1 >= 80);
             let green: Vec<u8> = image.pixels().map(|pixel| pixel.0[1]).collect();

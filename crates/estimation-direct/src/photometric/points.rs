@@ -1,4 +1,4 @@
-//! Which pixels of the left eye take part.
+//! Selection of the pixels of the left image that take part.
 
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::wide;
@@ -11,19 +11,19 @@ use super::prepare::EyeChannels;
 
 /// Side of the blocks in which points are ordered, pixels of the level. Chosen; no sweep is on record.
 pub(super) const BLOCK: usize = 8;
-/// Number of pixels from which the limit of the gradient is taken. Chosen; no sweep is on record.
+/// Number of pixels from which the gradient limit is determined. Chosen; no sweep is on record.
 const SAMPLE: usize = 1024;
 
-/// Pixels to use, and how they are ordered into points; keeps its buffers.
+/// Usable pixels and their order as points; keeps its buffers.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Selection {
-    /// Per pixel of the level's left window: 0 if it must not be used, 2 if it is well inside the region, else 1.
+    /// Per pixel of the level's left window: 0 if excluded, 2 if well inside the region, otherwise 1.
     pub mask: Vec<u8>,
     inner: Vec<u8>,
     scratch: Vec<u8>,
     /// Columns and rows of the points in the left part.
     places: Vec<[u16; 2]>,
-    /// Squared gradients along rows of the left part, summed up over the channels.
+    /// Squared gradients along rows of the left part, summed over the channels.
     energy: ImagePlane,
     sample: Vec<f32>,
     /// One past the last point of every block.
@@ -32,7 +32,7 @@ pub(super) struct Selection {
     pub block_places: Vec<(u32, u32)>,
 }
 
-/// How the rows of the left part and the right planes go together.
+/// Relation between the rows of the left part and the right planes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RightRows {
     /// Row of the right planes minus row of the left level window.
@@ -41,7 +41,7 @@ pub(super) struct RightRows {
     pub height: usize,
 }
 
-/// How far inside the region's outline points lie, pixels: all of them, and those that are well inside.
+/// Distances of the points from the region's outline, pixels: for all points, and for those well inside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Rims {
     pub outer: usize,
@@ -49,8 +49,8 @@ pub(super) struct Rims {
 }
 
 impl Selection {
-    /// Marks the supported pixels of a level within the outer rim: with 2 where they are within the inner one, else with 1.
-    /// Returns the smallest window around them (pixels of the level's window) and their number.
+    /// Marks the supported pixels of a level: 2 inside the inner rim, 1 between the rims. Returns the smallest window around
+    /// them (pixels of the level's window) and their number.
     pub fn mark(&mut self, level: &RegionLevel, rims: Rims) -> Option<(PixelWindow, usize)> {
         let (width, height) = (level.left.window.width, level.left.window.height);
         self.mask.clone_from(&level.region);
@@ -69,7 +69,7 @@ impl Selection {
     }
 
     /// Orders the marked pixels into points: all of them, or the `points_max` with the strongest gradients along rows; `marked`
-    /// is how many there are.
+    /// is their number.
     pub fn collect(
         &mut self,
         level: &RegionLevel,
@@ -114,7 +114,7 @@ impl Selection {
     fn energy_limit(&mut self, stride: usize, left: &EyeChannels, marked: usize, points_max: usize) -> f32 {
         let mut sample = std::mem::take(&mut self.sample);
         sample.clear();
-        // A step that shares no factor with the width of a region spreads over its columns.
+        // A step without a common factor with the region's width spreads the samples over its columns.
         let (step, mut skip) = ((marked / SAMPLE).max(1), 0);
         for y in 1..left.part.height.saturating_sub(1) {
             let energies = self.energy.row(y).iter().zip(self.marks(stride, left, y));
@@ -134,14 +134,14 @@ impl Selection {
         limit
     }
 
-    /// Puts the marked pixels, of these the ones with an energy of `limit` or more, into the order of the blocks.
+    /// Orders the marked pixels with an energy of at least `limit` by blocks.
     fn order(&mut self, stride: usize, left: &EyeChannels, limit: Option<f32>, rows: &RightRows) {
         let part = left.part;
         let mut places = std::mem::take(&mut self.places);
         places.clear();
         self.block_ends.clear();
         self.block_places.clear();
-        // Rows that the right planes have.
+        // Rows that exist in the right planes.
         let shown = |y: usize| (0..rows.height as i32).contains(&(y as i32 + part.y + rows.shift));
         for (first_y, first_x) in blocks(part.height).flat_map(|y| blocks(part.width).map(move |x| (y, x))) {
             let before = places.len();
@@ -169,13 +169,13 @@ impl Selection {
     }
 }
 
-/// Adds the places of a part of a row that are wanted.
+/// Adds the selected positions of a part of a row.
 #[inline(always)]
 fn push_places(first_x: usize, y: usize, wanted: impl Iterator<Item = bool>, out: &mut Vec<[u16; 2]>) {
     let mut found = [[0_u16; 2]; BLOCK];
     let mut count = 0;
     for (i, wanted) in wanted.enumerate().take(BLOCK) {
-        // Written over by the next one if it is not wanted.
+        // Overwritten by the next one if not selected.
         found[count.min(BLOCK - 1)] = [(first_x + i) as u16, y as u16];
         count += usize::from(wanted);
     }
@@ -183,7 +183,7 @@ fn push_places(first_x: usize, y: usize, wanted: impl Iterator<Item = bool>, out
 }
 
 impl PointSet {
-    /// Takes the places of the selected pixels; the last one, without weight, fills up the last group.
+    /// Stores the positions of the selected pixels; the last one, without weight, pads the last group.
     pub fn place(&mut self, selection: &Selection, level: &RegionLevel, part: &PixelWindow, rows: &RightRows) {
         let places = &selection.places;
         let (count, length) = (places.len(), places.len().next_multiple_of(SHARING));
@@ -206,7 +206,7 @@ impl PointSet {
         }
     }
 
-    /// Takes the values and gradients of the points.
+    /// Stores the values and gradients of the points.
     pub fn take(&mut self, left: &EyeChannels, channels: usize, kernels: Kernels) {
         for c in 0..channels {
             let out = [&mut self.value[c], &mut self.gradient_x[c], &mut self.gradient_y[c], &mut self.curvature[c]];
@@ -220,7 +220,7 @@ impl PointSet {
 }
 
 wide! {
-    /// Adds the squared gradients of a row, 0 where a value cannot be used.
+    /// Adds the squared gradients of a row, 0 for unusable values.
     fn add_energy(row: &[f32], out: &mut [f32]) = add_energy_kernel;
 }
 
@@ -239,7 +239,7 @@ fn add_energy_kernel(row: &[f32], out: &mut [f32]) {
 }
 
 wide! {
-    /// Value, gradients along columns and rows, and second derivative along columns at the places `at` of a plane.
+    /// Value, gradients along columns and rows, and second derivative along columns at the positions `at` of a plane.
     fn take_channel(plane: &[f32], width: usize, at: &[u32], out: [&mut [f32]; 4]) = take_channel_kernel;
 }
 
@@ -256,7 +256,7 @@ fn take_channel_kernel(plane: &[f32], width: usize, at: &[u32], out: [&mut [f32]
                 let first = *at as usize + j * width - width - 1;
                 match plane.get(first..first + 4) {
                     Some(four) => near.copy_from_slice(four),
-                    // The last place of the plane has no fourth value, which is not needed.
+                    // The last position of the plane has no fourth value, which is not needed.
                     None => near[..3].copy_from_slice(&plane[first..first + 3]),
                 }
             }
@@ -278,7 +278,7 @@ fn blocks(length: usize) -> impl Iterator<Item = usize> {
     (0..length).step_by(BLOCK)
 }
 
-/// Takes the outermost pixels off a mask; what the window cuts off has its outline there.
+/// Removes the outermost pixels of a mask; parts cut off by the window have their outline there.
 fn erode(mask: &mut [u8], scratch: &mut Vec<u8>, width: usize, height: usize) {
     scratch.clear();
     scratch.resize(mask.len(), 0);

@@ -1,11 +1,11 @@
-//! From raw images to the channels of one eye: red, green and blue of the part that is needed, smoothed, as coefficients of
-//! cubic splines along the rows.
+//! Preparation of the channels of one image: red, green and blue of the required part, smoothed, as coefficients of cubic
+//! splines along the rows.
 //!
-//! The channels are those of the sensor: each has a gain and a noise of its own, which a turn of the colours would mix. An
-//! image whose three channels are equal has one.
+//! The channels are those of the sensor: each has its own gain and noise, which a rotation of the colour space would mix. An
+//! image with three equal channels is treated as one channel.
 //! A cubic spline (Unser, "Splines: a perfect fit for signal and image processing", 1999) costs as much per point as cubic
-//! convolution, but its errors of phase and the change of its noise between pixels are far smaller: where a whole region lies
-//! at one fraction of a pixel, as on a plane that faces the cameras, these errors do not cancel.
+//! convolution, but its phase errors and the variation of its noise between pixels are far smaller. If a whole region has the
+//! same sub-pixel fraction, as on a plane that faces the cameras, these errors do not cancel.
 
 use std::ops::Range;
 
@@ -23,57 +23,57 @@ use super::kernel::{CHANNELS_MAX, UNUSABLE};
 use super::level_rows::{Grid, ImageRows, average_bytes, average_colours, average_values};
 use pb3dp_estimation_core::row_offset::RowOffset;
 
-/// Of a pixel with a saturated channel, channels from this value on are not used, grey levels: interpolation may have taken some of the
-/// brightness away. Chosen; no sweep is on record.
+/// In a pixel with a saturated channel, channels from this value on are not used either, grey levels: interpolation may have
+/// reduced the brightness. Chosen; no sweep is on record.
 const NEARLY_SATURATED_GREY: u8 = 240;
 
-/// The channels of one eye of one level.
+/// The channels of one image of one level.
 #[derive(Clone, Debug, Default)]
 pub(super) struct EyeChannels {
-    /// Part of the level's window that the planes hold.
+    /// Part of the level's window covered by the planes.
     pub part: PixelWindow,
-    /// Spline coefficients along rows, one plane per channel; [`UNUSABLE`] where a channel cannot be used.
+    /// Spline coefficients along rows, one plane per channel; [`UNUSABLE`] where a channel is unusable.
     pub planes: [ImagePlane; CHANNELS_MAX],
 }
 
-/// Makes channels; keeps its buffers.
+/// Prepares channels; keeps its buffers.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Preparation {
     smoother: Smoother,
-    /// Of an eye that is resampled.
+    /// Resampled image.
     loaded: ColourPlanes,
-    /// Of an eye without colours: its only channel.
+    /// The only channel of a grey image.
     grey: Vec<u8>,
     /// Means over the pixels of the level.
     means: ImagePlane,
     /// Whether a row of the image has saturated pixels.
     flagged: Vec<bool>,
-    /// Per channel: 1 for pixels that cannot be used, else 0; and a row of them.
+    /// Per channel: 1 for unusable pixels, otherwise 0; and one row of them.
     unusable: [Vec<u8>; CHANNELS_MAX],
     unusable_row: Vec<u8>,
-    /// Taken off the channels of both images to keep sums small, grey levels.
+    /// Subtracted from the channels of both images to keep sums small, grey levels.
     middle: [f32; CHANNELS_MAX],
 }
 
-/// The pair that the channels are made of.
+/// The pair from which the channels are prepared.
 #[derive(Clone, Copy)]
 pub(super) struct Pair<'a> {
     pub front_end: &'a StereoFrontEnd,
     pub source: &'a PyramidSource<'a>,
 }
 
-/// Which part of an eye, and how.
+/// Requested part of an image and its smoothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Wish {
     /// Part of the level's window.
     pub part: PixelWindow,
-    /// First row of the part that is needed, and one past the last: only those are filled.
+    /// First required row of the part, and one past the last: only these are filled.
     pub rows: (usize, usize),
     /// Standard deviation of the smoothing, pixels of the level.
     pub smoothing_px: f64,
 }
 
-/// Pixels around a point that take part in it.
+/// Radius of the neighbourhood that contributes to a point, pixels.
 pub(super) fn reach_px(smoothing_px: f64) -> usize {
     Taps::spline(smoothing_px).radius()
 }
@@ -83,23 +83,23 @@ pub(super) fn inside(part: &PixelWindow, window: &PixelWindow) -> PixelWindow {
     part.clipped(window.width as u32, window.height as u32)
 }
 
-/// The rows of a part that a box, moved down by `shift`, has in common with it: the first, and one past the last.
+/// The rows that a part has in common with a box moved down by `shift`: the first, and one past the last.
 pub(super) fn rows_of(bounds: &PixelWindow, shift: i32, part: &PixelWindow) -> (usize, usize) {
     let first = bounds.y + shift - part.y;
     let row = |row: i32| row.clamp(0, part.height as i32) as usize;
     (row(first), row(first + bounds.height as i32))
 }
 
-/// What the channels of one eye are made of.
+/// Input for the channels of one image.
 struct Job<'a> {
     front_end: &'a StereoFrontEnd,
     eye: Eye,
     image: &'a RgbImage,
     wish: &'a Wish,
     grid: Grid,
-    /// The first row of the grid is this row of the part.
+    /// Row of the part at which the grid begins.
     first_row: usize,
-    /// Rows of the image that are read, the last one excluded.
+    /// Range of image rows that are read, without the last one.
     read: (i32, i32),
     smoothing: [Taps; 2],
 }
@@ -135,7 +135,7 @@ impl<'a> Job<'a> {
         }
     }
 
-    /// Columns of the image that are read.
+    /// Number of image columns that are read.
     fn width(&self) -> usize {
         self.grid.size.0 * self.grid.scale
     }
@@ -146,7 +146,7 @@ impl<'a> Job<'a> {
         &self.image.as_raw()[start..start + self.width() * 3]
     }
 
-    /// The row of the image, if it has one, that row `row` of the full image shows in a block of columns.
+    /// The image row that corresponds to row `row` of the full image in a block of columns, if it exists.
     fn nearest(&self, row: i32, block: usize) -> Option<i32> {
         let (first, step) = self.grid.offsets(f64::from(row));
         let nearest = f64::from(row) + (first + step * block as f64).round();
@@ -155,7 +155,7 @@ impl<'a> Job<'a> {
 }
 
 impl Preparation {
-    /// Fills the channels of the left eye and returns their number.
+    /// Fills the channels of the left image and returns their number.
     pub fn left(&mut self, pair: &Pair<'_>, level: &RegionLevel, wish: &Wish, out: &mut EyeChannels) -> usize {
         let job = Job::new(pair, Eye::Left, &level.left.window, level.scale, wish, None);
         let kernels = pair.front_end.kernels();
@@ -172,7 +172,7 @@ impl Preparation {
         channels
     }
 
-    /// Fills the channels of the right eye, its rows moved by the pair's row offset and `row_px` more.
+    /// Fills the channels of the right image, with its rows moved by the pair's row offset plus `row_px`.
     pub fn right(
         &mut self,
         pair: &Pair<'_>,
@@ -190,14 +190,14 @@ impl Preparation {
         self.fill(&job, channels, out);
     }
 
-    /// Resamples what is read of an eye.
+    /// Resamples the required part of an image.
     fn load(&mut self, job: &Job<'_>) {
         let height = (job.read.1 - job.read.0) as usize;
         let window = PixelWindow { x: job.grid.first.0, y: job.read.0, width: job.width(), height };
         job.front_end.load(job.eye, job.image, window, Wanted::Rgb, &mut self.loaded);
     }
 
-    /// The mean of every channel, from some rows and columns.
+    /// The mean of every channel, from a sample of rows and columns.
     fn find_middle(&mut self, job: &Job<'_>, channels: usize) {
         for c in 0..channels {
             self.middle[c] = if job.front_end.resamples() {
@@ -263,17 +263,17 @@ impl Preparation {
         self.smoother.smooth_pixels(&source, along, across, &self.middle[c..], out, job.front_end.kernels());
     }
 
-    /// Takes the first channel of what is read.
+    /// Copies the first channel of the required part.
     fn take_grey(&mut self, job: &Job<'_>) {
         let (width, rows) = (job.width(), (job.read.1 - job.read.0) as usize);
-        // The last row has room for a whole block too.
+        // The last row needs room for a whole block too.
         self.grey.resize(width * rows + BLOCK, 0);
         for (row, out) in (job.read.0..job.read.1).zip(self.grey.chunks_exact_mut(width)) {
             first_of_three(job.front_end.kernels(), job.bytes(row), out);
         }
     }
 
-    /// Finds the pixels that cannot be used, channel by channel; says whether there are any.
+    /// Finds the unusable pixels per channel; returns whether there are any.
     fn find_unusable(&mut self, job: &Job<'_>, channels: usize) -> bool {
         let (read, kernels) = (job.read, job.front_end.kernels());
         self.flagged.clear();
@@ -286,7 +286,7 @@ impl Preparation {
         let s = job.grid.scale;
         let rows = (job.grid.first.1, job.grid.first.1 + (job.grid.size.1 * s) as i32);
         let blocks = job.width().div_ceil(BLOCK);
-        // What lies inside the image at its four corners is there everywhere.
+        // If its four corners are inside the image, the whole part is.
         let corners =
             [rows.0, rows.1 - 1].map(|row| [0, blocks.saturating_sub(1)].map(|block| job.nearest(row, block)));
         if !self.flagged.contains(&true) && corners.as_flattened().iter().all(Option::is_some) {
@@ -318,7 +318,7 @@ impl Preparation {
     }
 }
 
-/// Marks the pixels of a part of a resampled row that cannot be used, square by square.
+/// Marks the unusable pixels of a part of a resampled row, square by square.
 fn mark_resampled(
     loaded: &ColourPlanes,
     (y, columns): (usize, Range<usize>),
@@ -335,7 +335,7 @@ fn mark_resampled(
 }
 
 wide! {
-    /// Marks the pixels of at most a block of columns whose channels are saturated, square by square.
+    /// Marks the pixels with saturated channels in at most one block of columns, square by square.
     fn mark_saturated(rgb: &[u8], scale: usize, out: [&mut [u8]; CHANNELS_MAX]) = mark_saturated_kernel;
 }
 
@@ -366,7 +366,8 @@ fn mark_saturated_kernel(rgb: &[u8], scale: usize, out: [&mut [u8]; CHANNELS_MAX
     }
 }
 
-/// So many values are enough for a mean that is taken off all of them and only keeps sums small. Chosen.
+/// Number of values for the mean. The mean is subtracted from all values and only keeps sums small, so a sample is enough.
+/// Chosen.
 const MIDDLE_OF: usize = 2000;
 
 wide! {
@@ -433,7 +434,7 @@ fn mean(values: impl Iterator<Item = f32>) -> f32 {
     if count > 0.0 { sum / count } else { 0.0 }
 }
 
-/// Marks pixels that cannot be used, and their neighbours, which smoothing has touched.
+/// Marks unusable pixels, and their neighbours, which the smoothing has touched.
 fn mark_unusable(unusable: &[u8], touched: &mut Vec<u8>, rows: Range<usize>, plane: &mut ImagePlane, kernels: Kernels) {
     let (width, height) = (plane.width(), plane.height());
     for y in rows {
@@ -452,7 +453,7 @@ fn mark_unusable(unusable: &[u8], touched: &mut Vec<u8>, rows: Range<usize>, pla
 }
 
 wide! {
-    /// Marks the values beside a touched column; `touched` begins one column earlier.
+    /// Marks the values next to a touched column; `touched` begins one column earlier.
     fn mark_row(touched: &[u8], values: &mut [f32]) = mark_row_kernel;
 }
 

@@ -1,18 +1,18 @@
-//! By how much one eye is less sharp than the other.
+//! Sharpness difference between the two images.
 //!
-//! A Gaussian blur of variance `v` takes `v |grad (dI/dx)|^2` off the squared gradients `(dI/dx)^2`, to first order in `v`. In
-//! a texture without a direction `(d2I/dxdy)^2` is a third of `(d2I/dx2)^2`, so `v` is the difference of the squared gradients
-//! of both images over `4/3` of the squared second derivatives. The latter are taken as products of both images, which noise does
-//! not enlarge; noise adds to the squared gradients of both, equally where both are equally smoothed.
+//! A Gaussian blur of variance `v` reduces the squared gradients `(dI/dx)^2` by `v |grad (dI/dx)|^2`, to first order in `v`. In
+//! an isotropic texture `(d2I/dxdy)^2` is a third of `(d2I/dx2)^2`, so `v` is the difference of the squared gradients of both
+//! images divided by `4/3` of the squared second derivatives. These are computed as products of both images, which noise does
+//! not bias. Noise adds to the squared gradients of both images, equally if both are equally smoothed.
 
 use super::kernel::SharpnessSums;
 
-/// Squared gradients of all directions over those along columns, of second order. In a texture without a direction the mean of cos^4 is 3/8
-/// and that of cos^2 sin^2 is 1/8, and (3/8 + 1/8) / (3/8) = 4/3.
+/// Ratio of second-order squared gradients in all directions to those along columns. In an isotropic texture the mean of cos^4
+/// is 3/8 and that of cos^2 sin^2 is 1/8, and (3/8 + 1/8) / (3/8) = 4/3.
 const ISOTROPY: f64 = 4.0 / 3.0;
-/// Smallest sum of second derivatives that tells, in standard deviations of what noise makes of it. Chosen; no sweep is on record.
+/// Smallest significant sum of second derivatives, in standard deviations of its noise. Chosen; no sweep is on record.
 const SURE: f64 = 2.5;
-/// Largest change that is believed at once, squared pixels. Chosen; no sweep is on record.
+/// Largest change accepted at once, squared pixels. Chosen; no sweep is on record.
 const CHANGE_MAX_PX2: f64 = 4.0;
 
 /// Standard deviations of the smoothing of both images, pixels.
@@ -23,15 +23,16 @@ pub(super) struct Sharpness {
 }
 
 impl Sharpness {
-    /// Variance of the blur of the smoothed right eye minus that of the smoothed left one, squared pixels; 0 where the
-    /// texture does not tell.
+    /// Blur variance of the smoothed right image minus that of the smoothed left image, squared pixels; 0 if the texture does
+    /// not determine it.
     pub fn difference_px2(&self, sums: &SharpnessSums) -> f64 {
         // Of white noise of variance 1 a Gaussian leaves the variance 1 / (4 pi s^2), and squared gradients 1 / (8 pi s^4).
         let value = |s: f64| 1.0 / (4.0 * std::f64::consts::PI * s * s);
         let slope = |s: f64| 1.0 / (8.0 * std::f64::consts::PI * s.powi(4));
         let noise = value(self.left_px) + value(self.right_px);
         let excess = sums.excess - sums.weight * (slope(self.right_px) - slope(self.left_px)) / noise;
-        // The squared gradients of noise scatter as much as they are; neighbours within the smoothing share theirs.
+        // The squared gradients of noise have a standard deviation equal to their mean; neighbours within the smoothing are
+        // correlated.
         let per_point = (slope(self.left_px) + slope(self.right_px)) / noise;
         let shared = (4.0 * std::f64::consts::PI * self.left_px * self.right_px).max(1.0);
         let scatter = per_point * (2.0 * shared * sums.weight).sqrt();
@@ -42,7 +43,7 @@ impl Sharpness {
     }
 }
 
-/// A difference as small as this should stand out of the noise, squared pixels. Chosen; no sweep is on record.
+/// The smallest difference that must exceed the noise, squared pixels. Chosen; no sweep is on record.
 const BELIEVED_PX2: f64 = 0.5;
 
 #[cfg(test)]
@@ -51,7 +52,7 @@ mod tests {
 
     #[test]
     fn a_small_blur_is_what_waves_lose() {
-        // Waves of many directions, seen sharp by the left eye and through a blur of variance v by the right one.
+        // Waves of many directions, sharp in the left image and blurred with variance v in the right image.
         let (v, mut sums) = (0.2_f64, SharpnessSums { weight: 5000.0, ..SharpnessSums::default() });
         for i in 0..360 {
             let angle = f64::from(i).to_radians();

@@ -1,20 +1,23 @@
-//! From sums to a step: the gain of every channel is eliminated (its offsets are already), the channels are added up.
+//! Solution of the normal equations: eliminates the gain of every channel (its offsets are already eliminated) and adds the
+//! channels.
 
 use nalgebra::{Matrix4, Vector2, Vector4};
 
 use super::kernel::{CHANNELS_MAX, ChannelState, ProductSums, Projection, Sums};
 
-/// Standard deviation of the logarithm of the gain; keeps channels without contrast in bounds. Chosen, about ln 2; no sweep is on record.
+/// Prior standard deviation of the logarithm of the gain; it bounds channels without contrast. Chosen, about ln 2; no sweep is
+/// on record.
 const LOG_GAIN_SIGMA: f64 = 0.7;
 /// Bounds of the square root of the gain. Chosen; no sweep is on record.
 const GAIN_ROOT: (f64, f64) = (0.5, 2.0);
-/// Bounds of how much of the squared gradients is texture and not noise. The lower one is chosen, no sweep is on record; 1 is all.
+/// Bounds of the share of the squared gradients that is texture and not noise. The lower one is chosen, no sweep is on record;
+/// 1 is all.
 const RELIABILITY: (f64, f64) = (0.05, 1.0);
 
 /// The normal equations of `(d0, du, dv, row)` of one level.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Normal {
-    /// Gauss-Newton matrix with the noise of the gradients taken out.
+    /// Gauss-Newton matrix, corrected for the noise of the gradients.
     pub matrix: Matrix4<f64>,
     /// Derivative of half the cost.
     pub slope: Vector4<f64>,
@@ -24,7 +27,7 @@ pub(super) struct Normal {
 /// One channel's gain, and the offset about which residuals are weighted.
 #[derive(Clone, Copy, Debug, Default)]
 struct Part {
-    /// Of the logarithm of the gain: with the parameters, inverse of its own, and derivative.
+    /// For the logarithm of the gain: cross terms with the parameters, inverse of its own term, and derivative.
     cross: Vector4<f64>,
     inverse: f64,
     slope: f64,
@@ -32,25 +35,25 @@ struct Part {
     weight: f64,
 }
 
-/// What moves the offset.
+/// Terms that determine the change of the offset.
 #[derive(Clone, Copy, Debug, Default)]
 struct OffsetPart {
-    /// How the sum of weighted residuals changes with the parameters, and with the logarithm of the gain.
+    /// Derivatives of the sum of weighted residuals with respect to the parameters and to the logarithm of the gain.
     by_step: Vector4<f64>,
     by_gain: f64,
-    /// That sum, and the sum of weights.
+    /// The sum of weighted residuals, and the sum of weights.
     residuals: f64,
     weights: f64,
 }
 
-/// How much of the squared gradients of a channel is texture: the gradients of both images agree, their noise does not.
+/// Share of the squared gradients of a channel that is texture: the gradients of both images agree, their noise does not.
 pub(super) fn reliability(sums: &ProductSums<f64>) -> f64 {
     let ratio = if sums.gg > 0.0 { sums.gs / sums.gg } else { 0.0 };
     ratio.clamp(RELIABILITY.0, RELIABILITY.1)
 }
 
 impl Normal {
-    /// From the sums of `channels` channels with their states and weights.
+    /// Builds the normal equations from the sums of `channels` channels with their states and weights.
     pub fn of(
         sums: &Sums,
         channels: usize,
@@ -81,12 +84,12 @@ impl Normal {
         normal
     }
 
-    /// How far a step is, in standard deviations.
+    /// Size of a step in standard deviations.
     pub fn sigmas(&self, step: &Vector4<f64>) -> f64 {
         step.dot(&(self.matrix * step)).max(0.0).sqrt()
     }
 
-    /// Moves gains and offsets along with a step of the plane and the row offset.
+    /// Updates gains and offsets for a step of the plane and the row offset.
     pub fn move_states(&self, step: &Vector4<f64>, channels: usize, states: &mut [ChannelState; CHANNELS_MAX]) {
         for (part, state) in self.parts.iter().zip(states).take(channels) {
             let log_gain = -(part.inverse * (part.slope + part.cross.dot(step)));
@@ -100,7 +103,7 @@ impl Normal {
         }
     }
 
-    /// What the scores of single points need.
+    /// Projections for the scores of single points.
     pub fn projections(&self) -> [Projection; CHANNELS_MAX] {
         self.parts.map(|part| {
             let taken = part.cross * part.inverse;
@@ -109,7 +112,7 @@ impl Normal {
     }
 }
 
-/// A step in the parameters at the centre of the points; `None` where the equations have no answer.
+/// A bounded step in the parameters at the centre of the points; `None` if the equations have no solution.
 pub(super) fn bounded_step(normal: &Normal, half: &Vector2<f64>) -> Option<Vector4<f64>> {
     let scale = Matrix4::from_diagonal(&Vector4::new(1.0, 1.0 / half.x, 1.0 / half.y, 1.0));
     let scaled = scale * normal.matrix * scale;
@@ -125,19 +128,19 @@ pub(super) fn tukey_limit(channels: usize) -> f64 {
     [4.685_f64, 5.123, 5.49][channels.clamp(1, 3) - 1].powi(2)
 }
 
-/// What Tukey's weights do to Gaussian residuals.
+/// Moments of Gaussian residuals under Tukey's weights.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TukeyMoments {
     /// Mean weight.
     pub weight: f64,
     /// Mean of weight times squared normalised residual, over the mean weight.
     pub square: f64,
-    /// How the sum of weighted residuals answers to a shift of all residuals, over the mean weight: the residuals that are
-    /// shifted outwards lose weight.
+    /// Derivative of the sum of weighted residuals with respect to a common shift of all residuals, divided by the mean weight:
+    /// residuals that are shifted outwards lose weight.
     pub response: f64,
 }
 
-/// For `channels` channels of independent residuals.
+/// Moments for `channels` channels of independent residuals.
 pub(super) fn tukey_moments(channels: usize) -> TukeyMoments {
     let (n, k) = (channels as f64, tukey_limit(channels));
     let (m1, m2) = (n, n * (n + 2.0));

@@ -1,10 +1,10 @@
-//! Gain, offset and variance of a channel before the first step.
+//! Initial gain, offset and variance of a channel.
 
 use super::kernel::{ChannelState, PointSet, TOUCHED, UNUSABLE, Warp};
 
-/// Gain and offset from spreads and middles of some points, variance from what is left.
+/// Gain and offset from the spreads and medians of some points, variance from their residuals.
 pub(super) fn first_state(points: &PointSet, right: &[f32], warp: &Warp, channel: usize, lowest: f64) -> ChannelState {
-    /// Points that are looked at, about. Chosen; no sweep is on record.
+    /// Approximate number of sampled points. Chosen; no sweep is on record.
     const COUNT: usize = 256;
     let (mut own, mut shown) = ([0.0_f32; COUNT], [0.0_f32; COUNT]);
     let step = (points.x.len() / COUNT).max(1);
@@ -43,7 +43,7 @@ pub(super) fn first_state(points: &PointSet, right: &[f32], warp: &Warp, channel
     ChannelState { gain_root: f64::from(root), offset: f64::from(offset), variance: (sigma * sigma).max(lowest) }
 }
 
-/// Median and 1.4826 times the median distance from it.
+/// Median and 1.4826 times the median absolute deviation.
 fn spread(values: &mut [f32]) -> (f32, f32) {
     let half = values.len() / 2;
     let middle = *values.select_nth_unstable_by(half, f32::total_cmp).1;

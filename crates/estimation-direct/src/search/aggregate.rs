@@ -1,4 +1,4 @@
-//! Semi-global matching: every pixel takes the disparity that it and its neighbours along four directions like best.
+//! Semi-global matching: disparity of every pixel from path costs along four directions.
 //!
 //! Hirschmüller, "Stereo processing by semiglobal matching and mutual information" (2008), eq 13 for the directions right,
 //! down, left and up, in saturating bytes.
@@ -8,48 +8,48 @@ use pb3dp_estimation_core::wide::wide;
 
 use super::volume::{COST_IMPOSSIBLE, CostVolume, GROUP};
 
-/// What a change of disparity between neighbours costs.
+/// Costs of a disparity change between neighbours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Penalties {
-    /// By one pixel.
+    /// Cost of a change by one pixel.
     pub small: u8,
-    /// By more.
+    /// Cost of a larger change.
     pub large: u8,
 }
 
-/// Sums of path costs of all pixels and disparities, with the winners.
+/// Summed path costs of all pixels and disparities, and the winning disparities.
 #[derive(Clone, Debug, Default)]
 pub struct Aggregation {
     /// Sums of the four directions; layout as in the volume.
     sums: Vec<u16>,
-    /// Path costs of the row before and their lowest: per pixel with one impossible disparity before and after.
+    /// Path costs of the previous row and their minima: per pixel with one impossible disparity before and after.
     down: Paths,
-    /// The same of the column before, for some rows at a time.
+    /// The same for the previous column, for several rows at a time.
     across: Paths,
-    /// Per pixel: disparity index at a fraction of a pixel; NaN where there is no clear one.
+    /// Per pixel: sub-pixel disparity index; NaN if there is no clear one.
     pub disparity: Vec<f32>,
-    /// Per right column: the lowest sum that meets it, and in the lower half its disparity.
+    /// Per right column: the lowest matching sum, and in the lower half its disparity.
     seen_from_right: Vec<u32>,
-    /// Per lowest sum: what no other may lie below.
+    /// Per lowest sum: the limit that no other sum may fall below.
     limits: Vec<u16>,
 }
 
-/// Rows whose horizontal paths are followed side by side: the costs of one step must have left the processor's store
-/// buffer before the next step reads them with other alignment.
+/// Number of rows whose horizontal paths are processed together: the costs of one step must have left the processor's store
+/// buffer before the next step reads them with a different alignment.
 const ROWS: usize = 8;
 
-/// The ends of some paths: their costs with one impossible disparity before and after, and the lowest of each.
+/// The ends of several paths: their costs with one impossible disparity before and after, and the minimum of each.
 #[derive(Clone, Debug, Default)]
 struct Paths {
     costs: Vec<u8>,
-    /// Where the next step's costs go: they are not written over those that they come from, because a processor waits when
-    /// it reads at another alignment what it has just written.
+    /// Output of the next step. The costs are not updated in place, because a processor stalls when it reads data with a
+    /// different alignment immediately after writing.
     next: Vec<u8>,
     lowest: Vec<u8>,
 }
 
 impl Paths {
-    /// Paths that begin here.
+    /// Starts new paths.
     fn start(&mut self, count: usize, stride: usize) {
         let padded = stride + 2;
         self.next.clear();
@@ -63,17 +63,17 @@ impl Paths {
     }
 }
 
-/// When a winner counts.
+/// Acceptance rules for a winning disparity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WinnerRules {
-    /// The best sum plus this share of it may not exceed any other that is not a neighbour.
+    /// The best sum plus this share of it must not exceed any other sum, except those of its neighbours.
     pub uniqueness: f32,
-    /// Largest difference between a pixel's disparity and that of the pixel that it meets, pixels.
+    /// Largest difference between a pixel's disparity and that of its corresponding right pixel, pixels.
     pub left_right_max: u16,
 }
 
 impl Aggregation {
-    /// Aggregates a volume and picks the winners.
+    /// Aggregates a volume and selects the winning disparities.
     pub fn run(&mut self, volume: &CostVolume, penalties: Penalties, rules: WinnerRules, kernels: Kernels) {
         let (width, height, stride) = (volume.area.width, volume.area.height, volume.stride);
         self.sums.resize(volume.costs.len(), 0);
@@ -106,7 +106,7 @@ impl Aggregation {
         let (width, stride) = (volume.area.width, volume.stride);
         let sums = &self.sums[y * width * stride..(y + 1) * width * stride];
         let out = &mut self.disparity[y * width..(y + 1) * width];
-        // Right columns of this row: the box's columns less all disparities.
+        // Right columns of this row: the box's columns minus all disparities.
         self.seen_from_right.clear();
         self.seen_from_right.resize(width + stride, u32::MAX << 16);
         pick(kernels, sums, stride, volume.count, &self.limits, out, &mut self.seen_from_right);
@@ -122,7 +122,7 @@ impl Aggregation {
     }
 }
 
-/// Some rows of a volume and how they are worked on.
+/// Dimensions and processing order of a block of rows.
 #[derive(Clone, Copy, Debug)]
 struct BlockShape {
     width: usize,
@@ -147,7 +147,7 @@ fn sweep_block_kernel(costs: &[u8], shape: BlockShape, across: &mut Paths, down:
     }
 }
 
-/// With `N` groups of disparities per pixel; 0: any number.
+/// Specialised for `N` groups of disparities per pixel; 0: any number.
 #[inline(always)]
 fn sweep_groups<const N: usize>(
     costs: &[u8],
@@ -183,8 +183,8 @@ fn sweep_groups<const N: usize>(
     }
 }
 
-/// One step along a path: from the costs so far (with an impossible disparity at both ends) to the next, which are written
-/// to the sums if they are the `FIRST` of their pixel, else added. Returns the new lowest cost.
+/// One step along a path: from the current costs (with an impossible disparity at both ends) to the next. They are written to
+/// the sums if they are the `FIRST` of their pixel, otherwise added. Returns the new minimum cost.
 #[inline(always)]
 fn step<const FIRST: bool>(
     costs: &[u8],
@@ -229,7 +229,7 @@ fn pick_kernel(
     out: &mut [f32],
     seen_from_right: &mut [u32],
 ) {
-    // Some pixels at a time: what is done for all of them alike becomes vector instructions.
+    // Several pixels at a time: operations common to all of them become vector instructions.
     for (batch, (sums, out)) in sums.chunks(PICKED * stride).zip(out.chunks_mut(PICKED)).enumerate() {
         let (mut lowest, mut best, mut limit) = ([0_u16; PICKED], [0_u16; PICKED], [0_u16; PICKED]);
         let (mut three, mut below) = ([[0_u16; PICKED]; 3], [0_u16; PICKED]);
@@ -244,13 +244,13 @@ fn pick_kernel(
                 three[k] = *sum;
             }
             let seen = &mut seen_from_right[batch * PICKED + k + stride - 1 - usize::from(best[k])];
-            // Of equal sums the lower disparity, which is that of the first column.
+            // Of equal sums the lower disparity wins, which is that of the first column.
             *seen = (*seen).min(u32::from(lowest[k]) << 16 | u32::from(best[k]));
         }
         let mut places = [f32::NAN; PICKED];
         for k in 0..PICKED {
             let [before, at, after] = three.map(|three| three[k]);
-            // The winner and its neighbours are no rivals.
+            // The winner and its neighbours are not rivals.
             let near = u16::from(before < limit[k]) + u16::from(at < limit[k]) + u16::from(after < limit[k]);
             let is_clear = (below[k] == near) & (best[k] > 0) & (usize::from(best[k]) + 1 < count);
             places[k] = if is_clear { vertex([before, at, after], best[k]) } else { f32::NAN };
@@ -261,10 +261,10 @@ fn pick_kernel(
 
 /// Four saturated path costs.
 const SUM_MAX: u16 = 4 * COST_IMPOSSIBLE as u16;
-/// Pixels whose winners are picked side by side.
+/// Number of pixels whose winners are selected together.
 const PICKED: usize = 16;
 
-/// How many sums are below a limit.
+/// Number of sums below a limit.
 #[inline(always)]
 fn count_below(sums: &[u16], limit: u16) -> u16 {
     let mut below = [0_u16; GROUP];
@@ -276,10 +276,10 @@ fn count_below(sums: &[u16], limit: u16) -> u16 {
     below.iter().sum()
 }
 
-/// Disparities whose index fits beside a sum of four saturated bytes into 16 bits.
+/// Number of disparities whose index fits into 16 bits together with a sum of four saturated bytes.
 const PACKED: usize = 64;
 
-/// The lowest sum and its first place, of at most [`PACKED`] sums.
+/// The lowest sum and its first position, for at most [`PACKED`] sums.
 #[inline(always)]
 fn lowest_packed(sums: &[u16]) -> (u16, u16) {
     let mut least = [u16::MAX; GROUP];
@@ -292,7 +292,7 @@ fn lowest_packed(sums: &[u16]) -> (u16, u16) {
     (least / PACKED as u16, least % PACKED as u16)
 }
 
-/// The lowest sum and its first place.
+/// The lowest sum and its first position.
 #[inline(always)]
 fn lowest_of(sums: &[u16]) -> (u16, u16) {
     let mut least = [u16::MAX; GROUP];
@@ -312,7 +312,7 @@ fn lowest_of(sums: &[u16]) -> (u16, u16) {
     (lowest, places.iter().fold(u16::MAX, |a, &b| a.min(b)))
 }
 
-/// Where the parabola through the sums around `best` has its lowest point.
+/// Position of the minimum of the parabola through the sums around `best`.
 #[inline(always)]
 fn vertex(sums: [u16; 3], best: u16) -> f32 {
     let [before, at, after] = sums.map(f32::from);
@@ -331,7 +331,7 @@ mod tests {
     const PENALTIES: Penalties = Penalties { small: 8, large: 40 };
     const RULES: WinnerRules = WinnerRules { uniqueness: 0.05, left_right_max: 1 };
 
-    /// Random costs, the true disparity `12 + x / 8` cheap at two of three pixels.
+    /// Random costs; the true disparity `12 + x / 8` is cheap at two of three pixels.
     fn volume(count: usize) -> CostVolume {
         let (width, height) = (40, 21);
         let stride = count.div_ceil(GROUP) * GROUP;
@@ -350,7 +350,7 @@ mod tests {
         volume
     }
 
-    /// Hirschmüller's recursion in whole numbers, straight from the paper, for one direction.
+    /// Hirschmüller's recursion in whole numbers, as in the paper, for one direction.
     fn path_costs(volume: &CostVolume, (dx, dy): (i64, i64)) -> Vec<i64> {
         let LevelBox { width, height, .. } = volume.area;
         let mut costs = vec![0_i64; width * height * volume.count];
@@ -410,7 +410,7 @@ mod tests {
         assert_eq!((lowest_packed(&last), lowest_packed(&[1020; PACKED])), ((1019, PACKED as u16 - 1), (1020, 0)));
     }
 
-    /// Straight from the words: lowest sum, no rival, the same winner from the right, vertex of the parabola.
+    /// Direct implementation of the rules: lowest sum, no rival, the same winner from the right, vertex of the parabola.
     #[test]
     fn winners_are_those_of_a_plain_search_with_every_kernel() {
         for (count, kernels) in [20, 64, 150].into_iter().flat_map(|n| every_kernel().map(move |k| (n, k))) {
@@ -426,7 +426,7 @@ mod tests {
                 let limit = lowest + (f32::from(lowest) * RULES.uniqueness) as u16;
                 let rival = (0..count).any(|d| d.abs_diff(best) > 1 && sums_here[d] < limit);
                 let inside = best > 0 && best + 1 < count;
-                // Columns whose winner meets the same right column.
+                // Columns whose winner corresponds to the same right column.
                 let met = (0..width).filter(|&other| other as i64 - winner(other, y) as i64 == x as i64 - best as i64);
                 let seen = met.min_by_key(|&other| (sums(other, y)[winner(other, y)], other)).unwrap();
                 let agrees = winner(seen, y).abs_diff(best) <= usize::from(RULES.left_right_max);

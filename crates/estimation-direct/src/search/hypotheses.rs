@@ -1,9 +1,9 @@
-//! Planes through clouds of disparities: three points at a time, counted with a tight tolerance.
+//! Plane hypotheses in a set of disparities: drawn through three points, counted with a tight tolerance.
 //!
-//! Torr and Zisserman's MSAC (2000): a point counts by its squared residual, at most the tolerance's square. Sums of a score
-//! over the region would prefer a plane that bridges two surfaces; counts with a tight tolerance do not.
+//! Scoring by MSAC (Torr and Zisserman, 2000): a point contributes its squared residual, at most the squared tolerance. Summing
+//! a score over the region would prefer a plane that bridges two surfaces; counting with a tight tolerance does not.
 //!
-//! All planes are counted on few points, and those that may be the best on more.
+//! All planes are counted on few points; the planes that may be the best are counted on more.
 
 use nalgebra::{Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
@@ -12,7 +12,7 @@ use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
 
 use crate::named_sums::PlaneSums;
 
-/// Points `(x, y, d)` in single precision, padded to whole groups with points that count as outliers.
+/// Points `(x, y, d)` in single precision, padded to whole groups with outliers.
 #[derive(Clone, Debug, Default)]
 pub struct DisparityPoints {
     x: Vec<f32>,
@@ -21,7 +21,7 @@ pub struct DisparityPoints {
     count: usize,
 }
 
-/// A disparity so far off that it is nobody's inlier.
+/// A disparity that is an outlier for every plane.
 const NOWHERE: f32 = 1e9;
 
 impl DisparityPoints {
@@ -41,7 +41,7 @@ impl DisparityPoints {
         self.count += 1;
     }
 
-    /// To be called after the last point.
+    /// Pads the last group; call it after the last point.
     pub fn finish(&mut self) {
         let padded = self.count.div_ceil(LANES) * LANES;
         self.x.resize(padded, 0.0);
@@ -59,7 +59,7 @@ impl DisparityPoints {
         self.count
     }
 
-    /// Whether there is none.
+    /// Whether there are no points.
     pub fn is_empty(&self) -> bool {
         self.count == 0
     }
@@ -72,7 +72,7 @@ impl DisparityPoints {
 /// `d = p.x + p.y x + p.z y`.
 pub type PlaneCoefficients = Vector3<f64>;
 
-/// A plane and how many points speak for it.
+/// A plane and its inlier share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
     /// The plane.
@@ -81,53 +81,55 @@ pub struct Candidate {
     pub share: f64,
 }
 
-/// How planes are drawn and counted.
+/// Rules for drawing and counting planes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HypothesisRules {
     /// Number of three-point planes.
     pub draws: usize,
     /// Tolerance, pixels of the level.
     pub tolerance_px: f64,
-    /// Planes that differ by less than this at the corners of the points' box are one, pixels of the level.
+    /// Planes that differ by less than this at the corners of the points' box are considered equal, pixels of the level.
     pub distinct_px: f64,
-    /// Most planes kept.
+    /// Largest number of planes kept.
     pub kept: usize,
-    /// Re-weighted steps of each kept plane.
+    /// Number of re-weighted steps for each kept plane.
     pub steps: usize,
 }
 
 /// Finds planes in points; keeps its buffers.
 #[derive(Clone, Debug, Default)]
 pub struct HypothesisSearch {
-    /// A part of the points, for counting; at last those that no kept plane explains.
+    /// A subset of the points for counting; finally the points that no kept plane explains.
     sample: DisparityPoints,
     rest: DisparityPoints,
-    /// A part of the sample, for the first count.
+    /// A subset of the sample for the first count.
     few: DisparityPoints,
     drawn: Vec<Candidate>,
-    /// The drawn ones, best first: what sorts them, and in the lower half their indices.
+    /// The drawn planes, best first: sort key, and the index in the lower half.
     order: Vec<u64>,
     improved: Vec<Candidate>,
     /// The best planes, best first.
     pub kept: Vec<Candidate>,
 }
 
-/// Points that planes are counted on. Chosen; no sweep is on record.
+/// Number of points on which planes are counted. Chosen; no sweep is on record.
 const SAMPLE_MAX: usize = 1024;
-/// Points of the first count. Chosen for time: of 808 real cases and windows none changes its pass or status by it.
+/// Number of points of the first count. Chosen for time: of 808 real cases and windows none changes its pass or status by it.
 const FEW_MAX: usize = 256;
-/// A plane may be the best if its first count lies below the best one by no more than so many standard deviations. Chosen, see [`FEW_MAX`].
+/// A plane may be the best if its first count is at most this many standard deviations below the best one. Chosen, see
+/// [`FEW_MAX`].
 const COUNT_SIGMAS: f64 = 3.0;
-/// Planes of the highest counts that are improved, if they differ from those already improved. Chosen, as in the prototype of ADR 7.
+/// Number of planes with the highest counts that are refined, if they differ from those already refined. Chosen, as in the
+/// prototype of ADR 7.
 const IMPROVED_MAX: usize = 6;
-/// Further surfaces that are looked for among the points that the best planes do not explain. Chosen; no sweep is on record.
+/// Largest number of further surfaces searched among the points that the best planes do not explain. Chosen; no sweep is on
+/// record.
 const SURFACES_MAX: usize = 3;
-/// Fewer points of the sample than this are no surface. Chosen; no sweep is on record.
+/// Smallest number of sample points of a surface. Chosen; no sweep is on record.
 const REST_MIN: usize = 32;
 
 impl HypothesisSearch {
-    /// Finds the planes of `points` that `allowed` lets pass; `seeds` are taken into account as they are. `size` is the box
-    /// of the points.
+    /// Finds the planes of `points` that `allowed` accepts; `seeds` are evaluated unchanged. `size` is the box of the points.
     pub fn run(
         &mut self,
         points: &DisparityPoints,
@@ -150,7 +152,7 @@ impl HypothesisSearch {
         self.kept.sort_by(|a, b| b.share.total_cmp(&a.share));
     }
 
-    /// The same without looking for further surfaces among the points that the best planes do not explain.
+    /// The same without searching for further surfaces among the points that the best planes do not explain.
     pub fn run_once(
         &mut self,
         points: &DisparityPoints,
@@ -169,7 +171,7 @@ impl HypothesisSearch {
         self.keep_best(points, size, rules, allowed, kernels);
     }
 
-    /// The share of the points on the best plane that some draws have found, improved; 0 if there is none.
+    /// The share of the points on the best plane among some draws, refined; 0 if there is none.
     pub fn best_share(
         &mut self,
         points: &DisparityPoints,
@@ -204,7 +206,7 @@ impl HypothesisSearch {
         }
     }
 
-    /// Counts all planes on a part of the sample, and those that may be the best on the whole.
+    /// Counts all planes on a subset of the sample, and the planes that may be the best on the whole sample.
     fn count_drawn(&mut self, rules: &HypothesisRules, kernels: Kernels) {
         let tolerance_px = rules.tolerance_px;
         take_every(&self.sample, FEW_MAX, &mut self.few);
@@ -222,7 +224,7 @@ impl HypothesisSearch {
         }
     }
 
-    /// Improves the planes with the highest counts, and keeps what stays distinct.
+    /// Refines the planes with the highest counts, and keeps the distinct ones.
     fn keep_best(
         &mut self,
         points: &DisparityPoints,
@@ -233,7 +235,7 @@ impl HypothesisSearch {
     ) {
         let Self { drawn, order, .. } = self;
         order.clear();
-        // The bits of numbers that are not negative are in their order. Of equal planes the earlier is first.
+        // The bit patterns of non-negative numbers have the order of the numbers. Of equal planes the earlier one is first.
         let key = |share: f64| u64::from(!(share as f32).to_bits()) << 32;
         order.extend(drawn.iter().enumerate().map(|(i, drawn)| key(drawn.share) | i as u64));
         order.sort_unstable();
@@ -264,7 +266,7 @@ impl HypothesisSearch {
         }
     }
 
-    /// Counts all planes again, on the points of the sample that no kept plane explains; `false` if hardly any is left.
+    /// Counts all planes again on the sample points that no kept plane explains; `false` if almost none remain.
     fn leave_explained_out(&mut self, rules: &HypothesisRules, kernels: Kernels) -> bool {
         let limit = 2.0 * rules.tolerance_px;
         let explained = |p: &Vector3<f64>| {
@@ -286,7 +288,7 @@ impl HypothesisSearch {
         is_enough
     }
 
-    /// Steps of least squares over what lies within the tolerance, as long as they help.
+    /// Least-squares steps over the points within the tolerance, as long as they improve the plane.
     fn improve(
         &self,
         start: Candidate,
@@ -313,7 +315,7 @@ impl HypothesisSearch {
     }
 }
 
-/// At most `count` points, evenly spread.
+/// At most `count` points, evenly distributed.
 fn take_every(points: &DisparityPoints, count: usize, out: &mut DisparityPoints) {
     out.clear();
     let step = points.len().div_ceil(count).max(1);
@@ -323,7 +325,7 @@ fn take_every(points: &DisparityPoints, count: usize, out: &mut DisparityPoints)
     out.finish();
 }
 
-/// The plane through three points of the cloud; `None` if they lie too close to a line.
+/// The plane through three of the points; `None` if they are close to collinear.
 fn draw(points: &DisparityPoints, size: Vector2<f64>, rng: &mut SplitMix64) -> Option<PlaneCoefficients> {
     let [p, q, r] = std::array::from_fn(|_| points.point(rng.below(points.len() as u32) as usize));
     let (u, v) = (q - p, r - p);
@@ -412,10 +414,10 @@ fn normal_equations_kernel(x: &[f32], y: &[f32], d: &[f32], plane: [f32; 3], sca
 mod tests {
     use super::*;
 
-    /// Of the box of the points.
+    /// Box of the points.
     const SIZE: Vector2<f64> = Vector2::new(60.0, 40.0);
 
-    /// Two thirds of the points on one plane, the rest on another, and some far off.
+    /// Two thirds of the points on one plane, the rest on another, and some outliers.
     fn two_planes() -> DisparityPoints {
         let mut points = DisparityPoints::default();
         for y in 0..40 {

@@ -1,8 +1,8 @@
-//! How well every pixel of the region agrees with every pixel of its row in the other eye.
+//! Cost volume: matching cost of every region pixel with the pixels of its row in the right image.
 //!
-//! The neighbourhood of a pixel becomes a vector of mean zero and length `DESCRIPTOR_LENGTH` in whole numbers; the product
-//! of two such vectors is their zero-mean normalised cross-correlation. A term for the noise of the camera in the
-//! normalisation makes a neighbourhood without texture agree with nothing, instead of with anything at random.
+//! The neighbourhood of a pixel becomes an integer vector of mean zero and norm `DESCRIPTOR_LENGTH`. The product of two such
+//! vectors is their zero-mean normalised cross-correlation. The normalisation contains a term for the camera noise, so that a
+//! neighbourhood without texture matches nothing instead of random positions.
 
 use std::ops::{Range, RangeInclusive};
 
@@ -14,13 +14,13 @@ use crate::region_pyramid::{RegionLevel, is_seen};
 
 /// Pixels of a neighbourhood: 3 x 3. Chosen; no sweep is on record.
 const DESCRIPTOR: usize = 9;
-/// Length of a descriptor: its square, twice, must fit into 16 bits with sign (2 * 127^2 = 32258).
+/// Norm of a descriptor: twice its square must fit into 16 bits with sign (2 * 127^2 = 32258).
 const DESCRIPTOR_LENGTH: f32 = 127.0;
-/// Disparities are worked on in groups of so many.
+/// Number of disparities processed as a group.
 pub(super) const GROUP: usize = 32;
-/// Cost of a perfect agreement is 0, of none [`COST_NEUTRAL`], of the opposite twice that. That is seven bits.
+/// Cost of perfect agreement is 0, of no agreement [`COST_NEUTRAL`], of inverted agreement twice that. That is seven bits.
 pub const COST_NEUTRAL: u8 = 63;
-/// Cost of what cannot be.
+/// Cost of an impossible disparity.
 pub(super) const COST_IMPOSSIBLE: u8 = 255;
 
 /// Part of the left window of a level.
@@ -36,16 +36,16 @@ pub struct LevelBox {
     pub height: usize,
 }
 
-/// Costs of all pixels of a box and all whole disparities of a range.
+/// Costs of all pixels of a box for all integer disparities of a range.
 #[derive(Clone, Debug, Default)]
 pub struct CostVolume {
-    /// Which pixels of the left window.
+    /// The box in the left window.
     pub area: LevelBox,
     /// Lowest disparity, pixels of the level's grid.
     pub first: i32,
     /// Number of disparities.
     pub count: usize,
-    /// Disparities stored per pixel: `count` and some impossible ones.
+    /// Number of disparities stored per pixel: `count` and some impossible ones.
     pub stride: usize,
     /// Pixel by pixel, row-major, [`Self::stride`] costs each.
     pub costs: Vec<u8>,
@@ -71,7 +71,7 @@ impl CostVolume {
         self.stride = self.count.div_ceil(GROUP) * GROUP;
         self.costs.resize(area.width * area.height * self.stride, 0);
         let right_width = level.right.window.width;
-        // Mirrored, so that growing disparities are growing addresses, with room for places beyond both borders.
+        // Mirrored, so that increasing disparities are increasing addresses, with padding for positions beyond both borders.
         let padding = area.width + self.stride + GROUP + level.left.window.width;
         let row_length = right_width + 2 * padding;
         self.left.resize(area.width * DESCRIPTOR, 0);
@@ -91,7 +91,7 @@ impl CostVolume {
                     *to = *from;
                 }
             }
-            // Left column x at disparity d meets the right column x - d + shift, mirrored width - 1 - that.
+            // Left column x at disparity d corresponds to the right column x - d + shift, mirrored width - 1 - that.
             let first_mirrored = padding as i64 + right_width as i64 - 1 - area.x as i64 + i64::from(self.first)
                 - i64::from(level.column_shift());
             let costs = &mut self.costs[y * area.width * self.stride..][..area.width * self.stride];
@@ -105,10 +105,10 @@ impl CostVolume {
     }
 }
 
-/// Descriptors of some columns of row `y`, component by component; zero where the neighbourhood is not in the window.
+/// Descriptors of some columns of row `y`, component by component; zero if the neighbourhood is not inside the window.
 fn describe(eye: &ColourPlanes, y: i64, noise: f32, columns: Range<usize>, kernels: Kernels, out: &mut [i16]) {
     let (plane, width, first, count) = (eye.luminance(), eye.window.width, columns.start, columns.len());
-    // Columns whose neighbours are in the window.
+    // Columns whose neighbours are inside the window.
     let (start, end) = (first.max(1), columns.end.min(width.saturating_sub(1)));
     if y < 1 || y + 1 >= eye.window.height as i64 || start >= end {
         out.fill(0);
@@ -157,7 +157,7 @@ fn describe_row_kernel(rows: [&[f32]; 3], floor: f32, stride: usize, first: usiz
         for (k, v) in v.iter().enumerate() {
             let mut rounded = [0_i16; LANES];
             for i in 0..LANES {
-                // Adding and taking off 1.5 * 2^23 rounds to whole numbers.
+                // Adding and subtracting 1.5 * 2^23 rounds to integers.
                 let value = v[i] * scale[i] + 12_582_912.0;
                 rounded[i] = (value.to_bits() as i32).wrapping_sub(0x4B40_0000) as i16;
             }

@@ -1,26 +1,26 @@
-//! Which pixels look like the target, and where their centre has moved.
+//! Hue backprojection and mean shift: finds the target's pixels and their centroid.
 //!
-//! The target's hues and those of its surroundings are counted once, in the first frame (32 classes around the hue circle
-//! and one for pixels without hue). A pixel's weight is how much more frequent its class is on the target than around it,
-//! `max(0, (target - around) / (target + around))`: colours that both share say nothing.
+//! The hue histograms of the target and of its surroundings are computed once, in the first frame (32 bins around the hue
+//! circle and one for pixels without hue). The weight of a pixel is the relative frequency of its bin on the target compared
+//! with the surroundings, `max(0, (target - around) / (target + around))`. Colours common to both get no weight.
 //!
-//! In a later frame the weighted centroid is taken inside a window of the target's shape, the window is moved by what the
-//! centroid has moved, and so on (mean shift). What the centroid's place is in the target was measured in the first frame
-//! in the same way, so texture and dark spots do not bias it.
+//! In a later frame the weighted centroid is computed inside a window of the target's shape, the window is moved by the motion
+//! of the centroid, and so on (mean shift). The centroid's position on the target was measured in the same way in the first
+//! frame, so texture and dark spots cause no bias.
 
 use nalgebra::Vector2;
 use pb3dp_estimation_core::region::RegionMask;
 
 use crate::hue::{Hue, HuePlane};
 
-/// Classes around the hue circle.
+/// Number of bins around the hue circle.
 const HUE_CLASSES: usize = 32;
-/// All classes: the last is for pixels without hue.
+/// Number of all bins; the last one is for pixels without hue.
 const CLASSES: usize = HUE_CLASSES + 1;
-/// The mean shift ends when the window moves less, pixels.
+/// The mean shift ends when the window moves by less than this, pixels.
 const CONVERGED_PX: f64 = 0.02;
 
-/// How much each class of hue speaks for the target, 0 to 1.
+/// Weight of each hue bin for the target, 0 to 1.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Backprojection {
     weights: [f64; CLASSES],
@@ -29,13 +29,13 @@ pub(super) struct Backprojection {
 /// Sum and centroid of the weights inside a window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Mass {
-    /// Sum of the weights: about the number of pixels that look like the target.
+    /// Sum of the weights: approximately the number of pixels that look like the target.
     pub sum_px: f64,
     pub centroid_px: Vector2<f64>,
 }
 
 impl Backprojection {
-    /// From the pixels of the target and those of its surroundings (disjoint masks).
+    /// Computes the weights from the pixels of the target and of its surroundings (disjoint masks).
     pub(super) fn learn(hue: &HuePlane, target: &RegionMask, around: &RegionMask) -> Self {
         let (target, around) = (histogram(hue, target), histogram(hue, around));
         let mut weights = [0.0; CLASSES];
@@ -73,8 +73,8 @@ impl Backprojection {
         (sum > 0.0).then(|| Mass { sum_px: sum, centroid_px: Vector2::new(sum_x, sum_y) / sum })
     }
 
-    /// How far the target has moved from where its mass was expected, and the mass found there. `window` is the target's
-    /// window around the expectation. At most `iterations` steps, at most `shift_max_px` in all.
+    /// Displacement of the target from the expected position, and the mass found there. `window` is the target's window at the
+    /// expected position. At most `iterations` steps, and at most `shift_max_px` in total.
     pub(super) fn mean_shift(
         &self,
         hue: &HuePlane,
@@ -106,8 +106,7 @@ fn class(hue: Option<Hue>) -> usize {
     hue.map_or(HUE_CLASSES, |hue| ((hue.degrees() * (HUE_CLASSES as f64 / 360.0)) as usize).min(HUE_CLASSES - 1))
 }
 
-/// Share of each class among the pixels of a mask, smoothed over neighbouring hues (1, 2, 1) against noise at the borders
-/// of classes.
+/// Share of each bin among the pixels of a mask, smoothed over neighbouring hues (1, 2, 1) against noise at bin borders.
 fn histogram(hue: &HuePlane, mask: &RegionMask) -> [f64; CLASSES] {
     let mut counts = [0.0; CLASSES];
     let mut total = 0.0_f64;
@@ -134,7 +133,8 @@ mod tests {
 
     const SIZE: ImageSize = ImageSize { width: 120, height: 90 };
 
-    /// A two-coloured disc with a spot of the background's hue off its centre, on a background that has one of its colours in a corner.
+    /// A two-coloured disc with an off-centre spot of the background's hue, on a background with one of the disc's colours in a
+    /// corner.
     fn scene(centre: (f64, f64)) -> HuePlane {
         let image = RgbImage::from_fn(SIZE.width, SIZE.height, |x, y| {
             let (dx, dy) = (f64::from(x) - centre.0, f64::from(y) - centre.1);

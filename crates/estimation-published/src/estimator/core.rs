@@ -1,4 +1,4 @@
-//! What estimator and tracker share: images to model, search, judgement.
+//! Shared core of estimator and tracker: images, model, search, evaluation.
 
 use image::RgbImage;
 use nalgebra::Vector2;
@@ -20,14 +20,14 @@ use crate::search::chromosome::Codec;
 use crate::search::exhaustive::{self, Optimum};
 use crate::search::rmga::{Population, RmGa};
 
-/// The best individual of a search.
+/// Result of a search: the best individual.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Found {
     pub psi: PlaneHypothesis,
     pub fitness: f64,
 }
 
-/// What taking a region into the model told.
+/// Result of loading a region into the model.
 #[derive(Clone, Debug)]
 pub(super) struct Taken {
     pub warnings: Vec<RegionWarning>,
@@ -39,7 +39,7 @@ pub(super) struct Taken {
     pub outline_px: Vec<Vector2<f64>>,
 }
 
-/// Buffers and state of one target's recognition.
+/// Buffers and state for the recognition of one target.
 #[derive(Clone, Debug)]
 pub(super) struct Core {
     config: PublishedConfig,
@@ -90,7 +90,7 @@ impl Core {
         self.model.centre_px()
     }
 
-    /// Loads both images and makes the model of a region of the raw left one.
+    /// Loads both images and creates the model of a region of the raw left image.
     pub(super) fn take(
         &mut self,
         left: &RgbImage,
@@ -113,13 +113,13 @@ impl Core {
         self.front.load(left, right)
     }
 
-    /// Makes the model anew from a region of the undistorted left image.
+    /// Rebuilds the model from a region of the undistorted left image.
     pub(super) fn remake_model(&mut self, mask: &RegionMask) {
         let Self { model, front, config, scratch, .. } = self;
         model.resample(front.left_hue(), mask, &config.model, scratch);
     }
 
-    /// Why the model cannot be searched, if its points lack hue.
+    /// Reason why the model cannot be searched, if too few of its points have a hue.
     pub(super) fn lack_of_hue(&self) -> Option<String> {
         let limits = &self.config.hue_support;
         let share = self.model.coloured_share();
@@ -136,7 +136,7 @@ impl Core {
         ))
     }
 
-    /// Evolves the population on the current frame, as long as it may; `None` if nobody could be scored.
+    /// Evolves the population on the current frame while `may_continue` allows it; `None` if no individual could be scored.
     pub(super) fn search(
         &mut self,
         rmga: &mut RmGa,
@@ -150,13 +150,13 @@ impl Core {
         Ok(prepared.fitness(best.score).map(|fitness| Found { psi: best.hypothesis, fitness }))
     }
 
-    /// The landscape around and away from an answer on the current frame.
+    /// Surveys the fitness landscape near and far from an estimate on the current frame.
     pub(super) fn survey(&mut self, found: &Found, range: &SearchRange) -> Result<Landscape, EstimationError> {
         let target = self.probe_target(found, range);
         self.probe_with(range, |probe, whole, blocks| probe.survey(whole, blocks, &target))
     }
 
-    /// Spread of depth (relative) and of the normal (radians) around an answer on the current frame.
+    /// Spread of depth (relative) and of the normal (radians) near an estimate on the current frame.
     pub(super) fn survey_nearby(&mut self, found: &Found, range: &SearchRange) -> Result<(f64, f64), EstimationError> {
         let target = self.probe_target(found, range);
         self.probe_with(range, |probe, whole, blocks| probe.survey_nearby(whole, blocks, &target))
@@ -197,14 +197,14 @@ impl Core {
         Ok(probe_call(probe, &whole, &parts))
     }
 
-    /// The outline of a region in the undistorted left image; vertices without a ray are left out.
+    /// The outline of a region in the undistorted left image; vertices without a ray are dropped.
     fn undistorted_outline(&self, region: &Region, mask: &RegionMask) -> Vec<Vector2<f64>> {
         let outline = region.outline_px(mask);
         outline.iter().filter_map(|vertex| self.front.undistort_pixel(vertex).ok()).collect()
     }
 }
 
-/// Shares out the model's points over `side` x `side` blocks of the box around its inner points.
+/// Distributes the model's points over `side` x `side` blocks of the box around its inner points.
 fn cut_into_blocks(model: &PhotoModel, side: u32, blocks: &mut [(PhotoModel, HueFitness)]) {
     let bounds = Bounds::of(model.inner());
     let part_of = |point: &ModelPoint| bounds.block(point, side);
@@ -214,7 +214,7 @@ fn cut_into_blocks(model: &PhotoModel, side: u32, blocks: &mut [(PhotoModel, Hue
     }
 }
 
-/// Smallest box around some points.
+/// Bounding box of some points.
 struct Bounds {
     u: (i32, i32),
     v: (i32, i32),

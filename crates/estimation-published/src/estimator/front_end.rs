@@ -1,4 +1,4 @@
-//! From raw images to hue: undistortion where the rig has distortion, then both hue planes.
+//! Front end: from raw images to hue. Undistorts the images if the rig has distortion, then computes both hue planes.
 
 use image::RgbImage;
 use nalgebra::Vector2;
@@ -11,17 +11,17 @@ use pb3dp_geometry::{Camera, Distortion, ImageSize, StereoRig};
 
 use crate::hue::{HueConfig, HuePlane};
 
-/// One eye: its camera, its undistortion and the hue of its latest image.
+/// One camera with its undistortion and the hue of its latest image.
 #[derive(Clone, Debug)]
 struct Eye {
     name: &'static str,
     camera: Camera,
-    /// The table and the undistorted image, if the camera has distortion.
+    /// Remap table and undistorted image, if the camera has distortion.
     undistortion: Option<(RemapTable, RgbImage)>,
     hue: HuePlane,
 }
 
-/// Both eyes with their buffers; allocates only on the first pair.
+/// Both cameras with their buffers; allocates only for the first pair.
 #[derive(Clone, Debug)]
 pub(super) struct FrontEnd {
     left: Eye,
@@ -39,7 +39,7 @@ impl FrontEnd {
         Ok(Self { left, right, pair, hue_config, kernels })
     }
 
-    /// Takes a pair of raw images.
+    /// Loads a pair of raw images.
     pub(super) fn load(&mut self, left: &RgbImage, right: &RgbImage) -> Result<(), EstimationError> {
         self.left.check_size(left)?;
         self.right.check_size(right)?;
@@ -47,12 +47,12 @@ impl FrontEnd {
         self.right.load(right, &self.hue_config, self.kernels)
     }
 
-    /// Refuses a left image of another size than the calibration's.
+    /// Rejects a left image with a size other than the calibration's.
     pub(super) fn check_left_size(&self, left: &RgbImage) -> Result<(), EstimationError> {
         self.left.check_size(left)
     }
 
-    /// Pinholes and motion of the undistorted pair.
+    /// Pinholes of the undistorted pair, and the transform between them.
     pub(super) fn pair(&self) -> &PinholePair {
         &self.pair
     }
@@ -81,7 +81,7 @@ impl FrontEnd {
         Ok(RegionMask::from_fn(size, |x, y| destination[(y * size.width + x) as usize] != 0))
     }
 
-    /// The pixel of the undistorted left image of a pixel of the raw one.
+    /// Maps a pixel of the raw left image to the undistorted one.
     pub(super) fn undistort_pixel(&self, pixel: &Vector2<f64>) -> Result<Vector2<f64>, EstimationError> {
         let ray = self.left.camera.unproject(pixel)?;
         Ok(self.left.camera.pinhole().pixel_from_normalized(&ray.xy()))

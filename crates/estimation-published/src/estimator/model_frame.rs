@@ -1,25 +1,25 @@
-//! The axes of the model frame, and how they are carried while the rotation about the normal is not observed.
+//! Axes of the model frame, and their propagation while the rotation about the normal is not observed.
 
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
-/// `cam_left_from_model` at the first frame: z along the plane's normal away from the camera, x the image's x axis
-/// projected into the plane, y completes the right-handed frame.
+/// `cam_left_from_model` in the first frame: z along the plane's normal away from the camera, x the image's x axis projected
+/// into the plane, y completes the right-handed frame.
 pub(super) fn first_rotation(normal_away: &Vector3<f64>) -> UnitQuaternion<f64> {
     let z = normal_away.normalize();
-    // The image's x axis lies along the normal only for a plane seen edge-on, which no search range contains.
+    // The image's x axis is along the normal only for a plane seen edge-on, which no search range contains.
     let along = Vector3::x() - z * z.x;
     let x = if along.norm_squared() > 1e-12 { along.normalize() } else { Vector3::y().cross(&z).normalize() };
     let y = z.cross(&x);
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, z])))
 }
 
-/// The reference rotation turned by the smallest rotation that brings its z axis to `normal_away`: of all rotations with
-/// that normal the one that turns least, so nothing is claimed about the rotation about the normal.
+/// The reference rotation, rotated by the smallest rotation that aligns its z axis with `normal_away`. Of all rotations with
+/// that normal it is the smallest change, so it implies nothing about the rotation about the normal.
 pub(super) fn with_normal(reference: &UnitQuaternion<f64>, normal_away: &Vector3<f64>) -> UnitQuaternion<f64> {
     let z = reference * Vector3::z();
-    // The quaternion (1 + cos a, sin a axis) is twice cos(a / 2) times that of the turn by a; no angle is needed.
+    // The quaternion (1 + cos a, sin a axis) is 2 cos(a / 2) times that of the rotation by a; no angle is needed.
     let doubled = Quaternion::from_parts(1.0 + z.dot(normal_away), z.cross(normal_away));
-    // A normal that is turned around says nothing about the axis; no search range contains it.
+    // For an inverted normal the axis is undefined; no search range contains it.
     let turn = UnitQuaternion::try_new(doubled, 1e-6).unwrap_or_default();
     let mut turned = turn * reference;
     turned.renormalize();
@@ -37,7 +37,7 @@ mod tests {
         assert!((axes * Vector3::z() - normal).norm() < 1e-12);
         let x = axes * Vector3::x();
         assert!(x.dot(&normal).abs() < 1e-12 && x.x > 0.9);
-        // No component of the plane is left over beside the projection of the image's x axis.
+        // Only the projection of the image's x axis remains in the plane.
         assert!(x.dot(&Vector3::x().cross(&normal)).abs() < 1e-12);
         assert!((axes * Vector3::y()).y > 0.0, "y points down as in the camera");
     }

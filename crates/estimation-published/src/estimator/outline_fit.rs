@@ -1,22 +1,22 @@
-//! How far the outline has turned in its plane.
+//! Rotation of the outline in its plane.
 //!
-//! The model is made anew inside the outline in every frame, so the outline must lie on the target; on a target that turns
-//! about its normal it would not. Pairs of points on either side of the outline tell: inside should look like the target,
-//! outside should not. This turns the region only. The pose's rotation about the normal stays unobserved: an outline that
-//! is nearly round, or a background of the same hue, says nothing about it.
+//! The model is rebuilt inside the outline in every frame, so the outline must stay on the target. On a target that rotates
+//! about its normal it would not. The rotation is estimated from pairs of points on either side of the outline: inside points
+//! should look like the target, outside points should not. This rotates the region only. The pose's rotation about the normal
+//! remains unobserved, because an almost round outline, or a background of the same hue, contains no information about it.
 
 use nalgebra::Vector2;
 use pb3dp_estimation_core::trig;
 
-/// Distance between pairs along the outline, pixels.
+/// Spacing of the pairs along the outline, pixels.
 const SPACING_PX: f64 = 2.0;
 /// Distance of the two points from the outline, pixels.
 const OFFSET_PX: f64 = 3.0;
-/// Angles tried on either side.
+/// Number of tested angles to either side.
 const STEPS: i32 = 2;
-/// Between the angles tried, radians.
+/// Spacing of the tested angles, radians.
 const STEP_RAD: f64 = 0.015;
-/// The outline turns only if the contrast across it gains at least this per pair.
+/// Smallest gain in contrast per pair for a rotation of the outline.
 const GAIN_MIN: f64 = 0.004;
 
 /// Two points on either side of the outline, on the plane, metres.
@@ -33,7 +33,7 @@ pub(super) struct OutlineEdge {
 }
 
 impl OutlineEdge {
-    /// From an outline on the plane, metres, and the size of a pixel there, metres.
+    /// Creates the edge from an outline on the plane, metres, and the size of a pixel there, metres.
     pub(super) fn new(outline_m: &[Vector2<f64>], pixel_m: f64) -> Self {
         let mut pairs = Vec::new();
         let next = |i: usize| outline_m[(i + 1) % outline_m.len()];
@@ -41,7 +41,7 @@ impl OutlineEdge {
         for (i, corner) in outline_m.iter().enumerate() {
             let along = next(i) - corner;
             let count = (along.norm() / (SPACING_PX * pixel_m)).round().min(10_000.0) as usize;
-            // With a positive area the inside lies at +90 degrees from the direction of travel.
+            // With a positive area the inside is at +90 degrees from the direction of travel.
             let inwards = Vector2::new(-along.y, along.x).normalize() * area.signum();
             for k in 0..count {
                 let point = corner + along * ((k as f64 + 0.5) / count as f64);
@@ -52,8 +52,8 @@ impl OutlineEdge {
         Self { pairs }
     }
 
-    /// The angle near `roll_rad` at which the outline fits best; `weight` gives how much a point of the plane looks like the
-    /// target, 0 to 1. Without a clear gain the angle stays.
+    /// The angle near `roll_rad` at which the outline fits best. `weight` is the similarity of a point of the plane to the
+    /// target, 0 to 1. Without a clear gain the angle does not change.
     pub(super) fn fit(&self, roll_rad: f64, weight: impl Fn(&Vector2<f64>) -> f64) -> f64 {
         if self.pairs.is_empty() {
             return roll_rad;
@@ -74,7 +74,7 @@ impl OutlineEdge {
     }
 }
 
-/// Where the parabola through three values at -1, 0, 1 has its summit; 0 if it has none there.
+/// Position of the maximum of the parabola through three values at -1, 0, 1; 0 if it has no maximum there.
 fn summit(values: &[f64]) -> f64 {
     let bend = values[0] - 2.0 * values[1] + values[2];
     if bend < -2.0 * GAIN_MIN { (0.5 * (values[0] - values[2]) / bend).clamp(-0.5, 0.5) } else { 0.0 }

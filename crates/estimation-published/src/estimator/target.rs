@@ -1,4 +1,4 @@
-//! The target as the tracker knows it between two frames.
+//! State of the tracked target between two frames.
 
 use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
 use pb3dp_estimation_core::plane_hypothesis::PlaneHypothesis;
@@ -10,50 +10,50 @@ use super::backprojection::Backprojection;
 use super::outline_fit::OutlineEdge;
 use crate::search::rmga::{Population, RmGa};
 
-/// Outline vertices are kept within this distance of the image's origin, pixels: beyond it the target is out of sight.
+/// Largest distance of outline vertices from the image's origin, pixels: farther away the target is outside the image.
 const VERTEX_MAX_PX: f64 = 20_000.0;
 
-/// The target as of the last frame.
+/// The target in the last frame.
 #[derive(Clone, Debug)]
 pub(super) struct Target {
     pub rmga: RmGa,
     pub cold_rmga: RmGa,
     pub population: Population,
     pub cam_left_from_model: Pose<CamLeft, Model>,
-    /// Rotation `cam_left_from_model` of the first frame, carried by the known motion of the camera.
+    /// Rotation `cam_left_from_model` of the first frame, updated with the known motion of the camera.
     pub reference_rotation: UnitQuaternion<f64>,
     /// The first frame's outline on the plane, metres.
     pub outline_in_model_m: Vec<Vector2<f64>>,
     pub outline_edge: OutlineEdge,
-    /// How far the outline has turned on the plane since the first frame, radians: of the region, not of the pose.
+    /// Rotation of the outline on the plane since the first frame, radians: of the region, not of the pose.
     pub outline_roll_rad: f64,
     pub appearance: Appearance,
     /// Below this fitness the target is lost.
     pub fitness_floor: f64,
-    /// Frames since the target was last seen.
+    /// Number of frames since the target was last found.
     pub lost_frames: u32,
-    /// Whether the whole search range was surveyed since the target was last found, and held no rival.
+    /// Whether the whole search range has been surveyed since the target was last found, without finding a rival.
     pub is_assured: bool,
-    /// Whether that was ever so: until then the size of the outline may be that of a rival's depth.
+    /// Whether this was ever the case: until then the size of the outline may correspond to a rival's depth.
     pub was_assured: bool,
 }
 
-/// How the target is told from its surroundings.
+/// Appearance that distinguishes the target from its surroundings.
 #[derive(Clone, Debug)]
 pub(super) struct Appearance {
     pub colours: Backprojection,
     /// Centroid of the target's weights on the plane, metres.
     pub mass_centre_in_model_m: Vector2<f64>,
-    /// Sum of the weights over the area of the region, first frame.
+    /// Sum of the weights divided by the area of the region, first frame.
     pub mass_per_area: f64,
 }
 
-/// A region carried to a new frame.
+/// A region propagated to a new frame.
 pub(super) struct Carried {
     pub outline_px: Vec<Vector2<f64>>,
-    /// Where the model's origin is seen, undistorted left image.
+    /// Position of the model's origin in the undistorted left image.
     pub origin_px: Vector2<f64>,
-    /// Where the centroid of the target's weights is expected.
+    /// Expected position of the centroid of the target's weights.
     pub mass_centre_px: Vector2<f64>,
 }
 
@@ -66,7 +66,7 @@ impl Carried {
 }
 
 impl Target {
-    /// The region as the last pose puts it into the image; `None` if a part of it is not in front of the camera.
+    /// Projects the region into the image with the last pose; `None` if part of it is not in front of the camera.
     pub(super) fn region_in(&self, pinhole: &Pinhole) -> Option<Carried> {
         let turn = trig::rotation(self.outline_roll_rad);
         let turned = |point: &Vector2<f64>| pixel_of(&self.cam_left_from_model, pinhole, &(turn * point));
@@ -77,7 +77,7 @@ impl Target {
         })
     }
 
-    /// Expresses the last pose in the camera of the new frame, the target taken as standing still.
+    /// Converts the last pose to the camera frame of the new frame, for a stationary target.
     pub(super) fn move_camera(&mut self, cam_left_prev_from_cam_left_now: &Pose<CamLeft, CamLeft>) {
         let cam_left_now_from_cam_left_prev = cam_left_prev_from_cam_left_now.inverse();
         self.cam_left_from_model = cam_left_now_from_cam_left_prev * self.cam_left_from_model;
@@ -85,7 +85,7 @@ impl Target {
         self.reference_rotation.renormalize();
     }
 
-    /// Does the same to every individual; those that the motion puts behind the camera stay as they are.
+    /// The same for every individual; individuals that the motion moves behind the camera do not change.
     pub(super) fn move_population(
         &mut self,
         cam_left_prev_from_cam_left_now: &Pose<CamLeft, CamLeft>,
@@ -95,7 +95,7 @@ impl Target {
         let rotation = cam_left_prev_from_cam_left_now.rotation_matrix();
         let translation_m = cam_left_prev_from_cam_left_now.translation_m();
         let moved = |psi: &PlaneHypothesis| {
-            // A plane q . X = 1 seen from the new camera: X = R X' + t gives (RT q) . X' = 1 - q . t.
+            // A plane q . X = 1 in the new camera: X = R X' + t gives (RT q) . X' = 1 - q . t.
             let q = psi.inverse_depth_plane(old_centre_ray)?;
             let rest = 1.0 - q.dot(&translation_m);
             let q_now = rotation.transpose() * q / rest;
@@ -105,8 +105,8 @@ impl Target {
     }
 }
 
-/// Undistorted left pixel of a point of the model's plane, metres; `None` if it is not in front of the camera or far out
-/// of sight.
+/// Undistorted left pixel of a point of the model's plane, metres; `None` if it is not in front of the camera or far outside
+/// the image.
 pub(super) fn pixel_of(
     cam_left_from_model: &Pose<CamLeft, Model>,
     pinhole: &Pinhole,

@@ -1,4 +1,4 @@
-//! The published method over time: the population, the region and the model frame carried from frame to frame.
+//! The tracker of the published method: propagates the population, the region and the model frame from frame to frame.
 
 use image::RgbImage;
 use nalgebra::{Point3, Vector2};
@@ -20,29 +20,29 @@ use super::{PublishedConfig, model_frame};
 use crate::observability::Landscape;
 use crate::search::rmga::{Population, RmGa};
 
-/// Follows one target from frame to frame with the published method.
+/// Tracks one target from frame to frame with the published method.
 ///
-/// Per frame: the last pose, moved by the known motion of the camera, puts the first frame's outline into the new left
-/// image; the pixels of the target's hues re-centre it (see [`TrackerConfig`](super::TrackerConfig)); the model is made anew inside it; the
-/// population, moved by the same known motion, evolves for the configured generations; all individuals, the elite
-/// included, are scored anew.
+/// In each frame, the last pose, moved by the known motion of the camera, projects the first frame's outline into the new left
+/// image. The pixels with the target's hues re-centre it (see [`TrackerConfig`](super::TrackerConfig)), and the model is
+/// rebuilt inside it. The population, moved by the same motion, evolves for the configured generations. All individuals,
+/// including the elite, are scored again.
 ///
-/// A lost target is looked for in the following frames in a window that doubles with every frame, up to the whole image,
-/// with a fresh population and the generations of a cold start.
+/// In the frames after a loss, the target is searched in a window that doubles with every frame, up to the whole image, with a
+/// new population and the generations of a cold start.
 ///
-/// An answer counts as sure only once a survey of the whole search range has found no rival, after the start and after every
-/// loss. A target that is never sure is given up after some frames and stays lost until it is marked again.
+/// An estimate is confident only once a survey of the whole search range has found no rival, after the start and after every
+/// loss. A target without a confident estimate is dropped after some frames and stays lost until it is marked again.
 #[derive(Clone, Debug)]
 pub struct PublishedTracker {
     core: Core,
     start: Option<Start>,
     target: Option<Target>,
     mask: RegionMask,
-    /// Frames since the start, or since the target was found again, in which it was not sure.
+    /// Number of frames without a confident estimate since the start, or since the target was found again.
     unsure_frames: u32,
 }
 
-/// What the tracker was asked to follow.
+/// The request from which tracking started.
 #[derive(Clone, Debug)]
 struct Start {
     region: Region,
@@ -50,7 +50,7 @@ struct Start {
 }
 
 impl PublishedTracker {
-    /// A tracker for a calibrated pair, rectified or not, with lens distortion or without.
+    /// Creates a tracker for a calibrated pair, rectified or not, with or without lens distortion.
     ///
     /// # Errors
     /// A parameter out of its range.
@@ -142,7 +142,7 @@ impl PublishedTracker {
         self.accept(target, &found, &carried)
     }
 
-    /// Takes over what was found, and judges it.
+    /// Stores an estimate and evaluates it.
     fn accept(
         &mut self,
         target: &mut Target,
@@ -171,8 +171,8 @@ impl PublishedTracker {
         Ok(estimate)
     }
 
-    /// Takes the target anew from the region of this frame: where it was held for was a rival's depth, and with it the size
-    /// of the outline was wrong. The model frame begins here.
+    /// Reinitialises the target from the region of this frame, because its depth was that of a rival and the size of its
+    /// outline was therefore wrong. The model frame is redefined here.
     fn retake(&mut self, target: &mut Target, found: &Found, carried: &Carried) -> Result<(), EstimationError> {
         let range = *target.rmga.codec().range();
         let landscape = self.core.survey(found, &range)?;
@@ -186,8 +186,8 @@ impl PublishedTracker {
         Ok(())
     }
 
-    /// How far the answer for a frame can be trusted. Other peaks are ruled out by continuity only once the whole search
-    /// range has been surveyed and found without a rival; until then it is surveyed in every frame.
+    /// Status of the estimate for a frame. Continuity rules out other peaks only once the whole search range has been surveyed
+    /// without finding a rival. Until then it is surveyed in every frame.
     fn judge(&mut self, target: &mut Target, found: &Found) -> Result<Verdict, EstimationError> {
         let range = *target.rmga.codec().range();
         let config = self.core.config().tracked_observability();
@@ -202,7 +202,7 @@ impl PublishedTracker {
         let contrast_min = self.core.config().tracker.contrast_min;
         if verdict.status.depth_is_sure() && target.appearance.mass_per_area < contrast_min {
             let reason = format!(
-                "the region cannot be re-centred: its hues stand out from those around it by {:.2} only (limit {contrast_min:.2})",
+                "the region cannot be re-centred: its hue contrast to the surroundings is only {:.2} (limit {contrast_min:.2})",
                 target.appearance.mass_per_area
             );
             return Ok(Verdict { status: Status::Ambiguous, reason });
@@ -210,10 +210,10 @@ impl PublishedTracker {
         Ok(verdict)
     }
 
-    /// The region of the new frame, left in `self.mask`.
+    /// Propagates the region to the new frame; the result is in `self.mask`.
     fn carry_region(&mut self, target: &mut Target) -> Result<Carried, String> {
         let visible_share_min = self.core.config().tracker.visible_share_min;
-        let out_of_sight = || "the target lies out of the camera's sight".to_owned();
+        let out_of_sight = || "the target is outside the image".to_owned();
         let pinhole = *self.core.pair().left();
         let mut carried = target.region_in(&pinhole).ok_or_else(out_of_sight)?;
         let mut covered_px = self.rasterize(&carried.outline_px);
@@ -226,12 +226,12 @@ impl PublishedTracker {
         let visible = self.mask.area_px() as f64 / covered_px.max(1) as f64;
         if visible < visible_share_min {
             let (percent, limit) = (100.0 * visible, 100.0 * visible_share_min);
-            return Err(format!("{percent:.0} % of the region is left in the image (limit {limit:.0} %)"));
+            return Err(format!("only {percent:.0} % of the region is inside the image (limit {limit:.0} %)"));
         }
         Ok(carried)
     }
 
-    /// How far the outline has turned, once it is re-centred.
+    /// Rotation of the outline after it is re-centred.
     fn turn_outline(&self, target: &Target, pinhole: &Pinhole, shift_px: &Vector2<f64>) -> f64 {
         let hue = self.core.left_hue();
         target.outline_edge.fit(target.outline_roll_rad, |point| {
@@ -240,7 +240,7 @@ impl PublishedTracker {
         })
     }
 
-    /// How far the target's pixels have moved; `None` if they cannot be told from the background.
+    /// Displacement of the target's pixels; `None` if they cannot be distinguished from the background.
     fn recentre(
         &self,
         target: &Target,
@@ -260,7 +260,7 @@ impl PublishedTracker {
         let mut window = self.mask.dilate(config.window_margin_px);
         let mut start_px = Vector2::zeros();
         if target.lost_frames > 0 {
-            // First the middle of everything that looks like the target in a wide window, then as usual from there.
+            // First the centroid of everything that looks like the target in a wide window, then the usual steps from there.
             let wide = grown_box(&self.mask, (shift_max_px.ceil() as u32).max(config.window_margin_px));
             if let Some((shift_px, _)) = appearance.colours.mean_shift(hue, &wide, expected_px, limits) {
                 start_px = shift_px;
@@ -274,12 +274,12 @@ impl PublishedTracker {
             Some((shift_px, _)) if share >= config.mass_share_min => Ok(Some(start_px + shift_px)),
             _ => {
                 let (percent, limit) = (100.0 * share, 100.0 * config.mass_share_min);
-                Err(format!("{percent:.0} % of the target's pixels are found by their hue (limit {limit:.0} %)"))
+                Err(format!("only {percent:.0} % of the target's pixels were found by hue (limit {limit:.0} %)"))
             }
         }
     }
 
-    /// Rasterises an outline into `self.mask`; returns how many pixels it covers in and outside the image.
+    /// Rasterises an outline into `self.mask`; returns the number of pixels that it covers, inside and outside the image.
     fn rasterize(&mut self, outline_px: &[Vector2<f64>]) -> usize {
         self.mask.reset(self.core.pair().left_size());
         polygon::fill(outline_px, &mut self.mask)
@@ -358,8 +358,8 @@ impl PublishedTracker {
 impl EstimationMethod for PublishedTracker {
     type Answer = TrackEstimate;
 
-    /// A marked target is looked for from nothing. If its pose is not observable there is no target yet: the same region is then tried
-    /// again, for a few frames. Of what is known before, the motion of the camera is used.
+    /// A marked target is searched without a start value. If its pose is not observable, the same region is tried again for a
+    /// few frames. Of the prior, only the motion of the camera is used.
     fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<TrackEstimate, EstimationError> {
         let EstimateRequest { left, right, target, prior, deadline, .. } = request;
         if let Some(marked) = target {
@@ -371,7 +371,7 @@ impl EstimationMethod for PublishedTracker {
         let limit = self.core.config().tracker.assure_frames_max;
         if self.start.is_some() && self.unsure_frames >= limit {
             self.target = None;
-            let reason = format!("the target was never sure within {limit} frames and is given up: mark it again");
+            let reason = format!("no confident pose within {limit} frames, the target is dropped: mark it again");
             return Ok(TrackEstimate { status: Status::Lost, reason, ..self.blank_estimate(&[]) });
         }
         let Some(mut target) = self.target.take() else {
@@ -391,7 +391,7 @@ impl EstimationMethod for PublishedTracker {
     }
 }
 
-/// The mask's box, grown by `margin_px` on all sides.
+/// The mask's bounding box, enlarged by `margin_px` on all sides.
 fn grown_box(mask: &RegionMask, margin_px: u32) -> RegionMask {
     let mut grown = RegionMask::empty(mask.size());
     if let Some(bounds) = mask.bbox() {
@@ -404,5 +404,5 @@ fn grown_box(mask: &RegionMask, margin_px: u32) -> RegionMask {
 }
 
 fn no_hypothesis() -> String {
-    "every hypothesis of the search range lies behind a camera: check the range".to_owned()
+    "every hypothesis of the search range is behind a camera: check the range".to_owned()
 }

@@ -2,33 +2,33 @@
 
 use pb3dp_estimation_core::error::{EstimationError, check_range};
 
-/// How the region is carried along, and when the target counts as lost. None of this is stated in the paper.
+/// Parameters of region tracking and of the loss criteria. The paper states none of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackerConfig {
-    /// The window in which the target's pixels are looked for is the region grown by this much, pixels, 1 to 200.
-    /// Default 8.
+    /// Margin by which the region is enlarged to search the target's pixels, pixels, 1 to 200. Default 8.
     pub window_margin_px: u32,
-    /// Most steps of the mean shift, 1 to 100. Default 8.
+    /// Largest number of mean-shift steps, 1 to 100. Default 8.
     pub shift_steps_max: usize,
-    /// The region moves by at most this share of the square root of its area per frame, beyond the known motion, 0 to 2.
-    /// Default 0.3.
+    /// Largest motion of the region per frame (0 to 2), in addition to the known motion, as a share of the square root of its
+    /// area. Default 0.3.
     pub shift_max_share: f64,
-    /// The region is re-centred only if the mean weight of its pixels in the first frame reaches this: the target's hues
-    /// must differ from those around it. 0 to 1. Default 0.2.
+    /// Smallest mean weight of the region's pixels in the first frame for re-centring: the target's hues must differ from those
+    /// around it. 0 to 1. Default 0.2.
     pub contrast_min: f64,
-    /// Lost if fewer of the target's pixels are found, as a share of what the first frame lets expect, 0 to 1. Default 0.35.
+    /// Smallest share of the expected target pixels (from the first frame) that must be found, 0 to 1; below: `lost`. Default
+    /// 0.35.
     pub mass_share_min: f64,
-    /// Lost if less of the region lies inside the image, as a share, 0 to 1. Default 0.5.
+    /// Smallest share of the region inside the image, 0 to 1; below: `lost`. Default 0.5.
     pub visible_share_min: f64,
-    /// Ambiguous if the depth is determined worse than to this share, 0 to 1. Wider than for single pairs: the other peaks are
-    /// ruled out by continuity, and what follows filters over time. Default 0.03.
+    /// Largest relative spread of the depth, 0 to 1; above: `ambiguous`. It is larger than for single pairs, because continuity
+    /// rules out the other peaks, and downstream stages filter over time. Default 0.03.
     pub depth_spread_sure: f64,
-    /// Lost if the fitness falls below the first frame's median of the search range plus this share of its height above
-    /// that median, 0 to 1. Default 0.4.
+    /// Smallest fitness, as a share of the height of the first frame's fitness above the median of the search range, 0 to 1;
+    /// below: `lost`. Default 0.4.
     pub height_share_min: f64,
-    /// The target is given up, and stays lost until it is marked again, if its depth is not sure (by a survey of the whole
-    /// search range) within this many frames of its start or of being found again: what the region shows by then may be
-    /// something else. 1 to 10000. Default 15.
+    /// Number of frames after the start, or after being found again, within which the depth must become confident (by a survey
+    /// of the whole search range). Otherwise the target is dropped and stays lost until it is marked again, because the region
+    /// may then show something else. 1 to 10000. Default 15.
     pub assure_frames_max: u32,
 }
 

@@ -1,4 +1,4 @@
-//! From hypotheses to the numbers that the kernels work with.
+//! Conversion of hypotheses into the numbers that the kernels use.
 
 use nalgebra::{Matrix3, Vector3};
 use pb3dp_estimation_core::plane_hypothesis::{PinholePair, PlaneHypothesis, SearchRange};
@@ -6,10 +6,10 @@ use pb3dp_estimation_core::plane_hypothesis::{PinholePair, PlaneHypothesis, Sear
 use super::rectified::{FRACTION_BITS, Window};
 use crate::photo_model::{ModelPoint, PhotoModel};
 
-/// Hypotheses that are scored together.
+/// Number of hypotheses scored together.
 pub(super) const BATCH: usize = 64;
 
-/// Largest shift that fixed-point addresses hold beside a window of the largest image, pixels.
+/// Largest shift that fixed-point addresses support in addition to a window of the largest image, pixels.
 const SHIFT_MAX_PX: f64 = 8000.0;
 
 /// Matches of each hypothesis of a batch.
@@ -26,23 +26,23 @@ impl Default for Counts {
     }
 }
 
-/// Affine shifts for rectified pairs: a point (du, dv) moves by `slope_u du + slope_v dv + offset` columns, counted from
-/// the window's first shift, in fixed point, half a pixel added.
+/// Affine shifts for rectified pairs: a point (du, dv) moves by `slope_u du + slope_v dv + offset` columns, relative to the
+/// window's first shift, in fixed point, plus half a pixel.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub(super) struct Batch {
-    /// How many of the lanes are in use.
+    /// Number of lanes in use.
     pub len: usize,
     pub slope_u: [i32; BATCH],
     pub slope_v: [i32; BATCH],
     pub offset: [i32; BATCH],
-    /// Homographies for general pairs, of (du, dv, 1), row by row, lower right element 1 left out.
+    /// Homographies for general pairs, of (du, dv, 1), row by row, without the lower right element, which is 1.
     pub homographies: [[f32; 8]; BATCH],
-    /// Lanes whose hypothesis is refused; their numbers are zero.
+    /// Lanes with a rejected hypothesis; their numbers are zero.
     pub refused: [bool; BATCH],
 }
 
-/// What all hypotheses of a frame share.
+/// Data shared by all hypotheses of a frame.
 #[derive(Clone, Debug)]
 pub(super) struct Frame {
     range: SearchRange,
@@ -126,8 +126,8 @@ impl Frame {
         batch
     }
 
-    /// Inverse depth as a linear function of (du, dv, 1), if the hypothesis is within the range and every point in front
-    /// of the left camera.
+    /// Inverse depth as a linear function of (du, dv, 1), if the hypothesis is within the range and every point is in front of
+    /// the left camera.
     fn accepted_plane(&self, psi: &PlaneHypothesis) -> Option<Vector3<f64>> {
         if !self.range.contains(psi) {
             return None;
@@ -143,7 +143,7 @@ impl Frame {
         Vector3::new(plane.x, plane.y, at_origin)
     }
 
-    /// Columns by which a point of inverse depth 0 moves, and by how much more per 1/m.
+    /// Column shift of a point of inverse depth 0, and the additional shift per 1/m.
     pub fn shift_of_inverse_depth(&self) -> (f64, f64) {
         (self.pair.right().cx - self.pair.left().cx, self.epipole.x)
     }

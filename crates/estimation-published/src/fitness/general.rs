@@ -1,4 +1,4 @@
-//! General calibrated pairs: every point goes through the hypothesis' homography, with a division of its own.
+//! General calibrated pairs: every point is mapped by the homography of the hypothesis, with its own division.
 
 use pb3dp_estimation_core::cpu::Kernels;
 
@@ -8,8 +8,8 @@ use super::points::PointSet;
 
 use crate::hue::{HuePlane, PAD};
 
-/// The right image as kernels read it. Pixel (u, v) is element `base + v width + u`; element 0 has no hue and stands for
-/// everything outside.
+/// The right image as read by the kernels. Pixel (u, v) is element `base + v width + u`; element 0 has no hue and represents
+/// everything outside the image.
 #[derive(Clone, Copy)]
 pub(super) struct PlaneView<'a> {
     pub data: &'a [u16],

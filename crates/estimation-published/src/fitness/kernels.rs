@@ -1,5 +1,5 @@
-//! The inner loops, one source for every vector width. Each step of the work is a loop of its own over a chunk, which becomes a few
-//! vector instructions; only the look-ups in between take one element at a time.
+//! The inner loops: one source for every vector width. Each step is a separate loop over a chunk, which compiles to a few
+//! vector instructions; only the look-ups in between process one element at a time.
 
 use pb3dp_estimation_core::wide::wide;
 
@@ -8,13 +8,13 @@ use super::general::PlaneView;
 use super::points::{CHUNK, PointSet};
 use super::rectified::{BITS_PER_WORD, FRACTION_BITS, TableView};
 
-/// Chunks of points whose places and pixels are kept at a time.
+/// Number of point chunks whose positions and pixels are buffered.
 const BLOCK: usize = 16;
 
-/// Hypotheses that look up together.
+/// Number of hypotheses that look up together.
 const LANES: usize = 16;
 
-/// 1 if a stored pixel has a hue within `tolerance` of a stored hue that is one, else 0.
+/// 1 if a stored pixel has a hue within `tolerance` of a valid stored hue, otherwise 0.
 #[inline(always)]
 fn matches(pixel: u16, hue: u16, tolerance: u16) -> u16 {
     let is_near = pixel.wrapping_sub(hue).cast_signed().unsigned_abs() <= tolerance;
@@ -22,7 +22,7 @@ fn matches(pixel: u16, hue: u16, tolerance: u16) -> u16 {
 }
 
 wide! {
-    /// One bit per pixel: has a hue within `tolerance` of `hue`. 32 pixels per word.
+    /// One bit per pixel: set if it has a hue within `tolerance` of `hue`. 32 pixels per word.
     pub(super) fn compare(pixels: &[u16], hue: u16, tolerance: u16, words: &mut [u32]) = compare_kernel;
 }
 
@@ -37,13 +37,13 @@ fn compare_kernel(pixels: &[u16], hue: u16, tolerance: u16, words: &mut [u32]) {
 }
 
 wide! {
-    /// Matches of each hypothesis, by table.
+    /// Matches of each hypothesis, from the table.
     pub(super) fn count_rectified(view: &TableView<'_>, batch: &Batch, counts: &mut [i32; BATCH]) = count_rectified_kernel;
 }
 
 #[inline(always)]
 fn count_rectified_kernel(view: &TableView<'_>, batch: &Batch, counts: &mut [i32; BATCH]) {
-    /// Of the usual table; its places are cut off instead of checked.
+    /// Number of words per point of the usual table; its positions are masked instead of checked.
     const FEW: usize = 8;
     if view.words_per_point == FEW {
         let (tables, _) = view.words.as_chunks::<FEW>();
@@ -74,7 +74,7 @@ fn count_in_tables<Table: Copy>(
         for row in &view.points.rows {
             let base: [i32; LANES] = std::array::from_fn(|i| slope_v[i].wrapping_mul(row.dv).wrapping_add(offset[i]));
             for (du, table) in view.points.du[start..row.end].iter().zip(&mut tables) {
-                // A shift outside the window, above or (as unsigned) below, takes the bit that is always zero.
+                // A shift outside the window, above or (as unsigned) below, maps to the bit that is always zero.
                 let bits: [u32; LANES] = std::array::from_fn(|i| {
                     let shift = slope_u[i].wrapping_mul(*du).wrapping_add(base[i]) >> FRACTION_BITS;
                     shift.cast_unsigned().min(view.shifts)
@@ -95,7 +95,7 @@ wide! {
     pub(super) fn count_general(view: &PlaneView<'_>, tolerance: u16, points: &PointSet, homography: &[f32; 8]) -> i32 = count_general_kernel;
 }
 
-/// 3 * 2^22: there, neighbouring numbers are one apart, so a sum with it is rounded to a whole number, which its lowest bits hold.
+/// 3 * 2^22: at this value adjacent floats differ by one, so adding it rounds to an integer, stored in the lowest bits.
 const ROUNDER: f32 = 12_582_912.0;
 
 /// The order of the operations is part of the definition: products before sums, left to right, no fused multiplication.
@@ -106,10 +106,10 @@ fn count_general_kernel(view: &PlaneView<'_>, tolerance: u16, points: &PointSet,
     let (du, _) = points.du_real.as_chunks::<CHUNK>();
     let (dv, _) = points.dv_real.as_chunks::<CHUNK>();
     let (hues, _) = points.hue.as_chunks::<CHUNK>();
-    // What is not a number is not inside, either.
+    // A NaN is not inside either.
     let inside = |x: f32, size: f32| (x - ROUNDER >= 0.0) & (x - ROUNDER < size);
     let whole = |x: f32| (x.to_bits() & 0xFFFF).cast_signed();
-    // A pass of its own for each step, over many chunks: what was written one by one is not read as a vector at once.
+    // A separate pass for each step, over many chunks: values written one by one are not read immediately as a vector.
     let (mut places, mut pixels) = ([[0; CHUNK]; BLOCK], [[0; CHUNK]; BLOCK]);
     let mut count = 0;
     for ((du, dv), hues) in du.chunks(BLOCK).zip(dv.chunks(BLOCK)).zip(hues.chunks(BLOCK)) {

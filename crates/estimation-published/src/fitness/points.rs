@@ -1,8 +1,8 @@
-//! Model points in the layout that the kernels read.
+//! Model points in the memory layout of the kernels.
 
 use crate::photo_model::ModelPoint;
 
-/// Points per step of a kernel; the lists are padded to a multiple of it.
+/// Number of points per kernel step; the lists are padded to a multiple of it.
 pub(super) const CHUNK: usize = 32;
 
 /// A run of points in one image row.
@@ -10,7 +10,7 @@ pub(super) const CHUNK: usize = 32;
 pub(super) struct Row {
     /// Row relative to the origin.
     pub dv: i32,
-    /// Index behind the run's last point.
+    /// Index after the run's last point.
     pub end: usize,
 }
 
@@ -24,16 +24,16 @@ pub(super) struct PointSet {
     pub du: Vec<i32>,
     /// Runs of equal rows, in order.
     pub rows: Vec<Row>,
-    /// `du` as numbers, padded to whole chunks.
+    /// `du` as floats, padded to whole chunks.
     pub du_real: Vec<f32>,
     /// Row relative to the origin, padded to whole chunks.
     pub dv_real: Vec<f32>,
-    /// Stored hue, padded to whole chunks with what is no hue.
+    /// Stored hue, padded to whole chunks with invalid hues.
     pub hue: Vec<u16>,
 }
 
 impl PointSet {
-    /// Takes over a list of points.
+    /// Copies a list of points.
     pub fn assign(&mut self, points: &[ModelPoint], origin: (i32, i32)) {
         self.count = points.len();
         let padded = points.len().next_multiple_of(CHUNK);

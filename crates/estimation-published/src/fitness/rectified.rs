@@ -1,8 +1,8 @@
 //! Rectified pairs: a point stays in its row and moves by a shift that is affine in its pixel.
 //!
-//! All shifts that the search range allows form one window, the same for all points. Once per frame each point gets a row
-//! of bits, one per shift of the window: does the pixel there have the point's hue? Every hypothesis then looks its bit up:
-//! no image is read, no hue compared, in the inner loop.
+//! All shifts in the search range form one window, common to all points. Once per frame each point gets a row of bits, one per
+//! shift of the window: set if the pixel there has the point's hue. Every hypothesis then looks up its bit; the inner loop
+//! reads no image and compares no hue.
 
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::trig;
@@ -13,13 +13,13 @@ use super::points::PointSet;
 
 use crate::hue::{HuePlane, PAD};
 
-/// Fraction of a pixel in fixed-point shifts: 1/131072.
+/// Number of fraction bits of fixed-point shifts: resolution 1/131072 of a pixel.
 pub(super) const FRACTION_BITS: u32 = 17;
 
-/// Columns whose hues are compared in one step, one bit each.
+/// Number of columns whose hues are compared in one step, one bit each.
 pub(super) const BITS_PER_WORD: usize = 32;
 
-/// The shifts (right column minus left column, rounded) that hypotheses of the search range can give to points inside the
+/// The shifts (right column minus left column, rounded) that hypotheses of the search range can have for points inside the
 /// right image.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Window {
@@ -28,17 +28,17 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// The window of a frame.
+    /// Computes the window of a frame.
     ///
-    /// The inverse depth at a pixel is `(n . d) / (z n . d_c)`. With n = (p, r, 1) up to scale it is linear-fractional in
-    /// (p, r) and linear in the pixel, so over a box in which the denominator is positive its extremes lie at corners.
+    /// The inverse depth at a pixel is `(n . d) / (z n . d_c)`. With n = (p, r, 1) up to scale it is linear-fractional in (p,
+    /// r) and linear in the pixel, so over a box with a positive denominator its extremes are at corners.
     pub fn of(frame: &Frame, right_width: usize) -> Self {
         let (low, high) = inverse_depth_bounds(frame);
         let (constant_px, px_per_inverse_m) = frame.shift_of_inverse_depth();
         let ends = [low, high].map(|inverse_depth| constant_px + px_per_inverse_m * inverse_depth);
         let columns = frame.corners().map(|(du, _)| f64::from(frame.origin().0) + du);
         let (left, right) = (columns[0], columns[1]);
-        // No shift beyond these keeps any point inside the image; one more on either side for rounding.
+        // Shifts beyond these move every point out of the image; one more on either side for rounding.
         let first = ends[0].min(ends[1]).floor().max(-right) - 1.0;
         let last = ends[0].max(ends[1]).ceil().min(right_width as f64 - 1.0 - left) + 1.0;
         Self { first_shift: first as i32, shifts: (last - first + 1.0).max(1.0) as usize }
@@ -49,13 +49,13 @@ impl Window {
         self.first_shift
     }
 
-    /// Words per point: room for every shift and for one more bit that is always zero; 8 or more.
+    /// Number of words per point: one bit for every shift, and one that is always zero; at least 8.
     fn words(&self) -> usize {
         (self.shifts + 1).div_ceil(BITS_PER_WORD).max(8)
     }
 }
 
-/// Smallest and largest inverse depth of a point in the search range, 1/m; infinite if the range reaches the horizon.
+/// Smallest and largest inverse depth of a point in the search range, 1/m; infinite if the range includes the horizon.
 fn inverse_depth_bounds(frame: &Frame) -> (f64, f64) {
     let range = frame.range();
     let (tan, (_, cos)) = (trig::tan(range.tilt_max_rad), trig::sin_cos(range.tilt_max_rad));
@@ -78,10 +78,10 @@ fn inverse_depth_bounds(frame: &Frame) -> (f64, f64) {
     (low, high)
 }
 
-/// One bit per point and shift: the pixel there has a hue within a tolerance of the point's.
+/// One bit per point and shift: set if the pixel there has a hue within a tolerance of the point's.
 #[derive(Clone, Debug, Default)]
 pub(super) struct MatchTable {
-    /// Bits per point that can be set.
+    /// Number of usable bits per point.
     shifts: u32,
     words_per_point: usize,
     /// Inner points, then outer points.
@@ -105,7 +105,7 @@ impl MatchTable {
         }
     }
 
-    /// What a kernel needs of the inner or of the outer points.
+    /// The table in the form that a kernel uses, for the inner or the outer points.
     fn view<'a>(&'a self, points: &'a PointSet, outer: bool) -> TableView<'a> {
         let start = if outer { self.inner * self.words_per_point } else { 0 };
         let words = &self.words[start..start + points.len() * self.words_per_point];
@@ -116,9 +116,9 @@ impl MatchTable {
 /// The match bits of one kind of points.
 #[derive(Clone, Copy)]
 pub(super) struct TableView<'a> {
-    /// Bits per point that can be set; the bit behind them exists and is zero.
+    /// Number of usable bits per point; the next bit exists and is zero.
     pub shifts: u32,
-    /// 8 or more.
+    /// At least 8.
     pub words_per_point: usize,
     /// All points' words.
     pub words: &'a [u32],
@@ -147,7 +147,7 @@ fn fill_row(
         return;
     }
     let (first_word, last_word) = (low / BITS_PER_WORD, (high - 1) / BITS_PER_WORD);
-    // The first step starts at most 31 pixels before the row, the last ends at most 31 behind it: padding covers both.
+    // The first step starts at most 31 pixels before the row, the last ends at most 31 after it: padding covers both.
     let start = (PAD + v * right.width()) as i64 + first_column + (first_word * BITS_PER_WORD) as i64;
     let pixels = &right.padded()[start as usize..][..(last_word - first_word + 1) * BITS_PER_WORD];
     compare(kernels, pixels, hue, tolerance, &mut words[first_word..=last_word]);

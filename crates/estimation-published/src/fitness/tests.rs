@@ -11,14 +11,14 @@ use crate::hue::{Hue, HueConfig};
 use crate::photo_model::ModelPoint;
 
 const SIZE: ImageSize = ImageSize { width: 320, height: 240 };
-/// Gates whose integer form is exact, so that the reference can apply them in floating point.
+/// Gates with an exact integer form, so that the reference can apply them in floating point.
 const GATE: HueConfig = HueConfig { saturation_min: 0.25, value_min: 0.2 };
 
 fn range(tilt_max_rad: f64) -> SearchRange {
     SearchRange::new(0.35, 0.65, tilt_max_rad).expect("range")
 }
 
-/// Coarse random patches: hues of neighbours are unrelated, a fifth of the pixels is grey.
+/// Coarse random patches: hues of neighbours are independent, a fifth of the pixels is grey.
 fn random_image(seed: u64) -> RgbImage {
     let mut rng = SplitMix64::new(seed);
     RgbImage::from_fn(SIZE.width, SIZE.height, |_, _| {
@@ -31,7 +31,7 @@ fn random_image(seed: u64) -> RgbImage {
     })
 }
 
-/// A model with random points around a centre and hues of no relation to anything.
+/// A model with random points around a centre and random hues.
 fn random_model(seed: u64, centre_px: Vector2<f64>, radius: i32, counts: (usize, usize)) -> PhotoModel {
     let mut rng = SplitMix64::new(seed);
     let mut points = |count| {
@@ -83,7 +83,7 @@ fn rigs() -> [StereoRig; 2] {
     [scene::rectified_rig(SIZE), scene::general_rig(SIZE)]
 }
 
-/// Every kernel's votes lie within what the reference allows if addresses are off by a hundredth of a pixel.
+/// The votes of every kernel are within the bounds of the reference for address errors of a hundredth of a pixel.
 #[test]
 fn votes_are_those_of_the_paper() {
     let right_rgb = random_image(3);
@@ -109,12 +109,12 @@ fn votes_are_those_of_the_paper() {
                 exact += usize::from((frame.fitness(score[0]).expect("scored") - expected).abs() < 1e-12);
             }
         }
-        // Address rounding concerns few hypotheses.
+        // Address rounding affects few hypotheses.
         assert!(exact * 10 > 9 * psis.len() * Kernels::available().count(), "{exact} exactly equal");
     }
 }
 
-/// The whole comparison: many hypotheses, windows of one, two, three and more vectors, both kinds of rig.
+/// The complete comparison: many hypotheses, windows of one, two, three and more vectors, both kinds of rig.
 #[test]
 fn kernels_agree_on_many_hypotheses() {
     let right = HuePlane::from_rgb(&random_image(4), &GATE);
@@ -130,7 +130,7 @@ fn kernels_agree_on_many_hypotheses() {
     }
 }
 
-/// Small enough for the interpreter Miri (`cargo xtask miri`), with points at the border of the image and outside of it.
+/// Small enough for the interpreter Miri (`cargo xtask miri`), with points at the border of the image and outside it.
 #[test]
 fn kernels_agree_on_a_small_image() {
     const SMALL: ImageSize = ImageSize { width: 40, height: 30 };
@@ -147,7 +147,7 @@ fn kernels_agree_on_a_small_image() {
     }
 }
 
-/// Compares all kernels, in batches and one by one, mismatching and abstaining; returns how many were scored.
+/// Compares all kernels, in batches and one by one, mismatching and abstaining; returns the number of scored hypotheses.
 fn check_kernels(
     pair: &PinholePair,
     model: &PhotoModel,
@@ -182,7 +182,7 @@ fn plain(colour: [u8; 3]) -> HuePlane {
     HuePlane::from_rgb(&RgbImage::from_pixel(SIZE.width, SIZE.height, Rgb(colour)), &HueConfig::default())
 }
 
-/// A small model of one hue near the image's centre, where every hypothesis of the range stays on the image.
+/// A small model of one hue near the image's centre, which all hypotheses of the range keep inside the image.
 fn plain_model(hue: Hue, inner: usize, outer: usize) -> PhotoModel {
     let point = |k: usize| ModelPoint { u: 190 + (k % 7) as i32, v: 110 + (k / 7) as i32, hue };
     PhotoModel::from_points(
@@ -223,7 +223,7 @@ fn twenty_degrees_match_and_more_do_not() {
     check_threshold([128, 128, 128], false); // no hue
 }
 
-/// Two hues 20 degrees apart, whatever their own rounding.
+/// Two hues 20 degrees apart, whatever their rounding.
 #[test]
 fn the_tolerance_is_inclusive_at_every_hue() {
     let tolerance = f64::from(FitnessConfig::default().tolerance_steps()) * 360.0 / 65536.0;
@@ -262,7 +262,7 @@ fn unseen_points_vote_as_configured() {
     assert!((mismatch + (21.0 + 14.0) / (42.0 + 0.7)).abs() < 1e-12, "F = {mismatch}");
     let abstain = FitnessConfig { unseen: Unseen::Abstain, ..FitnessConfig::default() };
     assert_eq!(fitness_of(&model, &right, abstain, STRAIGHT)[0], 0.0);
-    // Grey pixels are unseen as well.
+    // Grey pixels count as unseen as well.
     let on_grey = fitness_of(&plain_model(Hue::from_degrees(0.0), 9, 0), &plain([90; 3]), abstain, STRAIGHT);
     assert_eq!(on_grey, [0.0, 0.0]);
 }
@@ -291,7 +291,7 @@ fn hypotheses_out_of_range_or_behind_are_refused() {
 
 #[test]
 fn points_beyond_the_horizon_refuse_the_hypothesis() {
-    // A wide model: at 84 degrees of tilt its far side lies beyond the plane's horizon.
+    // A wide model: at 84 degrees of tilt its far side is beyond the plane's horizon.
     let hue = Hue::from_degrees(0.0);
     let inner = vec![ModelPoint { u: 20, v: 100, hue }, ModelPoint { u: 300, v: 100, hue }];
     let model = PhotoModel::from_points(Vector2::new(160.0, 100.0), inner, Vec::new());
@@ -339,7 +339,7 @@ proptest! {
         check_kernels(&pair, &model, &right, &range, &random_hypotheses(seed ^ 9, &range, 150));
     }
 
-    /// The window holds every shift that the search range can give: the table knows what the image knows.
+    /// The window contains every shift of the search range: the table gives the same result as the image.
     #[test]
     fn no_hypothesis_leaves_the_window(
         seed: u64, near_m in 0.2..1.0, span_m in 0.001..1.0, tilt in 0.0..1.2,

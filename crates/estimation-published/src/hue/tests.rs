@@ -15,7 +15,7 @@ fn hue_of(pixel: [u8; 3]) -> Hue {
     plane_of(&[pixel], &OPEN).at(0, 0).expect("coloured")
 }
 
-/// Values of Python's `colorsys.rgb_to_hsv`, times 360.
+/// Golden values of Python's `colorsys.rgb_to_hsv`, times 360.
 #[test]
 fn agrees_with_golden_hues() {
     let golden = [

@@ -1,6 +1,6 @@
 use super::*;
 
-/// A landscape by formula: what the probe says of it can be worked out by hand.
+/// A landscape given by a formula, so that the probe's result can be computed by hand.
 #[derive(Clone, Copy)]
 struct Formula(Shape);
 
@@ -15,7 +15,7 @@ impl PlaneScore for Formula {
 
 const ANSWER: PlaneHypothesis = PlaneHypothesis { z_m: 0.5, theta_x_rad: 0.1, theta_y_rad: -0.2 };
 
-/// Depth in units of 1 % and tilts in units of 10 degrees, from the answer.
+/// Depth in units of 1 % and tilts in units of 10 degrees, relative to the estimate.
 fn offsets(psi: &PlaneHypothesis) -> (f64, f64, f64) {
     let tilt = |a: f64, b: f64| (a - b).to_degrees() / 10.0;
     (
@@ -95,7 +95,7 @@ fn a_ridge_along_one_tilt_leaves_the_tilt_weak() {
 
 #[test]
 fn blocks_that_disagree_in_depth_make_the_answer_unsure() {
-    // Half of the blocks have their summit 2 % nearer, half 2 % farther: each resample lands somewhere between.
+    // Half of the blocks have their maximum 2 % nearer, half 2 % farther: the maximum of each resample is in between.
     let near: Shape = |psi| peak(&PlaneHypothesis { z_m: psi.z_m + 0.01, ..*psi });
     let far: Shape = |psi| peak(&PlaneHypothesis { z_m: psi.z_m - 0.01, ..*psi });
     let landscape = survey(&[near, far, near, far, near, far]);

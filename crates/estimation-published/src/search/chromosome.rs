@@ -1,12 +1,12 @@
-//! 24 bits for three unknowns: 10 for the depth, 7 and 7 for the tilts.
+//! Chromosomes: 24 bits for three unknowns, 10 for the depth, 7 and 7 for the tilts.
 
 use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
 
-/// Bits of the depth.
+/// Number of bits of the depth.
 pub const Z_BITS: u32 = 10;
-/// Bits of each tilt.
+/// Number of bits of each tilt.
 pub const TILT_BITS: u32 = 7;
-/// Bits of a chromosome.
+/// Number of bits of a chromosome.
 pub const BITS: u32 = Z_BITS + 2 * TILT_BITS;
 /// Number of depth codes.
 pub const Z_CODES: u32 = 1 << Z_BITS;
@@ -18,10 +18,10 @@ pub const TILT_CODES: u32 = 1 << TILT_BITS;
 pub struct Chromosome(u32);
 
 impl Chromosome {
-    /// The highest: all bits set.
+    /// The last chromosome: all bits set.
     pub const LAST: Self = Self((1 << BITS) - 1);
 
-    /// From the lowest 24 bits of a word.
+    /// Creates a chromosome from the lowest 24 bits of a word.
     pub fn from_bits(bits: u32) -> Self {
         Self(bits & ((1 << BITS) - 1))
     }
@@ -31,31 +31,31 @@ impl Chromosome {
         self.0
     }
 
-    /// Takes the bits `first..end` (counted from the lowest) from `other`, the rest from `self`.
+    /// Combines the bits `first..end` (counted from the lowest) of `other` with the remaining bits of `self`.
     #[must_use]
     pub fn crossed(self, other: Self, first: u32, end: u32) -> Self {
         let mask = ((1u32 << end) - 1) & !((1u32 << first) - 1);
         Self((self.0 & !mask) | (other.0 & mask))
     }
 
-    /// With bit `bit` (counted from the lowest, below 24) flipped.
+    /// Flips bit `bit` (counted from the lowest, below 24).
     #[must_use]
     pub fn flipped(self, bit: u32) -> Self {
         Self(self.0 ^ (1 << bit))
     }
 }
 
-/// How a number is written in a gene. The paper does not say.
+/// Binary coding of a number in a gene. The paper does not define it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Coding {
     /// Plain binary.
     Binary,
-    /// Gray code: neighbouring numbers differ in one bit. The default: no Hamming cliffs.
+    /// Gray code: consecutive numbers differ in one bit. The default: no Hamming cliffs.
     #[default]
     Gray,
 }
 
-/// Codes of the three genes as plain numbers.
+/// Codes of the three genes as integers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Codes {
     /// Depth, 0 to 1023.
@@ -66,8 +66,7 @@ pub struct Codes {
     pub theta_y: u32,
 }
 
-/// Translates between chromosomes and hypotheses: each gene spans its part of the search range linearly, both ends
-/// included.
+/// Converts between chromosomes and hypotheses: each gene covers its part of the search range linearly, both ends included.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Codec {
     range: SearchRange,
@@ -75,7 +74,7 @@ pub struct Codec {
 }
 
 impl Codec {
-    /// For a search range.
+    /// Creates a codec for a search range.
     pub fn new(range: SearchRange, coding: Coding) -> Self {
         Self { range, coding }
     }
@@ -102,7 +101,7 @@ impl Codec {
 
     /// The hypothesis of three codes.
     pub fn hypothesis(&self, codes: Codes) -> PlaneHypothesis {
-        // The middle is the sum of the ends so that codes k and 127 - k give exactly opposite tilts.
+        // The centre is the sum of the ends, so that codes k and 127 - k give exactly opposite tilts.
         let tilt = |code: u32| {
             let numerator = 2 * i64::from(code) - i64::from(TILT_CODES - 1);
             self.range.tilt_max_rad * numerator as f64 / f64::from(TILT_CODES - 1)
@@ -114,7 +113,7 @@ impl Codec {
         }
     }
 
-    /// The chromosome whose hypothesis is nearest; what lies outside the range is moved to its end.
+    /// The chromosome with the nearest hypothesis; values outside the range are clamped.
     pub fn encode(&self, psi: &PlaneHypothesis) -> Chromosome {
         let code = |value: f64, step: f64, max: u32| (value / step).round().clamp(0.0, f64::from(max)) as u32;
         let tilt = |angle_rad: f64| match self.range.tilt_max_rad {
@@ -142,7 +141,7 @@ impl Codec {
         }
     }
 
-    /// The chromosome of codes; each is cut to its gene's width.
+    /// The chromosome of given codes; each is truncated to its gene's width.
     pub fn chromosome(&self, codes: Codes) -> Chromosome {
         let gene = |number: u32, count: u32| {
             let number = number & (count - 1);

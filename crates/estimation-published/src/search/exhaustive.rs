@@ -1,8 +1,7 @@
-//! The best chromosome there is: every one of the 2^24 is scored.
+//! Exhaustive search: scores all 2^24 chromosomes and finds the best.
 //!
-//! Offline: it tells what the score itself is worth, free of any fault of a search. The work is cut by depth codes, so that
-//! a caller may share it out between threads: [`optimum_in`] for each part, [`Optimum::merge`] for the results, in any
-//! order.
+//! For offline use: it evaluates the score itself, without any error of a search. The work is divided by depth codes, so that a
+//! caller may distribute it over threads: [`optimum_in`] for each part, [`Optimum::merge`] for the results, in any order.
 
 use std::ops::Range;
 
@@ -11,19 +10,19 @@ use pb3dp_estimation_core::plane_hypothesis::PlaneHypothesis;
 use super::chromosome::{Chromosome, Codec, Codes, TILT_CODES, Z_CODES};
 use super::{PlaneScore, REFUSED};
 
-/// The highest score and where it is reached.
+/// The highest score and its chromosome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Optimum {
     /// The score; [`REFUSED`] if no hypothesis could be scored.
     pub score: i32,
-    /// The lowest chromosome that reaches it.
+    /// The lowest chromosome with this score.
     pub chromosome: Chromosome,
-    /// How many chromosomes reach it: the summit of a vote count is flat.
+    /// Number of chromosomes with this score: the maximum of a vote count is flat.
     pub ties: u64,
 }
 
 impl Optimum {
-    /// Of no hypothesis at all: the neutral element of [`Optimum::merge`].
+    /// Optimum of no hypotheses: the neutral element of [`Optimum::merge`].
     pub const NONE: Self = Self { score: REFUSED, chromosome: Chromosome::LAST, ties: 0 };
 
     /// The optimum of two disjoint sets of hypotheses.
@@ -47,7 +46,7 @@ pub fn optimum_in(score: &impl PlaneScore, codec: &Codec, z_codes: Range<u32>) -
             fill(&mut hypotheses, |theta_y| codec.hypothesis(codes(theta_y)));
             score.score(&hypotheses, &mut scores);
             let highest = scores.iter().copied().max().unwrap_or(REFUSED);
-            // Nearly every line lies below the optimum so far and needs no closer look.
+            // Nearly every line is below the current optimum and needs no further evaluation.
             if highest > REFUSED && highest >= best.score {
                 best = best.merge(line_optimum(&scores, highest, |theta_y| codec.chromosome(codes(theta_y))));
             }

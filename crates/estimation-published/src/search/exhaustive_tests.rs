@@ -21,7 +21,7 @@ fn codec() -> Codec {
     Codec::new(SearchRange::new(0.40, 0.56, 0.5).expect("range"), Coding::Gray)
 }
 
-/// The synthetic disc, seen by a rig, as a model and the hues of the right image.
+/// The synthetic disc in the images of a rig: its model and the hues of the right image.
 fn observed(rig: &StereoRig) -> (PinholePair, PhotoModel, HuePlane, RgbImage) {
     let (left, right) = TRUTH.render(rig);
     let region = RegionMask::from_fn(SIZE, |u, v| TRUTH.sees_disc(rig, u, v));
@@ -37,7 +37,7 @@ fn check_finds_the_truth(rig: &StereoRig, z_codes: Range<u32>) {
     let frame = fitness.prepare(&pair, &model, &right, codec.range()).expect("frame");
     let optimum = optimum_in(&frame, &codec, z_codes);
     let psi = codec.decode(optimum.chromosome);
-    // The region's centroid is not the disc's centre: compare the plane, not psi's depth, at the disc's centre.
+    // The region's centroid is not the disc's centre: compare the plane at the disc's centre, not psi's depth.
     let depth_m = psi.depth_at_pixel(&pair, &model.centre_px(), &TRUTH.centre_px).expect("in front");
     assert!((depth_m - TRUTH.z_m).abs() < 0.003, "depth {depth_m} m");
     let [x, y] = [psi.theta_x_rad - TRUTH.theta_x_rad, psi.theta_y_rad - TRUTH.theta_y_rad];
@@ -56,7 +56,7 @@ fn check_finds_the_truth(rig: &StereoRig, z_codes: Range<u32>) {
     }
 }
 
-/// Depth codes around the truth, wide enough for every good individual: the far rest costs test time and nothing else.
+/// Depth codes around the truth, a range that includes every good individual: the other depths would only add test time.
 const NEAR_TRUTH: Range<u32> = 440..560;
 
 #[test]

@@ -1,8 +1,8 @@
 //! The Real-time Multi-step Genetic Algorithm of the paper (section 3.2).
 //!
-//! Several generations per frame, each in the order evaluation, sorting, obsolete, crossover, mutation; what has evolved is
-//! the start of the next frame, where everyone, the elite included, is evaluated anew on the new image. The paper states
-//! neither population nor rates: they are parameters here, with the defaults of the group's earlier work.
+//! Several generations per frame, each in the order evaluation, sorting, obsolete, crossover, mutation. The evolved population
+//! is the start of the next frame, in which all individuals, including the elite, are evaluated again on the new image. The
+//! paper states neither population nor rates; here they are parameters, with the defaults of the group's earlier work.
 
 use std::cmp::Reverse;
 
@@ -13,10 +13,10 @@ use pb3dp_estimation_core::rng::SplitMix64;
 use super::chromosome::{BITS, Chromosome, Codec, Coding};
 use super::{PlaneScore, REFUSED};
 
-/// How newly bred individuals mutate. The paper does not say.
+/// Mutation of newly bred individuals. The paper does not define it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Mutation {
-    /// With this probability, one bit, chosen at random, is flipped.
+    /// One random bit is flipped with this probability.
     PerIndividual(f64),
     /// Each bit is flipped with this probability.
     PerBit(f64),
@@ -25,20 +25,20 @@ pub enum Mutation {
 /// Parameters of the genetic algorithm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RmGaConfig {
-    /// Individuals, 2 to 10000. Default 60.
+    /// Number of individuals, 2 to 10000. Default 60.
     pub population: usize,
-    /// How many of the best live on and become parents, 2 to `population`; the rest is made obsolete and refilled by
-    /// crossover. Default 36 (60 %).
+    /// Number of best individuals that survive and become parents, 2 to `population`; the others are made obsolete and refilled
+    /// by crossover. Default 36 (60 %).
     pub survivors: usize,
-    /// How many of the best never mutate, 1 to `survivors`. Default 1.
+    /// Number of best individuals that never mutate, 1 to `survivors`. Default 1.
     pub elite: usize,
     /// Generations per frame, 1 to 100000. Default 9.
     pub generations: usize,
-    /// Mutation of everyone who is not elite. Default: each bit with 0.10 in those that crossover has refilled.
+    /// Mutation of all individuals except the elite. Default: each bit with 0.10 in the individuals refilled by crossover.
     pub mutation: Mutation,
     /// Whether survivors other than the elite mutate too. Default false.
     pub mutate_survivors: bool,
-    /// How numbers are written in the genes. Default Gray.
+    /// Coding of numbers in the genes. Default Gray.
     pub coding: Coding,
     /// Seed of the random numbers. Default 1.
     pub seed: u64,
@@ -78,7 +78,7 @@ impl RmGaConfig {
     }
 }
 
-/// What is carried from frame to frame: the individuals and the state of the random numbers.
+/// State carried from frame to frame: the individuals and the state of the random number generator.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Population {
     individuals: Vec<Chromosome>,
@@ -86,27 +86,27 @@ pub struct Population {
 }
 
 impl Population {
-    /// Individuals spread at random over the whole search range.
+    /// Individuals distributed randomly over the whole search range.
     pub fn random(config: &RmGaConfig) -> Self {
         let mut rng = SplitMix64::new(config.seed);
         let individuals = (0..config.population).map(|_| Chromosome::from_bits(rng.below(1 << BITS))).collect();
         Self { individuals, rng }
     }
 
-    /// The individuals, best first after an evolution.
+    /// The individuals; best first after an evolution.
     pub fn individuals(&self) -> &[Chromosome] {
         &self.individuals
     }
 
-    /// Spreads everyone at random again, continuing the random numbers: after the target was lost.
+    /// Distributes all individuals randomly again, with the next random numbers; used after the target was lost.
     pub fn scatter(&mut self) {
         for individual in &mut self.individuals {
             *individual = Chromosome::from_bits(self.rng.below(1 << BITS));
         }
     }
 
-    /// Moves every individual, by the known motion of the cameras since the last frame, say. Those that leave the search
-    /// range stop at its end.
+    /// Moves every individual, for example by the known motion of the cameras since the last frame. Individuals that leave the
+    /// search range are clamped to its end.
     pub fn shift(&mut self, codec: &Codec, motion: impl Fn(PlaneHypothesis) -> PlaneHypothesis) {
         for individual in &mut self.individuals {
             *individual = codec.encode(&motion(codec.decode(*individual)));
@@ -117,22 +117,22 @@ impl Population {
 /// The best individual of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Best {
-    /// Its genes.
+    /// The chromosome.
     pub chromosome: Chromosome,
-    /// What they mean.
+    /// The hypothesis of the chromosome.
     pub hypothesis: PlaneHypothesis,
-    /// Its score; [`REFUSED`] if nobody could be scored.
+    /// Its score; [`REFUSED`] if no individual could be scored.
     pub score: i32,
 }
 
 impl Best {
-    /// Whether anybody could be scored at all.
+    /// Whether any individual could be scored.
     pub fn is_scored(&self) -> bool {
         self.score != REFUSED
     }
 }
 
-/// The algorithm with its buffers; allocates only when it is made.
+/// The algorithm with its buffers; allocates only on creation.
 #[derive(Clone, Debug)]
 pub struct RmGa {
     config: RmGaConfig,
@@ -144,7 +144,7 @@ pub struct RmGa {
 }
 
 impl RmGa {
-    /// For a search range.
+    /// Creates the algorithm for a search range.
     ///
     /// # Errors
     /// A parameter out of its range.
@@ -166,16 +166,16 @@ impl RmGa {
         &self.config
     }
 
-    /// How chromosomes are read.
+    /// Conversion between chromosomes and hypotheses.
     pub fn codec(&self) -> &Codec {
         &self.codec
     }
 
-    /// Takes another search range; the carried population keeps its bits and so changes its meaning, see
+    /// Sets another search range; the population keeps its bits, which then represent other hypotheses, see
     /// [`Population::shift`].
     ///
     /// # Errors
-    /// A range that is refused by [`SearchRange::validate`].
+    /// A range that [`SearchRange::validate`] rejects.
     pub fn set_range(&mut self, range: SearchRange) -> Result<(), EstimationError> {
         range.validate()?;
         self.codec = Codec::new(range, self.config.coding);
@@ -187,13 +187,13 @@ impl RmGa {
         &self.best_scores
     }
 
-    /// One frame: the configured number of generations. The population is left as bred after the last sorting, the best
-    /// individual first: it is the start of the next frame.
+    /// Processes one frame: the configured number of generations. The population stays as bred after the last sorting, with the
+    /// best individual first: it is the start of the next frame.
     pub fn evolve(&mut self, population: &mut Population, score: &impl PlaneScore) -> Best {
         self.evolve_while(population, score, &mut || true)
     }
 
-    /// As [`Self::evolve`], as long as `may_continue` says so before each generation; the first one always takes place.
+    /// As [`Self::evolve`], while `may_continue` returns true before each generation; the first generation always runs.
     pub fn evolve_while(
         &mut self,
         population: &mut Population,
@@ -215,7 +215,7 @@ impl RmGa {
         Best { chromosome, hypothesis: self.codec.decode(chromosome), score }
     }
 
-    /// Gives a population of another size the configured size.
+    /// Resizes a population to the configured size.
     fn fit(&self, population: &mut Population) {
         let Population { individuals, rng } = population;
         individuals.resize_with(self.config.population, || Chromosome::from_bits(rng.below(1 << BITS)));
@@ -226,7 +226,7 @@ impl RmGa {
             *hypothesis = self.codec.decode(*individual);
         }
         score.score(&self.hypotheses, &mut self.scores);
-        // Equal scores are ranked by the genes, so that the order is the same everywhere.
+        // Equal scores are ranked by their genes, so that the order is the same on every platform.
         for (rank, (individual, score)) in self.ranking.iter_mut().zip(individuals.iter().zip(&self.scores)) {
             *rank = (Reverse(*score), *individual);
         }

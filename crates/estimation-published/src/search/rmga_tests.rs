@@ -8,7 +8,7 @@ fn range() -> SearchRange {
     SearchRange::new(0.35, 0.65, 0.6).expect("range")
 }
 
-/// A single peak: minus the distance from a hypothesis, in steps of the codes. Counts what it is asked.
+/// A single peak: minus the distance from a hypothesis, in steps of the codes. Counts the evaluations.
 struct Peak {
     at: PlaneHypothesis,
     asked: Cell<usize>,
@@ -87,7 +87,7 @@ fn the_elite_is_evaluated_anew_on_each_frame() {
     assert_ne!(new.chromosome, old.chromosome);
 }
 
-/// Same seed, same answer: these bits were noted when the algorithm was written and must not change unnoticed.
+/// Same seed, same result: these bits were recorded when the algorithm was written and must not change unnoticed.
 #[test]
 fn the_same_seed_gives_the_same_answer() {
     let config = RmGaConfig { seed: 42, ..RmGaConfig::default() };

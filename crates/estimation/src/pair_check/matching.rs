@@ -1,4 +1,4 @@
-//! Distinctive patches of the left image, looked for along their epipolar curves in the right one.
+//! Matching of distinctive patches of the left image along their epipolar curves in the right image.
 
 use image::RgbImage;
 use nalgebra::{Point3, Vector2};
@@ -6,28 +6,28 @@ use pb3dp_geometry::StereoRig;
 
 use super::plane::{Moments, Plane, SCALE, WINDOW, Window};
 
-/// Images are reduced by a whole factor to at most this many columns.
+/// Largest width after downsampling, pixels; images are reduced by an integer factor.
 const WORKING_WIDTH_MAX: f64 = 480.0;
-/// The left image is divided into about this many cells, with one patch in each.
+/// Approximate number of cells of the left image; each cell has one patch.
 const CELLS: f64 = 220.0;
-/// A patch must change along both axes by this, grey levels per sample (root of the structure tensor's smaller eigenvalue).
+/// Smallest texture of a patch, grey levels per sample (root of the structure tensor's smaller eigenvalue).
 const TEXTURE_MIN: f64 = 2.5;
 /// Largest disparity searched, on both sides of infinity, as a share of the width.
 const DISPARITY_MAX_SHARE: f64 = 0.45;
 /// Largest distance from the curve searched, pixels.
 const OFFSET_MAX_PX: f64 = 12.0;
-/// Least correlation of a match.
+/// Smallest correlation of a match.
 const CORRELATION_MIN: f32 = 0.85;
-/// `1 - correlation` of a match, as a share of that of its best rival, is at most this.
+/// Largest ratio of `1 - correlation` between a match and its best rival.
 const RIVAL_RATIO_MAX: f32 = 0.5;
-/// Matches count as this far from perfect at least, so that a rival must be worse in earnest.
+/// Lower bound of `1 - correlation` of a match, so that a rival must be clearly worse.
 const FLAW_MIN: f32 = 0.02;
-/// Score of a place outside the image.
+/// Score of a position outside the image.
 const OUTSIDE: f32 = -1.0;
-/// Places nearer to the match than this are the match itself, samples.
+/// Positions closer to the match than this belong to the match, samples.
 const RIVAL_DISTANCE: usize = 3;
 
-/// A patch found in the right image without a rival.
+/// A patch with an unambiguous match in the right image.
 #[derive(Clone, Copy, Debug)]
 pub struct Match {
     /// Disparity along the curve, pixels of the right image: 0 at infinity, negative behind the cameras.
@@ -36,15 +36,15 @@ pub struct Match {
     pub offset_px: f64,
 }
 
-/// What a search found.
+/// Result of the matching.
 pub struct Search {
-    /// Patches that were looked for.
+    /// Number of patches searched for.
     pub patches: usize,
-    /// Those that were found.
+    /// The matches found.
     pub matches: Vec<Match>,
 }
 
-/// Looks for patches of the left image in the right one; `None` if the images are smaller than a few patches.
+/// Matches patches of the left image in the right image; `None` if the images are smaller than a few patches.
 pub fn matches_of(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Option<Search> {
     let factor = (f64::from(left.width()) / WORKING_WIDTH_MAX).ceil().max(1.0) as usize;
     let images = Images::new(left, right, factor);
@@ -56,7 +56,7 @@ pub fn matches_of(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Option<
     Some(Search { patches: corners.len(), matches })
 }
 
-/// Corners of the best-textured window of each cell, where it is good enough.
+/// Corners of the best-textured window of each cell, if its texture is sufficient.
 fn textured_corners(plane: &Plane) -> Vec<[usize; 2]> {
     let cell = ((plane.width * plane.height) as f64 / CELLS).sqrt().max(WINDOW as f64) as usize;
     let texture = Texture::of(plane);
@@ -73,7 +73,7 @@ fn textured_corners(plane: &Plane) -> Vec<[usize; 2]> {
     corners
 }
 
-/// Products of the gradients, summed along rows of a window's width.
+/// Products of the gradients, summed along rows over a window's width.
 struct Texture {
     width: usize,
     row_sums: Vec<[f32; 3]>,
@@ -112,7 +112,7 @@ impl Texture {
     }
 }
 
-/// A pair at the size at which patches are looked for, and at its full size for the last fraction of a pixel.
+/// A pair at the reduced size for the search, and at full size for sub-pixel refinement.
 struct Images {
     factor: usize,
     left: Plane,
@@ -121,11 +121,11 @@ struct Images {
     full: Option<[Plane; 2]>,
 }
 
-/// The epipolar curve of a patch: where its centre goes with rising inverse depth, and what lies across.
+/// The epipolar curve of a patch: positions of its centre with increasing inverse depth.
 struct Curve {
-    /// Places of the centre, pixels of the right image; about one working sample apart.
+    /// Positions of the centre, pixels of the right image; about one working sample apart.
     places_px: Vec<Vector2<f64>>,
-    /// Index of the place of a point at infinity.
+    /// Index of the position of a point at infinity.
     infinity: usize,
 }
 
@@ -142,7 +142,7 @@ impl Images {
         }
     }
 
-    /// Pixel of the centre of the window at a working corner, and back.
+    /// Full-size pixel of the centre of the window at a working corner; `corner` is the inverse.
     fn centre_px(&self, corner: f64) -> f64 {
         (corner + 0.5 * WINDOW as f64) * self.factor as f64 - 0.5
     }
@@ -151,7 +151,7 @@ impl Images {
         (centre_px + 0.5) / self.factor as f64 - 0.5 * WINDOW as f64
     }
 
-    /// Looks for the window at a corner of the left plane.
+    /// Searches for the window at a corner of the left plane.
     fn find(&self, rig: &StereoRig, [x, y]: [usize; 2]) -> Option<Match> {
         let window = self.left.window(x, y)?;
         let centre_px = Vector2::new(self.centre_px(x as f64), self.centre_px(y as f64));
@@ -165,18 +165,18 @@ impl Images {
         Some(Match { disparity_px, offset_px })
     }
 
-    /// The working corners at a place of the curve and `reach` samples up and down from it.
+    /// The working corners at a position of the curve, and up to `reach` samples above and below it.
     fn corners_at(&self, curve: &Curve, step: usize, reach: isize) -> impl Iterator<Item = [isize; 2]> {
         let place = curve.places_px[step].map(|px| self.corner(px));
         let across = curve.across(step);
         (-reach..=reach).map(move |offset| {
             let at = place + across * offset as f64;
-            // Truncation is the cheapest rounding; the summand keeps it away from negative numbers.
+            // Truncation is the cheapest rounding; the added constant keeps the value positive.
             [at.x, at.y].map(|value| (value + 65536.5) as isize - 65536)
         })
     }
 
-    /// Correlations at all places of the curve and beside it, down to up within a place.
+    /// Correlations at all positions of the curve and in the band around it; within a position, from one side to the other.
     fn scores(&self, window: &Window, curve: &Curve, reach: isize) -> Vec<f32> {
         let mut scores = Vec::with_capacity(curve.places_px.len() * (2 * reach + 1) as usize);
         for step in 0..curve.places_px.len() {
@@ -192,8 +192,8 @@ impl Images {
         scores
     }
 
-    /// Centre of the patch of the right image that belongs to a working corner of the left, near a working corner of the
-    /// right: at full size, between pixels.
+    /// Sub-pixel centre at full size of the patch in the right image that corresponds to a working corner of the left image.
+    /// The search starts at a working corner of the right image.
     fn refined(&self, left_corner: [isize; 2], right_corner: [isize; 2]) -> Vector2<f64> {
         let [left, right] = self.full.as_ref().map_or([&self.left, &self.right], |[left, right]| [left, right]);
         let windows = quadrants(left_corner, self.factor)
@@ -230,13 +230,13 @@ fn quadrants(corner: [isize; 2], factor: usize) -> [[isize; 2]; 4] {
     [[x, y], [x + side, y], [x, y + side], [x + side, y + side]]
 }
 
-/// Where, between -0.5 and 0.5, the parabola through three values at -1, 0 and 1 has its summit.
+/// Position of the maximum, between -0.5 and 0.5, of the parabola through three values at -1, 0 and 1.
 fn summit(before: f64, at: f64, after: f64) -> f64 {
     let bend = before - 2.0 * at + after;
     if bend < 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 }
 }
 
-/// Place and side of the best score, if it is good, not at the rim of the band, and without a rival elsewhere.
+/// Position and side of the best score, if it is high enough, not at the edge of the band, and without a rival elsewhere.
 fn distinctive(scores: &[f32], sides: usize) -> Option<(usize, usize)> {
     let (index, &best) = scores.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))?;
     let (step, side) = (index / sides, index % sides);
@@ -256,8 +256,8 @@ fn distinctive(scores: &[f32], sides: usize) -> Option<(usize, usize)> {
 }
 
 impl Curve {
-    /// The curve of a left pixel, from behind the cameras through infinity to the nearest points; `None` if the pixel has
-    /// no ray or the right camera does not face its direction.
+    /// The curve of a left pixel, from behind the cameras through infinity to the nearest points. `None` if the pixel has no
+    /// ray or the right camera does not face its direction.
     fn of(rig: &StereoRig, left_px: &Vector2<f64>, working_width: usize) -> Option<Self> {
         let right_from_left = rig.cam_right_from_cam_left();
         let ray = rig.left().unproject(left_px).ok()?;
@@ -280,21 +280,21 @@ impl Curve {
         (places_px.len() > 2).then_some(Self { places_px, infinity })
     }
 
-    /// Unit direction of rising inverse depth.
+    /// Unit direction of increasing inverse depth.
     fn along(&self, step: usize) -> Vector2<f64> {
         let [before, after] = [step.saturating_sub(1), (step + 1).min(self.places_px.len() - 1)];
         let direction = self.places_px[after] - self.places_px[before];
         direction.try_normalize(1e-9).unwrap_or(-Vector2::x())
     }
 
-    /// Unit direction across the curve, downwards.
+    /// Unit direction perpendicular to the curve, downwards.
     fn across(&self, step: usize) -> Vector2<f64> {
         let along = self.along(step);
         let across = Vector2::new(-along.y, along.x);
         if across.y < 0.0 { -across } else { across }
     }
 
-    /// Disparity and offset of a pixel next to a place of the curve.
+    /// Disparity and offset of a pixel near a position of the curve.
     fn coordinates(&self, step: usize, pixel: &Vector2<f64>) -> (f64, f64) {
         let from_infinity_px = self.places_px[step] - self.places_px[self.infinity];
         let along_px = if step < self.infinity { -from_infinity_px.norm() } else { from_infinity_px.norm() };

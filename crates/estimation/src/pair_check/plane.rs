@@ -1,4 +1,4 @@
-//! Luminance on small planes, and windows of it.
+//! Reduced luminance images, and normalised windows of them.
 
 use image::RgbImage;
 
@@ -6,14 +6,14 @@ use image::RgbImage;
 pub const WINDOW: usize = 8;
 /// Pixels of a window.
 const AREA: usize = WINDOW * WINDOW;
-/// Luminance is held in eighths of a grey level, so that means of blocks keep their fraction.
+/// Scale of the luminance: it is stored in eighths of a grey level, so that means of blocks keep their fraction.
 pub const SCALE: f64 = 8.0;
-/// Length of a normalised window as a vector; the products of its elements with a plane's stay within 31 bits.
+/// Vector norm of a normalised window; the products of its elements with those of a plane stay within 31 bits.
 const LENGTH: f64 = 4096.0;
 /// Windows with a smaller standard deviation match nothing, grey levels.
 const DEVIATION_MIN: f64 = 2.0;
 
-/// Luminance of an image, each sample the mean of a square block of pixels.
+/// Luminance of an image; each sample is the mean of a square block of pixels.
 pub struct Plane {
     pub width: usize,
     pub height: usize,
@@ -21,7 +21,7 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// The luminance in blocks of `factor` by `factor` pixels; an incomplete last column or row is left out.
+    /// The luminance in blocks of `factor` by `factor` pixels; an incomplete last column or row is dropped.
     pub fn of(image: &RgbImage, factor: usize) -> Self {
         let (full_width, full_height) = (image.width() as usize, image.height() as usize);
         let (width, height) = (full_width / factor, full_height / factor);
@@ -38,7 +38,7 @@ impl Plane {
         Self { width, height, samples }
     }
 
-    /// Whether a window with this upper left corner lies inside.
+    /// Whether a window with this upper left corner is inside the plane.
     pub fn holds(&self, x: isize, y: isize) -> bool {
         x >= 0 && y >= 0 && x as usize + WINDOW <= self.width && y as usize + WINDOW <= self.height
     }
@@ -51,7 +51,7 @@ impl Plane {
         &self.samples[y * self.width + x..][..WINDOW]
     }
 
-    /// The window at a corner, normalised; `None` if it is too even.
+    /// The window at a corner, normalised; `None` if its contrast is too low.
     pub fn window(&self, x: usize, y: usize) -> Option<Window> {
         let moments = self.moments(x, y);
         if moments.inverse_length <= 0.0 {
@@ -79,7 +79,7 @@ impl Plane {
         Moments { sum, inverse_length }
     }
 
-    /// The moments of all windows, by corner; rows are as long as the plane's.
+    /// The moments of all windows, by corner; rows have the length of the plane's rows.
     pub fn all_moments(&self) -> Vec<Moments> {
         let mut all = vec![Moments::default(); self.width * self.height];
         for y in 0..(self.height + 1).saturating_sub(WINDOW) {
@@ -90,7 +90,7 @@ impl Plane {
         all
     }
 
-    /// [`Self::correlation`] with a window whose moments are not known; -1 outside the plane.
+    /// Same as [`Self::correlation`], for a window whose moments are not precomputed; -1 outside the plane.
     pub fn correlation_at(&self, window: &Window, x: isize, y: isize) -> f32 {
         if !self.holds(x, y) {
             return -1.0;
@@ -99,9 +99,9 @@ impl Plane {
         self.correlation(window, &self.moments(x, y), x, y)
     }
 
-    /// Correlation of a normalised window with the window at a corner, -1 to 1; 0 if that one is too even.
+    /// Correlation of a normalised window with the window at a corner, -1 to 1; 0 if the contrast there is too low.
     pub fn correlation(&self, window: &Window, moments: &Moments, x: usize, y: usize) -> f32 {
-        // Pairs of products in four lanes: the shape that compilers turn into one instruction per row.
+        // Pairs of products in four lanes: compilers turn this form into one instruction per row.
         let mut lanes = [0_i32; WINDOW / 2];
         for (dy, line) in window.samples.chunks_exact(WINDOW).enumerate() {
             let row = self.row(x, y + dy);
@@ -116,18 +116,18 @@ impl Plane {
     }
 }
 
-/// A window without its mean, its length as a vector 4096.
+/// A window with its mean removed, scaled to a vector norm of 4096.
 pub struct Window {
     samples: [i16; AREA],
-    /// What rounding left of the mean, times 64.
+    /// Remainder of the mean due to rounding, times 64.
     sum: i32,
 }
 
-/// What normalises a window.
+/// Normalisation of a window.
 #[derive(Clone, Copy, Default)]
 pub struct Moments {
     sum: i32,
-    /// 1 / length of the window without its mean; 0 if it is too even.
+    /// 1 / norm of the window with its mean removed; 0 if the contrast is too low.
     inverse_length: f32,
 }
 

@@ -11,7 +11,7 @@ use super::{PairCheck, PairVerdict, check_pair};
 
 const SIZE: ImageSize = ImageSize { width: 320, height: 240 };
 
-/// A rectified rig whose principal columns differ by `doffs_px`.
+/// A rectified rig with principal columns that differ by `doffs_px`.
 fn rectified(doffs_px: f64) -> StereoRig {
     let left = Pinhole { fx: 370.0, fy: 370.0, cx: 157.0, cy: 122.0 };
     let right = Pinhole { cx: left.cx + doffs_px, ..left };
@@ -19,7 +19,7 @@ fn rectified(doffs_px: f64) -> StereoRig {
     StereoRig::new(camera(left), camera(right), Pose::from_translation(Vector3::new(-0.1, 0.0, 0.0))).expect("rig")
 }
 
-/// A rig with turned eyes, unequal intrinsics and lens distortion; `roll_rad` turns the right one about its axis.
+/// A rig with rotated cameras, unequal intrinsics and lens distortion; `roll_rad` rotates the right camera about its axis.
 fn general(roll_rad: f64) -> StereoRig {
     let camera = |pinhole, k1: f64| {
         let coefficients = [k1, 0.05, 0.001, -0.0008, 0.0];
@@ -32,7 +32,7 @@ fn general(roll_rad: f64) -> StereoRig {
     StereoRig::new(left, right, Pose::from_parts(Vector3::new(-0.11, 0.006, 0.008), rotation)).expect("rig")
 }
 
-/// A wall at `1 / (0.9 + 0.5 x / z)` metres with random cells of 14 mm, blended; `seed` makes another wall.
+/// A wall at `1 / (0.9 + 0.5 x / z)` metres with random patches of 14 mm, blended; another `seed` gives another wall.
 fn render(rig: &StereoRig, seed: u32) -> (RgbImage, RgbImage) {
     let cam_left_from_cam_right = rig.cam_right_from_cam_left().inverse();
     let normal = Vector3::new(0.5, 0.1, 0.9);
@@ -51,7 +51,7 @@ fn render(rig: &StereoRig, seed: u32) -> (RgbImage, RgbImage) {
     (left, right)
 }
 
-/// Random values at whole coordinates, blended in between.
+/// Random values at integer coordinates, interpolated in between.
 fn blended(x: f64, y: f64, seed: u32) -> u8 {
     let node = |i: i64, j: i64| f64::from(lattice_hash(i as u32, j as u32, seed) & 0xFF);
     let (i, j) = (x.floor() as i64, y.floor() as i64);
@@ -88,13 +88,13 @@ fn exchanged_images_are_swapped() {
         let (left, right) = render(&rig, 2);
         let check = check_verdict(&rig, &right, &left, PairVerdict::Swapped);
         assert!(check.fitting_exchanged * 2 > check.patches, "{check:?}");
-        // On a general rig exchanged matches lie far beside their curves as well.
+        // On a general rig, swapped matches are also far from their curves.
         let is_behind = check.share_in_front().is_some_and(|share| share < 0.1);
         assert!(is_behind || !rig.is_rectified(), "{check:?}");
     }
 }
 
-/// With `u_left - u_right` negative everywhere and yet in front: the sign of the disparity says nothing.
+/// `u_left - u_right` is negative everywhere although the scene is in front: the sign of the disparity has no meaning.
 #[test]
 fn depth_is_judged_by_inverse_depth() {
     let rig = rectified(90.0);
@@ -132,7 +132,7 @@ fn without_texture_nothing_is_known() {
     check_verdict(&rectified(0.0), &grey, &grey, PairVerdict::Unknown);
 }
 
-/// Stripes and squares repeat: every patch has rivals, in front and behind.
+/// Stripes and squares repeat: every patch has rivals, in front of and behind the cameras.
 #[test]
 fn repeated_texture_is_no_alarm() {
     let squares =
@@ -155,7 +155,7 @@ fn eyes_with_much_roll_and_wrong_sizes_are_unknown() {
 #[test]
 fn real_boards_are_consistent_and_exchanged_boards_are_not() {
     let cases = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/cases");
-    // From the calib.json of the cases, which all have the same.
+    // From the calib.json of the cases, which all have the same calibration.
     let (fx, cx, cy, baseline_m) = (493.1571115495963, 314.2452850341797, 247.86862182617188, 0.1203767534844838);
     for case in ["bb201_c0", "bb204_c0", "bb207_c0", "bb209_c0"] {
         let open = |name: &str| image::open(cases.join(case).join(name)).expect("image").to_rgb8();

@@ -1,8 +1,8 @@
-//! A small renderer for tests: rays from either camera, cut with a textured target and a backdrop.
+//! A small renderer for tests: casts rays from each camera and intersects them with a textured target and a backdrop.
 //!
 //! It shares no formula with the estimator: no homography, no disparity, no hue arithmetic.
 
-// Every test binary compiles this module for itself and uses its own part of it.
+// Every test binary compiles this module separately and uses a part of it.
 #![allow(dead_code, clippy::expect_used)]
 
 use image::{Rgb, RgbImage};
@@ -11,14 +11,14 @@ use pb3dp_estimation_test_support::scene::lattice_hash;
 use pb3dp_geometry::frames::{CamLeft, CamRight, Model};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 
-/// Corners of the target on its plane, metres: no symmetry.
+/// Corners of the target on its plane, metres; the outline has no symmetry.
 pub const TARGET_OUTLINE_M: [(f64, f64); 6] =
     [(-0.060, -0.050), (0.055, -0.045), (0.065, 0.020), (0.020, 0.055), (0.010, 0.030), (-0.055, 0.045)];
 
 /// Distance of the backdrop from the left camera, metres.
 pub const BACKDROP_Z_M: f64 = 0.75;
 
-/// What target and backdrop look like.
+/// Appearance of target and backdrop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Look {
     /// Many hues on the target, a blue backdrop.
@@ -29,7 +29,7 @@ pub enum Look {
     Grey,
     /// Target and backdrop of one hue, with texture in brightness only.
     SameHue,
-    /// Many warm hues on the target, as many cold ones on the backdrop.
+    /// Many warm hues on the target, many cold hues on the backdrop.
     TwoLayers,
     /// Speckles of many hues on the target, the same hues everywhere, a blue backdrop.
     Speckled,
@@ -49,14 +49,14 @@ pub fn rectified_rig() -> StereoRig {
     StereoRig::new(left, right, Pose::from_translation(Vector3::new(-0.1, 0.0, 0.0))).expect("a rig")
 }
 
-/// A pair that nobody has rectified: rotated, shifted along all axes, with unequal intrinsics.
+/// An unrectified pair: rotated, shifted along all axes, with unequal intrinsics.
 pub fn general_rig() -> StereoRig {
     let left = camera((402.0, 398.5, 157.2, 121.4), Distortion::None);
     let right = camera((391.0, 393.5, 163.1, 117.2), Distortion::None);
     StereoRig::new(left, right, toed_in()).expect("a rig")
 }
 
-/// As [`general_rig`], with different lens distortion in either eye.
+/// As [`general_rig`], with different lens distortion in each camera.
 pub fn distorted_rig() -> StereoRig {
     let brown = Distortion::BrownConrady5 { coefficients: [-0.24, 0.09, 0.0011, -0.0007, -0.01] };
     let fisheye = Distortion::Equidistant { coefficients: [0.02, -0.011, 0.004, -0.001] };
@@ -74,7 +74,7 @@ fn camera((fx, fy, cx, cy): (f64, f64, f64, f64), distortion: Distortion) -> Cam
     Camera::new(ImageSize { width: 320, height: 240 }, Pinhole { fx, fy, cx, cy }, distortion).expect("a camera")
 }
 
-/// The target with its origin at `(x, y, z)` millimetres, turned by `rotation_deg` about x, then y, then its normal.
+/// The target with its origin at `(x, y, z)` millimetres, rotated by `rotation_deg` about x, then y, then its normal.
 pub fn target_at(origin_mm: (f64, f64, f64), rotation_deg: (f64, f64, f64)) -> Pose<CamLeft, Model> {
     let about = |axis, degrees: f64| UnitQuaternion::from_axis_angle(&axis, degrees.to_radians());
     let rotation = about(Vector3::y_axis(), rotation_deg.1)
@@ -83,7 +83,7 @@ pub fn target_at(origin_mm: (f64, f64, f64), rotation_deg: (f64, f64, f64)) -> P
     Pose::from_parts(Vector3::new(origin_mm.0, origin_mm.1, origin_mm.2) * 1e-3, rotation)
 }
 
-/// Renders both raw images; `None` for the target leaves the backdrop alone. The backdrop stands still in the left camera.
+/// Renders both raw images; `None` for the target renders the backdrop only. The backdrop is stationary in the left camera.
 pub fn render(rig: &StereoRig, cam_left_from_target: Option<&Pose<CamLeft, Model>>, look: Look) -> Shot {
     let cam_left_from_cam_right = rig.cam_right_from_cam_left().inverse();
     let left = render_eye(rig.left(), &Pose::<CamLeft, CamLeft>::coincident(), cam_left_from_target, look, 1);
@@ -174,7 +174,7 @@ fn target_colour(x: f64, y: f64, look: Look) -> [f64; 3] {
     }
 }
 
-/// Crossing number of the target's outline.
+/// Even-odd crossing test for the target's outline.
 fn inside_target(x: f64, y: f64) -> bool {
     let n = TARGET_OUTLINE_M.len();
     (0..n).fold(false, |inside, i| {
@@ -203,7 +203,7 @@ fn smooth_noise(x: f64, y: f64, seed: u32) -> f64 {
     top * (1.0 - ty) + bottom * ty
 }
 
-/// A number between 0 and 1 for a lattice point.
+/// A pseudo-random number between 0 and 1 for a lattice point.
 fn lattice(i: i32, j: i32, seed: u32) -> f64 {
     f64::from(lattice_hash(i as u32, j as u32, seed)) / f64::from(u32::MAX)
 }

@@ -1,4 +1,4 @@
-//! Pairs, calibrations and regions that nobody should use, made from arbitrary bytes; and what must hold all the same.
+//! Invalid pairs, calibrations and regions from arbitrary bytes, and the properties that must hold for them.
 //!
 //! Used by the property test `robustness.rs` and by the fuzz target in `tests/fuzz`.
 
@@ -12,7 +12,7 @@ use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::frames::{CamLeft, CamRight};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 
-/// Bytes as a source of choices; zeros once they are used up.
+/// Bytes as a source of choices; zeros once all bytes are used.
 struct Choices<'a>(&'a [u8]);
 
 impl Choices<'_> {
@@ -26,19 +26,19 @@ impl Choices<'_> {
         list[usize::from(self.byte()) % list.len()]
     }
 
-    /// Mostly `usual`, else one of the list.
+    /// Usually `usual`, otherwise one element of the list.
     fn mostly<T: Copy>(&mut self, usual: T, list: &[T]) -> T {
         let byte = usize::from(self.byte());
         if byte < 216 { usual } else { list[(byte - 216) % list.len()] }
     }
 
-    /// Between 0 and 1.
+    /// A value between 0 and 1.
     fn share(&mut self) -> f64 {
         f64::from(self.byte()) / 255.0
     }
 }
 
-/// One abuse.
+/// One invalid input.
 pub struct Abuse {
     pub rig: StereoRig,
     pub pairs: Vec<(RgbImage, RgbImage)>,
@@ -56,7 +56,7 @@ pub fn ordinary_prefix(side_choice: u8) -> Vec<u8> {
 }
 
 impl Abuse {
-    /// The abuse of some bytes; `None` if the calibration is refused by its own type already.
+    /// The abuse for some bytes; `None` if the calibration type rejects the calibration.
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let mut choices = Choices(bytes);
         let c = &mut choices;
@@ -67,7 +67,7 @@ impl Abuse {
         let pairs = (0..frames)
             .map(|frame| {
                 let shift = i32::from(c.byte() % 24);
-                // Later frames may show something else altogether.
+                // Later frames may show a different pattern.
                 let pattern = if c.byte() < 200 { patterns[0] } else { patterns[1 + frame % 3] };
                 (paint(size, pattern, 0, frame), paint(size, pattern, shift, frame))
             })
@@ -143,7 +143,7 @@ fn region(c: &mut Choices<'_>, size: ImageSize) -> Region {
     }
 }
 
-/// An image whose columns are shifted by `shift`.
+/// An image with its columns shifted by `shift`.
 fn paint(size: ImageSize, pattern: u8, shift: i32, frame: usize) -> RgbImage {
     let hash = |x: i32, y: i32| {
         let mixed = (x as u32).wrapping_mul(0x9E37_79B1) ^ (y as u32).wrapping_mul(0x85EB_CA77) ^ u32::from(pattern);
@@ -170,10 +170,10 @@ fn paint(size: ImageSize, pattern: u8, shift: i32, frame: usize) -> RgbImage {
     })
 }
 
-/// Runs every method on the abuse of some bytes.
+/// Runs every method on the abuse for some bytes.
 ///
 /// # Panics
-/// If a method panics, gives a pose that is not finite, or is silent about its reason.
+/// If a method panics, gives a pose that is not finite, or gives no reason.
 pub fn every_method_survives(bytes: &[u8]) {
     let Some(abuse) = Abuse::from_bytes(bytes) else { return };
     for method in Method::ALL {
@@ -194,7 +194,7 @@ fn estimate(method: Method, abuse: &Abuse) {
 
 fn check_plane(method: Method, estimate: &PlaneEstimate) {
     assert!(!estimate.reason.is_empty(), "{method}: {} without a reason", estimate.status);
-    assert!(estimate.pose.is_some() || !estimate.status.depth_is_sure(), "{method}: sure of nothing");
+    assert!(estimate.pose.is_some() || !estimate.status.depth_is_sure(), "{method}: pose is missing");
     if let Some(pose) = &estimate.pose {
         let n = pose.normal_in_cam_left;
         assert!(pose.z_m.is_finite() && pose.z_m > 0.0, "{method}: z = {}", pose.z_m);
@@ -221,7 +221,7 @@ fn track(method: Method, abuse: &Abuse) {
 
 fn check_track(method: Method, estimate: &TrackEstimate) {
     assert!(!estimate.reason.is_empty(), "{method}: {} without a reason", estimate.status);
-    assert!(estimate.cam_left_from_model.is_some() || !estimate.status.depth_is_sure(), "{method}: sure of nothing");
+    assert!(estimate.cam_left_from_model.is_some() || !estimate.status.depth_is_sure(), "{method}: pose is missing");
     assert!(estimate.cam_left_from_model.is_none_or(|pose| pose.is_finite()), "{method}: {estimate:?}");
     assert!(estimate.covariance.is_none_or(|m| m.iter().all(|x| x.is_finite())), "{method}: {estimate:?}");
     assert!(estimate.fitness.is_none_or(f64::is_finite), "{method}: {estimate:?}");

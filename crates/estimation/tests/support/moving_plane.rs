@@ -1,4 +1,4 @@
-//! A painted disc that moves with six degrees of freedom before a painted wall: images from rays, one sample per pixel.
+//! A painted disc that moves in six degrees of freedom in front of a painted wall: ray-cast images, one sample per pixel.
 #![allow(dead_code, clippy::expect_used, reason = "shared by tests that use different parts")]
 
 use image::RgbImage;
@@ -35,7 +35,7 @@ pub fn general_rig() -> StereoRig {
     StereoRig::new(camera(390.0, 158.0, -0.10), camera(402.0, 163.0, -0.13), pose).expect("rig")
 }
 
-/// Where the disc is at a time, seconds: all axes at once.
+/// Pose of the disc at a time in seconds; all axes move at once.
 pub fn moving(t: f64) -> Pose<CamLeft, Target> {
     let swing = |period: f64, size: f64| size * (std::f64::consts::TAU * t / period).sin();
     let turn = so3::exp(&Vector3::new(swing(4.1, 0.25), swing(5.3, 0.3), swing(3.7, 0.3)));
@@ -43,7 +43,7 @@ pub fn moving(t: f64) -> Pose<CamLeft, Target> {
     Pose::from_parts(Vector3::new(0.03 + swing(4.7, 0.03), swing(5.9, 0.02), 0.45 + swing(6.1, 0.04)), turn * first)
 }
 
-/// Colour at a place of a surface, metres: waves of several lengths, none of them a multiple of another.
+/// Colour at a point of a surface, metres: waves of several lengths, none a multiple of another.
 fn paint(x: f64, y: f64, seed: f64) -> [f64; 3] {
     let wave = |a: f64, b: f64, phase: f64| (a * x + b * y + phase + seed).sin();
     let (coarse, middle) = (wave(90.0, 130.0, 0.3), wave(-310.0, 170.0, 1.1));
@@ -52,10 +52,10 @@ fn paint(x: f64, y: f64, seed: f64) -> [f64; 3] {
     [grey + 20.0 * wave(70.0, -50.0, 0.1), grey, grey - 25.0 * wave(40.0, 110.0, 0.9)]
 }
 
-/// What an image shows.
+/// Content of an image.
 #[derive(Clone, Copy)]
 pub struct Shot {
-    /// Where the disc is; `None`: hidden behind a board.
+    /// Pose of the disc; `None`: hidden behind a board.
     pub cam_left_from_target: Option<Pose<CamLeft, Target>>,
     /// Selects the noise.
     pub frame: u32,
@@ -63,12 +63,12 @@ pub struct Shot {
     pub right_gain: f64,
 }
 
-/// The images of a pair.
+/// Renders the images of a pair.
 pub fn render(rig: &StereoRig, shot: &Shot) -> (RgbImage, RgbImage) {
     render_all(rig, shot.cam_left_from_target.as_slice(), shot)
 }
 
-/// The images of a pair with several equal discs that hide each other in this order, wherever `shot` has its own.
+/// Renders a pair with several equal discs that occlude each other in this order; ignores the pose in `shot`.
 pub fn render_all(rig: &StereoRig, discs: &[Pose<CamLeft, Target>], shot: &Shot) -> (RgbImage, RgbImage) {
     let left = image(rig.left(), &Isometry3::identity(), (discs, shot), 1.0, 0);
     let right = image(rig.right(), rig.cam_right_from_cam_left().isometry(), (discs, shot), shot.right_gain, 1);
@@ -104,13 +104,13 @@ fn image(
     })
 }
 
-/// About normal, unit variance.
+/// Approximately normal, unit variance.
 pub fn noise(x: u32, y: u32, stream: u32) -> f64 {
     let sum: u32 = lattice_hash(x, y, stream).to_le_bytes().iter().map(|&b| u32::from(b)).sum();
     (f64::from(sum) - 510.0) / 147.8
 }
 
-/// What an operator would draw.
+/// The region that an operator would draw.
 pub fn region(rig: &StereoRig, pose: &Pose<CamLeft, Target>) -> Region {
     let vertices_px = (0..40).map(|i| {
         let angle = std::f64::consts::TAU * f64::from(i) / 40.0;
@@ -120,7 +120,7 @@ pub fn region(rig: &StereoRig, pose: &Pose<CamLeft, Target>) -> Region {
     Region::Polygon { vertices_px: vertices_px.collect() }
 }
 
-/// The disc's plane, a little wrong.
+/// The disc's plane, with a small error.
 pub fn plane(pose: &Pose<CamLeft, Target>) -> PlanePose {
     let normal = so3::exp(&Vector3::new(0.004, -0.003, 0.0)) * (pose.rotation() * Vector3::z());
     let ray = pose.translation_m() / pose.translation_m().z;

@@ -1,6 +1,6 @@
-//! Pairs of a textured plane, ray by ray: an independent image of what the direct method must find.
+//! Ray-traced pairs of a textured plane: reference images for the direct method.
 //!
-//! Every pixel is a mean over rays that are cut with the planes of the scene; the texture is a periodic sum of waves on the
+//! Every pixel is a mean over rays, intersected with the planes of the scene. The texture is a periodic sum of waves on the
 //! plane. Nothing here uses disparity or a homography.
 #![allow(dead_code, reason = "not every test uses every part")]
 
@@ -15,7 +15,7 @@ const GRID: usize = 1024;
 /// Millimetres after which a texture repeats.
 const PERIOD_MM: f64 = 154.0;
 
-/// The random numbers of a seed, on which the few poses of these tests depend: a mean over so few has room for chance.
+/// Random numbers of a seed that the few poses of these tests depend on. A mean over so few poses leaves room for chance.
 pub fn random(seed: u64) -> SplitMix64 {
     SplitMix64::new(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ 0xD1B5_4A32_D192_ED03)
 }
@@ -77,7 +77,7 @@ impl Texture {
     }
 }
 
-/// A periodic sum of waves with wavelengths between two limits, of mean 0 and variance 1.
+/// A periodic sum of waves with wavelengths between two limits, with mean 0 and variance 1.
 fn field(random: &mut SplitMix64, shortest_mm: f64, longest_mm: f64) -> Vec<f32> {
     const WAVES: usize = 32;
     let mut values = vec![0.0_f32; GRID * GRID];
@@ -110,7 +110,7 @@ fn hsv(hue: f32, saturation: f32, value: f32) -> [f32; 3] {
     })
 }
 
-/// A plane in the left camera, metres; texture axes lie in the plane.
+/// A plane in the left camera, metres; texture axes are in the plane.
 #[derive(Clone, Copy, Debug)]
 pub struct Plane {
     pub point: Vector3<f64>,
@@ -135,7 +135,7 @@ impl Plane {
     }
 }
 
-/// What can be varied.
+/// The parameters that tests vary.
 #[derive(Clone, Debug)]
 pub struct Setup {
     pub baseline_m: f64,
@@ -148,11 +148,11 @@ pub struct Setup {
     pub bias: [f64; 3],
     /// Standard deviation of the right camera's additional blur, pixels.
     pub right_blur_px: f64,
-    /// The right image is lower by this.
+    /// Vertical offset of the right image, pixels; positive is lower.
     pub row_offset_px: f64,
     /// Background behind the target, metres.
     pub background_m: f64,
-    /// Share of the target's width that a nearer plane hides.
+    /// Share of the target's width that a nearer plane occludes.
     pub occluded: f64,
     /// Radius of the target, metres.
     pub radius_m: f64,
@@ -183,7 +183,7 @@ impl Default for Setup {
     }
 }
 
-/// A rendered pair and its truth.
+/// A rendered pair with its ground truth.
 pub struct Pair {
     pub rig: StereoRig,
     pub left: RgbImage,
@@ -193,7 +193,7 @@ pub struct Pair {
     pub plane: Plane,
     /// Pixels of the left image that show the target.
     pub target: Vec<bool>,
-    /// The region that the operator would give.
+    /// The region that the operator would mark.
     pub region: Vec<bool>,
     pub setup: Setup,
 }
@@ -278,7 +278,7 @@ pub fn render(setup: &Setup, target: &Texture, background: &Texture) -> Pair {
     Pair { rig, left, right, clean_left, plane, target, region, setup: setup.clone() }
 }
 
-/// What the sensor makes of an image.
+/// Sensor model: gain, bias, noise and rounding of an image.
 fn develop(image: &[[f32; 3]], gain: [f64; 3], bias: [f64; 3], noise: f64, random: &mut SplitMix64) -> RgbImage {
     let mut raw = Vec::with_capacity(image.len() * 3);
     for rgb in image {

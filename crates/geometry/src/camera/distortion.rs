@@ -4,9 +4,9 @@ use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::{Matrix2, Vector2};
 
-/// Lens distortion, applied to normalised coordinates.
+/// Lens distortion model, applied to normalised coordinates.
 ///
-/// The formulas are those of OpenCV's `calib3d` and `fisheye` modules, which ROS and Kalibr share.
+/// The formulas are those of OpenCV's `calib3d` and `fisheye` modules, which ROS and Kalibr also use.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Distortion {
     /// An ideal or already undistorted image.
@@ -32,13 +32,13 @@ pub enum Distortion {
 const BROWN_NAMES: [&str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
 /// Names of the coefficients of the equidistant model.
 const EQUIDISTANT_NAMES: [&str; 4] = ["k1", "k2", "k3", "k4"];
-/// Half angles at which the radial function is examined when its fold is searched for.
+/// Number of half angles at which the radial function is sampled in the search for its fold.
 const FOLD_SAMPLES: u32 = 2000;
-/// The widest half angle that `(x, y, 1)` can stand for with any precision, radians.
+/// The largest half angle that `(x, y, 1)` can represent with any precision, radians.
 const ANGLE_MAX_RAD: f64 = FRAC_PI_2 - 1e-6;
-/// Newton steps allowed for one inverse; a well-behaved lens needs four or five.
+/// Largest number of Newton steps for one inversion; a well-behaved lens needs four or five.
 const NEWTON_STEPS: usize = 50;
-/// Halvings of one Newton step.
+/// Largest number of halvings of one Newton step.
 const HALVINGS: usize = 12;
 
 impl Distortion {
@@ -61,7 +61,7 @@ impl Distortion {
         }
     }
 
-    /// Distorted normalised coordinates of undistorted ones.
+    /// Distorts undistorted normalised coordinates.
     pub fn distort(&self, xy: &Vector2<f64>) -> Vector2<f64> {
         match self {
             Self::None => *xy,
@@ -82,7 +82,7 @@ impl Distortion {
         }
     }
 
-    /// The derivative of [`Self::distort`] by each coefficient, in the model's order; empty for [`Self::None`].
+    /// The derivative of [`Self::distort`] with respect to each coefficient, in the model's order; empty for [`Self::None`].
     pub fn distort_by_coefficients(&self, xy: &Vector2<f64>) -> Vec<Vector2<f64>> {
         match self {
             Self::None => Vec::new(),
@@ -97,8 +97,8 @@ impl Distortion {
         }
     }
 
-    /// The undistorted normalised coordinates whose distortion is `distorted`, within `tolerance` (normalised units);
-    /// `None` where the model has no inverse inside `fold_radius` (see [`Self::fold_radius`]).
+    /// The undistorted normalised coordinates that map to `distorted`, within `tolerance` (normalised units); `None` if the
+    /// model has no inverse inside `fold_radius` (see [`Self::fold_radius`]).
     pub(crate) fn undistort(&self, distorted: &Vector2<f64>, fold_radius: f64, tolerance: f64) -> Option<Vector2<f64>> {
         if !(distorted.x.is_finite() && distorted.y.is_finite()) {
             return None;
@@ -117,10 +117,10 @@ impl Distortion {
         }
     }
 
-    /// The undistorted radius up to which the radial function rises, so that one image radius means one ray; infinite if
-    /// it rises everywhere.
+    /// The undistorted radius up to which the radial function increases, so that one image radius corresponds to one ray;
+    /// infinite if it increases everywhere.
     ///
-    /// Beyond it the polynomial bends back and points far outside the view would be imaged inside it.
+    /// Beyond this radius the polynomial folds back, and points far outside the field of view would be imaged inside it.
     pub(crate) fn fold_radius(&self) -> f64 {
         let rises = |angle_rad: f64| match self {
             Self::None => true,
@@ -139,7 +139,7 @@ impl Distortion {
         low.tan()
     }
 
-    /// The Brown-Conrady parts; all zero for models that are not of that family.
+    /// The Brown-Conrady parameters; all zero for other models.
     fn brown(&self) -> Brown {
         match self {
             Self::BrownConrady5 { coefficients: [k1, k2, p1, p2, k3] } => {
@@ -151,7 +151,7 @@ impl Distortion {
     }
 }
 
-/// Brown-Conrady, the polynomial model being the rational one with a divisor of 1.
+/// Brown-Conrady model; the polynomial model is the rational one with a divisor of 1.
 struct Brown {
     radial: [f64; 3],
     divisor: [f64; 3],
@@ -171,7 +171,7 @@ impl Brown {
         (factor, (above_slope - factor * below_slope) / below)
     }
 
-    /// Derivative of the distorted radius by the undistorted one; not positive past a pole of the rational term.
+    /// Derivative of the distorted radius with respect to the undistorted one; not positive beyond a pole of the rational term.
     fn radial_slope(&self, radius: f64) -> f64 {
         let s = radius * radius;
         if cubic(&self.divisor, s).0 <= 0.0 {
@@ -191,7 +191,7 @@ impl Brown {
         )
     }
 
-    /// The derivatives by k1, k2, p1, p2, k3, k4, k5, k6.
+    /// The derivatives with respect to k1, k2, p1, p2, k3, k4, k5, k6.
     fn by_coefficients(&self, xy: &Vector2<f64>) -> [Vector2<f64>; 8] {
         let (x, y) = (xy.x, xy.y);
         let s = x * x + y * y;
@@ -216,7 +216,7 @@ impl Brown {
         (self.distort(xy), jacobian)
     }
 
-    /// Newton with the analytic Jacobian; a step is halved until it stays inside the fold and brings the residual down.
+    /// Newton's method with the analytic Jacobian; a step is halved until it stays inside the fold and reduces the residual.
     fn undistort(&self, distorted: &Vector2<f64>, fold_radius: f64, tolerance: f64) -> Option<Vector2<f64>> {
         let mut xy = *distorted;
         if xy.norm() >= fold_radius {
@@ -227,7 +227,7 @@ impl Brown {
             let (image, jacobian) = self.distort_with_jacobian(&xy);
             let residual = distorted - image;
             let step = jacobian.try_inverse()? * residual;
-            // Goes on past the tolerance for as long as the residual still falls, down to rounding.
+            // Continues beyond the tolerance as long as the residual decreases, down to rounding.
             if residual.norm() >= best && best <= tolerance || residual.norm() == 0.0 {
                 break;
             }
@@ -253,7 +253,7 @@ fn cubic([a, b, c]: &[f64; 3], s: f64) -> (f64, f64) {
     (1.0 + s * (a + s * (b + s * c)), a + s * (2.0 * b + s * 3.0 * c))
 }
 
-/// The distorted radius of a ray `angle_rad` off the axis, and its derivative by the angle.
+/// The distorted radius of a ray at `angle_rad` from the axis, and its derivative with respect to the angle.
 fn equidistant_angle([k1, k2, k3, k4]: &[f64; 4], angle_rad: f64) -> (f64, f64) {
     let s = angle_rad * angle_rad;
     (
@@ -274,7 +274,7 @@ fn equidistant_with_jacobian(coefficients: &[f64; 4], xy: &Vector2<f64>) -> (Vec
     (xy * (distorted / r), along * by_radius + (Matrix2::identity() - along) * (distorted / r))
 }
 
-/// The angle whose distorted radius is `radius`: Newton kept inside a bracket on which the function rises.
+/// The angle with the distorted radius `radius`: Newton's method inside a bracket on which the function increases.
 fn invert_equidistant(coefficients: &[f64; 4], radius: f64, fold_rad: f64, tolerance: f64) -> Option<f64> {
     let (mut low, mut high) = (0.0, fold_rad.min(ANGLE_MAX_RAD));
     if equidistant_angle(coefficients, high).0 < radius {

@@ -6,9 +6,9 @@ use nalgebra::{Matrix2x3, Matrix3, Point3, Vector2, Vector3};
 
 pub use distortion::Distortion;
 
-/// The longest image side that is accepted, pixels.
+/// Largest accepted image side, pixels.
 const SIDE_MAX_PX: u32 = 32_768;
-/// How closely a pixel's ray must project back onto it, pixels.
+/// Largest round-trip error of a pixel's ray projected back, pixels.
 const ROUND_TRIP_PX: f64 = 1e-9;
 
 /// Size of an image in pixels.
@@ -20,12 +20,12 @@ pub struct ImageSize {
     pub height: u32,
 }
 
-/// The four numbers of a pinhole, in pixels. Integer pixel coordinates are pixel centres.
+/// Intrinsics of a pinhole camera, in pixels. Integer pixel coordinates are pixel centres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pinhole {
-    /// Focal length over pixel width.
+    /// Focal length divided by the pixel width.
     pub fx: f64,
-    /// Focal length over pixel height.
+    /// Focal length divided by the pixel height.
     pub fy: f64,
     /// Column of the principal point.
     pub cx: f64,
@@ -50,27 +50,27 @@ impl Pinhole {
     }
 }
 
-/// A camera: image size, pinhole, distortion.
+/// A camera model: image size, pinhole, distortion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     size: ImageSize,
     pinhole: Pinhole,
     distortion: Distortion,
-    /// Largest undistorted radius that has an image; see `Distortion::fold_radius`.
+    /// Largest undistorted radius with an image point; see `Distortion::fold_radius`.
     fold_radius: f64,
 }
 
-/// Why a camera was refused or a pixel has no ray.
+/// Why a camera was rejected or a pixel has no ray.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CameraError {
     /// A parameter is not finite or out of its range.
     #[error("camera parameter {name} is {value}: {expected}")]
     Parameter {
-        /// Which parameter.
+        /// Name of the parameter.
         name: &'static str,
         /// Its value.
         value: f64,
-        /// What is allowed.
+        /// The allowed range.
         expected: &'static str,
     },
     /// The undistortion did not converge.
@@ -86,11 +86,11 @@ pub enum CameraError {
 }
 
 impl Camera {
-    /// A camera from its parts.
+    /// Creates a camera from its parts.
     ///
     /// # Errors
-    /// A parameter that is not finite, a focal length that is not positive, an image that is empty or longer than 32768
-    /// pixels on a side.
+    /// A parameter that is not finite, a focal length that is not positive, an image that is empty or has a side above 32768
+    /// pixels.
     pub fn new(size: ImageSize, pinhole: Pinhole, distortion: Distortion) -> Result<Self, CameraError> {
         for (name, side) in [("width", size.width), ("height", size.height)] {
             if side == 0 || side > SIDE_MAX_PX {
@@ -127,15 +127,15 @@ impl Camera {
         &self.distortion
     }
 
-    /// The ideal camera with the same image size and pinhole: what [`crate::maps::RemapTable::undistort`] maps to.
+    /// The ideal camera with the same image size and pinhole: the destination of [`crate::maps::RemapTable::undistort`].
     pub fn undistorted(&self) -> Self {
         Self { distortion: Distortion::None, fold_radius: f64::INFINITY, ..*self }
     }
 
-    /// Pixel of a point given in this camera's frame (metres), which may lie outside the image.
+    /// Projects a point in this camera's frame (metres) to a pixel, which may be outside the image.
     ///
-    /// `None` if the point is not in front of the camera, or so far off the axis that the distortion model bends back
-    /// and would image it among points that are really in view.
+    /// `None` if the point is not in front of the camera, or so far from the axis that the distortion model folds back and
+    /// would image it among points that are actually visible.
     pub fn project(&self, point_in_cam: &Point3<f64>) -> Option<Vector2<f64>> {
         let xy = self.visible_normalized(point_in_cam)?;
         Some(self.pinhole.pixel_from_normalized(&self.distort(&xy)))
@@ -155,8 +155,8 @@ impl Camera {
     /// The ray `(x, y, 1)` through a pixel, in this camera's frame; it projects back within 1e-9 pixels.
     ///
     /// # Errors
-    /// If the distortion cannot be inverted at that pixel: it lies outside everything that the lens model can image, or
-    /// 90 degrees or more off the axis, or is not finite.
+    /// If the distortion cannot be inverted at that pixel: the pixel is outside the valid area of the lens model, 90 degrees or
+    /// more from the axis, or not finite.
     pub fn unproject(&self, pixel: &Vector2<f64>) -> Result<Vector3<f64>, CameraError> {
         let distorted = self.pinhole.normalized_from_pixel(pixel);
         let tolerance = ROUND_TRIP_PX / self.pinhole.fx.max(self.pinhole.fy);
@@ -166,12 +166,12 @@ impl Camera {
         }
     }
 
-    /// Distorted normalised coordinates of undistorted ones.
+    /// Distorts undistorted normalised coordinates.
     pub fn distort(&self, xy: &Vector2<f64>) -> Vector2<f64> {
         self.distortion.distort(xy)
     }
 
-    /// `(x / z, y / z)` of a point that the model images once.
+    /// `(x / z, y / z)` of a point that the model images exactly once.
     fn visible_normalized(&self, point_in_cam: &Point3<f64>) -> Option<Vector2<f64>> {
         if point_in_cam.z <= 0.0 {
             return None;

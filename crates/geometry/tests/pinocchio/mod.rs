@@ -1,5 +1,5 @@
-//! Values of Pinocchio (PyPI `pin`) 4.1.0, matrices row by row. Its spatial vectors are `[linear; angular]` as ours; its
-//! `Jexp` and `Jlog` are right Jacobians (of `exp(xi + d) = exp(xi) exp(J d)`), ours are tested under that name.
+//! Values of Pinocchio (PyPI `pin`) 4.1.0, matrices row by row. Its spatial vectors are `[linear; angular]` like ours. Its
+//! `Jexp` and `Jlog` are right Jacobians (of `exp(xi + d) = exp(xi) exp(J d)`); ours are tested under that name.
 //!
 //! With `import pinocchio as pin`, `phi` and `xi` as numpy arrays:
 //! `exp3 = pin.exp3(phi)`, `jexp3 = pin.Jexp3(phi)`, `jlog3 = pin.Jlog3(pin.exp3(phi))`,
@@ -8,10 +8,10 @@
 //! `INTERPOLATED = pin.SE3.Interpolate(pin.exp6(pin.Motion(xi0)), pin.exp6(pin.Motion(xi1)), 0.3).homogeneous[:3]`
 //! where `xi0`, `xi1` are those of the first two cases.
 //!
-//! Third case: at small angles Pinocchio's own `Jlog` and `Jexp6` lose up to ten digits to cancellation (compare them with
-//! the power series), so there only the functions that keep thirteen digits serve as golden values.
+//! Third case: at small angles Pinocchio's own `Jlog` and `Jexp6` lose up to ten digits to cancellation (compare them with the
+//! power series), so there only the functions that keep thirteen digits are golden values.
 
-/// One rotation vector and what belongs to it.
+/// One rotation vector and its expected values.
 pub struct Rotation {
     pub phi: [f64; 3],
     pub exp3: [f64; 9],
@@ -19,7 +19,7 @@ pub struct Rotation {
     pub jlog3: Option<[f64; 9]>,
 }
 
-/// One tangent vector `[rho; phi]` and what belongs to it.
+/// One tangent vector `[rho; phi]` and its expected values.
 pub struct Motion {
     pub xi: [f64; 6],
     pub exp6: [f64; 12],

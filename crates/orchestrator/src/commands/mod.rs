@@ -2,9 +2,12 @@
 
 pub mod calibrate;
 pub mod cameras;
+pub mod completions;
 pub mod config;
 pub mod doctor;
 pub mod estimate;
+pub mod explain;
+pub mod generate;
 pub mod identify;
 pub mod overlay_folder;
 pub mod previous_run;

@@ -12,15 +12,15 @@ fn cameras_that_are_not_named_or_not_there_are_refused_with_what_to_do() {
         "cameras list",
     ]);
     let check = ["cameras", "check", "--left", "/dev/no_such_camera", "--right", "serial:none"];
-    pb3dp(&check).assert_refused(&["/dev/no_such_camera: there is no such camera", "look at its plug and cable"]);
+    pb3dp(&check).assert_refused(&["/dev/no_such_camera: no such camera", "check plug and cable"]);
     pb3dp(&["cameras", "check", "--left", "/dev/video0"]).assert_refused(&["--right"]);
     pb3dp(&["cameras", "check", "--left", "front", "--right", "back"])
-        .assert_refused(&["names no camera", "bus:PLACE"]);
+        .assert_refused(&["is not a camera name", "bus:PLACE"]);
     // A setup names them; its cameras are simulated, or not of this machine.
     let setup = |name: &str| crate::cli::support::repository().join("configs").join(name);
     pb3dp(&words(&[&"cameras", &"check", &"--config", &setup("sim.toml")])).assert_refused(&["camera.backend", "v4l2"]);
     let rig = pb3dp(&words(&[&"cameras", &"record", &"--config", &setup("rig.toml"), &"--out", &out]));
-    rig.assert_refused(&["bus:usb-0000:00:14.0-1", "look at its plug and cable"]);
+    rig.assert_refused(&["bus:usb-0000:00:14.0-1", "check plug and cable"]);
     let both = ["cameras", "check", "--config", "a", "--left", "/dev/video0", "--right", "/dev/video2"];
     pb3dp(&both).assert_refused(&["cannot be used with"]);
     // What a setup says itself is not typed beside it.

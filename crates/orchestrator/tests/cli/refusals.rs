@@ -61,7 +61,7 @@ fn missing_and_damaged_files_are_named() {
     }
     let folder = pair.dir.path();
     pb3dp(&pair.words(folder, &right, &calibration, REGION)).assert_refused(&["is a folder; name the image file"]);
-    pb3dp(&pair.words(&left, &right, &left, REGION)).assert_refused(&["left.png: is no text", "YAML or JSON"]);
+    pb3dp(&pair.words(&left, &right, &left, REGION)).assert_refused(&["left.png: is not text", "YAML or JSON"]);
     let mut overlay = pair.words(&left, &right, &calibration, REGION);
     overlay.extend(["--overlay".into(), left.clone().into()]);
     pb3dp(&overlay).assert_refused(&["--overlay", "left.png: is no folder"]);

@@ -425,5 +425,5 @@ fn a_recording_whose_program_is_killed_can_be_tracked() {
     let frames = output.stdout.lines().count();
     assert!(frames >= 11 && !output.stdout.contains("\"error\""), "{frames}: {}", output.stdout);
     let again = words(&[&"run", &"--config", &config, &"--out", &dir.path().join("again"), &"--record", &recording]);
-    pb3dp(&again).assert_refused(&["sequence.unfinished.jsonl exists: give an empty folder"]);
+    pb3dp(&again).assert_refused(&["sequence.unfinished.jsonl already exists; give an empty folder"]);
 }

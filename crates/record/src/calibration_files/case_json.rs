@@ -8,7 +8,7 @@ use super::document::Node;
 use super::error::CalibrationFileError;
 use super::{checks, write};
 
-/// The only convention that is understood; files may say more after it.
+/// The only supported convention; a file may add text after it.
 const CONVENTION: &str = "X_right = R X_left + t";
 
 pub(super) fn recognises(root: &Node<'_>) -> bool {
@@ -31,7 +31,7 @@ pub(super) fn read(root: &Node<'_>) -> Result<StereoRig, CalibrationFileError> {
     if let Some(node) = root.find("baseline_mm") {
         let (stated, length) = (node.number()?, translation_mm.norm());
         if (stated - length).abs() > 1e-3 * length {
-            return Err(node.refuse(format!("is {stated}, but t_mm is {length} long")));
+            return Err(node.refuse(format!("is {stated}, but the length of t_mm is {length}")));
         }
     }
     let rig = checks::rig(&translation, cameras, &rotation, translation_mm * 1e-3)?;
@@ -39,14 +39,13 @@ pub(super) fn read(root: &Node<'_>) -> Result<StereoRig, CalibrationFileError> {
         && node.truth()?
         && !rig.is_rectified()
     {
-        let reason =
-            "is true, but distortion, R, t_mm or the focal lengths and rows of K_left and K_right say otherwise";
+        let reason = "is true, but distortion, R, t_mm, or fx, fy and cy of K_left and K_right contradict it";
         return Err(node.refuse(reason));
     }
     Ok(rig)
 }
 
-/// What a file says that is the calibration of no cameras. The key is a note, so others have anything else there.
+/// The statement of a file that its numbers are not measured. The key is a free note, so other files may have any value there.
 pub(super) fn not_measured(root: &Node<'_>) -> Option<String> {
     let text = root.find("calibration_quality")?.text().ok()?;
     text.starts_with("none").then(|| text.to_owned())
@@ -67,7 +66,7 @@ fn camera(root: &Node<'_>, side: &str, size: ImageSize) -> Result<Camera, Calibr
     checks::camera(&intrinsics, size, checks::pinhole(&intrinsics)?, distortion)
 }
 
-/// The free text `distortion` must not speak of any if the coefficients are missing.
+/// The free text `distortion` must not mention a distortion if the coefficients are missing.
 fn check_undistorted(root: &Node<'_>, side: &str) -> Result<(), CalibrationFileError> {
     let Some(node) = root.find("distortion") else {
         return Ok(());
@@ -77,7 +76,7 @@ fn check_undistorted(root: &Node<'_>, side: &str) -> Result<(), CalibrationFileE
         return Ok(());
     }
     Err(node.refuse(format!(
-        "is {text:?}, but distortion_{side} is missing: give model and coefficients there, or none here"
+        "is {text:?}, but distortion_{side} is missing; give model and coefficients there, or write none here"
     )))
 }
 

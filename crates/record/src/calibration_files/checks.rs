@@ -1,4 +1,4 @@
-//! From the numbers of a file to cameras and rigs; every refusal is laid at a key's door.
+//! Converts the numbers of a file to cameras and rigs; every error names the key.
 
 use nalgebra::{Matrix3, Vector3};
 use pb3dp_geometry::{Camera, CameraError, Distortion, ImageSize, Pinhole, Pose, StereoRig, StereoRigError};
@@ -6,26 +6,26 @@ use pb3dp_geometry::{Camera, CameraError, Distortion, ImageSize, Pinhole, Pose, 
 use super::document::Node;
 use super::error::CalibrationFileError;
 
-/// How far `R R^T` may be from the identity and the determinant from 1: files carry as few as four digits.
+/// Tolerance of `R R^T` against the identity and of the determinant against 1; some files have only four digits.
 const ROTATION_TOLERANCE: f64 = 1e-3;
-/// Shortest and longest baseline that a calibration may have, metres.
+/// Allowed range of the baseline, metres.
 const BASELINE_RANGE_M: std::ops::RangeInclusive<f64> = 1e-3..=10.0;
-/// How many image sides the principal point may lie outside the image.
+/// Maximum distance of the principal point outside the image, in image sides.
 const OUTSIDE_MAX: f64 = 0.5;
 
 /// A pinhole from a 3x3 camera matrix.
 pub(super) fn pinhole(node: &Node<'_>) -> Result<Pinhole, CalibrationFileError> {
     let k: Matrix3<f64> = node.matrix()?;
     if k[(0, 1)].abs() > 1e-9 * k[(0, 0)].abs() {
-        return Err(node.refuse(format!("element [0][1], the skew, is {}: it must be 0", k[(0, 1)])));
+        return Err(node.refuse(format!("element [0][1], the skew, is {}; it must be 0", k[(0, 1)])));
     }
     if k[(1, 0)] != 0.0 || k[(2, 0)] != 0.0 || k[(2, 1)] != 0.0 || (k[(2, 2)] - 1.0).abs() > 1e-12 {
-        return Err(node.refuse("is no camera matrix: it must be [fx, 0, cx, 0, fy, cy, 0, 0, 1]"));
+        return Err(node.refuse("is not a camera matrix; it must be [fx, 0, cx, 0, fy, cy, 0, 0, 1]"));
     }
     Ok(Pinhole { fx: k[(0, 0)], fy: k[(1, 1)], cx: k[(0, 2)], cy: k[(1, 2)] })
 }
 
-/// A camera; `node` is where its intrinsics stand.
+/// A camera; `node` is the position of its intrinsics.
 pub(super) fn camera(
     node: &Node<'_>,
     size: ImageSize,
@@ -41,7 +41,7 @@ pub(super) fn camera(
         let length = f64::from(length);
         if !(-OUTSIDE_MAX * length..=(1.0 + OUTSIDE_MAX) * length).contains(&value) {
             let reason = format!(
-                "{name} is {value}, far outside the image, whose {side} is {length}: the calibration belongs to another image size, or the order of the numbers is wrong"
+                "{name} is {value}, far outside the image, whose {side} is {length}; the calibration belongs to another image size, or the order of the numbers is wrong"
             );
             return Err(node.refuse(reason));
         }
@@ -49,7 +49,7 @@ pub(super) fn camera(
     Ok(camera)
 }
 
-/// A distortion from a model's name and its coefficients in that model's order.
+/// A distortion from a model name and its coefficients in the order of that model.
 ///
 /// Brown-Conrady coefficients that are all zero give [`Distortion::None`].
 pub(super) fn distortion(
@@ -80,7 +80,7 @@ pub(super) fn distortion(
         "none" if numbers.iter().all(|number| *number == 0.0) => Ok(Distortion::None),
         "none" => wrong_count("none"),
         _ => Err(model.refuse(format!(
-            "the distortion model {name} is not known here: use plumb_bob or radtan, rational_polynomial, equidistant, or none"
+            "unknown distortion model {name}; use plumb_bob or radtan, rational_polynomial, equidistant, or none"
         ))),
     }
 }
@@ -94,18 +94,18 @@ pub(super) fn rotation(node: &Node<'_>, matrix: &Matrix3<f64>) -> Result<Matrix3
     let off = (matrix * matrix.transpose() - Matrix3::identity()).amax();
     let determinant = matrix.determinant();
     if determinant < 0.0 {
-        return Err(node.refuse(format!("is no rotation: its determinant is {determinant:.6}, it mirrors")));
+        return Err(node.refuse(format!("is not a rotation: its determinant is {determinant:.6}, it is a reflection")));
     }
     if !(off <= ROTATION_TOLERANCE && (determinant - 1.0).abs() <= ROTATION_TOLERANCE) {
         let reason = format!(
-            "is no rotation: R R^T is {off:.2e} off the identity ({ROTATION_TOLERANCE:.0e} allowed), the determinant is {determinant:.6}"
+            "is not a rotation: R R^T differs from the identity by {off:.2e} ({ROTATION_TOLERANCE:.0e} allowed), the determinant is {determinant:.6}"
         );
         return Err(node.refuse(reason));
     }
     Ok(*matrix)
 }
 
-/// A rig from its cameras and `cam_right_from_cam_left`; `node` is where the translation stands.
+/// A rig from its cameras and `cam_right_from_cam_left`; `node` is the position of the translation.
 pub(super) fn rig(
     node: &Node<'_>,
     [left, right]: [Camera; 2],
@@ -115,16 +115,15 @@ pub(super) fn rig(
     let (l, r) = (left.size(), right.size());
     if l != r {
         let reason = format!(
-            "the left images have {}x{} pixels and the right ones {}x{}: they must be equal",
+            "the left images have {}x{} pixels and the right images {}x{}; the sizes must be equal",
             l.width, l.height, r.width, r.height
         );
         return Err(node.refuse(reason));
     }
     let baseline_m = translation_m.norm();
     if !BASELINE_RANGE_M.contains(&baseline_m) {
-        let reason = format!(
-            "the baseline comes to {baseline_m} m, it must be between 0.001 and 10 m: check the unit of length"
-        );
+        let reason =
+            format!("the baseline is {baseline_m} m, it must be between 0.001 and 10 m; check the unit of length");
         return Err(node.refuse(reason));
     }
     let cam_right_from_cam_left = Pose::from_rotation_matrix(rotation, translation_m);

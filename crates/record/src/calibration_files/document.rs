@@ -1,4 +1,4 @@
-//! A parsed YAML, JSON or TOML file whose every access can say where it went wrong.
+//! A parsed YAML, JSON or TOML file; access errors name the file and the key.
 
 use std::fmt::Display;
 use std::io::Read;
@@ -10,7 +10,7 @@ use serde_json::{Map, Value};
 
 use super::error::{CalibrationFileError, one_line};
 
-/// Larger files are no calibrations.
+/// Maximum size of a calibration file, bytes.
 const BYTES_MAX: u64 = 1 << 20;
 
 /// A file's contents as a tree.
@@ -19,7 +19,7 @@ pub(super) struct Document {
     value: Value,
 }
 
-/// A value in a [`Document`] that knows its file and key.
+/// A value in a [`Document`], with its file and key for error messages.
 #[derive(Clone, Debug)]
 pub(super) struct Node<'a> {
     file: &'a Path,
@@ -28,7 +28,7 @@ pub(super) struct Node<'a> {
 }
 
 impl Document {
-    /// Reads and parses a file, JSON or TOML if it is called so, YAML otherwise.
+    /// Reads and parses a file: JSON or TOML by its extension, otherwise YAML.
     pub(super) fn read(file: &Path) -> Result<Self, CalibrationFileError> {
         let refuse = |reason: String| CalibrationFileError::Read { file: file.to_path_buf(), reason };
         if file.is_dir() {
@@ -38,14 +38,14 @@ impl Document {
         let open = std::fs::File::open(file).map_err(|error| refuse(one_line(&error)))?;
         open.take(BYTES_MAX + 1).read_to_end(&mut bytes).map_err(|error| refuse(one_line(&error)))?;
         if bytes.len() as u64 > BYTES_MAX {
-            return Err(refuse(format!("it is longer than {BYTES_MAX} bytes, so it is no calibration")));
+            return Err(refuse(format!("it is longer than {BYTES_MAX} bytes, so it is not a calibration")));
         }
         let text =
             std::str::from_utf8(&bytes).map_err(|_| CalibrationFileError::NoText { file: file.to_path_buf() })?;
         Self::parse(file, text)
     }
 
-    /// Parses a file's text.
+    /// Parses the text of a file.
     pub(super) fn parse(file: &Path, text: &str) -> Result<Self, CalibrationFileError> {
         let is = |name: &str| file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(name));
         let syntax =
@@ -59,7 +59,7 @@ impl Document {
                 syntax(before.lines().count().max(1) as u64, "TOML", error.message().to_owned())
             })?
         } else {
-            // Numbers that are not finite must come through, so that their key can be named.
+            // Numbers that are not finite are accepted here, so that a later error can name their key.
             let options = serde_saphyr::options! {
                 non_finite_float_policy: serde_saphyr::options::NonFiniteFloatPolicy::AsString
             };
@@ -99,7 +99,7 @@ impl<'a> Node<'a> {
         CalibrationFileError::Key { file: self.file.to_path_buf(), key: self.key.clone(), reason: reason.to_string() }
     }
 
-    /// The value of `key`, if it is there and not null.
+    /// The value of `key`, if present and not null.
     pub(super) fn find(&self, key: &str) -> Option<Node<'a>> {
         let value = self.map()?.get(key).filter(|value| !value.is_null())?;
         Some(Node { file: self.file, key: self.path(key), value })
@@ -110,9 +110,9 @@ impl<'a> Node<'a> {
         self.find(key).ok_or_else(|| self.error(key, "is missing"))
     }
 
-    /// A whole text.
+    /// A string.
     pub(super) fn text(&self) -> Result<&'a str, CalibrationFileError> {
-        self.value.as_str().ok_or_else(|| self.refuse("must be a text"))
+        self.value.as_str().ok_or_else(|| self.refuse("must be a string"))
     }
 
     /// The elements of a list.
@@ -127,7 +127,7 @@ impl<'a> Node<'a> {
         Ok(map.iter().map(|(key, value)| (key.clone(), node(key, value))).collect())
     }
 
-    /// A yes or no.
+    /// A Boolean.
     pub(super) fn truth(&self) -> Result<bool, CalibrationFileError> {
         self.value.as_bool().ok_or_else(|| self.refuse("must be true or false"))
     }
@@ -145,7 +145,7 @@ impl<'a> Node<'a> {
         let side = |node: &Node<'_>| {
             let number = node.number()?;
             if number.fract() != 0.0 || !(1.0..=65_535.0).contains(&number) {
-                return Err(node.refuse(format!("{number} is no number of pixels")));
+                return Err(node.refuse(format!("{number} is not a number of pixels")));
             }
             Ok(number as u32)
         };
@@ -188,9 +188,9 @@ impl<'a> Node<'a> {
         let mut numbers = Vec::new();
         let mut columns = None;
         for row in &elements {
-            let cells = row.elements().ok_or_else(|| row.refuse("must be a row of numbers, as its neighbours"))?;
+            let cells = row.elements().ok_or_else(|| row.refuse("must be a row of numbers, like the other rows"))?;
             if *columns.get_or_insert(cells.len()) != cells.len() {
-                return Err(row.refuse(format!("has {} elements, the rows before have another number", cells.len())));
+                return Err(row.refuse(format!("has {} elements, unlike the rows before", cells.len())));
             }
             for cell in &cells {
                 numbers.push(cell.number()?);
@@ -205,7 +205,7 @@ impl<'a> Node<'a> {
             let node = self.get(key)?;
             let number = node.number()?;
             if number.fract() != 0.0 || !(0.0..=64.0).contains(&number) {
-                return Err(node.refuse(format!("{number} is no number of rows or columns")));
+                return Err(node.refuse(format!("{number} is not a number of rows or columns")));
             }
             Ok(number as usize)
         };

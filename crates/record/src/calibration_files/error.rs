@@ -1,8 +1,8 @@
-//! Why a calibration file was refused.
+//! Errors of calibration files.
 
 use std::path::PathBuf;
 
-/// Why a calibration could not be read or written. `Display` gives the whole story: file, key, reason.
+/// Why a calibration could not be read or written. `Display` includes file, key and reason.
 #[derive(Debug, thiserror::Error)]
 pub enum CalibrationFileError {
     /// A file could not be read.
@@ -10,11 +10,11 @@ pub enum CalibrationFileError {
     Read {
         /// The file.
         file: PathBuf,
-        /// What the system says.
+        /// The system error.
         reason: String,
     },
-    /// A file holds no text, but an image, say.
-    #[error("{}: is no text, so no calibration: name a YAML or JSON file", file.display())]
+    /// The file is not text, but an image, for example.
+    #[error("{}: is not text, so not a calibration; give a YAML or JSON file", file.display())]
     NoText {
         /// The file.
         file: PathBuf,
@@ -24,14 +24,14 @@ pub enum CalibrationFileError {
     Write {
         /// The file.
         file: PathBuf,
-        /// What the system says, on one line.
+        /// The system error, on one line.
         reason: String,
-        /// The system's error.
+        /// The system error.
         #[source]
         source: std::io::Error,
     },
     /// A file is not YAML, JSON or TOML.
-    #[error("{}, line {line}: not valid {language}, as which a calibration is read: {reason}", file.display())]
+    #[error("{}, line {line}: not valid {language}, the format expected for this file: {reason}", file.display())]
     Syntax {
         /// The file.
         file: PathBuf,
@@ -39,7 +39,7 @@ pub enum CalibrationFileError {
         line: u64,
         /// `YAML`, `JSON` or `TOML`.
         language: &'static str,
-        /// What the parser says.
+        /// The message of the parser.
         reason: String,
     },
     /// A value is missing or wrong.
@@ -49,12 +49,12 @@ pub enum CalibrationFileError {
         file: PathBuf,
         /// The key, with its parents, joined by dots.
         key: String,
-        /// What is wrong with it and what would be right.
+        /// What is wrong with the value, and what would be correct.
         reason: String,
     },
-    /// A file holds something else.
+    /// The format of the file is unknown.
     #[error(
-        "{}: no stereo calibration that is known here (top-level keys: {found}); accepted are a pair of ROS camera_info YAML files (camera_matrix, projection_matrix), a Kalibr camchain (cam0, cam1), an OpenCV stereo YAML (M1, D1, M2, D2, R, T), calib.json (K_left, K_right, R, t_mm) and a TOML file of pb3dp calibrate (format, left, right, cam_right_from_cam_left)",
+        "{}: not a stereo calibration in a known format (top-level keys: {found}); accepted are a pair of ROS camera_info YAML files (camera_matrix, projection_matrix), a Kalibr camchain (cam0, cam1), an OpenCV stereo YAML (M1, D1, M2, D2, R, T), calib.json (K_left, K_right, R, t_mm) and a TOML file of pb3dp calibrate (format, left, right, cam_right_from_cam_left)",
         file.display()
     )]
     Format {
@@ -65,7 +65,7 @@ pub enum CalibrationFileError {
     },
     /// A directory without a calibration.
     #[error(
-        "{}: holds neither left.yaml and right.yaml nor calib.json: name the file of the calibration itself",
+        "{}: contains neither left.yaml and right.yaml nor calib.json; give the calibration file itself",
         directory.display()
     )]
     Directory {
@@ -73,17 +73,17 @@ pub enum CalibrationFileError {
         directory: PathBuf,
     },
     /// Too few or too many files.
-    #[error("{count} calibration files were named: name one file, a left and a right one, or a directory")]
+    #[error("{count} calibration files were given; give one file, a left and a right file, or a directory")]
     Paths {
         /// How many.
         count: usize,
     },
-    /// A rig that a format has no words for.
+    /// A rig that a format cannot represent.
     #[error("{format} cannot hold this calibration: {reason}")]
     NotRepresentable {
         /// The format.
         format: super::CalibrationFormat,
-        /// What it lacks.
+        /// The missing feature of the format.
         reason: String,
     },
 }

@@ -1,7 +1,8 @@
-//! Our TOML file of a hand-eye calibration: where the left camera sits on the flange, and where the board was.
+//! Our TOML file of a hand-eye calibration: pose of the left camera on the flange, and pose of the board.
 //!
-//! Written like the file of a stereo calibration: frames in the names of its tables, units in its keys, and numbers that come
-//! back bit by bit. `base` and `flange` are those of the arm `vs`, which carries the cameras; the base is called `vs_base` where
+//! The layout follows the file of a stereo calibration: table names give frames, keys give units, and numbers are preserved bit
+//! by bit. `base` and `flange` belong to the arm `vs`, which carries the cameras. The base is called `vs_base` where the base of
+//! the arm `tc` appears as well.
 //! that of the arm `tc` is named beside it.
 
 use pb3dp_geometry::frames::{Base, Board, CamLeft, Flange, TcBase, TcFlange};
@@ -12,11 +13,11 @@ use super::error::CalibrationFileError;
 use super::judged::{self, Judgement};
 use super::pose as poses;
 
-/// What the key `format` says.
+/// Required value of the key `format`.
 const FORMAT: &str = "pb3dp hand-eye calibration 1";
-/// Longer translations on a hand are a mistake, metres.
+/// Maximum translation on a hand, metres; longer ones are input mistakes.
 const ON_HAND_MAX_M: f64 = 2.0;
-/// Longer translations in a cell are a mistake, metres.
+/// Maximum translation in a workcell, metres; longer ones are input mistakes.
 const IN_CELL_MAX_M: f64 = 20.0;
 
 /// A hand-eye calibration.
@@ -24,23 +25,23 @@ const IN_CELL_MAX_M: f64 = 20.0;
 pub struct HandEye {
     /// The pose of the left camera on the flange of the arm that carries it.
     pub flange_from_cam_left: Pose<Flange, CamLeft>,
-    /// Where the board was.
+    /// Pose of the board.
     pub board: BoardPlace,
-    /// What is known of its making and worth; the cameras are those of the stereo calibration that was used.
+    /// Origin and quality of the calibration; the cameras are those of the stereo calibration that was used.
     pub judgement: Judgement,
 }
 
-/// Where the board of a hand-eye calibration was.
+/// Where the board of a hand-eye calibration was mounted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum BoardPlace {
-    /// At rest in the room.
+    /// Stationary in the room.
     Room {
         /// The board in the base of the arm that carries the cameras.
         base_from_board: Pose<Base, Board>,
     },
     /// On the flange of the other arm.
     Carried {
-        /// The base of the other arm in that of the arm that carries the cameras.
+        /// The base of the other arm in the base of the arm that carries the cameras.
         vs_base_from_tc_base: Pose<Base, TcBase>,
         /// The board on the other arm's flange.
         tc_flange_from_board: Pose<TcFlange, Board>,
@@ -50,7 +51,7 @@ pub enum BoardPlace {
 pub(super) fn read(root: &Node<'_>) -> Result<HandEye, CalibrationFileError> {
     let format = root.get("format")?;
     if format.text()? != FORMAT {
-        return Err(format.refuse(format!("is {:?}, {FORMAT:?} is needed here", format.text()?)));
+        return Err(format.refuse(format!("is {:?}, it must be {FORMAT:?}", format.text()?)));
     }
     let carried = root.find("vs_base_from_tc_base").is_some() || root.find("tc_flange_from_board").is_some();
     let board = if carried {
@@ -65,12 +66,12 @@ pub(super) fn read(root: &Node<'_>) -> Result<HandEye, CalibrationFileError> {
     Ok(HandEye { flange_from_cam_left, board, judgement: judged::judgement(root)? })
 }
 
-/// A pose whose frames are claimed by the name of its table.
+/// A pose whose frames are given by the name of its table.
 fn pose<To: Frame, From: Frame>(node: &Node<'_>, length_max_m: f64) -> Result<Pose<To, From>, CalibrationFileError> {
     let pose = poses::read(node)?;
     let length_m = pose.translation_m().norm();
     if length_m > length_max_m {
-        let reason = format!("is {length_m} m long, at most {length_max_m} m are possible: check the unit of length");
+        let reason = format!("has length {length_m} m, at most {length_max_m} m is allowed; check the unit of length");
         return Err(node.get("translation_m")?.refuse(reason));
     }
     Ok(pose)

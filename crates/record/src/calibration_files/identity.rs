@@ -1,22 +1,22 @@
-//! Which cameras a calibration or a recording is of.
+//! Identity of the cameras of a calibration or a recording.
 //!
-//! A recording of two cameras has a file `cameras.toml` with one table per side, and a calibration of ours the same keys in
-//! `[left.camera]` and `[right.camera]`. What is not known is left out.
+//! A recording of two cameras has a file `cameras.toml` with one table per side. Our calibration files have the same keys in
+//! `[left.camera]` and `[right.camera]`. Unknown values are omitted.
 
 use super::document::Node;
 use super::error::CalibrationFileError;
 
-/// What the key `format` of a `cameras.toml` says.
+/// Required value of the key `format` of a `cameras.toml`.
 const FORMAT: &str = "pb3dp cameras 1";
 
-/// What a camera is known by, and how its lens was set.
+/// Identity of a camera and its lens setting.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CameraIdentity {
-    /// Its serial number.
+    /// Serial number.
     pub serial: Option<String>,
-    /// Where it is plugged in, as its driver tells it.
+    /// Port it is connected to, as reported by its driver.
     pub place: Option<String>,
-    /// Its focus, in units of the driver's own; not known of a lens that is set by hand.
+    /// Focus, in units of the driver; unknown for a manual lens.
     pub focus: Option<i32>,
 }
 
@@ -27,18 +27,18 @@ impl CameraIdentity {
     }
 }
 
-/// The keys of a camera, as far as they are there.
+/// The keys of a camera that are present.
 pub(super) fn read(node: &Node<'_>) -> Result<CameraIdentity, CalibrationFileError> {
     let text = |key: &str| node.find(key).map(|value| Ok(value.text()?.to_owned())).transpose();
     let focus = node.find("focus").map(|value| {
         let number = value.number()?;
         let is_whole = number.fract() == 0.0 && number.abs() <= f64::from(i32::MAX);
-        if is_whole { Ok(number as i32) } else { Err(value.refuse(format!("is {number}, it must be a whole number"))) }
+        if is_whole { Ok(number as i32) } else { Err(value.refuse(format!("is {number}, it must be an integer"))) }
     });
     let identity = CameraIdentity { serial: text("serial")?, place: text("place")?, focus: focus.transpose()? };
     let known = ["serial", "place", "focus"];
     match node.entries()?.into_iter().find(|(key, _)| !known.contains(&key.as_str())) {
-        Some((_, other)) => Err(other.refuse(format!("is not known here: {}", known.join(", ")))),
+        Some((_, other)) => Err(other.refuse(format!("unknown key; the keys are {}", known.join(", ")))),
         None => Ok(identity),
     }
 }
@@ -56,7 +56,7 @@ pub(super) fn write(identity: &CameraIdentity) -> String {
 pub(super) fn read_file(root: &Node<'_>) -> Result<[CameraIdentity; 2], CalibrationFileError> {
     let format = root.get("format")?;
     if format.text()? != FORMAT {
-        return Err(format.refuse(format!("is {:?}, {FORMAT:?} is known here", format.text()?)));
+        return Err(format.refuse(format!("is {:?}, it must be {FORMAT:?}", format.text()?)));
     }
     Ok([read(&root.get("left")?)?, read(&root.get("right")?)?])
 }

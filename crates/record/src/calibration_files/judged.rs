@@ -1,8 +1,8 @@
-//! Our TOML file of a stereo calibration: the cameras, and all that is known of how they were calibrated.
+//! Our TOML file of a stereo calibration: the cameras, and the origin and quality of the calibration.
 //!
-//! Numbers are written in the fewest digits that read back as the same number, and the rotation as a quaternion, so a
-//! calibration comes back bit by bit. The file says what it is (`format`), which frames it joins
-//! (`cam_right_from_cam_left`), and in each key its unit.
+//! Numbers are written with the fewest digits that read back as the same number, and the rotation as a quaternion, so that a
+//! calibration is preserved bit by bit. The file states its format (`format`), the frames it relates (`cam_right_from_cam_left`),
+//! and in each key the unit.
 
 use nalgebra::Vector3;
 use pb3dp_geometry::{Camera, Distortion, Pinhole, Pose, StereoRig};
@@ -12,26 +12,26 @@ use super::error::CalibrationFileError;
 use super::identity::{self, CameraIdentity};
 use super::{CalibrationFormat, checks, pose, write};
 
-/// What the key `format` says.
+/// Required value of the key `format`.
 const FORMAT: &str = "pb3dp stereo calibration 1";
 
-/// What is known of a calibration's making and of its worth.
+/// Origin and quality of a calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Judgement {
-    /// When the images were taken, or it was made, RFC 3339.
+    /// When the images were taken or the calibration was made, RFC 3339.
     pub date: String,
     /// Program and version.
     pub tool: String,
-    /// What it was made from, for people.
+    /// Description of the data it was made from.
     pub source: String,
-    /// Which cameras these were: the left and the right one.
+    /// Identity of the left and the right camera.
     pub cameras: [CameraIdentity; 2],
-    /// Measured numbers by name, with the unit in the name: residuals, counts. A file has them, and the gates, in the order of
-    /// their names.
+    /// Measured numbers by name, with the unit in the name: residuals, counts. In a file these numbers and the gates are sorted
+    /// by name.
     pub numbers: Vec<(String, f64)>,
-    /// The covariance of the estimated parameters, if it is known.
+    /// The covariance of the estimated parameters, if known.
     pub covariance: Option<ParameterCovariance>,
-    /// What each gate said.
+    /// Result of each gate.
     pub gates: Vec<JudgedGate>,
 }
 
@@ -44,16 +44,16 @@ pub struct ParameterCovariance {
     pub rows: Vec<Vec<f64>>,
 }
 
-/// What a gate said when the calibration was made.
+/// Result of a gate at calibration time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JudgedGate {
     /// Its name, with the unit.
     pub name: String,
-    /// What was measured.
+    /// The measured value.
     pub measured: f64,
-    /// As good as this is good.
+    /// Good up to this value, inclusive.
     pub good: f64,
-    /// Worse than this is refused.
+    /// Refused if worse than this value.
     pub refused: f64,
     /// `good`, `fair` or `refused`.
     pub grade: String,
@@ -73,14 +73,14 @@ pub(super) fn recognises(root: &Node<'_>) -> bool {
 pub(super) fn read(root: &Node<'_>) -> Result<(StereoRig, Judgement), CalibrationFileError> {
     let format = root.get("format")?;
     if format.text()? != FORMAT {
-        return Err(format.refuse(format!("is {:?}, {FORMAT:?} is known here: use a newer pb3dp", format.text()?)));
+        return Err(format.refuse(format!("is {:?}, supported is {FORMAT:?}; use a newer pb3dp", format.text()?)));
     }
     let cameras = [camera(&root.get("left")?)?, camera(&root.get("right")?)?];
     let node = root.get("cam_right_from_cam_left")?;
     let translation = node.get("translation_m")?;
     let rotation = pose::rotation(&node.get("rotation_wxyz")?)?;
     let translation_m: Vector3<f64> = translation.matrix()?;
-    // What every calibration must hold is checked on matrices, and the quaternion is kept as it is.
+    // The general checks use matrices; the quaternion itself is kept unchanged.
     checks::rig(&translation, cameras, rotation.to_rotation_matrix().matrix(), translation_m)?;
     let [left, right] = cameras;
     let rig = StereoRig::new(left, right, Pose::from_parts(translation_m, rotation));
@@ -88,7 +88,7 @@ pub(super) fn read(root: &Node<'_>) -> Result<(StereoRig, Judgement), Calibratio
     Ok((rig, judgement(root)?))
 }
 
-/// What a file says of its calibration's making and worth.
+/// The origin and quality of the calibration in a file.
 pub(super) fn judgement(root: &Node<'_>) -> Result<Judgement, CalibrationFileError> {
     let identity = |side: &str| {
         let camera = root.find(side).and_then(|node| node.find("camera"));
@@ -111,7 +111,7 @@ fn camera(node: &Node<'_>) -> Result<Camera, CalibrationFileError> {
     let model = node.get("distortion_model")?;
     let distortion = match model.text()? {
         "none" => Distortion::None,
-        // Zeros are kept as they are: what was estimated as a lens with coefficients stays one.
+        // Zeros are kept: a lens estimated with coefficients keeps its model.
         "plumb_bob" => Distortion::BrownConrady5 { coefficients: pose::list(&node.get("distortion_coefficients")?)? },
         "rational_polynomial" => {
             Distortion::BrownConrady8 { coefficients: pose::list(&node.get("distortion_coefficients")?)? }
@@ -131,7 +131,7 @@ fn covariance(node: &Node<'_>) -> Result<ParameterCovariance, CalibrationFileErr
     let matrix = node.get("matrix")?;
     let rows = matrix.items()?.iter().map(Node::numbers).collect::<Result<Vec<_>, _>>()?;
     if rows.len() != names.len() || rows.iter().any(|row| row.len() != names.len()) {
-        return Err(matrix.refuse(format!("must have {0} rows of {0} numbers, as there are names", names.len())));
+        return Err(matrix.refuse(format!("must have {0} rows of {0} numbers, one per name", names.len())));
     }
     Ok(ParameterCovariance { names, rows })
 }
@@ -144,11 +144,11 @@ fn gates(root: &Node<'_>) -> Result<Vec<JudgedGate>, CalibrationFileError> {
             return Err(grade.refuse(format!("is {:?}, it must be good, fair or refused", grade.text()?)));
         }
         let (measured, good, refused) = (number("measured")?, number("good")?, number("refused")?);
-        // Where more is better, good is the larger limit.
+        // If larger is better, good is the larger limit.
         let is_beyond = if good > refused { measured < refused } else { measured > refused };
         if is_beyond != (grade.text()? == "refused") {
             return Err(
-                grade.refuse(format!("is {:?}, but {measured} was measured and {refused} is the limit", grade.text()?))
+                grade.refuse(format!("is {:?}, but {measured} was measured and the limit is {refused}", grade.text()?))
             );
         }
         Ok(JudgedGate { name, measured, good, refused, grade: grade.text()?.to_owned() })
@@ -180,24 +180,24 @@ pub(super) fn write(rig: &StereoRig, judgement: &Judgement) -> Result<String, Ca
     Ok(file + &write_worth(judgement))
 }
 
-/// A text as TOML: its writer quotes what must be quoted.
+/// A string in TOML syntax, quoted by the TOML writer.
 fn text(value: &str) -> String {
     toml::Value::from(value).to_string()
 }
 
-/// What a file begins with.
+/// The head of a file.
 pub(super) fn write_head(format: &str, judgement: &Judgement) -> String {
     let Judgement { date, tool, source, .. } = judgement;
     let head = [("format", format), ("date", date), ("tool", tool), ("source", source)];
     head.map(|(key, value)| format!("{key} = {}\n", text(value))).concat()
 }
 
-/// The table of a camera that something is known of.
+/// The table of a camera whose identity is known.
 pub(super) fn write_identity(side: &str, identity: &CameraIdentity) -> String {
     if identity.is_empty() { String::new() } else { format!("\n[{side}.camera]\n{}", identity::write(identity)) }
 }
 
-/// What was measured, the gates and the covariance.
+/// The measured numbers, the gates and the covariance.
 pub(super) fn write_worth(judgement: &Judgement) -> String {
     let Judgement { numbers, covariance, gates, .. } = judgement;
     let mut file = "\n[measured]\n".to_owned();
@@ -224,13 +224,13 @@ pub(super) fn write_worth(judgement: &Judgement) -> String {
     file
 }
 
-/// A name as a key: quoted only where it must be.
+/// A name as a key, quoted only if necessary.
 fn key(name: &str) -> String {
     let is_bare = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
     if !name.is_empty() && name.chars().all(is_bare) { name.to_owned() } else { toml::Value::from(name).to_string() }
 }
 
-/// Refuses what no reader here would take back.
+/// Refuses values that our readers would refuse.
 pub(super) fn check_finite(calibration: &Judgement) -> Result<(), CalibrationFileError> {
     let gates = calibration
         .gates

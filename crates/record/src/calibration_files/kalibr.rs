@@ -14,13 +14,13 @@ pub(super) fn recognises(root: &Node<'_>) -> bool {
 pub(super) fn read(root: &Node<'_>) -> Result<StereoRig, CalibrationFileError> {
     let (left, right) = (root.get("cam0")?, root.get("cam1")?);
     if root.find("cam2").is_some() {
-        return Err(root.error("cam2", "a chain of three or more cameras is no stereo pair: keep cam0 and cam1"));
+        return Err(root.error("cam2", "a chain of three or more cameras is not a stereo pair; keep cam0 and cam1"));
     }
     let cameras = [camera(&left)?, camera(&right)?];
     let transform = right.get("T_cn_cnm1")?;
     let matrix: Matrix4<f64> = transform.matrix()?;
     if matrix.row(3) != RowVector4::new(0.0, 0.0, 0.0, 1.0) {
-        return Err(transform.refuse("is no rigid transform: its last row must be 0, 0, 0, 1"));
+        return Err(transform.refuse("is not a rigid transform: its last row must be 0, 0, 0, 1"));
     }
     let rotation = checks::rotation(&transform, &matrix.fixed_view::<3, 3>(0, 0).into_owned())?;
     checks::rig(&transform, cameras, &rotation, matrix.fixed_view::<3, 1>(0, 3).into_owned())
@@ -30,7 +30,7 @@ fn camera(node: &Node<'_>) -> Result<Camera, CalibrationFileError> {
     let camera_model = node.get("camera_model")?;
     let name = camera_model.text()?;
     if name != "pinhole" {
-        return Err(camera_model.refuse(format!("the camera model {name} is not known here: it must be pinhole")));
+        return Err(camera_model.refuse(format!("unknown camera model {name}; it must be pinhole")));
     }
     let intrinsics = node.get("intrinsics")?;
     let pinhole = match intrinsics.numbers()?.as_slice() {
@@ -42,7 +42,7 @@ fn camera(node: &Node<'_>) -> Result<Camera, CalibrationFileError> {
         "none" => Distortion::None,
         name @ ("radtan" | "equidistant") => checks::distortion(&model, name, &node.get("distortion_coeffs")?)?,
         other => {
-            let reason = format!("the distortion model {other} is not known here: use radtan, equidistant or none");
+            let reason = format!("unknown distortion model {other}; use radtan, equidistant or none");
             return Err(model.refuse(reason));
         }
     };

@@ -1,9 +1,8 @@
-//! Stereo calibrations in files: ROS, Kalibr, OpenCV, and our own `calib.json`, read and written.
+//! Stereo calibration files: ROS, Kalibr, OpenCV, and our own `calib.json`, read and written.
 //!
-//! [`load_stereo`] finds the format from the contents. What it returns has passed every check that a file allows: shapes
-//! and finite numbers, rotations that are rotations, cameras whose principal point lies near the image, a baseline between
-//! 1 mm and 10 m, the right camera on the right. Where a file says a thing twice the two must agree. A refusal names file,
-//! key and reason.
+//! [`load_stereo`] detects the format from the contents. Its result has passed every check that a file allows: shapes and finite
+//! numbers, valid rotations, a principal point near the image, a baseline between 1 mm and 10 m, the right camera on the right.
+//! Redundant values of a file must agree. An error names file, key and reason.
 //!
 //! | format | files | length unit | distortion |
 //! |---|---|---|---|
@@ -13,12 +12,12 @@
 //! | `calib.json` | one JSON | millimetres | optional, as ROS |
 //! | `pb3dp calibrate` | one TOML | metres | as ROS |
 //!
-//! The last one also holds what is known of the calibration's making and worth: [`Judgement`].
+//! The last one also stores the origin and quality of the calibration: [`Judgement`].
 //!
-//! Beside them stand hand-eye calibrations ([`load_hand_eye`]), which say where the left camera sits on an arm.
+//! In addition there are hand-eye calibrations ([`load_hand_eye`]), which give the pose of the left camera on an arm.
 //!
-//! `cam0` and the first camera of OpenCV are the left one. Distortion coefficients that are all zero make an undistorted
-//! camera, except for the equidistant model, for which zeros are an ideal fisheye lens.
+//! `cam0` and the first camera of OpenCV are the left camera. Distortion coefficients that are all zero give an undistorted
+//! camera, except for the equidistant model, where zeros are an ideal fisheye lens.
 
 mod case_json;
 mod checks;
@@ -46,21 +45,21 @@ pub use hand_eye::{BoardPlace, HandEye};
 pub use identity::CameraIdentity;
 pub use judged::{JudgedGate, Judgement, ParameterCovariance};
 
-/// A checked stereo calibration and where it came from.
+/// A checked stereo calibration and its source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StereoCalibration {
-    /// The two cameras and their pose.
+    /// The two cameras and the pose between them.
     pub rig: StereoRig,
     /// The format of the file or files.
     pub format: CalibrationFormat,
     /// The files, as the caller named them, for reports.
     pub source: String,
-    /// What the reader had to assume or leave out and the user should know, such as a unit of length.
+    /// Assumptions and omissions of the reader that the user should know, such as a unit of length.
     pub notes: Vec<String>,
-    /// What the file says of itself if it is the calibration of no cameras: `calibration_quality` of a `calib.json` that begins with
+    /// The statement of the file if its numbers are not measured: `calibration_quality` of a `calib.json` that begins with
     /// `none`.
     pub not_measured: Option<String>,
-    /// What a TOML file of ours says of the calibration's making and worth.
+    /// Origin and quality of the calibration, from our TOML file.
     pub judgement: Option<Judgement>,
 }
 
@@ -91,35 +90,35 @@ impl fmt::Display for CalibrationFormat {
     }
 }
 
-/// Names under which a directory holds its calibration, in the order in which they are looked for.
+/// File names searched in a directory, in this order.
 const IN_DIRECTORY: [&[&str]; 3] = [&["left.yaml", "right.yaml"], &["left.yml", "right.yml"], &["calib.json"]];
 
-/// Reads a stereo calibration: one file, a left and a right file, or a directory with `left.yaml` and `right.yaml`
-/// (or `.yml`) or `calib.json` in it.
+/// Reads a stereo calibration: one file, a left and a right file, or a directory with `left.yaml` and `right.yaml` (or `.yml`) or
+/// `calib.json` in it.
 ///
 /// # Errors
-/// Anything that is wrong with the files; see [`CalibrationFileError`].
+/// An invalid file; see [`CalibrationFileError`].
 pub fn load_stereo(paths: &[PathBuf]) -> Result<StereoCalibration, CalibrationFileError> {
     load(paths, None)
 }
 
-/// Reads which cameras a recording is of: the left and the right one, from its `cameras.toml`.
+/// Reads the identities of the left and the right camera of a recording from its `cameras.toml`.
 ///
 /// # Errors
-/// An unreadable file, or one that says something else.
+/// An unreadable file, or one with other contents.
 pub fn load_cameras(path: &Path) -> Result<[CameraIdentity; 2], CalibrationFileError> {
     identity::read_file(&Document::read(path)?.root())
 }
 
-/// Reads one of our TOML files of a hand-eye calibration.
+/// Reads our TOML file of a hand-eye calibration.
 ///
 /// # Errors
-/// Anything that is wrong with the file; see [`CalibrationFileError`].
+/// An invalid file; see [`CalibrationFileError`].
 pub fn load_hand_eye(path: &Path) -> Result<HandEye, CalibrationFileError> {
     hand_eye::read(&Document::read(path)?.root())
 }
 
-/// Writes one of our TOML files of a hand-eye calibration, which comes back bit by bit.
+/// Writes our TOML file of a hand-eye calibration, preserving all numbers bit by bit.
 ///
 /// # Errors
 /// A number of the judgement that is not finite; a file that cannot be written.
@@ -127,8 +126,8 @@ pub fn save_hand_eye(hand_eye: &HandEye, path: &Path) -> Result<(), CalibrationF
     write_file(path, &hand_eye::write(hand_eye)?)
 }
 
-/// As [`load_stereo`], for images of a known size: files that may leave the size out (OpenCV's) get it from there. A
-/// size that a file does state is not compared with it.
+/// As [`load_stereo`], for images of a known size, which is used for files that may omit the size (OpenCV). A size stated in the
+/// file is not compared with it.
 ///
 /// # Errors
 /// As [`load_stereo`].
@@ -145,7 +144,7 @@ fn load(paths: &[PathBuf], images: Option<ImageSize>) -> Result<StereoCalibratio
     assemble(&paths, &documents, images)
 }
 
-/// As [`load_stereo_for`], of one file whose text is at hand; its name tells the format.
+/// As [`load_stereo_for`], for one file whose text is already loaded; the format is detected from the contents.
 ///
 /// # Errors
 /// As [`load_stereo`].
@@ -175,11 +174,10 @@ fn assemble(
     Ok(StereoCalibration { rig, format, source, notes, not_measured, judgement })
 }
 
-/// Writes a ROS `camera_info` YAML file for each camera; the pose goes into the rectification and projection matrices.
+/// Writes a ROS `camera_info` YAML file for each camera; the pose is stored in the rectification and projection matrices.
 ///
 /// # Errors
-/// A rig that cannot be rectified, and so has no such matrices, or with images of unequal size; a file that cannot be
-/// written.
+/// A rig that cannot be rectified and therefore has no such matrices, or images of unequal size; a file that cannot be written.
 pub fn save_ros_pair(rig: &StereoRig, left: &Path, right: &Path) -> Result<(), CalibrationFileError> {
     check_sizes(rig, CalibrationFormat::RosPair)?;
     let [left_text, right_text] = ros::write(rig)?;
@@ -190,7 +188,7 @@ pub fn save_ros_pair(rig: &StereoRig, left: &Path, right: &Path) -> Result<(), C
 /// Writes a Kalibr camchain.
 ///
 /// # Errors
-/// A lens with k3 or a rational term, which Kalibr's `radtan` has not; images of unequal size; a file that cannot be
+/// A lens with k3 or a rational term, which Kalibr's `radtan` does not have; images of unequal size; a file that cannot be
 /// written.
 pub fn save_kalibr(rig: &StereoRig, path: &Path) -> Result<(), CalibrationFileError> {
     check_sizes(rig, CalibrationFormat::Kalibr)?;
@@ -206,7 +204,7 @@ pub fn save_opencv(rig: &StereoRig, path: &Path) -> Result<(), CalibrationFileEr
     write_file(path, &opencv::write(rig))
 }
 
-/// Writes one of our TOML files, which comes back bit by bit.
+/// Writes our TOML file, preserving all numbers bit by bit.
 ///
 /// # Errors
 /// Images of unequal size, a number that is not finite; a file that cannot be written.
@@ -232,8 +230,7 @@ pub fn save_json(rig: &StereoRig, path: &Path) -> Result<(), CalibrationFileErro
     write_file(path, &case_json::write(rig))
 }
 
-/// What a reader makes of its documents.
-/// What one or two files say.
+/// The content of one or two files.
 struct Parsed {
     rig: StereoRig,
     format: CalibrationFormat,
@@ -251,7 +248,9 @@ fn read_one(document: &Document, images: Option<ImageSize>) -> Result<Parsed, Ca
     let root = document.root();
     if judged::recognises(&root) {
         let (rig, judgement) = judged::read(&root)?;
-        let note = |gate: &JudgedGate| format!("{} refused it when it was made: it was {}", gate.name, gate.measured);
+        let note = |gate: &JudgedGate| {
+            format!("gate {} refused this calibration when it was made: measured {}", gate.name, gate.measured)
+        };
         let notes = judgement.refusals().map(note).collect();
         Ok(Parsed { notes, judgement: Some(judgement), ..Parsed::of(CalibrationFormat::Judged, rig) })
     } else if case_json::recognises(&root) {
@@ -263,7 +262,7 @@ fn read_one(document: &Document, images: Option<ImageSize>) -> Result<Parsed, Ca
         Ok(Parsed { notes, ..Parsed::of(CalibrationFormat::OpenCv, rig) })
     } else if ros::recognises(&root) {
         Err(root
-            .error("camera_matrix", "this is one camera of a ROS camera_info pair: name the left and the right file"))
+            .error("camera_matrix", "this is one camera of a ROS camera_info pair; give the left and the right file"))
     } else {
         Err(CalibrationFileError::Format { file: document.file().to_path_buf(), found: document.keys() })
     }
@@ -288,12 +287,12 @@ fn in_directory(directory: &Path) -> Result<Vec<PathBuf>, CalibrationFileError> 
     found.ok_or_else(|| CalibrationFileError::Directory { directory: directory.to_path_buf() })
 }
 
-/// Refuses what no reader here would take back.
+/// Refuses rigs that our readers would refuse.
 fn check_sizes(rig: &StereoRig, format: CalibrationFormat) -> Result<(), CalibrationFileError> {
     if rig.left().size() == rig.right().size() {
         return Ok(());
     }
-    let reason = "the two cameras have images of different size".to_owned();
+    let reason = "the two cameras have different image sizes".to_owned();
     Err(CalibrationFileError::NotRepresentable { format, reason })
 }
 

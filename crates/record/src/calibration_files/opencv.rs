@@ -1,17 +1,17 @@
 //! OpenCV `FileStorage` YAML of a stereo calibration, in one file or split into intrinsics and extrinsics.
 //!
-//! OpenCV fixes no names, so several spellings are taken: `M1` `K1` `cameraMatrix1` ... for the camera matrices, `D1`
-//! `distCoeffs1` ... for the distortion, `R`, `T`, and `image_width` with `image_height` or `image_size` for the size. `R`
-//! and `T` map points of the first (left) camera to the second, `X2 = R X1 + T`. A file without size (OpenCV's own stereo
-//! sample writes none) can be read where the size of the images is known.
+//! OpenCV fixes no key names, so several spellings are accepted: `M1` `K1` `cameraMatrix1` ... for the camera matrices, `D1`
+//! `distCoeffs1` ... for the distortion, `R`, `T`, and `image_width` with `image_height` or `image_size` for the size. `R` and
+//! `T` map points of the first (left) camera to the second, `X2 = R X1 + T`. A file without size (OpenCV's own stereo sample
+//! writes none) can be read if the image size is known otherwise.
 //!
-//! **Unit of `T`.** OpenCV's unit is whatever unit the board was measured in. The key `units` (`mm`, `cm` or `m`) decides
-//! if it is there. Otherwise a `T` shorter than 1 is taken as metres and one longer than 10 as millimetres, and a note
-//! says so; between 1 and 10 the file is refused, because centimetres, metres and board squares are all likely there.
+//! **Unit of `T`.** OpenCV's unit is the unit in which the board was measured. The key `units` (`mm`, `cm` or `m`) decides if
+//! present. Otherwise a `T` shorter than 1 is interpreted as metres and one longer than 10 as millimetres, with a note. Between 1
+//! and 10 the file is refused, because centimetres, metres and board squares are all plausible.
 //!
-//! **Distortion.** 4, 5 or 8 coefficients, longer lists if the rest is zero (thin prism and tilt are not supported). A
-//! fisheye calibration cannot be told from its 4 coefficients, so it must say `distortion_model: fisheye`, or
-//! `distortion_model1` and `distortion_model2` for cameras that differ. Files written here carry `units` and both models.
+//! **Distortion.** 4, 5 or 8 coefficients; longer lists if the rest is zero (thin prism and tilt are not supported). A fisheye
+//! calibration cannot be recognised by its 4 coefficients. Such a file must contain `distortion_model: fisheye`, or
+//! `distortion_model1` and `distortion_model2` for cameras that differ. Files written here contain `units` and both models.
 
 use nalgebra::{Matrix3, Vector3};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, StereoRig};
@@ -81,7 +81,7 @@ pub(super) fn recognises(root: &Node<'_>) -> bool {
     keys.into_iter().any(|key| root.find(key).is_some())
 }
 
-/// Reads one file or the two halves of one.
+/// Reads one file or the two files of a split calibration.
 pub(super) fn read(
     roots: &[Node<'_>],
     images: Option<ImageSize>,
@@ -104,13 +104,13 @@ fn find<'a>(roots: &[Node<'a>], keys: &[&str]) -> Option<Node<'a>> {
 fn get<'a>(roots: &[Node<'a>], keys: &[&str]) -> Result<Node<'a>, CalibrationFileError> {
     find(roots, keys).ok_or_else(|| match (roots, keys) {
         ([.., last], [first, others @ ..]) => {
-            last.error(first, format!("is missing (other names that are looked for: {})", others.join(", ")))
+            last.error(first, format!("is missing (other accepted names: {})", others.join(", ")))
         }
         _ => CalibrationFileError::Paths { count: roots.len() },
     })
 }
 
-/// The size that the file states, or that of the images if it states none, with a note.
+/// The size stated in the file, or the size of the images if the file states none, with a note.
 fn image_size(
     roots: &[Node<'_>],
     images: Option<ImageSize>,
@@ -118,7 +118,7 @@ fn image_size(
     match (find(roots, &SIZE), find(roots, &WIDTH), images) {
         (Some(node), ..) => Ok((node.size_pair()?, None)),
         (None, None, Some(size)) => {
-            let note = "the calibration states no image size: it is taken to be that of the images";
+            let note = "the calibration states no image size; the size of the images is used";
             Ok((size, Some(note.to_owned())))
         }
         _ => Ok((Node::size(&get(roots, &WIDTH)?, &get(roots, &HEIGHT)?)?, None)),
@@ -136,16 +136,16 @@ fn camera(roots: &[Node<'_>], side: usize, size: ImageSize) -> Result<Camera, Ca
     checks::camera(&intrinsics, size, checks::pinhole(&intrinsics)?, distortion)
 }
 
-/// A Brown-Conrady model by the number of coefficients.
+/// The Brown-Conrady model with this number of coefficients.
 fn distortion(node: &Node<'_>) -> Result<Distortion, CalibrationFileError> {
     let numbers = node.numbers()?;
-    let wrong = format!("has {} coefficients, OpenCV knows 4, 5, 8, 12 and 14", numbers.len());
+    let wrong = format!("has {} coefficients, OpenCV uses 4, 5, 8, 12 or 14", numbers.len());
     if ![4, 5, 8, 12, 14].contains(&numbers.len()) {
         return Err(node.refuse(wrong));
     }
     if numbers.iter().skip(8).any(|number| *number != 0.0) {
         return Err(
-            node.refuse("has a thin prism or tilt term, which is not supported: calibrate with 5 or 8 coefficients")
+            node.refuse("has a thin prism or tilt term, which is not supported; calibrate with 5 or 8 coefficients")
         );
     }
     let mut eight = [0.0; 8];
@@ -160,7 +160,7 @@ fn distortion(node: &Node<'_>) -> Result<Distortion, CalibrationFileError> {
     })
 }
 
-/// Metres in the file's unit of length, and the note if it had to be guessed.
+/// Metres per unit of length of the file, with a note if the unit was guessed.
 fn metres_per_unit(
     roots: &[Node<'_>],
     translation: &Node<'_>,
@@ -171,16 +171,16 @@ fn metres_per_unit(
             "m" | "metre" | "metres" | "meter" | "meters" => Ok((1.0, None)),
             "cm" => Ok((1e-2, None)),
             "mm" | "millimetre" | "millimetres" | "millimeter" | "millimeters" => Ok((1e-3, None)),
-            other => Err(node.refuse(format!("{other:?} is not known: use mm, cm or m"))),
+            other => Err(node.refuse(format!("unknown unit {other:?}; use mm, cm or m"))),
         };
     }
     if length < 1.0 {
-        Ok((1.0, Some(format!("T is {length} long and the file gives no units: taken as metres"))))
+        Ok((1.0, Some(format!("the file states no units and the length of T is {length}; metres are assumed"))))
     } else if length > 10.0 {
-        Ok((1e-3, Some(format!("T is {length} long and the file gives no units: taken as millimetres"))))
+        Ok((1e-3, Some(format!("the file states no units and the length of T is {length}; millimetres are assumed"))))
     } else {
         let reason = format!(
-            "is {length} long, which may be metres, centimetres or squares: add the key units with mm, cm or m"
+            "has length {length}, which may be metres, centimetres or squares; add the key units with mm, cm or m"
         );
         Err(translation.refuse(reason))
     }

@@ -1,4 +1,4 @@
-//! Poses in our TOML files: a quaternion and a translation, which come back bit by bit.
+//! Poses in our TOML files: a quaternion and a translation, preserved bit by bit.
 
 use nalgebra::{Quaternion, UnitQuaternion};
 use pb3dp_geometry::Pose;
@@ -8,7 +8,7 @@ use super::document::Node;
 use super::error::CalibrationFileError;
 use super::write;
 
-/// How far the norm of a quaternion may be from 1.
+/// Tolerance of the quaternion norm around 1.
 const NORM_TOLERANCE: f64 = 1e-9;
 
 /// A pose from `rotation_wxyz` and `translation_m`.
@@ -22,23 +22,23 @@ pub(super) fn rotation(node: &Node<'_>) -> Result<UnitQuaternion<f64>, Calibrati
     let [w, x, y, z] = list(node)?;
     let quaternion = Quaternion::new(w, x, y, z);
     if (quaternion.norm() - 1.0).abs() > NORM_TOLERANCE {
-        return Err(node.refuse(format!("is no rotation: its length is {}, it must be 1", quaternion.norm())));
+        return Err(node.refuse(format!("is not a unit quaternion: its norm is {}, it must be 1", quaternion.norm())));
     }
-    // Not normalised once more: the last bits would change with each reading.
+    // Not normalised again: that would change the last bits with each reading.
     Ok(UnitQuaternion::new_unchecked(quaternion))
 }
 
-/// A list of as many numbers.
+/// A list of exactly `N` numbers.
 pub(super) fn list<const N: usize>(node: &Node<'_>) -> Result<[f64; N], CalibrationFileError> {
     let numbers = node.numbers()?;
     let count = numbers.len();
     numbers.try_into().map_err(|_| node.refuse(format!("has {count} numbers, {N} are needed")))
 }
 
-/// Refuses keys that are not among these.
+/// Refuses other keys than these.
 pub(super) fn only(node: &Node<'_>, known: &[&str]) -> Result<(), CalibrationFileError> {
     match node.entries()?.into_iter().find(|(key, _)| !known.contains(&key.as_str())) {
-        Some((_, other)) => Err(other.refuse(format!("is not known here: {}", known.join(", ")))),
+        Some((_, other)) => Err(other.refuse(format!("unknown key; the keys are {}", known.join(", ")))),
         None => Ok(()),
     }
 }

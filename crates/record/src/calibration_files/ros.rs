@@ -1,7 +1,7 @@
 //! ROS `camera_info` pairs as `camera_calibration_parsers` writes them.
 //!
-//! The pose is not in the files as such. With the rectifying rotations `R1`, `R2` and the right projection matrix `P2`,
-//! whose element `[0][3]` is `-fx * B`, a point goes from left to right as `R2^T (R1 x + t)`, `t = (P2[0][3] / fx, 0, 0)`.
+//! The files do not contain the pose directly. With the rectifying rotations `R1`, `R2` and the right projection matrix `P2`,
+//! whose element `[0][3]` is `-fx * B`, a point maps from left to right as `R2^T (R1 x + t)`, `t = (P2[0][3] / fx, 0, 0)`.
 
 use nalgebra::{Matrix3, Matrix3x4, Vector3};
 use pb3dp_geometry::{Camera, StereoRig};
@@ -10,7 +10,7 @@ use super::document::Node;
 use super::error::{CalibrationFileError, one_line};
 use super::{CalibrationFormat, checks, write};
 
-/// How far apart the focal lengths of raw and rectified image may lie, as a ratio.
+/// Maximum ratio of the focal lengths of the raw and the rectified image.
 const ZOOM_MAX: f64 = 5.0;
 
 pub(super) fn recognises(root: &Node<'_>) -> bool {
@@ -24,20 +24,20 @@ pub(super) fn read(left: &Node<'_>, right: &Node<'_>) -> Result<StereoRig, Calib
     let (right_projection, node) = projection(right, &cameras[1])?;
     if left_projection[(0, 3)] != 0.0 {
         let reason = format!(
-            "element [0][3] of the left camera is {}, it must be 0: the files are exchanged, or the left camera is not the first of its pair",
+            "element [0][3] of the left camera is {}, it must be 0; the files are exchanged, or the left camera is not the first of its pair",
             left_projection[(0, 3)]
         );
         return Err(left.error("projection_matrix", reason));
     }
     if right_projection[(0, 3)] == 0.0 {
-        let reason = "element [0][3] of the right camera is 0, it must be -fx times the baseline in metres: the cameras were calibrated one by one, not as a pair";
+        let reason = "element [0][3] of the right camera is 0, it must be -fx times the baseline in metres; the cameras were calibrated one by one, not as a pair";
         return Err(node.refuse(reason));
     }
     for (row, column) in [(0, 0), (1, 1), (1, 2)] {
         let (l, r) = (left_projection[(row, column)], right_projection[(row, column)]);
         if (l - r).abs() > 1e-6 * l.abs().max(1.0) {
             let reason = format!(
-                "element [{row}][{column}] is {r}, in the left file it is {l}: a rectified pair has equal ones"
+                "element [{row}][{column}] is {r}, in the left file it is {l}; in a rectified pair both must be equal"
             );
             return Err(node.refuse(reason));
         }
@@ -70,7 +70,7 @@ fn projection<'a>(root: &Node<'a>, camera: &Camera) -> Result<(Matrix3x4<f64>, N
     let zeros = [(0, 1), (1, 0), (1, 3), (2, 0), (2, 1), (2, 3)];
     if let Some((row, column)) = zeros.into_iter().find(|at| p[*at].abs() > 1e-9) {
         let reason = format!(
-            "element [{row}][{column}] is {}, it must be 0: the matrix must be [fx, 0, cx, -fx B, 0, fy, cy, 0, 0, 0, 1, 0], for cameras side by side",
+            "element [{row}][{column}] is {}, it must be 0; the matrix must be [fx, 0, cx, -fx B, 0, fy, cy, 0, 0, 0, 1, 0] for a horizontal stereo pair",
             p[(row, column)]
         );
         return Err(node.refuse(reason));
@@ -82,7 +82,7 @@ fn projection<'a>(root: &Node<'a>, camera: &Camera) -> Result<(Matrix3x4<f64>, N
         let rectified = p[(row, row)];
         if !(rectified > raw / ZOOM_MAX && rectified < raw * ZOOM_MAX) {
             let reason = format!(
-                "its {name} is {rectified}, that of camera_matrix is {raw}: more than a factor of {ZOOM_MAX} apart, so they do not belong together"
+                "its {name} is {rectified}, in camera_matrix it is {raw}; they differ by more than a factor of {ZOOM_MAX}, so they do not belong together"
             );
             return Err(node.refuse(reason));
         }
@@ -90,11 +90,11 @@ fn projection<'a>(root: &Node<'a>, camera: &Camera) -> Result<(Matrix3x4<f64>, N
     Ok((p, node))
 }
 
-/// The texts of the left and the right file.
+/// The contents of the left and the right file.
 pub(super) fn write(rig: &StereoRig) -> Result<[String; 2], CalibrationFileError> {
     let rectified = rig.rectify().map_err(|error| CalibrationFileError::NotRepresentable {
         format: CalibrationFormat::RosPair,
-        reason: format!("it needs a rectifiable pair, but {}", one_line(&error)),
+        reason: format!("this format needs a rectifiable pair, but {}", one_line(&error)),
     })?;
     let shift = -rectified.rig.left().pinhole().fx * rectified.rig.baseline_m();
     let left_turn = rectified.cam_left_rect_from_cam_left.rotation_matrix();

@@ -1,8 +1,8 @@
-//! Where arms stood while images were taken, and where they are wanted.
+//! Arm poses: recorded at stops together with images, and requested poses to visit.
 //!
-//! A recording of stops is a folder with a `stops.toml` beside its images: at each stop both arms rested, a stereo pair
-//! was taken, and the joints were read. A `poses.toml` holds the poses that an arm is to visit. What both are for is in
-//! `docs/calibration.md`.
+//! A recording of stops is a folder with a `stops.toml` beside its images. At each stop both arms were stationary, a stereo pair
+//! was taken, and the joint positions were read. A `poses.toml` contains the poses that an arm visits. `docs/calibration.md`
+//! describes the use of both.
 
 use std::path::Path;
 
@@ -13,26 +13,26 @@ use super::document::{Document, Node};
 use super::error::CalibrationFileError;
 use super::{pose, write, write_file};
 
-/// Name of the file in a recording of stops.
+/// File name of a recording of stops.
 pub const STOPS_FILE: &str = "stops.toml";
 
-/// What the keys `format` say.
+/// Required values of the keys `format`.
 const STOPS_FORMAT: &str = "pb3dp stops 1";
 const POSES_FORMAT: &str = "pb3dp poses 1";
 
-/// Joints of an arm.
+/// Number of joints of an arm.
 const JOINTS: usize = 7;
 
-/// How an arm stood.
+/// The recorded pose of an arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmStand {
-    /// Joint angles as measured, rad, from the base.
+    /// Measured joint angles, rad, from the base.
     pub joints_rad: [f64; JOINTS],
-    /// Where its flange was by these joints and its robot description.
+    /// Flange pose from these joint angles and the robot description.
     pub base_from_flange: Pose<Base, Flange>,
 }
 
-/// A stereo pair, taken while everything rested.
+/// A stereo pair taken while both arms were stationary.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stop {
     /// The left image, relative to the folder of the file.
@@ -41,7 +41,7 @@ pub struct Stop {
     pub right: String,
     /// The arm that carries the cameras.
     pub vs: ArmStand,
-    /// The other arm; `None` if it was left out.
+    /// The other arm; `None` if it was not recorded.
     pub tc: Option<ArmStand>,
 }
 
@@ -50,21 +50,21 @@ pub struct Stop {
 pub struct Stops {
     /// When the first image was taken, RFC 3339.
     pub date: String,
-    /// In the order in which they were taken.
+    /// The stops, in the order of recording.
     pub stops: Vec<Stop>,
 }
 
-/// Which arm is meant.
+/// The arm that poses belong to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ArmOfPoses {
-    /// The one that carries the cameras.
+    /// The arm that carries the cameras.
     Vs,
-    /// The one that carries the target, or the board.
+    /// The arm that carries the target or the board.
     Tc,
 }
 
 impl ArmOfPoses {
-    /// As in files.
+    /// Name in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Vs => "vs",
@@ -73,19 +73,19 @@ impl ArmOfPoses {
     }
 }
 
-/// Poses that an arm is to visit.
+/// Poses for an arm to visit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WantedPoses {
     /// The arm.
     pub arm: ArmOfPoses,
-    /// Where its flange is wanted, in the frame of its base, in the order of the way.
+    /// Requested flange poses in the base frame, in the order of the visit.
     pub poses: Vec<Pose<Base, Flange>>,
 }
 
 /// Reads the `stops.toml` in a folder.
 ///
 /// # Errors
-/// An unreadable file, or one that says something else, by key.
+/// An unreadable file, or one with other contents; the message names the key.
 pub fn load_stops(folder: &Path) -> Result<Stops, CalibrationFileError> {
     let document = Document::read(&folder.join(STOPS_FILE))?;
     let root = document.root();
@@ -113,10 +113,10 @@ pub fn save_stops(folder: &Path, stops: &Stops) -> Result<(), CalibrationFileErr
     write_file(&folder.join(STOPS_FILE), &file)
 }
 
-/// Reads poses that an arm is to visit.
+/// Reads poses for an arm to visit.
 ///
 /// # Errors
-/// An unreadable file, or one that says something else, by key.
+/// An unreadable file, or one with other contents; the message names the key.
 pub fn load_poses(file: &Path) -> Result<WantedPoses, CalibrationFileError> {
     let document = Document::read(file)?;
     let root = document.root();
@@ -136,7 +136,7 @@ pub fn load_poses(file: &Path) -> Result<WantedPoses, CalibrationFileError> {
     Ok(WantedPoses { arm, poses })
 }
 
-/// Writes poses that an arm is to visit.
+/// Writes poses for an arm to visit.
 ///
 /// # Errors
 /// A file that cannot be written.
@@ -152,7 +152,7 @@ fn format(root: &Node<'_>, expected: &str) -> Result<(), CalibrationFileError> {
     let format = root.get("format")?;
     match format.text()? {
         text if text == expected => Ok(()),
-        text => Err(format.refuse(format!("is {text:?}, {expected:?} is known here"))),
+        text => Err(format.refuse(format!("is {text:?}, it must be {expected:?}"))),
     }
 }
 
@@ -160,7 +160,7 @@ fn stop(node: &Node<'_>) -> Result<Stop, CalibrationFileError> {
     pose::only(node, &["left", "right", "vs", "tc"])?;
     let image = |key: &str| {
         let name = node.get(key)?;
-        // A recording is read wherever it is, and reads nothing that is not its own.
+        // A recording is read wherever it is located, and reads no files outside its folder.
         let is_inside = !name.text()?.is_empty()
             && Path::new(name.text()?).components().all(|part| matches!(part, std::path::Component::Normal(_)));
         if is_inside { Ok(name.text()?.to_owned()) } else { Err(name.refuse("must be a file in or below this folder")) }

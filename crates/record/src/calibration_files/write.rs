@@ -1,10 +1,10 @@
-//! Numbers and lists as YAML readers of every dialect take them.
+//! Numbers and lists in a form that YAML readers of every dialect accept.
 
 use pb3dp_geometry::Distortion;
 
-/// A number in the fewest digits that read back as the same number.
+/// A number with the fewest digits that read back as the same number.
 ///
-/// YAML 1.1 readers (PyYAML, so ROS) take `1e-7` for a text: a point and a signed exponent make it a number everywhere.
+/// YAML 1.1 readers (PyYAML, so ROS) read `1e-7` as a string; a decimal point and a signed exponent make it a number everywhere.
 pub(super) fn number(value: f64) -> String {
     let text = format!("{value:?}");
     let Some((mantissa, exponent)) = text.split_once('e') else {
@@ -26,7 +26,7 @@ pub(super) fn row_major<const R: usize, const C: usize>(matrix: &nalgebra::SMatr
     matrix.transpose().as_slice().to_vec()
 }
 
-/// Model name and coefficients as ROS has them; an ideal lens is a `plumb_bob` of zeros.
+/// Model name and coefficients in ROS convention; an ideal lens is a `plumb_bob` of zeros.
 pub(super) fn distortion(distortion: &Distortion) -> (&'static str, Vec<f64>) {
     match distortion {
         Distortion::None => ("plumb_bob", vec![0.0; 5]),

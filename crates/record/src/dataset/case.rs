@@ -1,4 +1,4 @@
-//! A case: one stereo pair, a region in its left image, and what is known about the plane there.
+//! A case: one stereo pair, a region in its left image, and ground truth of the plane in the region, if known.
 
 use std::path::{Path, PathBuf};
 
@@ -10,7 +10,7 @@ use super::{CASE_FILE, DatasetError, SearchRange, polygon, search_range};
 use crate::calibration_files::{StereoCalibration, load_stereo};
 use crate::images::{DisparityMap, load_rgb, load_rgb_of_size, size_of};
 
-/// What makes a planar case hard, as the key `hard` says.
+/// What makes a planar case difficult, the value of the key `hard`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hardness {
     /// A region of 28 to 40 pixels across.
@@ -25,7 +25,7 @@ impl Hardness {
     const NAMES: [(&'static str, Self); 3] =
         [("small", Self::Small), ("lowtex", Self::LowTexture), ("occl", Self::Occluded)];
 
-    /// The word in `case.json`.
+    /// The value in `case.json`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Small => "small",
@@ -35,7 +35,7 @@ impl Hardness {
     }
 }
 
-/// What is known about the plane of a region.
+/// Ground truth of the plane of a region.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlaneTruth {
     /// Unit normal in `cam_left` that faces the camera.
@@ -52,14 +52,14 @@ pub struct PlaneTruth {
     pub z_sigma_m: Option<f64>,
     /// Standard deviation of the normal, radians.
     pub normal_sigma_rad: Option<f64>,
-    /// How the truth was made.
+    /// How the ground truth was obtained.
     pub how: Option<String>,
 }
 
-/// A case folder's `case.json`, checked. The files it names are looked at when they are loaded.
+/// The checked `case.json` of a case folder. The files it refers to are checked when they are loaded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Case {
-    /// Name of the case: key `case`, else the folder's name.
+    /// Name of the case: the key `case`, otherwise the folder name.
     pub name: String,
     /// The case's folder.
     pub folder: PathBuf,
@@ -69,27 +69,27 @@ pub struct Case {
     pub right: PathBuf,
     /// Calibration file.
     pub calibration: PathBuf,
-    /// Disparity truth of the left image, if there is one.
+    /// Disparity ground truth of the left image, if available.
     pub disparity_truth: Option<PathBuf>,
     /// Corners `[u, v]` of the region in the left image, pixels.
     pub region_polygon_left_px: Vec<[f64; 2]>,
-    /// Centroid of the region's pixels; `None` if the file does not say.
+    /// Centroid of the region's pixels; `None` if the file does not contain it.
     pub region_centroid_px: Option<[f64; 2]>,
-    /// Where to search.
+    /// Search range.
     pub search: SearchRange,
-    /// Whether the region is a plane; `true` if the file does not say.
+    /// Whether the region is a plane; `true` by default.
     pub planar: bool,
-    /// What makes the case hard.
+    /// What makes the case difficult.
     pub hard: Option<Hardness>,
     /// `public` or `heldout`.
     pub split: Option<String>,
-    /// The data set that the pair comes from.
+    /// The data set of the pair.
     pub family: Option<String>,
-    /// The scene that the pair shows.
+    /// The scene of the pair.
     pub scene: Option<String>,
     /// Kind of region: `rect`, `ellipse`, `object-contour`, `board quad (repeating pattern)`.
     pub region_kind: Option<String>,
-    /// What is known about the plane.
+    /// Ground truth of the plane.
     pub truth: Option<PlaneTruth>,
     /// Keys that are not part of the format.
     pub other_keys: Vec<String>,
@@ -158,7 +158,7 @@ pub fn load_case(folder: &Path) -> Result<Case, DatasetError> {
 fn hardness(node: &Node<'_>) -> Result<Hardness, DatasetError> {
     let name = node.text()?;
     let found = Hardness::NAMES.into_iter().find(|(known, _)| *known == name);
-    found.map(|(_, hard)| hard).ok_or_else(|| node.refuse("must be one of small, lowtex, occl, or null"))
+    found.map(|(_, hard)| hard).ok_or_else(|| node.refuse("must be small, lowtex, occl or null"))
 }
 
 fn plane_truth(node: &Node<'_>) -> Result<PlaneTruth, DatasetError> {
@@ -190,10 +190,10 @@ fn facing_unit_normal(node: &Node<'_>) -> Result<Vector3<f64>, DatasetError> {
 }
 
 impl Case {
-    /// Loads both images and checks that they have one size.
+    /// Loads both images and checks that they have the same size.
     ///
     /// # Errors
-    /// The image that is missing, damaged or of another size, by name.
+    /// An image that is missing, damaged or of another size; the message names it.
     pub fn load_images(&self) -> Result<StereoImages, DatasetError> {
         let left = load_rgb(&self.left)?;
         let right = load_rgb_of_size(&self.right, size_of(&left), &self.left.display().to_string())?;
@@ -203,20 +203,20 @@ impl Case {
     /// Loads the calibration.
     ///
     /// # Errors
-    /// If the file is missing or refused.
+    /// The file is missing or refused.
     pub fn load_calibration(&self) -> Result<StereoCalibration, DatasetError> {
         Ok(load_stereo(std::slice::from_ref(&self.calibration))?)
     }
 
-    /// Loads the disparity truth, if the case has one.
+    /// Loads the disparity ground truth, if the case has one.
     ///
     /// # Errors
-    /// If the file is missing, damaged or no disparity map.
+    /// The file is missing, damaged or not a disparity map.
     pub fn load_disparity_truth(&self) -> Result<Option<DisparityMap>, DatasetError> {
         Ok(self.disparity_truth.as_deref().map(DisparityMap::load).transpose()?)
     }
 
-    /// Whether the region is a chessboard or coded board, whose pattern repeats.
+    /// Whether the region is a chessboard or a board with markers, whose pattern repeats.
     pub fn is_board(&self) -> bool {
         self.region_kind.as_deref().is_some_and(|kind| kind.contains("board"))
     }
@@ -286,7 +286,7 @@ mod tests {
     #[test]
     fn refusals_name_key_value_and_what_is_allowed() {
         check_refused(|v| drop(v.as_object_mut().unwrap().remove("left")), &["`left`", "missing"]);
-        check_refused(|v| v["calib"] = json!(7), &["`calib`", "7", "text"]);
+        check_refused(|v| v["calib"] = json!(7), &["`calib`", "7", "string"]);
         check_refused(|v| drop(v["search"].as_object_mut().unwrap().remove("z_min_mm")), &["`search.z_min_mm`"]);
         check_refused(|v| v["search"]["z_max_mm"] = json!(300), &["`search.z_max_mm`", "300", "greater"]);
         check_refused(|v| v["search"]["tilt_max_deg"] = json!(85.01), &["`search.tilt_max_deg`", "0 and 85 degrees"]);

@@ -1,4 +1,4 @@
-//! Checked access to JSON values: every refusal names the file, the key, the value and what is allowed.
+//! Checked access to JSON values: every error names the file, the key, the value and the allowed values.
 
 use std::path::{Path, PathBuf};
 
@@ -24,7 +24,7 @@ impl JsonFile {
         Ok(Self { path: path.to_owned(), root })
     }
 
-    /// What a file says in other words.
+    /// A document assembled from another file.
     pub(super) fn of(path: PathBuf, root: Value) -> Self {
         Self { path, root }
     }
@@ -34,7 +34,7 @@ impl JsonFile {
     }
 }
 
-/// One value inside a JSON file, with the way that leads to it.
+/// One value inside a JSON file, with its key path.
 pub(super) struct Node<'a> {
     file: &'a Path,
     key: String,
@@ -42,7 +42,7 @@ pub(super) struct Node<'a> {
 }
 
 impl<'a> Node<'a> {
-    /// The error that this value is not what is expected.
+    /// The error for an unexpected value.
     pub(super) fn refuse(&self, expected: impl Into<String>) -> DatasetError {
         DatasetError::Value {
             file: self.file.to_owned(),
@@ -57,7 +57,7 @@ impl<'a> Node<'a> {
         Self { file: self.file, key, value }
     }
 
-    /// A key that must be there.
+    /// A required key.
     pub(super) fn get(&self, key: &str) -> Result<Self, DatasetError> {
         if !self.value.is_object() {
             return Err(self.refuse("must be an object { .. }"));
@@ -68,7 +68,7 @@ impl<'a> Node<'a> {
         }
     }
 
-    /// A key that may be absent or null.
+    /// An optional key, which may be absent or null.
     pub(super) fn optional(&self, key: &str) -> Option<Self> {
         self.value.get(key).filter(|value| !value.is_null()).map(|value| self.step(key, value))
     }
@@ -80,7 +80,7 @@ impl<'a> Node<'a> {
     }
 
     pub(super) fn text(&self) -> Result<&'a str, DatasetError> {
-        self.value.as_str().filter(|text| !text.is_empty()).ok_or_else(|| self.refuse("must be a text"))
+        self.value.as_str().filter(|text| !text.is_empty()).ok_or_else(|| self.refuse("must be a string"))
     }
 
     pub(super) fn boolean(&self) -> Result<bool, DatasetError> {
@@ -88,7 +88,7 @@ impl<'a> Node<'a> {
     }
 
     pub(super) fn count(&self) -> Result<u64, DatasetError> {
-        self.value.as_u64().filter(|n| *n > 0).ok_or_else(|| self.refuse("must be a whole number of at least 1"))
+        self.value.as_u64().filter(|n| *n > 0).ok_or_else(|| self.refuse("must be an integer of at least 1"))
     }
 
     pub(super) fn number(&self) -> Result<f64, DatasetError> {
@@ -125,7 +125,7 @@ impl<'a> Node<'a> {
         Ok(numbers)
     }
 
-    /// A file name, taken relative to the folder of this JSON file unless absolute.
+    /// A file name, relative to the folder of this JSON file unless absolute.
     pub(super) fn path(&self) -> Result<PathBuf, DatasetError> {
         let folder = self.file.parent().unwrap_or(Path::new(""));
         Ok(folder.join(self.text()?))

@@ -1,9 +1,8 @@
-//! The dataset format: case folders (one stereo pair with a region and, perhaps, its truth) and sequence folders.
+//! The dataset format: case folders (one stereo pair with a region and optional ground truth) and sequence folders.
 //!
-//! `docs/dataset-format.md` describes the files and `docs/dataset.schema.json` is their JSON schema. Files hold
-//! millimetres and degrees; everything here is metres and radians. Relative paths are relative to the folder of the JSON
-//! file. Keys that are not part of the format are tolerated and listed in `other_keys`, so that a program can point out
-//! a misspelt one.
+//! `docs/dataset-format.md` describes the files and `docs/dataset.schema.json` is their JSON schema. Files hold millimetres and
+//! degrees; everything here is metres and radians. Relative paths are relative to the folder of the JSON file. Keys that are not
+//! part of the format are tolerated and listed in `other_keys`, so that a program can report misspelt keys.
 
 mod case;
 mod json;
@@ -25,13 +24,13 @@ use crate::images::ImageFileError;
 pub const CASE_FILE: &str = "case.json";
 /// Name of the file that makes a folder a sequence.
 pub const SEQUENCE_FILE: &str = "sequence.json";
-/// Name of what stands in its place as long as a recording is not finished.
+/// Name of the file that replaces it while a recording is not finished.
 const UNFINISHED_FILE: &str = "sequence.unfinished.jsonl";
-/// Largest tilt of a search range, degrees; that of the estimators.
+/// Maximum tilt of a search range, degrees; the same as in the estimators.
 pub const TILT_LIMIT_DEG: f64 = 85.0;
-/// How many levels under the folder given cases are looked for.
+/// Maximum search depth for cases below the given folder.
 const FOLDERS_DEEP: usize = 8;
-/// Usual name of the calibration beside them.
+/// Default name of the calibration file.
 pub const CALIBRATION_FILE: &str = "calib.json";
 
 /// Why a case or sequence cannot be used.
@@ -39,18 +38,18 @@ pub const CALIBRATION_FILE: &str = "calib.json";
 #[non_exhaustive]
 pub enum DatasetError {
     /// A file or folder cannot be read or written.
-    #[error("cannot {action} {}: check that it exists and may be accessed", file.display())]
+    #[error("cannot {action} {}; check that it exists and its permissions", file.display())]
     Io {
         /// The file or folder.
         file: PathBuf,
         /// `read` or `write`.
         action: &'static str,
-        /// What the system said.
+        /// The system error.
         #[source]
         source: std::io::Error,
     },
     /// The file is not JSON.
-    #[error("{} is not valid JSON: correct the place that the cause names", file.display())]
+    #[error("{} is not valid JSON; correct the position given in the cause", file.display())]
     Syntax {
         /// The file.
         file: PathBuf,
@@ -59,7 +58,7 @@ pub enum DatasetError {
         source: serde_json::Error,
     },
     /// A required key is absent.
-    #[error("{}: key `{key}` is missing: add it (docs/dataset-format.md)", file.display())]
+    #[error("{}: key `{key}` is missing; add it (docs/dataset-format.md)", file.display())]
     MissingKey {
         /// The file.
         file: PathBuf,
@@ -78,16 +77,16 @@ pub enum DatasetError {
         /// What is allowed.
         expected: String,
     },
-    /// There is no case below a folder.
-    #[error("no {CASE_FILE} in {} or in the folders under it ({FOLDERS_DEEP} levels): give the folder that holds the cases", folder.display())]
+    /// No case below a folder.
+    #[error("no {CASE_FILE} in {} or in the folders below it ({FOLDERS_DEEP} levels); give the folder that contains the cases", folder.display())]
     NoCases {
         /// The folder.
         folder: PathBuf,
     },
     /// A recording would overwrite another one.
-    #[error("{} exists: give an empty folder", file.display())]
+    #[error("{} already exists; give an empty folder", file.display())]
     Exists {
-        /// The file that is in the way.
+        /// The file that already exists.
         file: PathBuf,
     },
     /// An image cannot be used.
@@ -109,7 +108,7 @@ pub enum DatasetError {
 }
 
 impl DatasetError {
-    /// Whether there was no room any more, on the disk or for this user.
+    /// Whether the disk or the user's quota is full.
     pub fn is_disk_full(&self) -> bool {
         match self {
             Self::Io { source, .. } => is_full(source),
@@ -125,7 +124,7 @@ fn is_full(error: &std::io::Error) -> bool {
     matches!(error.kind(), std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded)
 }
 
-/// Where a plane is searched.
+/// The search range of a plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SearchRange {
     /// Nearest depth in `cam_left`, metres.
@@ -136,11 +135,11 @@ pub struct SearchRange {
     pub tilt_max_rad: f64,
 }
 
-/// Every case folder under `dir`, sorted by path: `dir` itself if it is one, else the folders with a `case.json` at any depth
-/// up to eight levels.
+/// Every case folder under `dir`, sorted by path: `dir` itself if it is a case, otherwise the folders with a `case.json` at any
+/// depth up to eight levels.
 ///
-/// A case is not searched for further ones. Hidden folders (those with a name that begins with a dot) are left out. Links
-/// to folders are followed; a folder that can be reached in more ways than one is taken once.
+/// Cases inside a case are ignored. Hidden folders (name begins with a dot) are skipped. Links to folders are followed; a folder
+/// that is reachable by several paths is listed once.
 ///
 /// # Errors
 /// A folder that cannot be read, or one without any case.
@@ -157,7 +156,7 @@ pub fn find_cases(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
             cases.push(folder);
         } else if depth < FOLDERS_DEEP {
             for subfolder in subfolders(&folder).map_err(unreadable)? {
-                // Links come last: a folder that is also in its own place is named by that.
+                // Links come last: a folder that is also reachable directly is listed by its direct path.
                 if subfolder.is_symlink() {
                     pending.push_back((subfolder, depth + 1));
                 } else {
@@ -173,7 +172,7 @@ pub fn find_cases(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     Ok(cases)
 }
 
-/// The folders in a folder that are not hidden, links to folders included, sorted.
+/// The folders in a folder that are not hidden, including links to folders, sorted.
 fn subfolders(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder)? {
@@ -195,7 +194,7 @@ fn polygon(node: &json::Node<'_>) -> Result<Vec<[f64; 2]>, DatasetError> {
     }
     let area = polygon_area_px(&points);
     if area < 1.0 {
-        return Err(node.refuse(format!("encloses {area:.2} square pixels: it must enclose at least 1")));
+        return Err(node.refuse(format!("encloses {area:.2} square pixels, at least 1 is required")));
     }
     Ok(points)
 }
@@ -235,7 +234,7 @@ mod tests {
         assert!((polygon_area_px(&reversed) - 9.0).abs() < 1e-12);
     }
 
-    /// Makes folders, those with a `+` as cases.
+    /// Creates folders, those with a `+` as cases.
     fn make(dir: &Path, names: &[&str]) {
         for name in names {
             let folder = dir.join(name.trim_start_matches('+'));

@@ -1,4 +1,4 @@
-//! A sequence: numbered stereo pairs with their times, a region in the first left image and, perhaps, true poses.
+//! A sequence: numbered stereo pairs with their times, a region in the first left image and optional true poses.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use super::{DatasetError, SEQUENCE_FILE, SearchRange, UNFINISHED_FILE, polygon, 
 use crate::calibration_files::{StereoCalibration, load_stereo};
 use crate::images::load_rgb_of_size;
 
-/// A file name with one number in it, written as in C: `left_%04d.png`.
+/// A file name pattern with one number, in C notation: `left_%04d.png`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FramePattern {
     before: String,
@@ -22,7 +22,7 @@ pub struct FramePattern {
 }
 
 impl FramePattern {
-    /// Reads a pattern with exactly one `%d` or `%0Nd` (N from 1 to 9); `None` for anything else.
+    /// Parses a pattern with exactly one `%d` or `%0Nd` (N from 1 to 9); `None` for anything else.
     pub fn parse(pattern: &str) -> Option<Self> {
         let (before, rest) = pattern.split_once('%')?;
         let (width, after) = rest.split_once('d')?;
@@ -54,7 +54,7 @@ impl fmt::Display for FramePattern {
     }
 }
 
-/// A sequence folder's `sequence.json`, checked. Images are looked at when they are loaded.
+/// The checked `sequence.json` of a sequence folder. Images are checked when they are loaded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sequence {
     /// The sequence's folder.
@@ -63,7 +63,7 @@ pub struct Sequence {
     pub left: FramePattern,
     /// Names of the right images, relative to the folder.
     pub right: FramePattern,
-    /// Middle of the left exposure of each frame, seconds on the recording's clock, strictly increasing.
+    /// Middle of the left exposure of each frame, seconds on the recording clock, strictly increasing.
     pub times_s: Vec<f64>,
     /// Middle of the right exposure minus middle of the left one, seconds, per frame; empty if not recorded.
     pub skew_s: Vec<f64>,
@@ -71,14 +71,15 @@ pub struct Sequence {
     pub calibration: PathBuf,
     /// Corners `[u, v]` of the target in the left image of frame 0, pixels.
     pub region_polygon_left_px: Vec<[f64; 2]>,
-    /// Where to search.
+    /// Search range.
     pub search: SearchRange,
-    /// True pose of the target in each frame, if known. The model frame is the recorder's own: compare motions since
-    /// frame 0, not poses.
+    /// True pose of the target in each frame, if known. The model frame is chosen by the recorder: compare motions since frame 0,
+    /// not poses.
     pub cam_left_from_model: Option<Vec<Pose<CamLeft, Model>>>,
     /// Keys that are not part of the format.
     pub other_keys: Vec<String>,
-    /// Whether the recording was broken off before its `sequence.json` was written: these are the frames until the last whole one.
+    /// Whether the recording was interrupted before its `sequence.json` was written; then these are the frames up to the last
+    /// complete one.
     pub is_unfinished: bool,
 }
 
@@ -90,12 +91,12 @@ pub fn is_sequence(folder: &Path) -> bool {
     [SEQUENCE_FILE, UNFINISHED_FILE].iter().any(|name| folder.join(name).is_file())
 }
 
-/// Loads and checks `sequence.json` of a sequence folder; of a recording that was broken off, what there is.
+/// Loads and checks `sequence.json` of a sequence folder; for an interrupted recording, loads the complete frames.
 ///
 /// # Errors
 /// A missing or unreadable file, a missing key, or a value that is not allowed; the message names file, key and value.
 pub fn load_sequence(folder: &Path) -> Result<Sequence, DatasetError> {
-    // The file itself is as good as its folder.
+    // A path to the file itself is accepted as well.
     let is_the_file = [SEQUENCE_FILE, UNFINISHED_FILE].iter().any(|name| folder.ends_with(name)) && folder.is_file();
     let folder = folder.parent().filter(|_| is_the_file).unwrap_or(folder);
     let is_unfinished = is_sequence(folder) && !folder.join(SEQUENCE_FILE).is_file();
@@ -121,14 +122,14 @@ pub fn load_sequence(folder: &Path) -> Result<Sequence, DatasetError> {
 
 fn pattern(node: &Node<'_>) -> Result<FramePattern, DatasetError> {
     let parsed = FramePattern::parse(node.text()?);
-    parsed.ok_or_else(|| node.refuse("must hold exactly one %d or %0Nd, as in left_%04d.png"))
+    parsed.ok_or_else(|| node.refuse("must contain exactly one %d or %0Nd, as in left_%04d.png"))
 }
 
 fn check_count(node: &Node<'_>, found: usize, frames: u64) -> Result<(), DatasetError> {
     if found as u64 == frames {
         return Ok(());
     }
-    Err(node.refuse(format!("has {found} entries, but `frames` is {frames}: give one per frame")))
+    Err(node.refuse(format!("has {found} entries, but `frames` is {frames}; give one per frame")))
 }
 
 fn per_frame_numbers(node: &Node<'_>, frames: u64) -> Result<Vec<f64>, DatasetError> {
@@ -143,7 +144,7 @@ fn increasing_times(node: &Node<'_>, frames: u64) -> Result<Vec<f64>, DatasetErr
         if pair[1] <= pair[0] {
             let items = node.items()?;
             let place = items.get(i + 1).unwrap_or(node);
-            return Err(place.refuse(format!("must be later than the frame before, {}", pair[0])));
+            return Err(place.refuse(format!("must be later than the previous frame, {}", pair[0])));
         }
     }
     Ok(times_s)
@@ -161,7 +162,9 @@ fn true_pose(node: &Node<'_>) -> Result<Pose<CamLeft, Model>, DatasetError> {
     let rotation = Matrix3::new(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]);
     let defect = (rotation * rotation.transpose() - Matrix3::identity()).abs().max();
     if defect > 1e-3 || rotation.determinant() < 0.0 {
-        return Err(node.refuse(format!("its 3x3 part must be a rotation, but R R^T differs from 1 by {defect:.4}")));
+        return Err(
+            node.refuse(format!("its 3x3 part must be a rotation, but R R^T differs from the identity by {defect:.4}"))
+        );
     }
     if m[12..] != [0.0, 0.0, 0.0, 1.0] {
         return Err(node.refuse("its last row must be 0, 0, 0, 1"));
@@ -175,7 +178,7 @@ impl Sequence {
         self.times_s.len() as u64
     }
 
-    /// Files of a frame: left, right.
+    /// Image files of a frame: left, right.
     pub fn image_files(&self, frame: u64) -> (PathBuf, PathBuf) {
         (self.folder.join(self.left.name(frame)), self.folder.join(self.right.name(frame)))
     }
@@ -183,15 +186,15 @@ impl Sequence {
     /// Loads the calibration.
     ///
     /// # Errors
-    /// If the file is missing or refused.
+    /// The file is missing or refused.
     pub fn load_calibration(&self) -> Result<StereoCalibration, DatasetError> {
         Ok(load_stereo(std::slice::from_ref(&self.calibration))?)
     }
 
-    /// Loads both images of a frame and checks their size, which the calibration tells.
+    /// Loads both images of a frame and checks their size against the calibration.
     ///
     /// # Errors
-    /// The image that is missing, damaged or of another size, by name.
+    /// An image that is missing, damaged or of another size; the message names it.
     pub fn load_images(&self, frame: u64, size: ImageSize) -> Result<StereoImages, DatasetError> {
         let (left, right) = self.image_files(frame);
         let because_of = self.calibration.display().to_string();
@@ -242,7 +245,7 @@ mod tests {
         let sequence = load(&valid()).unwrap();
         assert_eq!(sequence.frames(), 2);
         let pose = sequence.cam_left_from_model.as_ref().unwrap()[0];
-        // A quarter turn about z takes the model's x axis to the camera's y axis.
+        // A quarter turn about z maps the model's x axis to the camera's y axis.
         let point = pose.transform_point(&nalgebra::Point3::new(0.1, 0.0, 0.02));
         assert!((point.coords - Vector3::new(0.05, 0.08, 0.53)).norm() < 1e-12, "{point}");
         assert!(sequence.image_files(1).1.ends_with("r1.png"));

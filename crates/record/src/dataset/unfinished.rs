@@ -1,7 +1,7 @@
-//! The log of a recording that is not finished: what a program that is killed meanwhile leaves behind in place of `sequence.json`.
+//! The log of an unfinished recording: if the program is killed, it remains in place of `sequence.json`.
 //!
-//! Its first line is an object with the keys of `sequence.json` that do not grow; each further line is one frame. A line is written
-//! before the images of its frame, so the last frames may have none.
+//! The first line is an object with the constant keys of `sequence.json`; each further line is one frame. A line is written
+//! before the images of its frame, so the last frames may have no images.
 
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -12,25 +12,25 @@ use serde_json::{Map, Value, json};
 use super::json::JsonFile;
 use super::{DatasetError, FramePattern, UNFINISHED_FILE};
 
-/// What a PNG ends with: its last chunk (PNG specification, section 11.2.5).
+/// End of a PNG file: its last chunk (PNG specification, section 11.2.5).
 const PNG_END: [u8; 12] = [0, 0, 0, 0, b'I', b'E', b'N', b'D', 0xAE, 0x42, 0x60, 0x82];
-/// What a JPEG ends with: the marker EOI (ITU-T T.81, table B.1).
+/// End of a JPEG file: the marker EOI (ITU-T T.81, table B.1).
 const JPEG_END: [u8; 2] = [0xFF, 0xD9];
 
-/// The log while it is written.
+/// The log of a running recording.
 #[derive(Debug)]
 pub(super) struct Log {
     file: File,
     path: PathBuf,
-    /// Bytes of whole lines.
+    /// Length of the complete lines, bytes.
     length: u64,
 }
 
 impl Log {
-    /// Begins a log.
+    /// Creates a log.
     pub(super) fn create(folder: &Path, head: &Value) -> Result<Self, DatasetError> {
         let path = folder.join(UNFINISHED_FILE);
-        // Whatever follows a line that was cut is written at the new end.
+        // Append mode: after truncation the next line is written at the new end.
         let opened = File::create(&path).and_then(|_| OpenOptions::new().append(true).open(&path));
         let file = opened.map_err(|source| not_written(&path, source))?;
         let mut log = Self { file, path, length: 0 };
@@ -38,7 +38,7 @@ impl Log {
         Ok(log)
     }
 
-    /// Notes a frame. One with a number that was there before takes its place, and those behind it are gone.
+    /// Logs a frame. A frame number that was already logged replaces the earlier frame and removes all frames after it.
     pub(super) fn note(
         &mut self,
         frame: u64,
@@ -52,11 +52,11 @@ impl Log {
         self.append(&line)
     }
 
-    /// A line as a whole or not at all.
+    /// Writes a line completely or not at all.
     fn append(&mut self, line: &Value) -> Result<(), DatasetError> {
         let text = format!("{line}\n");
         self.file.write_all(text.as_bytes()).map_err(|source| {
-            // Where this fails, too, the loader leaves out what is no line.
+            // If truncation fails as well, the loader skips the incomplete line.
             let _ = self.file.set_len(self.length);
             not_written(&self.path, source)
         })?;
@@ -64,9 +64,9 @@ impl Log {
         Ok(())
     }
 
-    /// There is a `sequence.json`, or there is nothing to tell.
+    /// Removes the log, after `sequence.json` is written or if there is no frame.
     pub(super) fn remove(&self) {
-        // One that stays is passed over where there is a `sequence.json`.
+        // A log that remains is ignored if there is a `sequence.json`.
         let _ = std::fs::remove_file(&self.path);
     }
 }
@@ -75,7 +75,7 @@ fn not_written(path: &Path, source: std::io::Error) -> DatasetError {
     DatasetError::Io { file: path.to_owned(), action: "write", source }
 }
 
-/// What a log tells, as `sequence.json` would: the frames until the last one whose images are whole.
+/// The content of a log in the form of `sequence.json`: the frames up to the last one whose images are complete.
 ///
 /// # Errors
 /// A log that cannot be read, or whose first line is damaged.
@@ -87,7 +87,7 @@ pub(super) fn read(folder: &Path) -> Result<JsonFile, DatasetError> {
     let head = serde_json::from_slice(lines.next().unwrap_or_default());
     let mut root: Map<String, Value> = head.map_err(|source| DatasetError::Syntax { file: path.clone(), source })?;
     let mut frames: Vec<Value> = Vec::new();
-    // Behind the last whole line there is one that was cut, or nothing.
+    // After the last complete line there is an incomplete line or nothing.
     for line in lines.map_while(|line| serde_json::from_slice::<Value>(line).ok()) {
         let number = line["frame"].as_u64().and_then(|number| usize::try_from(number).ok());
         let Some(number) = number.filter(|number| *number <= frames.len()) else { break };
@@ -111,7 +111,7 @@ pub(super) fn read(folder: &Path) -> Result<JsonFile, DatasetError> {
     Ok(JsonFile::of(path, Value::Object(root)))
 }
 
-/// Whether an image was written to its end.
+/// Whether an image file is complete.
 fn is_whole(file: &Path) -> bool {
     let mut end = [0; PNG_END.len()];
     let read = File::open(file).and_then(|mut file| {

@@ -15,7 +15,7 @@ use super::{CALIBRATION_FILE, CASE_FILE, DatasetError, FramePattern, SEQUENCE_FI
 use crate::calibration_files::save_json;
 use crate::images::{StoredFormat, save, size_of};
 
-/// What a case says beside its images and calibration.
+/// The description of a case, without images and calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CaseDraft {
     /// Name of the case.
@@ -24,24 +24,24 @@ pub struct CaseDraft {
     pub region_polygon_left_px: Vec<[f64; 2]>,
     /// Centroid of the region's pixels.
     pub region_centroid_px: Option<[f64; 2]>,
-    /// Where to search.
+    /// Search range.
     pub search: SearchRange,
     /// Whether the region is a plane.
     pub planar: bool,
-    /// What makes the case hard.
+    /// What makes the case difficult.
     pub hard: Option<Hardness>,
-    /// What is known about the plane.
+    /// Ground truth of the plane.
     pub truth: Option<PlaneTruth>,
 }
 
-/// What a sequence says beside its frames and calibration.
+/// The description of a sequence, without frames and calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SequenceDraft {
     /// Corners `[u, v]` of the target in the left image of frame 0, pixels.
     pub region_polygon_left_px: Vec<[f64; 2]>,
-    /// Where to search.
+    /// Search range.
     pub search: SearchRange,
-    /// How images are stored.
+    /// Storage format of the images.
     pub images: StoredFormat,
 }
 
@@ -60,14 +60,14 @@ pub struct WrittenFrame<'a> {
     pub cam_left_from_model: Option<Pose<CamLeft, Model>>,
 }
 
-/// Where the images of one frame go. They may be written by other threads than the one that has the [`SequenceWriter`].
+/// Image files of one frame. They may be written by other threads than the owner of the [`SequenceWriter`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FrameFiles {
     /// Left image.
     pub left: PathBuf,
     /// Right image.
     pub right: PathBuf,
-    /// How both are stored.
+    /// Storage format of both.
     pub images: StoredFormat,
 }
 
@@ -81,16 +81,16 @@ impl FrameFiles {
         Ok(save(right, &self.right, self.images)?)
     }
 
-    /// Removes what there is of both.
+    /// Removes both images if present.
     fn remove(&self) {
         for file in [&self.left, &self.right] {
-            // One that is not there is what is wanted; one that stays does no harm, as no description counts it.
+            // A missing file needs no removal; a remaining file is harmless, because no description refers to it.
             let _ = std::fs::remove_file(file);
         }
     }
 }
 
-/// What a finished recording holds.
+/// Summary of a finished recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SequenceSummary {
     /// Its `sequence.json`.
@@ -99,10 +99,10 @@ pub struct SequenceSummary {
     pub frames: u64,
 }
 
-/// Writes a case folder: `left.png`, `right.png`, `calib.json`, `case.json`. The folder is made if it is not there.
+/// Writes a case folder: `left.png`, `right.png`, `calib.json`, `case.json`. Creates the folder if necessary.
 ///
 /// # Errors
-/// If the folder holds a case already, or a file cannot be written.
+/// The folder already contains a case, or a file cannot be written.
 pub fn write_case(
     folder: &Path,
     draft: &CaseDraft,
@@ -149,8 +149,8 @@ fn truth_value(truth: &PlaneTruth) -> Value {
     value
 }
 
-/// Records a sequence folder frame by frame. Without [`SequenceWriter::finish`] no `sequence.json` is written, but what was recorded
-/// until then can be loaded all the same.
+/// Records a sequence folder frame by frame. `sequence.json` is written by [`SequenceWriter::finish`]; an unfinished recording
+/// can be loaded without it.
 #[derive(Debug)]
 pub struct SequenceWriter {
     folder: PathBuf,
@@ -161,12 +161,12 @@ pub struct SequenceWriter {
     times: Vec<MonotonicTime>,
     skews_nanos: Vec<i64>,
     poses: Vec<Pose<CamLeft, Model>>,
-    /// As long as there is a frame.
+    /// Present while there is at least one frame.
     log: Option<Log>,
 }
 
 impl SequenceWriter {
-    /// Looks whether a recording can be written into `folder`, and makes it.
+    /// Checks that a recording can be written to `folder`, and creates the folder.
     ///
     /// # Errors
     /// As [`Self::create`].
@@ -181,10 +181,10 @@ impl SequenceWriter {
         })
     }
 
-    /// Starts a recording: makes the folder and writes `calib.json`.
+    /// Starts a recording: creates the folder and writes `calib.json`.
     ///
     /// # Errors
-    /// If the folder holds a sequence already, or cannot be written to.
+    /// The folder already contains a sequence, or cannot be written to.
     pub fn create(folder: &Path, rig: &StereoRig, draft: SequenceDraft) -> Result<Self, DatasetError> {
         start_folder(folder, &folder.join(UNFINISHED_FILE))?;
         start_folder(folder, &folder.join(SEQUENCE_FILE))?;
@@ -206,18 +206,18 @@ impl SequenceWriter {
     /// Writes the images of the next frame.
     ///
     /// # Errors
-    /// A frame that is not later than the one before, of a size that is not the calibration's, or with truth where the
-    /// others have none; nothing is recorded of such a frame. An image that cannot be written.
+    /// A frame that is not later than the previous one, whose size differs from the calibration, or with a true pose where other
+    /// frames have none; such a frame is not recorded. An image that cannot be written.
     pub fn push(&mut self, frame: WrittenFrame<'_>) -> Result<(), DatasetError> {
         let files = self.accept(&frame)?;
         files.save(frame.left, frame.right).inspect_err(|_| self.forget_last())
     }
 
-    /// Notes the next frame, whose images the caller writes: where they go. What could not be written is left out again by
+    /// Logs the next frame and returns its image files, which the caller writes. If writing fails, remove the frame with
     /// [`Self::keep`].
     ///
     /// # Errors
-    /// As [`Self::push`], but for images that cannot be written.
+    /// As [`Self::push`], except for image files that cannot be written.
     pub fn accept(&mut self, frame: &WrittenFrame<'_>) -> Result<FrameFiles, DatasetError> {
         let number = self.frames();
         self.check(frame).map_err(|reason| DatasetError::Frame {
@@ -245,7 +245,7 @@ impl SequenceWriter {
         log.note(number, times, frame.cam_left_from_model.as_ref().map(row_major_millimetres))
     }
 
-    /// What does not grow with the frames.
+    /// The keys of the description that do not grow with the frames.
     fn head(&self) -> [(&'static str, Value); 5] {
         [
             ("left", json!(self.left.to_string())),
@@ -256,12 +256,12 @@ impl SequenceWriter {
         ]
     }
 
-    /// Frames so far.
+    /// Number of frames so far.
     pub fn frames(&self) -> u64 {
         self.times.len() as u64
     }
 
-    /// Leaves out all frames but the first ones, and removes their images.
+    /// Keeps the first frames and removes all others with their images.
     pub fn keep(&mut self, frames: u64) {
         while self.frames() > frames {
             self.forget_last();
@@ -287,7 +287,7 @@ impl SequenceWriter {
     fn check(&self, frame: &WrittenFrame<'_>) -> Result<(), String> {
         if let Some(last) = self.times.last().filter(|last| frame.exposed_at <= **last) {
             let (now_s, last_s) = (frame.exposed_at.as_secs_f64(), last.as_secs_f64());
-            return Err(format!("its time {now_s} s must be later than {last_s} s, the frame before"));
+            return Err(format!("its time {now_s} s must be later than the previous frame, {last_s} s"));
         }
         for (name, image) in [("left", frame.left), ("right", frame.right)] {
             let (found, size) = (size_of(image), self.size);
@@ -304,10 +304,10 @@ impl SequenceWriter {
         Ok(())
     }
 
-    /// Writes `sequence.json`. Where a full disk has no room for it, the last frames make room.
+    /// Writes `sequence.json`. If the disk is full, the last frames are removed to make room for it.
     ///
     /// # Errors
-    /// If no frame was pushed or the file cannot be written.
+    /// No frame was pushed, or the file cannot be written.
     pub fn finish(mut self) -> Result<SequenceSummary, DatasetError> {
         loop {
             match self.describe() {
@@ -345,7 +345,7 @@ impl SequenceWriter {
     }
 }
 
-/// A pose as files and `--json` output hold it: 16 numbers of the homogeneous matrix, row by row, millimetres.
+/// A pose as in files and `--json` output: 16 numbers of the homogeneous matrix, row by row, millimetres.
 fn row_major_millimetres(pose: &Pose<CamLeft, Model>) -> [f64; 16] {
     let (r, t) = (pose.rotation_matrix(), pose.translation_m());
     let mut numbers = [0.0; 16];
@@ -378,7 +378,7 @@ fn start_folder(folder: &Path, file: &Path) -> Result<(), DatasetError> {
     })
 }
 
-/// Writes an object with one key per line, as a whole or not at all.
+/// Writes an object with one key per line, completely or not at all.
 fn write_object(file: &Path, keys: &[(&str, Value)]) -> Result<(), DatasetError> {
     let mut text = String::from("{\n");
     for (i, (key, value)) in keys.iter().enumerate() {
@@ -389,15 +389,15 @@ fn write_object(file: &Path, keys: &[(&str, Value)]) -> Result<(), DatasetError>
     text.push_str("}\n");
     let partial = file.with_extension("json.partial");
     std::fs::write(&partial, text).and_then(|()| std::fs::rename(&partial, file)).map_err(|source| {
-        // Nothing may be left of it; one that is not there is what is wanted.
+        // Remove the partial file; it may not exist.
         let _ = std::fs::remove_file(&partial);
         DatasetError::Io { file: file.to_owned(), action: "write", source }
     })
 }
 
 impl PlaneTruth {
-    /// Truth of an exactly known plane: through `point_in_cam_left` (metres, on the ray of the region's centroid) with a
-    /// normal of either sense.
+    /// Ground truth of an exactly known plane through `point_in_cam_left` (metres, on the ray of the region's centroid). The
+    /// normal may have either sign.
     pub fn exact(point_in_cam_left: Vector3<f64>, normal_in_cam_left: Vector3<f64>) -> Self {
         let unit = normal_in_cam_left.normalize();
         let facing = if unit.dot(&point_in_cam_left) > 0.0 { -unit } else { unit };

@@ -1,8 +1,8 @@
-//! Error measures: statistics of samples, planes against the truth of cases, motions against the truth of sequences,
-//! and how one time series follows another.
+//! Error measures: statistics of samples, planes against the ground truth of cases, motions against the ground truth of
+//! sequences, and the response of one time series to another.
 //!
-//! Percentiles interpolate linearly between order statistics (position `p (n - 1)` among the sorted samples, the
-//! default of NumPy), so that figures agree with the tables of the usual Python tools.
+//! Percentiles interpolate linearly between order statistics (position `p (n - 1)` among the sorted samples, the default of
+//! NumPy), so that figures agree with tables made with the usual Python tools.
 
 pub mod motion;
 pub mod plane;
@@ -34,8 +34,7 @@ pub struct Statistics {
 }
 
 impl Statistics {
-    /// Statistics of a sample, in the sample's unit; give absolute values for errors with a sign. `None` if it is empty
-    /// or holds a value that is not a number.
+    /// Statistics of a sample, in its unit; use absolute values for signed errors. `None` if the sample is empty or contains NaN.
     pub fn of(samples: &[f64]) -> Option<Self> {
         let sorted = sorted(samples)?;
         Some(Self {
@@ -49,8 +48,8 @@ impl Statistics {
     }
 }
 
-/// The percentile of a sample, `percent` from 0 to 100 (clamped), by linear interpolation between order statistics.
-/// `None` if the sample is empty or holds a value that is not a number.
+/// The percentile of a sample, `percent` from 0 to 100 (clamped), by linear interpolation between order statistics. `None` if the
+/// sample is empty or contains NaN.
 pub fn percentile(samples: &[f64], percent: f64) -> Option<f64> {
     Some(at_share(&sorted(samples)?, (percent / 100.0).clamp(0.0, 1.0)))
 }

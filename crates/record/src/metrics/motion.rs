@@ -1,20 +1,21 @@
 //! Tracked poses against the true motion of a sequence.
 //!
-//! The model frame of an estimate and that of the truth are different frames on the same body, so poses cannot be
-//! compared. The rigid motion since a reference frame can: `M(t) = T(t) T(t0)^-1`, expressed in `cam_left`, where `t0` is
-//! the first frame with an estimate (frame 0 unless the tracker lost it). Four errors per frame:
+//! The model frame of an estimate and that of the ground truth are different frames on the same body, so poses cannot be
+//! compared. The rigid motion since a reference frame can: `M(t) = T(t) T(t0)^-1`, expressed in `cam_left`, where `t0` is the
+//! first frame with an estimate (frame 0 unless the tracker lost it). Four errors per frame:
 //!
-//! * translation: the distance between where the two motions put one reference point, the origin of the true model frame
-//!   at `t0` (it belongs to the data, so every method is judged at the same point of the body);
+//! * translation: the distance between the positions to which the two motions move one reference point, the origin of the true
+//!   model frame at `t0` (the point belongs to the data, so all methods are compared at the same point of the body);
 //! * rotation: the angle of `R_est R_true^T`;
-//! * tilt: the angle between the directions into which the two motions turn the normal, the z axis of the estimated
-//!   model frame at `t0` (the plane's normal by the definition of that frame);
-//! * about the normal: the angle of the rest of the rotation, about the true normal, with its sign. A method that does
+//! * tilt: the angle between the directions to which the two motions rotate the normal, the z axis of the estimated model frame
+//!   at `t0` (the plane's normal by the definition of that frame);
+//! * about the normal: the angle of the remaining rotation, about the true normal, with its sign. A method that does not observe
+//!   the rotation about the normal is judged by the tilt.
 //!   not observe the rotation about the normal is judged by the tilt.
 //!
-//! Jitter is the rms of the second differences of the error over consecutive tracked frames, divided by sqrt(6): white
-//! noise of standard deviation s per component has second differences of standard deviation sqrt(6) s, so the figure is
-//! the noise itself (sqrt(3) s for a vector), while slow errors and the true motion drop out.
+//! Jitter is the rms of the second differences of the error over consecutive tracked frames, divided by sqrt(6). White noise of
+//! standard deviation s per component has second differences of standard deviation sqrt(6) s, so the jitter is the noise itself
+//! (sqrt(3) s for a vector), while slow errors and the true motion cancel.
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 use pb3dp_geometry::Pose;
@@ -57,8 +58,8 @@ pub struct MotionSummary {
     pub rotation_jitter_rad: Option<f64>,
 }
 
-/// The errors of each frame, `None` where there is no estimate. Both slices hold one entry per frame; what one has more
-/// than the other is left out.
+/// The errors of each frame, `None` where there is no estimate. Both slices have one entry per frame; surplus entries of the
+/// longer one are ignored.
 pub fn compare_motion(
     estimated: &[Option<Pose<CamLeft, Model>>],
     truth: &[Pose<CamLeft, Model>],
@@ -92,7 +93,7 @@ fn errors(estimated: &NowAndReference, truth: &NowAndReference, normal_0: &Vecto
 fn twist_rad(rotation: &UnitQuaternion<f64>, axis: &Vector3<f64>) -> f64 {
     let axis = Unit::new_normalize(*axis);
     let angle = 2.0 * rotation.imag().dot(&axis).atan2(rotation.w);
-    // The quaternion and its negative are one rotation: fold into -pi to pi.
+    // A quaternion and its negative are the same rotation: fold into -pi to pi.
     (angle + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI
 }
 
@@ -180,8 +181,8 @@ mod tests {
 
     #[test]
     fn an_error_of_the_pose_is_split_into_its_parts() {
-        // After frame 0 the estimate is displaced by (3, 0, 4) mm in the camera and turned about the reference point by
-        // 0.02 rad about its own normal, then by 0.01 rad about an axis across.
+        // After frame 0 the estimate is displaced by (3, 0, 4) mm in the camera and rotated about the reference point by 0.02 rad
+        // about its own normal, then by 0.01 rad about a perpendicular axis.
         let truth = truth();
         let normal = truth[7].transform_vector(&Vector3::z());
         let across = normal.cross(&Vector3::x()).normalize();

@@ -1,4 +1,4 @@
-//! A plane that was estimated, against the truth of its case.
+//! An estimated plane against the ground truth of its case.
 
 use nalgebra::Vector3;
 use pb3dp_geometry::StereoRig;
@@ -17,28 +17,28 @@ pub struct PlaneEstimate {
     pub normal_in_cam_left: Vector3<f64>,
 }
 
-/// How far a plane is from the truth.
+/// Error of a plane estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaneError {
     /// Estimated minus true depth, metres.
     pub z_m: f64,
-    /// The same over the true depth (0.01 is one percent).
+    /// Depth error divided by the true depth (0.01 is one percent).
     pub z_ratio: f64,
     /// Angle between the normals, radians, 0 to pi.
     pub normal_rad: f64,
-    /// The depth error as an error of disparity at the centroid, pixels: `-z_m / m_per_px_disparity`. `None` if the
-    /// truth does not hold that ratio.
+    /// The depth error as an error of disparity at the centroid, pixels: `-z_m / m_per_px_disparity`. `None` if the ground truth
+    /// does not contain that ratio.
     pub disparity_px: Option<f64>,
 }
 
 impl PlaneError {
-    /// Whether the usual bar is met: depth within 1 % and normal within 5 degrees.
+    /// Whether the usual criterion is met: depth within 1 % and normal within 5 degrees.
     pub fn is_good(&self) -> bool {
         self.z_ratio.abs() < 0.01 && self.normal_rad < 5_f64.to_radians()
     }
 }
 
-/// The error of an estimate against the truth.
+/// The error of an estimate against the ground truth.
 pub fn compare_plane(estimate: &PlaneEstimate, truth: &PlaneTruth) -> PlaneError {
     let z_m = estimate.z_m - truth.z_m;
     PlaneError {
@@ -54,10 +54,10 @@ pub(crate) fn angle_rad(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
     a.cross(b).norm().atan2(a.dot(b))
 }
 
-/// The group that a case's errors are reported in.
+/// The group in which the errors of a case are reported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Group {
-    /// Planar, textured, none of the below.
+    /// Planar, textured, none of the groups below.
     Textured,
     /// Planar, 28 to 40 pixels across.
     Small,
@@ -65,9 +65,9 @@ pub enum Group {
     LowTexture,
     /// Planar, 15 to 35 % of the region on another surface.
     Occluded,
-    /// Not a plane: only depth and disparity say something.
+    /// Not a plane: only depth and disparity are meaningful.
     NonPlanar,
-    /// Chessboards and coded boards, planar with a repeating pattern.
+    /// Chessboards and boards with markers, planar with a repeating pattern.
     Boards,
 }
 
@@ -101,20 +101,20 @@ impl Group {
     }
 }
 
-/// A case that was run, for the summary.
+/// The result of one case, for the summary.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EvaluatedCase {
     /// Its group.
     pub group: Group,
     /// Its error; `None` if the method gave no pose.
     pub error: Option<PlaneError>,
-    /// Against the disparity map, where there is one.
+    /// Agreement with the disparity map, if there is one.
     pub disparity: Option<DisparityAgreement>,
-    /// Single-thread CPU time from images in memory to pose, milliseconds; not finite if the method was never run.
+    /// Single-thread CPU time from images in memory to pose, milliseconds; not finite if the method was not run.
     pub cpu_millis: f64,
 }
 
-/// A plane against the known disparities inside a region.
+/// Agreement of a plane with the known disparities inside a region.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DisparityAgreement {
     /// Median of the absolute difference, pixels.
@@ -187,7 +187,7 @@ mod tests {
 
     #[test]
     fn errors_have_sign_ratio_angle_and_disparity() {
-        // The normal is turned by atan(0.1) in the plane of n and a vector perpendicular to it.
+        // The normal is rotated by atan(0.1) in the plane of n and a perpendicular vector.
         let n = truth().normal_in_cam_left;
         let across = n.cross(&Vector3::x()).normalize();
         let estimate = PlaneEstimate { z_m: 0.497, normal_in_cam_left: (n + 0.1 * across).normalize() };
@@ -196,7 +196,7 @@ mod tests {
         assert!((error.z_ratio + 0.006).abs() < 1e-12);
         assert!((error.normal_rad - 0.099_668_652_491_162).abs() < 1e-12, "{}", error.normal_rad);
         assert!((error.disparity_px.unwrap() - 1.5).abs() < 1e-9);
-        assert!(!error.is_good(), "5.7 degrees are too many");
+        assert!(!error.is_good(), "5.7 degrees exceed the limit");
         let exact = compare_plane(&PlaneEstimate { z_m: 0.5, normal_in_cam_left: n }, &truth());
         assert_eq!((exact.z_m, exact.normal_rad), (0.0, 0.0));
         assert!(exact.is_good());
@@ -231,7 +231,8 @@ mod tests {
     }
 
     fn check_agreement(estimate: &PlaneEstimate, rig: &StereoRig, plane: &[f64; 3]) {
-        // The map is the plane itself, 2 px off in the left 8 of 16 columns and unknown in the last row of the region.
+        // The map is the plane itself, with an error of 2 px in the left 8 of 16 columns, and unknown in the last row of the
+        // region.
         let size = rig.left().size();
         let scaled = (0..size.width * size.height).map(|i| {
             let (u, v) = (i % size.width, i / size.width);

@@ -5,9 +5,9 @@ use nalgebra::{Matrix3, Vector3};
 /// Gain and phase of a response at one frequency.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SineResponse {
-    /// Amplitude of the response over that of the reference.
+    /// Amplitude of the response divided by that of the reference.
     pub gain: f64,
-    /// Phase of the response less that of the reference, radians, -pi to pi: negative if it comes later.
+    /// Phase of the response minus that of the reference, radians, -pi to pi: negative if the response is delayed.
     pub phase_rad: f64,
 }
 
@@ -19,9 +19,10 @@ impl SineResponse {
 }
 
 /// Gain and phase of `response` against `reference`, both sampled every `period_s`, at the frequency of one turn in `turn_s`
-/// seconds: each is fitted by a sinusoid of that frequency and a constant, by least squares.
+/// seconds: a sinusoid of that frequency and a constant are fitted to each by least squares.
 ///
-/// `None` if they differ in length, are shorter than half a turn, or the reference has no such part.
+/// `None` if the lengths differ, if the series are shorter than half a turn, or if the reference has no component at the
+/// frequency.
 pub fn sine_response(reference: &[f64], response: &[f64], period_s: f64, turn_s: f64) -> Option<SineResponse> {
     let covers_half_a_turn = period_s > 0.0 && turn_s > 0.0 && reference.len() as f64 * period_s >= 0.5 * turn_s;
     if reference.len() != response.len() || !covers_half_a_turn {
@@ -30,12 +31,12 @@ pub fn sine_response(reference: &[f64], response: &[f64], period_s: f64, turn_s:
     let omega = std::f64::consts::TAU * period_s / turn_s;
     let ([a_sin, a_cos], [b_sin, b_cos]) = (sine_fit(reference, omega)?, sine_fit(response, omega)?);
     let (a, b) = (a_sin.hypot(a_cos), b_sin.hypot(b_cos));
-    // A sin(wt + p) has the parts A cos p and A sin p; the phase of b / a as complex numbers.
+    // A sin(wt + p) has the components A cos p and A sin p; the phase of b / a as complex numbers.
     let phase_rad = (b_cos * a_sin - b_sin * a_cos).atan2(b_sin * a_sin + b_cos * a_cos);
     (a > 0.0).then(|| SineResponse { gain: b / a, phase_rad })
 }
 
-/// Parts along sine and cosine of `omega` times the index, beside a constant.
+/// Sine and cosine components at `omega` times the index, with a constant.
 fn sine_fit(series: &[f64], omega: f64) -> Option<[f64; 2]> {
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for (index, value) in series.iter().enumerate() {
@@ -48,8 +49,7 @@ fn sine_fit(series: &[f64], omega: f64) -> Option<[f64; 2]> {
     Some([parts.x, parts.y])
 }
 
-/// How long a response takes until all its errors stay within their bounds: the index of the first sample from which on they do.
-/// `None` if the last sample is outside.
+/// Settling: index of the first sample from which on all errors stay within their bounds. `None` if the last sample is outside.
 ///
 /// Each series has one absolute error per sample, and its bound.
 pub fn settled_from(series: &[(&[f64], f64)]) -> Option<usize> {
@@ -64,7 +64,7 @@ pub fn settled_from(series: &[(&[f64], f64)]) -> Option<usize> {
     }
 }
 
-/// By how much a response goes beyond its final value, as a share of the step from `from` to `to`; 0 if it does not.
+/// Overshoot of a response, as a share of the step from `from` to `to`; 0 if there is none.
 pub fn overshoot(response: &[f64], from: f64, to: f64) -> f64 {
     let share_beyond = |value: &f64| (value - to) / (to - from);
     response.iter().map(share_beyond).fold(0.0, f64::max)
@@ -76,7 +76,7 @@ mod tests {
 
     #[test]
     fn gain_and_phase_are_those_that_were_put_in() {
-        // Of neither a whole number of turns nor of samples per turn, with offsets, and a first-order lag of 0.12 s in closed form.
+        // Neither a whole number of turns nor of samples per turn, with offsets, and a first-order lag of 0.12 s in closed form.
         let (period_s, turn_s, lag_s) = (0.01, 2.345, 0.12);
         let omega = std::f64::consts::TAU / turn_s;
         let (gain, phase) = (1.0 / (1.0 + (omega * lag_s).powi(2)).sqrt(), -(omega * lag_s).atan());

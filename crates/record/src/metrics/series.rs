@@ -1,11 +1,11 @@
-//! Two time series against each other, for the report of a run.
+//! Comparison of two time series, for the report of a run.
 
 use super::{max_abs, rms};
 
-/// How far a response trails its reference.
+/// Delay of a response behind its reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lag {
-    /// Positive if the response comes later, seconds.
+    /// Lag, seconds; positive if the response is delayed.
     pub lag_s: f64,
     /// Correlation coefficient at that lag, -1 to 1.
     pub correlation: f64,
@@ -14,9 +14,9 @@ pub struct Lag {
 /// The lag of `response` behind `reference` by cross-correlation: the shift, within plus and minus `max_lag_s`, at which
 /// the correlation coefficient of the overlapping parts is largest, refined below one sample by a parabola.
 ///
-/// Both series are sampled every `period_s`, at the same times. `None` if they differ in length, are shorter than twice
-/// the shift, or do not vary (there is no lag to find). A lag found at the end of the range is returned as it stands:
-/// take a wider range.
+/// Both series are sampled every `period_s`, at the same times. `None` if the lengths differ, if the series are shorter than
+/// twice the shift, or if they do not vary (there is no lag to find). A lag at the end of the range is returned unchanged; use a
+/// wider range.
 pub fn lag_by_cross_correlation(reference: &[f64], response: &[f64], period_s: f64, max_lag_s: f64) -> Option<Lag> {
     let usable = period_s > 0.0 && max_lag_s >= 0.0 && reference.len() == response.len();
     let reach = if usable { (max_lag_s / period_s).round() as usize } else { return None };
@@ -59,7 +59,7 @@ fn correlation_at(reference: &[f64], response: &[f64], shift: isize) -> Option<f
     (aa > 0.0 && bb > 0.0).then(|| ab / (aa * bb).sqrt())
 }
 
-/// Place of the extremum of the parabola through (-1, a), (0, b), (1, c), within half a step.
+/// Position of the extremum of the parabola through (-1, a), (0, b), (1, c), within half a step.
 fn parabola_vertex(a: f64, b: f64, c: f64) -> f64 {
     let curvature = a - 2.0 * b + c;
     if curvature.abs() < 1e-15 { 0.0 } else { (0.5 * (a - c) / curvature).clamp(-0.5, 0.5) }
@@ -79,7 +79,7 @@ pub fn difference(reference: &[f64], response: &[f64]) -> Option<(f64, f64)> {
 mod tests {
     use super::*;
 
-    /// A smooth move of 2 s from 0 to 0.1 and back, starting at `start_s`, with different ways to go and to return.
+    /// A smooth move of 2 s from 0 to 0.1 and back, starting at `start_s`, with different profiles for the two directions.
     fn moved(at_s: f64, start_s: f64) -> f64 {
         let step = |s: f64| {
             let s = s.clamp(0.0, 1.0);

@@ -1,9 +1,9 @@
-//! The summary of a method over the groups of cases.
+//! Summary of a method over the groups of cases.
 
 use super::plane::{EvaluatedCase, Group};
 use super::{median, percentile};
 
-/// One row of the summary. Errors are over the answered cases, times over all.
+/// One row of the summary. Errors are over the cases with a pose, times over all cases.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GroupSummary {
     /// Name of the row: a group's, or `textured+boards`.
@@ -20,12 +20,11 @@ pub struct GroupSummary {
     pub z_median_mm: Option<f64>,
     /// Median of the absolute disparity error, pixels.
     pub disparity_median_px: Option<f64>,
-    /// Median angle between the normals, degrees; `None` for regions that are no plane.
+    /// Median angle between the normals, degrees; `None` for regions that are not planar.
     pub normal_median_deg: Option<f64>,
     /// 90th percentile of the same.
     pub normal_p90_deg: Option<f64>,
-    /// Share of all cases with depth within 1 % and normal within 5 degrees, percent; `None` for regions that are no
-    /// plane.
+    /// Share of all cases with depth within 1 % and normal within 5 degrees, percent; `None` for regions that are not planar.
     pub good_percent: Option<f64>,
     /// Median CPU time, milliseconds.
     pub median_millis: Option<f64>,
@@ -37,8 +36,8 @@ pub struct GroupSummary {
     pub map_within_1px_percent: Option<f64>,
 }
 
-/// One row per group that has cases, in the order of [`Group::ALL`], then `textured+boards`: all planar cases that are
-/// not hard, which is what the tables of other methods call textured.
+/// One row per group that has cases, in the order of [`Group::ALL`], then `textured+boards`: all planar cases that are not
+/// difficult, called textured in the tables of other methods.
 pub fn summarize(cases: &[EvaluatedCase]) -> Vec<GroupSummary> {
     let of = |groups: &[Group]| cases.iter().filter(|c| groups.contains(&c.group)).collect::<Vec<_>>();
     let mut rows: Vec<_> = Group::ALL.iter().map(|group| row(group.name(), &of(&[*group]))).collect();
@@ -54,7 +53,7 @@ fn row(name: &'static str, cases: &[&EvaluatedCase]) -> GroupSummary {
     let errors: Vec<_> = cases.iter().filter_map(|case| case.error).collect();
     let z_percent: Vec<_> = errors.iter().map(|e| 100.0 * e.z_ratio.abs()).collect();
     let z_mm: Vec<_> = errors.iter().map(|e| 1e3 * e.z_m.abs()).collect();
-    // A plane through something that is none has no true normal.
+    // A plane fitted to a non-planar region has no true normal.
     let planar = cases.iter().all(|case| case.group != Group::NonPlanar);
     let normal_deg: Vec<_> = errors.iter().filter(|_| planar).map(|e| e.normal_rad.to_degrees()).collect();
     let disparity_px: Vec<_> = errors.iter().filter_map(|e| e.disparity_px.map(f64::abs)).collect();
@@ -96,7 +95,7 @@ const HEADINGS: [&str; 12] = [
     "ms p90",
 ];
 
-/// The rows as a plain-text table with aligned columns, for a terminal; `-` where a figure does not exist.
+/// The rows as a plain-text table with aligned columns, for a terminal; `-` for missing figures.
 pub fn text_table(rows: &[GroupSummary]) -> String {
     let mut lines = vec![HEADINGS.map(str::to_owned)];
     lines.extend(rows.iter().map(cells));

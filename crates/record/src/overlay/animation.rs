@@ -1,5 +1,5 @@
-//! Animated images of a sequence, as APNG: true colour, played by every browser, and written by the PNG encoder that
-//! is in the program anyway.
+//! Animated images of a sequence, as APNG: true colour, displayed by every browser, and written by the PNG encoder that the
+//! program already contains.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 
 use image::{RgbImage, imageops};
 
-/// Bounds of an animation's size.
+/// Size limits of an animation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AnimationLimits {
-    /// Wider images are scaled down to this, pixels.
+    /// Maximum width, pixels; wider images are scaled down.
     pub width_max_px: u32,
-    /// Most frames. When more are pushed, every other frame is dropped, so that the whole sequence is covered.
+    /// Maximum number of frames. If more are pushed, every other frame is dropped, so that the whole sequence is covered.
     pub frames_max: usize,
 }
 
@@ -27,13 +27,13 @@ impl Default for AnimationLimits {
 #[derive(Debug, thiserror::Error)]
 pub enum AnimationError {
     /// No frame was pushed.
-    #[error("animation {} has no frame: push at least one", file.display())]
+    #[error("animation {} has no frames; push at least one", file.display())]
     Empty {
         /// The file.
         file: PathBuf,
     },
     /// The file cannot be written.
-    #[error("animation {} cannot be written: check the folder and free space", file.display())]
+    #[error("animation {} cannot be written; check the folder and the free space", file.display())]
     Write {
         /// The file.
         file: PathBuf,
@@ -43,7 +43,7 @@ pub enum AnimationError {
     },
 }
 
-/// Collects frames and writes them as one animated PNG that plays for ever.
+/// Collects frames and writes them as one animated PNG that repeats endlessly.
 #[derive(Debug)]
 pub struct Animation {
     limits: AnimationLimits,
@@ -60,7 +60,7 @@ impl Animation {
         Self { limits, frames: Vec::new(), stride: 1, pushed: 0, last_s: 0.0 }
     }
 
-    /// Adds the image at a time (seconds, increasing). All are scaled to the size of the first.
+    /// Adds the image at a time (seconds, increasing). All images are scaled to the size of the first.
     pub fn push(&mut self, at_s: f64, image: &RgbImage) {
         let number = self.pushed;
         self.pushed += 1;
@@ -106,9 +106,8 @@ impl Animation {
     }
 
     /// Writes the animation.
-    ///
     /// # Errors
-    /// If it is empty or the file cannot be written.
+    /// The animation is empty or the file cannot be written.
     pub fn write(&self, file: &Path) -> Result<(), AnimationError> {
         let Some((_, first)) = self.frames.first() else {
             return Err(AnimationError::Empty { file: file.to_owned() });
@@ -131,7 +130,7 @@ impl Animation {
         writer.finish()
     }
 
-    /// The last frame is shown as long as the average one, plus a second in which the eye finds the start again.
+    /// The last frame is shown for the average duration plus one second, so that the restart is visible.
     fn last_shown_until_s(&self) -> f64 {
         let (Some(first), Some(last)) = (self.frames.first(), self.frames.last()) else { return 0.0 };
         let steps = (self.frames.len() - 1).max(1) as f64;

@@ -32,7 +32,7 @@ fn rows(corners_px: &[[f64; 2]], size: ImageSize) -> std::ops::Range<u32> {
     if bottom < 0.0 { 0..0 } else { top as u32..(bottom as u32 + 1).min(size.height) }
 }
 
-/// The parts of row `v` that are inside, sorted, as pairs of columns.
+/// The parts of row `v` inside the polygon, sorted, as pairs of columns.
 fn row_spans(corners_px: &[[f64; 2]], v: f64, spans: &mut Vec<(f64, f64)>) {
     spans.clear();
     let mut crossings = Vec::new();
@@ -89,7 +89,7 @@ mod tests {
     #[test]
     fn a_slanted_quad_has_as_many_pixels_as_area() {
         let quad = [[329.91, 335.76], [322.09, 93.26], [498.34, 73.24], [553.81, 323.86]];
-        // Area by the shoelace formula, computed apart: 49835.55 square pixels.
+        // Area by the shoelace formula, computed separately: 49835.55 square pixels.
         let found = pixels(&quad, 640, 480).len() as f64;
         assert!((found - 49835.55).abs() < 20.0, "{found}");
     }

@@ -1,7 +1,7 @@
-//! Drawing on images: what a method saw and found, for people to look at.
+//! Drawing on images: visualisation of inputs and results.
 //!
-//! Coordinates are pixels with integer pixel centres, the same as everywhere; what lies outside the image is cut off,
-//! and what is not finite is not drawn. Lines are anti-aliased.
+//! Coordinates are pixels with integer pixel centres, as everywhere. Drawing is clipped at the image border; values that are not
+//! finite are not drawn. Lines are anti-aliased.
 
 pub mod animation;
 pub mod mask;
@@ -14,19 +14,19 @@ use image::{GrayImage, Rgb, RgbImage, imageops};
 use nalgebra::Point3;
 use pb3dp_geometry::{Camera, Frame, ImageSize, Pose};
 
-/// Colours that stand out on photographs and from each other.
+/// Colours that are distinct on photographs and from each other.
 pub mod colors {
     use image::Rgb;
 
-    /// The region that the operator gave.
+    /// The region given by the operator.
     pub const REGION: Rgb<u8> = Rgb([255, 214, 10]);
-    /// What a method estimated.
+    /// An estimate.
     pub const ESTIMATE: Rgb<u8> = Rgb([50, 230, 120]);
-    /// An estimate whose tilt is not sure.
+    /// An estimate with low confidence in its tilt.
     pub const WEAK: Rgb<u8> = Rgb([255, 150, 20]);
-    /// An estimate that may be another place.
+    /// An ambiguous estimate, which may be at a different depth.
     pub const AMBIGUOUS: Rgb<u8> = Rgb([235, 110, 245]);
-    /// The truth.
+    /// Ground truth.
     pub const TRUTH: Rgb<u8> = Rgb([60, 170, 255]);
     /// A failure.
     pub const BAD: Rgb<u8> = Rgb([255, 60, 60]);
@@ -34,7 +34,7 @@ pub mod colors {
     pub const AXES: [Rgb<u8>; 3] = [Rgb([255, 60, 60]), Rgb([60, 220, 60]), Rgb([80, 140, 255])];
 }
 
-/// How a line is drawn.
+/// Line style.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stroke {
     /// Colour.
@@ -71,7 +71,7 @@ pub fn fill_polygon(image: &mut RgbImage, corners_px: &[[f64; 2]], color: Rgb<u8
     mask::polygon_pixels(corners_px, size, |u, v| blend(image, u, v, color, opacity));
 }
 
-/// Tints the pixels of a mask that are not 0; `opacity` from 0 (nothing) to 1. What one has more than the other is cut.
+/// Tints the pixels of a mask that are not 0; `opacity` from 0 (nothing) to 1. Only the common area of image and mask is used.
 pub fn fill_mask(image: &mut RgbImage, mask: &GrayImage, color: Rgb<u8>, opacity: f64) {
     let inside = |(u, v): (u32, u32)| u < image.width() && v < image.height();
     let pixels: Vec<_> =
@@ -113,7 +113,7 @@ pub fn axes(image: &mut RgbImage, origin_px: [f64; 2], tips_px: [[f64; 2]; 3]) {
     }
 }
 
-/// Draws the axes of a frame given in a camera's frame, `axis_m` metres long. Draws nothing if a point of it is behind the
+/// Draws the axes of a frame given in a camera frame, `axis_m` metres long. Draws nothing if one of the points is behind the
 /// camera.
 pub fn pose_axes<Cam: Frame, F: Frame>(
     image: &mut RgbImage,
@@ -131,7 +131,7 @@ pub fn pose_axes<Cam: Frame, F: Frame>(
     }
 }
 
-/// Left and right image beside each other with a line between; the smaller one is filled up with black.
+/// Left and right image side by side with a line between them; the smaller one is padded with black.
 pub fn side_by_side(left: &RgbImage, right: &RgbImage) -> RgbImage {
     const GAP_PX: u32 = 2;
     let (width, height) = (left.width() + GAP_PX + right.width(), left.height().max(right.height()));
@@ -146,12 +146,12 @@ pub fn side_by_side(left: &RgbImage, right: &RgbImage) -> RgbImage {
     both
 }
 
-/// Column of a point of the right image in [`side_by_side`]'s result is its own plus this.
+/// Column offset of the right image in the result of [`side_by_side`].
 pub fn right_offset_px(left: &RgbImage) -> f64 {
     f64::from(left.width()) + 2.0
 }
 
-/// Draws a straight line with round ends: each pixel is covered by what the distance to the line leaves of it.
+/// Draws a straight line with round ends; the coverage of a pixel follows from its distance to the line.
 fn segment(image: &mut RgbImage, a: [f64; 2], b: [f64; 2], stroke: Stroke) {
     let half = 0.5 * stroke.width_px;
     if ![a[0], a[1], b[0], b[1], half].iter().all(|x| x.is_finite()) {
@@ -175,7 +175,7 @@ fn segment(image: &mut RgbImage, a: [f64; 2], b: [f64; 2], stroke: Stroke) {
     }
 }
 
-/// The pixels of one axis that a line from `a` to `b` may touch: first, one past last.
+/// The pixel range of one axis that a line from `a` to `b` may touch: first, one past last.
 fn covered(a: f64, b: f64, half: f64, size: u32) -> [u32; 2] {
     let clip = |x: f64| x.clamp(0.0, f64::from(size)) as u32;
     [clip((a.min(b) - half - 1.0).floor()), clip((a.max(b) + half + 2.0).ceil())]
@@ -253,7 +253,7 @@ mod tests {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
         let pose = Pose::<CamLeft, Model>::from_parts(Vector3::new(0.1, -0.1, 0.5), turn);
         let image = drawn(|p| pose_axes(p, &camera, &pose, 0.2));
-        // Origin at (24, 7.6); x tip at (24, 20.4): red on the way, green to the left.
+        // Origin at (24, 7.6); x tip at (24, 20.4): red in between, green to the left.
         assert_eq!(*image.get_pixel(24, 14), colors::AXES[0]);
         let left = image.get_pixel(18, 8).0;
         assert!(left[1] > left[0] && left[1] > left[2], "{left:?}");

@@ -7,7 +7,7 @@ use super::blend;
 
 const GLYPH_PX: u32 = 8;
 
-/// How text is drawn.
+/// Text style.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TextStyle {
     /// Colour of the letters.
@@ -32,8 +32,8 @@ pub fn text_size(label: &str, scale: u32) -> (u32, u32) {
     (columns * GLYPH_PX * scale, lines * (GLYPH_PX + 2) * scale)
 }
 
-/// Draws a label with its top left corner at a point. Latin letters and the degree sign are known, everything else is
-/// drawn as a question mark; what lies outside the image is cut off.
+/// Draws a label with its top left corner at a point. Latin letters and the degree sign are supported, everything else is drawn
+/// as a question mark; text is clipped at the image border.
 pub fn text(image: &mut RgbImage, at_px: [f64; 2], label: &str, style: TextStyle) {
     let near = |x: f64| x.is_finite() && x.abs() < 1e6;
     if !near(at_px[0]) || !near(at_px[1]) || style.scale == 0 {

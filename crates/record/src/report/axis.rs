@@ -28,7 +28,7 @@ impl Scale {
         Self::new(from - margin, to + margin, count)
     }
 
-    /// Place of a value, 0 at `from` and 1 at `to`.
+    /// Relative position of a value, 0 at `from` and 1 at `to`.
     pub(super) fn share(&self, value: f64) -> f64 {
         (value - self.from) / (self.to - self.from)
     }

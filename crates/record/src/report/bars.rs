@@ -9,12 +9,12 @@ const WIDTH: f64 = 520.0;
 const NAME: f64 = 130.0;
 const VALUE: f64 = 56.0;
 const ROW: f64 = 17.0;
-/// Above the bars, for the names of limits.
+/// Space above the bars, for the names of limits.
 const TOP: f64 = 16.0;
-/// Longer names are cut.
+/// Maximum length of a name; longer names are truncated.
 const NAME_MAX: usize = 20;
 
-/// Bars with names, one below the other.
+/// A bar chart with names, one bar below the other.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bars {
     title: String,
@@ -24,12 +24,12 @@ pub struct Bars {
 }
 
 impl Bars {
-    /// No bars yet; their numbers are written with so many decimals. Units belong into the title.
+    /// An empty chart with this number of decimals. Units belong in the title.
     pub fn new(title: impl Into<String>, decimals: usize) -> Self {
         Self { title: title.into(), decimals, bars: Vec::new(), limits: Vec::new() }
     }
 
-    /// Adds a bar; a number that is not finite has none.
+    /// Adds a bar; a value that is not finite has no bar.
     #[must_use]
     pub fn bar(mut self, name: impl Into<String>, value: f64) -> Self {
         self.bars.push((name.into(), value));

@@ -5,17 +5,17 @@ use std::fmt::Write as _;
 use super::SeriesColor;
 use super::escape;
 
-/// Width of the image in the plot; letters then have about the size of the text around them.
+/// Width of the image in the plot, chosen so that letters have about the size of the surrounding text.
 const WIDTH: f64 = 520.0;
-/// Room below the image, for the scale.
+/// Space below the image, for the scale.
 const BELOW: f64 = 22.0;
-/// The longest that the bar of the scale may be, as a share of the image's width.
+/// Maximum length of the scale bar, as a share of the image width.
 const BAR_SHARE: f64 = 0.15;
 
 /// A vector at a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VectorAt {
-    /// Where it begins, `[u, v]`, px.
+    /// Start point, `[u, v]`, px.
     pub at_px: [f64; 2],
     /// Its components, px.
     pub vector_px: [f64; 2],
@@ -46,22 +46,22 @@ impl ImagePlot {
         Self { title: title.into(), size_px, vectors: Vec::new(), color: SeriesColor::Red, magnified: 1.0, cells: None }
     }
 
-    /// Draws vectors, so many times longer than they are; the scale is drawn with them.
+    /// Draws magnified vectors, with a scale bar.
     #[must_use]
     pub fn vectors(mut self, vectors: Vec<VectorAt>, color: SeriesColor, magnified: f64) -> Self {
         (self.vectors, self.color, self.magnified) = (vectors, color, magnified);
         self
     }
 
-    /// Divides the image into cells, `across` in each row, and writes a number with so many decimals into each, row by row; the
-    /// larger a number, the more colour its cell has. A cell of zero is marked.
+    /// Divides the image into cells, `across` in each row, and writes a number with this many decimals into each, row by row.
+    /// Larger numbers have a stronger colour; a cell of zero is marked.
     #[must_use]
     pub fn cells(mut self, across: usize, numbers: Vec<f64>, decimals: usize) -> Self {
         self.cells = (across > 0).then_some(Cells { across, numbers, decimals });
         self
     }
 
-    /// A round magnification with which 95 % of some vectors are no longer than a sixteenth of the image's width.
+    /// A round magnification for which 95 % of the vectors are no longer than a sixteenth of the image width.
     pub fn magnification(vectors: &[VectorAt], width_px: u32) -> f64 {
         let mut lengths: Vec<f64> = vectors.iter().map(|v| v.vector_px[0].hypot(v.vector_px[1])).collect();
         lengths.sort_by(f64::total_cmp);
@@ -137,7 +137,7 @@ impl Cells {
     }
 }
 
-/// The next 1, 2 or 5 times a power of ten that is not larger.
+/// The largest 1, 2 or 5 times a power of ten that is not larger than the value.
 fn round_down(value: f64) -> f64 {
     if !(value.is_finite() && value > 0.0) {
         return 1.0;

@@ -1,8 +1,8 @@
 //! Line plots as inline SVG.
 //!
-//! Written here and not with a plotting crate, because the usual one repeats font and colour in every element (files
-//! several times larger), cannot follow the page's light or dark colours, and draws every sample. Here colours are
-//! classes of the page's style sheet, and long series are reduced to what the image can show.
+//! Implemented here instead of with a plotting crate. The usual crate repeats font and colour in every element (files several
+//! times larger), cannot follow the light or dark colours of the page, and draws every sample. Here colours are classes of the
+//! page's style sheet, and long series are reduced to the resolution of the image.
 
 use std::fmt::Write as _;
 
@@ -15,17 +15,17 @@ const LEFT: f64 = 62.0;
 const TOP: f64 = 24.0;
 const RIGHT: f64 = 14.0;
 const BOTTOM: f64 = 40.0;
-/// Height of title and legend where they are drawn.
+/// Height of title and legend, if drawn.
 const HEADING: f64 = 34.0;
 
-/// Width of the plot area; chosen so that letters have about the size of the text around them.
+/// Width of the plot area, chosen so that letters have about the size of the surrounding text.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PlotWidth(f64);
 
 impl PlotWidth {
     /// The whole width of the page.
     pub(super) const PAGE: Self = Self(1050.0);
-    /// Half of it.
+    /// Half the width of the page.
     pub(super) const PANEL: Self = Self(470.0);
 }
 
@@ -44,7 +44,7 @@ pub enum SeriesColor {
     Orange,
     /// Purple.
     Purple,
-    /// Grey, for what stands in the background.
+    /// Grey, for background data.
     Grey,
 }
 
@@ -77,7 +77,7 @@ impl Series {
         Self { name: name.into(), color, dashed: false, points }
     }
 
-    /// The same, dashed: for references and limits.
+    /// Makes the line dashed: for references and limits.
     #[must_use]
     pub fn dashed(mut self) -> Self {
         self.dashed = true;
@@ -88,9 +88,9 @@ impl Series {
 /// A vertical line with a label.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mark {
-    /// Its x.
+    /// Position on the x axis.
     pub at: f64,
-    /// Its label, short: `(1)`.
+    /// Label, short: `(1)`.
     pub label: String,
 }
 
@@ -113,7 +113,7 @@ struct AxisText {
 }
 
 impl AxisText {
-    /// `time, s`; without a unit the quantity alone.
+    /// `time, s`; without a unit only the quantity.
     fn label(&self) -> String {
         if self.unit.is_empty() { self.quantity.clone() } else { format!("{}, {}", self.quantity, self.unit) }
     }
@@ -134,7 +134,7 @@ impl LinePlot {
         }
     }
 
-    /// Adds a line; later ones are drawn above earlier ones.
+    /// Adds a line; later lines are drawn above earlier ones.
     #[must_use]
     pub fn series(mut self, series: Series) -> Self {
         self.series.push(series);
@@ -182,7 +182,7 @@ impl LinePlot {
         [LEFT + area + RIGHT, HEADING + TOP + HEIGHT + BOTTOM]
     }
 
-    /// The plot with its title and legend as a part of a larger SVG, whose style sheet knows the classes.
+    /// The plot with its title and legend as a group of a larger SVG, which uses the same style sheet.
     pub(super) fn to_group(&self, PlotWidth(area): PlotWidth, [left, top]: [f64; 2]) -> String {
         let [x, y] = self.scales(area);
         let title = escape(&self.title);
@@ -253,7 +253,7 @@ impl LinePlot {
         svg
     }
 
-    /// The lines, inside a nested image that cuts them off at the edges of the plot area.
+    /// The lines, inside a nested SVG that clips them at the edges of the plot area.
     fn lines(&self, x: &Scale, y: &Scale, area: f64) -> String {
         let mut svg = format!("<svg x=\"{LEFT}\" y=\"{TOP}\" width=\"{area}\" height=\"{HEIGHT}\" class=\"area\">");
         for mark in self.marks.iter().filter(|mark| mark.at.is_finite()) {
@@ -268,8 +268,8 @@ impl LinePlot {
         svg
     }
 
-    /// Labels of the marks above the plot area; one that would touch its neighbour moves up, and is left out if there is
-    /// no room either.
+    /// Labels of the marks above the plot area. A label that would overlap its neighbour moves up, and is omitted if there is no
+    /// room either.
     fn mark_labels(&self, x: &Scale, area: f64) -> String {
         let mut marks: Vec<_> =
             self.marks.iter().map(|m| (LEFT + area * x.share(m.at), m)).filter(|(at, _)| at.is_finite()).collect();
@@ -293,12 +293,12 @@ fn is_finite(point: &[f64; 2]) -> bool {
     point[0].is_finite() && point[1].is_finite()
 }
 
-/// SVG path of a series; interrupted where points are not finite.
+/// SVG path of a series; interrupted at points that are not finite.
 fn path(points: &[[f64; 2]], x: &Scale, y: &Scale, area: f64) -> String {
     let mut path = String::new();
     for run in points.split(|point| !is_finite(point)).filter(|run| !run.is_empty()) {
         let place = |p: &[f64; 2]| {
-            // Far outside values are cut where no image shows them, so that the numbers stay short.
+            // Values far outside are clipped, so that the numbers stay short.
             let v = (HEIGHT * (1.0 - y.share(p[1]))).clamp(-1e4, 1e4);
             [(area * x.share(p[0])).clamp(-1e4, 1e4), v]
         };
@@ -309,15 +309,15 @@ fn path(points: &[[f64; 2]], x: &Scale, y: &Scale, area: f64) -> String {
             command = 'L';
         }
         if let [[u, v]] = places[..] {
-            // A single point between gaps is drawn as a dot, by a line of no length with round ends.
+            // A single point between gaps is drawn as a dot: a line of zero length with round ends.
             let _ = write!(path, "L{u:.1} {v:.1}");
         }
     }
     path
 }
 
-/// Long lines are reduced to the first, lowest, highest and last point of each column of the image: looks the same,
-/// and no peak is lost.
+/// Reduces long lines to the first, lowest, highest and last point of each column of the image; the appearance stays the same and
+/// no peak is lost.
 fn reduced(places: &[[f64; 2]], area: f64) -> Vec<[f64; 2]> {
     if places.len() as f64 <= 2.0 * area {
         return places.to_vec();

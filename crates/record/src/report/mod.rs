@@ -1,4 +1,4 @@
-//! Self-contained HTML reports: one file, no script, nothing loaded from elsewhere, readable in light and dark.
+//! Self-contained HTML reports: one file, no script, no external resources, readable in light and dark mode.
 //!
 //! ```
 //! use pb3dp_record::report::{LinePlot, Report, Series, SeriesColor, Table};
@@ -38,7 +38,7 @@ use crate::plain_zero::plain_zero;
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     /// An image cannot be encoded.
-    #[error("image `{caption}` of the report cannot be encoded: it must have at least one pixel")]
+    #[error("image `{caption}` of the report cannot be encoded; it must have at least one pixel")]
     Image {
         /// Its caption.
         caption: String,
@@ -47,7 +47,7 @@ pub enum ReportError {
         source: image::ImageError,
     },
     /// The file cannot be written.
-    #[error("report {} cannot be written: check the folder and free space", file.display())]
+    #[error("report {} cannot be written; check the folder and the free space", file.display())]
     Write {
         /// The file.
         file: PathBuf,
@@ -65,12 +65,12 @@ pub struct Table {
 }
 
 impl Table {
-    /// A table without rows. Units belong into the headings.
+    /// A table without rows. Units belong in the headings.
     pub fn new<S: Into<String>>(headings: impl IntoIterator<Item = S>) -> Self {
         Self { headings: headings.into_iter().map(Into::into).collect(), rows: Vec::new() }
     }
 
-    /// Adds a row; missing cells stay empty, cells beyond the headings are left out.
+    /// Adds a row; missing cells stay empty, surplus cells are ignored.
     #[must_use]
     pub fn row<S: Into<String>>(mut self, cells: impl IntoIterator<Item = S>) -> Self {
         let mut row: Vec<String> = cells.into_iter().map(|cell| plain_zero(&cell.into())).collect();
@@ -87,14 +87,14 @@ pub enum ReportImage<'a> {
     Photo(&'a RgbImage),
     /// Stored as PNG: drawings.
     Drawing(&'a RgbImage),
-    /// The content of a PNG file, animated or not, stored as it is.
+    /// The contents of a PNG file, animated or not, stored unchanged.
     EncodedPng(&'a [u8]),
 }
 
-/// How something was judged; each has its colour, and its word is always written.
+/// A judgement with its colour; the word is always written as well.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tone {
-    /// As it should be.
+    /// Meets the recommended limit.
     Good,
     /// Usable.
     Fair,
@@ -112,7 +112,7 @@ impl Tone {
     }
 }
 
-/// A report that is being put together, from top to bottom. Every text is escaped.
+/// A report under construction, from top to bottom. All text is escaped.
 #[derive(Debug)]
 pub struct Report {
     title: String,
@@ -127,7 +127,7 @@ impl Report {
         Self { title: title.into(), body: String::new(), failed: None, reload_s: None }
     }
 
-    /// A page that loads itself again after so many seconds: for what is written anew while somebody looks.
+    /// A page that reloads itself at this interval, for reports that are updated while they are displayed.
     #[must_use]
     pub fn reloading(mut self, every_s: u32) -> Self {
         self.reload_s = Some(every_s);
@@ -153,7 +153,7 @@ impl Report {
         self.add(format_args!("<p>{}</p>", escape(text)))
     }
 
-    /// What it comes to, in a large line, and what to do, a line each.
+    /// The verdict in a large line, and the advice, one line each.
     #[must_use]
     pub fn verdict(self, tone: Tone, verdict: &str, what_to_do: &[String]) -> Self {
         let lines: String = what_to_do.iter().map(|line| format!("<li>{}</li>", escape(line))).collect();
@@ -188,7 +188,7 @@ impl Report {
         ))
     }
 
-    /// A table behind its title, which a click opens.
+    /// A table that is folded under its title and opens on a click.
     #[must_use]
     pub fn folded(self, title: &str, table: &Table) -> Self {
         let opened = self.add(format_args!("<details><summary>{}</summary>", escape(title)));
@@ -208,7 +208,7 @@ impl Report {
         self.add(format_args!("<div class=\"panels\">{panels}</div>"))
     }
 
-    /// Plots over the area of images, side by side where the window is wide enough.
+    /// Plots over the image area, side by side where the window is wide enough.
     #[must_use]
     pub fn image_plots(self, plots: &[ImagePlot]) -> Self {
         let panels: String = plots.iter().map(ImagePlot::to_html).collect();
@@ -229,7 +229,7 @@ impl Report {
         for (image, caption) in images {
             match image_tag(image, caption) {
                 Ok(tag) => strip.push_str(&tag),
-                // Kept until the report is written, so that a report can be chained.
+                // Kept until the report is written, so that calls can be chained.
                 Err(error) => self.failed = self.failed.or(Some(error)),
             }
         }
@@ -239,7 +239,7 @@ impl Report {
     /// The whole report.
     ///
     /// # Errors
-    /// If an image could not be encoded.
+    /// An image could not be encoded.
     pub fn to_html(mut self) -> Result<String, ReportError> {
         match self.failed.take() {
             Some(error) => Err(error),
@@ -250,7 +250,7 @@ impl Report {
     /// Writes the report.
     ///
     /// # Errors
-    /// If an image could not be encoded or the file cannot be written.
+    /// An image could not be encoded or the file cannot be written.
     pub fn write(self, file: &Path) -> Result<(), ReportError> {
         let html = self.to_html()?;
         std::fs::write(file, html).map_err(|source| ReportError::Write { file: file.to_owned(), source })

@@ -1,11 +1,11 @@
-//! Plots as an SVG file of its own, for pages that are not reports.
+//! Plots as a standalone SVG file, for pages that are not reports.
 
 use super::escape;
 use super::line_plot::{LinePlot, PlotWidth};
 
-/// Height of a line of the caption, pixels.
+/// Height of a caption line, pixels.
 const CAPTION: f64 = 16.0;
-/// Between the panels, and around them.
+/// Space between and around the panels.
 const GAP: f64 = 10.0;
 
 const STYLE: &str = "svg { --ink: #1c1f24; --soft: #5b6470; --rule: #d9dde3; --grid: #e9ecf0; --paper: #ffffff; --red: #d1242f; \
@@ -21,7 +21,7 @@ const STYLE: &str = "svg { --ink: #1c1f24; --soft: #5b6470; --rule: #d9dde3; --g
     .c-blue { color: var(--blue); } .c-green { color: var(--green); } .c-orange { color: var(--orange); } \
     .c-purple { color: var(--purple); } .c-grey { color: var(--grey); }";
 
-/// Plots in rows of `columns`, with lines of text below: an SVG document that follows light and dark pages.
+/// Plots in rows of `columns`, with lines of text below: an SVG document that follows the light or dark mode of the page.
 pub fn svg_file(plots: &[LinePlot], columns: usize, caption: &[String]) -> String {
     let columns = columns.max(1);
     let [panel_width, panel_height] = LinePlot::group_size(PlotWidth::PANEL);

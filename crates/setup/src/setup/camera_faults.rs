@@ -138,6 +138,6 @@ mod tests {
             assert!(refused.contains(told), "{refused}");
         }
         let refused = read("[[camera.faults]]\nkind = \"frozen\"\nfrom_s = 2.0\nuntil_s = 1.0").unwrap_err();
-        assert!(refused.contains("let it end later"), "{refused}");
+        assert!(refused.contains("set a later end"), "{refused}");
     }
 }

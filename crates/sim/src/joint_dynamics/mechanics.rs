@@ -1,4 +1,4 @@
-//! What holds or moves a joint besides its drive: brake, friction, gravity.
+//! Forces on a joint other than its drive: brake, friction, gravity.
 
 use std::time::Duration;
 
@@ -7,20 +7,20 @@ use pb3dp_kinematics::{DOF, JointVector};
 use super::motion::Drive;
 use super::{JointPlantConfig, JointPlantError};
 
-/// Joints that gravity moves where nothing holds them, by their index: S2, E1 and W1. The others turn about the links.
+/// Indices of the joints that gravity moves if nothing holds them: S2, E1 and W1. The others rotate about the links.
 const PITCH_JOINTS: [usize; 3] = [1, 3, 5];
 
 /// What holds or moves a joint.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum AxisMode {
-    /// The drive: it follows velocity commands.
+    /// The drive: follows velocity commands.
     #[default]
     Servo,
-    /// The brake: the joint comes to rest and stays there.
+    /// The brake: the joint stops and holds.
     Brake,
-    /// Nothing: the joint falls or runs out.
+    /// Nothing: the joint falls or coasts.
     Free,
-    /// A drive that follows this velocity instead of the commands, beyond the speed limit if it says so.
+    /// A drive that follows this velocity instead of the commands, even above the speed limit.
     Driven {
         /// The velocity, rad/s.
         velocity_rad_per_s: f64,
@@ -30,23 +30,23 @@ pub enum AxisMode {
 /// Friction, brakes and gravity of the joints.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointMechanics {
-    /// By how much dry friction makes a drive miss its velocity, rad/s; a smaller command does not move the joint.
+    /// Velocity error of a drive caused by dry friction, rad/s; a smaller command does not move the joint.
     pub servo_friction_rad_per_s: JointVector,
-    /// How hard a closed brake slows a joint down, rad/s^2.
+    /// Deceleration of a joint by its closed brake, rad/s^2.
     pub brake_deceleration_rad_per_s2: JointVector,
-    /// Acceleration by gravity of a joint that nothing holds, rad/s^2, with the arm stretched out to the side. Only S2, E1 and W1
-    /// fall; how much of it acts follows from the sum of their angles, which is exact as long as S3 and E2 are at 0, and stays what
-    /// it was at the moment when the joint became free.
+    /// Gravitational acceleration of an unheld joint, rad/s^2, with the arm stretched out horizontally. Only S2, E1 and W1 fall.
+    /// The effective share follows from the sum of their angles, which is exact while S3 and E2 are at 0, and stays constant from
+    /// the moment when the joint became free.
     pub gravity_rad_per_s2: JointVector,
-    /// Dry friction of a joint that nothing holds, rad/s^2.
+    /// Dry friction of an unheld joint, rad/s^2.
     pub free_friction_rad_per_s2: JointVector,
-    /// Time constant of the viscous friction of a joint that nothing holds, above 0.
+    /// Time constant of the viscous friction of an unheld joint, above 0.
     pub free_time_constant: Duration,
 }
 
 impl Default for JointMechanics {
-    /// Drives without friction, quick brakes; free joints fall as those of an arm of 35 kg with harmonic drives roughly do. No
-    /// source has measured these.
+    /// Drives without friction, fast brakes; free joints fall roughly like those of an arm of 35 kg with harmonic drives. These
+    /// values are not based on measurements.
     fn default() -> Self {
         Self {
             servo_friction_rad_per_s: JointVector::zeros(),
@@ -75,7 +75,7 @@ impl JointMechanics {
         Ok(())
     }
 
-    /// What moves the joints at these angles.
+    /// Drive parameters of the joints at these angles.
     pub(super) fn drives(
         &self,
         config: &JointPlantConfig,
@@ -104,7 +104,7 @@ impl JointMechanics {
                 AxisMode::Free => {
                     let time_constant = self.free_time_constant.as_secs_f64();
                     let friction = self.free_friction_rad_per_s2[i];
-                    // Forces alone limit the acceleration: never saturated, at any speed that a joint reaches.
+                    // Only forces limit the acceleration: never saturated, at any speed that a joint reaches.
                     let acceleration_max =
                         gravity[i].abs() + friction + 100.0 * (1.0 + servo.velocity_max) / time_constant;
                     let velocity_max = f64::MAX;
@@ -114,7 +114,7 @@ impl JointMechanics {
         })
     }
 
-    /// The velocities that the joints tend to, without friction.
+    /// Terminal velocities of the joints, without friction.
     pub(super) fn targets(
         &self,
         modes: &[AxisMode; DOF],
@@ -130,7 +130,7 @@ impl JointMechanics {
         }))
     }
 
-    /// Acceleration by gravity in this pose, rad/s^2: away from upright. None where every joint is held.
+    /// Gravitational acceleration in this pose, rad/s^2: away from upright. `None` if every joint is held.
     fn gravity_on(&self, modes: &[AxisMode; DOF], position_rad: &JointVector) -> JointVector {
         let mut gravity = JointVector::zeros();
         if !modes.contains(&AxisMode::Free) {
@@ -145,7 +145,7 @@ impl JointMechanics {
     }
 }
 
-/// Numbers of the configuration that must be positive and finite.
+/// Checks that parameters are positive and finite.
 pub(super) fn positive(name: &'static str, values: &JointVector) -> Result<(), JointPlantError> {
     in_range(name, values, |value| value > 0.0, "a positive, finite number")
 }

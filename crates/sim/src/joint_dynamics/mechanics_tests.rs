@@ -56,7 +56,7 @@ fn friction_agrees_with_fine_numerical_integration() {
             v += dt * ((drive - drive.clamp(-0.05, 0.05)) / 0.04).clamp(-8.0, 8.0);
         } else {
             v += dt * ((drive - 0.05f64.copysign(v)) / 0.04).clamp(-8.0, 8.0);
-            // Passing through standstill it sticks for a moment.
+            // At zero velocity it sticks for a moment.
             v = if v * before < 0.0 { 0.0 } else { v };
         }
         x += dt * 0.5 * (v + before);
@@ -77,7 +77,7 @@ fn friction_swallows_small_commands_and_brings_to_rest() {
     plant.advance_to(millis(3000));
     assert!((velocity_at(&plant, 1999, 0) - 0.45).abs() < 1e-6);
     assert!(velocity_at(&plant, 2080, 0) > 0.0);
-    assert_eq!(velocity_at(&plant, 2200, 0), 0.0, "to rest, not towards it");
+    assert_eq!(velocity_at(&plant, 2200, 0), 0.0, "stopped, not decelerating");
 }
 
 #[test]
@@ -99,7 +99,7 @@ fn a_brake_holds_against_every_command() {
     assert!((plant.state().velocity_rad_per_s - JointVector::repeat(-0.75)).amax() < 1e-3, "the command is kept");
 }
 
-/// The outer arm leans outwards at S2 (0.5 rad) and E1 (1.6), and W1 looks upwards again (0.7).
+/// The outer arm leans outwards at S2 (0.5 rad) and E1 (1.6), and W1 points upwards again (0.7).
 #[test]
 fn a_free_joint_falls_as_gravity_pulls_and_friction_allows() {
     let mut plant = plant();
@@ -174,7 +174,7 @@ fn any_events() -> impl Strategy<Value = Vec<(u64, f64, [AxisMode; DOF])>> {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(150) })]
 
-    /// Whatever holds the joints: they stay within their stops, move without jumps, and do not depend on how time is cut up.
+    /// In any mode the joints stay within their stops, move without jumps, and do not depend on the step size.
     #[test]
     fn joints_move_without_jumps_whatever_holds_them(events in any_events(), piece in 1..50u64) {
         let (mut in_one, mut in_many) = (plant(), plant());

@@ -2,16 +2,16 @@
 
 use std::cell::OnceCell;
 
-/// More than enough halvings or doublings for the 64 bits of a time.
+/// More halvings or doublings than the 64 bits of a time need.
 const SEARCH_STEPS: usize = 128;
 
-/// What the drive of one joint can do: rad, rad/s, rad/s^2, s.
+/// Capabilities of the drive of one joint: rad, rad/s, rad/s^2, s.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Drive {
     pub acceleration_max: f64,
     pub time_constant: f64,
     pub velocity_max: f64,
-    /// Dry friction, as the speed by which it makes the joint miss its command; a smaller command does not move it.
+    /// Dry friction as a velocity error; a smaller command does not move the joint.
     pub friction: f64,
     /// Lower and upper end stop.
     pub stops: [f64; 2],
@@ -22,7 +22,7 @@ impl Drive {
         velocity.clamp(-self.velocity_max, self.velocity_max)
     }
 
-    /// The velocity that a joint tends to against its friction, which points against its motion.
+    /// Steady-state velocity with friction, which acts against the motion.
     fn against_friction(&self, velocity: f64, command: f64) -> f64 {
         if velocity == 0.0 {
             command - command.clamp(-self.friction, self.friction)
@@ -32,21 +32,21 @@ impl Drive {
     }
 }
 
-/// The path of a joint from a state under a constant command, end stops included.
+/// The trajectory of a joint from a state under a constant command, end stops included.
 ///
-/// At a stop the joint is at rest; it leaves it if the command leads away. With friction it may come to rest at a turn. So there
-/// are at most four parts: to a turn, to a stop, from it to the other, and rest there.
+/// A joint at a stop is stationary and leaves it if the command points away. With friction it may stop at a turning point. There
+/// are therefore at most four parts: to a turning point, to a stop, from it to the other stop, and stationary there.
 #[derive(Clone, Debug)]
 pub(super) struct JointPath {
     command: f64,
     first: Motion,
-    /// The first part lasts at least so long, seconds.
+    /// Minimum duration of the first part, seconds.
     first_lasts: f64,
-    /// The others, found when a path is wanted for longer than that: the next command mostly comes long before.
+    /// The other parts, computed only if the trajectory is needed for longer; usually the next command comes much earlier.
     then: OnceCell<Box<[Part]>>,
 }
 
-/// What comes after the first part of a path.
+/// A part of a trajectory after the first one.
 #[derive(Clone, Copy, Debug)]
 struct Part {
     /// Seconds after the start of the path.
@@ -71,7 +71,7 @@ impl JointPath {
                 None => self.first.at(drive, elapsed),
             }
         };
-        // The search for the stop is exact but for rounding; the stop is exact.
+        // The search for the stop has rounding errors; the stop itself is exact.
         (position.clamp(drive.stops[0], drive.stops[1]), velocity)
     }
 
@@ -80,7 +80,7 @@ impl JointPath {
         let next = || {
             let (after, position) = part.motion.ends(drive)?;
             let mut towards = drive.against_friction(0.0, self.command);
-            // Against a stop the drive pushes in vain: as if it were told to rest.
+            // The drive pushes against a stop without effect: the same as a zero command.
             if (position == drive.stops[1] && towards >= 0.0) || (position == drive.stops[0] && towards <= 0.0) {
                 towards = 0.0;
             }
@@ -91,8 +91,8 @@ impl JointPath {
     }
 }
 
-/// Free motion: first at the largest acceleration, until the velocity error is one that the lag needs less for; then the
-/// error decays with the time constant.
+/// Free motion: first at the largest acceleration, until the lag alone needs less; then the velocity error decays with the time
+/// constant.
 #[derive(Clone, Copy, Debug)]
 struct Motion {
     position: f64,
@@ -102,7 +102,7 @@ struct Motion {
     acceleration: f64,
     /// Length of the first phase, s.
     saturated_for: f64,
-    /// Velocity error (command minus velocity) and position at its end.
+    /// Velocity error (command minus velocity) and position at the end of the first phase.
     error_then: f64,
     position_then: f64,
 }
@@ -134,20 +134,20 @@ impl Motion {
         (position, self.command - self.error_then * (1.0 - settled))
     }
 
-    /// A time before which the motion does not end, seconds: to the nearer stop at the largest speed, or to a turn with friction.
+    /// Lower bound of the duration, seconds: to the nearer stop at the largest speed, or to a turning point with friction.
     fn lasts(&self, drive: &Drive) -> f64 {
-        /// Far more than what rounding makes of a position.
+        /// Much larger than rounding errors of a position.
         const ROUNDING_RAD: f64 = 1e-9;
         let [lower, upper] = drive.stops;
         let room = (self.position - lower).min(upper - self.position);
-        // The velocity goes from what it is to what is commanded and nowhere else.
+        // The velocity changes monotonically from the present to the commanded value.
         let speed = self.velocity.abs().max(self.command.abs());
-        // Written so that a number that is none is no time.
+        // Written so that NaN gives no time.
         let until_stop = if room > ROUNDING_RAD { 0.99 * room / speed } else { 0.0 };
         if drive.friction == 0.0 { until_stop } else { until_stop.min(self.turns_after(drive)) }
     }
 
-    /// After how many seconds the motion ends, and where: at a stop, or where friction changes its direction.
+    /// When and where the motion ends, seconds: at a stop, or where friction changes its direction.
     fn ends(&self, drive: &Drive) -> Option<(f64, f64)> {
         let turn = self.turns_after(drive);
         if drive.friction == 0.0 || turn.is_infinite() {
@@ -158,7 +158,7 @@ impl Motion {
         Some(stopped.unwrap_or_else(|| (turn, self.at(drive, turn).0)))
     }
 
-    /// After how many seconds the motion first runs into a stop, and into which.
+    /// When the motion first reaches a stop, seconds, and which one.
     fn reaches_stop(&self, drive: &Drive) -> Option<(f64, f64)> {
         let turn = self.turns_after(drive);
         if self.velocity != 0.0 {
@@ -175,7 +175,7 @@ impl Motion {
         None
     }
 
-    /// After how many seconds the velocity changes its sign; infinite if it never does.
+    /// When the velocity changes its sign, seconds; infinite if it never does.
     fn turns_after(&self, drive: &Drive) -> f64 {
         if self.velocity * self.command >= 0.0 {
             return f64::INFINITY;
@@ -187,10 +187,10 @@ impl Motion {
         self.saturated_for + drive.time_constant * (self.error_then / self.command).ln()
     }
 
-    /// The first time within `from..=to`, an interval without a turn, at which `stop` is passed; found by halving.
+    /// The first time within `from..=to`, an interval without a turning point, at which `stop` is passed; found by bisection.
     fn reaches(&self, drive: &Drive, stop: f64, from: f64, to: f64) -> Option<f64> {
         let outwards = if stop == drive.stops[1] { 1.0 } else { -1.0 };
-        // A joint that rests on the stop has reached it; one that only comes to rest there has as well.
+        // A joint on the stop has reached it; so has one that only stops there.
         let beyond = |t: f64| (self.at(drive, t).0 - stop) * outwards >= 0.0;
         if beyond(from) {
             return Some(from);
@@ -229,7 +229,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(2000) })]
 
-        /// What follows the first part is looked for where it is wanted only, so it must not begin before that.
+        /// The next part is computed on demand only, so it must not begin before the lower bound.
         #[test]
         fn no_motion_ends_before_it_lasts(
             position in -1.0..=1.0f64, velocity in -2.0..2.0f64, command in -2.0..2.0f64, still in 0usize..4,

@@ -38,7 +38,7 @@ fn nothing_moves_before_the_delay_has_passed() {
     assert!(plant.state().velocity_rad_per_s.min() > 0.0);
 }
 
-/// A small command keeps clear of the acceleration limit: the step response of a first-order lag, v = u (1 - exp(-t/tau)).
+/// A small command stays below the acceleration limit: the step response of a first-order lag, v = u (1 - exp(-t/tau)).
 #[test]
 fn small_step_is_a_first_order_response() {
     let mut plant = plant(config());
@@ -55,7 +55,7 @@ fn small_step_is_a_first_order_response() {
     }
 }
 
-/// A large command is followed at the largest acceleration first, and never faster than the joint can.
+/// A large command is first followed at the largest acceleration, and never faster than the joint limit.
 #[test]
 fn large_step_saturates_acceleration_and_speed() {
     let mut plant = plant(config());
@@ -109,12 +109,12 @@ fn stops_hold_and_release() {
     assert!(state.velocity_rad_per_s.max() < 0.0 && (max - state.position_rad).min() > 0.0, "{state:?}");
 }
 
-/// Full speed towards a stop that is nearer than the way needed to turn round: it is hit, and left again.
+/// Full speed towards a stop that is nearer than the turning distance: the joint reaches the stop and leaves it again.
 #[test]
 fn bounces_off_nothing_but_leaves_a_stop_on_command() {
     let mut plant = plant(JointPlantConfig { velocity_time_constant: Duration::ZERO, ..config() });
     plant.command(millis(100), JointVector::from([0.0, 1.1, 0.0, 0.0, 0.0, 0.0, 0.0])).unwrap();
-    // S2 reaches 1.6 rad; turn round 0.05 rad before (it needs v^2/2a = 0.24 rad).
+    // S2 reaches 1.6 rad; reverse 0.05 rad before it (the turning distance is v^2/2a = 0.24 rad).
     plant.advance_to(millis(2200));
     let before = plant.state();
     assert!((1.45..1.6).contains(&before.position_rad[1]), "{before:?}");
@@ -122,11 +122,12 @@ fn bounces_off_nothing_but_leaves_a_stop_on_command() {
     plant.advance_to(millis(4000));
     let on_the_way: Vec<_> = (2200..4000).map(|ms| plant.position_at(millis(ms)).unwrap()[1]).collect();
     let highest = on_the_way.iter().copied().fold(f64::MIN, f64::max);
-    assert!((1.599..=1.6).contains(&highest), "the stop is met: {highest}");
+    assert!((1.599..=1.6).contains(&highest), "the stop is reached: {highest}");
     assert!(plant.state().position_rad[1] < 1.0, "and left: {}", plant.state().position_rad[1]);
 }
 
-/// A gentle turn, while the lag settles: free, S1 would turn 55 ms later and 1.3 mrad further on; the stop is 0.5 mrad away.
+/// A gentle reversal while the lag settles: without a stop S1 would reverse 55 ms later and 1.3 mrad farther; the stop is 0.5
+/// mrad away.
 #[test]
 fn a_stop_in_the_way_of_a_gentle_turn_is_met() {
     let mut begin = start();
@@ -139,7 +140,7 @@ fn a_stop_in_the_way_of_a_gentle_turn_is_met() {
     let before = 3.1 - plant.position_at(millis(1112)).unwrap()[0];
     assert!((before - 0.0005).abs() < 1e-9, "{before}");
     let after_50_ms = plant.velocity_at(millis(1162)).unwrap()[0];
-    assert!(after_50_ms < -0.001, "it has met the stop and is on its way back: {after_50_ms}");
+    assert!(after_50_ms < -0.001, "it has reached the stop and is moving back: {after_50_ms}");
 }
 
 #[test]
@@ -192,7 +193,7 @@ fn halt_forgets_commands_on_their_way() {
     assert!((0.0..0.1).contains(&travelled.max()), "{travelled}");
 }
 
-/// A drive with a watchdog of 50 ms: three commands 30 ms apart run on, then silence from 160 ms on stops the arm.
+/// A drive with a watchdog of 50 ms: three commands 30 ms apart keep it moving, then silence from 160 ms on stops the arm.
 #[test]
 fn a_command_expires_without_a_successor() {
     let (mut advanced, mut plant) = (plant(config()), plant(config()));
@@ -204,7 +205,7 @@ fn a_command_expires_without_a_successor() {
     }
     plant.advance_to(millis(600));
     advanced.advance_to(millis(600));
-    assert_eq!(plant.state(), advanced.state(), "the expiry happens whether it was looked at or not");
+    assert_eq!(plant.state(), advanced.state(), "the expiry happens even if no state was read");
     let speed = |ms| plant.velocity_at(millis(ms)).unwrap()[0];
     // The last command before the silence takes effect at 172 ms and holds until 222 ms; the next one comes at 312 ms.
     assert!(speed(222) > speed(221) && speed(221) > speed(200), "{} {}", speed(221), speed(222));
@@ -233,7 +234,7 @@ fn refuses_what_it_can_not_simulate() {
     assert_eq!(plant.state().position_rad, start(), "nothing of it took effect");
 }
 
-/// One command every few milliseconds, with speeds beyond every limit now and then, so that all stops are met.
+/// One command every few milliseconds, sometimes with speeds beyond every limit, so that all stops are reached.
 fn any_commands() -> impl Strategy<Value = Vec<(u64, [f64; DOF])>> {
     prop::collection::vec((0..900_000_000u64, prop::array::uniform7(-8.0..8.0f64)), 1..25)
 }
@@ -293,7 +294,7 @@ proptest! {
             prop_assert!(limits.violation(&position).is_none(), "{ms} ms: {position}");
             for i in 0..DOF {
                 prop_assert!(velocity[i].abs() <= limits.velocity_max_rad_per_s()[i], "{ms} ms: {velocity}");
-                // Speed grows no faster than the drive can; it may drop to zero at once, at a stop.
+                // Speed increases no faster than the drive allows; it may drop to zero at once at a stop.
                 let gain = velocity[i].abs() - before[i].abs();
                 prop_assert!(gain <= acceleration_max[i] * 0.007 + 1e-12, "{ms} ms, joint {i}: {gain}");
             }

@@ -6,18 +6,18 @@ use std::fmt;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PathRefusal {
     /// A requirement is out of its range.
-    #[error("{key} is {value}: allowed is {allowed}")]
+    #[error("{key} is {value}; allowed is {allowed}")]
     Requirement {
-        /// Which requirement.
+        /// Name of the requirement.
         key: &'static str,
         /// Its value.
         value: f64,
-        /// What is allowed.
+        /// The allowed range.
         allowed: &'static str,
     },
-    /// The beginning of the path cannot be reached from the given joint angles.
+    /// The start of the path cannot be reached from the given joint angles.
     #[error(
-        "the arm does not reach the beginning of the path: {position_error_m:.4} m and {angle_error_rad:.4} rad are missing; \
+        "the arm does not reach the start of the path: {position_error_m:.4} m and {angle_error_rad:.4} rad are missing; \
          move its base or choose other start angles"
     )]
     BeginUnreachable {
@@ -32,16 +32,16 @@ pub enum PathRefusal {
          move the base or make the motion smaller"
     )]
     OutOfReach {
-        /// Seconds after the beginning of the path.
+        /// Seconds after the start of the path.
         at_s: f64,
         /// Missing distance, m.
         position_error_m: f64,
         /// Missing angle, rad.
         angle_error_rad: f64,
     },
-    /// A joint comes too near an end of its range.
+    /// A joint comes too close to an end of its range.
     #[error(
-        "axis {} would be at {:.2} deg after {at_s:.2} s, allowed is {:.2} to {:.2} deg (limits less margin): \
+        "axis {} would be at {:.2} deg after {at_s:.2} s, allowed is {:.2} to {:.2} deg (limits minus margin): \
          {:.2} deg too far; change base, start angles or the direction of the motion",
         joint + 1,
         position_rad.to_degrees(),
@@ -52,51 +52,51 @@ pub enum PathRefusal {
     JointRange {
         /// Index from the base.
         joint: usize,
-        /// Seconds after the beginning of the path.
+        /// Seconds after the start of the path.
         at_s: f64,
-        /// Where the joint would be, rad.
+        /// Required joint angle, rad.
         position_rad: f64,
         /// Lower end of its range plus margin, rad.
         min_rad: f64,
-        /// Upper end of its range less margin, rad.
+        /// Upper end of its range minus margin, rad.
         max_rad: f64,
-        /// How far it would be outside, rad.
+        /// Range violation, rad.
         excess_rad: f64,
     },
-    /// The arm comes too near a singular pose.
+    /// The arm comes too close to a singular pose.
     #[error(
-        "the smallest singular value of the Jacobian falls to {value:.4} after {at_s:.2} s, required is {required}; \
+        "the smallest singular value of the Jacobian falls to {value:.4} after {at_s:.2} s, at least {required} is required; \
          change base or start angles"
     )]
     Singular {
-        /// Seconds after the beginning of the path.
+        /// Seconds after the start of the path.
         at_s: f64,
         /// The singular value, metres and radians.
         value: f64,
-        /// What is required.
+        /// Minimum singular value.
         required: f64,
     },
-    /// A joint would have to move faster than it may; the worst one is named.
+    /// A joint would exceed its speed limit; the worst joint is reported.
     #[error(
-        "axis {} would have to move at {needed_rad_per_s:.3} rad/s after {at_s:.2} s, allowed are \
+        "axis {} needs a speed of {needed_rad_per_s:.3} rad/s after {at_s:.2} s, allowed is \
          {allowed_rad_per_s:.3} rad/s: {ratio:.2} times too fast; lengthen the moves {ratio:.2}-fold or raise the limit",
         joint + 1
     )]
     TooFast {
         /// Index from the base.
         joint: usize,
-        /// Seconds after the beginning of the path.
+        /// Seconds after the start of the path.
         at_s: f64,
-        /// Speed that the path demands, rad/s.
+        /// Speed required by the path, rad/s.
         needed_rad_per_s: f64,
         /// Effective limit, rad/s.
         allowed_rad_per_s: f64,
-        /// Needed over allowed.
+        /// Required speed divided by the limit.
         ratio: f64,
     },
-    /// A joint would have to change its speed faster than it may; the worst one is named.
+    /// A joint would exceed its acceleration limit; the worst joint is reported.
     #[error(
-        "axis {} would have to accelerate by {needed_rad_per_s2:.3} rad/s^2 after {at_s:.2} s, allowed are \
+        "axis {} needs an acceleration of {needed_rad_per_s2:.3} rad/s^2 after {at_s:.2} s, allowed is \
          {allowed_rad_per_s2:.3} rad/s^2: {ratio:.2} times too much; lengthen the moves {lengthen:.2}-fold or make them smaller",
         joint + 1,
         lengthen = ratio.sqrt()
@@ -104,31 +104,31 @@ pub enum PathRefusal {
     TooAbrupt {
         /// Index from the base.
         joint: usize,
-        /// Seconds after the beginning of the path.
+        /// Seconds after the start of the path.
         at_s: f64,
-        /// Acceleration that the path demands, rad/s^2.
+        /// Acceleration required by the path, rad/s^2.
         needed_rad_per_s2: f64,
         /// The limit, rad/s^2.
         allowed_rad_per_s2: f64,
-        /// Needed over allowed.
+        /// Required acceleration divided by the limit.
         ratio: f64,
     },
-    /// The tool would have to move faster than it may.
+    /// The tool would exceed its speed limit.
     #[error(
-        "the {quantity} of the tool would have to be {needed:.3} {unit} after {at_s:.2} s, allowed are {allowed:.3} {unit}: \
+        "the tool needs a {quantity} of {needed:.3} {unit} after {at_s:.2} s, allowed is {allowed:.3} {unit}: \
          {ratio:.2} times too fast; lengthen the moves {ratio:.2}-fold or raise the limit",
         unit = quantity.unit()
     )]
     ToolTooFast {
-        /// Which speed; it says the unit of `needed` and `allowed`.
+        /// The quantity; it determines the unit of `needed` and `allowed`.
         quantity: ToolSpeed,
-        /// Seconds after the beginning of the path.
+        /// Seconds after the start of the path.
         at_s: f64,
-        /// Speed that the path demands.
+        /// Speed required by the path.
         needed: f64,
         /// The limit.
         allowed: f64,
-        /// Needed over allowed.
+        /// Required speed divided by the limit.
         ratio: f64,
     },
 }
@@ -136,9 +136,9 @@ pub enum PathRefusal {
 /// One of the two speeds of a tool.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ToolSpeed {
-    /// Of its origin, m/s.
+    /// Speed of the tool origin, m/s.
     Linear,
-    /// Angular, rad/s.
+    /// Angular speed, rad/s.
     Angular,
 }
 

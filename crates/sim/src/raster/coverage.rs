@@ -12,27 +12,27 @@ use crate::wide::kernels;
 /// Samples per edge pixel.
 const SAMPLES: usize = 16;
 
-/// Places of the samples within the pixel, in 32nds of a pixel from its centre: each sixteenth of the width and of the height
-/// holds exactly one, and the pattern is its own mirror image through the centre, so edges are not shifted.
+/// Positions of the samples within the pixel, in 32nds of a pixel from its centre. Each sixteenth of the width and of the height
+/// contains exactly one sample, and the pattern is point-symmetric about the centre, so edges are not shifted.
 const SAMPLE_U: [f32; SAMPLES] =
     [-15.0, -13.0, -11.0, -9.0, -7.0, -5.0, -3.0, -1.0, 1.0, 3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0];
 /// Rows of the samples; the bit-reversed order of the columns.
 const SAMPLE_V: [f32; SAMPLES] =
     [-15.0, 1.0, -7.0, 9.0, -11.0, 5.0, -3.0, 13.0, -13.0, 3.0, -5.0, 11.0, -9.0, 7.0, -1.0, 15.0];
 
-/// The edge pixels of one image and what their samples see.
+/// The edge pixels of one image and the surfaces visible at their samples.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct EdgePixels {
     /// Columns of all edge pixels, row by row.
     columns: Vec<u16>,
-    /// Where each row begins in `columns`; one more than there are rows.
+    /// Start of each row in `columns`; one more entry than rows.
     row_starts: Vec<usize>,
     samples: Vec<Samples>,
 }
 
 #[derive(Clone, Debug)]
 struct Samples {
-    /// Ray of the pixel's centre and its change from pixel to pixel (see [`View::ray_slopes`]).
+    /// Ray of the pixel centre and its change per pixel (see [`View::ray_slopes`]).
     ray: [f32; 2],
     ray_slopes: [f32; 4],
     inv_z: [f32; SAMPLES],
@@ -52,7 +52,7 @@ impl Samples {
 }
 
 impl EdgePixels {
-    /// Finds the edge pixels and what their samples see.
+    /// Finds the edge pixels and the surfaces visible at their samples.
     pub(crate) fn resolve(&mut self, view: &View, visibility: &Visibility, triangles: &[ScreenTriangle]) {
         resolve(kernels(), self, view, visibility, triangles);
     }
@@ -89,7 +89,7 @@ impl EdgePixels {
         }
     }
 
-    /// Writes the colours of all edge pixels: the mean of their samples, each surface shaded at the centre of its samples.
+    /// Writes the colours of all edge pixels: the mean of the samples, with each surface shaded at the centre of its samples.
     pub(crate) fn shade(&self, seen: &Seen<'_>, out: &mut [u16]) {
         let mut scratch = Scratch::new();
         for row in 0..seen.view.height {

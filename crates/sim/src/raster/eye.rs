@@ -1,4 +1,4 @@
-//! One camera of the pair: what it sees, the light on its sensor, and its images.
+//! One camera of the pair: visible surfaces, light on the sensor, and images.
 
 use image::RgbImage;
 use nalgebra::Isometry3;
@@ -14,7 +14,7 @@ use crate::scene::{Scene, ScenePoses};
 use crate::sensor::{Developer, EyeResponse, NoiseKey, SensorConfig};
 use crate::targets::part::Anchor;
 
-/// One camera, with all that it needs to render: both can work at the same time.
+/// One camera with all its render state; both cameras can render in parallel.
 #[derive(Clone, Debug)]
 pub(crate) struct Eye {
     cam_from_cam_left: Isometry3<f64>,
@@ -25,16 +25,16 @@ pub(crate) struct Eye {
     triangles: Vec<ScreenTriangle>,
     light: Vec<u16>,
     exposure_sum: Vec<u32>,
-    /// Blur of the lens, and how far it is out of focus on top, pixels.
+    /// Blur of the lens, and additional defocus, pixels.
     lens_blur_px: f64,
     defocus_px: f64,
-    /// Finer sampling, if wanted.
+    /// Finer sampling, if enabled.
     fine: Option<Box<Fine>>,
 }
 
 impl Eye {
     /// # Errors
-    /// A camera with a pixel that has no ray; the error calls it `name`.
+    /// A camera with a pixel that has no ray; the error contains `name`.
     pub(crate) fn new(
         name: &'static str,
         camera: &Camera,
@@ -59,22 +59,22 @@ impl Eye {
         })
     }
 
-    /// Samples `camera`, which is that of this eye, finer than its pixels.
+    /// Samples `camera`, which must be the camera of this eye, finer than its pixels.
     ///
     /// # Errors
-    /// A camera with a pixel that has no ray; the error calls it `name`.
+    /// A camera with a pixel that has no ray; the error contains `name`.
     pub(crate) fn sample_finely(&mut self, name: &'static str, camera: &Camera) -> Result<(), RenderError> {
         self.fine = Some(Box::new(Fine::new(name, camera)?));
         self.developer.leave_blur_out();
         Ok(())
     }
 
-    /// Puts it out of focus.
+    /// Sets the defocus.
     pub(crate) fn defocus(&mut self, defocus_px: f64) {
         self.defocus_px = defocus_px;
     }
 
-    /// Takes an image of `size`: the mean of the light at all moments, as the sensor sees it.
+    /// Takes an image of `size`: the mean of the light over all times, processed by the sensor model.
     pub(crate) fn expose(
         &mut self,
         scene: &Scene,
@@ -94,21 +94,21 @@ impl Eye {
         self.developer.develop(&self.light, key, image);
     }
 
-    /// The image without noise, quantisation and limits.
+    /// The image without noise, quantisation and clipping.
     pub(crate) fn ideal(&mut self, scene: &Scene, poses: &ScenePoses, image: &mut Vec<f32>) {
         self.render_light(scene, poses);
         self.blur();
         self.developer.develop_ideal(&self.light, image);
     }
 
-    /// Finds the triangles that are visible.
+    /// Determines the visible triangles.
     pub(crate) fn see(&mut self, scene: &Scene, poses: &ScenePoses) -> &Visibility {
         self.collect(scene, poses, None);
         self.visibility.draw(&self.view, &self.triangles);
         &self.visibility
     }
 
-    /// Collects the triangles that may be visible, in its own view or a finer one.
+    /// Collects the potentially visible triangles, in this camera's view or a finer one.
     fn collect(&mut self, scene: &Scene, poses: &ScenePoses, view: Option<&View>) {
         let cam_from_world = self.cam_from_cam_left * poses.world_from_cam_left.inverse().isometry();
         let view = view.unwrap_or(&self.view);
@@ -143,7 +143,7 @@ impl Eye {
         shade(&mut self.edges, &self.view, &self.visibility, surfaces, &mut self.light);
     }
 
-    /// Renders the mean light of several moments.
+    /// Renders the mean light over several times.
     fn gather_light(&mut self, scene: &Scene, moments: &[ScenePoses]) {
         self.exposure_sum.clear();
         self.exposure_sum.resize(self.light.len(), 0);

@@ -10,7 +10,7 @@ use crate::sensor::spread;
 /// Samples per pixel along either axis.
 const FINE: usize = 2;
 
-/// The view of a camera with more and smaller pixels, and what it sees.
+/// The view of a camera with more and smaller pixels, and its visible surfaces.
 #[derive(Clone, Debug)]
 pub(crate) struct Fine {
     view: View,
@@ -20,7 +20,7 @@ pub(crate) struct Fine {
 
 impl Fine {
     /// # Errors
-    /// A camera with a pixel that has no ray; the error calls it `eye`.
+    /// A camera with a pixel that has no ray; the error contains `eye`.
     pub(crate) fn new(eye: &'static str, camera: &Camera) -> Result<Self, RenderError> {
         let view = finer(camera).and_then(|camera| View::new(&camera));
         let view = view.map_err(|source| RenderError::Camera { eye, source })?;
@@ -28,12 +28,12 @@ impl Fine {
         Ok(Self { view, visibility: Visibility::new(pixels), light: vec![0; 3 * pixels] })
     }
 
-    /// The view, what is seen in it, and the light on its samples.
+    /// The view, its visible surfaces, and the light on its samples.
     pub(crate) fn parts(&mut self) -> (&View, &mut Visibility, &mut [u16]) {
         (&self.view, &mut self.visibility, &mut self.light)
     }
 
-    /// Blurs the light by a standard deviation in whole pixels, and gives each pixel the mean of its samples.
+    /// Blurs the light by a standard deviation in whole pixels, and averages the samples of each pixel.
     pub(crate) fn integrate(&mut self, blur_px: f64, pixels: &mut [u16]) {
         let stride = 3 * self.view.width;
         spread(&mut self.light, stride, blur_px * FINE as f64);

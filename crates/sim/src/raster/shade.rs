@@ -1,12 +1,12 @@
 //! Colours of surface points: filtered texture times light.
 //!
-//! A texture is read from two neighbouring mip-map copies at once: eight texels whose weights sum to 4096. The three channels
-//! of a texel lie side by side in one number, so one multiplication weighs all of them.
+//! A texture is sampled from two neighbouring mip-map levels at once: eight texels whose weights sum to 4096. The three channels
+//! of a texel are packed into one integer, so one multiplication weights all of them.
 
 use super::triangle::{Plane, ScreenTriangle};
 use crate::targets::texture::{LANE_BITS, Level, Texture};
 
-/// Pixels shaded in one go.
+/// Maximum number of pixels shaded in one run.
 pub(crate) const RUN_MAX: usize = 64;
 
 /// Adding this to a number leaves the number, rounded to 1, in the low bits of the sum.
@@ -18,16 +18,16 @@ const WEIGHT_ONE: u32 = 4096;
 /// Light of 1 in fixed point.
 const LIGHT_ONE: f32 = 4096.0;
 
-/// Which copies of a texture are read along a run of pixels.
+/// The texture levels used along a run of pixels.
 struct Copies<'a> {
     fine: &'a Level,
     coarse: &'a Level,
     fine_shift: u32,
-    /// Weight of the coarse copy, of [`WEIGHT_ONE`].
+    /// Weight of the coarse level, of [`WEIGHT_ONE`].
     coarse_weight: u32,
 }
 
-/// Working memory of [`shade_run`], so that short runs need not clear it.
+/// Working memory of [`shade_run`], reused so that short runs need not clear it.
 pub(crate) struct Scratch {
     u: [i32; RUN_MAX],
     v: [i32; RUN_MAX],
@@ -51,7 +51,7 @@ impl Scratch {
     }
 }
 
-/// Shades the pixels with the given rays, at most [`RUN_MAX`], all of which see `triangle`.
+/// Shades at most [`RUN_MAX`] pixels with the given rays, all of which see `triangle`.
 ///
 /// Writes red, green and blue in 256ths of a grey level.
 #[inline(always)]
@@ -89,7 +89,7 @@ pub(crate) fn shade_run(
     }
 }
 
-/// Adds the lamp's reflection to every channel.
+/// Adds the specular reflection of the lamp to every channel.
 #[inline(always)]
 fn add_shine(shine: &Plane, triangle: &ScreenTriangle, rays: (&[f32], &[f32]), out: &mut [u16]) {
     for ((pixel, &x), &y) in out.chunks_exact_mut(3).zip(rays.0).zip(rays.1) {
@@ -107,7 +107,7 @@ fn fixed(value: f32) -> i32 {
 }
 
 impl<'a> Copies<'a> {
-    /// The copies whose texels have about the size of a pixel at the ray `(x, y)`.
+    /// The levels whose texels have about the size of a pixel at the ray `(x, y)`.
     fn choose(triangle: &ScreenTriangle, texture: &'a Texture, pixel_size: [f32; 2], x: f32, y: f32) -> Self {
         let z = 1.0 / triangle.inv_z.at(x, y);
         let (u, v) = (triangle.u.at(x, y) * z, triangle.v.at(x, y) * z);
@@ -120,7 +120,7 @@ impl<'a> Copies<'a> {
         let square = texels_per_pixel.iter().map(|d| d * d).sum::<f32>() * 0.5;
         let levels = texture.levels();
         let last = levels.len() as i32 - 1;
-        // Half a level finer than one texel per pixel: the pixel's own area and the lens blur come on top.
+        // Half a level finer than one texel per pixel: the pixel area and the lens blur add to it.
         let level = ((log2_in_256ths(square) - 256) / 2).clamp(0, last * 256);
         let fine = level >> 8;
         Self {
@@ -137,7 +137,7 @@ impl<'a> Copies<'a> {
 fn add_copy(level: &Level, shift: u32, weight: u32, n: usize, scratch: &mut Scratch) {
     let (mask_u, mask_v) = ((1u32 << level.width_log2) - 1, (1u32 << level.height_log2) - 1);
     for i in 0..n {
-        // Texel centres lie at halves, so half a texel is taken off.
+        // Texel centres lie at halves, so half a texel is subtracted.
         let (u, v) = (shift_rounded(scratch.u[i], shift) - 128, shift_rounded(scratch.v[i], shift) - 128);
         let (fu, fv) = ((u & 0xff) as u32, (v & 0xff) as u32);
         let (u0, v0) = ((u >> 8) as u32, (v >> 8) as u32);

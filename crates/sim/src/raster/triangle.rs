@@ -1,9 +1,9 @@
 //! Triangles as seen by one camera.
 //!
-//! With the corners P0, P1, P2 in the camera's frame and a ray m = (x, y, 1), the numbers e = [P0 P1 P2]^-1 m are the
-//! barycentric coordinates divided by the depth: the ray meets the triangle where all three are positive, their sum is the
-//! inverse depth, and any attribute divided by depth is a linear function of (x, y) too. So perspective is exact, nothing is
-//! clipped and nothing is divided until a pixel is shaded.
+//! With the corners P0, P1, P2 in the camera frame and a ray m = (x, y, 1), the values e = [P0 P1 P2]^-1 m are the barycentric
+//! coordinates divided by the depth. The ray meets the triangle where all three are positive, their sum is the inverse depth, and
+//! any attribute divided by depth is a linear function of (x, y) too. Perspective is therefore exact, without clipping, and
+//! without division before a pixel is shaded.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
@@ -24,7 +24,7 @@ impl Plane {
         self.a * x + self.b * y + self.c
     }
 
-    /// Bounds of the values within a range of rays; rounding keeps them bounds.
+    /// Bounds of the values within a range of rays; valid despite rounding.
     pub(crate) fn bounds(&self, rays: &RayRange) -> (f32, f32) {
         let ordered = |slope: f32, (min, max): (f32, f32)| if slope >= 0.0 { (min, max) } else { (max, min) };
         let ((x_low, x_high), (y_low, y_high)) = (ordered(self.a, rays.x), ordered(self.b, rays.y));
@@ -36,10 +36,10 @@ impl Plane {
     }
 }
 
-/// A triangle that the camera may see.
+/// A triangle that may be visible to the camera.
 #[derive(Clone, Debug)]
 pub(crate) struct ScreenTriangle {
-    /// Barycentric coordinates over depth; a hair too large, so that neighbours leave no gap.
+    /// Barycentric coordinates over depth; enlarged slightly, so that neighbours leave no gap.
     pub(crate) edges: [Plane; 3],
     /// 1 / depth, 1/m.
     pub(crate) inv_z: Plane,
@@ -49,14 +49,14 @@ pub(crate) struct ScreenTriangle {
     pub(crate) v: Plane,
     /// Light over depth.
     pub(crate) light: Plane,
-    /// The lamp's reflection over depth, grey levels; `None` where there is none.
+    /// Specular reflection of the lamp over depth, grey levels; `None` if there is none.
     pub(crate) shine: Option<Plane>,
     /// Index of the scene's part.
     pub(crate) part: u16,
     pub(crate) pixels: PixelBox,
 }
 
-/// Corners nearer than this are treated as behind the camera, metres.
+/// Corners nearer than this count as behind the camera, metres.
 const NEAR_M: f64 = 1e-3;
 
 /// Largest rounding error of an edge function, relative to its largest term.
@@ -105,7 +105,7 @@ pub(crate) fn collect_triangles(
     }
 }
 
-/// Where a part is.
+/// Pose of a part.
 pub(crate) struct PartPose {
     pub(crate) cam_from_part: Isometry3<f64>,
     pub(crate) world_from_part: Isometry3<f64>,

@@ -5,7 +5,7 @@ use pb3dp_geometry::{Camera, CameraError};
 
 /// Rays of all pixel centres of one camera, lens distortion included.
 ///
-/// Triangles are tested against these rays themselves, so a distorted image is rendered exactly, without remapping.
+/// Triangles are tested against these rays directly, so a distorted image is rendered exactly, without remapping.
 #[derive(Clone, Debug)]
 pub(crate) struct View {
     pub(crate) width: usize,
@@ -32,7 +32,7 @@ pub(crate) struct RayRange {
     pub(crate) y: (f32, f32),
 }
 
-/// Which columns (or rows) can hold a normalised coordinate.
+/// Lookup of the columns (or rows) that can contain a normalised coordinate.
 #[derive(Clone, Debug)]
 struct Bounds {
     /// Largest coordinate in columns `0..=i`.
@@ -53,7 +53,7 @@ impl Bounds {
         Self { max_so_far, min_from_here }
     }
 
-    /// Every line that may hold a coordinate between `low` and `high`.
+    /// All lines that may contain a coordinate between `low` and `high`.
     fn lines(&self, low: f32, high: f32) -> (usize, usize) {
         let first = self.max_so_far.partition_point(|&max| max < low);
         let end = self.min_from_here.partition_point(|&min| min <= high);
@@ -72,7 +72,7 @@ impl View {
     /// Computes every ray once.
     ///
     /// # Errors
-    /// If a pixel of the camera has no ray.
+    /// A pixel of the camera has no ray.
     pub(crate) fn new(camera: &Camera) -> Result<Self, CameraError> {
         let (width, height) = (camera.size().width as usize, camera.size().height as usize);
         let (mut ray_x, mut ray_y) = (Vec::with_capacity(width * height), Vec::with_capacity(width * height));
@@ -104,7 +104,7 @@ impl View {
         }
     }
 
-    /// Range of the rays of the block of a row that holds `column`.
+    /// Range of the rays of the block of a row that contains `column`.
     pub(crate) fn block(&self, column: usize, row: usize) -> &RayRange {
         &self.blocks[row * self.width.div_ceil(BLOCK) + column / BLOCK]
     }

@@ -1,4 +1,4 @@
-//! Which triangle each pixel centre sees, and which pixels lie on an edge.
+//! The triangle visible at each pixel centre, and the edge pixels.
 
 use pb3dp_computing::wide;
 
@@ -15,10 +15,10 @@ pub(crate) const TRIANGLE_BITS: u32 = 20;
 /// Neighbouring pixels of one surface whose inverse depths differ by more than this share are an edge.
 const DEPTH_STEP: f32 = 0.005;
 
-/// What every pixel centre sees.
+/// The visible surface at every pixel centre.
 #[derive(Clone, Debug)]
 pub(crate) struct Visibility {
-    /// 1 / depth, 0 where nothing is seen.
+    /// 1 / depth, 0 where no surface is visible.
     pub(crate) inv_z: Vec<f32>,
     /// Part index and triangle index (see [`TRIANGLE_BITS`]), or [`NOTHING`].
     pub(crate) seen: Vec<u32>,
@@ -60,7 +60,7 @@ impl Visibility {
         }
     }
 
-    /// Whether a block of a row and everything around it see one triangle (of which no part can hide another).
+    /// Whether a block of a row and its surroundings see one triangle only (whose parts cannot occlude each other).
     #[inline(always)]
     fn is_plain(&self, view: &View, row: usize, first: usize, end: usize) -> bool {
         let reference = self.seen[row * view.width + first];
@@ -100,7 +100,7 @@ fn draw_triangles_kernel(out: &mut Visibility, view: &View, triangles: &[ScreenT
     }
 }
 
-/// How much of a block a triangle can cover.
+/// Possible coverage of a block by a triangle.
 enum Cover {
     None,
     Part,
@@ -130,7 +130,7 @@ pub(crate) fn triangle_index(code: u32) -> usize {
     (code & ((1 << TRIANGLE_BITS) - 1)) as usize
 }
 
-/// Draws a triangle into neighbouring pixels; `WHOLE` claims that it covers all of them.
+/// Draws a triangle into neighbouring pixels; `WHOLE` states that it covers all of them.
 #[inline(always)]
 fn draw_span<const WHOLE: bool>(
     triangle: &ScreenTriangle,
@@ -143,7 +143,7 @@ fn draw_span<const WHOLE: bool>(
         let nearness = triangle.inv_z.at(x, y);
         let inside = WHOLE | ((e0.at(x, y) >= 0.0) & (e1.at(x, y) >= 0.0) & (e2.at(x, y) >= 0.0));
         let hit = inside & (nearness > *inv_z);
-        // Selected by bits, because a conditional store would not become a vector instruction.
+        // Selected by bit masks, because a conditional store would not be vectorised.
         let mask = u32::from(hit).wrapping_neg();
         *inv_z = f32::from_bits((nearness.to_bits() & mask) | (inv_z.to_bits() & !mask));
         *seen = (code & mask) | (*seen & !mask);

@@ -1,4 +1,4 @@
-//! The panel behind the target: sea bottom with sand, bluish patches, pebbles and shells.
+//! The panel behind the target: sea floor with sand, bluish patches, pebbles and shells.
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use crate::targets::part::{Anchor, SceneError, SceneObject, ScenePart, check};
 /// Thickness of the panel, metres.
 const THICKNESS_M: f64 = 0.008;
 
-/// Smallest distance behind the target: nearer surfaces could not be told apart, metres.
+/// Minimum distance behind the target, metres; nearer surfaces could not be distinguished.
 const GAP_MIN_M: f64 = 1e-4;
 
 /// The panel that carries the target.
@@ -31,7 +31,7 @@ impl Default for BackdropConfig {
     }
 }
 
-/// Makes the panel, centred behind the target whose rearmost point lies at `rear_z_m` in `target`.
+/// Creates the panel, centred behind the target whose rearmost point lies at `rear_z_m` in `target`.
 ///
 /// # Errors
 /// A number out of its range.
@@ -76,7 +76,7 @@ fn paint(size_m: [f64; 2], seed: u32) -> Texture {
         let blue = colour_from_hsv(208.0 + 20.0 * (fine - 0.5), 0.42, value * 0.88);
         let depth = water.fractal(x / 62.0 + 7.0, y / 55.0, 3);
         let ground = mix_colours(&sand, &blue, 0.9 * smooth_step(0.52, 0.62, depth));
-        // Bent coordinates make irregular stones and fragments.
+        // Warped coordinates make irregular stones and fragments.
         let bent = |k: f64| 2.6 * (chips.fractal(x / 5.0 + k, y / 5.0, 2) - 0.5);
         let (x, y) = (x + bent(0.0), y + bent(31.0));
         let ground = pebble(&ground, &pebbles, x / 17.0, y / 13.0);

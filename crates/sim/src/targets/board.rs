@@ -17,17 +17,17 @@ const PAPER: f64 = 226.0;
 /// Texels along a side, as a power of two.
 const SIDE_LOG2: u32 = 11;
 
-/// Inner corners along both directions, and the side of a square. Around the squares there is as much white.
+/// Builds the board from its inner corners in both directions and the side of a square. The white border is as wide as a square.
 pub(super) fn build([columns, rows]: [u32; 2], square_m: f64) -> Draft {
     let paper = Arc::new(Texture::from_fn(0, 0, |_, _| [PAPER; 3]));
     build_with([columns, rows], square_m, Arc::new(paint([columns, rows])), paper)
 }
 
-/// The board's shape with any textures: of the front, and of the other sides.
+/// The board's shape with any textures, for the front and for the other sides.
 pub(super) fn build_with(corners: [u32; 2], square_m: f64, front: Arc<Texture>, paper: Arc<Texture>) -> Draft {
     let [half_x, half_y] = super::board_size_m(corners, square_m).map(|size| size / 2.0);
     let faces = box_faces(&Point3::new(-half_x, -half_y, 0.0), &Point3::new(half_x, half_y, THICKNESS_M));
-    // The whole texture: it is white at all borders, so nothing bleeds in.
+    // The whole texture: it is white at all borders, so no colour bleeds in.
     let places = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)].map(|(u, v)| Vector2::new(u, v));
     let mut board = Mesh::default();
     board.add_quad(std::array::from_fn(|k| (faces[0][k], places[k])));
@@ -36,7 +36,7 @@ pub(super) fn build_with(corners: [u32; 2], square_m: f64, front: Arc<Texture>, 
     Draft { name: "chessboard", surfaces, outline_m: faces[0].to_vec() }
 }
 
-/// Each texel is the mean of what it covers, so that edges and corners are where they belong to a small share of one.
+/// Each texel is the mean of the area it covers, so that edges and corners are accurate to a small fraction of a texel.
 fn paint(corners: [u32; 2]) -> Texture {
     let [x, y] = corners.map(|corners| Stripes { squares: f64::from(corners + 1) });
     let texel = 1.0 / f64::from(1u32 << SIDE_LOG2);
@@ -47,15 +47,15 @@ fn paint(corners: [u32; 2]) -> Texture {
     })
 }
 
-/// One direction of the board: a square of white, then so many squares, then a square of white.
+/// One direction of the board: one white square, the printed squares, one white square.
 #[derive(Clone, Copy)]
 struct Stripes {
     squares: f64,
 }
 
 impl Stripes {
-    /// Means over the texel around `at` (texture coordinate) of whether a square is there, and of its sign if it is: the first one is +1,
-    /// the next one -1, and where both directions have the same sign it is black.
+    /// Means over the texel around `at` (texture coordinate): the coverage by squares, and their sign. The first square is +1,
+    /// the next one -1; where both directions have the same sign the board is black.
     fn means(self, at: f64, texel: f64) -> (f64, f64) {
         let places = self.squares + 2.0;
         let [from, to] = [at - 0.5 * texel, at + 0.5 * texel].map(|at| (at * places - 1.0).clamp(0.0, self.squares));
@@ -77,7 +77,7 @@ mod tests {
     #[test]
     fn squares_alternate_and_their_edges_are_where_they_belong() {
         let stripes = Stripes { squares: 3.0 };
-        // Five places: white, three squares, white.
+        // Five positions: white, three squares, white.
         let sign = |at: f64| stripes.means(at, 1e-6);
         for (place, expected) in
             [(0.5, (0.0, 0.0)), (1.5, (1.0, 1.0)), (2.5, (1.0, -1.0)), (3.5, (1.0, 1.0)), (4.5, (0.0, 0.0))]

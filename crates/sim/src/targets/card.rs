@@ -12,7 +12,7 @@ use crate::noise::{ScatteredPoints, ValueNoise, hash, smooth_step};
 /// Thickness, metres.
 const THICKNESS_M: f64 = 0.002;
 
-/// Share of the texture on either side that lies beyond the edge, so that nothing of the other side bleeds in.
+/// Share of the texture on either side that lies beyond the edge, so that no colour of the other side bleeds in.
 const MARGIN: f64 = 0.02;
 
 pub(super) fn build(size_m: &[f64; 2], seed: u32) -> Draft {
@@ -20,7 +20,7 @@ pub(super) fn build(size_m: &[f64; 2], seed: u32) -> Draft {
     build_with(size_m, painted_once(("card", [u64::from(seed), 0, 0, 0]), || paint(seed)), Arc::new(paper))
 }
 
-/// The card's shape with any textures: of the front, and of the other sides.
+/// The card's shape with any textures, for the front and for the other sides.
 pub(super) fn build_with(size_m: &[f64; 2], front: Arc<Texture>, paper: Arc<Texture>) -> Draft {
     let [half_x, half_y] = size_m.map(|size| size / 2.0);
     let faces = box_faces(&Point3::new(-half_x, -half_y, 0.0), &Point3::new(half_x, half_y, THICKNESS_M));
@@ -29,7 +29,7 @@ pub(super) fn build_with(size_m: &[f64; 2], front: Arc<Texture>, paper: Arc<Text
     Draft { name: "card", surfaces, outline_m: faces[0].to_vec() }
 }
 
-/// A face that shows its whole texture, but for a margin.
+/// A face that shows its whole texture, except for a margin.
 pub(super) fn whole_face(face: &Face) -> Mesh {
     let corners = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]
         .map(|(u, v)| Vector2::new(u, v) * (1.0 - 2.0 * MARGIN) + Vector2::repeat(MARGIN));
@@ -58,7 +58,7 @@ pub(super) fn colours(seed: u32) -> impl Fn(f64, f64) -> Colour {
     }
 }
 
-/// Colour of the patch at a place, and whether the patch stands out.
+/// Colour of the patch at a position, and whether the patch stands out.
 fn patch(points: &ScatteredPoints, x: f64, y: f64) -> (Colour, bool) {
     let nearest = points.nearest(x, y);
     let random = |shift: u32| f64::from((nearest.id >> shift) & 0xff) / 255.0;

@@ -53,11 +53,11 @@ pub(super) fn build(relief_m: f64, seed: u32) -> Draft {
     )
 }
 
-/// The crab's shape with any texture, whose middle lies at the origin; see [`place_mm`].
+/// The crab's shape with any texture, whose centre lies at the origin; see [`place_mm`].
 pub(super) fn build_with(relief_m: f64, seed: u32, texture: Arc<Texture>) -> Draft {
     let shape = Shape { relief_m, bumps: ValueNoise::new(hash(&[seed, 0xC2AB])) };
     let cut = cut();
-    // About six triangles meet in a point, and its distances are what a crab costs.
+    // About six triangles share a point, and the distance function dominates the cost of building a crab.
     let mut known = HashMap::new();
     let mut vertex = |p: &Point2<f64>| *known.entry([p.x, p.y].map(f64::to_bits)).or_insert_with(|| shape.vertex(p));
     let mut front = Mesh::default();
@@ -74,7 +74,7 @@ pub(super) fn build_with(relief_m: f64, seed: u32, texture: Arc<Texture>) -> Dra
     Draft { name: "crab", surfaces: vec![(front, Arc::clone(&texture)), (rim, texture)], outline_m }
 }
 
-/// What the outline leaves of a grid: the same for each crab, and cut once.
+/// The grid cut by the outline: the same for every crab, computed once.
 fn cut() -> &'static CutGrid {
     static CUT: OnceLock<CutGrid> = OnceLock::new();
     CUT.get_or_init(|| cut_grid(GridArea { half_size_m: HALF_SIZE_M, cells: 60 }, |p| distance_mm(&(p * 1e3)) * 1e-3))
@@ -121,7 +121,7 @@ fn distance_mm(p: &Point2<f64>) -> f64 {
     smooth_min(smooth_min(shell_distance(&p), limbs, 3.0), claw, 1.5)
 }
 
-/// The shell: wide in front, narrower behind.
+/// The shell: wider at the front, narrower at the back.
 fn shell_distance(p: &Point2<f64>) -> f64 {
     let front = ellipse_distance(p, &Point2::new(0.0, -4.0), [36.0, 18.5]);
     let back = ellipse_distance(p, &Point2::new(0.0, 6.0), [26.0, 20.0]);
@@ -135,7 +135,7 @@ fn limb_distance(p: &Point2<f64>, [[ax, ay, ar], [bx, by, br]]: &Limb) -> f64 {
     (p - (a + axis * share)).norm() - (ar + (br - ar) * share)
 }
 
-/// Distance to an ellipse, first order: the value over its gradient.
+/// Distance to an ellipse, first order: function value divided by its gradient.
 fn ellipse_distance(p: &Point2<f64>, centre: &Point2<f64>, radii: [f64; 2]) -> f64 {
     let d = Vector2::new((p.x - centre.x) / radii[0], (p.y - centre.y) / radii[1]);
     let gradient = Vector2::new(d.x / radii[0], d.y / radii[1]).norm();
@@ -143,13 +143,13 @@ fn ellipse_distance(p: &Point2<f64>, centre: &Point2<f64>, radii: [f64; 2]) -> f
     if gradient < 1e-9 { -radii[0].min(radii[1]) } else { (value - 1.0) * value / gradient }
 }
 
-/// The smaller of two distances, rounded off where they are closer than `width`.
+/// The smaller of two distances, smoothed where they differ by less than `width`.
 fn smooth_min(a: f64, b: f64, width: f64) -> f64 {
     let overlap = (width - (a - b).abs()).max(0.0) / width;
     a.min(b) - overlap * overlap * width * 0.25
 }
 
-/// Where texture coordinates lie on the crab, millimetres.
+/// Position on the crab of texture coordinates, millimetres.
 pub(super) fn place_mm(u: f64, v: f64) -> Point2<f64> {
     Point2::new((u - 0.5) * 2e3 * HALF_SIZE_M, (v - 0.5) * 2e3 * HALF_SIZE_M)
 }
@@ -215,7 +215,7 @@ mod tests {
             .zip(cut.outline.iter().cycle().skip(1))
             .map(|(p, q)| p.coords.perp(&q.coords) / 2.0)
             .sum();
-        // The area within the longest curve is the whole area, but for holes between the legs.
+        // The area within the longest curve is the whole area, except for holes between the legs.
         assert!((outlined.abs() / total - 1.0).abs() < 0.03, "{outlined} of {total}");
     }
 

@@ -5,15 +5,15 @@ use nalgebra::{Point3, Vector2, Vector3};
 /// A corner of a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Vertex {
-    /// Place in the frame of the object, metres.
+    /// Position in the frame of the object, metres.
     pub position_m: Point3<f64>,
-    /// Place in the texture: (0, 0) is its upper left corner, (1, 1) its lower right one; textures repeat beyond.
+    /// Texture coordinates: (0, 0) is the upper left corner, (1, 1) the lower right one; textures repeat beyond.
     pub texture: Vector2<f64>,
     /// Outward unit normal for shading.
     pub normal: Vector3<f64>,
 }
 
-/// Triangles of one smooth surface. A triangle is seen from the side to which `(b - a) x (c - a)` points.
+/// Triangles of one smooth surface. A triangle is visible from the side to which `(b - a) x (c - a)` points.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
     /// The corners.
@@ -32,7 +32,7 @@ impl Mesh {
 
     /// Adds a flat quadrilateral: upper left, upper right, lower right, lower left corner as seen from its visible side.
     ///
-    /// `corners` are places in metres with their texture coordinates.
+    /// `corners` are positions in metres with their texture coordinates.
     pub fn add_quad(&mut self, corners: [(Point3<f64>, Vector2<f64>); 4]) {
         let normal = (corners[3].0 - corners[0].0).cross(&(corners[1].0 - corners[0].0)).normalize();
         let first = self.vertices.len() as u32;
@@ -48,7 +48,7 @@ impl Mesh {
         }
     }
 
-    /// Places of a triangle's corners, metres.
+    /// Positions of a triangle's corners, metres.
     pub fn corners_m(&self, triangle: &[u32; 3]) -> [Point3<f64>; 3] {
         triangle.map(|index| self.vertices[index as usize].position_m)
     }

@@ -9,11 +9,11 @@ use nalgebra::{Point2, Point3};
 pub struct CutGrid {
     /// Triangles inside, corners in the order in which they are seen from -z with y down (see `Mesh`).
     pub triangles: Vec<[Point2<f64>; 3]>,
-    /// The outline as a closed polygon, inside on its left when y points up.
+    /// The outline as a closed polygon, with the inside on its left when y points up.
     pub outline: Vec<Point2<f64>>,
 }
 
-/// A square area to be gridded.
+/// A square area for the grid.
 #[derive(Clone, Copy, Debug)]
 pub struct GridArea {
     /// The area reaches from minus this to plus this in x and y.
@@ -51,7 +51,7 @@ pub fn cut_grid(area: GridArea, distance: impl Fn(&Point2<f64>) -> f64) -> CutGr
 
 type Node = (Point2<f64>, f64);
 
-/// Keeps the inner part of a triangle and notes the piece of outline across it.
+/// Keeps the inner part of a triangle and records the piece of outline across it.
 fn cut_triangle(corners: &[Node; 3], kept: &mut Vec<[Point2<f64>; 3]>, segments: &mut Vec<[Point2<f64>; 2]>) {
     let mut polygon: Vec<Point2<f64>> = Vec::with_capacity(4);
     let (mut entry, mut exit) = (None, None);
@@ -74,7 +74,7 @@ fn cut_triangle(corners: &[Node; 3], kept: &mut Vec<[Point2<f64>; 3]>, segments:
     }
 }
 
-/// Where the distance is zero between two nodes; the same place from either side.
+/// The zero crossing between two nodes; identical from either side.
 fn crossing(a: &Node, b: &Node) -> Point2<f64> {
     let (a, b) = if (a.0.x, a.0.y) < (b.0.x, b.0.y) { (a, b) } else { (b, a) };
     let share = (a.1 / (a.1 - b.1)).clamp(0.0, 1.0);

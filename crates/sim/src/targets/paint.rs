@@ -1,17 +1,17 @@
-//! Paints for targets of one shape: from every hue to nothing at all.
+//! Paints for targets of one shape, from all hues to no texture.
 
 use super::texture::{Colour, Texture, colour_from_hsv, mix_colours};
 use super::{card, crab};
 use crate::noise::{ValueNoise, hash, smooth_step};
 
-/// A texture of a target, by what it gives to an estimator.
+/// A texture of a target, by the information it offers an estimator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Paint {
     /// Patches of every hue.
     Colourful,
     /// Mostly one hue (14 degrees +- 8), with dark spots.
     Crab,
-    /// As the crab, of hue 0 +- 8 degrees: it wraps around.
+    /// As the crab, with hue 0 +- 8 degrees, which wraps around.
     Red,
     /// Strong texture without hue: saturation 0.04.
     Grey,
@@ -24,7 +24,7 @@ pub enum Paint {
 }
 
 impl Paint {
-    /// All of them.
+    /// All paints.
     pub const ALL: [Self; 7] =
         [Self::Colourful, Self::Crab, Self::Red, Self::Grey, Self::Faint, Self::Repetitive, Self::Uniform];
 
@@ -67,10 +67,10 @@ impl Paint {
     }
 }
 
-/// Contrast of the faint paint, of white: gives a standard deviation of the luminance of 3 grey levels.
+/// Contrast of the faint paint relative to white: gives a standard deviation of the luminance of 3 grey levels.
 const FAINT_CONTRAST: f64 = 0.103;
 
-/// A texture from colours by place, millimetres.
+/// A texture from colours by position, millimetres.
 fn on_places(colour: impl Fn(f64, f64) -> Colour) -> Texture {
     Texture::from_fn(9, 9, |u, v| {
         let place = crab::place_mm(u, v);
@@ -93,7 +93,7 @@ fn squares(x_mm: f64, y_mm: f64) -> Colour {
 mod tests {
     use super::*;
 
-    /// Mean and standard deviation of the luminance, and mean saturation, at places all over the crab.
+    /// Mean and standard deviation of the luminance, and mean saturation, at positions all over the crab.
     fn look(paint: Paint) -> (f64, f64, f64) {
         let texture = paint.texture(3);
         let level = &texture.levels()[0];

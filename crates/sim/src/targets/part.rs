@@ -1,20 +1,20 @@
-//! Parts of a scene, and why one is refused.
+//! Parts of a scene, and the errors of scenes.
 
 use std::sync::Arc;
 
 use crate::targets::mesh::Mesh;
 use crate::targets::texture::Texture;
 
-/// What a part of the scene is fixed to, and so the frame of its mesh.
+/// What a part of the scene is fixed to; determines the frame of its mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
-    /// The cell.
+    /// The workcell.
     World,
     /// The carried target.
     Target,
 }
 
-/// What a pixel shows.
+/// The object visible at a pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SceneObject {
     /// Nothing at all.
@@ -34,9 +34,9 @@ pub struct ScenePart {
     pub mesh: Mesh,
     /// Its colours.
     pub texture: Arc<Texture>,
-    /// What it is fixed to.
+    /// Anchor of the part.
     pub anchor: Anchor,
-    /// What it belongs to.
+    /// Object that the part belongs to.
     pub object: SceneObject,
 }
 
@@ -44,9 +44,9 @@ pub struct ScenePart {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SceneError {
     /// A number is out of its range.
-    #[error("scene parameter {name} is {value}: set it between {min} and {max}")]
+    #[error("scene parameter {name} is {value}; set it between {min} and {max}")]
     Parameter {
-        /// Which parameter.
+        /// Name of the parameter.
         name: &'static str,
         /// Its value.
         value: f64,
@@ -55,8 +55,8 @@ pub enum SceneError {
         /// Largest allowed.
         max: f64,
     },
-    /// More surfaces than the renderer can tell apart.
-    #[error("the scene has {parts} surfaces with up to {triangles} triangles: 4000 and 500000 are possible")]
+    /// More surfaces than the renderer supports.
+    #[error("the scene has {parts} surfaces with up to {triangles} triangles; at most 4000 and 500000 are possible")]
     TooLarge {
         /// Number of parts.
         parts: usize,

@@ -1,4 +1,4 @@
-//! The potato: a lumpy rounded solid with a texture made in space, so that it has no seams.
+//! The potato: a lumpy rounded solid with a 3-D procedural texture, so that it has no seams.
 
 use std::sync::Arc;
 
@@ -13,13 +13,13 @@ use crate::noise::{ValueNoise, hash, smooth_step};
 /// Cells along each side of the six patches of the surface.
 const CELLS: usize = 18;
 
-/// The texture of a patch reaches this far beyond it, relative to its half side.
+/// Size of a patch's texture relative to the half side of the patch.
 const MARGIN: f64 = 1.06;
 
-/// Distance from which the outline is taken, metres.
+/// Viewing distance for the outline, metres.
 const VIEWING_DISTANCE_M: f64 = 0.5;
 
-/// Directions of a patch's middle, right and down as seen from outside.
+/// Directions of a patch's centre, right and down as seen from outside.
 type Side = [Vector3<f64>; 3];
 
 pub(super) fn build(size_m: &[f64; 3], seed: u32) -> Draft {
@@ -58,7 +58,7 @@ impl Solid {
     }
 }
 
-/// Direction of a place on a patch, `a` and `b` from -1 to 1.
+/// Direction of a position on a patch, `a` and `b` from -1 to 1.
 fn direction(side: &Side, a: f64, b: f64) -> Vector3<f64> {
     (side[0] + side[1] * a + side[2] * b).normalize()
 }

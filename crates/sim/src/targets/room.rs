@@ -1,4 +1,4 @@
-//! The room around the cell: painted block walls, floor and ceiling, muted.
+//! The room around the workcell: painted block walls, floor and ceiling, in muted colours.
 
 use std::sync::Arc;
 
@@ -12,14 +12,14 @@ use crate::targets::part::{Anchor, SceneObject, ScenePart};
 /// Half the width of the room in x and y of `world`, metres.
 const HALF_WIDTH_M: f64 = 3.2;
 
-/// Height of the floor and of the ceiling in `world`, metres: the arms stand on a pedestal.
+/// Height of the floor and of the ceiling in `world`, metres: the arms are mounted on a pedestal.
 const FLOOR_M: f64 = -0.9;
 const CEILING_M: f64 = 2.3;
 
 /// Width of the area that one copy of a texture covers, metres.
 const TILE_M: f64 = 1.6;
 
-/// Makes the room, in `world`.
+/// Creates the room, in `world`.
 pub fn build(seed: u32) -> Vec<ScenePart> {
     let surface = |face: &Face, texture: &Arc<Texture>| ScenePart {
         mesh: tiled(face),

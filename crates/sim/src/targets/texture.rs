@@ -1,4 +1,4 @@
-//! Textures with their mip-maps, made once from a function.
+//! Textures with mip-maps, generated from a function.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -6,10 +6,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// Colour of a texel or a pixel: red, green, blue in grey levels, 0 to 255.
 pub type Colour = [f64; 3];
 
-/// A texture: repeats in both directions, sides are powers of two, with a chain of ever coarser copies.
+/// A texture: repeats in both directions, sides are powers of two, with a chain of successively coarser levels.
 ///
-/// Texel `i` covers `i` to `i + 1` in texel coordinates, so its centre is at `i + 0.5`. Every coarser copy averages 2 x 2
-/// texels, which keeps places exactly where they are.
+/// Texel `i` covers `i` to `i + 1` in texel coordinates, so its centre is at `i + 0.5`. Every coarser level averages 2 x 2
+/// texels, which preserves positions exactly.
 #[derive(Clone, Debug)]
 pub struct Texture {
     levels: Vec<Level>,
@@ -18,16 +18,16 @@ pub struct Texture {
 /// Width of a colour channel in a packed texel: leaves room for weights of up to 13 bits.
 pub(crate) const LANE_BITS: u32 = 21;
 
-/// What decides a texture: the name of its paint, and its seed and sizes as bits.
+/// Key of a texture: the name of its paint, and its seed and sizes as bits.
 pub(crate) type PaintKey = (&'static str, [u64; 4]);
 
-/// Textures that are kept for the next scene; one takes 0.7 to 6 MB.
+/// Number of cached textures; one takes 0.7 to 6 MB.
 const KEPT: usize = 24;
 
-/// The newest textures of this process, newest first.
+/// The most recent textures of this process, newest first.
 static NEWEST: Mutex<VecDeque<(PaintKey, Arc<Texture>)>> = Mutex::new(VecDeque::new());
 
-/// The texture of a key, painted unless the process still has it.
+/// The texture of a key, painted unless it is cached in the process.
 ///
 /// A scene's textures take a third of a second to paint, and tests and benches build the same scene many times.
 pub(crate) fn painted_once(key: PaintKey, paint: impl FnOnce() -> Texture) -> Arc<Texture> {
@@ -42,7 +42,7 @@ pub(crate) fn painted_once(key: PaintKey, paint: impl FnOnce() -> Texture) -> Ar
     texture
 }
 
-/// One copy of a texture.
+/// One mip-map level of a texture.
 #[derive(Clone, Debug)]
 pub(crate) struct Level {
     pub(crate) width_log2: u32,
@@ -52,7 +52,7 @@ pub(crate) struct Level {
 }
 
 impl Texture {
-    /// A texture of `2^width_log2` x `2^height_log2` texels (exponents are cut at 12).
+    /// A texture of `2^width_log2` x `2^height_log2` texels (exponents are limited to 12).
     ///
     /// `colour` gets texture coordinates of texel centres, 0 to 1.
     pub fn from_fn(width_log2: u32, height_log2: u32, mut colour: impl FnMut(f64, f64) -> Colour) -> Self {
@@ -74,17 +74,17 @@ impl Texture {
         Self { levels }
     }
 
-    /// Width of the finest copy in texels.
+    /// Width of the finest level in texels.
     pub fn width(&self) -> u32 {
         1 << self.levels[0].width_log2
     }
 
-    /// Height of the finest copy in texels.
+    /// Height of the finest level in texels.
     pub fn height(&self) -> u32 {
         1 << self.levels[0].height_log2
     }
 
-    /// The copies, finest first; at least one.
+    /// The levels, finest first; at least one.
     pub(crate) fn levels(&self) -> &[Level] {
         &self.levels
     }

@@ -24,7 +24,7 @@ pub fn rectified_rig() -> StereoRig {
     StereoRig::new(camera, camera, Pose::from_translation(Vector3::new(-0.1, 0.0, 0.0))).unwrap()
 }
 
-/// Unequal cameras with distorting lenses, the right one turned and shifted in every direction.
+/// Different cameras with lens distortion, the right camera rotated and shifted in every direction.
 pub fn distorted_rig() -> StereoRig {
     let left = Pinhole { fx: 742.0, fy: 738.5, cx: 325.2, cy: 233.9 };
     let right = Pinhole { fx: 729.0, fy: 733.0, cx: 311.0, cy: 246.4 };
@@ -39,7 +39,7 @@ pub fn distorted_rig() -> StereoRig {
     .unwrap()
 }
 
-/// The camera looks along +x of the world; the target's pose in `cam_left` is given.
+/// The camera points along +x of the world; the target pose in `cam_left` is given.
 pub fn poses(cam_left_from_target: Pose<CamLeft, Target>) -> ScenePoses {
     let axes = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
     let world_from_cam_left = Pose::from_rotation_matrix(&axes, Vector3::new(0.3, 0.1, 0.5));
@@ -52,7 +52,7 @@ pub fn turned(translation_m: [f64; 3], xyz: [f64; 3]) -> Pose<CamLeft, Target> {
     Pose::from_parts(Vector3::from(translation_m), rotation)
 }
 
-/// A square with its middle at the origin of `target`, plane z = 0, evenly lit; colours by place in metres.
+/// A square with its centre at the origin of `target`, plane z = 0, evenly lit; colours by position in metres.
 pub fn square_scene(side_m: f64, texels_log2: u32, mut colour: impl FnMut(f64, f64) -> Colour) -> Scene {
     let texture = Texture::from_fn(texels_log2, texels_log2, |u, v| colour((u - 0.5) * side_m, (v - 0.5) * side_m));
     let mut mesh = Mesh::default();

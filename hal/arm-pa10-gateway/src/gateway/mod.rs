@@ -14,6 +14,7 @@
 //! * Nothing is allocated after construction.
 
 mod bus;
+mod codes;
 mod config;
 mod host;
 mod listening;

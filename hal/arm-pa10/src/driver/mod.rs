@@ -16,6 +16,7 @@
 //!   to `Connected`.
 //! * Nothing is allocated after construction.
 
+mod codes;
 mod condition;
 mod config;
 mod link;

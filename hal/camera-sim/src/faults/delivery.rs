@@ -1,17 +1,17 @@
-//! Which pair comes when: lost, again, or late.
+//! Delivery faults: pairs that are lost, repeated or late.
 
 use std::collections::VecDeque;
 
 use pb3dp_hal_api::{CameraError, CameraErrorKind};
 use pb3dp_sim::camera_faults::{CameraFault, CameraFaultKind};
 
-/// What is delivered: something with a content, a number and times.
+/// A delivered item with content, number and times.
 pub(crate) trait Delivered: Clone {
-    /// The content of another one with number and times of this one.
+    /// The content of another item with number and times of this one.
     fn with_content_of(&self, other: &Self) -> Self;
 }
 
-/// What was delivered last, and what waits.
+/// The last delivered item and the waiting items.
 #[derive(Clone, Debug)]
 pub(crate) struct Delivery<F> {
     given: Option<F>,
@@ -23,10 +23,10 @@ impl<F: Delivered> Delivery<F> {
         Self { given: None, late: VecDeque::new() }
     }
 
-    /// What comes in the place of `fresh` while these faults last.
+    /// The item delivered instead of `fresh` while these faults are active.
     ///
     /// # Errors
-    /// `Timeout` if nothing does.
+    /// `Timeout` if nothing is delivered.
     pub(crate) fn deliver(&mut self, fresh: F, faults: &[CameraFault]) -> Result<F, CameraError> {
         let mut next = fresh;
         for fault in faults {
@@ -50,7 +50,7 @@ impl<F: Delivered> Delivery<F> {
                 let due = if self.late.len() > pairs { self.late.pop_front() } else { None };
                 next = due.ok_or_else(|| nothing("is late"))?;
             }
-            // What was waiting has been overtaken.
+            // Waiting items have been overtaken.
             None => self.late.clear(),
         }
         if faults.iter().any(|fault| matches!(fault.kind, CameraFaultKind::Dropped { .. })) {
@@ -62,10 +62,7 @@ impl<F: Delivered> Delivery<F> {
 }
 
 fn nothing(what: &str) -> CameraError {
-    CameraError::new(
-        CameraErrorKind::Timeout,
-        format!("camera: no pair in time, it {what} (a fault that was asked for)"),
-    )
+    CameraError::new(CameraErrorKind::Timeout, format!("camera: no pair in time; it {what} (injected fault)"))
 }
 
 #[cfg(test)]

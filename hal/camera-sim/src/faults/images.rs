@@ -16,22 +16,22 @@ impl Delivered for FramePair {
     }
 }
 
-/// A camera with faults. It breaks the contract of [`StereoCamera`] on purpose: what a program does then is the question.
+/// A camera with faults. It intentionally breaks the contract of [`StereoCamera`], to test the reaction of a program.
 pub struct FaultyCamera<C> {
     camera: C,
     plan: Plan,
-    /// As the camera gave it.
+    /// The pair delivered by the camera.
     fresh: FramePair,
-    /// The one before.
+    /// The previous pair.
     before: Option<FramePair>,
     delivery: Delivery<FramePair>,
 }
 
 impl<C: StereoCamera> FaultyCamera<C> {
-    /// The same camera with these faults, whose times count from `began`.
+    /// The same camera with these faults; fault times count from `began`.
     ///
     /// # Errors
-    /// `Unusable` for a fault that cannot be.
+    /// `Unusable` for an invalid fault.
     pub fn new(camera: C, faults: CameraFaults, began: MonotonicTime) -> Result<Self, CameraError> {
         let plan = Plan::new(faults, began)?;
         let fresh = FramePair::black(camera.info().size);
@@ -57,7 +57,7 @@ impl<C: StereoCamera> StereoCamera for FaultyCamera<C> {
     }
 }
 
-/// What a fault does to the images of a pair.
+/// Applies a fault to the images of a pair.
 fn spoil(pair: &mut FramePair, fault: &CameraFault, before: Option<&FramePair>, progress: f64) {
     match fault.kind {
         CameraFaultKind::Torn { .. } => {
@@ -93,7 +93,7 @@ fn spoil(pair: &mut FramePair, fault: &CameraFault, before: Option<&FramePair>, 
     }
 }
 
-/// The lower half is that of another image.
+/// Replaces the lower half by another image.
 fn tear(image: &mut RgbImage, before: &[u8]) {
     let half = before.len() / 2;
     let bytes: &mut [u8] = image;
@@ -106,7 +106,7 @@ fn each(pair: &mut FramePair, eyes: Eyes, of: impl Fn(u8) -> u8) {
     }
 }
 
-/// A bar from the top to the bottom, with a pattern that hangs with it.
+/// Draws a bar from top to bottom, with a pattern fixed to it.
 fn hang(image: &mut RgbImage, sides: [f64; 2]) {
     const PATCH_PX: u32 = 8;
     let width = f64::from(image.width());
@@ -120,7 +120,7 @@ fn hang(image: &mut RgbImage, sides: [f64; 2]) {
     }
 }
 
-/// The image shifted, turned and scaled about its centre, read between its pixels; what is beyond its border is black.
+/// The image shifted, rotated and scaled about its centre, with interpolation; pixels beyond its border are black.
 fn warped(image: &RgbImage, shift_px: [f64; 2], roll_rad: f64, scale: f64) -> RgbImage {
     let (width, height) = image.dimensions();
     let centre = [width, height].map(|count| (f64::from(count) - 1.0) / 2.0);
@@ -148,7 +148,7 @@ fn warped(image: &RgbImage, shift_px: [f64; 2], roll_rad: f64, scale: f64) -> Rg
 mod tests {
     use super::*;
 
-    /// Pairs of which each pixel tells eye, number and place.
+    /// Pairs whose pixels encode camera, number and position.
     struct Counting {
         info: StereoCameraInfo,
         next: u64,
@@ -183,7 +183,7 @@ mod tests {
         }
     }
 
-    /// The pair of number 2, which alone suffers this.
+    /// The pair with number 2, which alone has this fault.
     fn third(kind: CameraFaultKind) -> FramePair {
         let list = vec![CameraFault { kind, from: PERIOD * 2, until: PERIOD * 3 }];
         let faults = CameraFaults { list, seed: 1 };
@@ -231,7 +231,7 @@ mod tests {
         };
         assert_eq!(hidden(&pair.left, 0), (22..30).collect::<Vec<_>>());
         assert_eq!(hidden(&pair.right, 1), (10..18).collect::<Vec<_>>());
-        assert_eq!(pair.left.get_pixel(23, 9), pair.right.get_pixel(11, 9), "the pattern hangs with it");
+        assert_eq!(pair.left.get_pixel(23, 9), pair.right.get_pixel(11, 9), "the pattern moves with the bar");
     }
 
     #[test]
@@ -242,11 +242,11 @@ mod tests {
         let shifted = moved(3.0, -2.0, 0.0, 1.0);
         assert_eq!(pixels(&shifted, 13, 8), [pixel(0, 2, 13, 8), pixel(1, 2, 10, 10)]);
         assert_eq!(pixels(&shifted, 1, 8)[1], [0; 3]);
-        // A quarter of a pixel to the right: red tells the column.
+        // A quarter of a pixel to the right: red encodes the column.
         let red = |pair: &FramePair, column, row| pair.right.get_pixel(column, row).0[0];
         assert_eq!(red(&moved(0.25, 0.0, 0.0, 1.0), 20, 3), red(&moved(0.0, 0.0, 0.0, 1.0), 20, 3));
         assert_eq!(red(&moved(0.75, 0.0, 0.0, 1.0), 20, 3), red(&moved(0.0, 0.0, 0.0, 1.0), 19, 3));
-        // The centre stays; what was 10 pixels right of it is 12 right, or 10 below.
+        // The centre stays; a point 10 pixels to the right of it moves to 12 pixels to the right, or 10 below.
         let centre = pixel(1, 2, 19, 14);
         let near = |found: [u8; 3], expected: [u8; 3]| {
             assert!(found.iter().zip(expected).all(|(a, b)| a.abs_diff(b) <= 1), "{found:?} {expected:?}");

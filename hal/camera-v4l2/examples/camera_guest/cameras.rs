@@ -25,10 +25,10 @@ use crate::system::{self, User, as_user};
 /// Two devices that only capture.
 const VIVID: &str = "n_devs=2 node_types=0x1,0x1";
 
-/// Where they are.
+/// Their bus names.
 const BUSES: [&str; 2] = ["platform:vivid-000", "platform:vivid-001"];
 
-/// The format of what is not about formats.
+/// The pixel format of tests that are not about formats.
 const USUAL: PixelFormat = PixelFormat::Yuyv;
 
 /// The input "S-Video" with NTSC: 640x480 at 29.97 per second. The input "Webcam" has 25 at most in that size.
@@ -40,7 +40,7 @@ const NTSC_PERIOD: Duration = Duration::from_nanos(33_366_667);
 /// The two cameras are not synchronised.
 const SKEW_MAX_HERE: Duration = Duration::from_millis(20);
 
-/// Pairs at full rate, and which share may be lost.
+/// Pairs at full rate, and the number that may be lost.
 const PAIRS: u64 = 300;
 const LOST_MAX: u64 = 3;
 
@@ -60,20 +60,20 @@ pub fn check(report: &mut Report) {
     report.check("300 pairs of 640x480 YUYV at full rate, with true stamps", full_rate);
     report.check("the contract of a stereo camera is kept", contract);
     report.check("other formats", formats);
-    report.check("a limit of 5 ms refuses what is further apart", skew);
-    report.check("what a driver changes in silence is refused", changed);
-    report.check("stamps of the future are refused", future);
+    report.check("a limit of 5 ms refuses pairs that are further apart", skew);
+    report.check("silent changes by the driver are refused", changed);
+    report.check("timestamps in the future are refused", future);
     report.check("lost and damaged images are left out and counted", damaged);
-    report.check("a camera that is pulled is noticed, and can be opened again", pulled);
+    report.check("a disconnected camera is detected, and can be reopened", pulled);
     report.check("a second program is refused", second);
     report.check("a user without rights is refused", || {
         let said = as_user(User::Nobody, &["open"])?;
-        ensure(said.contains("this user may not use it"), || format!("it said: {said}"))?;
+        ensure(said.contains("permission denied"), || format!("it said: {said}"))?;
         Ok(String::new())
     });
 }
 
-/// What a program without rights says.
+/// The error message of a program without permissions.
 pub fn try_to_open() {
     match names::open(&Linux, &name(0)) {
         Ok(_) => println!("opened"),
@@ -131,7 +131,7 @@ fn next(camera: &mut V4l2StereoCamera, pair: &mut FramePair) -> Result<(), Camer
     }
 }
 
-/// Whose error it is, and that it is of this kind.
+/// Checks that a call fails with this kind of error and these words.
 fn refusal<T>(result: Result<T, CameraError>, kind: CameraErrorKind, words: &str) -> Outcome {
     let error = result.err().ok_or("it was not refused")?;
     let text = chain(&error);
@@ -151,7 +151,7 @@ fn found() -> Outcome {
     Ok(format!("{} formats, {} controls, {yuyv}", offered.len(), controls.len()))
 }
 
-/// How long this computer takes for an image, for the reader.
+/// Conversion time per image on this computer, for information.
 fn conversion() -> Outcome {
     let (size, stride) = (ImageSize { width: 640, height: 480 }, 1280);
     let layout = Layout { format: PixelFormat::Yuyv, size, stride, matrix: YuvMatrix::Bt601, range: YuvRange::Limited };
@@ -165,7 +165,7 @@ fn conversion() -> Outcome {
     Ok(format!("YUYV of 640x480 in {millis:.0} ms ({})", YuvKernels::best().name()))
 }
 
-/// At the rate of a rig.
+/// Runs at the rate of a real rig.
 fn full_rate() -> Outcome {
     let mut camera = open()?;
     let period = camera.info().period.ok_or("no period")?;
@@ -190,15 +190,15 @@ fn full_rate() -> Outcome {
         counters.skew_max_nanos as f64 * 1e-6
     );
     ensure(delivered + LOST_MAX >= periods, || format!("{text}; {counters:?}"))?;
-    // The driver stamps by ticks of its kernel.
+    // The driver stamps with the resolution of kernel ticks.
     let tolerance = 1.0 / periods as f64;
     ensure((mean / period.as_secs_f64() - 1.0).abs() < tolerance, || format!("the rate by stamps is wrong: {text}"))?;
     ensure((took - periods as f64 * mean).abs() < 0.5, || format!("stamps and clock disagree: {text}"))?;
-    ensure(same == 0, || format!("{same} images are those before them; {text}"))?;
+    ensure(same == 0, || format!("{same} images are identical to their predecessors; {text}"))?;
     Ok(text)
 }
 
-/// Every row of the left image in a few pixels: a moving image has another one.
+/// A few pixels of every row of the left image: they differ in a moving image.
 fn fingerprint(pair: &FramePair) -> Vec<u8> {
     pair.left.iter().step_by(1009).copied().collect()
 }
@@ -223,7 +223,7 @@ fn formats() -> Outcome {
         for _ in 0..2 {
             next(&mut camera, &mut pair)?;
         }
-        // Colour bars: of every format the same, as far as it can show them.
+        // Colour bars: the same in every format, as far as the format can represent them.
         let sum: u64 = pair.left.pixels().map(|pixel| u64::from(pixel.0[1])).sum();
         brightness.push((*format, sum as f64 / f64::from(640 * 480)));
     }
@@ -236,7 +236,8 @@ fn formats() -> Outcome {
     Ok(text)
 }
 
-/// How far apart the two begin is the driver's affair; a right stamp that stands for an earlier moment is a right camera that is early.
+/// The driver decides the offset between the two cameras; a right timestamp for an earlier time simulates a right camera that is
+/// early.
 fn skew() -> Outcome {
     for delay_millis in [0, 8, 16, 24] {
         let mut config = config(USUAL, SKEW_MAX)?;
@@ -255,23 +256,23 @@ fn skew() -> Outcome {
         }
         let refused = camera.counters().skew_refused;
         if refused >= 25 {
-            ensure(said.contains("at most 5.0 ms are allowed"), || said.clone())?;
+            ensure(said.contains("at most 5.0 ms is allowed"), || said.clone())?;
             return Ok(format!("{refused} of 30 refused, {delivered} within the limit; {said}"));
         }
     }
-    Err("wherever the right camera was put, it was within 5 ms of the left one".into())
+    Err("for every offset the right camera was within 5 ms of the left camera".into())
 }
 
 fn changed() -> Outcome {
     let mut wish = config(USUAL, SKEW_MAX_HERE)?;
     wish.left.mode.interval = Interval { numerator: 1, denominator: 60 };
-    refusal(open_with(&wish), CameraErrorKind::Unusable, "asked for 60.000 images per second")?;
+    refusal(open_with(&wish), CameraErrorKind::Unusable, "requested 60.000 images per second")?;
     let mut wish = config(PixelFormat::Mjpg, SKEW_MAX_HERE)?;
     wish.left.mode.takes_interlaced = false;
-    refusal(open_with(&wish), CameraErrorKind::Unusable, "asked for MJPG")?;
+    refusal(open_with(&wish), CameraErrorKind::Unusable, "requested MJPG")?;
     let mut wish = config(USUAL, SKEW_MAX_HERE)?;
     wish.left.mode.takes_interlaced = false;
-    refusal(open_with(&wish), CameraErrorKind::Unusable, "which tears what moves")?;
+    refusal(open_with(&wish), CameraErrorKind::Unusable, "which tears moving objects")?;
     let mut wish = config(USUAL, SKEW_MAX_HERE)?;
     wish.left.controls.focus = Setting::Manual(3);
     refusal(open_with(&wish), CameraErrorKind::Unusable, "it has no control for the focus")
@@ -298,7 +299,7 @@ fn future() -> Outcome {
         }
     }
     let left_out = camera.counters().left.future + camera.counters().right.future;
-    ensure(left_out > 0, || format!("nothing was left out, {delivered} pairs were delivered"))?;
+    ensure(left_out > 0, || format!("no image was left out, {delivered} pairs were delivered"))?;
     Ok(format!("{left_out} images were left out, {refused} calls said so, {delivered} pairs had come late enough"))
 }
 
@@ -308,7 +309,7 @@ fn damaged() -> Outcome {
     let mut pair = FramePair::black(camera.info().size);
     next(&mut camera, &mut pair)?;
     camera.set_control(Side::Left, dropped, 20)?;
-    // The driver draws which images it loses: that fewer than three of 200 are lost has a chance of 1e-16.
+    // The driver selects the lost images at random; the probability of fewer than three losses in 200 images is 1e-16.
     for _ in 0..200 {
         next(&mut camera, &mut pair)?;
         if camera.counters().left.lost >= 3 {
@@ -337,22 +338,23 @@ fn pulled() -> Outcome {
             next(&mut camera, &mut pair)?;
         }
         let begin = Instant::now();
-        // The camera is gone before the call is over: whatever it says, the next one tells.
+        // The camera is removed during the call: whatever the call returns, the next one reports it.
         let _ = camera.set_control(side, disconnect, 0);
         refusal(camera.next_pair_into(&mut pair, SECOND), CameraErrorKind::Disconnected, BUSES[side as usize])?;
         worst = worst.max(begin.elapsed());
         refusal(camera.next_pair_into(&mut pair, SECOND), CameraErrorKind::Disconnected, BUSES[side as usize])?;
-        // The old one holds nothing: the driver comes back when nobody has it open.
+        // The old handle is closed: the driver can be reloaded only if no process has it open.
         let mut again = open()?;
         next(&mut again, &mut pair)?;
     }
-    ensure(worst <= NTSC_PERIOD * 2, || format!("noticed after {worst:?}"))?;
-    Ok(format!("noticed after {:.1} ms at most", worst.as_secs_f64() * 1e3))
+    ensure(worst <= NTSC_PERIOD * 2, || format!("detected after {worst:?}"))?;
+    Ok(format!("detected after {:.1} ms at most", worst.as_secs_f64() * 1e3))
 }
 
 fn second() -> Outcome {
     let first = open()?;
-    let text = refusal(open_with(&config(USUAL, SKEW_MAX_HERE)?), CameraErrorKind::Unusable, "another program has it")?;
+    let text =
+        refusal(open_with(&config(USUAL, SKEW_MAX_HERE)?), CameraErrorKind::Unusable, "used by another program")?;
     drop(first);
     let mut again = open()?;
     let mut pair = FramePair::black(again.info().size);

@@ -1,16 +1,16 @@
-//! What `cargo xtask vm cameras` runs in an emulated computer: this crate with the real V4L2 of a real kernel, and its driver `vivid`,
-//! whose two cameras fail on request.
+//! The program that `cargo xtask vm cameras` runs in an emulated computer: this crate with the real V4L2 of a real kernel, and
+//! its driver `vivid`, whose two cameras fail on request.
 //!
-//! It is the first program of that computer, which has no other. What it finds out it says on the console, in the words of `report.rs`.
+//! It is the first and only program of that computer. It prints its results on the console, in the format of `report.rs`.
 
 #![allow(clippy::print_stdout, clippy::panic, reason = "a program for the console, whose checks may panic")]
 
 mod cameras;
 #[path = "../../../arm-pa10/examples/arm_guest/report.rs"]
-#[allow(dead_code, reason = "other programs have cables that are pulled")]
+#[allow(dead_code, reason = "used by programs that disconnect cables")]
 mod report;
 #[path = "../../../arm-pa10/examples/arm_guest/system.rs"]
-#[allow(dead_code, reason = "other programs read what the kernel says")]
+#[allow(dead_code, reason = "used by programs that read the kernel log")]
 mod system;
 
 use std::process::ExitCode;
@@ -50,7 +50,7 @@ fn main() -> ExitCode {
     match words.as_slice() {
         ["open"] => cameras::try_to_open(),
         _ => {
-            println!("this is started by `cargo xtask vm cameras`");
+            println!("this program is started by `cargo xtask vm cameras`");
             return ExitCode::FAILURE;
         }
     }

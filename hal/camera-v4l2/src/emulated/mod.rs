@@ -1,7 +1,7 @@
-//! Cameras without hardware, at the level of the system's calls: they behave as a driver does, and fail on request.
+//! Emulated cameras at the level of system calls: they behave like a driver, and fail on request.
 //!
-//! [`EmulatedSystem`] is a [`VideoSystem`] with any number of them. Their time is that of an injected clock: on a virtual one a test of
-//! minutes takes milliseconds. What they do wrong is set while they run, by [`EmulatedSystem::with`].
+//! [`EmulatedSystem`] is a [`VideoSystem`] with any number of them. Their time is that of an injected clock: on a virtual clock a
+//! test of minutes takes milliseconds. [`EmulatedSystem::with`] injects faults while they run.
 
 mod node;
 
@@ -22,7 +22,7 @@ use crate::video::{
 };
 use node::EmulatedNode;
 
-/// What the clock of stamps shows when that of the program shows zero: the two have different origins.
+/// Timestamp clock at zero of the program clock: the two clocks have different origins.
 const STAMP_ORIGIN_NANOS: i64 = 1_234_567_000_000;
 
 /// A call that can be made to fail.
@@ -30,9 +30,9 @@ const STAMP_ORIGIN_NANOS: i64 = 1_234_567_000_000;
 pub enum Call {
     /// Opening the device.
     Open,
-    /// Asking for a format.
+    /// Setting a format.
     SetFormat,
-    /// Asking for buffers.
+    /// Requesting buffers.
     RequestBuffers,
     /// Starting the stream.
     Start,
@@ -40,79 +40,80 @@ pub enum Call {
     Queue,
     /// Taking a filled buffer.
     Dequeue,
-    /// Waiting for any device; that of the first one counts.
+    /// Waiting for any device; the setting of the first device counts.
     Wait,
 }
 
-/// What one camera does wrong, or has done.
+/// Faults of one camera.
 #[derive(Clone, Debug, Default)]
 pub struct Faults {
-    /// The cable is pulled: every call fails with `ENODEV`.
+    /// The cable is disconnected: every call fails with `ENODEV`.
     pub is_unplugged: bool,
     /// No more images come.
     pub is_silent: bool,
     /// The stream ends with a last image.
     pub ends: bool,
-    /// The driver has stopped by itself and says nothing but that.
+    /// The driver has stopped the stream without further information.
     pub has_stopped: bool,
-    /// The next so many images are marked as damaged.
+    /// Number of next images that are marked as damaged.
     pub damaged: u32,
-    /// The next so many images are a byte too short.
+    /// Number of next images that are a byte too short.
     pub short: u32,
-    /// The next so many images are lost before they reach a buffer.
+    /// Number of next images that are lost before they reach a buffer.
     pub lost: u32,
-    /// The next so many images have the number of the one before.
+    /// Number of next images with the sequence number of the previous one.
     pub repeated: u32,
-    /// Stamps are so much later than they should be, nanoseconds.
+    /// Delay of the timestamps, nanoseconds.
     pub stamps_late_nanos: i64,
-    /// Calls that fail, with the error of the system.
+    /// Calls that fail, with the system error.
     pub calls: BTreeMap<Call, Errno>,
-    /// Controls that take a value and do not keep it.
+    /// Controls that accept a value and do not keep it.
     pub forgetful: Vec<u32>,
-    /// What is given in place of the size that is asked for.
+    /// Size returned instead of the requested one.
     pub other_size: Option<(u32, u32)>,
-    /// What is given in place of the interval that is asked for.
+    /// Interval returned instead of the requested one.
     pub other_interval: Option<Interval>,
 }
 
 /// A size with its intervals.
 pub type EmulatedSize = (ImageSize, Vec<Interval>);
 
-/// One camera: what it is, and what it does.
+/// One camera: its properties and its behaviour.
 #[derive(Clone, Debug)]
 pub struct EmulatedCamera {
-    /// As the system lists it.
+    /// Entry in the device list.
     pub entry: NodeEntry,
-    /// As it describes itself.
+    /// Capability reported by the device.
     pub capability: Capability,
     /// Formats, each with sizes and their intervals.
     pub formats: Vec<([u8; 4], Vec<EmulatedSize>)>,
-    /// Bytes behind each row.
+    /// Padding bytes after each row.
     pub padding: u32,
-    /// Which lines of an image are exposed together.
+    /// Field order of an image.
     pub field: FieldOrder,
     /// Controls with their values.
     pub controls: Vec<(ControlEntry, i32)>,
-    /// What stamps mean.
+    /// Meaning of the timestamps.
     pub source: StampSource,
-    /// From the moment of a stamp until the image can be taken.
+    /// Time from the timestamp until the image is available.
     pub arrival: Duration,
-    /// The same besides, of the image of that number, counted from the start of the stream; less than a period.
+    /// Additional delay of the image with this number, counted from the start of the stream; less than a period.
     pub lateness: fn(u64) -> Duration,
-    /// When the first image is stamped, after the start of the stream.
+    /// Timestamp of the first image, relative to the start of the stream.
     pub phase: Duration,
-    /// By how much its clock is slow: seconds per second.
+    /// Drift of its clock: seconds per second that it is slow.
     pub slowness: f64,
     /// Number of the first image.
     pub first_sequence: u32,
-    /// Content of the image of that number, counted from the start of the stream.
+    /// Content of the image with this number, counted from the start of the stream.
     pub paint: fn(u64, &mut [u8]),
-    /// What it does wrong.
+    /// Faults of the camera.
     pub faults: Faults,
 }
 
 impl EmulatedCamera {
-    /// A camera of `YUYV` 640x480 and 64x48 at 30 per second and `GREY` 64x48, with the controls of a usual USB camera, all automatic.
+    /// A camera with `YUYV` 640x480 and 64x48 at 30 per second and `GREY` 64x48, with the controls of a typical USB camera, all
+    /// automatic.
     pub fn usual(number: u32) -> Self {
         let sizes = |sizes: &[(u32, u32)]| -> Vec<EmulatedSize> {
             let interval = Interval { numerator: 1, denominator: 30 };
@@ -175,7 +176,7 @@ impl EmulatedCamera {
         }
     }
 
-    /// Lines of menus: those of the exposure of a usual USB camera.
+    /// Menu items: the exposure modes of a typical USB camera.
     fn menu_line(id: u32, line: u32) -> Option<String> {
         let text = match (id, line) {
             (id::EXPOSURE_AUTO, 1) => "Manual Mode",
@@ -186,25 +187,25 @@ impl EmulatedCamera {
     }
 }
 
-/// What the driver of a camera knows.
+/// Driver state of a camera.
 #[derive(Clone, Debug)]
 struct Device {
     camera: EmulatedCamera,
     format: RawFormat,
     interval: Interval,
-    /// Which node has buffers of it.
+    /// The node that owns its buffers.
     owner: Option<Handle>,
     stream: Option<Run>,
 }
 
-/// A stream that was started.
+/// A running stream.
 #[derive(Clone, Debug)]
 struct Run {
-    /// Stamp of the first image.
+    /// Timestamp of the first image.
     first_nanos: i64,
-    /// Images that were made.
+    /// Number of images made.
     made: u64,
-    /// Number of the last one.
+    /// Sequence number of the last image.
     sequence: u32,
 }
 
@@ -214,18 +215,18 @@ impl Device {
         Self { camera, format: RawFormat::default(), interval, owner: None, stream: None }
     }
 
-    /// Stamp of the image of that number since the start.
+    /// Timestamp of the image with this number since the start.
     fn stamp_nanos(&self, run: &Run, number: u64) -> i64 {
         let period = self.interval.seconds().unwrap_or(1.0) * 1e9 * (1.0 + self.camera.slowness);
         run.first_nanos + (number as f64 * period).round() as i64
     }
 
-    /// When the image of that number can be taken.
+    /// When the image with this number is available.
     fn arrival_nanos(&self, run: &Run, number: u64) -> i64 {
         self.stamp_nanos(run, number) + nanos(self.camera.arrival + (self.camera.lateness)(number))
     }
 
-    /// A silent camera makes nothing of the images that are due.
+    /// A silent camera skips the images that are due.
     fn skip_silently(&mut self, now_nanos: i64) {
         let Some(mut run) = self.stream.take() else { return };
         while self.arrival_nanos(&run, run.made) <= now_nanos {
@@ -234,7 +235,7 @@ impl Device {
         self.stream = Some(run);
     }
 
-    /// When the next image can be taken.
+    /// When the next image is available.
     fn next_at_nanos(&self) -> Option<i64> {
         let run = self.stream.as_ref().filter(|_| !self.camera.faults.is_silent)?;
         Some(self.arrival_nanos(run, run.made))
@@ -250,7 +251,7 @@ struct Inner {
 struct State {
     devices: Vec<Device>,
     nodes: Vec<node::NodeState>,
-    /// Further names of files, and what they lead to.
+    /// Additional file names and their targets.
     links: Vec<(PathBuf, PathBuf)>,
 }
 
@@ -259,18 +260,18 @@ struct State {
 pub struct EmulatedSystem(Arc<Inner>);
 
 impl EmulatedSystem {
-    /// A system with these cameras, in the time of this clock.
+    /// A system with these cameras, using this clock.
     pub fn new(clock: Arc<dyn Clock>, cameras: Vec<EmulatedCamera>) -> Self {
         let devices = cameras.into_iter().map(Device::new).collect();
         Self(Arc::new(Inner { clock, devices: Mutex::new(State { devices, ..State::default() }) }))
     }
 
-    /// Another name of a file, as `udev` makes them.
+    /// Adds another name for a file, like a `udev` link.
     pub fn link(&self, link: impl Into<PathBuf>, file: impl Into<PathBuf>) {
         self.lock().links.push((link.into(), file.into()));
     }
 
-    /// Looks at a camera, or changes it. Nothing happens to one that does not exist.
+    /// Inspects or modifies a camera; does nothing if it does not exist.
     pub fn with<T>(&self, number: usize, change: impl FnOnce(&mut EmulatedCamera) -> T) -> Option<T> {
         self.lock().devices.get_mut(number).map(|device| change(&mut device.camera))
     }

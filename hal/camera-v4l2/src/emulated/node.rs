@@ -12,13 +12,13 @@ use crate::video::{
     Capability, ControlEntry, Filled, Handle, IntervalEntry, RawFormat, Readiness, SizeEntry, VideoNode,
 };
 
-/// What a driver keeps of an open node.
+/// Driver state of an open node.
 #[derive(Debug, Default)]
 pub(super) struct NodeState {
     device: usize,
     /// Buffers to be filled.
     queued: VecDeque<u32>,
-    /// Buffers that were filled, with the number of the image since the start.
+    /// Filled buffers, with the number of the image since the start.
     filled: VecDeque<(Filled, u64)>,
     streams: bool,
 }
@@ -86,7 +86,7 @@ pub(super) struct EmulatedNode {
     system: EmulatedSystem,
     device: usize,
     handle: Handle,
-    /// Memory of buffers, and whether the driver has them.
+    /// Memory of the buffers, and whether the driver owns them.
     buffers: Vec<(Vec<u8>, bool)>,
 }
 
@@ -96,7 +96,7 @@ impl EmulatedNode {
         Self { system, device, handle, buffers: Vec::new() }
     }
 
-    /// Does something with what the driver knows, unless the camera is gone or the call is to fail.
+    /// Runs a function on the driver state, unless the camera is disconnected or the call must fail.
     fn call<T>(
         &self,
         call: Option<Call>,
@@ -125,7 +125,7 @@ fn sizes_of(camera: &EmulatedCamera, fourcc: [u8; 4]) -> &[(ImageSize, Vec<Inter
     camera.formats.iter().find(|(format, _)| *format == fourcc).map_or(&[], |(_, sizes)| sizes)
 }
 
-/// As drivers do: the nearest thing that there is, without a word.
+/// Like real drivers: silently returns the nearest available format.
 fn nearest_format(camera: &EmulatedCamera, asked: &RawFormat) -> Option<RawFormat> {
     let has = |fourcc: [u8; 4]| camera.formats.iter().any(|(format, _)| *format == fourcc);
     let fourcc =
@@ -134,7 +134,7 @@ fn nearest_format(camera: &EmulatedCamera, asked: &RawFormat) -> Option<RawForma
     let size = sizes_of(camera, fourcc).iter().map(|(size, _)| *size).min_by_key(distance)?;
     let (width, height) = camera.faults.other_size.unwrap_or((size.width, size.height));
     let row = PixelFormat::of_fourcc(fourcc).and_then(|format| format.row_bytes(width)).unwrap_or(0) as u32;
-    // The trap of real drivers: a stride that is asked for is kept, though it is that of another size.
+    // A pitfall of real drivers: a requested stride is kept, although it belongs to another size.
     let stride = asked.stride.max(row + camera.padding);
     Some(RawFormat {
         fourcc,
@@ -272,7 +272,7 @@ impl VideoNode for EmulatedNode {
     }
 
     fn queue(&mut self, index: u32) -> io::Result<()> {
-        // A buffer cannot be given twice.
+        // A buffer cannot be queued twice.
         let is_ours = self.buffers.get(index as usize).is_some_and(|(_, is_drivers)| !is_drivers);
         self.call(Some(Call::Queue), |_, node| {
             if !is_ours {

@@ -1,4 +1,4 @@
-//! Which video devices there are, from `/sys/class/video4linux`.
+//! Lists the video devices from `/sys/class/video4linux`.
 
 use std::fs;
 use std::io;
@@ -6,17 +6,17 @@ use std::path::{Path, PathBuf};
 
 use crate::video::NodeEntry;
 
-/// One link per video device, to the folder of its node below the folder of the hardware.
+/// One link per video device, to the folder of its node below the hardware folder.
 pub(super) const CLASS: &str = "/sys/class/video4linux";
 
-/// From a node up to the USB device: node, class folder, interface, device. Some more for hubs of no serial number are not looked at:
-/// the number of a hub is not that of the camera.
+/// From a node up to the USB device: node, class folder, interface, device. Higher levels are not searched: they are hubs, whose
+/// serial number is not that of the camera.
 const LEVELS_MAX: usize = 4;
 
 pub(super) fn entries(class: &Path) -> io::Result<Vec<NodeEntry>> {
     let folder = match fs::read_dir(class) {
         Ok(folder) => folder,
-        // Without a driver there is no class, and no device.
+        // Without a driver there is no class folder, and no device.
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         Err(error) => return Err(error),
     };
@@ -24,7 +24,7 @@ pub(super) fn entries(class: &Path) -> io::Result<Vec<NodeEntry>> {
     for file in folder {
         let file = file?;
         let name = file.file_name();
-        // Radios, sub-devices and the like have other names.
+        // Radios, sub-devices and similar nodes have other names.
         let Some(number) = name.to_str().and_then(|name| name.strip_prefix("video")) else { continue };
         let Ok(number) = number.parse::<u32>() else { continue };
         entries.push((number, entry(&file.path(), Path::new("/dev").join(&name))));
@@ -38,7 +38,7 @@ fn entry(folder: &Path, path: PathBuf) -> NodeEntry {
     NodeEntry { path, index, serial: serial_of(folder) }
 }
 
-/// The serial number of the USB device above a node: the first folder above it that has the number of a USB device.
+/// The serial number of the USB device of a node: the first folder above it with a USB serial number.
 fn serial_of(folder: &Path) -> Option<String> {
     let folder = fs::canonicalize(folder).ok()?;
     let device = folder.ancestors().take(LEVELS_MAX).find(|folder| folder.join("idVendor").is_file())?;
@@ -54,7 +54,7 @@ mod tests {
     use super::*;
     use std::os::unix::fs::symlink;
 
-    /// The folders of `/sys` as a USB camera and a virtual one have them.
+    /// The folders of `/sys` for a USB camera and a virtual camera.
     #[test]
     fn nodes_are_found_with_their_serial_numbers() {
         let root = std::env::temp_dir().join(format!("pb3dp-v4l2-list-{}", std::process::id()));

@@ -1,7 +1,7 @@
-//! The calls of [`video`](crate::video) on Linux, by the raw layer of the crate `v4l`.
+//! Implementation of [`video`](crate::video) on Linux, using the raw layer of the crate `v4l`.
 //!
-//! Its stream type is not used: it queues a buffer twice after a time-out, hands out damaged buffers as good ones, and panics where a
-//! stream cannot be stopped.
+//! The stream type of `v4l` is not used: it queues a buffer twice after a time-out, delivers damaged buffers as good ones, and
+//! panics if a stream cannot be stopped.
 
 mod list;
 mod node;
@@ -43,7 +43,7 @@ impl VideoSystem for Linux {
     }
 
     fn wait(&self, handles: [Handle; 2], timeout: Duration) -> io::Result<[Readiness; 2]> {
-        // SAFETY: a handle is the file of an open node; whoever waits holds that node.
+        // SAFETY: a handle is the file of an open node; the caller that waits holds that node.
         let mut polled =
             handles.map(|handle| PollFd::from_borrowed_fd(unsafe { BorrowedFd::borrow_raw(handle) }, PollFlags::IN));
         let timeout = Timespec { tv_sec: timeout.as_secs() as i64, tv_nsec: i64::from(timeout.subsec_nanos()) };

@@ -18,7 +18,7 @@ use crate::video::{
 const CAPTURE: u32 = sys::v4l2_buf_type_V4L2_BUF_TYPE_VIDEO_CAPTURE;
 const MAPPED: u32 = sys::v4l2_memory_V4L2_MEMORY_MMAP;
 
-/// Says which of a driver's formats a program understands: drivers look at colour only if it is set.
+/// Indicates that the extended format fields are valid: drivers use the colour fields only if it is set.
 const PRIVATE_IS_VALID: u32 = sys::V4L2_PIX_FMT_PRIV_MAGIC;
 
 /// An open device.
@@ -27,31 +27,31 @@ pub(super) struct Node {
     buffers: Vec<Mapping>,
 }
 
-/// Memory of a buffer, which the driver shares with us.
+/// Memory of a buffer, shared with the driver.
 struct Mapping {
     start: *mut c_void,
     length: usize,
-    /// Whether the driver may write into it now.
+    /// Whether the driver may write to it now.
     is_drivers: bool,
 }
 
-// SAFETY: memory of a mapping belongs to the process, not to a thread; it is reached through its owner only.
+// SAFETY: the memory of a mapping belongs to the process, not to a thread; it is accessed only through its owner.
 unsafe impl Send for Mapping {}
 
 impl Drop for Mapping {
     fn drop(&mut self) {
-        // SAFETY: mapped in `Node::map` with this start and length, and unmapped here only. Nothing can be done about a failure.
+        // SAFETY: mapped in `Node::map` with this start and length, and unmapped only here. A failure cannot be handled.
         let _ = unsafe { v4l2::munmap(self.start, self.length) };
     }
 }
 
-/// Of V4L2: plain structures of C, for which all bits zero is a value.
+/// Argument structures of V4L2: plain C structures for which all zero bits are a valid value.
 ///
 /// # Safety
-/// Only for those that `ioctl(2)` of V4L2 takes.
+/// Only for structures that `ioctl(2)` of V4L2 accepts.
 unsafe trait Argument: Sized {
     fn empty() -> Self {
-        // SAFETY: as promised by who implements the trait.
+        // SAFETY: guaranteed by the implementation of the trait.
         unsafe { zeroed() }
     }
 }
@@ -85,9 +85,9 @@ impl Node {
         Self { file, buffers: Vec::new() }
     }
 
-    /// One ioctl, again if a signal came between.
+    /// One ioctl, repeated if it was interrupted by a signal.
     fn call<T: Argument>(&self, request: vidioc::_IOC_TYPE, argument: &mut T) -> io::Result<()> {
-        // Bits 16 to 29 of a request tell the size of its argument.
+        // Bits 16 to 29 of a request contain the size of its argument.
         debug_assert_eq!((request >> 16) as usize & 0x3FFF, size_of::<T>());
         loop {
             // SAFETY: the file is open, and the argument is the structure that the request writes to.
@@ -98,7 +98,7 @@ impl Node {
         }
     }
 
-    /// One entry of a list, whose end a driver tells by `EINVAL`. A device without such a list (`ENOTTY`) has an empty one.
+    /// One entry of a list; a driver signals the end by `EINVAL`. A device without such a list (`ENOTTY`) has an empty one.
     fn entry<T: Argument>(&self, request: vidioc::_IOC_TYPE, mut argument: T) -> io::Result<Option<T>> {
         match self.call(request, &mut argument) {
             Ok(()) => Ok(Some(argument)),
@@ -114,7 +114,7 @@ impl Node {
 
 impl Drop for Node {
     fn drop(&mut self) {
-        // The driver takes its buffers back when the file is closed; until then they must be unmapped.
+        // The driver takes its buffers back when the file is closed; before that they must be unmapped.
         self.buffers.clear();
     }
 }
@@ -229,13 +229,13 @@ impl VideoNode for Node {
         let mut argument = Self::buffer(index);
         self.call(vidioc::VIDIOC_QUERYBUF, &mut argument)?;
         let length = argument.length as usize;
-        // SAFETY: for mapped memory the offset is what the driver has filled in.
+        // SAFETY: for mapped memory the driver has filled in the offset.
         let offset = i64::from(unsafe { argument.m.offset });
         let (protection, flags) =
             (rustix::mm::ProtFlags::READ | rustix::mm::ProtFlags::WRITE, rustix::mm::MapFlags::SHARED);
         let (protection, flags) = (protection.bits() as i32, flags.bits() as i32);
         let file = self.file.as_raw_fd();
-        // SAFETY: a new mapping wherever the system likes, of a length that the driver has told.
+        // SAFETY: a new mapping at an address chosen by the system, with the length reported by the driver.
         let start = unsafe { v4l2::mmap(std::ptr::null_mut(), length, protection, flags, file, offset) }?;
         self.buffers.push(Mapping { start, length, is_drivers: false });
         Ok(length)
@@ -243,8 +243,8 @@ impl VideoNode for Node {
 
     fn memory(&self, index: u32) -> &[u8] {
         let Some(buffer) = self.buffers.get(index as usize).filter(|buffer| !buffer.is_drivers) else { return &[] };
-        // SAFETY: mapped with that length for as long as `self` has it; the driver does not write before the buffer is queued
-        // again, for which `self` must not be borrowed.
+        // SAFETY: mapped with that length for as long as `self` owns it; the driver does not write before the buffer is queued
+        // again, which requires that `self` is not borrowed.
         unsafe { std::slice::from_raw_parts(buffer.start.cast(), buffer.length) }
     }
 

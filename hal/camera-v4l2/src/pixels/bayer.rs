@@ -1,9 +1,9 @@
-//! Bayer images, one colour per pixel: the two others are the mean of the nearest pixels that have them (bilinear).
+//! Bayer images, one colour per pixel: the other two are the mean of the nearest pixels that have them (bilinear).
 
 use image::RgbImage;
 use pb3dp_camera_settings::BayerOrder;
 
-/// Column and row, modulo 2, of red; blue lies diagonally to it.
+/// Column and row, modulo 2, of red; blue is diagonal to it.
 fn red(order: BayerOrder) -> (usize, usize) {
     match order {
         BayerOrder::Rggb => (0, 0),
@@ -13,19 +13,19 @@ fn red(order: BayerOrder) -> (usize, usize) {
     }
 }
 
-/// Converts images, with memory for a row that is used again and again.
+/// Converts images, with reusable row memory.
 #[derive(Debug)]
 pub(super) struct Demosaic {
     rows: RowColours,
-    /// All bits of the columns, without the outermost two, that have their row's colour that is not green: of rows whose column 1 has
-    /// it, and of the others.
+    /// Bit masks of the columns, without the outermost two, that have the non-green colour of their row: for rows in which column
+    /// 1 has it, and for the others.
     masks: [Vec<u8>; 2],
 }
 
 /// The colours of a row, without its outermost pixels.
 #[derive(Debug)]
 struct RowColours {
-    /// The row's colour that is not green.
+    /// The non-green colour of the row.
     own: Vec<u8>,
     green: Vec<u8>,
     /// The colour of the rows above and below.
@@ -33,7 +33,7 @@ struct RowColours {
 }
 
 impl Demosaic {
-    /// For images of this width, in pixels.
+    /// Creates a converter for this image width, in pixels.
     pub(super) fn new(width: u32) -> Self {
         let inner = (width as usize).saturating_sub(2);
         let row = || vec![0; inner];
@@ -41,8 +41,8 @@ impl Demosaic {
         Self { rows: RowColours { own: row(), green: row(), other: row() }, masks: [columns(0), columns(1)] }
     }
 
-    /// Converts an image of that width and at least 2x2 pixels. Beyond its rim lies what lies inside, mirrored at the outermost pixels, so that
-    /// colours stay where the pattern has them.
+    /// Converts an image of that width and at least 2x2 pixels. The border is mirrored at the outermost pixels, so that the
+    /// colour pattern is preserved.
     pub(super) fn convert(&mut self, bytes: &[u8], stride: usize, order: BayerOrder, target: &mut RgbImage) {
         let (width, height) = (target.width() as usize, target.height() as usize);
         let (red_column, red_row) = red(order);
@@ -51,14 +51,14 @@ impl Demosaic {
             let above = row_of(if row == 0 { 1 } else { row - 1 });
             let below = row_of(if row + 1 == height { height - 2 } else { row + 1 });
             let rows = [above, row_of(row), below];
-            // In a row with red the colour of the other rows is blue, and the other way round.
+            // In a row with red the colour of the other rows is blue, and vice versa.
             let has_red = row % 2 == red_row;
             let colour_column = if has_red { red_column } else { 1 - red_column };
             self.convert_row(rows, has_red, colour_column, out);
         }
     }
 
-    /// One row; `colour_column` (modulo 2) has the row's colour that is not green.
+    /// Converts one row; `colour_column` (modulo 2) has the non-green colour of the row.
     fn convert_row(&mut self, rows: [&[u8]; 3], has_red: bool, colour_column: usize, out: &mut [u8]) {
         let width = rows[1].len();
         let columns = |columns: [usize; 3]| rows.map(|row| columns.map(|column| row[column]));
@@ -81,7 +81,7 @@ impl Demosaic {
     }
 }
 
-/// The same as [`pixel`] for all columns but the outermost, without a branch: compilers make vectors of it.
+/// The same as [`pixel`] for all columns except the outermost, without a branch, so that compilers vectorise it.
 fn inner_colours([above, row, below]: [&[u8]; 3], mask: &[u8], own: &mut [u8], green: &mut [u8], other: &mut [u8]) {
     let count = mask.len();
     let (own, green, other) = (&mut own[..count], &mut green[..count], &mut other[..count]);
@@ -99,7 +99,7 @@ fn inner_colours([above, row, below]: [&[u8]; 3], mask: &[u8], own: &mut [u8], g
     }
 }
 
-/// The pixel in the middle of a square, which has the row's colour that is not green, or green.
+/// The centre pixel of a square, which has the non-green colour of the row, or green.
 fn pixel(square: [[u8; 3]; 3], has_red: bool, is_colour: bool) -> [u8; 3] {
     let [above, row, below] = square.map(|row| row.map(u16::from));
     let beside = row[0] + row[2];

@@ -1,10 +1,10 @@
-//! Images of `MJPG`: JPEGs, whose Huffman tables many cameras leave out, and of whose scan pieces get lost on the bus.
+//! `MJPG` images: JPEGs, in which many cameras omit the Huffman tables, and whose scan data may be partly lost on the bus.
 //!
-//! A camera that leaves the tables out means those of ITU-T T.81, annex K.3, which are put back before the decoder sees the image.
-//! Where data are missing decoders go on with zeros, so that the rest of the image is grey. For that reason ones are put before each
-//! marker of the scan: T.81 gives no symbol the code of ones alone (annex C), so who reads on where data should be finds what he can
-//! not decode. Who has read all that belongs there leaves out what is before the marker; many cameras put a few bytes there themselves.
-//! The markers themselves are counted. What is too short to lack a block, some tens of bytes, is not noticed.
+//! A camera that omits the tables uses those of ITU-T T.81, annex K.3; they are inserted before decoding. If data are missing,
+//! decoders continue with zeros, so that the rest of the image is grey. To detect this, ones are inserted before each marker of
+//! the scan. T.81 assigns no symbol to the code of ones only (annex C), so a decoder that reads past missing data finds an
+//! invalid code. A decoder that has read all data skips the bytes before the marker; many cameras insert a few bytes there
+//! themselves. The markers are counted as well. Losses smaller than a block, some tens of bytes, are not detected.
 
 use image::RgbImage;
 use zune_jpeg::JpegDecoder;
@@ -14,7 +14,7 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 
 use super::PixelError;
 
-/// Start, end, and a frame header: less is no JPEG.
+/// Start marker, end marker and a frame header: the minimum size of a JPEG.
 pub(super) const BYTES_MIN: usize = 24;
 
 const MARKER: u8 = 0xFF;
@@ -22,16 +22,17 @@ const START_OF_IMAGE: u8 = 0xD8;
 const END_OF_IMAGE: u8 = 0xD9;
 const START_OF_SCAN: u8 = 0xDA;
 const HUFFMAN_TABLES: u8 = 0xC4;
-/// The first one of eight.
+/// The first of eight restart markers.
 const RESTART: u8 = 0xD0;
 const RESTART_INTERVAL: u8 = 0xDD;
-/// Of frames that have one scan: baseline, and extended sequential.
+/// Frame types with one scan: baseline, and extended sequential.
 const FRAMES: [u8; 2] = [0xC0, 0xC1];
 
-/// 64 ones, each 0xFF with its zero behind it: a code has 16 bits at most, and up to 15 more of its number may be read with it.
+/// 64 ones, each 0xFF followed by a stuffed zero byte: a code has at most 16 bits, and up to 15 more bits of its value may be
+/// read with it.
 const NO_CODE: [u8; 16] = [0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0];
 
-/// Decodes JPEGs, with memory for what the decoder is given.
+/// Decodes JPEGs, with reusable memory for the decoder input.
 #[derive(Debug, Default)]
 pub(super) struct Decoder {
     completed: Vec<u8>,
@@ -54,7 +55,7 @@ impl Decoder {
         decoder.decode_into(target).map_err(failed)
     }
 
-    /// Takes the image with tables and with ends that cannot be read over.
+    /// Copies the image, with tables and with ends that cannot be read past.
     fn complete(&mut self, bytes: &[u8]) -> Result<(), &'static str> {
         let anatomy = Anatomy::of(bytes)?;
         let completed = &mut self.completed;
@@ -67,10 +68,10 @@ impl Decoder {
     }
 }
 
-/// Appends the scan, of which images of cameras have one, from its marker to the end of the image. What drivers leave behind that
-/// means nothing.
+/// Appends the scan from its marker to the end of the image; camera images have one scan. Trailing bytes of the driver are
+/// ignored.
 fn append_scan(completed: &mut Vec<u8>, bytes: &[u8], restarts_min: usize) -> Result<(), &'static str> {
-    const LACKS: &str = "a piece of the scan: its markers do not follow each other";
+    const LACKS: &str = "a part of the scan (its restart markers are not consecutive)";
     let header = number_at(bytes, 2).and_then(|length| bytes.get(..2 + length)).ok_or("the header of the scan")?;
     completed.extend_from_slice(header);
     let (mut rest, mut restarts) = (&bytes[header.len()..], 0);
@@ -79,7 +80,7 @@ fn append_scan(completed: &mut Vec<u8>, bytes: &[u8], restarts_min: usize) -> Re
         let (data, from_marker) = rest.split_at(at);
         completed.extend_from_slice(data);
         rest = match *from_marker.get(1).ok_or("the end marker")? {
-            // A marker may begin with more than one 0xFF.
+            // A marker may begin with several 0xFF.
             MARKER => &from_marker[1..],
             kind => {
                 if kind != 0 {
@@ -89,7 +90,7 @@ fn append_scan(completed: &mut Vec<u8>, bytes: &[u8], restarts_min: usize) -> Re
                 match kind {
                     0 => {}
                     END_OF_IMAGE if restarts >= restarts_min => return Ok(()),
-                    // They are numbered from 0 to 7, and from 0 again.
+                    // Restart markers are numbered from 0 to 7 cyclically.
                     kind if kind == RESTART + (restarts % 8) as u8 => restarts += 1,
                     _ => return Err(LACKS),
                 }
@@ -99,21 +100,21 @@ fn append_scan(completed: &mut Vec<u8>, bytes: &[u8], restarts_min: usize) -> Re
     }
 }
 
-/// Where what lies in a JPEG, and what its scan consists of.
+/// The structure of a JPEG and of its scan.
 #[derive(Debug, Default)]
 struct Anatomy {
-    /// Of the marker of the first scan.
+    /// Position of the marker of the first scan.
     scan: usize,
     /// Whether there are Huffman tables before it.
     has_tables: bool,
-    /// Blocks that are coded together, of the whole image.
+    /// Number of coded units (groups of blocks) of the whole image.
     units: usize,
-    /// As many of them stand between two restart markers; zero: there are no markers.
+    /// Number of units between two restart markers; zero: there are no restart markers.
     interval: usize,
 }
 
 impl Anatomy {
-    /// Goes from segment to segment up to the first scan.
+    /// Parses the segments up to the first scan.
     fn of(bytes: &[u8]) -> Result<Self, &'static str> {
         if !bytes.starts_with(&[MARKER, START_OF_IMAGE]) {
             return Err("the start marker");
@@ -122,7 +123,7 @@ impl Anatomy {
         loop {
             let Some([MARKER, kind]) = bytes.get(at..at + 2) else { return Err("a marker before the first scan") };
             match *kind {
-                // A marker may begin with more than one 0xFF.
+                // A marker may begin with several 0xFF.
                 MARKER => at += 1,
                 START_OF_SCAN => return Ok(Self { scan: at, ..found }),
                 kind => {
@@ -140,14 +141,14 @@ impl Anatomy {
         }
     }
 
-    /// Markers that have to stand in the scan.
+    /// Number of restart markers required in the scan.
     fn restarts(&self) -> Result<usize, &'static str> {
         let before_last = self.units.checked_sub(1).ok_or("a frame of one scan")?;
         Ok(before_last.checked_div(self.interval).unwrap_or(0))
     }
 }
 
-/// How many blocks, or groups of blocks of all components, the frame of this header has (T.81, A.2).
+/// Number of coded units (blocks, or groups of blocks of all components) of the frame with this header (T.81, A.2).
 fn units(segment: &[u8]) -> Option<usize> {
     let [height, width] = [number_at(segment, 3)?, number_at(segment, 5)?];
     let components = segment.get(8..)?.chunks_exact(3);
@@ -160,12 +161,12 @@ fn units(segment: &[u8]) -> Option<usize> {
     (across > 0 && down > 0).then(|| width.div_ceil(across) * height.div_ceil(down))
 }
 
-/// A number of two bytes; that of a segment is its length, with these two.
+/// A number of two bytes; the length of a segment includes these two.
 fn number_at(bytes: &[u8], at: usize) -> Option<usize> {
     Some(usize::from(u16::from_be_bytes(*bytes.get(at..at + 2)?.first_chunk()?)))
 }
 
-/// Class and number, how many codes there are of 1 to 16 bits, and what they stand for.
+/// Class and number, number of codes of 1 to 16 bits, and their symbols.
 type Table = (u8, [u8; 16], &'static [u8]);
 
 fn append_standard_tables(bytes: &mut Vec<u8>) {

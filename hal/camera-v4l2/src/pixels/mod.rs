@@ -1,4 +1,4 @@
-//! From the bytes of a driver's buffer to the image of a [`FramePair`](pb3dp_hal_api::FramePair).
+//! Converts the bytes of a driver buffer to the image of a [`FramePair`](pb3dp_hal_api::FramePair).
 
 mod bayer;
 mod jpeg;
@@ -11,23 +11,23 @@ use pb3dp_geometry::ImageSize;
 
 pub use yuyv::{YuvKernels, YuvMatrix, YuvRange};
 
-/// What an image of a device looks like in memory.
+/// Memory layout of a device image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
-    /// How pixels are laid out.
+    /// Pixel format.
     pub format: PixelFormat,
-    /// Of the image.
+    /// Image size.
     pub size: ImageSize,
-    /// Bytes from the begin of one row to the begin of the next; not used for `MJPG`.
+    /// Bytes from the start of one row to the start of the next; not used for `MJPG`.
     pub stride: usize,
-    /// What the bytes of `YUYV` mean; not used for the others.
+    /// Colour matrix of `YUYV`; not used for other formats.
     pub matrix: YuvMatrix,
-    /// Which part of 0 to 255 the bytes of `YUYV` use; not used for the others.
+    /// Part of 0 to 255 used by `YUYV`; not used for other formats.
     pub range: YuvRange,
 }
 
 impl Layout {
-    /// Bytes that a whole image has at least; the last row needs no padding behind it.
+    /// Minimum number of bytes of a complete image; the last row needs no padding.
     pub fn bytes_min(&self) -> usize {
         let rows = self.size.height as usize;
         match self.format.row_bytes(self.size.width) {
@@ -38,15 +38,15 @@ impl Layout {
     }
 }
 
-/// Why the bytes of a buffer are no image.
+/// Why the bytes of a buffer are not a valid image.
 #[derive(Debug, thiserror::Error)]
 pub enum PixelError {
-    /// Fewer bytes than the image has.
-    #[error("{found} bytes are too few: {format} of {width}x{height} pixels has {expected} or more")]
+    /// Fewer bytes than the image needs.
+    #[error("{found} bytes are too few; {format} of {width}x{height} pixels needs at least {expected}")]
     TooShort {
-        /// Bytes that there are.
+        /// Number of bytes found.
         found: usize,
-        /// Bytes that there should be.
+        /// Minimum number of bytes.
         expected: usize,
         /// Format of the image.
         format: PixelFormat,
@@ -56,9 +56,9 @@ pub enum PixelError {
         height: u32,
     },
     /// Rows would overlap.
-    #[error("rows that are {stride} bytes apart cannot hold {width} pixels of {format}, which have {row} bytes")]
+    #[error("a stride of {stride} bytes is too short for {width} pixels of {format}, which need {row} bytes")]
     Stride {
-        /// Bytes from row to row.
+        /// Stride, bytes.
         stride: usize,
         /// Bytes of a row.
         row: usize,
@@ -67,7 +67,7 @@ pub enum PixelError {
         /// Format of the image.
         format: PixelFormat,
     },
-    /// Colour is known for squares of 2x2 pixels only.
+    /// The image is smaller than the Bayer pattern of 2x2 pixels.
     #[error("a Bayer image needs at least 2x2 pixels, this one has {width}x{height}")]
     BayerSize {
         /// Pixels in a row.
@@ -75,33 +75,33 @@ pub enum PixelError {
         /// Rows.
         height: u32,
     },
-    /// The JPEG is of another size.
+    /// The JPEG has another size.
     #[error("the JPEG has {}x{} pixels, expected are {}x{}", found.0, found.1, expected.0, expected.1)]
     JpegSize {
-        /// Width and height that it has.
+        /// Actual width and height.
         found: (usize, usize),
-        /// Width and height that it should have.
+        /// Expected width and height.
         expected: (u32, u32),
     },
-    /// The JPEG ends before its end marker, or is no JPEG.
-    #[error("the JPEG of {bytes} bytes is cut off or damaged: {what}")]
+    /// The JPEG ends before its end marker, or is not a JPEG.
+    #[error("the JPEG of {bytes} bytes is truncated or damaged; missing or wrong: {what}")]
     JpegDamaged {
-        /// Bytes that there are.
+        /// Number of bytes.
         bytes: usize,
-        /// What was missed.
+        /// The missing or wrong part.
         what: &'static str,
     },
     /// The JPEG cannot be decoded.
     #[error("the JPEG of {bytes} bytes cannot be decoded: {why}")]
     Jpeg {
-        /// Bytes that there are.
+        /// Number of bytes.
         bytes: usize,
-        /// What the decoder says.
+        /// The message of the decoder.
         why: String,
     },
 }
 
-/// Converts images of one device, with memory and tables that are used again and again.
+/// Converts images of one device, with reusable memory and tables.
 #[derive(Debug)]
 pub struct Converter {
     layout: Layout,
@@ -115,7 +115,7 @@ impl Converter {
     /// A converter for images of this layout.
     ///
     /// # Errors
-    /// If rows would overlap, or a Bayer image is smaller than its pattern.
+    /// The rows would overlap, or a Bayer image is smaller than its pattern.
     pub fn new(layout: Layout) -> Result<Self, PixelError> {
         let Layout { format, size: ImageSize { width, height }, stride, .. } = layout;
         if let Some(row) = format.row_bytes(width).filter(|row| *row > stride) {
@@ -134,22 +134,22 @@ impl Converter {
         })
     }
 
-    /// What the images look like in memory.
+    /// Memory layout of the images.
     pub fn layout(&self) -> &Layout {
         &self.layout
     }
 
-    /// The same with other kernels for `YUYV`; they give the same bytes.
+    /// Uses other kernels for `YUYV`; they give the same bytes.
     #[must_use]
     pub fn with_kernels(self, kernels: YuvKernels) -> Self {
         Self { kernels, ..self }
     }
 
-    /// Converts one image. A target of the right size keeps its memory, and nothing is taken from the heap for it but by
-    /// the decoder of `MJPG`, which makes its tables and rows of blocks anew for each image and has no way to be given them.
+    /// Converts one image. A target of the right size keeps its memory, and no heap memory is allocated except by the `MJPG`
+    /// decoder, which allocates its tables and rows of blocks for each image.
     ///
     /// # Errors
-    /// If the bytes are too few, or no JPEG of the right size where one is expected; the target may then hold anything.
+    /// Too few bytes, or not a JPEG of the right size where one is expected; the target may then contain anything.
     pub fn convert(&mut self, bytes: &[u8], target: &mut RgbImage) -> Result<(), PixelError> {
         let Layout { format, size: ImageSize { width, height }, stride, .. } = self.layout;
         let expected = self.layout.bytes_min();

@@ -1,6 +1,6 @@
-//! Rows whose pixels only change their place.
+//! Formats that need only a reordering of channels.
 
-/// Brightness to red, green and blue that are all the same.
+/// Converts luminance to equal red, green and blue.
 pub(super) fn grey(source: &[u8], target: &mut [u8]) {
     for (pixel, value) in target.chunks_exact_mut(3).zip(source) {
         pixel.fill(*value);

@@ -82,7 +82,7 @@ impl Rig {
         self.system.with(number, |camera| change(&mut camera.faults)).unwrap();
     }
 
-    /// What a call comes to, and how long it takes, in milliseconds.
+    /// The result of a call and its duration, in milliseconds.
     pub fn timed(&self, camera: &mut V4l2StereoCamera) -> (Result<FramePair, CameraError>, f64) {
         let begin = self.clock.now();
         let result = camera.next_pair(SECOND);

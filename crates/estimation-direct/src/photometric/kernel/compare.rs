@@ -1,4 +1,4 @@
-//! What a group of points sees in the right eye.
+//! Comparison of a group of points with the right image.
 
 use pb3dp_estimation_core::wide::LANES;
 
@@ -27,16 +27,16 @@ pub(super) struct Group<const N: usize> {
 #[repr(align(64))]
 pub(super) struct Channel {
     pub residual: Row,
-    /// Left gradient along columns.
+    /// Gradient of the left image along columns.
     pub gradient: Row,
-    /// Right gradient along columns.
+    /// Gradient of the right image along columns.
     pub slope: Row,
     pub mean: Row,
-    /// 1 / variance of the residual; 0 where the channel cannot be used.
+    /// 1 / variance of the residual; 0 if the channel is unusable.
     pub certainty: Row,
-    /// 1, or 0 where the channel cannot be used.
+    /// 1, or 0 if the channel is unusable.
     pub usable: Row,
-    /// Second derivative of the right eye along columns.
+    /// Second derivative of the right image along columns.
     pub bend: Row,
 }
 
@@ -90,13 +90,13 @@ impl<const N: usize> Group<N> {
         }
     }
 
-    /// Squared residuals over variances, summed up over the channels.
+    /// Squared residuals divided by variances, summed over the channels.
     #[inline(always)]
     pub fn squares(&self) -> &Row {
         &self.distance
     }
 
-    /// Where the points are in the right planes.
+    /// Computes the positions of the points in the right planes.
     #[inline(always)]
     fn locate(&mut self, points: &PointSet, first: usize, warp: &Warp) {
         let (x, y, unit) = (row(&points.x, first), row(&points.y, first), row(&points.unit, first));
@@ -113,7 +113,7 @@ impl<const N: usize> Group<N> {
         }
     }
 
-    /// Takes the four right pixels around every point.
+    /// Loads the four right pixels around every point.
     #[inline(always)]
     fn look_up(&mut self, plane: &[f32]) {
         let mut last = 0;
@@ -125,7 +125,7 @@ impl<const N: usize> Group<N> {
             return;
         }
         for (taps, &at) in self.taps.iter_mut().zip(&self.at) {
-            // SAFETY: the four values from the last of all places on are in the plane.
+            // SAFETY: the four values from the last of all positions on are in the plane.
             *taps = unsafe { plane.as_ptr().add(at as usize).cast::<[f32; 4]>().read_unaligned() };
         }
     }
@@ -160,13 +160,13 @@ impl<const N: usize> Group<N> {
     }
 }
 
-/// The larger of two values, the second where the first is no number.
+/// The larger of two values; the second if the first is not a number.
 #[inline(always)]
 fn larger(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
-/// The smaller of two values, the second where the first is no number.
+/// The smaller of two values; the second if the first is not a number.
 #[inline(always)]
 fn smaller(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }

@@ -1,4 +1,4 @@
-//! What every point pulls.
+//! Scores (gradients of the cost) of single points.
 
 use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
 
@@ -6,22 +6,22 @@ use super::compare::{Group, Lanes, lanes};
 use super::sums::Places;
 use super::{CHANNELS_MAX, PointSet, SHARING, Warp};
 
-/// How the derivatives of a point become its score: weight of the channel, and what the gain takes up of each of the four
-/// derivatives.
+/// Conversion of a point's derivatives into its score: weight of the channel, and the share of each of the four derivatives
+/// that the gain takes up.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Projection {
     pub weight: f32,
     pub mean: [f32; 4],
 }
 
-/// What the scores would be in all if both images differed in ways that the model leaves out.
+/// Total scores due to image differences that the model does not include.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Unmodelled {
-    /// Rows off by a pixel per column.
+    /// A row offset of one pixel per column.
     pub row_by_column: [f64; 4],
-    /// Rows off by a pixel per row, beyond the middle.
+    /// A row offset of one pixel per row, relative to the centre.
     pub row_by_row: [f64; 4],
-    /// One eye blurred along the rows by a variance of one squared pixel more.
+    /// An additional blur of one image along the rows, with a variance of one squared pixel.
     pub blur: [f64; 4],
 }
 
@@ -84,8 +84,8 @@ fn score_channels<const N: usize>(
     unmodelled
 }
 
-/// Adds what a channel of a group pulls at `(d0, du, dv, row)`, and what it would pull with each of the differences that are
-/// not modelled as its residuals, without what the gain and the group's offset take up.
+/// Adds the scores of a channel of a group with respect to `(d0, du, dv, row)`, and the scores with each unmodelled difference
+/// in place of the residuals; the shares of the gain and of the group's offset are removed.
 #[inline(always)]
 fn add_scores<const N: usize>(
     group: &Group<N>,
@@ -96,7 +96,7 @@ fn add_scores<const N: usize>(
     unmodelled: &mut Unmodelled,
 ) {
     let own = &group.channel[c];
-    // Of the weights themselves, and of the residuals times weights.
+    // Sums of the weights themselves, and of the residuals times weights.
     let (mut sums, mut residuals) = (FactorSums::ZERO, [0.0_f32; LANES]);
     let mut derivatives = [[0.0_f32; SHARING]; 4];
     let mut differences = [[0.0_f32; SHARING]; 3];
@@ -147,8 +147,8 @@ fn add_scores<const N: usize>(
 }
 
 wide! {
-    /// The gradient of the cost by `(d0, du, dv, row)`, point by point, with gains and offsets eliminated; returns what it
-    /// would be in all if the eyes differed in ways that are not modelled.
+    /// The gradient of the cost with respect to `(d0, du, dv, row)`, point by point, with gains and offsets eliminated. Returns
+    /// the total gradient due to unmodelled differences between the images.
     pub(crate) fn scores(
         points: &PointSet,
         right: &[&[f32]; CHANNELS_MAX],

@@ -6,7 +6,8 @@ use super::compare::{Group, Lanes, Row, lanes, row};
 use super::{CHANNELS_MAX, PointSet, SHARING, Thinning, Warp};
 use crate::named_sums::named_sums;
 
-/// Groups after which sums in single precision go to double precision. Chosen: sums of 1024 points keep most digits of single precision.
+/// Number of groups after which single-precision sums are added in double precision. Chosen: sums of 1024 points keep most
+/// digits of single precision.
 const FOLDED: usize = 8;
 
 /// Sums over all points.
@@ -29,15 +30,15 @@ pub(crate) struct InnerSums {
     pub weight: f64,
     /// Number of points inside the right planes.
     pub seen: f64,
-    /// Squared residuals by their weights.
+    /// Weighted sum of squared residuals.
     pub squares: f64,
 }
 
-/// What tells how much less sharp one eye is than the other: sums over points and channels, in units of the residuals'
+/// Sums that measure the sharpness difference between the images, over points and channels, in units of the residuals'
 /// variances.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct SharpnessSums {
-    /// Squared gradients along columns of the right eye minus those of the left one.
+    /// Squared gradients along columns of the right image minus those of the left image.
     pub excess: f64,
     /// Products of both images' second derivatives along columns.
     pub curvature: f64,
@@ -45,7 +46,7 @@ pub(crate) struct SharpnessSums {
     pub weight: f64,
 }
 
-/// Sums over the points of one channel: what the offsets leave of the products, and the single factors as they are.
+/// Sums over the points of one channel: products after elimination of the offsets, and single factors without it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct ChannelSums {
     pub products: ProductSums<f64>,
@@ -53,11 +54,11 @@ pub(crate) struct ChannelSums {
 }
 
 named_sums! {
-    /// Weighted sums of the products of two factors, named by these, and times the place after the underscore. The factors:
-    /// `g` gradient along the columns, `h` along the rows, `m` mean of both values, `r` residual, `s` gradient of the right eye.
+    /// Weighted sums of the products of two factors, times the coordinates after the underscore. The factors: `g` gradient
+    /// along the columns, `h` along the rows, `m` mean of both values, `r` residual, `s` gradient of the right image.
     pub(crate) struct ProductSums {
         gg, gg_x, gg_y, gg_xx, gg_xy, gg_yy, gr, gr_x, gr_y, gm, gm_x, gm_y, mm, mr, gs, rr, gh, gh_x, gh_y, hh, hm, hr,
-        /// Tukey's weight where the channel can be used.
+        /// Tukey's weight if the channel is usable.
         usable,
     }
 }
@@ -67,7 +68,7 @@ named_sums! {
     pub(crate) struct SingleSums { g, g_x, g_y, h, m, r, w, }
 }
 
-/// Sums of products, lane by lane; whole cache lines, which stores must not straddle.
+/// Lane-wise sums of products; aligned to whole cache lines, which stores must not straddle.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
 struct LaneSums {
@@ -80,7 +81,7 @@ impl LaneSums {
     const ZERO: Self = Self { products: ProductSums::ZERO, excess: [0.0; LANES], curvature: [0.0; LANES] };
 }
 
-/// Single factors, as [`LaneSums`].
+/// Lane-wise sums of single factors, as [`LaneSums`].
 #[repr(align(64))]
 struct LaneSingles(SingleSums<Lanes>);
 
@@ -145,7 +146,7 @@ fn accumulate_channels<const N: usize>(
     Sums { channel, weight, seen, sharpness, inner: InnerSums { weight: inner_weight, seen: inner_seen, squares } }
 }
 
-/// Moves the sums of products on, and starts them again.
+/// Adds the single-precision sums to the double-precision ones and resets them.
 #[inline(always)]
 fn fold<const N: usize>(
     sums: &mut [LaneSums; N],
@@ -162,13 +163,13 @@ fn fold<const N: usize>(
     }
 }
 
-/// What the points of a group are in one channel, apart from what they see.
+/// Constant data of a group of points in one channel.
 pub(super) struct Places<'a> {
     pub x: &'a Row,
     pub y: &'a Row,
     pub gradient_y: &'a Row,
     pub curvature: &'a Row,
-    /// The left values are multiplied by this.
+    /// Factor of the left values.
     pub left: f32,
 }
 
@@ -203,7 +204,7 @@ fn add_products<const N: usize>(
         let (gradient, mean, residual) = (lanes(&own.gradient, k), lanes(&own.mean, k), lanes(&own.residual, k));
         let (slope, bend) = (lanes(&own.slope, k), lanes(&own.bend, k));
         let (weight, certainty, usable) = (lanes(&group.weight, k), lanes(&own.certainty, k), lanes(&own.usable, k));
-        // One loop for all: it becomes one vector instruction per operation.
+        // One loop for everything: it becomes one vector instruction per operation.
         for i in 0..LANES {
             let (x, y, h, w) = (x[i], y[i], places.left * gy[i], weight[i] * certainty[i]);
             let (g, m, r, s) = (gradient[i], mean[i], residual[i], slope[i]);
@@ -237,7 +238,7 @@ fn add_products<const N: usize>(
             products.hh[i] += wh * h;
             products.hm[i] += wh * m;
             products.hr[i] += wh * r;
-            // Tukey's weight where the channel can be used.
+            // Tukey's weight if the channel is usable.
             products.usable[i] += weight[i] * usable[i];
             // Sharpness.
             excess[i] += ws * s - wgg;
@@ -254,7 +255,7 @@ fn add_products<const N: usize>(
     singles.folded()
 }
 
-/// Takes what one common offset of a group's points takes off the sums of products.
+/// Subtracts the part of the sums of products that a common offset of the group takes up.
 #[inline(always)]
 fn eliminate_offset(sums: &mut ProductSums<f64>, singles: &SingleSums<f64>) {
     let SingleSums { g, g_x, g_y, h, m, r, w } = *singles;
@@ -276,7 +277,7 @@ fn eliminate_offset(sums: &mut ProductSums<f64>, singles: &SingleSums<f64>) {
     sums.gm_y -= by * (g_y * m);
     sums.mm -= by * (m * m);
     sums.mr -= by * (m * r);
-    // Both eyes show the same gradients.
+    // Both images have the same gradients.
     sums.gs -= by * (g * g);
     sums.gh -= by * (h * g);
     sums.gh_x -= by * (h * g_x);
@@ -287,7 +288,7 @@ fn eliminate_offset(sums: &mut ProductSums<f64>, singles: &SingleSums<f64>) {
 }
 
 wide! {
-    /// The normal equations at one place; `right` holds a plane per channel.
+    /// Accumulates the normal equations at one state; `right` holds a plane per channel.
     pub(crate) fn accumulate(points: &PointSet, right: &[&[f32]; CHANNELS_MAX], warp: &Warp, thinning: Thinning) -> Sums
         = accumulate_kernel;
 }

@@ -5,13 +5,13 @@ use super::*;
 
 const WIDTH: usize = 90;
 
-/// Whole numbers without a pattern, about zero.
+/// Whole numbers without a pattern, centred at zero.
 fn value(i: usize, seed: usize) -> f32 {
     let mixed = (i * 7919 + seed * 104_729 + 12_345).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40;
     (mixed % 161) as f32 - 80.0
 }
 
-/// 3 x 128 points in 60 rows, the last ones of no weight, some of them unusable or not shown by the right planes.
+/// 3 x 128 points in 60 rows: the last ones of no weight, some of them unusable or outside the right planes.
 fn points() -> PointSet {
     let count = 3 * SHARING;
     let list = |f: &dyn Fn(usize) -> f32| (0..count).map(f).collect::<Vec<f32>>();
@@ -63,7 +63,7 @@ struct Single {
     curvature: f64,
 }
 
-/// The point `i` in every channel, and its weight; `None` where the right planes do not show it.
+/// The point `i` in every channel, and its weight; `None` if it is outside the right planes.
 fn single(points: &PointSet, planes: &[Vec<f32>; CHANNELS_MAX], warp: &Warp, i: usize) -> Option<(Vec<Single>, f64)> {
     let wide = f64::from;
     let column = warp.column + warp.per_x * points.x[i] + warp.per_y * points.y[i];
@@ -102,7 +102,7 @@ fn single(points: &PointSet, planes: &[Vec<f32>; CHANNELS_MAX], warp: &Warp, i: 
     any.then_some((channels, weight))
 }
 
-/// Sums of a channel over some points, without what a common offset takes up.
+/// Sums of a channel over some points, with a common offset eliminated.
 fn plain_sums(found: &[(Vec<Single>, f64, f64, f64)], c: usize) -> ChannelSums {
     let mut out = ChannelSums::default();
     let mean = |f: &dyn Fn(&Single, f64, f64) -> f64| {
@@ -149,7 +149,7 @@ fn plain_sums(found: &[(Vec<Single>, f64, f64, f64)], c: usize) -> ChannelSums {
         sums.hr += w * (h * r);
         sums.rr += w * (s.r * s.r);
         sums.usable += weight * f64::from(u8::from(s.certainty > 0.0));
-        // As they are.
+        // Without elimination.
         let [g, g_x, g_y, h, m, r] = own.map(|factor| w * factor);
         out.singles += SingleSums { g, g_x, g_y, h, m, r, w };
     }
@@ -239,14 +239,14 @@ fn scores_add_up_to_the_slope_with_every_kernel() {
     }
 }
 
-/// What one eye shows is changed by a bit in each way, and the scores move as the kernel says, but for the mean of both values
-/// by which the gain is taken up: it moves as well.
+/// Changes one image slightly in each way and checks that the scores change as the kernel predicts. The only difference is the
+/// mean of both values that the gain takes up, because it changes as well.
 #[test]
 fn what_is_not_modelled_pulls_as_if_it_were_in_the_images() {
     const PART: f32 = 0.01;
     let (points, planes) = (points(), planes());
     let right: [&[f32]; CHANNELS_MAX] = std::array::from_fn(|c| planes[c].as_slice());
-    // So wide a limit that all weights are 1, and a variance that the gradients do not add to.
+    // A limit so large that all weights are 1, and a variance to which the gradients do not contribute.
     let warp = Warp { limit: 1e9, place_variance: 0.0, ..warp(3) };
     let projections = [(0.8, 0.01), (1.0, -0.02), (0.3, 0.0)].map(|(weight, m)| Projection { weight, mean: [m; 4] });
     let run = |points: &PointSet| {

@@ -363,8 +363,12 @@ mod tests {
         assert_eq!(paths, ["/dev/video2", "/dev/video10"]);
         assert!(devices[0].problem.is_none());
         let problem = devices[1].problem.as_deref().unwrap();
-        assert!(problem.contains("/dev/video10") && problem.contains("another program has it"), "{problem}");
-        assert!(devices[1].text().contains("PROBLEM  /dev/video10: opening it failed"), "{}", devices[1].text());
+        assert!(problem.contains("/dev/video10") && problem.contains("used by another program"), "{problem}");
+        assert!(
+            devices[1].text().contains("PROBLEM  /dev/video10: opening the device failed"),
+            "{}",
+            devices[1].text()
+        );
     }
 
     #[test]

@@ -21,7 +21,7 @@ pub(super) fn convert_row(source: &[u8], target: &mut [u8], equations: &Equation
     scalar::convert_row(source_rest, &mut target[3 * STEP * steps..], &equations.tables);
 }
 
-/// The coefficients in all elements; those of colour for U in even elements and for V in odd ones.
+/// The coefficients in all elements; those of chroma for U in even elements and for V in odd ones.
 struct Factors {
     black: __m256i,
     luma: __m256i,
@@ -76,7 +76,7 @@ fn sums(yuyv: __m256i, factors: &Factors) -> [__m256i; 3] {
     let luma = _mm256_srli_epi16::<1>(_mm256_slli_epi16::<8>(yuyv));
     let luma = _mm256_mulhrs_epi16(_mm256_sub_epi16(luma, factors.black), factors.luma);
     let luma = _mm256_add_epi16(luma, _mm256_set1_epi16(1 << (FRACTION_BITS - 1)));
-    // The upper bytes, U and V in turn, less 128.
+    // The upper bytes, alternately U and V, minus 128.
     let colour = _mm256_and_si256(yuyv, _mm256_set1_epi16(0xFF00_u16 as i16));
     let colour = _mm256_xor_si256(colour, _mm256_set1_epi16(0x8000_u16 as i16));
     let blue_red = _mm256_mulhrs_epi16(colour, factors.blue_red);
@@ -91,7 +91,8 @@ fn sums(yuyv: __m256i, factors: &Factors) -> [__m256i; 3] {
     [red, green, blue].map(|colour| _mm256_srai_epi16::<FRACTION_BITS>(_mm256_add_epi16(luma, colour)))
 }
 
-/// For each third of 48 interleaved bytes and each channel: which of its 16 pixels goes to each place, -1 for none.
+/// Shuffle masks for each third of 48 interleaved bytes and each channel: index of one of its 16 pixels for each position, -1 for
+/// none.
 const CHANNEL_SHUFFLES: [[[i8; 16]; 3]; 3] = channel_shuffles();
 
 const fn channel_shuffles() -> [[[i8; 16]; 3]; 3] {

@@ -1,7 +1,7 @@
-//! `YUYV` to red, green and blue, in whole numbers: vectors give the bytes of the scalar code.
+//! Converts `YUYV` to red, green and blue in integer arithmetic: the vector kernels give the same bytes as the scalar code.
 //!
-//! The equations are those of the kernel's documentation, "Detailed Colorspace Descriptions" and "Defining Colorspaces in V4L2":
-//! Y' = Kr R' + (1 - Kr - Kb) G' + Kb B', Cb = (B' - Y') / (2 (1 - Kb)), Cr = (R' - Y') / (2 (1 - Kr)), with Kr, Kb of ITU-R BT.601 or
+//! The equations follow the kernel documentation, "Detailed Colorspace Descriptions" and "Defining Colorspaces in V4L2": Y' = Kr
+//! R' + (1 - Kr - Kb) G' + Kb B', Cb = (B' - Y') / (2 (1 - Kb)), Cr = (R' - Y') / (2 (1 - Kr)), with Kr, Kb of ITU-R BT.601 or
 //! BT.709; in the limited range black is 16, white 235, and colour differences span 16 to 240.
 
 #[cfg(target_arch = "x86_64")]
@@ -10,27 +10,27 @@ mod avx2;
 mod neon;
 mod scalar;
 
-/// Which share each colour has in brightness.
+/// Weights of the colours in the luminance.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum YuvMatrix {
-    /// ITU-R BT.601: Kr = 0.299, Kb = 0.114. What V4L2 means where a driver says no other (`V4L2_COLORSPACE_SRGB`).
+    /// ITU-R BT.601: Kr = 0.299, Kb = 0.114. The V4L2 default if a driver specifies no other (`V4L2_COLORSPACE_SRGB`).
     #[default]
     Bt601,
     /// ITU-R BT.709: Kr = 0.2126, Kb = 0.0722.
     Bt709,
 }
 
-/// Which part of 0 to 255 is used.
+/// Used part of the range 0 to 255.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum YuvRange {
-    /// Brightness 16 to 235, colour 16 to 240. What V4L2 means where a driver says no other.
+    /// Luma 16 to 235, chroma 16 to 240. The V4L2 default if a driver specifies no other.
     #[default]
     Limited,
-    /// All of it.
+    /// The full range.
     Full,
 }
 
-/// Which code converts. All give the same bytes; they differ in speed only.
+/// Conversion kernels. All give the same bytes; they differ only in speed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct YuvKernels(Family);
 
@@ -47,7 +47,7 @@ impl YuvKernels {
     /// Portable code.
     pub const SCALAR: Self = Self(Family::Scalar);
 
-    /// The fastest that this processor can run.
+    /// The fastest kernels of this processor.
     pub fn best() -> Self {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
@@ -60,7 +60,7 @@ impl YuvKernels {
         Self::SCALAR
     }
 
-    /// For reports.
+    /// Name for reports.
     pub fn name(self) -> &'static str {
         match self.0 {
             Family::Scalar => "scalar",
@@ -72,13 +72,13 @@ impl YuvKernels {
     }
 }
 
-/// Fractional bits of sums before they are rounded.
+/// Fractional bits of the sums before rounding.
 const FRACTION_BITS: i32 = 5;
 
-/// The equations in whole numbers of 16 bits.
+/// The equations in 16-bit integers.
 ///
-/// A product is `(a * b + 2^14) >> 15`, which processors have as one instruction. Brightness enters as (Y - black) 2^7 and is
-/// multiplied by 2^13 k, colour as (C - 128) 2^8 and 2^12 k, so both products have 5 fractional bits.
+/// A product is `(a * b + 2^14) >> 15`, which processors have as one instruction. Luma enters as (Y - black) 2^7 and is
+/// multiplied by 2^13 k, chroma as (C - 128) 2^8 and 2^12 k, so both products have 5 fractional bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Coefficients {
     /// Black, in units of 2^-7.
@@ -116,7 +116,7 @@ impl Coefficients {
     }
 }
 
-/// The equations of one matrix and range, as each family of code needs them.
+/// The equations of one matrix and range, in the form needed by each kernel family.
 #[derive(Clone, Debug)]
 pub(super) struct Equations {
     coefficients: Coefficients,
@@ -130,12 +130,13 @@ impl Equations {
     }
 }
 
-/// Converts one row: four bytes for two pixels, to three bytes each. An odd last pixel uses the first half of its four bytes.
+/// Converts one row: four bytes per two pixels, to three bytes per pixel. An odd last pixel uses the first half of its four
+/// bytes.
 pub(super) fn convert_row(source: &[u8], target: &mut [u8], equations: &Equations, kernels: YuvKernels) {
     match kernels.0 {
         Family::Scalar => scalar::convert_row(source, target, &equations.tables),
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: this family is made in `YuvKernels::best` only, where the processor was asked.
+        // SAFETY: this family is created only in `YuvKernels::best`, which checks the processor.
         Family::Avx2 => unsafe { avx2::convert_row(source, target, equations) },
         #[cfg(target_arch = "aarch64")]
         // SAFETY: as above.

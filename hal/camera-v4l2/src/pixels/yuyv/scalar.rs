@@ -1,11 +1,11 @@
-//! The scalar code: what the vectors are compared with, and what runs where there are none.
+//! The scalar code: reference for the vector kernels, and fallback for processors without them.
 
 use super::{Coefficients, FRACTION_BITS};
 
-/// What each byte adds to the sums, with [`FRACTION_BITS`] fractional bits: products of a byte are looked up.
+/// Lookup tables of the products of each byte, with [`FRACTION_BITS`] fractional bits.
 #[derive(Clone, Debug)]
 pub(super) struct Tables {
-    /// With half a step on it, so that sums are rounded when they are cut off.
+    /// Includes half a step, so that truncated sums are rounded.
     luma: [i16; 256],
     red_of_v: [i16; 256],
     green_of_u: [i16; 256],

@@ -1,12 +1,13 @@
 use super::*;
 use proptest::prelude::*;
 
-/// The fastest code of this processor. Where that is the portable code the running test compares it with itself, and says so.
+/// The fastest kernels of this processor. If that is the portable code, the running test compares it with itself, and reports
+/// this.
 fn vectors() -> YuvKernels {
     static IS_REPORTED: std::sync::Once = std::sync::Once::new();
     let best = YuvKernels::best();
     if best == YuvKernels::SCALAR {
-        // Each of these tests says so once, as a property asks again and again.
+        // Each of these tests reports once, because a property test calls this repeatedly.
         IS_REPORTED.call_once(|| {
             for test in [
                 "the_two_pixels_of_a_pair_keep_their_order",
@@ -28,7 +29,7 @@ const ALL: [(YuvMatrix, YuvRange); 4] = [
     (YuvMatrix::Bt709, YuvRange::Full),
 ];
 
-/// The decimal coefficients as ITU-R BT.601-7 and BT.709-6 and JFIF 1.02 lead to them, calculated by hand.
+/// The decimal coefficients derived from ITU-R BT.601-7 and BT.709-6 and JFIF 1.02, calculated by hand.
 fn in_floating_point([y, u, v]: [u8; 3], matrix: YuvMatrix, range: YuvRange) -> [f64; 3] {
     let (rv, gu, gv, bu) = match matrix {
         YuvMatrix::Bt601 => (1.402, 0.344136, 0.714136, 1.772),
@@ -60,7 +61,7 @@ fn every_colour_is_within_one_step_of_the_equations() {
                 }
             }
         }
-        assert!(worst < 0.6, "{matrix:?} {range:?}: off by {worst}, rounding alone is 0.5");
+        assert!(worst < 0.6, "{matrix:?} {range:?}: error {worst}, rounding alone is 0.5");
     }
 }
 

@@ -179,7 +179,7 @@ fn a_full_disk_ends_it_and_what_was_written_stays_whole() {
 
 #[test]
 fn a_camera_that_is_pulled_or_silent_ends_it_with_what_there_is() {
-    for (what, expected) in [("pulled", "the camera is gone"), ("silent", "nothing arrives")] {
+    for (what, expected) in [("pulled", "the camera is disconnected"), ("silent", "no data arrives")] {
         let place = Place::new();
         let (system, clock) = system(|_, _| {});
         let mut calls = 0;

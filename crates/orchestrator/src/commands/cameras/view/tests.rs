@@ -188,10 +188,10 @@ fn controls_are_shown_and_changed() {
         assert_eq!(value_of(&page.get("/controls/left").json(), id::GAIN), 64);
         // Whoever else looks is told that there is something to ask for.
         page.until("/state", |answer| answer.json()["control_changes"] == 1);
-        page.post("/controls/left", &change(id::GAIN, 256)).refused(409, "it goes from 0 to 255 by steps of 1");
+        page.post("/controls/left", &change(id::GAIN, 256)).refused(409, "its range is 0 to 255 in steps of 1");
         page.post("/controls/left", &change(5, 1)).refused(409, "it has no control 0x00000005");
         page.system.with(0, |camera| camera.faults.forgetful.push(id::GAIN));
-        page.post("/controls/left", &change(id::GAIN, 9)).refused(409, "the driver does not keep it");
+        page.post("/controls/left", &change(id::GAIN, 9)).refused(409, "but the driver reports");
     });
 }
 

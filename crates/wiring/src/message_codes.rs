@@ -1,0 +1,80 @@
+//! The codes of all messages: those of a cell, and those of the devices that only this crate names.
+
+use std::error::Error;
+
+use pb3dp_arm_pa10::driver::{EmergencyStopCause, FaultCause, Refusal, WarmUpFailure};
+use pb3dp_arm_pa10_gateway::gateway::GatewayConfigError;
+use pb3dp_cell::message_codes::{self, CodeTable, table};
+use pb3dp_message_codes::{Coded, MessageCode};
+
+/// All tables, in the order of the reference.
+pub fn tables() -> Vec<CodeTable> {
+    let of_devices = [
+        table::<FaultCause>(),
+        table::<EmergencyStopCause>(),
+        table::<WarmUpFailure>(),
+        table::<Refusal>(),
+        table::<GatewayConfigError>(),
+    ];
+    message_codes::TABLES.into_iter().chain(of_devices).collect()
+}
+
+/// The code of a message with its cause and remedy; `None` if no message has this code.
+pub fn find(code: &str) -> Option<&'static MessageCode> {
+    tables().into_iter().flat_map(|(_, codes)| codes).find(|known| known.code.eq_ignore_ascii_case(code))
+}
+
+/// The code of an error: that of its deepest source that has one, because it is the most specific.
+pub fn code_of(error: &anyhow::Error) -> Option<&'static MessageCode> {
+    error.chain().filter_map(|cause| message_codes::code_of(cause).or_else(|| of_device(cause))).last()
+}
+
+fn of_device(error: &(dyn Error + 'static)) -> Option<&'static MessageCode> {
+    let fault = error.downcast_ref::<FaultCause>().map(Coded::message_code);
+    let stop = || error.downcast_ref::<EmergencyStopCause>().map(Coded::message_code);
+    let warm_up = || error.downcast_ref::<WarmUpFailure>().map(Coded::message_code);
+    let refusal = || error.downcast_ref::<Refusal>().map(Coded::message_code);
+    let gateway = || error.downcast_ref::<GatewayConfigError>().map(Coded::message_code);
+    fault.or_else(stop).or_else(warm_up).or_else(refusal).or_else(gateway)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+    use std::path::Path;
+
+    use anyhow::Context;
+    use pb3dp_hal_api::{ArmError, ArmErrorKind};
+    use pb3dp_setup::setup::read_setup;
+
+    use super::*;
+
+    #[test]
+    fn codes_have_one_form_and_are_given_once_with_sentences() {
+        let mut seen = BTreeSet::new();
+        for code in tables().into_iter().flat_map(|(_, codes)| codes) {
+            let parts: Vec<&str> = code.code.split('-').collect();
+            let is_well_formed = matches!(parts[..], ["PB3DP", area, number]
+                if area.chars().all(|c| c.is_ascii_uppercase()) && number.len() == 3 && number.parse::<u16>().is_ok());
+            assert!(is_well_formed, "{}", code.code);
+            assert!(seen.insert(code.code), "{} is given twice", code.code);
+            for text in [code.cause, code.remedy] {
+                assert!(text.len() > 7 && text.ends_with('.') && text.len() < 200, "{}: {text}", code.code);
+            }
+        }
+        assert!(seen.len() > 100, "{}", seen.len());
+    }
+
+    #[test]
+    fn the_most_specific_source_gives_the_code() {
+        let missing = read_setup(Path::new("/nowhere/rig.toml")).context("the rig").unwrap_err();
+        assert_eq!(code_of(&missing).unwrap().code, "PB3DP-CFG-001");
+        let fault = ArmError::caused_by(ArmErrorKind::Fault, "arm vs-robot", FaultCause::Unplugged);
+        assert_eq!(code_of(&fault.into()).unwrap().code, "PB3DP-ARM-104");
+        let silent = ArmError::new(ArmErrorKind::Timeout, "arm vs-robot: late");
+        assert_eq!(code_of(&anyhow::Error::new(silent).context("run")).unwrap().code, "PB3DP-ARM-003");
+        assert_eq!(code_of(&anyhow::anyhow!("something else")), None);
+        assert_eq!(find("pb3dp-arm-104").unwrap().code, "PB3DP-ARM-104");
+        assert_eq!(find("PB3DP-ARM-999"), None);
+    }
+}
