@@ -17,6 +17,8 @@ mod msrv;
 mod mutants;
 mod nightly;
 mod not_possible;
+mod package;
+mod reference;
 mod required;
 mod rust_text;
 mod same_answers;
@@ -59,6 +61,8 @@ enum Command {
     Miri(miri::Args),
     Mutants(mutants::Args),
     SameAnswers(same_answers::Args),
+    Package(package::Args),
+    Reference(reference::Args),
 }
 
 fn run(cli: &Cli) -> anyhow::Result<()> {
@@ -78,6 +82,8 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Miri(_) => miri::run(&workspace),
         Command::Mutants(args) => mutants::run(&workspace, args),
         Command::SameAnswers(args) => same_answers::run(&workspace, args),
+        Command::Package(args) => package::run(&workspace, args),
+        Command::Reference(args) => reference::run(&workspace, args),
     }
 }
 

@@ -10,12 +10,12 @@
 //! Images cannot reveal a wrong square size: if the squares are entered 1 % too large, every length is 1 % too long and all
 //! residuals stay the same. Measure ten squares with a ruler, and check a known length after the calibration.
 //!
-//! This library reads no files and no clock; the program `pb3dp-calibrate`, which `pb3dp calibrate` starts, does. It is a
-//! separate crate to keep the board detectors out of the real-time program.
+//! Only [`command`], the commands of `pb3dp calibrate`, reads files and the clock.
 
 mod adjust;
 pub mod board;
 pub mod coach;
+pub mod command;
 pub mod defects;
 mod depth;
 pub mod detection;

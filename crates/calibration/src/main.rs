@@ -1,13 +1,12 @@
-//! The program `pb3dp-calibrate`, which `pb3dp calibrate` starts: command line, image files and printed results.
-
-mod command;
+//! The program `pb3dp-calibrate`: the commands of `pb3dp calibrate` alone, without cameras and arms.
 
 use std::process::ExitCode;
 
 use clap::Parser;
+use pb3dp_calibration::command;
 
 fn main() -> ExitCode {
-    match command::run(&command::Cli::parse()) {
+    match command::run(&command::Cli::parse().args) {
         Ok(code) => code,
         Err(error) => {
             command::tell_error(&error);

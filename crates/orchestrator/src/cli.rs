@@ -1,12 +1,12 @@
 //! The command line.
 
 use clap::{ArgAction, Parser, Subcommand};
+use pb3dp_calibration::command::CalibrateArgs;
 use pb3dp_commissioning::arm::ArmArgs;
 use pb3dp_commissioning::gateway::GatewayArgs;
 use pb3dp_commissioning::mock_arm::MockArmArgs;
 
 use crate::arguments::{EstimateArgs, RunArgs, TrackArgs};
-use crate::commands::calibrate::CalibrateArgs;
 use crate::commands::cameras::CamerasArgs;
 use crate::commands::completions::CompletionsArgs;
 use crate::commands::config::ConfigArgs;
@@ -81,7 +81,7 @@ pub enum Command {
     Gateway(GatewayArgs),
     /// The cameras of a rig: which there are, and what they can do (docs/rig.md).
     Cameras(CamerasArgs),
-    /// Calibrate cameras and stereo heads from images of a board, by the program pb3dp-calibrate (docs/calibration.md).
+    /// Calibrate cameras and stereo heads from images of a board (docs/calibration.md).
     Calibrate(CalibrateArgs),
     /// Plan a stereo head: what cameras, lenses and a baseline give (docs/rig.md).
     Rig(RigArgs),

@@ -34,7 +34,7 @@ fn main() -> ExitCode {
         Command::MockArm(args) => pb3dp_commissioning::mock_arm::run(args),
         Command::Gateway(args) => pb3dp_commissioning::gateway::run(args),
         Command::Cameras(args) => commands::cameras::run(args),
-        Command::Calibrate(args) => commands::calibrate::run(args),
+        Command::Calibrate(args) => pb3dp_calibration::command::run(args),
         Command::Rig(args) => commands::rig::run(args),
         Command::Config(args) => commands::config::run(args),
         Command::Doctor(args) => commands::doctor::run(args),

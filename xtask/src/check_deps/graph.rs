@@ -177,6 +177,7 @@ const ALLOWED: [(&str, &[&str]); 37] = [
             "cell",
             "wiring",
             "commissioning",
+            "calibration",
             "safeguards",
             "geometry",
             "kinematics",

@@ -20,7 +20,7 @@ const ARM_SERIAL: &str = "hal/arm-pa10/src/serial/";
 const GATEWAY_SERVICE: &str = "hal/arm-pa10-gateway/src/service/";
 const EMULATED_LINES: &str = "hal/arm-pa10-emulation/src/line/";
 
-/// The program that calibrates; the library beside it is told images.
+/// The commands of calibration; the rest of the crate receives images.
 const CALIBRATION_IO: &str = "crates/calibration/src/command/";
 
 /// The page that shows the cameras.

@@ -110,8 +110,8 @@ fn unit(text: &str) -> Result<(), String> {
         }
         if key == "ExecStart" {
             starts += 1;
-            if section != "Service" || !value.starts_with('/') {
-                return Err(format!("`{line}`: an absolute path, in [Service]"));
+            if section != "Service" || !(value.starts_with('/') || value.starts_with("pb3dp ")) {
+                return Err(format!("`{line}`: an absolute path or pb3dp, in [Service]"));
             }
         }
     }

@@ -3,11 +3,12 @@
 use crate::violation::Violation;
 
 /// Everything that may lie at the top level; the ones marked `true` must.
-const TOP_LEVEL: [(&str, bool); 21] = [
+const TOP_LEVEL: [(&str, bool); 23] = [
     (".cargo", true),
     (".ci", true),
     (".editorconfig", false),
     (".gitattributes", false),
+    (".github", false),
     (".gitignore", true),
     ("ARCHITECTURE.md", true),
     ("CHANGELOG.md", true),
@@ -17,6 +18,7 @@ const TOP_LEVEL: [(&str, bool); 21] = [
     ("LICENSE-APACHE", true),
     ("LICENSE-MIT", true),
     ("README.md", true),
+    ("SECURITY.md", true),
     ("clippy.toml", true),
     ("configs", true),
     ("crates", true),

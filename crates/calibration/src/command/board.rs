@@ -5,10 +5,10 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use crate::board::Board;
+use crate::ink::{draw, ink, svg};
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use pb3dp_calibration::board::Board;
-use pb3dp_calibration::ink::{draw, ink, svg};
 
 use super::numbers;
 
@@ -95,7 +95,7 @@ pub(super) struct PrintArgs {
 pub(super) fn run(args: &PrintArgs) -> Result<ExitCode> {
     let board = args.board.board()?;
     let ink = ink(&board);
-    let [left, top, right, bottom] = pb3dp_calibration::ink::extent_m(&ink);
+    let [left, top, right, bottom] = crate::ink::extent_m(&ink);
     let (width_m, height_m) = (right - left, bottom - top);
     let margin_m = MARGIN_SHARE * width_m.min(height_m);
     let (file, px_per_m) = (args.out.as_path(), f64::from(args.dpi) / 0.0254);

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
+use crate::gates::{Gate, Limit, Limits};
+use crate::hand_eye::gates::{HandEyeGate, HandEyeLimits};
 use anyhow::{Context, Result, bail};
-use pb3dp_calibration::gates::{Gate, Limit, Limits};
-use pb3dp_calibration::hand_eye::gates::{HandEyeGate, HandEyeLimits};
 
 /// Reads a file like `configs/calibration_gates.toml`: a table `gates` with all gates, each with `good` and `refused`.
 pub(super) fn read(file: &Path) -> Result<Limits> {

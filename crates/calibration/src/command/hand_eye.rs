@@ -3,14 +3,14 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use crate::board::{Chessboard, Sighting};
+use crate::gates::Grade;
+use crate::hand_eye::gates::{HandEyeLimits, HandEyeVerdict};
+use crate::hand_eye::{CalibrationCovariance, Given, HandEyeFit, HandEyeStop, RobotSigma, tc_has_moved};
+use crate::report::of_hand_eye;
+use crate::verify::length_ratio;
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use pb3dp_calibration::board::{Chessboard, Sighting};
-use pb3dp_calibration::gates::Grade;
-use pb3dp_calibration::hand_eye::gates::{HandEyeLimits, HandEyeVerdict};
-use pb3dp_calibration::hand_eye::{CalibrationCovariance, Given, HandEyeFit, HandEyeStop, RobotSigma, tc_has_moved};
-use pb3dp_calibration::report::of_hand_eye;
-use pb3dp_calibration::verify::length_ratio;
 use pb3dp_geometry::{ImageSize, StereoRig};
 use pb3dp_record::calibration_files::{
     HandEye, JudgedGate, Judgement, ParameterCovariance, StereoCalibration, load_stereo, save_hand_eye,

@@ -1,8 +1,8 @@
 //! Printed results of a hand-eye calibration.
 
-use pb3dp_calibration::gates::Grade;
-use pb3dp_calibration::hand_eye::gates::HandEyeVerdict;
-use pb3dp_calibration::hand_eye::{HandEyeFit, RobotSigma};
+use crate::gates::Grade;
+use crate::hand_eye::gates::HandEyeVerdict;
+use crate::hand_eye::{HandEyeFit, RobotSigma};
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, World};
 use pb3dp_geometry::{Frame, Pose, StereoRig, so3};
 use pb3dp_record::calibration_files::BoardPlace;

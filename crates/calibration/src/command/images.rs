@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use crate::board::{Chessboard, Sighting};
+use crate::detection::{NoBoard, agree, find_board};
+use crate::fit::{View, sides};
 use anyhow::{Context, Result, bail};
-use pb3dp_calibration::board::{Chessboard, Sighting};
-use pb3dp_calibration::detection::{NoBoard, agree, find_board};
-use pb3dp_calibration::fit::{View, sides};
 use pb3dp_geometry::ImageSize;
 use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
 use pb3dp_record::stops::{Stop, Stops, load_stops};

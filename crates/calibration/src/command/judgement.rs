@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
+use crate::fit::sides;
+use crate::gates::Verdict;
+use crate::held_out::Chosen;
+use crate::quality::Quality;
 use anyhow::Result;
-use pb3dp_calibration::fit::sides;
-use pb3dp_calibration::gates::Verdict;
-use pb3dp_calibration::held_out::Chosen;
-use pb3dp_calibration::quality::Quality;
 use pb3dp_record::calibration_files::{CameraIdentity, JudgedGate, Judgement, ParameterCovariance, load_cameras};
 
 /// The file in a recording folder that identifies the cameras.

@@ -1,4 +1,4 @@
-//! The command line of `pb3dp-calibrate`.
+//! The commands of `pb3dp calibrate`: command line, image files and printed results.
 
 mod board;
 mod coach;
@@ -23,15 +23,15 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use crate::board::Board;
+use crate::fit::View;
+use crate::gates::Limits;
+use crate::held_out::{Chosen, choose};
+use crate::lens::LensModel;
+use crate::quality::Quality;
+use crate::report::{of_camera, of_stereo};
 use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
-use pb3dp_calibration::board::Board;
-use pb3dp_calibration::fit::View;
-use pb3dp_calibration::gates::Limits;
-use pb3dp_calibration::held_out::{Chosen, choose};
-use pb3dp_calibration::lens::LensModel;
-use pb3dp_calibration::quality::Quality;
-use pb3dp_calibration::report::{of_camera, of_stereo};
 use pb3dp_geometry::ImageSize;
 
 use self::board::BoardArgs;
@@ -46,6 +46,14 @@ use self::verify::VerifyArgs;
 #[derive(Debug, Parser)]
 #[command(name = "pb3dp-calibrate", bin_name = "pb3dp calibrate", version, propagate_version = true)]
 pub struct Cli {
+    /// The command.
+    #[command(flatten)]
+    pub args: CalibrateArgs,
+}
+
+/// Arguments of `pb3dp calibrate`.
+#[derive(Debug, Args)]
+pub struct CalibrateArgs {
     #[command(subcommand)]
     what: What,
 }
@@ -166,8 +174,11 @@ struct StereoArgs {
 }
 
 /// Runs the command; a calibration refused by a gate is a failure.
-pub fn run(cli: &Cli) -> Result<ExitCode> {
-    match &cli.what {
+///
+/// # Errors
+/// A file that cannot be read or written, images without a board, views that determine no calibration.
+pub fn run(args: &CalibrateArgs) -> Result<ExitCode> {
+    match &args.what {
         What::Intrinsics(args) => intrinsics(args),
         What::Stereo(args) => stereo(args),
         What::Coach(args) => coach::run(args),

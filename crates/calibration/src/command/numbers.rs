@@ -1,7 +1,7 @@
 //! Parsers of command line values.
 
-use pb3dp_calibration::hand_eye::RobotSigma;
-use pb3dp_calibration::lens::LensModel;
+use crate::hand_eye::RobotSigma;
+use crate::lens::LensModel;
 
 use super::LensChoice;
 use super::board::BoardName;

@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
+use crate::fit::CornerError;
+use crate::held_out::Chosen;
+use crate::quality::Quality;
 use anyhow::Result;
 use image::RgbImage;
 use image::imageops::FilterType;
-use pb3dp_calibration::fit::CornerError;
-use pb3dp_calibration::held_out::Chosen;
-use pb3dp_calibration::quality::Quality;
 use pb3dp_record::images::load_rgb;
 use pb3dp_record::overlay::{Stroke, arrow, colors, cross, side_by_side};
 use pb3dp_record::report::{ImagePlot, Report, ReportImage, VectorAt};

@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use crate::hand_eye::place_board;
+use crate::hand_eye::propose::{Wish, head_of_look, propose};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
-use pb3dp_calibration::hand_eye::place_board;
-use pb3dp_calibration::hand_eye::propose::{Wish, head_of_look, propose};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, TcBase, TcFlange};
 use pb3dp_record::calibration_files::{BoardPlace, load_hand_eye};

@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::PoisonError;
 
+use crate::board::{Chessboard, Sighting};
+use crate::detection::find_board;
+use crate::fit::{View, sides};
+use crate::selection::{Candidate, Selection, Wanted, select};
+use crate::sharpness::{blur_px, moved_px};
 use anyhow::{Context, Result, bail};
 use image::GrayImage;
-use pb3dp_calibration::board::{Chessboard, Sighting};
-use pb3dp_calibration::detection::find_board;
-use pb3dp_calibration::fit::{View, sides};
-use pb3dp_calibration::selection::{Candidate, Selection, Wanted, select};
-use pb3dp_calibration::sharpness::{blur_px, moved_px};
 use pb3dp_geometry::ImageSize;
 use pb3dp_record::dataset::{Sequence, load_sequence};
 use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};

@@ -2,12 +2,12 @@
 
 use std::fmt::Write;
 
+use crate::fit::{Fit, View, sides};
+use crate::gates::{Grade, Verdict};
+use crate::held_out::Chosen;
+use crate::quality::Quality;
+use crate::report::{GateLine, verdict_in_words};
 use anyhow::Result;
-use pb3dp_calibration::fit::{Fit, View, sides};
-use pb3dp_calibration::gates::{Grade, Verdict};
-use pb3dp_calibration::held_out::Chosen;
-use pb3dp_calibration::quality::Quality;
-use pb3dp_calibration::report::{GateLine, verdict_in_words};
 use pb3dp_geometry::StereoRig;
 
 /// Number of worst views listed.

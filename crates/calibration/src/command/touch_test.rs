@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
+use crate::verify::against::Known;
+use crate::verify::touch::{Touch, TouchResult, touched};
 use anyhow::{Context, Result, bail};
 use nalgebra::{Isometry3, Point3};
-use pb3dp_calibration::verify::against::Known;
-use pb3dp_calibration::verify::touch::{Touch, TouchResult, touched};
 use pb3dp_record::calibration_files::load_hand_eye;
 use pb3dp_record::stops::load_stops;
 

@@ -4,16 +4,16 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use crate::board::Chessboard;
+use crate::gates::Grade;
+use crate::report::{GateLine, verdict_in_words};
+use crate::verify::against::{Comparison, Known, compare};
+use crate::verify::limits::{Check, VerifyLimits};
+use crate::verify::touch::TouchResult;
+use crate::verify::{Checked, check, depth_sigma_m, lengths_m};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use nalgebra::DMatrix;
-use pb3dp_calibration::board::Chessboard;
-use pb3dp_calibration::gates::Grade;
-use pb3dp_calibration::report::{GateLine, verdict_in_words};
-use pb3dp_calibration::verify::against::{Comparison, Known, compare};
-use pb3dp_calibration::verify::limits::{Check, VerifyLimits};
-use pb3dp_calibration::verify::touch::TouchResult;
-use pb3dp_calibration::verify::{Checked, check, depth_sigma_m, lengths_m};
 use pb3dp_record::calibration_files::{StereoCalibration, load_stereo};
 
 use super::hand_eye::check_squares;

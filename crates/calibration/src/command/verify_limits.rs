@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
+use crate::gates::Limit;
+use crate::verify::limits::{Check, VerifyLimits};
 use anyhow::{Context, Result, bail};
-use pb3dp_calibration::gates::Limit;
-use pb3dp_calibration::verify::limits::{Check, VerifyLimits};
 
 /// Reads a file like `configs/calibration_verify.toml`: a table `checks` with all checks, each with `good` and `refused`.
 pub(super) fn read(file: &Path) -> Result<VerifyLimits> {

@@ -1,5 +1,6 @@
 //! `pb3dp generate`, which is hidden: the reference pages, the manual pages and the completion scripts, made from the source.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -78,23 +79,26 @@ fn keys() -> String {
     let mut page = format!(
         "# Keys of a setup\n\n{MADE_BY}\n`pb3dp config explain KEY` prints the same with the value of each built-in setup.\nThe keys of an arm are those of `arms.vs`, whatever the table of the arm is called.\n"
     );
-    let mut table = "";
-    let all = explain_all();
-    for Explanation { key, about, unit, allowed, .. } in &all {
-        let (of, name) = key.rsplit_once('.').unwrap_or(("", key));
-        if of != table || page.lines().all(|line| !line.starts_with("| key")) {
-            let _ = write!(
-                page,
-                "\n## {}\n\n| key | unit | allowed | meaning |\n| --- | --- | --- | --- |\n",
-                if of.is_empty() { "(no table)" } else { of }
-            );
-            table = of;
+    let mut tables: BTreeMap<String, Vec<Explanation>> = BTreeMap::new();
+    for explanation in explain_all() {
+        let table = explanation.key.rsplit_once('.').map_or("", |(table, _)| table).to_owned();
+        tables.entry(table).or_default().push(explanation);
+    }
+    for (table, keys) in tables {
+        let title = if table.is_empty() { "Outside of tables" } else { &table };
+        let _ = write!(page, "\n## {title}\n\n| key | unit | allowed | meaning |\n| --- | --- | --- | --- |\n");
+        for Explanation { key, about, unit, allowed, .. } in keys {
+            let name = key.rsplit('.').next().unwrap_or(&key);
+            let (unit, allowed) = (unit.unwrap_or_default(), allowed.unwrap_or_default());
+            let _ = writeln!(page, "| `{name}` | {unit} | {} | {} |", cell(&allowed), cell(&about));
         }
-        let cell = |text: &str| text.replace('|', "\\|").replace('\n', " ");
-        let (unit, allowed) = (unit.as_deref().unwrap_or(""), allowed.as_deref().unwrap_or(""));
-        let _ = writeln!(page, "| `{name}` | {unit} | {} | {} |", cell(allowed), cell(about));
     }
     page
+}
+
+/// Text that stays in its cell of a table.
+fn cell(text: &str) -> String {
+    text.replace('|', "\\|").replace('\n', " ")
 }
 
 /// Every code with cause and remedy.
@@ -105,7 +109,7 @@ fn messages() -> String {
     for (title, codes) in tables() {
         let _ = write!(page, "\n## {title}\n\n| code | cause | remedy |\n| --- | --- | --- |\n");
         for code in codes {
-            let _ = writeln!(page, "| `{}` | {} | {} |", code.code, code.cause, code.remedy);
+            let _ = writeln!(page, "| `{}` | {} | {} |", code.code, cell(code.cause), cell(code.remedy));
         }
     }
     page

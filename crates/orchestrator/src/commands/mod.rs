@@ -1,6 +1,5 @@
 //! The subcommands, one file each: arguments in, exit code out.
 
-pub mod calibrate;
 pub mod cameras;
 pub mod completions;
 pub mod config;

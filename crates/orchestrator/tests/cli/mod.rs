@@ -1,12 +1,12 @@
 //! The program as its user meets it: arguments and files in, lines, images and exit codes out.
 
-mod calibrate;
 mod cameras;
 mod deploy;
 mod doctor;
 mod estimate;
 mod identify;
 pub mod mock_arm;
+mod reference;
 mod refusals;
 mod rig;
 pub mod run;

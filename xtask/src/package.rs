@@ -1,0 +1,158 @@
+//! `cargo xtask package`: the program as a static archive and as a Debian package, both installed and tried in a clean root.
+
+mod debian;
+mod notices;
+mod trial;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+
+use crate::workspace::{Workspace, run_visibly};
+
+/// Builds the release: a static archive (.tar.gz) and a Debian package (.deb), in target/package.
+///
+/// Both hold the program with its setups, robot files and boards inside, manual pages, completion scripts, documentation, licences,
+/// and the files of configs/deploy. The program is linked statically: it needs no library of the computer that it runs on.
+/// Afterwards the archive is unpacked in an empty root, and the package is installed in a fresh Debian (if debootstrap, root and a
+/// network are there), and the program runs there.
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Args {
+    /// Build only; try nothing.
+    #[arg(long)]
+    build_only: bool,
+    /// Mirror of Debian for the trial.
+    #[arg(long, default_value = "http://deb.debian.org/debian")]
+    mirror: String,
+}
+
+/// What a release consists of.
+struct Release {
+    version: String,
+    /// Target triple.
+    triple: String,
+    /// The static program.
+    program: PathBuf,
+    /// Folder of everything below.
+    folder: PathBuf,
+}
+
+/// # Errors
+/// If the program does not build, a file cannot be written, or the installed program does not work.
+pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
+    let release = build(workspace)?;
+    let tree = stage(workspace, &release)?;
+    let archive = archive(workspace, &release, &tree)?;
+    println!("{}", size_of(&archive)?);
+    if !args.build_only {
+        trial::of_archive(workspace, &release, &archive)?;
+    }
+    let package = debian::build(workspace, &release, &tree)?;
+    println!("{}", size_of(&package)?);
+    if !args.build_only {
+        trial::of_package(workspace, &release, &package, &args.mirror)?;
+    }
+    Ok(())
+}
+
+fn build(workspace: &Workspace) -> anyhow::Result<Release> {
+    let rustc = workspace.output_of("rustc", &["-vV"]).context("rustc does not print its version")?;
+    let triple = rustc.lines().find_map(|line| line.strip_prefix("host: ")).context("rustc names no host")?.to_owned();
+    let metadata = workspace.metadata()?;
+    let packages = metadata["packages"].as_array().context("`packages` is missing from cargo metadata")?;
+    let program = packages.iter().find(|package| package["name"] == "pb3dp-orchestrator");
+    let version = program.and_then(|package| package["version"].as_str()).context("pb3dp has no version")?.to_owned();
+    let folder = workspace.target_folder()?.join("package");
+    let cargo_target = workspace.target_folder()?.join("package-build");
+    let mut cargo = workspace.cargo();
+    // With --target these flags are not used for build scripts and macros, which cannot be static.
+    cargo.env("RUSTFLAGS", "-C target-feature=+crt-static").env("CARGO_TARGET_DIR", &cargo_target);
+    cargo.args([
+        "build",
+        "--release",
+        "--locked",
+        "--target",
+        &triple,
+        "--package",
+        "pb3dp-orchestrator",
+        "--bin",
+        "pb3dp",
+    ]);
+    run_visibly(&mut cargo)?;
+    let program = cargo_target.join(&triple).join("release/pb3dp");
+    Ok(Release { version, triple, program, folder })
+}
+
+/// Puts all files where they stand below a prefix (`/usr`, `/usr/local`); returns the prefix.
+fn stage(workspace: &Workspace, release: &Release) -> anyhow::Result<PathBuf> {
+    let tree = release.folder.join(format!("pb3dp-{}-{}", release.version, release.triple));
+    if tree.exists() {
+        fs::remove_dir_all(&tree).with_context(|| format!("cannot remove {}", tree.display()))?;
+    }
+    let program = tree.join("bin/pb3dp");
+    copy(&release.program, &program)?;
+    run_visibly(workspace.command("strip").arg(&program))?;
+    let generated = release.folder.join("generated");
+    run_visibly(workspace.command(&program).arg("generate").arg(&generated))?;
+    copy_folder(&generated.join("man"), &tree.join("share/man/man1"))?;
+    for (from, to) in [
+        ("pb3dp.bash", "share/bash-completion/completions/pb3dp"),
+        ("_pb3dp", "share/zsh/site-functions/_pb3dp"),
+        ("pb3dp.fish", "share/fish/vendor_completions.d/pb3dp.fish"),
+    ] {
+        copy(&generated.join("completions").join(from), &tree.join(to))?;
+    }
+    let documentation = tree.join("share/doc/pb3dp");
+    for name in ["README.md", "CHANGELOG.md", "SECURITY.md", "LICENSE-MIT", "LICENSE-APACHE"] {
+        copy(&workspace.root().join(name), &documentation.join(name))?;
+    }
+    for name in ["docs", "configs"] {
+        copy_folder(&workspace.root().join(name), &documentation.join(name))?;
+    }
+    write(&documentation.join("THIRD-PARTY.txt"), &notices::text(workspace)?)?;
+    Ok(tree)
+}
+
+/// Packs the tree so that the same content gives the same bytes.
+fn archive(workspace: &Workspace, release: &Release, tree: &Path) -> anyhow::Result<PathBuf> {
+    let name = tree.file_name().and_then(|name| name.to_str()).context("the tree has no name")?;
+    let archive = release.folder.join(format!("{name}.tar.gz"));
+    let time = workspace.output_of("git", &["log", "-1", "--format=%ct"]).unwrap_or_else(|| "0".to_owned());
+    let mut tar = workspace.command("tar");
+    tar.args(["--sort=name", "--owner=0", "--group=0", "--numeric-owner", "--mode=u+rwX,go+rX,go-w"]);
+    tar.arg(format!("--mtime=@{time}")).arg("-C").arg(&release.folder).args(["-czf"]).arg(&archive).arg(name);
+    run_visibly(&mut tar)?;
+    Ok(archive)
+}
+
+fn size_of(file: &Path) -> anyhow::Result<String> {
+    let bytes = fs::metadata(file).with_context(|| format!("cannot find {}", file.display()))?.len();
+    Ok(format!("{}: {:.1} MB", file.display(), bytes as f64 / 1e6))
+}
+
+/// Copies a file with its rights, and makes the folder that it goes to.
+fn copy(from: &Path, to: &Path) -> anyhow::Result<()> {
+    if let Some(folder) = to.parent() {
+        fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    }
+    fs::copy(from, to).with_context(|| format!("cannot copy {} to {}", from.display(), to.display()))?;
+    Ok(())
+}
+
+fn copy_folder(from: &Path, to: &Path) -> anyhow::Result<()> {
+    for entry in fs::read_dir(from).with_context(|| format!("cannot list {}", from.display()))? {
+        let path = entry?.path();
+        let Some(name) = path.file_name() else { bail!("{} has no name", path.display()) };
+        if path.is_dir() { copy_folder(&path, &to.join(name))? } else { copy(&path, &to.join(name))? }
+    }
+    Ok(())
+}
+
+fn write(file: &Path, text: &str) -> anyhow::Result<()> {
+    if let Some(folder) = file.parent() {
+        fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    }
+    fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))
+}
