@@ -1,4 +1,4 @@
-//! Both arms of a cell, as everything that moves them sees them: switched on, told, measured, and stopped.
+//! Both arms of a workcell: enable, command, measure and stop.
 
 use anyhow::{Context, Result};
 use pb3dp_geometry::MonotonicTime;
@@ -12,7 +12,7 @@ use crate::log::ArmSample;
 use super::commands::CommandSummary;
 use super::parts::DrivenArm;
 
-/// One arm, with what was last measured of it.
+/// One arm with its last measurement.
 pub struct LedArm {
     name: &'static str,
     arm: Box<dyn DrivenArm>,
@@ -20,23 +20,23 @@ pub struct LedArm {
     /// What was last requested of it.
     requested: JointCommand,
     replies_missed: u64,
-    /// It is being switched on.
+    /// Enabling is in progress.
     is_switching_on: bool,
 }
 
 impl LedArm {
-    /// An arm that is not yet switched on; until it is measured it counts as resting at `start_rad`.
+    /// An arm that is not enabled yet; until its first measurement it counts as stationary at `start_rad`.
     fn new(name: &'static str, arm: Box<dyn DrivenArm>, start_rad: JointVector, now: MonotonicTime) -> Self {
         let joints = JointState { at: now, position_rad: start_rad, velocity_rad_per_s: JointVector::zeros() };
         Self { name, arm, joints, requested: JointCommand::Hold, replies_missed: 0, is_switching_on: false }
     }
 
-    /// What was last measured.
+    /// Last measured joint state.
     pub fn joints(&self) -> &JointState {
         &self.joints
     }
 
-    /// What it measured last, and what was requested of it.
+    /// Last measured joints and last requested command.
     pub fn sample(&self) -> ArmSample {
         let requested_rad_per_s = match self.requested {
             JointCommand::Velocity(velocity) => Some(velocity),
@@ -56,11 +56,11 @@ impl LedArm {
         }
     }
 
-    /// One cycle; what was measured. `None`: the reply is only late or lost, and the arm holds in place of the command. It stops by
-    /// itself when that happens too often.
+    /// One control cycle; returns the measurement. `None`: the reply is late or lost and the arm holds. The arm stops by itself if that
+    /// happens too often.
     ///
     /// # Errors
-    /// The arm's name, and why it fails.
+    /// The arm's name and the cause of the failure.
     pub fn exchange(&mut self, command: JointCommand) -> Result<Option<JointState>> {
         self.requested = command;
         match self.arm.exchange(command) {
@@ -95,7 +95,7 @@ impl LedArm {
         Ok(())
     }
 
-    /// Whether it is on.
+    /// Whether enabling has finished.
     fn poll_enable(&mut self) -> Result<bool> {
         if self.is_switching_on {
             self.is_switching_on = !self.arm.poll_enable().with_context(|| self.not_enabled())?;
@@ -107,7 +107,7 @@ impl LedArm {
         format!("{}: enable", self.name)
     }
 
-    /// Watched while it or the other one is switched on: whether it is on, and where its joints really are.
+    /// Monitors the arm while both arms are enabled: whether it is enabled and its joints are measured.
     fn watch(&mut self) -> Result<bool> {
         if self.is_switching_on {
             self.look();
@@ -116,7 +116,7 @@ impl LedArm {
         Ok(self.exchange(JointCommand::Hold)?.is_some())
     }
 
-    /// What can be measured of an arm that is off or latched; that it fails is no news.
+    /// Measures an arm that is disabled or latched; a failure is already known.
     fn look(&mut self) {
         if let Ok(joints) = self.arm.exchange(JointCommand::Hold) {
             self.joints = joints;
@@ -133,26 +133,26 @@ impl LedArm {
     }
 }
 
-/// Where arms may be when they are switched on.
+/// Required position of the arms when they are enabled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Whence {
-    /// At their start: the first velocity is refused elsewhere.
+    /// The start position: elsewhere the first velocity is refused.
     Start,
-    /// Where a stop has left them; one that is still on stays so.
+    /// The position after a stop; an arm that is still enabled stays enabled.
     Here,
 }
 
 /// Both arms.
 pub struct BothArms {
-    /// The one that carries the cameras.
+    /// The arm that carries the cameras.
     pub vs: LedArm,
-    /// The one that carries the target.
+    /// The arm that carries the target.
     pub tc: LedArm,
     is_switching_on: bool,
 }
 
 impl BothArms {
-    /// Arms that are not yet switched on: the one with the cameras, the one with the target.
+    /// Arms that are not enabled yet: the one with the cameras, the one with the target.
     pub fn new(setup: &Setup, (vs, tc): (Box<dyn DrivenArm>, Box<dyn DrivenArm>), now: MonotonicTime) -> Self {
         Self {
             vs: LedArm::new("vs-robot", vs, setup.rig.vs.start_rad, now),
@@ -161,12 +161,12 @@ impl BothArms {
         }
     }
 
-    /// Switches both on, as far as that is possible now: whether they are on, and where their joints are is known. To be called in each
-    /// control cycle until then. It takes seconds; an arm whose brakes are open is told to hold and watched in each of these cycles,
-    /// as it is when it moves, and what stops one of them stops both.
+    /// Enables both arms step by step; returns whether both are enabled and their joints are measured. Call it in each control cycle until
+    /// then: enabling takes seconds. Meanwhile an arm with open brakes holds and is monitored in each cycle, as during motion. A failure of
+    /// one arm stops both.
     ///
     /// # Errors
-    /// The arm that cannot be switched on or does not hold, and why; both have to be stopped then.
+    /// The arm that cannot be enabled or does not hold, with the cause; the caller must then stop both.
     pub fn enable(&mut self, from: Whence) -> Result<bool> {
         let was_switching_on = std::mem::replace(&mut self.is_switching_on, false);
         if !was_switching_on {
@@ -176,7 +176,7 @@ impl BothArms {
         let polled = [self.vs.poll_enable(), self.tc.poll_enable()];
         let watched = [self.vs.watch(), self.tc.watch()];
         if self.is_latched() {
-            // The one that failed by itself tells why.
+            // The arm that failed by itself reports the cause.
             self.why_latched()?;
         }
         let mut are_on = true;
@@ -187,21 +187,21 @@ impl BothArms {
         Ok(are_on)
     }
 
-    /// Whether they are being switched on.
+    /// Whether enabling is in progress.
     pub fn is_switching_on(&self) -> bool {
         self.is_switching_on
     }
 
-    /// Both come to rest with brakes on, whatever happened; the first failure is told.
+    /// Stops both arms and closes their brakes in any state; returns the first failure.
     ///
     /// # Errors
-    /// The arm that cannot be told.
+    /// The arm that cannot be commanded.
     pub fn stop(&mut self) -> Result<()> {
-        // Closing the brakes of one takes time in which the other one must neither wait for its next velocity nor for its own brakes.
+        // Closing one arm's brakes takes time. The other arm must not wait meanwhile, neither for a velocity nor for its own brakes.
         self.is_switching_on = false;
         let arms = [&mut self.vs, &mut self.tc].map(|led| {
             led.arm.exchange(JointCommand::Hold).ok();
-            // Whoever cannot be told is told once more.
+            // An arm that cannot be commanded gets the command a second time below.
             led.arm.begin_stop().ok();
             led
         });
@@ -209,36 +209,36 @@ impl BothArms {
         vs.and(tc)
     }
 
-    /// An arm that a stop has left switched on.
+    /// Name of an arm that is still enabled after a stop.
     pub fn still_on(&self) -> Option<&'static str> {
         [&self.vs, &self.tc].into_iter().find(|led| led.is_on()).map(|led| led.name)
     }
 
-    /// Stops those that are still switched on.
+    /// Stops the arms that are still enabled.
     ///
     /// # Errors
-    /// The first arm that cannot be told.
+    /// The first arm that cannot be commanded.
     pub fn stop_still_on(&mut self) -> Result<()> {
         let still_on = [&mut self.vs, &mut self.tc].into_iter().filter(|led| led.is_on());
         still_on.map(LedArm::stop).fold(Ok(()), Result::and)
     }
 
-    /// Whether one of them has a fault or an emergency stop.
+    /// Whether an arm has a latched fault or emergency stop.
     pub fn is_latched(&self) -> bool {
         self.vs.is_latched() || self.tc.is_latched()
     }
 
-    /// What can be measured while both are off or latched.
+    /// Measures both arms while they are disabled or latched.
     pub fn look(&mut self) {
         self.vs.look();
         self.tc.look();
     }
 
-    /// Clears what is latched in the arms themselves, as far as its cause is gone: an arm that was only stopped by the other one comes
-    /// behind it. Where each one has failed by itself, the first one can be reset only behind the second one, and is tried again.
+    /// Resets latched arms whose cause is gone. An arm stopped only by the other one is reset after it. If both failed by themselves, the
+    /// first one can only be reset after the second one and is therefore tried again.
     ///
     /// # Errors
-    /// The first arm whose cause is still there.
+    /// The first arm whose cause still exists.
     pub fn reset(&mut self) -> Result<()> {
         let mut arms = [&mut self.tc, &mut self.vs];
         arms.sort_by_key(|led| led.arm.is_stopped_by_other());
@@ -247,16 +247,16 @@ impl BothArms {
         failed.into_iter().map(LedArm::reset).fold(Ok(()), Result::and)
     }
 
-    /// Has a latched arm say why it is; one that has failed by itself goes before one that the other one stopped.
+    /// Returns the cause of a latch; an arm that failed by itself takes precedence over one stopped by the other arm.
     ///
     /// # Errors
-    /// The arm, and why it is latched.
+    /// The arm and the cause of its latch.
     pub fn why_latched(&mut self) -> Result<()> {
         let mut arms = [&mut self.tc, &mut self.vs];
         arms.sort_by_key(|led| led.arm.is_stopped_by_other());
         for led in arms {
             let rest = match led.arm.state() {
-                // It refuses, and says why.
+                // It refuses and returns the cause.
                 ArmState::Fault | ArmState::EStop => JointCommand::Velocity(JointVector::zeros()),
                 ArmState::Enabled | ArmState::Disabled => JointCommand::Hold,
             };
@@ -265,7 +265,7 @@ impl BothArms {
         Ok(())
     }
 
-    /// A failure of an arm, or, if the other one has stopped that arm, what the other one says: it may be heard second.
+    /// The failure of an arm; if the other arm caused that stop, the other arm's failure, which may arrive second.
     pub fn traced(&mut self, failure: anyhow::Error) -> anyhow::Error {
         let name = failure.to_string();
         let is_told = |led: &LedArm| led.name == name && led.arm.is_stopped_by_other();
@@ -275,12 +275,12 @@ impl BothArms {
         self.why_latched().err().unwrap_or(failure)
     }
 
-    /// Steps in which an arm had no measurement in time; it held.
+    /// Steps without a measurement in time; the arm held.
     pub fn replies_missed(&self) -> u64 {
         self.vs.replies_missed + self.tc.replies_missed
     }
 
-    /// What became of the velocities of both arms.
+    /// Velocity command counts of both arms.
     pub fn commands(&self) -> [CommandSummary; 2] {
         [&self.vs, &self.tc].map(|led| CommandSummary::of(led.name, &led.arm.statistics()))
     }
@@ -301,7 +301,7 @@ mod tests {
 
     use super::*;
 
-    /// Two coupled arms that are switched on, and what makes each one fail.
+    /// Two coupled enabled arms and their fault injectors.
     fn cell() -> (BothArms, [MockArmFaults; 2]) {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
         let setup = read_setup(Path::new(file)).unwrap();
@@ -353,7 +353,7 @@ mod tests {
         assert!(told.starts_with("vs-robot") && told.contains("an overcurrent"), "{told}");
     }
 
-    /// Switched on after so many polls; notes what it is asked, and fails where it is told to.
+    /// Enabled after a number of polls; records its calls and fails on request.
     struct Slow {
         info: ArmInfo,
         polls_left: u32,
@@ -448,7 +448,7 @@ mod tests {
         }
     }
 
-    /// Arms of which the second one takes longer to be switched on, and what they are asked.
+    /// Two arms, the second of which takes longer to enable, and the record of their calls.
     fn slow(fails_after: usize) -> (BothArms, Arc<Mutex<Vec<String>>>) {
         let said = Arc::default();
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");

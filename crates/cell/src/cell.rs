@@ -1,4 +1,4 @@
-//! The simulated cell: two arms that stand in one world, one with the cameras, one with the target.
+//! The simulated workcell: two arms in one world, one with the cameras, one with the target.
 
 use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -11,12 +11,12 @@ use pb3dp_sim::joint_dynamics::JointPlant;
 use pb3dp_sim::scene::{PoseSource, ScenePoses};
 use pb3dp_sim::trajectory::Trajectory;
 
-/// Gap between measured joints up to which they are interpolated, and how long the last ones are continued, seconds.
+/// Largest gap between joint measurements that is interpolated, and longest extrapolation from the last one, seconds.
 pub(super) const JOINT_GAP_MAX_S: f64 = 0.1;
-/// Measured joints that are kept: two seconds at 500 Hz.
+/// Number of joint measurements kept: two seconds at 500 Hz.
 const JOINTS_KEPT: usize = 1000;
 
-/// Where the joints of an arm are known from.
+/// Source of an arm's joint positions.
 #[derive(Clone)]
 pub struct JointSource(Source);
 
@@ -26,7 +26,7 @@ enum Source {
     Measured(Arc<Mutex<MeasuredJoints>>),
 }
 
-/// Joints as they were measured.
+/// Measured joint positions.
 struct MeasuredJoints {
     samples: Receiver<JointState>,
     history: JointHistory,
@@ -34,18 +34,18 @@ struct MeasuredJoints {
 }
 
 impl JointSource {
-    /// Simulated joints, shared with the arm backend: exact.
+    /// Simulated joint positions, shared with the arm backend: exact.
     pub fn plant(plant: Arc<Mutex<JointPlant>>) -> Self {
         Self(Source::Plant(plant))
     }
 
-    /// Joints as they are measured; before the first measurement they are at `start_rad`.
+    /// Measured joint positions; `start_rad` until the first measurement.
     pub fn measured(samples: Receiver<JointState>, start_rad: JointVector) -> Self {
         let history = JointHistory::new(JOINTS_KEPT, JOINT_GAP_MAX_S);
         Self(Source::Measured(Arc::new(Mutex::new(MeasuredJoints { samples, history, start_rad }))))
     }
 
-    /// The simulated joints, if they are.
+    /// The simulated joints; `None` for measured ones.
     pub fn simulated(&self) -> Option<&Mutex<JointPlant>> {
         match &self.0 {
             Source::Plant(plant) => Some(plant),
@@ -53,8 +53,8 @@ impl JointSource {
         }
     }
 
-    /// Joint angles at `at`. Simulated joints are advanced to it if need be, and remember their past for a second; measured ones
-    /// are interpolated, and the newest ones where that is not possible.
+    /// Joint angles at `at`. Simulated joints are advanced to `at` if necessary and keep one second of history. Measured joints are
+    /// interpolated; where that is not possible, the newest measurement is returned.
     fn position_rad_at(&self, at: MonotonicTime) -> JointVector {
         match &self.0 {
             Source::Plant(plant) => {
@@ -74,7 +74,7 @@ impl JointSource {
         }
     }
 
-    /// Whether the joints at a time are not forgotten yet.
+    /// Whether the joint positions at `at` are still in the history.
     fn remembers(&self, at: MonotonicTime) -> bool {
         match &self.0 {
             Source::Plant(plant) => {
@@ -89,14 +89,14 @@ impl JointSource {
     }
 }
 
-/// One arm in the cell.
+/// One arm of the workcell.
 #[derive(Clone)]
 pub struct ArmSite {
-    /// Its kinematics.
+    /// Kinematics.
     pub chain: Chain,
-    /// Where it stands.
+    /// Pose of its base in the world.
     pub world_from_base: Pose<World, Base>,
-    /// Its joints.
+    /// Source of its joint positions.
     pub joints: JointSource,
 }
 
@@ -107,33 +107,33 @@ impl ArmSite {
     }
 }
 
-/// Both arms with what they carry: the exact truth of the simulation.
+/// Both arms with their payloads: the ground truth of the simulation.
 #[derive(Clone)]
 pub struct SimulatedCell {
     /// The arm that carries the cameras.
     pub vs: ArmSite,
     /// The arm that carries the target.
     pub tc: ArmSite,
-    /// Where the servoed hand is on the first arm.
+    /// Pose of the servoed hand on the flange of the first arm.
     pub flange_from_hand: Pose<Flange, Hand>,
-    /// Where the left camera is on the hand.
+    /// Pose of the left camera in the hand frame.
     pub hand_from_cam_left: Pose<Hand, CamLeft>,
-    /// Where the target is on the second arm.
+    /// Pose of the target on the flange of the second arm.
     pub flange_from_target: Pose<Flange, Target>,
-    /// The motion of a target that no arm carries.
+    /// Motion of a free target, which no arm carries.
     pub free_target: Option<FreeTarget>,
 }
 
-/// A target that no arm carries.
+/// A free target, which no arm carries.
 #[derive(Clone)]
 pub struct FreeTarget {
     motion: Arc<dyn Trajectory>,
-    /// Known as soon as the experiment begins.
+    /// Set once the experiment begins.
     begin: Arc<OnceLock<MonotonicTime>>,
 }
 
 impl FreeTarget {
-    /// A target that waits for the experiment to begin.
+    /// A free target; its motion starts with the experiment.
     pub fn new(motion: Arc<dyn Trajectory>) -> Self {
         Self { motion, begin: Arc::default() }
     }
@@ -144,14 +144,14 @@ impl FreeTarget {
 }
 
 impl SimulatedCell {
-    /// The experiment begins at this time; what was said first holds.
+    /// Sets the start time of the experiment; only the first call takes effect.
     pub fn begin_at(&self, begin: MonotonicTime) {
         if let Some(target) = &self.free_target {
             target.begin.get_or_init(|| begin);
         }
     }
 
-    /// Whether it is not forgotten yet where everything was at `at`.
+    /// Whether all poses at `at` are still in the history.
     pub fn remembers(&self, at: MonotonicTime) -> bool {
         self.vs.joints.remembers(at) && self.tc.joints.remembers(at)
     }

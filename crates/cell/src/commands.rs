@@ -1,31 +1,31 @@
-//! What became of the velocities that the arms were told.
+//! Counts of the velocity commands sent to the arms.
 
 use pb3dp_hal_middleware::LimiterStatistics;
 use pb3dp_record::report::Table;
 use serde::Serialize;
 
-/// What became of the velocities of one arm.
+/// Velocity command counts of one arm.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct CommandSummary {
     /// The arm's name.
     pub name: &'static str,
-    /// How many came to its limiter.
+    /// Velocity commands that reached its limiter.
     pub velocities: u64,
-    /// How many of them the limiter changed.
+    /// Commands that the limiter changed.
     pub changed: u64,
-    /// How many were refused, by the limiter or behind it.
+    /// Commands refused by the limiter or by the arm.
     pub refused: u64,
 }
 
 impl CommandSummary {
-    /// From what the limiter of an arm has counted.
+    /// From the limiter's statistics.
     pub fn of(name: &'static str, statistics: &LimiterStatistics) -> Self {
         let LimiterStatistics { velocity_commands, changed, refused, .. } = *statistics;
         Self { name, velocities: velocity_commands, changed, refused }
     }
 }
 
-/// The figures as a table of the report.
+/// The counts as a report table.
 pub fn table(commands: &[CommandSummary]) -> Table {
     let headings = Table::new(["arm", "velocities", "changed by the limiter", "refused"]);
     commands.iter().fold(headings, |table, CommandSummary { name, velocities, changed, refused }| {
@@ -33,7 +33,7 @@ pub fn table(commands: &[CommandSummary]) -> Table {
     })
 }
 
-/// The figures as lines for a terminal.
+/// The counts as terminal lines.
 pub fn text_lines(commands: &[CommandSummary]) -> String {
     let line = |CommandSummary { name, velocities, changed, refused }: &CommandSummary| {
         let what = format!("{name}, velocities");

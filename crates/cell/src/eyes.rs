@@ -1,4 +1,4 @@
-//! What a run sees with: images and a method that looks at them, or the truth with noise.
+//! Vision input of a run: images with an estimation method, or the true pose with noise.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,11 +17,11 @@ use pb3dp_sim::geometric::{GeometricFrame, Hindrance, PoseSigma};
 
 use crate::follower::Follower;
 
-/// Where frames come from.
+/// Source of frames.
 pub enum Sight {
     /// A camera that delivers images.
     Images(Box<dyn StereoCamera>),
-    /// The truth with noise: no image is rendered.
+    /// The true pose with noise; no image is rendered.
     Geometric(Box<dyn PoseCamera>),
 }
 
@@ -30,48 +30,48 @@ pub trait PoseCamera: Send {
     /// Waits for the end of the next exposure.
     ///
     /// # Errors
-    /// `Timeout` if there is none in this time, `BadPair` if the poses are not finite.
+    /// `Timeout` if no frame arrives in this time, `BadPair` if the poses are not finite.
     fn next_frame(&mut self, timeout: Duration) -> Result<GeometricFrame, CameraError>;
 
-    /// The noise of its poses.
+    /// Standard deviations of the pose noise.
     fn noise(&self) -> PoseSigma;
 }
 
-/// Who estimates the pose from what was captured.
+/// Estimates the target pose from captured frames.
 pub enum Eyes {
-    /// A method that looks at images, and what is marked in the first ones.
+    /// An image-based method, and the target marked in the first images.
     Images(Box<Follower>, Marking),
-    /// The truth with noise.
+    /// The true pose with noise.
     Geometric(GeometricEyes),
 }
 
-/// What passes the truth with noise on as an estimate.
+/// Converts the true pose with noise into an estimate.
 pub struct GeometricEyes {
     noise: PoseSigma,
-    /// Above this standard deviation a tilt is not sure, radians.
+    /// Above this standard deviation the tilt has low confidence, radians.
     tilt_sigma_sure_rad: f64,
 }
 
-/// What is marked in the left image in which the target is taken.
+/// How the target is marked in the left image for initialisation.
 #[derive(Clone, Debug)]
 pub enum Marking {
     /// The outline of a simulated target, points in its own frame: what an operator would draw.
     Outline(Vec<Point3<f64>>),
-    /// What the operator has marked, wherever the target truly is.
+    /// The region that the operator marked, independent of the target's true pose.
     Region(Region),
-    /// Nobody has marked anything.
+    /// No target is marked.
     Nobody,
 }
 
-/// What is said where real cameras look at nothing.
-pub const NOT_MARKED: &str = "nobody has marked the target: with real cameras give --region, or set camera.region (`pb3dp cameras record` \
-                              keeps what they see)";
+/// Error for real cameras without a marked target.
+pub const NOT_MARKED: &str = "no target is marked: with real cameras use --region, or set camera.region (`pb3dp cameras record` saves \
+                              their images)";
 
 impl Marking {
-    /// The region in the left image; `cam_left_from_target` is the truth, if there is one.
+    /// The region in the left image; `cam_left_from_target` is the true pose, if there is one.
     ///
     /// # Errors
-    /// If a part of the outline is not before the camera, or there is no truth and no region.
+    /// If a part of the outline is not in front of the camera, or there is neither a true pose nor a region.
     pub fn region(&self, setup: &Setup, cam_left_from_target: Option<&Pose<CamLeft, Target>>) -> Result<Region> {
         match (self, cam_left_from_target) {
             (Self::Region(region), _) => Ok(region.clone()),
@@ -80,8 +80,8 @@ impl Marking {
                 let vertices_px: Option<Vec<_>> = points_m.iter().map(pixel).collect();
                 let vertices_px = vertices_px.with_context(|| {
                     format!(
-                        "the target is not in front of the camera at the beginning: where {}.start_deg puts the hand it looks elsewhere; \
-                         correct that, {}.start_deg, or the places of the bases",
+                        "the target is not in front of the camera at the start: at {}.start_deg the camera points elsewhere; \
+                         correct it, {}.start_deg, or the base poses",
                         setup.rig.vs.key, setup.rig.tc.key
                     )
                 })?;
@@ -93,10 +93,10 @@ impl Marking {
 }
 
 impl Eyes {
-    /// Eyes that have seen nothing yet.
+    /// An estimator without a target yet.
     ///
     /// # Errors
-    /// A parameter of the method out of its range, or a leader that does not go with `sight`.
+    /// A method parameter out of its range, or a leading method that does not fit `sight`.
     pub fn new(setup: &Setup, sight: &Sight, marking: Marking) -> Result<Self> {
         match (setup.leader, sight) {
             (Leader::Images(method), Sight::Images(_)) => {
@@ -107,11 +107,11 @@ impl Eyes {
                 noise: camera.noise(),
                 tilt_sigma_sure_rad: setup.estimator.track.tilt_sigma_sure_deg.to_radians(),
             })),
-            (leader, _) => bail!("estimator.method = {:?} does not go with this camera", leader.name()),
+            (leader, _) => bail!("estimator.method = {:?} does not fit this camera", leader.name()),
         }
     }
 
-    /// What is marked, as long as the target was not taken; nothing where nobody looks at images.
+    /// The marked region until the target is initialised; `None` for a method without images.
     ///
     /// # Errors
     /// As [`Marking::region`].
@@ -128,17 +128,17 @@ impl Eyes {
         }
     }
 
-    /// Follows the target in a frame, or takes the one in `region`.
+    /// Tracks the target in a frame, or initialises it from `region`.
     ///
     /// # Errors
-    /// If the method fails for good, or the frame is of another kind.
+    /// If the method fails permanently, or the frame is of the wrong kind.
     pub fn estimate(&mut self, view: &View, region: Option<&Region>, prior: &FramePrior) -> Result<TrackEstimate> {
         match (self, view) {
             (Self::Images(follower, _), View::Images(pair)) => {
                 Ok(follower.look(&pair.left, &pair.right, region, prior, &mut || true)?)
             }
             (Self::Geometric(eyes), View::Geometric(frame)) => Ok(eyes.estimate(frame)),
-            _ => bail!("a frame of another kind of camera was captured: a mistake of the program, report it"),
+            _ => bail!("the frame does not fit the estimation method: this is a bug, please report it"),
         }
     }
 }
@@ -153,7 +153,7 @@ impl GeometricEyes {
         let (status, reason) = match (&found, frame.hindrance) {
             (Ok(_), Some(Hindrance::Doubtful(why))) => (Status::Ambiguous, why.to_owned()),
             (Ok(_), _) if self.noise.tilt_rad > self.tilt_sigma_sure_rad => {
-                (Status::WeakTilt, "of the configured noise".to_owned())
+                (Status::WeakTilt, "the configured noise".to_owned())
             }
             (Ok(_), _) => (Status::Ok, "the true pose with the configured noise".to_owned()),
             (Err(why), _) if sighting.is_locked => (Status::Lost, why.clone()),
@@ -168,18 +168,18 @@ impl GeometricEyes {
             covariance: found.map(|_| self.noise.covariance()),
             psi: None,
             fitness: None,
-            // There is no image into which it could be drawn.
+            // There is no image to draw the outline into.
             outline_px: Vec::new(),
             rotation_about_normal_observed: found.is_some(),
         }
     }
 }
 
-/// What is to be looked at.
+/// Input of an estimation method.
 #[derive(Clone, Debug)]
 pub enum View {
-    /// Two images.
+    /// A stereo pair.
     Images(Arc<FramePair>),
-    /// The truth with noise.
+    /// The true pose with noise.
     Geometric(Box<GeometricFrame>),
 }

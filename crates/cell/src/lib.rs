@@ -1,6 +1,6 @@
-//! One running cell: cameras, estimation, servo and arms in one loop, led by an operator's commands, with a report.
+//! A run of the workcell: cameras, estimation, servo and arms in one loop, with operator commands and a report.
 //!
-//! What runs comes from wiring as [`parts`]; no arm is named here, and of cameras only the simulated one that renders nothing.
+//! Wiring supplies the devices as [`parts`]. This crate names no arm, and no camera but the simulated one that renders no images.
 
 pub mod annotation;
 pub mod both_arms;

@@ -1,6 +1,6 @@
-//! The machine that a report was made on.
+//! The computer on which a report was made.
 
-/// Processor and number of cores, as far as the system tells.
+/// Processor, number of cores and operating system, if the system reports them.
 pub fn machine() -> String {
     let model = std::fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
         let line = text.lines().find(|line| line.starts_with("model name"))?;

@@ -1,4 +1,4 @@
-//! The figures of each method in a run: all of them saw the same pairs.
+//! Figures of each estimation method in a run. All methods process the same pairs.
 
 use std::collections::BTreeMap;
 
@@ -11,12 +11,12 @@ use super::log::{FrameSample, MethodLog, RunLog};
 use crate::figures::MedianP95;
 use crate::marks::with_marks;
 
-/// How one method saw the run.
+/// Errors, jitter and latency of one method.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MethodSummary {
     /// Name of the method.
     pub method: String,
-    /// Whether it led the hand; the others only looked on.
+    /// Whether it led the hand; the other methods only estimated.
     pub leads: bool,
     /// Absolute depth error, mm.
     pub depth_mm: Option<MedianP95>,
@@ -24,15 +24,15 @@ pub struct MethodSummary {
     pub normal_deg: Option<MedianP95>,
     /// Error of the motion since the first pose, at one point of the target, mm.
     pub motion_mm: Option<MedianP95>,
-    /// Error of the rotation since the first pose, degrees; with the part about the normal, observed or not.
+    /// Error of the rotation since the first pose, degrees; includes the rotation about the normal, observed or not.
     pub rotation_deg: Option<MedianP95>,
     /// Jitter of that point, mm (definition: docs/method.md).
     pub jitter_mm: Option<f64>,
     /// Jitter of the rotation, degrees.
     pub jitter_deg: Option<f64>,
-    /// Wall time from the pair in memory to the estimate, milliseconds: median.
+    /// Median wall time from the pair in memory to the estimate, milliseconds.
     pub latency_p50_millis: Option<f64>,
-    /// The same, 99th percentile.
+    /// 99th percentile of the same time, milliseconds.
     pub latency_p99_millis: Option<f64>,
     /// Number of frames with each status.
     pub frames_by_status: BTreeMap<String, usize>,
@@ -97,12 +97,12 @@ impl MethodSummary {
 const HEADINGS: [&str; 9] =
     ["method", "depth, mm", "normal, deg", "motion, mm", "rotation, deg", "jitter, mm", "jitter, deg", "ms", "frames"];
 
-/// The figures as a table of the report.
+/// The figures as a report table.
 pub fn table(methods: &[MethodSummary]) -> Table {
     methods.iter().fold(Table::new(HEADINGS), |table, method| table.row(method.cells()))
 }
 
-/// The figures as lines for a terminal.
+/// The figures as terminal lines.
 pub fn text_table(methods: &[MethodSummary]) -> String {
     let rows: Vec<[String; 9]> =
         std::iter::once(HEADINGS.map(str::to_owned)).chain(methods.iter().map(MethodSummary::cells)).collect();
@@ -145,7 +145,7 @@ mod tests {
 
     use super::*;
 
-    /// A method that is 3 mm too deep, sees half of the turn, and has no pose in every fifth frame.
+    /// A method with 3 mm depth error that measures half of the turn and has no pose in every fifth frame.
     fn log() -> MethodLog {
         let turn = |angle: f64| UnitQuaternion::from_scaled_axis(Vector3::new(0.6, 0.0, 0.8) * angle);
         let pose = |t: f64, share: f64| -> Pose<CamLeft, Model> {

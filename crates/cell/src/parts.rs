@@ -1,4 +1,4 @@
-//! What wiring hands to a run: arms, camera, clock, and what stands in the cell. Nothing here names a backend.
+//! The devices that wiring supplies to a run: arms, camera, clock, workcell. No backend is named here.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -16,12 +16,12 @@ use super::cell::SimulatedCell;
 use super::eyes::{Marking, Sight};
 use super::operator::Operator;
 
-/// An arm with its limiter: motion, power, and how often the limiter stepped in.
+/// An arm with its limiter: motion, power, and limiter statistics.
 pub trait DrivenArm: Arm + ArmPower {
-    /// How often the limiter stepped in so far.
+    /// How often the limiter has intervened.
     fn statistics(&self) -> LimiterStatistics;
 
-    /// As [`ArmPower::enable`], and the motion goes on from where the arm is, if it has begun at its start before.
+    /// As [`ArmPower::enable`], but an arm that has already begun at its start pose continues from its current pose.
     ///
     /// # Errors
     /// As [`ArmPower::enable`].
@@ -50,70 +50,70 @@ impl<A: Arm + ArmPower> DrivenArm for Limiter<A> {
     }
 }
 
-/// How punctual and complete the exchanges over an arm's link are.
+/// Timing and completeness of the exchanges on an arm's link.
 pub trait LinkMonitor: Send {
-    /// How late its cycles began.
+    /// Lateness of the link cycles.
     fn lateness(&self) -> Jitter;
 
-    /// What did not take place.
+    /// Missed cycles and lost replies.
     fn counts(&self) -> LinkCounts;
 }
 
-/// What did not take place on the link of an arm.
+/// Missed cycles and lost replies of an arm's link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkCounts {
-    /// Cycles that were left out because their time had passed.
+    /// Cycles skipped because their time had passed.
     pub missed: u64,
-    /// Replies that did not come in time.
+    /// Replies that did not arrive in time.
     pub replies_lost: u64,
 }
 
 /// An emulated arm at the other end of a link.
 pub trait EmulatedArm: Send {
-    /// Lets something go wrong, or end going wrong: a line as in a script.
+    /// Injects a fault or ends it; `line` has the script syntax.
     ///
     /// # Errors
-    /// Names the word that is wrong and what to write instead; nothing happens then.
+    /// Names the wrong part of the line and its replacement; the emulation stays unchanged.
     fn command_line(&self, line: &str) -> Result<()>;
 }
 
-/// The stop order of an arm, from anywhere.
+/// The stop order of an arm; any thread can use it.
 pub trait StopOrder: Send {
-    /// Whether it is done and was heard, or none was needed.
+    /// Whether the stop is done and acknowledged, or was not needed.
     fn is_done(&self) -> bool;
 
-    /// Gives it.
+    /// Sends the stop order.
     fn give(&self);
 }
 
-/// An arm on a bus of this computer: nothing but this program stops it.
+/// An arm on a bus of this computer: only this process can stop it.
 pub struct ArmOnBus {
-    /// For messages.
+    /// Name in messages.
     pub name: &'static str,
-    /// Stops it.
+    /// Stop order of the arm.
     pub order: Box<dyn StopOrder>,
-    /// How long its brakes take to close.
+    /// Time that its brakes take to close.
     pub brake_time: Duration,
 }
 
 impl ArmOnBus {
-    /// Whether its stop order is done and was heard, or none was needed.
+    /// Whether the stop is done and acknowledged, or was not needed.
     pub fn is_stopped(&self) -> bool {
         self.order.is_done()
     }
 }
 
-/// Which arm of a cell.
+/// One of the two arms.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ArmChoice {
-    /// The one with the cameras.
+    /// The arm with the cameras.
     Vs,
-    /// The one with the target.
+    /// The arm with the target.
     Tc,
 }
 
 impl ArmChoice {
-    /// The name in messages.
+    /// Name in messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Vs => "vs-robot",
@@ -121,7 +121,7 @@ impl ArmChoice {
         }
     }
 
-    /// The other one.
+    /// The other arm.
     pub fn other(self) -> Self {
         match self {
             Self::Vs => Self::Tc,
@@ -137,7 +137,7 @@ impl ArmChoice {
         }
     }
 
-    /// Its part of a setup, to be changed.
+    /// Its part of a setup, mutable.
     pub fn of_mut(self, setup: &mut Setup) -> &mut ArmSetup {
         match self {
             Self::Vs => &mut setup.rig.vs,
@@ -146,34 +146,34 @@ impl ArmChoice {
     }
 }
 
-/// Everything that a run steps.
+/// All devices and models of a run.
 pub struct Parts {
-    /// The one clock.
+    /// The clock, shared by all parts.
     pub clock: Arc<dyn Clock>,
-    /// The stereo pair, or what stands for it.
+    /// The stereo rig, or its geometric substitute.
     pub camera: Sight,
-    /// Which cameras these are, if they are real.
+    /// Identity of the cameras, if they are real.
     pub cameras: Option<[CameraIdentity; 2]>,
     /// The arm that carries the cameras.
     pub vs: Box<dyn DrivenArm>,
     /// The arm that carries the target.
     pub tc: Box<dyn DrivenArm>,
-    /// The truth.
+    /// The ground truth.
     pub cell: SimulatedCell,
-    /// How the target moves.
+    /// Motion of the target.
     pub experiment: Arc<dyn Trajectory>,
-    /// What the flight recorder of each arm holds, by the arm's name.
+    /// Flight recorder of each arm, by the arm's name.
     pub flights: [(&'static str, FlightLog); 2],
-    /// What is marked in the first left image: the outline of a simulated target, or what the operator has marked.
+    /// How the target is marked in the first left image: outline of a simulated target, or the operator's region.
     pub marking: Marking,
-    /// What the links of the arms are like, by the names of the arms, as far as they have one.
+    /// Link monitors by the arms' names; arms without a link have none.
     pub links: Vec<(&'static str, Box<dyn LinkMonitor>)>,
-    /// Emulated arms at the other end of links; they end with this.
+    /// Emulated arms at the other end of links; dropping this field ends them.
     pub emulated: Vec<Box<dyn EmulatedArm>>,
     /// Arms that no gateway would stop.
     pub on_bus: Vec<ArmOnBus>,
-    /// Who tells the run what to do.
+    /// Source of the operator commands.
     pub operator: Box<dyn Operator>,
-    /// Once this is set, the run ends before its time: both arms are stopped as at its end.
+    /// Once set, the run ends early; both arms are stopped as at its regular end.
     pub interrupt: Arc<AtomicBool>,
 }

@@ -1,23 +1,23 @@
-//! What one stereo pair tells those who move.
+//! What the motion half receives for one stereo pair.
 
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_servo::TargetObservation;
 use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput};
 
-/// What one stereo pair tells: with a pose or without one.
+/// Result of one stereo pair, with or without a pose.
 #[derive(Clone, Copy, Debug)]
 pub struct Percept {
-    /// The pair.
+    /// Sequence number and time of the pair.
     pub frame: FrameInput,
-    /// How sure the estimator is.
+    /// Confidence of the estimate.
     pub estimate: EstimateInput,
-    /// What the controller is told, if there is a pose.
+    /// Input of the controller, if there is a pose.
     pub observation: Option<TargetObservation>,
 }
 
 impl Percept {
-    /// What a pair tells, in which the estimator follows the target of this number.
+    /// Result of a pair in which the estimator follows target number `target`.
     pub fn new(
         frame: FrameInput,
         estimate: &TrackEstimate,

@@ -7,6 +7,7 @@ pub mod cli;
 pub mod commands;
 pub mod logging;
 pub mod panics;
+mod progress;
 
 /// The commit that the program was built from.
 pub const COMMIT: &str = match option_env!("PB3DP_COMMIT") {

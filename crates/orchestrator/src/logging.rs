@@ -17,6 +17,8 @@ use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::time::FormatTime;
 
+use crate::progress;
+
 /// Lines that wait to be written; of more, the first ones count.
 const WAITING_MAX: usize = 16_384;
 
@@ -130,7 +132,7 @@ impl Lines {
 fn write_all(lines: &Receiver<Vec<u8>>, counts: &Counts) {
     for line in lines {
         // A reader that is gone misses it.
-        let _ = io::stderr().write_all(&line);
+        let _ = progress::beside(|| io::stderr().write_all(&line));
         // Told when there is room again.
         if counts.waiting.fetch_sub(1, Ordering::SeqCst) == 1 {
             let lost = counts.lost.swap(0, Ordering::SeqCst);

@@ -44,6 +44,7 @@ codes! {
         Size = "PB3DP-IMG-006": "The image has another size than expected."; "Use images of one size, and the calibration of this size.";
         Depth = "PB3DP-IMG-007": "The image has more than 8 bits per channel."; "Convert it to 8 bits.";
         Transparent = "PB3DP-IMG-008": "Some pixels are transparent and have no colour."; "Remove the alpha channel.";
+        TooLarge = "PB3DP-IMG-010": "The image has more pixels than can be read."; "Scale the images and the calibration by the same factor.";
         NotDisparity = "PB3DP-IMG-009": "A disparity map must be a 16-bit grey image."; "Write it as a 16-bit grey PNG.";
     }
 }

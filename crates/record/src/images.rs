@@ -13,6 +13,9 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{DynamicImage, ImageEncoder, ImageFormat, ImageReader, RgbImage};
 use pb3dp_geometry::ImageSize;
 
+/// Largest number of pixels of an image that is read. Chosen: 300 MB in memory; sensors of machine vision have up to 65 million pixels.
+pub const PIXELS_MAX: u64 = 100_000_000;
+
 /// Why an image file cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[error("image {}: {problem}", file.display())]
@@ -48,6 +51,11 @@ pub enum ImageProblem {
         /// Source of the requirement: `the calibration`, `left.png`.
         because_of: String,
     },
+    /// More pixels than [`PIXELS_MAX`].
+    TooLarge {
+        /// Size of the image.
+        found: ImageSize,
+    },
     /// More than 8 bits per channel.
     Depth {
         /// The pixel format found.
@@ -74,6 +82,13 @@ impl fmt::Display for ImageProblem {
                 f,
                 "is {}x{} pixels, but {because_of} has {}x{}; use images of one size, or the calibration of this size",
                 found.width, found.height, expected.width, expected.height
+            ),
+            Self::TooLarge { found } => write!(
+                f,
+                "too large: {}x{} pixels, at most {} million are read; scale the images and the calibration by the same factor",
+                found.width,
+                found.height,
+                PIXELS_MAX / 1_000_000
             ),
             Self::Depth { found } => write!(f, "has pixels of type {found}; convert it to 8 bits per channel"),
             Self::Transparent => write!(f, "has transparent pixels, which have no colour; remove the alpha channel"),
@@ -145,6 +160,13 @@ pub fn load_rgb_of_size(file: &Path, expected: ImageSize, because_of: &str) -> R
 }
 
 fn decode(file: &Path) -> Result<DynamicImage, ImageFileError> {
+    let header = ImageReader::open(file).and_then(ImageReader::with_guessed_format);
+    // Every other problem of the header is found below.
+    if let Some((width, height)) = header.ok().and_then(|header| header.into_dimensions().ok())
+        && u64::from(width) * u64::from(height) > PIXELS_MAX
+    {
+        return Err(ImageFileError::new(file, ImageProblem::TooLarge { found: ImageSize { width, height } }));
+    }
     let bytes = std::fs::read(file).map_err(|e| ImageFileError::io(file, e))?;
     let reader =
         ImageReader::new(Cursor::new(&bytes)).with_guessed_format().map_err(|e| ImageFileError::io(file, e))?;
@@ -334,6 +356,20 @@ mod tests {
         assert_eq!(*load_rgb(&alpha).unwrap().get_pixel(4, 3), Rgb([1, 2, 3]));
         RgbaImage::from_pixel(5, 4, Rgba([1, 2, 3, 254])).save(&alpha).unwrap();
         assert_eq!(problem(load_rgb(&alpha), "alpha.png"), ImageProblem::Transparent);
+    }
+
+    #[test]
+    fn an_image_that_is_too_large_is_called_so_from_its_header() {
+        let dir = tempfile::tempdir().unwrap();
+        let large = dir.path().join("large.png");
+        let file = std::fs::File::create(&large).unwrap();
+        let mut header = png::Encoder::new(file, 20_000, 5_001).write_header().unwrap();
+        header.write_chunk(png::chunk::IDAT, &[0; 100]).unwrap();
+        drop(header);
+        let error = load_rgb(&large).unwrap_err();
+        assert_eq!(error.problem, ImageProblem::TooLarge { found: ImageSize { width: 20_000, height: 5_001 } });
+        let text = error.to_string();
+        assert!(text.contains("too large: 20000x5001 pixels, at most 100 million"), "{text}");
     }
 
     #[test]

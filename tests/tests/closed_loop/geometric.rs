@@ -143,5 +143,5 @@ fn what_does_not_go_together_is_refused() {
     let parts = wire(&with_images).unwrap();
     with_images.leader = Leader::Geometric(QUIET);
     let error = pb3dp_cell::experiment::run(&with_images, parts, None, None).map(drop).unwrap_err();
-    assert!(format!("{error:#}").contains("does not go with this camera"), "{error:#}");
+    assert!(format!("{error:#}").contains("does not fit this camera"), "{error:#}");
 }

@@ -217,7 +217,7 @@ fn cameras_that_can_not_serve_are_refused_before_an_arm_is_switched_on() {
         format!("{error:#}")
     };
     let text = refused(&|setup, _| cameras(setup).region = None);
-    assert!(text.contains("nobody has marked the target") && text.contains("--region"), "{text}");
+    assert!(text.contains("no target is marked") && text.contains("--region"), "{text}");
     let text = refused(&|setup, _| {
         let stereo = &mut cameras(setup).stereo;
         std::mem::swap(&mut stereo.left.name, &mut stereo.right.name);

@@ -75,7 +75,9 @@ impl<const N: usize> Images<N> {
         let first = &self.views[0].1[0];
         let size = size_of(&load_rgb(first)?);
         let (mut views, mut used) = (Vec::new(), Vec::new());
+        let progress = super::progress(self.views.len());
         for (name, files) in &self.views {
+            progress.0.inc(1);
             match view(name, files, board, size, &first.display().to_string())? {
                 Ok(view) => {
                     views.push(view);

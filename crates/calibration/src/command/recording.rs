@@ -142,12 +142,14 @@ impl<'a> Recording<'a> {
         let frames = self.frames_to_look_at();
         let threads = std::thread::available_parallelism().map_or(1, usize::from).min(THREADS_MAX);
         let (next, looks) = (Mutex::new(frames.iter()), Mutex::new(Vec::with_capacity(frames.len())));
+        let progress = super::progress(frames.len());
         let work = || {
             loop {
                 let frame = next.lock().unwrap_or_else(PoisonError::into_inner).next();
                 let Some(frame) = frame else { return };
                 let look = Look { frame: *frame, found: self.look(*frame) };
                 looks.lock().unwrap_or_else(PoisonError::into_inner).push(look);
+                progress.0.inc(1);
             }
         };
         std::thread::scope(|scope| {

@@ -6,6 +6,7 @@ mod doctor;
 mod estimate;
 mod identify;
 pub mod mock_arm;
+mod progress;
 mod reference;
 mod refusals;
 mod rig;

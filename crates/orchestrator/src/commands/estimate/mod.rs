@@ -29,6 +29,7 @@ use self::output::EstimateLine;
 use self::rigs::Rigs;
 use super::overlay_folder::make_overlay_folder;
 use crate::arguments::{EstimateArgs, MethodArgs, UNSURE};
+use crate::progress::Progress;
 
 /// Runs the command. The exit code is a failure if a case could not be worked on; all others are worked on all the same.
 ///
@@ -41,7 +42,7 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     }
     let config = estimator_config(&args.method)?;
     let mut overlays = Overlays::open(args.method.overlay.as_deref())?;
-    let jobs = match &args.cases {
+    let jobs: Vec<Source> = match &args.cases {
         Some(dir) => {
             let folders = find_cases(dir)?;
             tracing::info!("{}: {} cases", dir.display(), folders.len());
@@ -52,6 +53,7 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     if !args.method.json {
         print_line(EstimateLine::HEADING)?;
     }
+    let progress = Progress::of(jobs.len(), "pairs");
     let mut rigs = Rigs::default();
     let mut evaluated = Vec::new();
     let (mut refused, mut unsure) = (0_usize, 0_usize);
@@ -71,8 +73,10 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
             }
         };
         unsure += usize::from(line.status != Status::Ok.as_str());
-        print_line(&if args.method.json { serde_json::to_string(&line)? } else { line.human() })?;
+        progress.advance();
+        progress.print_line(&if args.method.json { serde_json::to_string(&line)? } else { line.human() })?;
     }
+    drop(progress);
     report_errors(&evaluated);
     Ok(match (refused, unsure) {
         (0, 1..) if args.method.strict => ExitCode::from(UNSURE),

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method, RowMeasurement};
 use pb3dp_hal_platform::cpu_time::timed;
+use pb3dp_record::plain_zero::plain_zero;
 
 use super::job::Job;
 
@@ -47,14 +48,15 @@ impl Rigs {
             return Ok(estimator);
         }
         let size = job.rig.right().size();
-        tracing::info!(
-            "{}: rows of the right image lie {:+.2} px lower at its centre, and at most {:.2} px off anywhere (rectified; {} \
-             points, {millis:.1} ms, once per calibration): taken into account",
+        let told = format!(
+            "{}: vertical misalignment {:.2} px at the image centre (positive: the right image is lower), at most {:.2} px anywhere; \
+             compensated (rectified images, {} points, {millis:.1} ms, once per calibration)",
             job.name,
             measured.rows.offset_px,
             measured.rows.magnitude_max_px(size.width, size.height),
             measured.matches
         );
+        tracing::info!("{}", plain_zero(&told));
         self.rows.insert(files, measured);
         Ok(estimator)
     }

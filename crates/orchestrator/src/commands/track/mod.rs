@@ -21,6 +21,7 @@ use self::output::TrackLine;
 use self::overlays::Overlays;
 use self::walk::Walk;
 use crate::arguments::{TrackArgs, UNSURE};
+use crate::progress::Progress;
 
 /// A replay does not wait for images, so this only bounds what cannot happen.
 const PAIR_TIMEOUT: Duration = Duration::from_secs(10);
@@ -63,6 +64,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     if !args.method.json {
         print_line(&TrackLine::heading(walk.targets().len() > 1))?;
     }
+    let progress = Progress::of(sequence.times_s.len(), "frames");
     for (frame, &t_s) in sequence.times_s.iter().enumerate() {
         let lines = match camera.next_pair_into(&mut pair, PAIR_TIMEOUT) {
             Ok(()) => {
@@ -83,9 +85,11 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         };
         for line in &lines {
             unsure += usize::from(line.status != Status::Ok.as_str());
-            print_line(&if args.method.json { serde_json::to_string(line)? } else { line.human() })?;
+            progress.print_line(&if args.method.json { serde_json::to_string(line)? } else { line.human() })?;
         }
+        progress.advance();
     }
+    drop(progress);
     overlays.close()?;
     if let Some(file) = &args.surface {
         surface::write_all(file, walk.targets())?;
