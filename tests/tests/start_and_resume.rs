@@ -523,7 +523,7 @@ fn a_fault_that_ends_a_run_is_on_top_of_its_report() {
     assert_eq!(format!("{:#}", failed.unwrap_err()), text);
     let page = std::fs::read_to_string(folder.path().join("report.html")).unwrap();
     let place = |text: &str| page.find(text).unwrap_or_else(|| panic!("{text} is not in the report"));
-    assert!(place("The run has ended before its time") < place("Target and hand"));
+    assert!(place("The run ended early") < place("Target and hand"));
     assert!(place("the emergency stop of the test") < place("Target and hand"));
     let figures = std::fs::read_to_string(folder.path().join("summary.json")).unwrap();
     assert!(figures.contains("\"ended_by\": \"") && figures.contains("the emergency stop of the test"));

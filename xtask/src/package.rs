@@ -23,6 +23,9 @@ pub struct Args {
     /// Build only; try nothing.
     #[arg(long)]
     build_only: bool,
+    /// Only check that every crate can be published: pack all of them and build each from its package (`cargo publish --dry-run`).
+    #[arg(long, conflicts_with = "build_only")]
+    crates: bool,
     /// Mirror of Debian for the trial.
     #[arg(long, default_value = "http://deb.debian.org/debian")]
     mirror: String,
@@ -42,6 +45,9 @@ struct Release {
 /// # Errors
 /// If the program does not build, a file cannot be written, or the installed program does not work.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
+    if args.crates {
+        return try_to_publish(workspace);
+    }
     let release = build(workspace)?;
     let tree = stage(workspace, &release)?;
     let archive = archive(workspace, &release, &tree)?;
@@ -55,6 +61,16 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         trial::of_package(workspace, &release, &package, &args.mirror)?;
     }
     Ok(())
+}
+
+/// Packs every crate and builds it from its package, in one call; publishes nothing.
+fn try_to_publish(workspace: &Workspace) -> anyhow::Result<()> {
+    let mut cargo = workspace.cargo();
+    cargo.args(["publish", "--workspace", "--dry-run", "--locked", "--allow-dirty"]);
+    // As in the workspace: without the patch the kernel's structures are generated again, which needs libclang.
+    let vendored = workspace.root().join("hal/vendor/v4l2-sys-mit");
+    cargo.arg("--config").arg(format!("patch.crates-io.v4l2-sys-mit.path={:?}", vendored.display().to_string()));
+    run_visibly(&mut cargo)
 }
 
 fn build(workspace: &Workspace) -> anyhow::Result<Release> {

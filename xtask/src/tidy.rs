@@ -74,6 +74,7 @@ fn check_text(file: &SourceFile, files: &[String], exceptions: &mut Exceptions) 
     }
     if path.ends_with("/Cargo.toml") {
         violations.extend(layout::manifest(path, text));
+        violations.extend(layout::readme(path, text, files));
     }
     if path.starts_with("configs/") {
         violations.extend(configs::check(path, text));

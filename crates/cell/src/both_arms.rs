@@ -17,7 +17,7 @@ pub struct LedArm {
     name: &'static str,
     arm: Box<dyn DrivenArm>,
     joints: JointState,
-    /// What was last requested of it.
+    /// Last requested command.
     requested: JointCommand,
     replies_missed: u64,
     /// Enabling is in progress.
@@ -483,7 +483,7 @@ mod tests {
         assert_eq!(
             *said.lock().unwrap(),
             order,
-            "the second one must not be switched on, and none waits for the other one's brakes"
+            "the second arm must not be enabled, and no arm waits for the other one's brakes"
         );
     }
 }

@@ -1,4 +1,4 @@
-//! Drives the arm that carries the target along its way: the path's own velocity, and a correction of what is missing.
+//! Drives the arm that carries the target along its path: feed-forward velocity of the path plus a proportional correction.
 
 use nalgebra::Vector6;
 use pb3dp_geometry::Pose;
@@ -6,10 +6,10 @@ use pb3dp_geometry::frames::{Base, Flange};
 use pb3dp_kinematics::{Chain, Damping, JointVector, damped_pseudo_inverse};
 use pb3dp_sim::placement::FlangePath;
 
-/// What is missing to the path is made good with this rate, 1/s.
+/// Gain of the path correction, 1/s.
 const CORRECTION_PER_S: f64 = 2.0;
 
-/// Joint velocities (rad/s) that keep a flange on its path, `t_s` seconds after the path's beginning.
+/// Joint velocities (rad/s) that keep a flange on its path, `t_s` seconds after the start of the path.
 pub fn carry(
     chain: &Chain,
     damping: &Damping,
@@ -24,13 +24,13 @@ pub fn carry(
     damped_pseudo_inverse(&jacobian, damping) * twist
 }
 
-/// How far a flange is from its path, metres and radians.
+/// Distance of a flange from its path, metres and radians.
 pub fn off_by(chain: &Chain, path: &FlangePath<'_>, t_s: f64, position_rad: &JointVector) -> (f64, f64) {
     let missing = error_between(&chain.forward(position_rad), &path.base_from_flange_at(t_s));
     (missing.fixed_rows::<3>(0).norm(), missing.fixed_rows::<3>(3).norm())
 }
 
-/// From `is` to `wanted`: way of the origin (metres), then rotation vector (radians), both in `base`.
+/// Error from `is` to `wanted`: translation of the origin (metres), then rotation vector (radians), both in `base`.
 fn error_between(is: &Pose<Base, Flange>, wanted: &Pose<Base, Flange>) -> Vector6<f64> {
     let way = wanted.translation_m() - is.translation_m();
     let turn = (wanted.rotation() * is.rotation().inverse()).scaled_axis();

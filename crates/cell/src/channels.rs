@@ -1,9 +1,9 @@
-//! Each channel of an experiment by itself: errors in motion and at rest, lag, gain and phase, settling.
+//! Figures of each channel of an experiment: errors in motion and at hold, lag, gain and phase, settling.
 //!
-//! An experiment of moves has one channel per pair of marks (out and back). In each channel the hand's way along that channel is
-//! compared with the way it should have gone. "Moving" is from a mark to the end of its move; "hold" begins one second after the
-//! move's end, when the hand should have settled, and ends with the next mark. A sinusoid has one channel, which moves all the time
-//! at full amplitude; what comes before and after is left out.
+//! An experiment of moves has one channel per pair of marks (out and back). In each channel the displacement of the hand along that channel
+//! is compared with the desired displacement. "Moving" is from a mark to the end of its move. "Hold" begins one second after the end of the
+//! move, when the hand should have settled, and ends with the next mark. A sinusoid has one channel, which moves all the time at full
+//! amplitude; the time before and after is left out.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_geometry::Pose;
@@ -15,26 +15,26 @@ use serde::Serialize;
 use super::log::{ControlSample, RunLog};
 use crate::figures::{RmsMax, TrackingError};
 
-/// The hand settles for this long after each move before "hold" is judged, seconds.
+/// Settling time after each move before "hold" begins, seconds.
 const SETTLE_S: f64 = 1.0;
-/// Lags up to this are looked for, seconds.
+/// Largest lag in the search, seconds.
 const LAG_MAX_S: f64 = 1.5;
-/// A hand that moves less like its wanted way than this does not follow it.
+/// Below this correlation with the desired displacement the hand does not follow.
 const CORRELATION_MIN: f64 = 0.7;
-/// After a sudden move the hand has settled when it stays this near to its place by the pose of the lock, mm and degrees.
+/// After a step move the hand has settled once it stays this near to the desired pose by the initial lock, mm and degrees.
 pub const SETTLED_WITHIN: (f64, f64) = (1.0, 0.3);
 
-/// What is known of the experiment beforehand.
+/// Experiment parameters known in advance.
 #[derive(Clone, Debug)]
 pub struct Plan {
     /// How the target moves.
     pub motion: MotionConfig,
-    /// Directions of the channels' axes in `world`.
+    /// Directions of the channel axes in `world`.
     pub world_from_axes: UnitQuaternion<f64>,
 }
 
 impl Plan {
-    /// What these numbers mean where the experiment takes place.
+    /// From the motion parameters and the place of the experiment.
     pub fn of(motion: &MotionConfig, experiment: &dyn Trajectory) -> Self {
         let world_from_axes = match motion.axes() {
             ExperimentAxes::World => UnitQuaternion::identity(),
@@ -43,7 +43,7 @@ impl Plan {
         Self { motion: motion.clone(), world_from_axes }
     }
 
-    /// The channels with their times; `marks_s` are the times of the marks, the run ended at `end_s`.
+    /// The channels with their times; `marks_s` are the times of the marks, `end_s` is the end of the run.
     fn spans(&self, marks_s: &[f64], end_s: f64) -> Vec<Span> {
         match &self.motion {
             MotionConfig::Sine(sine) => {
@@ -80,19 +80,19 @@ impl Plan {
     }
 }
 
-/// A time that holds nothing.
+/// An empty time span.
 const NEVER: (f64, f64) = (0.0, 0.0);
 
-/// The time of one channel.
+/// Time span of one channel.
 #[derive(Clone, Copy, Debug)]
 struct Span {
     channel: Channel,
     whole_s: (f64, f64),
-    /// When the move back begins, of moves out and back.
+    /// Begin of the move back; only for moves out and back.
     back_s: Option<f64>,
     moving_s: [(f64, f64); 2],
     hold_s: [(f64, f64); 2],
-    /// Of a sinusoid.
+    /// Only for a sinusoid.
     period_s: Option<f64>,
 }
 
@@ -100,20 +100,20 @@ fn within(spans_s: &[(f64, f64)], t_s: f64) -> bool {
     spans_s.iter().any(|(from, until)| t_s >= *from && t_s < *until)
 }
 
-/// Errors of the hand against its place by the pose of the lock: distance and angle.
+/// Position and orientation errors of the hand against the desired pose by the initial lock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct LockedErrors {
     /// Distance while the target moves, mm.
     pub moving_mm: Option<RmsMax>,
     /// Angle while the target moves, degrees.
     pub moving_deg: Option<RmsMax>,
-    /// Distance while the target rests, mm.
+    /// Distance while the target is stationary, mm.
     pub hold_mm: Option<RmsMax>,
-    /// Angle while the target rests, degrees.
+    /// Angle while the target is stationary, degrees.
     pub hold_deg: Option<RmsMax>,
 }
 
-/// How the hand followed one channel, in the channel's unit: mm for x, y, z, degrees for rx, ry, rz.
+/// Tracking figures of one channel, in the channel's unit: mm for x, y, z, degrees for rx, ry, rz.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ChannelSummary {
     /// `x` to `rz`.
@@ -122,25 +122,25 @@ pub struct ChannelSummary {
     pub unit: &'static str,
     /// Error while the target moves.
     pub moving: Option<RmsMax>,
-    /// Error while the target rests.
+    /// Error while the target is stationary.
     pub hold: Option<RmsMax>,
-    /// Distance and angle, not along the channel only, against the place by the pose of the lock.
+    /// Distance and angle against the desired pose by the initial lock, not along the channel only.
     pub locked: LockedErrors,
-    /// Lag of the hand behind its wanted way by cross-correlation, seconds.
+    /// Lag of the hand behind its desired displacement by cross-correlation, seconds.
     pub lag_s: Option<f64>,
-    /// Rise time (10 to 90 %) of the hand less that of its wanted way, on the way out, seconds; of moves that take time.
+    /// Rise time (10 to 90 %) of the hand minus that of the desired displacement, on the move out, seconds; not for step moves.
     pub rise_delay_s: Option<f64>,
-    /// Gain of the hand against its wanted way, dB; of sinusoids.
+    /// Gain of the hand relative to the desired displacement, dB; for sinusoids.
     pub gain_db: Option<f64>,
-    /// Phase of the hand against its wanted way, degrees, negative if it comes later; of sinusoids.
+    /// Phase of the hand relative to the desired displacement, degrees, negative for a lag; for sinusoids.
     pub phase_deg: Option<f64>,
-    /// After sudden moves: until the hand stays within [`SETTLED_WITHIN`], seconds, the longer of both ways; none if it does not.
+    /// For step moves: time until the hand stays within [`SETTLED_WITHIN`], seconds, the longer of out and back; none if it does not.
     pub settled_after_s: Option<f64>,
-    /// After sudden moves: how far the hand goes beyond, percent of the move, the larger of both ways.
+    /// For step moves: overshoot, percent of the move, the larger of out and back.
     pub overshoot_percent: Option<f64>,
 }
 
-/// The way of the hand along a channel since the start of the run: mm or degrees.
+/// Displacement of the hand along a channel since the start of the run: mm or degrees.
 pub fn way_along(plan: &Plan, channel: Channel, start: &Pose<World, Hand>, now: &Pose<World, Hand>) -> f64 {
     let axes_from_world = plan.world_from_axes.inverse();
     if channel.is_rotation() {
@@ -159,7 +159,7 @@ fn component(channel: Channel, v: &Vector3<f64>) -> f64 {
     }
 }
 
-/// The figures of each channel that the run reached, and the errors against the pose of the lock over all of them.
+/// The figures of each channel that the run reached, and the errors against the initial lock over all channels.
 pub fn summaries(log: &RunLog, plan: &Plan) -> (Vec<ChannelSummary>, LockedErrors) {
     let (Some(first), Some(last)) = (log.judged().first(), log.judged().last()) else {
         return (Vec::new(), LockedErrors::default());
@@ -198,7 +198,7 @@ impl LockedErrors {
     }
 }
 
-/// The ways of one channel: where the hand should be, also by the pose of the lock, and where it is, in the channel's unit.
+/// Displacements in one channel: desired, desired by the initial lock, and actual, in the channel's unit.
 struct Ways<'a> {
     span: &'a Span,
     samples: &'a [&'a ControlSample],
@@ -240,7 +240,7 @@ impl Ways<'_> {
         }
     }
 
-    /// Both ways settle, or none is told.
+    /// The longer of both settling times; none unless both moves settle.
     fn settled_after_s(&self, way_out: usize, period_s: f64) -> Option<f64> {
         let settled = |samples: &[&ControlSample]| -> Option<f64> {
             let errors: Vec<TrackingError> = samples.iter().map(|s| TrackingError::of_locked(s)).collect();
@@ -259,14 +259,14 @@ impl Ways<'_> {
     }
 }
 
-/// The lag, if the response follows the reference at all; a channel that is not observed has none.
+/// The lag, if the response follows the reference; a channel that is not observed has none.
 fn lag_s(reference: &[f64], response: &[f64], period_s: f64) -> Option<f64> {
     lag_by_cross_correlation(reference, response, period_s, LAG_MAX_S)
         .filter(|lag| lag.correlation > CORRELATION_MIN)
         .map(|lag| lag.lag_s)
 }
 
-/// 10-90 % rise time of the response less that of the reference; both measured against the reference's own way.
+/// 10-90 % rise time of the response minus that of the reference; both relative to the reference's displacement.
 fn rise_delay_s(reference: &[f64], response: &[f64], period_s: f64) -> Option<f64> {
     let (from, to) = (*reference.first()?, *reference.last()?);
     let rise = |series: &[f64]| -> Option<f64> {

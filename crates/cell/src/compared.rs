@@ -1,4 +1,4 @@
-//! Methods that look on: they get the same pairs as the method that leads the hand, and have no say in where it goes.
+//! Compared methods: they process the same pairs as the leading method, without influence on the hand.
 
 use std::time::Instant;
 
@@ -15,7 +15,7 @@ use pb3dp_setup::setup::Setup;
 use super::log::{FrameSample, MethodLog};
 use crate::follower::Follower;
 
-/// One method that looks on.
+/// One compared method.
 pub struct Onlooker {
     method: Method,
     follower: Follower,
@@ -26,7 +26,7 @@ impl Onlooker {
     /// The methods that a setup compares with the leading one.
     ///
     /// # Errors
-    /// A parameter of a method out of its range.
+    /// A method parameter out of its range.
     pub fn all_of(setup: &Setup) -> Result<Vec<Self>> {
         let onlooker = |&method: &Method| {
             let tracker = Tracker::new(method, &setup.rig.stereo, &setup.estimator)?;
@@ -35,8 +35,8 @@ impl Onlooker {
         setup.compared.iter().map(onlooker).collect()
     }
 
-    /// Looks at a pair: at the first with the operator's region, later with the known motion of the camera. What it cannot
-    /// work on is written down as an error and leaves the run alone.
+    /// Processes a pair: the first one with the operator's region, later ones with the known camera motion. Its errors are recorded and do
+    /// not affect the run.
     pub fn look(&mut self, pair: &FramePair, frame: &Frame<'_>) {
         let started = Instant::now();
         let outcome = self.follower.look(&pair.left, &pair.right, frame.region, frame.prior, &mut || true);
@@ -44,29 +44,29 @@ impl Onlooker {
         match outcome {
             Ok(estimate) => self.log.push(frame, &estimate, latency_millis),
             Err(error) => {
-                tracing::warn!("{}, which looks on: {error}", self.method);
+                tracing::warn!("compared method {}: {error}", self.method);
                 self.log.push_error(frame, latency_millis);
             }
         }
     }
 
-    /// What it has seen.
+    /// The recorded estimates.
     pub fn into_log(self) -> MethodLog {
         self.log
     }
 }
 
-/// One pair and what is known about it.
+/// One pair with the information about it.
 pub struct Frame<'a> {
     /// Seconds since the experiment began.
     pub t_s: f64,
-    /// What the operator marks in the first pair.
+    /// The operator's region, in the first pair.
     pub region: Option<&'a Region>,
-    /// What is known of it beforehand: the motion of the camera since the pair before, from the joints, and the time.
+    /// Prior information: camera motion since the previous pair from the joints, and the time.
     pub prior: &'a FramePrior,
-    /// The truth, if there is one.
+    /// The true pose, if there is one.
     pub cam_left_from_target: Option<Pose<CamLeft, Target>>,
-    /// How old the estimate of the method that leads the hand is when the controller has it, milliseconds.
+    /// Age of the leading method's estimate when the controller receives it, milliseconds.
     pub age_millis: Option<f64>,
 }
 
@@ -84,7 +84,7 @@ impl MethodLog {
         Self { method: method.name().to_owned(), ..Self::default() }
     }
 
-    /// Adds what a method says of a frame.
+    /// Records the estimate of a frame.
     pub fn push(&mut self, frame: &Frame<'_>, estimate: &TrackEstimate, latency_millis: f64) {
         let errors = frame.cam_left_from_target.as_ref().and_then(|truth| plane_errors(estimate, truth));
         self.rotation_about_normal_observed |= estimate.rotation_about_normal_observed;

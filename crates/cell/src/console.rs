@@ -1,5 +1,4 @@
-//! A person at a console leads a run: words come in on one thread, answers go out on another, and the thread that moves the arms waits
-//! for neither.
+//! Operator console: commands are read on one thread and answers written on another, so the thread that moves the arms waits for neither.
 
 use std::io::{BufRead, ErrorKind, Read, Write};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -16,59 +15,59 @@ use rtrb::{Consumer, Producer, RingBuffer};
 
 use super::operator::Operator;
 
-/// Words that were typed and that no control step has taken yet; `stop` and `hold` need no room.
+/// Commands that no control step has taken yet; `stop` and `hold` need no space in this queue.
 const WORDS_MAX: usize = 16;
-/// Answers that were not read yet.
+/// Answers that are not written yet.
 const ANSWERS_MAX: usize = 64;
-/// Bytes of a line that is looked at.
+/// Longest accepted line, bytes.
 const LINE_MAX: u64 = 256;
-/// What a line that is not there yet is waited for, where a read does not wait by itself.
+/// Time between two read attempts on a non-blocking input.
 const READ_AGAIN: Duration = Duration::from_millis(10);
 
-/// What a console answers to a line that is none of its words.
-const WORDS: &str = "known are select, start, hold, resume, stop, reset, status, help and quit";
+/// Part of the answer to an unknown command.
+const WORDS: &str = "use select, start, hold, resume, stop, reset, status, help or quit";
 
-/// What `help` answers.
+/// Answer to `help`.
 const HELP: &str = "\
-select   initialise the target that is marked
-start    let the hand follow it
-hold     hold both arms; resume goes on
-resume   go on after a hold
-stop     stop both arms with brakes; reset leads out of it
-reset    clear a stop or a fault, once its cause is gone
-status   what the supervisor does, and why nothing moves
-quit     stop both arms, write the report, end
-help     this list";
+select   initialise the marked target
+start    follow the target with the hand
+hold     hold both arms; resume continues
+resume   continue after a hold
+stop     stop both arms and close the brakes; reset leaves this state
+reset    clear a stop or a fault after its cause is gone
+status   show the state and what inhibits motion
+quit     stop both arms, write the report, exit
+help     show this list";
 
-/// A person who types words, one on each line. When the lines end, the run ends as by `quit`.
+/// Operator commands from a console, one on each line. The end of the input ends the run, as `quit` does.
 pub struct Console {
-    /// Each with its number.
+    /// Each command with its number.
     words: Consumer<(u64, Said)>,
     shared: Arc<Shared>,
     heard_at: Option<MonotonicTime>,
-    /// When words were listened to for the first time: those that were kept until then are said at this moment.
+    /// Time at which commands were first accepted; commands queued before are stamped with it.
     begun_at: Option<MonotonicTime>,
-    /// Words up to this number were said before a `stop` or `hold` that was taken: they are not said any more.
+    /// Commands up to this number precede a `stop` or `hold` that was taken, and are dropped.
     overtaken: u64,
-    /// What is not shown yet, as somebody was reading.
+    /// Trouble not shown yet because the reader held the lock.
     untold: Option<Option<String>>,
 }
 
-/// What the threads of a console know.
+/// State shared by the threads of a console.
 #[derive(Default)]
 struct Shared {
     is_closed: AtomicBool,
-    /// Words are listened to: both arms are on.
+    /// Commands are accepted: both arms are enabled.
     has_begun: AtomicBool,
     stop: Urgent,
     hold: Urgent,
     shown: Mutex<Shown>,
 }
 
-/// A word that always finds room: when it was said last.
+/// Slot for a command that is never refused for lack of space; holds its last request.
 #[derive(Default)]
 struct Urgent {
-    /// 0: it was not said since it was taken.
+    /// Number of the command; 0 after it was taken.
     number: AtomicU64,
     said_nanos: AtomicU64,
 }
@@ -94,11 +93,11 @@ struct Shown {
 }
 
 impl Console {
-    /// Reads `lines` on a thread of its own, and writes its answers to `answers` on another one, each with `prompt` behind it; the word
-    /// `quit` and the end of the lines set `interrupt`.
+    /// Reads `lines` on one thread and writes to `answers` on another, each answer followed by `prompt`. The command `quit` and the end of
+    /// the input set `interrupt`.
     ///
     /// # Errors
-    /// If the system gives no thread.
+    /// If the system provides no thread.
     pub fn start(
         clock: Arc<dyn Clock>,
         lines: impl BufRead + Send + 'static,
@@ -138,7 +137,7 @@ impl Console {
         None
     }
 
-    /// Shows it unless somebody is reading: whether that was possible.
+    /// Updates the shown state unless the reader holds the lock; returns whether it was possible.
     fn try_show(&self, change: impl FnOnce(&mut Shown)) -> bool {
         match self.shared.shown.try_lock() {
             Ok(mut shown) => change(&mut shown),
@@ -153,7 +152,7 @@ impl Operator for Console {
     fn listen(&mut self, _last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
         let begun_at = *self.begun_at.get_or_insert(now);
         self.shared.has_begun.store(true, Ordering::SeqCst);
-        // A console that is open is the sign of life; a person who types nothing has nothing to say.
+        // An open console counts as a sign of life, even while the operator types nothing.
         if !self.shared.is_closed.load(Ordering::SeqCst) {
             self.heard_at = Some(now);
         }
@@ -163,7 +162,7 @@ impl Operator for Console {
 
     fn show(&mut self, decision: &Decision) {
         let mut untold = self.untold.take();
-        // Who reads it now has one that is a step old.
+        // If the lock is held, the reader gets the state of the previous step.
         self.try_show(|shown| {
             shown.decision = Some(*decision);
             if let Some(trouble) = untold.take() {
@@ -176,7 +175,7 @@ impl Operator for Console {
     fn tell(&mut self, trouble: Option<String>) {
         let mut untold = Some(trouble);
         self.try_show(|shown| shown.trouble = untold.take().flatten());
-        // The next step shows it.
+        // If the lock is held, the next step shows it.
         self.untold = untold;
     }
 
@@ -185,21 +184,21 @@ impl Operator for Console {
     }
 }
 
-/// Writes answers until nobody has any more to give, or they cannot be written.
+/// Writes answers until all senders are dropped; write errors are ignored.
 fn write_all(said: &Receiver<String>, mut answers: impl Write, prompt: &str) {
     if !prompt.is_empty() {
-        let _ = write!(answers, "type a word; help lists them\n{prompt}").and_then(|()| answers.flush());
+        let _ = write!(answers, "type a command; help lists them\n{prompt}").and_then(|()| answers.flush());
     }
     for answer in said {
-        // Who does not read the answers can still type.
+        // An operator whose output is not read can still type commands.
         let _ = write!(answers, "{answer}\n{prompt}").and_then(|()| answers.flush());
     }
 }
 
-/// Answers on their way to the thread that writes them.
+/// Answers on their way to the writing thread.
 struct Answers {
     say: SyncSender<String>,
-    /// Of those before: for them there was no room.
+    /// Number of answers dropped so far because the queue was full.
     left_out: u64,
 }
 
@@ -207,25 +206,25 @@ impl Answers {
     fn give(&mut self, answer: String) {
         let text = match self.left_out {
             0 => answer,
-            left_out => format!("({left_out} answers before are left out: nobody has read them)\n{answer}"),
+            left_out => format!("({left_out} earlier answers dropped: the output was not read)\n{answer}"),
         };
         self.left_out = if self.say.try_send(text).is_ok() { 0 } else { self.left_out + 1 };
     }
 }
 
-/// The thread that reads.
+/// The reading thread.
 struct Reading {
     clock: Arc<dyn Clock>,
     give: Producer<(u64, Said)>,
     answers: Answers,
     shared: Arc<Shared>,
     interrupt: Arc<AtomicBool>,
-    /// How many were typed.
+    /// Number of commands typed.
     words: u64,
 }
 
 impl Drop for Reading {
-    /// However reading ends: nobody can speak any more, so both arms stop.
+    /// After the input has ended no operator can command, so both arms stop.
     fn drop(&mut self) {
         self.shared.is_closed.store(true, Ordering::SeqCst);
         self.interrupt.store(true, Ordering::SeqCst);
@@ -233,7 +232,7 @@ impl Drop for Reading {
 }
 
 impl Reading {
-    /// Until the lines end.
+    /// Reads until the input ends.
     fn read(mut self, mut lines: impl BufRead) {
         let mut line = Vec::new();
         let mut is_rest = false;
@@ -254,12 +253,12 @@ impl Reading {
                 self.take(String::from_utf8_lossy(&line).trim());
             } else {
                 is_rest = true;
-                self.answers.give(format!("a line of more than {LINE_MAX} bytes is no word: {WORDS}"));
+                self.answers.give(format!("the line is longer than {LINE_MAX} bytes: {WORDS}"));
             }
             line.clear();
         }
         if !self.interrupt.load(Ordering::SeqCst) {
-            self.answers.give("the words have ended: both arms stop, then the report".to_owned());
+            self.answers.give("end of input: stopping both arms, then writing the report".to_owned());
         }
     }
 
@@ -271,10 +270,10 @@ impl Reading {
             (None, "help" | "?") => Some(HELP.to_owned()),
             (None, "quit") => {
                 self.interrupt.store(true, Ordering::SeqCst);
-                Some("both arms stop, then the report".to_owned())
+                Some("stopping both arms, then writing the report".to_owned())
             }
             (None, "") => None,
-            (None, other) => Some(format!("{other:?} is no word: {WORDS}")),
+            (None, other) => Some(format!("unknown command {other:?}: {WORDS}")),
         };
         if let Some(answer) = answer {
             self.answers.give(answer);
@@ -288,20 +287,20 @@ impl Reading {
         self.give(word)
     }
 
-    /// While both arms are still being switched on: `stop` ends that, and so the run; what leads to no motion is kept until somebody
-    /// listens, and what could is refused, as who says it means what is seen now.
+    /// Handles a command while both arms are being enabled. `stop` aborts enabling and ends the run. Commands that cause no motion are
+    /// queued. Commands that could cause motion are refused, because the operator refers to the present state.
     fn say_early(&mut self, word: Word) -> Option<String> {
         match word {
             Word::Stop => {
                 self.interrupt.store(true, Ordering::SeqCst);
-                Some("both arms are still being switched on: that is broken off, both stop, then the report".to_owned())
+                Some("enabling aborted: stopping both arms, then writing the report".to_owned())
             }
             Word::Select | Word::Hold => Some(
                 self.give(word)
-                    .unwrap_or_else(|| format!("{} is kept: both arms are still being switched on", word.name())),
+                    .unwrap_or_else(|| format!("{} is queued until both arms are enabled", word.name())),
             ),
             Word::Start | Word::Resume | Word::Reset => Some(format!(
-                "{} was not taken: both arms are still being switched on; say it again when that is done",
+                "{} refused: both arms are still being enabled; repeat it when they are enabled",
                 word.name()
             )),
         }
@@ -314,7 +313,7 @@ impl Reading {
             Word::Stop => self.shared.stop.say(self.words, said.at),
             Word::Hold => self.shared.hold.say(self.words, said.at),
             _ if self.give.push((self.words, said)).is_err() => {
-                return Some(format!("{} was not taken: too many words wait", word.name()));
+                return Some(format!("{} refused: {WORDS_MAX} commands are waiting; repeat it", word.name()));
             }
             _ => {}
         }
@@ -324,7 +323,7 @@ impl Reading {
     fn status(&self) -> String {
         let Shown { decision, trouble } = self.shared.shown.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let why = decision.map_or_else(
-            || "not begun yet: both arms are being switched on".to_owned(),
+            || "not started yet: both arms are being enabled".to_owned(),
             |decision| decision.why.to_string(),
         );
         match trouble {
@@ -350,7 +349,7 @@ mod tests {
 
     const NOW: MonotonicTime = MonotonicTime::from_nanos(9);
 
-    /// What was written, line by line.
+    /// Collects the written answers, one by one.
     struct Written(Sender<String>);
 
     impl Write for Written {
@@ -364,7 +363,7 @@ mod tests {
         }
     }
 
-    /// A console whose lines are at an end or not, with what it answers, and whether the run is to end.
+    /// A console with the given input, its answers, and its interrupt flag.
     fn console(lines: impl BufRead + Send + 'static) -> (Console, Receiver<String>, Arc<AtomicBool>) {
         let (written, answers) = channel();
         let interrupt = Arc::new(AtomicBool::new(false));
@@ -406,7 +405,7 @@ mod tests {
         console.listen(None, NOW).said.map(|said| said.word)
     }
 
-    /// As [`console`], where both arms are on; behind it the words, if there are any.
+    /// As [`console`], with both arms enabled; also returns the writer for commands.
     fn begun() -> (Console, PipeWriter, Receiver<String>, Arc<AtomicBool>) {
         let (lines, writer) = typed();
         let (mut console, answers, interrupt) = console(lines);
@@ -420,14 +419,14 @@ mod tests {
         write!(writer, "select\n start \n\nstatus\ngo\nresume").unwrap();
         drop(writer);
         let text: String = answers.iter().collect();
-        assert!(text.contains("not begun yet") && text.contains("\"go\" is no word: known are select"), "{text}");
-        assert!(text.ends_with("the words have ended: both arms stop, then the report\n"), "{text}");
+        assert!(text.contains("not started yet") && text.contains("unknown command \"go\": use select"), "{text}");
+        assert!(text.ends_with("end of input: stopping both arms, then writing the report\n"), "{text}");
         wait_until(|| interrupt.load(Ordering::SeqCst) && console.shared.is_closed.load(Ordering::SeqCst));
         let later = MonotonicTime::from_nanos(70);
         let heard = [0; 4].map(|_| console.listen(None, later));
         let words = heard.map(|input| input.said.map(|said| (said.word, said.at)));
         assert_eq!(words, [Some((Word::Select, NOW)), Some((Word::Start, NOW)), Some((Word::Resume, NOW)), None]);
-        assert_eq!(heard[2].heard_at, Some(NOW), "nobody was there when it was asked again");
+        assert_eq!(heard[2].heard_at, Some(NOW), "a closed console gives no sign of life");
     }
 
     #[test]
@@ -436,20 +435,20 @@ mod tests {
         let (mut console, answers, interrupt) = console(lines);
         writeln!(writer, "start\nselect\nresume\nreset\nstatus\nhold\nselect").unwrap();
         let mut text = String::new();
-        while text.matches("kept").count() < 3 {
+        while text.matches("queued").count() < 3 {
             text += &answers.recv().unwrap();
         }
         for word in ["start", "resume", "reset"] {
-            let refusal = format!("{word} was not taken: both arms are still being switched on");
+            let refusal = format!("{word} refused: both arms are still being enabled");
             assert!(text.contains(&refusal), "{text}");
         }
-        assert!(text.contains("not begun yet: both arms are being switched on"), "{text}");
-        // Ten seconds later; each word is one of this moment, and hold has overtaken the first select.
+        assert!(text.contains("not started yet: both arms are being enabled"), "{text}");
+        // Ten seconds later: each command is stamped now, and hold has overtaken the first select.
         let later = NOW + Duration::from_secs(10);
         let words = [0; 3].map(|_| console.listen(None, later).said.map(|said| (said.word, said.at)));
         assert_eq!(words, [Some((Word::Hold, later)), Some((Word::Select, later)), None]);
         assert!(!interrupt.load(Ordering::SeqCst));
-        // From now on words count as they are said.
+        // From now on each command counts at the time of its input.
         writeln!(writer, "start").unwrap();
         wait_until(|| !console.words.is_empty());
         assert_eq!(word(&mut console), Some(Word::Start));
@@ -460,7 +459,7 @@ mod tests {
         let (lines, mut writer) = typed();
         let (_console, answers, interrupt) = console(lines);
         writeln!(writer, "stop").unwrap();
-        assert!(answers.recv().unwrap().contains("that is broken off"));
+        assert!(answers.recv().unwrap().contains("enabling aborted"));
         wait_until(|| interrupt.load(Ordering::SeqCst));
     }
 
@@ -478,18 +477,18 @@ mod tests {
     #[test]
     fn stop_and_hold_find_room_behind_any_number_of_words_and_overtake_them() {
         let (mut console, mut writer, answers, _) = begun();
-        // More than there is room for, and no more refusals than answers find room.
+        // More commands than the queue holds, but no more refusals than the answer queue holds.
         for _ in 0..40 {
             writeln!(writer, "start").unwrap();
         }
         writeln!(writer, "hold\nstop\nquit").unwrap();
         let mut text = String::new();
-        while !text.contains("both arms stop") {
+        while !text.contains("stopping both arms") {
             text += &answers.recv().unwrap();
         }
-        assert!(text.contains("start was not taken: too many words wait"), "{text}");
+        assert!(text.contains("start refused: 16 commands are waiting"), "{text}");
         assert_eq!([0; 3].map(|_| word(&mut console)), [Some(Word::Stop), Some(Word::Hold), None]);
-        // What is said afterwards is heard again.
+        // Later commands are taken again.
         writeln!(writer, "reset").unwrap();
         wait_until(|| !console.words.is_empty());
         assert_eq!([0; 2].map(|_| word(&mut console)), [Some(Word::Reset), None]);
@@ -501,7 +500,7 @@ mod tests {
         let lines = [b"st\xffart\n\xfe\xfe\n".to_vec(), long, b"select\n".to_vec()].concat();
         let (mut console, answers, _) = console(std::io::Cursor::new(lines));
         let text: String = answers.iter().collect();
-        assert!(text.contains("\"st\u{fffd}art\" is no word") && text.contains("more than 256 bytes"), "{text}");
+        assert!(text.contains("unknown command \"st\u{fffd}art\"") && text.contains("longer than 256 bytes"), "{text}");
         assert_eq!([0; 2].map(|_| word(&mut console)), [Some(Word::Select), None]);
     }
 
@@ -510,18 +509,18 @@ mod tests {
         let ((lines, mut writer), (unread, full)) = (typed(), pipe().unwrap());
         let mut console = Console::start(Arc::new(VirtualClock::new()), lines, full, (Arc::default(), "")).unwrap();
         assert_eq!(word(&mut console), None);
-        // More than a pipe and the queue of answers hold.
+        // More than a pipe and the answer queue hold.
         for _ in 0..4000 {
             writeln!(writer, "what is the matter with you?").unwrap();
         }
         writeln!(writer, "stop").unwrap();
         wait_until(|| console.shared.stop.number.load(Ordering::SeqCst) > 0);
         assert_eq!(word(&mut console), Some(Word::Stop));
-        // What was left out is told as soon as somebody reads.
+        // Dropped answers are reported once the output is read.
         let mut read = BufReader::new(unread).lines().map(|line| line.unwrap());
         let told = read.find(|line| {
             writeln!(writer, "status").unwrap();
-            line.contains("answers before are left out")
+            line.contains("earlier answers dropped")
         });
         assert!(told.is_some());
     }

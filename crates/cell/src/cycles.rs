@@ -1,4 +1,4 @@
-//! How punctual the cycles of a run in the machine's time were.
+//! Timing of the cycles in a real-time run.
 
 use std::time::Duration;
 
@@ -9,27 +9,27 @@ use serde::Serialize;
 
 use super::parts::{LinkCounts, LinkMonitor};
 
-/// What a thread of a run in the machine's time counts.
+/// Counters of one thread in a real-time run.
 #[derive(Debug, Default)]
 pub struct Beat {
-    /// How late its cycles were.
+    /// Lateness of its cycles.
     pub lateness: JitterMeter,
-    /// Cycles that were left out.
+    /// Skipped cycles.
     pub missed: u64,
-    /// What it handed over and nobody took: a newer one was there first, or there was no room.
+    /// Items handed over but not consumed: overwritten by a newer one, or no space.
     pub dropped: u64,
 }
 
-/// How punctual the threads of a run in the machine's time were.
+/// Timing of the threads in a real-time run.
 #[derive(Debug, Default)]
 pub struct Punctuality {
-    /// From the end of the exposure until the frame is there; frames that did not come, and those that were overwritten.
+    /// From the end of the exposure to the frame; frames that did not arrive, and frames that were overwritten.
     pub capture: Beat,
-    /// From the frame until what was seen is known to those who move; percepts that were overwritten, and what was not written down.
+    /// From the frame to the estimate at the motion half; percepts that were overwritten, and results that were not recorded.
     pub estimation: Beat,
-    /// From the time of a control step until it begins; steps that nobody took.
+    /// From the time of a control step to its begin; steps that were not consumed.
     pub control: Beat,
-    /// From what was seen until it is written down; control steps that came too late for the truth to be known.
+    /// From an estimate to its record; control steps that arrived too late for a true pose.
     pub recording: Beat,
 }
 
@@ -46,31 +46,31 @@ impl Punctuality {
     }
 }
 
-/// How punctual one cycle was.
+/// Timing of one cycle.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CycleSummary {
-    /// Whose: a thread of the run, or the link of an arm.
+    /// A thread of the run, or the link of an arm.
     pub name: String,
-    /// Time from one to the next, milliseconds.
+    /// Period, milliseconds.
     pub period_millis: f64,
-    /// How many were begun.
+    /// Number of cycles begun.
     pub cycles: u64,
-    /// Half of them began at most this late, milliseconds.
+    /// Median lateness, milliseconds.
     pub late_p50_millis: f64,
-    /// 99 of 100 began at most this late, milliseconds.
+    /// 99th percentile of the lateness, milliseconds.
     pub late_p99_millis: f64,
-    /// The latest, milliseconds.
+    /// Largest lateness, milliseconds.
     pub late_max_millis: f64,
-    /// Cycles that were left out because their time had passed.
+    /// Cycles skipped because their time had passed.
     pub missed: u64,
-    /// What was handed over and not taken: overwritten by something newer, or without room.
+    /// Items not consumed: overwritten by a newer one, or no space.
     pub dropped: u64,
-    /// Replies that did not come in time.
+    /// Replies that did not arrive in time.
     pub replies_lost: u64,
 }
 
 impl CycleSummary {
-    /// Of what has this period and was so late; nothing was left out or lost.
+    /// Timing of a cycle with this period and lateness; nothing skipped or lost.
     pub fn new(name: &str, period: Duration, jitter: &Jitter) -> Self {
         Self {
             name: name.to_owned(),
@@ -90,7 +90,7 @@ impl CycleSummary {
         Self { missed, dropped, ..Self::new(name, period, &beat.lateness.summary()) }
     }
 
-    /// Of the link of an arm with this period.
+    /// Timing of an arm's link with this period.
     pub fn of_link(name: &str, period: Duration, monitor: &dyn LinkMonitor) -> Self {
         let LinkCounts { missed, replies_lost } = monitor.counts();
         Self { missed, replies_lost, ..Self::new(name, period, &monitor.lateness()) }
@@ -98,7 +98,7 @@ impl CycleSummary {
 }
 
 const HEADINGS: [&str; 9] =
-    ["cycle", "period, ms", "begun", "late p50, ms", "p99, ms", "max, ms", "left out", "not taken", "replies lost"];
+    ["cycle", "period, ms", "begun", "late p50, ms", "p99, ms", "max, ms", "skipped", "not consumed", "replies lost"];
 
 impl CycleSummary {
     fn cells(&self) -> [String; 9] {
@@ -117,12 +117,12 @@ impl CycleSummary {
     }
 }
 
-/// The figures as a table of the report.
+/// The figures as a report table.
 pub fn table(cycles: &[CycleSummary]) -> Table {
     cycles.iter().fold(Table::new(HEADINGS), |table, cycle| table.row(cycle.cells()))
 }
 
-/// The figures as lines for a terminal; nothing for a run in simulated time.
+/// The figures as terminal lines; empty for a run in simulated time.
 pub fn text_table(cycles: &[CycleSummary]) -> String {
     if cycles.is_empty() {
         return String::new();

@@ -1,9 +1,9 @@
-//! Whether the cameras still are what was calibrated, from what a run sees anyway.
+//! Camera drift: whether the cameras still match their calibration, checked on the images of a run.
 //!
-//! Every few seconds a pair is measured: by how much rows of the right image are off, how much softer and brighter one eye is than the
-//! other one, and how far apart their exposures are. All four are zero where the calibration holds and both cameras are alike; where the
-//! file of the calibration says how unlike both cameras were when it was made, blur and brightness are what has come to that. The median of
-//! the newest looks is compared with its limit, so that a hand before a lens for a moment says nothing, and what is too far is told once.
+//! Every few seconds one stereo pair is measured: vertical misalignment, difference in blur, difference in brightness, and exposure skew.
+//! All four are zero if the calibration holds and both cameras are alike. If the calibration file states the blur and brightness
+//! differences at calibration, only the change since then counts. The median of the newest samples is compared with its limit, so that a
+//! hand in front of a lens for a moment causes no warning. Each excess is reported once.
 
 use std::collections::VecDeque;
 
@@ -17,24 +17,24 @@ use serde::Serialize;
 
 use crate::image_quality::{Exposure, MATCHES_MIN, RowMeter, blur_of, brighter_by_percent, softer_by_px};
 
-/// Looks whose median is judged.
+/// Number of samples in the median.
 const LOOKS: usize = 5;
-/// What was too far is good again below this share of its limit: a value near it is not told over and over.
+/// Below this share of its limit an excess has ended; the hysteresis avoids repeated warnings near the limit.
 const GOOD_SHARE: f64 = 0.8;
 
-/// What the images of a calibration were like, as far as its file says it.
+/// Image properties at calibration, from the calibration file.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WhenCalibrated {
-    /// 95 % of the rows were off by no more than this, pixels.
+    /// 95th percentile of the vertical misalignment, pixels.
     pub rows_px: Option<f64>,
-    /// Blur of one eye only, pixels; positive: of the right one.
+    /// Blur difference, pixels; positive: right image softer.
     pub focus_px: Option<f64>,
-    /// Difference in brightness, percent; positive: the right eye was brighter.
+    /// Brightness difference, percent; positive: right image brighter.
     pub brightness_percent: Option<f64>,
 }
 
 impl WhenCalibrated {
-    /// Out of the measured numbers of a calibration, by the names that `pb3dp calibrate stereo` gives them.
+    /// From the measured numbers of a calibration, by the names of `pb3dp calibrate stereo`.
     pub fn of(judgement: &Judgement) -> Self {
         let number = |name: &str| judgement.numbers.iter().find(|(key, _)| key == name).map(|(_, value)| *value);
         Self {
@@ -45,7 +45,7 @@ impl WhenCalibrated {
     }
 }
 
-/// What is measured.
+/// Measured quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Quantity {
     Rows,
@@ -59,10 +59,10 @@ impl Quantity {
 
     fn name(self) -> &'static str {
         match self {
-            Self::Rows => "rows of the right image, where they are off most",
-            Self::Focus => "blur of one eye only (+: of the right one)",
-            Self::Brightness => "difference in brightness (+: the right eye is brighter)",
-            Self::Skew => "time between both exposures (+: the right one is later)",
+            Self::Rows => "vertical misalignment, largest in the image",
+            Self::Focus => "blur difference (+: right image softer)",
+            Self::Brightness => "brightness difference (+: right image brighter)",
+            Self::Skew => "exposure skew (+: right camera later)",
         }
     }
 
@@ -86,47 +86,47 @@ impl Quantity {
     fn advice(self) -> &'static str {
         match self {
             Self::Rows => {
-                "the cameras have moved against each other since they were calibrated (a knock, a loose screw, heat): screw them down, let \
+                "the cameras have moved relative to each other since calibration (a knock, a loose screw, heat): tighten them, let \
                  them warm up, and calibrate again"
             }
             Self::Focus => {
-                "one lens is dirty, or its focus has moved: clean it; a lens that was focused anew has to be calibrated again"
+                "one lens is dirty, or its focus has moved: clean it; after refocusing a lens, calibrate again"
             }
             Self::Brightness => {
-                "one lens is dirty or shaded, or exposure, gain or aperture are not equal any more: `pb3dp cameras check` tells which"
+                "one lens is dirty or shaded, or exposure, gain or aperture differ: `pb3dp cameras check` shows which"
             }
             Self::Skew => {
-                "one camera is triggered or stamped later than the other one: look after the trigger's line, and after stamp_delay_millis"
+                "one camera is triggered or stamped later than the other one: check the trigger line and stamp_delay_millis"
             }
         }
     }
 }
 
-/// What was found of one quantity.
+/// Summary of one quantity.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DriftSummary {
-    /// What was measured.
+    /// Name of the quantity.
     pub quantity: &'static str,
     /// Unit of all values.
     pub unit: &'static str,
-    /// How often it could be measured.
+    /// Number of successful measurements.
     pub looks: u64,
-    /// How often it could not: nothing with texture was in sight.
+    /// Number of failed measurements: no texture in view.
     pub blind_looks: u64,
-    /// Median of the first looks; none of too few looks.
+    /// Median of the first samples; none with too few samples.
     pub at_first: Option<f64>,
-    /// Median of the newest ones.
+    /// Median of the newest samples.
     pub at_last: Option<f64>,
-    /// The median that was largest in magnitude.
+    /// Median with the largest magnitude.
     pub worst: Option<f64>,
-    /// Magnitude that a median may have.
+    /// Largest allowed magnitude of a median.
     pub limit: f64,
-    /// What it was when the cameras were calibrated, if the file of the calibration says it: for rows what 95 % of them kept to.
+    /// Value at calibration, if the calibration file states it; for the vertical misalignment its 95th percentile.
     pub when_calibrated: Option<f64>,
 }
 
 impl DriftSummary {
-    /// Whether it ever was farther off than it may be.
+    /// Whether the limit was ever exceeded.
     pub fn was_too_far(&self) -> bool {
         self.worst.is_some_and(|worst| worst.abs() > self.limit)
     }
@@ -161,7 +161,7 @@ impl Series {
         Self { quantity, newest: VecDeque::with_capacity(LOOKS), is_told: false, summary }
     }
 
-    /// One more look: what is to be said of it.
+    /// Adds a sample; returns a message if the state changes.
     fn push(&mut self, value: Option<f64>) -> Option<String> {
         let Some(value) = value.filter(|value| value.is_finite()) else {
             self.summary.blind_looks += 1;
@@ -192,27 +192,27 @@ impl Series {
             return None;
         }
         self.is_told = is_far;
-        let found = format!("{quantity}: {median:.2} {unit}, allowed are {limit:.2}");
+        let found = format!("{quantity}: {median:.2} {unit}, limit {limit:.2}");
         Some(match is_far {
-            true => format!("the cameras are not any more what was calibrated: {found}; {}", self.quantity.advice()),
-            false => format!("the cameras are again what was calibrated: {found}"),
+            true => format!("camera drift: {found}; {}", self.quantity.advice()),
+            false => format!("camera drift gone: {found}"),
         })
     }
 }
 
-/// What looks at the cameras during a run.
+/// Measures camera drift during a run.
 pub struct DriftWatch {
     config: DriftConfig,
     rows: RowMeter,
     next_at: Option<MonotonicTime>,
     all: [Series; 4],
-    /// Whether the cameras are to expose at the same time.
+    /// Whether the cameras expose synchronously.
     is_synchronous: bool,
     when_calibrated: WhenCalibrated,
 }
 
 impl DriftWatch {
-    /// Has not looked yet. Of cameras that are not synchronous the skew is not looked at.
+    /// No measurement yet. The skew of cameras that are not synchronous is not measured.
     ///
     /// # Errors
     /// A rig that the method `direct` cannot use.
@@ -225,9 +225,9 @@ impl DriftWatch {
         Ok(Self { config, rows: RowMeter::new(rig)?, next_at: None, all, is_synchronous, when_calibrated })
     }
 
-    /// A pair that was exposed at this time: what there is to say of it, if it is time to look.
+    /// Measures a pair with this exposure time if a measurement is due; returns its messages.
     pub fn look(&mut self, at: MonotonicTime, skew_s: f64, pair: &FramePair) -> Vec<String> {
-        // A clock that was set back does not end the looks.
+        // A clock that was set back must not end the measurements.
         let is_due = self.next_at.is_none_or(|next_at| at >= next_at || next_at > at + self.config.every);
         if !is_due {
             return Vec::new();
@@ -250,7 +250,7 @@ impl DriftWatch {
         self.all.iter_mut().zip(values).filter_map(|(series, value)| series.push(value)).collect()
     }
 
-    /// What was found.
+    /// The summary of each quantity.
     pub fn summaries(self) -> Vec<DriftSummary> {
         let [rows, focus, brightness, skew] = self.all.map(|series| series.summary);
         let skew = Some(skew).filter(|_| self.is_synchronous);
@@ -258,32 +258,22 @@ impl DriftWatch {
     }
 }
 
-/// The blur of one eye only that has come to another one: variances add up.
+/// Change of the blur difference since calibration: variances add up.
 fn added_blur_px(now_px: f64, before_px: f64) -> f64 {
     let variance = now_px * now_px.abs() - before_px * before_px.abs();
     variance.abs().sqrt().copysign(variance)
 }
 
-/// The figures as a table of the report.
+/// The summaries as a report table.
 pub fn table(summaries: &[DriftSummary]) -> Table {
-    let headings = [
-        "what",
-        "unit",
-        "when calibrated",
-        "since then: at first",
-        "at last",
-        "worst",
-        "allowed",
-        "looks",
-        "nothing to see",
-        "",
-    ];
+    let headings =
+        ["quantity", "unit", "at calibration", "first", "last", "worst", "limit", "samples", "without texture", ""];
     let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
     summaries.iter().fold(Table::new(headings), |table, one| {
         let verdict = match (one.worst, one.was_too_far()) {
-            (None, _) => "not known",
+            (None, _) => "unknown",
             (Some(_), true) => "TOO FAR",
-            (Some(_), false) => "good",
+            (Some(_), false) => "ok",
         };
         table.row([
             one.quantity.to_owned(),
@@ -300,16 +290,13 @@ pub fn table(summaries: &[DriftSummary]) -> Table {
     })
 }
 
-/// A line for each quantity that was too far.
+/// One terminal line for each exceeded limit.
 pub fn text_lines(summaries: &[DriftSummary]) -> String {
     let too_far = summaries.iter().filter(|one| one.was_too_far());
     too_far
         .filter_map(|one| {
             let worst = one.worst?;
-            Some(format!(
-                "the cameras are not what was calibrated: {} {worst:.2} {}, allowed are {:.2}\n",
-                one.quantity, one.unit, one.limit
-            ))
+            Some(format!("camera drift: {} {worst:.2} {}, limit {:.2}\n", one.quantity, one.unit, one.limit))
         })
         .collect()
 }
@@ -344,7 +331,7 @@ mod tests {
         FramePair { left, right, ..FramePair::black(pb3dp_geometry::ImageSize { width: 1, height: 1 }) }
     }
 
-    /// What is said of this pair, looked at so often, and what is found.
+    /// Messages and summaries after repeated measurements of one pair.
     fn watched(
         rig: &StereoRig,
         pair: &FramePair,
@@ -353,7 +340,7 @@ mod tests {
     ) -> (Vec<String>, Vec<DriftSummary>) {
         let mut watch = DriftWatch::new(CONFIG, rig, (is_synchronous, WhenCalibrated::default())).unwrap();
         let look = |k: u64| watch.look(MonotonicTime::from_nanos(k * 500_000_000), skew_s, pair);
-        // Ten seconds in pairs that come every half second.
+        // Ten seconds of pairs at half-second intervals.
         let said = (0..20).flat_map(look).collect();
         (said, watch.summaries())
     }
@@ -378,7 +365,7 @@ mod tests {
         let sound = pair(&case);
         let (_, before) = watched(&rig, &sound, 0.0, true);
         let before = values(&before);
-        // The right camera nods by 0.1 degrees: all rows go by the focal length times the angle, seen from the wrong calibration.
+        // The right camera tilts by 0.1 degrees: with the wrong calibration all rows shift by the focal length times the angle.
         let nod = Pose::from_parts(
             Vector3::zeros(),
             UnitQuaternion::from_scaled_axis(Vector3::new(0.1_f64.to_radians(), 0.0, 0.0)),
@@ -387,12 +374,12 @@ mod tests {
         let by_px = rig.right().pinhole().fy * 0.1_f64.to_radians();
         let (said, found) = watched(&nodded, &sound, 0.0, true);
         assert!((values(&found)[0] - by_px).abs() < 0.3 + before[0], "{} px, {by_px} expected", values(&found)[0]);
-        assert!(said.len() == 1 && said[0].contains("rows") && said[0].contains("calibrate again"), "{said:?}");
+        assert!(said.len() == 1 && said[0].contains("misalignment") && said[0].contains("calibrate again"), "{said:?}");
 
-        // A softer eye has the blur that it was given; the other values stay.
+        // The measured blur equals the applied blur; the other values stay.
         let softer = FramePair { right: image::imageops::blur(&sound.right, 1.5), ..sound.clone() };
         let (said, found) = watched(&rig, &softer, 0.0, true);
-        assert!(said.len() == 1 && said[0].contains("blur of one eye"), "{said:?}");
+        assert!(said.len() == 1 && said[0].contains("blur difference"), "{said:?}");
         assert!((values(&found)[1] - 1.5).abs() < 0.4, "{found:#?}");
         let (_, found) =
             watched(&rig, &FramePair { left: image::imageops::blur(&sound.left, 1.5), ..sound.clone() }, 0.0, true);
@@ -405,11 +392,11 @@ mod tests {
             darker
         };
         let (said, found) = watched(&rig, &FramePair { left: darker(&sound.left), ..sound.clone() }, 0.0, true);
-        assert!(said.len() == 1 && said[0].contains("the right eye is brighter"), "{said:?}");
+        assert!(said.len() == 1 && said[0].contains("right image brighter"), "{said:?}");
         assert!((values(&found)[2] - 100.0 / 3.0).abs() < 8.0, "{found:#?}");
 
         let (said, _) = watched(&rig, &sound, -2e-3, true);
-        assert!(said.len() == 1 && said[0].contains("-2.00 ms, allowed are 1.00"), "{said:?}");
+        assert!(said.len() == 1 && said[0].contains("-2.00 ms, limit 1.00"), "{said:?}");
         let (said, found) = watched(&rig, &sound, -2e-3, false);
         assert!(said.is_empty() && found.len() == 3, "{said:?} {found:#?}");
     }
@@ -422,7 +409,7 @@ mod tests {
         assert!(said.is_empty(), "{said:?}");
         assert_eq!((found[0].looks, found[0].blind_looks, found[1].blind_looks), (0, 5, 5));
         let cells = format!("{:?}", table(&found));
-        assert!(cells.contains("not known"), "{cells}");
+        assert!(cells.contains("unknown"), "{cells}");
     }
 
     #[test]
@@ -443,15 +430,15 @@ mod tests {
         assert!(found[1].at_last.is_some_and(|px| px.abs() < 0.01), "{found:#?}");
         assert!(found[2].at_last.is_some_and(|percent| percent.abs() < 0.01), "{found:#?}");
         assert_eq!([found[0].when_calibrated, found[1].when_calibrated], [Some(0.2), focus_px]);
-        // Where both were alike and one has become softer, that is what has come to it; the other one's blur takes it back.
+        // If both were alike, the blur of one is the change; equal blur of the other one cancels it.
         assert!((added_blur_px(1.5, 0.0) - 1.5).abs() < 1e-12 && (added_blur_px(0.0, 1.5) + 1.5).abs() < 1e-12);
         assert!((added_blur_px(-1.0, 1.0) + 2f64.sqrt()).abs() < 1e-12);
     }
 
-    /// What is said of these values, one look each.
+    /// Verdicts for these values, one sample each.
     fn said_of(values: &[f64]) -> Vec<Option<bool>> {
         let mut series = Series::new(Quantity::Rows, (&CONFIG, &WhenCalibrated::default()));
-        let verdict = |line: String| !line.contains("again what was");
+        let verdict = |line: String| !line.contains("drift gone");
         values.iter().map(|&value| series.push(Some(value)).map(verdict)).collect()
     }
 
@@ -461,7 +448,7 @@ mod tests {
         assert!(said_of(&[&calm[..], &[9.0, f64::NAN, 9.0], &calm[..]].concat()).iter().all(Option::is_none));
         let bad = said_of(&[&calm[..], &[-0.6; 20]].concat());
         assert_eq!((bad.iter().flatten().count(), bad[7]), (1, Some(true)), "{bad:?}");
-        // Just below the limit is not good again, and good again is told once.
+        // A value just below the limit does not end the excess, and its end is reported once.
         let wavering = said_of(&[&[0.6; 5][..], &[0.45; 10], &[0.55; 10], &[0.3; 10]].concat());
         assert_eq!(wavering.into_iter().flatten().collect::<Vec<_>>(), [true, false]);
     }

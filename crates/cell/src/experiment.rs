@@ -1,4 +1,4 @@
-//! A run: the hand follows the target through its experiment, and everything is written down beside the truth.
+//! A run: the hand follows the target through its experiment; everything is recorded together with the true poses.
 
 use std::path::Path;
 use std::time::Duration;
@@ -21,37 +21,37 @@ use super::percept::Percept;
 use super::strip::Strip;
 use crate::noting::Seen;
 
-/// A run that a person leads ends with the word `quit`, or after this time: what is written down stays in memory until then, seconds.
+/// Longest run led by a console operator, seconds: the record stays in memory until `quit` or until this time.
 pub const LED_BY_PERSON_MAX_S: f64 = 3600.0;
 
-/// A run that is over.
+/// A finished run.
 pub struct Ended {
-    /// What was written down until then.
+    /// Everything recorded until its end.
     pub outcome: Outcome,
-    /// What has ended it before its time, if anything has failed.
+    /// The failure that ended the run early, if there is one.
     pub how: Result<()>,
 }
 
-/// As [`conduct`], and a failure leaves nothing.
+/// As [`conduct`], but a failure discards the outcome.
 ///
 /// # Errors
-/// If an arm, the camera or the estimator fails for good; the arms are stopped first.
+/// If an arm, the camera or the estimator fails permanently; the arms are stopped first.
 pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&Path>) -> Result<Outcome> {
     let Ended { outcome, how } = conduct(setup, parts, stop_after_s, record)?;
     how.map(|()| outcome)
 }
 
-/// Runs the experiment to its end, or to `stop_after_s`, in the loop that the pace of the setup asks for; every pair is also written to
-/// the folder `record`, if given. The experiment begins when both arms are switched on, and both are stopped on every way out. Where a
-/// person leads, the target moves from the word `start` on, and neither a stop nor what is latched in an arm ends the run.
+/// Runs the experiment to its end, or to `stop_after_s`, in the loop for the pace of the setup. If `record` is given, every pair is also
+/// written to that folder. The experiment begins when both arms are enabled; both are stopped on every exit path. With a console operator,
+/// the target moves from the command `start` on, and neither a stop nor a latched fault ends the run.
 ///
 /// # Errors
-/// What is refused before an arm is switched on.
+/// Refusals before an arm is enabled.
 pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&Path>) -> Result<Ended> {
-    // Everything that can be refused is made before an arm is switched on.
+    // Everything that can be refused is created before an arm is enabled.
     let Parts { clock, camera, vs, tc, cell, experiment, marking, links, emulated, .. } = parts;
     let (operator, interrupt) = (parts.operator, parts.interrupt);
-    // When the moves begin is for a person to say.
+    // With a console operator, the operator decides when the moves begin.
     let (duration_s, marks) = match operator.is_person() {
         true => (LED_BY_PERSON_MAX_S, Vec::new()),
         false => (experiment.duration_s(), experiment.marks().to_vec()),
@@ -81,13 +81,13 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     }
     let links = links.iter().map(|(name, monitor)| CycleSummary::of_link(name, setup.control_period, &**monitor));
     outcome.log.cycles.extend(links);
-    // The arms go before what is at the other end of their lines.
+    // The arms are dropped before the emulators at the other end of their links.
     drop(moving);
     drop(emulated);
     Ok(Ended { outcome, how })
 }
 
-/// Looks, and writes down what both halves do.
+/// The vision half of a run, with its recording.
 struct Watching<'a> {
     looking: Looking<'a>,
     journal: Journal,
@@ -135,7 +135,7 @@ impl Estimate for Leading<'_, '_> {
     }
 }
 
-/// What writes down.
+/// The recording part.
 struct Keeping<'w, 'a> {
     noting: &'w mut Noting<'a>,
     journal: &'w mut Journal,

@@ -1,4 +1,4 @@
-//! Figures of an error over a run.
+//! Statistics of an error over a run.
 
 use nalgebra::Vector3;
 use pb3dp_geometry::Pose;
@@ -40,24 +40,24 @@ impl MedianP95 {
     }
 }
 
-/// Distance between the hand and its wanted pose.
+/// Distance between the hand and its desired pose.
 #[derive(Clone, Copy, Debug)]
 pub struct TrackingError {
     /// Metres.
     pub position_m: f64,
     /// Radians.
     pub orientation_rad: f64,
-    /// Angle between the viewing axes, radians: without the rotation about them.
+    /// Angle between the camera axes, radians; excludes the rotation about them.
     pub tilt_rad: f64,
 }
 
 impl TrackingError {
-    /// The error of one control step, against the place before the true target.
+    /// Error of one control step, against the desired pose in front of the true target.
     pub fn of(sample: &ControlSample) -> Self {
         Self::between(&sample.world_from_hand_wanted, &sample.world_from_hand)
     }
 
-    /// The error of one control step, against the place by the pose of the lock.
+    /// Error of one control step, against the desired pose by the initial lock.
     pub fn of_locked(sample: &ControlSample) -> Self {
         Self::between(&sample.world_from_hand_locked, &sample.world_from_hand)
     }

@@ -1,5 +1,5 @@
-//! The flight recorder's files: what each arm was asked and what it answered in the last seconds before a fault, as JSON lines
-//! ([docs/arm-limits.md](../../../../docs/arm-limits.md) has the format).
+//! Flight recorder files: commands and answers of each arm in the last seconds before a fault, as JSON lines (format:
+//! [docs/arm-limits.md](../../../../docs/arm-limits.md)).
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -12,86 +12,85 @@ use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmState, JointCommand};
 use pb3dp_hal_middleware::{Asked, FlightEntry, FlightLog};
 use serde_json::{Value, json};
 
-/// How far back the recorders of a run reach.
+/// Recorded time span of a run.
 pub const FLIGHT: Duration = Duration::from_secs(5);
 
-/// When a fault was noticed.
+/// Time at which a fault was noticed.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment {
     /// On the clock of the run, which stamps the entries.
     pub monotonic: MonotonicTime,
-    /// On the wall.
+    /// Wall-clock time.
     pub wall: SystemTime,
 }
 
-/// Bytes that went over the line of an arm at one time.
+/// Bytes on the line of an arm.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RawLine {
-    /// When.
+    /// Time.
     pub at: MonotonicTime,
-    /// To the arm, or from it.
+    /// Direction: to the arm (true) or from it.
     pub is_sent: bool,
-    /// What.
+    /// The bytes.
     pub bytes: Vec<u8>,
 }
 
-/// Why an arm stopped.
+/// Cause of an arm's stop.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ArmFault {
-    /// When, on the clock of the run.
+    /// Time on the clock of the run.
     pub at: MonotonicTime,
-    /// Index of the joint from the base, if one is known.
+    /// Index of the joint from the base, if known.
     pub joint: Option<usize>,
     /// Alarm code of the controller, if there is one.
     pub code: Option<u16>,
-    /// The whole message.
+    /// The complete message.
     pub cause: String,
-    /// What the arm was doing before.
+    /// State of the arm before the fault.
     pub state_before: String,
 }
 
-/// What happened to messages and bytes of a line since it was opened.
+/// Counts of messages and bytes on a line since it was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct LineCounts {
     /// Messages sent.
     pub sent: u64,
     /// Messages with a usable reply in time.
     pub answered: u64,
-    /// Messages without one.
+    /// Messages without a reply.
     pub lost: u64,
-    /// Replies that came too late.
+    /// Replies that arrived too late.
     pub late: u64,
     /// Replies that were damaged.
     pub damaged: u64,
-    /// Replies to something else.
+    /// Replies to another message.
     pub mismatched: u64,
-    /// Cycles that were left out, as the thread of the arm was not run in time.
+    /// Cycles skipped because the arm's thread was not scheduled in time.
     pub overruns: u64,
     /// Frames with a wrong CRC.
     pub crc_errors: u64,
-    /// Sync bytes without a sound header behind them.
+    /// Sync bytes without a valid header behind them.
     pub header_errors: u64,
-    /// How often bytes had to be skipped to find the next frame.
+    /// How often bytes were skipped to find the next frame.
     pub resyncs: u64,
-    /// Frames that the line did not take.
+    /// Frames that the line did not accept.
     pub unsent: u64,
 }
 
-/// What is known of an arm when a run fails.
+/// Information on an arm when a run fails.
 #[derive(Clone)]
 pub struct Flight<'a> {
     /// Its recorder.
     pub log: &'a FlightLog,
-    /// Why it stopped, as its driver tells; none if it did not, or has no driver.
+    /// Cause of its stop from its driver; none if it did not stop or has no driver.
     pub fault: Option<ArmFault>,
-    /// Of its line, if it has one.
+    /// Counts of its line, if it has one.
     pub counts: Option<LineCounts>,
     /// The last bytes of its line.
     pub raw: &'a [RawLine],
 }
 
-/// Writes what the recorder of an arm holds, and the raw bytes of its line, to `flight-<arm>.jsonl` in a folder; the path of the
-/// file.
+/// Writes the recorder entries of an arm and the raw bytes of its line to `flight-<arm>.jsonl` in a folder; returns the path.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -142,7 +141,7 @@ fn head(arm: &str, (flight, entries): (&Flight<'_>, &[FlightEntry]), failure: &a
     })
 }
 
-/// Of an arm without a driver: since when its recorder shows it stopped.
+/// For an arm without a driver: the first recorded entry of its stop.
 fn recorded_fault(entries: &[FlightEntry]) -> Option<ArmFault> {
     let is_latched = |entry: &FlightEntry| matches!(entry.state, ArmState::Fault | ArmState::EStop);
     let before = entries.iter().rposition(|entry| !is_latched(entry));
@@ -157,7 +156,7 @@ fn recorded_fault(entries: &[FlightEntry]) -> Option<ArmFault> {
 }
 
 impl Moment {
-    /// A time on the clock of the run as one on the wall, s since 1970.
+    /// Converts a time on the clock of the run to wall time, s since 1970.
     fn unix_s(&self, at: MonotonicTime) -> f64 {
         let unix_s = self.wall.duration_since(SystemTime::UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
         unix_s - (seconds(self.monotonic) - seconds(at))

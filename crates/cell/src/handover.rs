@@ -1,27 +1,27 @@
-//! How the threads of a run in the machine's time hand over what they have: newest wins.
+//! Handover of the newest item between the threads of a real-time run.
 //!
-//! What reaches the thread that moves the arms goes through [`latest`]: neither end ever waits, locks or takes from the heap. Between
-//! threads that may wait for a moment there is [`Newest`].
+//! Data for the thread that moves the arms goes through [`latest`]: neither end ever waits, locks or allocates. Threads that may wait use
+//! [`Newest`].
 
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 use triple_buffer::{Input, Output, triple_buffer};
 
-/// The end that gives.
+/// The producer end.
 pub struct Giver<T: Send>(Input<Option<T>>);
 
-/// The end that takes.
+/// The consumer end.
 pub struct Taker<T: Send>(Output<Option<T>>);
 
-/// Both ends of a place for the newest item, for one thread each.
+/// Both ends of a slot for the newest item, one thread each.
 pub fn latest<T: Copy + Send>() -> (Giver<T>, Taker<T>) {
     let (input, output) = triple_buffer(&None);
     (Giver(input), Taker(output))
 }
 
 impl<T: Copy + Send> Giver<T> {
-    /// Puts an item there; whether the one before was taken by nobody.
+    /// Stores an item; returns whether the previous one was overwritten unread.
     pub fn give(&mut self, item: T) -> bool {
         *self.0.input_buffer_mut() = Some(item);
         self.0.publish()
@@ -29,13 +29,13 @@ impl<T: Copy + Send> Giver<T> {
 }
 
 impl<T: Copy + Send> Taker<T> {
-    /// The newest item, if it was not taken before.
+    /// The newest item, unless it was already taken.
     pub fn take(&mut self) -> Option<T> {
         if self.0.update() { *self.0.output_buffer() } else { None }
     }
 }
 
-/// A place for the newest item, whose taker waits for it.
+/// A slot for the newest item whose consumer waits for it.
 pub struct Newest<T> {
     slot: Mutex<Option<T>>,
     given: Condvar,
@@ -48,15 +48,15 @@ impl<T> Default for Newest<T> {
 }
 
 impl<T> Newest<T> {
-    /// Puts an item there; whether the one before was taken by nobody.
+    /// Stores an item; returns whether the previous one was overwritten unread.
     pub fn give(&self, item: T) -> bool {
-        // What is overwritten may be large: it goes when the slot is free again.
+        // The overwritten item may be large: it is dropped after the lock is released.
         let before = self.slot.lock().unwrap_or_else(PoisonError::into_inner).replace(item);
         self.given.notify_one();
         before.is_some()
     }
 
-    /// Takes the newest item, and waits for it as long as this at most.
+    /// Takes the newest item; waits for it up to `timeout`.
     pub fn wait(&self, timeout: Duration) -> Option<T> {
         let slot = self.slot.lock().unwrap_or_else(PoisonError::into_inner);
         let waited = self.given.wait_timeout_while(slot, timeout, |slot| slot.is_none());
@@ -73,7 +73,7 @@ mod tests {
         let (mut giver, mut taker) = latest();
         assert_eq!(taker.take(), None);
         assert!(!giver.give(1));
-        assert!(giver.give(2), "nobody has taken the first one");
+        assert!(giver.give(2), "the first item was not taken");
         assert_eq!((taker.take(), taker.take()), (Some(2), None));
         assert!(!giver.give(3));
         assert_eq!(taker.take(), Some(3));

@@ -1,4 +1,4 @@
-//! A run that signals end: by the first one with both arms stopped, by the second one without waiting for the report.
+//! Ends a run on signals: the first signal stops both arms, the second one skips the report.
 
 use std::os::fd::AsFd;
 use std::sync::Arc;
@@ -11,24 +11,23 @@ use rustix::event::{PollFd, PollFlags, poll};
 
 use super::parts::ArmOnBus;
 
-/// The exit code of a run that a signal has ended.
+/// Exit code of a run that was ended by a signal.
 pub const INTERRUPTED: u8 = 130;
 
-/// What the first signal has begun: both arms come to rest and close their brakes, one after the other. The time of the brakes comes to
-/// it.
+/// Longest stop after the first signal without the brake times: both arms come to a stop and close their brakes, one after the other.
 const STOP_MAX: Duration = Duration::from_secs(5);
 
-/// What is left if that is not done: the order after a fault, 30 ms to rest, then the brakes, whose time comes to it.
+/// Longest stop after a fault without the brake times: the stop order and 30 ms to standstill.
 const TRIP_MAX: Duration = Duration::from_secs(2);
 
-/// How often arms are looked at meanwhile.
+/// Interval of the checks whether the arms have stopped.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// Has the run end when a signal asks for it, with both arms stopped; whoever asks twice does not want to wait for that, unless an arm
-/// is on a bus of this computer. Returns whether a signal has come. `last_words` is called before the program ends at once.
+/// Ends the run on the first signal, with both arms stopped. A second signal ends the program at once, unless an arm is on a bus of this
+/// computer. Returns the flag that a signal has arrived. `last_words` is called before the program ends at once.
 ///
 /// # Errors
-/// If the system gives no thread.
+/// If the system provides no thread.
 pub fn watch(
     mut signals: StopSignals,
     interrupt: &Arc<AtomicBool>,
@@ -39,22 +38,22 @@ pub fn watch(
     let told = Arc::clone(&was_interrupted);
     let work = move || {
         loop {
-            // A wait that fails is a short one.
+            // A failed poll only shortens the wait.
             let _ = poll(&mut [PollFd::from_borrowed_fd(signals.as_fd(), PollFlags::IN)], None);
             let Ok(Some(signal)) = signals.try_take() else { continue };
             interrupt.store(true, Ordering::SeqCst);
             if !told.swap(true, Ordering::SeqCst) {
-                tracing::info!("{signal}: both arms stop, then the report");
+                tracing::info!("{signal}: stopping both arms, then writing the report");
                 continue;
             }
             if on_bus.iter().all(ArmOnBus::is_stopped) {
-                tracing::warn!("{signal} again: the program ends at once; an arm that moves is left to its gateway");
+                tracing::warn!("{signal} again: exiting at once; the gateway stops an arm that still moves");
             } else {
                 let names: Vec<_> = on_bus.iter().map(|arm| arm.name).collect();
                 let brakes: Duration = on_bus.iter().map(|arm| arm.brake_time).sum();
                 let (stop_max, trip_max) = (STOP_MAX + brakes, TRIP_MAX + brakes);
                 tracing::warn!(
-                    "{signal} again: no gateway stops {}, so the program ends after the stop order, within {:?}",
+                    "{signal} again: no gateway stops {}; exiting after the stop order, within {:?}",
                     names.join(" and "),
                     stop_max + trip_max
                 );
@@ -68,7 +67,7 @@ pub fn watch(
     Ok(was_interrupted)
 }
 
-/// For as long as a stop takes at most; arms that do not stop are stopped as after a fault.
+/// Waits up to the longest stop time; arms that do not stop get the stop of a fault.
 fn wait_until_stopped(on_bus: &[ArmOnBus], stop_max: Duration, trip_max: Duration) {
     if are_stopped_within(on_bus, stop_max) {
         return;
@@ -77,7 +76,7 @@ fn wait_until_stopped(on_bus: &[ArmOnBus], stop_max: Duration, trip_max: Duratio
         arm.order.give();
     }
     if !are_stopped_within(on_bus, trip_max) {
-        tracing::error!("an arm on the bus did not answer to its stop order: press the emergency stop");
+        tracing::error!("an arm on the bus did not acknowledge its stop order: press the emergency stop");
     }
 }
 

@@ -1,4 +1,4 @@
-//! What is written down of control steps, beside the truth.
+//! Records the control steps of a run together with the true poses.
 
 use nalgebra::Vector6;
 use pb3dp_geometry::frames::{CamLeft, Model, Target};
@@ -13,18 +13,18 @@ use super::moving::Moved;
 use super::noting::Looked;
 use super::strip::Strip;
 
-/// How often progress is told, seconds of the experiment.
+/// Interval of progress messages, seconds of the experiment.
 const PROGRESS_EVERY_S: f64 = 5.0;
 
-/// What a run leaves behind.
+/// Result of a run.
 pub struct Outcome {
-    /// Everything written down.
+    /// Everything recorded.
     pub log: RunLog,
     /// Annotated images from moments of interest.
     pub strip: Strip,
 }
 
-/// Writes control steps down.
+/// Records control steps.
 pub struct Journal {
     cell: SimulatedCell,
     chain: Chain,
@@ -41,17 +41,17 @@ impl Journal {
         Self { cell, chain: setup.rig.vs.chain.clone(), begin, duration_s, next_progress_s: 0.0, steps_untrue: 0, log }
     }
 
-    /// The experiment begins at this time.
+    /// Sets the start time of the experiment.
     pub fn begin_at(&mut self, begin: MonotonicTime) {
         self.begin = begin;
     }
 
-    /// Steps that came so late that nobody knows any more where everything truly was: only what the supervisor said is written down.
+    /// Number of steps that arrived too late for a true pose; only their supervisor decision is recorded.
     pub fn steps_untrue(&self) -> u64 {
         self.steps_untrue
     }
 
-    /// Writes a step down, and where everything truly was, if the simulation still knows it.
+    /// Records a step, with the true poses if the simulation still has them.
     pub fn note(&mut self, moved: &Moved) {
         let t_s = moved.at.seconds_since(self.begin);
         if let Some(note) = self.log.supervision.note(t_s, &moved.decision) {
@@ -73,7 +73,7 @@ impl Journal {
             t_s,
             world_from_target: self.cell.world_from_target_at(moved.at),
             world_from_hand: self.cell.world_from_hand_at(moved.at),
-            // Completed at the end of the run.
+            // Filled in at the end of the run.
             world_from_hand_wanted: Pose::coincident(),
             world_from_hand_locked: Pose::coincident(),
             mode: moved.mode.to_string(),
@@ -82,8 +82,8 @@ impl Journal {
         });
     }
 
-    /// What is left behind. Before the first estimate nobody knew where on the target the model is: those samples are
-    /// completed now.
+    /// The result of the run. The model pose on the target is only known after the first estimate, so the desired hand poses are filled in
+    /// now.
     pub fn finish(mut self, setup: &Setup, looked: Looked, commands: [CommandSummary; 2]) -> Outcome {
         let Looked { leading, compared, pairs_lost, strip, lock, drift } = looked;
         let until_s = self.log.marks.first().map_or(f64::INFINITY, |mark| mark.at_s);
@@ -114,7 +114,7 @@ impl Journal {
     }
 }
 
-/// Where on the target the estimates put the model's frame, mean of all before `until_s`; none without any.
+/// Mean estimated pose of the model frame on the target before `until_s`; none without estimates.
 fn mean_place(log: &MethodLog, until_s: f64) -> Option<Pose<Target, Model>> {
     let frames = log.frames.iter().zip(&log.estimated).zip(&log.truth);
     let mut places = frames
@@ -142,7 +142,7 @@ mod tests {
     fn the_place_of_the_model_is_the_mean_before_the_first_move() {
         let place = pose::<Target, Model>([0.01, -0.02, 0.003], [0.2, -0.1, 0.4]);
         let mut log = MethodLog::default();
-        // Off to one side and to the other, once not at all, and something else after the move has begun.
+        // Offset to either side, one frame without a pose, one without offset, and an outlier after the move has begun.
         for (k, off) in [1.0, -1.0, 0.5, -0.5, 0.0, 77.0].into_iter().enumerate() {
             let truth = pose::<CamLeft, Target>([0.03, 0.01 * k as f64, 0.5], [0.1, 0.2 * k as f64, -0.3]);
             let found = place.perturbed_in_from(&(Vector6::new(1e-3, -2e-3, 5e-4, 1e-3, 3e-3, -2e-3) * off));
@@ -160,7 +160,7 @@ mod tests {
             });
         }
         let mean = mean_place(&log, 5.0).unwrap();
-        // Of second order in what they are off by.
+        // The remaining error is of second order in the offsets.
         assert!((place.inverse() * mean).log().norm() < 1e-5, "{mean:?}");
         assert_eq!(mean_place(&log, 0.0), None);
     }

@@ -1,4 +1,4 @@
-//! What a run writes down: one sample per control step, one per frame. Only the run fills it; summary and report read it.
+//! Record of a run: one sample per control step and one per frame. Only the run fills it; summary and report read it.
 
 use nalgebra::Matrix6;
 use pb3dp_geometry::Pose;
@@ -14,30 +14,30 @@ use super::supervision::SupervisionLog;
 /// One control step.
 #[derive(Clone, Debug)]
 pub struct ControlSample {
-    /// Seconds since the experiment began.
+    /// Time since the start of the experiment, seconds.
     pub t_s: f64,
     /// True pose of the target.
     pub world_from_target: Pose<World, Target>,
     /// True pose of the hand.
     pub world_from_hand: Pose<World, Hand>,
-    /// Where the hand should be: at the chosen place before the true target.
+    /// Desired hand pose in front of the true target.
     pub world_from_hand_wanted: Pose<World, Hand>,
-    /// Where the hand should be by the pose of the lock: it takes the target for what the first estimates said, for ever.
+    /// Desired hand pose by the initial lock, which keeps the first estimated target pose for the whole run.
     pub world_from_hand_locked: Pose<World, Hand>,
-    /// What the controller was doing, in a word.
+    /// Controller mode, optionally with a reason.
     pub mode: String,
     /// Smallest singular value of the Jacobian of the arm that carries the cameras.
     pub smallest_singular_value: f64,
-    /// The arm that carries the cameras, and the one that carries the target.
+    /// The arm that carries the cameras and the one that carries the target.
     pub arms: [ArmSample; 2],
 }
 
 /// One arm in a control step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ArmSample {
-    /// Joint angles as measured, rad.
+    /// Measured joint angles, rad.
     pub position_rad: JointVector,
-    /// Joint velocities as requested of its limiter, rad/s; `None`: to hold.
+    /// Joint velocities requested from the limiter, rad/s; `None`: hold.
     pub requested_rad_per_s: Option<JointVector>,
 }
 
@@ -51,38 +51,38 @@ impl ControlSample {
 /// One frame pair.
 #[derive(Clone, Debug)]
 pub struct FrameSample {
-    /// Seconds since the experiment began, mid-exposure.
+    /// Mid-exposure time since the start of the experiment, seconds.
     pub t_s: f64,
     /// Status word of the estimate.
     pub status: String,
     /// Fitness, eq. (10).
     pub fitness: Option<f64>,
-    /// Estimated less true depth of the target's plane on the ray of the estimated origin, metres.
+    /// Estimated minus true depth of the target plane on the ray of the estimated origin, metres.
     pub depth_error_m: Option<f64>,
     /// Angle between the estimated and the true normal, radians.
     pub normal_error_rad: Option<f64>,
-    /// From the pair in memory to the estimate, milliseconds of wall time on this machine.
+    /// Wall time from the pair in memory to the estimate on this machine, milliseconds.
     pub latency_millis: f64,
-    /// From the middle of the exposure until the controller could have the estimate, milliseconds; `None` of methods that only look on.
+    /// From mid-exposure until the estimate is available to the controller, milliseconds; `None` for compared methods.
     pub age_millis: Option<f64>,
     /// Covariance of the pose, metres and radians.
     pub covariance: Option<Matrix6<f64>>,
 }
 
-/// What the estimates said at the beginning of where the model's frame is on the target; everything that follows is relative to it.
+/// Initial lock: pose of the model frame on the target by the first estimates. All later poses are relative to it.
 #[derive(Clone, Copy, Debug)]
 pub struct Lock {
-    /// Seconds since the experiment began, mid-exposure.
+    /// Mid-exposure time since the start of the experiment, seconds.
     pub at_s: f64,
-    /// Where the frame would be without error: on the target's true plane, on the ray of its estimated origin.
+    /// Model frame without error: on the true target plane, on the ray of its estimated origin.
     pub target_from_model: Pose<Target, Model>,
-    /// Where the estimates put it: mean until the target first moves, so that the noise of a single one is not in it.
+    /// Estimated model frame: mean until the target first moves, to reduce the noise of a single estimate.
     pub target_from_model_found: Pose<Target, Model>,
-    /// What the first estimate said of its own error: covariance of xi = [rho; phi] (m, rad; axes of `model`).
+    /// Error stated by the first estimate: covariance of xi = [rho; phi] (m, rad; axes of `model`).
     pub covariance: Option<Matrix6<f64>>,
 }
 
-/// What one method said of every frame, beside the truth.
+/// Estimates of one method for every frame, with the true poses.
 #[derive(Clone, Debug, Default)]
 pub struct MethodLog {
     /// Name of the method.
@@ -91,45 +91,44 @@ pub struct MethodLog {
     pub frames: Vec<FrameSample>,
     /// The pose of each frame, if there is one.
     pub estimated: Vec<Option<Pose<CamLeft, Model>>>,
-    /// The true pose of each frame, of another frame on the same body; empty where there is no truth.
+    /// The true pose of each frame, for another frame on the same body; empty without true poses.
     pub truth: Vec<Pose<CamLeft, Model>>,
     /// Whether the method measured the rotation about the model's normal in any frame.
     pub rotation_about_normal_observed: bool,
 }
 
 impl RunLog {
-    /// Control steps that can be judged: all, or none where there is no truth.
+    /// Control steps with a true pose: all, or none without true poses.
     pub fn judged(&self) -> &[ControlSample] {
         if self.without_truth { &[] } else { &self.control }
     }
 }
 
-/// Everything written down in one run.
+/// Record of one run.
 #[derive(Clone, Debug, Default)]
 pub struct RunLog {
     /// Control steps in order of time.
     pub control: Vec<ControlSample>,
-    /// What the method that leads the hand said.
+    /// Estimates of the method that leads the hand.
     pub leading: MethodLog,
-    /// What the methods said that only looked on.
+    /// Estimates of the compared methods.
     pub compared: Vec<MethodLog>,
-    /// Whether no image was rendered: the poses are the truth with noise.
+    /// Whether no image was rendered: the poses are the true ones with noise.
     pub without_images: bool,
-    /// Whether nobody knows where everything truly was: where hand and target are is what the joints of the arms say then, and where the
-    /// hand should be is not known.
+    /// Whether there are no true poses: hand and target poses then come from the joints, and the desired hand pose is unknown.
     pub without_truth: bool,
-    /// What the leading method said of the first frame in which it had a pose.
+    /// First pose estimate of the leading method.
     pub lock: Option<Lock>,
     /// Begin of each move of the target.
     pub marks: Vec<Mark>,
-    /// What the supervisor decided.
+    /// Supervisor decisions.
     pub supervision: SupervisionLog,
     /// Pairs that the camera could not deliver.
     pub pairs_lost: u64,
-    /// How far the cameras are from what was calibrated, if somebody has looked at that.
+    /// Camera drift since calibration, if it was measured.
     pub drift: Vec<DriftSummary>,
-    /// What became of the velocities of each arm.
+    /// Velocity command counts of each arm.
     pub commands: Vec<CommandSummary>,
-    /// How punctual the cycles were, of a run in the machine's time.
+    /// Timing of the cycles; only in a real-time run.
     pub cycles: Vec<CycleSummary>,
 }

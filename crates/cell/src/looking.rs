@@ -1,4 +1,4 @@
-//! The half of a run that looks: pairs in, observations for the controller out, and all that is written down of images.
+//! The vision half of a run: stereo pairs in, observations for the controller out, with the image records.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -21,18 +21,18 @@ use super::noting::{Looked, Noting};
 use super::strip::Strip;
 use crate::noting::Seen;
 
-/// Camera, methods, and what they have seen: the three parts may have a thread each.
+/// Camera, estimation and records: each of the three parts may have its own thread.
 pub struct Looking<'a> {
     /// The camera.
     pub capturing: Capturing,
     /// The method that leads the hand.
     pub estimating: Estimating<'a>,
-    /// What is written down of images.
+    /// Image records.
     pub noting: Noting<'a>,
 }
 
 impl<'a> Looking<'a> {
-    /// A camera whose pairs have been looked at by nobody. Every pair is also written to the folder `record`, if given.
+    /// A camera whose pairs are not processed yet. If `record` is given, every pair is also written to that folder.
     ///
     /// # Errors
     /// As [`Eyes::new`] and [`Noting::new`].
@@ -50,40 +50,40 @@ impl<'a> Looking<'a> {
         })
     }
 
-    /// The experiment begins at this time.
+    /// Sets the start time of the experiment.
     pub fn begin_at(&mut self, begin: MonotonicTime) {
         self.noting.begin_at(begin);
     }
 
-    /// The arm that carries the cameras was measured.
+    /// Adds a joint measurement of the arm that carries the cameras.
     pub fn push_joints(&mut self, sample: JointState) {
         self.estimating.push_joints(sample);
     }
 
-    /// Waits for the next pair and looks at it. `None` if it did not come.
+    /// Waits for the next pair and estimates the target pose; `None` if no pair arrived.
     ///
     /// # Errors
-    /// If the camera or the leading method fails for good.
+    /// If the camera or the leading method fails permanently.
     pub fn look(&mut self) -> Result<Option<Seen>> {
         self.capturing.capture()?.map(|captured| self.estimating.look(captured)).transpose()
     }
 
-    /// What was written down.
+    /// Everything recorded.
     pub fn finish(self) -> Looked {
         self.noting.finish(self.capturing.pairs_lost())
     }
 }
 
-/// The method that leads the hand, with what the joints tell it.
+/// The method that leads the hand, with the camera motion from the joints.
 pub struct Estimating<'a> {
     setup: &'a Setup,
     clock: Arc<dyn Clock>,
     eyes: Eyes,
-    /// Number of the target: how many were marked.
+    /// Number of the target: how many were marked so far.
     target: u64,
-    /// The arm that carries the cameras, as it was measured.
+    /// Measured joints of the arm that carries the cameras.
     joints: JointHistory,
-    /// When the pair before was exposed, and where the camera was, as far as the joints tell.
+    /// Exposure time of the previous pair, and the camera pose then if the joint history has it.
     previous: Option<(MonotonicTime, Option<Pose<Base, CamLeft>>)>,
 }
 
@@ -93,15 +93,15 @@ impl<'a> Estimating<'a> {
         Self { setup, clock, eyes, target: 0, joints, previous: None }
     }
 
-    /// The arm that carries the cameras was measured.
+    /// Adds a joint measurement of the arm that carries the cameras.
     pub fn push_joints(&mut self, sample: JointState) {
         self.joints.push(sample);
     }
 
-    /// Looks at a pair.
+    /// Estimates the target pose in a pair.
     ///
     /// # Errors
-    /// If the method fails for good.
+    /// If the method fails permanently.
     pub fn look(&mut self, captured: Captured) -> Result<Seen> {
         let prior = self.prior(captured.frame.at);
         let region = self.eyes.region(self.setup, captured.cam_left_from_target.as_ref())?;
@@ -113,11 +113,11 @@ impl<'a> Estimating<'a> {
             for warning in &estimate.warnings {
                 tracing::warn!("{warning}");
             }
-            tracing::info!("target taken: {}: {}", estimate.status, estimate.reason);
+            tracing::info!("target initialised: {}: {}", estimate.status, estimate.reason);
         }
         let frames = self.setup.rig.frames;
         let age = match self.setup.pace {
-            // In simulated time a setup says how long it takes.
+            // In simulated time the setup states the estimation latency.
             Pace::Fast | Pace::RealTime => frames.exposure / 2 + self.setup.estimate_latency,
             Pace::Live => self.clock.now().saturating_since(captured.frame.at),
         };
@@ -125,7 +125,7 @@ impl<'a> Estimating<'a> {
         Ok(Seen { captured, target: self.target, region, prior, estimate, latency_millis, age_millis })
     }
 
-    /// The pose of the left camera from the measured joints, as a rig without truth knows it.
+    /// Pose of the left camera from the measured joints and the calibrated mounting.
     fn base_from_cam_left_at(&self, at: MonotonicTime) -> Option<Pose<Base, CamLeft>> {
         let position_rad = self.joints.position_at(at).ok()?;
         let controller = &self.setup.controller;
@@ -136,7 +136,7 @@ impl<'a> Estimating<'a> {
         )
     }
 
-    /// What the joints and the clock tell about the new frame before it is looked at.
+    /// Prior information on a new frame from the joints and the clock.
     fn prior(&mut self, at: MonotonicTime) -> FramePrior {
         let base_from_cam_left = self.base_from_cam_left_at(at);
         let previous = self.previous.replace((at, base_from_cam_left));

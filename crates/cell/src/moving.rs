@@ -1,4 +1,4 @@
-//! The half of a run that moves: both arms, the controller, and what each control step is to be remembered by.
+//! The motion half of a run: both arms, the controller, and the record of each control step.
 
 use std::time::Duration;
 
@@ -21,66 +21,66 @@ use super::percept::Percept;
 use super::permitting::Permitting;
 use crate::log::ArmSample;
 
-/// An arm that carries the target and is farther from its way after a stop was led elsewhere meanwhile, metres and radians.
+/// With this error after a stop, the arm that carries the target was moved off its path meanwhile; metres and radians.
 const AWAY_M: f64 = 0.05;
 const AWAY_RAD: f64 = 0.17;
 
-/// An arm that is still switched on behind a stop is stopped again after this.
+/// Interval after which an arm that is still enabled after a stop is stopped again.
 const STOP_AGAIN: Duration = Duration::from_millis(100);
 
-/// Both arms with what leads them.
+/// Both arms with controller, supervisor and operator.
 pub struct Moving<'a> {
     setup: &'a Setup,
     arms: BothArms,
-    /// The way of the arm that carries the target; none if it rests.
+    /// Path of the arm that carries the target; none if that arm holds.
     path: Option<FlangePath<'a>>,
     controller: Controller,
     permitting: Permitting,
     operator: Box<dyn Operator>,
-    /// Both arms are stopped, and wait for the operator's reset and selection.
+    /// Both arms are stopped and wait for the operator's reset and selection.
     is_stopped: bool,
-    /// Why they are, as far as the arms themselves tell.
+    /// Cause of the stop, as reported by the arms.
     why_stopped: Option<String>,
-    /// A command that an arm has refused, where a person leads.
+    /// State of a command refused by an arm; only with a console operator.
     refusal: Refusal,
-    /// When an arm that is still switched on is to be stopped again; none if that is not yet known to be so.
+    /// Time of the next stop order to an arm that is still enabled; none before that is known.
     stop_again_at: Option<MonotonicTime>,
     damping: Damping,
     begin: MonotonicTime,
     stepped_at: Option<MonotonicTime>,
-    /// The arm that carries the target is not on its way, and rests.
+    /// The arm that carries the target is off its path and holds.
     is_away: bool,
-    /// For how long the way of the arm that carries the target has waited.
+    /// How long the path of the arm that carries the target has been paused.
     waited: Duration,
     newest: Option<Percept>,
 }
 
-/// A command that an arm has refused.
+/// Progress of a refused command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Refusal {
     None,
     InStepBefore,
-    /// A person has not gone on since.
+    /// Reported; the operator has not resumed yet.
     Told,
 }
 
 /// One control step.
 #[derive(Clone, Copy, Debug)]
 pub struct Moved {
-    /// When it was begun.
+    /// Begin of the step.
     pub at: MonotonicTime,
-    /// What the controller was doing.
+    /// Controller mode.
     pub mode: Mode,
-    /// What the supervisor made of it.
+    /// Decision of the supervisor.
     pub decision: Decision,
-    /// The arm that carries the cameras, as it was measured.
+    /// Measured joints of the arm that carries the cameras.
     pub vs_joints: JointState,
     /// The arm that carries the cameras, and the one that carries the target.
     pub arms: [ArmSample; 2],
 }
 
 impl<'a> Moving<'a> {
-    /// Arms that are not yet switched on. The experiment begins at `begin`.
+    /// Arms that are not enabled yet. The experiment begins at `begin`.
     ///
     /// # Errors
     /// A parameter of the controller or the supervisor out of its range.
@@ -112,7 +112,7 @@ impl<'a> Moving<'a> {
         })
     }
 
-    /// The same, told by somebody else than the command itself.
+    /// The same with another operator than [`ByCommand`].
     pub fn with_operator(self, operator: Box<dyn Operator>) -> Self {
         Self { operator, ..self }
     }
@@ -122,7 +122,7 @@ impl<'a> Moving<'a> {
         &self.arms
     }
 
-    /// What the controller wants, and what of it the arm that carries the cameras is to be told.
+    /// One step of controller and supervisor, and the command permitted for the arm that carries the cameras.
     fn decide(&mut self, now: MonotonicTime) -> (ControlStep, Decision, Command) {
         let observation = self.newest.as_ref().and_then(|percept| percept.observation.as_ref());
         let control = self.controller.step(self.arms.vs.joints(), observation, now);
@@ -141,8 +141,8 @@ impl<'a> Moving<'a> {
         (control, decision, told)
     }
 
-    /// What the operator says. A reset that is to reach the arms clears what is latched in them; the supervisor refuses as long as
-    /// something still is.
+    /// Reads the operator input. A reset that the supervisor would accept also clears the faults latched in the arms; while a fault
+    /// remains, the supervisor refuses it.
     fn listen(&mut self, now: MonotonicTime) -> OperatorInput {
         let heard = self.operator.listen(self.permitting.last(), now);
         let heard = self.held_if_refused(heard, now);
@@ -152,7 +152,7 @@ impl<'a> Moving<'a> {
         }
         if let Some(name) = self.arms.still_on() {
             self.operator.tell(Some(format!(
-                "reset refused: the drives of {name} are still enabled; it gets the stop order again and again; use the emergency stop if that does not help"
+                "reset refused: the drives of {name} are still enabled; the stop order is repeated; if they stay enabled, use the emergency stop"
             )));
             return OperatorInput { said: None, ..heard };
         }
@@ -166,8 +166,8 @@ impl<'a> Moving<'a> {
         heard
     }
 
-    /// Behind a refused command the hand rests as after the word `hold`; only `stop` goes before it. What was refused is told until
-    /// a person has gone on.
+    /// After a refused command the hand holds as after the command `hold`; only `stop` takes precedence. The refusal is shown until the
+    /// operator resumes.
     fn held_if_refused(&mut self, heard: OperatorInput, now: MonotonicTime) -> OperatorInput {
         let word = heard.said.map(|said| said.word);
         match (self.refusal, word) {
@@ -185,7 +185,7 @@ impl<'a> Moving<'a> {
         heard
     }
 
-    /// What was measured. An arm that refuses a command holds: where a person leads, that ends nothing but the motion.
+    /// Returns the measurement. With a console operator, an arm that refuses a command only holds and the run continues.
     fn bear_refusal(&mut self, exchanged: Result<Option<JointState>>) -> Result<Option<JointState>> {
         let Err(failure) = exchanged else { return exchanged };
         let kind = failure.downcast_ref::<ArmError>().map(ArmError::kind);
@@ -193,18 +193,18 @@ impl<'a> Moving<'a> {
             return Err(failure);
         }
         if self.refusal == Refusal::None {
-            tracing::warn!("the hand holds, as a command was refused: {failure:#}");
+            tracing::warn!("the hand holds because a command was refused: {failure:#}");
         }
         self.operator.tell(Some(format!("{failure:#}")));
         self.refusal = Refusal::InStepBefore;
         Ok(None)
     }
 
-    /// What the arm that carries the target is told: its way, which waits as long as no arm may move at all.
+    /// Command for the arm that carries the target: its path, which pauses while no arm may move.
     fn carrying(&mut self, decision: &Decision, now: MonotonicTime) -> JointCommand {
         let since = self.stepped_at.replace(now).map_or(Duration::ZERO, |before| now.saturating_since(before));
         let Some(path) = &self.path else { return JointCommand::Hold };
-        // Where a person leads, nothing at all moves before the word.
+        // With a console operator nothing moves before the command `start`.
         let has_begun = !matches!(decision.state, State::Idle | State::Selecting) || !self.operator.is_person();
         if decision.no_arm_may_move || !has_begun {
             self.waited += since;
@@ -220,7 +220,7 @@ impl<'a> Moving<'a> {
             if !was_away {
                 let (off_mm, off_deg) = (off_m * 1e3, off_rad.to_degrees());
                 self.operator.tell(Some(format!(
-                    "tc-robot is {off_mm:.0} mm and {off_deg:.0} degrees from its way and rests: bring it back to its start, then begin the run anew"
+                    "tc-robot holds: {off_mm:.0} mm and {off_deg:.0} degrees off its path; move it back to its start pose, then start a new run"
                 )));
             }
             return JointCommand::Hold;
@@ -228,8 +228,8 @@ impl<'a> Moving<'a> {
         JointCommand::Velocity(carry(&self.setup.rig.tc.chain, &self.damping, path, t_s, position_rad))
     }
 
-    /// Both arms rest with brakes on until a person resets them. Where there is none the run ends; an arm that has failed says more about
-    /// it than the supervisor knows.
+    /// Keeps both arms stopped with closed brakes until the operator resets them. Without a console operator the run ends; the cause from a
+    /// failed arm is preferred because it has more detail than the supervisor's.
     fn stay_stopped(&mut self, decision: &Decision, now: MonotonicTime) -> Result<()> {
         if !self.operator.is_person() {
             self.arms.why_latched()?;
@@ -245,7 +245,7 @@ impl<'a> Moving<'a> {
         Ok(())
     }
 
-    /// Stops both arms; what went wrong first is what a person is told.
+    /// Stops both arms; the operator gets the first cause.
     fn stop_because(&mut self, why: Result<()>) {
         let stopped = self.arms.stop();
         self.stop_again_at = None;
@@ -258,7 +258,7 @@ impl<'a> Moving<'a> {
         }
     }
 
-    /// Looks at arms that are to be off; one that a stop has left on is stopped again, every so often.
+    /// Measures arms that must be disabled; one that is still enabled after a stop gets the stop order again at intervals.
     fn stay_off(&mut self, now: MonotonicTime) {
         self.arms.look();
         if self.arms.still_on().is_none() {
@@ -269,7 +269,7 @@ impl<'a> Moving<'a> {
         if now < again_at {
             return;
         }
-        // A stop takes its time: the next one is due that long after the step behind it.
+        // A stop takes time: the interval to the next one starts with the following step.
         self.stop_again_at = None;
         match self.arms.stop_still_on() {
             Ok(()) => self.operator.tell(self.why_stopped.clone()),
@@ -277,13 +277,13 @@ impl<'a> Moving<'a> {
         }
     }
 
-    /// Behind the reset both arms stay off until a target is selected; then they are switched on where they are, in as many steps as
-    /// that takes.
+    /// After the reset both arms stay disabled until a target is selected. Then they are enabled at their current pose, over as many steps
+    /// as necessary.
     fn leave_stop(&mut self, decision: &Decision, now: MonotonicTime) {
         let is_selected = decision.transition.is_some_and(|transition| transition.event == Event::Select);
         if is_selected {
             self.operator.tell(None);
-            // A target that was seen before is not the one that was selected.
+            // A target seen earlier is not the selected one.
             self.newest = None;
         } else if !self.arms.is_switching_on() {
             self.stay_off(now);
@@ -295,7 +295,7 @@ impl<'a> Moving<'a> {
         }
     }
 
-    /// Tells the arm that carries the cameras; the controller gets to know what its joints do now, if that is not what it wanted.
+    /// Commands the arm that carries the cameras; the controller learns of a command that differs from its own.
     fn tell(&mut self, wanted: Command, told: Command) -> Result<()> {
         let exchanged = self.arms.vs.exchange(match told {
             Command::Velocity(velocity) => JointCommand::Velocity(velocity),
@@ -303,7 +303,7 @@ impl<'a> Moving<'a> {
         });
         let measured = self.bear_refusal(exchanged)?;
         let done = match (measured, told) {
-            // An arm that did not answer holds until it is told again.
+            // An arm that did not answer holds until the next command.
             (None, Command::Velocity(_)) => Command::Velocity(JointVector::zeros()),
             _ => told,
         };
@@ -345,7 +345,7 @@ impl Mover for Moving<'_> {
         let carried = self.arms.tc.exchange(carrying);
         let exchanged = self.bear_refusal(carried).and_then(|_| self.tell(control.command, told));
         if let Err(failure) = exchanged {
-            // What is latched is the supervisor's from the next step on, and a person's; anything else ends the run.
+            // A latched fault goes to the supervisor in the next step, and to the operator; any other failure ends the run.
             let failure = self.arms.traced(failure);
             if !(self.operator.is_person() && self.arms.is_latched()) {
                 return Err(failure);

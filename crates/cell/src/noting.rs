@@ -1,4 +1,4 @@
-//! What is written down of images: what the methods say beside the truth, and what is kept of the images themselves.
+//! Image records: estimates of all methods with the true poses, recordings and annotated images.
 
 use std::path::Path;
 
@@ -24,12 +24,12 @@ use super::strip::Strip;
 use crate::eyes::View;
 use pb3dp_estimation_core::model_frame::model_frame_on_plane;
 
-/// What is written down of images; the methods that only look on are a part of it.
+/// Image records; includes the compared methods.
 pub struct Noting<'a> {
     setup: &'a Setup,
     begin: MonotonicTime,
     marking: Marking,
-    /// Where on the target the model's frame is, once the first estimate has said so.
+    /// Pose of the model frame on the target, after the first estimate.
     lock: Option<Lock>,
     leading: MethodLog,
     onlookers: Vec<Onlooker>,
@@ -38,27 +38,27 @@ pub struct Noting<'a> {
     drift: Option<DriftWatch>,
 }
 
-/// What was written down of images.
+/// Finished image records.
 pub struct Looked {
-    /// What the method that leads the hand said.
+    /// Estimates of the method that leads the hand.
     pub leading: MethodLog,
-    /// What the methods said that only looked on.
+    /// Estimates of the compared methods.
     pub compared: Vec<MethodLog>,
     /// Pairs that the camera could not deliver.
     pub pairs_lost: u64,
     /// Annotated images from moments of interest.
     pub strip: Strip,
-    /// Where on the target the model's frame is; none without an estimate.
+    /// Pose of the model frame on the target; none without an estimate.
     pub lock: Option<Lock>,
-    /// How far the cameras are from what was calibrated, if somebody has looked at that.
+    /// Camera drift since calibration, if it was measured.
     pub drift: Vec<DriftSummary>,
 }
 
 impl<'a> Noting<'a> {
-    /// Nothing is written down yet. Every pair is also written to the folder `record`, if given.
+    /// Empty records. If `record` is given, every pair is also written to that folder.
     ///
     /// # Errors
-    /// A parameter of a method that looks on out of its range, or a recording of images that there are not.
+    /// A parameter of a compared method out of its range, or `record` without images.
     pub fn new(
         setup: &'a Setup,
         marking: Marking,
@@ -82,12 +82,12 @@ impl<'a> Noting<'a> {
         })
     }
 
-    /// The experiment begins at this time.
+    /// Sets the start time of the experiment.
     pub fn begin_at(&mut self, begin: MonotonicTime) {
         self.begin = begin;
     }
 
-    /// Writes down what was seen in a pair, beside the truth at the time of its exposure; the onlookers look at it, too.
+    /// Records the estimate of a pair with its true pose; the compared methods process the pair, too.
     ///
     /// # Errors
     /// If the recording cannot be written.
@@ -127,7 +127,7 @@ impl<'a> Noting<'a> {
         recording.push(pair, cam_left_from_target.as_ref(), outline_px)
     }
 
-    /// Completes the recording; what was recorded until a failure is the best hint at its cause.
+    /// Finishes the recording, also after a failure: the recorded pairs help to find its cause.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -135,7 +135,7 @@ impl<'a> Noting<'a> {
         self.recording.take().map_or(Ok(()), Recording::finish)
     }
 
-    /// What was written down, with the pairs that the camera could not deliver.
+    /// Returns the records, with the pairs that the camera could not deliver.
     pub fn finish(self, pairs_lost: u64) -> Looked {
         let compared = self.onlookers.into_iter().map(Onlooker::into_log).collect();
         let drift = self.drift.map(DriftWatch::summaries).unwrap_or_default();
@@ -143,7 +143,7 @@ impl<'a> Noting<'a> {
     }
 }
 
-/// What looks whether the cameras still are what was calibrated, if the setup asks for it.
+/// Camera drift measurement, if the setup requests it.
 fn watch(setup: &Setup) -> Result<Option<DriftWatch>, EstimationError> {
     let real = setup.real_cameras();
     let is_synchronous = real.is_none_or(|cameras| cameras.synchronisation == Synchronisation::HardwareTrigger);
@@ -153,7 +153,7 @@ fn watch(setup: &Setup) -> Result<Option<DriftWatch>, EstimationError> {
     setup.drift.map(|config| DriftWatch::new(config, &setup.rig.stereo, (is_synchronous, when_calibrated))).transpose()
 }
 
-/// A region as a polygon; of one that has no corners what the method has made of it.
+/// A region as a polygon; for a region without corners, the outline from the method.
 fn outline_px(region: Region, estimate: &TrackEstimate) -> Vec<Vector2<f64>> {
     match region {
         Region::Polygon { vertices_px } => vertices_px,
@@ -166,7 +166,7 @@ fn outline_px(region: Region, estimate: &TrackEstimate) -> Vec<Vector2<f64>> {
     }
 }
 
-/// Where on the target the model's frame truly is: on the target's plane, on the ray of the estimated origin.
+/// True pose of the model frame on the target: on the target plane, on the ray of the estimated origin.
 fn true_model_frame(
     cam_left_from_model: &Pose<CamLeft, Model>,
     cam_left_from_target: &Pose<CamLeft, Target>,
@@ -178,31 +178,31 @@ fn true_model_frame(
     Some(cam_left_from_target.inverse() * model_frame_on_plane(ray * true_depth_m, &-away)?)
 }
 
-/// What was seen in one pair.
+/// Estimate of one pair.
 pub struct Seen {
     /// The pair.
     pub captured: Captured,
     /// Number of the target.
     pub target: u64,
-    /// What was marked, in the pair in which the target is taken.
+    /// The marked region, in the pair in which the target is initialised.
     pub region: Option<Region>,
-    /// What was known beforehand.
+    /// Prior information.
     pub prior: FramePrior,
-    /// What the method says.
+    /// The estimate.
     pub estimate: TrackEstimate,
     /// Wall time of the method, milliseconds.
     pub latency_millis: f64,
-    /// From the middle of the exposure until the controller can have the estimate, milliseconds.
+    /// From mid-exposure until the estimate is available to the controller, milliseconds.
     pub age_millis: f64,
 }
 
 impl Seen {
-    /// What those who move are told.
+    /// Input of the motion half.
     pub fn percept(&self) -> Percept {
         Percept::new(self.captured.frame, &self.estimate, self.target, self.observation())
     }
 
-    /// What the controller is told, if there is a pose.
+    /// Input of the controller, if there is a pose.
     pub fn observation(&self) -> Option<TargetObservation> {
         let cam_left_from_model = self.estimate.cam_left_from_model?;
         Some(TargetObservation {

@@ -1,25 +1,25 @@
-//! Who tells a run what to do: the command itself, or a person at a console (`console.rs`).
+//! Sources of operator commands: the command line itself, or a console (`console.rs`).
 
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_servo::supervisor::{Decision, OperatorInput, Said, State, Word};
 
-/// Who tells a run what to do. The thread that moves the arms asks: nothing here waits.
+/// Source of operator commands. The thread that moves the arms calls it: no method may wait.
 pub trait Operator: Send {
-    /// A word that was not handed over before, and the last sign of life; `last` is what the supervisor decided before.
+    /// A new command, if there is one, and the last sign of life; `last` is the previous decision of the supervisor.
     fn listen(&mut self, last: Option<&Decision>, now: MonotonicTime) -> OperatorInput;
 
-    /// What the supervisor decided in this step.
+    /// Receives the decision of this step.
     fn show(&mut self, decision: &Decision);
 
-    /// Something that a person has to know, an arm that cannot be reset, say; or that there is nothing any more.
+    /// Receives a problem that the operator must know, such as a failed reset; `None` clears it.
     fn tell(&mut self, trouble: Option<String>);
 
-    /// Whether a person speaks: who can reset what is latched, and without whose start the target does not move either.
+    /// Whether a person commands: only then are latched faults reset, and the target waits for the command `start`.
     fn is_person(&self) -> bool;
 }
 
-/// The command is the operator: it selects the target and starts as soon as it can, once, and never resets or resumes. It is there as
-/// long as it runs.
+/// Operator of a run without a console: selects the target once, starts as soon as possible, and never resets or resumes. Its sign of life
+/// is that the run continues.
 #[derive(Clone, Copy, Debug)]
 pub struct ByCommand;
 

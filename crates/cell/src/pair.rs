@@ -1,14 +1,14 @@
-//! What the user is told if images and calibration do not belong together.
+//! Messages for images that do not match their calibration.
 
 use anyhow::{Result, bail};
 use image::RgbImage;
 use pb3dp_estimation::pair_check::{PairCheck, PairVerdict, check_pair};
 use pb3dp_geometry::StereoRig;
 
-/// Compares a stereo pair with its calibration; gives a warning if they do not fit but may still do.
+/// Checks a stereo pair against its calibration; returns a warning if the match is doubtful.
 ///
 /// # Errors
-/// If left and right are exchanged: whatever is estimated from them is wrong.
+/// If left and right are exchanged: all estimates from them would be wrong.
 pub fn check_images(name: &str, rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Result<Option<String>> {
     let check = check_pair(rig, left, right);
     tracing::debug!("{name}: {check:?}");

@@ -1,4 +1,4 @@
-//! Whether both arms can follow an experiment, before anything moves.
+//! Checks before motion whether both arms can follow an experiment.
 
 use anyhow::Result;
 use pb3dp_geometry::Pose;
@@ -10,12 +10,12 @@ use pb3dp_sim::placement::{
 use pb3dp_sim::trajectory::{MotionConfig, Trajectory};
 
 /// Checks whether the arms can follow an experiment within their limits: reach, joint ranges, singular poses, speeds and accelerations of
-/// the joints, and the speeds of the hand. `start` is the pose of the target before it.
+/// the joints, and the speeds of the hand. `start` is the pose of the target before the experiment.
 ///
-/// A target that nothing carries may move as no hand can follow: that is only warned of.
+/// A free target may move faster than any hand can follow; this causes only a warning.
 ///
 /// # Errors
-/// The arm, by how much it falls short, and the key of the limit; a parameter of the motion out of its range.
+/// The arm, the excess over the limit, and the key of the limit; a motion parameter out of its range.
 pub fn check_paths(
     setup: &Setup,
     experiment: &dyn Trajectory,
@@ -25,7 +25,7 @@ pub fn check_paths(
     let stand_in = if is_carried { None } else { Some(without_jumps(&setup.experiment.motion).begin_at(start)?) };
     let vs = match check_follower(setup, stand_in.as_deref().unwrap_or(experiment)) {
         Err(refusal) if !is_carried => {
-            tracing::warn!("{refusal:#}; the target is free and moves all the same");
+            tracing::warn!("{refusal:#}; the free target moves anyway");
             return Ok(Vec::new());
         }
         checked => ("vs-robot", checked?),
@@ -39,9 +39,9 @@ pub fn check_paths(
     Ok(vec![vs, ("tc-robot", checked.map_err(|refusal| refused("tc-robot", key, refusal))?)])
 }
 
-/// The same motion with a duration for each sudden move, so that its poses can be checked for reach.
+/// The same motion with a duration for each step move, so that its poses can be checked for reach.
 fn without_jumps(motion: &MotionConfig) -> MotionConfig {
-    /// Duration of a move that is sudden, seconds: slow enough for every arm here.
+    /// Substitute duration of a step move, seconds: slow enough for every supported arm.
     const STAND_IN_S: f64 = 2.0;
     let mut motion = motion.clone();
     if let MotionConfig::Steps(steps) = &mut motion
@@ -69,14 +69,14 @@ fn check_follower(setup: &Setup, experiment: &dyn Trajectory) -> Result<PathRepo
     checked.map_err(|refusal| refused("vs-robot", key, refusal))
 }
 
-/// A refusal with the keys of the setup that decide about it.
+/// A refusal with the setup keys that decide it.
 fn refused(name: &str, table: &str, refusal: PathRefusal) -> anyhow::Error {
     let keys = keys_of(table, &refusal);
     let text = format!("the {name} cannot follow the experiment (see {keys} and the table [experiment])");
     anyhow::Error::new(refusal).context(text)
 }
 
-/// The keys of a setup that decide about a refusal.
+/// The setup keys that decide a refusal.
 fn keys_of(table: &str, refusal: &PathRefusal) -> String {
     match refusal {
         PathRefusal::JointRange { joint, .. } => format!("{table}.operating_range_deg[{joint}]"),
@@ -126,7 +126,7 @@ mod tests {
 
     #[test]
     fn moves_that_the_hand_may_not_follow_are_refused_with_key_and_ratio() {
-        // A turn by 20 degrees in 2 s is at most 0.327 rad/s fast, and 0.164 m/s at 500 mm.
+        // A turn by 20 degrees in 2 s reaches at most 0.327 rad/s, and 0.164 m/s at 500 mm.
         let (refused, text) = refusal(|setup| setup.controller.speed.tracking.linear_m_per_s = 0.1);
         assert!(matches!(refused, PathRefusal::ToolTooFast { quantity: ToolSpeed::Linear, .. }), "{text}");
         for part in ["vs-robot", "servo.speed.linear_max_mm_per_s", "[experiment]", "0.164 m/s", "1.64 times"] {

@@ -1,4 +1,4 @@
-//! Whether the arms of a run may move: the supervisor, and what it is told.
+//! Motion permission of a run: the supervisor and its inputs.
 
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::JointState;
@@ -17,12 +17,12 @@ pub struct Permitting {
     /// The operating range of the arm that carries the cameras.
     limits: JointLimits,
     last: Option<Decision>,
-    /// Both arms as they were in the step before.
+    /// State of both arms in the previous step.
     arms_before: [ArmCondition; 2],
 }
 
 impl Permitting {
-    /// Nothing is permitted yet.
+    /// No motion is permitted yet.
     ///
     /// # Errors
     /// A policy out of its range or too weak.
@@ -31,13 +31,13 @@ impl Permitting {
         Ok(Self { supervisor, limits, last: None, arms_before: [ArmCondition::Disabled; 2] })
     }
 
-    /// What was decided last.
+    /// The last decision.
     pub fn last(&self) -> Option<&Decision> {
         self.last.as_ref()
     }
 
-    /// Whether a word is a reset that clears the arms: the supervisor obeys it but for what is latched in the arms themselves, and it knows
-    /// of all of that from a step before.
+    /// Whether a command is a reset that clears the arms: the supervisor accepts it apart from faults latched in the arms, and each of
+    /// these was known to it in the previous step.
     pub fn would_reset(&self, said: Said, arms: [ArmCondition; 2], now: MonotonicTime) -> bool {
         let is_latched = |arm: ArmCondition| !matches!(arm, ArmCondition::Enabled | ArmCondition::Disabled);
         let is_known =
@@ -45,7 +45,7 @@ impl Permitting {
         is_known && self.supervisor.would_reset(said, now)
     }
 
-    /// What is permitted in this step; both arms with what was measured of them, the one with the cameras first.
+    /// Decides the permission for this step; both arms with their measurements, the one with the cameras first.
     pub fn step(
         &mut self,
         operator: OperatorInput,
@@ -85,7 +85,7 @@ fn innovation(verdict: &ObservationVerdict) -> Innovation {
     }
 }
 
-/// The joint with the least angle left to an end of its range.
+/// The joint nearest to an end of its range.
 fn nearest_end(limits: &JointLimits, position_rad: &JointVector) -> RangeEnd {
     let left_rad = |joint: usize| {
         let (min, max) = (limits.position_min_rad()[joint], limits.position_max_rad()[joint]);

@@ -1,4 +1,4 @@
-//! One straight move of all joints together, at rest at both ends.
+//! A straight joint-space move, stationary at both ends.
 
 use std::time::Duration;
 
@@ -8,17 +8,17 @@ use pb3dp_setup::setup::{ArmSetup, Setup};
 
 use super::parts::ArmChoice;
 
-/// Share of the limits of acceleration and jerk that is used.
+/// Share of the acceleration and jerk limits used.
 const SHARE: f64 = 0.5;
-/// Share of the speed that is used; the rest is for what joints are behind.
+/// Share of the speed limit used; the remainder is for the correction of joint errors.
 const SPEED_SHARE: f64 = 0.9;
-/// Largest values of the first, second and third derivative of the course over its duration.
+/// Peaks of the first, second and third derivative of the course over its duration.
 const PEAKS: [f64; 3] = [1.875, 5.774, 60.0];
-/// Shortest move.
+/// Shortest move, seconds.
 const SHORTEST_S: f64 = 0.5;
-/// By how much joints may have moved between the plan and the opening of the brakes, rad.
+/// Largest joint motion allowed between planning and opening the brakes, rad.
 pub const STAYED_WITHIN_RAD: f64 = 0.01;
-/// Places of the way at which the room to the other arm is looked at.
+/// Number of points along the path at which the distance to the other arm is evaluated.
 const PLACES: u32 = 200;
 
 /// A planned move.
@@ -30,7 +30,7 @@ pub struct Plan {
     axis_names: [String; DOF],
 }
 
-/// How near the way comes to the other arm, and with which parts.
+/// Least distance between the path and the other arm, and the parts concerned.
 #[derive(Clone, Debug)]
 pub struct Room {
     distance_m: f64,
@@ -38,10 +38,10 @@ pub struct Room {
 }
 
 impl Plan {
-    /// From measured joints by these angles, within the limits of the arm.
+    /// Plans a move from measured joints by these angles, within the limits of the arm.
     ///
     /// # Errors
-    /// If a joint would end outside of its operating range, farther out than it is.
+    /// If a joint would end outside its operating range and farther out than it is now.
     pub fn new(arm: &ArmSetup, from_rad: JointVector, by_rad: JointVector) -> Result<Self> {
         let to_rad = from_rad + by_rad;
         let (limits, operating) = (&arm.limits, arm.limits.operating());
@@ -50,7 +50,7 @@ impl Plan {
             let outside = |angle: f64| (low - angle).max(angle - high).max(0.0);
             if outside(to_rad[joint]) > 0.0 && outside(to_rad[joint]) >= outside(from_rad[joint]) {
                 bail!(
-                    "{} would end at {:.3} degrees, outside of its operating range {:.1} to {:.1}: choose a shorter way",
+                    "{} would end at {:.3} degrees, outside its operating range {:.1} to {:.1}: choose a shorter move",
                     arm.axis_name(joint),
                     to_rad[joint].to_degrees(),
                     low.to_degrees(),
@@ -71,20 +71,20 @@ impl Plan {
         Ok(Self { from_rad, by_rad, duration_s: times.fold(SHORTEST_S, f64::max), axis_names })
     }
 
-    /// From its beginning to its end.
+    /// Duration from start to end.
     pub fn duration(&self) -> Duration {
         Duration::from_secs_f64(self.duration_s)
     }
 
-    /// Where it begins, rad.
+    /// Start of the plan, rad.
     pub fn start_rad(&self) -> &JointVector {
         &self.from_rad
     }
 
-    /// Refuses joints that are not where the plan begins: what it says of ranges and room holds from there only.
+    /// Refuses joints that are not at the start of the plan: ranges and distances were checked from there only.
     ///
     /// # Errors
-    /// The axis that is farthest away.
+    /// The axis that is farthest from it.
     pub fn check_begin(&self, position_rad: &JointVector) -> Result<()> {
         let moved = position_rad - self.from_rad;
         if moved.amax() <= STAYED_WITHIN_RAD {
@@ -92,37 +92,37 @@ impl Plan {
         }
         let joint = moved.iamax();
         bail!(
-            "{} is {:+.3} degrees from where the plan begins: plan again",
+            "{} is {:+.3} degrees from the start of the plan: plan again",
             self.axis_names[joint],
             moved[joint].to_degrees()
         )
     }
 
-    /// What messages call a joint, 0 at the base.
+    /// Name of a joint in messages; joint 0 is at the base.
     pub fn axis_name(&self, joint: usize) -> &str {
         &self.axis_names[joint]
     }
 
-    /// Where it ends, rad.
+    /// End of the plan, rad.
     pub fn end_rad(&self) -> JointVector {
         self.from_rad + self.by_rad
     }
 
-    /// By how much, rad.
+    /// Displacement, rad.
     pub fn by_rad(&self) -> &JointVector {
         &self.by_rad
     }
 
-    /// Joints and their speeds at a time, rad and rad/s.
+    /// Joint angles and speeds at a time, rad and rad/s.
     pub fn at(&self, time: Duration) -> (JointVector, JointVector) {
         let u = (time.as_secs_f64() / self.duration_s).clamp(0.0, 1.0);
-        // The polynomial of least order with no speed and no acceleration at both ends.
+        // The polynomial of lowest order with zero speed and acceleration at both ends.
         let share = u * u * u * (10.0 + u * (6.0 * u - 15.0));
         let speed = 30.0 * u * u * (1.0 - u) * (1.0 - u) / self.duration_s;
         (self.from_rad + self.by_rad * share, self.by_rad * speed)
     }
 
-    /// The least room to the other arm on the way.
+    /// The least distance to the other arm along the path.
     pub fn room(&self, setup: &Setup, choice: ArmChoice, other_rad: &JointVector) -> Room {
         let (arm, other) = (choice.of(setup), choice.other().of(setup));
         let other_frames = other.chain.joint_frames(other_rad);
@@ -139,7 +139,7 @@ impl Plan {
         (1..=PLACES).map(room_at).fold(room_at(0), nearer)
     }
 
-    /// What it does, joint by joint.
+    /// The move as a table, joint by joint.
     pub fn table(&self, arm: &ArmSetup) -> String {
         let (operating, servo) = (arm.limits.operating(), arm.limits.servo());
         let mut text =
@@ -165,12 +165,12 @@ impl Plan {
 }
 
 impl Room {
-    /// Whether it is enough.
+    /// Checks the distance against its limit.
     ///
     /// # Errors
     /// If it is less than the setup allows.
     pub fn check(&self, setup: &Setup) -> Result<()> {
-        // What is no number is not enough.
+        // NaN is not enough.
         if self.distance_m >= setup.rig.least_room_m {
             return Ok(());
         }
@@ -203,7 +203,7 @@ mod tests {
         };
         assert_eq!(moved(3, -0.9 * STAYED_WITHIN_RAD), Ok(()));
         let refusal = moved(3, -0.02).unwrap_err();
-        assert!(refusal.contains("-1.146 degrees from where the plan begins: plan again"), "{refusal}");
+        assert!(refusal.contains("-1.146 degrees from the start of the plan: plan again"), "{refusal}");
         assert!(refusal.starts_with("axis 4 (E1)"), "{refusal}");
     }
 }

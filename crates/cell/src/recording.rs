@@ -1,4 +1,4 @@
-//! Writes the pairs of a run down as a sequence folder with the truth, if there is one, for `pb3dp track`.
+//! Records the pairs of a run as a sequence folder for `pb3dp track`, with the true poses if there are any.
 
 use std::path::{Path, PathBuf};
 
@@ -13,7 +13,7 @@ use pb3dp_setup::setup::Setup;
 
 use crate::annotation::polygon_px;
 
-/// A recording; the folder is made with the first pair, when the target's region is known.
+/// A recording; its folder is created with the first pair, when the target's region is known.
 pub struct Recording {
     folder: PathBuf,
     rig: StereoRig,
@@ -22,7 +22,7 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// A recording into `folder`, which must not hold one already.
+    /// A recording into `folder`, which must not contain one already.
     pub fn new(folder: &Path, setup: &Setup) -> Self {
         let range = &setup.range;
         let search = SearchRange { z_min_m: range.z_min_m, z_max_m: range.z_max_m, tilt_max_rad: range.tilt_max_rad };
@@ -34,7 +34,8 @@ impl Recording {
         self.writer.is_some()
     }
 
-    /// Writes a pair with its truth, if there is one. `outline_px` is the target's region in the left image, needed for the first pair.
+    /// Records a pair with its true pose, if there is one. `outline_px` is the target's region in the left image, needed for the first
+    /// pair.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -57,14 +58,14 @@ impl Recording {
             right: &pair.right,
             exposed_at: pair.exposed_at,
             skew_nanos: pair.skew_nanos,
-            // Both frames are fixed to the target; the truth of a sequence may be in any such frame.
+            // Both frames are fixed to the target; the true pose of a sequence may refer to any such frame.
             cam_left_from_model: cam_left_from_target.map(Pose::relabel),
         };
         writer.push(frame).context("--record")?;
         Ok(())
     }
 
-    /// Completes the recording.
+    /// Finishes the recording.
     ///
     /// # Errors
     /// If its description cannot be written.

@@ -22,24 +22,24 @@ use super::{commands, cycles, drift, methods};
 use crate::figures::{MedianP95, RmsMax, TrackingError};
 use crate::marks::with_marks;
 
-/// A run in which the hand followed for a smaller share of the time is pointed out.
+/// Below this share of time in which the hand followed, a warning is logged.
 const FOLLOWING_EXPECTED: f64 = 0.9;
 
-/// What nothing but the program knows of a run.
+/// How a run was made; only the program knows these facts.
 #[derive(Clone, Debug, Default)]
 pub struct Made {
-    /// What the setup was read from, as on the command line.
+    /// Source of the setup, as on the command line.
     pub configuration: String,
-    /// The commit that the program was built from.
+    /// Commit that the program was built from.
     pub commit: &'static str,
-    /// How long the run took, seconds.
+    /// Duration of the run, seconds of wall time.
     pub wall_s: f64,
 }
 
-/// Writes the report of a run and prints its figures, and returns how well the hand followed unless the run failed.
+/// Writes the report of a run and prints its figures; returns how well the hand followed, unless the run failed.
 ///
 /// # Errors
-/// What has ended the run before its time (`how`), and what keeps the report from being written.
+/// The failure that ended the run early (`how`), and failures to write the report.
 pub fn tell(
     folder: &Path,
     setup: &Setup,
@@ -51,18 +51,18 @@ pub fn tell(
     both(how, write_all(folder, setup, made, (outcome, &summary, &plan.world_from_axes)))
 }
 
-/// How the run has ended, also where its report could not be written.
+/// Combines the end of the run with the outcome of its report.
 fn both<T>(how: Result<()>, told: Result<T>) -> Result<T> {
     match (how, told) {
         (Err(failure), Err(untold)) => {
-            Err(failure.context(format!("the report is not complete ({untold:#}), and the run had failed before")))
+            Err(failure.context(format!("the run failed, and its report is incomplete ({untold:#})")))
         }
         (how, told) => how.and(told),
     }
 }
 
-/// Writes `report.html`, `summary.json`, `estimates.csv`, `timeseries.csv` and `settings.toml` into `folder`, prints the figures, and says
-/// where the report is.
+/// Writes `report.html`, `summary.json`, `estimates.csv`, `timeseries.csv` and `settings.toml` into `folder`; prints the figures and the
+/// path of the report.
 fn write_all(
     folder: &Path,
     setup: &Setup,
@@ -86,33 +86,34 @@ fn write_all(
     write("settings.toml", toml_of(&settings))?;
     let origin =
         provenance.iter().fold(Table::new(["run", ""]), |table, (key, value)| table.row([key.clone(), value.clone()]));
-    let settings = settings.iter().fold(Table::new(["key", "value", "stated in"]), |table, setting| {
+    let settings = settings.iter().fold(Table::new(["key", "value", "origin"]), |table, setting| {
         table.row([setting.key.clone(), setting.value.clone(), setting.origin.clone()])
     });
-    let page = page(outcome, summary, world_from_axes).heading("How this run was made").table(&origin);
-    page.folded("Every setting, and where it is stated", &settings).write(&folder.join("report.html"))?;
+    let page = page(outcome, summary, world_from_axes).heading("Provenance").table(&origin);
+    page.folded("All settings and their origin", &settings).write(&folder.join("report.html"))?;
     print_line(&plain_zero(&text_table(summary)))?;
     let following = summary.share_following();
     if following < FOLLOWING_EXPECTED {
         tracing::warn!(
-            "the hand followed the target for {:.1} % of the time only; the statuses above and what the supervisor says in the report tell why",
-            100.0 * following
+            "the hand followed the target for {:.1} % of the time, expected {:.0} %; see the statuses above and the supervisor in the report",
+            100.0 * following,
+            100.0 * FOLLOWING_EXPECTED
         );
     }
     print_line(&format!("report: {}", folder.join("report.html").display()))?;
     Ok(if following < FOLLOWING_EXPECTED { Following::TooLittle } else { Following::Well })
 }
 
-/// Whether the hand followed the target for as long as is to be expected.
+/// Whether the hand followed the target for the expected share of the time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Following {
-    /// For 90 % of the time and more.
+    /// At least 90 % of the time.
     Well,
-    /// For less.
+    /// Less.
     TooLittle,
 }
 
-/// What somebody needs to repeat the run.
+/// Information for repeating the run.
 fn provenance(made: &Made, setup: &Setup, simulated_s: f64) -> Vec<(String, String)> {
     let calibrations: Vec<String> = setup.rig.calibrations.iter().map(CalibrationInUse::text).collect();
     let compared: Vec<&str> = setup.compared.iter().map(|method| method.name()).collect();
@@ -128,11 +129,11 @@ fn provenance(made: &Made, setup: &Setup, simulated_s: f64) -> Vec<(String, Stri
         ("configuration", made.configuration.clone()),
         ("method", setup.leader.name().to_owned()),
         ("pictures", images),
-        ("calibrations", or(calibrations.join("; "), "none: as drawn")),
+        ("calibrations", or(calibrations.join("; "), "none: nominal")),
         ("compared", or(compared.join(", "), "none")),
         ("seed", setup.seed.to_string()),
         ("machine", machine()),
-        ("duration", format!("{simulated_s:.1} s simulated in {:.1} s", made.wall_s)),
+        ("duration", format!("{simulated_s:.1} s of experiment in {:.1} s", made.wall_s)),
     ]
     .map(|(key, value)| (key.to_owned(), value))
     .to_vec()
@@ -145,7 +146,7 @@ fn page(outcome: &Outcome, summary: &RunSummary, world_from_axes: &UnitQuaternio
         outcome.strip.images.iter().map(|(image, caption)| (ReportImage::Photo(image), caption.clone())).collect();
     let report = Report::new("pb3dp: a hand follows an unknown object");
     let report = match &summary.ended_by {
-        Some(failure) => report.heading("The run has ended before its time").paragraph(failure),
+        Some(failure) => report.heading("The run ended early").paragraph(failure),
         None => report,
     };
     let report = report
@@ -153,37 +154,37 @@ fn page(outcome: &Outcome, summary: &RunSummary, world_from_axes: &UnitQuaternio
         .figures(&figures(summary))
         .heading("Target and hand")
         .paragraph(
-            "Displacement since the beginning and vector part of the unit quaternion of the rotation since then, along the axes \
-             in which the experiment is described (unless it says otherwise those of the target at the start: x right, y down, z \
-             away from the cameras); of a turn by 20 degrees the part is 0.17. When the target turns, the hand has to swing \
-             around it. Wanted is where the hand should be in front of the true target.",
+            "Displacement since the start, and vector part of the unit quaternion of the rotation since the start (0.17 for 20 degrees). \
+             Both are along the axes of the experiment: by default those of the target at the start, with x right, y down, z away \
+             from the cameras. When the target rotates, the hand moves around it. Wanted: the desired hand pose in front of the \
+             true target.",
         )
         .panels(&motion)
-        .heading("Each axis by itself")
+        .heading("Tracking error per axis")
         .paragraph(
-            "Error of the hand along the axis that moves, and how far it trails. Lag is by cross-correlation over the way out \
-             and back; rise delay is the hand's 10 to 90 % rise time less that of its wanted way. The wanted place is in front of \
-             the target's true plane: what is left at rest contains how far the plane that the method laid through the target in \
-             the first pair is off, in depth, and in tilt times the distance of the hand.",
+            "Error and lag of the hand along the moving axis. Lag: by cross-correlation over the moves out and back. Rise delay: \
+             10 to 90 % rise time of the hand minus that of the desired displacement. The desired pose is in front of the \
+             target's true plane. The residual at hold therefore contains the error of the plane that the method fitted in the \
+             first pair: its depth error, and its tilt error times the distance of the hand.",
         )
         .table(&channel_table(summary))
         .paragraph(
-            "The same against the hand's place by the pose of the lock, which takes the mean of the estimates before the first move \
-             for the truth: distance and angle, not along one axis only. What is left here is the servo's, and the noise of the estimates.",
+            "The same errors against the desired pose by the initial lock, the mean of the estimates before the first move: distance \
+             and angle, not along one axis only. The residual comes from the servo and from the noise of the estimates.",
         )
         .table(&locked_table(summary))
         .paragraph(&lock_note(summary))
         .paragraph(&normal_note(summary))
-        .heading("Methods side by side")
+        .heading("Comparison of methods")
         .paragraph(
-            "All methods saw the same pairs; the leading one moved the hand, the others looked on. Depth and normal against \
-             the true plane of the target: a constant that the first pair leaves, larger on a target with relief, which is no \
-             plane. Motion and rotation since the first pose: median / p95.",
+            "All methods processed the same pairs; the leading one moved the hand, the others only estimated. Depth and normal: \
+             error against the true plane of the target. It contains a constant from the first pair, which is larger on a target \
+             with relief. Motion and rotation: error since the first pose. All as median / p95.",
         )
         .table(&methods::table(&summary.methods))
         .panels(&methods::panels(log))
         .heading("Commands")
-        .paragraph("How many of the velocities the limiter of each arm changed, to keep its limits, and how many were refused.")
+        .paragraph("Velocity commands per arm: changed by the limiter to keep its limits, and refused.")
         .table(&commands::table(&summary.commands));
     let report = with_cycles(report, summary).heading("Errors over time").panels(&errors);
     with_images(with_drift(report, summary), &strip)
@@ -192,48 +193,48 @@ fn page(outcome: &Outcome, summary: &RunSummary, world_from_axes: &UnitQuaternio
         .table(&summary.supervisor.transition_table())
 }
 
-/// What kind of run this was.
+/// Kind of the run.
 fn introduction(summary: &RunSummary) -> &'static str {
     if summary.without_truth {
-        "The cameras are real: nobody knows where the target truly is, so there are no errors of hand and estimates here. Where target and \
-         hand are is what the joints of the arms say."
+        "The cameras are real: the true target pose is unknown, so this report has no errors of hand and estimates. Target and hand \
+         poses are from the measured joints of the arms."
     } else if summary.without_images {
-        "No image was rendered and none was looked at: what the controller was told is the true pose of the target at \
-         mid-exposure with the noise that the configuration states (estimator.geometric), as long as both cameras have it in view. \
-         Such a run says how the hand moves, and nothing of what a camera would see."
+        "No image was rendered. The controller received the true pose of the target at mid-exposure with the configured noise \
+         (estimator.geometric) while the target was in view of both cameras. \
+         Such a run tests the motion of the hand, not the vision."
     } else {
-        "At the marks the target begins to move as the configuration says. The hand that carries the two \
-         cameras knows nothing about it but the region marked in the first left image, and keeps its place in front of it. Truth \
-         comes from the simulation."
+        "At the marks the configured moves of the target begin. The hand carries the two cameras and keeps its pose in \
+         front of the target. Its only information about the target is the region marked in the first left image. The true poses \
+         are from the simulation."
     }
 }
 
-/// The strip of images, if there is one.
+/// Adds the strip of images, if there is one.
 fn with_images(report: Report, strip: &[(ReportImage<'_>, String)]) -> Report {
     if strip.is_empty() {
         return report;
     }
     report
-        .heading("What the cameras saw")
-        .paragraph("Left: region and axes of the model. Right: where the estimated pose puts the region's outline.")
+        .heading("Camera images")
+        .paragraph("Left: region and axes of the model. Right: the outline of the region, reprojected with the estimated pose.")
         .images(strip)
 }
 
-/// Whether the cameras still are what was calibrated.
+/// Adds the camera drift, if it was measured.
 fn with_drift(report: Report, summary: &RunSummary) -> Report {
     if summary.drift.is_empty() {
         return report;
     }
     report
-        .heading("Drift of the cameras")
+        .heading("Camera drift")
         .paragraph(
-            "Each value is the median of five looks; all are zero where the calibration holds and both cameras are alike. What is too far \
-             makes estimates worse before it is seen: calibrate again.",
+            "Each value is the median of five samples; blur and brightness count as change since calibration. All values are zero if \
+             the calibration holds and both cameras are alike. Drift over its limit degrades the estimates: calibrate again.",
         )
         .table(&drift::table(&summary.drift))
 }
 
-/// How punctual a run in the machine's time was.
+/// Adds the cycle times of a real-time run.
 fn with_cycles(report: Report, summary: &RunSummary) -> Report {
     if summary.cycles.is_empty() {
         return report;
@@ -241,13 +242,13 @@ fn with_cycles(report: Report, summary: &RunSummary) -> Report {
     report
         .heading("Cycles")
         .paragraph(
-            "How late cycles began, in the machine's time. Cycles whose time had passed were left out. A link tolerates two lost \
-             replies in a row.",
+            "Lateness of the cycles in real time. Cycles whose time had passed were skipped. A link tolerates two consecutive lost \
+             replies.",
         )
         .table(&cycles::table(&summary.cycles))
 }
 
-/// What the methods say of the rotation about the normal.
+/// Which methods observe the rotation about the normal.
 fn normal_note(summary: &RunSummary) -> String {
     let leading = if summary.rotation_about_normal_observed {
         "The rotation about the model's normal (rz) is observed."
@@ -262,11 +263,11 @@ fn normal_note(summary: &RunSummary) -> String {
         .collect();
     match blind.is_empty() {
         true => leading.to_owned(),
-        false => format!("{leading} Of the methods that looked on, it is not observed by: {}.", blind.join(", ")),
+        false => format!("{leading} Compared methods that do not observe it: {}.", blind.join(", ")),
     }
 }
 
-/// The hand's error of orientation as far as the method can know it: whole, or without the rotation about the normal.
+/// Orientation error of the hand in the observed directions: complete, or without the rotation about the normal.
 fn orientation(summary: &RunSummary) -> (&'static str, Option<RmsMax>) {
     match summary.rotation_about_normal_observed {
         true => ("hand orientation error, rms", summary.tracking_orientation_deg),
@@ -385,7 +386,7 @@ fn channel_table(summary: &RunSummary) -> Table {
         ("settled after, s", |c| c.settled_after_s),
         ("overshoot, %", |c| c.overshoot_percent),
     ];
-    // What this kind of motion does not have is left out.
+    // Figures that this kind of motion does not have are left out.
     let columns: Vec<_> = columns.into_iter().filter(|(_, pick)| has(*pick)).collect();
     let headings = ["axis", "unit"].into_iter().chain(columns.iter().map(|(name, _)| *name));
     summary.channels.iter().fold(Table::new(headings), |table, c| {
@@ -406,7 +407,7 @@ fn locked_table(summary: &RunSummary) -> Table {
     })
 }
 
-/// What the lock got wrong.
+/// Text about the initial pose error.
 fn lock_note(summary: &RunSummary) -> String {
     let Some(lock) = &summary.lock else { return "There was no initial lock.".to_owned() };
     let stated = match lock.tilt_sigma_deg.zip(lock.hand_by_tilt_sigma_mm) {
@@ -432,7 +433,7 @@ pub fn text_table(summary: &RunSummary) -> String {
     };
     text += &rms_max("hand, position", summary.tracking_position_mm, "mm");
     text += &rms_max("camera axis", summary.tracking_tilt_deg, "deg");
-    text += &rms_max("hand, whole orientation", summary.tracking_orientation_deg, "deg");
+    text += &rms_max("hand, orientation", summary.tracking_orientation_deg, "deg");
     text +=
         &format!("{:<34} {}\n", "lag, median over the axes", summary.lag_s.map_or("-".into(), |s| format!("{s:.3} s")));
     text += &median_p95("estimate, depth", summary.estimation_depth_mm, "mm");
@@ -451,7 +452,7 @@ pub fn text_table(summary: &RunSummary) -> String {
     text += &summary.supervisor.text_lines();
     text += &commands::text_lines(&summary.commands);
     if summary.without_truth {
-        text += "the cameras are real: nobody knows the truth, and how far hand and estimates are off\n";
+        text += "the cameras are real: without true poses the errors of hand and estimates are unknown\n";
     }
     if summary.without_images {
         text += "no image was rendered: the estimates are the true poses with the noise of estimator.geometric\n";
@@ -480,7 +481,7 @@ pub fn text_table(summary: &RunSummary) -> String {
     let _ = writeln!(text, "{}", lock_note(summary));
     text += &cycles::text_table(&summary.cycles);
     if !summary.rotation_about_normal_observed {
-        text += "rz, the rotation about the normal, is not observed by this method: it is held\n";
+        text += "this method does not observe rz, the rotation about the normal: rz is held\n";
     }
     text
 }
@@ -498,8 +499,7 @@ fn response_line(c: &ChannelSummary) -> String {
     line
 }
 
-/// One line per control step: times in seconds, positions in millimetres, quaternions as x, y, z, w; empty cells are not known.
-/// A line per estimate of the method that leads the hand.
+/// A line per estimate of the method that leads the hand; empty cells are unknown.
 fn estimates_csv(log: &MethodLog) -> String {
     let mut text = String::from("t_s,status,age_ms,latency_ms,fitness,x_mm,y_mm,z_mm,qx,qy,qz,qw");
     for k in 0..36 {
@@ -527,7 +527,7 @@ fn estimates_csv(log: &MethodLog) -> String {
     text + "\n"
 }
 
-/// A line per control step; `joints`: how many each arm has.
+/// A line per control step: times in seconds, positions in millimetres, quaternions as x, y, z, w; `joints`: number of joints of each arm.
 fn timeseries_csv(log: &RunLog, joints: [usize; 2]) -> String {
     let mut text = String::from("t_s,mode");
     for body in ["target", "hand", "wanted"] {
@@ -559,7 +559,7 @@ fn timeseries_csv(log: &RunLog, joints: [usize; 2]) -> String {
                 Some(requested) => requested.iter().take(joints).for_each(|rad_per_s| {
                     let _ = write!(text, ",{:.5}", rad_per_s.to_degrees());
                 }),
-                // To hold.
+                // The command was to hold.
                 None => text += &",".repeat(joints),
             }
         }

@@ -1,13 +1,13 @@
-//! How far an image has moved since the one before.
+//! Image motion between two consecutive images.
 //!
-//! Each of 3 x 3 blocks gets the shift that explains best, by least squares over its pixels, how luminance has changed (one step of
-//! Lucas and Kanade, 1981, on the whole block). For shifts below a pixel that is right to some thousandths where there is texture, and
-//! where there is none, noise makes a small number and no large one.
+//! Each of 3 x 3 blocks gets the shift that best explains the change of luminance by least squares over its pixels (one step of Lucas and
+//! Kanade, 1981, on the whole block). For shifts below one pixel its error is some thousandths of a pixel where there is texture. Without
+//! texture, noise produces a small number, not a large one.
 
 use image::RgbImage;
 use nalgebra::{Matrix2, Vector2};
 
-/// Blocks along each side: turns and single parts that move show in some of them.
+/// Blocks along each side: some of them show rotations and single moving parts.
 const BLOCKS: u32 = 3;
 
 /// The largest shift of a block, pixels; infinite for images of unequal size.
@@ -34,7 +34,7 @@ fn block_shift_px(
     let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());
     for y in rows {
         for x in columns.clone() {
-            // Both images share the gradient, so that it is that of the middle between them.
+            // Both images share the gradient; it is evaluated midway between them.
             let mean = |x: u32, y: u32| 0.5 * (grey(before, x, y) + grey(after, x, y));
             let gradient = Vector2::new(mean(x + 1, y) - mean(x - 1, y), mean(x, y + 1) - mean(x, y - 1)) * 0.5;
             normal += gradient * gradient.transpose();
@@ -44,7 +44,7 @@ fn block_shift_px(
     normal.try_inverse().map_or(0.0, |inverse| (inverse * right).norm())
 }
 
-/// The channel that weighs most in luminance, and all that a grey camera has.
+/// Green: the channel with the largest weight in luminance, and the only information of a monochrome camera.
 fn grey(image: &RgbImage, x: u32, y: u32) -> f64 {
     f64::from(image.get_pixel(x, y).0[1])
 }
@@ -53,7 +53,7 @@ fn grey(image: &RgbImage, x: u32, y: u32) -> f64 {
 mod tests {
     use super::*;
 
-    /// A pattern with texture in all blocks, moved by this, with noise of one or two grey levels.
+    /// A pattern with texture in all blocks, shifted by this vector, with noise of one or two grey levels.
     fn image([dx, dy]: [f64; 2], noise: u32) -> RgbImage {
         RgbImage::from_fn(160, 120, |x, y| {
             let (u, v) = (f64::from(x) - dx, f64::from(y) - dy);

@@ -1,4 +1,4 @@
-//! The strip of annotated stereo images in a run's report: the first frame, and one in each rest after a move out.
+//! The strip of annotated stereo images in a run report: the first frame, and one in each hold after a move out.
 
 use image::RgbImage;
 use image::imageops::{FilterType, resize};
@@ -14,19 +14,19 @@ const WIDTH_PX: u32 = 800;
 /// Images with their captions.
 #[derive(Default)]
 pub struct Strip {
-    /// Times at which an image is still wanted, seconds, in order, with what happens then.
+    /// Requested times, seconds, in order, each with the event at that time.
     wanted: Vec<(f64, String)>,
-    /// What was taken.
+    /// Images taken so far, with captions.
     pub images: Vec<(RgbImage, String)>,
 }
 
 impl Strip {
-    /// A strip of images at these times, seconds, in order, with what happens then.
+    /// A strip of images at these times, seconds, in order, each with the event at that time.
     pub fn of(moments: Vec<(f64, String)>) -> Self {
         Self { wanted: moments, images: Vec::new() }
     }
 
-    /// Takes this frame if its time has come.
+    /// Takes this frame if a requested time has come.
     pub fn offer(&mut self, t_s: f64, pair: &FramePair, rig: &StereoRig, estimate: &TrackEstimate) {
         if self.wanted.first().is_none_or(|(at_s, _)| t_s < *at_s) {
             return;

@@ -1,8 +1,8 @@
-//! The figures of a run: how well the hand followed, how good the estimates were, how long they took.
+//! Figures of a run: tracking errors, estimation errors and latencies.
 //!
-//! Errors are against the hand's place before the true target. Beside them stand those against its place by the pose of the lock:
-//! whatever the first estimates got wrong stays for the whole run and is no fault of the servo. With real cameras nobody knows the
-//! truth, and there are no such figures.
+//! Tracking errors are against the desired hand pose in front of the true target. A second set is against the desired pose by the initial
+//! lock: the initial pose error stays for the whole run and is not a servo error. With real cameras there is no true pose and none of these
+//! figures.
 
 use std::collections::BTreeMap;
 
@@ -22,19 +22,19 @@ use crate::figures::{MedianP95, RmsMax, TrackingError};
 /// The figures of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RunSummary {
-    /// What has ended the run before its time; none if nothing has failed.
+    /// Failure that ended the run early; none if nothing failed.
     pub ended_by: Option<String>,
     /// Duration of the experiment, seconds.
     pub duration_s: f64,
-    /// Distance of the hand from where it should be, mm.
+    /// Distance of the hand from its desired pose, mm.
     pub tracking_position_mm: Option<RmsMax>,
-    /// Angle of the hand to where it should be, degrees.
+    /// Angle of the hand to its desired pose, degrees.
     pub tracking_orientation_deg: Option<RmsMax>,
     /// The same angle without the rotation about the model's normal, degrees.
     pub tracking_tilt_deg: Option<RmsMax>,
-    /// Against the hand's place by the pose of the lock, over all channels.
+    /// Errors against the desired pose by the initial lock, over all channels.
     pub locked: LockedErrors,
-    /// What the lock got wrong; none without one.
+    /// Initial pose error; none without an initial lock.
     pub lock: Option<LockSummary>,
     /// Median lag over the channels that the hand follows, seconds.
     pub lag_s: Option<f64>,
@@ -44,14 +44,14 @@ pub struct RunSummary {
     pub estimation_depth_mm: Option<MedianP95>,
     /// Normal error of the estimates, degrees.
     pub estimation_normal_deg: Option<MedianP95>,
-    /// Whether nobody knows the truth: the errors of hand and estimates are not known.
+    /// Whether there is no true pose: errors of hand and estimates are unknown.
     pub without_truth: bool,
-    /// Whether no image was rendered: the estimates are the truth with noise.
+    /// Whether no image was rendered: the estimates are the true pose with noise.
     #[serde(rename = "without_pictures")]
     pub without_images: bool,
-    /// The leading method and those that looked on, side by side.
+    /// The leading method and the compared methods.
     pub methods: Vec<MethodSummary>,
-    /// Frames seen.
+    /// Frames processed.
     pub frames: usize,
     /// Frames without a pose.
     pub frames_without_pose: usize,
@@ -61,34 +61,34 @@ pub struct RunSummary {
     pub rotation_about_normal_observed: bool,
     /// Pairs that the camera could not deliver.
     pub pairs_lost: u64,
-    /// How far the cameras are from what was calibrated, if somebody has looked at that.
+    /// Camera drift since calibration, if it was measured.
     pub drift: Vec<DriftSummary>,
-    /// Wall time from the pair in memory to the estimate, milliseconds: median.
+    /// Median wall time from the pair in memory to the estimate, milliseconds.
     pub latency_p50_millis: Option<f64>,
-    /// The same, 99th percentile.
+    /// 99th percentile of the same time, milliseconds.
     pub latency_p99_millis: Option<f64>,
     /// Share of the control steps in each mode of the controller, 0 to 1.
     pub share_by_mode: BTreeMap<String, f64>,
-    /// What the supervisor decided.
+    /// Supervisor decisions.
     pub supervisor: Supervision,
     /// Smallest singular value of the Jacobian during the run.
     pub smallest_singular_value: Option<f64>,
-    /// What became of the velocities of each arm.
+    /// Velocity command counts of each arm.
     pub commands: Vec<CommandSummary>,
-    /// How punctual the cycles were; of a run in the machine's time only.
+    /// Timing of the cycles; only in a real-time run.
     pub cycles: Vec<CycleSummary>,
 }
 
-/// What the first estimates got wrong: constant for the whole run.
+/// Initial pose error: constant for the whole run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LockSummary {
-    /// Distance between the hand's places by the true plane and by the estimate, mm.
+    /// Distance between the desired hand poses by the true plane and by the estimate, mm.
     pub hand_mm: f64,
     /// Angle between the true normal and the estimated one, degrees.
     pub tilt_deg: f64,
-    /// Standard deviation of that angle about one axis, as the estimate stated it (rms of both axes), degrees; none if it did not.
+    /// Standard deviation of that angle about one axis as stated by the estimate (rms of both axes), degrees; none if not stated.
     pub tilt_sigma_deg: Option<f64>,
-    /// How far such a tilt moves the hand: distance of the hand times the standard deviation, mm.
+    /// Resulting displacement of the hand: its distance times the standard deviation, mm.
     pub hand_by_tilt_sigma_mm: Option<f64>,
 }
 
@@ -151,7 +151,7 @@ pub fn summarize(log: &RunLog, plan: &Plan) -> RunSummary {
     }
 }
 
-/// How often each word occurs, as a share of all.
+/// Share of each word among all, 0 to 1.
 fn shares<'a>(words: impl Iterator<Item = &'a str>) -> BTreeMap<String, f64> {
     let mut counts = BTreeMap::<String, f64>::new();
     words.for_each(|word| *counts.entry(word.to_owned()).or_default() += 1.0);
@@ -177,7 +177,7 @@ mod tests {
 
     use super::*;
 
-    /// A hand that follows 300 ms late and 2 mm beside its place, with the target's axes turned against the world's.
+    /// A hand that follows 300 ms late with a 2 mm offset; the target axes are rotated against the world.
     fn late_hand() -> (RunLog, Plan) {
         let start = start();
         let config = StepExperimentConfig { channels: vec![Channel::X, Channel::Ry], ..Default::default() };
@@ -185,7 +185,7 @@ mod tests {
         (log, plan)
     }
 
-    /// A hand that is where it should have been at another time, and 2 mm beside.
+    /// The hand pose: the desired one of another time, plus a 2 mm offset.
     fn follows(
         motion: MotionConfig,
         start: Pose<World, Target>,
@@ -232,7 +232,7 @@ mod tests {
             assert!((channel.lag_s.unwrap() - 0.3).abs() < 0.02, "{channel:?}");
             assert!(channel.rise_delay_s.unwrap().abs() < 0.02, "{channel:?}");
         }
-        // Beside by 2 mm along x at rest; 300 ms late at up to 1.875 x 50 mm/s while moving.
+        // At hold 2 mm offset along x; moving: 300 ms lag at up to 1.875 x 50 mm/s.
         assert!((x.hold.unwrap().rms - 2.0).abs() < 0.05, "{x:?}");
         assert!(x.moving.unwrap().max > 25.0 && x.moving.unwrap().max < 32.0, "{x:?}");
         assert!(ry.hold.unwrap().max < 0.05 && ry.moving.unwrap().max > 4.5, "{ry:?}");
@@ -278,11 +278,11 @@ mod tests {
             lead_in_s: 1.0,
             ..Default::default()
         };
-        // The hand comes half a second late on the way out, and 0.8 s on the way back; 2 mm beside its place it never settles.
+        // The hand is 0.5 s late on the move out and 0.8 s on the move back; with a 2 mm offset it never settles.
         let late = |t: f64| if t < 3.0 { t - 0.5 } else { t - 0.8 };
         let (mut log, plan, _) = follows(MotionConfig::Steps(steps), start(), late);
         assert_eq!(summarize(&log, &plan).channels[0].settled_after_s, None);
-        // By the pose of the lock it is where it should be, and 4 mm too far in between.
+        // Against the initial lock it reaches the desired pose, with 4 mm overshoot in between.
         let away = start().transform_vector(&Vector3::new(0.0, 0.0, 0.004));
         let beside = start().transform_vector(&Vector3::new(0.002, 0.0, 0.0));
         for sample in &mut log.control {

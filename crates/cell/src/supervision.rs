@@ -1,4 +1,4 @@
-//! What the supervisor decided in a run: shares of time, what was found, and the changes of state.
+//! Supervisor decisions of a run: share of time in each state, findings and state changes.
 
 use std::collections::BTreeMap;
 
@@ -6,15 +6,15 @@ use pb3dp_record::report::Table;
 use pb3dp_servo::supervisor::{Condition, Decision, State};
 use serde::Serialize;
 
-/// Transitions that are shown in the report; all are in `summary.json`.
+/// Number of transitions shown in the report; `summary.json` has all.
 const SHOWN: usize = 40;
 
-/// What the supervisor decided in a run.
+/// Supervisor decisions of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Supervision {
     /// Share of the control steps in each state, 0 to 1.
     pub share_by_state: BTreeMap<&'static str, f64>,
-    /// In how many steps each condition was found that was found at all.
+    /// Number of steps with each condition that was found at least once.
     pub steps_found: BTreeMap<&'static str, u64>,
     /// Changes of state.
     pub transitions: Vec<TransitionNote>,
@@ -23,19 +23,19 @@ pub struct Supervision {
 /// A change of state.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TransitionNote {
-    /// Seconds since the experiment began.
+    /// Time since the start of the experiment, seconds.
     pub t_s: f64,
-    /// From here.
+    /// Previous state.
     pub from: &'static str,
-    /// To here.
+    /// New state.
     pub to: &'static str,
-    /// By this.
+    /// Event that caused the change.
     pub event: &'static str,
-    /// What the supervisor said.
+    /// Reason given by the supervisor.
     pub why: String,
 }
 
-/// What is written down of the supervisor from step to step.
+/// Record of the supervisor over the control steps.
 #[derive(Clone, Debug, Default)]
 pub struct SupervisionLog {
     steps_by_state: [u64; State::ALL.len()],
@@ -44,7 +44,7 @@ pub struct SupervisionLog {
 }
 
 impl SupervisionLog {
-    /// Writes a step down; what is to be told, if the state changed.
+    /// Records a step; returns the state change, if there is one.
     pub fn note(&mut self, t_s: f64, decision: &Decision) -> Option<&TransitionNote> {
         self.steps_by_state[decision.state as usize] += 1;
         for condition in decision.found.iter() {
@@ -79,31 +79,31 @@ impl Supervision {
     /// Share of the steps in which the hand was allowed to follow or approach, 0 to 1.
     pub fn share_following(&self) -> f64 {
         let moving = State::ALL.into_iter().filter(|state| state.is_moving());
-        // A sum of nothing would be -0.
+        // The sum over nothing would be -0.
         moving.filter_map(|state| self.share_by_state.get(state.name())).fold(0.0, |sum, share| sum + share)
     }
 
-    /// Shares and findings as lines for a terminal.
+    /// Shares and findings as terminal lines.
     pub fn text_lines(&self) -> String {
         let shares: Vec<String> =
             self.share_by_state.iter().map(|(state, share)| format!("{state} {:.0} %", 100.0 * share)).collect();
         let found: Vec<String> = self.steps_found.iter().map(|(key, steps)| format!("{key} {steps}")).collect();
-        let found = if found.is_empty() { "nothing".to_owned() } else { found.join(", ") };
-        format!("{:<34} {}\n{:<34} {found}\n", "supervisor", shares.join(", "), "found by it, steps")
+        let found = if found.is_empty() { "none".to_owned() } else { found.join(", ") };
+        format!("{:<34} {}\n{:<34} {found}\n", "supervisor", shares.join(", "), "findings, steps")
     }
 
-    /// Shares and findings as a paragraph of the report.
+    /// Shares and findings as a report paragraph.
     pub fn paragraph(&self) -> String {
         let shares: Vec<String> =
             self.share_by_state.iter().map(|(state, share)| format!("{state} {:.1} %", 100.0 * share)).collect();
         let found: Vec<String> = self.steps_found.iter().map(|(key, steps)| format!("{key} in {steps}")).collect();
-        let found = if found.is_empty() { "nothing".to_owned() } else { found.join(", ") };
-        format!("Share of the time in each state: {}. Found to be wrong, in control steps: {found}.", shares.join(", "))
+        let found = if found.is_empty() { "none".to_owned() } else { found.join(", ") };
+        format!("Share of the time in each state: {}. Findings, in control steps: {found}.", shares.join(", "))
     }
 
-    /// The changes of state as a table of the report.
+    /// The state changes as a report table.
     pub fn transition_table(&self) -> Table {
-        let headings = Table::new(["time, s", "event", "from", "state, why and what to do"]);
+        let headings = Table::new(["time, s", "event", "from", "state, reason and action"]);
         let shown = self.transitions.iter().take(SHOWN).fold(headings, |table, note| {
             table.row([format!("{:.2}", note.t_s), note.event.to_owned(), note.from.to_owned(), note.why.clone()])
         });

@@ -1,7 +1,7 @@
-//! The hand swings by some millimetres before a target that rests: what is recorded tells the delays of the rig.
+//! The hand swings by some millimetres in front of a stationary target; the recorded data gives the delays of the rig.
 //!
-//! The same parts as of a run, with limiter, guard and coupling; only what leads the hand is fixed beforehand, and the arm with the
-//! target holds.
+//! Uses the same parts as a run, with limiter, guard and coupling. Only the motion of the hand is predefined, and the arm with the target
+//! holds.
 
 use std::time::Duration;
 
@@ -22,44 +22,44 @@ use super::parts::Parts;
 use super::percept::Percept;
 use super::strip::Strip;
 
-/// Before the hand begins to swing: the target is taken, and the arm has come to rest.
+/// Time before the motion: the target is initialised and the arm comes to a stop.
 const LEAD_IN: Duration = Duration::from_secs(1);
-/// Behind the end: what was told last still has to be seen.
+/// Time after the motion, in which the last command becomes visible.
 const LEAD_OUT: Duration = Duration::from_millis(500);
 
-/// One estimate that was stood by.
+/// One confident estimate.
 #[derive(Clone, Copy, Debug)]
 pub struct SeenPose {
-    /// Stamp of the pair: the middle of its exposure, as the camera says.
+    /// Stamp of the pair: mid-exposure time from the camera.
     pub at: MonotonicTime,
-    /// The first control step that had it.
+    /// The first control step that used it.
     pub used_at: MonotonicTime,
-    /// What was estimated.
+    /// Estimated pose.
     pub cam_left_from_model: Pose<CamLeft, Model>,
 }
 
-/// What was recorded.
+/// Recorded data.
 #[derive(Debug, Default)]
 pub struct Swung {
-    /// What the arm with the cameras was told.
+    /// Commands to the arm with the cameras.
     pub given: Vec<GivenVelocity>,
-    /// What was measured of it.
+    /// Its measured joints.
     pub joints: Vec<JointState>,
-    /// What was seen.
+    /// Confident estimates.
     pub seen: Vec<SeenPose>,
-    /// Pairs without an estimate that was stood by.
+    /// Pairs without a confident estimate.
     pub untrusted: usize,
 }
 
-/// From switching both arms on until they are stopped.
+/// From the start of enabling until both arms are stopped.
 pub fn duration(motion: &Excitation) -> Duration {
     LEAD_IN + Duration::from_secs_f64(motion.duration_s()) + LEAD_OUT
 }
 
-/// Swings the hand, and stops both arms on every way out.
+/// Swings the hand; stops both arms on every exit path.
 ///
 /// # Errors
-/// If an arm, the camera or the estimator fails for good; the arms are stopped first.
+/// If an arm, the camera or the estimator fails permanently; the arms are stopped first.
 pub fn run(setup: &Setup, parts: Parts, motion: Excitation) -> Result<Swung> {
     let Parts { clock, camera, vs, tc, cell, marking, emulated, interrupt, .. } = parts;
     let sight = (camera, cell, marking);
@@ -68,14 +68,14 @@ pub fn run(setup: &Setup, parts: Parts, motion: Excitation) -> Result<Swung> {
     let mut swinging = Swinging::new(setup, arms, motion)?;
     let course = Course { setup, clock: &clock, duration: duration(&motion), interrupt: &interrupt };
     let (ended, _) = course.run(&mut looking, &mut swinging);
-    // The arms go before what is at the other end of their lines.
+    // The arms are dropped before the emulators at the other end of their links.
     let Swinging { arms, record, .. } = swinging;
     drop(arms);
     drop(emulated);
     ended.map(|()| record)
 }
 
-/// Looks, and leaves it to the half that moves to keep what was seen.
+/// The vision half without records: the motion half keeps the estimates.
 struct OnlyLooking<'a>(Looking<'a>);
 
 impl Parted for OnlyLooking<'_> {
@@ -98,7 +98,7 @@ impl Parted for OnlyLooking<'_> {
     }
 }
 
-/// The method, without anything to be written down.
+/// The method, without records.
 struct Leading<'w, 'a>(&'w mut Estimating<'a>);
 
 impl Estimate for Leading<'_, '_> {
@@ -128,15 +128,15 @@ impl Record for NothingKept {
     }
 }
 
-/// Both arms with the fixed motion.
+/// The motion half with the predefined motion.
 struct Swinging<'a> {
     setup: &'a Setup,
     arms: BothArms,
     motion: Excitation,
     damping: Damping,
-    /// Where the hand was at the beginning: its axes there are those of the motion.
+    /// Pose of the hand at the start; its axes are those of the motion.
     base_from_hand_at_begin: Pose<Base, Hand>,
-    /// When the motion begins.
+    /// Start time of the motion.
     begin: MonotonicTime,
     record: Swung,
     last_seen_at: Option<MonotonicTime>,
@@ -145,7 +145,7 @@ struct Swinging<'a> {
 impl<'a> Swinging<'a> {
     fn new(setup: &'a Setup, arms: BothArms, motion: Excitation) -> Result<Self> {
         let seconds = duration(&motion).as_secs_f64() + 1.0;
-        // The thread that moves takes nothing from the heap.
+        // The thread that moves the arms must not allocate.
         let steps = (seconds / setup.control_period.as_secs_f64()) as usize;
         let frames = (seconds / setup.rig.frames.period.as_secs_f64()) as usize;
         let record = Swung {
@@ -171,7 +171,7 @@ fn base_from_hand(setup: &Setup, joints: &JointState) -> Pose<Base, Hand> {
     setup.rig.vs.chain.forward(&joints.position_rad) * setup.controller.flange_from_hand
 }
 
-/// What finds room; the rest is not kept.
+/// Adds an item if there is space; drops it otherwise.
 fn keep<T>(kept: &mut Vec<T>, item: T) {
     if kept.len() < kept.capacity() {
         kept.push(item);

@@ -15,3 +15,7 @@ pub use pb3dp_estimation_core::error::EstimationError;
 #[cfg(doctest)]
 #[doc = include_str!("../../../docs/how-to/add-an-estimation-method.md")]
 mod add_an_estimation_method {}
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+mod readme {}

@@ -25,3 +25,7 @@ pub use rectification::{Rectification, RectificationError};
 pub use stereo_rig::{StereoRig, StereoRigError};
 pub use time::MonotonicTime;
 pub use twist::Twist;
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+mod readme {}

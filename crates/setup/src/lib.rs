@@ -14,3 +14,7 @@ pub mod region_spec;
 pub mod setup;
 
 pub use load::ConfigError;
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+mod readme {}

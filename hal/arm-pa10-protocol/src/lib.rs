@@ -12,3 +12,7 @@ mod codes;
 pub mod gateway_protocol;
 pub mod places;
 pub mod watchdog;
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+mod readme {}

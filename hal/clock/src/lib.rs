@@ -63,3 +63,7 @@ impl Clock for VirtualClock {
         self.nanos.fetch_max(deadline.as_nanos(), Ordering::SeqCst);
     }
 }
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+mod readme {}

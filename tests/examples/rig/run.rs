@@ -60,7 +60,7 @@ fn start() -> Result<(World, Running), Box<dyn std::error::Error>> {
     wait_for("the first images are shown", || (world.shown() > 1).then_some(()))?;
     let words = ["run", "--config", HERE, "--operator", "console", "--region", REGION, "--out", "/out"];
     let mut run = Running::start(&words)?;
-    run.wait_for("target taken", None)?;
+    run.wait_for("target initialised", None)?;
     Ok((world, run))
 }
 

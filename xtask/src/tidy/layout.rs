@@ -47,6 +47,16 @@ pub fn top_level(files: &[String]) -> Vec<Violation> {
     violations
 }
 
+/// A crate that can be published has a README, which its page in the registry shows.
+pub fn readme(path: &str, text: &str, files: &[String]) -> Vec<Violation> {
+    let is_crate = path.starts_with("crates/") || (path.starts_with("hal/") && !path.starts_with("hal/vendor/"));
+    let readme = path.replace("Cargo.toml", "README.md");
+    if !is_crate || text.contains("\npublish = false\n") || files.contains(&readme) {
+        return Vec::new();
+    }
+    vec![Violation::of(&readme, "readme", "is missing: say what the crate is for, with an example if it is a library")]
+}
+
 /// Checks a member's `Cargo.toml`: lints and package keys from the workspace, dependencies from the workspace.
 pub fn manifest(path: &str, text: &str) -> Vec<Violation> {
     let vendored = path.starts_with("hal/vendor/") || path.starts_with("tests/fuzz/");
@@ -64,7 +74,10 @@ pub fn manifest(path: &str, text: &str) -> Vec<Violation> {
     if !inherits(table.get("lints")) {
         violations.push(Violation::of(path, "manifest", "`[lints] workspace = true` is missing"));
     }
-    for key in ["version", "edition", "rust-version", "license", "publish"] {
+    let is_private =
+        table.get("package").and_then(|package| package.get("publish")) == Some(&toml::Value::Boolean(false));
+    let of_published: &[&str] = if is_private { &[] } else { &["repository", "keywords", "categories"] };
+    for key in ["version", "edition", "rust-version", "license"].iter().chain(of_published) {
         let value = table.get("package").and_then(|package| package.get(key));
         if !inherits(value) {
             violations.push(Violation::of(path, "manifest", format!("`{key}.workspace = true` is missing")));
@@ -72,7 +85,14 @@ pub fn manifest(path: &str, text: &str) -> Vec<Violation> {
     }
     for section in ["dependencies", "dev-dependencies", "build-dependencies"] {
         let Some(entries) = table.get(section).and_then(toml::Value::as_table) else { continue };
-        for (name, _) in entries.iter().filter(|(_, entry)| !inherits(Some(entry))) {
+        // Without a version cargo leaves a crate of the workspace out of what it publishes: no circle, no test crate to publish.
+        let is_left_out = |entry: &toml::Value| {
+            section == "dev-dependencies"
+                && !is_private
+                && entry.get("path").is_some()
+                && entry.get("version").is_none()
+        };
+        for (name, _) in entries.iter().filter(|(_, entry)| !inherits(Some(entry)) && !is_left_out(entry)) {
             let message =
                 format!("`{name}` in [{section}]: state the version once, in the root, and write `workspace = true`");
             violations.push(Violation::of(path, "manifest", message));
@@ -105,9 +125,17 @@ mod tests {
         assert_eq!(found, ["scripts", "LICENSE-MIT"]);
     }
 
+    #[test]
+    fn a_crate_without_a_readme_is_caught() {
+        let files = ["crates/a/README.md".to_owned()];
+        assert_eq!(readme("crates/a/Cargo.toml", MANIFEST, &files), []);
+        assert_eq!(readme("crates/b/Cargo.toml", MANIFEST, &files).len(), 1);
+        assert_eq!(readme("crates/b/Cargo.toml", "[package]\npublish = false\n", &files), []);
+    }
+
     const MANIFEST: &str = "[package]\nname = \"a\"\nversion.workspace = true\nedition.workspace = true\n\
-        rust-version.workspace = true\nlicense.workspace = true\npublish.workspace = true\n\
-        [lints]\nworkspace = true\n[dependencies]\nnalgebra.workspace = true\n";
+        rust-version.workspace = true\nlicense.workspace = true\nrepository.workspace = true\n\
+        keywords.workspace = true\ncategories.workspace = true\n[lints]\nworkspace = true\n[dependencies]\nnalgebra.workspace = true\n";
 
     #[test]
     fn a_manifest_of_its_own_mind_is_caught() {
@@ -117,6 +145,8 @@ mod tests {
             ("edition.workspace = true", "edition = \"2021\""),
             ("rust-version.workspace = true", "rust-version = \"1.95\""),
             ("nalgebra.workspace = true", "nalgebra = \"0.34\""),
+            ("nalgebra.workspace = true", "a-b = { path = \"../b\" }"),
+            ("keywords.workspace = true\n", ""),
         ] {
             let text = MANIFEST.replace(from, to);
             assert_eq!(manifest("crates/a/Cargo.toml", &text).len(), 1, "{to}");

@@ -351,7 +351,7 @@ fn a_run_ends_in_order_when_nobody_can_speak_any_more() {
     let finished = child.wait_with_output().unwrap();
     let text = String::from_utf8(finished.stdout).unwrap();
     assert!(finished.status.success(), "{text}");
-    assert!(text.contains("the words have ended: both arms stop, then the report"), "{text}");
+    assert!(text.contains("end of input: stopping both arms, then writing the report"), "{text}");
     let summary = std::fs::read_to_string(out.join("summary.json")).unwrap();
     assert!(summary.contains("\"to\": \"selecting\"") && summary.contains("\"ended_by\": null"), "{summary}");
 }
@@ -375,10 +375,10 @@ fn a_person_at_a_console_leads_a_run() {
     assert!(finished.status.success(), "{text}");
     let parts = [
         "idle: no target selected; use select",
-        "\"go\" is no word: known are select, start",
+        "unknown command \"go\": use select, start",
         "selecting: target seen, no active inhibit; use start",
         "stopped: by the operator; use reset",
-        "both arms stop, then the report",
+        "stopping both arms, then writing the report",
         "report.html",
     ];
     let places: Vec<usize> = parts.map(|part| text.find(part).unwrap_or_else(|| panic!("{part}: {text}"))).into();

@@ -20,12 +20,12 @@ pub const SETUPS: [BuiltIn; 5] = [
     BuiltIn {
         name: "sim",
         about: "the experiment of the paper in simulation",
-        text: include_str!("../../../../configs/sim.toml"),
+        text: include_str!("../../configs/sim.toml"),
     },
     BuiltIn {
         name: "hil",
         about: "sim with both arms emulated byte by byte, in the machine's time",
-        text: include_str!("../../../../configs/hil.toml"),
+        text: include_str!("../../configs/hil.toml"),
     },
     BuiltIn {
         name: "rig",
@@ -35,32 +35,32 @@ pub const SETUPS: [BuiltIn; 5] = [
     BuiltIn {
         name: "bare",
         about: "a simulated rig that nobody has calibrated yet",
-        text: include_str!("../../../../configs/bare.toml"),
+        text: include_str!("../../configs/bare.toml"),
     },
     BuiltIn {
         name: "published",
         about: "sim, led by the published method and law",
-        text: include_str!("../../../../configs/published.toml"),
+        text: include_str!("../../configs/published.toml"),
     },
 ];
 
 /// A complete setup of a rig, with values to replace.
-pub const RIG_EXAMPLE: &str = include_str!("../../../../configs/rig.toml");
+pub const RIG_EXAMPLE: &str = include_str!("../../configs/rig.toml");
 
 /// A complete file of estimator parameters, and one of a gateway.
-const ESTIMATOR: &str = include_str!("../../../../configs/estimator.toml");
-const GATEWAY: &str = include_str!("../../../../configs/gateway.toml");
+const ESTIMATOR: &str = include_str!("../../configs/estimator.toml");
+const GATEWAY: &str = include_str!("../../configs/gateway.toml");
 
 /// Before the name of a file inside the program, where a path is expected.
 const PREFIX: &str = "built-in:";
 
 const FILES: [(&str, &str); 6] = [
-    ("pa10_gen1.urdf", include_str!("../../../../configs/robots/pa10_gen1.urdf")),
-    ("pa10_gen2.urdf", include_str!("../../../../configs/robots/pa10_gen2.urdf")),
-    ("ur5e_like.urdf", include_str!("../../../../configs/robots/ur5e_like.urdf")),
-    ("nominal.json", include_str!("../../../../configs/calibration/nominal.json")),
-    ("bare_truth.json", include_str!("../../../../configs/calibration/bare_truth.json")),
-    ("ur5e.toml", include_str!("../../../../configs/arms/ur5e.toml")),
+    ("pa10_gen1.urdf", include_str!("../../configs/robots/pa10_gen1.urdf")),
+    ("pa10_gen2.urdf", include_str!("../../configs/robots/pa10_gen2.urdf")),
+    ("ur5e_like.urdf", include_str!("../../configs/robots/ur5e_like.urdf")),
+    ("nominal.json", include_str!("../../configs/calibration/nominal.json")),
+    ("bare_truth.json", include_str!("../../configs/calibration/bare_truth.json")),
+    ("ur5e.toml", include_str!("../../configs/arms/ur5e.toml")),
 ];
 
 /// The setup of this name.
