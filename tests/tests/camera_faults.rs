@@ -16,7 +16,7 @@ use pb3dp_geometry::{Camera, Distortion, ImageSize, MonotonicTime, Pinhole, Pose
 use pb3dp_hal_api::{Clock, StereoCamera};
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_setup::setup::{Setup, read_setup};
-use pb3dp_sim::camera_faults::{CameraFault, CameraFaultKind, CameraFaults, Eyes};
+use pb3dp_sim::camera_faults::{AffectedCameras, CameraFault, CameraFaultKind, CameraFaults};
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{PoseSource, Scene, ScenePoses};
 use pb3dp_sim::targets::TargetConfig;
@@ -158,15 +158,16 @@ fn is_told(kind: CameraFaultKind) {
 
 #[test]
 fn images_without_a_target_are_no_pose() {
-    is_told(CameraFaultKind::Black { eyes: Eyes::Right });
-    is_told(CameraFaultKind::Saturated { eyes: Eyes::Both });
+    is_told(CameraFaultKind::Black { cameras: AffectedCameras::Right });
+    is_told(CameraFaultKind::Saturated { cameras: AffectedCameras::Both });
     is_told(CameraFaultKind::Occluder { width_share: 0.7, crosses: false });
 }
 
 #[test]
 fn images_that_are_harder_to_read_are_read_right_or_not_at_all() {
-    for (eyes, factor) in [(Eyes::Right, 0.7), (Eyes::Both, 0.3), (Eyes::Both, 1.6)] {
-        is_borne(CameraFaultKind::Brightness { eyes, factor }, 4);
+    for (cameras, factor) in [(AffectedCameras::Right, 0.7), (AffectedCameras::Both, 0.3), (AffectedCameras::Both, 1.6)]
+    {
+        is_borne(CameraFaultKind::Brightness { cameras, factor }, 4);
     }
     is_borne(CameraFaultKind::Occluder { width_share: 0.1, crosses: true }, 2);
     // Two of the four do not come at all.

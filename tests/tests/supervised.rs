@@ -47,14 +47,14 @@ fn setup() -> Setup {
     setup
 }
 
-/// The arms of a run, and eyes that can be shut.
+/// The arms of a run, and cameras that can be covered.
 struct Bench<'a> {
     moving: Moving<'a>,
     clock: Arc<dyn Clock>,
     cell: SimulatedCell,
     setup: &'a Setup,
     steps: u64,
-    /// What the eyes tell; none if they are shut.
+    /// Observations of the cameras; none if they are covered.
     target: Option<u64>,
     confidence: Confidence,
     /// The fastest joint of the hand's arm since it was asked for.
@@ -254,10 +254,10 @@ fn a_search_ends_when_the_target_is_found_and_when_anything_else_is_wrong() {
     let mut bench = lost(&setup, parts, &*experiment);
     assert_eq!(bench.run(1.0).mode, Mode::Searching);
     // No image comes any more: nothing is looked for.
-    let (eyes, confidence) = (bench.target.take(), bench.confidence);
+    let (cameras, confidence) = (bench.target.take(), bench.confidence);
     bench.run(0.6);
     assert_eq!(bench.rests_for(0.5).decision.permission, Permission::Hold);
-    (bench.target, bench.confidence) = (eyes, confidence);
+    (bench.target, bench.confidence) = (cameras, confidence);
     assert_eq!(bench.rests_for(3.0).decision.state, State::Lost, "what was broken off does not begin again");
     bench.confidence = Confidence::Sure;
     assert_eq!(bench.run(3.0).decision.state, State::Tracking, "found, and the policy lets it go on");

@@ -25,7 +25,7 @@ const GOOD: Session = Session {
     views: 15,
     corner_sigma_px: 0.1,
     refocused: 0.0,
-    moved_between_eyes_m: 0.0,
+    moved_between_cameras_m: 0.0,
     flatness_m: 0.0,
     streak_max_px: 0.0,
     tilt_max_rad: 0.0,

@@ -27,7 +27,7 @@ const GOOD: Session = Session {
     views: 15,
     corner_sigma_px: 0.1,
     refocused: 0.0,
-    moved_between_eyes_m: 0.0,
+    moved_between_cameras_m: 0.0,
     flatness_m: 0.0002,
     streak_max_px: 0.0,
     tilt_max_rad: 0.0,
@@ -169,7 +169,7 @@ const PLANTED: [Planted; 8] = [
     },
     Planted {
         name: "2 ms between the exposures of the cameras, board at 50 to 200 mm/s",
-        session: |random| Session { moved_between_eyes_m: 0.002 * random.between(0.05, 0.2), ..GOOD },
+        session: |random| Session { moved_between_cameras_m: 0.002 * random.between(0.05, 0.2), ..GOOD },
         typed: AS_IT_IS,
         gates: &[Gate::Motion],
         words: "",

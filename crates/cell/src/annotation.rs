@@ -1,4 +1,4 @@
-//! Images that show what was estimated: the region and the pose's axes left, the re-projected model right.
+//! Annotated images: region and pose axes in the left image, the reprojected model in the right one.
 
 use image::{Rgb, RgbImage, imageops};
 use nalgebra::{Point3, Vector2, Vector3};
@@ -7,7 +7,7 @@ use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 use pb3dp_record::overlay::{self, Stroke, TextStyle, colors};
 
-/// What is drawn of one target into a stereo pair.
+/// Annotation of one target in a stereo pair.
 #[derive(Clone, Debug)]
 pub struct Annotation {
     /// Outline of the region in the raw left image, pixels.
@@ -16,11 +16,11 @@ pub struct Annotation {
     pub cam_left_from_model: Option<Pose<CamLeft, Model>>,
     /// One line of text: status and figures.
     pub label: String,
-    /// What the label tells of: each status has a colour of its own.
+    /// Status in the label; each status has its own colour.
     pub status: Status,
 }
 
-/// The colour of a status. Red and green are told apart by their brightness as well.
+/// The colour of a status. Red and green also differ in brightness.
 fn color_of(status: Status) -> Rgb<u8> {
     match status {
         Status::Ok => colors::ESTIMATE,
@@ -35,7 +35,7 @@ pub fn polygon_px(corners_px: &[Vector2<f64>]) -> Vec<[f64; 2]> {
     corners_px.iter().map(|p| [p.x, p.y]).collect()
 }
 
-/// Left and right image side by side with all targets drawn in, below a strip with a line of text for each target.
+/// Left and right image side by side with all targets drawn in, below a strip with one line of text per target.
 pub fn annotate(left: &RgbImage, right: &RgbImage, rig: &StereoRig, targets: &[Annotation]) -> RgbImage {
     let (mut left, mut right) = (left.clone(), right.clone());
     for what in targets {
@@ -57,7 +57,7 @@ pub fn annotate(left: &RgbImage, right: &RgbImage, rig: &StereoRig, targets: &[A
 /// Space around the labels, pixels.
 const LABEL_MARGIN_PX: u32 = 6;
 
-/// The image below its labels, whose letters are as large as the width allows.
+/// The image below its labels; the letters are as large as the width allows.
 fn below_labels(image: &RgbImage, targets: &[Annotation]) -> RgbImage {
     let width_px = |scale| targets.iter().map(|what| overlay::text_size(&what.label, scale).0).max().unwrap_or(0);
     let scale = if width_px(2) + 2 * LABEL_MARGIN_PX <= image.width() { 2 } else { 1 };
@@ -74,7 +74,7 @@ fn below_labels(image: &RgbImage, targets: &[Annotation]) -> RgbImage {
     both
 }
 
-/// The outline carried to the right image by the plane of `pose`; `None` if a vertex is not seen there.
+/// The outline transferred to the right image by the plane of `pose`; `None` if a vertex is not visible there.
 fn reprojected(outline_px: &[[f64; 2]], rig: &StereoRig, pose: &Pose<CamLeft, Model>) -> Option<Vec<[f64; 2]>> {
     let normal = pose.transform_vector(&Vector3::z());
     let origin = pose.translation_m();

@@ -1,4 +1,4 @@
-//! What a run captures: stereo pairs, or the truth with noise; and what was true of each of them.
+//! Image capture of a run: stereo pairs, or true poses with noise, each with its true target pose.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,23 +11,23 @@ use pb3dp_servo::supervisor::FrameInput;
 use pb3dp_setup::setup::Setup;
 
 use super::cell::SimulatedCell;
-use super::eyes::{PoseCamera, Sight};
 use super::halves::Capture;
 use super::losses::Losses;
-use crate::eyes::View;
+use super::perception::{PoseCamera, Sight};
+use crate::perception::View;
 
-/// One frame, on its way to those who look at it and to those who keep it.
+/// One frame for estimation and recording.
 #[derive(Clone, Debug)]
 pub struct Captured {
-    /// Number and times.
+    /// Sequence number and times.
     pub frame: FrameInput,
-    /// The truth at the time of the exposure; none with real cameras.
+    /// True target pose at exposure; none with real cameras.
     pub cam_left_from_target: Option<Pose<CamLeft, Target>>,
-    /// What is to be looked at.
+    /// Input of the estimation method.
     pub view: View,
 }
 
-/// A camera, and what it has delivered.
+/// A camera with its loss count.
 pub struct Capturing {
     camera: Camera,
     cell: SimulatedCell,
@@ -44,16 +44,16 @@ enum Camera {
 
 struct ImageCamera {
     camera: Box<dyn StereoCamera>,
-    /// The pair before; black before the first one.
+    /// The previous pair; black before the first one.
     before: Arc<FramePair>,
-    /// Pairs that were made so far: those that nobody holds any more are used again.
+    /// Allocated pairs: those without an owner are used again.
     pool: Vec<Arc<FramePair>>,
-    /// Whether two images of the same scene differ.
+    /// Whether noise makes two images of the same scene differ.
     has_noise: bool,
 }
 
 impl Capturing {
-    /// A camera that has delivered nothing yet.
+    /// A camera without any frame yet.
     pub fn new(setup: &Setup, sight: Sight, cell: SimulatedCell) -> Self {
         let camera = match sight {
             Sight::Images(camera) => Camera::Images(ImageCamera {
@@ -75,8 +75,8 @@ impl Capturing {
         self.pairs_lost
     }
 
-    /// If the frame does not come, or an image is the one before, byte for byte: noise makes no image twice, so the camera is frozen,
-    /// whatever its numbers and times say.
+    /// Fails if the frame does not arrive, or if an image equals the previous one byte for byte: noise makes every image unique, so the
+    /// camera is frozen, whatever its sequence numbers and times are.
     fn wait(&mut self) -> Result<(FrameInput, View), CameraError> {
         match &mut self.camera {
             Camera::Images(camera) => camera.wait(self.timeout),
@@ -126,7 +126,7 @@ impl Capture for Capturing {
 
 fn frozen(sequence: u64, which: &str) -> CameraError {
     let message = format!(
-        "camera: {which} the same as before, byte for byte, in pair {sequence}: it is frozen, or sees nothing at all; look after it"
+        "camera: {which} identical to the previous pair, byte for byte, in pair {sequence}: the camera is frozen or dark; check it"
     );
     CameraError::new(CameraErrorKind::BadPair, message)
 }
@@ -135,15 +135,15 @@ impl ImageCamera {
     fn wait(&mut self, timeout: Duration) -> Result<(FrameInput, View), CameraError> {
         let mut taken = self.free_pair();
         let Some(pair) = Arc::get_mut(&mut taken) else {
-            return Err(CameraError::new(CameraErrorKind::Unusable, "camera: a pair without an owner is held twice"));
+            return Err(CameraError::new(CameraErrorKind::Unusable, "camera: bug: a free pair is shared, report it"));
         };
         let came = self.camera.next_pair_into(pair, timeout);
         self.pool.push(Arc::clone(&taken));
-        // What is in the buffer after an error may be anything.
+        // After an error the content of the buffer is undefined.
         came?;
         let before = std::mem::replace(&mut self.before, Arc::clone(&taken));
         let FramePair { sequence, exposed_at, skew_nanos, .. } = *taken;
-        // Images that differ do so in their first pixels: this costs nothing.
+        // Different images differ in their first pixels, so this comparison is cheap.
         let same = [taken.left == before.left, taken.right == before.right];
         match same.map(|same| same && self.has_noise) {
             [true, true] => return Err(frozen(sequence, "both images are")),
@@ -155,7 +155,7 @@ impl ImageCamera {
         Ok((input, View::Images(taken)))
     }
 
-    /// A pair that nobody holds, taken out of the pool; a new one if there is none.
+    /// A pair without an owner from the pool; a new one if there is none.
     fn free_pair(&mut self) -> Arc<FramePair> {
         match self.pool.iter_mut().position(|pair| Arc::get_mut(pair).is_some()) {
             Some(index) => self.pool.swap_remove(index),

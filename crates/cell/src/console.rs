@@ -296,8 +296,7 @@ impl Reading {
                 Some("enabling aborted: stopping both arms, then writing the report".to_owned())
             }
             Word::Select | Word::Hold => Some(
-                self.give(word)
-                    .unwrap_or_else(|| format!("{} is queued until both arms are enabled", word.name())),
+                self.give(word).unwrap_or_else(|| format!("{} is queued until both arms are enabled", word.name())),
             ),
             Word::Start | Word::Resume | Word::Reset => Some(format!(
                 "{} refused: both arms are still being enabled; repeat it when they are enabled",

@@ -1,4 +1,4 @@
-//! Both halves of a run, stepped in the loop that the pace of the setup asks for.
+//! Runs both halves in the loop for the pace of the setup.
 
 use anyhow::Result;
 use pb3dp_geometry::MonotonicTime;
@@ -10,11 +10,11 @@ use super::percept::Percept;
 use super::{live, lockstep};
 
 impl Course<'_> {
-    /// Steps both halves from switching both arms on until they are stopped, in the loop that the pace of the setup asks for. How punctual
-    /// each thread was is known only in the machine's time.
+    /// Steps both halves from enabling both arms until they are stopped, in the loop for the pace of the setup. The timing of each thread
+    /// is only available in real time.
     ///
     /// # Errors
-    /// The first failure of an arm, the camera or the estimator for good; both arms are stopped first.
+    /// The first permanent failure of an arm, the camera or the estimator; both arms are stopped first.
     pub fn run<M: Mover, W: Parted<Step = M::Step>>(
         &self,
         watcher: &mut W,
@@ -28,7 +28,7 @@ impl Course<'_> {
         }
     }
 
-    /// The same in simulated time, whatever the pace of the setup is: one thread steps both halves.
+    /// The same in simulated time, independent of the pace of the setup: one thread steps both halves.
     ///
     /// # Errors
     /// As [`Self::run`].
@@ -37,10 +37,10 @@ impl Course<'_> {
     }
 }
 
-/// The parts one behind the other.
+/// The three parts, called one after the other.
 struct InTurn<'w, W: Parted> {
     parted: &'w mut W,
-    /// What is not yet written down.
+    /// Not recorded yet.
     seen: Option<W::Seen>,
 }
 

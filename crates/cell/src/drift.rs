@@ -234,15 +234,15 @@ impl DriftWatch {
         }
         self.next_at = Some(at + self.config.every);
         let measured = self.rows.measure(pair).ok().filter(|measured| measured.matches >= MATCHES_MIN);
-        let eyes = [&pair.left, &pair.right];
-        let blurs_px = eyes.map(|image| blur_of(&[image]));
+        let cameras = [&pair.left, &pair.right];
+        let blurs_px = cameras.map(|image| blur_of(&[image]));
         let values = [
             measured.map(|measured| self.rows.worst_px(&measured)),
             blurs_px[0].zip(blurs_px[1]).map(|(left, right)| {
                 added_blur_px(softer_by_px([left, right]), self.when_calibrated.focus_px.unwrap_or(0.0))
             }),
             Some(
-                brighter_by_percent(&eyes.map(|image| Exposure::of(&[image])))
+                brighter_by_percent(&cameras.map(|image| Exposure::of(&[image])))
                     - self.when_calibrated.brightness_percent.unwrap_or(0.0),
             ),
             Some(skew_s * 1e3).filter(|_| self.is_synchronous),

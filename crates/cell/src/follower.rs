@@ -1,4 +1,4 @@
-//! One target through a sequence of pairs: a tracker with the region that was marked for it.
+//! Tracks one target through a sequence of pairs, with the region that was marked for it.
 
 use image::RgbImage;
 use pb3dp_estimation::estimator::{FramePrior, Tracker};
@@ -9,27 +9,27 @@ use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
 
-/// A target that is in none of so many pairs after it was marked is given up: by then its region may show something else.
+/// Number of pairs without initialisation after which the target is given up: its region may show something else by then.
 const TRIES_MAX: u32 = 15;
 
 /// A tracker with its region.
 ///
-/// A tracker that could take nothing from the first pair is given the same region in the pairs that follow, as long as it
-/// may still show the target.
+/// If the first pair does not initialise the tracker, the following pairs are tried with the same region while it may still show the
+/// target.
 pub struct Follower {
     tracker: Tracker,
     range: SearchRange,
-    /// The region, once it was marked, and in how many pairs nothing was taken from it.
+    /// The marked region, and the number of pairs in which initialisation failed.
     marked: Option<(Region, u32)>,
 }
 
 impl Follower {
-    /// A follower that searches in `range`.
+    /// A follower with the search range `range`.
     pub fn new(tracker: Tracker, range: SearchRange) -> Self {
         Self { tracker, range, marked: None }
     }
 
-    /// Whether a region was marked, and was not refused.
+    /// Whether a region was marked and accepted.
     pub fn is_started(&self) -> bool {
         self.marked.is_some()
     }
@@ -39,10 +39,10 @@ impl Follower {
         &self.tracker
     }
 
-    /// Looks at the next pair, for as long as `may_continue` says so. The first one needs a `region`; it is not used afterwards.
+    /// Processes the next pair while `may_continue` returns true. The first pair needs a `region`; later ones ignore it.
     ///
     /// # Errors
-    /// Images that do not fit the calibration, a region that cannot serve, a bad range, or no region yet.
+    /// Images that do not match the calibration, an unsuitable region, a bad range, or no region yet.
     pub fn look(
         &mut self,
         left: &RgbImage,
@@ -71,7 +71,6 @@ impl Follower {
 }
 
 fn given_up() -> TrackEstimate {
-    let reason =
-        format!("no target was found in its region in {TRIES_MAX} pairs: mark it again where it is seen better");
+    let reason = format!("no target found in its region in {TRIES_MAX} pairs: mark it again in a clearer view");
     TrackEstimate::without_pose(Status::Lost, reason)
 }

@@ -1,5 +1,5 @@
-//! The two halves of everything that has both arms move before the cameras: one that looks, and one that moves. Which loop steps
-//! them, in simulated time or in the machine's, neither knows.
+//! Interfaces of the vision half and the motion half of a run. Neither depends on the loop that steps them, in simulated time or in real
+//! time.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,71 +15,71 @@ use super::percept::Percept;
 
 /// The half that moves both arms.
 pub trait Mover: Send {
-    /// What a control step is remembered by.
+    /// Record of a control step.
     type Step: Copy + Send;
 
-    /// Switches both arms on, as far as that is possible now: whether they are on. To be called in each control cycle until then.
+    /// Enables both arms step by step; returns whether they are enabled. Call it in each control cycle until then.
     ///
     /// # Errors
-    /// The arm that cannot be switched on, and why; the other one may be on.
+    /// The arm that cannot be enabled, and the cause; the other arm may be enabled.
     fn enable(&mut self) -> Result<bool>;
 
-    /// Control steps begin at this time.
+    /// Sets the time of the first control step.
     fn begin_at(&mut self, begin: MonotonicTime);
 
-    /// The newest that was seen of the target; the control step at `now` is the first one that has it.
+    /// Receives the newest result for the target; the control step at `now` is the first one to use it.
     fn observe(&mut self, percept: Percept, now: MonotonicTime);
 
     /// One control step of both arms.
     ///
     /// # Errors
-    /// Why both have to be stopped.
+    /// The cause for which both arms must be stopped.
     fn step(&mut self, now: MonotonicTime) -> Result<Self::Step>;
 
-    /// Both arms come to rest with brakes on, whatever happened before.
+    /// Stops both arms and closes their brakes, in any state.
     ///
     /// # Errors
-    /// The arm that cannot be told.
+    /// The arm that cannot be commanded.
     fn stop(&mut self) -> Result<()>;
 }
 
-/// The half that looks.
+/// The half that processes images.
 pub trait Watcher {
-    /// What it is told of a control step.
+    /// Record of a control step.
     type Step: Copy + Send;
 
-    /// Control steps begin at this time.
+    /// Sets the time of the first control step.
     fn begin_at(&mut self, begin: MonotonicTime);
 
-    /// A control step was done.
+    /// Receives a finished control step.
     fn moved(&mut self, step: &Self::Step);
 
-    /// Waits for the next pair and looks at it: what those who move are told. `None` if it did not come.
+    /// Waits for the next pair and estimates the target pose; `None` if no pair arrived.
     ///
     /// # Errors
-    /// If there will be no more.
+    /// If no more pairs can arrive.
     fn look(&mut self) -> Result<Option<Percept>>;
 
-    /// Writes down what was seen last; those who move know it by now.
+    /// Records the last estimate; the motion half has it already.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If the record cannot be written.
     fn note(&mut self) -> Result<()>;
 }
 
-/// The half that looks, whose three parts can have a thread each.
+/// A vision half whose three parts can have one thread each.
 pub trait Parted {
-    /// What it is told of a control step.
+    /// Record of a control step.
     type Step: Copy + Send;
-    /// What is captured.
+    /// A captured frame.
     type Frame: Send;
-    /// What is seen in it.
+    /// The estimate from a frame.
     type Seen: Send;
 
-    /// Control steps begin at this time.
+    /// Sets the time of the first control step.
     fn begin_at(&mut self, begin: MonotonicTime);
 
-    /// What captures, what estimates, and what writes down.
+    /// The capture, estimation and recording parts.
     #[allow(clippy::type_complexity, reason = "each part with what it has to go with")]
     fn parts(
         &mut self,
@@ -90,54 +90,54 @@ pub trait Parted {
     );
 }
 
-/// What captures frames.
+/// Captures frames.
 pub trait Capture: Send {
-    /// What is captured.
+    /// A captured frame.
     type Frame: Send;
 
-    /// Waits for the next frame. `None` if it did not come.
+    /// Waits for the next frame; `None` if no frame arrived.
     ///
     /// # Errors
-    /// If there will be no more.
+    /// If no more frames can arrive.
     fn capture(&mut self) -> Result<Option<Self::Frame>>;
 
-    /// Number and times of a frame.
+    /// Sequence number and times of a frame.
     fn input(frame: &Self::Frame) -> FrameInput;
 }
 
-/// What estimates from frames.
+/// Estimates the target pose from frames.
 pub trait Estimate: Send {
-    /// What is looked at.
+    /// A captured frame.
     type Frame;
-    /// What was seen, to be written down.
+    /// The estimate, to be recorded.
     type Seen;
-    /// What it is told of a control step.
+    /// Record of a control step.
     type Step;
 
-    /// A control step was done.
+    /// Receives a finished control step.
     fn moved(&mut self, step: &Self::Step);
 
-    /// Looks at a frame: what those who move are told, and what is to be written down.
+    /// Estimates from a frame: the input of the motion half, and the estimate to be recorded.
     ///
     /// # Errors
-    /// If it fails for good.
+    /// If the method fails permanently.
     fn look(&mut self, frame: Self::Frame) -> Result<(Percept, Self::Seen)>;
 }
 
-/// What writes down.
+/// Records estimates and control steps.
 pub trait Record {
-    /// What was seen in a frame.
+    /// The estimate from a frame.
     type Seen;
-    /// What it is told of a control step.
+    /// Record of a control step.
     type Step;
 
-    /// A control step was done.
+    /// Receives a finished control step.
     fn moved(&mut self, step: &Self::Step);
 
-    /// Writes down what was seen in a frame.
+    /// Records the estimate from a frame.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If the record cannot be written.
     fn note(&mut self, seen: Self::Seen) -> Result<()>;
 }
 
@@ -153,19 +153,19 @@ impl<C: Capture> Capture for &mut C {
     }
 }
 
-/// For how long both halves are stepped, and on which clock.
+/// Duration and clock of a run of both halves.
 pub struct Course<'a> {
-    /// Their times.
+    /// Setup, with all periods.
     pub setup: &'a Setup,
-    /// The one clock.
+    /// The clock.
     pub clock: &'a Arc<dyn Clock>,
     /// From the first control step to the last one.
     pub duration: Duration,
-    /// Once this is set, the course ends before its time.
+    /// Once set, the course ends early.
     pub interrupt: &'a AtomicBool,
 }
 
-/// The first failure of several outcomes, in the order in which they came about; the others are logged.
+/// The first failure of several outcomes, in order of occurrence; the others are logged.
 ///
 /// # Errors
 /// The first failure.
@@ -181,34 +181,34 @@ pub(super) fn first_failure(outcomes: impl IntoIterator<Item = Result<()>>) -> R
     first
 }
 
-/// Arms that are switched on: on every way out, a panic included, they are stopped.
+/// Enabled arms: they are stopped on every exit path, including a panic.
 pub(super) struct Enabled<'a, M: Mover> {
     mover: &'a mut M,
     is_stopped: bool,
 }
 
 impl<'a, M: Mover> Enabled<'a, M> {
-    /// Switches both arms on, unless the course is interrupted meanwhile.
+    /// Enables both arms, unless the course is interrupted meanwhile.
     ///
     /// # Errors
-    /// As [`Mover::enable`]; both are stopped then.
+    /// As [`Mover::enable`]; both arms are then stopped.
     pub fn new(course: &Course<'_>, mover: &'a mut M) -> Result<Self> {
         let enabled = Self { mover, is_stopped: false };
         let mut next = course.clock.now();
         while !enabled.mover.enable()? && !course.interrupt.load(Ordering::SeqCst) {
-            // A cycle whose time has passed is left out.
+            // A cycle whose time has passed is skipped.
             next = (next + course.setup.control_period).max(course.clock.now());
             course.clock.sleep_until(next);
         }
         Ok(enabled)
     }
 
-    /// What moves them.
+    /// The motion half.
     pub fn mover(&mut self) -> &mut M {
         self.mover
     }
 
-    /// Stops both.
+    /// Stops both arms.
     ///
     /// # Errors
     /// As [`Mover::stop`].

@@ -1,4 +1,4 @@
-//! What images are like: brightness, sharpness, and by how much rows of both cameras are off.
+//! Image quality: brightness, sharpness, and vertical misalignment between the cameras.
 
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method, RowMeasurement};
 use pb3dp_estimation_core::error::EstimationError;
@@ -9,17 +9,17 @@ pub use pb3dp_record::image_quality::{
     BRIGHT, DARK, EDGE_MIN_GREY, EDGES_MIN, Exposure, blur_of, brighter_by_percent, softer_by_px,
 };
 
-/// As many points must be found again in the other image; with fewer nothing is measured (`row_measurement.rs`).
+/// Least number of matched points for a measurement (`row_measurement.rs`).
 pub const MATCHES_MIN: usize = 15;
 
-/// What measures by how much rows of right images are off, somewhere in the images of a rig.
+/// Measures the vertical misalignment of the right images of a rig.
 pub struct RowMeter {
     estimator: Estimator,
     size: ImageSize,
 }
 
 impl RowMeter {
-    /// For images of this rig.
+    /// A meter for images of this rig.
     ///
     /// # Errors
     /// A rig that the method `direct` cannot use.
@@ -28,15 +28,15 @@ impl RowMeter {
         Ok(Self { estimator, size: rig.right().size() })
     }
 
-    /// What the rows of a pair are like; `matches` of it tells on how much that rests.
+    /// Measures the vertical misalignment of a pair; `matches` is the number of points it is based on.
     ///
     /// # Errors
-    /// Images that do not fit the calibration.
+    /// Images that do not match the calibration.
     pub fn measure(&mut self, pair: &FramePair) -> Result<RowMeasurement, EstimationError> {
         self.estimator.prepare(&pair.left, &pair.right).map(Option::unwrap_or_default)
     }
 
-    /// By how much rows are off where they are off most, pixels.
+    /// Largest vertical misalignment in the image, pixels.
     pub fn worst_px(&self, measured: &RowMeasurement) -> f64 {
         measured.rows.magnitude_max_px(self.size.width, self.size.height)
     }

@@ -1,9 +1,8 @@
-//! The loop in the machine's time: capture, estimation, control and recording have a thread each.
+//! The real-time loop: capture, estimation, control and recording have one thread each.
 //!
-//! The thread that moves steps both arms at fixed times and waits for nobody but the arms. The newest that was seen lies ready for it,
-//! and its steps go into rings of fixed size: no end of these ever waits, locks or allocates, so an estimate that takes too long comes
-//! too late, and moves nobody else. Of arms behind a line it shares no lock with image work; joints that are simulated in process
-//! (`mock`) are shared with the cameras.
+//! The control thread steps both arms at fixed times and waits only for the arms. It reads the newest estimate from a slot, and its steps
+//! go into rings of fixed size. No end of these ever waits, locks or allocates, so a slow estimate only arrives late. With arms behind a
+//! link, the control thread shares no lock with image processing. Joints simulated in process (`mock`) are shared with the cameras.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -21,20 +20,20 @@ use super::halves::{Capture, Course, Enabled, Estimate, Mover, Parted, Record, f
 use super::handover::{Giver, Newest, Taker, latest};
 use super::percept::Percept;
 
-/// Steps that nobody has taken yet: two seconds at 500 Hz.
+/// Steps that are not consumed yet: two seconds at 500 Hz.
 const STEPS_MAX: usize = 1000;
-/// Pairs that wait to be written down, with their images: half a second of them.
+/// Pairs, with their images, that wait for recording: half a second of them.
 const SEEN_MAX: usize = 16;
-/// How often threads that wait for something look whether the course is over.
+/// Interval at which waiting threads check whether the course is over.
 const LOOK: Duration = Duration::from_millis(10);
-/// What a thread that moves arms asks for: a priority below those of the arms, which have 50.
+/// Real-time request of a thread that moves arms: a priority below that of the arm threads, which have 50.
 pub const CONTROL_THREAD: Realtime = Realtime { priority: Some(40), locks_memory: false, cpu: None };
 
-/// Steps both halves from the moment in which both arms are switched on; both are stopped on every way out. The calling thread is the one
-/// that writes down.
+/// Steps both halves from the time when both arms are enabled; both are stopped on every exit path. The calling thread is the recording
+/// thread.
 ///
 /// # Errors
-/// The first failure of an arm, the camera, the estimator or what is written down for good.
+/// The first permanent failure of an arm, the camera, the estimator or the recording.
 pub(super) fn drive<M: Mover, W: Parted<Step = M::Step>>(
     course: &Course<'_>,
     watcher: &mut W,
@@ -47,7 +46,7 @@ pub(super) fn drive<M: Mover, W: Parted<Step = M::Step>>(
     enabled.mover().begin_at(begin);
     let Punctuality { capture, estimation, control, recording } = punctuality;
     let (camera, estimator, recorder) = watcher.parts();
-    // Whoever interrupts the course says the same as its end does.
+    // An interruption sets the same flag as the end of the course.
     let (clock, is_over) = (&**course.clock, course.interrupt);
     let frames = Newest::default();
     let (give_percept, percepts) = latest();
@@ -68,7 +67,7 @@ pub(super) fn drive<M: Mover, W: Parted<Step = M::Step>>(
         Estimating { estimator, frames: &frames, steps, percepts: give_percept, seen: give_seen, clock, is_over, beat };
     let mut recording = Recording { recorder, steps: of_recording, seen, clock, is_over, beat: recording };
     let (moved, captured, estimated, recorded) = std::thread::scope(|scope| {
-        // However a thread ends, all others end, too, and the arms are stopped.
+        // When a thread ends for any reason, all others end, and the arms are stopped.
         let over = Over(is_over);
         let control = spawn(scope, "control", || driving.run(begin));
         let capture = spawn(scope, "capture", || capturing.run());
@@ -80,7 +79,7 @@ pub(super) fn drive<M: Mover, W: Parted<Step = M::Step>>(
     });
     let recorded = recorded.and_then(|()| recording.finish());
     let (stepped, stopped) = moved.unwrap_or_else(|failure| (Err(failure), Ok(())));
-    // Both arms are stopped behind whatever else has failed.
+    // The outcome of the stop comes after all other failures.
     first_failure([stepped, captured.flatten(), estimated.flatten(), recorded, stopped])
 }
 
@@ -93,17 +92,17 @@ fn spawn<'scope, T: Send + 'scope>(
 }
 
 fn join<T>(name: &str, thread: Result<ScopedJoinHandle<'_, T>>) -> Result<T> {
-    thread?.join().map_err(|_| anyhow!("the thread of {name} has failed by a mistake of the program"))
+    thread?.join().map_err(|_| anyhow!("the {name} thread panicked: this is a bug, please report it"))
 }
 
-/// This thread moves arms from now on; what is not to be had is told, and it goes on without.
+/// Gives this thread the real-time settings of a control thread; logs those that are unavailable and continues.
 pub fn enter_control_thread() {
     for shortfall in enter(&CONTROL_THREAD) {
         tracing::warn!("control loop: {shortfall}");
     }
 }
 
-/// Says that the course is over when it is dropped.
+/// Sets the end flag of the course when it is dropped.
 struct Over<'a>(&'a AtomicBool);
 
 impl Drop for Over<'_> {
@@ -112,11 +111,11 @@ impl Drop for Over<'_> {
     }
 }
 
-/// The thread that captures: of frames that nobody has taken yet there is only the newest one.
+/// The capture thread: of unread frames only the newest one is kept.
 struct Capturing<'a, C: Capture> {
     camera: C,
     exposure: Duration,
-    /// With the time since which it is there.
+    /// Each frame with its arrival time.
     frames: &'a Newest<(MonotonicTime, C::Frame)>,
     clock: &'a dyn Clock,
     is_over: &'a AtomicBool,
@@ -131,7 +130,7 @@ impl<C: Capture> Capturing<'_, C> {
             let Some(frame) = self.camera.capture()? else { continue };
             let (now, input) = (self.clock.now(), C::input(&frame));
             self.beat.lateness.record(now.saturating_since(input.at + self.exposure / 2));
-            // Numbers between two frames are those of frames that did not come.
+            // A gap in the sequence numbers counts the frames that did not arrive.
             let since = before.replace(input.sequence).and_then(|before: u64| input.sequence.checked_sub(before));
             self.beat.missed += since.map_or(0, |since| since.saturating_sub(1));
             self.beat.dropped += u64::from(self.frames.give((now, frame)));
@@ -140,7 +139,7 @@ impl<C: Capture> Capturing<'_, C> {
     }
 }
 
-/// The thread that estimates, from the newest frame.
+/// The estimation thread; it uses the newest frame.
 struct Estimating<'a, E: Estimate> {
     estimator: E,
     frames: &'a Newest<(MonotonicTime, E::Frame)>,
@@ -162,7 +161,7 @@ impl<E: Estimate> Estimating<'_, E> {
             }
             let Some((captured_at, frame)) = frame else { continue };
             let (percept, seen) = self.estimator.look(frame)?;
-            // A percept says all that is known now: nothing is lost by one that is overwritten but an observation.
+            // A percept contains all current information: an overwritten one loses only an observation.
             self.beat.dropped += u64::from(self.percepts.give(percept));
             let now = self.clock.now();
             self.beat.lateness.record(now.saturating_since(captured_at));
@@ -172,7 +171,7 @@ impl<E: Estimate> Estimating<'_, E> {
     }
 }
 
-/// The thread that writes down what all others do; nobody waits for it.
+/// The recording thread; no other thread waits for it.
 struct Recording<'a, R: Record> {
     recorder: R,
     steps: Consumer<R::Step>,
@@ -196,7 +195,7 @@ impl<R: Record> Recording<'_, R> {
         Ok(())
     }
 
-    /// Writes down what is left.
+    /// Records the remaining items.
     fn finish(&mut self) -> Result<()> {
         self.take_steps();
         while let Ok(seen) = self.seen.try_recv() {
@@ -218,19 +217,19 @@ impl<R: Record> Recording<'_, R> {
     }
 }
 
-/// The thread that moves.
+/// The control thread.
 struct Driving<'a, M: Mover> {
     course: &'a Course<'a>,
     enabled: Enabled<'a, M>,
     percepts: Taker<Percept>,
-    /// To those who estimate, and to those who write down.
+    /// To the estimation thread and to the recording thread.
     steps: [Producer<M::Step>; 2],
     beat: &'a mut Beat,
 }
 
 impl<M: Mover> Driving<'_, M> {
-    /// Steps until the end, then stops both arms; also when a step fails or another thread is done. What became of the steps, and of the
-    /// stop.
+    /// Steps until the end, then stops both arms; also if a step fails or another thread has ended. Returns the outcome of the steps and
+    /// that of the stop.
     fn run(mut self, begin: MonotonicTime) -> (Result<()>, Result<()>) {
         enter_control_thread();
         let _over = Over(self.course.interrupt);
@@ -249,11 +248,11 @@ impl<M: Mover> Driving<'_, M> {
                 self.enabled.mover().observe(percept, now);
             }
             let step = self.enabled.mover().step(now)?;
-            // Steps that nobody takes are lost to the report and to the priors of estimates, and to nothing else.
+            // Steps that are not consumed are missing only in the report and in the priors of estimates.
             let taken = self.steps.each_mut().map(|steps| steps.push(step).is_ok());
             self.beat.dropped += u64::from(taken != [true; 2]);
             due = due + period;
-            // Times that have passed are left out.
+            // Times that have passed are skipped.
             while due + period <= clock.now() {
                 due = due + period;
                 self.beat.missed += 1;

@@ -1,8 +1,7 @@
 //! The loop in simulated time: one thread, stepped by one virtual clock, so that the same seed gives the same run.
 //!
-//! Two things happen, each at its own time, the earlier one first: a control step every control period, and a frame when
-//! its exposure has ended. An estimate reaches those who move only `estimate_latency` after its exposure has ended, however
-//! fast this machine computed it.
+//! Two events occur in order of their times: a control step every control period, and a frame when its exposure has ended. An estimate
+//! reaches the motion half only `estimate_latency` after the end of its exposure, independent of the speed of this computer.
 
 use std::collections::VecDeque;
 use std::sync::atomic::Ordering;
@@ -13,10 +12,10 @@ use pb3dp_geometry::MonotonicTime;
 use super::halves::{Course, Enabled, Mover, Watcher, first_failure};
 use super::percept::Percept;
 
-/// Steps both halves in the order of their times; both arms are stopped on every way out.
+/// Steps both halves in order of their times; both arms are stopped on every exit path.
 ///
 /// # Errors
-/// The first failure of an arm, the camera or the estimator for good.
+/// The first permanent failure of an arm, the camera or the estimator.
 pub(super) fn drive<M: Mover, W: Watcher<Step = M::Step>>(
     course: &Course<'_>,
     watcher: &mut W,
@@ -37,7 +36,7 @@ fn step_both<M: Mover, W: Watcher<Step = M::Step>>(
     begin: MonotonicTime,
 ) -> Result<()> {
     let end = begin + duration;
-    // Estimates on their way to those who move, with the time of arrival.
+    // Estimates that have not reached the motion half yet, with their arrival times.
     let mut arriving: VecDeque<(MonotonicTime, Percept)> = VecDeque::new();
     let (mut next_control, mut next_frame) = (begin, begin + setup.rig.frames.exposure);
     while next_control.min(next_frame) <= end && !interrupt.load(Ordering::SeqCst) {
@@ -49,7 +48,7 @@ fn step_both<M: Mover, W: Watcher<Step = M::Step>>(
             }
             watcher.moved(&mover.step(next_control)?);
             next_control = next_control + setup.control_period;
-            // Brakes that open or close take their time; what would have been then is left out.
+            // Opening or closing brakes takes time; steps and frames due meanwhile are skipped.
             while next_control < clock.now() {
                 next_control = next_control + setup.control_period;
             }

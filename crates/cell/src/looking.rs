@@ -15,9 +15,9 @@ use pb3dp_setup::setup::{Pace, Setup};
 
 use super::capturing::{Captured, Capturing};
 use super::cell::{JOINT_GAP_MAX_S, SimulatedCell};
-use super::eyes::{Eyes, Marking, Sight};
 use super::halves::Capture;
 use super::noting::{Looked, Noting};
+use super::perception::{Marking, Perception, Sight};
 use super::strip::Strip;
 use crate::noting::Seen;
 
@@ -35,16 +35,16 @@ impl<'a> Looking<'a> {
     /// A camera whose pairs are not processed yet. If `record` is given, every pair is also written to that folder.
     ///
     /// # Errors
-    /// As [`Eyes::new`] and [`Noting::new`].
+    /// As [`Perception::new`] and [`Noting::new`].
     pub fn new(
         setup: &'a Setup,
         (camera, cell, marking): (Sight, SimulatedCell, Marking),
         (strip, clock): (Strip, &Arc<dyn Clock>),
         record: Option<&Path>,
     ) -> Result<Self> {
-        let eyes = Eyes::new(setup, &camera, marking.clone())?;
+        let cameras = Perception::new(setup, &camera, marking.clone())?;
         Ok(Self {
-            estimating: Estimating::new(setup, Arc::clone(clock), eyes),
+            estimating: Estimating::new(setup, Arc::clone(clock), cameras),
             noting: Noting::new(setup, marking, (strip, clock.now()), record)?,
             capturing: Capturing::new(setup, camera, cell),
         })
@@ -78,7 +78,7 @@ impl<'a> Looking<'a> {
 pub struct Estimating<'a> {
     setup: &'a Setup,
     clock: Arc<dyn Clock>,
-    eyes: Eyes,
+    cameras: Perception,
     /// Number of the target: how many were marked so far.
     target: u64,
     /// Measured joints of the arm that carries the cameras.
@@ -88,9 +88,9 @@ pub struct Estimating<'a> {
 }
 
 impl<'a> Estimating<'a> {
-    fn new(setup: &'a Setup, clock: Arc<dyn Clock>, eyes: Eyes) -> Self {
+    fn new(setup: &'a Setup, clock: Arc<dyn Clock>, cameras: Perception) -> Self {
         let joints = JointHistory::new(setup.controller.joint_history_samples, JOINT_GAP_MAX_S);
-        Self { setup, clock, eyes, target: 0, joints, previous: None }
+        Self { setup, clock, cameras, target: 0, joints, previous: None }
     }
 
     /// Adds a joint measurement of the arm that carries the cameras.
@@ -104,10 +104,10 @@ impl<'a> Estimating<'a> {
     /// If the method fails permanently.
     pub fn look(&mut self, captured: Captured) -> Result<Seen> {
         let prior = self.prior(captured.frame.at);
-        let region = self.eyes.region(self.setup, captured.cam_left_from_target.as_ref())?;
+        let region = self.cameras.region(self.setup, captured.cam_left_from_target.as_ref())?;
         self.target += u64::from(region.is_some());
         let started = Instant::now();
-        let estimate = self.eyes.estimate(&captured.view, region.as_ref(), &prior)?;
+        let estimate = self.cameras.estimate(&captured.view, region.as_ref(), &prior)?;
         let latency_millis = started.elapsed().as_secs_f64() * 1e3;
         if region.is_some() {
             for warning in &estimate.warnings {

@@ -1,28 +1,28 @@
-//! What the log says of pairs that do not come: the first of its kind, then less and less often, and once when pairs come again.
+//! Log lines for lost pairs: the first of each kind, then less and less often, and one when pairs arrive again.
 
-/// So many pairs in a row end a time in which pairs are lost: a second at 30 per second.
+/// Number of consecutive pairs that end a loss period: one second at 30 per second.
 const CALM: u32 = 30;
 
-/// Kinds of losses that are told apart; others count with the rest.
+/// Number of distinguished kinds of losses; further kinds share the last entry.
 const KINDS_MAX: usize = 8;
 
-/// Pairs that did not come, from the first one until they come again, each of them.
+/// Losses from the first one until pairs arrive again.
 #[derive(Debug, Default)]
 pub struct Losses {
     lost: u64,
     /// Pairs since the last loss.
     came: u32,
-    /// Kinds that were told, without their numbers.
+    /// Kinds already logged, without their numbers.
     told: Vec<String>,
 }
 
 impl Losses {
-    /// One more, and why: what is to be said of it. A kind is told at once, all losses together when there were 2, 4, 8 of them:
-    /// a camera that is away for an hour, or every other pair that is refused, is told in twenty lines.
+    /// Counts a loss and its cause; returns a log line if one is due. A new kind is logged at once, the total after 2, 4, 8 losses and so
+    /// on: a camera that is away for an hour, or that loses every other pair, produces twenty lines.
     pub fn add(&mut self, why: &str) -> Option<String> {
         self.lost += 1;
         self.came = 0;
-        // Each pair that is refused has a skew of its own; that is no news.
+        // The skew differs in every rejected pair; only the text identifies the kind.
         let kind: String = why.chars().filter(|letter| !letter.is_ascii_digit()).collect();
         let is_new = self.told.len() < KINDS_MAX && !self.told.contains(&kind);
         if is_new {
@@ -30,19 +30,19 @@ impl Losses {
         }
         match self.lost {
             1 => Some(why.to_owned()),
-            lost if is_new || lost.is_power_of_two() => Some(format!("{why} (pairs that did not come so far: {lost})")),
+            lost if is_new || lost.is_power_of_two() => Some(format!("{why} (pairs lost so far: {lost})")),
             _ => None,
         }
     }
 
-    /// A pair has come: what is to be said of that.
+    /// Counts an arrived pair; returns a log line if a loss period ends.
     pub fn pair_has_come(&mut self) -> Option<String> {
         self.came = self.came.saturating_add(1);
         if self.lost == 0 || self.came < CALM {
             return None;
         }
         let Self { lost, .. } = std::mem::take(self);
-        (lost > 1).then(|| format!("camera: pairs come again, {lost} did not"))
+        (lost > 1).then(|| format!("camera: pairs arrive again, {lost} were lost"))
     }
 }
 
@@ -55,11 +55,11 @@ mod tests {
         let mut losses = Losses::default();
         let said: Vec<_> = (0..100).filter_map(|_| losses.add("left: no pairs")).collect();
         assert_eq!(said[0], "left: no pairs");
-        assert_eq!((said.len(), said[6].as_str()), (7, "left: no pairs (pairs that did not come so far: 64)"));
+        assert_eq!((said.len(), said[6].as_str()), (7, "left: no pairs (pairs lost so far: 64)"));
         let said: Vec<_> = (0..100).map(|_| losses.pair_has_come()).collect();
-        assert_eq!(said[29].as_deref(), Some("camera: pairs come again, 100 did not"));
+        assert_eq!(said[29].as_deref(), Some("camera: pairs arrive again, 100 were lost"));
         assert_eq!(said.iter().flatten().count(), 1);
-        // The next time is told anew, and one pair is not worth a second line.
+        // The next period is logged anew, and a single pair gets no second line.
         assert_eq!(losses.add("left: no pairs").as_deref(), Some("left: no pairs"));
         assert!((0..100).all(|_| losses.pair_has_come().is_none()));
     }
@@ -80,13 +80,13 @@ mod tests {
     fn another_reason_is_told_at_once_and_two_in_turn_are_told_once_each() {
         let mut losses = Losses::default();
         let said: Vec<_> = (0..1000)
-            .flat_map(|_| ["too far apart", "damaged"])
+            .flat_map(|_| ["skew too large", "damaged"])
             .filter_map(|why| losses.add(why))
             .filter(|line| line.contains("damaged"))
             .collect();
-        assert_eq!(said[0], "damaged (pairs that did not come so far: 2)");
+        assert_eq!(said[0], "damaged (pairs lost so far: 2)");
         assert!(said.len() < 12, "{said:#?}");
-        // However many reasons there are.
+        // For any number of kinds.
         let many = (0..1000).filter(|k| losses.add(&"x".repeat(*k)).is_some()).count();
         assert!(many < 10, "{many}");
     }

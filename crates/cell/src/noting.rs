@@ -16,12 +16,12 @@ use pb3dp_setup::setup::{Setup, Synchronisation};
 use super::capturing::Captured;
 use super::compared::{Frame, Onlooker};
 use super::drift::{DriftSummary, DriftWatch, WhenCalibrated};
-use super::eyes::Marking;
 use super::log::{Lock, MethodLog};
 use super::percept::Percept;
+use super::perception::Marking;
 use super::recording::Recording;
 use super::strip::Strip;
-use crate::eyes::View;
+use crate::perception::View;
 use pb3dp_estimation_core::model_frame::model_frame_on_plane;
 
 /// Image records; includes the compared methods.

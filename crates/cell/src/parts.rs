@@ -13,8 +13,8 @@ use pb3dp_setup::setup::{ArmSetup, Setup};
 use pb3dp_sim::trajectory::Trajectory;
 
 use super::cell::SimulatedCell;
-use super::eyes::{Marking, Sight};
 use super::operator::Operator;
+use super::perception::{Marking, Sight};
 
 /// An arm with its limiter: motion, power, and limiter statistics.
 pub trait DrivenArm: Arm + ArmPower {

@@ -142,7 +142,7 @@ mod tests {
     fn weaken(arm: &mut ArmSetup, joint: usize, acceleration_max_rad_per_s2: f64) {
         let limits = &arm.limits;
         let mut stated = StatedLimits {
-            // Of what counts already, everything.
+            // All of the operating limits.
             servo: *limits.operating(),
             operating_min_rad: *limits.operating().position_min_rad(),
             operating_max_rad: *limits.operating().position_max_rad(),

@@ -143,7 +143,7 @@ impl Plan {
     pub fn table(&self, arm: &ArmSetup) -> String {
         let (operating, servo) = (arm.limits.operating(), arm.limits.servo());
         let mut text =
-            "axis   now deg    to deg    by deg  fastest rad/s  left to operating range  to servo limit, deg\n"
+            "axis   now deg    to deg    by deg  fastest rad/s  to operating range, deg  to servo limit, deg\n"
                 .to_owned();
         let to_rad = self.end_rad();
         for joint in 0..DOF {
@@ -174,7 +174,10 @@ impl Room {
         if self.distance_m >= setup.rig.least_room_m {
             return Ok(());
         }
-        bail!("{self} is less than arms.least_room_mm, {:.0} mm: move the other arm away", 1e3 * setup.rig.least_room_m)
+        bail!(
+            "the clearance of {self} is less than arms.least_room_mm, {:.0} mm: move the other arm away",
+            1e3 * setup.rig.least_room_m
+        )
     }
 }
 

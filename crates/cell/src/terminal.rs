@@ -1,4 +1,4 @@
-//! What programs for a terminal share: lines in and out, and numbers typed on a command line.
+//! Helpers for terminal programs: lines in and out, and numbers on a command line.
 
 use std::io::{self, BufRead, Write};
 use std::sync::mpsc::{Receiver, channel};
@@ -16,10 +16,10 @@ pub fn print_line(line: &str) -> io::Result<()> {
     }
 }
 
-/// The lines of standard input without their ends, as they come; after an error none follows.
+/// The lines of standard input without line ends, as they arrive; none follows an error.
 ///
 /// # Errors
-/// If the system gives no thread.
+/// If the system provides no thread.
 pub fn typed_lines() -> Result<Receiver<std::io::Result<String>>> {
     let (sender, receiver) = channel();
     let read = move || {
@@ -37,7 +37,7 @@ pub fn typed_lines() -> Result<Receiver<std::io::Result<String>>> {
 /// A number of seconds, 0 to 1e6.
 ///
 /// # Errors
-/// What is allowed.
+/// The allowed range.
 pub fn parse_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(seconds) if (0.0..=1e6).contains(&seconds) => Ok(seconds),

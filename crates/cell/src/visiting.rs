@@ -1,7 +1,7 @@
-//! An arm goes from pose to pose, and at each of them, when joints and images rest, a pair is taken: what a calibration is made of.
+//! An arm visits a list of poses; at each stop, once joints and images are stationary, one stereo pair is recorded for a calibration.
 //!
-//! The same parts as of a run, with limiter, guard and coupling, and the same loops; the other arm holds. Each way is straight in joint
-//! space and at rest at both ends. What has been taken is on disk before the arm goes on.
+//! Uses the same parts and loops as a run, with limiter, guard and coupling; the other arm holds. Each path is straight in joint space and
+//! stationary at both ends. Each pair is on disk before the arm moves on.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -24,83 +24,83 @@ use super::parts::{ArmChoice, Parts};
 use super::percept::Percept;
 use super::plan::Plan;
 use super::stillness::shift_px;
-use crate::eyes::View;
+use crate::perception::View;
 
-/// Speed per angle by which a joint is behind its plan, 1/s.
+/// Proportional gain of the joint error to the plan, 1/s.
 const GAIN_PER_S: f64 = 2.0;
-/// A joint that is this near to its end has arrived, rad.
+/// A joint this near to its end has arrived, rad.
 const ARRIVED_WITHIN_RAD: f64 = 5e-4;
-/// How long joints may take to arrive after a way should have ended.
+/// Time allowed for arrival after the planned end of a path.
 const LATE_MAX: Duration = Duration::from_secs(3);
-/// Joints that move by less than this in the time below rest, rad: a few steps of a resolver.
+/// Joints that move by less than this within the settling time are stationary, rad: a few steps of a resolver.
 const RESTS_WITHIN_RAD: f64 = 2e-4;
-/// How long joints have to rest before images count: structures ring after a stop.
+/// Time for which joints must be stationary before images count: the structure vibrates after a stop.
 const SETTLE: Duration = Duration::from_millis(500);
-/// Images that move by less than this from one to the next rest, pixels.
+/// Images with less motion than this from one to the next are stationary, pixels.
 pub const STILL_WITHIN_PX: f64 = 0.05;
-/// Before the first way, and behind the last one.
+/// Wait before the first path and after the last one.
 const LEAD: Duration = Duration::from_millis(500);
 
-/// A tour: ways one behind the other, with a stop at the end of each but the last one, which leads back.
+/// A tour: consecutive paths with a stop at the end of each but the last one, which returns to the start.
 #[derive(Clone, Debug)]
 pub struct Tour {
-    /// The arm that goes.
+    /// The arm that moves.
     pub choice: ArmChoice,
-    /// The ways.
+    /// The paths.
     pub ways: Vec<Plan>,
-    /// How long images may take to rest; a stop that takes longer is left out.
+    /// Longest wait for stationary images; a stop that takes longer is skipped.
     pub patience: Duration,
 }
 
 impl Tour {
-    /// How many stops it has.
+    /// Number of stops.
     pub fn stops(&self) -> usize {
         self.ways.len().saturating_sub(1)
     }
 
-    /// What it takes at most.
+    /// Longest duration.
     pub fn duration_max(&self) -> Duration {
         let way = |plan: &Plan| plan.duration() + LATE_MAX + SETTLE + self.patience;
         LEAD * 2 + self.ways.iter().map(way).sum::<Duration>()
     }
 
-    /// What its ways alone take.
+    /// Duration of the paths alone.
     pub fn ways_take(&self) -> Duration {
         self.ways.iter().map(Plan::duration).sum()
     }
 }
 
-/// What a tour has come to.
+/// Result of a tour.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Visited {
-    /// Stops of which there is a pair.
+    /// Number of stops with a recorded pair.
     pub taken: usize,
-    /// Stops at which no image rested in time, by number from 1.
+    /// Stops without stationary images in time, numbered from 1.
     pub restless: Vec<usize>,
-    /// Whether the tour came to its end.
+    /// Whether the tour reached its end.
     pub is_whole: bool,
 }
 
-/// How far those who take images are, for the thread that moves.
+/// Progress of the image half, for the motion half.
 #[derive(Debug, Default)]
 struct Progress {
-    /// Stops that are done with, from the first one on.
+    /// Number of finished stops, from the first one on.
     done: AtomicUsize,
-    /// The arm is under way.
+    /// The arm is moving between stops.
     is_under_way: AtomicBool,
 }
 
-/// Makes a tour and writes its pairs with a `stops.toml` into a folder; both arms are stopped on every way out.
+/// Makes a tour and writes its pairs with a `stops.toml` into a folder; stops both arms on every exit path.
 ///
 /// # Errors
-/// If an arm or the camera fails for good, or something cannot be written; what was taken before is kept.
+/// If an arm or the camera fails permanently, or writing fails; pairs recorded before are kept.
 pub fn run(setup: &Setup, parts: Parts, tour: &Tour, folder: &Path, date: String) -> Result<Visited> {
     let Parts { clock, camera, vs, tc, cell, emulated, interrupt, .. } = parts;
     let progress = Progress::default();
     let mut watching = Watching {
         capturing: Looking {
             capturing: Capturing::new(setup, camera, cell),
-            // Nobody has to render what nobody keeps.
+            // In simulation, images that are not used are not rendered.
             unless_under_way: setup.world().is_some().then_some(&progress),
             pause: (setup.pace == Pace::Live).then_some((&*clock, setup.rig.frames.period)),
         },
@@ -119,7 +119,7 @@ pub fn run(setup: &Setup, parts: Parts, tour: &Tour, folder: &Path, date: String
     let course = Course { setup, clock: &clock, duration: tour.duration_max(), interrupt: &interrupt };
     let (ended, _) = course.run(&mut watching, &mut visiting);
     let Visiting { arms, way, is_whole, .. } = visiting;
-    // The arms go before what is at the other end of their lines.
+    // The arms are dropped before the emulators at the other end of their links.
     drop(arms);
     drop(emulated);
     let taken = watching.keeping.taken;
@@ -127,10 +127,10 @@ pub fn run(setup: &Setup, parts: Parts, tour: &Tour, folder: &Path, date: String
     ended.map(|()| Visited { taken: taken.len(), restless, is_whole })
 }
 
-/// Takes one pair where both arms are, brakes on: nothing moves.
+/// Records one pair at the current pose, with closed brakes.
 ///
 /// # Errors
-/// As [`run`], and if no image rests within `patience`.
+/// As [`run`], and if no image is stationary within `patience`.
 pub fn look_here(setup: &Setup, parts: Parts, patience: Duration, folder: &Path, date: String) -> Result<()> {
     let Parts { clock, camera, vs, tc, cell, emulated, interrupt, .. } = parts;
     let progress = Progress::default();
@@ -141,7 +141,7 @@ pub fn look_here(setup: &Setup, parts: Parts, patience: Duration, folder: &Path,
     while !interrupt.load(Ordering::SeqCst) {
         if clock.now().saturating_since(begin) > patience {
             bail!(
-                "no image has rested within {patience:?}: the last one moved by {shift:.2} px, {STILL_WITHIN_PX} are allowed; let the rig come to rest"
+                "no stationary image within {patience:?}: the last image moved by {shift:.2} px, limit {STILL_WITHIN_PX} px; stop all motion of the rig"
             );
         }
         arms.look();
@@ -167,34 +167,34 @@ fn pair_of(captured: Captured) -> Option<Arc<FramePair>> {
     }
 }
 
-/// The larger shift of both cameras.
+/// The larger image motion of the two cameras.
 fn shift_of(before: &FramePair, after: &FramePair) -> f64 {
     shift_px(&before.left, &after.left).max(shift_px(&before.right, &after.right))
 }
 
-/// One control step.
+/// One control step of a tour.
 #[derive(Clone, Copy, Debug)]
 pub struct VisitStep {
     vs_rad: JointVector,
     tc_rad: JointVector,
-    /// The stop at which the joints rest, and since when.
+    /// The stop at which the joints are stationary, and since when.
     rest: Option<(usize, MonotonicTime)>,
 }
 
-/// Where in its way the arm is.
+/// Progress on the current path.
 #[derive(Clone, Copy, Debug)]
 enum Phase {
     /// Before the first step.
     Leading,
-    /// Under way since then.
+    /// Moving since this time.
     Going(MonotonicTime),
-    /// There, and rests since then, where its joints were this.
+    /// Arrived; stationary since `since` within a tolerance of `from_rad`.
     Resting { since: MonotonicTime, from_rad: JointVector, arrived: MonotonicTime },
-    /// The last way is done.
+    /// The last path is finished.
     Done,
 }
 
-/// Both arms on the tour.
+/// The motion half of a tour.
 struct Visiting<'a> {
     arms: BothArms,
     tour: &'a Tour,
@@ -236,7 +236,7 @@ impl Visiting<'_> {
     fn visit(&mut self, now: MonotonicTime) -> Result<VisitStep> {
         if matches!(self.phase, Phase::Leading) {
             let begins_rad = self.led()[0].joints().position_rad;
-            // An operator may have taken minutes to type, and brakes that open let an arm sag.
+            // The operator may have taken minutes to answer, and an arm can sag when its brakes open.
             self.tour.ways[0].check_begin(&begins_rad)?;
             self.phase = Phase::Going(now + LEAD);
         }
@@ -256,7 +256,7 @@ impl Visiting<'_> {
         Ok(VisitStep { vs_rad: self.arms.vs.joints().position_rad, tc_rad: self.arms.tc.joints().position_rad, rest })
     }
 
-    /// What the arm is told.
+    /// Command for the arm.
     fn command(&mut self, now: MonotonicTime) -> Result<JointCommand> {
         let Phase::Going(begin) = self.phase else { return Ok(JointCommand::Hold) };
         let plan = &self.tour.ways[self.way];
@@ -267,7 +267,7 @@ impl Visiting<'_> {
         if passed > plan.duration() + LATE_MAX {
             let joint = behind_rad.iamax();
             bail!(
-                "{} did not arrive at stop {}: {:+.3} degrees are left",
+                "{} did not arrive at stop {}: residual {:+.3} degrees",
                 plan.axis_name(joint),
                 self.way + 1,
                 behind_rad[joint].to_degrees()
@@ -276,7 +276,7 @@ impl Visiting<'_> {
         Ok(JointCommand::Velocity(speed_rad_per_s + behind_rad * GAIN_PER_S))
     }
 
-    /// The next phase, if it is time.
+    /// Advances to the next phase when due.
     fn advance(&mut self, now: MonotonicTime, position_rad: &JointVector) {
         match self.phase {
             Phase::Going(begin) => {
@@ -297,7 +297,7 @@ impl Visiting<'_> {
                     self.phase = Phase::Done;
                     self.is_over.store(true, Ordering::SeqCst);
                 } else if !is_last && (self.progress.done.load(Ordering::SeqCst) > self.way || is_late) {
-                    // Whoever comes late with a pair of this stop finds that it is done with.
+                    // A late pair of this stop is recognised as finished.
                     self.way += 1;
                     self.progress.done.fetch_max(self.way, Ordering::SeqCst);
                     self.phase = Phase::Going(now);
@@ -308,18 +308,18 @@ impl Visiting<'_> {
     }
 }
 
-/// Camera, judgement of what rests, and what is kept: each may have a thread.
+/// The vision half: camera, stillness check and recording; each may have its own thread.
 struct Watching<'a> {
     capturing: Looking<'a>,
     resting: Resting,
     keeping: Keeping<'a>,
 }
 
-/// A camera that is not asked for images while the arm is under way, if a progress is given.
+/// The camera; with a progress, no images are requested while the arm moves.
 struct Looking<'a> {
     capturing: Capturing,
     unless_under_way: Option<&'a Progress>,
-    /// How long it waits in the place of an image, where nobody else tells when the next one is due.
+    /// Replaces the wait for an image where nothing else paces the loop.
     pause: Option<(&'a dyn Clock, Duration)>,
 }
 
@@ -361,7 +361,7 @@ impl Parted for Watching<'_> {
     }
 }
 
-/// A pair that rests, with the joints of its stop.
+/// A stationary pair with the joints of its stop.
 struct Still {
     stop: usize,
     pair: Arc<FramePair>,
@@ -369,16 +369,16 @@ struct Still {
     tc_rad: JointVector,
 }
 
-/// Tells which pairs rest.
+/// Finds stationary pairs.
 struct Resting {
     exposure: Duration,
     step: Option<VisitStep>,
     sums: Sums,
-    /// The pair before, if it belongs to the same stop.
+    /// The previous pair, if it belongs to the same stop.
     before: Option<(usize, Arc<FramePair>)>,
 }
 
-/// Joints of one stop, added up: their mean has less of the noise of resolvers.
+/// Sums of the joints at one stop: the mean reduces resolver noise.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sums {
     stop: Option<usize>,
@@ -432,7 +432,7 @@ impl Estimate for Judging<'_> {
 struct Keeping<'a> {
     folder: PathBuf,
     stops: Stops,
-    /// Numbers of those stops.
+    /// Numbers of the recorded stops.
     taken: Vec<usize>,
     chains: [Chain; 2],
     progress: &'a Progress,
@@ -454,7 +454,7 @@ impl<'a> Keeping<'a> {
         })
     }
 
-    /// Keeps a pair, unless its stop is done with.
+    /// Records a pair, unless its stop is finished.
     fn keep(&mut self, still: &Still) -> Result<()> {
         if self.progress.done.load(Ordering::SeqCst) > still.stop {
             return Ok(());
@@ -470,7 +470,7 @@ impl<'a> Keeping<'a> {
         self.stops.stops.push(Stop { left, right, vs, tc: Some(tc) });
         save_stops(&self.folder, &self.stops)?;
         self.progress.done.fetch_max(still.stop + 1, Ordering::SeqCst);
-        tracing::info!("stop {}: taken", still.stop + 1);
+        tracing::info!("stop {}: recorded", still.stop + 1);
         Ok(())
     }
 }
@@ -502,7 +502,7 @@ mod tests {
 
     const EXPOSURE: Duration = Duration::from_millis(4);
 
-    /// A pattern that was moved by this.
+    /// A pattern shifted by this.
     fn image(by_px: f64) -> RgbImage {
         RgbImage::from_fn(96, 72, |x, y| {
             let value = 120.0 + 60.0 * ((f64::from(x) - by_px) * 0.4).sin() * (f64::from(y) * 0.3).cos();
@@ -532,24 +532,24 @@ mod tests {
         let mut resting = Resting { exposure: EXPOSURE, step: None, sums: Sums::default(), before: None };
         let mut judging = Judging(&mut resting);
         let taken = |judging: &mut Judging<'_>, frame: Captured| judging.look(frame).unwrap().1.map(|still| still.stop);
-        // Nothing rests before the joints do.
+        // No image counts before the joints are stationary.
         assert_eq!(taken(&mut judging, frame(10, 0.0, 0.0)), None);
         judging.moved(&step(None, 0, 0.5));
         assert_eq!(taken(&mut judging, frame(20, 0.0, 0.0)), None);
         judging.moved(&step(Some(3), 100, 0.1));
-        // Exposed before that: on its way.
+        // Exposed before that, during the motion.
         assert_eq!(taken(&mut judging, frame(102, 0.0, 0.0)), None);
-        // By stamps that are apart one of the eyes was.
+        // By the stamps one of the images was exposed during the motion.
         assert_eq!(taken(&mut judging, frame(110, 0.0, 0.01)), None);
-        assert_eq!(taken(&mut judging, frame(130, 0.0, 0.0)), None, "the first one has nothing to be compared with");
+        assert_eq!(taken(&mut judging, frame(130, 0.0, 0.0)), None, "the first pair has no predecessor");
         assert_eq!(taken(&mut judging, frame(160, 0.3, 0.0)), None, "the hand still swings");
         judging.moved(&step(Some(3), 100, 0.3));
         let (_, still) = judging.look(frame(190, 0.3, 0.0)).unwrap();
-        let still = still.expect("both images and joints rest");
+        let still = still.expect("images and joints are stationary");
         assert_eq!(still.stop, 3);
         // The mean of both measurements.
         assert!((still.vs_rad[0] - 0.2).abs() < 1e-12 && (still.tc_rad[6] + 0.2).abs() < 1e-12);
-        // The next stop begins anew.
+        // The next stop starts over.
         judging.moved(&step(Some(4), 300, 0.7));
         assert_eq!(taken(&mut judging, frame(320, 0.3, 0.0)), None);
         assert_eq!(taken(&mut judging, frame(350, 0.3, 0.0)), Some(4));

@@ -1,4 +1,4 @@
-//! `pb3dp gateway`: owns the bus of one PA-10 and its cycle, and serves a host.
+//! `pb3dp gateway`: owns the bus of one PA-10, keeps its control cycle, and serves one host.
 
 pub mod file;
 
@@ -22,39 +22,39 @@ use self::file::{GatewaySetup, HostPlace, read_gateway};
 /// Arguments of `pb3dp gateway`.
 #[derive(Debug, Args)]
 pub struct GatewayArgs {
-    /// The arm, its bus and its host: one complete TOML file, for instance configs/gateway.toml.
+    /// Configuration of arm, bus and host: one complete TOML file, for instance configs/gateway.toml.
     #[arg(long, value_name = "FILE")]
     pub config: PathBuf,
-    /// Another bus than the configuration's: arcnet:INTERFACE or socket:PATH.
+    /// Bus to use instead of the configured one: arcnet:INTERFACE or socket:PATH.
     #[arg(long, value_name = "BUS")]
     pub bus: Option<String>,
-    /// Another line to the host than the configuration's: serial:DEVICE or tcp:ADDRESS:PORT.
+    /// Host line to use instead of the configured one: serial:DEVICE or tcp:ADDRESS:PORT.
     #[arg(long, value_name = "LINE")]
     pub host: Option<String>,
 }
 
-/// How often the log is written.
+/// Interval at which the log is written.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// How often late cycles are told of at most.
+/// Shortest interval between reports of late cycles.
 const OVERRUNS_EVERY: Duration = Duration::from_secs(1);
 
-/// The slowest host: what a serial line must carry at least.
+/// Cycle of the slowest host: a serial line must carry at least this rate.
 const HOST_CYCLE_MAX: Duration = Duration::from_millis(10);
 
-/// Runs the command until a signal ends it: then through the stop order.
+/// Runs the gateway until a signal ends it with the stop order.
 ///
 /// # Errors
-/// A configuration that is refused, a bus or port that cannot be had, or a thread that died.
+/// A refused configuration, an unavailable bus or port, or a failed thread.
 pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
     let setup = read_gateway(&args.config, args.bus.as_deref(), args.host.as_deref())?;
-    // Before any thread is started, which would end the program without a stop order.
-    let signals = StopSignals::take_over().context("the signals that end the program cannot be taken over")?;
+    // Before any thread starts: a signal would otherwise end the program without a stop order.
+    let signals = StopSignals::take_over().context("cannot take over the signals that end the program")?;
     let host = host_side(&setup)?;
     let config = GatewayServerConfig { gateway: setup.gateway, realtime: setup.realtime };
     let arm = config.gateway.arm.0;
     let server = GatewayServer::start(config, bus_opener(&setup.bus), host)?;
-    // A log that nobody reads holds up this thread, and must not hold up the stop.
+    // A log that is not read blocks this thread; it must not block the stop.
     let ending = server.ending();
     let watcher =
         std::thread::Builder::new().name("gateway-signals".into()).spawn(move || watch_signals(signals, &ending))?;
@@ -67,15 +67,15 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
     log.write(&server);
     server.ask_to_end();
     match watcher.join() {
-        Ok(Ok(Some(signal))) => tracing::info!("{signal} has ended it, through the stop order"),
+        Ok(Ok(Some(signal))) => tracing::info!("{signal}: ended with the stop order"),
         Ok(Ok(None)) | Err(_) => {}
-        Ok(Err(error)) => return Err(error).context("the signals that end the program cannot be read"),
+        Ok(Err(error)) => return Err(error).context("cannot read the signals that end the program"),
     }
     log.tell_overruns();
     let dropped = server.events_dropped();
     let Some(status) = server.end() else {
         tracing::error!(
-            "the thread of the cycle failed, a mistake of the program; it has sent the stop order as far as it could: look at the arm"
+            "the cycle thread panicked (a bug, please report it) and tried to send the stop order: check that the arm has stopped"
         );
         return Ok(ExitCode::FAILURE);
     };
@@ -83,13 +83,13 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Until a signal has come or the gateway was asked to end: then it ends. It writes nothing, as that may wait.
+/// Waits for a signal or the end of the gateway, then ends the gateway. It writes no log, because that may block.
 fn watch_signals(mut signals: StopSignals, ending: &Ending) -> std::io::Result<Option<StopSignal>> {
     let look = Timespec { tv_sec: 0, tv_nsec: i64::from(LOOK.subsec_nanos()) };
     let mut taken = Ok(None);
     while !ending.is_asked() && matches!(taken, Ok(None)) {
         let mut fds = [PollFd::from_borrowed_fd(signals.as_fd(), PollFlags::IN)];
-        // A wait that fails is a short one.
+        // A failed poll only shortens the wait.
         let _ = poll(&mut fds, Some(&look));
         taken = signals.try_take();
     }
@@ -108,7 +108,7 @@ fn host_side(setup: &GatewaySetup) -> Result<HostSide> {
         HostPlace::Serial(path) => HostSide::Line(Box::new(SerialConfig {
             path: path.clone(),
             baud: setup.baud,
-            // The longer one: hosts choose.
+            // The longer dialect; the host chooses its own.
             dialect: Dialect::GatewayV1,
             format: setup.gateway.format,
             cycle: HOST_CYCLE_MAX,
@@ -123,7 +123,7 @@ fn tell_start(setup: &GatewaySetup, server: &GatewayServer) {
         HostPlace::Tcp(config) => format!("tcp {}", config.address),
     };
     tracing::info!(
-        "gateway of arm {}: {}, {}, a cycle of {:?}, hosts come from {host}",
+        "gateway of arm {}: {}, {}, a cycle of {:?}, host line {host}",
         gateway.arm.0,
         server.name_of_bus(),
         gateway.format,
@@ -133,11 +133,11 @@ fn tell_start(setup: &GatewaySetup, server: &GatewayServer) {
         tracing::warn!("{shortfall}");
     }
     if setup.realtime.priority.is_none() {
-        tracing::warn!("the cycle runs among all other programs (realtime.priority = 0): not fit to drive an arm");
+        tracing::warn!("the cycle has no real-time priority (realtime.priority = 0): do not drive an arm");
     }
     if gateway.lateness_allowed > gateway.cycle {
         tracing::warn!(
-            "a cycle may begin {:?} late before the arm is stopped (bus.lateness_allowed_millis): not fit to drive an arm",
+            "a cycle may begin up to {:?} late (bus.lateness_allowed_millis): do not drive an arm",
             gateway.lateness_allowed
         );
     }
@@ -160,22 +160,22 @@ fn tell_end(arm: u8, status: &GatewayStatus, dropped: u64) {
     );
     if status.is_unheard {
         tracing::error!(
-            "EMERGENCY STOP: press it at arm {arm}. The gateway ends, the controller has not answered the stop order, and nobody \
-             tells it to stop any more"
+            "EMERGENCY STOP: press it at arm {arm}. The controller has not answered the stop order, and the gateway ends without \
+             repeating it"
         );
     }
     if status.state != GatewayState::Idle {
         tracing::warn!(
-            "the gateway was stopped by {}; a new one knows nothing of that: look at the arm first",
+            "the gateway was stopped by {}; a new gateway does not keep this state: check the arm first",
             status.found.map_or_else(|| status.cause.to_string(), |found| found.to_string())
         );
     }
     if dropped > 0 {
-        tracing::warn!("{dropped} events are missing in this log: it could not be written quickly enough");
+        tracing::warn!("{dropped} log events were dropped because the log was not written fast enough");
     }
 }
 
-/// What was not yet told.
+/// Events that are not logged yet.
 #[derive(Debug, Default)]
 struct Log {
     late: u64,
@@ -203,7 +203,7 @@ impl Log {
 
     fn tell_overruns(&mut self) {
         if self.late > 0 {
-            tracing::warn!("{} cycles began late by more than a tenth, the worst by {:?}", self.late, self.worst);
+            tracing::warn!("{} cycles began late by more than a tenth of a cycle, at most {:?}", self.late, self.worst);
             *self = Self { told: Some(Instant::now()), ..Self::default() };
         }
     }
@@ -215,17 +215,16 @@ fn tell(what: &Happened) {
         Happened::State { from, to, cause: StopCause::None, .. } => tracing::info!("{from} -> {to}"),
         Happened::State { from, to, cause, .. } => tracing::error!("{from} -> {to}: {cause}"),
         Happened::Unheard => tracing::error!(
-            "the controller does not answer the stop order, and is told to stop again and again: an arm that moves has to be stopped \
-             with its emergency stop"
+            "the controller does not answer the stop order, which is being repeated: if the arm moves, press its emergency stop"
         ),
-        Happened::Heard => tracing::info!("the controller answers: it goes through the stop order"),
-        Happened::HostConnected => tracing::info!("the line to the host is there"),
-        Happened::HostGreeted(dialect) => tracing::info!("a host said HELLO and speaks {dialect}"),
-        Happened::HostGone(symptom) => tracing::warn!("the line to the host is gone ({symptom})"),
-        Happened::HostReplaced => tracing::warn!("a connection that had been silent gave way to another one"),
-        Happened::BusDown(symptom) => tracing::error!("the bus is down ({symptom}); it is tried again and again"),
-        Happened::BusUp => tracing::info!("the bus is there again"),
-        // Told together.
+        Happened::Heard => tracing::info!("the controller answers and executes the stop order"),
+        Happened::HostConnected => tracing::info!("host line connected"),
+        Happened::HostGreeted(dialect) => tracing::info!("host sent HELLO, dialect {dialect}"),
+        Happened::HostGone(symptom) => tracing::warn!("host line lost ({symptom})"),
+        Happened::HostReplaced => tracing::warn!("a silent connection was replaced by a new one"),
+        Happened::BusDown(symptom) => tracing::error!("the bus is down ({symptom}); reconnecting"),
+        Happened::BusUp => tracing::info!("the bus is up again"),
+        // Logged together.
         Happened::Overrun { .. } => {}
     }
 }

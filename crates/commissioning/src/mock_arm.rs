@@ -21,7 +21,7 @@ use pb3dp_setup::names::{FormatName, GeometryName};
 use pb3dp_sim::joint_dynamics::JointPlant;
 use pb3dp_wiring::MOCK_ARM;
 
-/// What `--fault`, scripts and standard input understand.
+/// Help for fault scripts, `--fault` and standard input.
 const LINES: &str =
     "Faults, one per line, in a script, in --fault or typed while the arm runs (docs/mock-arm.md has all of them):
   at 2s e-stop press            two seconds after the start
@@ -29,9 +29,9 @@ const LINES: &str =
   chance 1% at-most 2 drop 1    one reply in a hundred lost, never three in a row
   power off                     at once
 Typed lines may also be:
-  state                         how the arm is
-  unplug, plug                  pull the cable, plug it in again (a terminal gets another path)
-  quit                          end";
+  state                         print the state of the arm
+  unplug, plug                  pull or plug the cable (a pseudo-terminal gets a new path)
+  quit                          exit";
 
 /// How long the end of standard input or a line is waited for before the time is looked at again.
 const LOOK: Duration = Duration::from_millis(100);
@@ -40,28 +40,28 @@ const LOOK: Duration = Duration::from_millis(100);
 #[derive(Debug, Args)]
 #[command(after_long_help = LINES, group = ArgGroup::new("face").args(["tcp", "bus"]))]
 pub struct MockArmArgs {
-    /// Listen here for a host instead of on a new pseudo-terminal; port 0 takes a free one.
+    /// TCP address for a host, instead of a new pseudo-terminal; port 0 selects a free one.
     #[arg(long, value_name = "ADDRESS:PORT")]
     pub tcp: Option<SocketAddr>,
-    /// Be the controller alone, without a gateway: ARCNET frames on a socket at this path.
+    /// Emulate the controller alone, without a gateway: ARCNET frames on a socket at this path.
     #[arg(long, value_name = "PATH")]
     pub bus: Option<std::path::PathBuf>,
     /// Wire format of the controller: a (little-endian, 5 and 8 bytes per axis) or b (big-endian, 6 and 10).
     #[arg(long, value_enum, default_value = "b")]
     pub format: FormatName,
-    /// What the gateway says of the arm's lengths.
+    /// Arm geometry that the gateway reports.
     #[arg(long, value_enum, default_value = "second")]
     pub geometry: GeometryName,
-    /// The arm's number in every frame of the gateway.
+    /// Number of the arm in every gateway frame.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub arm: u8,
-    /// Time-out of the controller, for instance 6ms, 10ms or 400ms; none: it goes on with the last speeds.
+    /// Time-out of the controller, for instance 6ms, 10ms or 400ms; none: continue with the last speeds.
     #[arg(long, value_name = "TIME", default_value = "6ms", value_parser = parse_watchdog)]
     pub watchdog: Watchdog,
-    /// Where the joints start, degrees, from the base.
+    /// Start pose of the joints, degrees, from the base.
     #[arg(long, value_name = "Q1,..,Q7", default_value = "0,30,0,60,0,45,0", value_parser = parse_pose, allow_hyphen_values = true)]
     pub pose_deg: PoseDeg,
-    /// Limits in its EEPROM, degrees to both sides, from the base: those of a PA10-7C unless given.
+    /// Symmetric joint limits in the EEPROM, degrees, from the base; those of a PA10-7C unless given.
     #[arg(long, value_name = "L1,..,L7", value_parser = parse_pose, allow_hyphen_values = true)]
     pub limits_deg: Option<PoseDeg>,
     /// A script of faults.
@@ -70,18 +70,18 @@ pub struct MockArmArgs {
     /// One line of a script; may be given more than once.
     #[arg(long, value_name = "LINE", value_parser = parse_fault)]
     pub fault: Vec<ScriptLine>,
-    /// Seed of everything that is random.
+    /// Seed of all random numbers.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Priority of its thread (SCHED_FIFO, 1 to 99), where it is to be had; without it other programs may make the arm answer late.
+    /// Thread priority (SCHED_FIFO, 1 to 99), if available; without it other processes can delay the replies.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=99))]
     pub priority: Option<u8>,
-    /// End after this many seconds; without it at `quit` or a signal.
+    /// Exit after this many seconds; without it on `quit` or a signal.
     #[arg(long, value_name = "SECONDS", value_parser = pb3dp_cell::terminal::parse_seconds, allow_hyphen_values = true)]
     pub stop_after: Option<f64>,
 }
 
-/// The time-out of the controller, if it has one.
+/// Time-out of the controller, if it has one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Watchdog(pub Option<Duration>);
 
@@ -89,15 +89,15 @@ pub struct Watchdog(pub Option<Duration>);
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseDeg(pub [f64; DOF]);
 
-/// Runs the emulated arm until it is told to end.
+/// Runs the emulated arm until `quit`, a signal or the end of its time.
 ///
 /// # Errors
-/// If an input cannot be used, or the place where hosts are to find the arm is not to be had.
+/// An unusable input, or an unavailable address.
 pub fn run(args: &MockArmArgs) -> anyhow::Result<ExitCode> {
     let server = start(args)?;
     let address = server.address();
     say(&address)?;
-    tracing::info!("an emulated arm is at {address}; type `state`, a fault or `quit`");
+    tracing::info!("emulated arm at {address}; type `state`, a fault or `quit`");
     serve(&server, &typed_lines()?, args.stop_after.map(Duration::from_secs_f64))?;
     Ok(ExitCode::SUCCESS)
 }
@@ -127,8 +127,7 @@ fn start(args: &MockArmArgs) -> anyhow::Result<MockServer> {
 }
 
 fn face(args: &MockArmArgs, controller: &MockControllerConfig) -> anyhow::Result<MockFace> {
-    let firmware =
-        Firmware::new(&format!("{MOCK_ARM} {}", env!("CARGO_PKG_VERSION"))).context("the name of the firmware")?;
+    let firmware = Firmware::new(&format!("{MOCK_ARM} {}", env!("CARGO_PKG_VERSION"))).context("the firmware name")?;
     let gateway = GatewayConfig {
         geometry: args.geometry.into(),
         controller_watchdog: controller.watchdog,
@@ -182,7 +181,7 @@ fn obey(server: &MockServer, line: &str) -> anyhow::Result<()> {
 
 fn say(text: &str) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
-    writeln!(out, "{text}").and_then(|()| out.flush()).context("nobody reads what the emulated arm says")
+    writeln!(out, "{text}").and_then(|()| out.flush()).context("standard output is closed")
 }
 
 fn parse_watchdog(text: &str) -> Result<Watchdog, String> {

@@ -16,11 +16,11 @@ pub enum EstimationError {
     },
     /// The image size differs from the image size of the calibration.
     #[error(
-        "the {eye} image is {width}x{height}, but its calibration is for {expected_width}x{expected_height}: use the calibration of this image size"
+        "the {side} image is {width}x{height}, but its calibration is for {expected_width}x{expected_height}: use the calibration of this image size"
     )]
     ImageSize {
         /// Which camera.
-        eye: &'static str,
+        side: &'static str,
         /// Width of the image, pixels.
         width: usize,
         /// Height of the image, pixels.
@@ -31,10 +31,10 @@ pub enum EstimationError {
         expected_height: usize,
     },
     /// The images still carry lens distortion.
-    #[error("the {eye} camera has lens distortion: undistort or rectify the images and use the resulting rig")]
+    #[error("the {side} camera has lens distortion: undistort or rectify the images and use the resulting rig")]
     Distorted {
         /// Which camera.
-        eye: &'static str,
+        side: &'static str,
     },
     /// The photo model has no point with a hue.
     #[error("the photo model has no usable point: {inner} inner and {outer} outer points have a hue")]

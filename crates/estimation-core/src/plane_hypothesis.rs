@@ -99,9 +99,9 @@ impl PinholePair {
     /// # Errors
     /// A camera with distortion.
     pub fn from_rig(rig: &StereoRig) -> Result<Self, EstimationError> {
-        for (eye, camera) in [("left", rig.left()), ("right", rig.right())] {
+        for (side, camera) in [("left", rig.left()), ("right", rig.right())] {
             if !matches!(camera.distortion(), Distortion::None) {
-                return Err(EstimationError::Distorted { eye });
+                return Err(EstimationError::Distorted { side });
             }
         }
         let cam_right_from_cam_left = rig.cam_right_from_cam_left();

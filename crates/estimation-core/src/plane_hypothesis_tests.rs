@@ -42,7 +42,7 @@ fn distorted_cameras_are_refused() {
     let distortion = Distortion::BrownConrady5 { coefficients: [0.1, 0.0, 0.0, 0.0, 0.0] };
     let bent = pb3dp_geometry::Camera::new(SIZE, *rig.right().pinhole(), distortion).expect("camera");
     let rig = StereoRig::new(*rig.left(), bent, *rig.cam_right_from_cam_left()).expect("rig");
-    assert_eq!(PinholePair::from_rig(&rig), Err(EstimationError::Distorted { eye: "right" }));
+    assert_eq!(PinholePair::from_rig(&rig), Err(EstimationError::Distorted { side: "right" }));
 }
 
 #[test]

@@ -33,7 +33,7 @@ pub struct StereoFrontEnd {
 
 /// Selects a camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Eye {
+pub enum Side {
     /// The left camera.
     Left,
     /// The right camera.
@@ -79,8 +79,8 @@ impl StereoFrontEnd {
     }
 
     /// Size of the rectified image of a camera.
-    pub fn size(&self, eye: Eye) -> ImageSize {
-        self.size[eye as usize]
+    pub fn size(&self, side: Side) -> ImageSize {
+        self.size[side as usize]
     }
 
     /// The rotation from the left camera to the rectified left camera.
@@ -98,11 +98,11 @@ impl StereoFrontEnd {
     /// # Errors
     /// An error with the camera and both sizes.
     pub fn check(&self, left: &RgbImage, right: &RgbImage) -> Result<(), EstimationError> {
-        for (eye, image, camera) in [("left", left, self.raw.left()), ("right", right, self.raw.right())] {
+        for (side, image, camera) in [("left", left, self.raw.left()), ("right", right, self.raw.right())] {
             let expected = camera.size();
             if image.width() != expected.width || image.height() != expected.height {
                 return Err(EstimationError::ImageSize {
-                    eye,
+                    side,
                     width: image.width() as usize,
                     height: image.height() as usize,
                     expected_width: expected.width as usize,
@@ -147,17 +147,17 @@ impl StereoFrontEnd {
 
     /// Loads the channels of the part of `window` (rectified pixels) inside the rectified image of a camera. `raw` is the
     /// unmodified image, with the size verified by [`Self::check`].
-    pub fn load(&self, eye: Eye, raw: &RgbImage, window: PixelWindow, wanted: Wanted, out: &mut ColourPlanes) {
+    pub fn load(&self, side: Side, raw: &RgbImage, window: PixelWindow, wanted: Wanted, out: &mut ColourPlanes) {
         match &self.maps {
             None => out.update(raw, window, wanted, self.kernels),
-            Some(maps) => resample(&maps[eye as usize], raw, window, wanted, out),
+            Some(maps) => resample(&maps[side as usize], raw, window, wanted, out),
         }
     }
 
     /// As [`Self::load`] at half the size: `window` is in full-size pixels and starts at even ones.
     pub fn load_halved(
         &self,
-        eye: Eye,
+        side: Side,
         raw: &RgbImage,
         window: PixelWindow,
         wanted: Wanted,
@@ -167,16 +167,16 @@ impl StereoFrontEnd {
         if self.maps.is_none() && wanted == Wanted::Luminance {
             out.update_halved(raw, window, self.kernels);
         } else {
-            self.load(eye, raw, window, wanted, scratch);
-            halve_eye(scratch, self.kernels, out);
+            self.load(side, raw, window, wanted, scratch);
+            halve_planes(scratch, self.kernels, out);
         }
     }
 
     /// A raw camera.
-    pub fn raw_camera(&self, eye: Eye) -> &Camera {
-        match eye {
-            Eye::Left => self.raw.left(),
-            Eye::Right => self.raw.right(),
+    pub fn raw_camera(&self, side: Side) -> &Camera {
+        match side {
+            Side::Left => self.raw.left(),
+            Side::Right => self.raw.right(),
         }
     }
 }
@@ -231,7 +231,7 @@ fn keys(t: f32) -> [f32; 4] {
 }
 
 /// Channels and flags at half the size.
-pub(super) fn halve_eye(finer: &ColourPlanes, kernels: Kernels, out: &mut ColourPlanes) {
+pub(super) fn halve_planes(finer: &ColourPlanes, kernels: Kernels, out: &mut ColourPlanes) {
     let window = finer.window.halved();
     let wanted = if finer.planes[1].width() > 0 { Wanted::Colour } else { Wanted::Luminance };
     out.resize(window, wanted);
@@ -295,7 +295,7 @@ mod tests {
         let left = paint(rig.left(), |ray| *ray);
         let mut planes = ColourPlanes::default();
         let window = PixelWindow { x: 90, y: 60, width: 120, height: 110 };
-        front.load(Eye::Left, &left, window, Wanted::Colour, &mut planes);
+        front.load(Side::Left, &left, window, Wanted::Colour, &mut planes);
         let back = front.cam_left_rect_from_cam_left().inverse();
         let (mut worst, mut seen) = (0.0_f64, 0);
         for (x, y) in (0..120).flat_map(|x| (0..110).map(move |y| (x, y))).filter(|(x, y)| (x + y) % 7 == 0) {
@@ -320,7 +320,7 @@ mod tests {
         let left = paint(rig.left(), |ray| *ray);
         let mut planes = ColourPlanes::default();
         let window = PixelWindow { x: 310, y: 10, width: 40, height: 5 };
-        front.load(Eye::Left, &left, window, Wanted::Luminance, &mut planes);
+        front.load(Side::Left, &left, window, Wanted::Luminance, &mut planes);
         assert_eq!(planes.window.width, 10);
         let pixel = left.get_pixel(313, 12).0;
         let sum: f32 = pixel.iter().map(|&c| f32::from(c)).sum();

@@ -318,11 +318,11 @@ fn patch_box(level: &RegionLevel) -> LevelBox {
     super::search::region_box(level, RADIUS)
 }
 
-fn mean_of(eye: &ColourPlanes, area: &LevelBox) -> f32 {
+fn mean_of(side: &ColourPlanes, area: &LevelBox) -> f32 {
     let rows = (area.y..area.y + area.height).step_by(4);
     let (mut sums, mut count) = ([0.0_f32; LANES], 0);
     for y in rows {
-        let (groups, rest) = eye.luminance().row(y)[area.x..area.x + area.width].as_chunks::<LANES>();
+        let (groups, rest) = side.luminance().row(y)[area.x..area.x + area.width].as_chunks::<LANES>();
         for group in groups {
             for i in 0..LANES {
                 sums[i] += group[i];

@@ -20,7 +20,7 @@ use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, Thinning, Warp};
 use nalgebra::{Matrix3, Vector2, Vector4};
 use pb3dp_estimation_core::cpu::Kernels;
 use points::{RightRows, Rims, Selection};
-use prepare::{EyeChannels, Pair, Preparation, Wish, inside, reach_px, rows_of};
+use prepare::{CameraChannels, Pair, Preparation, Wish, inside, reach_px, rows_of};
 use sharpness::Sharpness;
 use solve::{Normal, bounded_step, reliability, tukey_limit, tukey_moments};
 use start::first_state;
@@ -155,8 +155,8 @@ pub struct PlaneRefiner {
     kernels: Kernels,
     preparation: Preparation,
     selection: Selection,
-    left: EyeChannels,
-    right: EyeChannels,
+    left: CameraChannels,
+    right: CameraChannels,
     points: PointSet,
     made: Option<Made>,
     scores: [Vec<f32>; 4],

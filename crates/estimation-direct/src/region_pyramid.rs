@@ -13,11 +13,11 @@ use pb3dp_estimation_core::wide::wide;
 
 use super::colour_planes::{ColourPlanes, UNSEEN, Wanted};
 use super::disparity_plane::{DisparityPlane, DisparityRange};
-use super::front_end::{Eye, StereoFrontEnd};
+use super::front_end::{Side, StereoFrontEnd};
 use super::image_plane::PixelWindow;
 use super::reach;
 use super::row_shift::shift_rows;
-use crate::front_end::halve_eye;
+use crate::front_end::halve_planes;
 use pb3dp_estimation_core::row_offset::RowOffset;
 
 /// Largest number of levels. Chosen; no sweep is on record.
@@ -218,8 +218,8 @@ impl RegionPyramid {
         let margin = i64::from((MARGIN_PX << (finest + self.search_level)).max(around));
         let grid = 1_i64 << (finest + count - 1);
         let b = self.box_px;
-        let size = front_end.size(Eye::Left);
-        let rows = size.height.min(front_end.size(Eye::Right).height);
+        let size = front_end.size(Side::Left);
+        let rows = size.height.min(front_end.size(Side::Right).height);
         let span = |first: i64, last: i64, limit: u32| {
             let start = (first.max(0) / grid) * grid;
             (start as i32, (last.min(i64::from(limit) - 1) - start + 1).max(0) as usize)
@@ -228,7 +228,7 @@ impl RegionPyramid {
         let (y, height) = span(i64::from(b.y) - margin, i64::from(b.y + b.height) - 1 + margin, rows);
         let (x, width) = span(left, right, size.width);
         let (low, high) = (source.disparity_px.lowest.floor() as i64, source.disparity_px.highest.ceil() as i64);
-        let (x_right, width_right) = span(left - high, right - low, front_end.size(Eye::Right).width);
+        let (x_right, width_right) = span(left - high, right - low, front_end.size(Side::Right).width);
         [PixelWindow { x, y, width, height }, PixelWindow { x: x_right, y, width: width_right, height }]
     }
 
@@ -244,14 +244,14 @@ impl RegionPyramid {
         let Self { levels, loaded, halved, regions, .. } = self;
         let level = &mut levels[0];
         level.scale = 1 << halvings;
-        load_eye(front, (Eye::Left, source.left), left, source.wanted, halvings, halved, &mut level.left);
+        load_side(front, (Side::Left, source.left), left, source.wanted, halvings, halved, &mut level.left);
         if source.rows.is_zero() {
-            load_eye(front, (Eye::Right, source.right), right, source.wanted, halvings, halved, &mut level.right);
+            load_side(front, (Side::Right, source.right), right, source.wanted, halvings, halved, &mut level.right);
         } else {
-            load_eye(front, (Eye::Right, source.right), right, source.wanted, halvings, halved, loaded);
+            load_side(front, (Side::Right, source.right), right, source.wanted, halvings, halved, loaded);
             shift_rows(loaded, &source.rows.at_scale(level.scale as f64), front.kernels(), &mut level.right);
         }
-        let full = left.clipped(front.size(Eye::Left).width, front.size(Eye::Left).height);
+        let full = left.clipped(front.size(Side::Left).width, front.size(Side::Left).height);
         let first = if halvings == 0 { &mut level.region } else { &mut regions[0] };
         mark_region(source.region, &full, first);
         let (mut width, mut height) = (full.width, full.height);
@@ -269,9 +269,9 @@ impl RegionPyramid {
 }
 
 /// The channels of a window (full size) of an image, halved this many times.
-fn load_eye(
+fn load_side(
     front: &StereoFrontEnd,
-    (eye, raw): (Eye, &RgbImage),
+    (side, raw): (Side, &RgbImage),
     window: PixelWindow,
     wanted: Wanted,
     halvings: usize,
@@ -280,15 +280,15 @@ fn load_eye(
 ) {
     let [finer, coarser] = scratch;
     match halvings {
-        0 => front.load(eye, raw, window, wanted, out),
-        1 => front.load_halved(eye, raw, window, wanted, finer, out),
+        0 => front.load(side, raw, window, wanted, out),
+        1 => front.load_halved(side, raw, window, wanted, finer, out),
         _ => {
-            front.load_halved(eye, raw, window, wanted, coarser, finer);
+            front.load_halved(side, raw, window, wanted, coarser, finer);
             for _ in 2..halvings {
-                halve_eye(finer, front.kernels(), coarser);
+                halve_planes(finer, front.kernels(), coarser);
                 std::mem::swap(finer, coarser);
             }
-            halve_eye(finer, front.kernels(), out);
+            halve_planes(finer, front.kernels(), out);
         }
     }
 }
@@ -310,8 +310,8 @@ fn mark_region(region: &RegionMask, window: &PixelWindow, out: &mut Vec<u8>) {
 impl RegionLevel {
     fn halve(&mut self, finer: &Self, kernels: Kernels) {
         self.scale = 2 * finer.scale;
-        halve_eye(&finer.left, kernels, &mut self.left);
-        halve_eye(&finer.right, kernels, &mut self.right);
+        halve_planes(&finer.left, kernels, &mut self.left);
+        halve_planes(&finer.right, kernels, &mut self.right);
         halve_region(&finer.region, finer.left.window.width, kernels, &mut self.region);
         self.area_px = self.region.iter().map(|&inside| usize::from(inside)).sum();
         self.reset_support();
@@ -375,7 +375,7 @@ mod tests {
 
     fn fill(pyramid: &mut RegionPyramid, rows: RowOffset, offset: f64) {
         let front_end = front_end();
-        let size = front_end.size(Eye::Left);
+        let size = front_end.size(Side::Left);
         let region = RegionMask::from_fn(size, |x, y| (121..201).contains(&x) && (50..110).contains(&y) && x + y > 190);
         let source = PyramidSource {
             left: &ramp(0.0),

@@ -12,7 +12,7 @@ use pb3dp_estimation_core::wide::wide;
 
 use super::colour_planes::Wanted;
 use super::disparity_plane::DisparityRange;
-use super::front_end::{Eye, StereoFrontEnd};
+use super::front_end::{Side, StereoFrontEnd};
 use super::image_plane::ImagePlane;
 use super::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 use pb3dp_estimation_core::row_offset::{RowMeasurement, RowOffset};
@@ -47,7 +47,7 @@ struct RowMatch {
 
 /// Measures the row offset of a pair of raw images that the front end has checked.
 pub(super) fn measure_rows(front_end: &StereoFrontEnd, left: &RgbImage, right: &RgbImage) -> RowMeasurement {
-    let size = front_end.size(Eye::Left);
+    let size = front_end.size(Side::Left);
     let mut whole = RegionMask::empty(size);
     for y in 0..i64::from(size.height) {
         whole.insert_span(y, 0, i64::from(size.width) - 1);

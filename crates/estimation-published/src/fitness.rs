@@ -163,7 +163,7 @@ fn check_right_image(pair: &PinholePair, right: &HuePlane) -> Result<(), Estimat
     let expected = pair.right_size();
     if (right.width(), right.height()) != (expected.width as usize, expected.height as usize) {
         return Err(EstimationError::ImageSize {
-            eye: "right",
+            side: "right",
             width: right.width(),
             height: right.height(),
             expected_width: expected.width as usize,

@@ -85,33 +85,39 @@ impl Scene {
     }
 
     /// Intersection of a ray (in `cam_left`) with the plane `behind_m` behind the disc, in the disc's coordinates.
-    fn disc_coordinates(&self, rig: &StereoRig, eye: &Vector3<f64>, ray: &Vector3<f64>, behind_m: f64) -> Vector2<f64> {
+    fn disc_coordinates(
+        &self,
+        rig: &StereoRig,
+        origin: &Vector3<f64>,
+        ray: &Vector3<f64>,
+        behind_m: f64,
+    ) -> Vector2<f64> {
         let [x, y, normal] = self.axes();
         let centre = self.centre_in_cam_left(rig) + normal * behind_m;
-        let hit = eye + ray * (normal.dot(&(centre - eye)) / normal.dot(ray)) - centre;
+        let hit = origin + ray * (normal.dot(&(centre - origin)) / normal.dot(ray)) - centre;
         Vector2::new(x.dot(&hit), y.dot(&hit))
     }
 
-    fn colour(&self, rig: &StereoRig, eye: &Vector3<f64>, ray: &Vector3<f64>) -> [f64; 3] {
-        let on_disc = self.disc_coordinates(rig, eye, ray, 0.0);
+    fn colour(&self, rig: &StereoRig, origin: &Vector3<f64>, ray: &Vector3<f64>) -> [f64; 3] {
+        let on_disc = self.disc_coordinates(rig, origin, ray, 0.0);
         if on_disc.norm() <= DISC_RADIUS_M {
             disc_colour(&on_disc)
         } else {
-            panel_colour(&self.disc_coordinates(rig, eye, ray, PANEL_BEHIND_M))
+            panel_colour(&self.disc_coordinates(rig, origin, ray, PANEL_BEHIND_M))
         }
     }
 
     /// Left and right image.
     pub fn render(&self, rig: &StereoRig) -> (RgbImage, RgbImage) {
         let cam_left_from_cam_right = rig.cam_right_from_cam_left().inverse();
-        let left = self.render_eye(rig, rig.left(), 1, |ray| (Vector3::zeros(), ray));
-        let right = self.render_eye(rig, rig.right(), 2, |ray| {
+        let left = self.render_camera(rig, rig.left(), 1, |ray| (Vector3::zeros(), ray));
+        let right = self.render_camera(rig, rig.right(), 2, |ray| {
             (cam_left_from_cam_right.translation_m(), cam_left_from_cam_right.transform_vector(&ray))
         });
         (left, right)
     }
 
-    fn render_eye(
+    fn render_camera(
         &self,
         rig: &StereoRig,
         camera: &Camera,
@@ -120,8 +126,8 @@ impl Scene {
     ) -> RgbImage {
         let size = camera.size();
         RgbImage::from_fn(size.width, size.height, |u, v| {
-            let (eye, ray) = in_cam_left(camera.unproject(&Vector2::new(f64::from(u), f64::from(v))).expect("ray"));
-            let colour = self.colour(rig, &eye, &ray);
+            let (origin, ray) = in_cam_left(camera.unproject(&Vector2::new(f64::from(u), f64::from(v))).expect("ray"));
+            let colour = self.colour(rig, &origin, &ray);
             let pixel = u64::from(v) * u64::from(size.width) + u64::from(u);
             Rgb(std::array::from_fn(|channel| {
                 let noise = self.noise * (2.0 * unit_hash(pixel * 8 + channel as u64 + (seed << 40)) - 1.0);

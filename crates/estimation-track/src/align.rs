@@ -5,7 +5,7 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 
-use super::images::{EyeImages, LEVELS};
+use super::images::{CameraImages, LEVELS};
 use super::kernels::{
     self, CHANNELS, CameraRows, GroupScore, NormalSums, PATCH, PATCH_OWN, PATCH_RESIDUAL, PairWeights, Photometry, ROW,
     ResidualGroup, ResidualSums, SHAPE, SeenGroup, TERMS, ViewGroup,
@@ -66,7 +66,7 @@ impl Estimate {
 pub(super) struct Problem<'a> {
     pub(super) surface: &'a mut Surface,
     pub(super) view: &'a View,
-    pub(super) images: &'a [EyeImages; 2],
+    pub(super) images: &'a [CameraImages; 2],
     pub(super) rig: &'a StereoRig,
     /// Prior knowledge of row offset and surface.
     pub(super) knowledge: &'a Knowledge,
@@ -244,11 +244,11 @@ impl Aligner {
     ) -> Option<ResidualSums> {
         let (kernels, surface) = (self.kernels, &problem.surface.levels[level]);
         let seen = &mut self.seen[level];
-        for (eye, images) in problem.images.iter().enumerate() {
-            let rows = camera_rows(&problem.cam_from_model(eye, &estimate.cam_left_from_model));
-            let row_offset = if eye == 1 { estimate.row_offset_px as f32 } else { 0.0 };
-            kernels::project(kernels, &surface.groups, &surface.lens[eye], &rows, row_offset, seen, eye);
-            kernels::sample(kernels, images, level, seen, eye);
+        for (side, images) in problem.images.iter().enumerate() {
+            let rows = camera_rows(&problem.cam_from_model(side, &estimate.cam_left_from_model));
+            let row_offset = if side == 1 { estimate.row_offset_px as f32 } else { 0.0 };
+            kernels::project(kernels, &surface.groups, &surface.lens[side], &rows, row_offset, seen, side);
+            kernels::sample(kernels, images, level, seen, side);
         }
         let sums = self.weigh(problem, level, photometry);
         (sums.points[0].max(sums.points[1]) >= POINTS_MIN).then_some(sums)
@@ -372,10 +372,10 @@ impl Estimate {
             self.cam_left_from_model = self.cam_left_from_model.perturbed_in_from(&xi);
         }
         self.row_offset_px += step.unknowns[ROW];
-        for eye in 0..2 {
+        for side in 0..2 {
             for c in 0..CHANNELS {
-                self.gain[eye][c] += step.gain[eye][c] as f32;
-                self.offset[eye][c] += step.offset[eye][c] as f32;
+                self.gain[side][c] += step.gain[side][c] as f32;
+                self.offset[side][c] += step.offset[side][c] as f32;
             }
         }
     }
@@ -396,8 +396,8 @@ impl Photometry {
 }
 
 impl Problem<'_> {
-    pub(super) fn cam_from_model(&self, eye: usize, cam_left_from_model: &Pose<CamLeft, Model>) -> Isometry3<f64> {
-        match eye {
+    pub(super) fn cam_from_model(&self, side: usize, cam_left_from_model: &Pose<CamLeft, Model>) -> Isometry3<f64> {
+        match side {
             0 => *cam_left_from_model.isometry(),
             _ => *(*self.rig.cam_right_from_cam_left() * *cam_left_from_model).isometry(),
         }

@@ -34,7 +34,7 @@ const PADDING: usize = 16;
 
 /// Pyramid of a window of a raw image.
 #[derive(Clone, Debug, Default)]
-pub(super) struct EyeImages {
+pub(super) struct CameraImages {
     /// Position of level 0 in the raw image.
     pub(super) window: PixelWindow,
     pub(super) full: RgbPlane,
@@ -44,7 +44,7 @@ pub(super) struct EyeImages {
     line: Vec<Texel>,
 }
 
-impl EyeImages {
+impl CameraImages {
     /// Loads the part of `window` inside the image; allocates only if no previous window was as large.
     pub(super) fn update(&mut self, image: &RgbImage, window: PixelWindow, kernels: Kernels) {
         let window = aligned(window).clipped(image.width(), image.height());

@@ -83,7 +83,7 @@ impl Fit {
     ) -> Self {
         let (mut visible, mut inliers) = ([0_u32; TERMS], [0_u32; TERMS]);
         for ((seen, view), residual) in seen.iter().zip(view).zip(residuals) {
-            let valid = [0, 1].map(|eye| seen[eye].valid * view.valid);
+            let valid = [0, 1].map(|side| seen[side].valid * view.valid);
             let valid = [valid[0], valid[1], valid[0] * valid[1]];
             for term in 0..TERMS {
                 for i in 0..LANES {
@@ -93,22 +93,22 @@ impl Fit {
             }
         }
         let (visible, inliers) = (visible.map(f64::from), inliers.map(f64::from));
-        let expected = |eye: usize| {
-            let Moments { view: kept, image: now, .. } = correlations[eye].moments();
-            let noise: f64 = reference[eye].iter().map(|&v| f64::from(v)).sum();
+        let expected = |side: usize| {
+            let Moments { view: kept, image: now, .. } = correlations[side].moments();
+            let noise: f64 = reference[side].iter().map(|&v| f64::from(v)).sum();
             (1.0 - 0.5 * noise / (kept * now).sqrt().max(1e-9)).max(0.05)
         };
         Self {
-            visible_share: [0, 1].map(|eye| visible[eye] / points.max(1.0)),
+            visible_share: [0, 1].map(|side| visible[side] / points.max(1.0)),
             inlier_share: std::array::from_fn(|term| inliers[term] / visible[term].max(1.0)),
-            correlation: [0, 1].map(|eye| correlations[eye].value()),
+            correlation: [0, 1].map(|side| correlations[side].value()),
             correlation_expected: [0, 1].map(expected),
         }
     }
 
     /// The first limit that the fit misses.
     pub(super) fn misfit(&self, limits: &Limits) -> Option<Misfit> {
-        const EYES: [&str; 2] = ["left", "right"];
+        const SIDES: [&str; 2] = ["left", "right"];
         const VISIBLE: [&str; 2] =
             ["the visible share of the target in the left image", "the visible share of the target in the right image"];
         const INLIERS: [&str; TERMS] = [
@@ -127,11 +127,11 @@ impl Fit {
                 limit_percent: 100.0 * limit,
             })
         };
-        for eye in 0..EYES.len() {
-            let relative = self.correlation[eye] / self.correlation_expected[eye];
-            let misfit = short(VISIBLE[eye], self.visible_share[eye], limits.visible_share_min)
-                .or_else(|| short(INLIERS[eye], self.inlier_share[eye], limits.inlier_share_min))
-                .or_else(|| short(CORRELATION[eye], relative, limits.correlation_min));
+        for side in 0..SIDES.len() {
+            let relative = self.correlation[side] / self.correlation_expected[side];
+            let misfit = short(VISIBLE[side], self.visible_share[side], limits.visible_share_min)
+                .or_else(|| short(INLIERS[side], self.inlier_share[side], limits.inlier_share_min))
+                .or_else(|| short(CORRELATION[side], relative, limits.correlation_min));
             if misfit.is_some() {
                 return misfit;
             }

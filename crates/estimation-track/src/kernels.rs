@@ -2,7 +2,7 @@
 
 use pb3dp_estimation_core::wide::{LANES, wide};
 
-use super::images::{EyeImages, Texel};
+use super::images::{CameraImages, Texel};
 use super::lanes::{Lanes, each_lane};
 
 /// Unknowns without the gains: the motion `[rho; phi]` of the model in its own frame (metres, radians), the row offset of the
@@ -111,12 +111,12 @@ pub(super) type CameraRows = [f32; 12];
 
 wide! {
     /// Projects groups into one image.
-    pub(super) fn project(surface: &[SurfaceGroup], lens: &[LensGroup], camera: &CameraRows, row_offset: f32, seen: &mut [[SeenGroup; 2]], eye: usize) = project_kernel;
+    pub(super) fn project(surface: &[SurfaceGroup], lens: &[LensGroup], camera: &CameraRows, row_offset: f32, seen: &mut [[SeenGroup; 2]], side: usize) = project_kernel;
 }
 
 wide! {
     /// Samples the channels at the projected points.
-    pub(super) fn sample(images: &EyeImages, level: usize, seen: &mut [[SeenGroup; 2]], eye: usize) = sample_kernel;
+    pub(super) fn sample(images: &CameraImages, level: usize, seen: &mut [[SeenGroup; 2]], side: usize) = sample_kernel;
 }
 
 wide! {
@@ -161,7 +161,7 @@ impl Default for GroupScore {
 }
 
 #[inline(always)]
-#[allow(clippy::needless_range_loop, reason = "eyes and channels index several arrays")]
+#[allow(clippy::needless_range_loop, reason = "cameras and channels index several arrays")]
 fn correlate_kernel(
     seen: &[[SeenGroup; 2]],
     view: &[ViewGroup],
@@ -170,16 +170,16 @@ fn correlate_kernel(
     let mut sums = [[MomentSums::<Lanes>::default(); CHANNELS]; 2];
     let mut counts = [Lanes::ZERO; 2];
     for (index, (seen, view)) in seen.iter().zip(view).enumerate() {
-        for eye in 0..2 {
+        for side in 0..2 {
             let weight = match residuals {
-                Some(residuals) => residuals[index].weight[eye],
-                None => seen[eye].valid * view.valid,
+                Some(residuals) => residuals[index].weight[side],
+                None => seen[side].valid * view.valid,
             };
-            counts[eye] += weight;
+            counts[side] += weight;
             for c in 0..CHANNELS {
-                let (a, b) = (view.value[c], seen[eye].value[c]);
+                let (a, b) = (view.value[c], seen[side].value[c]);
                 let (wa, wb) = (weight * a, weight * b);
-                let sums = &mut sums[eye][c];
+                let sums = &mut sums[side][c];
                 sums.view += wa;
                 sums.image += wb;
                 sums.view_squared = sums.view_squared.plus(wa, a);
@@ -188,9 +188,9 @@ fn correlate_kernel(
             }
         }
     }
-    std::array::from_fn(|eye| Correlation {
-        count: f64::from(counts[eye].sum()),
-        sums: sums[eye].map(|sums| sums.folded()),
+    std::array::from_fn(|side| Correlation {
+        count: f64::from(counts[side].sum()),
+        sums: sums[side].map(|sums| sums.folded()),
     })
 }
 
@@ -238,7 +238,7 @@ fn project_kernel(
     camera: &CameraRows,
     row_offset: f32,
     seen: &mut [[SeenGroup; 2]],
-    eye: usize,
+    side: usize,
 ) {
     let row =
         |i: usize| [Lanes::splat(camera[4 * i]), Lanes::splat(camera[4 * i + 1]), Lanes::splat(camera[4 * i + 2])];
@@ -250,7 +250,7 @@ fn project_kernel(
         let y = (Lanes::splat(camera[7]) + dot(&r1, &group.point)) * inverse_z;
         let [x0, y0, u, v, u_by_x, u_by_y, v_by_x, v_by_y] = *lens;
         let (dx, dy) = (x - x0, y - y0);
-        let out = &mut seen[eye];
+        let out = &mut seen[side];
         out.pixel =
             [u.plus(u_by_x, dx).plus(u_by_y, dy), (v + Lanes::splat(row_offset)).plus(v_by_x, dx).plus(v_by_y, dy)];
         for i in 0..3 {
@@ -282,11 +282,11 @@ const EDGE_ON: f32 = 0.08;
 const SATURATED_MAX: f32 = 0.15;
 
 #[inline(always)]
-fn sample_kernel(images: &EyeImages, level: usize, seen: &mut [[SeenGroup; 2]], eye: usize) {
+fn sample_kernel(images: &CameraImages, level: usize, seen: &mut [[SeenGroup; 2]], side: usize) {
     let origin_px = images.origin_px();
     let factor = 1.0 / (1_u32 << level) as f32;
     for seen in seen {
-        let seen = &mut seen[eye];
+        let seen = &mut seen[side];
         for i in 0..LANES {
             if seen.valid.0[i] == 0.0 {
                 continue;
@@ -304,7 +304,7 @@ fn sample_kernel(images: &EyeImages, level: usize, seen: &mut [[SeenGroup; 2]], 
 }
 
 /// The texel at a raw pixel of a level, for storing views.
-pub(super) fn texel_at(images: &EyeImages, level: usize, pixel: [f32; 2]) -> Option<Texel> {
+pub(super) fn texel_at(images: &CameraImages, level: usize, pixel: [f32; 2]) -> Option<Texel> {
     let origin_px = images.origin_px();
     let factor = 1.0 / (1_u32 << level) as f32;
     let [x, y] = std::array::from_fn(|i| (pixel[i] - origin_px[i] + 0.5) * factor - 0.5);
@@ -316,7 +316,7 @@ pub(super) fn texel_at(images: &EyeImages, level: usize, pixel: [f32; 2]) -> Opt
 const TUKEY: f32 = 3.0;
 
 #[inline(always)]
-#[allow(clippy::needless_range_loop, reason = "eyes and channels index several arrays")]
+#[allow(clippy::needless_range_loop, reason = "cameras and channels index several arrays")]
 fn weigh_kernel(
     seen: &[[SeenGroup; 2]],
     view: &[ViewGroup],
@@ -329,10 +329,10 @@ fn weigh_kernel(
     let mut weights = [Lanes::ZERO; TERMS];
     let mut points = [Lanes::ZERO; TERMS];
     for ((seen, view), out) in seen.iter().zip(view).zip(out) {
-        for eye in 0..2 {
+        for side in 0..2 {
             for c in 0..CHANNELS {
-                let (gain, offset) = (photometry.gain[eye][c], photometry.offset[eye][c]);
-                out.residual[eye][c] = seen[eye].value[c] - view.value[c].scale(gain) - Lanes::splat(offset);
+                let (gain, offset) = (photometry.gain[side][c], photometry.offset[side][c]);
+                out.residual[side][c] = seen[side].value[c] - view.value[c].scale(gain) - Lanes::splat(offset);
             }
         }
         let valid = [seen[0].valid * view.valid, seen[1].valid * view.valid];
@@ -415,7 +415,7 @@ fn pair_weights(residual: &ResidualGroup, weights: &PairWeights, channel: usize)
 
 /// Derivatives of a channel of one image with respect to the unknowns.
 #[inline(always)]
-fn derivatives(surface: &SurfaceGroup, seen: &SeenGroup, gradient: &[Lanes; 2], eye: usize) -> [Lanes; UNKNOWNS] {
+fn derivatives(surface: &SurfaceGroup, seen: &SeenGroup, gradient: &[Lanes; 2], side: usize) -> [Lanes; UNKNOWNS] {
     let by_u = gradient[0] * seen.unwarp[0] + gradient[1] * seen.unwarp[2];
     let by_v = gradient[0] * seen.unwarp[1] + gradient[1] * seen.unwarp[3];
     let by = &seen.by_point;
@@ -429,7 +429,7 @@ fn derivatives(surface: &SurfaceGroup, seen: &SeenGroup, gradient: &[Lanes; 2], 
         p[1] * m[2] - p[2] * m[1],
         p[2] * m[0] - p[0] * m[2],
         p[0] * m[1] - p[1] * m[0],
-        if eye == 1 { by_v } else { Lanes::ZERO },
+        if side == 1 { by_v } else { Lanes::ZERO },
         slide * surface.ray[0],
         slide * surface.ray[1],
         slide,
@@ -479,10 +479,10 @@ fn accumulate_kernel(
                 pair_sums.value += by_value;
                 pair_sums.one += weight;
             }
-            for (eye, weighted) in [LEFT, RIGHT].into_iter().zip(weighted) {
+            for (side, weighted) in [LEFT, RIGHT].into_iter().zip(weighted) {
                 let slope = &mut sums.gain_slope[c];
-                slope[eye + GAIN] = slope[eye + GAIN].plus(weighted, value);
-                slope[eye + OFFSET] += weighted;
+                slope[side + GAIN] = slope[side + GAIN].plus(weighted, value);
+                slope[side + OFFSET] += weighted;
             }
             if c == 0 {
                 for i in 0..UNKNOWNS {

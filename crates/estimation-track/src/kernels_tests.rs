@@ -126,16 +126,16 @@ fn noisy_groups(count: usize) -> (Vec<SurfaceGroup>, Vec<[SeenGroup; 2]>, Vec<Vi
     let surface = vec![scene.group(&plane); count];
     let lens = vec![lens_at(&camera(), (0..LANES).map(|i| pose() * scene.point(i, &plane))); count];
     let mut seen = vec![[SeenGroup::default(); 2]; count];
-    for eye in 0..2 {
-        project(Kernels::best(), &surface, &lens, &rows(&pose()), 0.3, &mut seen, eye);
+    for side in 0..2 {
+        project(Kernels::best(), &surface, &lens, &rows(&pose()), 0.3, &mut seen, side);
     }
     let mut view = vec![ViewGroup { valid: Lanes::splat(1.0), ..ViewGroup::default() }; count];
     for (g, (seen, view)) in seen.iter_mut().zip(&mut view).enumerate() {
         for c in 0..CHANNELS {
             view.value[c] = value(97 * g + c);
             view.gradient[c] = [value(97 * g + 10 + c).scale(0.1), value(97 * g + 20 + c).scale(0.1)];
-            for (eye, seen) in seen.iter_mut().enumerate() {
-                seen.value[c] = view.value[c] + value(97 * g + 30 + 5 * eye + c).scale(0.05);
+            for (side, seen) in seen.iter_mut().enumerate() {
+                seen.value[c] = view.value[c] + value(97 * g + 30 + 5 * side + c).scale(0.05);
             }
         }
     }

@@ -158,7 +158,7 @@ impl NormalEquations {
         let (matrix, rhs) = self.closed(prior, free);
         let solution = matrix.cholesky()?.solve(&rhs);
         let gains =
-            |k: usize| std::array::from_fn(|eye| std::array::from_fn(|c| solution[UNKNOWNS + 4 * c + 2 * eye + k]));
+            |k: usize| std::array::from_fn(|side| std::array::from_fn(|c| solution[UNKNOWNS + 4 * c + 2 * side + k]));
         let step = Step { unknowns: solution.fixed_rows::<UNKNOWNS>(0).into_owned(), gain: gains(0), offset: gains(1) };
         solution.iter().all(|x| x.is_finite()).then_some(step)
     }

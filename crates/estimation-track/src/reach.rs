@@ -85,8 +85,8 @@ impl Sighting<'_> {
 /// Share of an outline's points inside the image that contains fewer of them, whether occluded or not.
 pub(super) fn in_sight(outline: &[Point3<f64>], pose: &Pose<CamLeft, Model>, rig: &StereoRig) -> f64 {
     let right_pose = *rig.cam_right_from_cam_left() * *pose;
-    let eyes = [(rig.left(), pose.isometry()), (rig.right(), right_pose.isometry())];
-    let shares = eyes.map(|(camera, cam_from_model)| {
+    let cameras = [(rig.left(), pose.isometry()), (rig.right(), right_pose.isometry())];
+    let shares = cameras.map(|(camera, cam_from_model)| {
         let (width, height) = (f64::from(camera.size().width), f64::from(camera.size().height));
         let inside = |point: &&Point3<f64>| {
             let px = camera.project(&(cam_from_model * **point));

@@ -48,10 +48,10 @@ fn rows<'a>(image: &'a RgbImage, window: &PixelWindow) -> impl Iterator<Item = &
 }
 
 /// Index of the camera (0 left, 1 right) that repeats its last image while the other camera delivers a new one.
-pub(super) fn stuck_eye(remembered: &[Remembered; 2], images: [&RgbImage; 2]) -> Option<usize> {
-    [0, 1].into_iter().find(|&eye| {
-        let other = 1 - eye;
-        remembered[eye].is_repeated(images[eye]) && remembered[other].difference_grey(images[other]) >= NEW_FROM_GREY
+pub(super) fn stuck_camera(remembered: &[Remembered; 2], images: [&RgbImage; 2]) -> Option<usize> {
+    [0, 1].into_iter().find(|&side| {
+        let other = 1 - side;
+        remembered[side].is_repeated(images[side]) && remembered[other].difference_grey(images[other]) >= NEW_FROM_GREY
     })
 }
 
@@ -69,20 +69,20 @@ mod tests {
     fn the_eye_that_repeats_itself_is_named_only_if_the_other_one_sees_something_new() {
         let window = PixelWindow { x: -3, y: 4, width: 20, height: 50 };
         let mut remembered: [Remembered; 2] = Default::default();
-        assert_eq!(stuck_eye(&remembered, [&image(1), &image(2)]), None, "nothing is known yet");
+        assert_eq!(stuck_camera(&remembered, [&image(1), &image(2)]), None, "nothing is known yet");
         remembered[0].keep(&image(1), &window);
         remembered[1].keep(&image(2), &window);
-        assert_eq!(stuck_eye(&remembered, [&image(1), &image(2)]), None, "a scene at rest without noise");
-        assert_eq!(stuck_eye(&remembered, [&image(3), &image(2)]), Some(1));
-        assert_eq!(stuck_eye(&remembered, [&image(1), &image(3)]), Some(0));
-        assert_eq!(stuck_eye(&remembered, [&image(3), &image(4)]), None);
+        assert_eq!(stuck_camera(&remembered, [&image(1), &image(2)]), None, "a scene at rest without noise");
+        assert_eq!(stuck_camera(&remembered, [&image(3), &image(2)]), Some(1));
+        assert_eq!(stuck_camera(&remembered, [&image(1), &image(3)]), Some(0));
+        assert_eq!(stuck_camera(&remembered, [&image(3), &image(4)]), None);
         let mut nearly = image(1);
         nearly.get_pixel_mut(5, 6).0[0] ^= 1;
-        assert_eq!(stuck_eye(&remembered, [&nearly, &image(2)]), None, "hardly anything is new");
+        assert_eq!(stuck_camera(&remembered, [&nearly, &image(2)]), None, "hardly anything is new");
         let mut elsewhere = image(2);
         elsewhere.get_pixel_mut(30, 20).0[0] ^= 1;
-        assert_eq!(stuck_eye(&remembered, [&image(3), &elsewhere]), Some(1), "only where the target was");
+        assert_eq!(stuck_camera(&remembered, [&image(3), &elsewhere]), Some(1), "only where the target was");
         remembered[1].keep(&image(2), &PixelWindow { x: 90, ..window });
-        assert_eq!(stuck_eye(&remembered, [&image(3), &image(2)]), None, "out of sight");
+        assert_eq!(stuck_camera(&remembered, [&image(3), &image(2)]), None, "out of sight");
     }
 }

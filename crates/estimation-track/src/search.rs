@@ -7,7 +7,7 @@ use pb3dp_estimation_core::wide::{LANES, wide};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Pose, StereoRig, so3};
 
-use super::images::{EyeImages, LEVELS, Texel};
+use super::images::{CameraImages, LEVELS, Texel};
 use super::kernels::{CHANNELS, SurfaceGroup, ViewGroup, texel_at};
 use super::view::View;
 use crate::kernels::{Correlation, MomentSums};
@@ -64,7 +64,7 @@ impl Searcher {
         groups: &[SurfaceGroup],
         view: &[ViewGroup],
         hypothesis: &Pose<CamLeft, Model>,
-        left: &EyeImages,
+        left: &CameraImages,
         camera: &Camera,
     ) -> [Option<Place>; PLACES] {
         if !self.make_template(groups, view, hypothesis, camera) {
@@ -98,7 +98,7 @@ impl Searcher {
         y: usize,
         index: usize,
         hypothesis: &Pose<CamLeft, Model>,
-        left: &EyeImages,
+        left: &CameraImages,
         camera: &Camera,
     ) -> Option<Place> {
         let side = f64::from(1_u32 << (LEVELS - 1));
@@ -199,7 +199,7 @@ pub(super) fn depth_by_stereo(
     view: &[ViewGroup],
     level: usize,
     pose: &Pose<CamLeft, Model>,
-    right: &EyeImages,
+    right: &CameraImages,
     rig: &StereoRig,
 ) -> Option<Pose<CamLeft, Model>> {
     let z = pose.translation_m().z;
@@ -227,7 +227,7 @@ fn right_correlation(
     level: usize,
     pose: &Pose<CamLeft, Model>,
     scale: f64,
-    right: &EyeImages,
+    right: &CameraImages,
     rig: &StereoRig,
 ) -> f64 {
     let moved: Pose<CamLeft, Model> = Pose::from_parts(pose.translation_m() * scale, pose.rotation());

@@ -6,7 +6,7 @@ use pb3dp_estimation_core::wide::LANES;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Distortion, Pose, StereoRig};
 
-use super::images::{EyeImages, LEVELS};
+use super::images::{CameraImages, LEVELS};
 use super::kernels::{LensGroup, SurfaceGroup};
 use super::lanes::Lanes;
 use super::relief::Relief;
@@ -75,7 +75,7 @@ pub(super) fn model_frame(plane: &Vector3<f64>, centre_ray: &Vector3<f64>) -> Op
 impl Surface {
     /// Selects points inside `region` (already eroded) of the first left image.
     pub(super) fn choose(
-        left: &EyeImages,
+        left: &CameraImages,
         region: &RegionMask,
         rig: &StereoRig,
         plane: Vector3<f64>,
@@ -179,7 +179,7 @@ impl Surface {
     pub(super) fn linearise_lens(
         &mut self,
         level: usize,
-        eye: usize,
+        side: usize,
         camera: &Camera,
         cam_from_model: &nalgebra::Isometry3<f64>,
     ) {
@@ -187,7 +187,7 @@ impl Surface {
             return;
         }
         let level = &mut self.levels[level];
-        for (group, lens) in level.groups.iter().zip(&mut level.lens[eye]) {
+        for (group, lens) in level.groups.iter().zip(&mut level.lens[side]) {
             for i in (0..LANES).filter(|&i| group.mask.0[i] > 0.0) {
                 let point = Point3::from(group.point.map(|x| f64::from(x.0[i])));
                 let in_cam = cam_from_model * point;
@@ -270,7 +270,7 @@ struct Candidate {
     sharpness: f32,
 }
 
-fn choose_cells(images: &EyeImages, region: &RegionMask, level: usize, wanted: usize) -> Cells {
+fn choose_cells(images: &CameraImages, region: &RegionMask, level: usize, wanted: usize) -> Cells {
     let factor = f64::from(1_u32 << level);
     let raw = |x: f64, origin: i32| f64::from(origin) + (x + 0.5) * factor - 0.5;
     let (origin_x, origin_y) = (images.window.x, images.window.y);
@@ -318,7 +318,7 @@ fn choose_cells(images: &EyeImages, region: &RegionMask, level: usize, wanted: u
 }
 
 /// Squared gradient of all channels; `None` next to saturated pixels.
-fn sharpness(images: &EyeImages, level: usize, x: usize, y: usize) -> Option<f32> {
+fn sharpness(images: &CameraImages, level: usize, x: usize, y: usize) -> Option<f32> {
     let at = |x: usize, y: usize| images.texel(level, x, y);
     let (left, right, up, down) = (at(x - 1, y), at(x + 1, y), at(x, y - 1), at(x, y + 1));
     let saturated = at(x, y)[3] + left[3] + right[3] + up[3] + down[3];
@@ -336,10 +336,10 @@ impl SurfaceLevel {
             self.groups.push(group);
             self.places.push(place);
         }
-        for (eye, camera) in [rig.left(), rig.right()].into_iter().enumerate() {
+        for (side, camera) in [rig.left(), rig.right()].into_iter().enumerate() {
             let mut lens: LensGroup = [Lanes::ZERO; 8];
             (0..LANES).for_each(|i| set_lens(&mut lens, i, camera, &Vector2::zeros()));
-            self.lens[eye] = vec![lens; self.groups.len()];
+            self.lens[side] = vec![lens; self.groups.len()];
         }
     }
 }

@@ -11,7 +11,7 @@ use super::align::{Aligned, Aligner, Estimate, Knowledge, Problem, StartLevel};
 use super::config::DirectTrackerConfig;
 use super::distinct::independent_points;
 use super::export::surface_point;
-use super::images::{EyeImages, LEVELS};
+use super::images::{CameraImages, LEVELS};
 use super::judge::{Fit, Limits, Misfit};
 use super::kernels::{CHANNELS, ROW, TERMS};
 use super::normal::{Free, NormalEquations};
@@ -62,7 +62,7 @@ const PATCH_SIGMA_RATE: f64 = 0.2;
 
 /// Input of a frame.
 pub(super) struct Frame<'a> {
-    pub(super) images: &'a [EyeImages; 2],
+    pub(super) images: &'a [CameraImages; 2],
     pub(super) rig: &'a StereoRig,
     pub(super) config: &'a DirectTrackerConfig,
 }
@@ -275,7 +275,7 @@ impl Target {
 
     /// Whether the fit is as good as noise allows, so that no better one needs to be searched.
     fn fits_well(&self) -> bool {
-        let relative = |eye: usize| self.fit.correlation[eye] / self.fit.correlation_expected[eye];
+        let relative = |side: usize| self.fit.correlation[side] / self.fit.correlation_expected[side];
         relative(0).min(relative(1)) >= WELL_CORRELATED
             && self.fit.inlier_share[0].min(self.fit.inlier_share[1]) >= WELL_FITTING
     }

@@ -17,9 +17,9 @@ use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Pose, StereoRig};
 
 use super::config::DirectTrackerConfig;
-use super::images::EyeImages;
+use super::images::CameraImages;
 use super::judge::Fit;
-use super::repeated::{Remembered, stuck_eye};
+use super::repeated::{Remembered, stuck_camera};
 use super::surface::{Surface, model_frame};
 use super::target::{Ending, Frame, Target};
 
@@ -58,7 +58,7 @@ pub struct DirectTracker {
     kernels: Kernels,
     estimator: DirectEstimator,
     region_config: RegionConfig,
-    images: [EyeImages; 2],
+    images: [CameraImages; 2],
     /// The parts of the last images that contained the target.
     remembered: [Remembered; 2],
     target: Option<Target>,
@@ -88,12 +88,12 @@ impl DirectTracker {
         config.validate()?;
         let region_config = pair.region;
         let estimator = DirectEstimator::with_kernels(rig, pair, kernels)?;
-        let mut images: [EyeImages; 2] = Default::default();
+        let mut images: [CameraImages; 2] = Default::default();
         let mut remembered: [Remembered; 2] = Default::default();
-        for (eye, camera) in [rig.left(), rig.right()].into_iter().enumerate() {
+        for (side, camera) in [rig.left(), rig.right()].into_iter().enumerate() {
             let (width, height) = (camera.size().width as usize, camera.size().height as usize);
-            images[eye].reserve(width, height);
-            remembered[eye].reserve(width * height);
+            images[side].reserve(width, height);
+            remembered[side].reserve(width * height);
         }
         Ok(Self {
             rig: *rig,
@@ -302,10 +302,10 @@ impl DirectTracker {
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Ending {
         target.frame += 1;
-        if let Some(eye) = stuck_eye(&self.remembered, [left, right]) {
+        if let Some(side) = stuck_camera(&self.remembered, [left, right]) {
             target.away_s += passed_s(prior);
             target.motion.coast(prior);
-            return Ending::Stuck(eye);
+            return Ending::Stuck(side);
         }
         let predicted = target.motion.predict(prior);
         let mut ending = Ending::OutOfSight;
@@ -346,8 +346,8 @@ impl DirectTracker {
     fn remember(&mut self, target: &Target, left: &RgbImage, right: &RgbImage) {
         let pose = target.estimate.cam_left_from_model;
         let right_pose = *self.rig.cam_right_from_cam_left() * pose;
-        let eyes = [(left, self.rig.left(), pose.isometry()), (right, self.rig.right(), right_pose.isometry())];
-        for (remembered, (image, camera, cam_from_model)) in self.remembered.iter_mut().zip(eyes) {
+        let cameras = [(left, self.rig.left(), pose.isometry()), (right, self.rig.right(), right_pose.isometry())];
+        for (remembered, (image, camera, cam_from_model)) in self.remembered.iter_mut().zip(cameras) {
             remembered.keep(image, &super::target::window(&target.outline_in_model, camera, cam_from_model));
         }
     }
@@ -370,8 +370,8 @@ impl DirectTracker {
         margin: u32,
     ) {
         let right_pose = *self.rig.cam_right_from_cam_left() * *pose;
-        let eyes = [(left, self.rig.left(), pose.isometry()), (right, self.rig.right(), right_pose.isometry())];
-        for (images, (image, camera, cam_from_model)) in self.images.iter_mut().zip(eyes) {
+        let cameras = [(left, self.rig.left(), pose.isometry()), (right, self.rig.right(), right_pose.isometry())];
+        for (images, (image, camera, cam_from_model)) in self.images.iter_mut().zip(cameras) {
             let window = super::target::window(outline, camera, cam_from_model).grown(margin);
             images.update(image, window, self.kernels);
         }
@@ -397,8 +397,8 @@ impl DirectTracker {
         // Writing into a string cannot fail.
         let _ = match ending {
             Ending::Misfit(misfit) => write!(out.reason, "{misfit}"),
-            Ending::Stuck(eye) => {
-                let (stuck, other) = if eye == 0 { ("left", "right") } else { ("right", "left") };
+            Ending::Stuck(side) => {
+                let (stuck, other) = if side == 0 { ("left", "right") } else { ("right", "left") };
                 write!(
                     out.reason,
                     "the {stuck} image has not changed while the {other} image has: check the {stuck} camera"
@@ -481,11 +481,11 @@ const PARTS_MAX: usize = 4;
 const POINTS_MIN: usize = 40;
 
 fn check_sizes(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Result<(), EstimationError> {
-    for (eye, image, camera) in [("left", left, rig.left()), ("right", right, rig.right())] {
+    for (side, image, camera) in [("left", left, rig.left()), ("right", right, rig.right())] {
         let expected = camera.size();
         if image.width() != expected.width || image.height() != expected.height {
             return Err(EstimationError::ImageSize {
-                eye,
+                side,
                 width: image.width() as usize,
                 height: image.height() as usize,
                 expected_width: expected.width as usize,

@@ -4,7 +4,7 @@ use pb3dp_estimation_core::wide::LANES;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
 
-use super::images::{EyeImages, LEVELS};
+use super::images::{CameraImages, LEVELS};
 use super::kernels::{ResidualGroup, SeenGroup, ViewGroup, texel_at};
 
 /// The surface's channels in the left image of one frame.
@@ -42,7 +42,7 @@ impl View {
     pub(super) fn take_level(
         &mut self,
         level: usize,
-        left: &EyeImages,
+        left: &CameraImages,
         seen: &[[SeenGroup; 2]],
         residuals: Option<&[ResidualGroup]>,
     ) {

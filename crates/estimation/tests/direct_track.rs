@@ -123,7 +123,7 @@ fn a_hidden_target_is_lost_and_found_again() {
 /// A camera that repeats its last image: the pose error would grow with every frame.
 #[test]
 fn a_frozen_eye_is_no_evidence() {
-    for frozen_eye in [0, 1] {
+    for frozen_camera in [0, 1] {
         let mut run = Run::start(rectified_rig(), moving(0.0), DirectTrackerConfig::default());
         let mut frozen = None;
         for frame in 1..16 {
@@ -133,21 +133,21 @@ fn a_frozen_eye_is_no_evidence() {
             let (left, right) = render(&run.rig, &shot);
             let mut images = [left, right];
             if frame == 5 {
-                frozen = Some(images[frozen_eye].clone());
+                frozen = Some(images[frozen_camera].clone());
             }
             let is_frozen = (6..12).contains(&frame);
             if let Some(old) = frozen.as_ref().filter(|_| is_frozen) {
-                images[frozen_eye] = old.clone();
+                images[frozen_camera] = old.clone();
             }
             let prior = FramePrior { dt_s: Some(1.0 / 30.0), ..FramePrior::default() };
             let estimate =
                 run.tracker.estimate(EstimateRequest::of_next(&images[0], &images[1], &prior)).expect("update");
             if is_frozen {
-                assert_eq!(estimate.status, Status::Lost, "eye {frozen_eye}, frame {frame}");
-                let name = ["left", "right"][frozen_eye];
+                assert_eq!(estimate.status, Status::Lost, "camera {frozen_camera}, frame {frame}");
+                let name = ["left", "right"][frozen_camera];
                 assert!(estimate.reason.contains(&format!("the {name} image has not changed")), "{}", estimate.reason);
             } else if !(6..=13).contains(&frame) {
-                assert_eq!(estimate.status, Status::Ok, "eye {frozen_eye}, frame {frame}: {}", estimate.reason);
+                assert_eq!(estimate.status, Status::Ok, "camera {frozen_camera}, frame {frame}: {}", estimate.reason);
                 let (distance_mm, angle_deg) = run.error(&estimate, &pose);
                 assert!(distance_mm < 0.5 && angle_deg < 0.6, "frame {frame}: {distance_mm} mm, {angle_deg} degrees");
             }

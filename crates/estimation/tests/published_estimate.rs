@@ -194,10 +194,10 @@ fn what_does_not_fit_is_refused_by_name() {
     let small = image::RgbImage::new(160, 120);
     let error =
         estimator.estimate(EstimateRequest::of_target(&left, &small, &region, &range())).expect_err("another size");
-    assert!(matches!(error, EstimationError::ImageSize { eye: "right", width: 160, .. }), "{error}");
+    assert!(matches!(error, EstimationError::ImageSize { side: "right", width: 160, .. }), "{error}");
     let error =
         estimator.estimate(EstimateRequest::of_target(&small, &right, &region, &range())).expect_err("another size");
-    assert!(matches!(error, EstimationError::ImageSize { eye: "left", .. }), "{error}");
+    assert!(matches!(error, EstimationError::ImageSize { side: "left", .. }), "{error}");
     let backwards = SearchRange { z_min_m: 0.6, z_max_m: 0.4, tilt_max_rad: 0.5 };
     let error =
         estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &backwards)).expect_err("a range");

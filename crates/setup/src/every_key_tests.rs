@@ -305,7 +305,7 @@ fn keys_of_other_cameras_are_refused_with_key_and_backend() {
     check_refusals(changes);
 }
 
-/// Each eye has a device of its own, and says of each control who chooses.
+/// Each camera has a device of its own, and says of each control who chooses.
 #[test]
 fn eyes_that_are_no_cameras_are_refused() {
     let refusal = |key: &str, value: Value| {

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 /// The camera or cameras affected by a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Eyes {
+pub enum AffectedCameras {
     /// The left camera.
     Left,
     /// The right camera.
@@ -15,7 +15,7 @@ pub enum Eyes {
     Both,
 }
 
-impl Eyes {
+impl AffectedCameras {
     /// Whether the left and the right camera are affected.
     pub fn are(self) -> [bool; 2] {
         [self != Self::Right, self != Self::Left]
@@ -57,17 +57,17 @@ pub enum CameraFaultKind {
     /// Black images: no light.
     Black {
         /// Affected cameras.
-        eyes: Eyes,
+        cameras: AffectedCameras,
     },
     /// Saturated images.
     Saturated {
         /// Affected cameras.
-        eyes: Eyes,
+        cameras: AffectedCameras,
     },
     /// A step of exposure or gain.
     Brightness {
         /// Affected cameras.
-        eyes: Eyes,
+        cameras: AffectedCameras,
         /// Factor on all grey levels, 0 to 100.
         factor: f64,
     },
@@ -195,7 +195,7 @@ mod tests {
         let wrong = refusal(fault(CameraFaultKind::Torn { share: 1.5 }, 0, 1));
         assert_eq!(wrong, "camera fault torn: share is 1.5; set it between 0 and 1");
         assert!(refusal(fault(CameraFaultKind::Frozen, 5, 5)).contains("set a later end"));
-        let nan = CameraFaultKind::Brightness { eyes: Eyes::Both, factor: f64::NAN };
+        let nan = CameraFaultKind::Brightness { cameras: AffectedCameras::Both, factor: f64::NAN };
         assert!(refusal(fault(nan, 0, 1)).contains("factor is NaN"));
     }
 }

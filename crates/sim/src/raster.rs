@@ -5,8 +5,8 @@
 //! sampled sixteen times. The same scene, poses, seed and frame index give the same bytes on every machine and in any order.
 
 mod coverage;
-mod eye;
 mod fine;
+mod rendered_camera;
 mod shade;
 mod triangle;
 mod view;
@@ -18,7 +18,7 @@ use pb3dp_computing::wide;
 use pb3dp_geometry::{CameraError, ImageSize, StereoRig};
 
 use self::coverage::EdgePixels;
-use self::eye::Eye;
+use self::rendered_camera::RenderedCamera;
 use self::shade::{RUN_MAX, Scratch, shade_run};
 use self::triangle::ScreenTriangle;
 use self::view::View;
@@ -35,10 +35,10 @@ const EMPTY: [u16; 3] = [96 << 8; 3];
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RenderError {
     /// A camera of the rig cannot be rendered.
-    #[error("the {eye} camera cannot be rendered")]
+    #[error("the {side} camera cannot be rendered")]
     Camera {
         /// `left` or `right`.
-        eye: &'static str,
+        side: &'static str,
         /// The reason.
         #[source]
         source: CameraError,
@@ -80,7 +80,7 @@ pub struct StereoRenderer {
     scene: Scene,
     rig: StereoRig,
     seed: u32,
-    eyes: [Eye; 2],
+    cameras: [RenderedCamera; 2],
     run_both: RunBoth,
 }
 
@@ -96,15 +96,15 @@ impl StereoRenderer {
             return Err(RenderError::Sizes { left, right });
         }
         let cam_right_from_cam_left = *rig.cam_right_from_cam_left().isometry();
-        let eyes = [
-            Eye::new("left", rig.left(), Isometry3::identity(), sensor, &sensor.left)?,
-            Eye::new("right", rig.right(), cam_right_from_cam_left, sensor, &sensor.right)?,
+        let cameras = [
+            RenderedCamera::new("left", rig.left(), Isometry3::identity(), sensor, &sensor.left)?,
+            RenderedCamera::new("right", rig.right(), cam_right_from_cam_left, sensor, &sensor.right)?,
         ];
         let run_both: RunBoth = |left, right| {
             left();
             right();
         };
-        Ok(Self { scene, rig, seed, eyes, run_both })
+        Ok(Self { scene, rig, seed, cameras, run_both })
     }
 
     /// Renders both images of a pair through `run_both`; the images do not depend on the order of the calls.
@@ -121,7 +121,7 @@ impl StereoRenderer {
     /// # Errors
     /// A camera with a pixel that has no ray.
     pub fn with_fine_sampling(mut self) -> Result<Self, RenderError> {
-        let [left, right] = &mut self.eyes;
+        let [left, right] = &mut self.cameras;
         left.sample_finely("left", self.rig.left())?;
         right.sample_finely("right", self.rig.right())?;
         Ok(self)
@@ -136,8 +136,8 @@ impl StereoRenderer {
         if let Some(value) = [left, right].into_iter().find(|value| !(0.0..=4.0).contains(value)) {
             return Err(SensorError { name: "defocus_px", value, min: 0.0, max: 4.0 }.into());
         }
-        for (eye, defocus_px) in self.eyes.iter_mut().zip([left, right]) {
-            eye.defocus(defocus_px);
+        for (side, defocus_px) in self.cameras.iter_mut().zip([left, right]) {
+            side.defocus(defocus_px);
         }
         Ok(self)
     }
@@ -184,10 +184,10 @@ impl StereoRenderer {
 
     fn expose(&mut self, moments: &[ScenePoses], frame_index: u64, left: &mut RgbImage, right: &mut RgbImage) {
         let (scene, size, seed) = (&self.scene, self.rig.left().size(), self.seed);
-        let [left_eye, right_eye] = &mut self.eyes;
-        let key = |eye| NoiseKey { seed, frame_index, eye };
-        (self.run_both)(&mut || left_eye.expose(scene, moments, &key(0), size, left), &mut || {
-            right_eye.expose(scene, moments, &key(1), size, right);
+        let [left_side, right_side] = &mut self.cameras;
+        let key = |side| NoiseKey { seed, frame_index, side };
+        (self.run_both)(&mut || left_side.expose(scene, moments, &key(0), size, left), &mut || {
+            right_side.expose(scene, moments, &key(1), size, right);
         });
     }
 
@@ -195,12 +195,12 @@ impl StereoRenderer {
     ///
     /// It is the limit of the mean of many exposures; use it where exact gradients matter.
     pub fn ideal_left(&mut self, poses: &ScenePoses, image: &mut Vec<f32>) {
-        self.eyes[0].ideal(&self.scene, poses, image);
+        self.cameras[0].ideal(&self.scene, poses, image);
     }
 
     /// Depth and object of every pixel centre of the left camera at `poses`.
     pub fn ground_truth(&mut self, poses: &ScenePoses) -> GroundTruth {
-        let seen = self.eyes[0].see(&self.scene, poses);
+        let seen = self.cameras[0].see(&self.scene, poses);
         let depth_m = seen.inv_z.iter().map(|&inv_z| if inv_z > 0.0 { 1.0 / inv_z } else { 0.0 }).collect();
         let object = seen.seen.iter().map(|&seen| object_of(&self.scene, seen)).collect();
         GroundTruth { size: self.rig.left().size(), depth_m, object }

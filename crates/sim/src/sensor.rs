@@ -17,9 +17,9 @@ pub struct SensorConfig {
     /// Variance of the noise added per grey level of light, grey levels.
     pub shot_noise_grey: f64,
     /// Response of the left camera.
-    pub left: EyeResponse,
+    pub left: CameraResponse,
     /// Response of the right camera.
-    pub right: EyeResponse,
+    pub right: CameraResponse,
 }
 
 impl Default for SensorConfig {
@@ -30,8 +30,8 @@ impl Default for SensorConfig {
             lens_blur_px: 0.5,
             read_noise_grey: 1.2,
             shot_noise_grey: 0.02,
-            left: EyeResponse::NEUTRAL,
-            right: EyeResponse { exposure: 1.02, gain: [1.02, 1.0, 0.98], offset_grey: [1.0, 0.0, -1.0] },
+            left: CameraResponse::NEUTRAL,
+            right: CameraResponse { exposure: 1.02, gain: [1.02, 1.0, 0.98], offset_grey: [1.0, 0.0, -1.0] },
         }
     }
 }
@@ -42,8 +42,8 @@ impl SensorConfig {
         lens_blur_px: 0.0,
         read_noise_grey: 0.0,
         shot_noise_grey: 0.0,
-        left: EyeResponse::NEUTRAL,
-        right: EyeResponse::NEUTRAL,
+        left: CameraResponse::NEUTRAL,
+        right: CameraResponse::NEUTRAL,
     };
 
     /// Checks every number.
@@ -56,10 +56,10 @@ impl SensorConfig {
             ("read_noise_grey", self.read_noise_grey, 0.0, 50.0),
             ("shot_noise_grey", self.shot_noise_grey, 0.0, 10.0),
         ];
-        for eye in [&self.left, &self.right] {
-            checks.push(("exposure", eye.exposure, 0.01, 16.0));
-            checks.extend(eye.gain.map(|gain| ("gain", gain, 0.01, 16.0)));
-            checks.extend(eye.offset_grey.map(|offset| ("offset_grey", offset, -128.0, 128.0)));
+        for side in [&self.left, &self.right] {
+            checks.push(("exposure", side.exposure, 0.01, 16.0));
+            checks.extend(side.gain.map(|gain| ("gain", gain, 0.01, 16.0)));
+            checks.extend(side.offset_grey.map(|offset| ("offset_grey", offset, -128.0, 128.0)));
         }
         match checks.into_iter().find(|(_, value, min, max)| !(min..=max).contains(&value)) {
             Some((name, value, min, max)) => Err(SensorError { name, value, min, max }),
@@ -70,7 +70,7 @@ impl SensorConfig {
 
 /// Response of one camera: grey = exposure * gain * light + offset, per channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EyeResponse {
+pub struct CameraResponse {
     /// Factor for all channels.
     pub exposure: f64,
     /// Factors of red, green, blue.
@@ -79,7 +79,7 @@ pub struct EyeResponse {
     pub offset_grey: [f64; 3],
 }
 
-impl EyeResponse {
+impl CameraResponse {
     /// Grey level equals light.
     pub const NEUTRAL: Self = Self { exposure: 1.0, gain: [1.0; 3], offset_grey: [0.0; 3] };
 }
@@ -103,7 +103,7 @@ pub struct SensorError {
 pub(crate) struct NoiseKey {
     pub(crate) seed: u32,
     pub(crate) frame_index: u64,
-    pub(crate) eye: u32,
+    pub(crate) side: u32,
 }
 
 /// Sum of four random bytes: mean, and 1 / standard deviation (variance 4 (256^2 - 1) / 12).
@@ -128,7 +128,7 @@ pub(crate) struct Developer {
 }
 
 impl Developer {
-    pub(crate) fn new(config: &SensorConfig, response: &EyeResponse, width: usize) -> Self {
+    pub(crate) fn new(config: &SensorConfig, response: &CameraResponse, width: usize) -> Self {
         let scale = response.gain.map(|gain| (gain * response.exposure / 256.0) as f32);
         Self {
             scale,
@@ -177,7 +177,7 @@ impl Developer {
         let stride = self.blurred.len();
         let rows = light.len() / stride;
         let keys = [0u32, 1].map(|word| {
-            noise::hash(&[key.seed, key.frame_index as u32, (key.frame_index >> 32) as u32, key.eye, word])
+            noise::hash(&[key.seed, key.frame_index as u32, (key.frame_index >> 32) as u32, key.side, word])
         });
         for (row, out) in image.chunks_exact_mut(stride).enumerate() {
             let line = |r: usize| &light[r * stride..(r + 1) * stride];
@@ -281,7 +281,7 @@ fn blur_row(lines: [&[u16]; 3], weight: u32, padded: &mut [u16], out: &mut [u16]
 mod tests {
     use super::*;
 
-    const KEY: NoiseKey = NoiseKey { seed: 5, frame_index: 9, eye: 0 };
+    const KEY: NoiseKey = NoiseKey { seed: 5, frame_index: 9, side: 0 };
 
     fn noise_image(config: &SensorConfig, key: &NoiseKey, light_grey: u16) -> Vec<f64> {
         let mut image = vec![0; 3 * 160 * 100];
@@ -306,7 +306,7 @@ mod tests {
         assert!((variance - 14.083).abs() < 0.35, "{variance}");
         assert!(correlation(&a[..a.len() - 3], &a[3..]).abs() < 0.02);
         assert!(correlation(&a[..a.len() - 480], &a[480..]).abs() < 0.02);
-        for other in [NoiseKey { frame_index: 10, ..KEY }, NoiseKey { eye: 1, ..KEY }, NoiseKey { seed: 6, ..KEY }] {
+        for other in [NoiseKey { frame_index: 10, ..KEY }, NoiseKey { side: 1, ..KEY }, NoiseKey { seed: 6, ..KEY }] {
             assert!(correlation(&a, &noise_image(&config, &other, 100)).abs() < 0.02, "{other:?}");
         }
         assert_eq!(a, noise_image(&config, &KEY, 100));
@@ -314,7 +314,7 @@ mod tests {
 
     #[test]
     fn response_is_gain_times_light_plus_offset() {
-        let response = EyeResponse { exposure: 0.5, gain: [1.0, 2.0, 3.0], offset_grey: [7.3, 0.0, -4.0] };
+        let response = CameraResponse { exposure: 0.5, gain: [1.0, 2.0, 3.0], offset_grey: [7.3, 0.0, -4.0] };
         let mut image = [0u8; 15];
         Developer::new(&SensorConfig::IDEAL, &response, 5).develop(&[100 * 256; 15], &KEY, &mut image);
         assert_eq!(image[12..], [57, 100, 146]);
@@ -340,7 +340,7 @@ mod tests {
         let (width, height) = (31usize, 27usize);
         let mut light = vec![0u16; 3 * width * height];
         light[3 * (width * 12 + 17) + 2] = 65_000;
-        let mut developer = Developer::new(&SensorConfig::IDEAL, &EyeResponse::NEUTRAL, width);
+        let mut developer = Developer::new(&SensorConfig::IDEAL, &CameraResponse::NEUTRAL, width);
         developer.defocus(&mut light, 1.5);
         let mut image = Vec::new();
         developer.develop_ideal(&light, &mut image);
@@ -365,7 +365,7 @@ mod tests {
 
     #[test]
     fn the_ideal_image_is_the_mean_of_noisy_ones() {
-        let response = EyeResponse { exposure: 0.9, gain: [1.1, 1.0, 0.8], offset_grey: [5.0, -3.0, 0.0] };
+        let response = CameraResponse { exposure: 0.9, gain: [1.1, 1.0, 0.8], offset_grey: [5.0, -3.0, 0.0] };
         let config = SensorConfig { lens_blur_px: 0.6, read_noise_grey: 2.0, ..SensorConfig::IDEAL };
         let light: Vec<u16> = (0..3 * 8 * 5u32).map(|i| (9000 + (i * 7919) % 23_000) as u16).collect();
         let mut developer = Developer::new(&config, &response, 8);

@@ -1,4 +1,4 @@
-//! Both arms: their backends, what stands before them, and where the simulated cell has their joints from.
+//! Both arms: their backends, the layers in front of them, and the joint sources of the simulated workcell.
 
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
@@ -33,37 +33,37 @@ use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 use super::greeting;
 use super::nominal::EMULATION;
 
-/// By how much limits in a controller's EEPROM may differ from those of the robot description, degrees.
+/// Largest difference between the limits in a controller's EEPROM and those of the robot description, degrees.
 pub const LIMITS_TOLERANCE_DEG: f64 = 0.5;
 
-/// An emulated arm takes its speed from the line; this rate only has to be quick enough for it.
+/// An emulated arm takes its speed from the link; this rate only has to be high enough.
 const EMULATED_BAUD: u32 = 921_600;
 
-/// Of the thread of an emulated arm, between the control loop and the driver of an arm: a real one waits for no program.
+/// Thread priority of an emulated arm, between control loop and arm driver: a real arm waits for no process.
 const EMULATION_PRIORITY: u8 = 45;
 
-/// Measured joints that nobody has asked for yet: two seconds at 500 Hz.
+/// Capacity for measured joints that are not consumed yet: two seconds at 500 Hz.
 const JOINTS_WAITING_MAX: usize = 1000;
 
-/// Both arms behind all that stands before them.
+/// Both arms with all layers in front of them.
 pub struct WiredArms {
-    /// Where they stand in the cell, and where it has their joints from.
+    /// Their base poses and joint sources in the workcell.
     pub sites: [ArmSite; 2],
-    /// What moves them.
+    /// Their motion interfaces.
     pub driven: [Box<dyn DrivenArm>; 2],
     /// Their flight recorders.
     pub flights: [(&'static str, FlightLog); 2],
-    /// What their links are like, as far as they have one.
+    /// Link monitors; arms without a link have none.
     pub monitors: Vec<(&'static str, ArmMonitor)>,
-    /// The emulated arms at the other ends.
+    /// The emulated arms at the other ends of the links.
     pub emulated: Vec<MockServer>,
-    /// The far ends of those that are emulated in simulated time, by the names of the arms.
+    /// Far ends of arms that are emulated in simulated time, by the arms' names.
     pub virtual_ends: Vec<(&'static str, VirtualEnd)>,
-    /// Those that no gateway would stop.
+    /// Arms that no gateway would stop.
     pub on_bus: Vec<ArmOnBus>,
 }
 
-/// The stop order of an arm on a bus, and whether it was heard.
+/// The stop order of an arm on a bus, and its acknowledgement.
 struct BusStop {
     monitor: ArmMonitor,
     trip: TripHandle,
@@ -104,18 +104,19 @@ impl EmulatedArm for EmulatedServer {
     }
 }
 
-/// Both arms: the one with the cameras, the one with the target; `time` is what `clock` shows, if it is simulated. From the inside out: backend, recorder, guard, coupling, limiter.
+/// Wires both arms: the one with the cameras, the one with the target. `time` is the time of `clock`, if it is simulated.
+/// Order from the inside out: backend, recorder, guard, coupling, limiter.
 ///
 /// # Errors
 /// If a part refuses its parameters, or an arm does not answer.
 pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>, time: Option<&Arc<VirtualTime>>) -> Result<WiredArms> {
     let (vs_name, tc_name) = ("vs-robot", "tc-robot");
     let seats = match time {
-        None => trip_line(2).context("the line along which the arms stop each other")?,
+        None => trip_line(2).context("the trip line between the arms")?,
         Some(_) => virtual_trip_line(2),
     };
     let mut seats = seats.into_iter();
-    let mut seat = || seats.next().context("a place on the line along which the arms stop each other");
+    let mut seat = || seats.next().context("a seat on the trip line between the arms");
     let wanted = |name, arm| Wanted { name, arm, control_period: setup.control_period, clock, time };
     let (vs_wanted, tc_wanted) = (wanted(vs_name, &setup.rig.vs), wanted(tc_name, &setup.rig.tc));
     let (vs, tc) = (wire_backend(vs_wanted, seat()?)?, wire_backend(tc_wanted, seat()?)?);
@@ -148,7 +149,7 @@ fn arm_on_bus((name, arm, wired): (&'static str, &ArmSetup, &WiredBackend)) -> O
     Some(ArmOnBus { name, order: Box::new(order), brake_time })
 }
 
-/// One arm alone, which knows nothing of the other one: for its commissioning. From the inside out: backend, recorder, guard, limiter.
+/// Wires one arm alone, without the other one, for commissioning. From the inside out: backend, recorder, guard, limiter.
 ///
 /// # Errors
 /// If a part refuses its parameters, or the arm does not answer.
@@ -159,35 +160,35 @@ pub(super) fn wire_alone(wanted: Wanted<'_>) -> Result<AloneArm> {
     Ok(AloneArm { driven: limited(wanted, guarded)?, monitor: wired.monitor, flight, emulated })
 }
 
-/// A place on a line along which nobody else is.
+/// A seat on a trip line without other seats.
 pub(super) fn alone() -> Result<TripSeat> {
-    trip_line(1)?.pop().context("a place on the line along which the arms stop each other")
+    trip_line(1)?.pop().context("a seat on the trip line between the arms")
 }
 
-/// One arm behind all that stands before it but the other arm.
+/// One arm with all layers in front of it, without the other arm.
 pub struct AloneArm {
-    /// What moves it.
+    /// Its motion interface.
     pub driven: Box<dyn DrivenArm>,
-    /// What its link is like, if it has one.
+    /// Monitor of its link, if it has one.
     pub monitor: Option<ArmMonitor>,
     /// Its flight recorder.
     pub flight: FlightLog,
-    /// The emulated arm at the other end.
+    /// The emulated arm at the other end, if there is one.
     pub emulated: Option<MockServer>,
 }
 
-/// An arm that is to be wired.
+/// An arm to be wired.
 #[derive(Clone, Copy)]
 pub(super) struct Wanted<'a> {
-    /// For messages.
+    /// Name in messages.
     pub name: &'a str,
-    /// What the setup says of it.
+    /// Its part of the setup.
     pub arm: &'a ArmSetup,
-    /// Time between two commands.
+    /// Control period.
     pub control_period: Duration,
-    /// That of all arms.
+    /// The clock, shared by all arms.
     pub clock: &'a Arc<dyn Clock>,
-    /// The simulated time that it shows; none where it shows the machine's, in which links and emulated arms have threads.
+    /// The simulated time of the clock; none in real time, where links and emulated arms have threads.
     pub time: Option<&'a Arc<VirtualTime>>,
 }
 
@@ -197,7 +198,7 @@ fn guarded(wanted: Wanted<'_>, backend: Box<dyn Backend>, trip: Option<TripHandl
     let flight = FlightLog::with_capacity(cycles.ceil() as usize);
     let recorded = Recorded::new(backend, Arc::clone(clock), flight.clone());
     let guard = Guard::new(recorded, arm.limits, arm.guard.clone()).with_context(|| format!("{name}: guard"))?;
-    // A joint that does not follow its drive is held by its brake alone.
+    // A joint that does not follow its drive is held only by its brake.
     let guard = match trip {
         Some(trip) => guard.on_stop(move || trip.trip()),
         None => guard,
@@ -210,7 +211,7 @@ fn limited<A: Arm + ArmPower + 'static>(wanted: Wanted<'_>, inner: A) -> Result<
     Ok(Box::new(limiter.with_context(|| format!("{}: limiter", wanted.name))?))
 }
 
-/// An arm whose backend is wired.
+/// A wired backend.
 struct WiredBackend {
     site: ArmSite,
     backend: Box<dyn Backend>,
@@ -221,14 +222,14 @@ struct WiredBackend {
 
 /// The far end of an emulated arm.
 pub(super) enum Emulation {
-    /// In a thread.
+    /// On a thread.
     Server(MockServer),
     /// In simulated time.
     Virtual(VirtualEnd),
 }
 
 impl Emulation {
-    /// The one in a thread.
+    /// The emulated arm on a thread, if it is one.
     pub(super) fn into_server(self) -> Option<MockServer> {
         match self {
             Self::Server(server) => Some(server),
@@ -237,7 +238,7 @@ impl Emulation {
     }
 }
 
-/// The backend that the configuration names.
+/// Wires the configured backend.
 fn wire_backend(wanted: Wanted<'_>, seat: TripSeat) -> Result<WiredBackend> {
     let Wanted { name, arm, control_period, clock, .. } = wanted;
     let Some((line, emulated)) = line(wanted)? else {
@@ -254,14 +255,13 @@ fn wire_backend(wanted: Wanted<'_>, seat: TripSeat) -> Result<WiredBackend> {
         let site = site(arm, JointSource::plant(plant));
         return Ok(WiredBackend { site, backend: Box::new(opened), monitor, trip, emulated: Some(emulation) });
     }
-    // Nobody simulates the joints here: the cell has them as they are measured.
+    // The joints are not simulated in this process: the workcell uses the measured ones.
     let (tap, samples) = sync_channel(JOINTS_WAITING_MAX);
     let site = site(arm, JointSource::measured(samples, arm.start_rad));
     Ok(WiredBackend { site, backend: Box::new(Tapped { arm: opened, tap }), monitor, trip, emulated: None })
 }
 
-/// What leads to an arm, with the emulated arm and its joints if there is one at the other end; `None` if the arm is simulated in
-/// process.
+/// The link to an arm, with the emulated arm and its joints if there is one at the far end; `None` if the arm is simulated in process.
 pub(super) fn line(wanted: Wanted<'_>) -> Result<Option<(Line<'_>, Option<ArmAndPlant>)>> {
     Ok(Some(match &wanted.arm.link {
         ArmLink::InProcess => return Ok(None),
@@ -287,7 +287,7 @@ type ArmAndPlant = (Emulation, SharedPlant);
 
 type SharedPlant = Arc<Mutex<JointPlant>>;
 
-/// What every backend can do.
+/// Interface of every backend.
 trait Backend: Arm + ArmPower {}
 
 impl<A: Arm + ArmPower> Backend for A {}
@@ -304,22 +304,22 @@ fn shared_plant(config: JointPlantConfig, wanted: Wanted<'_>) -> Result<SharedPl
     Ok(Arc::new(Mutex::new(plant)))
 }
 
-/// What stands at the far end of this arm's line, emulated, and its place in the cell: for a world that is played around the program.
+/// The emulated far end of this arm's link, and its pose in the workcell, for a world simulated around the program.
 ///
 /// # Errors
-/// If the arm has no gateway, or the emulation cannot be had.
+/// If the arm has no gateway, or the emulation cannot be created.
 pub fn far_side(
     (name, arm): (&str, &ArmSetup),
     face: impl FnOnce(GatewayConfig) -> MockFace,
     clock: &Arc<dyn Clock>,
 ) -> Result<(MockServer, ArmSite)> {
-    let ArmLink::Gateway(link, _) = &arm.link else { bail!("{name}: behind a gateway only an arm can be emulated so") };
+    let ArmLink::Gateway(link, _) = &arm.link else { bail!("{name}: this emulation needs an arm with a gateway") };
     let wanted = Wanted { name, arm, control_period: link.cycle, clock, time: None };
     let (server, plant) = emulate(face, link, wanted)?;
     Ok((server, site(arm, JointSource::plant(plant))))
 }
 
-/// An emulated arm where hosts are to find it, with the joints of the configuration. The link brings its own delay.
+/// An emulated arm at its host address, with the configured joints. The link adds its own delay.
 pub(super) fn emulate(
     face: impl FnOnce(GatewayConfig) -> MockFace,
     link: &GatewayLinkConfig,
@@ -345,7 +345,7 @@ fn emulate_virtually(link: &GatewayLinkConfig, wanted: Wanted<'_>) -> Result<(Vi
     Ok((VirtualEnd::new(FarEnd::new(controller, Some(gateway), now), EMULATED_BAUD), plant))
 }
 
-/// What an emulated arm is made from, and its joints.
+/// The parts of an emulated arm, and its joints.
 fn emulated_parts(
     link: &GatewayLinkConfig,
     wanted: Wanted<'_>,
@@ -368,13 +368,13 @@ fn emulated_parts(
     Ok((controller, gateway, plant))
 }
 
-/// The way to an emulated arm, wherever its terminal is.
+/// The port of an emulated arm, for any terminal.
 fn emulated_port(link: &GatewayLinkConfig, server: &MockServer) -> MockPort {
     let (dialect, format, cycle) = (link.dialect, link.format, link.cycle);
     server.port(SerialConfig { path: server.address(), baud: EMULATED_BAUD, dialect, format, cycle })
 }
 
-/// What leads to an arm.
+/// The link to an arm.
 pub(super) enum Line<'a> {
     /// A byte stream with a gateway at its end.
     Gateway(&'a GatewayLinkConfig, Box<dyn Connector>),
@@ -385,7 +385,7 @@ pub(super) enum Line<'a> {
 }
 
 impl Line<'_> {
-    /// Where it leads, for messages.
+    /// Its far end, for messages.
     pub(super) fn target(&self) -> String {
         match self {
             Self::Gateway(_, connector) => connector.target(),
@@ -414,14 +414,14 @@ fn open(line: Line<'_>, seat: TripSeat, wanted: Wanted<'_>) -> Result<Pa10Arm> {
     if let Some(latched) = seen.latched {
         let arm = name.split('-').next().unwrap_or(name);
         bail!(
-            "{name} cannot be used: {}; it is so since before this run: `pb3dp arm reset --config FILE --arm {arm}` resets it",
+            "{name} cannot be used: {}; it was latched before this run; reset it with `pb3dp arm reset --config FILE --arm {arm}`",
             latched.trip
         );
     }
     Ok(opened)
 }
 
-/// Opens the link to an arm and looks at it; its brakes stay on.
+/// Opens the link to an arm and checks the arm; its brakes stay closed.
 pub(super) fn connect(line: Line<'_>, (seat, limits): (TripSeat, LimitsCheck), wanted: Wanted<'_>) -> Result<Pa10Arm> {
     let Wanted { name, arm, control_period, clock, .. } = wanted;
     let driver = |cycle| DriverConfig {
@@ -457,7 +457,7 @@ pub(super) fn connect(line: Line<'_>, (seat, limits): (TripSeat, LimitsCheck), w
     })
 }
 
-/// What a gateway would know of its arm.
+/// Adds the arm properties that a gateway would supply.
 fn on_bus(driver: DriverConfig, link: &BusLinkConfig) -> DriverConfig {
     DriverConfig {
         brake_time: link.brake_time,
@@ -468,7 +468,7 @@ fn on_bus(driver: DriverConfig, link: &BusLinkConfig) -> DriverConfig {
     }
 }
 
-/// An arm whose measurements are also handed to the simulated cell, without waiting for it.
+/// An arm whose measurements are also copied to the simulated workcell, without waiting for it.
 struct Tapped<A> {
     arm: A,
     tap: SyncSender<JointState>,
@@ -481,7 +481,7 @@ impl<A: Arm> Arm for Tapped<A> {
 
     fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
         let measured = self.arm.exchange(command)?;
-        // A cell that does not look misses what is too much.
+        // Measurements that the workcell does not consume in time are dropped.
         self.tap.try_send(measured).ok();
         Ok(measured)
     }

@@ -1,16 +1,16 @@
-//! Two pieces of work on two processors.
+//! Two tasks on two processors.
 
 use std::thread::{Builder, scope};
 
-/// Stack of the thread that is started. A program that keeps its memory from being swapped out has all of it written at each start;
-/// rendering takes less than a tenth of it.
+/// Stack of the started thread. A process that locks its memory writes the whole stack at each start; rendering uses less than a tenth of
+/// it.
 const STACK_BYTES: usize = 512 << 10;
 
-/// Calls both at the same time: `second` on a thread that is started for it, or afterwards where the system gives none.
+/// Calls both at the same time: `second` on a new thread, or afterwards if the system provides no thread.
 pub fn at_once(first: &mut (dyn FnMut() + Send), second: &mut (dyn FnMut() + Send)) {
     let mut is_second_done = false;
     scope(|scope| {
-        let thread = Builder::new().name("right eye".to_owned()).stack_size(STACK_BYTES);
+        let thread = Builder::new().name("right camera".to_owned()).stack_size(STACK_BYTES);
         is_second_done = thread.spawn_scoped(scope, &mut *second).is_ok();
         first();
     });
@@ -27,7 +27,7 @@ mod tests {
 
     #[test]
     fn both_are_called_once_and_at_the_same_time() {
-        // Each waits for the other one: one after the other they would never end.
+        // Each waits for the other: called one after the other they would deadlock.
         let (met, mut firsts, mut seconds) = (Barrier::new(2), 0, 0);
         let mut first = || {
             met.wait();

@@ -1,5 +1,4 @@
-//! Calibrations by which arms move: refused where they failed, are too old, or are those of other cameras, unless the setup says
-//! which of that it waives.
+//! Checks calibrations before arms move: a failed, outdated or foreign calibration is refused unless the setup waives the failed check.
 
 use std::time::{Duration, SystemTime};
 
@@ -10,10 +9,10 @@ use pb3dp_setup::setup::{AGE, CalibrationInUse, rounded};
 
 const DAY: Duration = Duration::from_secs(86_400);
 
-/// Looks at what the files of calibrations say of themselves.
+/// Checks the quality data in calibration files.
 ///
 /// # Errors
-/// The first calibration that failed or is too old, and is not to be used all the same; what to do is said.
+/// The first calibration that failed or is too old and is not waived, with the remedy.
 pub(super) fn look_at(calibrations: &[CalibrationInUse], now: SystemTime) -> Result<()> {
     for calibration in calibrations {
         match &calibration.judgement {
@@ -22,7 +21,7 @@ pub(super) fn look_at(calibrations: &[CalibrationInUse], now: SystemTime) -> Res
                 look_at_age(calibration, judgement, now)?;
             }
             None => tracing::warn!(
-                "{}.calibration: {} says nothing of its worth, so nobody knows how wrong what is seen may be; `pb3dp calibrate` says it",
+                "{}.calibration: {} states no quality, so the error of the estimates is unknown; `pb3dp calibrate` writes the quality",
                 calibration.table,
                 calibration.source
             ),
@@ -34,17 +33,12 @@ pub(super) fn look_at(calibrations: &[CalibrationInUse], now: SystemTime) -> Res
 fn look_at_gates(calibration: &CalibrationInUse, judgement: &Judgement) -> Result<()> {
     let table = calibration.table;
     for gate in judgement.refusals() {
-        let found = format!(
-            "{} of {} was {}, and {} is the limit",
-            gate.name,
-            calibration.source,
-            rounded(gate.measured),
-            gate.refused
-        );
+        let found =
+            format!("{} of {} was {}, limit {}", gate.name, calibration.source, rounded(gate.measured), gate.refused);
         if !calibration.waives(&gate.name) {
             bail!(
-                "{found}: this calibration was refused when it was made; calibrate again (docs/calibration.md says what the gate wants), or \
-                 waive it with {table}.waived_gates = [\"{}\"] if you know why it is right",
+                "{found}: the calibration failed this gate; calibrate again (gates: docs/calibration.md), or waive the gate with \
+                 {table}.waived_gates = [\"{}\"] if you know why the value is acceptable",
                 gate.name
             );
         }
@@ -61,12 +55,12 @@ fn look_at_age(calibration: &CalibrationInUse, judgement: &Judgement, now: Syste
         // Clocks of two computers may differ by some hours.
         Ok(made) => match now.duration_since(made) {
             Err(ahead) if ahead.duration() > DAY => format!(
-                "{source} is of {}, in {:.0} days: one of the clocks is wrong",
+                "{source} is dated {}, {:.0} days in the future: one of the clocks is wrong",
                 judgement.date,
                 days(ahead.duration())
             ),
             Ok(age) if age > calibration.age_max => format!(
-                "{source} is of {}, {:.0} days old; {:.0} are allowed ({table}.calibration_age_max_days)",
+                "{source} is dated {}, {:.0} days old, limit {:.0} ({table}.calibration_age_max_days)",
                 judgement.date,
                 days(age),
                 days(calibration.age_max)
@@ -81,7 +75,7 @@ fn look_at_age(calibration: &CalibrationInUse, judgement: &Judgement, now: Syste
     Ok(())
 }
 
-/// As a calibration has it.
+/// Converts to the type used in calibration files.
 pub fn identity(camera: pb3dp_camera_v4l2::CameraIdentity) -> CameraIdentity {
     let focus = match camera.focus {
         Focus::Fixed(value) => Some(value),
@@ -141,7 +135,7 @@ pub(super) mod tests {
     #[test]
     fn a_calibration_that_was_refused_is_refused_until_its_gate_is_waived() {
         let text = refusal(&[], "2026-11-02T10:00:00Z").unwrap();
-        for part in ["reprojection_rms_px of head.toml was 0.7123, and 0.5 is the limit", "camera.waived_gates"] {
+        for part in ["reprojection_rms_px of head.toml was 0.7123, limit 0.5", "camera.waived_gates"] {
             assert!(text.contains(part), "{text}");
         }
         assert!(refusal(&["rows_px"], "2026-11-02T10:00:00Z").is_some());
@@ -153,9 +147,9 @@ pub(super) mod tests {
         let waived = ["reprojection_rms_px"];
         assert_eq!(refusal(&waived, "2026-11-11T09:00:00Z"), None);
         let text = refusal(&waived, "2026-11-13T10:00:00Z").unwrap();
-        assert!(text.contains("12 days old; 10 are allowed (camera.calibration_age_max_days)"), "{text}");
+        assert!(text.contains("12 days old, limit 10 (camera.calibration_age_max_days)"), "{text}");
         assert_eq!(refusal(&["reprojection_rms_px", "age"], "2026-11-13T10:00:00Z"), None);
-        // Clocks differ, but not by days.
+        // Clocks may differ, but not by days.
         assert_eq!(refusal(&waived, "2026-10-31T15:00:00Z"), None);
         assert!(refusal(&waived, "2026-10-20T10:00:00Z").is_some_and(|text| text.contains("clocks is wrong")));
         let mut undated = in_use(&waived);

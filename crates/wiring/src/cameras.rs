@@ -1,4 +1,4 @@
-//! Cameras of this machine: opened, looked at once before an arm is switched on, and watched while they run.
+//! Real cameras: opened, checked before an arm is enabled, and monitored while they run.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,29 +15,29 @@ use pb3dp_setup::setup::{CAMERAS, CalibrationInUse, RealCameras, Setup, Synchron
 
 use super::calibration::identity;
 
-/// Some cameras take a second or two to begin; none takes longer.
+/// Longest wait for the first pair: some cameras need a second or two to start.
 const FIRST_PAIR_WITHIN: Duration = Duration::from_secs(10);
 
-/// Pairs from one look at the drift to the next one: 9 s at 30 per second.
+/// Number of pairs between two drift checks: 9 s at 30 per second.
 const DRIFT_EVERY: u64 = 256;
-/// Cameras with one trigger do not drift; estimates of a drift do by so much, seconds per second.
+/// Drift limit for triggered cameras, seconds per second: they do not drift, but drift estimates vary by this much.
 const DRIFT_MAX: f64 = 20e-6;
-/// The same, as a share of the scatter of single pairs: five standard deviations of a line through 512 of them, in 17 s.
+/// Drift limit relative to the scatter of single pairs: five standard deviations of a line fit to 512 pairs, in 17 s.
 const DRIFT_PER_SCATTER: f64 = 0.05;
-/// A limit of the skew that is so near is warned of, seconds.
+/// Warning time before the skew limit is reached, seconds.
 const LIMIT_NEAR_S: f64 = 30.0;
 
-/// Cameras that have delivered a first pair.
+/// Cameras that have delivered their first pair.
 pub(super) struct WiredCameras {
     pub(super) camera: Box<dyn StereoCamera>,
-    /// Which ones they are: the left and the right one.
+    /// Identity of the left and the right camera.
     pub(super) identities: [CameraIdentity; 2],
 }
 
-/// Opens both cameras, and takes a first pair.
+/// Opens both cameras and waits for the first pair.
 ///
 /// # Errors
-/// As [`ReopeningCamera::open`]; cameras that are not those of the setup's calibrations; no pair; left and right exchanged.
+/// As [`ReopeningCamera::open`]; cameras that do not match the setup's calibrations; no pair; left and right exchanged.
 pub(super) fn wire_real(
     real: &RealCameras,
     setup: &Setup,
@@ -51,28 +51,28 @@ pub(super) fn wire_real(
     let identities = [identity_of(Side::Left)?, identity_of(Side::Right)?];
     look_at_cameras(&setup.rig.calibrations, &identities)?;
     check_images("cameras", &setup.rig.stereo, &first.left, &first.right)
-        .context("table [camera]: exchange left.device and right.device if they are the wrong way round")?;
+        .context("table [camera]: exchange left.device and right.device if the cameras are exchanged")?;
     Ok(WiredCameras { camera: Box::new(camera), identities })
 }
 
-/// Looks whether calibrations are those of the cameras that are there.
+/// Checks whether the calibrations belong to the connected cameras.
 ///
 /// # Errors
-/// The first one that is of other cameras, of cameras that have changed places, or of another focus, and does not waive it.
+/// The first calibration, not waived, of other cameras, of exchanged cameras, or of another focus.
 fn look_at_cameras(calibrations: &[CalibrationInUse], there: &[CameraIdentity; 2]) -> Result<()> {
     for calibration in calibrations {
         let Some(judgement) = &calibration.judgement else { continue };
         let (table, source) = (calibration.table, &calibration.source);
         if judgement.cameras.iter().all(CameraIdentity::is_empty) {
             tracing::warn!(
-                "{source} does not say of which cameras it is: whether they are these, nobody can tell (docs/calibration.md, --cameras)"
+                "{source} does not name its cameras, so they are not compared with the connected ones (docs/calibration.md, --cameras)"
             );
             continue;
         }
         let Some(other) = other_than(&judgement.cameras, there) else { continue };
         if !calibration.waives(CAMERAS) {
             bail!(
-                "{source} is not the calibration of these cameras: {other}; calibrate these, name the right file, or waive it with \
+                "{source} is not the calibration of these cameras: {other}; calibrate these, set the right file, or waive it with \
                  {table}.waived_gates = [\"{CAMERAS}\"]"
             );
         }
@@ -81,25 +81,25 @@ fn look_at_cameras(calibrations: &[CalibrationInUse], there: &[CameraIdentity; 2
     Ok(())
 }
 
-/// What differs of what both know. A camera with a serial number may be plugged in elsewhere.
+/// First difference among the properties known for both. A camera with a serial number may use another port.
 fn other_than(calibrated: &[CameraIdentity; 2], there: &[CameraIdentity; 2]) -> Option<String> {
     let mut sides = ["left", "right"].into_iter().zip(calibrated.iter().zip(there));
     sides.find_map(|(side, (was, is))| {
         let differs = |what: &str, was: &Option<String>, is: &Option<String>| match (was, is) {
             (Some(was), Some(is)) if was != is => {
-                Some(format!("the {side} one had the {what} {was}, and this has {is}"))
+                Some(format!("the {side} camera has {what} {is}, calibrated was {was}"))
             }
             _ => None,
         };
         let serial = differs("serial number", &was.serial, &is.serial);
         let is_known_by_number = was.serial.is_some() && is.serial.is_some();
-        let place = if is_known_by_number { None } else { differs("place", &was.place, &is.place) };
+        let place = if is_known_by_number { None } else { differs("port", &was.place, &is.place) };
         let focus = || differs("focus", &was.focus.map(|v| v.to_string()), &is.focus.map(|v| v.to_string()));
         serial.or(place).or_else(focus)
     })
 }
 
-/// What an arm waits for before it is switched on: that there are pairs at all.
+/// Precondition for enabling an arm: the cameras deliver pairs.
 fn first_pair(camera: &mut WatchedCamera, clock: &dyn Clock) -> Result<FramePair> {
     let deadline = clock.now() + FIRST_PAIR_WITHIN;
     loop {
@@ -115,7 +115,7 @@ fn first_pair(camera: &mut WatchedCamera, clock: &dyn Clock) -> Result<FramePair
     }
 }
 
-/// Cameras of this machine that tell when they run apart, and at their end what was left out.
+/// Real cameras that warn when their exposures drift apart and log their counts at the end.
 struct WatchedCamera {
     camera: ReopeningCamera,
     cameras: RealCameras,
@@ -124,7 +124,7 @@ struct WatchedCamera {
 }
 
 impl WatchedCamera {
-    /// What there is to say of the drift; once, until there is nothing.
+    /// A warning about skew drift; each one only once until the cause is gone.
     fn look_at_drift(&mut self) -> Option<String> {
         let what = self.trouble(&self.camera.counters().drift?);
         let was_told = std::mem::replace(&mut self.is_drift_told, what.is_some());
@@ -137,14 +137,14 @@ impl WatchedCamera {
         match self.cameras.synchronisation {
             Synchronisation::HardwareTrigger if drift.rate.abs() > DRIFT_MAX + DRIFT_PER_SCATTER * drift.scatter_s => {
                 Some(format!(
-                    "their skew of {skew_millis:.2} ms drifts by {ppm:.0} us per second: they are not triggered by one signal, as \
-                     camera.synchronisation says; look at the wiring, and at the cameras' trigger mode"
+                    "the skew of {skew_millis:.2} ms drifts by {ppm:.0} us per second: the cameras are not triggered by one signal, contrary to \
+                     camera.synchronisation; check the wiring and the trigger mode of the cameras"
                 ))
             }
             Synchronisation::FreeRunning => drift.seconds_until(skew_max).filter(|s| *s < LIMIT_NEAR_S).map(|seconds| {
                 format!(
-                    "their skew of {skew_millis:.2} ms drifts by {ppm:.0} us per second and passes camera.skew_max_millis in {seconds:.0} s: \
-                     pairs are refused then, for as long as it takes to come round"
+                    "the skew of {skew_millis:.2} ms drifts by {ppm:.0} us per second and passes camera.skew_max_millis in {seconds:.0} s: \
+                     pairs are then refused until the skew is within the limit again"
                 )
             }),
             Synchronisation::HardwareTrigger => None,
@@ -173,7 +173,7 @@ impl Drop for WatchedCamera {
     fn drop(&mut self) {
         let counters = self.camera.counters();
         tracing::info!(
-            "cameras: {} pairs, opened anew {} times; since then at most {:.2} ms of skew, {} pairs refused for it, left {:?}, right {:?}",
+            "cameras: {} pairs, reopened {} times; since then skew at most {:.2} ms, {} pairs refused for it, left {:?}, right {:?}",
             self.pairs,
             self.camera.reopened(),
             counters.skew_max_nanos as f64 * 1e-6,
@@ -197,7 +197,7 @@ mod tests {
     use super::*;
     use crate::calibration::tests::{camera, cameras as both, in_use};
 
-    /// What is told of the drift of two cameras, the right one slower by this, with the number of the pair at which it is told.
+    /// Drift warnings of two cameras, the right one slower by `slowness`, with the pair number of each warning.
     fn told(synchronisation: Synchronisation, slowness: f64, pairs: u64) -> Vec<(u64, String)> {
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::default());
         let mut cameras =
@@ -205,9 +205,9 @@ mod tests {
                 .unwrap()
                 .0;
         cameras.synchronisation = synchronisation;
-        for (number, eye) in [&mut cameras.stereo.left, &mut cameras.stereo.right].into_iter().enumerate() {
-            eye.name = format!("bus:usb-emulated-{number}").parse().unwrap();
-            eye.mode.size = ImageSize { width: 64, height: 48 };
+        for (number, side) in [&mut cameras.stereo.left, &mut cameras.stereo.right].into_iter().enumerate() {
+            side.name = format!("bus:usb-emulated-{number}").parse().unwrap();
+            side.mode.size = ImageSize { width: 64, height: 48 };
         }
         let emulated = (0..2).map(|number| {
             let slowness = slowness * f64::from(number);
@@ -229,7 +229,7 @@ mod tests {
 
     #[test]
     fn free_running_cameras_are_told_before_their_pairs_are_refused_and_only_once() {
-        // 0.1 ms per second: 5 ms are reached after 50 s, which is pair 1500; 30 s before that is pair 600.
+        // 0.1 ms per second: 5 ms are reached after 50 s, at pair 1500; 30 s earlier is pair 600.
         let free = told(Synchronisation::FreeRunning, 1e-4, 1400);
         let [(number, what)] = free.as_slice() else { panic!("{free:?}") };
         assert!((600..=600 + 2 * DRIFT_EVERY).contains(number), "{free:?}");
@@ -241,7 +241,7 @@ mod tests {
     fn cameras_that_are_said_to_be_triggered_and_are_not_are_told() {
         let apart = told(Synchronisation::HardwareTrigger, 1e-4, 1400);
         assert!(
-            matches!(apart.as_slice(), [(_, what)] if what.contains("they are not triggered by one signal")),
+            matches!(apart.as_slice(), [(_, what)] if what.contains("the cameras are not triggered by one signal")),
             "{apart:?}"
         );
         assert_eq!(told(Synchronisation::HardwareTrigger, 0.0, 1400), []);
@@ -254,22 +254,22 @@ mod tests {
         };
         assert_eq!(other(both(), &[]), None);
         let [left, right] = both();
-        // One with a number may be plugged in elsewhere; one without is known by its place.
+        // A camera with a serial number may use another port; one without is identified by its port.
         assert_eq!(other([camera(Some("A0"), "usb-9", Some(30)), right.clone()], &[]), None);
         for (there, part) in [
             (
                 [camera(Some("B7"), "usb-1", Some(30)), right.clone()],
-                "the left one had the serial number A0, and this has B7",
+                "the left camera has serial number B7, calibrated was A0",
             ),
-            ([left.clone(), camera(None, "usb-3", None)], "the right one had the place usb-2, and this has usb-3"),
-            ([camera(Some("A0"), "usb-1", Some(31)), right.clone()], "the left one had the focus 30, and this has 31"),
-            ([right.clone(), left.clone()], "the left one had the place usb-1, and this has usb-2"),
+            ([left.clone(), camera(None, "usb-3", None)], "the right camera has port usb-3, calibrated was usb-2"),
+            ([camera(Some("A0"), "usb-1", Some(31)), right.clone()], "the left camera has focus 31, calibrated was 30"),
+            ([right.clone(), left.clone()], "the left camera has port usb-2, calibrated was usb-1"),
         ] {
             let text = other(there.clone(), &[]).unwrap();
             assert!(text.contains(part) && text.contains("waived_gates = [\"cameras\"]"), "{text}");
             assert_eq!(other(there, &["cameras"]), None);
         }
-        // Nothing is known of them, nothing can be compared.
+        // Cameras without any known property cannot be compared.
         let mut unnamed = in_use(&[]);
         unnamed.judgement.as_mut().unwrap().cameras = Default::default();
         assert!(look_at_cameras(&[unnamed], &both()).is_ok());

@@ -1,4 +1,4 @@
-//! Arms for their commissioning: one to look at, one to move slowly, alone or beside the other one.
+//! Arms for commissioning: one to probe, one to move slowly, alone or together with the other arm.
 
 use std::sync::Arc;
 
@@ -17,16 +17,16 @@ use super::arm::{AloneArm, Wanted, WiredArms, alone, connect, emulate, line, wir
 
 pub use super::arm::LIMITS_TOLERANCE_DEG;
 
-/// Largest share of the joints' speeds in commissioning.
+/// Largest share of the joint speeds in commissioning.
 const SPEED_SCALE_MAX: f64 = 0.10;
 
-/// An arm that is only looked at. Its limits are read, not compared.
+/// An arm that is only probed. Its limits are read but not compared.
 pub struct SeenArm {
     /// The arm.
     pub arm: Pa10Arm,
-    /// How it is reached.
+    /// Address or port of its link, for messages.
     pub target: String,
-    /// The emulated arm at the other end.
+    /// The emulated arm at the other end, if there is one.
     pub emulated: Option<MockServer>,
 }
 
@@ -34,57 +34,56 @@ fn wanted<'a>(setup: &'a Setup, choice: ArmChoice, clock: &'a Arc<dyn Clock>) ->
     Wanted { name: choice.name(), arm: choice.of(setup), control_period: setup.control_period, clock, time: None }
 }
 
-/// Opens the link to an arm, whose brakes stay on.
+/// Opens the link to an arm; its brakes stay closed.
 ///
 /// # Errors
 /// If it has no link, or does not answer as configured.
 pub fn see(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<SeenArm> {
     let wanted = wanted(setup, choice, clock);
     let Some((line, emulated)) = line(wanted)? else {
-        bail!("{}.backend = \"mock\" has no line to an arm; set emulated, serial, tcp or arcnet", choice.of(setup).key)
+        bail!("{}.backend = \"mock\" has no link to an arm; set emulated, serial, tcp or arcnet", choice.of(setup).key)
     };
     let (target, emulated) = (line.target(), emulated.and_then(|(emulation, _)| emulation.into_server()));
     let arm = connect(line, (alone()?, LimitsCheck::Read), wanted)?;
     Ok(SeenArm { arm, target, emulated })
 }
 
-/// Whether the controller's answers have another length than the configured wire format has, which is how formats are told apart.
+/// Whether the controller's answers have another length than the configured wire format; the length identifies the format.
 pub fn is_of_another_format(trip: &Trip) -> bool {
     matches!(trip, Trip::Fault(FaultCause::Gateway(StopCause::ReplyUnusable) | FaultCause::ReplyFormat { .. }))
 }
 
 /// An arm that may move slowly.
 pub struct SlowArm {
-    /// Through limiter and guard.
+    /// Behind limiter and guard.
     pub driven: Box<dyn DrivenArm>,
-    /// What its link is like, if it has one.
+    /// Monitor of its link, if it has one.
     pub monitor: Option<ArmMonitor>,
     /// Its flight recorder.
     pub flight: FlightLog,
-    /// The other one, if it is connected, too. It only holds.
+    /// The other arm, if it is connected. It only holds.
     pub other: Option<OtherArm>,
-    /// Emulated arms at the other ends.
+    /// Emulated arms at the other ends of the links.
     pub emulated: Vec<MockServer>,
 }
 
-/// The other arm of a cell.
+/// The other arm of a workcell.
 pub struct OtherArm {
-    /// Through limiter, coupling and guard.
+    /// Behind limiter, coupling and guard.
     pub driven: Box<dyn DrivenArm>,
-    /// What its link is like, if it has one.
+    /// Monitor of its link, if it has one.
     pub monitor: Option<ArmMonitor>,
     /// Its flight recorder.
     pub flight: FlightLog,
 }
 
-/// By how much a joint may be faster than its speed in commissioning before the guard stops it, rad/s: geared drives do not turn evenly
-/// when they are slow.
+/// Excess over the commissioning speed at which the guard stops a joint, rad/s: geared drives run unevenly at low speed.
 const RIPPLE_RAD_PER_S: f64 = 0.02;
 
-/// The setup with the speeds of commissioning, for an arm that may stand anywhere; `joint_max_rad_per_s` is for each joint.
+/// The setup with commissioning speeds, for an arm at any pose; `joint_max_rad_per_s` holds for each joint.
 ///
 /// # Errors
-/// If a speed is none.
+/// If the speed is not valid.
 pub fn slow_setup(setup: &Setup, choice: ArmChoice, joint_max_rad_per_s: f64) -> Result<Setup> {
     let mut slow = setup.clone();
     for arm in [&mut slow.rig.vs, &mut slow.rig.tc] {
@@ -97,7 +96,7 @@ pub fn slow_setup(setup: &Setup, choice: ArmChoice, joint_max_rad_per_s: f64) ->
     Ok(slow)
 }
 
-/// Connects an arm of a [`slow_setup`], alone or beside the other one; brakes stay on.
+/// Connects an arm of a [`slow_setup`], alone or with the other arm; brakes stay closed.
 ///
 /// # Errors
 /// If an arm does not answer as configured.
@@ -108,7 +107,10 @@ pub fn wire_slow(setup: &Setup, choice: ArmChoice, beside_other: bool, clock: &A
     }
     let WiredArms { driven: [vs, tc], flights: [(_, vs_flight), (_, tc_flight)], monitors, emulated, .. } =
         wire_arms(setup, clock, None).with_context(|| {
-            format!("both arms are connected, so that the room between them is watched; where the {} is switched off, give --alone", choice.other().name())
+            format!(
+                "both arms are connected to monitor the distance between them; if the {} is powered off, use --alone",
+                choice.other().name()
+            )
         })?;
     let monitor_of = |choice: ArmChoice| {
         monitors.iter().find(|(name, _)| *name == choice.name()).map(|(_, monitor)| monitor.clone())
@@ -119,29 +121,29 @@ pub fn wire_slow(setup: &Setup, choice: ArmChoice, beside_other: bool, clock: &A
     };
     let monitor = monitor_of(choice);
     let monitor =
-        Some(monitor.context("an arm with backend = \"mock\" has no line; set emulated, serial, tcp or arcnet")?);
+        Some(monitor.context("an arm with backend = \"mock\" has no link; set emulated, serial, tcp or arcnet")?);
     let other = OtherArm { driven: other, monitor: monitor_of(choice.other()), flight: other_flight };
     Ok(SlowArm { driven, monitor, flight, other: Some(other), emulated })
 }
 
-/// An arm whose backend is `emulated`, at an address of this machine that stays while its cable is pulled and plugged, and that another
-/// program can reach. The setup is to be told by [`set_line`].
+/// An arm with the backend `emulated`, at a local address that stays the same while its cable is pulled and plugged in, and that another
+/// process can reach. Pass the address to [`set_line`].
 ///
 /// # Errors
-/// If the backend is another one: a real arm is nobody's toy.
+/// If the backend is another one: fault injection is for emulated arms only.
 pub fn emulate_at_address(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<MockServer> {
     let ArmLink::Gateway(link, GatewayWay::Emulated) = &choice.of(setup).link else {
         bail!(
-            "{}.backend is not \"emulated\": the program has no hand at the switches and cables of this arm",
+            "{}.backend is not \"emulated\": the program cannot operate switches and cables of this arm",
             choice.of(setup).key
         )
     };
-    let address = "127.0.0.1:0".parse().context("an address of this machine")?;
+    let address = "127.0.0.1:0".parse().context("a local address")?;
     let face = |gateway| MockFace::Tcp(gateway, address);
     Ok(emulate(face, link, wanted(setup, choice, clock))?.0)
 }
 
-/// Has an arm reached by TCP at this address, whatever the file says.
+/// Makes a setup reach an arm by TCP at this address, overriding its file.
 pub fn set_line(setup: &mut Setup, choice: ArmChoice, address: SocketAddr) {
     if let ArmLink::Gateway(_, way) = &mut choice.of_mut(setup).link {
         *way = GatewayWay::Tcp(TcpConfig { address });

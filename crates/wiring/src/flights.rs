@@ -1,4 +1,4 @@
-//! What is left of both arms after a fault, with what only their monitors know.
+//! Flight recorder files of both arms after a fault, with the data of their link monitors.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use pb3dp_cell::flight;
 use pb3dp_cell::flight::{ArmFault, Flight, LineCounts, Moment, RawLine};
 use pb3dp_hal_middleware::FlightLog;
 
-/// Writes what both arms did in the last seconds into this folder, and says where.
+/// Writes the last seconds of both arms to files in this folder and logs the paths.
 pub fn write_flights(
     folder: &Path,
     flights: &[(&'static str, FlightLog)],
@@ -20,13 +20,13 @@ pub fn write_flights(
         let raw = raw_lines(monitors, arm);
         let (fault, counts) = line_facts(monitors, arm);
         match flight::write(folder, arm, &Flight { log, fault, counts, raw: &raw }, failure, moment) {
-            Ok(path) => tracing::info!("what the {arm} did before: {}", path.display()),
+            Ok(path) => tracing::info!("flight recorder of the {arm}: {}", path.display()),
             Err(error) => tracing::warn!("the flight recorder of the {arm}: {error:#}"),
         }
     }
 }
 
-/// What went over the line of an arm in the last seconds; nothing if it has none.
+/// Bytes on an arm's link in the last seconds; none without a link.
 pub fn raw_lines(monitors: &[(&'static str, ArmMonitor)], arm: &str) -> Vec<RawLine> {
     let of_arm = monitors.iter().filter(|(name, _)| *name == arm);
     let pieces = of_arm.flat_map(|(_, monitor)| monitor.raw_bytes());
@@ -35,7 +35,7 @@ pub fn raw_lines(monitors: &[(&'static str, ArmMonitor)], arm: &str) -> Vec<RawL
         .collect()
 }
 
-/// Why an arm stopped, as its driver tells, and what happened on its line; nothing if it has none.
+/// Cause of an arm's stop from its driver, and counts of its link; none without a link.
 pub fn line_facts(monitors: &[(&'static str, ArmMonitor)], arm: &str) -> (Option<ArmFault>, Option<LineCounts>) {
     let Some((_, monitor)) = monitors.iter().find(|(name, _)| *name == arm) else { return (None, None) };
     let seen = monitor.snapshot();

@@ -1,4 +1,4 @@
-//! From a setup to running parts: the one place where backends, limiter, guard and coupling meet.
+//! From a setup to the devices of a run: combines backends, limiter, guard and coupling.
 
 pub mod arm;
 mod at_once;
@@ -36,42 +36,42 @@ pub use greeting::{bus_doubts, geometry_doubt, watchdog_refusal};
 pub use nominal::{MOCK_ARM, accept_nominal};
 
 use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
-use pb3dp_cell::eyes::{Marking, NOT_MARKED, Sight};
 use pb3dp_cell::operator::ByCommand;
 use pb3dp_cell::paced_clock::PacedClock;
 use pb3dp_cell::parts::{EmulatedArm, LinkMonitor, Parts};
 use pb3dp_cell::paths::check_paths;
+use pb3dp_cell::perception::{Marking, NOT_MARKED, Sight};
 use pb3dp_setup::region_spec::load_region;
 use pb3dp_setup::setup::{Cameras, Carrier, Pace, Setup};
 
-/// When the frames of a recording are delivered.
+/// Delivery times of recorded frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ReplayPace {
-    /// As fast as they are worked on.
+    /// As fast as they are processed.
     Fast,
     /// At the times of the recording.
     Original,
 }
 
-/// A cell, and what only this module knows of its arms.
+/// The devices of a run, with the monitors of its arms.
 pub struct Wired {
-    /// What a run steps.
+    /// The devices of a run.
     pub parts: Parts,
-    /// What the links of the arms are like, by the names of the arms, as far as they have one.
+    /// Link monitors by the arms' names; arms without a link have none.
     pub monitors: Vec<(&'static str, ArmMonitor)>,
-    /// Far ends of arms that are emulated in simulated time, by the names of the arms.
+    /// Far ends of arms that are emulated in simulated time, by the arms' names.
     pub virtual_ends: Vec<(&'static str, VirtualEnd)>,
 }
 
-/// Wires the cell, and what its target does by the setup.
+/// Wires the workcell with the experiment of the setup.
 ///
 /// # Errors
-/// If a part refuses its parameters, or the arms cannot follow the experiment (by how much is said).
+/// If a part refuses its parameters, or the arms cannot follow the experiment (with the excess).
 pub fn wire(setup: &Setup) -> Result<Parts> {
     Ok(wire_watched(setup)?.parts)
 }
 
-/// As [`wire`], with what only this module knows of the arms.
+/// As [`wire`], with the monitors of the arms.
 ///
 /// # Errors
 /// As [`wire`].
@@ -79,7 +79,7 @@ pub fn wire_watched(setup: &Setup) -> Result<Wired> {
     wire_with(setup, Arc::new(Linux))
 }
 
-/// As [`wire`], with real cameras among the video devices of this system.
+/// As [`wire`], with real cameras from this video system.
 ///
 /// # Errors
 /// As [`wire`].
@@ -104,7 +104,7 @@ pub fn wire_with(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Wired> {
     })
 }
 
-/// Wires the cell with a target that rests for so long on the arm that carries it, whatever the experiment of the setup is.
+/// Wires the workcell with a target that is held stationary for this long, independent of the experiment of the setup.
 ///
 /// # Errors
 /// If a part refuses its parameters.
@@ -113,7 +113,7 @@ pub fn wire_at_rest(setup: &Setup, duration: Duration) -> Result<Wired> {
     wire_to_look(setup, duration)
 }
 
-/// As [`wire_at_rest`], for who only takes images: nobody has to mark a target.
+/// As [`wire_at_rest`], for image capture only: no marked target is needed.
 ///
 /// # Errors
 /// If a part refuses its parameters.
@@ -122,10 +122,10 @@ pub fn wire_to_look(setup: &Setup, duration: Duration) -> Result<Wired> {
     wire_cell(setup, |_, world_from_target| Ok(Arc::new(AtRest { world_from_target, duration_s })))
 }
 
-/// Wires the cell with a target that does what `begin` says, told where it is; whether the arms can follow nobody checks here.
+/// Wires the workcell with the target motion that `begin` returns for the start pose; the paths are not checked here.
 ///
 /// # Errors
-/// If a part refuses its parameters, and those of `begin`.
+/// If a part refuses its parameters, and the errors of `begin`.
 pub fn wire_cell(
     setup: &Setup,
     begin: impl FnOnce(&mut SimulatedCell, Pose<World, Target>) -> Result<Arc<dyn Trajectory>>,
@@ -158,7 +158,7 @@ fn wire_cell_with(
         flange_from_target: setup.rig.flange_from_target,
         free_target: None,
     };
-    // What is planned is planned with what the setup says, what happens follows the truth.
+    // Planning uses the setup; the simulation uses the true poses.
     let start = cell.world_from_target_at(clock.now());
     let experiment = begin(&mut cell, start)?;
     let mut cameras = None;
@@ -199,10 +199,10 @@ fn wire_cell_with(
     Ok(Wired { parts, monitors, virtual_ends })
 }
 
-/// Refuses real cameras in whose images nobody has marked a target.
+/// Refuses real cameras without a marked target.
 ///
 /// # Errors
-/// What to do.
+/// No target is marked.
 fn check_marked(setup: &Setup) -> Result<()> {
     match setup.real_cameras() {
         Some(cameras) if cameras.region.is_none() => bail!("{NOT_MARKED}"),
@@ -210,7 +210,7 @@ fn check_marked(setup: &Setup) -> Result<()> {
     }
 }
 
-/// The camera that plays a recorded sequence, and its calibration.
+/// The camera that replays a recorded sequence, and its calibration.
 ///
 /// # Errors
 /// If the calibration cannot be used.
@@ -232,7 +232,7 @@ mod tests {
 
     use super::*;
 
-    /// What the cameras without images deliver in 60 periods, of which a fault takes about half.
+    /// Frames from the cameras without images in 60 periods, about half of which a fault drops.
     fn delivered(seed: u64) -> Vec<GeometricFrame> {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
         let mut setup = read_setup(std::path::Path::new(file)).unwrap();

@@ -1,16 +1,16 @@
-//! A calibration that is that of no cameras, a drawing's say: by what is seen with it no real arm moves unless somebody says so.
+//! Nominal calibration, for instance from a drawing: real arms refuse to move with it unless the operator accepts it.
 
 use anyhow::{Result, bail};
 use pb3dp_arm_pa10::arm::ArmMonitor;
 use pb3dp_arm_pa10_protocol::gateway_protocol::HelloReply;
 use pb3dp_setup::setup::Setup;
 
-/// How the firmware of a gateway calls itself that is emulated in this program; it moves nothing.
+/// Firmware name of a gateway that is emulated in this process; it moves no real arm.
 pub(super) const EMULATION: &str = "pb3dp emulation";
-/// How that of `pb3dp mock-arm` calls itself, before its version.
+/// Firmware name of `pb3dp mock-arm`, without its version.
 pub const MOCK_ARM: &str = "mock-arm";
 
-/// Looks at what is at the other ends of the arms' lines.
+/// Checks whether the arms are emulated.
 ///
 /// # Errors
 /// The first arm that is not known to be emulated.
@@ -20,25 +20,23 @@ pub(super) fn look_at_arms(says: &str, monitors: &[(&'static str, ArmMonitor)]) 
     refuse_real(says, arms)
 }
 
-/// Each arm with the name of its gateway's firmware, if it has a gateway.
+/// Each arm with the firmware name of its gateway, if it has a gateway.
 fn refuse_real<'a>(says: &str, mut arms: impl Iterator<Item = (&'a str, Option<String>)>) -> Result<()> {
     let is_emulated = |firmware: &String| [EMULATION, MOCK_ARM].iter().any(|name| firmware.starts_with(name));
     if let Some((name, _)) = arms.find(|(_, firmware)| !firmware.as_ref().is_some_and(is_emulated)) {
         bail!(
-            "{name} may not move: camera.calibration is that of no cameras ({says}), so what is seen is not where it seems to be; calibrate \
-             the cameras and name the file, or add --nominal-calibration if nothing in the cell can be hurt by it"
+            "{name} may not move: camera.calibration is nominal ({says}), so all estimated poses are wrong; calibrate the cameras \
+             and set the file, or use --nominal-calibration if no person or device in the workcell is at risk"
         );
     }
-    tracing::warn!(
-        "camera.calibration is that of no cameras ({says}); both arms are emulated, else this would be refused"
-    );
+    tracing::warn!("camera.calibration is nominal ({says}); accepted because both arms are emulated");
     Ok(())
 }
 
-/// Lets real arms move by the calibration of no cameras, if that is said.
+/// Permits motion of real arms with a nominal calibration, if accepted.
 pub fn accept_nominal(setup: &mut Setup, is_accepted: bool) {
     if let Some(says) = setup.rig.nominal_calibration.take_if(|_| is_accepted) {
-        tracing::warn!("--nominal-calibration: arms move by what is seen with a calibration of no cameras ({says})");
+        tracing::warn!("--nominal-calibration: the arms move with a nominal camera calibration ({says})");
     }
 }
 
@@ -70,7 +68,7 @@ mod tests {
             refuse_real("none: a drawing", arms).map_err(|refusal| refusal.to_string())
         };
         assert_eq!(told([Some("pb3dp emulation"), Some("mock-arm 0.1.0")]), Ok(()));
-        // A gateway of ours has a real controller behind it, and an arm on a bus of this computer says nothing of itself.
+        // A gateway of this project has a real controller behind it; an arm on a bus of this computer reports no firmware.
         for (arms, name) in [
             ([Some("pb3dp gateway 0.1.0"), Some("mock-arm 0.1.0")], "vs-robot"),
             ([Some("mock-arm 0.1.0"), Some("PA-10 gateway")], "tc-robot"),
@@ -80,7 +78,7 @@ mod tests {
             assert!(refusal.starts_with(&format!("{name} may not move")), "{refusal}");
             assert!(refusal.contains("(none: a drawing)") && refusal.contains("--nominal-calibration"), "{refusal}");
         }
-        // Joints in this process have no line.
+        // Joints in this process have no link.
         refuse_real("none", std::iter::empty()).unwrap();
     }
 }

@@ -1,4 +1,4 @@
-//! The simulated world: cameras that see it, and where things in it truly are.
+//! The simulated world: its cameras and the true poses.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use nalgebra::Point3;
 use pb3dp_camera_sim::{FaultyCamera, GeometricCamera, SimCameraConfig, SimStereoCamera};
 use pb3dp_cell::cell::SimulatedCell;
-use pb3dp_cell::eyes::{PoseCamera, Sight};
+use pb3dp_cell::perception::{PoseCamera, Sight};
 use pb3dp_hal_api::{CameraError, Clock, StereoCamera};
 use pb3dp_setup::setup::{FrameTiming, Leader, Pace, Setup, SimulatedWorld, Truth};
 use pb3dp_sim::geometric::{GeometricFrame, GeometricTracker, PoseSigma};
@@ -17,7 +17,7 @@ use pb3dp_sim::targets;
 
 use crate::at_once::at_once;
 
-/// Puts things where they truly are.
+/// Sets the poses to the true ones.
 fn follow_truth(cell: &mut SimulatedCell, truth: &Truth) {
     if let Some(flange_from_cam_left) = &truth.flange_from_cam_left {
         cell.hand_from_cam_left = cell.flange_from_hand.inverse() * *flange_from_cam_left;
@@ -26,7 +26,7 @@ fn follow_truth(cell: &mut SimulatedCell, truth: &Truth) {
     cell.tc.world_from_base = truth.tc_world_from_base.unwrap_or(cell.tc.world_from_base);
 }
 
-/// The simulated camera, or what stands for it, and the outline of the target; everything in the cell is then where it truly is.
+/// The simulated camera or its geometric substitute, and the outline of the target; sets all poses of the workcell to the true ones.
 pub(super) fn wire_sight(
     setup: &Setup,
     world: &SimulatedWorld,
@@ -45,7 +45,7 @@ pub(super) fn wire_sight(
             let renderer = StereoRenderer::new(scene, *setup.true_rig(), &world.sensor, world.sensor_seed);
             let mut renderer = renderer.context("table [camera]")?;
             if setup.pace != Pace::Fast {
-                // A pair has to be there before the next one.
+                // A pair must be ready before the next one.
                 renderer = renderer.with_run_both(at_once);
             }
             let camera = SimStereoCamera::new(renderer, poses, clock, timing)?;
@@ -64,7 +64,7 @@ pub(super) fn wire_sight(
     }
 }
 
-/// The backend's camera without images, as the cell knows one.
+/// Adapts the backend's camera without images.
 struct Poses(GeometricCamera);
 
 impl PoseCamera for Poses {

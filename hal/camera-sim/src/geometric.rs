@@ -121,9 +121,9 @@ impl GeometricCamera {
                 CameraFaultKind::Black { .. } => Some(Hindrance::Blind("an image is black")),
                 CameraFaultKind::Saturated { .. } => Some(Hindrance::Blind("an image is saturated")),
                 CameraFaultKind::Torn { .. } => Some(Hindrance::Blind("the images are of two exposures")),
-                CameraFaultKind::Brightness { eyes, factor } => {
-                    for (eye, _) in brightness.iter_mut().zip(eyes.are()).filter(|(_, is)| *is) {
-                        *eye *= factor;
+                CameraFaultKind::Brightness { cameras, factor } => {
+                    for (side, _) in brightness.iter_mut().zip(cameras.are()).filter(|(_, is)| *is) {
+                        *side *= factor;
                     }
                     (!BRIGHTNESS_SEEN.contains(&factor))
                         .then_some(Hindrance::Blind("the images are too dark or too bright"))
@@ -197,7 +197,7 @@ mod tests {
     use pb3dp_sim::geometric::PoseSigma;
     use pb3dp_sim::scene::ScenePoses;
 
-    use pb3dp_sim::camera_faults::Eyes;
+    use pb3dp_sim::camera_faults::AffectedCameras;
 
     use super::*;
 
@@ -286,13 +286,13 @@ mod tests {
                 assert_eq!(is_blind, (2..5).contains(&index), "{kind:?}, frame {index}: {hindrance:?}");
             }
         };
-        blind_in_three(CameraFaultKind::Black { eyes: Eyes::Left });
-        blind_in_three(CameraFaultKind::Saturated { eyes: Eyes::Both });
+        blind_in_three(CameraFaultKind::Black { cameras: AffectedCameras::Left });
+        blind_in_three(CameraFaultKind::Saturated { cameras: AffectedCameras::Both });
         blind_in_three(CameraFaultKind::Torn { share: 1.0 });
-        blind_in_three(CameraFaultKind::Brightness { eyes: Eyes::Right, factor: 0.1 });
+        blind_in_three(CameraFaultKind::Brightness { cameras: AffectedCameras::Right, factor: 0.1 });
         blind_in_three(CameraFaultKind::Occluder { width_share: 0.6, crosses: false });
         blind_in_three(CameraFaultKind::Miscalibrated { columns_px: 0.0, rows_px: 3.0, roll_rad: 0.0, scale: 1.0 });
-        let step = hindered(CameraFaultKind::Brightness { eyes: Eyes::Both, factor: 1.5 });
+        let step = hindered(CameraFaultKind::Brightness { cameras: AffectedCameras::Both, factor: 1.5 });
         assert!(step[2..].iter().all(|hindrance| matches!(hindrance, Some(Hindrance::Doubtful(_)))), "{step:?}");
         assert!(step[..2].iter().all(Option::is_none), "{step:?}");
     }

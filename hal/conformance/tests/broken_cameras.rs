@@ -17,7 +17,7 @@ const PERIOD: Duration = Duration::from_millis(33);
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Defect {
     None,
-    OneEyeIsSmaller,
+    OneCameraIsSmaller,
     RepeatsAPair,
     TimeStandsStill,
     RunsAtHalfSpeed,
@@ -59,16 +59,16 @@ impl Camera {
         Err(CameraError::new(kind, format!("{kind:?} of {}", self.info.name)))
     }
 
-    fn fill(&self, image: &mut RgbImage, eye: u8) {
+    fn fill(&self, image: &mut RgbImage, side: u8) {
         let (width, height) = (self.info.size.width, self.info.size.height);
-        let smaller = u32::from(self.defect == Defect::OneEyeIsSmaller && eye == 1);
+        let smaller = u32::from(self.defect == Defect::OneCameraIsSmaller && side == 1);
         let wanted = (width - smaller.min(width), height);
         let foreign = image.dimensions() != wanted && self.defect != Defect::KeepsForeignBuffers;
         if foreign || self.defect == Defect::AllocatesAnew {
             *image = RgbImage::new(wanted.0, wanted.1);
         }
         let changing = if self.defect == Defect::OtherImagesEachTime { self.made as u8 } else { 0 };
-        let colour = Rgb([self.next as u8, eye, changing]);
+        let colour = Rgb([self.next as u8, side, changing]);
         image.pixels_mut().for_each(|pixel| *pixel = colour);
     }
 
@@ -146,7 +146,7 @@ fn a_good_camera_passes() {
 #[test]
 fn each_defect_breaks_its_rule() {
     let defects = [
-        (Defect::OneEyeIsSmaller, "size-as-stated"),
+        (Defect::OneCameraIsSmaller, "size-as-stated"),
         (Defect::RepeatsAPair, "newer-than-before"),
         (Defect::TimeStandsStill, "newer-than-before"),
         (Defect::RunsAtHalfSpeed, "period-as-stated"),
@@ -191,7 +191,7 @@ fn an_endless_camera_must_not_end() {
 
 #[test]
 fn a_report_names_camera_rule_and_values() {
-    let report = suite(Defect::OneEyeIsSmaller);
+    let report = suite(Defect::OneCameraIsSmaller);
     let text = report.to_string();
     assert!(text.starts_with("OneEyeIsSmaller: breaks the contract\n  size-as-stated: pair 0"), "{text}");
     assert!(text.contains("the right image is (15, 9), stated is (16, 9)"), "{text}");

@@ -41,7 +41,7 @@ pub fn write() -> Result<(), Box<dyn Error>> {
 /// What differs from the rig, and why.
 fn text(stamps: u32) -> String {
     // They have neither exposure nor white balance. `vivid` stamps the end of an image that is still to come unless it is told not to.
-    let eye = |number: usize| {
+    let side = |number: usize| {
         format!(
             "device = \"{}\"\nexposure_millis = \"keep\"\nstated_exposure_millis = 0.0\ngain = \"keep\"\n\
              white_balance_kelvin = \"keep\"\ninput = 2\nfurther_controls = [{{ id = {stamps}, value = 1 }}]",
@@ -73,7 +73,7 @@ every_s = 60.0
 lead_in_s = 60.0
 channels = ["z"]
 "#,
-        left = eye(0),
-        right = eye(1)
+        left = side(0),
+        right = side(1)
     )
 }

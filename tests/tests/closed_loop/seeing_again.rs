@@ -5,16 +5,16 @@ use std::time::Duration;
 
 use pb3dp_camera_sim::{SimCameraConfig, SimStereoCamera};
 use pb3dp_cell::experiment;
-use pb3dp_cell::eyes::Sight;
 use pb3dp_cell::log::RunLog;
 use pb3dp_cell::parts::Parts;
+use pb3dp_cell::perception::Sight;
 use pb3dp_cell::supervision::Supervision;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, Clock, FramePair, StereoCamera, StereoCameraInfo};
 use pb3dp_servo::supervisor::{Condition, Resume};
 use pb3dp_setup::setup::{Leader, Setup};
-use pb3dp_sim::camera_faults::{CameraFault, CameraFaultKind, Eyes};
+use pb3dp_sim::camera_faults::{AffectedCameras, CameraFault, CameraFaultKind};
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{Scene, SceneConfig};
 use pb3dp_sim::targets::TargetConfig;
@@ -79,8 +79,8 @@ fn without_images_a_hand_that_is_blind_rests() {
         CameraFaultKind::Frozen,
         CameraFaultKind::Dropped { share: 1.0 },
         CameraFaultKind::Repeated { share: 1.0, as_new: false },
-        CameraFaultKind::Black { eyes: Eyes::Both },
-        CameraFaultKind::Saturated { eyes: Eyes::Left },
+        CameraFaultKind::Black { cameras: AffectedCameras::Both },
+        CameraFaultKind::Saturated { cameras: AffectedCameras::Left },
         CameraFaultKind::Torn { share: 1.0 },
         CameraFaultKind::Occluder { width_share: 0.8, crosses: false },
         CameraFaultKind::Skewed { stamped_nanos: 9_000_000 },

@@ -54,21 +54,21 @@ fn paint(from: usize, number: u64, memory: &mut [u8]) {
 /// The rig of `configs/rig.toml` with smaller images, and arms in this process.
 fn rig() -> (Setup, EmulatedSystem) {
     let mut setup = read_setup(&repository().join("configs/rig.toml")).unwrap();
-    let eye = |number: u32, paint: fn(u64, &mut [u8])| {
+    let side = |number: u32, paint: fn(u64, &mut [u8])| {
         let mut camera = EmulatedCamera::usual(number);
         camera.formats = vec![(*b"YUYV", vec![(SIZE, vec![RATE])])];
         camera.paint = paint;
         camera
     };
-    let left = eye(0, |number, memory| paint(0, number, memory));
-    let right = eye(1, |number, memory| paint(DISPARITY_PX, number, memory));
+    let left = side(0, |number, memory| paint(0, number, memory));
+    let right = side(1, |number, memory| paint(DISPARITY_PX, number, memory));
     let system = EmulatedSystem::new(Arc::new(SystemClock::new()), vec![left, right]);
     let cameras = cameras(&mut setup);
-    for (number, eye) in [&mut cameras.stereo.left, &mut cameras.stereo.right].into_iter().enumerate() {
-        eye.name = format!("bus:usb-emulated-{number}").parse().unwrap();
-        (eye.mode.size, eye.mode.interval) = (SIZE, RATE);
+    for (number, side) in [&mut cameras.stereo.left, &mut cameras.stereo.right].into_iter().enumerate() {
+        side.name = format!("bus:usb-emulated-{number}").parse().unwrap();
+        (side.mode.size, side.mode.interval) = (SIZE, RATE);
     }
-    // 50 mm to the right of the left eye: straight before the hand.
+    // 50 mm to the right of the left camera: straight before the hand.
     cameras.region = Some("rect:157,80,80,80".parse().unwrap());
     let whole = setup.rig.stereo.left().pinhole();
     let half = Pinhole { fx: whole.fx / 2.0, fy: whole.fy / 2.0, cx: 159.5, cy: 119.5 };

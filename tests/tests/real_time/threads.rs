@@ -304,8 +304,7 @@ fn a_mistake_in_any_thread_stops_both_arms() {
         let (done, ended, _) = run(Pace::Live, script);
         let why = failure(ended);
         // The recorder has the thread of the caller.
-        let expected =
-            if part == "recording" { "a panic".to_owned() } else { format!("the thread of {part} has failed") };
+        let expected = if part == "recording" { "a panic".to_owned() } else { format!("the {part} thread panicked") };
         assert!(why.contains(&expected), "{part}: {why}");
         assert!(of(&done.steps) >= 5, "{part}");
         let (_, ended, _) = run(Pace::Fast, script);

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use crate::faults::{Fault, Kind};
 use crate::scenario::Dice;
-use pb3dp_sim::camera_faults::{CameraFault, CameraFaultKind, CameraFaults, Eyes};
+use pb3dp_sim::camera_faults::{AffectedCameras, CameraFault, CameraFaultKind, CameraFaults};
 
 /// From the camera's begin to that of the control loop, seconds: both arms are switched on meanwhile.
 pub const LEAD_S: f64 = 1.25;
@@ -14,7 +14,7 @@ pub const COUNT: usize = 11;
 
 /// One of all kinds.
 pub fn draw(dice: &mut Dice) -> CameraFaultKind {
-    let eyes = dice.pick(&[Eyes::Left, Eyes::Right, Eyes::Both]);
+    let cameras = dice.pick(&[AffectedCameras::Left, AffectedCameras::Right, AffectedCameras::Both]);
     match dice.below(COUNT) {
         0 => CameraFaultKind::Dropped { share: dice.within(0.1, 1.0) },
         1 => CameraFaultKind::Repeated { share: dice.within(0.1, 1.0), as_new: dice.unit() < 0.5 },
@@ -26,9 +26,9 @@ pub fn draw(dice: &mut Dice) -> CameraFaultKind {
             CameraFaultKind::Skewed { stamped_nanos: if is_stamped { (skew_s * 1e9) as i64 } else { 0 } }
         }
         5 => CameraFaultKind::Frozen,
-        6 => CameraFaultKind::Black { eyes },
-        7 => CameraFaultKind::Saturated { eyes },
-        8 => CameraFaultKind::Brightness { eyes, factor: 10f64.powf(dice.within(-2.0, 1.5)) },
+        6 => CameraFaultKind::Black { cameras },
+        7 => CameraFaultKind::Saturated { cameras },
+        8 => CameraFaultKind::Brightness { cameras, factor: 10f64.powf(dice.within(-2.0, 1.5)) },
         9 => CameraFaultKind::Occluder { width_share: dice.within(0.1, 0.8), crosses: dice.unit() < 0.5 },
         _ => CameraFaultKind::Miscalibrated {
             columns_px: dice.within(-20.0, 20.0),
@@ -46,7 +46,7 @@ pub fn name(kind: &CameraFaultKind) -> &'static str {
         CameraFaultKind::Repeated { .. } => "camera: pairs repeated",
         CameraFaultKind::Late { .. } => "camera: pairs late",
         CameraFaultKind::Torn { .. } => "camera: pairs torn",
-        CameraFaultKind::Skewed { .. } => "camera: eyes apart",
+        CameraFaultKind::Skewed { .. } => "camera: exposures apart",
         CameraFaultKind::Frozen => "camera: frozen",
         CameraFaultKind::Black { .. } => "camera: black",
         CameraFaultKind::Saturated { .. } => "camera: saturated",

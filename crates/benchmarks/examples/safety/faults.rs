@@ -35,7 +35,7 @@ pub enum Kind {
     Off(f64, f64),
     /// Single poses are off by so much, metres.
     Outliers(f64),
-    /// Both eyes are exposed so far apart, seconds.
+    /// Both cameras are exposed so far apart, seconds.
     Skew(f64),
     /// Number and times of images go back.
     OldImages,
@@ -127,7 +127,7 @@ const OF_THE_CELL: [&str; 20] = [
     "estimator stalls",
     "poses off",
     "outliers",
-    "eyes apart",
+    "exposures apart",
     "old images",
     "another target",
     "control step overruns",

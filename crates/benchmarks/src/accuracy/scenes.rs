@@ -7,7 +7,7 @@ use anyhow::Context;
 use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 use pb3dp_sim::scene::{Highlight, Lighting, Scene};
-use pb3dp_sim::sensor::{EyeResponse, SensorConfig};
+use pb3dp_sim::sensor::{CameraResponse, SensorConfig};
 use pb3dp_sim::targets::mesh::Mesh;
 use pb3dp_sim::targets::part::{Anchor, SceneObject, ScenePart};
 use pb3dp_sim::targets::texture::{Colour, Texture, colour_from_hsv};
@@ -201,8 +201,8 @@ pub fn sensor(setup: &Setup) -> SensorConfig {
         lens_blur_px: LENS_BLUR_PX,
         read_noise_grey: setup.noise_grey,
         shot_noise_grey: 0.0,
-        left: EyeResponse::NEUTRAL,
-        right: EyeResponse { exposure: 1.0, gain: setup.gain, offset_grey: OFFSET_GREY },
+        left: CameraResponse::NEUTRAL,
+        right: CameraResponse { exposure: 1.0, gain: setup.gain, offset_grey: OFFSET_GREY },
     }
 }
 

@@ -6,7 +6,7 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::plane_hypothesis::{PinholePair, PlaneHypothesis};
 use pb3dp_estimation_core::region::{RegionConfig, RegionMask};
 use pb3dp_estimation_direct::colour_planes::{ColourPlanes, Wanted};
-use pb3dp_estimation_direct::front_end::{Eye, StereoFrontEnd};
+use pb3dp_estimation_direct::front_end::{Side, StereoFrontEnd};
 use pb3dp_estimation_direct::image_plane::{ImagePlane, PixelWindow};
 use pb3dp_estimation_published::estimator::PublishedConfig;
 use pb3dp_estimation_published::fitness::HueFitness;
@@ -80,14 +80,14 @@ fn published(
 
 fn luminance(rig: &StereoRig, pair: &Rendered) -> anyhow::Result<[ImagePlane; 2]> {
     let front_end = StereoFrontEnd::new(rig, Kernels::best())?;
-    let load = |eye, image| {
-        let size = front_end.size(eye);
+    let load = |side, image| {
+        let size = front_end.size(side);
         let window = PixelWindow { x: 0, y: 0, width: size.width as usize, height: size.height as usize };
         let mut planes = ColourPlanes::default();
-        front_end.load(eye, image, window, Wanted::Luminance, &mut planes);
+        front_end.load(side, image, window, Wanted::Luminance, &mut planes);
         planes.luminance().clone()
     };
-    Ok([load(Eye::Left, &pair.left), load(Eye::Right, &pair.right)])
+    Ok([load(Side::Left, &pair.left), load(Side::Right, &pair.right)])
 }
 
 /// Correlation over the pixels whose partner, `shift` columns to the left, lies in the right image.

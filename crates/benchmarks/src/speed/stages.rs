@@ -232,7 +232,7 @@ impl<'a> StageBench<'a> {
         let count = match stage {
             Stage::Windows => {
                 let [left, right] = [&self.pyramid.levels()[0].left, &self.pyramid.levels()[0].right];
-                [left, right].map(|eye| eye.window.width * eye.window.height).iter().sum()
+                [left, right].map(|side| side.window.width * side.window.height).iter().sum()
             }
             Stage::Costs | Stage::Aggregation | Stage::Search => area.width * area.height * self.volume.count,
             Stage::Patches => area.width * area.height * (2 * self.config.cold_start.patches.reach + 1),

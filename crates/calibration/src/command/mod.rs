@@ -1,9 +1,9 @@
 //! The commands of `pb3dp calibrate`: command line, image files and printed results.
 
 mod board;
+mod camera_condition;
 mod coach;
 mod convert;
-mod eyes;
 mod gates_file;
 mod hand_eye;
 mod hand_eye_report;
@@ -229,7 +229,7 @@ fn stereo(args: &StereoArgs) -> Result<ExitCode> {
     if let Some(out) = &args.out {
         let cameras = judgement::cameras(args.cameras.as_deref(), args.pairs.folder())?;
         let mut judgement = judgement::of(&chosen, &quality, &limits.judge(&quality), (seen.newest.as_str(), cameras));
-        judgement.numbers.extend(eyes::numbers(&seen.files)?);
+        judgement.numbers.extend(camera_condition::numbers(&seen.files)?);
         tell(&convert::write(&rig, Some(&judgement), out)?)?;
     }
     if let Some(file) = &args.common.report {

@@ -78,7 +78,7 @@ impl ProposeArgs {
             (None, Some(guess), _) => poses::pose(guess),
             (None, None, Some(setup)) => setup.flange_from_cam_left()?,
             (None, None, None) => bail!(
-                "pose of the cameras on the flange unknown; estimate it by eye (--guess X,Y,Z,RX,RY,RZ), or give a --setup with mounts, or a --hand-eye calibration"
+                "pose of the cameras on the flange unknown; measure it roughly with a ruler (--guess X,Y,Z,RX,RY,RZ), or give a --setup with mounts, or a --hand-eye calibration"
             ),
         };
         let by_hand_eye = match hand_eye.as_ref().map(|hand_eye| hand_eye.board) {

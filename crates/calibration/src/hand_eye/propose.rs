@@ -105,7 +105,7 @@ pub fn propose(
     seen.dedup();
     let cells = CELLS[0] * CELLS[1];
     let share =
-        |of_eye: &dyn Fn(&usize) -> bool| seen.iter().filter(|cell| of_eye(cell)).count() as f64 / f64::from(cells);
+        |of_side: &dyn Fn(&usize) -> bool| seen.iter().filter(|cell| of_side(cell)).count() as f64 / f64::from(cells);
     let coverage = [share(&|index| *index < cells as usize), share(&|index| *index >= cells as usize)];
     let poses = chosen.iter().map(|index| candidates[*index].cam_from_board).collect();
     // Board poses in the left camera frame.
@@ -235,11 +235,11 @@ fn candidate(rig: &StereoRig, board: &Chessboard, cam_from_board: Isometry3<f64>
     let mut cells = Vec::new();
     let per_image = (CELLS[0] * CELLS[1]) as usize;
     let right = rig.cam_right_from_cam_left().isometry() * cam_from_board;
-    for (eye, (camera, pose)) in [(rig.left(), cam_from_board), (rig.right(), right)].into_iter().enumerate() {
+    for (side, (camera, pose)) in [(rig.left(), cam_from_board), (rig.right(), right)].into_iter().enumerate() {
         for (row, column) in (0..board.rows()).flat_map(|row| (0..board.columns()).map(move |column| (row, column))) {
             let pixel = camera.project(&(pose * board.corner_in_board(column, row)))?;
             let [across, down] = cell_of(&pixel, camera.size());
-            cells.push(eye * per_image + (down * CELLS[0] + across) as usize);
+            cells.push(side * per_image + (down * CELLS[0] + across) as usize);
         }
     }
     cells.sort_unstable();

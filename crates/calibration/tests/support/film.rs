@@ -64,10 +64,10 @@ pub fn image(camera: &Camera, cam_from_board: &Isometry3<f64>, rays: &[Vector3<f
     let board = board();
     let (columns, rows) = (f64::from(board.columns()), f64::from(board.rows()));
     let board_from_cam = cam_from_board.inverse();
-    let eye = board_from_cam * Point3::origin();
+    let centre = board_from_cam * Point3::origin();
     let grey = |ray: &Vector3<f64>| {
         let ray = board_from_cam * ray;
-        let at = eye - ray * (eye.z / ray.z);
+        let at = centre - ray * (centre.z / ray.z);
         let (c, r) = (at.x / board.square_m(), at.y / board.square_m());
         let is_on =
             |margin: f64| (-1.0 - margin..columns + margin).contains(&c) && (-1.0 - margin..rows + margin).contains(&r);

@@ -41,7 +41,7 @@ pub struct Session {
     /// Relative increase of the right camera's focal length from the middle of the session on.
     pub refocused: f64,
     /// Displacement of the board between the two exposures, m, in a different direction in each view.
-    pub moved_between_eyes_m: f64,
+    pub moved_between_cameras_m: f64,
     /// Bow and twist of the board: distance between the two planes that enclose its corners, m.
     pub flatness_m: f64,
     /// Motion blur: the longest streak, px, in a different direction in each view.
@@ -120,7 +120,7 @@ pub fn views_of(
         let late = views.len() >= session.views / 2;
         let right = if late { refocused(rig.right(), session.refocused) } else { *rig.right() };
         let cam_left_from_board = placed(rig, board, session, random);
-        let moved = Vector3::from_fn(|_, _| random.normal()).normalize() * session.moved_between_eyes_m;
+        let moved = Vector3::from_fn(|_, _| random.normal()).normalize() * session.moved_between_cameras_m;
         let cam_right_from_board = rig.cam_right_from_cam_left().isometry()
             * Isometry3::translation(moved.x, moved.y, moved.z)
             * cam_left_from_board;

@@ -1,4 +1,4 @@
-//! What an operator types, and that he wants an arm to move.
+//! Typed operator input, and the confirmation before an arm moves.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
@@ -7,48 +7,48 @@ use anyhow::{Context, Result, bail};
 use pb3dp_cell::terminal::typed_lines;
 use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
 
-/// Signals are looked for this often while nothing is typed.
+/// Interval at which signals are checked while nothing is typed.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// A signal asked to end.
+/// The program was ended by a signal.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
 #[error("ended by {0}")]
 pub struct Interrupted(pub StopSignal);
 
-/// The lines of standard input, as they come.
+/// The lines of standard input, as they arrive.
 pub struct Console {
     lines: Receiver<std::io::Result<String>>,
 }
 
-/// What came of waiting for a line.
+/// Result of waiting for a line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Line {
     /// A line, without its end.
     Typed(String),
     /// Standard input has ended.
     Ended,
-    /// Nobody typed anything.
+    /// No line in time.
     TimedOut,
 }
 
 impl Console {
-    /// Reads lines from now on.
+    /// Starts reading lines.
     ///
     /// # Errors
-    /// If the system gives no thread.
+    /// If the system provides no thread.
     pub fn start() -> Result<Self> {
         Ok(Self { lines: typed_lines()? })
     }
 
-    /// Forgets what was typed before it was asked for: nobody has thought about it.
+    /// Discards lines typed before the prompt: they cannot be answers to it.
     pub fn forget(&self) {
         while self.lines.try_recv().is_ok() {}
     }
 
-    /// Waits for a line, for at most this long if a time is given.
+    /// Waits for a line, up to `patience` if given.
     ///
     /// # Errors
-    /// [`Interrupted`] by a signal, or standard input that cannot be read.
+    /// [`Interrupted`] by a signal, or unreadable standard input.
     pub fn line(&self, patience: Option<Duration>, signals: &mut StopSignals) -> Result<Line> {
         let since = Instant::now();
         loop {
@@ -56,7 +56,7 @@ impl Console {
                 return Err(Interrupted(signal).into());
             }
             match self.lines.recv_timeout(LOOK) {
-                Ok(line) => return Ok(Line::Typed(line.context("standard input cannot be read")?)),
+                Ok(line) => return Ok(Line::Typed(line.context("cannot read standard input")?)),
                 Err(RecvTimeoutError::Disconnected) => return Ok(Line::Ended),
                 Err(RecvTimeoutError::Timeout) => {}
             }
@@ -66,21 +66,21 @@ impl Console {
         }
     }
 
-    /// Waits until exactly this name was typed, for at most this long if a time is given.
+    /// Waits until exactly this name is typed, up to `patience` if given.
     ///
     /// # Errors
-    /// If something else is typed or nothing in time, standard input ends, or a signal asks to end.
+    /// If something else or nothing is typed in time, if standard input ends, or on a signal.
     pub fn typed(&self, name: &str, patience: Option<Duration>, signals: &mut StopSignals) -> Result<()> {
         match self.line(patience, signals).context("nothing was moved")? {
             Line::Typed(line) if line == name => Ok(()),
-            Line::Typed(line) => bail!("{line:?} is not {name}; nothing was moved"),
-            Line::Ended => bail!("nobody typed {name}: standard input has ended; nothing was moved"),
-            Line::TimedOut => bail!("nobody typed {name} in time; nothing was moved"),
+            Line::Typed(line) => bail!("typed {line:?} is not {name}; nothing was moved"),
+            Line::Ended => bail!("{name} was not typed: standard input has ended; nothing was moved"),
+            Line::TimedOut => bail!("{name} was not typed in time; nothing was moved"),
         }
     }
 }
 
-/// Waits until exactly this name was typed.
+/// Waits until exactly this name is typed.
 ///
 /// # Errors
 /// As [`Console::typed`].

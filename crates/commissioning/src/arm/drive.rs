@@ -1,4 +1,4 @@
-//! A planned move, made: one command per cycle through all that stands before the arm.
+//! Executes a planned move: one command per cycle through all layers in front of the arm.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,16 +15,16 @@ use pb3dp_wiring::commissioning::SlowArm;
 
 use super::confirm::Interrupted;
 
-/// Speed per angle by which a joint is behind its plan, 1/s.
+/// Proportional gain of the joint error to the plan, 1/s.
 const GAIN_PER_S: f64 = 2.0;
-/// A joint that is this near to its end has arrived, rad.
+/// A joint this near to its end has arrived, rad.
 const ARRIVED_WITHIN_RAD: f64 = 5e-4;
-/// How long joints may take to arrive after the move should have ended.
+/// Time allowed for arrival after the planned end of a move.
 pub const LATE_MAX: Duration = Duration::from_secs(3);
 /// How long the arm holds before its brakes close.
 const HOLD: Duration = Duration::from_millis(300);
 
-/// A move that is being made.
+/// A move in execution.
 pub struct Drive<'a> {
     arm: &'a mut SlowArm,
     plan: &'a Plan,
@@ -33,18 +33,18 @@ pub struct Drive<'a> {
     lost: u64,
 }
 
-/// One cycle of a move, for whoever looks on.
+/// One cycle of a move, for an observer.
 #[derive(Clone, Copy, Debug)]
 pub struct Cycle<'a> {
-    /// Since the move has begun.
+    /// Time since the start of the move.
     pub passed: Duration,
-    /// Where the joints should be, rad.
+    /// Planned joint angles, rad.
     pub planned_rad: &'a JointVector,
-    /// Where they are.
+    /// Measured joint state.
     pub measured: &'a JointState,
 }
 
-/// One of both arms.
+/// Selects one of the two arms.
 type Which = fn(&mut SlowArm) -> Result<&mut dyn DrivenArm>;
 
 fn this_arm(arm: &mut SlowArm) -> Result<&mut dyn DrivenArm> {
@@ -55,20 +55,20 @@ fn other_arm(arm: &mut SlowArm) -> Result<&mut dyn DrivenArm> {
     Ok(&mut *arm.other.as_mut().context("the other arm is not connected")?.driven)
 }
 
-/// Looks on in each cycle; what it returns as an error ends the move.
+/// Called in each cycle; an error ends the move.
 pub type Watch<'a> = &'a mut dyn FnMut(&Cycle<'_>) -> Result<()>;
 
-/// The stop order after a move, whatever came of it.
+/// Sends the stop order after a move, whatever its outcome.
 ///
 /// # Errors
-/// What came of the move, and whether the stop order was given.
+/// The failure of the move, and that of the stop order.
 pub fn stopped_after(choice: ArmChoice, arm: &mut SlowArm, outcome: Result<JointState>) -> Result<JointState> {
     let stopped = arm.driven.stop().with_context(|| format!("{}: the stop order", choice.name()));
     match (outcome, stopped) {
         (Ok(reached), Ok(())) => Ok(reached),
         (Ok(_), Err(error)) => Err(error),
         (Err(error), Ok(())) => {
-            Err(error.context(format!("{}: the move was broken off and the stop order given", choice.name())))
+            Err(error.context(format!("{}: the move was aborted and the stop order given", choice.name())))
         }
         (Err(error), Err(stop)) => Err(error.context(format!("{stop:#}; press the emergency stop"))),
     }
@@ -80,15 +80,15 @@ impl<'a> Drive<'a> {
         Self { arm, plan, clock, period, lost: 0 }
     }
 
-    /// Replies that were late or lost.
+    /// Number of late or lost replies.
     pub fn lost(&self) -> u64 {
         self.lost
     }
 
-    /// Opens the brakes and makes the move; the arm holds at its end, with open brakes.
+    /// Opens the brakes and makes the move; afterwards the arm holds with open brakes.
     ///
     /// # Errors
-    /// What the arm or `watch` says, [`Interrupted`], or that a joint did not arrive. The stop order is the caller's.
+    /// The failure of the arm or of `watch`, [`Interrupted`], or a joint that did not arrive. The caller must send the stop order.
     pub fn run(&mut self, signals: &mut StopSignals, watch: Watch<'_>) -> Result<JointState> {
         let mut newest = self.switch_on(signals, this_arm)?;
         watch(&Cycle { passed: Duration::ZERO, planned_rad: self.plan.start_rad(), measured: &newest })?;
@@ -108,22 +108,22 @@ impl<'a> Drive<'a> {
             if passed > duration + LATE_MAX {
                 let joint = behind_rad.iamax();
                 let left_deg = behind_rad[joint].to_degrees();
-                bail!("{} did not arrive: {left_deg:+.3} degrees are left", Axis::ALL[joint]);
+                bail!("{} did not arrive: residual {left_deg:+.3} degrees", Axis::ALL[joint]);
             }
             let velocity = speed_rad_per_s + behind_rad * GAIN_PER_S;
             newest = self.exchange(JointCommand::Velocity(velocity))?.unwrap_or(newest);
         }
     }
 
-    /// Opens the brakes of the other arm, which holds then.
+    /// Opens the brakes of the other arm, which then holds.
     ///
     /// # Errors
-    /// What an arm says, or [`Interrupted`]. The stop order is the caller's.
+    /// The failure of an arm, or [`Interrupted`]. The caller must send the stop order.
     pub fn switch_other_on(&mut self, signals: &mut StopSignals) -> Result<()> {
         self.switch_on(signals, other_arm).map(drop)
     }
 
-    /// Opens the brakes of an arm, which takes seconds. Whoever has open brakes is watched in each cycle of them.
+    /// Opens the brakes of an arm, which takes seconds. Arms with open brakes are monitored in each cycle meanwhile.
     fn switch_on(&mut self, signals: &mut StopSignals, which: Which) -> Result<JointState> {
         which(self.arm)?.begin_enable()?;
         let mut next = self.clock.now();
@@ -146,12 +146,12 @@ impl<'a> Drive<'a> {
         Ok(newest)
     }
 
-    /// Waits for the next cycle, and for no signal.
+    /// Waits for the next cycle, unless a signal arrives.
     fn wait(&self, last: MonotonicTime, signals: &mut StopSignals) -> Result<MonotonicTime> {
         if let Some(signal) = signals.try_take()? {
             return Err(Interrupted(signal).into());
         }
-        // A cycle whose time has passed is left out.
+        // A cycle whose time has passed is skipped.
         let next = (last + self.period).max(self.clock.now());
         self.clock.sleep_until(next);
         Ok(next)
@@ -166,7 +166,7 @@ impl<'a> Drive<'a> {
     }
 }
 
-/// What was measured; `None` if the reply is late, which an arm itself counts and bears twice in a row.
+/// Returns the measurement; `None` for a late reply, which the arm counts and tolerates twice in a row.
 fn measured(exchanged: Result<JointState, ArmError>, lost: &mut u64) -> Result<Option<JointState>, ArmError> {
     match exchanged {
         Err(error) if error.kind() == ArmErrorKind::Timeout => {
@@ -189,11 +189,11 @@ mod tests {
 
     use super::*;
 
-    /// Answers what it is told to, the last one first.
+    /// Returns scripted answers, the last one first.
     struct Scripted {
         info: ArmInfo,
         answers: Vec<Result<JointState, ArmErrorKind>>,
-        /// How often it says that it is not yet switched on.
+        /// Number of polls until it is enabled.
         switching_on: u32,
     }
 
@@ -245,7 +245,7 @@ mod tests {
         JointState { at: MonotonicTime::ZERO, position_rad: zeros, velocity_rad_per_s: zeros }
     }
 
-    /// A cell of this arm and the other one, what they answer, and how long this one takes to be switched on.
+    /// A pair of arms with scripted answers; the first one needs this many polls to be enabled.
     fn cell(answers: [&[Result<JointState, ArmErrorKind>]; 2], switching_on: u32) -> SlowArm {
         let scripted = |answers: &[_], switching_on| {
             let info = ArmInfo { name: "scripted".to_owned(), cycle: Duration::from_millis(10) };
@@ -261,7 +261,7 @@ mod tests {
         }
     }
 
-    /// A plan that leads nowhere, and the period of its cycles.
+    /// A plan without motion, and the period of its cycles.
     fn plan() -> (Plan, Duration) {
         let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
         let setup = read_setup(&configs.join("hil.toml")).unwrap();
@@ -272,7 +272,7 @@ mod tests {
         error.downcast_ref::<ArmError>().unwrap().kind()
     }
 
-    /// R4: one or two lost replies are borne, whichever arm of the cell they are of.
+    /// R4: one or two lost replies are tolerated, from either arm.
     #[test]
     fn a_lost_reply_of_the_other_arm_breaks_no_move_off() {
         let other = [Err(ArmErrorKind::Fault), Err(ArmErrorKind::Timeout), Err(ArmErrorKind::Timeout), Ok(at_rest())];
@@ -287,8 +287,7 @@ mod tests {
         assert_eq!(kind(&drive.exchange(JointCommand::Hold).unwrap_err()), ArmErrorKind::Fault);
     }
 
-    /// Brakes take seconds to open: whoever has open ones already is exchanged with in each cycle of them, and what stops him breaks the
-    /// move off.
+    /// Brakes take seconds to open: an arm with open brakes is exchanged with in each cycle meanwhile, and its stop aborts the move.
     #[test]
     fn the_other_arm_is_watched_while_this_one_is_switched_on() {
         let mut other = vec![Err(ArmErrorKind::Fault)];

@@ -1,4 +1,4 @@
-//! The flight recorders of arms that are commissioned.
+//! Flight recorder files of the commissioning commands.
 
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -12,18 +12,17 @@ use pb3dp_hal_middleware::FlightLog;
 use pb3dp_wiring::commissioning::SlowArm;
 use pb3dp_wiring::{line_facts, raw_lines};
 
-/// A moment as UTC in the form of RFC 3339, whole seconds.
+/// A time as UTC in RFC 3339 form, whole seconds.
 pub fn utc(moment: SystemTime) -> String {
     humantime::format_rfc3339_seconds(moment).to_string()
 }
 
-/// Where the files of one call of a command go, unless its user says so: `out/arm-jog-vs-robot-2026-11-21T024508Z`.
+/// Default output folder of a command: `out/arm-jog-vs-robot-2026-11-21T024508Z`.
 pub fn folder_of(command: &str, choice: ArmChoice, began: SystemTime) -> PathBuf {
     PathBuf::from(format!("out/arm-{command}-{}-{}", choice.name(), utc(began).replace(':', "")))
 }
 
-/// Writes what the recorders of an arm, and of the other one if it is connected, hold of the seconds before a failure: the files, or
-/// why one could not be written.
+/// Writes the flight recorders of an arm, and of the other one if it is connected, after a failure; returns the files or write errors.
 pub fn keep(
     folder: &Path,
     choice: ArmChoice,
@@ -39,7 +38,7 @@ pub fn keep(
         std::fs::create_dir_all(folder)
             .with_context(|| folder.display().to_string())
             .and_then(|()| flight::write(folder, name, &Flight { log, fault, counts, raw: &raw }, failure, moment))
-            .with_context(|| format!("the flight recorder of the {name} could not be written"))
+            .with_context(|| format!("cannot write the flight recorder of the {name}"))
     };
     let mut files = vec![kept(choice, &arm.flight, arm.monitor.as_ref())];
     if let Some(other) = &arm.other {

@@ -1,4 +1,4 @@
-//! `pb3dp arm`: what an integrator does with an arm before it serves anybody (docs/commissioning.md).
+//! `pb3dp arm`: commissioning of an arm (docs/commissioning.md).
 
 mod checklist;
 pub mod confirm;
@@ -29,18 +29,18 @@ pub struct ArmArgs {
 
 #[derive(Debug, Subcommand)]
 enum ArmCommand {
-    /// Look at an arm, brakes on: gateway, limits, joints, status words, link. Exit code 1 if something does not fit.
+    /// Probe an arm with brakes on: gateway, limits, joints, status words, link. Exit code 1 on a mismatch.
     Probe(ProbeArgs),
-    /// Bring an arm to its start_deg in one straight move of all joints; without --move only say how.
+    /// Move an arm to its start_deg in one straight move of all joints; without --move only show the plan.
     Home(HomeArgs),
-    /// Turn one joint by an angle; without --move only say how.
+    /// Turn one joint by an angle; without --move only show the plan.
     Jog(JogArgs),
-    /// Clear what stopped an arm, once its name was typed. Nothing moves; the brakes stay on.
+    /// Clear a latched stop of an arm after its name is typed. Nothing moves; the brakes stay on.
     Reset(ResetArgs),
-    /// Go through the checklist of a rig step by step (link, one axis, emergency stop, cable, kill -9, two arms) and write a dated report;
-    /// without --move only say what would be done.
+    /// Run the rig checklist step by step (link, one axis, emergency stop, cable, kill -9, two arms) and write a dated report; without
+    /// --move only show the plan.
     Test(checklist::TestArgs),
-    /// Bring an arm to poses one behind the other and take a pair at each, for a calibration; without --move only say how.
+    /// Move an arm through a list of poses and record a stereo pair at each, for a calibration; without --move only show the plan.
     Visit(visit::VisitArgs),
 }
 
@@ -48,7 +48,7 @@ enum ArmCommand {
 struct Place {
     #[command(flatten)]
     setup: SetupArgs,
-    /// Which arm: vs carries the cameras, tc the target.
+    /// Arm: vs carries the cameras, tc the target.
     #[arg(long, value_enum)]
     arm: ArmName,
 }
@@ -67,7 +67,7 @@ impl Place {
         }
     }
 
-    /// The arm as on the command line.
+    /// Name of the arm on the command line.
     fn arm_word(&self) -> &'static str {
         match self.arm {
             ArmName::Vs => "vs",
@@ -76,20 +76,20 @@ impl Place {
     }
 }
 
-/// Whether the other arm is there.
+/// Whether the other arm takes part.
 #[derive(Clone, Copy, Debug, Args)]
 struct Company {
-    /// Leave the other arm out: it is switched off, or not there. Nothing watches the room between both, and nothing that stops one stops
-    /// the other.
+    /// Leave out the other arm, which is powered off or absent. Then the distance between the arms is not monitored, and a stop of one arm
+    /// does not stop the other.
     #[arg(long)]
     alone: bool,
 }
 
 impl Company {
-    /// The other arm is left out.
+    /// Without the other arm.
     const ALONE: Self = Self { alone: true };
 
-    /// What an operator has to type before this arm moves.
+    /// Word that the operator types before this arm moves.
     fn word(self, choice: ArmChoice) -> String {
         let alone = if self.alone { " alone" } else { "" };
         format!("{}{alone}", choice.name())
@@ -100,7 +100,7 @@ impl Company {
 struct ProbeArgs {
     #[command(flatten)]
     place: Place,
-    /// Messages to exchange with the arm, at least, for the figures of the link.
+    /// Number of messages to exchange with the arm, at least, for the link figures.
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(10..=100_000))]
     exchanges: u32,
     /// One JSON object on standard output instead of tables.
@@ -110,18 +110,18 @@ struct ProbeArgs {
 
 #[derive(Debug, Args)]
 struct MotionArgs {
-    /// Move the arm, once its name was typed. Without it nothing moves.
+    /// Move the arm after its name is typed. Without it nothing moves.
     #[arg(long = "move")]
     moves: bool,
     #[command(flatten)]
     company: Company,
-    /// Folder for the flight recorders of a move that is broken off; a new one in out/ unless it is given.
+    /// Folder for the flight recorders of an aborted move; a new one in out/ unless given.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Each cycle's joints as a line of JSON, for the program that has started this one.
+    /// Print the joints of each cycle as a line of JSON, for the parent process.
     #[arg(long, hide = true)]
     report_joints: bool,
-    /// Where the arm is found instead, by TCP.
+    /// TCP address of the arm, instead of the configured one.
     #[arg(long, hide = true, value_name = "ADDRESS:PORT")]
     line: Option<SocketAddr>,
 }
@@ -141,7 +141,7 @@ struct JogArgs {
     /// The axis, 1 at the base to 7 at the flange.
     #[arg(long, value_name = "1..7", value_parser = clap::value_parser!(u8).range(1..=7))]
     axis: u8,
-    /// By how much, degrees, at most 30 at a time.
+    /// Angle, degrees, at most 30 at a time.
     #[arg(long, value_name = "DEGREES", value_parser = parse_jog, allow_hyphen_values = true)]
     by: f64,
     #[command(flatten)]
@@ -154,7 +154,7 @@ struct ResetArgs {
     place: Place,
 }
 
-/// Farthest jog, degrees.
+/// Largest jog, degrees.
 const JOG_MAX_DEG: f64 = 30.0;
 
 fn parse_jog(text: &str) -> Result<f64, String> {
@@ -167,7 +167,7 @@ fn parse_jog(text: &str) -> Result<f64, String> {
 /// Runs the command.
 ///
 /// # Errors
-/// A configuration that is refused, an arm that does not answer, or that stopped.
+/// A refused configuration, or an arm that does not answer or is stopped.
 pub fn run(args: &ArmArgs, program: Program) -> anyhow::Result<ExitCode> {
     match &args.command {
         ArmCommand::Probe(args) => probe::run(args),

@@ -1,4 +1,4 @@
-//! `pb3dp arm home` and `pb3dp arm jog`: one slow move through limiter and guard, and nothing without an operator's word.
+//! `pb3dp arm home` and `pb3dp arm jog`: one slow move behind limiter and guard, only after the operator's confirmation.
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -22,13 +22,13 @@ use super::drive::{self, Cycle, Drive};
 use super::flights::{self, folder_of};
 use super::{MotionArgs, Place, confirm};
 
-/// Of a jog, for every joint: the speed of the first motion in the checklist of the rig.
+/// Joint speed of a jog: that of the first motion in the rig checklist.
 pub const JOG_RAD_PER_S: f64 = 0.02;
 
-/// Of the way home, for every joint: a hand on the emergency stop has time.
+/// Joint speed of the home move: leaves time for the emergency stop.
 const HOME_RAD_PER_S: f64 = 0.1;
 
-/// Where to.
+/// Goal of a move.
 #[derive(Clone, Copy, Debug)]
 pub enum Goal {
     /// The start_deg of the setup.
@@ -37,7 +37,7 @@ pub enum Goal {
     Jog {
         /// Index from the base, 0 to 6.
         joint: usize,
-        /// By how much, rad.
+        /// Angle, rad.
         by_rad: f64,
     },
 }
@@ -72,10 +72,10 @@ impl Goal {
 /// Runs the command.
 ///
 /// # Errors
-/// A configuration or a way that is refused, a confirmation that does not come, an arm that does not answer or stopped.
+/// A refused configuration or move, a missing confirmation, an arm that does not answer or was stopped.
 pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     let (choice, began) = (place.choice(), SystemTime::now());
-    // Before any thread is started.
+    // Before any thread starts.
     let mut signals = StopSignals::take_over()?;
     let mut setup = read_layers(&place.setup)?;
     if let Some(address) = args.line {
@@ -91,11 +91,11 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     let plan = Plan::new(choice.of(&setup), now_rad, goal.by_rad(&now_rad, &choice.of(&setup).start_rad))?;
     show(&setup, (choice, goal), &plan, &mut arm)?;
     if !args.moves {
-        print_line("dry run: the brakes stayed on and nothing moved; --move does it")?;
+        print_line("dry run: the brakes stayed on and nothing moved; use --move to move the arm")?;
         return Ok(ExitCode::SUCCESS);
     }
     print_line(&format!(
-        "The arm will move. Nobody may be within its reach, and a hand has to be on the emergency stop.\nType {} to move it:",
+        "The arm will move. Keep all persons out of its reach and a hand on the emergency stop.\nType {} to move it:",
         args.company.word(choice)
     ))?;
     confirm::typed(&args.company.word(choice), &mut signals)?;
@@ -108,7 +108,7 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
         let folder = args.out.clone().unwrap_or_else(|| folder_of(goal.name(), choice, began));
         for kept in flights::keep(&folder, choice, &arm, failure, clock.now()) {
             match kept {
-                Ok(path) => tracing::info!("what the arm did before: {}", path.display()),
+                Ok(path) => tracing::info!("flight recorder: {}", path.display()),
                 Err(error) => tracing::warn!("{error:#}"),
             }
         }
@@ -119,14 +119,14 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Tells another program where the joints are. One that has ended wants no more motion.
+/// Writes the joint positions for the parent process. If that process has ended, the move ends.
 fn tell(cycle: &Cycle<'_>) -> Result<()> {
     let line = serde_json::to_string(&JointReport::of(cycle.measured))?;
     let mut out = std::io::stdout().lock();
-    writeln!(out, "{line}").and_then(|()| out.flush()).context("nobody reads where the joints are any more")
+    writeln!(out, "{line}").and_then(|()| out.flush()).context("the process that reads the joint positions has ended")
 }
 
-/// Where the joints are, for another program.
+/// Joint positions for the parent process.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct JointReport {
     /// Joint angles, rad, from the base.
@@ -139,15 +139,15 @@ impl JointReport {
     }
 }
 
-/// Says what would be sent.
+/// Prints the planned commands.
 fn show(setup: &Setup, (choice, goal): (ArmChoice, Goal), plan: &Plan, arm: &mut SlowArm) -> Result<()> {
     let duration = plan.duration();
     let commands = (duration.as_secs_f64() / setup.control_period.as_secs_f64()).ceil();
     print_line(&format!("{}: {}, {}", choice.name(), goal.name(), arm.driven.info().name))?;
     print_line(plan.table(choice.of(setup)).trim_end())?;
     print_line(&format!(
-        "1. servos on, brakes on, at least 100 exchanges that prove the link; brakes open at speed 0\n2. {commands} velocities, one \
-         every {:?}, for {:.2} s: all joints together on a straight way, at rest at both ends\n3. speed 0, brakes on, servos off",
+        "1. servos on, brakes on, at least 100 exchanges to test the link; brakes open at speed 0\n2. {commands} velocities, one \
+         every {:?}, for {:.2} s: all joints together on a straight path, stationary at both ends\n3. speed 0, brakes on, servos off",
         setup.control_period,
         duration.as_secs_f64()
     ))?;
@@ -158,20 +158,20 @@ fn show(setup: &Setup, (choice, goal): (ArmChoice, Goal), plan: &Plan, arm: &mut
     show_room(setup, choice, plan, other_rad.as_ref())
 }
 
-/// Says how near the other arm comes, and refuses what is too near.
+/// Prints the least clearance to the other arm; refuses a move that is too near.
 ///
 /// # Errors
-/// If it is nearer than allowed.
+/// If the clearance is less than allowed.
 pub fn show_room(setup: &Setup, choice: ArmChoice, plan: &Plan, other_rad: Option<&JointVector>) -> Result<()> {
     let other = choice.other();
     let Some(other_rad) = other_rad else {
         return Ok(print_line(&format!(
-            "room to the {}: not known, as it is left out (--alone): look yourself that the way is free",
+            "clearance to the {}: unknown with --alone; check that the path is free",
             other.name()
         ))?);
     };
     let room = plan.room(setup, choice, other_rad);
-    let emulated = if other.of(setup).link.is_toy() { " (emulated, where it would start)" } else { "" };
-    print_line(&format!("least room to the {}{emulated} on the way: {room}", other.name()))?;
+    let emulated = if other.of(setup).link.is_toy() { " (emulated, at its start pose)" } else { "" };
+    print_line(&format!("least clearance to the {}{emulated} on the path: {room}", other.name()))?;
     room.check(setup)
 }

@@ -1,4 +1,4 @@
-//! `pb3dp arm probe`: everything that can be known of an arm while its brakes stay on.
+//! `pb3dp arm probe`: everything measurable on an arm with its brakes on.
 
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use super::probe_report::{Findings, ProbeReport};
 /// Runs the command.
 ///
 /// # Errors
-/// A configuration that is refused.
+/// A refused configuration.
 pub fn run(args: &ProbeArgs) -> Result<ExitCode> {
     let setup = read_layers(&args.place.setup)?;
     let choice = args.place.choice();
@@ -28,7 +28,7 @@ pub fn run(args: &ProbeArgs) -> Result<ExitCode> {
                 findings.warn(warning.clone());
             }
             let monitor = seen.arm.monitor();
-            // Each look is at least one message, so this ends.
+            // Each call exchanges at least one message, so this loop ends.
             for _ in 0..args.exchanges {
                 let snapshot = monitor.snapshot();
                 if snapshot.latched.is_some() || snapshot.counters.sent >= u64::from(args.exchanges) {

@@ -1,4 +1,4 @@
-//! What was seen of an arm, judged against its configuration.
+//! Probe results of an arm, compared with its configuration.
 
 use std::time::Duration;
 
@@ -13,10 +13,10 @@ use pb3dp_wiring::commissioning::{LIMITS_TOLERANCE_DEG, is_of_another_format};
 use pb3dp_wiring::{bus_doubts, geometry_doubt, watchdog_refusal};
 use serde::Serialize;
 
-/// Lost messages in a hundred that a link may have.
+/// Largest share of lost messages on a link, percent.
 const LOST_PERCENT_MAX: f64 = 1.0;
 
-/// What does not fit, and what is worth knowing.
+/// Problems and warnings.
 #[derive(Debug, Default)]
 pub struct Findings {
     problems: Vec<String>,
@@ -24,35 +24,35 @@ pub struct Findings {
 }
 
 impl Findings {
-    /// Something that has to be changed, with what to do.
+    /// Adds a problem, with its remedy.
     pub fn refuse(&mut self, text: String) {
         self.problems.push(text);
     }
 
-    /// Something worth knowing.
+    /// Adds a warning.
     pub fn warn(&mut self, text: String) {
         self.warnings.push(text);
     }
 }
 
-/// What was seen of an arm.
+/// Probe results of an arm.
 #[derive(Debug, Serialize)]
 pub struct ProbeReport {
     /// Its name.
     pub arm: &'static str,
-    /// Where it was found.
+    /// Address or port of its link.
     pub target: Option<String>,
-    /// Nothing has to be changed.
+    /// No problems.
     pub fits: bool,
-    /// What has to be changed, with what to do.
+    /// Problems, with remedies.
     pub problems: Vec<String>,
-    /// What is worth knowing.
+    /// Warnings.
     pub warnings: Vec<String>,
     /// State of the driver.
     pub state: Option<String>,
-    /// What the gateway says of itself.
+    /// Properties reported by the gateway.
     pub gateway: Option<GatewayFacts>,
-    /// From the base on.
+    /// Joints, from the base.
     pub joints: Vec<JointFacts>,
     /// Status word of the controller.
     pub controller_word: Option<String>,
@@ -60,12 +60,12 @@ pub struct ProbeReport {
     pub link: Option<LinkFacts>,
 }
 
-/// What a gateway says of itself.
+/// Properties reported by a gateway.
 #[derive(Debug, Serialize)]
 pub struct GatewayFacts {
     firmware: String,
     dialect: String,
-    /// As replies of the controller showed it by their length; none before the first one.
+    /// Determined by the length of the controller's replies; none before the first one.
     wire_format: Option<String>,
     geometry: String,
     state: String,
@@ -73,7 +73,7 @@ pub struct GatewayFacts {
     cycle_ms: f64,
     ramp_after_ms: f64,
     stop_after_ms: f64,
-    /// None if the gateway does not know it.
+    /// None if not set at the gateway.
     controller_watchdog_ms: Option<f64>,
     brake_release_ms: f64,
 }
@@ -88,7 +88,7 @@ pub struct JointFacts {
     from_start_deg: Option<f64>,
     /// Lower and upper limit in the controller's EEPROM.
     eeprom_deg: Option<[f64; 2]>,
-    /// Those of the robot description.
+    /// Limits of the robot description.
     configured_deg: [f64; 2],
     /// EEPROM minus configuration.
     difference_deg: Option<[f64; 2]>,
@@ -96,7 +96,7 @@ pub struct JointFacts {
     alarm: Option<String>,
 }
 
-/// How well messages came through.
+/// Message statistics of the link.
 #[derive(Debug, Serialize)]
 pub struct LinkFacts {
     sent: u64,
@@ -105,19 +105,19 @@ pub struct LinkFacts {
     late: u64,
     damaged: u64,
     mismatched: u64,
-    /// How often bytes had to be skipped to find the next frame.
+    /// How often bytes were skipped to find the next frame.
     resyncs: u64,
-    /// How many bytes that were.
+    /// Number of skipped bytes.
     skipped_bytes: u64,
-    /// Of commands with brakes on and servos off.
+    /// Commands with brakes on and servos off.
     round_trips: TimeFacts,
-    /// Of all other messages, most of which read a limit.
+    /// All other messages; most of them read a limit.
     control_round_trips: TimeFacts,
-    /// How late the commands were sent.
+    /// Lateness of the commands.
     lateness: TimeFacts,
 }
 
-/// Times of many events.
+/// Statistics of event times.
 #[derive(Debug, Serialize)]
 pub struct TimeFacts {
     count: u64,
@@ -137,16 +137,16 @@ fn millis(time: Duration) -> f64 {
 }
 
 fn degrees(rad: f64) -> f64 {
-    // Plus zero, so that nothing is minus zero.
+    // Adding zero removes the sign of minus zero.
     (rad.to_degrees() * 1e4).round() / 1e4 + 0.0
 }
 
 impl ProbeReport {
-    /// Of an arm that was not reached.
+    /// For an arm that was not reached.
     pub fn unreached(choice: ArmChoice, arm: &ArmSetup, problem: String) -> Self {
         let (table, what) = if let ArmLink::Bus(_) = arm.link { ("bus", "controller") } else { ("gateway", "gateway") };
         let hint = format!(
-            "{}: check the table {}.{table}, the cable, the power of the {what}, and that no other program has the line",
+            "{}: check the table {}.{table}, the cable, the power of the {what}, and that no other program uses the link",
             choice.name(),
             arm.key
         );
@@ -164,7 +164,7 @@ impl ProbeReport {
         }
     }
 
-    /// Of an arm that was reached.
+    /// For an arm that was reached.
     pub fn of(
         choice: ArmChoice,
         arm: &ArmSetup,
@@ -205,33 +205,33 @@ fn judge_stop(seen: &ArmSnapshot, findings: &mut Findings) {
         (Some(_), _, _) => {}
         (None, Some(shown), _) => {
             let seconds = shown.age.as_secs_f64();
-            findings.warn(format!("joints and status words are those of {seconds:.1} s ago: the gateway measures nothing now"));
+            findings.warn(format!("joints and status words are {seconds:.1} s old: the gateway does not measure now"));
         }
         (None, None, Some(gateway)) if gateway.dialect == Dialect::Transparent => findings.warn(
-            "no joints: in the dialect transparent a gateway shows none of an arm that it has stopped; reset it, or probe in gateway-v1"
+            "no joints: in the dialect transparent the gateway reports none for a stopped arm; reset it, or probe in gateway-v1"
                 .to_owned(),
         ),
         (None, None, Some(_)) => {
-            findings.warn("no joints: the gateway has measured nothing since it was started; reset the arm".to_owned());
+            findings.warn("no joints: the gateway has no measurement since its start; reset the arm".to_owned());
         }
-        (None, None, None) => findings.warn("no joints: the arm was stopped before it told any".to_owned()),
+        (None, None, None) => findings.warn("no joints: the arm was stopped before its first measurement".to_owned()),
     }
     if is_of_another_format(&latched.trip) {
         findings.refuse(
-            "the controller's answers do not have the length of the configured wire format: set wire_format to the other one, here \
+            "the length of the controller's answers does not match the configured wire format: set wire_format to the other one, here \
              and at the gateway if there is one"
                 .to_owned(),
         );
     }
 }
 
-/// A controller that answers, but no cyclic command.
+/// Detects a controller that answers, but not to cyclic commands.
 fn judge_silence(seen: &ArmSnapshot, findings: &mut Findings) {
     let is_lost = |trip| matches!(trip, Trip::Fault(FaultCause::LinkLost { .. }));
     let is_silent = seen.latched.is_some_and(|latched| is_lost(latched.trip));
     if is_silent && seen.sample.is_none() && seen.counters.answered > 0 {
         findings.refuse(
-            "the controller has answered, but no cyclic command: it may speak the other wire format, so try the other wire_format"
+            "the controller answers, but not to cyclic commands: it may use the other wire format; try the other wire_format"
                 .to_owned(),
         );
     }
@@ -239,7 +239,7 @@ fn judge_silence(seen: &ArmSnapshot, findings: &mut Findings) {
 
 fn judge_gateway(arm: &ArmSetup, hello: &HelloReply, findings: &mut Findings) {
     if hello.controller_watchdog_us == 0 {
-        findings.warn("the gateway does not know the controller's watchdog: find it out on the rig".to_owned());
+        findings.warn("the controller's watchdog is not set at the gateway: measure it on the rig".to_owned());
     }
     if let ArmLink::Gateway(link, _) = &arm.link
         && let Some(doubt) = geometry_doubt(link.geometry, hello.geometry)
@@ -252,7 +252,7 @@ fn judge_gateway(arm: &ArmSetup, hello: &HelloReply, findings: &mut Findings) {
 }
 
 impl GatewayFacts {
-    /// What it said when it was greeted.
+    /// From its HELLO reply.
     pub fn of(hello: &HelloReply) -> Self {
         let ms = |us: u32| f64::from(us) / 1e3;
         Self {
@@ -281,7 +281,7 @@ fn joint(arm: &ArmSetup, seen: &ArmSnapshot, axis: Axis, findings: &mut Findings
         eeprom_deg.map(|found| [0, 1].map(|end| ((found[end] - configured_deg[end]) * 1e4).round() / 1e4));
     match difference_deg {
         Some(difference) if difference.iter().any(|by| by.abs() > LIMITS_TOLERANCE_DEG) => findings.refuse(format!(
-            "{axis}: the controller's limits differ by {:+.3} and {:+.3} degrees from those of the robot description: find out \
+            "{axis}: the controller's limits differ by {:+.3} and {:+.3} degrees from those of the robot description: check \
              whether this is the arm of {}, then correct the limits in {}.robot",
             difference[0],
             difference[1],
@@ -289,7 +289,7 @@ fn joint(arm: &ArmSetup, seen: &ArmSnapshot, axis: Axis, findings: &mut Findings
             arm.key
         )),
         None if seen.latched.is_none() => {
-            findings.refuse(format!("{axis}: the controller did not tell its limits; probe it again"));
+            findings.refuse(format!("{axis}: the controller did not send its limits; probe again"));
         }
         _ => {}
     }
@@ -320,11 +320,11 @@ fn judge_angle(arm: &ArmSetup, (axis, angle_rad): (Axis, f64), findings: &mut Fi
     let (guard, angle) = (&arm.guard, angle_rad.to_degrees());
     if !(guard.mechanical_min_rad[index]..=guard.mechanical_max_rad[index]).contains(&angle_rad) {
         findings.refuse(format!(
-            "{axis}: {angle:.3} degrees lie beyond the mechanical range: encoder or zero point are wrong; do not move the arm"
+            "{axis}: {angle:.3} degrees is outside the mechanical range: encoder or zero point is wrong; do not move the arm"
         ));
     } else if !(lower..=upper).contains(&angle_rad) {
         findings.refuse(format!(
-            "{axis}: {angle:.3} degrees lie outside of the operating range {:.1} to {:.1}: jog it back",
+            "{axis}: {angle:.3} degrees is outside the operating range {:.1} to {:.1}: jog it back",
             lower.to_degrees(),
             upper.to_degrees()
         ));
@@ -344,7 +344,7 @@ fn status(condition: &ArmCondition, axis: Axis, findings: &mut Findings) -> (Opt
         AxisStatus::Undocumented(word) => {
             if word != 0 {
                 findings.warn(format!(
-                    "{axis}: status word 0x{word:04x}; what its bits mean in format A is not known: note it with what the arm shows"
+                    "{axis}: status word 0x{word:04x}; its bits are undocumented in format A: record it together with the state of the arm"
                 ));
             }
             (Some(format!("0x{word:04x}")), None)
@@ -364,13 +364,13 @@ fn controller(condition: &ArmCondition, findings: &mut Findings) -> String {
         (word.is_dead_man_on(), "dead-man on"),
         (word.is_power_too_warm(), "power supply too warm"),
         (word.is_100_v_output_on(), "100 V output on"),
-        (word.is_e_stop_switch_open(), "bit of the emergency stop"),
+        (word.is_e_stop_switch_open(), "emergency stop bit"),
         (word.is_teaching_switch_set(), "teaching switch"),
-        (word.is_limit_switch_open(), "bit of the limit switch"),
+        (word.is_limit_switch_open(), "limit switch bit"),
         (word.is_uncontrollable(), "uncontrollable"),
     ];
     let set: Vec<&str> = flags.into_iter().filter_map(|(is_set, name)| is_set.then_some(name)).collect();
-    format!("0x{:04x} ({})", word.0, if set.is_empty() { "nothing set".to_owned() } else { set.join(", ") })
+    format!("0x{:04x} ({})", word.0, if set.is_empty() { "none set".to_owned() } else { set.join(", ") })
 }
 
 fn link(seen: &ArmSnapshot, monitor: &ArmMonitor, findings: &mut Findings) -> LinkFacts {
@@ -378,7 +378,7 @@ fn link(seen: &ArmSnapshot, monitor: &ArmMonitor, findings: &mut Findings) -> Li
     let lost_percent = 100.0 * counters.lost as f64 / counters.sent.max(1) as f64;
     if lost_percent > LOST_PERCENT_MAX {
         findings.refuse(format!(
-            "{} of {} messages had no answer in time: check the latency timer of the adapter, the rate and the load of the machine",
+            "{} of {} messages had no answer in time: check the latency timer of the adapter, the baud rate and the CPU load",
             counters.lost, counters.sent
         ));
     } else if counters.lost > 0 {
@@ -387,7 +387,7 @@ fn link(seen: &ArmSnapshot, monitor: &ArmMonitor, findings: &mut Findings) -> Li
     let bad = counters.damaged + counters.mismatched;
     if bad > 0 {
         findings
-            .refuse(format!("{bad} answers were damaged or foreign; none may be: check cable, ground and baud rate"));
+            .refuse(format!("{bad} answers were damaged or foreign, limit 0: check cable, ground and baud rate"));
     }
     LinkFacts {
         sent: counters.sent,
@@ -434,13 +434,13 @@ impl std::fmt::Display for ProbeReport {
         for problem in &self.problems {
             writeln!(f, "PROBLEM: {problem}")?;
         }
-        f.write_str(if self.fits { "everything fits" } else { "something does not fit: see above" })
+        f.write_str(if self.fits { "no problems found" } else { "problems found: see above" })
     }
 }
 
 impl std::fmt::Display for GatewayFacts {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let format = self.wire_format.as_deref().unwrap_or("format not seen yet");
+        let format = self.wire_format.as_deref().unwrap_or("format unknown yet");
         writeln!(
             f,
             "gateway: {:?}, {}, {format}, geometry {}, {}",
@@ -449,7 +449,7 @@ impl std::fmt::Display for GatewayFacts {
         let controller = self.controller_watchdog_ms.map_or("unknown".to_owned(), |ms| format!("{ms} ms"));
         write!(
             f,
-            "  cycle {} ms; without commands slower after {} ms, stopped after {} ms; controller's watchdog {controller}; brakes \
+            "  cycle {} ms; without commands: slower after {} ms, stopped after {} ms; controller's watchdog {controller}; brakes \
              {} ms",
             self.cycle_ms, self.ramp_after_ms, self.stop_after_ms, self.brake_release_ms
         )

@@ -1,4 +1,4 @@
-//! `pb3dp arm reset`: an operator clears what stopped an arm.
+//! `pb3dp arm reset`: clears a latched stop of an arm after confirmation.
 
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -16,18 +16,18 @@ use super::{Place, confirm};
 /// Runs the command.
 ///
 /// # Errors
-/// A configuration that is refused, an arm that does not answer, a confirmation that does not come, a cause that is still there.
+/// A refused configuration, an arm that does not answer, a missing confirmation, or a cause that still exists.
 pub fn run(place: &Place) -> Result<ExitCode> {
     let (choice, mut signals) = (place.choice(), StopSignals::take_over()?);
     let setup = read_layers(&place.setup)?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let mut seen = see(&setup, choice, &clock)?;
     let Some(latched) = seen.arm.monitor().snapshot().latched else {
-        print_line(&format!("{}: nothing has stopped it", choice.name()))?;
+        print_line(&format!("{}: not stopped, nothing to reset", choice.name()))?;
         return Ok(ExitCode::SUCCESS);
     };
     let name = choice.name();
-    print_line(&format!("{name} is stopped: {}\nType {name} once the cause is gone, to clear it:", latched.trip))?;
+    print_line(&format!("{name} is stopped: {}\nAfter the cause is gone, type {name} to clear it:", latched.trip))?;
     confirm::typed(name, &mut signals)?;
     seen.arm.reset()?;
     print_line(&format!("{name}: {}", seen.arm.monitor().snapshot().state))?;

@@ -1,4 +1,4 @@
-//! `pb3dp arm visit`: an arm goes to poses, and at each of them a pair is taken and the joints are read (docs/commissioning.md).
+//! `pb3dp arm visit`: moves an arm to a list of poses and records a stereo pair and the joints at each (docs/commissioning.md).
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -29,7 +29,7 @@ use pb3dp_wiring::{Wired, wire_to_look, write_flights};
 
 use super::confirm;
 
-/// Of every joint, as on the way home.
+/// Joint speed, as for the home move.
 const JOINT_MAX_RAD_PER_S: f64 = 0.1;
 
 /// Arguments of `pb3dp arm visit`.
@@ -37,23 +37,23 @@ const JOINT_MAX_RAD_PER_S: f64 = 0.1;
 pub(super) struct VisitArgs {
     #[command(flatten)]
     setup: SetupArgs,
-    /// The poses, as `pb3dp calibrate propose` writes them; the file says which arm.
+    /// File with the poses from `pb3dp calibrate propose`; it also names the arm.
     #[arg(long, value_name = "FILE", required_unless_present = "here", conflicts_with = "here")]
     poses: Option<PathBuf>,
-    /// Take one pair where both arms are, brakes on; nothing moves.
+    /// Record one pair at the current pose of both arms, brakes on; nothing moves.
     #[arg(long)]
     here: bool,
-    /// Folder for the pairs and stops.toml; it must not hold any.
+    /// Output folder for the pairs and stops.toml; it must not contain any.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Move the arm; a real one once its name was typed. Without it nothing moves.
+    /// Move the arm; a real one after its name is typed. Without it nothing moves.
     #[arg(long = "move")]
     moves: bool,
-    /// How long images may take at a stop until they rest; a stop that takes longer is left out.
+    /// Longest wait for stationary images at a stop; a stop that takes longer is skipped.
     #[arg(long, value_name = "SECONDS", value_parser = parse_seconds, default_value = "10")]
     patience: f64,
-    /// With simulated cameras: the chessboard that the second arm holds in place of the target, inner corners and side of a square in
-    /// mm, for instance 9x6:20.
+    /// For simulated cameras: the chessboard on the second arm in place of the target, inner corners and side of a square in mm, for
+    /// instance 9x6:20.
     #[arg(long, value_name = "COLUMNSxROWS:MM", value_parser = parse_board)]
     emulated_board: Option<TargetConfig>,
 }
@@ -70,14 +70,14 @@ fn parse_board(text: &str) -> Result<TargetConfig, String> {
 /// Runs the command.
 ///
 /// # Errors
-/// A setup or poses that are refused, a confirmation that does not come, a part that fails.
+/// A refused setup or poses, a missing confirmation, or a failed part.
 pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
-    // Before any thread is started: a signal that ends the program would leave the arms to their gateways.
-    let mut signals = StopSignals::take_over().context("the signals that end the program cannot be taken over")?;
+    // Before any thread starts: a signal that ends the program would leave the arms to their gateways.
+    let mut signals = StopSignals::take_over().context("cannot take over the signals that end the program")?;
     let wanted = args.poses.as_deref().map(load_poses).transpose().context("--poses")?;
     let setup = to_look(read_layers(&args.setup)?, args.emulated_board)?;
     if args.out.join(STOPS_FILE).exists() {
-        bail!("--out: {} holds a recording of stops already: name another folder", args.out.display());
+        bail!("--out: {} contains a recording of stops already: use another folder", args.out.display());
     }
     let patience = Duration::from_secs_f64(args.patience);
     let date = humantime::format_rfc3339_seconds(SystemTime::now()).to_string();
@@ -92,18 +92,18 @@ pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
         if was_interrupted.load(Ordering::SeqCst) {
             return Ok(ExitCode::from(INTERRUPTED));
         }
-        print_line(&format!("one pair and the joints: {}", args.out.join(STOPS_FILE).display()))?;
+        print_line(&format!("pair and joints recorded: {}", args.out.join(STOPS_FILE).display()))?;
         return Ok(ExitCode::SUCCESS);
     };
     let tour = plan_tour(&setup, &mut parts, &wanted, patience)?;
     if !args.moves {
-        print_line("dry run: the brakes stayed on and nothing moved; --move does it")?;
+        print_line("dry run: the brakes stayed on and nothing moved; use --move to move the arm")?;
         return Ok(ExitCode::SUCCESS);
     }
     if !(setup.rig.vs.link.is_toy() && setup.rig.tc.link.is_toy()) {
         let name = tour.choice.name();
         print_line(&format!(
-            "The arm will move. Nobody may be within its reach, and a hand has to be on the emergency stop.\nType {name} to move it:"
+            "The arm will move. Keep all persons out of its reach and a hand on the emergency stop.\nType {name} to move it:"
         ))?;
         confirm::typed(name, &mut signals)?;
     }
@@ -125,21 +125,18 @@ pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
     })
 }
 
-/// The setup for who makes a calibration and needs none: slow, with the board before simulated cameras.
+/// The setup for recording calibration data without a calibration: slow, with the board in front of simulated cameras.
 fn to_look(mut setup: Setup, board: Option<TargetConfig>) -> Result<Setup> {
     if !setup.leader.needs_images() {
-        bail!(
-            "estimator.method = {:?} renders no image, and there is nothing to take: set \"direct\"",
-            setup.leader.name()
-        );
+        bail!("estimator.method = {:?} renders no images to record: set \"direct\"", setup.leader.name());
     }
     match (board, setup.world_mut()) {
         (Some(_), None) => {
-            bail!("--emulated-board: the cameras of this setup are real and see what there is; leave it out")
+            bail!("--emulated-board: the cameras of this setup are real; remove the option")
         }
         (None, Some(_)) => bail!(
-            "the cameras of this setup are simulated and see the target of its table [scene]; give --emulated-board 9x6:20, or another one, \
-             to have a chessboard in its place"
+            "the simulated cameras of this setup show the target of its table [scene]; use --emulated-board 9x6:20, or another size, \
+             for a chessboard in its place"
         ),
         (Some(board), Some(world)) => world.scene.target = board,
         (None, None) => {}
@@ -151,7 +148,7 @@ fn to_look(mut setup: Setup, board: Option<TargetConfig>) -> Result<Setup> {
     slow_setup(&setup, ArmChoice::Tc, JOINT_MAX_RAD_PER_S)
 }
 
-/// Which cameras took the pairs, where that is known.
+/// Writes the identity of the cameras, if known.
 fn save_identities(
     args: &VisitArgs,
     cameras: Option<&[pb3dp_record::calibration_files::CameraIdentity; 2]>,
@@ -159,7 +156,7 @@ fn save_identities(
     cameras.map_or(Ok(()), |cameras| Ok(save_cameras(cameras, &args.out.join("cameras.toml"))?))
 }
 
-/// The ways to all poses that can be reached, and back; says which, and what is left out.
+/// Plans the paths to all reachable poses and back; prints them and the skipped poses.
 fn plan_tour(setup: &Setup, parts: &mut Parts, wanted: &WantedPoses, patience: Duration) -> Result<Tour> {
     let choice = match wanted.arm {
         ArmOfPoses::Vs => ArmChoice::Vs,
@@ -172,7 +169,7 @@ fn plan_tour(setup: &Setup, parts: &mut Parts, wanted: &WantedPoses, patience: D
     let begin_rad = goes.exchange(JointCommand::Hold).context(choice.name())?.position_rad;
     let other_rad = stays.exchange(JointCommand::Hold).context(choice.other().name())?.position_rad;
     print_line(&format!(
-        "{}: {} poses\nstop  pose  longest turn, deg  way, s  room to the {}",
+        "{}: {} poses\nstop  pose  largest turn, deg  move, s  clearance to the {}",
         choice.name(),
         wanted.poses.len(),
         choice.other().name()
@@ -186,24 +183,24 @@ fn plan_tour(setup: &Setup, parts: &mut Parts, wanted: &WantedPoses, patience: D
                 let turn_deg = plan.by_rad().amax().to_degrees();
                 ways.push(plan.clone());
                 print_line(&format!(
-                    "{:>4}  {:>4}  {turn_deg:>17.1}  {:>6.1}  {room}",
+                    "{:>4}  {:>4}  {turn_deg:>17.1}  {:>7.1}  {room}",
                     ways.len(),
                     index + 1,
                     plan.duration().as_secs_f64()
                 ))?;
             }
-            Err(error) => print_line(&format!("   -  {:>4}  left out: {error:#}", index + 1))?,
+            Err(error) => print_line(&format!("   -  {:>4}  skipped: {error:#}", index + 1))?,
         }
     }
     if ways.is_empty() {
-        bail!("no pose can be visited: propose others, nearer to where the arm is");
+        bail!("no pose can be reached: propose poses nearer to the current one");
     }
     let (back, _) =
-        free_way(setup, (choice, &other_rad), &from_rad, &begin_rad).context("the way back to the beginning")?;
+        free_way(setup, (choice, &other_rad), &from_rad, &begin_rad).context("the return path to the start")?;
     ways.push(back);
     let tour = Tour { choice, ways, patience };
     print_line(&format!(
-        "{} of {} poses, ways of {:.0} s, at most {JOINT_MAX_RAD_PER_S} rad/s; then back to where it is now",
+        "{} of {} poses, moves of {:.0} s, at most {JOINT_MAX_RAD_PER_S} rad/s; then back to the current pose",
         tour.stops(),
         wanted.poses.len(),
         tour.ways_take().as_secs_f64()
@@ -211,11 +208,11 @@ fn plan_tour(setup: &Setup, parts: &mut Parts, wanted: &WantedPoses, patience: D
     Ok(tour)
 }
 
-/// Turns of the third joint from which a pose is also reached, rad: with seven joints the elbow may stand elsewhere, and there a pose may
-/// be within the ranges of all joints that is not within them here.
+/// Turns of the third joint that are tried for each pose, rad: with seven joints another elbow angle can bring a pose into the ranges of
+/// all joints.
 const ELBOW_TURNS_RAD: [f64; 4] = [0.5, -0.5, 1.0, -1.0];
 
-/// The shortest free way to a pose: with the elbow as it is, as it was at the beginning (else it wanders off from stop to stop), or turned.
+/// The shortest free path to a pose, with the present elbow angle, that of the start (avoids elbow drift over the stops), or a turned one.
 fn way_to(
     setup: &Setup,
     (choice, other_rad): (ArmChoice, &JointVector),
@@ -232,7 +229,7 @@ fn way_to(
         let to_rad = reach(&choice.of(setup).chain, &start_rad, pose, &damping)?;
         free_way(setup, (choice, other_rad), from_rad, &to_rad)
     });
-    let first = ways.next().unwrap_or_else(|| bail!("no way was tried"));
+    let first = ways.next().unwrap_or_else(|| bail!("no path was tried"));
     let shorter =
         |one: (Plan, String), other: (Plan, String)| if other.0.duration() < one.0.duration() { other } else { one };
     match (first, ways.flatten().reduce(shorter)) {
@@ -242,7 +239,7 @@ fn way_to(
     }
 }
 
-/// A straight way that keeps its room to the other arm, and that room.
+/// A straight path that keeps its clearance to the other arm, with that clearance.
 fn free_way(
     setup: &Setup,
     (choice, other_rad): (ArmChoice, &JointVector),
@@ -258,17 +255,17 @@ fn free_way(
 fn tell(args: &VisitArgs, tour: &Tour, visited: &Visited) -> Result<()> {
     for stop in &visited.restless {
         tracing::warn!(
-            "stop {stop} is left out: no image rested within {:?} (at most {} px from one to the next)",
+            "stop {stop} skipped: no stationary image within {:?} (limit {} px from one to the next)",
             tour.patience,
             visiting::STILL_WITHIN_PX
         );
     }
-    let end = if visited.is_whole { "back at the beginning" } else { "ended before its time" };
+    let end = if visited.is_whole { "returned to the start" } else { "ended early" };
     if visited.taken == 0 {
-        return Ok(print_line(&format!("none of {} stops taken, {end}", tour.stops()))?);
+        return Ok(print_line(&format!("none of {} stops recorded, {end}", tour.stops()))?);
     }
     Ok(print_line(&format!(
-        "{} of {} stops taken, {end}: {}",
+        "{} of {} stops recorded, {end}: {}",
         visited.taken,
         tour.stops(),
         args.out.join(STOPS_FILE).display()

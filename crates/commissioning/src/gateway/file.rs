@@ -1,4 +1,4 @@
-//! The file of a gateway, for `pb3dp gateway`.
+//! Configuration file of `pb3dp gateway`.
 
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Supervision, TorqueScale, WireFormat};
@@ -14,22 +14,22 @@ use std::time::Duration;
 use pb3dp_setup::load::{Checker, ConfigError, ConfigFile, FileKind, whole};
 use pb3dp_setup::names::{FormatName, GeometryName, sequence_modulus};
 
-/// A gateway whose every value has been checked.
+/// A gateway configuration with all values checked.
 #[derive(Clone, Debug)]
 pub struct GatewaySetup {
-    /// Of the core.
+    /// Configuration of the gateway core.
     pub gateway: GatewayConfig,
-    /// Of the thread that keeps the cycle.
+    /// Real-time settings of the cycle thread.
     pub realtime: Realtime,
-    /// Where the controller is.
+    /// Bus of the controller.
     pub bus: BusTarget,
-    /// Where hosts come from.
+    /// Host line.
     pub host: HostPlace,
     /// Rate of a serial line, bits per second.
     pub baud: u32,
 }
 
-/// Where hosts come from.
+/// Host line of a gateway.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum HostPlace {
     /// A serial port.
@@ -43,7 +43,7 @@ impl std::str::FromStr for HostPlace {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let refused =
-            || format!("{text:?} is no line to a host: write serial:DEVICE or tcp:ADDRESS:PORT (numbers, no names)");
+            || format!("{text:?} is not a host line: use serial:DEVICE or tcp:ADDRESS:PORT (numbers, no names)");
         match text.split_once(':') {
             Some(("serial", device)) if !device.is_empty() => Ok(Self::Serial(device.to_owned())),
             Some(("tcp", address)) => {
@@ -103,10 +103,10 @@ struct RealtimeSection {
     processor: i64,
 }
 
-/// Reads and checks the file of a gateway. `bus` and `host` take the place of what it says.
+/// Reads and checks the configuration file of a gateway. `bus` and `host` override its values.
 ///
 /// # Errors
-/// An unreadable file, unknown or missing keys, values out of range; the error names file, key and what is allowed.
+/// An unreadable file, unknown or missing keys, values out of range; the error names file, key and allowed range.
 pub fn read_gateway(file: &Path, bus: Option<&str>, host: Option<&str>) -> Result<GatewaySetup, ConfigError> {
     let config = ConfigFile::read(file, FileKind::Gateway)?;
     let mut check = Checker::default();
@@ -116,7 +116,7 @@ pub fn read_gateway(file: &Path, bus: Option<&str>, host: Option<&str>) -> Resul
         raw.build(&mut check)
     });
     config.finish(check)?;
-    // Every way on which `build` gives nothing leaves a refusal behind.
+    // Every path on which `build` returns nothing has added a refusal.
     setup.ok_or_else(|| ConfigError::Values { file: file.to_path_buf(), lines: "  the file is not complete".into() })
 }
 
@@ -165,7 +165,7 @@ impl GatewayFile {
         let arm = ArmId(whole(self.arm.number));
         let supervision =
             Supervision { other_axes: self.bus.supervise_other_axes, dead_man: self.bus.supervise_dead_man };
-        // Fits into 24 characters as long as the version does into 10.
+        // Fits into 24 characters if the version has at most 10.
         let firmware = Firmware::new(concat!("pb3dp gateway ", env!("CARGO_PKG_VERSION")))?;
         Some(GatewayConfig {
             modulus,
@@ -184,7 +184,7 @@ impl GatewayFile {
     }
 }
 
-/// Milliseconds that were checked to be within 0 and some minutes.
+/// Milliseconds already checked to be between 0 and some minutes.
 fn millis(checked: f64) -> Duration {
     Duration::from_secs_f64(checked * 1e-3)
 }

@@ -7,7 +7,7 @@ use super::super::image_plane::{ImagePlane, PixelWindow};
 use super::super::region_pyramid::{RegionLevel, is_seen};
 use super::super::search::ends_of;
 use super::kernel::{PointSet, SHARING, TOUCHED, UNUSABLE};
-use super::prepare::EyeChannels;
+use super::prepare::CameraChannels;
 
 /// Side of the blocks in which points are ordered, pixels of the level. Chosen; no sweep is on record.
 pub(super) const BLOCK: usize = 8;
@@ -73,7 +73,7 @@ impl Selection {
     pub fn collect(
         &mut self,
         level: &RegionLevel,
-        left: &EyeChannels,
+        left: &CameraChannels,
         channels: usize,
         (marked, points_max): (usize, usize),
         rows: &RightRows,
@@ -94,7 +94,7 @@ impl Selection {
         self.places.len()
     }
 
-    fn measure_energy(&mut self, left: &EyeChannels, channels: usize, kernels: Kernels) {
+    fn measure_energy(&mut self, left: &CameraChannels, channels: usize, kernels: Kernels) {
         let (width, height) = (left.part.width, left.part.height);
         self.energy.resize(width, height);
         for y in 0..height {
@@ -107,11 +107,11 @@ impl Selection {
     }
 
     /// The marks of a row of the left part.
-    fn marks(&self, stride: usize, left: &EyeChannels, y: usize) -> &[u8] {
+    fn marks(&self, stride: usize, left: &CameraChannels, y: usize) -> &[u8] {
         &self.mask[(left.part.y as usize + y) * stride + left.part.x as usize..][..left.part.width]
     }
 
-    fn energy_limit(&mut self, stride: usize, left: &EyeChannels, marked: usize, points_max: usize) -> f32 {
+    fn energy_limit(&mut self, stride: usize, left: &CameraChannels, marked: usize, points_max: usize) -> f32 {
         let mut sample = std::mem::take(&mut self.sample);
         sample.clear();
         // A step without a common factor with the region's width spreads the samples over its columns.
@@ -135,7 +135,7 @@ impl Selection {
     }
 
     /// Orders the marked pixels with an energy of at least `limit` by blocks.
-    fn order(&mut self, stride: usize, left: &EyeChannels, limit: Option<f32>, rows: &RightRows) {
+    fn order(&mut self, stride: usize, left: &CameraChannels, limit: Option<f32>, rows: &RightRows) {
         let part = left.part;
         let mut places = std::mem::take(&mut self.places);
         places.clear();
@@ -207,7 +207,7 @@ impl PointSet {
     }
 
     /// Stores the values and gradients of the points.
-    pub fn take(&mut self, left: &EyeChannels, channels: usize, kernels: Kernels) {
+    pub fn take(&mut self, left: &CameraChannels, channels: usize, kernels: Kernels) {
         for c in 0..channels {
             let out = [&mut self.value[c], &mut self.gradient_x[c], &mut self.gradient_y[c], &mut self.curvature[c]];
             let out = out.map(|values| {

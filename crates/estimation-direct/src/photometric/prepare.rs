@@ -15,7 +15,7 @@ use pb3dp_estimation_core::wide::wide;
 
 use super::super::colour_planes::{ColourPlanes, SATURATED, SATURATED_FROM, UNSEEN, Wanted};
 use super::super::filters::{PixelRows, Smoother, Taps};
-use super::super::front_end::{Eye, StereoFrontEnd};
+use super::super::front_end::{Side, StereoFrontEnd};
 use super::super::image_plane::{ImagePlane, PixelWindow};
 use super::super::region_pyramid::{PyramidSource, RegionLevel};
 use super::super::row_shift::BLOCK;
@@ -29,7 +29,7 @@ const NEARLY_SATURATED_GREY: u8 = 240;
 
 /// The channels of one image of one level.
 #[derive(Clone, Debug, Default)]
-pub(super) struct EyeChannels {
+pub(super) struct CameraChannels {
     /// Part of the level's window covered by the planes.
     pub part: PixelWindow,
     /// Spline coefficients along rows, one plane per channel; [`UNUSABLE`] where a channel is unusable.
@@ -93,7 +93,7 @@ pub(super) fn rows_of(bounds: &PixelWindow, shift: i32, part: &PixelWindow) -> (
 /// Input for the channels of one image.
 struct Job<'a> {
     front_end: &'a StereoFrontEnd,
-    eye: Eye,
+    side: Side,
     image: &'a RgbImage,
     wish: &'a Wish,
     grid: Grid,
@@ -107,7 +107,7 @@ struct Job<'a> {
 impl<'a> Job<'a> {
     fn new(
         pair: &Pair<'a>,
-        eye: Eye,
+        side: Side,
         window: &PixelWindow,
         scale: usize,
         wish: &'a Wish,
@@ -119,13 +119,13 @@ impl<'a> Job<'a> {
         let s = scale as i32;
         let first = ((window.x + part.x) * s, (window.y + part.y + first_row as i32) * s);
         let grid = Grid { scale, first, size: (part.width, end.saturating_sub(first_row)), rows };
-        let height = pair.front_end.size(eye).height as i32;
+        let height = pair.front_end.size(side).height as i32;
         let (from, to) = grid.rows_read();
         let from = from.clamp(0, height - 1);
-        let image = if eye == Eye::Left { pair.source.left } else { pair.source.right };
+        let image = if side == Side::Left { pair.source.left } else { pair.source.right };
         Self {
             front_end: pair.front_end,
-            eye,
+            side,
             image,
             wish,
             grid,
@@ -150,14 +150,14 @@ impl<'a> Job<'a> {
     fn nearest(&self, row: i32, block: usize) -> Option<i32> {
         let (first, step) = self.grid.offsets(f64::from(row));
         let nearest = f64::from(row) + (first + step * block as f64).round();
-        (0.0..f64::from(self.front_end.size(self.eye).height)).contains(&nearest).then_some(nearest as i32)
+        (0.0..f64::from(self.front_end.size(self.side).height)).contains(&nearest).then_some(nearest as i32)
     }
 }
 
 impl Preparation {
     /// Fills the channels of the left image and returns their number.
-    pub fn left(&mut self, pair: &Pair<'_>, level: &RegionLevel, wish: &Wish, out: &mut EyeChannels) -> usize {
-        let job = Job::new(pair, Eye::Left, &level.left.window, level.scale, wish, None);
+    pub fn left(&mut self, pair: &Pair<'_>, level: &RegionLevel, wish: &Wish, out: &mut CameraChannels) -> usize {
+        let job = Job::new(pair, Side::Left, &level.left.window, level.scale, wish, None);
         let kernels = pair.front_end.kernels();
         let grey = if pair.front_end.resamples() {
             self.load(&job);
@@ -179,11 +179,11 @@ impl Preparation {
         level: &RegionLevel,
         (wish, row_px): (&Wish, f64),
         channels: usize,
-        out: &mut EyeChannels,
+        out: &mut CameraChannels,
     ) {
         let rows = RowOffset { offset_px: pair.source.rows.offset_px + row_px, ..pair.source.rows };
         let rows = (!rows.is_zero()).then_some(rows);
-        let job = Job::new(pair, Eye::Right, &level.right.window, level.scale, wish, rows);
+        let job = Job::new(pair, Side::Right, &level.right.window, level.scale, wish, rows);
         if pair.front_end.resamples() {
             self.load(&job);
         }
@@ -194,7 +194,7 @@ impl Preparation {
     fn load(&mut self, job: &Job<'_>) {
         let height = (job.read.1 - job.read.0) as usize;
         let window = PixelWindow { x: job.grid.first.0, y: job.read.0, width: job.width(), height };
-        job.front_end.load(job.eye, job.image, window, Wanted::Rgb, &mut self.loaded);
+        job.front_end.load(job.side, job.image, window, Wanted::Rgb, &mut self.loaded);
     }
 
     /// The mean of every channel, from a sample of rows and columns.
@@ -213,7 +213,7 @@ impl Preparation {
     }
 
     /// Means over the pixels of a level, smoothed.
-    fn fill(&mut self, job: &Job<'_>, channels: usize, out: &mut EyeChannels) {
+    fn fill(&mut self, job: &Job<'_>, channels: usize, out: &mut CameraChannels) {
         out.part = job.wish.part;
         let kernels = job.front_end.kernels();
         if job.front_end.resamples() {

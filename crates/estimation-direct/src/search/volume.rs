@@ -106,17 +106,17 @@ impl CostVolume {
 }
 
 /// Descriptors of some columns of row `y`, component by component; zero if the neighbourhood is not inside the window.
-fn describe(eye: &ColourPlanes, y: i64, noise: f32, columns: Range<usize>, kernels: Kernels, out: &mut [i16]) {
-    let (plane, width, first, count) = (eye.luminance(), eye.window.width, columns.start, columns.len());
+fn describe(side: &ColourPlanes, y: i64, noise: f32, columns: Range<usize>, kernels: Kernels, out: &mut [i16]) {
+    let (plane, width, first, count) = (side.luminance(), side.window.width, columns.start, columns.len());
     // Columns whose neighbours are inside the window.
     let (start, end) = (first.max(1), columns.end.min(width.saturating_sub(1)));
-    if y < 1 || y + 1 >= eye.window.height as i64 || start >= end {
+    if y < 1 || y + 1 >= side.window.height as i64 || start >= end {
         out.fill(0);
         return;
     }
     let rows: [&[f32]; 3] = std::array::from_fn(|j| &plane.row(y as usize + j - 1)[start - 1..end + 1]);
     describe_row(kernels, rows, DESCRIPTOR as f32 * noise * noise, count, start - first, out);
-    let flags = &eye.flags[y as usize * width..(y as usize + 1) * width];
+    let flags = &side.flags[y as usize * width..(y as usize + 1) * width];
     for x in columns {
         if x < start || x >= end || !is_seen(flags[x]) {
             for k in 0..DESCRIPTOR {

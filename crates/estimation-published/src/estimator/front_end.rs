@@ -13,7 +13,7 @@ use crate::hue::{HueConfig, HuePlane};
 
 /// One camera with its undistortion and the hue of its latest image.
 #[derive(Clone, Debug)]
-struct Eye {
+struct CameraInput {
     name: &'static str,
     camera: Camera,
     /// Remap table and undistorted image, if the camera has distortion.
@@ -24,8 +24,8 @@ struct Eye {
 /// Both cameras with their buffers; allocates only for the first pair.
 #[derive(Clone, Debug)]
 pub(super) struct FrontEnd {
-    left: Eye,
-    right: Eye,
+    left: CameraInput,
+    right: CameraInput,
     pair: PinholePair,
     hue_config: HueConfig,
     kernels: Kernels,
@@ -35,7 +35,7 @@ impl FrontEnd {
     pub(super) fn new(rig: &StereoRig, hue_config: HueConfig, kernels: Kernels) -> Result<Self, EstimationError> {
         hue_config.validate()?;
         let pair = PinholePair::from_rig(&rig.undistorted())?;
-        let (left, right) = (Eye::new("left", rig.left()), Eye::new("right", rig.right()));
+        let (left, right) = (CameraInput::new("left", rig.left()), CameraInput::new("right", rig.right()));
         Ok(Self { left, right, pair, hue_config, kernels })
     }
 
@@ -88,7 +88,7 @@ impl FrontEnd {
     }
 }
 
-impl Eye {
+impl CameraInput {
     fn new(name: &'static str, camera: &Camera) -> Self {
         let undistortion = (!matches!(camera.distortion(), Distortion::None)).then(|| {
             let table = RemapTable::undistort(camera);
@@ -104,7 +104,7 @@ impl Eye {
             return Ok(());
         }
         Err(EstimationError::ImageSize {
-            eye: self.name,
+            side: self.name,
             width: image.width() as usize,
             height: image.height() as usize,
             expected_width: expected.width as usize,

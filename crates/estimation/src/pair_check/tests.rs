@@ -36,7 +36,7 @@ fn general(roll_rad: f64) -> StereoRig {
 fn render(rig: &StereoRig, seed: u32) -> (RgbImage, RgbImage) {
     let cam_left_from_cam_right = rig.cam_right_from_cam_left().inverse();
     let normal = Vector3::new(0.5, 0.1, 0.9);
-    let eye = |camera: &Camera, centre: Vector3<f64>, turn: &dyn Fn(Vector3<f64>) -> Vector3<f64>| {
+    let side = |camera: &Camera, centre: Vector3<f64>, turn: &dyn Fn(Vector3<f64>) -> Vector3<f64>| {
         RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| {
             let ray = turn(camera.unproject(&Vector2::new(f64::from(u), f64::from(v))).expect("ray"));
             let hit = centre + ray * ((1.0 - normal.dot(&centre)) / normal.dot(&ray));
@@ -44,8 +44,8 @@ fn render(rig: &StereoRig, seed: u32) -> (RgbImage, RgbImage) {
             Rgb([value, value / 2, 255 - value])
         })
     };
-    let left = eye(rig.left(), Vector3::zeros(), &|ray| ray);
-    let right = eye(rig.right(), cam_left_from_cam_right.translation_m(), &|ray| {
+    let left = side(rig.left(), Vector3::zeros(), &|ray| ray);
+    let right = side(rig.right(), cam_left_from_cam_right.translation_m(), &|ray| {
         cam_left_from_cam_right.transform_vector(&ray)
     });
     (left, right)

@@ -86,8 +86,8 @@ pub fn target_at(origin_mm: (f64, f64, f64), rotation_deg: (f64, f64, f64)) -> P
 /// Renders both raw images; `None` for the target renders the backdrop only. The backdrop is stationary in the left camera.
 pub fn render(rig: &StereoRig, cam_left_from_target: Option<&Pose<CamLeft, Model>>, look: Look) -> Shot {
     let cam_left_from_cam_right = rig.cam_right_from_cam_left().inverse();
-    let left = render_eye(rig.left(), &Pose::<CamLeft, CamLeft>::coincident(), cam_left_from_target, look, 1);
-    let right = render_eye(rig.right(), &cam_left_from_cam_right, cam_left_from_target, look, 2);
+    let left = render_camera(rig.left(), &Pose::<CamLeft, CamLeft>::coincident(), cam_left_from_target, look, 1);
+    let right = render_camera(rig.right(), &cam_left_from_cam_right, cam_left_from_target, look, 2);
     Shot { left, right }
 }
 
@@ -112,7 +112,7 @@ pub fn angle_deg(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
     a.angle(b).to_degrees()
 }
 
-fn render_eye<F: pb3dp_geometry::Frame>(
+fn render_camera<F: pb3dp_geometry::Frame>(
     camera: &Camera,
     cam_left_from_cam: &Pose<CamLeft, F>,
     cam_left_from_target: Option<&Pose<CamLeft, Model>>,

@@ -80,7 +80,7 @@ fn image(
     cam_from_left: &Isometry3<f64>,
     (discs, shot): (&[Pose<CamLeft, Target>], &Shot),
     gain: f64,
-    eye: u32,
+    side: u32,
 ) -> RgbImage {
     let left_from_cam = cam_from_left.inverse();
     let origin = left_from_cam * Point3::origin();
@@ -99,7 +99,7 @@ fn image(
             let (scale, seed) = if !discs.is_empty() { (0.5, 5.0) } else { (0.21, 9.0) };
             paint(wall.x * scale, wall.y * scale, seed)
         });
-        let noise = |c: u32| noise(x, y, shot.frame * 6 + eye * 3 + c);
+        let noise = |c: u32| noise(x, y, shot.frame * 6 + side * 3 + c);
         image::Rgb(std::array::from_fn(|c| (colour[c] * gain + 1.5 * noise(c as u32)).round().clamp(0.0, 255.0) as u8))
     })
 }

@@ -26,7 +26,7 @@ fn visit(config_name: &str, out: &Path, more: &[&str]) -> Finished {
 /// The stop at which both arms begin.
 fn look(folder: &Path) -> Stops {
     let finished = visit("bare.toml", folder, &[&["--here"], &BOARD[..]].concat()).assert_success();
-    assert!(finished.stdout.contains("one pair and the joints"), "{}", finished.stdout);
+    assert!(finished.stdout.contains("pair and joints recorded"), "{}", finished.stdout);
     load_stops(folder).unwrap()
 }
 
@@ -60,14 +60,14 @@ fn pairs_and_joints_are_taken_where_they_were_asked_for() {
 
         let dry = visit("bare.toml", &out, &more).assert_success();
         assert!(
-            dry.stdout.contains("dry run") && dry.stdout.contains("   -     2  left out: out of reach"),
+            dry.stdout.contains("dry run") && dry.stdout.contains("   -     2  skipped: out of reach"),
             "{}",
             dry.stdout
         );
         assert!(!out.exists(), "a dry run writes nothing");
 
         let done = visit("bare.toml", &out, &[&more[..], &["--move"]].concat()).assert_success();
-        assert!(done.stdout.contains("2 of 2 stops taken, back at the beginning"), "{}", done.stdout);
+        assert!(done.stdout.contains("2 of 2 stops recorded, returned to the start"), "{}", done.stdout);
         let taken = load_stops(&out).unwrap();
         let stands = taken.stops.iter().map(|stop| match arm {
             ArmOfPoses::Vs => (stop.vs, stop.tc.unwrap()),
@@ -86,7 +86,7 @@ fn pairs_and_joints_are_taken_where_they_were_asked_for() {
         assert!(images.windows(2).all(|two| two[0] != two[1]));
 
         visit("bare.toml", &out, &[&more[..], &["--move"]].concat())
-            .assert_refused(&["holds a recording of stops already"]);
+            .assert_refused(&["contains a recording of stops already"]);
     }
 }
 
@@ -105,6 +105,6 @@ fn what_can_not_be_visited_is_told() {
     save_poses(&poses, &WantedPoses { arm: ArmOfPoses::Vs, poses: vec![far] }).unwrap();
     let poses = poses.display().to_string();
     visit("bare.toml", &out, &[&["--poses", poses.as_str()], &BOARD[..]].concat())
-        .assert_refused(&["no pose can be visited"]);
+        .assert_refused(&["no pose can be reached"]);
     assert!(!out.exists());
 }

@@ -158,7 +158,7 @@ fn a_probe_tells_what_an_arm_is_and_that_it_fits() {
         }
         let table = pb3dp_arm(&hil(), &["probe", "--exchanges", "20"], None).assert_success().stdout;
         for part in
-            ["gateway: \"pb3dp emulation\"", "1 S1", "-177.000 177.000", "0 lost", "0 resyncs", "everything fits"]
+            ["gateway: \"pb3dp emulation\"", "1 S1", "-177.000 177.000", "0 lost", "0 resyncs", "no problems found"]
         {
             assert!(table.contains(part), "{part:?} is missing in:\n{table}");
         }
@@ -171,7 +171,7 @@ fn a_probe_says_what_does_not_fit_and_what_to_do() {
         let cell = Cell::start(&["--limits-deg", "177,94,174,137,255,165,255", "--pose-deg", "171,30,0,60,0,45,0"]);
         let limits = cell.pb3dp(&["probe"], None);
         assert_problem(&limits, &["axis 2 (S2): the controller's limits differ by -3.000 and +3.000", "arms.vs.robot"]);
-        assert_problem(&limits, &["axis 1 (S1): 171.000 degrees lie outside of the operating range", "jog it back"]);
+        assert_problem(&limits, &["axis 1 (S1): 171.000 degrees is outside the operating range", "jog it back"]);
         cell.arm.quit();
         let cell = Cell::start(&["--fault", "at 0s alarm 4 0x0e"]);
         assert_problem(&cell.pb3dp(&["probe"], None), &["axis 4 (E1)", "over-current"]);
@@ -192,11 +192,11 @@ fn what_a_gateway_says_of_itself_is_in_the_log() {
         {
             assert!(seen.stderr.contains(part), "{part:?} is missing in:\n{}", seen.stderr);
         }
-        assert!(!seen.stderr.contains("does not know the geometry"), "{}", seen.stderr);
+        assert!(!seen.stderr.contains("the arm geometry is not set"), "{}", seen.stderr);
         let cell = Cell::start(&["--geometry", "unknown", "--pose-deg", START_DEG]);
         let doubted = cell.pb3dp(&["probe", "--exchanges", "20"], None).assert_success();
-        assert!(doubted.stdout.contains("warning: the gateway is not told the geometry"), "{}", doubted.stdout);
-        assert!(doubted.stderr.contains("vs-robot: the gateway is not told the geometry"), "{}", doubted.stderr);
+        assert!(doubted.stdout.contains("warning: the arm geometry is not set at the gateway"), "{}", doubted.stdout);
+        assert!(doubted.stderr.contains("vs-robot: the arm geometry is not set at the gateway"), "{}", doubted.stderr);
         cell.arm.quit();
     });
 }
@@ -225,13 +225,13 @@ fn nothing_moves_without_the_name_of_the_arm() {
         let jog = ["jog", "--axis", "4", "--by", "-1"];
         let dry = cell.pb3dp(&jog, Some("vs-robot")).assert_success().stdout;
         for part in
-            ["4 E1    97.490    96.490    -1.000", "0.0180", "182 velocities", "dry run", "room to the tc-robot"]
+            ["4 E1    97.490    96.490    -1.000", "0.0180", "182 velocities", "dry run", "clearance to the tc-robot"]
         {
             assert!(dry.contains(part), "{part:?} is missing in:\n{dry}");
         }
         assert_eq!(cell.joints(), before);
         let jog = [&jog[..], &["--move"]].concat();
-        cell.pb3dp(&jog, None).assert_refused(&["nobody typed vs-robot", "nothing was moved"]);
+        cell.pb3dp(&jog, None).assert_refused(&["vs-robot was not typed", "nothing was moved"]);
         for wrong in ["yes", "tc-robot", "VS-ROBOT", "", " vs-robot"] {
             cell.pb3dp(&jog, Some(wrong)).assert_refused(&["is not vs-robot", "nothing was moved"]);
         }
@@ -296,7 +296,7 @@ fn a_way_out_of_the_operating_range_is_refused() {
         let cell = Cell::start(&["--pose-deg", "0,80,0,97,0,-50,0"]);
         let far = ["jog", "--axis", "2", "--by", "9", "--move"];
         let refused = cell.pb3dp(&far, Some("vs-robot"));
-        refused.assert_refused(&["axis 2 (S2) would end at 89.000 degrees", "-88.0 to 88.0", "shorter way"]);
+        refused.assert_refused(&["axis 2 (S2) would end at 89.000 degrees", "-88.0 to 88.0", "shorter move"]);
         cell.arm.quit();
     });
 }
@@ -324,7 +324,7 @@ pub fn interrupt(process: u32) {
 fn an_arm_that_was_stopped_is_reset_by_name_only() {
     programs_in_real_time_beside_others(|| {
         let mut cell = Cell::start(&[]);
-        assert!(cell.pb3dp(&["reset"], None).assert_success().stdout.contains("nothing has stopped it"));
+        assert!(cell.pb3dp(&["reset"], None).assert_success().stdout.contains("not stopped, nothing to reset"));
         cell.arm.say("e-stop press");
         let jog = ["jog", "--axis", "4", "--by", "-1", "--move"];
         assert!(!cell.pb3dp(&jog, Some("vs-robot")).success);
@@ -333,7 +333,7 @@ fn an_arm_that_was_stopped_is_reset_by_name_only() {
         let probe = cell.pb3dp(&["probe"], None);
         assert_problem(&probe, &["the arm is stopped", "(emergency stop); release the emergency stop, then reset"]);
         // Where it stands, as the gateway saw it last.
-        assert!(probe.stdout.contains("joints and status words are those of"), "{}", probe.stdout);
+        assert!(probe.stdout.contains("joints and status words are"), "{}", probe.stdout);
         let report = json(&cell.pb3dp(&["probe", "--json"], None));
         for (joint, angle) in report["joints"].as_array().unwrap().iter().zip(cell.joints().0) {
             assert!((joint["now_deg"].as_f64().unwrap() - angle).abs() < 2.0, "{report}");
@@ -341,7 +341,7 @@ fn an_arm_that_was_stopped_is_reset_by_name_only() {
         cell.pb3dp(&["reset"], Some("yes")).assert_refused(&["\"yes\" is not vs-robot"]);
         let reset = cell.pb3dp(&["reset"], Some("vs-robot")).assert_success().stdout;
         assert!(reset.contains("connected, brakes on"), "{reset}");
-        assert!(cell.pb3dp(&["probe", "--exchanges", "20"], None).assert_success().stdout.contains("everything fits"));
+        assert!(cell.pb3dp(&["probe", "--exchanges", "20"], None).assert_success().stdout.contains("no problems found"));
         cell.arm.quit();
     });
 }
@@ -425,7 +425,7 @@ fn the_room_to_the_other_arm_is_watched_unless_it_is_left_out() {
         let jog = ["jog", "--axis", "4", "--by", "-1"];
         let dry = pb3dp_arm(&hil(), &jog, None).assert_success().stdout;
         assert!(
-            dry.contains("room to the tc-robot (emulated, where it would start) on the way: 377 mm (cameras to panel)"),
+            dry.contains("clearance to the tc-robot (emulated, at its start pose) on the path: 377 mm (cameras to panel)"),
             "{dry}"
         );
         let moved = pb3dp_arm(&hil(), &[&jog[..], &["--move"]].concat(), Some("vs-robot")).assert_success().stdout;

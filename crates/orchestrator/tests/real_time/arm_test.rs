@@ -91,7 +91,7 @@ fn nothing_moves_in_a_dry_run_or_without_the_name() {
             "4 E1    97.490    99.490    +2.000",
             "4 E1    97.490    95.490    -2.000",
             "within 3.6 s",
-            "room to the tc-robot (emulated, where it would start)",
+            "clearance to the tc-robot (emulated, at its start pose)",
             "warning: --by 2.0: after NOW you have 2.4 s until the move ends, and a person needs 4 s; give --by 4 or more",
             "dry run: the brakes stayed on and nothing moved",
         ] {
@@ -99,14 +99,14 @@ fn nothing_moves_in_a_dry_run_or_without_the_name() {
         }
         assert!(!dry.contains("kill") && !dry.contains("interlock"), "{dry}");
         let args = [&args[..], &["--move"]].concat();
-        cell.pb3dp(&args, None).assert_refused(&["nobody typed vs-robot", "nothing was moved"]);
+        cell.pb3dp(&args, None).assert_refused(&["vs-robot was not typed", "nothing was moved"]);
         for wrong in ["tc-robot", "yes", ""] {
             cell.pb3dp(&args, Some(wrong)).assert_refused(&["is not vs-robot", "nothing was moved"]);
         }
         let late = [&args[..], &["--patience", "1"]].concat();
         let waiting = Rehearsal::start(&cell.config(), &late);
         let (code, text) = waiting.finish();
-        assert!(code == Some(1) && text.contains("nobody typed vs-robot in time"), "{text}");
+        assert!(code == Some(1) && text.contains("vs-robot was not typed in time"), "{text}");
         assert_eq!(cell.joints(), before);
         assert!(before.1 && !out.exists());
         cell.arm.quit();
@@ -120,7 +120,7 @@ fn what_can_not_be_tested_is_refused_before_anything_happens() {
     let refused = |config: &str, args: &[&str], parts: &[&str]| {
         pb3dp_arm(config, &[&["test"], args].concat(), Some("vs-robot")).assert_refused(parts);
     };
-    refused(&config, &["--operator", "emulated", "--move"], &["arms.vs.backend is not \"emulated\"", "no hand at"]);
+    refused(&config, &["--operator", "emulated", "--move"], &["arms.vs.backend is not \"emulated\"", "cannot operate"]);
     refused(&config, &[], &["127.0.0.1:9"]);
     refused(&hil(), &["--move"], &["has no switch and no cable for you", "--operator emulated"]);
     refused(&hil(), &["--only", "interlock", "--move"], &["has no switch and no cable for you"]);
@@ -468,7 +468,7 @@ fn a_signal_ends_a_step_by_the_stop_order_with_a_partial_report() {
         assert_eq!((code, &report["result"]), (Some(1), &"interrupted".into()), "{text}");
         assert!(cell.joints().1, "all brakes are closed");
         let probe = cell.pb3dp(&["probe", "--exchanges", "20"], None).assert_success().stdout;
-        assert!(probe.contains("everything fits"), "nothing has to be reset: {probe}");
+        assert!(probe.contains("no problems found"), "nothing has to be reset: {probe}");
         cell.arm.quit();
     });
 }

@@ -238,7 +238,7 @@ fn a_gateway_that_was_held_up_latches() {
             assert_eq!(scene.host.link.hello().unwrap().cause, StopCause::CycleMissed);
             scene.signal(Signal::TERM);
             assert!(scene.ended().success());
-            assert!(scene.log().contains("a new one knows nothing of that"));
+            assert!(scene.log().contains("a new gateway does not keep this state"));
         });
     });
 }
@@ -262,7 +262,7 @@ fn what_can_not_be_had_is_refused_with_what_to_do() {
     failed(&["--bus", "arcnet:nix0"], "there is no network interface nix0");
     failed(&["--bus", "arcnet:lo"], "is of type 772, not ARCNET (7)");
     failed(&["--bus", "usb"], "write arcnet:INTERFACE or socket:PATH");
-    failed(&["--host", "tcp:here:1"], "write serial:DEVICE or tcp:ADDRESS:PORT");
+    failed(&["--host", "tcp:here:1"], "use serial:DEVICE or tcp:ADDRESS:PORT");
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let host = format!("tcp:{}", taken.local_addr().unwrap());
     failed(&["--host", &host], "is another program using that port?");

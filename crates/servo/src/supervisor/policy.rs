@@ -40,7 +40,7 @@ pub enum Condition {
     PositionUncertain,
     /// The estimator is not sure of the orientation.
     OrientationUncertain,
-    /// Both eyes were not exposed together.
+    /// Both cameras were not exposed together.
     CameraSkew,
     /// A joint of the hand's arm is near an end of its range.
     LimitNear,

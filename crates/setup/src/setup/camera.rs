@@ -4,7 +4,7 @@ use pb3dp_geometry::frames::{CamLeft, CamRight};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 use pb3dp_sim::camera_faults::CameraFaults;
 use pb3dp_sim::scene::SceneConfig;
-use pb3dp_sim::sensor::{EyeResponse, SensorConfig};
+use pb3dp_sim::sensor::{CameraResponse, SensorConfig};
 use pb3dp_sim::targets::{BackdropConfig, TargetConfig};
 use serde::Deserialize;
 use std::path::PathBuf;
@@ -38,15 +38,15 @@ pub(super) struct CameraSection {
     lens_blur_px: f64,
     read_noise_grey: f64,
     shot_noise_grey: f64,
-    left: EyeSection,
-    right: EyeSection,
+    left: SideSection,
+    right: SideSection,
     #[serde(default)]
     faults: Vec<FaultSection>,
 }
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct EyeSection {
+struct SideSection {
     exposure: f64,
     gain: [f64; 3],
     offset_grey: [f64; 3],
@@ -150,15 +150,15 @@ impl CameraSection {
     }
 }
 
-impl EyeSection {
+impl SideSection {
     fn check(&self, key: &str, check: &mut Checker) {
         check.number(&format!("{key}.exposure"), self.exposure, 0.01..=16.0);
         check.numbers(&format!("{key}.gain"), &self.gain, 0.01..=16.0);
         check.numbers(&format!("{key}.offset_grey"), &self.offset_grey, -128.0..=128.0);
     }
 
-    fn build(&self) -> EyeResponse {
-        EyeResponse { exposure: self.exposure, gain: self.gain, offset_grey: self.offset_grey }
+    fn build(&self) -> CameraResponse {
+        CameraResponse { exposure: self.exposure, gain: self.gain, offset_grey: self.offset_grey }
     }
 }
 

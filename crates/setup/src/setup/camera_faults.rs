@@ -5,7 +5,7 @@ use std::time::Duration;
 use serde::Deserialize;
 
 use super::super::load::{Checker, whole};
-use pb3dp_sim::camera_faults::{CameraFault, CameraFaultKind, CameraFaults, Eyes};
+use pb3dp_sim::camera_faults::{AffectedCameras, CameraFault, CameraFaultKind, CameraFaults};
 
 /// One fault; each kind has keys of its own, and all have their time.
 #[derive(Clone, Debug, Deserialize)]
@@ -17,27 +17,27 @@ pub(super) enum FaultSection {
     Torn { from_s: f64, until_s: f64, share: f64 },
     Skewed { from_s: f64, until_s: f64, stamped_millis: f64 },
     Frozen { from_s: f64, until_s: f64 },
-    Black { from_s: f64, until_s: f64, eyes: EyesName },
-    Saturated { from_s: f64, until_s: f64, eyes: EyesName },
-    Brightness { from_s: f64, until_s: f64, eyes: EyesName, factor: f64 },
+    Black { from_s: f64, until_s: f64, cameras: AffectedCamerasName },
+    Saturated { from_s: f64, until_s: f64, cameras: AffectedCamerasName },
+    Brightness { from_s: f64, until_s: f64, cameras: AffectedCamerasName, factor: f64 },
     Occluder { from_s: f64, until_s: f64, width_share: f64, crosses: bool },
     Miscalibrated { from_s: f64, until_s: f64, columns_px: f64, rows_px: f64, roll_deg: f64, scale: f64 },
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub(super) enum EyesName {
+pub(super) enum AffectedCamerasName {
     Left,
     Right,
     Both,
 }
 
-impl From<EyesName> for Eyes {
-    fn from(name: EyesName) -> Self {
+impl From<AffectedCamerasName> for AffectedCameras {
+    fn from(name: AffectedCamerasName) -> Self {
         match name {
-            EyesName::Left => Self::Left,
-            EyesName::Right => Self::Right,
-            EyesName::Both => Self::Both,
+            AffectedCamerasName::Left => Self::Left,
+            AffectedCamerasName::Right => Self::Right,
+            AffectedCamerasName::Both => Self::Both,
         }
     }
 }
@@ -68,10 +68,12 @@ impl FaultSection {
                 (Kind::Skewed { stamped_nanos: (stamped_millis * 1e6) as i64 }, from_s, until_s)
             }
             Self::Frozen { from_s, until_s } => (Kind::Frozen, from_s, until_s),
-            Self::Black { from_s, until_s, eyes } => (Kind::Black { eyes: eyes.into() }, from_s, until_s),
-            Self::Saturated { from_s, until_s, eyes } => (Kind::Saturated { eyes: eyes.into() }, from_s, until_s),
-            Self::Brightness { from_s, until_s, eyes, factor } => {
-                (Kind::Brightness { eyes: eyes.into(), factor }, from_s, until_s)
+            Self::Black { from_s, until_s, cameras } => (Kind::Black { cameras: cameras.into() }, from_s, until_s),
+            Self::Saturated { from_s, until_s, cameras } => {
+                (Kind::Saturated { cameras: cameras.into() }, from_s, until_s)
+            }
+            Self::Brightness { from_s, until_s, cameras, factor } => {
+                (Kind::Brightness { cameras: cameras.into(), factor }, from_s, until_s)
             }
             Self::Occluder { from_s, until_s, width_share, crosses } => {
                 (Kind::Occluder { width_share, crosses }, from_s, until_s)
@@ -112,13 +114,13 @@ mod tests {
         let faults = read(
             "[[camera.faults]]\nkind = \"frozen\"\nfrom_s = 1.5\nuntil_s = 2\n\
              [[camera.faults]]\nkind = \"skewed\"\nfrom_s = 3.0\nuntil_s = 4.0\nstamped_millis = -6.5\n\
-             [[camera.faults]]\nkind = \"black\"\nfrom_s = 3.0\nuntil_s = 4.0\neyes = \"right\"",
+             [[camera.faults]]\nkind = \"black\"\nfrom_s = 3.0\nuntil_s = 4.0\ncameras = \"right\"",
         );
         let kinds: Vec<_> = faults.as_ref().unwrap().list.iter().map(|fault| fault.kind).collect();
         let expected = [
             CameraFaultKind::Frozen,
             CameraFaultKind::Skewed { stamped_nanos: -6_500_000 },
-            CameraFaultKind::Black { eyes: Eyes::Right },
+            CameraFaultKind::Black { cameras: AffectedCameras::Right },
         ];
         assert_eq!(kinds, expected);
         let first = faults.unwrap().list[0];

@@ -14,9 +14,9 @@ pub struct DriftConfig {
     pub every: Duration,
     /// Rows of the right image, where they are off most, pixels.
     pub rows_max_px: f64,
-    /// Blur that one eye has and the other one has not, standard deviation in pixels.
+    /// Blur that one camera has and the other one has not, standard deviation in pixels.
     pub focus_max_px: f64,
-    /// Difference of the mean luminances, percent of the brighter eye.
+    /// Difference of the mean luminances, percent of the brighter camera.
     pub brightness_max_percent: f64,
     /// Time between both exposures, of cameras that expose at the same time.
     pub skew_max: Duration,

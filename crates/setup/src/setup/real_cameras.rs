@@ -148,13 +148,13 @@ pub(super) struct V4l2Section {
     synchronisation: Synchronisation,
     skew_max_millis: Option<f64>,
     reopen_for_s: f64,
-    left: EyeSection,
-    right: EyeSection,
+    left: SideSection,
+    right: SideSection,
 }
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct EyeSection {
+struct SideSection {
     device: String,
     input: Option<i64>,
     standard: Option<i64>,
@@ -224,16 +224,16 @@ impl V4l2Section {
         let size = ImageSize { width: whole(self.width_px), height: whole(self.height_px) };
         let region = self.region(size, check);
         let interval = interval(rate_hz);
-        let mode = |format, eye: &EyeSection| ModeRequest {
+        let mode = |format, side: &SideSection| ModeRequest {
             format,
             size,
             interval,
-            input: eye.input.map(whole),
-            standard: eye.standard.map(whole),
+            input: side.input.map(whole),
+            standard: side.standard.map(whole),
             takes_interlaced: self.interlaced,
         };
         let names = [("camera.left", &self.left), ("camera.right", &self.right)]
-            .map(|(key, eye)| eye.check(key, 1e3 / rate_hz, check));
+            .map(|(key, side)| side.check(key, 1e3 / rate_hz, check));
         let [Some(left), Some(right)] = names else { return None };
         if left == right {
             check.refuse(format!(
@@ -293,7 +293,7 @@ pub fn interval(rate_hz: f64) -> Interval {
     Interval { numerator: 1000 / a.max(1), denominator: thousandths / a.max(1) }
 }
 
-impl EyeSection {
+impl SideSection {
     /// Every key by itself; what a camera does not take of it is refused when it is opened. The name of its device, if that is one.
     fn check(&self, key: &str, period_millis: f64, check: &mut Checker) -> Option<CameraName> {
         let number = i64::from(i32::MAX);

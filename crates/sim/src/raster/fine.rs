@@ -20,10 +20,10 @@ pub(crate) struct Fine {
 
 impl Fine {
     /// # Errors
-    /// A camera with a pixel that has no ray; the error contains `eye`.
-    pub(crate) fn new(eye: &'static str, camera: &Camera) -> Result<Self, RenderError> {
+    /// A camera with a pixel that has no ray; the error contains `side`.
+    pub(crate) fn new(side: &'static str, camera: &Camera) -> Result<Self, RenderError> {
         let view = finer(camera).and_then(|camera| View::new(&camera));
-        let view = view.map_err(|source| RenderError::Camera { eye, source })?;
+        let view = view.map_err(|source| RenderError::Camera { side, source })?;
         let pixels = view.width * view.height;
         Ok(Self { view, visibility: Visibility::new(pixels), light: vec![0; 3 * pixels] })
     }

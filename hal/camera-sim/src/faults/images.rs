@@ -5,7 +5,7 @@ use std::time::Duration;
 use image::RgbImage;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, FramePair, StereoCamera, StereoCameraInfo};
-use pb3dp_sim::camera_faults::{CameraFault, CameraFaultKind, CameraFaults, Eyes};
+use pb3dp_sim::camera_faults::{AffectedCameras, CameraFault, CameraFaultKind, CameraFaults};
 use pb3dp_sim::noise::{hash, unit};
 
 use super::{Delivered, Delivery, Plan, bar};
@@ -72,11 +72,11 @@ fn spoil(pair: &mut FramePair, fault: &CameraFault, before: Option<&FramePair>, 
                 pair.right.clone_from(&before.right);
             }
         }
-        CameraFaultKind::Black { eyes } => each(pair, eyes, |_| 0),
-        CameraFaultKind::Saturated { eyes } => each(pair, eyes, |_| 255),
-        CameraFaultKind::Brightness { eyes, factor } => {
+        CameraFaultKind::Black { cameras } => each(pair, cameras, |_| 0),
+        CameraFaultKind::Saturated { cameras } => each(pair, cameras, |_| 255),
+        CameraFaultKind::Brightness { cameras, factor } => {
             let table: [u8; 256] = std::array::from_fn(|grey| (grey as f64 * factor).round().min(255.0) as u8);
-            each(pair, eyes, |grey| table[usize::from(grey)]);
+            each(pair, cameras, |grey| table[usize::from(grey)]);
         }
         CameraFaultKind::Occluder { width_share, crosses } => {
             let [left, right] = bar(width_share, crosses, progress);
@@ -100,8 +100,8 @@ fn tear(image: &mut RgbImage, before: &[u8]) {
     bytes[half..].copy_from_slice(&before[half..]);
 }
 
-fn each(pair: &mut FramePair, eyes: Eyes, of: impl Fn(u8) -> u8) {
-    for (image, _) in [&mut pair.left, &mut pair.right].into_iter().zip(eyes.are()).filter(|(_, is)| *is) {
+fn each(pair: &mut FramePair, cameras: AffectedCameras, of: impl Fn(u8) -> u8) {
+    for (image, _) in [&mut pair.left, &mut pair.right].into_iter().zip(cameras.are()).filter(|(_, is)| *is) {
         image.iter_mut().for_each(|grey| *grey = of(*grey));
     }
 }
@@ -163,8 +163,8 @@ mod tests {
         }
     }
 
-    fn pixel(eye: u8, number: u64, column: u32, row: u32) -> [u8; 3] {
-        [column as u8 + 1, row as u8 + 1, 10 * (number as u8 + 1) + eye]
+    fn pixel(side: u8, number: u64, column: u32, row: u32) -> [u8; 3] {
+        [column as u8 + 1, row as u8 + 1, 10 * (number as u8 + 1) + side]
     }
 
     impl StereoCamera for Counting {
@@ -175,7 +175,7 @@ mod tests {
         fn next_pair_into(&mut self, pair: &mut FramePair, _: Duration) -> Result<(), CameraError> {
             let number = self.next;
             self.next += 1;
-            let image = |eye| RgbImage::from_fn(40, 30, |column, row| image::Rgb(pixel(eye, number, column, row)));
+            let image = |side| RgbImage::from_fn(40, 30, |column, row| image::Rgb(pixel(side, number, column, row)));
             (pair.sequence, pair.exposed_at, pair.skew_nanos) =
                 (number, MonotonicTime::ZERO + PERIOD * number as u32, 0);
             (pair.left, pair.right) = (image(0), image(1));
@@ -215,19 +215,19 @@ mod tests {
         assert_eq!((frozen.sequence, frozen.exposed_at), (2, MonotonicTime::ZERO + PERIOD * 2));
         let again = third(CameraFaultKind::Repeated { share: 1.0, as_new: false });
         assert_eq!((again.sequence, again.exposed_at), (1, MonotonicTime::ZERO + PERIOD));
-        let black = third(CameraFaultKind::Black { eyes: Eyes::Right });
+        let black = third(CameraFaultKind::Black { cameras: AffectedCameras::Right });
         assert_eq!(pixels(&black, 3, 4), [pixel(0, 2, 3, 4), [0; 3]]);
-        let white = third(CameraFaultKind::Saturated { eyes: Eyes::Left });
+        let white = third(CameraFaultKind::Saturated { cameras: AffectedCameras::Left });
         assert_eq!(pixels(&white, 3, 4), [[255; 3], pixel(1, 2, 3, 4)]);
-        let bright = third(CameraFaultKind::Brightness { eyes: Eyes::Both, factor: 9.0 });
+        let bright = third(CameraFaultKind::Brightness { cameras: AffectedCameras::Both, factor: 9.0 });
         assert_eq!(pixels(&bright, 3, 4), [[36, 45, 255], [36, 45, 255]]);
     }
 
     #[test]
     fn a_bar_hangs_farther_left_in_the_right_image() {
         let pair = third(CameraFaultKind::Occluder { width_share: 0.2, crosses: false });
-        let hidden = |image: &RgbImage, eye| -> Vec<u32> {
-            (0..40).filter(|&column| image.get_pixel(column, 9).0 != pixel(eye, 2, column, 9)).collect()
+        let hidden = |image: &RgbImage, side| -> Vec<u32> {
+            (0..40).filter(|&column| image.get_pixel(column, 9).0 != pixel(side, 2, column, 9)).collect()
         };
         assert_eq!(hidden(&pair.left, 0), (22..30).collect::<Vec<_>>());
         assert_eq!(hidden(&pair.right, 1), (10..18).collect::<Vec<_>>());

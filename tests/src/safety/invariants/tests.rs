@@ -84,7 +84,7 @@ fn rests_from_2_to_5(_: usize, t_s: f64) -> bool {
 fn nothing_is_found_in_good_runs() {
     silent(&run(4.0, always, |_| ()));
     silent(&run(7.0, rests_from_2_to_5, latched));
-    // The eyes are shut from 1 s to 3 s.
+    // The cameras are covered from 1 s to 3 s.
     let sees = |t_s: f64| if (1.0..3.0).contains(&t_s) { t_s - 0.95 } else { 0.05 };
     silent(&run(5.0, |arm, t_s| arm == TARGET_ARM || sees(t_s) < 0.3, |step| step.pose_age_s = sees(step.t_s)));
 }

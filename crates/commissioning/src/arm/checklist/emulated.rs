@@ -1,4 +1,4 @@
-//! An operator for emulated arms: his hand is at the faults of the emulation, his eyes see the true joints.
+//! An operator for emulated arms: causes the faults of the emulation, and reads the true joints.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use super::super::confirm::Console;
 use super::operator::{Act, Operator, Question};
 use super::steps::REST_RAD_PER_S;
 
-/// What eyes can tell, rad.
+/// Accuracy with which an operator sees a joint, rad.
 const SEEN_WITHIN_RAD: f64 = 0.01;
 /// An emulated thread takes a moment until it has pulled or plugged a cable.
 const MOMENT: Duration = Duration::from_millis(50);

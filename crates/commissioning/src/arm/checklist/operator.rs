@@ -1,4 +1,4 @@
-//! Who has his hand at switches and cables, and his eyes on the arm.
+//! The operator of a checklist, who actuates switches and cables and watches the arm.
 
 use std::time::Duration;
 
@@ -24,7 +24,7 @@ pub enum Act {
     PlugCable(ArmChoice),
 }
 
-/// Something that eyes see.
+/// Something that the operator can see.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Question {
     /// Whether the joints are where the program says.
@@ -43,7 +43,7 @@ pub enum Question {
     Stopped(ArmChoice),
 }
 
-/// Who has his hand at switches and cables, and his eyes on the arm.
+/// The operator, who actuates switches and cables and watches the arm.
 pub trait Operator {
     /// For the report.
     fn name(&self) -> &'static str;

@@ -49,7 +49,7 @@ pub struct TestReport {
     pub is_emulated: bool,
     /// What the gateway says of itself.
     pub gateway: GatewayFacts,
-    /// Who had his hand at the switches.
+    /// Name of the operator.
     pub operator: &'static str,
     /// The axis that moved, 1 to 7.
     pub axis: u8,

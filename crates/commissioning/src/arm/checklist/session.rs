@@ -59,7 +59,7 @@ pub struct Session<'a> {
     pub clock: Arc<dyn Clock>,
     /// What may end all.
     pub signals: StopSignals,
-    /// Hands and eyes.
+    /// The operator.
     pub operator: Box<dyn Operator>,
     /// The axis that moves.
     pub axis: Axis,

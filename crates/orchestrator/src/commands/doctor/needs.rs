@@ -104,8 +104,8 @@ impl Needs {
             serial: Some(serial),
             arcnet,
             cameras: setup.real_cameras().map_or(Cameras::NotNeeded, |cameras| {
-                let eyes = [&cameras.stereo.left, &cameras.stereo.right];
-                Cameras::These(eyes.map(|eye| eye.name.clone()))
+                let cameras = [&cameras.stereo.left, &cameras.stereo.right];
+                Cameras::These(cameras.map(|side| side.name.clone()))
             }),
             nominal_calibration: setup.rig.nominal_calibration.clone(),
             recording_bytes_per_s: 2.0 * 3.0 * pixels / setup.rig.frames.period.as_secs_f64().max(1e-3),

@@ -21,7 +21,7 @@ const DIFFERENCE_MAX_PERCENT: f64 = 15.0;
 
 /// Blur of an edge, standard deviation in pixels; steps from pixel to pixel come out as 0.8.
 const BLUR_MAX_PX: f64 = 2.0;
-/// Blur that one eye has and the other one has not: the square root of the difference of both squares.
+/// Blur that one camera has and the other one has not: the square root of the difference of both squares.
 const FOCUS_MAX_PX: f64 = 1.0;
 
 /// Anywhere in the image. The method `direct` measures it and takes it out, but a calibration that is off by more is off elsewhere too.
@@ -34,15 +34,15 @@ const NO_CALIBRATION: &str = "no calibration was given";
 
 /// All findings about images.
 pub(super) fn findings(samples: &[FramePair], rig: Option<&StereoRig>) -> Vec<Finding> {
-    let eyes: [Vec<&RgbImage>; 2] =
+    let cameras: [Vec<&RgbImage>; 2] =
         [samples.iter().map(|pair| &pair.left).collect(), samples.iter().map(|pair| &pair.right).collect()];
-    let exposures = [Exposure::of(&eyes[0]), Exposure::of(&eyes[1])];
+    let exposures = [Exposure::of(&cameras[0]), Exposure::of(&cameras[1])];
     let mut findings = Vec::new();
     for (side, exposure) in ["left", "right"].into_iter().zip(&exposures) {
         findings.extend(exposure_findings(exposure, side));
     }
     findings.push(difference(&exposures));
-    findings.extend(sharpness([blur_of(&eyes[0]), blur_of(&eyes[1])]));
+    findings.extend(sharpness([blur_of(&cameras[0]), blur_of(&cameras[1])]));
     findings.push(sides(samples, rig));
     findings.push(rows(samples, rig));
     findings
@@ -108,16 +108,16 @@ fn sharpness(blurs: [Option<f64>; 2]) -> Vec<Finding> {
         let softer = if px < 0.0 { "left" } else { "right" };
         findings.push(Finding::judged(
             "focus of both",
-            (px.abs(), "px of blur in one eye only"),
+            (px.abs(), "px of blur in one camera only"),
             Limits::at_most(FOCUS_MAX_PX),
             format!("the {softer} one is softer"),
-            "focus the softer one: an eye that is less sharp tilts the result (docs/method.md)",
+            "focus the softer one: a camera that is less sharp tilts the result (docs/method.md)",
         ));
     }
     findings
 }
 
-/// Whether the left image is the one of the left eye: points that are found in both images are in front of the cameras then.
+/// Whether the left image is the one of the left camera: points that are found in both images are in front of the cameras then.
 fn sides(samples: &[FramePair], rig: Option<&StereoRig>) -> Finding {
     const CHECK: &str = "sides";
     let Some(rig) = rig else {

@@ -59,12 +59,12 @@ fn each_fault_of_the_cameras_is_found_and_said() {
     assert_eq!(failed(&slow), ["rate"], "{}", slow.text());
     let crossed = check(&[], |side, camera| camera.entry.serial = Some(format!("SN{:04}", 1 - side))).unwrap();
     assert!(failed(&crossed).contains(&"sides"), "{}", crossed.text());
-    let one_eyed = check(&[], |side, camera| {
+    let one_camera = check(&[], |side, camera| {
         if side == 1 {
             camera.paint = |_, memory| memory.fill(90);
         }
     });
-    let report = one_eyed.unwrap();
+    let report = one_camera.unwrap();
     assert_eq!(failed(&report), ["sharpness right", "rows"], "{}", report.text());
 }
 

@@ -11,12 +11,12 @@ use super::view::View;
 use super::visibility::Visibility;
 use super::{RenderError, shade};
 use crate::scene::{Scene, ScenePoses};
-use crate::sensor::{Developer, EyeResponse, NoiseKey, SensorConfig};
+use crate::sensor::{CameraResponse, Developer, NoiseKey, SensorConfig};
 use crate::targets::part::Anchor;
 
 /// One camera with all its render state; both cameras can render in parallel.
 #[derive(Clone, Debug)]
-pub(crate) struct Eye {
+pub(crate) struct RenderedCamera {
     cam_from_cam_left: Isometry3<f64>,
     view: View,
     developer: Developer,
@@ -32,7 +32,7 @@ pub(crate) struct Eye {
     fine: Option<Box<Fine>>,
 }
 
-impl Eye {
+impl RenderedCamera {
     /// # Errors
     /// A camera with a pixel that has no ray; the error contains `name`.
     pub(crate) fn new(
@@ -40,9 +40,9 @@ impl Eye {
         camera: &Camera,
         cam_from_cam_left: Isometry3<f64>,
         sensor: &SensorConfig,
-        response: &EyeResponse,
+        response: &CameraResponse,
     ) -> Result<Self, RenderError> {
-        let view = View::new(camera).map_err(|source| RenderError::Camera { eye: name, source })?;
+        let view = View::new(camera).map_err(|source| RenderError::Camera { side: name, source })?;
         let pixels = view.width * view.height;
         Ok(Self {
             cam_from_cam_left,
@@ -59,7 +59,7 @@ impl Eye {
         })
     }
 
-    /// Samples `camera`, which must be the camera of this eye, finer than its pixels.
+    /// Samples `camera`, which must be the camera of this renderer, finer than its pixels.
     ///
     /// # Errors
     /// A camera with a pixel that has no ray; the error contains `name`.

@@ -38,15 +38,15 @@ pub trait PoseCamera: Send {
 }
 
 /// Estimates the target pose from captured frames.
-pub enum Eyes {
+pub enum Perception {
     /// An image-based method, and the target marked in the first images.
     Images(Box<Follower>, Marking),
     /// The true pose with noise.
-    Geometric(GeometricEyes),
+    Geometric(GeometricPerception),
 }
 
 /// Converts the true pose with noise into an estimate.
-pub struct GeometricEyes {
+pub struct GeometricPerception {
     noise: PoseSigma,
     /// Above this standard deviation the tilt has low confidence, radians.
     tilt_sigma_sure_rad: f64,
@@ -92,7 +92,7 @@ impl Marking {
     }
 }
 
-impl Eyes {
+impl Perception {
     /// An estimator without a target yet.
     ///
     /// # Errors
@@ -103,7 +103,7 @@ impl Eyes {
                 let tracker = Tracker::new(method, &setup.rig.stereo, &setup.estimator)?;
                 Ok(Self::Images(Box::new(Follower::new(tracker, setup.range)), marking))
             }
-            (Leader::Geometric(_), Sight::Geometric(camera)) => Ok(Self::Geometric(GeometricEyes {
+            (Leader::Geometric(_), Sight::Geometric(camera)) => Ok(Self::Geometric(GeometricPerception {
                 noise: camera.noise(),
                 tilt_sigma_sure_rad: setup.estimator.track.tilt_sigma_sure_deg.to_radians(),
             })),
@@ -137,13 +137,13 @@ impl Eyes {
             (Self::Images(follower, _), View::Images(pair)) => {
                 Ok(follower.look(&pair.left, &pair.right, region, prior, &mut || true)?)
             }
-            (Self::Geometric(eyes), View::Geometric(frame)) => Ok(eyes.estimate(frame)),
+            (Self::Geometric(cameras), View::Geometric(frame)) => Ok(cameras.estimate(frame)),
             _ => bail!("the frame does not fit the estimation method: this is a bug, please report it"),
         }
     }
 }
 
-impl GeometricEyes {
+impl GeometricPerception {
     fn estimate(&self, frame: &GeometricFrame) -> TrackEstimate {
         let sighting = &frame.sighting;
         let found = match (frame.hindrance, sighting.cam_left_from_model) {
