@@ -12,9 +12,9 @@ use pb3dp_cell::summary::summarize;
 use pb3dp_cell::supervision::TransitionNote;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
-use pb3dp_hal_middleware::{Asked, FlightLog, LimiterStatistics};
+use pb3dp_hal_middleware::{FlightLog, LimiterStatistics, RecordedRequest};
 use pb3dp_kinematics::JointVector;
-use pb3dp_servo::supervisor::{Decision, OperatorInput, Said, Word};
+use pb3dp_servo::supervisor::{Decision, OperatorCommand, OperatorInput, OperatorRequest};
 use pb3dp_setup::setup::{Leader, Setup, read_setup};
 use pb3dp_wiring::wire;
 use system_tests::repository;
@@ -36,7 +36,7 @@ fn setup() -> Setup {
 
 /// A person who says these words at these times (seconds), and is there until he falls silent.
 struct Person {
-    words: Vec<(f64, Word)>,
+    words: Vec<(f64, OperatorCommand)>,
     silent: (f64, f64),
     resets_late_s: f64,
     told: Arc<Mutex<Vec<String>>>,
@@ -47,8 +47,10 @@ impl Operator for Person {
         let now_s = now.seconds_since(MonotonicTime::ZERO);
         let is_due = self.words.first().is_some_and(|(at_s, _)| *at_s <= now_s);
         let said = is_due.then(|| self.words.remove(0).1).map(|word| match word {
-            Word::Reset => Said { word, at: MonotonicTime::from_secs_f64(now_s - self.resets_late_s) },
-            _ => Said { word, at: now },
+            OperatorCommand::Reset => {
+                OperatorRequest { word, at: MonotonicTime::from_secs_f64(now_s - self.resets_late_s) }
+            }
+            _ => OperatorRequest { word, at: now },
         });
         let (from_s, until_s) = self.silent;
         let heard_s = if (from_s..until_s).contains(&now_s) { from_s } else { now_s };
@@ -176,7 +178,7 @@ impl DrivenArm for Stoppable {
 #[derive(Clone, Default)]
 struct Scene {
     /// Said at these times, seconds.
-    words: Vec<(f64, Word)>,
+    words: Vec<(f64, OperatorCommand)>,
     /// The emergency stop of the hand's arm, seconds.
     pressed: Vec<(f64, f64)>,
     /// When the person is silent, seconds.
@@ -283,7 +285,7 @@ impl Seen {
                 .entries()
                 .into_iter()
                 .filter_map(|entry| match (entry.asked, entry.answer) {
-                    (Asked::Exchange(command), Ok(Some(joints))) => {
+                    (RecordedRequest::Exchange(command), Ok(Some(joints))) => {
                         Some((entry.at.seconds_since(MonotonicTime::ZERO), command, joints))
                     }
                     _ => None,
@@ -324,19 +326,22 @@ impl Seen {
     }
 }
 
-const BEGIN: [(f64, Word); 2] = [(0.1, Word::Select), (0.6, Word::Start)];
+const BEGIN: [(f64, OperatorCommand); 2] = [(0.1, OperatorCommand::Select), (0.6, OperatorCommand::Start)];
 
 /// Begins, and says this then; the emergency stop of the hand's arm is pressed in these times.
-fn scene(more: &[(f64, Word)], pressed: &[(f64, f64)]) -> Scene {
+fn scene(more: &[(f64, OperatorCommand)], pressed: &[(f64, f64)]) -> Scene {
     let words = BEGIN.iter().chain(more).copied().collect();
     Scene { words, pressed: pressed.to_vec(), ..Scene::default() }
 }
 
 #[test]
 fn where_a_person_leads_nothing_moves_before_the_word() {
-    for words in [vec![], vec![(0.1, Word::Select)], vec![(0.1, Word::Start), (0.2, Word::Resume), (0.3, Word::Reset)]]
-    {
-        let is_selected = words.contains(&(0.1, Word::Select));
+    for words in [
+        vec![],
+        vec![(0.1, OperatorCommand::Select)],
+        vec![(0.1, OperatorCommand::Start), (0.2, OperatorCommand::Resume), (0.3, OperatorCommand::Reset)],
+    ] {
+        let is_selected = words.contains(&(0.1, OperatorCommand::Select));
         let seen = Scene { words, ..Scene::default() }.run(4.0);
         seen.rests(0.0, 4.0);
         assert_eq!(seen.transitions().len(), usize::from(is_selected), "{:?}", seen.transitions());
@@ -347,7 +352,7 @@ fn where_a_person_leads_nothing_moves_before_the_word() {
 fn a_person_selects_starts_holds_and_resumes() {
     let seen = scene(&[], &[]).run(4.0);
     seen.begins_where_it_is(0.5, &[0, 1]);
-    let seen = scene(&[(3.0, Word::Hold), (5.0, Word::Resume)], &[]).run(8.0);
+    let seen = scene(&[(3.0, OperatorCommand::Hold), (5.0, OperatorCommand::Resume)], &[]).run(8.0);
     let transitions = seen.transitions();
     let names: Vec<&str> = transitions.iter().map(|note| note.event).filter(|event| *event != "left").collect();
     assert_eq!(names[..2], ["select", "start"]);
@@ -359,7 +364,12 @@ fn a_person_selects_starts_holds_and_resumes() {
 
 #[test]
 fn a_reset_is_refused_while_the_emergency_stop_is_pressed_and_leads_on_behind_it() {
-    let more = [(3.5, Word::Reset), (4.5, Word::Reset), (5.0, Word::Select), (6.0, Word::Start)];
+    let more = [
+        (3.5, OperatorCommand::Reset),
+        (4.5, OperatorCommand::Reset),
+        (5.0, OperatorCommand::Select),
+        (6.0, OperatorCommand::Start),
+    ];
     let seen = scene(&more, &[(3.0, 4.0)]).run(9.0);
     assert!((seen.times_of("fault-found")[0] - 3.0).abs() < 0.03, "{:?}", seen.transitions());
     let [reset_s] = seen.times_of("reset")[..] else { panic!("one reset is obeyed: {:?}", seen.transitions()) };
@@ -380,21 +390,31 @@ fn a_released_emergency_stop_starts_nothing_by_itself() {
 
 #[test]
 fn a_start_behind_an_emergency_stop_without_a_selection_is_refused() {
-    let seen = scene(&[(4.5, Word::Reset), (5.0, Word::Start), (5.5, Word::Resume)], &[(3.0, 4.0)]).run(8.0);
+    let seen = scene(
+        &[(4.5, OperatorCommand::Reset), (5.0, OperatorCommand::Start), (5.5, OperatorCommand::Resume)],
+        &[(3.0, 4.0)],
+    )
+    .run(8.0);
     seen.stops(3.0, 8.0);
     seen.ends_in("idle");
 }
 
 #[test]
 fn a_selection_in_a_fault_is_refused() {
-    let seen = scene(&[(4.5, Word::Select), (5.0, Word::Start)], &[(3.0, 4.0)]).run(7.0);
+    let seen = scene(&[(4.5, OperatorCommand::Select), (5.0, OperatorCommand::Start)], &[(3.0, 4.0)]).run(7.0);
     seen.stops(3.0, 7.0);
     seen.ends_in("fault");
 }
 
 #[test]
 fn a_stop_by_word_lasts_until_reset_selection_and_start() {
-    let more = [(3.0, Word::Stop), (4.0, Word::Start), (4.5, Word::Reset), (5.0, Word::Select), (6.0, Word::Start)];
+    let more = [
+        (3.0, OperatorCommand::Stop),
+        (4.0, OperatorCommand::Start),
+        (4.5, OperatorCommand::Reset),
+        (5.0, OperatorCommand::Select),
+        (6.0, OperatorCommand::Start),
+    ];
     let seen = scene(&more, &[]).run(9.0);
     seen.stops(3.0, 6.0);
     seen.begins_where_it_is(5.9, &[0, 1]);
@@ -409,7 +429,7 @@ fn a_person_who_falls_silent_and_speaks_again_has_to_reset() {
     let [stopped_s] = seen.times_of("stop-found")[..] else { panic!("{:?}", seen.transitions()) };
     assert!(stopped_s > 2.9 && stopped_s < 3.2, "{stopped_s}");
     seen.stops(stopped_s, 8.0);
-    let again = [(6.0, Word::Reset), (6.5, Word::Select), (7.5, Word::Start)];
+    let again = [(6.0, OperatorCommand::Reset), (6.5, OperatorCommand::Select), (7.5, OperatorCommand::Start)];
     let words = silent.words.iter().chain(&again).copied().collect();
     let seen = Scene { words, ..silent }.run(10.0);
     seen.stops(stopped_s, 7.5);
@@ -419,14 +439,14 @@ fn a_person_who_falls_silent_and_speaks_again_has_to_reset() {
 
 #[test]
 fn a_second_emergency_stop_behind_the_reset_stops_again() {
-    let more = [(4.5, Word::Reset), (5.0, Word::Select), (6.0, Word::Start)];
+    let more = [(4.5, OperatorCommand::Reset), (5.0, OperatorCommand::Select), (6.0, OperatorCommand::Start)];
     // It is pressed again while both arms wait for the start.
     let seen = scene(&more, &[(3.0, 4.0), (5.5, 7.0)]).run(9.0);
     seen.stops(3.0, 9.0);
     assert_eq!(seen.times_of("fault-found").len(), 2, "{:?}", seen.transitions());
     seen.ends_in("fault");
     // And while they move.
-    let more = [(3.5, Word::Reset), (4.0, Word::Select), (4.5, Word::Start)];
+    let more = [(3.5, OperatorCommand::Reset), (4.0, OperatorCommand::Select), (4.5, OperatorCommand::Start)];
     let seen = scene(&more, &[(2.8, 3.0), (5.2, 6.0)]).run(8.0);
     seen.stops(2.8, 4.5);
     let [_, again_s] = seen.times_of("fault-found")[..] else { panic!("{:?}", seen.transitions()) };
@@ -441,7 +461,7 @@ fn a_reset_that_was_said_too_early_clears_no_arm() {
         (4.5, 1.0, (3.0, 3.2), "the request is 1.000 s old"),
         (3.2, 0.4, (3.0, 3.05), "before the state changed to fault"),
     ] {
-        let seen = Scene { resets_late_s, ..scene(&[(reset_s, Word::Reset)], &[pressed]) }.run(6.0);
+        let seen = Scene { resets_late_s, ..scene(&[(reset_s, OperatorCommand::Reset)], &[pressed]) }.run(6.0);
         for noted in &seen.noted {
             assert!(noted.lock().unwrap().resets_s.is_empty(), "{why}: an arm was reset");
         }
@@ -454,22 +474,26 @@ fn a_reset_that_was_said_too_early_clears_no_arm() {
 /// An emergency stop so short that it is over when the step comes in which the second reset is heard.
 #[test]
 fn a_reset_clears_nothing_that_the_supervisor_has_not_seen() {
-    let more = [(4.5, Word::Reset), (5.003, Word::Reset)];
+    let more = [(4.5, OperatorCommand::Reset), (5.003, OperatorCommand::Reset)];
     let seen = scene(&more, &[(3.0, 4.0), (5.002, 5.006)]).run(7.0);
     assert_eq!(seen.noted[0].lock().unwrap().resets_s.len(), 1, "the second one clears nothing");
     assert_eq!(seen.times_of("fault-found").len(), 2, "{:?}", seen.transitions());
     seen.ends_in("fault");
     // The same while both arms are stopped by word.
-    let seen = scene(&[(3.0, Word::Stop), (5.003, Word::Reset)], &[(5.002, 5.006)]).run(7.0);
+    let seen = scene(&[(3.0, OperatorCommand::Stop), (5.003, OperatorCommand::Reset)], &[(5.002, 5.006)]).run(7.0);
     assert!(seen.noted[0].lock().unwrap().resets_s.is_empty());
     seen.ends_in("fault");
-    let seen = scene(&[(3.0, Word::Stop), (5.003, Word::Reset), (6.0, Word::Reset)], &[(5.002, 5.006)]).run(7.0);
+    let seen = scene(
+        &[(3.0, OperatorCommand::Stop), (5.003, OperatorCommand::Reset), (6.0, OperatorCommand::Reset)],
+        &[(5.002, 5.006)],
+    )
+    .run(7.0);
     seen.ends_in("idle");
 }
 
 #[test]
 fn a_stop_that_fails_is_tried_again_and_nothing_is_reset_before() {
-    let more = [(3.2, Word::Reset), (4.5, Word::Reset)];
+    let more = [(3.2, OperatorCommand::Reset), (4.5, OperatorCommand::Reset)];
     let seen = Scene { tc_stops_failing: 4, ..scene(&more, &[(3.0, 3.1)]) }.run(6.0);
     seen.stops(3.0, 6.0);
     let [vs, tc] = [0, 1].map(|arm| seen.noted[arm].lock().unwrap());
@@ -490,7 +514,7 @@ fn a_stop_that_fails_is_tried_again_and_nothing_is_reset_before() {
 #[test]
 fn a_command_that_an_arm_refuses_is_a_hold_until_resume() {
     for refuse in [[(3.0, 3.02), (0.0, 0.0)], [(0.0, 0.0), (3.0, 3.02)]] {
-        let seen = Scene { refuse, ..scene(&[(5.0, Word::Resume)], &[]) }.run(7.0);
+        let seen = Scene { refuse, ..scene(&[(5.0, OperatorCommand::Resume)], &[]) }.run(7.0);
         assert!(seen.ended.how.is_ok(), "{:?}", seen.ended.how);
         assert!(seen.trouble.iter().any(|told| told.contains("too little room, says the test")), "{:?}", seen.trouble);
         let (held, resumed) = (seen.times_of("hold"), seen.times_of("resume"));

@@ -8,6 +8,7 @@ mod layout;
 mod links;
 mod markdown;
 mod method_table;
+mod plain_words;
 mod rust;
 mod summary;
 mod test_files;
@@ -57,6 +58,7 @@ pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
     violations.extend(method_table::check(&texts));
     violations.extend(summary::check(&texts));
     violations.extend(test_files::check(&texts));
+    violations.extend(plain_words::check(workspace, &texts)?);
     violations.extend(exceptions.unused());
     conclude("tidy", &format!("{} files, {} of them text", files.len(), texts.len()), violations)
 }

@@ -73,7 +73,7 @@ impl Farther {
 
 /// A requested view of the board.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Wish {
+pub struct ViewRequest {
     /// Part of the image: column and row, each 0 to 2.
     pub part: [u32; 2],
     /// The side that should be farther away; `None` for a board facing the cameras.
@@ -84,7 +84,7 @@ pub struct Wish {
     pub size: f64,
 }
 
-impl fmt::Display for Wish {
+impl fmt::Display for ViewRequest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let place = match self.part {
             [0, 0] => "in the upper left corner",
@@ -135,7 +135,7 @@ pub struct Advice {
     /// Progress so far.
     pub progress: Progress,
     /// The next view; `None` if there are enough.
-    pub wish: Option<Wish>,
+    pub request: Option<ViewRequest>,
 }
 
 /// Suggests the next view. `limits` are the limits of the gates that will judge the calibration.
@@ -156,23 +156,23 @@ pub fn advice(stands: &[Stand], limits: &Limits) -> Advice {
     let views_enough = VIEWS_ENOUGH.max(limits.of(Gate::Views).good.ceil() as usize);
     let is_all = is_covered && is_tilted && progress.near >= NEAR_VIEWS && stands.len() >= views_enough;
     if is_all || stands.len() >= VIEWS_MAX.max(views_enough) {
-        return Advice { progress, wish: None };
+        return Advice { progress, request: None };
     }
-    let wish = if stands.is_empty() {
-        Wish { part: [1, 1], farther: None, tilt_deg: 0.0, size: NEAR_ASKED }
+    let request = if stands.is_empty() {
+        ViewRequest { part: [1, 1], farther: None, tilt_deg: 0.0, size: NEAR_ASKED }
     } else {
         next(stands, &progress, is_covered)
     };
-    Advice { progress, wish: Some(wish) }
+    Advice { progress, request: Some(request) }
 }
 
 /// The image part with the most uncovered cells, with the rarest tilt; every third view is near the cameras, in the middle.
-fn next(stands: &[Stand], progress: &Progress, is_covered: bool) -> Wish {
+fn next(stands: &[Stand], progress: &Progress, is_covered: bool) -> ViewRequest {
     let rarest = Farther::ALL.into_iter().zip(progress.tilted).min_by_key(|(_, count)| *count).map(|(side, _)| side);
     // Additional near views are interleaved with the others, so that different sides of the board are tilted away.
     let is_near = progress.near < NEAR_VIEWS && (is_covered || 4 * progress.near < stands.len());
     if is_near {
-        return Wish { part: [1, 1], farther: rarest, tilt_deg: TILT_ASKED_DEG, size: NEAR_ASKED };
+        return ViewRequest { part: [1, 1], farther: rarest, tilt_deg: TILT_ASKED_DEG, size: NEAR_ASKED };
     }
     let parts = (0..PARTS).flat_map(|row| (0..PARTS).map(move |column| [column, row]));
     // The middle is covered by the other views. A part that was requested and stays empty is one where not both cameras see the
@@ -183,7 +183,7 @@ fn next(stands: &[Stand], progress: &Progress, is_covered: bool) -> Wish {
         f64::from(empty_cells(progress, *part)).max(0.1) / (1.0 + visits as f64)
     };
     let part = outer.max_by(|a, b| gain(a).total_cmp(&gain(b))).unwrap_or([1, 1]);
-    Wish { part, farther: rarest, tilt_deg: TILT_ASKED_DEG, size: MIDDLE_ASKED }
+    ViewRequest { part, farther: rarest, tilt_deg: TILT_ASKED_DEG, size: MIDDLE_ASKED }
 }
 
 /// The image part for a board centre; the outer parts begin where a board of a third of the image width ends.

@@ -9,7 +9,7 @@
 )]
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
-use pb3dp_calibration::coach::{VIEWS_MAX, Wish, advice};
+use pb3dp_calibration::coach::{VIEWS_MAX, ViewRequest, advice};
 use pb3dp_calibration::fit::View;
 use pb3dp_calibration::gates::{Gate, Grade, Limits, Verdict};
 use pb3dp_calibration::held_out::choose;
@@ -32,17 +32,17 @@ const GOOD: Session = Session {
 };
 
 /// The board at the requested position, with the errors of a hand; moved towards the middle until both cameras see all of it.
-fn follow(wish: &Wish, rig: &StereoRig, random: &mut Random, name: String) -> View<2> {
+fn follow(request: &ViewRequest, rig: &StereoRig, random: &mut Random, name: String) -> View<2> {
     let board = board();
     let middle = board.corner_in_board(board.columns() - 1, board.rows() - 1).coords * 0.5;
     let side_m = 2.0 * (middle.x * middle.y).sqrt();
     let width = f64::from(SIZE.width);
-    let distance_m = side_m * rig.left().pinhole().fx / (wish.size * width) * random.between(0.9, 1.1);
-    let way = wish.farther.map_or_else(Vector2::zeros, |side| side.direction()) * wish.tilt_deg;
+    let distance_m = side_m * rig.left().pinhole().fx / (request.size * width) * random.between(0.9, 1.1);
+    let way = request.farther.map_or_else(Vector2::zeros, |side| side.direction()) * request.tilt_deg;
     let mut off = |size: f64| random.between(-size, size);
     // The right side is farther away after a turn about -y, the lower one after a turn about x.
     let turn = Vector3::new((way.y + off(8.0)).to_radians(), (-way.x + off(8.0)).to_radians(), off(20.0).to_radians());
-    let out = Vector2::new(f64::from(wish.part[0]) - 1.0, f64::from(wish.part[1]) - 1.0);
+    let out = Vector2::new(f64::from(request.part[0]) - 1.0, f64::from(request.part[1]) - 1.0);
     let shake = Vector2::new(off(0.04), off(0.04));
     // A board that does not fit is held farther away; a board that leaves an image is moved towards the middle of both images.
     for (back, step) in (0..12).flat_map(|back| (0..=30).map(move |step| (back, step))) {
@@ -62,7 +62,7 @@ fn follow(wish: &Wish, rig: &StereoRig, random: &mut Random, name: String) -> Vi
             return View { name, sightings };
         }
     }
-    panic!("the board does not fit into both images: {wish:?}");
+    panic!("the board does not fit into both images: {request:?}");
 }
 
 /// Views of an operator who follows the advice until there are enough views.
@@ -73,8 +73,8 @@ fn coached(rig: &StereoRig, random: &mut Random) -> Vec<View<2>> {
             if views.len() < 4 { Some(Judge::of_camera(*rig.left())) } else { Judge::new(&views, &board(), SIZE) };
         let judge = judge.expect("a camera");
         let stands: Vec<Stand> = views.iter().filter_map(|view| judge.stand(view, &board())).collect();
-        match advice(&stands, &Limits::default()).wish {
-            Some(wish) => views.push(follow(&wish, rig, random, format!("{:02}", views.len()))),
+        match advice(&stands, &Limits::default()).request {
+            Some(request) => views.push(follow(&request, rig, random, format!("{:02}", views.len()))),
             None => return views,
         }
         assert!(views.len() <= VIEWS_MAX, "there are never enough views");
@@ -132,7 +132,7 @@ fn who_follows_the_coach_passes_the_gates() {
 
 #[test]
 fn the_advice_is_said_in_words() {
-    let first = advice(&[], &Limits::default()).wish.expect("a view");
+    let first = advice(&[], &Limits::default()).request.expect("a view");
     assert_eq!(
         first.to_string(),
         "hold the board in the middle of the images, facing the cameras, near: as large as fits"
@@ -143,8 +143,8 @@ fn the_advice_is_said_in_words() {
     let judge = Judge::of_camera(*truth.left());
     let stand = judge.stand(&views[0], &board()).expect("a stand");
     let second = advice(&[stand], &Limits::default());
-    println!("{:?}: {}", second.progress, second.wish.expect("a view"));
-    let text = second.wish.expect("a view").to_string();
+    println!("{:?}: {}", second.progress, second.request.expect("a view"));
+    let text = second.request.expect("a view").to_string();
     assert!(
         text.contains("corner of the images, as far out as possible with the whole board in both images"),
         "{text}"
@@ -159,12 +159,12 @@ fn a_stand_is_what_was_done() {
     let judge = Judge::of_camera(*truth.left());
     for part in [[1, 1], [0, 0], [2, 2]] {
         for farther in pb3dp_calibration::coach::Farther::ALL {
-            let wish = Wish { part, farther: Some(farther), tilt_deg: 30.0, size: 0.3 };
-            let view = follow(&wish, &truth, &mut random, "00".to_owned());
+            let request = ViewRequest { part, farther: Some(farther), tilt_deg: 30.0, size: 0.3 };
+            let view = follow(&request, &truth, &mut random, "00".to_owned());
             let stand = judge.stand(&view, &board()).expect("a stand");
             let along = stand.tilt_deg.dot(&farther.direction());
             // In an image corner the same rotation is a different tilt against the ray.
-            assert!((10.0..60.0).contains(&along), "{wish:?}: {stand:?}");
+            assert!((10.0..60.0).contains(&along), "{request:?}: {stand:?}");
             assert!((stand.size / 0.3 - 1.0).abs() < 0.3, "{stand:?}");
             assert!((stand.centre.x - 0.5) * (f64::from(part[0]) - 1.0) >= 0.0, "{stand:?}");
         }

@@ -10,7 +10,7 @@
 use nalgebra::{Isometry3, Vector3};
 use pb3dp_calibration::fit::View;
 use pb3dp_calibration::gates::{Gate, Grade, Limits};
-use pb3dp_calibration::hand_eye::propose::{ProposeError, Wish, propose};
+use pb3dp_calibration::hand_eye::propose::{ProposalRequest, ProposeError, propose};
 use pb3dp_calibration::held_out::choose;
 use pb3dp_calibration::lens::LensModel;
 use pb3dp_calibration::quality::Quality;
@@ -20,7 +20,7 @@ use crate::arm::{GOOD, World};
 use crate::support::{Random, SIZE, board};
 
 const RIGS: u32 = 20;
-const WISH: Wish = Wish {
+const REQUEST: ProposalRequest = ProposalRequest {
     count: 18,
     distance_m: 0.5,
     guess_error_m: 0.01,
@@ -63,21 +63,21 @@ fn the_board_stays_whole_and_the_views_calibrate_the_head() {
         let factor = if seed % 2 == 0 { 1.02 } else { 1.0 / 1.02 };
         let believed = with_focal(&world.rig, factor);
         let (turn, shift) =
-            (direction(&mut random) * WISH.guess_error_rad, direction(&mut random) * WISH.guess_error_m);
+            (direction(&mut random) * REQUEST.guess_error_rad, direction(&mut random) * REQUEST.guess_error_m);
         let error = Isometry3::from_parts(shift.into(), so3::exp(&turn));
         let first = first_look(&mut random, 0.55);
         let mut first_believed = first;
         first_believed.translation.vector *= factor;
-        let views = propose(&believed, &board(), &Pose::from_isometry(first_believed), &WISH)
+        let views = propose(&believed, &board(), &Pose::from_isometry(first_believed), &REQUEST)
             .unwrap_or_else(|error| panic!("seed {seed}: {error}"));
-        assert_eq!(views.cam_left_from_board.len(), WISH.count);
+        assert_eq!(views.cam_left_from_board.len(), REQUEST.count);
         let mut seen = Vec::new();
         for (index, view) in views.cam_left_from_board.iter().enumerate() {
             let motion = error * (view.isometry() * first_believed.inverse()) * error.inverse();
             let sightings = world.sightings(&(motion * first), &GOOD, &mut random);
             seen.extend(sightings.map(|sightings| View { name: format!("{index:02}"), sightings }));
         }
-        (whole, all) = (whole + seen.len(), all + WISH.count);
+        (whole, all) = (whole + seen.len(), all + REQUEST.count);
         let chosen = choose(&seen, &board(), SIZE, &[LensModel::Brown4]).expect("a calibration");
         let quality = Quality::of_stereo(&chosen, &seen, SIZE, 0.5).expect("judged");
         let verdicts = Limits::default().judge(&quality);
@@ -108,7 +108,7 @@ fn the_way_is_short_and_turns_about_both_axes() {
     let mut random = Random::new(17);
     let world = World::in_room(&mut random);
     let first = first_look(&mut random, 0.5);
-    let views = propose(&world.rig, &board(), &Pose::from_isometry(first), &WISH).expect("views");
+    let views = propose(&world.rig, &board(), &Pose::from_isometry(first), &REQUEST).expect("views");
     let poses: Vec<_> = views.cam_left_from_board.iter().map(|view| *view.isometry()).collect();
     let turn = |a: &Isometry3<f64>, b: &Isometry3<f64>| a.rotation.angle_to(&b.rotation).to_degrees();
     let way: f64 = poses.windows(2).map(|pair| turn(&pair[0], &pair[1])).sum::<f64>() + turn(&first, &poses[0]);
@@ -137,8 +137,8 @@ fn a_board_that_is_too_near_is_refused_with_numbers() {
     let mut random = Random::new(23);
     let world = World::in_room(&mut random);
     let first = first_look(&mut random, 0.5);
-    let wish = Wish { distance_m: 0.15, ..WISH };
-    let error = propose(&world.rig, &board(), &Pose::from_isometry(first), &wish).expect_err("too near");
+    let request = ProposalRequest { distance_m: 0.15, ..REQUEST };
+    let error = propose(&world.rig, &board(), &Pose::from_isometry(first), &request).expect_err("too near");
     assert!(matches!(error, ProposeError::TooFew { found: 0, wanted: 18, .. }), "{error:?}");
     assert!(error.to_string().contains("150 mm") && error.to_string().contains("--distance"), "{error}");
 }

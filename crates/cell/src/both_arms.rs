@@ -84,11 +84,11 @@ impl LedArm {
         matches!(self.arm.state(), ArmState::Fault | ArmState::EStop)
     }
 
-    fn begin_enable(&mut self, from: Whence) -> Result<()> {
+    fn begin_enable(&mut self, from: EnablePosition) -> Result<()> {
         let begun = match from {
-            Whence::Start => self.arm.begin_enable(),
-            Whence::Here if self.arm.state() != ArmState::Disabled => return Ok(()),
-            Whence::Here => self.arm.begin_enable_here(),
+            EnablePosition::Start => self.arm.begin_enable(),
+            EnablePosition::Here if self.arm.state() != ArmState::Disabled => return Ok(()),
+            EnablePosition::Here => self.arm.begin_enable_here(),
         };
         begun.with_context(|| self.not_enabled())?;
         self.is_switching_on = true;
@@ -135,7 +135,7 @@ impl LedArm {
 
 /// Required position of the arms when they are enabled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Whence {
+pub enum EnablePosition {
     /// The start position: elsewhere the first velocity is refused.
     Start,
     /// The position after a stop; an arm that is still enabled stays enabled.
@@ -167,7 +167,7 @@ impl BothArms {
     ///
     /// # Errors
     /// The arm that cannot be enabled or does not hold, with the cause; the caller must then stop both.
-    pub fn enable(&mut self, from: Whence) -> Result<bool> {
+    pub fn enable(&mut self, from: EnablePosition) -> Result<bool> {
         let was_switching_on = std::mem::replace(&mut self.is_switching_on, false);
         if !was_switching_on {
             self.vs.begin_enable(from)?;
@@ -321,7 +321,7 @@ mod tests {
         let tc =
             Box::new(Limiter::new(tc, setup.rig.tc.limits, setup.rig.tc.limiter.clone(), Arc::clone(&clock)).unwrap());
         let mut arms = BothArms::new(&setup, (vs, tc), clock.now());
-        assert!(arms.enable(Whence::Start).unwrap());
+        assert!(arms.enable(EnablePosition::Start).unwrap());
         (arms, faults)
     }
 
@@ -460,7 +460,7 @@ mod tests {
 
     #[test]
     fn an_arm_with_open_brakes_is_watched_in_each_cycle_until_the_other_one_is_on() {
-        for from in [Whence::Start, Whence::Here] {
+        for from in [EnablePosition::Start, EnablePosition::Here] {
             let (mut arms, said) = slow(usize::MAX);
             for cycle in 1..100 {
                 assert!(!arms.enable(from).unwrap() && arms.is_switching_on());
@@ -475,7 +475,7 @@ mod tests {
     #[test]
     fn an_arm_that_fails_while_the_other_one_is_switched_on_stops_both() {
         let (mut arms, said) = slow(50);
-        let failure = (0..100).find_map(|_| arms.enable(Whence::Start).err()).unwrap();
+        let failure = (0..100).find_map(|_| arms.enable(EnablePosition::Start).err()).unwrap();
         assert_eq!(format!("{failure:#}"), "vs-robot: vs ran away");
         arms.stop().unwrap();
         assert!(!arms.is_switching_on());

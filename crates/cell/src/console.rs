@@ -10,7 +10,7 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
-use pb3dp_servo::supervisor::{Decision, OperatorInput, Said, Word};
+use pb3dp_servo::supervisor::{Decision, OperatorCommand, OperatorInput, OperatorRequest};
 use rtrb::{Consumer, Producer, RingBuffer};
 
 use super::operator::Operator;
@@ -42,7 +42,7 @@ help     show this list";
 /// Operator commands from a console, one on each line. The end of the input ends the run, as `quit` does.
 pub struct Console {
     /// Each command with its number.
-    words: Consumer<(u64, Said)>,
+    words: Consumer<(u64, OperatorRequest)>,
     shared: Arc<Shared>,
     heard_at: Option<MonotonicTime>,
     /// Time at which commands were first accepted; commands queued before are stamped with it.
@@ -122,11 +122,11 @@ impl Console {
         Ok(Self { words, shared, heard_at: None, begun_at: None, overtaken: 0, untold: None })
     }
 
-    fn next_word(&mut self) -> Option<Said> {
-        for (urgent, word) in [(&self.shared.stop, Word::Stop), (&self.shared.hold, Word::Hold)] {
+    fn next_word(&mut self) -> Option<OperatorRequest> {
+        for (urgent, word) in [(&self.shared.stop, OperatorCommand::Stop), (&self.shared.hold, OperatorCommand::Hold)] {
             if let Some((number, at)) = urgent.take() {
                 self.overtaken = self.overtaken.max(number);
-                return Some(Said { word, at });
+                return Some(OperatorRequest { word, at });
             }
         }
         while let Ok((number, said)) = self.words.pop() {
@@ -156,7 +156,7 @@ impl Operator for Console {
         if !self.shared.is_closed.load(Ordering::SeqCst) {
             self.heard_at = Some(now);
         }
-        let said = self.next_word().map(|said| Said { at: said.at.max(begun_at), ..said });
+        let said = self.next_word().map(|said| OperatorRequest { at: said.at.max(begun_at), ..said });
         OperatorInput { said, heard_at: self.heard_at }
     }
 
@@ -215,7 +215,7 @@ impl Answers {
 /// The reading thread.
 struct Reading {
     clock: Arc<dyn Clock>,
-    give: Producer<(u64, Said)>,
+    give: Producer<(u64, OperatorRequest)>,
     answers: Answers,
     shared: Arc<Shared>,
     interrupt: Arc<AtomicBool>,
@@ -263,7 +263,7 @@ impl Reading {
     }
 
     fn take(&mut self, line: &str) {
-        let word = Word::ALL.into_iter().find(|word| word.name() == line);
+        let word = OperatorCommand::ALL.into_iter().find(|word| word.name() == line);
         let answer = match (word, line) {
             (Some(word), _) => self.say(word),
             (None, "status") => Some(self.status()),
@@ -280,7 +280,7 @@ impl Reading {
         }
     }
 
-    fn say(&mut self, word: Word) -> Option<String> {
+    fn say(&mut self, word: OperatorCommand) -> Option<String> {
         if !self.shared.has_begun.load(Ordering::SeqCst) {
             return self.say_early(word);
         }
@@ -289,28 +289,28 @@ impl Reading {
 
     /// Handles a command while both arms are being enabled. `stop` aborts enabling and ends the run. Commands that cause no motion are
     /// queued. Commands that could cause motion are refused, because the operator refers to the present state.
-    fn say_early(&mut self, word: Word) -> Option<String> {
+    fn say_early(&mut self, word: OperatorCommand) -> Option<String> {
         match word {
-            Word::Stop => {
+            OperatorCommand::Stop => {
                 self.interrupt.store(true, Ordering::SeqCst);
                 Some("enabling aborted: stopping both arms, then writing the report".to_owned())
             }
-            Word::Select | Word::Hold => Some(
+            OperatorCommand::Select | OperatorCommand::Hold => Some(
                 self.give(word).unwrap_or_else(|| format!("{} is queued until both arms are enabled", word.name())),
             ),
-            Word::Start | Word::Resume | Word::Reset => Some(format!(
+            OperatorCommand::Start | OperatorCommand::Resume | OperatorCommand::Reset => Some(format!(
                 "{} refused: both arms are still being enabled; repeat it when they are enabled",
                 word.name()
             )),
         }
     }
 
-    fn give(&mut self, word: Word) -> Option<String> {
-        let said = Said { word, at: self.clock.now() };
+    fn give(&mut self, word: OperatorCommand) -> Option<String> {
+        let said = OperatorRequest { word, at: self.clock.now() };
         self.words += 1;
         match word {
-            Word::Stop => self.shared.stop.say(self.words, said.at),
-            Word::Hold => self.shared.hold.say(self.words, said.at),
+            OperatorCommand::Stop => self.shared.stop.say(self.words, said.at),
+            OperatorCommand::Hold => self.shared.hold.say(self.words, said.at),
             _ if self.give.push((self.words, said)).is_err() => {
                 return Some(format!("{} refused: {WORDS_MAX} commands are waiting; repeat it", word.name()));
             }
@@ -400,7 +400,7 @@ mod tests {
         Supervisor::new(config).unwrap().step(&inputs, NOW)
     }
 
-    fn word(console: &mut Console) -> Option<Word> {
+    fn word(console: &mut Console) -> Option<OperatorCommand> {
         console.listen(None, NOW).said.map(|said| said.word)
     }
 
@@ -424,7 +424,15 @@ mod tests {
         let later = MonotonicTime::from_nanos(70);
         let heard = [0; 4].map(|_| console.listen(None, later));
         let words = heard.map(|input| input.said.map(|said| (said.word, said.at)));
-        assert_eq!(words, [Some((Word::Select, NOW)), Some((Word::Start, NOW)), Some((Word::Resume, NOW)), None]);
+        assert_eq!(
+            words,
+            [
+                Some((OperatorCommand::Select, NOW)),
+                Some((OperatorCommand::Start, NOW)),
+                Some((OperatorCommand::Resume, NOW)),
+                None
+            ]
+        );
         assert_eq!(heard[2].heard_at, Some(NOW), "a closed console gives no sign of life");
     }
 
@@ -445,12 +453,12 @@ mod tests {
         // Ten seconds later: each command is stamped now, and hold has overtaken the first select.
         let later = NOW + Duration::from_secs(10);
         let words = [0; 3].map(|_| console.listen(None, later).said.map(|said| (said.word, said.at)));
-        assert_eq!(words, [Some((Word::Hold, later)), Some((Word::Select, later)), None]);
+        assert_eq!(words, [Some((OperatorCommand::Hold, later)), Some((OperatorCommand::Select, later)), None]);
         assert!(!interrupt.load(Ordering::SeqCst));
         // From now on each command counts at the time of its input.
         writeln!(writer, "start").unwrap();
         wait_until(|| !console.words.is_empty());
-        assert_eq!(word(&mut console), Some(Word::Start));
+        assert_eq!(word(&mut console), Some(OperatorCommand::Start));
     }
 
     #[test]
@@ -486,11 +494,14 @@ mod tests {
             text += &answers.recv().unwrap();
         }
         assert!(text.contains("start refused: 16 commands are waiting"), "{text}");
-        assert_eq!([0; 3].map(|_| word(&mut console)), [Some(Word::Stop), Some(Word::Hold), None]);
+        assert_eq!(
+            [0; 3].map(|_| word(&mut console)),
+            [Some(OperatorCommand::Stop), Some(OperatorCommand::Hold), None]
+        );
         // Later commands are taken again.
         writeln!(writer, "reset").unwrap();
         wait_until(|| !console.words.is_empty());
-        assert_eq!([0; 2].map(|_| word(&mut console)), [Some(Word::Reset), None]);
+        assert_eq!([0; 2].map(|_| word(&mut console)), [Some(OperatorCommand::Reset), None]);
     }
 
     #[test]
@@ -500,7 +511,7 @@ mod tests {
         let (mut console, answers, _) = console(std::io::Cursor::new(lines));
         let text: String = answers.iter().collect();
         assert!(text.contains("unknown command \"st\u{fffd}art\"") && text.contains("longer than 256 bytes"), "{text}");
-        assert_eq!([0; 2].map(|_| word(&mut console)), [Some(Word::Select), None]);
+        assert_eq!([0; 2].map(|_| word(&mut console)), [Some(OperatorCommand::Select), None]);
     }
 
     #[test]
@@ -514,7 +525,7 @@ mod tests {
         }
         writeln!(writer, "stop").unwrap();
         wait_until(|| console.shared.stop.number.load(Ordering::SeqCst) > 0);
-        assert_eq!(word(&mut console), Some(Word::Stop));
+        assert_eq!(word(&mut console), Some(OperatorCommand::Stop));
         // Dropped answers are reported once the output is read.
         let mut read = BufReader::new(unread).lines().map(|line| line.unwrap());
         let told = read.find(|line| {

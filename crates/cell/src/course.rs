@@ -41,7 +41,7 @@ impl Course<'_> {
 struct InTurn<'w, W: Parted> {
     parted: &'w mut W,
     /// Not recorded yet.
-    seen: Option<W::Seen>,
+    seen: Option<W::Observed>,
 }
 
 impl<W: Parted> Watcher for InTurn<'_, W> {

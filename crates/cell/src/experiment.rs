@@ -15,11 +15,11 @@ use super::journal::{Journal, Outcome};
 use super::log::RunLog;
 use super::looking::{Estimating, Looking};
 use super::moving::{Moved, Moving};
-use super::noting::Noting;
+use super::noting::EstimateRecorder;
 use super::parts::Parts;
 use super::percept::Percept;
 use super::strip::Strip;
-use crate::noting::Seen;
+use crate::noting::PairEstimate;
 
 /// Longest run led by a console operator, seconds: the record stays in memory until `quit` or until this time.
 pub const LED_BY_PERSON_MAX_S: f64 = 3600.0;
@@ -97,7 +97,7 @@ struct Watching<'a> {
 impl Parted for Watching<'_> {
     type Step = Moved;
     type Frame = Captured;
-    type Seen = Seen;
+    type Observed = PairEstimate;
 
     fn begin_at(&mut self, begin: MonotonicTime) {
         self.cell.begin_at(begin);
@@ -109,8 +109,8 @@ impl Parted for Watching<'_> {
         &mut self,
     ) -> (
         impl Capture<Frame = Captured>,
-        impl Estimate<Frame = Captured, Seen = Seen, Step = Moved>,
-        impl Record<Seen = Seen, Step = Moved>,
+        impl Estimate<Frame = Captured, Observed = PairEstimate, Step = Moved>,
+        impl Record<Observed = PairEstimate, Step = Moved>,
     ) {
         let Looking { capturing, estimating, noting } = &mut self.looking;
         (capturing, Leading(estimating), Keeping { noting, journal: &mut self.journal })
@@ -122,14 +122,14 @@ struct Leading<'w, 'a>(&'w mut Estimating<'a>);
 
 impl Estimate for Leading<'_, '_> {
     type Frame = Captured;
-    type Seen = Seen;
+    type Observed = PairEstimate;
     type Step = Moved;
 
     fn moved(&mut self, step: &Moved) {
         self.0.push_joints(step.vs_joints);
     }
 
-    fn look(&mut self, frame: Captured) -> Result<(Percept, Seen)> {
+    fn look(&mut self, frame: Captured) -> Result<(Percept, PairEstimate)> {
         let seen = self.0.look(frame)?;
         Ok((seen.percept(), seen))
     }
@@ -137,19 +137,19 @@ impl Estimate for Leading<'_, '_> {
 
 /// The recording part.
 struct Keeping<'w, 'a> {
-    noting: &'w mut Noting<'a>,
+    noting: &'w mut EstimateRecorder<'a>,
     journal: &'w mut Journal,
 }
 
 impl Record for Keeping<'_, '_> {
-    type Seen = Seen;
+    type Observed = PairEstimate;
     type Step = Moved;
 
     fn moved(&mut self, step: &Moved) {
         self.journal.note(step);
     }
 
-    fn note(&mut self, seen: Seen) -> Result<()> {
+    fn note(&mut self, seen: PairEstimate) -> Result<()> {
         self.noting.note(&seen)
     }
 }

@@ -9,7 +9,7 @@ use std::time::{Duration, SystemTime};
 use anyhow::{Context, Result};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmState, JointCommand};
-use pb3dp_hal_middleware::{Asked, FlightEntry, FlightLog};
+use pb3dp_hal_middleware::{FlightEntry, FlightLog, RecordedRequest};
 use serde_json::{Value, json};
 
 /// Recorded time span of a run.
@@ -165,11 +165,11 @@ impl Moment {
 
 fn line(entry: &FlightEntry) -> Value {
     let (asked, velocity) = match &entry.asked {
-        Asked::Exchange(JointCommand::Hold) => ("hold", None),
-        Asked::Exchange(JointCommand::Velocity(velocity)) => ("velocity", Some(velocity.as_slice().to_vec())),
-        Asked::Enable => ("enable", None),
-        Asked::Stop => ("stop", None),
-        Asked::Reset => ("reset", None),
+        RecordedRequest::Exchange(JointCommand::Hold) => ("hold", None),
+        RecordedRequest::Exchange(JointCommand::Velocity(velocity)) => ("velocity", Some(velocity.as_slice().to_vec())),
+        RecordedRequest::Enable => ("enable", None),
+        RecordedRequest::Stop => ("stop", None),
+        RecordedRequest::Reset => ("reset", None),
     };
     let mut line = json!({
         "at_s": seconds(entry.at),

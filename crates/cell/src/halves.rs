@@ -74,7 +74,7 @@ pub trait Parted {
     /// A captured frame.
     type Frame: Send;
     /// The estimate from a frame.
-    type Seen: Send;
+    type Observed: Send;
 
     /// Sets the time of the first control step.
     fn begin_at(&mut self, begin: MonotonicTime);
@@ -85,8 +85,8 @@ pub trait Parted {
         &mut self,
     ) -> (
         impl Capture<Frame = Self::Frame>,
-        impl Estimate<Frame = Self::Frame, Seen = Self::Seen, Step = Self::Step>,
-        impl Record<Seen = Self::Seen, Step = Self::Step>,
+        impl Estimate<Frame = Self::Frame, Observed = Self::Observed, Step = Self::Step>,
+        impl Record<Observed = Self::Observed, Step = Self::Step>,
     );
 }
 
@@ -110,7 +110,7 @@ pub trait Estimate: Send {
     /// A captured frame.
     type Frame;
     /// The estimate, to be recorded.
-    type Seen;
+    type Observed;
     /// Record of a control step.
     type Step;
 
@@ -121,13 +121,13 @@ pub trait Estimate: Send {
     ///
     /// # Errors
     /// If the method fails permanently.
-    fn look(&mut self, frame: Self::Frame) -> Result<(Percept, Self::Seen)>;
+    fn look(&mut self, frame: Self::Frame) -> Result<(Percept, Self::Observed)>;
 }
 
 /// Records estimates and control steps.
 pub trait Record {
     /// The estimate from a frame.
-    type Seen;
+    type Observed;
     /// Record of a control step.
     type Step;
 
@@ -138,7 +138,7 @@ pub trait Record {
     ///
     /// # Errors
     /// If the record cannot be written.
-    fn note(&mut self, seen: Self::Seen) -> Result<()>;
+    fn note(&mut self, seen: Self::Observed) -> Result<()>;
 }
 
 impl<C: Capture> Capture for &mut C {

@@ -9,18 +9,18 @@ use std::time::Duration;
 use triple_buffer::{Input, Output, triple_buffer};
 
 /// The producer end.
-pub struct Giver<T: Send>(Input<Option<T>>);
+pub struct LatestProducer<T: Send>(Input<Option<T>>);
 
 /// The consumer end.
-pub struct Taker<T: Send>(Output<Option<T>>);
+pub struct LatestConsumer<T: Send>(Output<Option<T>>);
 
 /// Both ends of a slot for the newest item, one thread each.
-pub fn latest<T: Copy + Send>() -> (Giver<T>, Taker<T>) {
+pub fn latest<T: Copy + Send>() -> (LatestProducer<T>, LatestConsumer<T>) {
     let (input, output) = triple_buffer(&None);
-    (Giver(input), Taker(output))
+    (LatestProducer(input), LatestConsumer(output))
 }
 
-impl<T: Copy + Send> Giver<T> {
+impl<T: Copy + Send> LatestProducer<T> {
     /// Stores an item; returns whether the previous one was overwritten unread.
     pub fn give(&mut self, item: T) -> bool {
         *self.0.input_buffer_mut() = Some(item);
@@ -28,7 +28,7 @@ impl<T: Copy + Send> Giver<T> {
     }
 }
 
-impl<T: Copy + Send> Taker<T> {
+impl<T: Copy + Send> LatestConsumer<T> {
     /// The newest item, unless it was already taken.
     pub fn take(&mut self) -> Option<T> {
         if self.0.update() { *self.0.output_buffer() } else { None }
@@ -70,13 +70,13 @@ mod tests {
 
     #[test]
     fn the_newest_item_wins_and_is_taken_once() {
-        let (mut giver, mut taker) = latest();
-        assert_eq!(taker.take(), None);
-        assert!(!giver.give(1));
-        assert!(giver.give(2), "the first item was not taken");
-        assert_eq!((taker.take(), taker.take()), (Some(2), None));
-        assert!(!giver.give(3));
-        assert_eq!(taker.take(), Some(3));
+        let (mut producer, mut consumer) = latest();
+        assert_eq!(consumer.take(), None);
+        assert!(!producer.give(1));
+        assert!(producer.give(2), "the first item was not taken");
+        assert_eq!((consumer.take(), consumer.take()), (Some(2), None));
+        assert!(!producer.give(3));
+        assert_eq!(consumer.take(), Some(3));
     }
 
     #[test]

@@ -10,7 +10,7 @@ use super::cell::SimulatedCell;
 use super::commands::CommandSummary;
 use super::log::{ControlSample, Lock, MethodLog, RunLog};
 use super::moving::Moved;
-use super::noting::Looked;
+use super::noting::EstimateRecords;
 use super::strip::Strip;
 
 /// Interval of progress messages, seconds of the experiment.
@@ -84,8 +84,8 @@ impl Journal {
 
     /// The result of the run. The model pose on the target is only known after the first estimate, so the desired hand poses are filled in
     /// now.
-    pub fn finish(mut self, setup: &Setup, looked: Looked, commands: [CommandSummary; 2]) -> Outcome {
-        let Looked { leading, compared, pairs_lost, strip, lock, drift } = looked;
+    pub fn finish(mut self, setup: &Setup, looked: EstimateRecords, commands: [CommandSummary; 2]) -> Outcome {
+        let EstimateRecords { leading, compared, pairs_lost, strip, lock, drift } = looked;
         let until_s = self.log.marks.first().map_or(f64::INFINITY, |mark| mark.at_s);
         let lock = lock.map(|lock| Lock {
             target_from_model_found: mean_place(&leading, until_s).unwrap_or(lock.target_from_model_found),

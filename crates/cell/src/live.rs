@@ -17,7 +17,7 @@ use rtrb::{Consumer, Producer, RingBuffer};
 
 use super::cycles::{Beat, Punctuality};
 use super::halves::{Capture, Course, Enabled, Estimate, Mover, Parted, Record, first_failure};
-use super::handover::{Giver, Newest, Taker, latest};
+use super::handover::{LatestConsumer, LatestProducer, Newest, latest};
 use super::percept::Percept;
 
 /// Steps that are not consumed yet: two seconds at 500 Hz.
@@ -144,8 +144,8 @@ struct Estimating<'a, E: Estimate> {
     estimator: E,
     frames: &'a Newest<(MonotonicTime, E::Frame)>,
     steps: Consumer<E::Step>,
-    percepts: Giver<Percept>,
-    seen: SyncSender<(MonotonicTime, E::Seen)>,
+    percepts: LatestProducer<Percept>,
+    seen: SyncSender<(MonotonicTime, E::Observed)>,
     clock: &'a dyn Clock,
     is_over: &'a AtomicBool,
     beat: &'a mut Beat,
@@ -175,7 +175,7 @@ impl<E: Estimate> Estimating<'_, E> {
 struct Recording<'a, R: Record> {
     recorder: R,
     steps: Consumer<R::Step>,
-    seen: Receiver<(MonotonicTime, R::Seen)>,
+    seen: Receiver<(MonotonicTime, R::Observed)>,
     clock: &'a dyn Clock,
     is_over: &'a AtomicBool,
     beat: &'a mut Beat,
@@ -210,7 +210,7 @@ impl<R: Record> Recording<'_, R> {
         }
     }
 
-    fn note(&mut self, (seen_at, seen): (MonotonicTime, R::Seen)) -> Result<()> {
+    fn note(&mut self, (seen_at, seen): (MonotonicTime, R::Observed)) -> Result<()> {
         self.recorder.note(seen)?;
         self.beat.lateness.record(self.clock.now().saturating_since(seen_at));
         Ok(())
@@ -221,7 +221,7 @@ impl<R: Record> Recording<'_, R> {
 struct Driving<'a, M: Mover> {
     course: &'a Course<'a>,
     enabled: Enabled<'a, M>,
-    percepts: Taker<Percept>,
+    percepts: LatestConsumer<Percept>,
     /// To the estimation thread and to the recording thread.
     steps: [Producer<M::Step>; 2],
     beat: &'a mut Beat,

@@ -16,10 +16,10 @@ use pb3dp_setup::setup::{Pace, Setup};
 use super::capturing::{Captured, Capturing};
 use super::cell::{JOINT_GAP_MAX_S, SimulatedCell};
 use super::halves::Capture;
-use super::noting::{Looked, Noting};
+use super::noting::{EstimateRecorder, EstimateRecords};
 use super::perception::{Marking, Perception, Sight};
 use super::strip::Strip;
-use crate::noting::Seen;
+use crate::noting::PairEstimate;
 
 /// Camera, estimation and records: each of the three parts may have its own thread.
 pub struct Looking<'a> {
@@ -28,14 +28,14 @@ pub struct Looking<'a> {
     /// The method that leads the hand.
     pub estimating: Estimating<'a>,
     /// Image records.
-    pub noting: Noting<'a>,
+    pub noting: EstimateRecorder<'a>,
 }
 
 impl<'a> Looking<'a> {
     /// A camera whose pairs are not processed yet. If `record` is given, every pair is also written to that folder.
     ///
     /// # Errors
-    /// As [`Perception::new`] and [`Noting::new`].
+    /// As [`Perception::new`] and [`EstimateRecorder::new`].
     pub fn new(
         setup: &'a Setup,
         (camera, cell, marking): (Sight, SimulatedCell, Marking),
@@ -45,7 +45,7 @@ impl<'a> Looking<'a> {
         let cameras = Perception::new(setup, &camera, marking.clone())?;
         Ok(Self {
             estimating: Estimating::new(setup, Arc::clone(clock), cameras),
-            noting: Noting::new(setup, marking, (strip, clock.now()), record)?,
+            noting: EstimateRecorder::new(setup, marking, (strip, clock.now()), record)?,
             capturing: Capturing::new(setup, camera, cell),
         })
     }
@@ -64,12 +64,12 @@ impl<'a> Looking<'a> {
     ///
     /// # Errors
     /// If the camera or the leading method fails permanently.
-    pub fn look(&mut self) -> Result<Option<Seen>> {
+    pub fn look(&mut self) -> Result<Option<PairEstimate>> {
         self.capturing.capture()?.map(|captured| self.estimating.look(captured)).transpose()
     }
 
     /// Everything recorded.
-    pub fn finish(self) -> Looked {
+    pub fn finish(self) -> EstimateRecords {
         self.noting.finish(self.capturing.pairs_lost())
     }
 }
@@ -102,7 +102,7 @@ impl<'a> Estimating<'a> {
     ///
     /// # Errors
     /// If the method fails permanently.
-    pub fn look(&mut self, captured: Captured) -> Result<Seen> {
+    pub fn look(&mut self, captured: Captured) -> Result<PairEstimate> {
         let prior = self.prior(captured.frame.at);
         let region = self.cameras.region(self.setup, captured.cam_left_from_target.as_ref())?;
         self.target += u64::from(region.is_some());
@@ -122,7 +122,7 @@ impl<'a> Estimating<'a> {
             Pace::Live => self.clock.now().saturating_since(captured.frame.at),
         };
         let age_millis = age.as_secs_f64() * 1e3;
-        Ok(Seen { captured, target: self.target, region, prior, estimate, latency_millis, age_millis })
+        Ok(PairEstimate { captured, target: self.target, region, prior, estimate, latency_millis, age_millis })
     }
 
     /// Pose of the left camera from the measured joints and the calibrated mounting.

@@ -6,13 +6,13 @@ use anyhow::{Result, bail};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
 use pb3dp_kinematics::{Damping, JointVector};
-use pb3dp_servo::supervisor::{Decision, Event, OperatorInput, Permission, Said, State, Word};
+use pb3dp_servo::supervisor::{Decision, Event, OperatorCommand, OperatorInput, OperatorRequest, Permission, State};
 use pb3dp_servo::{Command, ControlStep, Controller, Mode};
 use pb3dp_setup::setup::{Carrier, Setup};
 use pb3dp_sim::placement::FlangePath;
 use pb3dp_sim::trajectory::Trajectory;
 
-use super::both_arms::{BothArms, LedArm, Whence};
+use super::both_arms::{BothArms, EnablePosition, LedArm};
 use super::carrier::{carry, off_by};
 use super::halves::Mover;
 use super::operator::{ByCommand, Operator};
@@ -171,12 +171,12 @@ impl<'a> Moving<'a> {
     fn held_if_refused(&mut self, heard: OperatorInput, now: MonotonicTime) -> OperatorInput {
         let word = heard.said.map(|said| said.word);
         match (self.refusal, word) {
-            (Refusal::InStepBefore, Some(Word::Stop)) => self.refusal = Refusal::Told,
+            (Refusal::InStepBefore, Some(OperatorCommand::Stop)) => self.refusal = Refusal::Told,
             (Refusal::InStepBefore, _) => {
                 self.refusal = Refusal::Told;
-                return OperatorInput { said: Some(Said { word: Word::Hold, at: now }), ..heard };
+                return OperatorInput { said: Some(OperatorRequest { word: OperatorCommand::Hold, at: now }), ..heard };
             }
-            (Refusal::Told, Some(Word::Resume | Word::Start)) => {
+            (Refusal::Told, Some(OperatorCommand::Resume | OperatorCommand::Start)) => {
                 self.refusal = Refusal::None;
                 self.operator.tell(None);
             }
@@ -289,7 +289,7 @@ impl<'a> Moving<'a> {
             self.stay_off(now);
             return;
         }
-        match self.arms.enable(Whence::Here) {
+        match self.arms.enable(EnablePosition::Here) {
             Ok(are_on) => self.is_stopped = !are_on,
             Err(why) => self.stop_because(Err(why)),
         }
@@ -318,7 +318,7 @@ impl Mover for Moving<'_> {
     type Step = Moved;
 
     fn enable(&mut self) -> Result<bool> {
-        self.arms.enable(Whence::Start)
+        self.arms.enable(EnablePosition::Start)
     }
 
     fn begin_at(&mut self, begin: MonotonicTime) {

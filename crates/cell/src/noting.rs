@@ -25,7 +25,7 @@ use crate::perception::View;
 use pb3dp_estimation_core::model_frame::model_frame_on_plane;
 
 /// Image records; includes the compared methods.
-pub struct Noting<'a> {
+pub struct EstimateRecorder<'a> {
     setup: &'a Setup,
     begin: MonotonicTime,
     marking: Marking,
@@ -39,7 +39,7 @@ pub struct Noting<'a> {
 }
 
 /// Finished image records.
-pub struct Looked {
+pub struct EstimateRecords {
     /// Estimates of the method that leads the hand.
     pub leading: MethodLog,
     /// Estimates of the compared methods.
@@ -54,7 +54,7 @@ pub struct Looked {
     pub drift: Vec<DriftSummary>,
 }
 
-impl<'a> Noting<'a> {
+impl<'a> EstimateRecorder<'a> {
     /// Empty records. If `record` is given, every pair is also written to that folder.
     ///
     /// # Errors
@@ -91,8 +91,8 @@ impl<'a> Noting<'a> {
     ///
     /// # Errors
     /// If the recording cannot be written.
-    pub fn note(&mut self, seen: &Seen) -> Result<()> {
-        let Seen { captured, region, prior, estimate, latency_millis, age_millis, .. } = seen;
+    pub fn note(&mut self, seen: &PairEstimate) -> Result<()> {
+        let PairEstimate { captured, region, prior, estimate, latency_millis, age_millis, .. } = seen;
         let Captured { frame, cam_left_from_target, view } = captured;
         let t_s = frame.at.seconds_since(self.begin);
         if let (None, Some(found), Some(cam_left_from_target)) =
@@ -136,10 +136,10 @@ impl<'a> Noting<'a> {
     }
 
     /// Returns the records, with the pairs that the camera could not deliver.
-    pub fn finish(self, pairs_lost: u64) -> Looked {
+    pub fn finish(self, pairs_lost: u64) -> EstimateRecords {
         let compared = self.onlookers.into_iter().map(Onlooker::into_log).collect();
         let drift = self.drift.map(DriftWatch::summaries).unwrap_or_default();
-        Looked { leading: self.leading, compared, pairs_lost, strip: self.strip, lock: self.lock, drift }
+        EstimateRecords { leading: self.leading, compared, pairs_lost, strip: self.strip, lock: self.lock, drift }
     }
 }
 
@@ -179,7 +179,7 @@ fn true_model_frame(
 }
 
 /// Estimate of one pair.
-pub struct Seen {
+pub struct PairEstimate {
     /// The pair.
     pub captured: Captured,
     /// Number of the target.
@@ -196,7 +196,7 @@ pub struct Seen {
     pub age_millis: f64,
 }
 
-impl Seen {
+impl PairEstimate {
     /// Input of the motion half.
     pub fn percept(&self) -> Percept {
         Percept::new(self.captured.frame, &self.estimate, self.target, self.observation())

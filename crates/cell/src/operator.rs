@@ -1,7 +1,7 @@
 //! Sources of operator commands: the command line itself, or a console (`console.rs`).
 
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_servo::supervisor::{Decision, OperatorInput, Said, State, Word};
+use pb3dp_servo::supervisor::{Decision, OperatorCommand, OperatorInput, OperatorRequest, State};
 
 /// Source of operator commands. The thread that moves the arms calls it: no method may wait.
 pub trait Operator: Send {
@@ -26,11 +26,11 @@ pub struct ByCommand;
 impl Operator for ByCommand {
     fn listen(&mut self, last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
         let word = match last {
-            None => Some(Word::Select),
-            Some(decision) if decision.state == State::Selecting && decision.is_ready => Some(Word::Start),
+            None => Some(OperatorCommand::Select),
+            Some(decision) if decision.state == State::Selecting && decision.is_ready => Some(OperatorCommand::Start),
             Some(_) => None,
         };
-        OperatorInput { said: word.map(|word| Said { word, at: now }), heard_at: Some(now) }
+        OperatorInput { said: word.map(|word| OperatorRequest { word, at: now }), heard_at: Some(now) }
     }
 
     fn show(&mut self, _decision: &Decision) {}

@@ -4,8 +4,8 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::JointState;
 use pb3dp_kinematics::{DOF, JointLimits, JointVector};
 use pb3dp_servo::supervisor::{
-    ArmCondition, ArmInput, Decision, Innovation, Inputs, OperatorInput, RangeEnd, Said, Supervisor, SupervisorConfig,
-    SupervisorError,
+    ArmCondition, ArmInput, Decision, Innovation, Inputs, OperatorInput, OperatorRequest, RangeEnd, Supervisor,
+    SupervisorConfig, SupervisorError,
 };
 use pb3dp_servo::{ControlStep, ObservationVerdict};
 
@@ -38,7 +38,7 @@ impl Permitting {
 
     /// Whether a command is a reset that clears the arms: the supervisor accepts it apart from faults latched in the arms, and each of
     /// these was known to it in the previous step.
-    pub fn would_reset(&self, said: Said, arms: [ArmCondition; 2], now: MonotonicTime) -> bool {
+    pub fn would_reset(&self, said: OperatorRequest, arms: [ArmCondition; 2], now: MonotonicTime) -> bool {
         let is_latched = |arm: ArmCondition| !matches!(arm, ArmCondition::Enabled | ArmCondition::Disabled);
         let is_known =
             self.arms_before.into_iter().zip(arms).all(|(before, arm)| is_latched(before) || !is_latched(arm));

@@ -14,7 +14,7 @@ use pb3dp_servo::TargetObservation;
 use pb3dp_servo::identification::{Excitation, GivenVelocity};
 use pb3dp_setup::setup::Setup;
 
-use super::both_arms::{BothArms, Whence};
+use super::both_arms::{BothArms, EnablePosition};
 use super::capturing::Captured;
 use super::halves::{Capture, Course, Estimate, Mover, Parted, Record};
 use super::looking::{Estimating, Looking};
@@ -81,7 +81,7 @@ struct OnlyLooking<'a>(Looking<'a>);
 impl Parted for OnlyLooking<'_> {
     type Step = JointState;
     type Frame = Captured;
-    type Seen = ();
+    type Observed = ();
 
     fn begin_at(&mut self, begin: MonotonicTime) {
         self.0.begin_at(begin);
@@ -91,8 +91,8 @@ impl Parted for OnlyLooking<'_> {
         &mut self,
     ) -> (
         impl Capture<Frame = Captured>,
-        impl Estimate<Frame = Captured, Seen = (), Step = JointState>,
-        impl Record<Seen = (), Step = JointState>,
+        impl Estimate<Frame = Captured, Observed = (), Step = JointState>,
+        impl Record<Observed = (), Step = JointState>,
     ) {
         (&mut self.0.capturing, Leading(&mut self.0.estimating), NothingKept)
     }
@@ -103,7 +103,7 @@ struct Leading<'w, 'a>(&'w mut Estimating<'a>);
 
 impl Estimate for Leading<'_, '_> {
     type Frame = Captured;
-    type Seen = ();
+    type Observed = ();
     type Step = JointState;
 
     fn moved(&mut self, step: &JointState) {
@@ -118,7 +118,7 @@ impl Estimate for Leading<'_, '_> {
 struct NothingKept;
 
 impl Record for NothingKept {
-    type Seen = ();
+    type Observed = ();
     type Step = JointState;
 
     fn moved(&mut self, _step: &JointState) {}
@@ -182,7 +182,7 @@ impl Mover for Swinging<'_> {
     type Step = JointState;
 
     fn enable(&mut self) -> Result<bool> {
-        let are_on = self.arms.enable(Whence::Start)?;
+        let are_on = self.arms.enable(EnablePosition::Start)?;
         self.base_from_hand_at_begin = base_from_hand(self.setup, self.arms.vs.joints());
         Ok(are_on)
     }

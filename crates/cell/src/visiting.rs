@@ -17,7 +17,7 @@ use pb3dp_record::stops::{ArmStand, Stop, Stops, save_stops};
 use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput};
 use pb3dp_setup::setup::{Pace, Setup};
 
-use super::both_arms::{BothArms, LedArm, Whence};
+use super::both_arms::{BothArms, EnablePosition, LedArm};
 use super::capturing::{Captured, Capturing};
 use super::halves::{Capture, Course, Estimate, Mover, Parted, Record};
 use super::parts::{ArmChoice, Parts};
@@ -209,7 +209,7 @@ impl Mover for Visiting<'_> {
     type Step = VisitStep;
 
     fn enable(&mut self) -> Result<bool> {
-        self.arms.enable(Whence::Start)
+        self.arms.enable(EnablePosition::Start)
     }
 
     fn begin_at(&mut self, _begin: MonotonicTime) {}
@@ -346,7 +346,7 @@ impl Capture for Looking<'_> {
 impl Parted for Watching<'_> {
     type Step = VisitStep;
     type Frame = Captured;
-    type Seen = Option<Still>;
+    type Observed = Option<Still>;
 
     fn begin_at(&mut self, _begin: MonotonicTime) {}
 
@@ -354,8 +354,8 @@ impl Parted for Watching<'_> {
         &mut self,
     ) -> (
         impl Capture<Frame = Captured>,
-        impl Estimate<Frame = Captured, Seen = Option<Still>, Step = VisitStep>,
-        impl Record<Seen = Option<Still>, Step = VisitStep>,
+        impl Estimate<Frame = Captured, Observed = Option<Still>, Step = VisitStep>,
+        impl Record<Observed = Option<Still>, Step = VisitStep>,
     ) {
         (&mut self.capturing, Judging(&mut self.resting), Writing(&mut self.keeping))
     }
@@ -391,7 +391,7 @@ struct Judging<'a>(&'a mut Resting);
 
 impl Estimate for Judging<'_> {
     type Frame = Captured;
-    type Seen = Option<Still>;
+    type Observed = Option<Still>;
     type Step = VisitStep;
 
     fn moved(&mut self, step: &VisitStep) {
@@ -483,7 +483,7 @@ fn stand((chain, joints_rad): (&Chain, &JointVector)) -> ArmStand {
 struct Writing<'w, 'a>(&'w mut Keeping<'a>);
 
 impl Record for Writing<'_, '_> {
-    type Seen = Option<Still>;
+    type Observed = Option<Still>;
     type Step = VisitStep;
 
     fn moved(&mut self, _step: &VisitStep) {}

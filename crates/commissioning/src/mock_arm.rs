@@ -33,7 +33,7 @@ Typed lines may also be:
   unplug, plug                  pull or plug the cable (a pseudo-terminal gets a new path)
   quit                          exit";
 
-/// How long the end of standard input or a line is waited for before the time is looked at again.
+/// Longest wait for input before the time is checked again.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// Arguments of `pb3dp mock-arm`.
@@ -140,7 +140,7 @@ fn face(args: &MockArmArgs, controller: &MockControllerConfig) -> anyhow::Result
     })
 }
 
-/// Until it is told to end; the end of standard input ends nothing.
+/// Serves until `quit` or the end of its time; the end of standard input does not end it.
 fn serve(
     server: &MockServer,
     lines: &Receiver<std::io::Result<String>>,

@@ -20,7 +20,7 @@ use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, Thinning, Warp};
 use nalgebra::{Matrix3, Vector2, Vector4};
 use pb3dp_estimation_core::cpu::Kernels;
 use points::{RightRows, Rims, Selection};
-use prepare::{CameraChannels, Pair, Preparation, Wish, inside, reach_px, rows_of};
+use prepare::{CameraChannels, ChannelRequest, Pair, Preparation, inside, reach_px, rows_of};
 use sharpness::Sharpness;
 use solve::{Normal, bounded_step, reliability, tukey_limit, tukey_moments};
 use start::first_state;
@@ -195,7 +195,7 @@ struct Made {
     rims: Rims,
     /// The box of the marked pixels, and their number.
     marked: (PixelWindow, usize),
-    wish: Wish,
+    request: ChannelRequest,
     channels: usize,
 }
 
@@ -339,17 +339,17 @@ impl PlaneRefiner {
         let part = inside(&bounds.grown(margin), &level.left.window);
         let right_part = self.right_part(level, progress, &bounds, margin + 3)?;
         // Gradients along columns need one more row on either side.
-        let wish = Wish { part, rows: rows_of(&bounds.grown(1), 0, &part), smoothing_px: left_px };
-        let known = known.filter(|made| made.wish == wish);
+        let request = ChannelRequest { part, rows: rows_of(&bounds.grown(1), 0, &part), smoothing_px: left_px };
+        let known = known.filter(|made| made.request == request);
         let channels = match known {
             Some(made) => made.channels,
-            None => self.preparation.left(pair, level, &wish, &mut self.left),
+            None => self.preparation.left(pair, level, &request, &mut self.left),
         };
-        self.made = Some(Made { scale: level.scale, rims, marked: (bounds, count), wish, channels });
+        self.made = Some(Made { scale: level.scale, rims, marked: (bounds, count), request, channels });
         let rows = rows_of(&bounds, level.left.window.y - level.right.window.y, &right_part);
-        let wish = Wish { part: right_part, rows, smoothing_px: right_px };
+        let request = ChannelRequest { part: right_part, rows, smoothing_px: right_px };
         let row_px = if progress.row_px.abs() > ROWS_MOVED_FROM_PX { progress.row_px } else { 0.0 };
-        self.preparation.right(pair, level, (&wish, row_px), channels, &mut self.right);
+        self.preparation.right(pair, level, (&request, row_px), channels, &mut self.right);
         let rows = RightRows {
             shift: level.left.window.y - level.right.window.y - right_part.y,
             width: right_part.width,

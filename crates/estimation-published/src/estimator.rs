@@ -31,7 +31,7 @@ mod target;
 mod tracker;
 mod tracker_config;
 
-use self::core::{Core, Found};
+use self::core::{BestHypothesis, Core};
 pub use pb3dp_estimation_core::estimate::TrackEstimate;
 pub use tracker::PublishedTracker;
 pub use tracker_config::TrackerConfig;
@@ -166,7 +166,7 @@ impl PublishedEstimator {
         self.core.config()
     }
 
-    fn fill(&self, estimate: &mut PlaneEstimate, found: &Found, landscape: &Landscape, range: &SearchRange) {
+    fn fill(&self, estimate: &mut PlaneEstimate, found: &BestHypothesis, landscape: &Landscape, range: &SearchRange) {
         let Verdict { status, reason } = landscape.verdict(&self.core.config().observability);
         let pose = self.core.plane_pose(&found.psi, &estimate.centroid_px);
         estimate.pose = pose.filter(|_| status != Status::NotObservable);

@@ -1,7 +1,7 @@
 //! Stable codes of messages.
 //!
-//! A message says what is wrong this time, with its value and its limit. Its code stays the same in every release and leads to the cause and
-//! the remedy: `pb3dp explain CODE`, and the page docs/reference/messages.md, which is made from the tables of [`codes!`].
+//! A message states the present problem with value and limit. Its code is the same in every release and leads to cause and remedy: `pb3dp
+//! explain CODE`, and the page docs/reference/messages.md, generated from the tables of [`codes!`].
 //!
 //! ```
 //! use pb3dp_message_codes::{Coded, codes};
@@ -22,20 +22,20 @@
 //! assert_eq!(LensError::CODES.len(), 2);
 //! ```
 
-/// The code of a message, with what a person needs to act on it.
+/// The code of a message, with its cause and remedy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MessageCode {
-    /// `PB3DP-`, the area, and a number in this area. A code that is no longer used is never given to another message.
+    /// `PB3DP-`, the area, and a number within the area. A retired code is never used for another message.
     pub code: &'static str,
-    /// What happened.
+    /// Cause of the message.
     pub cause: &'static str,
-    /// What to do about it.
+    /// Remedy.
     pub remedy: &'static str,
 }
 
 /// A type whose values are messages with codes.
 pub trait Coded {
-    /// What these messages are about: the heading of their table in the reference.
+    /// Subject of these messages: heading of their table in the reference.
     const TITLE: &'static str;
     /// The codes of all values.
     const CODES: &'static [MessageCode];
@@ -44,7 +44,7 @@ pub trait Coded {
     fn message_code(&self) -> &'static MessageCode;
 }
 
-/// Gives each variant of an enum its code, cause and remedy. A variant without a code does not compile.
+/// Assigns code, cause and remedy to each variant of an enum. A variant without a code does not compile.
 #[macro_export]
 macro_rules! codes {
     ($type:ty, $title:literal { $($variant:ident = $code:literal: $cause:literal; $remedy:literal;)+ }) => {

@@ -21,8 +21,8 @@ use pb3dp_safeguards::{Safeguard, is_off};
 
 pub use self::findings::{Cause, Detail};
 pub use self::inputs::{
-    ARM_NAMES, ArmCondition, ArmInput, Confidence, EstimateInput, FrameInput, Innovation, Inputs, OperatorInput,
-    RangeEnd, Said, Word,
+    ARM_NAMES, ArmCondition, ArmInput, Confidence, EstimateInput, FrameInput, Innovation, Inputs, OperatorCommand,
+    OperatorInput, OperatorRequest, RangeEnd,
 };
 pub use self::log::{TRANSITIONS_KEPT, Transition, TransitionLog};
 pub use self::policy::{
@@ -131,7 +131,7 @@ impl Supervisor {
     /// One control cycle: never blocks, does not allocate. In one step the state changes at most once.
     ///
     /// What is found goes before what is said, but for `stop` and `hold`, which are always obeyed. `start` and `resume` are
-    /// refused as long as anything speaks against motion, even if it has not lasted yet, and until it has been gone for
+    /// refused while a condition inhibits motion, even if it has not lasted yet, and until it has been gone for
     /// [`SupervisorConfig::go_after_s`]; `reset` as long as a fault of an arm or an emergency stop is still there; and every word that
     /// was said too long ago, or before the state was entered.
     pub fn step(&mut self, inputs: &Inputs, now: MonotonicTime) -> Decision {
@@ -205,28 +205,28 @@ impl Supervisor {
     fn change(
         &mut self,
         inputs: &Inputs,
-        word: Option<(Word, Option<RefusedFor>)>,
+        word: Option<(OperatorCommand, Option<RefusedFor>)>,
         now: MonotonicTime,
     ) -> Option<(Event, Order)> {
         let alarm = self.alarm(now);
         let of_alarm =
             |wanted: Event| alarm.filter(|(event, _)| *event == wanted).map(|(event, cause)| (event, Some(cause)));
         let obeyed = word.filter(|(_, refused)| refused.is_none()).map(|(word, _)| word);
-        let said = |wanted: Word| (obeyed == Some(wanted)).then_some((event_of(wanted), None));
-        if obeyed == Some(Word::Hold) {
+        let said = |wanted: OperatorCommand| (obeyed == Some(wanted)).then_some((event_of(wanted), None));
+        if obeyed == Some(OperatorCommand::Hold) {
             self.held_by_operator = true;
         }
         let candidates = [
             of_alarm(Event::FaultFound),
-            said(Word::Stop),
+            said(OperatorCommand::Stop),
             of_alarm(Event::StopFound),
-            said(Word::Hold),
+            said(OperatorCommand::Hold),
             of_alarm(Event::LossFound),
             of_alarm(Event::HoldFound),
-            said(Word::Select),
-            said(Word::Start),
-            said(Word::Resume),
-            said(Word::Reset),
+            said(OperatorCommand::Select),
+            said(OperatorCommand::Start),
+            said(OperatorCommand::Resume),
+            said(OperatorCommand::Reset),
             self.by_itself(inputs).map(|event| (event, None)),
         ];
         for (event, cause) in candidates.into_iter().flatten() {
@@ -285,8 +285,8 @@ impl Supervisor {
 
     /// Whether a reset is to reach the arms: one that is obeyed as soon as no arm has a fault or an emergency stop any more. Nothing but a
     /// latched state is reset, and not by a word that was said too long ago or before the state was entered.
-    pub fn would_reset(&self, said: Said, now: MonotonicTime) -> bool {
-        said.word == Word::Reset && self.state.is_latched() && self.untimely(said, now).is_none()
+    pub fn would_reset(&self, said: OperatorRequest, now: MonotonicTime) -> bool {
+        said.word == OperatorCommand::Reset && self.state.is_latched() && self.untimely(said, now).is_none()
     }
 
     /// What is wrong; keeps in mind that only a word leads on.
@@ -310,8 +310,8 @@ impl Supervisor {
     }
 
     /// Why a word may not be obeyed, whatever the table says.
-    fn refusal(&self, said: Said, blocking: Option<Cause>, now: MonotonicTime) -> Option<RefusedFor> {
-        if matches!(said.word, Word::Stop | Word::Hold) {
+    fn refusal(&self, said: OperatorRequest, blocking: Option<Cause>, now: MonotonicTime) -> Option<RefusedFor> {
+        if matches!(said.word, OperatorCommand::Stop | OperatorCommand::Hold) {
             return None;
         }
         if let Some(untimely) = self.untimely(said, now) {
@@ -319,22 +319,24 @@ impl Supervisor {
         }
         let latched = [Condition::EmergencyStop, Condition::ArmFault].map(|condition| self.findings.cause(condition));
         match (said.word, self.state) {
-            (Word::Start, State::Selecting) | (Word::Resume, State::Holding | State::Lost) => {
+            (OperatorCommand::Start, State::Selecting) | (OperatorCommand::Resume, State::Holding | State::Lost) => {
                 blocking.map(RefusedFor::Cause).or_else(|| self.not_clear())
             }
-            (Word::Reset, State::Stopped | State::Fault) => latched.into_iter().flatten().next().map(RefusedFor::Cause),
+            (OperatorCommand::Reset, State::Stopped | State::Fault) => {
+                latched.into_iter().flatten().next().map(RefusedFor::Cause)
+            }
             _ => None,
         }
     }
 
-    /// Nothing speaks against motion any more, but not for long enough.
+    /// No condition inhibits motion any more, but not yet for long enough.
     fn not_clear(&self) -> Option<RefusedFor> {
         let (clear_s, wanted_s) = (self.clear_for_s(), self.config.go_after_s);
         (!self.is_clear()).then_some(RefusedFor::NotClear { cause: self.spoke, clear_s, wanted_s })
     }
 
     /// Why a word may not be obeyed because of when it was said.
-    fn untimely(&self, said: Said, now: MonotonicTime) -> Option<RefusedFor> {
+    fn untimely(&self, said: OperatorRequest, now: MonotonicTime) -> Option<RefusedFor> {
         if is_off(Safeguard::TimelyWords) {
             return None;
         }
@@ -346,22 +348,22 @@ impl Supervisor {
         // A clock that was set back must not keep the operator's words out until it has caught up.
         let is_before = self.entered_at.is_some_and(|entered| said.at < entered.min(now));
         if is_before {
-            return Some(RefusedFor::SaidBefore(self.state));
+            return Some(RefusedFor::OlderThanState(self.state));
         }
         // Who says start means the target that is followed then.
-        let followed_since = self.findings.followed_since().filter(|_| said.word == Word::Start);
+        let followed_since = self.findings.followed_since().filter(|_| said.word == OperatorCommand::Start);
         let is_other = followed_since.is_some_and(|since| said.at < since.min(now));
-        is_other.then_some(RefusedFor::SaidToOther)
+        is_other.then_some(RefusedFor::OlderThanTarget)
     }
 
     /// What became of a word.
-    fn refused(&self, word: Word, refused: Option<RefusedFor>, happened: Option<Event>) -> Option<Refusal> {
+    fn refused(&self, word: OperatorCommand, refused: Option<RefusedFor>, happened: Option<Event>) -> Option<Refusal> {
         let own = event_of(word);
         let because = match (refused, happened) {
             (Some(because), _) => because,
             (None, Some(event)) if event == own => return None,
             // `stop` is obeyed by a fault, and `hold` by everything that ends motion.
-            (None, Some(_)) if matches!(word, Word::Stop | Word::Hold) => return None,
+            (None, Some(_)) if matches!(word, OperatorCommand::Stop | OperatorCommand::Hold) => return None,
             (None, Some(_)) => RefusedFor::Overtaken(self.state),
             (None, None) if outcome(self.state, own) == Outcome::Refuse => RefusedFor::State(self.state),
             (None, None) => return None,
@@ -419,7 +421,7 @@ impl Supervisor {
 
     fn why(&self, blocking: Option<Cause>, now: MonotonicTime) -> Why {
         let state = self.state;
-        let then = if self.needs_word { Then::Word } else { Then::ByItself { after_s: self.config.resume_after_s } };
+        let then = if self.needs_word { Then::Resume } else { Then::ByItself { after_s: self.config.resume_after_s } };
         let wants_word = state == State::Selecting || self.held_by_operator || self.needs_word;
         match (state, blocking) {
             (State::Idle, _) => Why::Idle,
@@ -465,13 +467,13 @@ fn comes_with_loss(condition: Condition) -> bool {
     )
 }
 
-fn event_of(word: Word) -> Event {
+fn event_of(word: OperatorCommand) -> Event {
     match word {
-        Word::Select => Event::Select,
-        Word::Start => Event::Start,
-        Word::Hold => Event::Hold,
-        Word::Resume => Event::Resume,
-        Word::Stop => Event::Stop,
-        Word::Reset => Event::Reset,
+        OperatorCommand::Select => Event::Select,
+        OperatorCommand::Start => Event::Start,
+        OperatorCommand::Hold => Event::Hold,
+        OperatorCommand::Resume => Event::Resume,
+        OperatorCommand::Stop => Event::Stop,
+        OperatorCommand::Reset => Event::Reset,
     }
 }

@@ -2,14 +2,21 @@
 
 use crate::supervisor::bench::{Bench, config};
 use pb3dp_allocation_count::requests;
-use pb3dp_servo::supervisor::{ArmCondition, Supervisor, Word};
+use pb3dp_servo::supervisor::{ArmCondition, OperatorCommand, Supervisor};
 
 #[test]
 fn steps_do_not_allocate() {
     let mut bench = Bench::following(config());
     let before = requests();
     bench.run(1.0);
-    for word in [Word::Hold, Word::Resume, Word::Select, Word::Start, Word::Stop, Word::Reset] {
+    for word in [
+        OperatorCommand::Hold,
+        OperatorCommand::Resume,
+        OperatorCommand::Select,
+        OperatorCommand::Start,
+        OperatorCommand::Stop,
+        OperatorCommand::Reset,
+    ] {
         bench.say(word);
         bench.run(0.5);
     }

@@ -229,13 +229,13 @@ fn shade(
     light: &mut [u16],
 ) {
     edges.resolve(view, visibility, triangles);
-    let seen = Seen { view, visibility, parts, triangles };
+    let seen = ShadingInput { view, visibility, parts, triangles };
     shade_surfaces(kernels(), &seen, light);
     edges.shade(&seen, light);
 }
 
 /// Input of the shading: the parts of the scene and their triangles as seen by one camera.
-struct Seen<'a> {
+struct ShadingInput<'a> {
     view: &'a View,
     visibility: &'a Visibility,
     parts: &'a [ScenePart],
@@ -244,11 +244,11 @@ struct Seen<'a> {
 
 wide! {
     /// Shades every pixel at its centre, in runs of pixels that see the same triangle.
-    fn shade_surfaces(seen: &Seen<'_>, light: &mut [u16]) = shade_surfaces_kernel;
+    fn shade_surfaces(seen: &ShadingInput<'_>, light: &mut [u16]) = shade_surfaces_kernel;
 }
 
 #[inline(always)]
-fn shade_surfaces_kernel(seen: &Seen<'_>, light: &mut [u16]) {
+fn shade_surfaces_kernel(seen: &ShadingInput<'_>, light: &mut [u16]) {
     let view = seen.view;
     let mut scratch = Scratch::new();
     for row in 0..view.height {

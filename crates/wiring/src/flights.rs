@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use pb3dp_arm_pa10::arm::{ArmMonitor, Way};
+use pb3dp_arm_pa10::arm::{ArmMonitor, Direction};
 use pb3dp_arm_pa10_protocol::codec::Axis;
 use pb3dp_cell::flight;
 use pb3dp_cell::flight::{ArmFault, Flight, LineCounts, Moment, RawLine};
@@ -31,7 +31,7 @@ pub fn raw_lines(monitors: &[(&'static str, ArmMonitor)], arm: &str) -> Vec<RawL
     let of_arm = monitors.iter().filter(|(name, _)| *name == arm);
     let pieces = of_arm.flat_map(|(_, monitor)| monitor.raw_bytes());
     pieces
-        .map(|piece| RawLine { at: piece.at, is_sent: piece.way == Way::Out, bytes: piece.bytes().to_vec() })
+        .map(|piece| RawLine { at: piece.at, is_sent: piece.way == Direction::Out, bytes: piece.bytes().to_vec() })
         .collect()
 }
 

@@ -1,6 +1,6 @@
 //! What is at the far end of the line to an emulated arm, without I/O and clock: a servo controller, and the gateway before it.
 //!
-//! Whoever owns it hands in the bytes of the host, lets it go on to a time, and takes what is for the host: a thread that keeps the
+//! The owner hands in the bytes of the host, lets it go on to a time, and takes what is for the host: a thread that keeps the
 //! machine's time (`io::mock_server`), or a simulation that keeps its own (`io::arm::VirtualTime`).
 
 use std::time::Duration;

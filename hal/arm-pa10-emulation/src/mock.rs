@@ -1,7 +1,7 @@
 //! An arm without hardware: simulated joints behind the state machine of a real arm, with faults on request.
 //!
 //! The joints are a [`JointPlant`] that is shared, so that a simulated camera sees the same arm; time comes from an injected
-//! clock. Whoever advances the shared plant may advance it to the clock's present, never beyond.
+//! clock. A caller may advance the shared plant to the clock's present, never beyond.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;

@@ -31,7 +31,7 @@ fn an_arm_that_holds_for_nobody_stops() {
     assert_eq!(latched.state_before, DriverState::Holding);
     let runs = bench.kinds_since(from);
     assert_eq!(runs[runs.len() - 3..], [(Kind::Braked, 20), (Kind::Off, 1), (Kind::End, 1)], "{runs:?}");
-    // And it is not taken up again by whoever comes back.
+    // And a host that comes back does not take it up again.
     assert!(bench.driver.handle_request(bench.now, Request::Hold).is_err());
 }
 

@@ -146,7 +146,7 @@ proptest! {
         } else {
             prop_assert_eq!(bench.sent.len(), sent, "something is sent after the stop");
         }
-        // Whoever was silent is heard now.
+        // The silent side is heard now.
         bench.peer.answers = true;
         bench.peer.drop_next = 0;
         bench.run(Duration::from_secs(1));

@@ -47,7 +47,7 @@ fn it_stops_and_latches_in_every_state_and_keeps_the_first_cause() {
         let ends = bench.letters().matches('E').count();
         let latched = matches!(state, GatewayState::Fault | GatewayState::EmergencyStop);
         assert_eq!(ends, usize::from(!latched), "{state}: {}", bench.letters());
-        // Whoever said it knows: it is no news.
+        // The side that said it needs no report.
         let told = bench.heard.iter().filter(|(_, message)| matches!(message, GatewayMessage::Fault(_)));
         assert_eq!(told.count(), 0, "{state}");
         let started = bench.ask(control(ArmOperation::Start));
@@ -78,7 +78,7 @@ fn it_cuts_short_what_a_host_has_asked_for() {
     }
 }
 
-/// A reset that is under way does not let go of an arm that a host has stopped meanwhile.
+/// A reset that is under way does not release an arm that a host has stopped meanwhile.
 #[test]
 fn it_ends_a_reset_that_is_under_way() {
     for step in 0..6 {

@@ -79,7 +79,7 @@ fn an_arm_that_goes_on_moving_is_stopped_by_the_next_gateway() {
         let (after, speed) = chain.controller.true_joints();
         let way_deg = (after - before).amax().to_degrees();
         assert!(speed.amax() == 0.0 && way_deg < 3.0, "{format}: {way_deg} degrees");
-        // Whoever starts it next has to know that.
+        // The next user of the gateway must know that.
         let status = chain.gateway.status();
         assert_eq!((status.state, status.cause), (GatewayState::Fault, StopCause::HostSilent));
     }

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use pb3dp_arm_pa10_gateway::gateway::table::{Ask, Deed, deed};
+use pb3dp_arm_pa10_gateway::gateway::table::{GatewayAction, HostRequest, action};
 use pb3dp_arm_pa10_protocol::codec::{Axis, ControlMessage, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, Control, ControlReply, Dialect, DriveMode, Frame, GatewayMessage, GatewayState, HostMessage,
@@ -275,7 +275,7 @@ fn the_table_of_the_code_is_that_of_the_document() {
         let row = row(state);
         let commands = of_commands(&row[0]);
         assert_eq!(commands[0], commands[1]);
-        for (ask, expected) in Ask::ALL.into_iter().zip([
+        for (request, expected) in HostRequest::ALL.into_iter().zip([
             commands[0],
             commands[2],
             commands[3],
@@ -287,15 +287,17 @@ fn the_table_of_the_code_is_that_of_the_document() {
             of_operation(&row[6], state, ""),
         ]) {
             let expected = match expected {
-                Expected::WrongState => Deed::Refuse,
-                Expected::Follow(next) => Deed::Follow(next),
-                Expected::Show => Deed::Show,
-                Expected::Done(GatewayState::Stopping, _) if state != GatewayState::Stopping => Deed::BeginStop,
-                Expected::Done(GatewayState::Fault, "") if state != GatewayState::Fault => Deed::Latch,
-                Expected::Done(_, "") => Deed::Nothing,
-                Expected::Done(..) => Deed::Speak,
+                Expected::WrongState => GatewayAction::Refuse,
+                Expected::Follow(next) => GatewayAction::Follow(next),
+                Expected::Show => GatewayAction::Show,
+                Expected::Done(GatewayState::Stopping, _) if state != GatewayState::Stopping => {
+                    GatewayAction::BeginStop
+                }
+                Expected::Done(GatewayState::Fault, "") if state != GatewayState::Fault => GatewayAction::Latch,
+                Expected::Done(_, "") => GatewayAction::Nothing,
+                Expected::Done(..) => GatewayAction::Speak,
             };
-            assert_eq!(deed(state, ask), expected, "{state}, {ask:?}");
+            assert_eq!(action(state, request), expected, "{state}, {request:?}");
         }
     }
 }

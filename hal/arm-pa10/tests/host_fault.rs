@@ -179,7 +179,7 @@ fn what_is_found_while_looking_latches_nothing() {
     }
 }
 
-/// Whoever owns the gateway has told it to stop: nothing is wrong with the arm, and the program that drove it is stopped as well.
+/// The owner of the gateway has stopped it: nothing is wrong with the arm, and the program that drove it is stopped as well.
 #[test]
 fn a_gateway_that_its_owner_stops_latches_nothing() {
     let mut chain = moving(Dialect::GatewayV1, WireFormat::BigEndian6x10);

@@ -86,7 +86,7 @@ fn an_arm_in_virtual_time_keeps_the_contract() {
     };
     let expectations = ArmExpectations { speed_rad_per_s: 0.1, settles_within: Duration::from_millis(250) };
     arm_suite(make, time.as_ref(), &expectations, &hooks).assert_passed();
-    assert!(time.is_empty(), "arms that were let go of live on");
+    assert!(time.is_empty(), "released arms live on");
 }
 
 fn velocity() -> JointCommand {

@@ -10,7 +10,7 @@ use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera
 use crate::controls::{self, Control, Focus};
 use crate::error::{failed, unusable};
 use crate::modes::{self, Mode};
-use crate::names::{self, Found};
+use crate::names::{self, CaptureDevice};
 use crate::pairing::{Drift, DriftEstimator, Verdict, judge};
 use crate::pixels::PixelError;
 use crate::stream::{Drained, Stream, StreamConfig, StreamCounters};
@@ -72,7 +72,7 @@ pub struct CameraIdentity {
 /// Two V4L2 devices that deliver pairs. If one is lost both are closed, and the camera must be opened again.
 pub struct V4l2StereoCamera {
     info: StereoCameraInfo,
-    found: [Found; 2],
+    found: [CaptureDevice; 2],
     system: Arc<dyn VideoSystem>,
     clock: Arc<dyn Clock>,
     clock_map: ClockMap,
@@ -84,25 +84,25 @@ pub struct V4l2StereoCamera {
     drift: DriftEstimator,
     last: Option<(u64, MonotonicTime)>,
     /// Last sign of life of each side; `None` before its first good image.
-    heard: [Option<Heard>; 2],
+    last_images: [Option<LastImages>; 2],
 }
 
 /// Time of the last images of a camera, or of the last report that it has none.
 #[derive(Clone, Copy, Debug)]
-struct Heard {
+struct LastImages {
     /// Images of any quality.
     any: MonotonicTime,
     /// Good images.
     good: MonotonicTime,
 }
 
-impl Heard {
+impl LastImages {
     /// Updates the times after draining the driver.
-    fn note(heard: &mut Option<Self>, drained: Drained, now: MonotonicTime) {
+    fn note(last_images: &mut Option<Self>, drained: Drained, now: MonotonicTime) {
         if drained.has_life {
-            *heard = Some(Self { any: now, good: now });
-        } else if let (Some(heard), 1..) = (heard, drained.taken) {
-            heard.any = now;
+            *last_images = Some(Self { any: now, good: now });
+        } else if let (Some(last_images), 1..) = (last_images, drained.taken) {
+            last_images.any = now;
         }
     }
 }
@@ -171,7 +171,7 @@ impl V4l2StereoCamera {
             counters: StereoCounters::default(),
             drift: DriftEstimator::new(period),
             last: None,
-            heard: [None; 2],
+            last_images: [None; 2],
         })
     }
 
@@ -202,7 +202,7 @@ impl V4l2StereoCamera {
         let stream = self.stream(side)?;
         let device = stream.config.device.clone();
         let focus = controls::focus_now(stream.node(), &device)?;
-        let Found { entry, capability } = &self.found[side as usize];
+        let CaptureDevice { entry, capability } = &self.found[side as usize];
         Ok(CameraIdentity { serial: entry.serial.clone(), place: capability.bus.clone(), focus })
     }
 
@@ -267,8 +267,8 @@ impl V4l2StereoCamera {
     fn drain(&mut self) -> Result<(), CameraError> {
         let (now_nanos, now) = (self.system.monotonic_nanos(), self.clock.now());
         let State::Open(streams) = &mut self.state else { return Ok(()) };
-        for (stream, heard) in streams.iter_mut().zip(&mut self.heard) {
-            Heard::note(heard, stream.drain(now_nanos)?, now);
+        for (stream, last_images) in streams.iter_mut().zip(&mut self.last_images) {
+            LastImages::note(last_images, stream.drain(now_nanos)?, now);
         }
         Ok(())
     }
@@ -350,14 +350,14 @@ impl V4l2StereoCamera {
     ) -> Result<MonotonicTime, CameraError> {
         let State::Open(streams) = &self.state else { return Ok(deadline) };
         let mut earliest = deadline;
-        for (stream, heard) in streams.iter().zip(&mut self.heard) {
-            let Some(Heard { any, good }) = *heard else { continue };
+        for (stream, last_images) in streams.iter().zip(&mut self.last_images) {
+            let Some(LastImages { any, good }) = *last_images else { continue };
             let [of_any, of_good] =
                 [(any, SILENT_PERIODS), (good, DAMAGED_PERIODS)].map(|(at, n)| (at + self.period.mul_f64(n), n));
             let (silent_at, periods) = if of_any.0 <= of_good.0 { of_any } else { of_good };
             if now >= silent_at {
                 // The next call waits equally long again.
-                *heard = Some(Heard { any: now, good: now });
+                *last_images = Some(LastImages { any: now, good: now });
                 let why = stream.complaint().unwrap_or("no data arrives; check its plug and cable");
                 let device = &stream.config.device;
                 let millis = now.saturating_since(good).as_secs_f64() * 1e3;
@@ -387,11 +387,11 @@ impl V4l2StereoCamera {
             .wait([left.handle(), right.handle()], timeout)
             .map_err(|error| failed(&self.info.name, "waiting for an image", error))?;
         let now_nanos = self.system.monotonic_nanos();
-        for ((stream, ready), heard) in streams.iter_mut().zip(ready).zip(&mut self.heard) {
+        for ((stream, ready), last_images) in streams.iter_mut().zip(ready).zip(&mut self.last_images) {
             if ready.has_failed {
                 // The driver's own error is more specific, if there is one.
                 let drained = stream.drain(now_nanos)?;
-                Heard::note(heard, drained, self.clock.now());
+                LastImages::note(last_images, drained, self.clock.now());
                 if drained.taken == 0 {
                     let message =
                         format!("{}: the driver has stopped the stream; open the camera again", stream.config.device);
@@ -409,7 +409,11 @@ fn damaged(device: &str, error: PixelError) -> CameraError {
 }
 
 /// Sets the requested mode and controls of a device.
-fn prepare(node: &mut dyn VideoNode, found: &Found, config: &CameraConfig) -> Result<StreamConfig, CameraError> {
+fn prepare(
+    node: &mut dyn VideoNode,
+    found: &CaptureDevice,
+    config: &CameraConfig,
+) -> Result<StreamConfig, CameraError> {
     let device = format!("{} ({})", config.name, found.entry.path.display());
     let mode = modes::negotiate(node, &device, &config.mode)?;
     let told = controls::apply(node, &device, &config.controls)?;

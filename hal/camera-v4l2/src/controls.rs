@@ -129,15 +129,15 @@ pub fn set(node: &mut dyn VideoNode, device: &str, id: u32, value: i32) -> Resul
 pub fn apply(
     node: &mut dyn VideoNode,
     device: &str,
-    wishes: &ControlSettings,
+    requests: &ControlSettings,
 ) -> Result<Option<Duration>, CameraError> {
     let controls = read(node, device)?;
     let mut plan = Plan { device, controls: &controls, steps: Vec::new() };
-    plan.exposure(wishes.exposure)?;
-    plan.property("gain", id::AUTO_GAIN, id::GAIN, wishes.gain)?;
-    plan.property("white balance", id::AUTO_WHITE_BALANCE, id::WHITE_BALANCE_TEMPERATURE, wishes.white_balance)?;
-    plan.property("focus", id::FOCUS_AUTO, id::FOCUS_ABSOLUTE, wishes.focus)?;
-    for (id, value) in &wishes.others {
+    plan.exposure(requests.exposure)?;
+    plan.property("gain", id::AUTO_GAIN, id::GAIN, requests.gain)?;
+    plan.property("white balance", id::AUTO_WHITE_BALANCE, id::WHITE_BALANCE_TEMPERATURE, requests.white_balance)?;
+    plan.property("focus", id::FOCUS_AUTO, id::FOCUS_ABSOLUTE, requests.focus)?;
+    for (id, value) in &requests.others {
         let control = find(&controls, *id).ok_or_else(|| unusable(device, format!("it has no control {id:#010x}")))?;
         plan.steps.push((control, *value));
     }
@@ -184,8 +184,8 @@ struct Plan<'a> {
 }
 
 impl Plan<'_> {
-    fn exposure(&mut self, wish: Setting<Duration>) -> Result<(), CameraError> {
-        let value = match wish {
+    fn exposure(&mut self, request: Setting<Duration>) -> Result<(), CameraError> {
+        let value = match request {
             Setting::Manual(time) => {
                 let units = (time.as_nanos() + EXPOSURE_UNIT.as_nanos() / 2) / EXPOSURE_UNIT.as_nanos();
                 Setting::Manual(i32::try_from(units).unwrap_or(i32::MAX))
@@ -209,18 +209,18 @@ impl Plan<'_> {
         self.value("exposure time", id::EXPOSURE_ABSOLUTE, value)
     }
 
-    fn property(&mut self, name: &str, auto: u32, value: u32, wish: Setting<i32>) -> Result<(), CameraError> {
-        let by_camera = i32::from(wish == Setting::Auto);
+    fn property(&mut self, name: &str, auto: u32, value: u32, request: Setting<i32>) -> Result<(), CameraError> {
+        let by_camera = i32::from(request == Setting::Auto);
         match find(self.controls, auto) {
             Some(control) => self.steps.push((control, by_camera)),
             None if by_camera == 1 => return Err(self.lacks(name, "automatic mode")),
             None => {}
         }
-        self.value(name, value, wish)
+        self.value(name, value, request)
     }
 
-    fn value(&mut self, name: &str, id: u32, wish: Setting<i32>) -> Result<(), CameraError> {
-        if let Setting::Manual(value) = wish {
+    fn value(&mut self, name: &str, id: u32, request: Setting<i32>) -> Result<(), CameraError> {
+        if let Setting::Manual(value) = request {
             let control = find(self.controls, id).ok_or_else(|| self.lacks(name, "control"))?;
             self.steps.push((control, value));
         }

@@ -13,14 +13,14 @@ use crate::video::{Capability, NodeEntry, VideoNode, VideoSystem};
 
 /// A device that captures images.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Found {
+pub struct CaptureDevice {
     /// Entry in the device list.
     pub entry: NodeEntry,
     /// Capability reported by the device.
     pub capability: Capability,
 }
 
-impl Found {
+impl CaptureDevice {
     /// Names that are still valid after the next boot, the best one first.
     pub fn stable_names(&self) -> Vec<CameraName> {
         let index = self.entry.index.filter(|index| *index > 0);
@@ -44,7 +44,7 @@ impl Found {
 #[derive(Debug, Default)]
 pub struct Listing {
     /// Devices that capture images, sorted by path.
-    pub found: Vec<Found>,
+    pub found: Vec<CaptureDevice>,
     /// Devices that could not be queried.
     pub refused: Vec<(PathBuf, CameraError)>,
 }
@@ -64,7 +64,7 @@ pub fn list(system: &dyn VideoSystem) -> Result<Listing, CameraError> {
             .and_then(|node| node.capability().map_err(|error| failed(&device, "reading its capabilities", error)));
         match asked {
             Ok(capability) if capability.captures && capability.streams => {
-                listing.found.push(Found { entry, capability })
+                listing.found.push(CaptureDevice { entry, capability })
             }
             Ok(_) => {}
             Err(error) => listing.refused.push((entry.path, error)),
@@ -77,7 +77,7 @@ pub fn list(system: &dyn VideoSystem) -> Result<Listing, CameraError> {
 ///
 /// # Errors
 /// `Disconnected` if there is none; `Unusable` if the name matches several cameras, or the camera may not be opened.
-pub fn open(system: &dyn VideoSystem, name: &CameraName) -> Result<(Found, Box<dyn VideoNode>), CameraError> {
+pub fn open(system: &dyn VideoSystem, name: &CameraName) -> Result<(CaptureDevice, Box<dyn VideoNode>), CameraError> {
     let device = name.to_string();
     // A udev rule may have given the node another name.
     let name = &match name {
@@ -85,7 +85,7 @@ pub fn open(system: &dyn VideoSystem, name: &CameraName) -> Result<(Found, Box<d
         CameraName::Bus { .. } | CameraName::Serial { .. } => name.clone(),
     };
     let listing = list(system)?;
-    let mut fitting: Vec<&Found> = listing.found.iter().filter(|found| found.has(name)).collect();
+    let mut fitting: Vec<&CaptureDevice> = listing.found.iter().filter(|found| found.has(name)).collect();
     // Of several nodes of one device the first one is used; the same serial number on two devices is ambiguous.
     let first = fitting.iter().map(|found| found.entry.index).min().unwrap_or_default();
     fitting.retain(|found| found.entry.index == first);
@@ -113,7 +113,7 @@ pub fn open(system: &dyn VideoSystem, name: &CameraName) -> Result<(Found, Box<d
     Ok((found, node))
 }
 
-fn describe(found: &Found) -> String {
+fn describe(found: &CaptureDevice) -> String {
     let name = found.stable_names().first().map_or_else(String::new, |name| format!(" {name}"));
     format!("{}{name} ({})", found.entry.path.display(), found.capability.card)
 }

@@ -143,18 +143,18 @@ fn cameras_are_known_by_number_place_and_focus_while_they_are_there() {
             camera.controls.retain(|(entry, _)| ![id::FOCUS_ABSOLUTE, id::FOCUS_AUTO].contains(&entry.id));
         }
     });
-    let mut wishes = config();
-    wishes.right.name = "bus:usb-emulated-1".parse().unwrap();
-    wishes.left.controls.focus = Setting::Manual(30);
-    let open = |wishes| ReopeningCamera::open(Arc::new(rig.system.clone()), rig.clock.clone(), wishes, LOOKED_FOR);
-    let mut camera = open(wishes.clone()).unwrap();
+    let mut requests = config();
+    requests.right.name = "bus:usb-emulated-1".parse().unwrap();
+    requests.left.controls.focus = Setting::Manual(30);
+    let open = |requests| ReopeningCamera::open(Arc::new(rig.system.clone()), rig.clock.clone(), requests, LOOKED_FOR);
+    let mut camera = open(requests.clone()).unwrap();
     let [left, right] = [Side::Left, Side::Right].map(|side| camera.identity(side).unwrap());
     assert_eq!(left.serial.as_deref(), Some("SN0000"));
     assert_eq!((left.place.as_str(), left.focus), ("usb-emulated-0", Focus::Fixed(30)));
     assert_eq!((right.serial, right.place.as_str(), right.focus), (None, "usb-emulated-1", Focus::ByHand));
     drop(camera);
-    wishes.left.controls.focus = Setting::Auto;
-    let mut camera = open(wishes).unwrap();
+    requests.left.controls.focus = Setting::Auto;
+    let mut camera = open(requests).unwrap();
     assert_eq!(camera.identity(Side::Left).unwrap().focus, Focus::Automatic);
     rig.faults(0, |faults| faults.is_unplugged = true);
     take(&rig, &mut camera, SECOND, &mut (0, MonotonicTime::ZERO));

@@ -193,7 +193,7 @@ fn an_endless_camera_must_not_end() {
 fn a_report_names_camera_rule_and_values() {
     let report = suite(Defect::OneCameraIsSmaller);
     let text = report.to_string();
-    assert!(text.starts_with("OneEyeIsSmaller: breaks the contract\n  size-as-stated: pair 0"), "{text}");
+    assert!(text.starts_with("OneCameraIsSmaller: breaks the contract\n  size-as-stated: pair 0"), "{text}");
     assert!(text.contains("the right image is (15, 9), stated is (16, 9)"), "{text}");
     assert!(std::panic::catch_unwind(|| report.assert_passed()).is_err());
 }

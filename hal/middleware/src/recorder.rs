@@ -14,7 +14,7 @@ pub struct FlightEntry {
     /// When it was over.
     pub done: MonotonicTime,
     /// What was asked.
-    pub asked: Asked,
+    pub asked: RecordedRequest,
     /// What came of it: the measured joints of an exchange, or the kind of the error.
     pub answer: Result<Option<JointState>, ArmErrorKind>,
     /// State of drives and brakes afterwards.
@@ -23,7 +23,7 @@ pub struct FlightEntry {
 
 /// What an arm was asked.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Asked {
+pub enum RecordedRequest {
     /// An exchange with this command.
     Exchange(JointCommand),
     /// Drives on.
@@ -90,14 +90,18 @@ impl<A> Recorded<A> {
 }
 
 impl<A: Arm + ArmPower> Recorded<A> {
-    fn switch(&mut self, asked: Asked, act: impl FnOnce(&mut A) -> Result<(), ArmError>) -> Result<(), ArmError> {
+    fn switch(
+        &mut self,
+        asked: RecordedRequest,
+        act: impl FnOnce(&mut A) -> Result<(), ArmError>,
+    ) -> Result<(), ArmError> {
         let at = self.clock.now();
         let result = act(&mut self.arm);
         self.note_switched(at, asked, result.as_ref().err().map(ArmError::kind));
         result
     }
 
-    fn note_switched(&self, at: MonotonicTime, asked: Asked, failed: Option<ArmErrorKind>) {
+    fn note_switched(&self, at: MonotonicTime, asked: RecordedRequest, failed: Option<ArmErrorKind>) {
         let answer = failed.map_or(Ok(None), Err);
         self.log.push(FlightEntry { at, done: self.clock.now(), asked, answer, state: self.arm.state() });
     }
@@ -107,7 +111,7 @@ impl<A: Arm + ArmPower> Recorded<A> {
         if result.as_ref().map_or(true, is_done)
             && let Some(since) = self.enabling_since.take()
         {
-            self.note_switched(since, Asked::Enable, result.as_ref().err().map(ArmError::kind));
+            self.note_switched(since, RecordedRequest::Enable, result.as_ref().err().map(ArmError::kind));
         }
         result
     }
@@ -122,7 +126,7 @@ impl<A: Arm + ArmPower> Arm for Recorded<A> {
         let at = self.clock.now();
         let result = self.arm.exchange(command);
         let answer = result.as_ref().map(|sample| Some(*sample)).map_err(ArmError::kind);
-        let asked = Asked::Exchange(command);
+        let asked = RecordedRequest::Exchange(command);
         self.log.push(FlightEntry { at, done: self.clock.now(), asked, answer, state: self.arm.state() });
         result
     }
@@ -138,7 +142,7 @@ impl<A: Arm + ArmPower> ArmPower for Recorded<A> {
     }
 
     fn enable(&mut self) -> Result<(), ArmError> {
-        self.switch(Asked::Enable, A::enable)
+        self.switch(RecordedRequest::Enable, A::enable)
     }
 
     fn begin_enable(&mut self) -> Result<(), ArmError> {
@@ -157,10 +161,10 @@ impl<A: Arm + ArmPower> ArmPower for Recorded<A> {
     }
 
     fn stop(&mut self) -> Result<(), ArmError> {
-        self.switch(Asked::Stop, A::stop)
+        self.switch(RecordedRequest::Stop, A::stop)
     }
 
     fn reset(&mut self) -> Result<(), ArmError> {
-        self.switch(Asked::Reset, A::reset)
+        self.switch(RecordedRequest::Reset, A::reset)
     }
 }

@@ -266,16 +266,16 @@ proptest! {
     /// Whatever both arms are told, they keep their distance: tested against where the simulated joints really were.
     #[test]
     fn no_commands_bring_the_arms_too_near(
-        wishes in prop::collection::vec((prop::array::uniform14(-1.0..1.0f64), 5..120usize), 1..15),
+        desired in prop::collection::vec((prop::array::uniform14(-1.0..1.0f64), 5..120usize), 1..15),
         start in prop::array::uniform7(-0.3..0.3f64),
     ) {
         let start = bowed(-0.2) + JointVector::from(start);
         let mut bench = Bench::new(1.4, [start, -start]);
         prop_assume!(bench.least_room_m() > LEAST_M);
-        for (speeds, cycles) in wishes {
-            let wish = |from: usize| JointCommand::Velocity(JointVector::from_fn(|i, _| 2.0 * speeds[from + i]));
+        for (speeds, cycles) in desired {
+            let desired = |from: usize| JointCommand::Velocity(JointVector::from_fn(|i, _| 2.0 * speeds[from + i]));
             for _ in 0..cycles {
-                for answer in bench.cycle([wish(0), wish(7)]).into_iter().flatten() {
+                for answer in bench.cycle([desired(0), desired(7)]).into_iter().flatten() {
                     prop_assert_eq!(answer.0, ArmErrorKind::Rejected, "{}", answer.1);
                 }
             }

@@ -326,14 +326,14 @@ impl Chained {
 fn a_hold_leads_no_joint_out_while_another_one_needs_longer_to_brake() {
     let end_rad = common::operating_range_rad()[1];
     let mut arm = Chained::new(JointVector::from([0.0, end_rad - 0.35, -2.5, 0.5, 0.0, 0.0, 0.0]), 1.0);
-    let mut wish = JointVector::zeros();
-    (wish[1], wish[2]) = (0.3, 1.9);
+    let mut desired = JointVector::zeros();
+    (desired[1], desired[2]) = (0.3, 1.9);
     let mut at_rad = 0.0;
     for _ in 0..300 {
         if end_rad - at_rad < 0.05 {
             break;
         }
-        at_rad = arm.limiter.exchange(JointCommand::Velocity(wish)).unwrap().position_rad[1];
+        at_rad = arm.limiter.exchange(JointCommand::Velocity(desired)).unwrap().position_rad[1];
     }
     assert!(end_rad - at_rad < 0.05, "S2 is at {at_rad}");
     for _ in 0..150 {
@@ -350,16 +350,16 @@ fn after_a_stall_the_velocity_goes_on_from_what_the_driver_left_of_it() {
     let most = DriverConfig::with_cycle(BUS_CYCLE).deceleration_rad_per_s2[2] * HOST_CYCLE.as_secs_f64();
     for stall_ms in [15, 20, 25, 30, 35] {
         let mut arm = Chained::new(JointVector::zeros(), 1.0);
-        let mut wish = JointVector::zeros();
-        wish[2] = 1.5;
+        let mut desired = JointVector::zeros();
+        desired[2] = 1.5;
         for _ in 0..100 {
-            arm.limiter.exchange(JointCommand::Velocity(wish)).unwrap();
+            arm.limiter.exchange(JointCommand::Velocity(desired)).unwrap();
         }
         let told = |arm: &Chained| arm.bench.lock().unwrap().plant.lock().unwrap().commanded_rad_per_s()[2];
         arm.bench.lock().unwrap().run(Duration::from_millis(stall_ms));
         let before = told(&arm);
         assert!(before < 1.4, "{stall_ms} ms: {before}");
-        arm.limiter.exchange(JointCommand::Velocity(wish)).unwrap();
+        arm.limiter.exchange(JointCommand::Velocity(desired)).unwrap();
         let after = told(&arm);
         // The driver's last cycle is up to one bus cycle old.
         assert!(after <= before + most + 1e-9 && after > 0.0, "{stall_ms} ms: from {before} to {after} rad/s");
@@ -380,9 +380,9 @@ proptest! {
         let speeds = common::servo_limits().velocity_max_rad_per_s().to_owned();
         let mut arm = Chained::new(range_rad.component_mul(&JointVector::from(start)), SPEED_SCALE);
         for (parts, cycles, holds) in drive {
-            let wish = JointCommand::Velocity(JointVector::from_fn(|i, _| 1.2 * SPEED_SCALE * speeds[i] * parts[i]));
+            let desired = JointCommand::Velocity(JointVector::from_fn(|i, _| 1.2 * SPEED_SCALE * speeds[i] * parts[i]));
             for i in 0..cycles + holds {
-                let command = if i < cycles { wish } else { JointCommand::Hold };
+                let command = if i < cycles { desired } else { JointCommand::Hold };
                 let answer = arm.limiter.exchange(command);
                 prop_assert!(answer.is_ok(), "{answer:?}");
             }

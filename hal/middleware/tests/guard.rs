@@ -336,7 +336,7 @@ proptest! {
     }
 }
 
-/// A joint that runs away from its drive goes on although the arm holds: whoever can close brakes is told at once, and once.
+/// A joint that runs away from its drive goes on although the arm holds: the side that can close brakes gets one report at once.
 #[test]
 fn who_can_brake_is_told_when_the_guard_stops_the_arm() {
     let clock = Arc::new(VirtualClock::new());

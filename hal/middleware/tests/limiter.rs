@@ -236,12 +236,12 @@ fn joints_turn_beyond_half_a_turn() {
     let mut arm = mock_arm(&clock, start);
     arm.enable().unwrap();
     let mut limiter = Limiter::new(arm, limits(0.6), limiter_config(), Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
-    let mut wish = JointVector::zeros();
-    (wish[4], wish[6]) = (1.0, -1.0);
+    let mut desired = JointVector::zeros();
+    (desired[4], desired[6]) = (1.0, -1.0);
     let mut last = limiter.exchange(JointCommand::Hold).unwrap();
     for _ in 0..600 {
         clock.sleep_until(clock.now() + CYCLE);
-        last = limiter.exchange(JointCommand::Velocity(wish)).unwrap();
+        last = limiter.exchange(JointCommand::Velocity(desired)).unwrap();
     }
     for (joint, angle) in [(4, last.position_rad[4]), (6, -last.position_rad[6])] {
         let end = 249f64.to_radians();
@@ -258,10 +258,10 @@ fn a_velocity_after_a_hold_goes_on_from_where_each_joint_really_is() {
         clock.sleep_until(clock.now() + CYCLE);
         limiter.exchange(command).unwrap()
     };
-    let mut wish = JointVector::zeros();
-    (wish[3], wish[6]) = (1.6, 1.6);
+    let mut desired = JointVector::zeros();
+    (desired[3], desired[6]) = (1.6, 1.6);
     for _ in 0..130 {
-        tell(JointCommand::Velocity(wish));
+        tell(JointCommand::Velocity(desired));
     }
     for _ in 0..40 {
         tell(JointCommand::Hold);
@@ -363,8 +363,8 @@ fn limited_mock_arm_keeps_the_contract() {
 
 /// What a caller, or the link behind the limiter, does for some cycles.
 #[derive(Clone, Debug)]
-enum Deed {
-    Wish([f64; DOF]),
+enum Action {
+    Request([f64; DOF]),
     Reverse,
     NotFinite(usize, f64),
     Hold,
@@ -375,22 +375,22 @@ enum Deed {
     Silence(u64),
 }
 
-fn any_deed() -> impl Strategy<Value = Deed> {
+fn any_deed() -> impl Strategy<Value = Action> {
     prop_oneof![
-        6 => prop::array::uniform7(-12.0..12.0f64).prop_map(Deed::Wish),
-        2 => Just(Deed::Wish([f64::MAX, -f64::MAX, 1e300, 0.0, 1.0, -1.0, 1e-300])),
-        2 => Just(Deed::Reverse),
+        6 => prop::array::uniform7(-12.0..12.0f64).prop_map(Action::Request),
+        2 => Just(Action::Request([f64::MAX, -f64::MAX, 1e300, 0.0, 1.0, -1.0, 1e-300])),
+        2 => Just(Action::Reverse),
         1 => (0..DOF, prop::sample::select(vec![f64::NAN, f64::INFINITY, f64::NEG_INFINITY]))
-            .prop_map(|(joint, value)| Deed::NotFinite(joint, value)),
-        1 => Just(Deed::Hold),
-        2 => Just(Deed::Freeze),
-        1 => Just(Deed::LoseReply),
-        1 => (1..200u64).prop_map(Deed::Silence),
+            .prop_map(|(joint, value)| Action::NotFinite(joint, value)),
+        1 => Just(Action::Hold),
+        2 => Just(Action::Freeze),
+        1 => Just(Action::LoseReply),
+        1 => (1..200u64).prop_map(Action::Silence),
     ]
 }
 
-/// One deed after the other, each for some cycles of up to 20 ms.
-fn any_drive() -> impl Strategy<Value = Vec<(Deed, Vec<u64>)>> {
+/// One action after the other, each for some cycles of up to 20 ms.
+fn any_drive() -> impl Strategy<Value = Vec<(Action, Vec<u64>)>> {
     prop::collection::vec((any_deed(), prop::collection::vec(0..20u64, 1..100)), 1..25)
 }
 
@@ -490,28 +490,28 @@ impl Wild {
         Ok(())
     }
 
-    fn live_through(&mut self, drive: Vec<(Deed, Vec<u64>)>) -> Result<(), TestCaseError> {
-        let mut wish = JointVector::zeros();
-        for (deed, cycles) in drive {
+    fn live_through(&mut self, drive: Vec<(Action, Vec<u64>)>) -> Result<(), TestCaseError> {
+        let mut desired = JointVector::zeros();
+        for (action, cycles) in drive {
             *self.frozen.lock().unwrap() = None;
-            match deed {
-                Deed::Wish(velocity) => wish = velocity.into(),
-                Deed::Reverse => wish = -wish,
-                Deed::LoseReply => self.limiter.arm().arm.faults().drop_replies(1),
-                Deed::Silence(ms) => self.clock.sleep_until(self.clock.now() + Duration::from_millis(ms)),
-                Deed::Freeze => {
+            match action {
+                Action::Request(velocity) => desired = velocity.into(),
+                Action::Reverse => desired = -desired,
+                Action::LoseReply => self.limiter.arm().arm.faults().drop_replies(1),
+                Action::Silence(ms) => self.clock.sleep_until(self.clock.now() + Duration::from_millis(ms)),
+                Action::Freeze => {
                     let newest = self.limiter.arm().arm.plant().lock().unwrap().state();
                     *self.frozen.lock().unwrap() = Some(Box::new(move |sample| *sample = newest));
                 }
-                Deed::NotFinite(..) | Deed::Hold => {}
+                Action::NotFinite(..) | Action::Hold => {}
             }
             for cycle_ms in cycles {
                 self.clock.sleep_until(self.clock.now() + Duration::from_millis(cycle_ms));
-                let mut velocity = wish;
-                if let Deed::NotFinite(joint, value) = deed {
+                let mut velocity = desired;
+                if let Action::NotFinite(joint, value) = action {
                     velocity[joint] = value;
                 }
-                let is_hold = matches!(deed, Deed::Hold);
+                let is_hold = matches!(action, Action::Hold);
                 self.exchange(if is_hold { JointCommand::Hold } else { JointCommand::Velocity(velocity) })?;
             }
         }

@@ -9,7 +9,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_conformance::mocks::MockScriptedArm;
-use pb3dp_hal_middleware::{Asked, FlightLog, Recorded};
+use pb3dp_hal_middleware::{FlightLog, Recorded, RecordedRequest};
 use pb3dp_kinematics::JointVector;
 
 use crate::common::{CYCLE, assert_contract, mock_arm, velocity};
@@ -27,7 +27,10 @@ fn the_last_exchanges_are_kept_with_what_came_of_them() {
     assert_eq!(log.entries(), []);
     arm.enable().unwrap();
     let entries = log.entries();
-    assert_eq!((entries[0].asked, entries[0].answer, entries[0].state), (Asked::Enable, Ok(None), ArmState::Enabled));
+    assert_eq!(
+        (entries[0].asked, entries[0].answer, entries[0].state),
+        (RecordedRequest::Enable, Ok(None), ArmState::Enabled)
+    );
     for k in 1..=20 {
         clock.sleep_until(clock.now() + CYCLE);
         if k == 20 {
@@ -39,7 +42,7 @@ fn the_last_exchanges_are_kept_with_what_came_of_them() {
     assert_eq!(entries.len(), 5, "no more than the log holds");
     for (entry, k) in entries.iter().zip(16..) {
         assert_eq!(entry.at, MonotonicTime::ZERO + CYCLE * k);
-        assert_eq!(entry.asked, Asked::Exchange(velocity(2, 0.01 * f64::from(k))));
+        assert_eq!(entry.asked, RecordedRequest::Exchange(velocity(2, 0.01 * f64::from(k))));
     }
     let measured = entries[3].answer.unwrap().unwrap();
     assert!(measured.velocity_rad_per_s[2] > 0.05 && measured.at == entries[3].at, "{measured:?}");
@@ -48,7 +51,14 @@ fn the_last_exchanges_are_kept_with_what_came_of_them() {
     arm.stop().unwrap();
     assert!(arm.reset().is_err());
     let last: Vec<_> = log.entries().into_iter().skip(2).map(|entry| (entry.asked, entry.answer.is_ok())).collect();
-    assert_eq!(last, [(Asked::Exchange(JointCommand::Hold), true), (Asked::Stop, true), (Asked::Reset, false)]);
+    assert_eq!(
+        last,
+        [
+            (RecordedRequest::Exchange(JointCommand::Hold), true),
+            (RecordedRequest::Stop, true),
+            (RecordedRequest::Reset, false)
+        ]
+    );
 }
 
 #[test]
@@ -60,7 +70,7 @@ fn an_arm_that_refuses_to_begin_is_told_and_kept() {
     let mut arm = Recorded::new(arm, Arc::new(VirtualClock::new()), log.clone());
     assert_eq!(arm.begin_enable().unwrap_err().kind(), ArmErrorKind::Fault);
     let kept: Vec<_> = log.entries().into_iter().map(|entry| (entry.asked, entry.answer, entry.state)).collect();
-    assert_eq!(kept, [(Asked::Enable, Err(ArmErrorKind::Fault), ArmState::Fault)]);
+    assert_eq!(kept, [(RecordedRequest::Enable, Err(ArmErrorKind::Fault), ArmState::Fault)]);
 }
 
 #[test]

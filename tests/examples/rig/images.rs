@@ -18,7 +18,7 @@ const VIVID: &str = "n_devs=2 node_types=0x101,0x101 ccs_cap_mode=1,1";
 /// Where the kernel lists video devices.
 const NODES: &str = "/sys/class/video4linux";
 
-/// What an output takes until somebody wishes something else: PAL, in YUYV.
+/// What an output takes until somebody requests something else: PAL, in YUYV.
 const FRAME: (usize, usize) = (720, 576);
 
 /// In the upper left corner stand the time and the number of each image (`vivid`'s menu "Counters Only"): no two images are the same,

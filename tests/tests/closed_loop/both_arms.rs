@@ -22,10 +22,10 @@ fn the_carrying_arm_has_the_limits_and_states_of_the_following_one() {
     let setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::X]);
     let Parts { vs, tc, clock, .. } = wire(&setup).unwrap();
     let mut arms = [("vs-robot", vs, &setup.rig.vs), ("tc-robot", tc, &setup.rig.tc)];
-    let mut wish = JointVector::zeros();
-    wish[6] = 100.0;
+    let mut desired = JointVector::zeros();
+    desired[6] = 100.0;
     for (name, arm, _) in &mut arms {
-        let early = arm.exchange(JointCommand::Velocity(wish)).unwrap_err();
+        let early = arm.exchange(JointCommand::Velocity(desired)).unwrap_err();
         assert!(matches!(early.kind(), ArmErrorKind::NotEnabled | ArmErrorKind::Rejected), "{name}: {early}");
         arm.enable().unwrap();
     }
@@ -33,7 +33,7 @@ fn the_carrying_arm_has_the_limits_and_states_of_the_following_one() {
         arm.exchange(JointCommand::Hold).unwrap();
     }
     for (name, arm, setup) in &mut arms {
-        let no_number = arm.exchange(JointCommand::Velocity(wish * f64::NAN)).unwrap_err();
+        let no_number = arm.exchange(JointCommand::Velocity(desired * f64::NAN)).unwrap_err();
         assert_eq!(no_number.kind(), ArmErrorKind::Rejected);
         assert!(no_number.to_string().contains(&format!("limiter of arm {name}")), "{no_number}");
         let limits = &setup.limits;
@@ -42,7 +42,7 @@ fn the_carrying_arm_has_the_limits_and_states_of_the_following_one() {
         let mut fastest: f64 = 0.0;
         for _ in 0..100 {
             clock.sleep_until(clock.now() + Duration::from_millis(10));
-            let now = arm.exchange(JointCommand::Velocity(wish)).unwrap();
+            let now = arm.exchange(JointCommand::Velocity(desired)).unwrap();
             let change = now.velocity_rad_per_s[6] - before.velocity_rad_per_s[6];
             assert!(change <= most * 0.01 + 1e-9, "{name}: {change} rad/s in 10 ms");
             fastest = fastest.max(now.velocity_rad_per_s[6]);

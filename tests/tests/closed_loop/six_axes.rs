@@ -68,16 +68,16 @@ fn its_own_limits_hold_and_its_joints_have_names() {
     parts.tc.enable().unwrap();
     parts.vs.exchange(JointCommand::Hold).unwrap();
     parts.tc.exchange(JointCommand::Hold).unwrap();
-    let mut wish = JointVector::zeros();
-    wish[5] = 100.0;
+    let mut desired = JointVector::zeros();
+    desired[5] = 100.0;
     let mut fastest: f64 = 0.0;
     for _ in 0..200 {
         parts.clock.sleep_until(parts.clock.now() + setup.control_period);
         parts.tc.exchange(JointCommand::Hold).unwrap();
-        fastest = fastest.max(parts.vs.exchange(JointCommand::Velocity(wish)).unwrap().velocity_rad_per_s[5]);
+        fastest = fastest.max(parts.vs.exchange(JointCommand::Velocity(desired)).unwrap().velocity_rad_per_s[5]);
     }
     assert!((0.98 * allowed[5]..=allowed[5] * (1.0 + 1e-6)).contains(&fastest), "{fastest} of {}", allowed[5]);
-    let nowhere = parts.vs.exchange(JointCommand::Velocity(wish * f64::NAN)).unwrap_err();
+    let nowhere = parts.vs.exchange(JointCommand::Velocity(desired * f64::NAN)).unwrap_err();
     assert_eq!(nowhere.kind(), ArmErrorKind::Rejected);
 }
 

@@ -1,5 +1,5 @@
 //! The threads of a run in the machine's time: who is slow, stalled or mistaken holds nobody else up, and both arms are stopped. Nothing
-//! here is judged by how long something took: whoever is stalled waits for what the others do meanwhile.
+//! here is judged by how long something took: a stalled thread waits for the others.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -65,19 +65,19 @@ fn wait_for(done: &Done, more: u64, counters: &[&AtomicU64]) {
     }
 }
 
-type Deed = fn(&Done) -> Result<()>;
+type Action = fn(&Done) -> Result<()>;
 
 /// What the parts do beside their work.
 #[derive(Clone, Copy)]
 struct Script {
-    capture: Deed,
-    estimate: Deed,
-    record: Deed,
-    step: Deed,
-    stop: Deed,
+    capture: Action,
+    estimate: Action,
+    record: Action,
+    step: Action,
+    stop: Action,
 }
 
-const NOTHING: Deed = |_| Ok(());
+const NOTHING: Action = |_| Ok(());
 const QUIET: Script = Script { capture: NOTHING, estimate: NOTHING, record: NOTHING, step: NOTHING, stop: NOTHING };
 
 /// A half that looks, and each of its parts. Frames are numbers, one each two milliseconds.
@@ -100,7 +100,7 @@ impl Capture for Part<'_> {
 
 impl Estimate for Part<'_> {
     type Frame = u64;
-    type Seen = u64;
+    type Observed = u64;
     type Step = Step;
 
     fn moved(&mut self, _step: &Step) {}
@@ -115,7 +115,7 @@ impl Estimate for Part<'_> {
 }
 
 impl Record for Part<'_> {
-    type Seen = u64;
+    type Observed = u64;
     type Step = Step;
 
     fn moved(&mut self, _step: &Step) {}
@@ -130,7 +130,7 @@ impl Record for Part<'_> {
 impl Parted for Part<'_> {
     type Step = Step;
     type Frame = u64;
-    type Seen = u64;
+    type Observed = u64;
 
     fn begin_at(&mut self, _begin: MonotonicTime) {}
 
@@ -138,8 +138,8 @@ impl Parted for Part<'_> {
         &mut self,
     ) -> (
         impl Capture<Frame = u64>,
-        impl Estimate<Frame = u64, Seen = u64, Step = Step>,
-        impl Record<Seen = u64, Step = Step>,
+        impl Estimate<Frame = u64, Observed = u64, Step = Step>,
+        impl Record<Observed = u64, Step = Step>,
     ) {
         (*self, *self, *self)
     }
@@ -224,7 +224,7 @@ fn failure(ended: Option<Result<()>>) -> String {
 #[test]
 fn a_stalled_recorder_holds_neither_estimation_nor_control_up() {
     const MANY: u64 = 100;
-    let record: Deed = |done| {
+    let record: Action = |done| {
         if of(&done.recorded) == 3 {
             wait_for(done, MANY, &[&done.captured, &done.estimated, &done.observed, &done.steps]);
             done.is_enough.store(true, Ordering::SeqCst);
@@ -246,7 +246,7 @@ fn a_stalled_recorder_holds_neither_estimation_nor_control_up() {
 #[test]
 fn a_slow_estimator_holds_neither_capture_nor_control_up_and_gets_the_newest_frame() {
     const MANY: u64 = 100;
-    let estimate: Deed = |done| {
+    let estimate: Action = |done| {
         match of(&done.estimated) {
             3 => wait_for(done, MANY, &[&done.captured, &done.steps]),
             5 => done.is_enough.store(true, Ordering::SeqCst),
@@ -264,7 +264,7 @@ fn a_slow_estimator_holds_neither_capture_nor_control_up_and_gets_the_newest_fra
 
 #[test]
 fn a_camera_that_waits_holds_control_not_up() {
-    let capture: Deed = |done| {
+    let capture: Action = |done| {
         wait_for(done, 20, &[&done.steps]);
         done.is_enough.store(of(&done.captured) > 3, Ordering::SeqCst);
         Ok(())
@@ -276,7 +276,7 @@ fn a_camera_that_waits_holds_control_not_up() {
 /// of them.
 #[test]
 fn handing_over_takes_nothing_from_the_heap() {
-    let record: Deed = |done| {
+    let record: Action = |done| {
         match of(&done.recorded) {
             // More than the rings hold.
             10 => wait_for(done, 1200, &[&done.steps]),
@@ -293,7 +293,7 @@ fn handing_over_takes_nothing_from_the_heap() {
 
 #[test]
 fn a_mistake_in_any_thread_stops_both_arms() {
-    let mistake: Deed = |done| if of(&done.steps) >= 5 { panic!("a mistake of the test") } else { Ok(()) };
+    let mistake: Action = |done| if of(&done.steps) >= 5 { panic!("a mistake of the test") } else { Ok(()) };
     let scripts = [
         ("capture", Script { capture: mistake, ..QUIET }),
         ("estimation", Script { estimate: mistake, ..QUIET }),
@@ -314,7 +314,7 @@ fn a_mistake_in_any_thread_stops_both_arms() {
 
 #[test]
 fn a_failure_in_any_thread_stops_both_arms_and_is_told() {
-    let fail: Deed = |done| if of(&done.steps) >= 5 { bail!("the part is gone") } else { Ok(()) };
+    let fail: Action = |done| if of(&done.steps) >= 5 { bail!("the part is gone") } else { Ok(()) };
     let scripts = [
         Script { capture: fail, ..QUIET },
         Script { estimate: fail, ..QUIET },
@@ -322,7 +322,7 @@ fn a_failure_in_any_thread_stops_both_arms_and_is_told() {
         Script { record: fail, ..QUIET },
     ];
     // A stop that fails does not hide why both arms were stopped.
-    let stop: Deed = |_| bail!("an arm cannot be told");
+    let stop: Action = |_| bail!("an arm cannot be told");
     for script in scripts {
         for pace in [Pace::Live, Pace::Fast] {
             for script in [script, Script { stop, ..script }] {
@@ -364,7 +364,7 @@ struct Kept<'w> {
 
 impl Estimate for SlowMethod<'_, '_> {
     type Frame = Captured;
-    type Seen = ();
+    type Observed = ();
     type Step = Moved;
 
     fn moved(&mut self, step: &Moved) {
@@ -382,7 +382,7 @@ impl Estimate for SlowMethod<'_, '_> {
 }
 
 impl Record for Kept<'_> {
-    type Seen = ();
+    type Observed = ();
     type Step = Moved;
 
     fn moved(&mut self, step: &Moved) {
@@ -416,7 +416,7 @@ fn is_stale(step: &Moved) -> bool {
 impl Parted for SlowOnce<'_> {
     type Step = Moved;
     type Frame = Captured;
-    type Seen = ();
+    type Observed = ();
 
     fn begin_at(&mut self, begin: MonotonicTime) {
         self.looking.begin_at(begin);
@@ -426,8 +426,8 @@ impl Parted for SlowOnce<'_> {
         &mut self,
     ) -> (
         impl Capture<Frame = Captured>,
-        impl Estimate<Frame = Captured, Seen = (), Step = Moved>,
-        impl Record<Seen = (), Step = Moved>,
+        impl Estimate<Frame = Captured, Observed = (), Step = Moved>,
+        impl Record<Observed = (), Step = Moved>,
     ) {
         let Looking { capturing, estimating, .. } = &mut self.looking;
         let seen = &self.seen;

@@ -1,7 +1,7 @@
 //! What goes wrong in a run, at every seam: what is seen, when it comes, the control loop, its clock, lines, gateways and arms.
 
 use pb3dp_arm_pa10_protocol::codec::{CommAlarm, ServoAlarm};
-use pb3dp_servo::supervisor::Word;
+use pb3dp_servo::supervisor::OperatorCommand;
 use pb3dp_sim::camera_faults::CameraFaultKind;
 
 use crate::cameras;
@@ -67,7 +67,7 @@ pub enum Kind {
     /// The estimator is less sure by these factors: of standard deviations of position and orientation.
     Unsure([f64; 2]),
     /// The operator says this, and it is heard so much later, seconds.
-    Word(Word, f64),
+    OperatorCommand(OperatorCommand, f64),
     /// There is no sign of life of the operator.
     Silence,
     /// Something of the cameras.
@@ -173,8 +173,8 @@ impl Kind {
             14 => Self::NumbersStand,
             15 => Self::Scatter(dice.within(0.2, 0.5)),
             16 => Self::Unsure([0, 1].map(|_| if dice.unit() < 0.5 { 1.0 } else { dice.within(2.0, 3000.0) })),
-            17 => Self::Word(dice.pick(&Word::ALL), 0.0),
-            18 => Self::Word(dice.pick(&Word::ALL), dice.within(0.05, 2.0)),
+            17 => Self::OperatorCommand(dice.pick(&OperatorCommand::ALL), 0.0),
+            18 => Self::OperatorCommand(dice.pick(&OperatorCommand::ALL), dice.within(0.05, 2.0)),
             19 => Self::Silence,
             other => {
                 let (name, lines) = OF_ARMS[other - OF_THE_CELL.len()];
@@ -204,8 +204,8 @@ impl Kind {
             Self::NumbersStand => 14,
             Self::Scatter(_) => 15,
             Self::Unsure(_) => 16,
-            Self::Word(_, 0.0) => 17,
-            Self::Word(..) => 18,
+            Self::OperatorCommand(_, 0.0) => 17,
+            Self::OperatorCommand(..) => 18,
             Self::Silence => 19,
             Self::Arm { name, .. } => return name,
             Self::Camera(kind) => return cameras::name(kind),
@@ -280,7 +280,7 @@ impl Kind {
         match self {
             Self::Arm { .. } | Self::Unplugged(_) | Self::EmergencyStopOfBoth => true,
             Self::Overrun(_) | Self::ClockJump(_) | Self::Silence => true,
-            Self::Word(word, _) => *word == Word::Stop,
+            Self::OperatorCommand(word, _) => *word == OperatorCommand::Stop,
             _ => false,
         }
     }

@@ -12,7 +12,7 @@ use pb3dp_cell::cell::SimulatedCell;
 use pb3dp_cell::moving::Moved;
 use pb3dp_cell::percept::Percept;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_servo::supervisor::{Condition, Confidence, Event, State, Transition, Word};
+use pb3dp_servo::supervisor::{Condition, Confidence, Event, OperatorCommand, State, Transition};
 use pb3dp_sim::joint_dynamics::{AxisMode, JointPlant};
 use system_tests::safety::truth::{ARM_NAMES, ArmTruth, HAND_ARM, Joints, LogLine, Placement, Step, TARGET_ARM, Truth};
 
@@ -324,21 +324,21 @@ impl Recorder {
     }
 
     /// The operator said a word, which was heard now.
-    pub fn told(&mut self, word: Word, at: MonotonicTime, now: MonotonicTime) {
+    pub fn told(&mut self, word: OperatorCommand, at: MonotonicTime, now: MonotonicTime) {
         self.say(now, format!("the operator: {}", word.name()));
         match word {
-            Word::Start | Word::Resume => {
+            OperatorCommand::Start | OperatorCommand::Resume => {
                 self.go_at = Some(at);
                 self.was_told_to_rest &= at < self.not_before;
             }
-            Word::Hold => {
+            OperatorCommand::Hold => {
                 self.was_told_to_rest = true;
                 self.not_before = now;
                 self.may_go[HAND_ARM] = false;
             }
-            Word::Stop => self.must_rest(now, true),
-            Word::Select => {}
-            Word::Reset => self.resets_s.push(self.t_s(now)),
+            OperatorCommand::Stop => self.must_rest(now, true),
+            OperatorCommand::Select => {}
+            OperatorCommand::Reset => self.resets_s.push(self.t_s(now)),
         }
     }
 

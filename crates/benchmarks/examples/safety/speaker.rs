@@ -6,7 +6,7 @@ use std::time::Duration;
 use pb3dp_cell::operator::Operator;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
-use pb3dp_servo::supervisor::{Decision, OperatorInput, Said, State, Word};
+use pb3dp_servo::supervisor::{Decision, OperatorCommand, OperatorInput, OperatorRequest, State};
 
 use crate::faults::Kind;
 use crate::recorder::{Shared, lock};
@@ -43,9 +43,9 @@ impl Speaker {
     }
 
     /// A word of the scenario that is due, and how long ago it was said, seconds.
-    fn of_scenario(&mut self, t_s: f64) -> Option<(Word, f64)> {
+    fn of_scenario(&mut self, t_s: f64) -> Option<(OperatorCommand, f64)> {
         for (index, (fault, said)) in self.scenario.faults.iter().zip(&mut self.said).enumerate() {
-            if let (Kind::Word(word, late_s), false) = (&fault.kind, *said)
+            if let (Kind::OperatorCommand(word, late_s), false) = (&fault.kind, *said)
                 && t_s >= fault.from_s
             {
                 *said = true;
@@ -57,19 +57,19 @@ impl Speaker {
     }
 
     /// What leads on from there.
-    fn leads_on(last: &Decision) -> Option<Word> {
+    fn leads_on(last: &Decision) -> Option<OperatorCommand> {
         match last.state {
-            State::Idle => Some(Word::Select),
-            State::Selecting => last.is_ready.then_some(Word::Start),
-            State::Holding | State::Lost => last.is_ready.then_some(Word::Resume),
-            State::Stopped | State::Fault => Some(Word::Reset),
+            State::Idle => Some(OperatorCommand::Select),
+            State::Selecting => last.is_ready.then_some(OperatorCommand::Start),
+            State::Holding | State::Lost => last.is_ready.then_some(OperatorCommand::Resume),
+            State::Stopped | State::Fault => Some(OperatorCommand::Reset),
             State::Approaching | State::Tracking => None,
         }
     }
 
     /// The same, once this person has thought about it.
-    fn by_itself(&mut self, last: Option<&Decision>, at: MonotonicTime) -> Option<Word> {
-        let Some(last) = last else { return Some(Word::Select) };
+    fn by_itself(&mut self, last: Option<&Decision>, at: MonotonicTime) -> Option<OperatorCommand> {
+        let Some(last) = last else { return Some(OperatorCommand::Select) };
         let word = Self::leads_on(last)?;
         let due = match self.next {
             Some((state, due)) if state == last.state => due,
@@ -104,7 +104,7 @@ impl Operator for Speaker {
         let said = word.map(|(word, late_s)| {
             let late = Duration::from_secs_f64(late_s);
             recorder.told(word, at - late, at);
-            Said { word, at: now - late }
+            OperatorRequest { word, at: now - late }
         });
         OperatorInput { said, heard_at: self.heard_at }
     }

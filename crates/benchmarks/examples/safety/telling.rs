@@ -1,4 +1,4 @@
-//! What the log has to tell of, and by when: what could be known, by whoever could know it.
+//! What the log has to tell of, and by when: what each part could detect.
 
 use system_tests::safety::truth::{ARM_NAMES, Injected, Truth};
 

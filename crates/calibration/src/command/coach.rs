@@ -161,7 +161,7 @@ impl Coach<'_> {
             page.write(&partial)?;
             std::fs::rename(&partial, file).with_context(|| format!("{}: cannot write file", file.display()))?;
         }
-        Ok(advice.wish.is_none())
+        Ok(advice.request.is_none())
     }
 
     /// Accepts a pair as a view if it is useful.
@@ -206,8 +206,8 @@ impl Coach<'_> {
     /// The instruction to the operator.
     fn next(&self, advice: &Advice) -> String {
         let [columns, rows] = self.args.board;
-        match &advice.wish {
-            Some(wish) => format!("next: {wish}"),
+        match &advice.request {
+            Some(request) => format!("next: {request}"),
             None => format!(
                 "enough views: stop the recording and run pb3dp calibrate stereo --recording {} --board {columns}x{rows} --square {} --out calibration.toml --report calibration.html",
                 self.args.folder.display(),
@@ -226,7 +226,7 @@ impl Coach<'_> {
         let progress = &advice.progress;
         let number =
             |value: Option<f64>, unit: &str| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.1}{unit}"));
-        let tone = match (&advice.wish, look) {
+        let tone = match (&advice.request, look) {
             (None, _) | (_, Look::Taken) => Tone::Good,
             (_, Look::SeenBefore) => Tone::Fair,
             _ => Tone::Bad,

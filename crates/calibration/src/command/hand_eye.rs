@@ -64,7 +64,7 @@ pub(super) struct HandEyeArgs {
 }
 
 /// A recording with the boards detected in its images.
-pub(super) struct Looked {
+pub(super) struct DetectedStops {
     pub calibration: StereoCalibration,
     pub board: Chessboard,
     pub date: String,
@@ -74,7 +74,7 @@ pub(super) struct Looked {
 
 impl Recording {
     /// Detects the board in all images; reports and leaves out stops at which a camera does not see it.
-    pub(super) fn look(&self) -> Result<Looked> {
+    pub(super) fn look(&self) -> Result<DetectedStops> {
         let [columns, rows] = self.board;
         let board = Chessboard::new(columns, rows, self.square * 1e-3)?;
         let calibration = load_stereo(&self.calib)?;
@@ -94,7 +94,7 @@ impl Recording {
         if stops.is_empty() {
             bail!("the board was detected at none of {count} stops");
         }
-        Ok(Looked { calibration, board, date, stops })
+        Ok(DetectedStops { calibration, board, date, stops })
     }
 
     /// The stops of one folder.
@@ -193,7 +193,7 @@ fn write(hand_eye: &HandEye, out: &Path) -> Result<()> {
 }
 
 /// Contents of the calibration file.
-fn hand_eye(fit: &HandEyeFit, looked: &Looked, verdicts: &[HandEyeVerdict], distance_mm: f64) -> HandEye {
+fn hand_eye(fit: &HandEyeFit, looked: &DetectedStops, verdicts: &[HandEyeVerdict], distance_mm: f64) -> HandEye {
     let scales = fit.scales;
     let number = |name: &str, value: f64| (name.to_owned(), value);
     let mut measured = vec![

@@ -11,7 +11,7 @@ use pb3dp_geometry::ImageSize;
 use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
 use pb3dp_record::stops::{Stop, Stops, load_stops};
 
-use super::Seen;
+use super::DetectedBoards;
 
 const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 
@@ -66,7 +66,7 @@ impl<const N: usize> Images<N> {
     }
 
     /// Detects the board in all views. Reports and leaves out views in which one camera does not see it.
-    pub(super) fn sightings(&self, board: &Chessboard) -> Result<Seen<N>> {
+    pub(super) fn sightings(&self, board: &Chessboard) -> Result<DetectedBoards<N>> {
         let mut told: Vec<String> = self
             .alone
             .iter()
@@ -93,7 +93,7 @@ impl<const N: usize> Images<N> {
             Some(date) => date.clone(),
             None => written(self.views.iter().flat_map(|(_, files)| files))?,
         };
-        Ok(Seen { views, size, newest, told: told.join("\n"), files: used })
+        Ok(DetectedBoards { views, size, newest, told: told.join("\n"), files: used })
     }
 }
 

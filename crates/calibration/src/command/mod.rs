@@ -134,7 +134,7 @@ struct Pairs {
 }
 
 impl Pairs {
-    fn sightings(&self, board: &Board) -> Result<Seen<2>> {
+    fn sightings(&self, board: &Board) -> Result<DetectedBoards<2>> {
         match (&self.recording, &self.left, &self.right) {
             (Some(recording), ..) => recording::sightings(recording, board),
             (None, Some(left), Some(right)) => Images::<2>::find(&[left, right])?.sightings(board),
@@ -312,7 +312,7 @@ pub fn tell_error(error: &anyhow::Error) {
 
 /// Detected boards of all views; all images have the same size.
 #[derive(Debug)]
-struct Seen<const N: usize> {
+struct DetectedBoards<const N: usize> {
     views: Vec<View<N>>,
     size: ImageSize,
     /// Modification time of the newest image, RFC 3339.

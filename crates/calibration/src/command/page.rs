@@ -12,7 +12,7 @@ use pb3dp_record::images::load_rgb;
 use pb3dp_record::overlay::{Stroke, arrow, colors, cross, side_by_side};
 use pb3dp_record::report::{ImagePlot, Report, ReportImage, VectorAt};
 
-use super::Seen;
+use super::DetectedBoards;
 
 /// Number of worst views shown.
 const WORST_VIEWS: usize = 3;
@@ -24,7 +24,7 @@ pub(super) fn write<const N: usize>(
     page: Report,
     chosen: &Chosen<N>,
     quality: &Quality,
-    seen: &Seen<N>,
+    seen: &DetectedBoards<N>,
     file: &Path,
 ) -> Result<String> {
     let mut views: Vec<(usize, &(String, f64))> = quality.reprojection_rms_by_view_px.iter().enumerate().collect();

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use crate::hand_eye::place_board;
-use crate::hand_eye::propose::{Wish, head_of_look, propose};
+use crate::hand_eye::propose::{ProposalRequest, head_of_look, propose};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use pb3dp_geometry::Pose;
@@ -117,14 +117,14 @@ pub(super) fn run(args: &ProposeArgs) -> Result<ExitCode> {
         .with_context(|| format!("stop {:?}: no board pose fits the corners; check --board and --calib", first.name))?;
     let (guess_error_m, guess_error_deg, _) = if guesses.is_calibrated { CALIBRATED } else { GUESSED };
     let (.., focal_error) = if looked.calibration.not_measured.is_some() { GUESSED } else { CALIBRATED };
-    let wish = Wish {
+    let request = ProposalRequest {
         count: args.count,
         distance_m: args.distance * 1e-3,
         guess_error_m,
         guess_error_rad: guess_error_deg.to_radians(),
         focal_error,
     };
-    let views = propose(rig, &looked.board, &cam_left_from_board, &wish)?;
+    let views = propose(rig, &looked.board, &cam_left_from_board, &request)?;
     let base_from_cam_left = first.base_from_flange * guesses.flange_from_cam_left;
     let wanted = match args.arm {
         Arm::Vs => {

@@ -17,7 +17,7 @@ use pb3dp_record::dataset::{Sequence, load_sequence};
 use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
 use pb3dp_record::stops::STOPS_FILE;
 
-use super::Seen;
+use super::DetectedBoards;
 use super::images::{Images, agreed, written};
 
 /// Maximum number of pairs checked, and the minimum time between them.
@@ -38,7 +38,7 @@ struct Look {
 }
 
 /// Detects the boards and selects the views of a recording.
-pub(super) fn sightings(folder: &Path, board: &Chessboard) -> Result<Seen<2>> {
+pub(super) fn sightings(folder: &Path, board: &Chessboard) -> Result<DetectedBoards<2>> {
     if folder.join(STOPS_FILE).is_file() {
         return Images::of_stops(folder)?.sightings(board);
     }
@@ -61,7 +61,7 @@ pub(super) fn sightings(folder: &Path, board: &Chessboard) -> Result<Seen<2>> {
     }
     let files: Vec<[PathBuf; 2]> = selection.chosen.iter().map(|index| recording.files(frames[*index])).collect();
     let views = selection.chosen.iter().map(|index| candidates[*index].view.clone()).collect();
-    Ok(Seen { views, size, newest: written(files.iter().flatten())?, told, files })
+    Ok(DetectedBoards { views, size, newest: written(files.iter().flatten())?, told, files })
 }
 
 /// The first left image that exists.

@@ -9,7 +9,7 @@ use nalgebra::{Isometry3, Point3};
 use pb3dp_record::calibration_files::load_hand_eye;
 use pb3dp_record::stops::load_stops;
 
-use super::Seen;
+use super::DetectedBoards;
 
 /// Fewer points cannot distinguish a rotated hand from a shifted one.
 const PLACES_MIN: usize = 3;
@@ -17,7 +17,7 @@ const PLACES_MIN: usize = 3;
 /// Positions of the touched corners computed from the cameras, the hand-eye calibration and the stops of a recording.
 pub(super) fn run(
     known: &Known,
-    seen: &Seen<2>,
+    seen: &DetectedBoards<2>,
     recording: &Path,
     hand_eye: &Path,
     file: &Path,

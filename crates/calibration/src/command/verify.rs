@@ -17,7 +17,7 @@ use nalgebra::DMatrix;
 use pb3dp_record::calibration_files::{StereoCalibration, load_stereo};
 
 use super::hand_eye::check_squares;
-use super::{Pairs, Seen, numbers, tell, touch_test, verify_limits};
+use super::{DetectedBoards, Pairs, numbers, tell, touch_test, verify_limits};
 
 /// Arguments of `pb3dp calibrate verify`.
 #[derive(Debug, Args)]
@@ -131,7 +131,7 @@ fn known(calibration: &StereoCalibration) -> Known {
 }
 
 impl VerifyArgs {
-    fn seen(&self) -> Result<(Seen<2>, Chessboard)> {
+    fn seen(&self) -> Result<(DetectedBoards<2>, Chessboard)> {
         let [columns, rows] = self.board.context("--board is required with images, for example 9x6")?;
         let square_mm = self.square.context("--square is required with images: the side of a square, mm")?;
         let board = Chessboard::new(columns, rows, square_mm * 1e-3)?;
@@ -139,7 +139,7 @@ impl VerifyArgs {
     }
 
     /// Check with corners touched by the arm.
-    fn touched(&self, known: &Known, seen: &Seen<2>, limits: &VerifyLimits) -> Result<Option<GateLine>> {
+    fn touched(&self, known: &Known, seen: &DetectedBoards<2>, limits: &VerifyLimits) -> Result<Option<GateLine>> {
         let (Some(file), Some(hand_eye)) = (&self.touch, &self.hand_eye) else { return Ok(None) };
         let results = touch_test::run(known, seen, self.pairs.folder(), hand_eye, file)?;
         tell(&touch_test::told(&results))?;
@@ -148,7 +148,7 @@ impl VerifyArgs {
     }
 
     /// Check with a length measured with a ruler.
-    fn ruler(&self, known: &Known, seen: &Seen<2>, limits: &VerifyLimits) -> Result<Option<GateLine>> {
+    fn ruler(&self, known: &Known, seen: &DetectedBoards<2>, limits: &VerifyLimits) -> Result<Option<GateLine>> {
         let (Some([from, to]), Some(length_mm)) = (self.corners.as_deref(), self.length) else { return Ok(None) };
         let lengths_m = lengths_m(&known.rig, &seen.views, [*from, *to])?;
         let count = lengths_m.len() as f64;

@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector, Isometry3, Vector6};
 use pb3dp_geometry::se3;
 
 use super::HandEyeError;
-use super::model::{LOCAL, POSE, SCALES, Seen, Setting, State};
+use super::model::{LOCAL, POSE, SCALES, Setting, State, StopObservation};
 
 const STEPS_MAX: usize = 100;
 /// Initial damping, and the damping at which the adjustment gives up.
@@ -86,8 +86,8 @@ fn correction(measured: &Isometry3<f64>, corrected: &Isometry3<f64>) -> Vector6<
 }
 
 /// Half the sum of the squared errors over their variances.
-fn cost(state: &State, stops: &[Seen<'_>], setting: &Setting<'_>) -> f64 {
-    let of = |(stop, arms): (&Seen<'_>, &Vec<Isometry3<f64>>)| {
+fn cost(state: &State, stops: &[StopObservation<'_>], setting: &Setting<'_>) -> f64 {
+    let of = |(stop, arms): (&StopObservation<'_>, &Vec<Isometry3<f64>>)| {
         let squares = stop.squares(setting, &state.cam_from_board(arms), state.scales);
         let corrections = stop.arms().into_iter().zip(arms).map(|(measured, arm)| correction(&measured, arm));
         let of_arm = |(arm, by): (usize, Vector6<f64>)| 0.5 * by.dot(&(stop.robot_information(arm, setting) * by));
@@ -97,7 +97,7 @@ fn cost(state: &State, stops: &[Seen<'_>], setting: &Setting<'_>) -> f64 {
     stops.iter().zip(&state.arms).map(of).sum()
 }
 
-fn equations(state: &State, index: usize, stop: &Seen<'_>, setting: &Setting<'_>) -> Option<StopEquations> {
+fn equations(state: &State, index: usize, stop: &StopObservation<'_>, setting: &Setting<'_>) -> Option<StopEquations> {
     let arms = &state.arms[index];
     let corners = stop.corners(setting, &state.cam_from_board(arms), state.scales)?;
     let weight = 1.0 / setting.corner_sigma_px.powi(2);
@@ -178,7 +178,11 @@ fn next(state: &State, stops: &[StopEquations], damping: f64) -> Option<State> {
 ///
 /// # Errors
 /// A corner is not visible at the start, or no convergence.
-pub(super) fn adjust(start: State, stops: &[Seen<'_>], setting: &Setting<'_>) -> Result<Adjusted, HandEyeError> {
+pub(super) fn adjust(
+    start: State,
+    stops: &[StopObservation<'_>],
+    setting: &Setting<'_>,
+) -> Result<Adjusted, HandEyeError> {
     let mut state = start;
     let mut damping = DAMPING[0];
     for _ in 0..STEPS_MAX {

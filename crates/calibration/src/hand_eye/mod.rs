@@ -28,7 +28,7 @@ use crate::board::{Chessboard, Sighting};
 use crate::start::board_pose;
 
 use adjust::{Adjusted, adjust};
-use model::{Corners, POSE, Place, SCALES, Seen, Setting, State};
+use model::{BoardMount, Corners, POSE, SCALES, Setting, State, StopObservation};
 pub use start::STOPS_MIN;
 use start::{Poses, rests, rotation_spread_deg};
 pub use uncertain::CalibrationCovariance;
@@ -285,7 +285,7 @@ impl HandEyeFit {
         rig_covariance: Option<&CalibrationCovariance>,
     ) -> Result<Self, HandEyeError> {
         let used: Vec<usize> = (0..all.seen.len()).filter(|index| checked.used[*index]).collect();
-        let seen: Vec<Seen<'_>> = used.iter().map(|index| all.seen[*index].clone()).collect();
+        let seen: Vec<StopObservation<'_>> = used.iter().map(|index| all.seen[*index].clone()).collect();
         let scales = scales(&checked.adjusted, checked.variance_factor, setting)?;
         let fixed = Setting { scales_free: false, ..setting.clone() };
         let start = State { scales: [1.0; SCALES], ..checked.adjusted.state };
@@ -346,10 +346,10 @@ impl HandEyeFit {
     /// Pose of the board.
     pub fn board(&self) -> BoardPlace {
         match self.state.place {
-            Place::Room { base_from_board } => {
+            BoardMount::Room { base_from_board } => {
                 BoardPlace::Room { base_from_board: Pose::from_isometry(base_from_board) }
             }
-            Place::Carried { vs_base_from_tc_base, tc_flange_from_board } => BoardPlace::Carried {
+            BoardMount::Carried { vs_base_from_tc_base, tc_flange_from_board } => BoardPlace::Carried {
                 vs_base_from_tc_base: Pose::from_isometry(vs_base_from_tc_base),
                 tc_flange_from_board: Pose::from_isometry(tc_flange_from_board),
             },
@@ -390,14 +390,14 @@ impl HandEyeFit {
 /// The stops in all three representations.
 struct All<'a> {
     stops: &'a [HandEyeStop],
-    seen: &'a [Seen<'a>],
+    seen: &'a [StopObservation<'a>],
     alone: &'a [(Poses, Corners)],
 }
 
 /// The board pose in the left camera from the corners in both images; `None` if no pose fits them.
 pub fn place_board(rig: &StereoRig, board: &Chessboard, sightings: &[Sighting; 2]) -> Option<Pose<CamLeft, Board>> {
     let [left, right] = sightings;
-    let seen = Seen { sightings: [left, right], vs: Isometry3::identity(), tc: None, rests: [None; 2] };
+    let seen = StopObservation { sightings: [left, right], vs: Isometry3::identity(), tc: None, rests: [None; 2] };
     let setting = Setting {
         rig,
         board,
@@ -417,7 +417,7 @@ pub fn tc_has_moved(stops: &[HandEyeStop]) -> bool {
     poses.any(|pose| !rests(first.isometry(), pose.isometry()))
 }
 
-fn seen(stops: &[HandEyeStop]) -> Result<Vec<Seen<'_>>, HandEyeError> {
+fn seen(stops: &[HandEyeStop]) -> Result<Vec<StopObservation<'_>>, HandEyeError> {
     let carried = tc_has_moved(stops);
     let mut seen = Vec::with_capacity(stops.len());
     for stop in stops {
@@ -427,7 +427,12 @@ fn seen(stops: &[HandEyeStop]) -> Result<Vec<Seen<'_>>, HandEyeError> {
             (false, _) => None,
         };
         let [left, right] = &stop.sightings;
-        seen.push(Seen { sightings: [left, right], vs: *stop.base_from_flange.isometry(), tc, rests: [None; 2] });
+        seen.push(StopObservation {
+            sightings: [left, right],
+            vs: *stop.base_from_flange.isometry(),
+            tc,
+            rests: [None; 2],
+        });
     }
     let places = [places(&seen, |seen| Some(seen.vs)), places(&seen, |seen| seen.tc)];
     for (index, seen) in seen.iter_mut().enumerate() {
@@ -437,8 +442,11 @@ fn seen(stops: &[HandEyeStop]) -> Result<Vec<Seen<'_>>, HandEyeError> {
 }
 
 /// For each stop, the number of the first stop with the same arm pose, if several stops share the pose.
-fn places(seen: &[Seen<'_>], pose: impl Fn(&Seen<'_>) -> Option<Isometry3<f64>>) -> Vec<Option<usize>> {
-    let first = |stop: &Seen<'_>| {
+fn places(
+    seen: &[StopObservation<'_>],
+    pose: impl Fn(&StopObservation<'_>) -> Option<Isometry3<f64>>,
+) -> Vec<Option<usize>> {
+    let first = |stop: &StopObservation<'_>| {
         let here = pose(stop)?;
         seen.iter().position(|other| pose(other).is_some_and(|there| rests(&here, &there)))
     };
@@ -448,7 +456,11 @@ fn places(seen: &[Seen<'_>], pose: impl Fn(&Seen<'_>) -> Option<Isometry3<f64>>)
 }
 
 /// The board pose from the corners of one stop only.
-fn alone(seen: &Seen<'_>, stop: &HandEyeStop, setting: &Setting<'_>) -> Result<(Poses, Corners), HandEyeError> {
+fn alone(
+    seen: &StopObservation<'_>,
+    stop: &HandEyeStop,
+    setting: &Setting<'_>,
+) -> Result<(Poses, Corners), HandEyeError> {
     let unplaced = || HandEyeError::Unplaced { stop: stop.name.clone() };
     let guess = board_pose(setting.rig.left(), seen.sightings[0], setting.board).ok_or_else(unplaced)?;
     let (cam_from_board, corners) = seen.by_itself(setting, guess, [1.0; SCALES]).ok_or_else(unplaced)?;
@@ -475,7 +487,7 @@ fn scales(adjusted: &Adjusted, factor: f64, setting: &Setting<'_>) -> Result<Sca
 }
 
 /// Rotations about the second axis, of the arm that rotated least.
-fn spread_deg(seen: &[Seen<'_>]) -> f64 {
+fn spread_deg(seen: &[StopObservation<'_>]) -> f64 {
     let vs: Vec<Isometry3<f64>> = seen.iter().map(|seen| seen.vs).collect();
     let tc: Vec<Isometry3<f64>> = seen.iter().filter_map(|seen| seen.tc).collect();
     let of_vs = rotation_spread_deg(&vs);

@@ -20,7 +20,7 @@ pub(super) const SCALES: usize = 2;
 
 /// The observations of one stop.
 #[derive(Clone)]
-pub(super) struct Seen<'a> {
+pub(super) struct StopObservation<'a> {
     /// Detected corners of the left and the right camera.
     pub sightings: [&'a Sighting; 2],
     /// Flange pose in the base of the arm that carries the cameras.
@@ -49,7 +49,7 @@ pub(super) struct Setting<'a> {
 
 /// Where the board is mounted.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Place {
+pub(super) enum BoardMount {
     Room { base_from_board: Isometry3<f64> },
     Carried { vs_base_from_tc_base: Isometry3<f64>, tc_flange_from_board: Isometry3<f64> },
 }
@@ -58,7 +58,7 @@ pub(super) enum Place {
 #[derive(Clone, Debug)]
 pub(super) struct State {
     pub flange_from_cam: Isometry3<f64>,
-    pub place: Place,
+    pub place: BoardMount,
     /// Factors of squares and baseline.
     pub scales: [f64; SCALES],
     /// Corrected flange poses of each stop: of the arm with the cameras and, if it carries the board, of the other arm.
@@ -83,7 +83,7 @@ pub(super) struct Links {
     pub arms: DMatrix<f64>,
 }
 
-impl Place {
+impl BoardMount {
     /// Number of arms that move.
     pub(super) fn arm_count(&self) -> usize {
         match self {
@@ -118,8 +118,8 @@ impl State {
     /// Names of the shared parameters, in order.
     pub(super) fn shared_names(&self, setting: &Setting<'_>) -> Vec<String> {
         let poses: &[&str] = match self.place {
-            Place::Room { .. } => &["flange_from_cam_left", "base_from_board"],
-            Place::Carried { .. } => &["flange_from_cam_left", "vs_base_from_tc_base", "tc_flange_from_board"],
+            BoardMount::Room { .. } => &["flange_from_cam_left", "base_from_board"],
+            BoardMount::Carried { .. } => &["flange_from_cam_left", "vs_base_from_tc_base", "tc_flange_from_board"],
         };
         let numbers = ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"];
         let mut names: Vec<String> =
@@ -151,8 +151,8 @@ impl State {
     /// The board in the base of the arm with the cameras, for given arm poses.
     pub(super) fn base_from_board(&self, arms: &[Isometry3<f64>]) -> Isometry3<f64> {
         match self.place {
-            Place::Room { base_from_board } => base_from_board,
-            Place::Carried { vs_base_from_tc_base, tc_flange_from_board } => {
+            BoardMount::Room { base_from_board } => base_from_board,
+            BoardMount::Carried { vs_base_from_tc_base, tc_flange_from_board } => {
                 vs_base_from_tc_base * arms.get(1).copied().unwrap_or_default() * tc_flange_from_board
             }
         }
@@ -171,7 +171,7 @@ impl State {
         let by_camera = -se3::adjoint(&self.cam_from_board(arms).inverse());
         let by_flange = -se3::adjoint(&flange_from_board.inverse());
         let (mut shared, mut by_arms) = (vec![by_camera], vec![by_flange]);
-        if let Place::Carried { tc_flange_from_board, .. } = self.place {
+        if let BoardMount::Carried { tc_flange_from_board, .. } = self.place {
             let tc_base_from_board = arms.get(1).copied().unwrap_or_default() * tc_flange_from_board;
             shared.push(se3::adjoint(&tc_base_from_board.inverse()));
             by_arms.push(se3::adjoint(&tc_flange_from_board.inverse()));
@@ -189,7 +189,7 @@ fn side_by_side(blocks: &[Matrix6<f64>]) -> DMatrix<f64> {
     matrix
 }
 
-impl Seen<'_> {
+impl StopObservation<'_> {
     /// The information of an arm pose correction.
     pub(super) fn robot_information(&self, arm: usize, setting: &Setting<'_>) -> Matrix6<f64> {
         let rests = self.rests.get(arm).is_some_and(Option::is_some);

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, Matrix6, Vector6};
 use pb3dp_geometry::se3;
 
 use super::adjust::{Adjusted, adjust};
-use super::model::{Corners, POSE, SCALES, Seen, Setting, State};
+use super::model::{Corners, POSE, SCALES, Setting, State, StopObservation};
 use super::start::{Poses, start};
 use super::{Difference, HandEyeError};
 
@@ -39,7 +39,7 @@ pub(super) fn variance_factor(adjusted: &Adjusted, squares_alone: f64, setting: 
 /// removed, as long as this difference exceeds that of one in a thousand good stops. A removed stop is restored once it agrees.
 /// If the arms are noisier than stated, all differences are compared with the typical difference among the stops.
 pub(super) fn settle(
-    seen: &[Seen<'_>],
+    seen: &[StopObservation<'_>],
     alone: &[(Poses, Corners)],
     setting: &Setting<'_>,
 ) -> Result<Settled, HandEyeError> {
@@ -91,7 +91,7 @@ type Checked = (Adjusted, Vec<(Poses, Corners)>, Vec<Difference>);
 
 fn checked(
     first: &State,
-    seen: &[Seen<'_>],
+    seen: &[StopObservation<'_>],
     alone: &[(Poses, Corners)],
     used: &[bool],
     setting: &Setting<'_>,
@@ -113,12 +113,12 @@ fn usual(checks: &[Difference], used: &[bool]) -> f64 {
 
 /// The board pose from each stop alone, with the lengths of an adjustment.
 fn with_scales(
-    seen: &[Seen<'_>],
+    seen: &[StopObservation<'_>],
     alone: &[(Poses, Corners)],
     scales: [f64; SCALES],
     setting: &Setting<'_>,
 ) -> Result<Vec<(Poses, Corners)>, HandEyeError> {
-    let of = |(seen, (poses, _)): (&Seen<'_>, &(Poses, Corners))| {
+    let of = |(seen, (poses, _)): (&StopObservation<'_>, &(Poses, Corners))| {
         let (cam_from_board, corners) = seen.by_itself(setting, poses.cam_from_board, scales)?;
         Some((Poses { cam_from_board, ..*poses }, corners))
     };
@@ -145,7 +145,7 @@ fn only(state: &State, used: &[bool]) -> State {
     State { arms, ..state.clone() }
 }
 
-fn only_seen<'a>(seen: &[Seen<'a>], used: &[bool]) -> Vec<Seen<'a>> {
+fn only_seen<'a>(seen: &[StopObservation<'a>], used: &[bool]) -> Vec<StopObservation<'a>> {
     seen.iter().zip(used).filter(|(_, used)| **used).map(|(seen, _)| seen.clone()).collect()
 }
 
@@ -154,7 +154,7 @@ fn only_seen<'a>(seen: &[Seen<'a>], used: &[bool]) -> Vec<Seen<'a>> {
 /// The calibration without the stop is approximated by one step of the equations of the other stops. With many stops and small
 /// contradictions the equations are the same there.
 pub(super) fn checks(
-    seen: &[Seen<'_>],
+    seen: &[StopObservation<'_>],
     alone: &[(Poses, Corners)],
     used: &[bool],
     adjusted: &Adjusted,

@@ -32,7 +32,7 @@ const WAY_M_PER_RAD: f64 = 0.5;
 
 /// The requested views.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Wish {
+pub struct ProposalRequest {
     /// Number of views.
     pub count: usize,
     /// Distance from the left camera to the board centre, metres.
@@ -86,19 +86,19 @@ pub fn propose(
     rig: &StereoRig,
     board: &Chessboard,
     first_look: &Pose<CamLeft, Board>,
-    wish: &Wish,
+    request: &ProposalRequest,
 ) -> Result<Views, ProposeError> {
     let first = first_look.isometry();
-    let worlds = worlds(rig, first, wish);
-    let candidates: Vec<Candidate> = poses(rig, board, wish.distance_m)
+    let worlds = worlds(rig, first, request);
+    let candidates: Vec<Candidate> = poses(rig, board, request.distance_m)
         .into_iter()
         .filter(|pose| worlds.iter().all(|world| world.shows(board, &(pose * first.inverse()))))
         .filter_map(|pose| candidate(rig, board, pose))
         .collect();
-    let chosen = choose(&candidates, wish.count);
-    if chosen.len() < wish.count {
-        let distance_mm = wish.distance_m * 1e3;
-        return Err(ProposeError::TooFew { found: chosen.len(), wanted: wish.count, distance_mm });
+    let chosen = choose(&candidates, request.count);
+    if chosen.len() < request.count {
+        let distance_mm = request.distance_m * 1e3;
+        return Err(ProposeError::TooFew { found: chosen.len(), wanted: request.count, distance_mm });
     }
     let mut seen: Vec<usize> = chosen.iter().flat_map(|index| candidates[*index].cells.iter().copied()).collect();
     seen.sort_unstable();
@@ -170,7 +170,7 @@ fn outline(board: &Chessboard) -> [Point3<f64>; 8] {
 }
 
 /// The nominal setup, and one with each kind of error.
-fn worlds(rig: &StereoRig, first: &Isometry3<f64>, wish: &Wish) -> Vec<World> {
+fn worlds(rig: &StereoRig, first: &Isometry3<f64>, request: &ProposalRequest) -> Vec<World> {
     let world = |focal: f64, error: Isometry3<f64>| {
         let camera = |camera: &Camera| {
             let p = camera.pinhole();
@@ -184,7 +184,7 @@ fn worlds(rig: &StereoRig, first: &Isometry3<f64>, wish: &Wish) -> Vec<World> {
         World { cameras: [camera(rig.left()), camera(rig.right())], right_from_left, first, error }
     };
     let error = |turn: Vector3<f64>, shift: Vector3<f64>| {
-        Isometry3::from_parts((shift * wish.guess_error_m).into(), so3::exp(&(turn * wish.guess_error_rad)))
+        Isometry3::from_parts((shift * request.guess_error_m).into(), so3::exp(&(turn * request.guess_error_rad)))
     };
     let mut errors = vec![Isometry3::identity()];
     for sign in [1.0, -1.0] {
@@ -195,7 +195,7 @@ fn worlds(rig: &StereoRig, first: &Isometry3<f64>, wish: &Wish) -> Vec<World> {
             errors.push(error(turn, Vector3::ith(across, -1.0)));
         }
     }
-    let focals = [1.0 - wish.focal_error, 1.0 + wish.focal_error];
+    let focals = [1.0 - request.focal_error, 1.0 + request.focal_error];
     errors.iter().flat_map(|error| focals.map(|focal| world(focal, *error))).collect()
 }
 

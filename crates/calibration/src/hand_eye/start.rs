@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Rotation3, Translation3, Un
 use pb3dp_geometry::so3;
 
 use super::HandEyeError;
-use super::model::{Place, State};
+use super::model::{BoardMount, State};
 
 /// Largest usable rotation; near half a turn a rotation vector and its opposite cannot be distinguished.
 const TURN_MAX_RAD: f64 = 2.8;
@@ -104,10 +104,10 @@ pub(super) fn start(stops: &[Poses]) -> Result<State, HandEyeError> {
         let bases = stops
             .iter()
             .map(|stop| stop.vs * flange_from_cam * stop.cam_from_board * (tc(stop) * tc_flange_from_board).inverse());
-        Place::Carried { vs_base_from_tc_base: middle(&bases.collect::<Vec<_>>()), tc_flange_from_board }
+        BoardMount::Carried { vs_base_from_tc_base: middle(&bases.collect::<Vec<_>>()), tc_flange_from_board }
     } else {
         let boards = stops.iter().map(|stop| stop.vs * flange_from_cam * stop.cam_from_board);
-        Place::Room { base_from_board: middle(&boards.collect::<Vec<_>>()) }
+        BoardMount::Room { base_from_board: middle(&boards.collect::<Vec<_>>()) }
     };
     let arms = stops.iter().map(|stop| [Some(stop.vs), stop.tc].into_iter().flatten().collect()).collect();
     Ok(State { flange_from_cam, place, scales: [1.0; 2], arms })

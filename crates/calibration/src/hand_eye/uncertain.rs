@@ -6,7 +6,7 @@ use pb3dp_record::calibration_files::ParameterCovariance;
 
 use super::HandEyeError;
 use super::adjust::adjust;
-use super::model::{POSE, Place, Seen, Setting, State};
+use super::model::{BoardMount, POSE, Setting, State, StopObservation};
 use crate::adjust as head;
 use crate::depth::triangulated;
 use crate::fit::sides;
@@ -70,7 +70,7 @@ impl Direction {
 /// The uncertain directions of the stereo rig, each perturbed by one standard deviation to either side and readjusted.
 pub(super) fn directions(
     state: &State,
-    seen: &[Seen<'_>],
+    seen: &[StopObservation<'_>],
     setting: &Setting<'_>,
     covariance: &CalibrationCovariance,
 ) -> Result<Vec<Direction>, HandEyeError> {
@@ -100,7 +100,7 @@ pub(super) fn directions(
 /// factor of the arms.
 pub(super) fn rest_directions(
     state: &State,
-    seen: &[Seen<'_>],
+    seen: &[StopObservation<'_>],
     setting: &Setting<'_>,
     factor: f64,
 ) -> Result<Vec<DVector<f64>>, HandEyeError> {
@@ -135,8 +135,8 @@ pub(super) fn rest_directions(
 /// The difference between the shared poses of two states.
 fn difference(from: &State, to: &State) -> DVector<f64> {
     let poses = |state: &State| match state.place {
-        Place::Room { base_from_board } => vec![state.flange_from_cam, base_from_board],
-        Place::Carried { vs_base_from_tc_base, tc_flange_from_board } => {
+        BoardMount::Room { base_from_board } => vec![state.flange_from_cam, base_from_board],
+        BoardMount::Carried { vs_base_from_tc_base, tc_flange_from_board } => {
             vec![state.flange_from_cam, vs_base_from_tc_base, tc_flange_from_board]
         }
     };

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Matrix3x2, Point3, Vector2, Vector3, Vector6};
 use pb3dp_calibration::board::{BoardCorner, Chessboard, Sighting};
 use pb3dp_calibration::hand_eye::HandEyeStop;
-use pb3dp_calibration::hand_eye::propose::{Wish, propose};
+use pb3dp_calibration::hand_eye::propose::{ProposalRequest, propose};
 use pb3dp_geometry::frames::{CamLeft, Flange};
 use pb3dp_geometry::{Camera, Pose, StereoRig, se3, so3};
 use pb3dp_kinematics::{Chain, Damping, JointVector, damped_pseudo_inverse};
@@ -292,14 +292,14 @@ impl JointWorld {
         let Place::Room { base_from_board } = self.world.place else { panic!("a board in a room") };
         let first = (self.chain.forward(&self.rest_rad).isometry() * self.world.flange_from_cam_left).inverse()
             * base_from_board;
-        let wish = Wish {
+        let request = ProposalRequest {
             count: visit.stops + 5,
             distance_m: 0.5,
             guess_error_m: 0.01,
             guess_error_rad: 3.0_f64.to_radians(),
             focal_error: 0.0,
         };
-        let views = propose(&self.world.rig, &board(), &Pose::from_isometry(first), &wish).expect("views");
+        let views = propose(&self.world.rig, &board(), &Pose::from_isometry(first), &request).expect("views");
         let mut stops = Vec::new();
         for view in views.cam_left_from_board {
             let base_from_flange = base_from_board * (self.world.flange_from_cam_left * view.isometry()).inverse();

@@ -203,7 +203,7 @@ mod tests {
         }
 
         fn exchange(&mut self, _: JointCommand) -> Result<JointState, ArmError> {
-            self.answers.pop().unwrap().map_err(|kind| ArmError::new(kind, "as told".to_owned()))
+            self.answers.pop().unwrap().map_err(|kind| ArmError::new(kind, "scripted".to_owned()))
         }
     }
 

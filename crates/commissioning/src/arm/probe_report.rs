@@ -386,8 +386,7 @@ fn link(seen: &ArmSnapshot, monitor: &ArmMonitor, findings: &mut Findings) -> Li
     }
     let bad = counters.damaged + counters.mismatched;
     if bad > 0 {
-        findings
-            .refuse(format!("{bad} answers were damaged or foreign, limit 0: check cable, ground and baud rate"));
+        findings.refuse(format!("{bad} answers were damaged or foreign, limit 0: check cable, ground and baud rate"));
     }
     LinkFacts {
         sent: counters.sent,

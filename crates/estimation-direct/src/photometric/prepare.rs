@@ -64,7 +64,7 @@ pub(super) struct Pair<'a> {
 
 /// Requested part of an image and its smoothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Wish {
+pub(super) struct ChannelRequest {
     /// Part of the level's window.
     pub part: PixelWindow,
     /// First required row of the part, and one past the last: only these are filled.
@@ -95,7 +95,7 @@ struct Job<'a> {
     front_end: &'a StereoFrontEnd,
     side: Side,
     image: &'a RgbImage,
-    wish: &'a Wish,
+    request: &'a ChannelRequest,
     grid: Grid,
     /// Row of the part at which the grid begins.
     first_row: usize,
@@ -110,12 +110,12 @@ impl<'a> Job<'a> {
         side: Side,
         window: &PixelWindow,
         scale: usize,
-        wish: &'a Wish,
+        request: &'a ChannelRequest,
         rows: Option<RowOffset>,
     ) -> Self {
-        let smoothing = [Taps::spline(wish.smoothing_px), Taps::gaussian(wish.smoothing_px)];
-        let (part, reach) = (&wish.part, smoothing[1].radius());
-        let (first_row, end) = (wish.rows.0.saturating_sub(reach), (wish.rows.1 + reach).min(part.height));
+        let smoothing = [Taps::spline(request.smoothing_px), Taps::gaussian(request.smoothing_px)];
+        let (part, reach) = (&request.part, smoothing[1].radius());
+        let (first_row, end) = (request.rows.0.saturating_sub(reach), (request.rows.1 + reach).min(part.height));
         let s = scale as i32;
         let first = ((window.x + part.x) * s, (window.y + part.y + first_row as i32) * s);
         let grid = Grid { scale, first, size: (part.width, end.saturating_sub(first_row)), rows };
@@ -127,7 +127,7 @@ impl<'a> Job<'a> {
             front_end: pair.front_end,
             side,
             image,
-            wish,
+            request,
             grid,
             first_row,
             read: (from, to.clamp(from + 1, height)),
@@ -156,8 +156,14 @@ impl<'a> Job<'a> {
 
 impl Preparation {
     /// Fills the channels of the left image and returns their number.
-    pub fn left(&mut self, pair: &Pair<'_>, level: &RegionLevel, wish: &Wish, out: &mut CameraChannels) -> usize {
-        let job = Job::new(pair, Side::Left, &level.left.window, level.scale, wish, None);
+    pub fn left(
+        &mut self,
+        pair: &Pair<'_>,
+        level: &RegionLevel,
+        request: &ChannelRequest,
+        out: &mut CameraChannels,
+    ) -> usize {
+        let job = Job::new(pair, Side::Left, &level.left.window, level.scale, request, None);
         let kernels = pair.front_end.kernels();
         let grey = if pair.front_end.resamples() {
             self.load(&job);
@@ -177,13 +183,13 @@ impl Preparation {
         &mut self,
         pair: &Pair<'_>,
         level: &RegionLevel,
-        (wish, row_px): (&Wish, f64),
+        (request, row_px): (&ChannelRequest, f64),
         channels: usize,
         out: &mut CameraChannels,
     ) {
         let rows = RowOffset { offset_px: pair.source.rows.offset_px + row_px, ..pair.source.rows };
         let rows = (!rows.is_zero()).then_some(rows);
-        let job = Job::new(pair, Side::Right, &level.right.window, level.scale, wish, rows);
+        let job = Job::new(pair, Side::Right, &level.right.window, level.scale, request, rows);
         if pair.front_end.resamples() {
             self.load(&job);
         }
@@ -214,7 +220,7 @@ impl Preparation {
 
     /// Means over the pixels of a level, smoothed.
     fn fill(&mut self, job: &Job<'_>, channels: usize, out: &mut CameraChannels) {
-        out.part = job.wish.part;
+        out.part = job.request.part;
         let kernels = job.front_end.kernels();
         if job.front_end.resamples() {
             for c in 0..channels {
@@ -245,19 +251,19 @@ impl Preparation {
         }
         if self.find_unusable(job, channels) {
             for (plane, unusable) in out.planes.iter_mut().zip(&self.unusable).take(channels) {
-                mark_unusable(unusable, &mut self.unusable_row, job.wish.rows.0..job.wish.rows.1, plane, kernels);
+                mark_unusable(unusable, &mut self.unusable_row, job.request.rows.0..job.request.rows.1, plane, kernels);
             }
         }
     }
 
     /// Smooths the means into the channels from `c` on.
     fn smooth(&mut self, job: &Job<'_>, c: usize, out: &mut [ImagePlane]) {
-        let part = &job.wish.part;
+        let part = &job.request.part;
         let source = PixelRows {
             size: (part.width, part.height),
             rows: &self.means,
             first: job.first_row,
-            wanted: job.wish.rows,
+            wanted: job.request.rows,
         };
         let [along, across] = &job.smoothing;
         self.smoother.smooth_pixels(&source, along, across, &self.middle[c..], out, job.front_end.kernels());
@@ -292,7 +298,7 @@ impl Preparation {
         if !self.flagged.contains(&true) && corners.as_flattened().iter().all(Option::is_some) {
             return false;
         }
-        let part = &job.wish.part;
+        let part = &job.request.part;
         for (c, unusable) in self.unusable.iter_mut().enumerate() {
             unusable.clear();
             unusable.resize(if c < channels { part.width * part.height } else { 0 }, 0);

@@ -22,14 +22,14 @@ use crate::search::rmga::{Population, RmGa};
 
 /// Result of a search: the best individual.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Found {
+pub(super) struct BestHypothesis {
     pub psi: PlaneHypothesis,
     pub fitness: f64,
 }
 
 /// Result of loading a region into the model.
 #[derive(Clone, Debug)]
-pub(super) struct Taken {
+pub(super) struct LoadedRegion {
     pub warnings: Vec<RegionWarning>,
     /// Centroid of the region in the raw left image.
     pub centroid_px: Vector2<f64>,
@@ -96,7 +96,7 @@ impl Core {
         left: &RgbImage,
         right: &RgbImage,
         region: &Region,
-    ) -> Result<Taken, EstimationError> {
+    ) -> Result<LoadedRegion, EstimationError> {
         self.front.check_left_size(left)?;
         let mask = region.rasterize(left, &self.config.region)?;
         let warnings = region.inspect(left, &mask, &self.config.region);
@@ -105,7 +105,7 @@ impl Core {
         self.load(left, right)?;
         let mask = self.front.undistort_region(mask)?;
         self.remake_model(&mask);
-        Ok(Taken { warnings, centroid_px, mask, outline_px })
+        Ok(LoadedRegion { warnings, centroid_px, mask, outline_px })
     }
 
     /// Loads both images.
@@ -142,22 +142,26 @@ impl Core {
         rmga: &mut RmGa,
         population: &mut Population,
         deadline: &mut Deadline<'_>,
-    ) -> Result<Option<Found>, EstimationError> {
+    ) -> Result<Option<BestHypothesis>, EstimationError> {
         let Self { fitness, front, model, .. } = self;
         let range = *rmga.codec().range();
         let prepared = fitness.prepare(front.pair(), model, front.right_hue(), &range)?;
         let best = rmga.evolve_while(population, &prepared, &mut || deadline.may_continue());
-        Ok(prepared.fitness(best.score).map(|fitness| Found { psi: best.hypothesis, fitness }))
+        Ok(prepared.fitness(best.score).map(|fitness| BestHypothesis { psi: best.hypothesis, fitness }))
     }
 
     /// Surveys the fitness landscape near and far from an estimate on the current frame.
-    pub(super) fn survey(&mut self, found: &Found, range: &SearchRange) -> Result<Landscape, EstimationError> {
+    pub(super) fn survey(&mut self, found: &BestHypothesis, range: &SearchRange) -> Result<Landscape, EstimationError> {
         let target = self.probe_target(found, range);
         self.probe_with(range, |probe, whole, blocks| probe.survey(whole, blocks, &target))
     }
 
     /// Spread of depth (relative) and of the normal (radians) near an estimate on the current frame.
-    pub(super) fn survey_nearby(&mut self, found: &Found, range: &SearchRange) -> Result<(f64, f64), EstimationError> {
+    pub(super) fn survey_nearby(
+        &mut self,
+        found: &BestHypothesis,
+        range: &SearchRange,
+    ) -> Result<(f64, f64), EstimationError> {
         let target = self.probe_target(found, range);
         self.probe_with(range, |probe, whole, blocks| probe.survey_nearby(whole, blocks, &target))
     }
@@ -171,7 +175,7 @@ impl Core {
         Ok(prepared.fitness(score).map(|fitness| ReferenceOptimum { psi, fitness, ties }))
     }
 
-    fn probe_target(&self, found: &Found, range: &SearchRange) -> ProbeTarget {
+    fn probe_target(&self, found: &BestHypothesis, range: &SearchRange) -> ProbeTarget {
         ProbeTarget { answer: found.psi, range: *range, focal_baseline_px_m: self.focal_baseline_px_m }
     }
 

@@ -13,7 +13,7 @@ use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{ImageSize, Pinhole, Pose, StereoRig};
 
 use super::backprojection::Backprojection;
-use super::core::{Core, Found, Taken};
+use super::core::{BestHypothesis, Core, LoadedRegion};
 use super::outline_fit::OutlineEdge;
 use super::target::{Appearance, Carried, Target, pixel_of};
 use super::{PublishedConfig, model_frame};
@@ -146,7 +146,7 @@ impl PublishedTracker {
     fn accept(
         &mut self,
         target: &mut Target,
-        found: &Found,
+        found: &BestHypothesis,
         carried: &Carried,
     ) -> Result<TrackEstimate, EstimationError> {
         let mut estimate = self.blank_estimate(&carried.outline_px);
@@ -173,12 +173,17 @@ impl PublishedTracker {
 
     /// Reinitialises the target from the region of this frame, because its depth was that of a rival and the size of its
     /// outline was therefore wrong. The model frame is redefined here.
-    fn retake(&mut self, target: &mut Target, found: &Found, carried: &Carried) -> Result<(), EstimationError> {
+    fn retake(
+        &mut self,
+        target: &mut Target,
+        found: &BestHypothesis,
+        carried: &Carried,
+    ) -> Result<(), EstimationError> {
         let range = *target.rmga.codec().range();
         let landscape = self.core.survey(found, &range)?;
         let mask = self.mask.clone();
         let centroid_px = mask.centroid_px().unwrap_or_default();
-        let taken = Taken { warnings: Vec::new(), centroid_px, mask, outline_px: carried.outline_px.clone() };
+        let taken = LoadedRegion { warnings: Vec::new(), centroid_px, mask, outline_px: carried.outline_px.clone() };
         let search = (target.rmga.clone(), target.cold_rmga.clone(), target.population.clone());
         if let Some(anew) = self.first_target(&taken, found, &landscape, search) {
             *target = anew;
@@ -188,7 +193,7 @@ impl PublishedTracker {
 
     /// Status of the estimate for a frame. Continuity rules out other peaks only once the whole search range has been surveyed
     /// without finding a rival. Until then it is surveyed in every frame.
-    fn judge(&mut self, target: &mut Target, found: &Found) -> Result<Verdict, EstimationError> {
+    fn judge(&mut self, target: &mut Target, found: &BestHypothesis) -> Result<Verdict, EstimationError> {
         let range = *target.rmga.codec().range();
         let config = self.core.config().tracked_observability();
         let verdict = if target.is_assured {
@@ -287,8 +292,8 @@ impl PublishedTracker {
 
     fn first_target(
         &mut self,
-        taken: &Taken,
-        found: &Found,
+        taken: &LoadedRegion,
+        found: &BestHypothesis,
         landscape: &Landscape,
         (rmga, cold_rmga, population): (RmGa, RmGa, Population),
     ) -> Option<Target> {

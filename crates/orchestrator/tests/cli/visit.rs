@@ -94,7 +94,7 @@ fn pairs_and_joints_are_taken_where_they_were_asked_for() {
 fn what_can_not_be_visited_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("stops");
-    visit("bare.toml", &out, &["--here"]).assert_refused(&["give --emulated-board 9x6:20"]);
+    visit("bare.toml", &out, &["--here"]).assert_refused(&["use --emulated-board 9x6:20"]);
     visit("bare.toml", &out, &["--here", "--emulated-board", "9x6"]).assert_refused(&["inner corners and the side"]);
     visit("bare.toml", &out, &["--here", "--emulated-board", "2x6:20"]).assert_refused(&["target.corners"]);
     visit("bare.toml", &out, &BOARD).assert_refused(&["--poses"]);

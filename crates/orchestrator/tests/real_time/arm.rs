@@ -212,7 +212,7 @@ fn an_arm_that_is_not_there_is_a_finding_too() {
     assert_eq!(report["fits"], false);
     assert!(report["problems"][0].as_str().unwrap().contains("127.0.0.1:9"), "{report}");
     let sim = repository().join("configs/sim.toml").display().to_string();
-    assert_problem(&pb3dp_arm(&sim, &["probe"], None), &["arms.vs.backend = \"mock\" has no line"]);
+    assert_problem(&pb3dp_arm(&sim, &["probe"], None), &["arms.vs.backend = \"mock\" has no link to an arm"]);
     let jog = ["jog", "--axis", "4", "--by", "1"];
     pb3dp_arm(&sim, &jog, None).assert_refused(&["arms.vs.backend = \"mock\" has no arm to move"]);
 }
@@ -341,7 +341,9 @@ fn an_arm_that_was_stopped_is_reset_by_name_only() {
         cell.pb3dp(&["reset"], Some("yes")).assert_refused(&["\"yes\" is not vs-robot"]);
         let reset = cell.pb3dp(&["reset"], Some("vs-robot")).assert_success().stdout;
         assert!(reset.contains("connected, brakes on"), "{reset}");
-        assert!(cell.pb3dp(&["probe", "--exchanges", "20"], None).assert_success().stdout.contains("no problems found"));
+        assert!(
+            cell.pb3dp(&["probe", "--exchanges", "20"], None).assert_success().stdout.contains("no problems found")
+        );
         cell.arm.quit();
     });
 }
@@ -425,7 +427,9 @@ fn the_room_to_the_other_arm_is_watched_unless_it_is_left_out() {
         let jog = ["jog", "--axis", "4", "--by", "-1"];
         let dry = pb3dp_arm(&hil(), &jog, None).assert_success().stdout;
         assert!(
-            dry.contains("clearance to the tc-robot (emulated, at its start pose) on the path: 377 mm (cameras to panel)"),
+            dry.contains(
+                "clearance to the tc-robot (emulated, at its start pose) on the path: 377 mm (cameras to panel)"
+            ),
             "{dry}"
         );
         let moved = pb3dp_arm(&hil(), &[&jog[..], &["--move"]].concat(), Some("vs-robot")).assert_success().stdout;

@@ -127,7 +127,7 @@ fn run_on_bus(arm: &mut MockArm) -> (Child, TempDir) {
         format!("{vs}[arms.tc]{tc}{bus}{}", &gateway[gateway.find("\n[").unwrap() + 1..])
     });
     let (config, out) = (folder.path().join("cell.toml"), folder.path().join("out"));
-    // Whoever renders large images holds the arms of a small machine up.
+    // Rendering large images delays the arms on a small machine.
     let text = std::fs::read_to_string(&config).unwrap();
     let text = SMALL.iter().fold(text, |text, (from, to)| replaced(&text, from, to));
     std::fs::write(&config, text).unwrap();

@@ -51,7 +51,7 @@ fn the_whole_checklist_is_rehearsed_on_emulated_arms() {
         let figure = &report["steps"][1]["figures"][2];
         assert_eq!((&figure["limit"], &figure["unit"]), (&0.05.into(), &"deg".into()), "{figure}");
         assert!(figure["value"].as_f64().unwrap() < 0.05, "{figure}");
-        pb3dp_arm(&hil(), &args, Some("vs-robot")).assert_refused(&["there is a report already; give another --out"]);
+        pb3dp_arm(&hil(), &args, Some("vs-robot")).assert_refused(&["there is a report already; use another --out"]);
         assert_eq!((&report["operator"], &report["is_emulated"]), (&"emulated".into(), &true.into()));
         for (step, least) in report["steps"].as_array().unwrap().iter().zip([7, 12, 9, 7, 5, 9]) {
             let figures = step["figures"].as_array().unwrap();
@@ -92,7 +92,7 @@ fn nothing_moves_in_a_dry_run_or_without_the_name() {
             "4 E1    97.490    95.490    -2.000",
             "within 3.6 s",
             "clearance to the tc-robot (emulated, at its start pose)",
-            "warning: --by 2.0: after NOW you have 2.4 s until the move ends, and a person needs 4 s; give --by 4 or more",
+            "warning: --by 2.0: after NOW you have 2.4 s until the move ends, and a person needs 4 s; use --by 4 or more",
             "dry run: the brakes stayed on and nothing moved",
         ] {
             assert!(dry.contains(part), "{part:?} is missing in:\n{dry}");
@@ -124,7 +124,7 @@ fn what_can_not_be_tested_is_refused_before_anything_happens() {
     refused(&config, &[], &["127.0.0.1:9"]);
     refused(&hil(), &["--move"], &["has no switch and no cable for you", "--operator emulated"]);
     refused(&hil(), &["--only", "interlock", "--move"], &["has no switch and no cable for you"]);
-    refused(&hil(), &["--alone", "--only", "interlock"], &["leave --alone out"]);
+    refused(&hil(), &["--alone", "--only", "interlock"], &["remove --alone"]);
     let both = ["--only", "interlock", "--move"];
     refused(&config, &both, &["arms.tc.backend = \"emulated\" has no switch"]);
     refused(&hil(), &["--skip", "comms,jog,e-stop,cable,kill"], &["no step is left"]);
@@ -249,7 +249,7 @@ fn a_person_tests_the_stops_of_an_arm() {
         cell.arm.say("line deaf off");
         cell.arm.say("line silence off");
         test.answer("Press Enter", "");
-        test.answer("is killed on the way", "");
+        test.answer("is killed during the move", "");
         test.answer("Did the vs-robot stop at once", "yes");
         test.answer("Next, the arm is reset.", "");
         let (code, text) = test.finish();
@@ -299,7 +299,7 @@ fn an_arm_that_is_not_as_it_has_to_be_fails() {
             test.answer("comms: messages only", "yes");
             test.answer("Are the joints, from the base, at 0.0, 45.4", "no");
         };
-        fails("comms", &mut cell, pose, "the operator says no: Are the joints");
+        fails("comms", &mut cell, pose, "the operator answered no: Are the joints");
         let unwilling = |test: &mut Rehearsal, _: &mut Cell| test.answer("Press Enter", "there is a cat");
         fails_without_motion(&mut cell, unwilling);
         cell.arm.quit();
@@ -321,7 +321,7 @@ fn an_emergency_stop_that_does_not_stop_fails() {
     programs_in_real_time_beside_others(|| {
         let mut cell = Cell::start(&["--pose-deg", START_DEG]);
         let nobody = |test: &mut Rehearsal, _: &mut Cell| test.answer("Press Enter", "");
-        fails("e-stop", &mut cell, nobody, "nothing had stopped it (Press the emergency stop");
+        fails("e-stop", &mut cell, nobody, "the move ended without a stop (Press the emergency stop");
         assert!(cell.joints().1, "all brakes are closed");
         // The arm goes on for a while: so it looks from here.
         let late = |test: &mut Rehearsal, cell: &mut Cell| {
@@ -334,7 +334,7 @@ fn an_emergency_stop_that_does_not_stop_fails() {
             cell.arm.say("e-stop release");
             test.answer("Press Enter", "");
         };
-        fails("e-stop", &mut cell, late, ", the joint that got farthest: ");
+        fails("e-stop", &mut cell, late, ", the joint that moved farthest: ");
         cell.arm.quit();
     });
 }
@@ -386,14 +386,14 @@ fn a_kill_leaves_it_moving(hosts: Hosts, found: &str) {
     let mut cell = Cell { arm, folder: cell_folder };
     let (_folder, out) = folder();
     let mut test = Rehearsal::of(&cell, "kill", &out);
-    test.answer("is killed on the way", "");
+    test.answer("is killed during the move", "");
     test.complains("PRESS THE EMERGENCY STOP", "Did the vs-robot stop at once", &cell);
     test.answer("Did the vs-robot stop at once", "no");
     let (code, text) = test.finish();
     let (report, _) = report_in(&out);
     let complaints = report["steps"][4]["reasons"].to_string();
     assert_eq!(code, Some(1), "{text}");
-    for part in [found, "the operator says no"] {
+    for part in [found, "the operator answered no"] {
         assert!(complaints.contains(part), "{part:?} is missing in {complaints}\n{text}");
     }
     let turned_deg = cell.joints().0[3] - crate::real_time::arm::START_E1_DEG;
@@ -424,7 +424,7 @@ fn an_arm_that_goes_on_while_the_cable_is_pulled_fails() {
             gateway.plug(true);
             test.answer("Press Enter", "");
         };
-        fails("cable", &mut cell, acts, ", the joint that got farthest since the last measurement: ");
+        fails("cable", &mut cell, acts, ", the joint that moved farthest since the last measurement: ");
         cell.arm.quit();
     });
 }
@@ -455,7 +455,7 @@ fn a_signal_ends_a_step_by_the_stop_order_with_a_partial_report() {
         // While another program moves the arm: that one ends by its stop order, too.
         let (_folder, out) = folder();
         let mut test = Rehearsal::of(&cell, "kill", &out);
-        test.answer("is killed on the way", "");
+        test.answer("is killed during the move", "");
         let start_deg = cell.joints().0[3];
         while (cell.joints().0[3] - start_deg).abs() < 0.1 {
             assert!(since.elapsed() < Duration::from_secs(60), "it does not move");

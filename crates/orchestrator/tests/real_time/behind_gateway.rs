@@ -75,7 +75,7 @@ fn a_gateway_that_stops_later_than_the_limiter_counts_on_moves_nothing() {
         let folder = setup_at(&gateway.address.to_string());
         let file = folder.path().join("cell.toml");
         let config = file.display().to_string();
-        let values = ["stops the arm 120ms after the last command", "command_timeout_millis of the arm says 50ms"];
+        let values = ["stops the arm 120ms after the last command", "limit 50ms (command_timeout_millis of the arm"];
         let jog = ["jog", "--axis", "7", "--by", "1", "--move"];
         pb3dp_arm(&config, &jog, Some("vs-robot")).assert_refused(&values);
         assert_problem(&pb3dp_arm(&config, &["probe"], None), &values);

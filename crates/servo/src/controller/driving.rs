@@ -57,7 +57,7 @@ impl Pace {
 }
 
 /// What a law wants.
-struct Wish {
+struct LawOutput {
     /// Velocity of the hand.
     twist: Twist<Base>,
     /// Largest speed of the hand.
@@ -82,7 +82,7 @@ impl Controller {
         joints: &JointState,
         now: MonotonicTime,
     ) {
-        let wish = match self.config.law {
+        let request = match self.config.law {
             LawConfig::FeedForward(law) => self
                 .feed_forward_wish(&law, joints, now)
                 .ok_or_else(|| HoldReason::ObservationStale { age_s: step.observation_age_s.unwrap_or(f64::INFINITY) }),
@@ -95,23 +95,23 @@ impl Controller {
                 None => Err(HoldReason::TargetNotBeforeCamera),
             },
         };
-        let wish = match wish {
-            Ok(wish) => wish,
+        let request = match request {
+            Ok(request) => request,
             Err(reason) => {
                 step.mode = Mode::Holding(reason);
                 return;
             }
         };
-        let (twist, hand_share) = limit_twist(&wish.twist, &wish.most);
-        let primary = wish.jacobian.joint_velocity(&twist, &self.damping);
+        let (twist, hand_share) = limit_twist(&request.twist, &request.most);
+        let primary = request.jacobian.joint_velocity(&twist, &self.damping);
         let bounds = self.joint_bounds();
-        let beside = bounds.share_beside(&primary, &wish.secondary_rad_per_s, &wish.position_rad);
-        let limited = bounds.limit(&(primary + wish.secondary_rad_per_s * beside), &wish.position_rad);
+        let beside = bounds.share_beside(&primary, &request.secondary_rad_per_s, &request.position_rad);
+        let limited = bounds.limit(&(primary + request.secondary_rad_per_s * beside), &request.position_rad);
         step.limited_by = limited.limited_by.or((hand_share < 1.0).then_some(Limitation::HandSpeed));
-        if wish.share < 1.0 {
-            step.limited_by = Some(wish.slowed_by);
+        if request.share < 1.0 {
+            step.limited_by = Some(request.slowed_by);
         }
-        let command = limited.velocity_rad_per_s * wish.share;
+        let command = limited.velocity_rad_per_s * request.share;
         if !command.iter().all(|x| x.is_finite()) {
             step.mode = Mode::Holding(HoldReason::CommandNotFinite);
             return;
@@ -193,8 +193,8 @@ impl Controller {
         jacobian: HandJacobian,
         joints: &JointState,
         now: MonotonicTime,
-    ) -> Wish {
-        Wish {
+    ) -> LawOutput {
+        LawOutput {
             twist,
             most: if self.approached_at.is_some() { self.config.speed.tracking } else { self.config.approach.speed },
             position_rad: joints.position_rad,
@@ -206,7 +206,12 @@ impl Controller {
     }
 
     /// `None` if the target cannot be predicted that far.
-    fn feed_forward_wish(&mut self, law: &FeedForwardConfig, joints: &JointState, now: MonotonicTime) -> Option<Wish> {
+    fn feed_forward_wish(
+        &mut self,
+        law: &FeedForwardConfig,
+        joints: &JointState,
+        now: MonotonicTime,
+    ) -> Option<LawOutput> {
         let begins_to_act = now + Duration::from_secs_f64(law.arm.delay_s);
         let target = self.target.at(begins_to_act)?;
         let desired = DesiredMotion::before(&target, &self.config.model_from_hand_desired);
@@ -235,7 +240,7 @@ impl Controller {
         let share = self.pace.risen(self.config.speed.soft_start_s, self.period_s, fresh, now);
         let slowed_by = if share < fresh { Limitation::SoftStart } else { Limitation::Fading };
         let most = self.config.speed.tracking;
-        Some(Wish { twist, most, position_rad, jacobian, secondary_rad_per_s, share, slowed_by })
+        Some(LawOutput { twist, most, position_rad, jacobian, secondary_rad_per_s, share, slowed_by })
     }
 
     /// Largest speed at which an error is corrected: that of the approach until the hand has arrived, from where on it rises to that

@@ -93,7 +93,7 @@ struct Record {
     joints: Vec<(f64, JointVector)>,
 }
 
-/// Residuals of the angles and their derivatives by delay and lag; offsets are left to whoever sums.
+/// Residuals of the angles and their derivatives by delay and lag; the caller sums and handles the offsets.
 struct Linearised {
     at_s: Vec<f64>,
     residuals: Vec<JointVector>,

@@ -33,23 +33,23 @@ pub const ARM_NAMES: [&str; 2] = ["vs-robot", "tc-robot"];
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OperatorInput {
     /// A word that was not handed over before.
-    pub said: Option<Said>,
+    pub said: Option<OperatorRequest>,
     /// The last sign of life: of a panel or a person, not of this program.
     pub heard_at: Option<MonotonicTime>,
 }
 
 /// A word of the operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Said {
+pub struct OperatorRequest {
     /// The word.
-    pub word: Word,
+    pub word: OperatorCommand,
     /// When it was said.
     pub at: MonotonicTime,
 }
 
 /// The words of the operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Word {
+pub enum OperatorCommand {
     /// This is the target.
     Select,
     /// Follow it.
@@ -64,7 +64,7 @@ pub enum Word {
     Reset,
 }
 
-impl Word {
+impl OperatorCommand {
     /// All words.
     pub const ALL: [Self; 6] = [Self::Select, Self::Start, Self::Hold, Self::Resume, Self::Stop, Self::Reset];
 

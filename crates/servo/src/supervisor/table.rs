@@ -175,7 +175,7 @@ impl fmt::Display for Event {
 
 /// What an event does in a state.
 ///
-/// `Start`, `Resume` and `Reset` come here only when nothing speaks against them, see [`super::Supervisor::step`].
+/// `Start`, `Resume` and `Reset` come here only if no condition inhibits them, see [`super::Supervisor::step`].
 #[rustfmt::skip]
 pub fn outcome(state: State, event: Event) -> Outcome {
     use Outcome::{Refuse, Stay, To};

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::findings::{Cause, Detail};
-use super::inputs::{ARM_NAMES, Word};
+use super::inputs::{ARM_NAMES, OperatorCommand};
 use super::policy::Condition;
 use super::table::State;
 
@@ -12,14 +12,14 @@ use super::table::State;
 pub enum Why {
     /// No target is selected.
     Idle,
-    /// The target is seen, and nothing speaks against motion.
+    /// The target is seen, and no condition inhibits motion.
     Ready,
-    /// The target is selected; this speaks against motion.
+    /// The target is selected; this condition inhibits motion.
     Waiting {
         /// What is wrong.
         cause: Cause,
     },
-    /// Nothing speaks against motion any more, but not for long enough for a word.
+    /// No condition inhibits motion any more, but not yet for long enough.
     Settling {
         /// Selecting, holding or lost.
         state: State,
@@ -44,7 +44,7 @@ pub enum Why {
     },
     /// The target is lost, and the hand looks for it.
     Searching,
-    /// The arm rests, and this speaks against motion.
+    /// The arm holds, and this condition inhibits motion.
     Resting {
         /// Holding or lost.
         state: State,
@@ -53,7 +53,7 @@ pub enum Why {
         /// What leads on afterwards.
         then: Then,
     },
-    /// The arm rests, and nothing speaks against motion any more.
+    /// The arm holds, and no condition inhibits motion any more.
     CauseGone {
         /// Holding or lost.
         state: State,
@@ -66,7 +66,7 @@ pub enum Why {
     HeldByOperator {
         /// Holding or lost.
         state: State,
-        /// What speaks against motion besides.
+        /// Another condition that inhibits motion.
         cause: Option<Cause>,
     },
     /// Both arms are stopped by the operator.
@@ -86,7 +86,7 @@ pub enum Why {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Then {
     /// The operator's `resume`.
-    Word,
+    Resume,
     /// Time, when nothing is wrong.
     ByItself {
         /// Seconds.
@@ -98,7 +98,7 @@ pub enum Then {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Refusal {
     /// The word.
-    pub word: Word,
+    pub word: OperatorCommand,
     /// Why not.
     pub because: RefusedFor,
 }
@@ -116,14 +116,14 @@ pub enum RefusedFor {
         age_max_s: f64,
     },
     /// It was said before this state was entered.
-    SaidBefore(State),
+    OlderThanState(State),
     /// It was said before the target was followed that is followed now.
-    SaidToOther,
+    OlderThanTarget,
     /// Something happened in the same step that led to this state.
     Overtaken(State),
-    /// This speaks against it.
+    /// This condition inhibits motion.
     Cause(Cause),
-    /// Nothing speaks against it any more, but not for long enough.
+    /// No condition inhibits motion any more, but not yet for long enough.
     NotClear {
         /// What did.
         cause: Option<Cause>,
@@ -151,13 +151,13 @@ impl fmt::Display for Why {
             Self::Slowed { state, cause, share } => {
                 write!(f, "{state}: slowed to {:.0} %: {cause}; {}", share * 100.0, remedy(cause))
             }
-            Self::Resting { state, cause, then: Then::Word } => {
+            Self::Resting { state, cause, then: Then::Resume } => {
                 write!(f, "{state}: {cause}; {}, then use resume", remedy(cause))
             }
             Self::Resting { state, cause, then: Then::ByItself { after_s } } => {
                 write!(f, "{state}: {cause}; {}; resumes by itself {after_s} s after the cause is gone", remedy(cause))
             }
-            Self::CauseGone { state, cause, then: Then::Word } => {
+            Self::CauseGone { state, cause, then: Then::Resume } => {
                 write!(f, "{state}: {}; use resume", Gone(&Some(*cause)))
             }
             Self::CauseGone { state, cause, then: Then::ByItself { after_s } } => {
@@ -188,10 +188,10 @@ impl fmt::Display for Refusal {
             RefusedFor::Age { age_s, age_max_s } => {
                 write!(f, "the request is {age_s:.3} s old, limit {age_max_s:.3} s; repeat it")
             }
-            RefusedFor::SaidBefore(state) => {
+            RefusedFor::OlderThanState(state) => {
                 write!(f, "requested before the state changed to {state}; check, then repeat it")
             }
-            RefusedFor::SaidToOther => {
+            RefusedFor::OlderThanTarget => {
                 write!(f, "requested before the current target was seen; check, then repeat it")
             }
             RefusedFor::Overtaken(state) => {

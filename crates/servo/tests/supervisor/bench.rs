@@ -6,7 +6,8 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_servo::Mode;
 use pb3dp_servo::supervisor::{
     Action, ArmCondition, ArmInput, Condition, Confidence, Decision, EstimateInput, FrameInput, Innovation, Inputs,
-    OperatorInput, Permission, Policies, Policy, RangeEnd, Resume, Said, State, Supervisor, SupervisorConfig, Word,
+    OperatorCommand, OperatorInput, OperatorRequest, Permission, Policies, Policy, RangeEnd, Resume, State, Supervisor,
+    SupervisorConfig,
 };
 
 pub const STEP_S: f64 = 0.01;
@@ -93,7 +94,7 @@ pub struct Bench {
     /// Steps in which each condition was found.
     pub steps_found: [u64; Condition::COUNT],
     seen: (Option<EstimateInput>, Option<FrameInput>),
-    said: Option<Said>,
+    said: Option<OperatorRequest>,
     steps: u64,
     steps_since_rearm: u64,
 }
@@ -122,9 +123,9 @@ impl Bench {
 
     /// Selects and starts, and waits until the hand follows.
     pub fn begin(&mut self) {
-        self.say(Word::Select);
+        self.say(OperatorCommand::Select);
         self.run(0.5);
-        let decision = self.say(Word::Start);
+        let decision = self.say(OperatorCommand::Start);
         assert_eq!(decision.state, State::Approaching, "{}", decision.why);
         self.run(0.5);
         assert_eq!(self.state(), State::Tracking);
@@ -152,13 +153,13 @@ impl Bench {
         self.lie = Box::new(|_| {});
     }
 
-    pub fn say(&mut self, word: Word) -> Decision {
+    pub fn say(&mut self, word: OperatorCommand) -> Decision {
         self.say_at(word, self.now_s + STEP_S)
     }
 
     /// Hands a word over in the next step that was said at this time.
-    pub fn say_at(&mut self, word: Word, said_s: f64) -> Decision {
-        self.said = Some(Said { word, at: at(said_s) });
+    pub fn say_at(&mut self, word: OperatorCommand, said_s: f64) -> Decision {
+        self.said = Some(OperatorRequest { word, at: at(said_s) });
         self.step()
     }
 

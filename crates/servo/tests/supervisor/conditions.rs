@@ -2,8 +2,8 @@
 
 use nalgebra::Matrix6;
 use pb3dp_servo::supervisor::{
-    Action, ArmCondition, Condition, Confidence, Detail, Event, FrameInput, Innovation, Inputs, Permission, RangeEnd,
-    Resume, State, TRANSITIONS_KEPT, Why, Word,
+    Action, ArmCondition, Condition, Confidence, Detail, Event, FrameInput, Innovation, Inputs, OperatorCommand,
+    Permission, RangeEnd, Resume, State, TRANSITIONS_KEPT, Why,
 };
 use pb3dp_servo::{HoldReason, Mode};
 
@@ -141,7 +141,7 @@ fn each_rest_ends_as_its_policy_says() {
         if !moved {
             assert_eq!(bench.state(), State::Holding, "{name}");
             assert!(bench.decision().is_ready, "{name}: {}", bench.why());
-            let decision = bench.say(Word::Resume);
+            let decision = bench.say(OperatorCommand::Resume);
             assert_eq!(decision.state, State::Approaching, "{name}: {}", decision.why);
         }
     }
@@ -301,9 +301,9 @@ fn transitions_are_kept_in_order_and_the_oldest_go() {
     ];
     assert_eq!(first, expected);
     for _ in 0..40 {
-        bench.say(Word::Hold);
+        bench.say(OperatorCommand::Hold);
         bench.run(0.2);
-        bench.say(Word::Resume);
+        bench.say(OperatorCommand::Resume);
         bench.run(0.1);
     }
     let log = bench.supervisor.log();

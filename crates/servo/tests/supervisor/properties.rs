@@ -8,8 +8,8 @@ use proptest::test_runner::{Config, TestRunner};
 
 use pb3dp_servo::Mode;
 use pb3dp_servo::supervisor::{
-    ArmCondition, ArmInput, Confidence, Decision, EstimateInput, Event, FrameInput, Innovation, Inputs, OperatorInput,
-    Permission, RangeEnd, Said, State, Supervisor, SupervisorConfig, Word,
+    ArmCondition, ArmInput, Confidence, Decision, EstimateInput, Event, FrameInput, Innovation, Inputs,
+    OperatorCommand, OperatorInput, OperatorRequest, Permission, RangeEnd, State, Supervisor, SupervisorConfig,
 };
 
 use super::bench::{at, config};
@@ -18,7 +18,7 @@ use super::bench::{at, config};
 #[derive(Clone, Debug)]
 struct Step {
     dt_s: f64,
-    word: Option<(Word, f64)>,
+    word: Option<(OperatorCommand, f64)>,
     is_heard: bool,
     arms: [ArmCondition; 2],
     measured_age_s: [Option<f64>; 2],
@@ -50,14 +50,14 @@ fn arm_condition() -> impl Strategy<Value = ArmCondition> {
     mostly(ArmCondition::Enabled, bad)
 }
 
-fn word() -> impl Strategy<Value = Option<(Word, f64)>> {
+fn word() -> impl Strategy<Value = Option<(OperatorCommand, f64)>> {
     let any_word = prop_oneof![
-        4 => Just(Word::Select),
-        8 => Just(Word::Start),
-        1 => Just(Word::Hold),
-        3 => Just(Word::Resume),
-        1 => Just(Word::Stop),
-        6 => Just(Word::Reset)
+        4 => Just(OperatorCommand::Select),
+        8 => Just(OperatorCommand::Start),
+        1 => Just(OperatorCommand::Hold),
+        3 => Just(OperatorCommand::Resume),
+        1 => Just(OperatorCommand::Stop),
+        6 => Just(OperatorCommand::Reset)
     ];
     let age_s = prop_oneof![8 => Just(0.0), 1 => -2.0..2.0_f64];
     prop_oneof![6 => Just(None), 1 => (any_word, age_s).prop_map(Some)]
@@ -141,7 +141,7 @@ impl Told {
         };
         Inputs {
             operator: OperatorInput {
-                said: step.word.map(|(word, age_s)| Said { word, at: at(now_s - age_s) }),
+                said: step.word.map(|(word, age_s)| OperatorRequest { word, at: at(now_s - age_s) }),
                 heard_at: Some(at(self.heard_s)),
             },
             controller: step.mode,
@@ -202,7 +202,8 @@ impl Judge {
             self.selected_s = self.selected_s.map(|selected_s| selected_s.min(now_s));
         }
         self.now_s = now_s;
-        if word == Some(Word::Select) && decision.state == State::Selecting && decision.transition.is_some() {
+        if word == Some(OperatorCommand::Select) && decision.state == State::Selecting && decision.transition.is_some()
+        {
             (self.selected_s, self.started) = (Some(now_s), false);
             (self.sure_s, self.newest) = (None, None);
         }
@@ -216,19 +217,20 @@ impl Judge {
         if decision.transition.is_some_and(|to| matches!(to.event, Event::Start | Event::Resume)) {
             assert!(now_s - self.doubted_s >= GO_AFTER_S - 1e-6, "in doubt until {} s", self.doubted_s);
         }
-        if word == Some(Word::Start) && decision.state == State::Approaching && decision.transition.is_some() {
+        if word == Some(OperatorCommand::Start) && decision.state == State::Approaching && decision.transition.is_some()
+        {
             self.started = true;
             self.started_target = self.newest.map(|(_, target)| target);
         }
-        let says_hold = word == Some(Word::Hold);
+        let says_hold = word == Some(OperatorCommand::Hold);
         self.must_rest_until_word |= says_hold;
-        if matches!(word, Some(Word::Resume | Word::Start)) && decision.transition.is_some() {
+        if matches!(word, Some(OperatorCommand::Resume | OperatorCommand::Start)) && decision.transition.is_some() {
             self.must_rest_until_word = false;
         }
-        if dangerous || word == Some(Word::Stop) || decision.permission == Permission::Stop {
+        if dangerous || word == Some(OperatorCommand::Stop) || decision.permission == Permission::Stop {
             self.started = false;
         }
-        if dangerous || word == Some(Word::Stop) {
+        if dangerous || word == Some(OperatorCommand::Stop) {
             assert_eq!(decision.permission, Permission::Stop);
             assert!(decision.state.is_latched());
         }
@@ -273,7 +275,7 @@ fn no_history_permits_motion_without_fresh_confident_data_enabled_arms_and_the_o
             prop_assert_eq!(expected, decision.state);
             if before.is_latched() && !decision.state.is_latched() {
                 prop_assert_eq!(decision.state, State::Idle);
-                prop_assert_eq!(step.word.map(|(word, _)| word), Some(Word::Reset));
+                prop_assert_eq!(step.word.map(|(word, _)| word), Some(OperatorCommand::Reset));
             }
             let begins = !before.is_moving() && decision.state.is_moving();
             if let (true, Some((_, shown))) = (begins, judge.newest) {

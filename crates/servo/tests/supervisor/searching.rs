@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use pb3dp_servo::Mode;
 use pb3dp_servo::supervisor::{
-    ArmCondition, Condition, Confidence, Innovation, Inputs, Permission, Resume, State, SupervisorConfig, Word,
+    ArmCondition, Condition, Confidence, Innovation, Inputs, OperatorCommand, Permission, Resume, State,
+    SupervisorConfig,
 };
 
 use super::bench::{Bench, config, with};
@@ -80,7 +81,7 @@ fn the_operator_and_everything_else_that_is_wrong_end_a_search() {
         assert!(bench.run(2.0) && bench.decision().search, "the next loss has a search of its own");
     }
     let mut bench = lost(30.0);
-    bench.say(Word::Hold);
+    bench.say(OperatorCommand::Hold);
     assert!(!bench.decision().search && !bench.run(1.0), "{}", bench.why());
 }
 

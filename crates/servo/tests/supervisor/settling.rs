@@ -1,6 +1,8 @@
 //! What comes and goes from image to image: a word that falls between two of them leads on to nothing.
 
-use pb3dp_servo::supervisor::{Condition, Confidence, Innovation, Inputs, RefusedFor, State, SupervisorConfig, Word};
+use pb3dp_servo::supervisor::{
+    Condition, Confidence, Innovation, Inputs, OperatorCommand, RefusedFor, State, SupervisorConfig,
+};
 
 use super::bench::{Bench, FRAME_EVERY, STEP_S, at, config};
 
@@ -13,7 +15,7 @@ fn outliers(inputs: &mut Inputs) {
 }
 
 /// Says the word in every step for a second: nothing may move. How often nothing spoke against it but that time was too short.
-fn is_refused(bench: &mut Bench, word: Word) -> usize {
+fn is_refused(bench: &mut Bench, word: OperatorCommand) -> usize {
     let mut too_short = 0;
     for _ in 0..100 {
         let decision = bench.say(word);
@@ -39,32 +41,32 @@ fn is_refused(bench: &mut Bench, word: Word) -> usize {
 #[test]
 fn resume_between_two_outliers() {
     let mut bench = Bench::following(config());
-    bench.say(Word::Hold);
+    bench.say(OperatorCommand::Hold);
     bench.lie(outliers);
     bench.run(0.3);
-    assert!(is_refused(&mut bench, Word::Resume) > 30);
+    assert!(is_refused(&mut bench, OperatorCommand::Resume) > 30);
     bench.truth();
     bench.run(0.15);
-    assert_eq!(bench.say(Word::Resume).state, State::Approaching, "{}", bench.why());
+    assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching, "{}", bench.why());
 }
 
 #[test]
 fn start_between_two_outliers() {
     let mut bench = Bench::new(config());
-    bench.say(Word::Select);
+    bench.say(OperatorCommand::Select);
     bench.lie(outliers);
     bench.run(0.3);
-    assert!(is_refused(&mut bench, Word::Start) > 30);
+    assert!(is_refused(&mut bench, OperatorCommand::Start) > 30);
     bench.truth();
     bench.run(0.15);
-    assert_eq!(bench.say(Word::Start).state, State::Approaching, "{}", bench.why());
+    assert_eq!(bench.say(OperatorCommand::Start).state, State::Approaching, "{}", bench.why());
 }
 
 #[test]
 fn resume_after_a_hold_is_obeyed_as_soon_as_the_controller_has_been_at_it_for_that_time() {
     for go_after_s in [0.05, 0.1, 0.2] {
         let mut bench = Bench::following(SupervisorConfig { go_after_s, ..config() });
-        bench.say(Word::Hold);
+        bench.say(OperatorCommand::Hold);
         let held_s = bench.now_s;
         while !bench.decision().is_ready {
             bench.step();
@@ -72,23 +74,23 @@ fn resume_after_a_hold_is_obeyed_as_soon_as_the_controller_has_been_at_it_for_th
         // It locks on in 50 ms, and each image that says so comes at its time.
         let (waited_s, image_s) = (bench.now_s - held_s - go_after_s, FRAME_EVERY as f64 * STEP_S);
         assert!((0.05..=0.05 + image_s + 2.0 * STEP_S + 1e-9).contains(&waited_s), "{waited_s}");
-        assert_eq!(bench.say(Word::Resume).state, State::Approaching);
+        assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching);
     }
 }
 
 #[test]
 fn start_that_was_said_before_another_target_was_followed() {
     let mut bench = Bench::new(config());
-    bench.say(Word::Select);
+    bench.say(OperatorCommand::Select);
     bench.run(0.5);
     let said_s = bench.now_s;
     bench.lie(|inputs| inputs.estimate.as_mut().unwrap().target = 8);
     bench.run(0.2);
     assert!(bench.decision().is_ready, "{}", bench.why());
-    let decision = bench.say_at(Word::Start, said_s);
-    assert_eq!(decision.refused.unwrap().because, RefusedFor::SaidToOther);
+    let decision = bench.say_at(OperatorCommand::Start, said_s);
+    assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanTarget);
     assert!(!bench.run(2.0));
-    assert_eq!(bench.say(Word::Start).state, State::Approaching);
+    assert_eq!(bench.say(OperatorCommand::Start).state, State::Approaching);
 }
 
 /// Of poses that scatter one agrees, by chance, and then none comes: the time without any speaks for nothing.

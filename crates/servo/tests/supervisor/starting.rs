@@ -2,16 +2,16 @@
 //! nothing is permitted to move, or that nothing moves by itself.
 
 use pb3dp_servo::supervisor::{
-    ArmCondition, Condition, Confidence, Event, Permission, RefusedFor, Said, State, Why, Word,
+    ArmCondition, Condition, Confidence, Event, OperatorCommand, OperatorRequest, Permission, RefusedFor, State, Why,
 };
 use pb3dp_servo::{HoldReason, Mode};
 
 use super::bench::{Bench, at, config, good, with};
 
-/// A bench with a selected target that nothing speaks against.
+/// A bench with a selected target and no active inhibit.
 fn selected() -> Bench {
     let mut bench = Bench::new(config());
-    bench.say(Word::Select);
+    bench.say(OperatorCommand::Select);
     bench.run(0.5);
     assert!(bench.decision().is_ready && bench.decision().why == Why::Ready, "{}", bench.why());
     bench
@@ -19,7 +19,7 @@ fn selected() -> Bench {
 
 /// Says start, which must be refused for this condition, and nothing moves afterwards.
 fn start_is_refused_for(bench: &mut Bench, condition: Condition) {
-    let decision = bench.say(Word::Start);
+    let decision = bench.say(OperatorCommand::Start);
     let because = decision.refused.unwrap().because;
     assert!(matches!(because, RefusedFor::Cause(cause) if cause.condition == condition), "{because:?}");
     stays_at_rest(bench);
@@ -51,7 +51,7 @@ fn nothing_moves_before_the_operators_word() {
 fn start_without_a_selected_target() {
     let mut bench = Bench::new(config());
     bench.run(0.5);
-    let decision = bench.say(Word::Start);
+    let decision = bench.say(OperatorCommand::Start);
     assert_eq!(decision.refused.unwrap().because, RefusedFor::State(State::Idle));
     stays_at_rest(&mut bench);
 }
@@ -65,7 +65,7 @@ fn select_alone_moves_nothing() {
 fn start_before_the_target_was_seen() {
     let mut bench = selected();
     bench.lie(|i| i.estimate = None);
-    bench.say(Word::Select);
+    bench.say(OperatorCommand::Select);
     bench.run(0.5);
     start_is_refused_for(&mut bench, Condition::TargetLost);
     // And it does not begin when the target comes into view.
@@ -79,7 +79,7 @@ fn start_on_a_target_that_was_seen_before_it_was_selected() {
     bench.run(0.5);
     let old = good(bench.now_s).estimate;
     bench.lie(move |i| i.estimate = old);
-    bench.say(Word::Select);
+    bench.say(OperatorCommand::Select);
     start_is_refused_for(&mut bench, Condition::TargetLost);
 }
 
@@ -122,7 +122,7 @@ fn start_on_an_estimate_from_the_future() {
 fn start_on_a_pose_that_the_estimator_does_not_stand_by() {
     let mut bench = Bench::new(config());
     bench.lie(|i| i.estimate.as_mut().unwrap().confidence = Confidence::Doubtful);
-    bench.say(Word::Select);
+    bench.say(OperatorCommand::Select);
     bench.run(0.5);
     start_is_refused_for(&mut bench, Condition::TargetLost);
 }
@@ -188,8 +188,8 @@ fn start_from_a_zeroed_state() {
         *i = good(0.0);
         i.operator.said = said;
     });
-    bench.say(Word::Select);
-    assert!(bench.say(Word::Start).refused.is_some());
+    bench.say(OperatorCommand::Select);
+    assert!(bench.say(OperatorCommand::Start).refused.is_some());
     stays_at_rest(&mut bench);
 }
 
@@ -197,7 +197,7 @@ fn start_from_a_zeroed_state() {
 fn start_that_was_said_too_long_ago() {
     let mut bench = selected();
     bench.run(2.0);
-    let decision = bench.say_at(Word::Start, bench.now_s - 0.6);
+    let decision = bench.say_at(OperatorCommand::Start, bench.now_s - 0.6);
     let because = decision.refused.unwrap().because;
     assert!(matches!(because, RefusedFor::Age { age_s, age_max_s } if age_s > 0.6 && age_max_s == 0.5), "{because:?}");
     stays_at_rest(&mut bench);
@@ -206,7 +206,7 @@ fn start_that_was_said_too_long_ago() {
 #[test]
 fn start_that_will_be_said() {
     let mut bench = selected();
-    let decision = bench.say_at(Word::Start, bench.now_s + 3.0);
+    let decision = bench.say_at(OperatorCommand::Start, bench.now_s + 3.0);
     assert!(matches!(decision.refused.unwrap().because, RefusedFor::Age { age_s, .. } if age_s < -2.0));
     stays_at_rest(&mut bench);
 }
@@ -215,31 +215,31 @@ fn start_that_will_be_said() {
 fn start_that_was_said_to_another_selection() {
     let mut bench = selected();
     let said_s = bench.now_s;
-    bench.say(Word::Select);
+    bench.say(OperatorCommand::Select);
     bench.run(0.3);
-    let decision = bench.say_at(Word::Start, said_s);
-    assert_eq!(decision.refused.unwrap().because, RefusedFor::SaidBefore(State::Selecting));
+    let decision = bench.say_at(OperatorCommand::Start, said_s);
+    assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanState(State::Selecting));
     stays_at_rest(&mut bench);
 }
 
 #[test]
 fn start_said_twice_does_no_more_than_once() {
     let mut bench = Bench::following(config());
-    let decision = bench.say(Word::Start);
+    let decision = bench.say(OperatorCommand::Start);
     assert_eq!((decision.state, decision.refused, decision.transition), (State::Tracking, None, None));
 }
 
 #[test]
 fn another_target_selected_in_motion() {
     let mut bench = Bench::following(config());
-    let decision = bench.say(Word::Select);
+    let decision = bench.say(OperatorCommand::Select);
     assert_eq!(decision.refused.unwrap().because, RefusedFor::State(State::Tracking));
     assert_eq!(decision.permission, Permission::Move { share: 1.0 }, "it follows the one that was started");
 }
 
 #[test]
 fn start_or_resume_in_a_fault() {
-    for word in [Word::Start, Word::Resume, Word::Select, Word::Hold] {
+    for word in [OperatorCommand::Start, OperatorCommand::Resume, OperatorCommand::Select, OperatorCommand::Hold] {
         let mut bench = faulted();
         bench.say(word);
         stays_at_rest(&mut bench);
@@ -259,7 +259,7 @@ fn reset_while_the_emergency_stop_is_pressed() {
     let mut bench = Bench::following(config());
     bench.lie(|i| i.arms[1].state = ArmCondition::EmergencyStop);
     bench.run(0.1);
-    let decision = bench.say(Word::Reset);
+    let decision = bench.say(OperatorCommand::Reset);
     assert!(
         matches!(decision.refused.unwrap().because, RefusedFor::Cause(cause) if cause.condition == Condition::EmergencyStop)
     );
@@ -274,18 +274,18 @@ fn reset_that_was_said_before_the_fault() {
     bench.run(0.1);
     bench.truth();
     bench.run(0.1);
-    let decision = bench.say_at(Word::Reset, said_s);
-    assert_eq!(decision.refused.unwrap().because, RefusedFor::SaidBefore(State::Fault));
+    let decision = bench.say_at(OperatorCommand::Reset, said_s);
+    assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanState(State::Fault));
     assert_eq!(bench.state(), State::Fault);
 }
 
 #[test]
 fn reset_in_the_step_in_which_a_fault_is_found() {
     let mut bench = Bench::following(config());
-    bench.say(Word::Stop);
+    bench.say(OperatorCommand::Stop);
     bench.run(0.1);
     bench.lie(|i| i.arms[0].state = ArmCondition::Fault);
-    let decision = bench.say(Word::Reset);
+    let decision = bench.say(OperatorCommand::Reset);
     assert_eq!(decision.state, State::Fault);
     assert!(decision.refused.is_some());
 }
@@ -297,37 +297,37 @@ fn resume_after_an_emergency_stop_with_the_old_set_points() {
     assert!(bench.step().rearm, "the set-points are dropped with the stop");
     bench.truth();
     bench.run(0.2);
-    let decision = bench.say(Word::Reset);
+    let decision = bench.say(OperatorCommand::Reset);
     assert_eq!((decision.state, decision.rearm), (State::Idle, true));
-    for word in [Word::Resume, Word::Start] {
+    for word in [OperatorCommand::Resume, OperatorCommand::Start] {
         assert_eq!(bench.say(word).refused.unwrap().because, RefusedFor::State(State::Idle));
         stays_at_rest(&mut bench);
     }
     // The whole way is to be gone: the target selected, seen anew, and started.
-    assert!(bench.say(Word::Select).rearm);
-    assert!(bench.say(Word::Start).refused.is_some(), "not with what was seen before");
+    assert!(bench.say(OperatorCommand::Select).rearm);
+    assert!(bench.say(OperatorCommand::Start).refused.is_some(), "not with what was seen before");
     bench.run(0.5);
-    assert_eq!(bench.say(Word::Start).state, State::Approaching);
+    assert_eq!(bench.say(OperatorCommand::Start).state, State::Approaching);
 }
 
 #[test]
 fn start_that_was_said_before_a_fault_does_nothing_after_the_reset() {
     let mut bench = faulted();
     let said_s = bench.now_s;
-    bench.say(Word::Reset);
-    bench.say(Word::Select);
+    bench.say(OperatorCommand::Reset);
+    bench.say(OperatorCommand::Select);
     bench.run(0.3);
-    let decision = bench.say_at(Word::Start, said_s);
-    assert_eq!(decision.refused.unwrap().because, RefusedFor::SaidBefore(State::Selecting));
+    let decision = bench.say_at(OperatorCommand::Start, said_s);
+    assert_eq!(decision.refused.unwrap().because, RefusedFor::OlderThanState(State::Selecting));
     stays_at_rest(&mut bench);
 }
 
 #[test]
 fn reset_of_what_is_not_latched_changes_nothing() {
     let mut bench = Bench::following(config());
-    bench.say(Word::Hold);
+    bench.say(OperatorCommand::Hold);
     bench.run(0.5);
-    let decision = bench.say(Word::Reset);
+    let decision = bench.say(OperatorCommand::Reset);
     assert_eq!((decision.state, decision.transition), (State::Holding, None));
     stays_at_rest(&mut bench);
 }
@@ -335,25 +335,28 @@ fn reset_of_what_is_not_latched_changes_nothing() {
 /// What is latched in an arm is cleared only by a word that the supervisor would obey.
 #[test]
 fn a_reset_reaches_the_arms_only_in_a_latched_state_and_in_time() {
-    let said = |word, said_s| Said { word, at: at(said_s) };
+    let said = |word, said_s| OperatorRequest { word, at: at(said_s) };
     let mut bench = Bench::following(config());
-    assert!(!bench.supervisor.would_reset(said(Word::Reset, bench.now_s), at(bench.now_s)), "it follows");
+    assert!(!bench.supervisor.would_reset(said(OperatorCommand::Reset, bench.now_s), at(bench.now_s)), "it follows");
     let before_s = bench.now_s;
     bench.lie(|i| i.arms[0].state = ArmCondition::EmergencyStop);
     bench.run(0.1);
     assert_eq!(bench.state(), State::Fault);
     let now_s = bench.now_s;
     let would = |word, said_s| bench.supervisor.would_reset(said(word, said_s), at(now_s));
-    assert!(would(Word::Reset, now_s), "also while the emergency stop is latched in the arm");
-    assert!(!would(Word::Reset, before_s), "it was said before the fault");
-    assert!(!would(Word::Reset, now_s + 1.0), "it will be said");
-    assert!(!would(Word::Select, now_s));
-    let later = |said_s| bench.supervisor.would_reset(said(Word::Reset, said_s), at(now_s + 1.0));
+    assert!(would(OperatorCommand::Reset, now_s), "also while the emergency stop is latched in the arm");
+    assert!(!would(OperatorCommand::Reset, before_s), "it was said before the fault");
+    assert!(!would(OperatorCommand::Reset, now_s + 1.0), "it will be said");
+    assert!(!would(OperatorCommand::Select, now_s));
+    let later = |said_s| bench.supervisor.would_reset(said(OperatorCommand::Reset, said_s), at(now_s + 1.0));
     assert!(!later(now_s) && later(now_s + 0.6), "no older than 0.5 s");
     bench.truth();
     bench.run(0.1);
-    assert_eq!(bench.say(Word::Reset).state, State::Idle);
-    assert!(!bench.supervisor.would_reset(said(Word::Reset, bench.now_s), at(bench.now_s)), "nothing is latched");
+    assert_eq!(bench.say(OperatorCommand::Reset).state, State::Idle);
+    assert!(
+        !bench.supervisor.would_reset(said(OperatorCommand::Reset, bench.now_s), at(bench.now_s)),
+        "nothing is latched"
+    );
 }
 
 #[test]
@@ -361,20 +364,20 @@ fn the_operators_stop_ends_every_state_and_stays() {
     for hold in [false, true] {
         let mut bench = Bench::following(config());
         if hold {
-            bench.say(Word::Hold);
+            bench.say(OperatorCommand::Hold);
         }
-        let decision = bench.say(Word::Stop);
+        let decision = bench.say(OperatorCommand::Stop);
         assert_eq!((decision.state, decision.permission), (State::Stopped, Permission::Stop));
         stays_at_rest(&mut bench);
-        assert_eq!(bench.say(Word::Start).refused.unwrap().because, RefusedFor::State(State::Stopped));
+        assert_eq!(bench.say(OperatorCommand::Start).refused.unwrap().because, RefusedFor::State(State::Stopped));
     }
     let mut bench = selected();
-    assert_eq!(bench.say(Word::Stop).state, State::Stopped);
+    assert_eq!(bench.say(OperatorCommand::Stop).state, State::Stopped);
     // However old the word is.
     let mut bench = Bench::following(config());
-    assert_eq!(bench.say_at(Word::Stop, bench.now_s - 30.0).state, State::Stopped);
+    assert_eq!(bench.say_at(OperatorCommand::Stop, bench.now_s - 30.0).state, State::Stopped);
     let mut bench = Bench::following(config());
-    assert_eq!(bench.say_at(Word::Hold, bench.now_s - 30.0).state, State::Holding);
+    assert_eq!(bench.say_at(OperatorCommand::Hold, bench.now_s - 30.0).state, State::Holding);
 }
 
 #[test]
@@ -396,7 +399,7 @@ fn lease_lost_and_regained() {
     assert_eq!(bench.state(), State::Holding);
     bench.truth();
     stays_at_rest(&mut bench);
-    assert_eq!(bench.say(Word::Resume).state, State::Approaching);
+    assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching);
 }
 
 #[test]
@@ -408,7 +411,7 @@ fn clock_stepped_forward() {
     assert_eq!((decision.state, cause.condition), (State::Holding, Condition::ClockStepped));
     assert!((cause.value - 0.51).abs() < 1e-6, "{cause:?}");
     stays_at_rest(&mut bench);
-    assert_eq!(bench.say(Word::Resume).state, State::Approaching);
+    assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching);
 }
 
 #[test]
@@ -423,10 +426,10 @@ fn clock_stepped_back() {
     // What was measured before the step lies ahead and proves nothing.
     bench.lie(move |i| i.estimate = good(fresh).estimate);
     bench.run(0.5);
-    assert!(bench.say(Word::Resume).refused.is_some());
+    assert!(bench.say(OperatorCommand::Resume).refused.is_some());
     bench.truth();
     stays_at_rest(&mut bench);
-    assert_eq!(bench.say(Word::Resume).state, State::Approaching);
+    assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching);
 }
 
 /// A clock that is set back keeps no words out, of which `reset` would be missed most.
@@ -435,14 +438,14 @@ fn words_after_the_clock_stepped_back() {
     let mut bench = faulted();
     bench.now_s -= 40.0;
     bench.run(0.5);
-    assert_eq!(bench.say(Word::Reset).state, State::Idle);
+    assert_eq!(bench.say(OperatorCommand::Reset).state, State::Idle);
     bench.begin();
-    bench.say(Word::Stop);
-    bench.say(Word::Reset);
-    bench.say(Word::Select);
+    bench.say(OperatorCommand::Stop);
+    bench.say(OperatorCommand::Reset);
+    bench.say(OperatorCommand::Select);
     bench.now_s -= 20.0;
     bench.run(0.5);
-    assert_eq!(bench.say(Word::Start).state, State::Approaching, "{}", bench.why());
+    assert_eq!(bench.say(OperatorCommand::Start).state, State::Approaching, "{}", bench.why());
 }
 
 #[test]
@@ -451,13 +454,13 @@ fn estimator_restarted_with_another_target() {
     bench.lie(|i| i.estimate.as_mut().unwrap().target = 1);
     bench.run(0.1);
     assert_eq!(bench.state(), State::Holding);
-    let because = bench.say(Word::Resume).refused.unwrap().because;
+    let because = bench.say(OperatorCommand::Resume).refused.unwrap().because;
     assert!(matches!(because, RefusedFor::Cause(cause) if cause.condition == Condition::TargetChanged));
     stays_at_rest(&mut bench);
     // It has to be selected by the operator.
-    bench.say(Word::Select);
+    bench.say(OperatorCommand::Select);
     bench.run(0.3);
-    assert_eq!(bench.say(Word::Start).state, State::Approaching);
+    assert_eq!(bench.say(OperatorCommand::Start).state, State::Approaching);
 }
 
 #[test]
@@ -495,13 +498,13 @@ fn after_a_loss_it_waits_for_the_operator_if_the_policy_says_so() {
     assert_eq!(bench.state(), State::Lost);
     bench.truth();
     stays_at_rest(&mut bench);
-    assert_eq!(bench.say(Word::Resume).state, State::Approaching);
+    assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching);
 }
 
 #[test]
 fn resume_while_the_target_is_lost() {
     let mut bench = lost();
-    let because = bench.say(Word::Resume).refused.unwrap().because;
+    let because = bench.say(OperatorCommand::Resume).refused.unwrap().because;
     assert!(matches!(because, RefusedFor::Cause(cause) if cause.condition == Condition::TargetLost));
     stays_at_rest(&mut bench);
 }
@@ -509,7 +512,7 @@ fn resume_while_the_target_is_lost() {
 #[test]
 fn a_hold_of_the_operator_is_ended_by_nobody_else() {
     let mut bench = Bench::following(config());
-    bench.say(Word::Hold);
+    bench.say(OperatorCommand::Hold);
     stays_at_rest(&mut bench);
     // Nor is it by a loss that would end by itself.
     bench.lie(|i| i.estimate = None);
@@ -517,7 +520,7 @@ fn a_hold_of_the_operator_is_ended_by_nobody_else() {
     assert_eq!(bench.state(), State::Lost);
     bench.truth();
     stays_at_rest(&mut bench);
-    assert_eq!(bench.say(Word::Resume).state, State::Approaching);
+    assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching);
 }
 
 #[test]
@@ -525,10 +528,10 @@ fn hold_said_during_a_rest_keeps_it() {
     let mut bench = Bench::following(config());
     bench.lie(|i| i.arms[0].measured_at = None);
     bench.run(0.1);
-    bench.say(Word::Hold);
+    bench.say(OperatorCommand::Hold);
     bench.truth();
     stays_at_rest(&mut bench);
-    assert_eq!(bench.say(Word::Resume).state, State::Approaching);
+    assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching);
 }
 
 #[test]
@@ -541,7 +544,7 @@ fn a_second_cause_during_a_rest_counts_as_well() {
     bench.run(0.1);
     bench.truth();
     stays_at_rest(&mut bench);
-    assert_eq!(bench.say(Word::Resume).state, State::Approaching);
+    assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching);
 }
 
 #[test]
@@ -566,7 +569,7 @@ fn a_rest_does_not_end_before_the_controller_has_locked_on_anew() {
     assert!(bench.step().rearm);
     bench.lie(|i| i.controller = Mode::Locking);
     stays_at_rest(&mut bench);
-    let because = bench.say(Word::Resume).refused.unwrap().because;
+    let because = bench.say(OperatorCommand::Resume).refused.unwrap().because;
     assert!(matches!(because, RefusedFor::Cause(cause) if cause.condition == Condition::ControllerRests));
 }
 
@@ -579,7 +582,7 @@ fn an_arm_that_was_moved_meanwhile_goes_on_from_where_it_is() {
     bench.run(3.0);
     bench.truth();
     stays_at_rest(&mut bench);
-    assert_eq!(bench.say(Word::Resume).state, State::Approaching, "with the speed of an approach");
+    assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching, "with the speed of an approach");
 }
 
 #[test]

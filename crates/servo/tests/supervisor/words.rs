@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use pb3dp_servo::supervisor::{
-    ARM_NAMES, Cause, Condition, Detail, Permission, Refusal, RefusedFor, State, Then, Why, Word,
+    ARM_NAMES, Cause, Condition, Detail, OperatorCommand, Permission, Refusal, RefusedFor, State, Then, Why,
 };
 use pb3dp_servo::{HoldReason, Mode};
 
@@ -101,9 +101,9 @@ fn every_state_and_every_condition_has_a_line_of_its_own() {
         }
         for state in [Holding, Lost] {
             let parts = [parts.clone(), vec![format!("{state}: ")]].concat();
-            add(Why::Resting { state, cause, then: Then::Word }, &parts, "then use resume");
+            add(Why::Resting { state, cause, then: Then::Resume }, &parts, "then use resume");
             add(Why::Resting { state, cause, then: by_itself }, &parts, "resumes by itself 0.2 s after");
-            add(Why::CauseGone { state, cause, then: Then::Word }, &parts, "use resume");
+            add(Why::CauseGone { state, cause, then: Then::Resume }, &parts, "use resume");
             add(Why::CauseGone { state, cause, then: by_itself }, &parts, "resumes by itself in 0.2 s");
             add(Why::HeldByOperator { state, cause: Some(cause) }, &parts, "then use resume");
         }
@@ -137,13 +137,13 @@ fn what_never_came_is_said_so() {
 #[test]
 fn every_refusal_has_words_of_its_own() {
     let mut lines = BTreeSet::new();
-    for word in Word::ALL {
+    for word in OperatorCommand::ALL {
         let age = RefusedFor::Age { age_s: 0.7, age_max_s: 0.5 };
         let not_clear = |cause| RefusedFor::NotClear { cause, clear_s: 0.07, wanted_s: 0.2 };
-        let mut reasons = vec![age, RefusedFor::SaidToOther, not_clear(None)];
+        let mut reasons = vec![age, RefusedFor::OlderThanTarget, not_clear(None)];
         reasons.extend(causes().into_iter().map(|(cause, _)| not_clear(Some(cause))));
         for state in State::ALL {
-            reasons.extend([RefusedFor::State(state), RefusedFor::SaidBefore(state), RefusedFor::Overtaken(state)]);
+            reasons.extend([RefusedFor::State(state), RefusedFor::OlderThanState(state), RefusedFor::Overtaken(state)]);
         }
         reasons.extend(causes().into_iter().map(|(cause, _)| RefusedFor::Cause(cause)));
         for because in reasons {
@@ -152,9 +152,10 @@ fn every_refusal_has_words_of_its_own() {
             assert!(lines.insert(line.clone()), "twice: {line}");
         }
     }
-    let age = Refusal { word: Word::Start, because: RefusedFor::Age { age_s: 0.7, age_max_s: 0.5 } }.to_string();
+    let age =
+        Refusal { word: OperatorCommand::Start, because: RefusedFor::Age { age_s: 0.7, age_max_s: 0.5 } }.to_string();
     let not_clear = RefusedFor::NotClear { cause: Some(causes()[0].0), clear_s: 0.07, wanted_s: 0.2 };
-    let line = Refusal { word: Word::Resume, because: not_clear }.to_string();
+    let line = Refusal { word: OperatorCommand::Resume, because: not_clear }.to_string();
     assert!(line.contains("0.070 s") && line.contains("0.200 s") && line.contains("repeat it"), "{line}");
     assert!(age.contains("0.700 s") && age.contains("0.500 s") && age.contains("repeat it"), "{age}");
 }
@@ -166,7 +167,7 @@ fn an_arm_that_does_not_move_says_why_in_each_step() {
     bench.step();
     assert_eq!(bench.why(), "idle: no target selected; use select");
     bench.lie(|i| i.estimate = None);
-    bench.say(Word::Select);
+    bench.say(OperatorCommand::Select);
     bench.step();
     assert_eq!(
         bench.why(),
@@ -175,7 +176,7 @@ fn an_arm_that_does_not_move_says_why_in_each_step() {
     bench.truth();
     bench.run(0.3);
     assert!(bench.why().ends_with("use start"), "{}", bench.why());
-    bench.say(Word::Start);
+    bench.say(OperatorCommand::Start);
     assert_eq!(bench.why(), "approaching");
     bench.lie(|i| i.frame.as_mut().unwrap().skew_s = 0.0061);
     bench.run(0.3);
@@ -184,12 +185,12 @@ fn an_arm_that_does_not_move_says_why_in_each_step() {
         "holding: the camera exposures are 6.10 ms apart, limit 5.00 ms; check the camera trigger; resumes by itself 0.2 s after the \
          cause is gone"
     );
-    bench.say(Word::Hold);
+    bench.say(OperatorCommand::Hold);
     assert!(bench.why().starts_with("holding: held by the operator; also the camera exposures"), "{}", bench.why());
     bench.truth();
     bench.run(0.3);
     assert_eq!(bench.why(), "holding: held by the operator; use resume");
-    bench.say(Word::Stop);
+    bench.say(OperatorCommand::Stop);
     assert_eq!(bench.why(), "stopped: by the operator; use reset, then select, which enables the arms, then start");
     for _ in 0..200 {
         let decision = bench.step();

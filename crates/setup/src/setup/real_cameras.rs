@@ -158,11 +158,11 @@ struct SideSection {
     device: String,
     input: Option<i64>,
     standard: Option<i64>,
-    exposure_millis: Wish<f64>,
+    exposure_millis: ControlValue<f64>,
     stated_exposure_millis: Option<f64>,
-    gain: Wish<i64>,
-    white_balance_kelvin: Wish<i64>,
-    focus: Wish<i64>,
+    gain: ControlValue<i64>,
+    white_balance_kelvin: ControlValue<i64>,
+    focus: ControlValue<i64>,
     #[serde(default)]
     further_controls: Vec<ControlEntry>,
     readout_millis: f64,
@@ -175,14 +175,14 @@ struct SideSection {
     untagged,
     expecting = "a number (a whole one, but for exposure_millis), \"keep\" (the value stays as it is) or \"auto\" (the camera chooses)"
 )]
-enum Wish<T> {
+enum ControlValue<T> {
     Number(T),
-    Word(Word),
+    ControlKeyword(ControlKeyword),
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-enum Word {
+enum ControlKeyword {
     Keep,
     Auto,
 }
@@ -194,12 +194,12 @@ struct ControlEntry {
     value: i64,
 }
 
-impl<T> Wish<T> {
+impl<T> ControlValue<T> {
     fn setting<U>(self, turned: impl FnOnce(T) -> U) -> Setting<U> {
         match self {
             Self::Number(number) => Setting::Manual(turned(number)),
-            Self::Word(Word::Keep) => Setting::Keep,
-            Self::Word(Word::Auto) => Setting::Auto,
+            Self::ControlKeyword(ControlKeyword::Keep) => Setting::Keep,
+            Self::ControlKeyword(ControlKeyword::Auto) => Setting::Auto,
         }
     }
 }
@@ -297,18 +297,18 @@ impl SideSection {
     /// Every key by itself; what a camera does not take of it is refused when it is opened. The name of its device, if that is one.
     fn check(&self, key: &str, period_millis: f64, check: &mut Checker) -> Option<CameraName> {
         let number = i64::from(i32::MAX);
-        if let Wish::Number(exposure_millis) = self.exposure_millis {
+        if let ControlValue::Number(exposure_millis) = self.exposure_millis {
             check.number(&format!("{key}.exposure_millis"), exposure_millis, 0.1..=period_millis);
         }
         if let Some(stated) = self.stated_exposure_millis {
             check.number(&format!("{key}.stated_exposure_millis"), stated, 0.0..=TIME_MAX_MILLIS);
         }
-        for (name, wish, allowed) in [
+        for (name, request, allowed) in [
             ("gain", self.gain, 0..=100_000),
             ("white_balance_kelvin", self.white_balance_kelvin, 1000..=20_000),
             ("focus", self.focus, 0..=100_000),
         ] {
-            if let Wish::Number(value) = wish {
+            if let ControlValue::Number(value) = request {
                 check.count(&format!("{key}.{name}"), value, allowed);
             }
         }

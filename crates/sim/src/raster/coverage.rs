@@ -6,7 +6,7 @@ use super::shade::{Scratch, shade_run};
 use super::triangle::{Plane, ScreenTriangle};
 use super::view::View;
 use super::visibility::{NOTHING, TRIANGLE_BITS, Visibility, triangle_code, triangle_index};
-use super::{EMPTY, Seen};
+use super::{EMPTY, ShadingInput};
 use crate::wide::kernels;
 
 /// Samples per edge pixel.
@@ -90,7 +90,7 @@ impl EdgePixels {
     }
 
     /// Writes the colours of all edge pixels: the mean of the samples, with each surface shaded at the centre of its samples.
-    pub(crate) fn shade(&self, seen: &Seen<'_>, out: &mut [u16]) {
+    pub(crate) fn shade(&self, seen: &ShadingInput<'_>, out: &mut [u16]) {
         let mut scratch = Scratch::new();
         for row in 0..seen.view.height {
             for index in self.row_starts[row]..self.row_starts[row + 1] {
@@ -128,7 +128,7 @@ fn draw_pixel(triangle: &ScreenTriangle, code: u32, samples: &mut Samples) {
     }
 }
 
-fn mean_colour(samples: &Samples, seen: &Seen<'_>, scratch: &mut Scratch) -> [u16; 3] {
+fn mean_colour(samples: &Samples, seen: &ShadingInput<'_>, scratch: &mut Scratch) -> [u16; 3] {
     let ([x, y], slopes) = (samples.ray, samples.ray_slopes);
     let (mut sum, mut todo) = ([0u32; 3], (1u32 << SAMPLES) - 1);
     while todo != 0 {

@@ -325,7 +325,7 @@ impl Line {
         self.byte_link().is_some() || self.bus_port().is_some()
     }
 
-    /// Whoever is at the other end is gone.
+    /// The other end is gone.
     fn hang_up(&mut self) {
         match self {
             Self::Pty(pty) => *pty = None,

@@ -1,9 +1,9 @@
 //! The gateway of `docs/arm-protocol.md` without I/O and clock: bytes of the host on one side, ARCNET frames on the other.
 //!
-//! Whoever owns the two lines hands in what they bring ([`Gateway::handle_host_bytes`], [`Gateway::handle_bus_frame`]), asks for
+//! The owner of the two lines hands in their bytes ([`Gateway::handle_host_bytes`], [`Gateway::handle_bus_frame`]), asks for
 //! what is to be sent ([`Gateway::poll_host_output`], [`Gateway::poll_bus_frame`]) until there is nothing more, and waits for the
 //! next of either or for [`Gateway::next_deadline`]. The bus side is a machine of its own and not the host's
-//! [`pb3dp_arm_pa10::driver::Driver`]: that one proves a link and carries an operator's wishes, this one follows the table of the document
+//! [`pb3dp_arm_pa10::driver::Driver`]: that one proves a link and carries an operator's requests, this one follows the table of the document
 //! ([`table`]), and both watch each other.
 //!
 //! What it promises:
@@ -130,7 +130,7 @@ impl Gateway {
         self.machine.next_cycle
     }
 
-    /// The stop order, as when a host asks for it: for whoever ends the program. Harmless when repeated.
+    /// The stop order, as when a host asks for it: for a caller that ends the program. Harmless when repeated.
     pub fn stop(&mut self, now: MonotonicTime) {
         self.machine.stop(now);
     }

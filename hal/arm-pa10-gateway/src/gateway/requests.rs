@@ -12,7 +12,7 @@ use pb3dp_geometry::MonotonicTime;
 use super::host::{Asker, Refused, is_in_both_dialects, refusal_of};
 use super::machine::{Job, Machine, ResetStep, StopStep, Task, Work, wrong_state};
 use super::motion::{self, Kind};
-use super::table::{Ask, Deed, deed};
+use super::table::{GatewayAction, HostRequest, action};
 
 impl Machine {
     /// A sound frame of another arm.
@@ -54,13 +54,13 @@ impl Machine {
         }
     }
 
-    /// The stop order, for whoever asks for it.
+    /// The stop order, for any caller.
     pub fn stop(&mut self, now: MonotonicTime) {
         let state = self.state;
         let starting = matches!(self.work, Work::Job(Job { task: Task::Start, .. }));
         let resetting = matches!(self.work, Work::Job(Job { task: Task::Reset(_), .. }));
-        match deed(state, Ask::Stop) {
-            Deed::BeginStop => {
+        match action(state, HostRequest::Stop) {
+            GatewayAction::BeginStop => {
                 self.state = GatewayState::Stopping;
                 self.cancel(now, wrong_state(self.state));
                 self.begin_stop(now, state);
@@ -85,9 +85,9 @@ impl Machine {
 
     /// The stop order for a host that has found a fault: nothing but a reset leads on.
     fn abort(&mut self, now: MonotonicTime) {
-        match deed(self.state, Ask::Abort) {
-            Deed::Latch => self.trip(now, StopCause::HostFault, None, 0),
-            // It is latched and keeps its cause; what is under way to let go of it ends.
+        match action(self.state, HostRequest::Abort) {
+            GatewayAction::Latch => self.trip(now, StopCause::HostFault, None, 0),
+            // It is latched and keeps its cause; a release that is under way ends.
             _ => self.stop(now),
         }
     }
@@ -163,14 +163,14 @@ impl Machine {
 
     /// The state to which a command leads; none if it is only shown the state.
     fn judge_command(&self, now: MonotonicTime, asked: &ArmCommand) -> Result<Option<GatewayState>, Refused> {
-        let ask = match motion::kind(asked) {
-            Kind::BrakesOn => Ask::BrakesOn,
-            Kind::Rest => Ask::Rest,
-            Kind::Motion => Ask::Motion,
+        let request = match motion::kind(asked) {
+            Kind::BrakesOn => HostRequest::BrakesOn,
+            Kind::Rest => HostRequest::Rest,
+            Kind::Motion => HostRequest::Motion,
         };
-        match deed(self.state, ask) {
-            Deed::Show => Ok(None),
-            Deed::Follow(next) => {
+        match action(self.state, request) {
+            GatewayAction::Show => Ok(None),
+            GatewayAction::Follow(next) => {
                 let possible = !self.is_busy()
                     && !self.motion.brakes_motion(asked)
                     && self.motion.may_move(now, asked)
@@ -201,37 +201,37 @@ impl Machine {
                 self.answer_control(now, asker, control);
                 Ok(())
             }
-            Control::Arm(ArmOperation::Start) => self.ask(now, Ask::Start, Task::Start, asker, control),
-            Control::Arm(ArmOperation::End) => self.ask(now, Ask::End, Task::End, asker, control),
+            Control::Arm(ArmOperation::Start) => self.request(now, HostRequest::Start, Task::Start, asker, control),
+            Control::Arm(ArmOperation::End) => self.request(now, HostRequest::End, Task::End, asker, control),
             Control::Arm(ArmOperation::Reset) => {
-                self.ask(now, Ask::Reset, Task::Reset(ResetStep::Start), asker, control)
+                self.request(now, HostRequest::Reset, Task::Reset(ResetStep::Start), asker, control)
             }
-            Control::ClearAlarm(axis) => self.ask(now, Ask::Service, Task::Clear(axis), asker, control),
-            Control::ReadEeprom(axis) => self.ask(now, Ask::Service, Task::Read(axis), asker, control),
+            Control::ClearAlarm(axis) => self.request(now, HostRequest::Service, Task::Clear(axis), asker, control),
+            Control::ReadEeprom(axis) => self.request(now, HostRequest::Service, Task::Read(axis), asker, control),
         }
     }
 
     /// Asks for something that takes a message to the controller, unless it is done already.
-    fn ask(
+    fn request(
         &mut self,
         now: MonotonicTime,
-        ask: Ask,
+        request: HostRequest,
         task: Task,
         asker: &Asker,
         control: Control,
     ) -> Result<(), Refused> {
-        match deed(self.state, ask) {
+        match action(self.state, request) {
             _ if self.is_busy() => Err(wrong_state(self.state)),
-            Deed::Nothing if asker.is_raw => {
-                let letter = if ask == Ask::Start { Letter::Start } else { Letter::End };
+            GatewayAction::Nothing if asker.is_raw => {
+                let letter = if request == HostRequest::Start { Letter::Start } else { Letter::End };
                 self.answer_raw(now, asker, letter, &[]);
                 Ok(())
             }
-            Deed::Nothing => {
+            GatewayAction::Nothing => {
                 self.answer_control(now, asker, control);
                 Ok(())
             }
-            Deed::Speak => self.begin(now, Job { asker: *asker, task }),
+            GatewayAction::Speak => self.begin(now, Job { asker: *asker, task }),
             _ => Err(wrong_state(self.state)),
         }
     }
@@ -259,13 +259,15 @@ impl Machine {
         let message = ControlMessage::decode_data(self.config.format, letter, &raw.data).map_err(refusal_of_data)?;
         let arm = |operation| Control::Arm(operation);
         match message {
-            ControlMessage::Start => self.ask(now, Ask::Start, Task::Start, asker, arm(ArmOperation::Start)),
-            ControlMessage::End => self.ask(now, Ask::End, Task::End, asker, arm(ArmOperation::End)),
+            ControlMessage::Start => {
+                self.request(now, HostRequest::Start, Task::Start, asker, arm(ArmOperation::Start))
+            }
+            ControlMessage::End => self.request(now, HostRequest::End, Task::End, asker, arm(ArmOperation::End)),
             ControlMessage::ClearAlarm(axis) => {
-                self.ask(now, Ask::Service, Task::Clear(axis), asker, Control::ClearAlarm(axis))
+                self.request(now, HostRequest::Service, Task::Clear(axis), asker, Control::ClearAlarm(axis))
             }
             ControlMessage::ReadEeprom(axis) => {
-                self.ask(now, Ask::Service, Task::Read(axis), asker, Control::ReadEeprom(axis))
+                self.request(now, HostRequest::Service, Task::Read(axis), asker, Control::ReadEeprom(axis))
             }
             ControlMessage::Cyclic(command) => {
                 let next = self.judge_command(now, &command)?.ok_or(wrong_state(self.state))?;

@@ -4,7 +4,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::GatewayState;
 
 /// What a host can ask for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ask {
+pub enum HostRequest {
     /// A command with all brakes on.
     BrakesOn,
     /// A command with open brakes and speeds 0.
@@ -27,7 +27,7 @@ pub enum Ask {
 
 /// What the gateway does about it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Deed {
+pub enum GatewayAction {
     /// Follows the command from now on, in this state.
     Follow(GatewayState),
     /// Does nothing of the command, and shows where it is.
@@ -44,7 +44,7 @@ pub enum Deed {
     Refuse,
 }
 
-impl Ask {
+impl HostRequest {
     /// All of them, in the order of the table.
     pub const ALL: [Self; 9] = [
         Self::BrakesOn,
@@ -61,12 +61,12 @@ impl Ask {
 
 /// What the gateway does in a state, besides the conditions that the text adds: times of brakes, measurements, work under way.
 #[rustfmt::skip]
-pub fn deed(state: GatewayState, ask: Ask) -> Deed {
-    use Deed::{BeginStop as Stop, Latch, Nothing as Done, Refuse as N, Show, Speak};
-    const START: Deed = Deed::Follow(GatewayState::Started);
-    const HOLD: Deed = Deed::Follow(GatewayState::Holding);
-    const MOVE: Deed = Deed::Follow(GatewayState::Moving);
-    const TABLE: [[Deed; 9]; 7] = [
+pub fn action(state: GatewayState, request: HostRequest) -> GatewayAction {
+    use GatewayAction::{BeginStop as Stop, Latch, Nothing as Done, Refuse as N, Show, Speak};
+    const START: GatewayAction = GatewayAction::Follow(GatewayState::Started);
+    const HOLD: GatewayAction = GatewayAction::Follow(GatewayState::Holding);
+    const MOVE: GatewayAction = GatewayAction::Follow(GatewayState::Moving);
+    const TABLE: [[GatewayAction; 9]; 7] = [
         // BrakesOn Rest  Motion Start  End    Service Stop  Reset  Abort
         [N,         N,    N,     Speak, Done,  Speak,  Done, Done,  Latch], // idle
         [START,     HOLD, N,     Done,  Speak, N,      Stop, N,     Latch], // started
@@ -76,5 +76,5 @@ pub fn deed(state: GatewayState, ask: Ask) -> Deed {
         [Show,      Show, Show,  N,     N,     Speak,  Done, Speak, Done],  // fault
         [Show,      Show, Show,  N,     N,     Speak,  Done, Speak, Done],  // emergency-stop
     ];
-    TABLE[usize::from(state.code())][ask as usize]
+    TABLE[usize::from(state.code())][request as usize]
 }

@@ -224,7 +224,7 @@ mod tests {
         let (cycle, door) = Lines::pairs();
         let (seen, back) = sync_channel(0);
         let for_cycle = Arc::clone(&shared);
-        let taker = std::thread::spawn(move || {
+        let consumer = std::thread::spawn(move || {
             loop {
                 match cycle.hosts.try_recv() {
                     Ok(link) => {
@@ -246,6 +246,6 @@ mod tests {
             assert!(!shared.has_host.load(Ordering::SeqCst), "round {round}");
         }
         drop((door, back));
-        taker.join().unwrap();
+        consumer.join().unwrap();
     }
 }

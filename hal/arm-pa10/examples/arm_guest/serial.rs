@@ -46,10 +46,10 @@ pub fn check(report: &mut Report) {
     report.check("USB: bytes are handed on at once, also for a user without rights", latency);
     report.check("USB: every rate is read back, and bytes go both ways", rates);
     report.check("USB: a rate that the chip does not have is refused with both values", too_quick);
-    report.check("USB: a second program is refused, whoever it is", || exclusive(&adapter(HOST)?));
+    report.check("USB: a second program is refused, for any user", || exclusive(&adapter(HOST)?));
     report.check("USB: an adapter that does not tell its timer is warned of", modem::check);
     report.check("16550: a port that lies about its rate is refused with both values", liar);
-    report.check("16550: a second program is refused, whoever it is", || exclusive(LIAR));
+    report.check("16550: a second program is refused, for any user", || exclusive(LIAR));
 }
 
 /// The path of the adapter with this number of its own.

@@ -11,7 +11,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::transport::{ConnectError, Unplugged, wait_for};
 
 use super::port::{Greeted, HostPort};
-use super::trace::{Tracer, Way};
+use super::trace::{Direction, Tracer};
 use crate::bus::{self, BusDown, BusPort, FRAME_ROOM};
 use crate::driver::{Activity, Driver, Transmit};
 use crate::link::BusLink;
@@ -103,7 +103,7 @@ impl HostPort for ControllerPort {
             match bus.try_receive(&mut buffer) {
                 Ok(None) => break,
                 Ok(Some(length)) => {
-                    self.tracer.record(now, Way::In, &buffer[..length]);
+                    self.tracer.record(now, Direction::In, &buffer[..length]);
                     // Why a frame is none the driver has counted.
                     let _ = self.link.handle_frame(now, &buffer[..length], driver);
                 }
@@ -123,7 +123,7 @@ impl HostPort for ControllerPort {
         let (Some(frame), Some(bus)) = (self.pending.take(), &mut self.bus) else { return Ok(()) };
         match bus.try_send(&frame) {
             Ok(sent) => {
-                self.tracer.record(now, Way::Out, &frame);
+                self.tracer.record(now, Direction::Out, &frame);
                 self.frames_unsent += u64::from(!sent);
                 Ok(())
             }

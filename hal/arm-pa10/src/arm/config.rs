@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::wish::WishError;
+use super::request::WishError;
 use crate::driver::{DriverConfig, DriverConfigError};
 use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;

@@ -10,7 +10,7 @@ use pb3dp_hal_platform::transport::{ByteLink, ConnectError, Connector, Unplugged
 
 use super::closer::Closer;
 use super::port::{Greeted, HostPort};
-use super::trace::{Tracer, Way};
+use super::trace::{Direction, Tracer};
 use crate::driver::{Activity, Driver, Sample, Transmit};
 use crate::link::{GatewayLink, HEARTBEAT_INTERVAL, HELLO_TIMEOUT};
 
@@ -164,7 +164,7 @@ impl HostPort for GatewayPort {
                 Ok(0) => break,
                 Ok(count) => {
                     self.last_received = now;
-                    self.tracer.record(now, Way::In, &buffer[..count]);
+                    self.tracer.record(now, Direction::In, &buffer[..count]);
                     self.link.handle_bytes(now, &buffer[..count], driver);
                 }
                 Err(gone) => return self.lose(gone),
@@ -198,7 +198,7 @@ impl HostPort for GatewayPort {
             match bytes.try_write(&self.pending[self.written..]) {
                 Ok(0) => return Ok(()),
                 Ok(count) => {
-                    self.tracer.record(now, Way::Out, &self.pending[self.written..self.written + count]);
+                    self.tracer.record(now, Direction::Out, &self.pending[self.written..self.written + count]);
                     self.written += count;
                 }
                 Err(gone) => return self.lose(gone),

@@ -9,11 +9,11 @@ mod closer;
 mod config;
 mod gateway_port;
 mod port;
+mod request;
 mod shared;
 mod trace;
 mod trip_line;
 mod virtual_time;
-mod wish;
 mod worker;
 
 use std::io::Write as _;
@@ -35,23 +35,23 @@ use self::bus_port::ControllerPort;
 use self::closer::Closer;
 use self::gateway_port::GatewayPort;
 use self::port::HostPort;
-use self::shared::{Shared, Wish};
+use self::shared::{PowerRequest, Shared};
 use self::trace::Tracer;
 use self::worker::{LET_GO_MAX, Progress, WishEnd, Worker};
 use crate::driver::{Activity, Driver, DriverConfig, Trip};
 
 pub use config::{ArmOpenError, BusArmConfig, Pa10ArmConfig, REALTIME};
+pub use request::WishError;
 pub use shared::{ArmMonitor, ArmSnapshot};
-pub use trace::{RawBytes, Way};
+pub use trace::{Direction, RawBytes};
 pub use trip_line::{TripHandle, TripSeat, trip_line, virtual_trip_line};
 pub use virtual_time::{VirtualFarEnd, VirtualTime};
-pub use wish::WishError;
 
 /// A measurement that came so long ago, in cycles, or less, is the newest one that there can be: a little later than expected the
 /// next one is still no reason to wait.
 const FRESH_CYCLES: f64 = 1.5;
 
-/// Activities in a row that a wish may take at most.
+/// Activities in a row that a request may take at most.
 const ACTIVITIES_MAX: u32 = 3;
 
 /// Who lets go of an arm that nobody hears waits for so long for a terminal.
@@ -69,7 +69,7 @@ const OPEN_MAX: Duration = Duration::from_secs(2);
 /// measurement, for at most one cycle: two in a row are a `Timeout` at most, as they are counted and borne. In a state in which
 /// nothing is measured `Hold` returns the last measurement with the time at which it was made.
 ///
-/// Switching on takes seconds. Whoever has another arm with open brakes begins it ([`ArmPower::begin_enable`]) and goes on exchanging
+/// Switching on takes seconds. A caller that has another arm with open brakes begins it ([`ArmPower::begin_enable`]) and goes on exchanging
 /// with both in each cycle: the thread looks after the line, and whether a joint goes where it should is for those to see who exchange.
 ///
 /// Who enables an arm goes on exchanging with it: a velocity fades after 20 ms and stops the arm after 50 ms, and one that only holds
@@ -87,7 +87,7 @@ pub struct Pa10Arm {
     ends: Receiver<WishEnd>,
     work: Work,
     warnings: Vec<String>,
-    /// The wish to be switched on that is being fulfilled: its number, and when its end has to be known.
+    /// The request to be switched on that is being fulfilled: its number, and when its end has to be known.
     enabling: Option<(u64, MonotonicTime)>,
 }
 
@@ -95,7 +95,7 @@ pub struct Pa10Arm {
 enum Work {
     /// A thread of its own, until it has ended.
     Thread(Option<JoinHandle<()>>),
-    /// Whoever waits in virtual time.
+    /// The callers that wait in virtual time.
     Virtual(Arc<VirtualTime>),
 }
 
@@ -221,7 +221,7 @@ impl Pa10Arm {
         let info = ArmInfo { name: format!("{name} (pa10 at {target})"), cycle: exchange_cycle };
         let name = Arc::from(info.name.as_str());
         let mut opened = Self { driver: config, info, name, clock, shared, trip, ends, work, warnings, enabling: None };
-        opened.fulfil(Wish::Connect).map_err(|source| ArmOpenError::Connect { arm: of_arm(), source })?;
+        opened.fulfil(PowerRequest::Connect).map_err(|source| ArmOpenError::Connect { arm: of_arm(), source })?;
         Ok(opened)
     }
 
@@ -235,7 +235,7 @@ impl Pa10Arm {
     /// # Errors
     /// If it is not only connected, or what is seen stops it.
     pub fn look(&mut self) -> Result<(), ArmError> {
-        self.fulfil(Wish::Look).map_err(|error| self.wish_error("looking at it", error))
+        self.fulfil(PowerRequest::Look).map_err(|error| self.wish_error("looking at it", error))
     }
 
     /// Looks on.
@@ -248,19 +248,19 @@ impl Pa10Arm {
         self.trip.clone()
     }
 
-    /// Has the thread begin with a wish, which takes the place of any other one: its number, and when its end has to be known.
-    fn begin(&mut self, wish: Wish) -> (u64, MonotonicTime) {
+    /// Has the thread begin with a request, which takes the place of any other one: its number, and when its end has to be known.
+    fn begin(&mut self, request: PowerRequest) -> (u64, MonotonicTime) {
         self.enabling = None;
-        let number = self.shared.put_wish(wish);
+        let number = self.shared.put_wish(request);
         self.trip.wake();
-        // The thread ends each wish in bounded time; this is for a thread that does not run.
+        // The thread ends each request in bounded time; this is for a thread that does not run.
         let patience = OPEN_MAX + self.driver.activity_timeout * ACTIVITIES_MAX;
         (number, self.clock.now() + patience)
     }
 
-    /// Has a wish fulfilled, and waits for its end.
-    fn fulfil(&mut self, wish: Wish) -> Result<(), WishError> {
-        let (number, deadline) = self.begin(wish);
+    /// Has a request fulfilled, and waits for its end.
+    fn fulfil(&mut self, request: PowerRequest) -> Result<(), WishError> {
+        let (number, deadline) = self.begin(request);
         loop {
             match self.next_end(deadline) {
                 Some((ended, end)) if ended == number => return end,
@@ -270,7 +270,7 @@ impl Pa10Arm {
         }
     }
 
-    /// Waits for the end of a wish.
+    /// Waits for the end of a request.
     fn next_end(&self, deadline: MonotonicTime) -> Option<WishEnd> {
         match &self.work {
             Work::Thread(_) => self.ends.recv_timeout(deadline.saturating_since(self.clock.now())).ok(),
@@ -285,7 +285,7 @@ impl Pa10Arm {
         }
     }
 
-    /// How the wish of this number has ended, if it has.
+    /// How the request of this number has ended, if it has.
     fn ended(&self, number: u64, deadline: MonotonicTime) -> Option<Result<(), WishError>> {
         let ended = self.ends.try_iter().find(|(ended, _)| *ended == number);
         let is_late = self.clock.now() > deadline;
@@ -304,7 +304,7 @@ impl Pa10Arm {
         }
     }
 
-    /// The error of a wish that was not fulfilled.
+    /// The error of a request that was not fulfilled.
     fn wish_error(&self, what: &str, error: WishError) -> ArmError {
         let kind = match &error {
             WishError::Refused(_) | WishError::WarmUp(_) | WishError::StillStopping(_) => ArmErrorKind::Rejected,
@@ -440,11 +440,11 @@ impl ArmPower for Pa10Arm {
     }
 
     fn enable(&mut self) -> Result<(), ArmError> {
-        self.fulfil(Wish::Enable).map_err(|error| self.wish_error(NOT_ENABLED, error))
+        self.fulfil(PowerRequest::Enable).map_err(|error| self.wish_error(NOT_ENABLED, error))
     }
 
     fn begin_enable(&mut self) -> Result<(), ArmError> {
-        self.enabling = Some(self.begin(Wish::Enable));
+        self.enabling = Some(self.begin(PowerRequest::Enable));
         Ok(())
     }
 
@@ -456,19 +456,19 @@ impl ArmPower for Pa10Arm {
     }
 
     fn begin_stop(&mut self) -> Result<(), ArmError> {
-        self.begin(Wish::Stop);
+        self.begin(PowerRequest::Stop);
         Ok(())
     }
 
     fn stop(&mut self) -> Result<(), ArmError> {
-        self.fulfil(Wish::Stop).map_err(|error| self.wish_error("stopping", error))
+        self.fulfil(PowerRequest::Stop).map_err(|error| self.wish_error("stopping", error))
     }
 
     fn reset(&mut self) -> Result<(), ArmError> {
         if !matches!(self.state(), ArmState::Fault | ArmState::EStop) {
             return Ok(());
         }
-        self.fulfil(Wish::Reset).map_err(|error| self.wish_error("it is not reset", error))
+        self.fulfil(PowerRequest::Reset).map_err(|error| self.wish_error("it is not reset", error))
     }
 }
 
@@ -500,7 +500,7 @@ impl Drop for Pa10Arm {
 }
 
 /// Nobody is left who tells this arm to stop: the operator has to. Told where it can be read, but a terminal that takes nothing more
-/// does not hold up the other arms, which are let go of after this one.
+/// does not hold up the other arms, which are released after this one.
 fn last_words(name: &str) {
     let words = format!(
         "\nEMERGENCY STOP: press it at arm {name}. The program lets go of it, its controller has not answered the stop order, and it \

@@ -69,7 +69,7 @@ pub(super) struct Command {
 
 /// What an operator wants; each takes a while.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Wish {
+pub(super) enum PowerRequest {
     Connect = 1,
     Enable = 2,
     Stop = 3,
@@ -77,7 +77,7 @@ pub(super) enum Wish {
     Look = 5,
 }
 
-impl Wish {
+impl PowerRequest {
     const ALL: [Self; 5] = [Self::Connect, Self::Enable, Self::Stop, Self::Reset, Self::Look];
 }
 
@@ -86,8 +86,8 @@ pub(super) struct Shared {
     command: Mutex<Command>,
     snapshot: Mutex<ArmSnapshot>,
     changed: Condvar,
-    /// Number of the wish times 8, plus the wish.
-    wish: AtomicU64,
+    /// Number of the request times 8, plus the request.
+    request: AtomicU64,
     let_go: AtomicBool,
     pub jitter: JitterMeter,
     pub round_trips: JitterMeter,
@@ -121,7 +121,7 @@ impl Shared {
             command: Mutex::new(command),
             snapshot: Mutex::new(snapshot),
             changed: Condvar::new(),
-            wish: AtomicU64::new(0),
+            request: AtomicU64::new(0),
             let_go: AtomicBool::new(false),
             jitter: JitterMeter::default(),
             round_trips: JitterMeter::default(),
@@ -178,18 +178,18 @@ impl Shared {
         self.snapshot.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The owner's side: the number of the wish, by which its end will be told.
-    pub fn put_wish(&self, wish: Wish) -> u64 {
-        let number = self.wish.load(Ordering::Relaxed) / 8 + 1;
-        self.wish.store(number * 8 + wish as u64, Ordering::Release);
+    /// The owner's side: the number of the request, by which its end will be told.
+    pub fn put_wish(&self, request: PowerRequest) -> u64 {
+        let number = self.request.load(Ordering::Relaxed) / 8 + 1;
+        self.request.store(number * 8 + request as u64, Ordering::Release);
         number
     }
 
-    /// The thread's side: the newest wish and its number.
-    pub fn wish(&self) -> Option<(u64, Wish)> {
-        let word = self.wish.load(Ordering::Acquire);
-        let wish = Wish::ALL.into_iter().find(|wish| *wish as u64 == word % 8)?;
-        Some((word / 8, wish))
+    /// The thread's side: the newest request and its number.
+    pub fn request(&self) -> Option<(u64, PowerRequest)> {
+        let word = self.request.load(Ordering::Acquire);
+        let request = PowerRequest::ALL.into_iter().find(|request| *request as u64 == word % 8)?;
+        Some((word / 8, request))
     }
 
     pub fn let_go(&self) {
@@ -201,7 +201,7 @@ impl Shared {
     }
 }
 
-/// Shows an arm to whoever wants to look at it: panels, logs, tests. It disturbs nothing.
+/// Shows an arm to observers: panels, logs, tests. It disturbs nothing.
 #[derive(Clone, Debug)]
 pub struct ArmMonitor {
     pub(super) shared: std::sync::Arc<Shared>,

@@ -21,13 +21,13 @@ pub struct RawBytes {
     /// When they were handed over, or read.
     pub at: MonotonicTime,
     /// Which way they went.
-    pub way: Way,
+    pub way: Direction,
     bytes: ByteBuffer<PIECE>,
 }
 
 /// Which way bytes went.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Way {
+pub enum Direction {
     /// To gateway or controller.
     Out,
     /// From there.
@@ -73,7 +73,7 @@ impl Tracer {
         Self { trace, waiting: VecDeque::with_capacity(WAITING_MAX) }
     }
 
-    pub fn record(&mut self, at: MonotonicTime, way: Way, bytes: &[u8]) {
+    pub fn record(&mut self, at: MonotonicTime, way: Direction, bytes: &[u8]) {
         for piece in bytes.chunks(PIECE) {
             if let (true, Some(bytes)) = (self.waiting.len() < WAITING_MAX, ByteBuffer::from_slice(piece)) {
                 self.waiting.push_back(RawBytes { at, way, bytes });
@@ -102,14 +102,14 @@ mod tests {
         let trace = Trace::new();
         let mut tracer = Tracer::new(trace.clone());
         for count in 0..ENTRIES + 10 {
-            tracer.record(at(count), if count % 2 == 0 { Way::Out } else { Way::In }, &[count as u8, 7]);
+            tracer.record(at(count), if count % 2 == 0 { Direction::Out } else { Direction::In }, &[count as u8, 7]);
         }
         let entries = trace.entries();
         assert_eq!(entries.len(), ENTRIES);
-        assert_eq!((entries[0].at, entries[0].way, entries[0].bytes()), (at(10), Way::Out, &[10, 7][..]));
+        assert_eq!((entries[0].at, entries[0].way, entries[0].bytes()), (at(10), Direction::Out, &[10, 7][..]));
         assert!(entries.is_sorted_by_key(|entry| entry.at));
         let long: Vec<u8> = (0..=255).collect();
-        tracer.record(at(9999), Way::In, &long);
+        tracer.record(at(9999), Direction::In, &long);
         let last: Vec<u8> = trace.entries()[ENTRIES - 2..].iter().flat_map(|entry| entry.bytes().to_vec()).collect();
         assert_eq!(last, long);
     }
@@ -120,14 +120,14 @@ mod tests {
         let mut tracer = Tracer::new(trace.clone());
         let reading = trace.ring.lock().unwrap();
         for count in 0..WAITING_MAX + 5 {
-            tracer.record(at(count), Way::Out, &[1]);
+            tracer.record(at(count), Direction::Out, &[1]);
         }
         drop(reading);
         assert_eq!(trace.entries(), []);
-        tracer.record(at(9999), Way::In, &[2]);
+        tracer.record(at(9999), Direction::In, &[2]);
         // The reader was there for longer than entries could wait.
         assert_eq!(trace.entries().len(), WAITING_MAX);
-        tracer.record(at(10_000), Way::In, &[3]);
+        tracer.record(at(10_000), Direction::In, &[3]);
         assert_eq!(trace.entries().last().unwrap().bytes(), [3]);
     }
 }

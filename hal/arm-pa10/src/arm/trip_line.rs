@@ -17,7 +17,7 @@ const SUPERVISOR: u32 = 1;
 /// Plus the number of the arm that has tripped.
 const ARM: u32 = 0x100;
 
-/// The line along which the arms of a cell stop each other: whoever stops by a fault or an emergency stop stops all others.
+/// The line along which the arms of a cell stop each other: an arm that stops by a fault or an emergency stop stops all others.
 ///
 /// Tripping is two calls that never wait; the thread of each arm that is tripped wakes up at once.
 #[derive(Debug)]

@@ -1,7 +1,7 @@
 //! Arms in virtual time: what their threads, lines, gateways and servo controllers do happens when somebody sleeps, in the order of its
 //! times and in one thread.
 //!
-//! [`VirtualTime`] stands in the place of the clock. Whoever waits until a time lets everything happen that is due before it; the work
+//! [`VirtualTime`] stands in the place of the clock. A wait until a time lets everything happen that is due before it; the work
 //! of an arm's thread is that of the real one, turn for turn. The same commands at the same times give the same bytes.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

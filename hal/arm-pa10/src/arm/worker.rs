@@ -11,9 +11,9 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Clock, JointCommand};
 
 use super::port::HostPort;
+use super::request::{Means, Running, WishError};
 use super::shared::{ArmSnapshot, Shared};
 use super::trip_line::TripSeat;
-use super::wish::{Means, Running, WishError};
 use crate::driver::{Activity, Driver, FaultCause, Request, Trip};
 
 /// The thread looks around at least this often.
@@ -28,7 +28,7 @@ const OPEN_AGAIN: Duration = Duration::from_millis(200);
 /// When the program lets go of an arm, the thread stops it within this time and that of the brakes, or ends without.
 pub(super) const LET_GO_MAX: Duration = Duration::from_millis(1300);
 
-/// How a wish ended: its number, and why it was not fulfilled.
+/// How a request ended: its number, and why it was not fulfilled.
 pub(super) type WishEnd = (u64, Result<(), WishError>);
 
 pub(super) struct Worker {
@@ -47,9 +47,9 @@ pub(super) struct Worker {
 #[derive(Default)]
 pub(super) struct Progress {
     command: u64,
-    wish: u64,
+    request: u64,
     running: Option<Running>,
-    /// How the last wish ended, until the owner is told.
+    /// How the last request ended, until the owner is told.
     ended: Option<WishEnd>,
     /// The others were told that this arm has stopped.
     others_told: bool,
@@ -112,10 +112,10 @@ impl Worker {
     }
 
     fn take_wish(&mut self) {
-        let Some((number, wish)) = self.shared.wish() else { return };
-        if number != self.progress.wish {
-            self.progress.wish = number;
-            self.progress.running = Some(Running::new(number, wish));
+        let Some((number, request)) = self.shared.request() else { return };
+        if number != self.progress.request {
+            self.progress.request = number;
+            self.progress.running = Some(Running::new(number, request));
         }
     }
 
@@ -225,7 +225,7 @@ impl Worker {
     fn publish(&mut self) {
         let published = self.shared.publish(&self.snapshot());
         self.progress.come_back |= !published;
-        // Only now, so that the owner finds the state that the wish has led to.
+        // Only now, so that the owner finds the state that the request has led to.
         if published && let Some(ended) = self.progress.ended.take() {
             // An owner that does not wait any more does not want to know.
             let _ = self.ends.send(ended);

@@ -227,8 +227,8 @@ pub enum FaultCause {
     /// A supervisor of the program stopped the arm.
     #[error("the program's supervisor stopped the arm; see what it says, then reset")]
     Supervisor,
-    /// The program ended or let go of the arm while its brakes were open.
-    #[error("the program let go of the arm while its brakes were open; stop the arm before")]
+    /// The program ended or released the arm while its brakes were open.
+    #[error("the program released the arm while its brakes were open; stop the arm first")]
     LetGo,
     /// The thread that watches the arm failed.
     #[error("the thread that watches the arm failed: a mistake of the program; report it, and start the program again")]

@@ -8,7 +8,7 @@ use pb3dp_arm_pa10_protocol::codec::{ArmCommand, AxisCommand, ControlMessage, Su
 use pb3dp_geometry::MonotonicTime;
 
 use super::machine::Driver;
-use super::phase::{Heard, LookStep, Phase, StopStep};
+use super::phase::{FirstAnswer, LookStep, Phase, StopStep};
 use super::table::Activity;
 use super::{FaultCause, Sample, Trip};
 
@@ -44,7 +44,7 @@ impl Driver {
         let step = match activity {
             _ if self.doubt => {
                 self.found_rad = None;
-                LookStep::Close { until: None, heard: Heard::Nothing }
+                LookStep::Close { until: None, heard: FirstAnswer::Nothing }
             }
             Activity::Clearing => LookStep::Clear(0),
             _ => self.first_look(),
@@ -73,16 +73,16 @@ impl Driver {
     }
 
     /// E was answered before anything else was asked.
-    pub(super) fn after_first_end(&mut self, now: MonotonicTime, heard: Heard, activity: Activity) -> LookStep {
-        if heard == Heard::Nothing {
+    pub(super) fn after_first_end(&mut self, now: MonotonicTime, heard: FirstAnswer, activity: Activity) -> LookStep {
+        if heard == FirstAnswer::Nothing {
             // The first that was heard: the brakes close since now, and all else has its time from now on.
             self.phase_since = now;
-            return LookStep::Close { until: Some(now + self.config.brake_time), heard: Heard::End };
+            return LookStep::Close { until: Some(now + self.config.brake_time), heard: FirstAnswer::End };
         }
         self.doubt = false;
         match activity {
             Activity::Clearing => LookStep::Clear(0),
-            _ if heard == Heard::Cyclic => LookStep::Check { left: CHECKS },
+            _ if heard == FirstAnswer::Cyclic => LookStep::Check { left: CHECKS },
             _ => self.first_look(),
         }
     }
@@ -100,8 +100,8 @@ impl Driver {
                 self.phase_since = now;
                 false
             }
-            Phase::Looking { step: LookStep::Close { until: Some(_), heard: Heard::Nothing }, activity } => {
-                let step = LookStep::Close { until: Some(closed), heard: Heard::Cyclic };
+            Phase::Looking { step: LookStep::Close { until: Some(_), heard: FirstAnswer::Nothing }, activity } => {
+                let step = LookStep::Close { until: Some(closed), heard: FirstAnswer::Cyclic };
                 self.phase = Phase::Looking { step, activity };
                 self.judge_found(now, sample, activity);
                 true

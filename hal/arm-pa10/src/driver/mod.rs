@@ -1,6 +1,6 @@
 //! The host's side of one arm as a state machine that is told the time and does no I/O.
 //!
-//! Whoever owns the link asks [`Driver::poll_transmit`] for the message that is due, hands replies to [`Driver::handle_reply`],
+//! The owner of the link asks [`Driver::poll_transmit`] for the message that is due, hands replies to [`Driver::handle_reply`],
 //! tells damage and time, and passes on what the operator and the control loop want ([`Request`]). The link may be a gateway or
 //! the bus itself: messages are those of the codec, and each adapter puts them into its own frames and checks that a reply
 //! answers the message before it.

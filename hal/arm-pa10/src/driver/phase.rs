@@ -21,7 +21,7 @@ pub(super) enum Phase {
 
 /// What a controller answered first, when it was told to close its brakes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Heard {
+pub(super) enum FirstAnswer {
     /// Nothing yet.
     Nothing,
     /// E: it may have no use for C.
@@ -34,9 +34,9 @@ pub(super) enum Heard {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LookStep {
     /// On a bus, brakes on with servos on, until this time: nobody knows who drove the arm before.
-    Close { until: Option<MonotonicTime>, heard: Heard },
+    Close { until: Option<MonotonicTime>, heard: FirstAnswer },
     /// E, tried so often, before anything else is asked.
-    FirstEnd { tries: u32, heard: Heard },
+    FirstEnd { tries: u32, heard: FirstAnswer },
     /// C once more: does this controller answer C out of its control mode, too?
     Check { left: u32 },
     /// Clear the alarm of this axis, 0 to 6 (clearing only).

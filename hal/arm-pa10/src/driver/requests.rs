@@ -22,7 +22,7 @@ pub enum Request {
     Stop,
     /// Clear the latched state: only an operator's action asks for it.
     Reset,
-    /// Let go of the arm.
+    /// Release the arm.
     Disconnect,
 }
 

@@ -53,7 +53,7 @@ pub enum Event {
     Stop,
     /// Asked for by an operator: clear the latched state.
     Reset,
-    /// Asked for: let go of the arm.
+    /// Requested: release the arm.
     Disconnect,
     /// Done: connecting.
     Seen,

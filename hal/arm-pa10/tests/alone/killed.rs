@@ -206,7 +206,7 @@ pub fn panicked() {
     );
 }
 
-/// Whoever comes right after the one that was killed waits until the gateway has stopped the arm.
+/// A host that connects right after the killed one waits until the gateway has stopped the arm.
 pub fn killed_and_reset_at_once() {
     let mut scene = Scene::new();
     scene.signal(Signal::KILL);

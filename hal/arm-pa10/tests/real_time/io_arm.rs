@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use pb3dp_arm_pa10::arm::{ArmOpenError, Pa10Arm, Way, WishError, trip_line};
+use pb3dp_arm_pa10::arm::{ArmOpenError, Direction, Pa10Arm, WishError, trip_line};
 use pb3dp_arm_pa10::driver::{DriverState, FaultCause, Trip};
 use pb3dp_arm_pa10_protocol::codec::ServoWord;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
@@ -105,7 +105,7 @@ fn check_raw_bytes(rig: &Rig) {
     let stream =
         |way| kept.iter().filter(|raw| raw.way == way).flat_map(|raw| raw.bytes().to_vec()).collect::<Vec<_>>();
     let (mut frames, mut parser) = (Vec::new(), FrameParser::new(ArmId(2)));
-    parser.feed(&stream(Way::Out), |received| frames.push(received));
+    parser.feed(&stream(Direction::Out), |received| frames.push(received));
     let heard = rig.heard();
     assert_eq!(frames.len(), heard.len());
     for (received, heard) in frames.iter().zip(&heard) {
@@ -113,7 +113,7 @@ fn check_raw_bytes(rig: &Rig) {
         assert_eq!(HostMessage::decode(frame).unwrap(), *heard);
     }
     let (mut answers, mut parser) = (0, FrameParser::new(ArmId(2)));
-    parser.feed(&stream(Way::In), |_| answers += 1);
+    parser.feed(&stream(Direction::In), |_| answers += 1);
     assert_eq!(answers, heard.len());
     assert!(kept.is_sorted_by_key(|raw| raw.at));
 }

@@ -220,7 +220,7 @@ fn a_control_loop_that_stays_away_has_the_joints_stopped() {
         rig.wait_until("stopped", |rig| rig.arm.state() == ArmState::Fault);
         rig.wait_until("at rest", |rig| is_at_rest(&rig.end));
         assert!(matches!(rig.trip(), Trip::Fault(FaultCause::CommandTimeout { .. })), "{:?}", rig.trip());
-        // The gateway was told, and keeps it for whoever comes next.
+        // The gateway received it, and keeps it for the next host.
         assert_eq!((rig.end.state(), rig.end.status().cause), (GatewayState::Fault, StopCause::HostFault));
     });
 }

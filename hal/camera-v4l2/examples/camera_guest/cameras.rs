@@ -264,28 +264,28 @@ fn skew() -> Outcome {
 }
 
 fn changed() -> Outcome {
-    let mut wish = config(USUAL, SKEW_MAX_HERE)?;
-    wish.left.mode.interval = Interval { numerator: 1, denominator: 60 };
-    refusal(open_with(&wish), CameraErrorKind::Unusable, "requested 60.000 images per second")?;
-    let mut wish = config(PixelFormat::Mjpg, SKEW_MAX_HERE)?;
-    wish.left.mode.takes_interlaced = false;
-    refusal(open_with(&wish), CameraErrorKind::Unusable, "requested MJPG")?;
-    let mut wish = config(USUAL, SKEW_MAX_HERE)?;
-    wish.left.mode.takes_interlaced = false;
-    refusal(open_with(&wish), CameraErrorKind::Unusable, "which tears moving objects")?;
-    let mut wish = config(USUAL, SKEW_MAX_HERE)?;
-    wish.left.controls.focus = Setting::Manual(3);
-    refusal(open_with(&wish), CameraErrorKind::Unusable, "it has no control for the focus")
+    let mut request = config(USUAL, SKEW_MAX_HERE)?;
+    request.left.mode.interval = Interval { numerator: 1, denominator: 60 };
+    refusal(open_with(&request), CameraErrorKind::Unusable, "requested 60.000 images per second")?;
+    let mut request = config(PixelFormat::Mjpg, SKEW_MAX_HERE)?;
+    request.left.mode.takes_interlaced = false;
+    refusal(open_with(&request), CameraErrorKind::Unusable, "requested MJPG")?;
+    let mut request = config(USUAL, SKEW_MAX_HERE)?;
+    request.left.mode.takes_interlaced = false;
+    refusal(open_with(&request), CameraErrorKind::Unusable, "which tears moving objects")?;
+    let mut request = config(USUAL, SKEW_MAX_HERE)?;
+    request.left.controls.focus = Setting::Manual(3);
+    refusal(open_with(&request), CameraErrorKind::Unusable, "it has no control for the focus")
 }
 
 /// By default `vivid` stamps the end of an image that is still to come, unless it is late itself.
 fn future() -> Outcome {
-    let mut wish = config(USUAL, SKEW_MAX_HERE)?;
-    for camera in [&mut wish.left, &mut wish.right] {
+    let mut request = config(USUAL, SKEW_MAX_HERE)?;
+    for camera in [&mut request.left, &mut request.right] {
         camera.controls.others[0].1 = 0;
     }
     let clock = Arc::new(SystemClock::new());
-    let mut camera = V4l2StereoCamera::open(Arc::new(Linux), clock.clone(), &wish)?;
+    let mut camera = V4l2StereoCamera::open(Arc::new(Linux), clock.clone(), &request)?;
     let mut pair = FramePair::black(camera.info().size);
     let (mut delivered, mut refused) = (0, 0);
     for _ in 0..5 {

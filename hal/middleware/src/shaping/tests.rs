@@ -50,7 +50,7 @@ impl Bench {
 }
 
 /// At the moment of the set-point itself the joint has the acceleration of the set-point: 2 rad/s^2 upwards, which take 0.1 s and
-/// 0.0567 rad to let go of, and another 0.12 rad to come to rest from 0.6 rad/s.
+/// 0.0567 rad to reduce the velocity to zero, and another 0.12 rad to come to rest from 0.6 rad/s.
 #[test]
 fn a_joint_that_is_gaining_speed_needs_room_for_it() {
     let drive = DriveLimit { acceleration: 2.0, jerk: 20.0 };
@@ -163,13 +163,13 @@ proptest! {
     /// From any set-point that an earlier step may have left, and with any room, every step keeps speeds, accelerations and jerks.
     #[test]
     fn limits_of_change_always_hold(
-        wishes in prop::collection::vec((any_vector(20.0), any_vector(3.0), 0.0..0.05f64, any::<bool>()), 1..60),
+        requests in prop::collection::vec((any_vector(20.0), any_vector(3.0), 0.0..0.05f64, any::<bool>()), 1..60),
         scale in 0.05..1.0f64, reaction in 0.0..0.3f64,
     ) {
         let (limits, drives) = (limits(), drives());
         let speeds = speeds(scale);
         let mut previous = SetPoint::rest();
-        for (desired, position, dt_s, is_known) in wishes {
+        for (desired, position, dt_s, is_known) in requests {
             let caps = caps(&position, &limits, &speeds, &drives, reaction);
             let step = Step { previous: &previous, dt_s, drives: &drives, speeds: &speeds };
             let room = room_at(&position);

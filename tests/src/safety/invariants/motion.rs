@@ -48,7 +48,7 @@ fn position(rules: &ArmRules, (arm, step): (usize, &Step), stops_only: bool, fou
 }
 
 /// A joint that moves by itself, or comes back from there, may be faster by so much for as long as that is not found out, which has a
-/// limit of its own: drives are not exact, and whoever watches them allows for it (docs/arm-limits.md).
+/// limit of its own: drives are not exact, and their monitors allow for it (docs/arm-limits.md).
 const SPEED_SHARE_BY_ITSELF: f64 = 1.1;
 
 /// As the truth has it, and by how far the joint went: a joint that jumps is fast. A joint that moves by itself may be faster still from

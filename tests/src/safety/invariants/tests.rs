@@ -20,10 +20,10 @@ fn run(seconds: f64, goes: impl Fn(usize, f64) -> bool, mut change: impl FnMut(&
         let t_s = f64::from(k) * PERIOD_S;
         for (index, arm) in arms.iter_mut().enumerate() {
             for (joint, rate) in [(0, 2.0), (6, 3.0)] {
-                let wish = if goes(index, t_s) { 0.1 * rate * (rate * t_s).sin() } else { 0.0 };
+                let desired = if goes(index, t_s) { 0.1 * rate * (rate * t_s).sin() } else { 0.0 };
                 let speed = &mut arm.velocity_rad_per_s[joint];
                 let before = *speed;
-                *speed += (wish - *speed).clamp(-1.9 * PERIOD_S, 1.9 * PERIOD_S);
+                *speed += (desired - *speed).clamp(-1.9 * PERIOD_S, 1.9 * PERIOD_S);
                 arm.position_rad[joint] += 0.5 * (before + *speed) * PERIOD_S;
             }
         }

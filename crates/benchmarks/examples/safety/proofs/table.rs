@@ -1,7 +1,7 @@
 //! Which safeguard is shown by what.
 
 use pb3dp_safeguards::Safeguard::{self, *};
-use pb3dp_servo::supervisor::Word;
+use pb3dp_servo::supervisor::OperatorCommand;
 use pb3dp_setup::setup::Carrier::{Arm, Nothing};
 use pb3dp_sim::trajectory::Channel;
 
@@ -113,7 +113,10 @@ pub const PROOFS: &[Proof] = &[
     alone(DriverTorque, CARRIED, |_| of_arm("arm: torque", "torque 4 300Nm", "torque 4 0Nm")),
     with_person(OperatorSilent, &[], CARRIED, |_| vec![(0.1, 3.0, Kind::Silence)]),
     with_person(TimelyWords, &[], CARRIED, |_| {
-        vec![(0.1, 0.0, Kind::Word(Word::Hold, 0.0)), (0.6, 0.0, Kind::Word(Word::Resume, 0.55))]
+        vec![
+            (0.1, 0.0, Kind::OperatorCommand(OperatorCommand::Hold, 0.0)),
+            (0.6, 0.0, Kind::OperatorCommand(OperatorCommand::Resume, 0.55)),
+        ]
     }),
     with_person(CouplingStop, &[TripLine, ArmFault, EmergencyStop], CARRIED, EMERGENCY),
     with_person(TripLine, &[CouplingStop, ArmFault, EmergencyStop], CARRIED, EMERGENCY),

@@ -1,4 +1,4 @@
-//! Messages only: the link, the joints at rest, and that nothing can move.
+//! Step `comms`: messages only, with stationary joints; no motion is possible.
 
 use anyhow::{Context, Result};
 use pb3dp_hal_api::{Arm, JointCommand};
@@ -10,23 +10,23 @@ use super::record::StepReport;
 use super::session::Session;
 use super::steps::{BRAKED_MAX_DEG, EXCHANGES, LATE_MAX_MS, LOST_PERCENT_MAX};
 
-/// Does the step.
+/// Runs the step.
 ///
 /// # Errors
-/// An arm that does not answer, an operator who does not.
+/// An arm or an operator that does not answer.
 pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
     let mut seen = see(&session.setup, session.choice, &session.clock)?;
     let monitor = seen.arm.monitor();
-    let first = monitor.snapshot().joints.context("the arm told no joints")?.position_rad;
+    let first = monitor.snapshot().joints.context("the arm reported no joints")?.position_rad;
     let mut moved_rad = 0.0_f64;
-    // Each look is at least one message, so this ends.
+    // Each call exchanges at least one message, so this loop ends.
     for _ in 0..EXCHANGES {
         if monitor.snapshot().counters.sent >= u64::from(EXCHANGES) {
             break;
         }
         session.pause(std::time::Duration::ZERO)?;
         seen.arm.look()?;
-        let joints = monitor.snapshot().joints.context("the arm told no joints")?;
+        let joints = monitor.snapshot().joints.context("the arm reported no joints")?;
         moved_rad = moved_rad.max((joints.position_rad - first).amax());
     }
     let snapshot = monitor.snapshot();
@@ -43,7 +43,7 @@ pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
     report.at_most("commands sent late, 99 of 100", monitor.jitter().p99.as_secs_f64() * 1e3, LATE_MAX_MS, "ms");
     report.at_most("largest motion of a joint", moved_rad.to_degrees(), BRAKED_MAX_DEG, "deg");
     let velocity = seen.arm.exchange(JointCommand::Velocity(JointVector::zeros()));
-    let found = velocity.as_ref().map_or_else(ToString::to_string, |_| "it was taken".to_owned());
+    let found = velocity.as_ref().map_or_else(ToString::to_string, |_| "it was accepted".to_owned());
     report.holds("a velocity is refused while the brakes are on", velocity.is_err(), found);
     session.ask(report, &Question::Pose { shown_rad: first })
 }

@@ -15,20 +15,20 @@ use super::steps::REST_RAD_PER_S;
 
 /// Accuracy with which an operator sees a joint, rad.
 const SEEN_WITHIN_RAD: f64 = 0.01;
-/// An emulated thread takes a moment until it has pulled or plugged a cable.
+/// Time that an emulated thread needs to pull or plug a cable.
 const MOMENT: Duration = Duration::from_millis(50);
 
-/// The program itself.
+/// The emulated operator.
 pub struct Emulated {
     console: Console,
     patience: Duration,
     arms: Vec<(ArmChoice, MockServer)>,
-    /// Where the first arm was when the operator was last asked whether he is ready, rad.
+    /// Joints of the first arm when the operator was last ready, rad.
     before_rad: JointVector,
 }
 
 impl Emulated {
-    /// The operator of these arms, the tested one first. Only the word to begin is still a person's.
+    /// The operator of these arms, the tested one first. A person still types the confirmation to begin.
     pub fn new((console, patience): (Console, Duration), arms: Vec<(ArmChoice, MockServer)>) -> Self {
         let before_rad = arms.first().map_or_else(JointVector::zeros, |(_, arm)| arm.report().position_rad);
         Self { console, patience, arms, before_rad }

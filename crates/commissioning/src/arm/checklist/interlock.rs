@@ -1,4 +1,4 @@
-//! Two arms: the emergency stop of the one that holds stops the one that moves.
+//! Step `interlock`: the emergency stop of the holding arm stops the moving arm.
 
 use anyhow::{Context, Result};
 use pb3dp_cell::plan::Plan;
@@ -10,7 +10,7 @@ use super::record::StepReport;
 use super::session::{Session, refuses_motion};
 use super::steps::{INTERLOCK_REST_MAX_MS, NOTICED_MAX_MS, SAG_MAX_DEG};
 
-/// Does the step.
+/// Runs the step.
 ///
 /// # Errors
 /// If nothing stopped the arm, or an operator does not answer.
@@ -19,7 +19,7 @@ pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
     let outcome = interlock(session, report, &mut arm);
     let may_be_on = |other: &&mut OtherArm| matches!(other.driven.state(), ArmState::Enabled | ArmState::Disabled);
     if let Some(other) = arm.other.as_mut().filter(may_be_on) {
-        other.driven.stop().context("the other arm: the stop order; press its emergency stop")?;
+        other.driven.stop().context("the other arm: stop order failed; press its emergency stop")?;
     }
     session.keep_if_failed(report, &arm, outcome)
 }
@@ -29,27 +29,27 @@ fn interlock(session: &mut Session<'_>, report: &mut StepReport, arm: &mut SlowA
     let act = Act::PressEmergencyStop(choice.other());
     let plan = session.announce(arm, act)?;
     check_room(session, arm, &plan)?;
-    // An arm with closed brakes would have nothing to say about its emergency stop.
+    // An arm with closed brakes would not report its emergency stop.
     session.switch_other_on(arm, &plan)?;
     let stop = session.drive_until(arm, &plan, act)?;
     let other = arm.other.as_mut().context("the other arm is not connected")?;
-    let told = other.monitor.as_ref().context("the other arm has no line")?.snapshot().latched;
+    let told = other.monitor.as_ref().context("the other arm has no link")?.snapshot().latched;
     let is_e_stop = other.driven.state() == ArmState::EStop;
-    let found = told.map_or_else(|| "nothing has stopped it".to_owned(), |latched| latched.trip.to_string());
+    let found = told.map_or_else(|| "not stopped".to_owned(), |latched| latched.trip.to_string());
     report.holds("the other arm is stopped by an emergency stop", is_e_stop, found);
     let is_stopped = matches!(stop.state, ArmState::Fault | ArmState::EStop);
     report.holds("this arm is stopped, too", is_stopped, stop.cause.clone());
     if let Some(noticed_ms) = stop.noticed_ms() {
-        report.at_most("from the hand to the stop of this arm", noticed_ms, NOTICED_MAX_MS, "ms");
+        report.at_most("from the operator action to the stop of this arm", noticed_ms, NOTICED_MAX_MS, "ms");
     }
     let apart_ms = told.map_or(f64::NAN, |latched| 1e3 * stop.noticed.seconds_since(latched.at));
     let cycle_ms = 1e3 * session.setup.control_period.as_secs_f64();
     // R20. A common emergency stop may reach this arm first.
     report.at_most("from the stop of the other arm to that of this one", apart_ms, cycle_ms, "ms");
     let brakes_ms = f64::from(session.gateway.brake_release_us) / 1e3;
-    report.at_most("from there to rest", stop.to_rest_ms(), brakes_ms + INTERLOCK_REST_MAX_MS, "ms");
+    report.at_most("from there to standstill", stop.to_rest_ms(), brakes_ms + INTERLOCK_REST_MAX_MS, "ms");
     let (axis, way_deg) = stop.way();
-    report.at_most(format!("way of {axis}, the joint that got farthest"), way_deg, SAG_MAX_DEG, "deg");
+    report.at_most(format!("travel of {axis}, the joint that moved farthest"), way_deg, SAG_MAX_DEG, "deg");
     refuses_motion(report, "while it is pressed", &mut *arm.driven);
     let reset = arm.driven.reset();
     let found = reset.as_ref().map_or_else(ToString::to_string, |()| "it was reset".to_owned());

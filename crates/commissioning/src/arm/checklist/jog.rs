@@ -1,4 +1,4 @@
-//! One axis, there and back.
+//! Step `jog`: one axis, there and back.
 
 use anyhow::{Context, Result};
 use pb3dp_cell::plan::STAYED_WITHIN_RAD;
@@ -7,13 +7,13 @@ use pb3dp_wiring::commissioning::SlowArm;
 
 use super::operator::Question;
 use super::record::StepReport;
-use super::session::{Seen, Session};
+use super::session::{MoveObservation, Session};
 use super::steps::{BEHIND_MAX_DEG, END_MAX_DEG, OTHERS_MAX_DEG, SAG_MAX_DEG};
 
-/// Does the step.
+/// Runs the step.
 ///
 /// # Errors
-/// What stopped a move, an operator who does not answer.
+/// A failed move, or an operator who does not answer.
 pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
     let mut arm = session.connect(false)?;
     let outcome = there_and_back(session, report, &mut arm);
@@ -32,19 +32,19 @@ fn there_and_back(session: &mut Session<'_>, report: &mut StepReport, arm: &mut 
         );
         session.operator.ready(&text, None, &mut session.signals)?;
         let (reached, seen) = session.drive(arm, &plan)?;
-        let monitor = arm.monitor.as_ref().context("an arm without a line")?;
-        let rests = monitor.snapshot().joints.context("the arm told no joints")?;
+        let monitor = arm.monitor.as_ref().context("the arm has no link")?;
+        let rests = monitor.snapshot().joints.context("the arm reported no joints")?;
         let joint = axis.index();
         let end_deg = (reached.position_rad[joint] - plan.end_rad()[joint]).abs().to_degrees();
         let closed_deg = (rests.position_rad - reached.position_rad).amax().to_degrees();
         let turned_deg = (reached.position_rad[joint] - from_rad[joint]).to_degrees();
-        let Seen { sagged_deg, behind_deg, others_deg, fastest_rad_per_s, .. } = seen;
-        report.note(format!("{way}: told to turn by {:+.3} deg, turned by {turned_deg:+.3} deg", by.to_degrees()));
+        let MoveObservation { sagged_deg, behind_deg, others_deg, fastest_rad_per_s, .. } = seen;
+        report.note(format!("{way}: commanded {:+.3} deg, turned by {turned_deg:+.3} deg", by.to_degrees()));
         report.at_most(format!("{way}: sag when the brakes opened"), sagged_deg, STAYED_WITHIN_RAD.to_degrees(), "deg");
         report.at_most(format!("{way}: {axis} behind its plan"), behind_deg, BEHIND_MAX_DEG, "deg");
-        report.at_most(format!("{way}: {axis} off at the end"), end_deg, END_MAX_DEG, "deg");
+        report.at_most(format!("{way}: {axis} residual at the end"), end_deg, END_MAX_DEG, "deg");
         report.at_most(format!("{way}: largest motion of another joint"), others_deg, OTHERS_MAX_DEG, "deg");
-        let allowed = Seen::fastest_allowed_rad_per_s();
+        let allowed = MoveObservation::fastest_allowed_rad_per_s();
         report.at_most(format!("{way}: fastest, two samples in a row"), fastest_rad_per_s, allowed, "rad/s");
         report.at_most(format!("{way}: sag when the brakes closed"), closed_deg, SAG_MAX_DEG, "deg");
         session.ask(report, &Question::Turned { axis, by_rad: by })?;

@@ -1,4 +1,4 @@
-//! The program that moves the arm, killed: the gateway alone has to stop it.
+//! Step `kill`: the process that moves the arm is killed; only the gateway can stop the arm.
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, Command, Stdio};
@@ -22,31 +22,31 @@ use super::session::{Session, refused};
 use super::steps::{BRAKED_MAX_DEG, LEFT_ALONE};
 use super::stops::{stopped_by_gateway, way};
 
-/// The share of the way after which the program is killed.
+/// Share of the move after which the process is killed.
 const KILL_AT: f64 = 0.35;
-/// Until the program has proved the link, opened the brakes and tells of joints.
+/// Time allowed until the process has tested the link, opened the brakes and reports joints.
 const STARTED_WITHIN: Duration = Duration::from_secs(20);
-/// How often it is looked whether a signal asks to end.
+/// Interval at which signals are checked.
 const LOOK: Duration = Duration::from_millis(20);
-/// How long a program that is asked to end may take for its stop order.
+/// Time allowed for a process to end with its stop order.
 const ENDS_WITHIN: Duration = Duration::from_secs(5);
-/// Between two looks at an arm that has to be at rest.
+/// Time between two measurements of an arm that must be stationary.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(500);
 
-/// Does the step.
+/// Runs the step.
 ///
 /// # Errors
 /// If the arm was not moved, or an operator does not answer.
 pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
     let (choice, axis) = (session.choice, session.axis);
     let plan = {
-        // The program that will be killed needs the line for itself.
+        // The process to be killed needs the link for itself.
         let mut arm = session.connect(false)?;
         session.plan(&mut arm)?
     };
     let by_rad = plan.by_rad()[axis.index()];
     let text = format!(
-        "Next, another program turns {axis} by {:+.1} degrees within {:.0} s, and is killed on the way. Keep a hand on the emergency stop.",
+        "Next, another program turns {axis} by {:+.1} degrees within {:.0} s, and is killed during the move. Keep a hand on the emergency stop.",
         by_rad.to_degrees(),
         plan.duration().as_secs_f64()
     );
@@ -72,28 +72,28 @@ pub fn run(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
     let enabled = seen.arm.enable();
     let moved = seen.arm.exchange(JointCommand::Velocity(JointVector::zeros()));
     if enabled.is_ok() {
-        // What comes of it shows in the figure.
+        // Its effect shows in the figures.
         let _ = seen.arm.stop();
     }
     refused(report, "before the reset", (enabled, moved.map(drop)));
     session.operator.ready("Next, the arm is reset.", None, &mut session.signals)?;
     session.reset(&mut seen.arm)?;
     seen.arm.look()?;
-    let rests = monitor.snapshot().joints.context("the arm told no joints")?;
+    let rests = monitor.snapshot().joints.context("the arm reported no joints")?;
     session.pause(BETWEEN_LOOKS)?;
     seen.arm.look()?;
-    let later = monitor.snapshot().joints.context("the arm told no joints")?;
+    let later = monitor.snapshot().joints.context("the arm reported no joints")?;
     way(session, report, (&last, &rests));
     let moves_deg = (later.position_rad - rests.position_rad).amax().to_degrees();
-    report.at_most("motion between two looks afterwards", moves_deg, BRAKED_MAX_DEG, "deg");
+    report.at_most("motion between two measurements afterwards", moves_deg, BRAKED_MAX_DEG, "deg");
     Ok(())
 }
 
-/// What the next program finds: an arm that its gateway has stopped, before anybody came.
+/// What the next process finds: an arm already stopped by its gateway.
 fn found_stopped(report: &mut StepReport, seen: Result<ArmSnapshot, &String>) -> Result<()> {
     let latched = seen.map(|seen| seen.latched.map(|latched| latched.trip.to_string()));
     let found = match &latched {
-        Ok(latched) => latched.clone().unwrap_or_else(|| "nothing has stopped it".to_owned()),
+        Ok(latched) => latched.clone().unwrap_or_else(|| "not stopped".to_owned()),
         Err(error) => format!("it cannot connect: {error}"),
     };
     report.holds("the next program finds the arm stopped", matches!(latched, Ok(Some(_))), found);
@@ -102,13 +102,13 @@ fn found_stopped(report: &mut StepReport, seen: Result<ArmSnapshot, &String>) ->
         stopped_by_gateway(report, gateway.state, gateway.cause);
     }
     if !report.complaints().is_empty() {
-        let is = gateway.map_or_else(|| "not known".to_owned(), |gateway| gateway.state.to_string());
-        print_line(&format!("PRESS THE EMERGENCY STOP: the gateway has not stopped the arm, it is {is}"))?;
+        let is = gateway.map_or_else(|| "unknown".to_owned(), |gateway| gateway.state.to_string());
+        print_line(&format!("PRESS THE EMERGENCY STOP: the gateway has not stopped the arm, its state is {is}"))?;
     }
     Ok(())
 }
 
-/// A program of its own that moves the arm. Dropping it ends it by its stop order.
+/// A separate process that moves the arm. Dropping it ends it with its stop order.
 struct Mover {
     child: Child,
     lines: Receiver<String>,
@@ -116,7 +116,7 @@ struct Mover {
 
 impl Mover {
     fn start(session: &Session<'_>, by_rad: f64) -> Result<Self> {
-        let program = std::env::current_exe().context("the path of this program is not known")?;
+        let program = std::env::current_exe().context("the path of this program is unknown")?;
         let mut command = Command::new(program);
         command.args(["--log", "warn", "arm", "jog", "--alone", "--move", "--report-joints"]);
         command.args(session.place.setup.words()).args(["--arm", session.place.arm_word()]);
@@ -125,11 +125,11 @@ impl Mover {
             command.args(["--line", &address.to_string()]);
         }
         command.stdin(Stdio::piped()).stdout(Stdio::piped());
-        let mut child = command.spawn().context("the program that is to move the arm does not start")?;
+        let mut child = command.spawn().context("cannot start the process that moves the arm")?;
         let (input, output) = (child.stdin.take(), child.stdout.take());
         let (sender, lines) = channel();
         let mover = Self { child, lines };
-        let output = output.context("the program that moves the arm has no output")?;
+        let output = output.context("the process that moves the arm has no output")?;
         let read = move || {
             for line in BufReader::new(output).lines().map_while(Result::ok) {
                 if sender.send(line).is_err() {
@@ -138,14 +138,14 @@ impl Mover {
             }
         };
         std::thread::Builder::new().name("mover".to_owned()).spawn(read).context("no thread for its lines")?;
-        // The operator has typed the name before, and the room on the way is known.
-        let mut input = input.context("the program that moves the arm has no input")?;
+        // The operator has already typed the name, and the clearance on the path is known.
+        let mut input = input.context("the process that moves the arm has no input")?;
         writeln!(input, "{}", Company::ALONE.word(session.choice))
-            .context("the program that is to move the arm has ended")?;
+            .context("the process that moves the arm has ended")?;
         Ok(mover)
     }
 
-    /// Waits until the axis has turned so far; where the joints are then, rad.
+    /// Waits until the axis has turned by this angle; returns the joints then, rad.
     fn moved(
         &mut self,
         session: &mut Session<'_>,
@@ -166,21 +166,21 @@ impl Mover {
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
-                    bail!("the program that moves the arm has ended by itself: see above")
+                    bail!("the process that moves the arm has ended by itself: see above")
                 }
             }
             if begin.elapsed() > patience {
-                bail!("the program that is to move the arm did not do so within {patience:?}: see above");
+                bail!("the process did not move the arm within {patience:?}: see above");
             }
         }
     }
 
     fn kill(&mut self) -> Result<()> {
-        self.child.kill().context("the program that moves the arm cannot be killed")?;
-        self.child.wait().context("the program that moved the arm cannot be waited for").map(drop)
+        self.child.kill().context("cannot kill the process that moves the arm")?;
+        self.child.wait().context("cannot wait for the killed process").map(drop)
     }
 
-    /// The last joints that it told of before it was killed.
+    /// The last joints that it reported before it was killed.
     fn last_line(&self) -> Option<JointVector> {
         let mut last = None;
         // Its end closes the pipe, which ends the thread and with it these lines.
@@ -207,13 +207,13 @@ impl Drop for Mover {
             }
             std::thread::sleep(LOOK);
         }
-        // Then its gateway stops the arm.
+        // Its gateway then stops the arm.
         self.child.kill().ok();
         self.child.wait().ok();
     }
 }
 
-/// The joints in a line of the program that moves the arm, if that is what the line tells.
+/// The joints in an output line of the process, if the line has any.
 fn joints_of(line: &str) -> Option<JointVector> {
     serde_json::from_str::<JointReport>(line).ok().map(|report| JointVector::from(report.position_rad))
 }

@@ -1,4 +1,4 @@
-//! `pb3dp arm test`: the checklist of a rig, step by step, and a dated report of it.
+//! `pb3dp arm test`: the rig checklist, step by step, with a dated report.
 
 mod comms;
 mod emulated;
@@ -46,7 +46,7 @@ use super::motion::{JOG_RAD_PER_S, show_room};
 use super::probe_report::GatewayFacts;
 use super::{Company, Place, parse_jog};
 
-/// Of the form of the report.
+/// Version of the report format.
 const REPORT_FORMAT: u32 = 1;
 
 /// Arguments of `pb3dp arm test`.
@@ -54,7 +54,7 @@ const REPORT_FORMAT: u32 = 1;
 pub struct TestArgs {
     #[command(flatten)]
     place: Place,
-    /// Do the steps, once the arm's name was typed. Without it nothing moves.
+    /// Run the steps after the arm's name is typed. Without it nothing moves.
     #[arg(long = "move")]
     moves: bool,
     #[command(flatten)]
@@ -62,22 +62,22 @@ pub struct TestArgs {
     /// The axis that moves, 1 at the base to 7 at the flange.
     #[arg(long, value_name = "1..7", default_value_t = 7, value_parser = clap::value_parser!(u8).range(1..=7))]
     axis: u8,
-    /// How far it moves, degrees, at most 30. A move of 10 degrees takes 18 s, in which the operator has to act.
+    /// Angle of each move, degrees, at most 30. A move of 10 degrees takes 18 s, in which the operator has to act.
     #[arg(long, value_name = "DEGREES", default_value = "10", value_parser = parse_jog, allow_hyphen_values = true)]
     by: f64,
-    /// These steps only, with commas between.
+    /// Run only these steps, separated by commas.
     #[arg(long, value_enum, value_name = "STEP", value_delimiter = ',', conflicts_with = "skip")]
     only: Vec<Step>,
-    /// All steps but these.
+    /// Run all steps but these.
     #[arg(long, value_enum, value_name = "STEP", value_delimiter = ',')]
     skip: Vec<Step>,
-    /// Whose hand is at switches and cables: yours, or the program's where the arm is emulated.
+    /// Operator of switches and cables: a person, or the program if the arm is emulated.
     #[arg(long, value_enum, default_value = "person")]
     operator: OperatorName,
-    /// How long an answer is waited for, seconds.
+    /// Longest wait for an answer, seconds.
     #[arg(long, value_name = "SECONDS", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..=3600))]
     patience: u32,
-    /// Folder for report.md, report.json and settings.toml; without it out/arm-test-ARM-DATE.
+    /// Output folder for report.md, report.json and settings.toml; out/arm-test-ARM-DATE without it.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }
@@ -92,10 +92,9 @@ enum OperatorName {
 /// Runs the command.
 ///
 /// # Errors
-/// A configuration that is refused, an arm that does not answer or is stopped, a confirmation that does not come, a report that cannot
-/// be written.
+/// A refused configuration, an arm that does not answer or is stopped, a missing confirmation, or a report that cannot be written.
 pub fn run(args: &TestArgs, commit: &'static str) -> Result<ExitCode> {
-    // Before any thread is started.
+    // Before any thread starts.
     let signals = StopSignals::take_over()?;
     let began = SystemTime::now();
     let setup = read_layers(&args.place.setup)?;
@@ -103,11 +102,11 @@ pub fn run(args: &TestArgs, commit: &'static str) -> Result<ExitCode> {
     let (mut session, target) = begin((args, &asked), &setup, signals, began)?;
     show(args, &asked, &session)?;
     if !args.moves {
-        print_line("dry run: the brakes stayed on and nothing moved; --move does it")?;
+        print_line("dry run: the brakes stayed on and nothing moved; use --move to run the test")?;
         return Ok(ExitCode::SUCCESS);
     }
     confirm(&args.company.word(session.choice), &asked, &mut session)?;
-    std::fs::create_dir_all(&session.out).with_context(|| format!("{}: cannot be made", session.out.display()))?;
+    std::fs::create_dir_all(&session.out).with_context(|| format!("{}: cannot be created", session.out.display()))?;
     let (settings, file) = (toml_of(&setup.layers.effective()), session.out.join("settings.toml"));
     std::fs::write(&file, &settings).with_context(|| format!("{}: cannot be written", file.display()))?;
     enter_control_thread();
@@ -138,10 +137,10 @@ pub fn run(args: &TestArgs, commit: &'static str) -> Result<ExitCode> {
     Ok(if is_well { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// The steps that are asked for, in their order.
+/// The requested steps, in order.
 fn asked(args: &TestArgs, setup: &Setup) -> Result<Vec<Step>> {
     let is_toy = args.place.choice().other().of(setup).link.is_toy();
-    // Nobody can press the switch of an arm that is emulated, but who emulates it.
+    // Only the emulated operator can press the switch of an emulated arm.
     let has_other = !args.company.alone && (!is_toy || args.operator == OperatorName::Emulated);
     let wanted = |step: &Step| match args.only.is_empty() {
         true => !args.skip.contains(step) && (*step != Step::Interlock || has_other),
@@ -149,15 +148,15 @@ fn asked(args: &TestArgs, setup: &Setup) -> Result<Vec<Step>> {
     };
     let asked: Vec<_> = Step::ALL.into_iter().filter(wanted).collect();
     if asked.contains(&Step::Interlock) && args.company.alone {
-        bail!("the step interlock needs the other arm: leave --alone out");
+        bail!("the step interlock needs the other arm: remove --alone");
     }
     if asked.is_empty() {
-        bail!("no step is left: skip fewer");
+        bail!("no step is left: skip fewer steps");
     }
     Ok(asked)
 }
 
-/// Finds the arm and looks at it; how it was reached.
+/// Connects to the arm, checks it and prepares the session.
 fn begin<'a>(
     (args, asked): (&'a TestArgs, &[Step]),
     setup: &Setup,
@@ -169,7 +168,7 @@ fn begin<'a>(
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     if let ArmLink::Bus(_) = &choice.of(&setup).link {
         bail!(
-            "{}.backend = \"arcnet\" has no gateway, whose watchdog half of this test is about: test its stops by hand \
+            "{}.backend = \"arcnet\" has no gateway, but half of this test checks the gateway's watchdog: test its stops by hand \
              (docs/commissioning.md)",
             choice.of(&setup).key
         );
@@ -178,7 +177,7 @@ fn begin<'a>(
     let (snapshot, target) = look(&setup, choice, &clock)?;
     let out = args.out.clone().unwrap_or_else(|| folder_of("test", choice, began));
     if out.join("report.json").exists() {
-        bail!("{}: there is a report already; give another --out", out.display());
+        bail!("{}: there is a report already; use another --out", out.display());
     }
     let session = Session {
         place: &args.place,
@@ -189,7 +188,7 @@ fn begin<'a>(
         operator,
         axis: Axis::from_number(u16::from(args.axis))?,
         by_rad: args.by.to_radians(),
-        home_rad: snapshot.joints.context("the arm told no joints")?.position_rad,
+        home_rad: snapshot.joints.context("the arm reported no joints")?.position_rad,
         gateway: snapshot.gateway.context("the arm has no gateway")?,
         line,
         out,
@@ -197,18 +196,18 @@ fn begin<'a>(
     Ok((session, target))
 }
 
-/// What is known of the arm, and how it was reached.
+/// Probes the arm; returns its state and how it was reached.
 fn look(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<(ArmSnapshot, String)> {
     let mut seen = see(setup, choice, clock)?;
     if let Some(latched) = seen.arm.monitor().snapshot().latched {
-        bail!("{} is stopped: {}; `pb3dp arm reset` clears it once the cause is gone", choice.name(), latched.trip);
+        bail!("{} is stopped: {}; after the cause is gone, use `pb3dp arm reset`", choice.name(), latched.trip);
     }
     // A gateway knows the wire format once the controller has answered.
     seen.arm.look()?;
     Ok((seen.arm.monitor().snapshot(), seen.target))
 }
 
-/// Who acts; and where the arm is found, if it is emulated for this.
+/// The operator, and the address of an arm emulated for this test.
 fn operator(
     (args, asked): (&TestArgs, &[Step]),
     setup: &mut Setup,
@@ -221,7 +220,7 @@ fn operator(
         let is_emulated = |arm: &&ArmChoice| matches!(&arm.of(setup).link, ArmLink::Gateway(_, GatewayWay::Emulated));
         if let (Some(emulated), true) = (hands.iter().find(is_emulated), args.moves) {
             bail!(
-                "{}.backend = \"emulated\" has no switch and no cable for you: give --operator emulated, or run `pb3dp mock-arm --tcp` in \
+                "{}.backend = \"emulated\" has no switch and no cable for you: use --operator emulated, or run `pb3dp mock-arm --tcp` in \
                  another terminal and set backend = \"tcp\"",
                 emulated.of(setup).key
             );
@@ -241,7 +240,7 @@ fn operator(
     Ok((Box::new(Emulated::new((Console::start()?, patience), arms)), line))
 }
 
-/// Says what would be done.
+/// Prints the plan.
 fn show(args: &TestArgs, asked: &[Step], session: &Session<'_>) -> Result<()> {
     let choice = session.choice;
     print_line(&format!("{}: test, {} of {} steps", choice.name(), asked.len(), Step::ALL.len()))?;
@@ -257,14 +256,14 @@ fn show(args: &TestArgs, asked: &[Step], session: &Session<'_>) -> Result<()> {
         Some(other) => Some(other.driven.exchange(JointCommand::Hold)?.position_rad),
         None => None,
     };
-    print_line(&format!("each move is one of these, at most {JOG_RAD_PER_S} rad/s, there or back:"))?;
+    print_line(&format!("moves, at most {JOG_RAD_PER_S} rad/s, there and back:"))?;
     for by_rad in [session.by_rad, -session.by_rad] {
         let plan = session.plan_by(now_rad, by_rad)?;
         print_line(plan.table(choice.of(&session.setup)).trim_end())?;
         print_line(&format!("within {:.1} s", plan.duration().as_secs_f64()))?;
         show_room(&session.setup, choice, &plan, other_rad.as_ref())?;
     }
-    // At the switch or the cable is a hand while the arm moves.
+    // In these steps the operator acts at a switch or cable while the arm moves.
     let acts = |step: &Step| matches!(step, Step::EStop | Step::Cable | Step::Interlock);
     let plan = session.plan_by(now_rad, session.by_rad)?;
     if let (true, Some(warning)) = (asked.iter().any(acts), session.too_short_for_a_person(&plan)) {
@@ -273,25 +272,25 @@ fn show(args: &TestArgs, asked: &[Step], session: &Session<'_>) -> Result<()> {
     Ok(())
 }
 
-/// The operator's word that arms may move.
+/// Asks the operator to confirm that arms may move.
 fn confirm(word: &str, asked: &[Step], session: &mut Session<'_>) -> Result<()> {
     if asked.iter().any(|step| step.moves()) {
         let others = if asked.contains(&Step::Interlock) { " The brakes of both arms open." } else { "" };
         print_line(&format!(
-            "The arm will move.{others} Nobody may be within its reach, and a hand has to be on the emergency stop."
+            "The arm will move.{others} Keep all persons out of its reach and a hand on the emergency stop."
         ))?;
     }
     print_line(&format!("Type {word} to begin:"))?;
     session.operator.confirm(word, &mut session.signals)
 }
 
-/// Does the steps; those after one that failed are not done.
+/// Runs the steps; those after a failed one are skipped.
 fn all_steps(asked: &[Step], session: &mut Session<'_>) -> Result<Vec<StepReport>> {
     let mut reports: Vec<StepReport> = Vec::new();
     let mut failed: Option<Step> = None;
     for step in Step::ALL {
         let report = match failed {
-            _ if !asked.contains(&step) => StepReport::skipped(step, "not asked for"),
+            _ if !asked.contains(&step) => StepReport::skipped(step, "not requested"),
             Some(before) => StepReport::skipped(step, format!("the step {} did not pass", before.name())),
             None => one_step(step, session)?,
         };
@@ -339,7 +338,7 @@ fn one_step(step: Step, session: &mut Session<'_>) -> Result<StepReport> {
     Ok(report)
 }
 
-/// What `sha256sum` prints of a file with this content.
+/// The SHA-256 of this content, as `sha256sum` prints it.
 fn sha256(content: &[u8]) -> String {
     Sha256::digest(content).iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -11,79 +11,79 @@ use pb3dp_kinematics::JointVector;
 
 use super::super::confirm::{Console, Line};
 
-/// Something that a hand does.
+/// An action of the operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Act {
-    /// Presses an emergency stop.
+    /// Press an emergency stop.
     PressEmergencyStop(ArmChoice),
-    /// Releases it.
+    /// Release an emergency stop.
     ReleaseEmergencyStop(ArmChoice),
-    /// Pulls the cable between this computer and a gateway.
+    /// Pull the cable between this computer and a gateway.
     PullCable(ArmChoice),
-    /// Plugs it in again.
+    /// Plug the cable in again.
     PlugCable(ArmChoice),
 }
 
 /// Something that the operator can see.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Question {
-    /// Whether the joints are where the program says.
+    /// Whether the joints are at these angles.
     Pose {
-        /// Where that is, rad.
+        /// Angles according to the program, rad.
         shown_rad: JointVector,
     },
     /// Whether one axis has turned since the operator was ready.
     Turned {
-        /// Which.
+        /// The axis.
         axis: Axis,
-        /// By how much, rad.
+        /// Its angle, rad.
         by_rad: f64,
     },
-    /// Whether this arm stopped at once, and stands with its brakes closed.
+    /// Whether this arm stopped at once and is stationary with closed brakes.
     Stopped(ArmChoice),
 }
 
 /// The operator, who actuates switches and cables and watches the arm.
 pub trait Operator {
-    /// For the report.
+    /// Name in the report.
     fn name(&self) -> &'static str;
 
-    /// Whether the moment of an act is that of [`Self::act`].
+    /// Whether the action takes place during the call of [`Self::act`].
     fn is_prompt(&self) -> bool;
 
-    /// Says that arms may move, by typing this name.
+    /// Confirms that arms may move, by typing this name.
     ///
     /// # Errors
-    /// If something else is typed, or a signal asks to end.
+    /// If something else is typed, or on a signal.
     fn confirm(&mut self, name: &str, signals: &mut StopSignals) -> Result<()>;
 
-    /// Does something at once, while an arm moves.
+    /// Performs an action at once, while an arm moves.
     ///
     /// # Errors
-    /// If it cannot be done.
+    /// If the action is impossible.
     fn act(&mut self, act: Act) -> Result<()>;
 
-    /// Is told what comes, does what is asked for, and says when he is ready.
+    /// Shows the next event and the requested action, and waits until the operator is ready.
     ///
     /// # Errors
-    /// If he does not want to go on, does not answer in time, or a signal asks to end.
+    /// If the operator declines or does not answer in time, or on a signal.
     fn ready(&mut self, text: &str, act: Option<Act>, signals: &mut StopSignals) -> Result<()>;
 
-    /// Says yes or no.
+    /// Asks a yes-or-no question.
     ///
     /// # Errors
-    /// If he does not answer in time, or a signal asks to end.
+    /// If the operator does not answer in time, or on a signal.
     fn ask(&mut self, question: &Question, signals: &mut StopSignals) -> Result<bool>;
 }
 
-/// Somebody at the keyboard.
+/// A person at the keyboard.
 pub struct Person {
     console: Console,
     patience: Duration,
 }
 
 impl Person {
-    /// Somebody who has to answer within this time.
+    /// A person who must answer within this time.
     pub fn new(console: Console, patience: Duration) -> Self {
         Self { console, patience }
     }
@@ -91,9 +91,9 @@ impl Person {
     fn line(&self, signals: &mut StopSignals) -> Result<String> {
         match self.console.line(Some(self.patience), signals)? {
             Line::Typed(line) => Ok(line.trim().to_lowercase()),
-            Line::Ended => bail!("standard input has ended: nobody is there to answer; run it in a terminal"),
+            Line::Ended => bail!("standard input has ended, so no operator can answer; run the test in a terminal"),
             Line::TimedOut => {
-                bail!("nobody answered within {:?}; repeat this step, or give more --patience", self.patience)
+                bail!("no answer within {:?}; repeat this step, or increase --patience", self.patience)
             }
         }
     }

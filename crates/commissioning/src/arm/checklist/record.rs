@@ -1,80 +1,80 @@
-//! What came of a step: figures beside what is allowed, answers, reasons.
+//! Result of a step: figures with limits, answers, reasons.
 
 use serde::Serialize;
 
 use super::steps::Step;
 
-/// What came of a step.
+/// Outcome of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Outcome {
-    /// Every figure is within its limits, every question answered with yes.
+    /// Every figure is within its limits, and every answer is yes.
     Passed,
-    /// Something is not.
+    /// A figure is out of its limits, or an answer is no.
     Failed,
-    /// A signal ended it.
+    /// Ended by a signal.
     Interrupted,
-    /// It was not done.
+    /// Not run.
     Skipped,
 }
 
 /// One figure.
 #[derive(Clone, Debug, Serialize)]
 pub struct Figure {
-    /// What was measured, or has to hold.
+    /// Measured quantity or checked condition.
     pub what: String,
-    /// What was found, with its unit.
+    /// Measured value with its unit, or the observation.
     pub found: String,
-    /// The number, where it is one.
+    /// The value, if numeric.
     pub value: Option<f64>,
-    /// What is allowed.
+    /// Allowed range.
     pub allowed: String,
-    /// The limit, where it is a number.
+    /// The limit, if numeric.
     pub limit: Option<f64>,
-    /// Its unit.
+    /// Unit of value and limit.
     pub unit: &'static str,
-    /// Whether it is as it has to be.
+    /// Whether the figure is within its limit.
     pub passed: bool,
 }
 
-/// What the operator said.
+/// Answer of the operator.
 #[derive(Clone, Debug, Serialize)]
 pub struct Answer {
-    /// What was asked.
+    /// The question.
     pub question: String,
-    /// Whether he said yes.
+    /// Whether the answer is yes.
     pub yes: bool,
 }
 
-/// One step.
+/// Report of one step.
 #[derive(Clone, Debug, Serialize)]
 pub struct StepReport {
-    /// Which.
+    /// The step.
     pub step: Step,
-    /// What it is.
+    /// Description of the step.
     pub title: &'static str,
-    /// What came of it.
+    /// Outcome.
     pub result: Outcome,
-    /// Why not more.
+    /// Reasons for another outcome than passed.
     pub reasons: Vec<String>,
-    /// When it began, UTC.
+    /// Start time, UTC.
     pub began: Option<String>,
-    /// When it began, seconds on the clock of the program, which stamps the flight recorders.
+    /// Start time on the clock of the program, which stamps the flight recorders, seconds.
     pub monotonic_s: Option<f64>,
-    /// How long it took.
+    /// Duration, seconds.
     pub took_s: f64,
-    /// In the order in which they were found.
+    /// Figures, in order of measurement.
     pub figures: Vec<Figure>,
-    /// In the order in which they were given.
+    /// Answers, in order.
     pub answers: Vec<Answer>,
-    /// What is worth knowing.
+    /// Further information.
     pub notes: Vec<String>,
-    /// Files of the flight recorders, where it failed.
+    /// Flight recorder files of a failed step.
     pub flights: Vec<String>,
 }
 
 impl StepReport {
-    /// One that was not done.
+    /// A skipped step.
     pub fn skipped(step: Step, reason: impl Into<String>) -> Self {
         let mut report = Self::begin(step);
         report.result = Outcome::Skipped;
@@ -82,7 +82,7 @@ impl StepReport {
         report
     }
 
-    /// One that begins.
+    /// A step that begins now.
     pub fn begin(step: Step) -> Self {
         Self {
             step,
@@ -99,35 +99,35 @@ impl StepReport {
         }
     }
 
-    /// A number that may be at most this.
+    /// A figure with an upper limit.
     pub fn at_most(&mut self, what: impl Into<String>, value: f64, most: f64, unit: &'static str) {
-        // What is no number is not within its limit.
+        // NaN is not within a limit.
         self.figure(what.into(), (value, unit), ("at most", most), value <= most);
     }
 
-    /// A number that has to be at least this.
+    /// A figure with a lower limit.
     pub fn at_least(&mut self, what: impl Into<String>, value: f64, least: f64, unit: &'static str) {
         self.figure(what.into(), (value, unit), ("at least", least), value >= least);
     }
 
-    /// Something that has to hold, and how it was seen.
+    /// A condition, with the observation.
     pub fn holds(&mut self, what: impl Into<String>, passed: bool, found: impl Into<String>) {
         let (found, allowed) = (found.into(), "has to hold".to_owned());
         let (what, value, limit) = (what.into(), None, None);
         self.figures.push(Figure { what, found, value, allowed, limit, unit: "", passed });
     }
 
-    /// Something worth knowing.
+    /// Adds information.
     pub fn note(&mut self, text: impl Into<String>) {
         self.notes.push(text.into());
     }
 
-    /// What is not as it has to be.
+    /// Figures and answers that did not pass.
     pub fn complaints(&self) -> Vec<String> {
         let figures = self.figures.iter().filter(|figure| !figure.passed);
         let figures = figures.map(|figure| format!("{}: {}, {}", figure.what, figure.found, figure.allowed));
         let answers = self.answers.iter().filter(|answer| !answer.yes);
-        figures.chain(answers.map(|answer| format!("the operator says no: {}", answer.question))).collect()
+        figures.chain(answers.map(|answer| format!("the operator answered no: {}", answer.question))).collect()
     }
 
     fn figure(&mut self, what: String, (value, unit): (f64, &'static str), (word, limit): (&str, f64), passed: bool) {
@@ -136,16 +136,16 @@ impl StepReport {
     }
 }
 
-/// A number with as many digits as an operator wants to read, between words.
+/// A number with its unit, rounded for an operator.
 fn with_unit(before: &str, value: f64, unit: &str) -> String {
-    // Plus zero, so that nothing is minus zero.
+    // Adding zero removes the sign of minus zero.
     let rounded = (value * 1e4).round() / 1e4 + 0.0;
     let number = if value.is_infinite() { "never".to_owned() } else { format!("{rounded} {unit}") };
     format!("{before} {number}").trim().to_owned()
 }
 
 impl Outcome {
-    /// For tables.
+    /// Name in tables.
     pub fn word(self) -> &'static str {
         match self {
             Self::Passed => "passed",
@@ -181,7 +181,7 @@ mod tests {
                 "f: NaN ms, at most 1 ms",
                 "g: never, at most 1 ms",
                 "h: it is not, has to hold",
-                "the operator says no: Has it stopped?"
+                "the operator answered no: Has it stopped?"
             ]
         );
     }

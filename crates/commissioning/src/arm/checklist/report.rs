@@ -8,70 +8,70 @@ use serde::Serialize;
 use super::super::probe_report::GatewayFacts;
 use super::record::{Outcome, StepReport};
 
-/// What came of all steps.
+/// Overall result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
     /// Every step of the checklist has passed.
     Passed,
-    /// Those that were asked for have passed, others were not done.
+    /// All requested steps have passed, others were skipped.
     Incomplete,
     /// A step has failed.
     Failed,
-    /// A signal ended it.
+    /// Ended by a signal.
     Interrupted,
 }
 
 /// A test of one arm.
 #[derive(Debug, Serialize)]
 pub struct TestReport {
-    /// Of this form of the report.
+    /// Version of the report format.
     pub format: u32,
-    /// What came of it.
+    /// Overall result.
     pub result: Verdict,
-    /// Which arm.
+    /// Name of the arm.
     pub arm: &'static str,
-    /// When it began, UTC.
+    /// Start time, UTC.
     pub began: String,
-    /// When it ended, UTC.
+    /// End time, UTC.
     pub ended: String,
     /// The program.
     pub program: ProgramFacts,
     /// Processor and number of cores.
     pub machine: String,
-    /// The files of the setup, with what was set besides.
+    /// Files of the setup, with further settings.
     pub config: String,
-    /// SHA-256 of `settings.toml` beside the report: all its values.
+    /// SHA-256 of `settings.toml` beside the report, with all values.
     pub config_sha256: String,
-    /// How the arm was found.
+    /// Address or port of the arm.
     pub target: String,
-    /// Whether a gateway and controller were emulated.
+    /// Whether gateway and controller were emulated.
     pub is_emulated: bool,
-    /// What the gateway says of itself.
+    /// Properties reported by the gateway.
     pub gateway: GatewayFacts,
     /// Name of the operator.
     pub operator: &'static str,
     /// The axis that moved, 1 to 7.
     pub axis: u8,
-    /// How far, degrees.
+    /// Angle of each move, degrees.
     pub by_deg: f64,
-    /// How fast at most, rad/s.
+    /// Largest speed, rad/s.
     pub speed_rad_per_s: f64,
     /// The steps, in order.
     pub steps: Vec<StepReport>,
 }
 
-/// Which program.
+/// Version and commit of the program.
 #[derive(Debug, Serialize)]
 pub struct ProgramFacts {
     /// Its version.
     pub version: &'static str,
-    /// The commit that it was built from.
+    /// Commit that it was built from.
     pub commit: &'static str,
 }
 
 impl Verdict {
-    /// Of these steps.
+    /// Overall result of these steps.
     pub fn of(steps: &[StepReport]) -> Self {
         let any = |outcome| steps.iter().any(|step| step.result == outcome);
         if any(Outcome::Failed) {
@@ -85,7 +85,7 @@ impl Verdict {
         }
     }
 
-    /// For headings.
+    /// Name in headings.
     pub fn word(self) -> &'static str {
         match self {
             Self::Passed => "passed",
@@ -97,7 +97,7 @@ impl Verdict {
 }
 
 impl TestReport {
-    /// Writes `report.md` and `report.json` into a folder; the path of the first one.
+    /// Writes `report.md` and `report.json` into a folder; returns the path of the first one.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -160,7 +160,7 @@ fn chapter(step: &StepReport) -> String {
         }
     }
     if !step.answers.is_empty() {
-        text += "\n| the operator was asked | he says |\n|---|---|\n";
+        text += "\n| question to the operator | answer |\n|---|---|\n";
         for answer in &step.answers {
             text += &format!("| {} | {} |\n", cell(&answer.question), if answer.yes { "yes" } else { "NO" });
         }
@@ -182,7 +182,7 @@ fn sentence(title: &str) -> String {
     letters.next().map(|first| first.to_uppercase().chain(letters).collect()).unwrap_or_default()
 }
 
-/// Text for a cell of a table.
+/// Text for a table cell.
 fn cell(text: &str) -> String {
     text.replace('|', "\\|").replace('\n', " ")
 }

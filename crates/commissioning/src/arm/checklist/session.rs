@@ -1,4 +1,4 @@
-//! What all steps of a checklist share: the arm, the operator, the way to move and to look.
+//! State shared by all steps of a checklist: arm, operator, moves and measurements.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -28,71 +28,71 @@ use super::record::{Answer, StepReport};
 use super::steps::{OVER_SPEED, Step, WRONG_WAY_DEG};
 use crate::arm::motion::JOG_RAD_PER_S;
 
-/// The share of a move's duration at which the operator is to act.
+/// Share of a move's duration at which the operator has to act.
 const ACT_AT: f64 = 0.35;
-/// A person who reads NOW needs this long to act.
+/// Reaction time of a person who reads NOW.
 const PERSON_NEEDS: Duration = Duration::from_secs(4);
-/// A stop of an axis that is slower than this proves nothing, rad/s.
+/// Below this speed at the stop, the test of the stop is inconclusive, rad/s.
 const MOVING_RAD_PER_S: f64 = 0.25 * JOG_RAD_PER_S;
-/// How often an arm is looked at that comes to rest.
+/// Interval at which an arm is checked while it stops.
 const LOOK: Duration = Duration::from_millis(2);
-/// How often it is looked whether something has stopped an arm.
+/// Number of checks whether an arm has latched a stop.
 const LATCHED_LOOKS: u32 = 25;
-/// An arm that tells nothing for this long tells nothing more.
+/// An arm without measurements for this long sends no more.
 const QUIET: Duration = Duration::from_millis(500);
-/// No arm takes longer to come to rest.
+/// Longest time that any arm needs to stop.
 const WATCHED_FOR: Duration = Duration::from_secs(4);
-/// A gateway that still brings an arm to rest refuses to be reset; an adapter that was plugged in takes a moment.
+/// Time allowed for a reset: a gateway refuses it until the arm is stationary, and a plugged adapter needs a moment.
 const RESET_WITHIN: Duration = Duration::from_secs(10);
-/// Between two tries.
+/// Time between two reset attempts.
 const RESET_AGAIN: Duration = Duration::from_millis(250);
 
-/// What all steps share.
+/// State shared by all steps.
 pub struct Session<'a> {
-    /// Which arm of which file.
+    /// Arm and setup from the command line.
     pub place: &'a Place,
-    /// The setup with the speeds of commissioning.
+    /// The setup with commissioning speeds.
     pub setup: Setup,
-    /// Which arm.
+    /// The arm.
     pub choice: ArmChoice,
-    /// The one clock.
+    /// The clock.
     pub clock: Arc<dyn Clock>,
-    /// What may end all.
+    /// Signals that end the test.
     pub signals: StopSignals,
     /// The operator.
     pub operator: Box<dyn Operator>,
     /// The axis that moves.
     pub axis: Axis,
-    /// How far, rad.
+    /// Angle of each move, rad.
     pub by_rad: f64,
-    /// Where the joints were at the beginning, rad.
+    /// Joints at the beginning, rad.
     pub home_rad: JointVector,
-    /// What the gateway says of itself.
+    /// Properties reported by the gateway.
     pub gateway: HelloReply,
-    /// Where the arm is found, if not where the file says.
+    /// Address of the arm, if it differs from the setup.
     pub line: Option<SocketAddr>,
-    /// The folder of the report.
+    /// Output folder of the report.
     pub out: PathBuf,
 }
 
-/// What an arm did when it was stopped.
+/// Record of a stop.
 pub struct Stop {
-    /// When the program's own hand acted.
+    /// Time of an action by the program.
     pub acted: Option<MonotonicTime>,
-    /// When the driver of the arm noticed.
+    /// Time at which the arm's driver noticed the stop.
     pub noticed: MonotonicTime,
-    /// What it says.
+    /// Cause of the stop.
     pub cause: String,
-    /// The state afterwards.
+    /// State afterwards.
     pub state: ArmState,
-    /// The last measurement before.
+    /// Last measurement before the stop.
     pub before: JointState,
     /// All measurements afterwards.
     pub after: Vec<JointState>,
 }
 
 impl Stop {
-    /// How long it took to rest, milliseconds; infinite if it was not seen at rest.
+    /// Time to standstill, milliseconds; infinite if no standstill was measured.
     pub fn to_rest_ms(&self) -> f64 {
         let slow = |sample: &JointState| sample.velocity_rad_per_s.amax() <= super::steps::REST_RAD_PER_S;
         match self.after.iter().rposition(|sample| !slow(sample)) {
@@ -105,46 +105,46 @@ impl Stop {
         }
     }
 
-    /// The fastest joint afterwards, rad/s.
+    /// Speed of the fastest joint afterwards, rad/s.
     pub fn fastest_rad_per_s(&self) -> f64 {
         self.after.iter().map(|sample| sample.velocity_rad_per_s.amax()).fold(0.0, f64::max)
     }
 
-    /// Which joint got farthest, and how far it is at the end from where it was before, degrees.
+    /// The joint that moved farthest, and its displacement from before the stop to the end, degrees.
     pub fn way(&self) -> (Axis, f64) {
         farthest(&self.before, self.after.last().unwrap_or(&self.before))
     }
 
-    /// From the hand of the program to the stop, milliseconds.
+    /// From the action of the program to the stop, milliseconds.
     pub fn noticed_ms(&self) -> Option<f64> {
         self.acted.map(|acted| 1e3 * self.noticed.seconds_since(acted))
     }
 }
 
-/// The joint that got farthest, and how far, degrees.
+/// The joint that moved farthest, and its displacement, degrees.
 pub fn farthest(before: &JointState, after: &JointState) -> (Axis, f64) {
     let way_rad = (after.position_rad - before.position_rad).abs();
     let axis = Axis::ALL[way_rad.imax()];
     (axis, way_rad[axis.index()].to_degrees())
 }
 
-/// What a move showed while it was made.
+/// Measurements during a move.
 #[derive(Debug, Default)]
-pub struct Seen {
-    /// How far joints sagged when the brakes opened, degrees.
+pub struct MoveObservation {
+    /// Largest sag of a joint when the brakes opened, degrees.
     pub sagged_deg: f64,
-    /// How far the axis was behind its plan at most, degrees.
+    /// Largest lag of the axis behind its plan, degrees.
     pub behind_deg: f64,
-    /// How far any other joint moved, degrees.
+    /// Largest motion of another joint, degrees.
     pub others_deg: f64,
-    /// The largest speed of two samples in a row, rad/s.
+    /// Largest speed in two consecutive samples, rad/s.
     pub fastest_rad_per_s: f64,
     opened_rad: Option<JointVector>,
     last: Option<JointState>,
     last_speed_rad_per_s: f64,
 }
 
-impl Seen {
+impl MoveObservation {
     fn take(&mut self, plan: &Plan, axis: Axis, cycle: &Cycle<'_>) -> Result<()> {
         let (joint, measured) = (axis.index(), cycle.measured);
         let opened_rad = *self.opened_rad.get_or_insert_with(|| {
@@ -156,7 +156,7 @@ impl Seen {
         moved[joint] = 0.0;
         self.others_deg = self.others_deg.max(moved.amax().to_degrees());
         if self.last.is_none_or(|last| measured.at > last.at) {
-            // A measurement may be a cycle old, which counts as being behind.
+            // A measurement may be one cycle old, which counts as lag.
             let behind_rad = cycle.planned_rad[joint] - measured.position_rad[joint];
             self.behind_deg = self.behind_deg.max(behind_rad.abs().to_degrees());
             let speed = measured.velocity_rad_per_s[joint].abs();
@@ -166,21 +166,21 @@ impl Seen {
         }
         if turned_deg < -WRONG_WAY_DEG {
             bail!(
-                "{axis} turns the wrong way: {turned_deg:.3} degrees where it was told to turn the other way; the sign of its encoder or \
-                 drive is not that of the robot description"
+                "{axis} turns the wrong way: {turned_deg:.3} degrees, commanded was the other direction; the sign of its encoder or \
+                 drive differs from the robot description"
             );
         }
         Ok(())
     }
 
-    /// What the speed may be, rad/s.
+    /// Largest allowed speed, rad/s.
     pub fn fastest_allowed_rad_per_s() -> f64 {
         OVER_SPEED * JOG_RAD_PER_S
     }
 }
 
 impl Session<'_> {
-    /// The arm, alone or beside the other one; its brakes stay on.
+    /// Connects the arm, alone or with the other one; its brakes stay closed.
     ///
     /// # Errors
     /// If it does not answer, or is stopped.
@@ -188,10 +188,10 @@ impl Session<'_> {
         wire_slow(&self.setup, self.choice, beside_other, &self.clock)
     }
 
-    /// The next move: away from where the test began, or back.
+    /// Plans the next move: away from the start of the test, or back.
     ///
     /// # Errors
-    /// If it leads out of the operating range.
+    /// If it leaves the operating range.
     pub fn plan(&self, arm: &mut SlowArm) -> Result<Plan> {
         let now_rad = arm.driven.exchange(JointCommand::Hold)?.position_rad;
         let joint = self.axis.index();
@@ -200,25 +200,25 @@ impl Session<'_> {
         self.plan_by(now_rad, by)
     }
 
-    /// A move of the axis by this angle.
+    /// Plans a move of the axis by this angle.
     ///
     /// # Errors
-    /// If it leads out of the operating range.
+    /// If it leaves the operating range.
     pub fn plan_by(&self, from_rad: JointVector, by: f64) -> Result<Plan> {
         let mut by_rad = JointVector::zeros();
         by_rad[self.axis.index()] = by;
         Plan::new(self.choice.of(&self.setup), from_rad, by_rad)
     }
 
-    /// What is to be said to a person who has too little of a move left after NOW.
+    /// A warning if a person has too little time after NOW.
     pub fn too_short_for_a_person(&self, plan: &Plan) -> Option<String> {
         let left = plan.duration().mul_f64(1.0 - ACT_AT);
         let is_short = !self.operator.is_prompt() && left < PERSON_NEEDS;
-        // The speed is the same: twice the way takes twice as long, and a little less where it is hardly reached.
+        // The speed is the same: twice the angle takes twice as long, or slightly less if the speed is hardly reached.
         let needed_deg = self.by_rad.to_degrees().abs() * PERSON_NEEDS.as_secs_f64() / left.as_secs_f64();
         is_short.then(|| {
             format!(
-                "--by {:.1}: after NOW you have {:.1} s until the move ends, and a person needs {} s; give --by {:.0} or more",
+                "--by {:.1}: after NOW you have {:.1} s until the move ends, and a person needs {} s; use --by {:.0} or more",
                 self.by_rad.to_degrees(),
                 left.as_secs_f64(),
                 PERSON_NEEDS.as_secs(),
@@ -227,21 +227,21 @@ impl Session<'_> {
         })
     }
 
-    /// Makes a move that nothing is to stop; the brakes are closed afterwards.
+    /// Makes an undisturbed move; closes the brakes afterwards.
     ///
     /// # Errors
-    /// What stopped it.
-    pub fn drive(&mut self, arm: &mut SlowArm, plan: &Plan) -> Result<(JointState, Seen)> {
-        let (axis, mut seen) = (self.axis, Seen::default());
+    /// The cause of an abort.
+    pub fn drive(&mut self, arm: &mut SlowArm, plan: &Plan) -> Result<(JointState, MoveObservation)> {
+        let (axis, mut seen) = (self.axis, MoveObservation::default());
         let mut drive = Drive::new(arm, plan, &self.clock, self.setup.control_period);
         let outcome = drive.run(&mut self.signals, &mut |cycle| seen.take(plan, axis, cycle));
         Ok((drive::stopped_after(self.choice, arm, outcome)?, seen))
     }
 
-    /// The next move, during which the operator is to act, and of which he knows.
+    /// Plans the next move, in which the operator has to act, and announces it.
     ///
     /// # Errors
-    /// If it leads out of the operating range, or the operator does not want to go on.
+    /// If it leaves the operating range, or the operator declines.
     pub fn announce(&mut self, arm: &mut SlowArm, act: Act) -> Result<Plan> {
         let plan = self.plan(arm)?;
         let by_deg = plan.by_rad()[self.axis.index()].to_degrees();
@@ -254,21 +254,21 @@ impl Session<'_> {
         Ok(plan)
     }
 
-    /// Opens the brakes of the other arm, which holds while this one makes its move.
+    /// Opens the brakes of the other arm, which holds during the move of this one.
     ///
     /// # Errors
-    /// What an arm says, or a signal.
+    /// The failure of an arm, or a signal.
     pub fn switch_other_on(&mut self, arm: &mut SlowArm, plan: &Plan) -> Result<()> {
         Drive::new(arm, plan, &self.clock, self.setup.control_period).switch_other_on(&mut self.signals)
     }
 
-    /// Makes a move that the operator's act is to stop.
+    /// Makes a move that the operator's action has to stop.
     ///
     /// # Errors
-    /// If nothing stopped it, or what ended it besides.
+    /// If nothing stopped it, or another failure ended it.
     pub fn drive_until(&mut self, arm: &mut SlowArm, plan: &Plan, act: Act) -> Result<Stop> {
         let (axis, duration) = (self.axis, plan.duration());
-        let (mut acted, mut last, mut seen) = (None, None, Seen::default());
+        let (mut acted, mut last, mut seen) = (None, None, MoveObservation::default());
         let mut speed_rad_per_s = 0.0;
         let Self { operator, signals, clock, setup, .. } = self;
         let mut watch = |cycle: &Cycle<'_>| {
@@ -282,29 +282,25 @@ impl Session<'_> {
             Ok(())
         };
         let outcome = Drive::new(arm, plan, clock, setup.control_period).run(signals, &mut watch);
-        let monitor = arm.monitor.clone().context("an arm without a line")?;
-        // An arm that was not stopped has to be, at once.
+        let monitor = arm.monitor.clone().context("the arm has no link")?;
+        // An arm that was not stopped must be stopped at once.
         let stopped = outcome.as_ref().err().filter(|error| is_stop(error)).map(|error| format!("{error:#}"));
         let latched = if stopped.is_some() { latched_soon(&monitor) } else { None };
         let (Some(cause), Some(latched)) = (stopped, latched) else {
             let ended = drive::stopped_after(self.choice, arm, outcome);
             ended.map_err(|error| match acted {
-                Some(_) if !is_interruption(&error) => {
-                    error.context(format!("the arm did not tell that anything had stopped it ({act})"))
-                }
+                Some(_) if !is_interruption(&error) => error.context(format!("the arm did not report a stop ({act})")),
                 _ => error,
             })?;
-            bail!(
-                "the move has ended and nothing had stopped it ({act}): repeat this step, and do it while the arm moves"
-            );
+            bail!("the move ended without a stop ({act}): repeat this step, and act while the arm moves");
         };
         if acted.is_none() || speed_rad_per_s < MOVING_RAD_PER_S {
             bail!(
-                "the arm stopped at {speed_rad_per_s:.4} rad/s, when it had hardly begun to move or was about to rest, which proves \
-                 nothing: repeat this step, and act when NOW is written ({cause})"
+                "the arm stopped at {speed_rad_per_s:.4} rad/s, at the start or the end of its move; the test is inconclusive: \
+                 repeat this step, and act when NOW is written ({cause})"
             );
         }
-        let before = last.context("nothing was measured")?;
+        let before = last.context("no measurement")?;
         let after = self.watch_rest(&monitor, latched.at)?;
         Ok(Stop {
             acted: acted.filter(|_| self.operator.is_prompt()),
@@ -316,7 +312,7 @@ impl Session<'_> {
         })
     }
 
-    /// All that an arm tells from a moment on, until it tells nothing more.
+    /// Collects the measurements of an arm from a time on, until no more arrive.
     ///
     /// # Errors
     /// [`Interrupted`].
@@ -340,7 +336,7 @@ impl Session<'_> {
         }
     }
 
-    /// Waits, for no signal.
+    /// Waits, unless a signal arrives.
     ///
     /// # Errors
     /// [`Interrupted`].
@@ -358,36 +354,36 @@ impl Session<'_> {
         }
     }
 
-    /// Asks the operator, and notes what he says.
+    /// Asks the operator, and records the answer.
     ///
     /// # Errors
-    /// If he does not answer.
+    /// If the operator does not answer.
     pub fn ask(&mut self, report: &mut StepReport, question: &Question) -> Result<()> {
         let yes = self.operator.ask(question, &mut self.signals)?;
         report.answers.push(Answer { question: question.to_string(), yes });
         if let (false, Question::Stopped(choice)) = (yes, question) {
-            print_line(&format!("PRESS THE EMERGENCY STOP of the {}: nothing else may stop it", choice.name()))?;
+            print_line(&format!("PRESS THE EMERGENCY STOP of the {}: nothing else may stop the arm", choice.name()))?;
         }
         Ok(())
     }
 
-    /// Clears what stopped an arm, as soon as it can be cleared.
+    /// Resets an arm as soon as it accepts the reset.
     ///
     /// # Errors
-    /// If it cannot be within ten seconds.
+    /// If it does not accept within ten seconds.
     pub fn reset(&mut self, arm: &mut (impl ArmPower + ?Sized)) -> Result<()> {
         let begin = self.clock.now();
         loop {
             let Err(error) = arm.reset() else { return Ok(()) };
             if self.clock.now().saturating_since(begin) > RESET_WITHIN {
-                let text = "the reset was refused for 10 s: remove the cause, then `pb3dp arm reset`";
+                let text = "the reset was refused for 10 s: remove the cause, then use `pb3dp arm reset`";
                 return Err(anyhow::Error::new(error).context(text));
             }
             self.pause(RESET_AGAIN)?;
         }
     }
 
-    /// Keeps the flight recorders of a step that did not pass, and notes the files.
+    /// Keeps the flight recorders of a failed step, and notes the files.
     ///
     /// # Errors
     /// Those of `outcome`.
@@ -409,7 +405,7 @@ impl Session<'_> {
     }
 }
 
-/// What has stopped an arm. What stands before it may know a moment earlier than its driver.
+/// The latched cause of a stop. The layers in front of an arm may latch a moment before its driver.
 fn latched_soon(monitor: &ArmMonitor) -> Option<Latched> {
     (0..LATCHED_LOOKS).find_map(|look| {
         if look > 0 {
@@ -419,43 +415,43 @@ fn latched_soon(monitor: &ArmMonitor) -> Option<Latched> {
     })
 }
 
-/// Whether the arm, or what stands before it, has stopped by itself.
+/// Whether the arm, or a layer in front of it, has stopped by itself.
 fn is_stop(error: &anyhow::Error) -> bool {
     use ArmErrorKind::{Disconnected, Fault, NotEnabled};
     let of_arm = error.chain().find_map(|cause| cause.downcast_ref::<ArmError>());
     of_arm.is_some_and(|error| matches!(error.kind(), Disconnected | Fault | NotEnabled))
 }
 
-/// Whether a signal asked to end.
+/// Whether a signal has ended the test.
 pub fn is_interruption(error: &anyhow::Error) -> bool {
     error.chain().any(|cause| cause.is::<Interrupted>())
 }
 
-/// Whether an arm refuses to be switched on and to be moved; an arm that does not is stopped again.
+/// Checks that an arm refuses to be enabled and moved; an arm that does not refuse is stopped again.
 pub fn refuses_motion(report: &mut StepReport, when: &str, arm: &mut dyn pb3dp_cell::parts::DrivenArm) {
     let enabled = arm.enable();
     let moved = arm.exchange(JointCommand::Velocity(JointVector::zeros()));
     if enabled.is_ok() {
-        // What comes of it shows in the figure.
+        // Its effect shows in the figures.
         let _ = arm.stop();
     }
     refused(report, when, (enabled, moved.map(drop)));
 }
 
-/// Notes what an arm said to being switched on and to being moved.
+/// Records how an arm responded to enable and motion commands.
 pub fn refused(report: &mut StepReport, when: &str, (enabled, moved): (Result<(), ArmError>, Result<(), ArmError>)) {
     let what = format!("motion is refused {when}");
     match (enabled, moved) {
         (Err(error), Err(_)) => report.holds(what, true, error.to_string()),
-        (Ok(()), _) => report.holds(what, false, "the arm could be switched on"),
-        (_, Ok(())) => report.holds(what, false, "a velocity was taken"),
+        (Ok(()), _) => report.holds(what, false, "the arm could be enabled"),
+        (_, Ok(())) => report.holds(what, false, "a velocity was accepted"),
     }
 }
 
 impl Step {
-    /// A line of the list that is shown before anything is done.
+    /// A line of the plan.
     pub fn line(self, number: usize) -> String {
-        format!("{number}. {}: {}\n   has to show: {}", self.name(), self.title(), self.expects())
+        format!("{number}. {}: {}\n   expected: {}", self.name(), self.title(), self.expects())
     }
 }
 
@@ -483,8 +479,8 @@ mod tests {
         let fell = stop(&falls);
         assert!((fell.to_rest_ms() - 25.0).abs() < 1e-9, "{}", fell.to_rest_ms());
         assert!((fell.way().1 - 0.5).abs() < 1e-9 && fell.fastest_rad_per_s() == 0.4);
-        assert_eq!(stop(&falls[..2]).to_rest_ms(), f64::INFINITY, "it was not seen at rest");
-        assert_eq!(stop(&[]).to_rest_ms(), f64::INFINITY, "it was not seen at all");
+        assert_eq!(stop(&falls[..2]).to_rest_ms(), f64::INFINITY, "no standstill was measured");
+        assert_eq!(stop(&[]).to_rest_ms(), f64::INFINITY, "there is no measurement");
         assert_eq!(stop(&falls[..1]).to_rest_ms(), 0.0);
     }
 }

@@ -1,70 +1,70 @@
-//! The steps of the checklist, in their order, and what each of them allows.
+//! Steps of the checklist, in order, with their limits.
 
 use std::time::Duration;
 
 use clap::ValueEnum;
 use serde::Serialize;
 
-/// A step. Each one needs those before it.
+/// A step. Each one needs the previous ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, ValueEnum, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Step {
-    /// Brakes on: messages only.
+    /// Messages only, with brakes on.
     Comms,
     /// One axis, slowly.
     Jog,
-    /// The emergency stop while it moves.
+    /// Emergency stop while the arm moves.
     EStop,
-    /// The cable between this computer and the gateway, pulled while it moves.
+    /// Cable between this computer and the gateway, pulled while the arm moves.
     Cable,
-    /// The program, killed while the arm moves.
+    /// Process killed while the arm moves.
     Kill,
-    /// The emergency stop of the other arm.
+    /// Emergency stop of the other arm.
     Interlock,
 }
 
-/// Messages that prove the link.
+/// Number of messages that test the link.
 pub const EXCHANGES: u32 = 300;
-/// Lost messages in a hundred.
+/// Largest share of lost messages, percent.
 pub const LOST_PERCENT_MAX: f64 = 1.0;
-/// Late commands: a later one counts as an overrun of the host.
+/// Largest lateness of a command, ms: a later one counts as an overrun of the host.
 pub const LATE_MAX_MS: f64 = 5.0;
-/// Joints with closed brakes that show more than this move, degrees: 45 counts of the resolvers.
+/// Largest apparent motion of joints with closed brakes, degrees: 45 counts of the resolvers.
 pub const BRAKED_MAX_DEG: f64 = 0.02;
-/// An axis that is told to move may be behind its plan by this much, degrees.
+/// Largest lag of a moving axis behind its plan, degrees.
 pub const BEHIND_MAX_DEG: f64 = 0.5;
-/// Joints that are told to stay may move by this much, degrees.
+/// Largest motion of joints commanded to hold, degrees.
 pub const OTHERS_MAX_DEG: f64 = 0.1;
-/// An axis may end this far from where it was told to, degrees.
+/// Largest residual of an axis at the end of its move, degrees.
 pub const END_MAX_DEG: f64 = 0.05;
-/// Measured speed over the allowed one, for two samples in a row (R13).
+/// Largest ratio of measured to allowed speed, for two consecutive samples (R13).
 pub const OVER_SPEED: f64 = 1.1;
-/// An axis that has turned this far the other way turns the wrong way, degrees.
+/// Rotation in the wrong direction that aborts the move, degrees.
 pub const WRONG_WAY_DEG: f64 = 0.2;
-/// How far joints may sag when brakes close or drives lose their power, degrees.
+/// Largest sag of a joint when brakes close or drives lose power, degrees.
 pub const SAG_MAX_DEG: f64 = 2.0;
-/// The fastest that a joint may be after an emergency stop, rad/s: what the slowest of them may be at all.
+/// Largest joint speed after an emergency stop, rad/s: the speed limit of the slowest joints.
 pub const FALL_MAX_RAD_PER_S: f64 = 1.0;
-/// Slower than this in every joint is at rest, rad/s: ten counts of a measured speed.
+/// Speed of every joint below which an arm is stationary, rad/s: ten counts of a measured speed.
 pub const REST_RAD_PER_S: f64 = 2e-3;
-/// From the hand at switch or cable to the stop of the program, where the hand is the program's.
+/// Longest time from an action to the stop of the program, ms; only if the program performs the action.
 pub const NOTICED_MAX_MS: f64 = 30.0;
-/// Control cycles from the last measurement to the fault of a link that went silent: three lost replies and the wait for the last.
+/// Control cycles from the last measurement to the fault of a silent link: three lost replies and the wait for the last one.
 pub const SILENT_CYCLES_MAX: f64 = 5.0;
-/// How far an arm may get beyond what its watchdogs explain, degrees: play of the brakes.
+/// Largest travel in excess of the watchdog time, degrees: play of the brakes.
 pub const PLAY_DEG: f64 = 0.5;
-/// Beyond braking itself, until an arm is at rest.
+/// Margin on the braking time until an arm is stationary.
 pub const REST_MARGIN: Duration = Duration::from_millis(50);
-/// For an arm that the other one stops, with its brakes: R8 gives 100 ms.
+/// Margin on the brake time for an arm stopped by the other one, ms: R8 gives 100 ms.
 pub const INTERLOCK_REST_MAX_MS: f64 = 100.0;
-/// How long an arm is left alone before it is looked at: at 0.02 rad/s one that goes on gets 2.3 degrees.
+/// Wait before a stopped arm is checked: at 0.02 rad/s an arm that continues moves 2.3 degrees.
 pub const LEFT_ALONE: Duration = Duration::from_secs(2);
 
 impl Step {
-    /// All, in order.
+    /// All steps, in order.
     pub const ALL: [Self; 6] = [Self::Comms, Self::Jog, Self::EStop, Self::Cable, Self::Kill, Self::Interlock];
 
-    /// As on the command line.
+    /// Name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Comms => "comms",
@@ -76,7 +76,7 @@ impl Step {
         }
     }
 
-    /// What it is.
+    /// Description of the step.
     pub fn title(self) -> &'static str {
         match self {
             Self::Comms => "messages only, brakes on",
@@ -88,12 +88,12 @@ impl Step {
         }
     }
 
-    /// Whether brakes open in it.
+    /// Whether brakes open in this step.
     pub fn moves(self) -> bool {
         self != Self::Comms
     }
 
-    /// What has to happen, for who reads before he does.
+    /// Expected result, for the operator.
     pub fn expects(self) -> String {
         match self {
             Self::Comms => format!(
@@ -101,23 +101,23 @@ impl Step {
                  velocity is refused"
             ),
             Self::Jog => format!(
-                "right axis and direction, at most {BEHIND_MAX_DEG} deg behind, {END_MAX_DEG} deg off at the end; other joints within \
+                "right axis and direction, lag at most {BEHIND_MAX_DEG} deg, residual at most {END_MAX_DEG} deg at the end; other joints within \
                  {OTHERS_MAX_DEG} deg"
             ),
             Self::EStop => format!(
-                "at rest once the brakes had their time, no joint sags by more than {SAG_MAX_DEG} deg; no reset while it is pressed, no \
+                "stationary after the brake time, no joint sags by more than {SAG_MAX_DEG} deg; no reset while the stop is pressed, no \
                  motion before the reset"
             ),
             Self::Cable => format!(
-                "one error at once; the gateway stops the arm by itself, within what its watchdog explains and {PLAY_DEG} deg; no motion \
+                "one error at once; the gateway stops the arm by itself, within its watchdog travel plus {PLAY_DEG} deg; no motion \
                  before the reset"
             ),
             Self::Kill => format!(
-                "the gateway stops the arm by itself, within what its watchdog explains and {PLAY_DEG} deg; no motion before the reset"
+                "the gateway stops the arm by itself, within its watchdog travel plus {PLAY_DEG} deg; no motion before the reset"
             ),
             Self::Interlock => format!(
-                "this arm is stopped within one control cycle and at rest within {INTERLOCK_REST_MAX_MS} ms more than its brakes need; it is \
-                 reset after the other one only"
+                "this arm is stopped within one control cycle and stationary within its brake time plus {INTERLOCK_REST_MAX_MS} ms; it can \
+                 only be reset after the other one"
             ),
         }
     }

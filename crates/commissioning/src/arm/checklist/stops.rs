@@ -1,4 +1,4 @@
-//! The emergency stop and the pulled cable, each while the arm moves.
+//! Steps `e-stop` and `cable`: the emergency stop and the pulled cable, each while the arm moves.
 
 use anyhow::{Context, Result};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, StopCause};
@@ -13,7 +13,7 @@ use super::steps::{
 };
 use crate::arm::motion::JOG_RAD_PER_S;
 
-/// The emergency stop.
+/// Step `e-stop`.
 ///
 /// # Errors
 /// If nothing stopped the arm, or an operator does not answer.
@@ -45,10 +45,10 @@ fn e_stop_of(session: &mut Session<'_>, report: &mut StepReport, arm: &mut SlowA
     Ok(())
 }
 
-/// The pulled cable.
+/// Step `cable`.
 ///
 /// # Errors
-/// As above.
+/// As [`e_stop`].
 pub fn cable(session: &mut Session<'_>, report: &mut StepReport) -> Result<()> {
     let mut arm = session.connect(false)?;
     let outcome = cable_of(session, report, &mut arm);
@@ -70,49 +70,49 @@ fn cable_of(session: &mut Session<'_>, report: &mut StepReport, arm: &mut SlowAr
     session.operator.ready("Then the arm is reset.", Some(Act::PlugCable(choice)), &mut session.signals)?;
     refuses_motion(report, "after it was plugged in, before the reset", &mut *arm.driven);
     session.reset(&mut *arm.driven)?;
-    let snapshot = arm.monitor.as_ref().context("an arm without a line")?.snapshot();
-    let rests = snapshot.joints.context("the arm told no joints")?;
+    let snapshot = arm.monitor.as_ref().context("the arm has no link")?.snapshot();
+    let rests = snapshot.joints.context("the arm reported no joints")?;
     report.holds(
         "the arm was measured after the reset",
         rests.at > stop.noticed,
         format!("{} samples", snapshot.samples),
     );
-    let gateway = snapshot.gateway_found.context("the gateway said nothing of itself")?;
+    let gateway = snapshot.gateway_found.context("the gateway reported no properties")?;
     stopped_by_gateway(report, gateway.state, gateway.cause);
     way(session, report, (&stop.before, &rests));
     Ok(())
 }
 
-/// How soon a stop was noticed, where the moment of the act is known.
+/// Records the time from the action to the stop, if the time of the action is known.
 fn noticed(report: &mut StepReport, stop: &Stop) {
     if let Some(noticed_ms) = stop.noticed_ms() {
-        report.at_most("from the hand to the stop of the program", noticed_ms, NOTICED_MAX_MS, "ms");
+        report.at_most("from the operator action to the stop of the program", noticed_ms, NOTICED_MAX_MS, "ms");
     }
 }
 
-/// An arm that lost its drives: its brakes have their time.
+/// Records the stop of an arm without drive power; the brake time is allowed.
 fn at_rest(session: &Session<'_>, report: &mut StepReport, stop: &Stop) {
     let brakes_ms = f64::from(session.gateway.brake_release_us) / 1e3;
     let most_ms = brakes_ms + 1e3 * REST_MARGIN.as_secs_f64();
-    report.at_most("from the stop of the program to rest", stop.to_rest_ms(), most_ms, "ms");
+    report.at_most("from the stop of the program to standstill", stop.to_rest_ms(), most_ms, "ms");
     report.at_most("fastest joint meanwhile", stop.fastest_rad_per_s(), FALL_MAX_RAD_PER_S, "rad/s");
     let (axis, way_deg) = stop.way();
-    report.at_most(format!("way of {axis}, the joint that got farthest"), way_deg, SAG_MAX_DEG, "deg");
+    report.at_most(format!("travel of {axis}, the joint that moved farthest"), way_deg, SAG_MAX_DEG, "deg");
 }
 
-/// The gateway has stopped the arm because its host fell silent.
+/// Records whether the gateway stopped the arm because of a silent host.
 pub fn stopped_by_gateway(report: &mut StepReport, state: GatewayState, cause: StopCause) {
     let is_so = state == GatewayState::Fault && cause == StopCause::HostSilent;
     report.holds("the gateway has stopped the arm by itself", is_so, format!("{state}, cause: {cause}"));
 }
 
-/// How far an arm got that only its gateway could stop.
+/// Records the travel of an arm that only its gateway could stop.
 pub fn way(session: &Session<'_>, report: &mut StepReport, (before, rests): (&JointState, &JointState)) {
     let silence_s = f64::from(session.gateway.stop_after_us) / 1e6;
-    // The measurement may be as old as the gap that is allowed; then the watchdog, with the speed as it was.
+    // The last measurement may be as old as the allowed gap; the watchdog time follows, at the same speed.
     let gap_s = SILENT_CYCLES_MAX * session.setup.control_period.as_secs_f64();
     let most_deg = (JOG_RAD_PER_S * (silence_s + gap_s)).to_degrees() + PLAY_DEG;
     let (axis, way_deg) = farthest(before, rests);
-    let what = format!("way of {axis}, the joint that got farthest since the last measurement");
+    let what = format!("travel of {axis}, the joint that moved farthest since the last measurement");
     report.at_most(what, way_deg, most_deg, "deg");
 }

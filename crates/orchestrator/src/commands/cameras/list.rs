@@ -9,7 +9,7 @@ use clap::Args;
 use pb3dp_camera_settings::PixelFormat;
 use pb3dp_camera_v4l2::controls::{Control, controls};
 use pb3dp_camera_v4l2::modes::{OfferedFormat, offered};
-use pb3dp_camera_v4l2::names::{self, Found};
+use pb3dp_camera_v4l2::names::{self, CaptureDevice};
 use pb3dp_camera_v4l2::video::{ControlKind, IntervalEntry, SizeEntry, VideoSystem};
 use pb3dp_cell::terminal::print_line;
 use serde::Serialize;
@@ -130,7 +130,7 @@ fn devices(system: &dyn VideoSystem) -> Result<Vec<Device>> {
 }
 
 /// A device with all that it says of itself; one that does not answer (any more) has a problem.
-fn asked(system: &dyn VideoSystem, found: &Found) -> Device {
+fn asked(system: &dyn VideoSystem, found: &CaptureDevice) -> Device {
     let device = found.entry.path.display().to_string();
     let known = Device {
         card: Some(found.capability.card.clone()),

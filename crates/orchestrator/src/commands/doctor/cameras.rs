@@ -11,7 +11,7 @@ const USB2_MBIT_PER_S: f64 = 480.0;
 
 /// A camera, as the kernel lists it.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Found {
+struct ConnectedCamera {
     /// `/dev/video0`.
     path: String,
     name: String,
@@ -21,7 +21,7 @@ struct Found {
     serial: Option<String>,
 }
 
-impl Found {
+impl ConnectedCamera {
     /// Whether it is the one of that name.
     fn has(&self, name: &CameraName) -> bool {
         match name {
@@ -75,7 +75,7 @@ pub(super) fn check(system: &dyn System, needs: &Needs) -> Vec<Finding> {
 }
 
 /// The two cameras of a setup.
-fn named(system: &dyn System, who: &Identity, cameras: &[Found], names: &[CameraName; 2]) -> Vec<Finding> {
+fn named(system: &dyn System, who: &Identity, cameras: &[ConnectedCamera], names: &[CameraName; 2]) -> Vec<Finding> {
     const CHECK: &str = "cameras";
     let (mut findings, mut chosen) = (Vec::new(), Vec::new());
     for (side, name) in ["left", "right"].into_iter().zip(names) {
@@ -136,13 +136,13 @@ fn is_of_driver(name: &CameraName) -> bool {
 }
 
 /// The nodes that give images: the first of each camera.
-fn found(system: &dyn System) -> Vec<Found> {
+fn found(system: &dyn System) -> Vec<ConnectedCamera> {
     let folder = "/sys/class/video4linux";
     let names = system.names(folder).into_iter().filter(|name| name.starts_with("video"));
     let is_first = |name: &String| system.text(&format!("{folder}/{name}/index")).is_none_or(|index| index == "0");
     let camera = |name: String| {
         let (usb, serial) = usb_place(system, &format!("{folder}/{name}/device")).unzip();
-        Found {
+        ConnectedCamera {
             name: system.text(&format!("{folder}/{name}/name")).unwrap_or_else(|| "without a name".to_owned()),
             usb,
             serial: serial.flatten(),
@@ -173,9 +173,9 @@ fn usb_place(system: &dyn System, device: &str) -> Option<(UsbPlace, Option<Stri
     Some((place, system.text(&format!("{device}/serial"))))
 }
 
-fn usable(system: &dyn System, who: &Identity, camera: &Found) -> Finding {
+fn usable(system: &dyn System, who: &Identity, camera: &ConnectedCamera) -> Finding {
     const CHECK: &str = "cameras";
-    let Found { path, name, .. } = camera;
+    let ConnectedCamera { path, name, .. } = camera;
     let Some(node) = system.node(path) else {
         let advice = "udev makes it: is it running, and may this program see /dev (containers)?";
         return Finding::warning(CHECK, format!("{path} ({name}) is listed, but has no node"), advice);
@@ -187,9 +187,9 @@ fn usable(system: &dyn System, who: &Identity, camera: &Found) -> Finding {
 }
 
 /// Two cameras that share what one of them fills.
-fn topology(cameras: &[Found]) -> Vec<Finding> {
+fn topology(cameras: &[ConnectedCamera]) -> Vec<Finding> {
     const CHECK: &str = "USB topology";
-    let at_usb: Vec<(&Found, &UsbPlace)> =
+    let at_usb: Vec<(&ConnectedCamera, &UsbPlace)> =
         cameras.iter().filter_map(|camera| camera.usb.as_ref().map(|usb| (camera, usb))).collect();
     let mbit = |usb: &UsbPlace| usb.speed.as_ref().and_then(|speed| speed.parse::<f64>().ok());
     let mut findings = Vec::new();

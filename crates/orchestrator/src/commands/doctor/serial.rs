@@ -10,7 +10,7 @@ const CHECK: &str = "serial ports";
 /// Longest time for which an adapter may keep bytes back, ms.
 const TIMER_MAX_MS: u32 = 1;
 
-/// Names that go to whoever is plugged in next.
+/// Names that the next connected device gets.
 const NUMBERED: [&str; 2] = ["/dev/ttyUSB", "/dev/ttyACM"];
 
 /// All checks of this room.

@@ -160,7 +160,7 @@ mod tests {
     fn a_folder_that_can_not_be_written_is_told_also_before_it_is_there() {
         let folder = tempfile::tempdir().unwrap();
         assert_eq!(may_write(&folder.path().join("recordings/of today")), Ok(()));
-        // A file is no folder, whoever asks.
+        // A file is no folder, for any user.
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();
         let why = may_write(&file.join("recordings")).unwrap_err();

@@ -180,7 +180,7 @@ impl Plan {
         plan
     }
 
-    /// What speaks against this head.
+    /// What argues against this stereo rig.
     fn warned(&self) -> Vec<String> {
         let (at, head, given) = (&self.at, &self.head, &self.conditions);
         let mut warnings = Vec::new();

@@ -7,7 +7,7 @@ use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_record::plain_zero::plain_zero;
 use serde::Serialize;
 
-use super::walk::{Found, Outcome};
+use super::walk::{Outcome, TargetResult};
 
 /// The result of one frame, in the units of the interface; the order of the fields is that of the JSON line.
 #[derive(Clone, Debug, Serialize)]
@@ -46,8 +46,8 @@ impl TrackLine {
     }
 
     /// A line for each target of a frame.
-    pub fn all_of(frame: usize, t_s: f64, found: &[Found]) -> Vec<Self> {
-        let line = |found: &Found| {
+    pub fn all_of(frame: usize, t_s: f64, found: &[TargetResult]) -> Vec<Self> {
+        let line = |found: &TargetResult| {
             let mut line = match &found.outcome {
                 Outcome::Estimate { estimate, millis } => Self::of(frame, t_s, estimate, *millis),
                 Outcome::Refused { reason } => Self::of_error(frame, t_s, reason),

@@ -11,7 +11,7 @@ use pb3dp_record::images::{StoredFormat, save};
 use pb3dp_record::overlay::{Animation, AnimationLimits};
 
 use super::super::overlay_folder::make_overlay_folder;
-use super::walk::{Found, Outcome};
+use super::walk::{Outcome, TargetResult};
 use crate::arguments::MethodArgs;
 
 /// Images per frame and one animated image of all, if they are wanted.
@@ -34,9 +34,16 @@ impl Overlays {
     ///
     /// # Errors
     /// If the image cannot be written.
-    pub fn add(&mut self, frame: usize, t_s: f64, pair: &FramePair, rig: &StereoRig, targets: &[Found]) -> Result<()> {
+    pub fn add(
+        &mut self,
+        frame: usize,
+        t_s: f64,
+        pair: &FramePair,
+        rig: &StereoRig,
+        targets: &[TargetResult],
+    ) -> Result<()> {
         let Some((folder, animation)) = &mut self.wanted else { return Ok(()) };
-        let annotation = |found: &Found| {
+        let annotation = |found: &TargetResult| {
             let target = found.target.map_or(String::new(), |target| format!("target {target}  "));
             let Outcome::Estimate { estimate, .. } = &found.outcome else {
                 let label = format!("frame {frame}  {t_s:.3} s  {target}error");

@@ -54,7 +54,7 @@ enum Mark {
 }
 
 /// What was found of one target in one frame.
-pub struct Found {
+pub struct TargetResult {
     /// Its number, if there are several.
     pub target: Option<usize>,
     /// What came of it.
@@ -196,7 +196,7 @@ impl Walk {
     ///
     /// # Errors
     /// Exchanged images in the first frame, or regions that are all refused.
-    pub fn step(&mut self, frame: usize, t_s: f64, pair: &FramePair) -> Result<Vec<Found>> {
+    pub fn step(&mut self, frame: usize, t_s: f64, pair: &FramePair) -> Result<Vec<TargetResult>> {
         let mut pair_warning = None;
         if self.first.is_none() {
             let what = format!("frame {frame}");
@@ -227,7 +227,7 @@ impl Walk {
                 }
                 Outcome::Refused { .. } => {}
             }
-            all.push(Found { target: index, outcome, pair_warning: pair_warning.clone() });
+            all.push(TargetResult { target: index, outcome, pair_warning: pair_warning.clone() });
         }
         if self.targets.iter().all(|target| target.refused.is_some()) {
             bail!("frame {frame}: the regions of all targets are refused");

@@ -62,7 +62,7 @@ pub(super) fn run(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &Ch
 }
 
 /// What was taken from the cameras.
-struct Taken {
+struct CapturedPairs {
     moments: Vec<Moment>,
     samples: Vec<FramePair>,
     counters: StereoCounters,
@@ -99,12 +99,12 @@ fn checked(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &CheckArgs
 }
 
 /// Takes pairs, and keeps the images of some.
-fn take(camera: &mut V4l2StereoCamera, clock: &dyn Clock, pairs: usize) -> Taken {
+fn take(camera: &mut V4l2StereoCamera, clock: &dyn Clock, pairs: usize) -> CapturedPairs {
     let size = camera.info().size;
     let mut pair = FramePair::black(size);
     // Memory beforehand: taking it between two pairs would disturb what is measured.
     let mut free: Vec<FramePair> = (0..SAMPLES).map(|_| FramePair::black(size)).collect();
-    let mut taken = Taken {
+    let mut taken = CapturedPairs {
         moments: Vec::with_capacity(pairs),
         samples: Vec::with_capacity(SAMPLES),
         counters: StereoCounters::default(),

@@ -24,7 +24,7 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 
 use super::answers::{Content, Refusal, json, stream, whole};
-use super::show::{Ask, Images, State, Wish};
+use super::show::{ControlRequest, Images, PendingRequest, State};
 use crate::commands::cameras::list::ControlLine;
 
 /// The page, with all that belongs to it.
@@ -50,7 +50,7 @@ const STREAM_KIND: &str = "multipart/x-mixed-replace; boundary=pb3dp-next-image"
 pub(super) struct Sources {
     pub(super) states: watch::Receiver<Arc<State>>,
     pub(super) images: watch::Receiver<Option<Arc<Images>>>,
-    pub(super) ask: SyncSender<Ask>,
+    pub(super) ask: SyncSender<PendingRequest>,
 }
 
 /// A server that runs; it ends when this is dropped.
@@ -144,12 +144,12 @@ async fn answer(request: Request<Incoming>, sources: &Sources) -> Result<Respons
     let side = side_in(&path);
     match (path.as_str(), side) {
         ("/controls/left" | "/controls/right", Some(side)) => {
-            let wish = match *request.method() {
-                Method::GET => Wish::Controls,
+            let request = match *request.method() {
+                Method::GET => ControlRequest::Controls,
                 Method::POST => wish_in(request).await?,
                 _ => return Err(not_allowed(&request, "GET or POST")),
             };
-            ask(sources, side, wish).await.map(|controls| json(&controls))
+            ask(sources, side, request).await.map(|controls| json(&controls))
         }
         _ if !is_get => Err(match path.as_str() {
             "/" | "/state" | "/left.jpg" | "/right.jpg" | "/left.mjpg" | "/right.mjpg" => not_allowed(&request, "GET"),
@@ -212,7 +212,7 @@ fn check_host(request: &Request<Incoming>) -> Result<(), Refusal> {
 }
 
 /// What a POST asks for.
-async fn wish_in(request: Request<Incoming>) -> Result<Wish, Refusal> {
+async fn wish_in(request: Request<Incoming>) -> Result<ControlRequest, Refusal> {
     #[derive(Deserialize)]
     #[serde(deny_unknown_fields)]
     struct Change {
@@ -247,16 +247,16 @@ async fn wish_in(request: Request<Incoming>) -> Result<Wish, Refusal> {
             format!("the body is not understood: {error}; send for instance {EXAMPLE}"),
         )
     })?;
-    Ok(Wish::Set { id: change.id, value: change.value })
+    Ok(ControlRequest::Set { id: change.id, value: change.value })
 }
 
-async fn ask(sources: &Sources, side: Side, wish: Wish) -> Result<Vec<ControlLine>, Refusal> {
-    let is_change = matches!(wish, Wish::Set { .. });
+async fn ask(sources: &Sources, side: Side, request: ControlRequest) -> Result<Vec<ControlLine>, Refusal> {
+    let is_change = matches!(request, ControlRequest::Set { .. });
     let (answer, answered) = oneshot::channel();
     let busy = || {
         Refusal::new(StatusCode::SERVICE_UNAVAILABLE, "the cameras do not answer now; try again, and look at /state")
     };
-    sources.ask.try_send(Ask { side, wish, answer }).map_err(|_| busy())?;
+    sources.ask.try_send(PendingRequest { side, request, answer }).map_err(|_| busy())?;
     let answered = tokio::time::timeout(CAMERA_PATIENCE, answered).await;
     let status = if is_change { StatusCode::CONFLICT } else { StatusCode::SERVICE_UNAVAILABLE };
     match answered {

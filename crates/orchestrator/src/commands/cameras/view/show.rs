@@ -110,7 +110,7 @@ pub(super) struct Images {
 
 /// What is asked of the cameras.
 #[derive(Debug)]
-pub(super) enum Wish {
+pub(super) enum ControlRequest {
     /// All controls of a camera.
     Controls,
     /// Another value of one, and all controls after that.
@@ -119,9 +119,9 @@ pub(super) enum Wish {
 
 /// A question to the cameras, and where its answer goes.
 #[derive(Debug)]
-pub(super) struct Ask {
+pub(super) struct PendingRequest {
     pub(super) side: Side,
-    pub(super) wish: Wish,
+    pub(super) request: ControlRequest,
     pub(super) answer: oneshot::Sender<Result<Vec<ControlLine>, String>>,
 }
 
@@ -130,7 +130,7 @@ pub(super) struct Show<'a> {
     pub(super) clock: &'a dyn Clock,
     pub(super) state: watch::Sender<Arc<State>>,
     pub(super) images: watch::Sender<Option<Arc<Images>>>,
-    pub(super) asks: Receiver<Ask>,
+    pub(super) asks: Receiver<PendingRequest>,
 }
 
 /// How cameras that were lost are opened again.
@@ -188,19 +188,23 @@ impl Show<'_> {
                 }
             }
             for ask in asks.try_iter().take(ASKS_MAX) {
-                taking.state.control_changes += u64::from(matches!(ask.wish, Wish::Set { .. }));
+                taking.state.control_changes += u64::from(matches!(ask.request, ControlRequest::Set { .. }));
                 // Who has asked may have gone.
-                let _ = ask.answer.send(answered(camera.as_mut(), ask.side, &ask.wish));
+                let _ = ask.answer.send(answered(camera.as_mut(), ask.side, &ask.request));
             }
         }
         Ok(())
     }
 }
 
-fn answered(camera: Option<&mut V4l2StereoCamera>, side: Side, wish: &Wish) -> Result<Vec<ControlLine>, String> {
+fn answered(
+    camera: Option<&mut V4l2StereoCamera>,
+    side: Side,
+    request: &ControlRequest,
+) -> Result<Vec<ControlLine>, String> {
     let text = |error: CameraError| format!("{:#}", anyhow::Error::new(error));
     let camera = camera.ok_or_else(|| "the cameras are lost; look at plug, cable and hub".to_owned())?;
-    if let Wish::Set { id, value } = wish {
+    if let ControlRequest::Set { id, value } = request {
         camera.set_control(side, *id, *value).map_err(text)?;
     }
     Ok(camera.controls(side).map_err(text)?.iter().map(ControlLine::of).collect())

@@ -186,7 +186,7 @@ fn controls_are_shown_and_changed() {
         let after = page.post("/controls/right", &change(id::GAIN, 77));
         assert_eq!((after.status, value_of(&after.json(), id::GAIN)), (200, 77));
         assert_eq!(value_of(&page.get("/controls/left").json(), id::GAIN), 64);
-        // Whoever else looks is told that there is something to ask for.
+        // Every other viewer is informed that a request is pending.
         page.until("/state", |answer| answer.json()["control_changes"] == 1);
         page.post("/controls/left", &change(id::GAIN, 256)).refused(409, "its range is 0 to 255 in steps of 1");
         page.post("/controls/left", &change(5, 1)).refused(409, "it has no control 0x00000005");

@@ -1,4 +1,4 @@
-//! What an operator wants, step by step: each wish takes several activities of the driver.
+//! What an operator wants, step by step: each request takes several activities of the driver.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::transport::{ConnectError, Unplugged};
 
 use super::port::{Greeted, HostPort};
-use super::shared::Wish;
+use super::shared::PowerRequest;
 use crate::driver::{
     Activity, Driver, DriverState, EmergencyStopCause, FaultCause, Latched, Refusal, Request, Sample, Trip,
     WarmUpFailure,
@@ -23,7 +23,7 @@ const ASK_AGAIN: Duration = Duration::from_millis(50);
 /// A gateway has brought its arm to rest after the time of the brakes and this.
 const STOP_MAX: Duration = Duration::from_secs(1);
 
-/// Why a wish was not fulfilled.
+/// Why a request was not fulfilled.
 #[derive(Debug, thiserror::Error)]
 pub enum WishError {
     /// Not possible now.
@@ -71,30 +71,30 @@ pub enum WishError {
     Stuck(DriverState),
 }
 
-/// Where a wish stands.
+/// Where a request stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     /// Nothing was done for it.
     New,
     /// HELLO was said.
     Greeting,
-    /// The driver was asked for this wish's activity.
+    /// The driver was asked for this request's activity.
     Asked,
     /// The gateway still stops the arm: it is asked again at this time.
     Pausing(MonotonicTime),
 }
 
-/// A wish that is being fulfilled.
+/// A request that is being fulfilled.
 #[derive(Debug)]
 pub(super) struct Running {
     pub number: u64,
-    wish: Wish,
+    request: PowerRequest,
     stage: Stage,
     /// Since when the gateway was found stopping.
     stopping: Option<MonotonicTime>,
 }
 
-/// What a wish may use.
+/// What a request may use.
 pub(super) struct Means<'a> {
     pub driver: &'a mut Driver,
     pub port: &'a mut dyn HostPort,
@@ -103,18 +103,18 @@ pub(super) struct Means<'a> {
 }
 
 impl Running {
-    pub fn new(number: u64, wish: Wish) -> Self {
-        Self { number, wish, stage: Stage::New, stopping: None }
+    pub fn new(number: u64, request: PowerRequest) -> Self {
+        Self { number, request, stage: Stage::New, stopping: None }
     }
 
-    /// Does what can be done now. `Some` when the wish is fulfilled or cannot be.
+    /// Does what can be done now. `Some` when the request is fulfilled or cannot be.
     pub fn advance(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Option<Result<(), WishError>> {
-        let done = match self.wish {
-            Wish::Connect => self.connect(now, means),
-            Wish::Enable => self.enable(now, means),
-            Wish::Stop => self.stop(now, means),
-            Wish::Reset => self.reset(now, means),
-            Wish::Look => self.look(now, means),
+        let done = match self.request {
+            PowerRequest::Connect => self.connect(now, means),
+            PowerRequest::Enable => self.enable(now, means),
+            PowerRequest::Stop => self.stop(now, means),
+            PowerRequest::Reset => self.reset(now, means),
+            PowerRequest::Look => self.look(now, means),
         };
         done.transpose()
     }
