@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use pb3dp_message_codes::{Coded, MessageCode};
+
 use super::findings::{Cause, Detail};
 use super::inputs::{ARM_NAMES, OperatorCommand};
 use super::policy::Condition;
@@ -134,8 +136,20 @@ pub enum RefusedFor {
     },
 }
 
-impl fmt::Display for Why {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+impl Why {
+    /// The code of the condition that inhibits motion or has latched the arms.
+    pub fn code(&self) -> Option<&'static MessageCode> {
+        match self {
+            Self::Waiting { cause }
+            | Self::Slowed { cause, .. }
+            | Self::Resting { cause, .. }
+            | Self::HeldByOperator { cause: Some(cause), .. }
+            | Self::Latched { cause, .. } => Some(cause.condition.message_code()),
+            _ => None,
+        }
+    }
+
+    fn write_sentence(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Idle => write!(f, "idle: no target selected; use select"),
             Self::Ready => write!(f, "selecting: target seen, no active inhibit; use start"),
@@ -180,8 +194,30 @@ impl fmt::Display for Why {
     }
 }
 
+impl fmt::Display for Why {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.write_sentence(f)?;
+        self.code().map_or(Ok(()), |known| write!(f, " [{}]", known.code))
+    }
+}
+
 impl fmt::Display for Refusal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.write_sentence(f)?;
+        write!(f, " [{}]", self.code().code)
+    }
+}
+
+impl Refusal {
+    /// The code of the condition that inhibits the command, or of the reason why it is refused.
+    pub fn code(&self) -> &'static MessageCode {
+        match &self.because {
+            RefusedFor::Cause(cause) => cause.condition.message_code(),
+            because => because.message_code(),
+        }
+    }
+
+    fn write_sentence(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} refused: ", self.word.name())?;
         match &self.because {
             RefusedFor::State(state) => write!(f, "not possible in the state {state}{}", instead(*state)),

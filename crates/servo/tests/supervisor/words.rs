@@ -171,7 +171,8 @@ fn an_arm_that_does_not_move_says_why_in_each_step() {
     bench.step();
     assert_eq!(
         bench.why(),
-        "selecting: no confident pose yet; motion needs one newer than 1.000 s; bring the target back into view, then use start"
+        "selecting: no confident pose yet; motion needs one newer than 1.000 s; bring the target back into view, then use start \
+         [PB3DP-SUP-010]"
     );
     bench.truth();
     bench.run(0.3);
@@ -183,7 +184,7 @@ fn an_arm_that_does_not_move_says_why_in_each_step() {
     assert_eq!(
         bench.why(),
         "holding: the camera exposures are 6.10 ms apart, limit 5.00 ms; check the camera trigger; resumes by itself 0.2 s after the \
-         cause is gone"
+         cause is gone [PB3DP-SUP-018]"
     );
     bench.say(OperatorCommand::Hold);
     assert!(bench.why().starts_with("holding: held by the operator; also the camera exposures"), "{}", bench.why());
