@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand, ValueEnum};
 use pb3dp_cell::terminal::print_line;
 use pb3dp_setup::explain::{explain, is_within};
@@ -120,15 +120,22 @@ fn show(args: &ShowArgs) -> Result<ExitCode> {
     }
     if args.json {
         let entry = |setting: &&Effective| {
-            (setting.key.clone(), serde_json::json!({ "value": setting.value, "origin": setting.origin }))
+            let value = json_of(&setting.value).with_context(|| setting.key.clone())?;
+            Ok((setting.key.clone(), serde_json::json!({ "value": value, "origin": setting.origin })))
         };
-        let object: serde_json::Map<String, serde_json::Value> = wanted.iter().map(entry).collect();
+        let object = wanted.iter().map(entry).collect::<Result<serde_json::Map<String, serde_json::Value>>>()?;
         print_line(&serde_json::to_string_pretty(&object)?)?;
         return Ok(ExitCode::SUCCESS);
     }
     let wanted: Vec<Effective> = wanted.into_iter().cloned().collect();
     print_line(toml_of(&wanted).trim_end())?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// A value as TOML writes it, as a value of JSON.
+fn json_of(value: &str) -> Result<serde_json::Value> {
+    let table: toml::Table = format!("value = {value}").parse()?;
+    Ok(serde_json::to_value(table.get("value"))?)
 }
 
 fn check(args: &CheckArgs) -> Result<ExitCode> {

@@ -10,6 +10,7 @@ use anyhow::{Context, Result};
 use clap::{Args, Command, ValueEnum};
 use clap_complete::Shell;
 use pb3dp_setup::explain::{Explanation, explain_all};
+use pb3dp_setup::layers::built_in;
 use pb3dp_wiring::message_codes::tables;
 
 /// Columns of help texts on a page.
@@ -79,6 +80,10 @@ fn keys() -> String {
     let mut page = format!(
         "# Keys of a setup\n\n{MADE_BY}\n`pb3dp config explain KEY` prints the same with the value of each built-in setup.\nThe keys of an arm are those of `arms.vs`, whatever the table of the arm is called.\n"
     );
+    page.push_str("\n## Built-in setups\n\n| name | what it is |\n| --- | --- |\n");
+    for setup in built_in::SETUPS {
+        let _ = writeln!(page, "| `{}` | {} |", setup.name, cell(setup.about));
+    }
     let mut tables: BTreeMap<String, Vec<Explanation>> = BTreeMap::new();
     for explanation in explain_all() {
         let table = explanation.key.rsplit_once('.').map_or("", |(table, _)| table).to_owned();

@@ -1,6 +1,7 @@
 //! The program as its user meets it: arguments and files in, lines, images and exit codes out.
 
 mod cameras;
+mod config;
 mod deploy;
 mod doctor;
 mod estimate;

@@ -1,0 +1,69 @@
+//! `pb3dp config`: what a setup says, whether a run would accept it, and how one begins.
+
+use std::fs;
+use std::process::Command;
+
+/// What `pb3dp config` left behind.
+#[derive(Debug)]
+struct Finished {
+    code: Option<i32>,
+    stdout: String,
+    stderr: String,
+}
+
+fn config(args: &[&str]) -> Finished {
+    let output = Command::new(env!("CARGO_BIN_EXE_pb3dp")).arg("config").args(args).output().unwrap();
+    let [stdout, stderr] = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
+    Finished { code: output.status.code(), stdout, stderr }
+}
+
+#[test]
+fn values_for_programs_have_the_types_of_json() {
+    for setup in ["sim", "hil", "rig", "bare", "published"] {
+        let shown = config(&["show", "--config", setup, "--json"]);
+        assert_eq!(shown.code, Some(0), "{shown:?}");
+        let values: serde_json::Value = serde_json::from_str(&shown.stdout).unwrap();
+        assert!(values.as_object().unwrap().len() > 50, "{setup}");
+    }
+    let shown = config(&["show", "--config", "sim", "--set", "run.seed=7", "--json"]);
+    let values: serde_json::Value = serde_json::from_str(&shown.stdout).unwrap();
+    assert_eq!(values["run.seed"], serde_json::json!({ "value": 7, "origin": "--set" }));
+    assert_eq!(values["scene.target"]["value"], "crab");
+    assert_eq!(values["arms.first_run"]["value"], false);
+    assert_eq!(values["arms.vs.start_deg"]["value"].as_array().unwrap().len(), 7);
+}
+
+#[test]
+fn a_setup_that_is_begun_is_accepted_or_says_what_is_missing() {
+    let folder = tempfile::tempdir().unwrap();
+    for kind in ["sim", "hil"] {
+        let file = folder.path().join(format!("{kind}.toml"));
+        fs::write(&file, config(&["init", kind]).stdout).unwrap();
+        let checked = config(&["check", "--config", file.to_str().unwrap()]);
+        assert_eq!(checked.code, Some(0), "{kind}: {checked:?}");
+    }
+    let missing = config(&["check", "--config", "rig"]);
+    assert_eq!(missing.code, Some(1));
+    for key in ["mounts", "camera.left.device", "camera.calibration", "arms.vs", "arms.tc"] {
+        assert!(missing.stderr.contains(&format!("  {key}: missing")), "{key}: {}", missing.stderr);
+    }
+}
+
+#[test]
+fn differences_and_their_absence_have_exit_codes() {
+    let same = config(&["diff", "sim", "sim"]);
+    assert_eq!((same.code, same.stdout.as_str()), (Some(0), ""));
+    let other = config(&["diff", "sim", "sim", "--set", "run.seed=7"]);
+    assert_eq!(other.code, Some(3), "{other:?}");
+    assert!(other.stdout.starts_with("run.seed\n") && other.stdout.contains("7"), "{}", other.stdout);
+}
+
+#[test]
+fn a_key_is_explained_without_a_setup_and_a_typo_names_the_nearest() {
+    let known = config(&["explain", "arms.vs.start_deg"]);
+    assert_eq!(known.code, Some(0), "{known:?}");
+    assert!(known.stdout.contains("unit: deg") && known.stdout.contains("allowed: "), "{}", known.stdout);
+    let typo = config(&["explain", "arms.vs.start_degs"]);
+    assert_eq!(typo.code, Some(1));
+    assert!(typo.stderr.contains("did you mean arms.vs.start_deg?"), "{}", typo.stderr);
+}
