@@ -159,7 +159,7 @@ fn a_target_that_the_estimator_took_anew_is_not_followed() {
     let moved = bench.run(0.5);
     assert_eq!((moved.decision.state, moved.decision.permission), (State::Holding, Permission::Hold));
     let line = moved.decision.why.to_string();
-    assert!(line.contains("target 2") && line.contains("target 1") && line.ends_with("use resume"), "{line}");
+    assert!(line.contains("target 2") && line.contains("target 1") && line.contains("use resume [PB3DP-SUP-"), "{line}");
     bench.target = Some(1);
     let moved = bench.rests_for(3.0);
     assert_eq!(moved.decision.state, State::Holding, "nobody said that it may go on");
@@ -287,7 +287,7 @@ fn nothing_moves_while_the_target_was_never_seen() {
     let moved = bench.rests_for(4.0);
     assert_eq!(moved.decision.state, State::Selecting);
     let line = moved.decision.why.to_string();
-    assert!(line.contains("no confident pose yet") && line.ends_with("then use start"), "{line}");
+    assert!(line.contains("no confident pose yet") && line.contains("then use start [PB3DP-SUP-"), "{line}");
 }
 
 /// A stop of the supervisor ends the run with its reason; both arms rest afterwards.
@@ -309,7 +309,7 @@ fn a_stop_by_a_policy_ends_the_run_with_its_reason() {
         }
     }
     let line = refused.unwrap();
-    assert!(line.starts_with("stopped: target lost") && line.ends_with("then use reset"), "{line}");
+    assert!(line.starts_with("stopped: target lost") && line.contains("then use reset [PB3DP-SUP-"), "{line}");
     bench.moving.stop().unwrap();
 }
 
