@@ -94,7 +94,7 @@ fn one_joint(joint: usize, velocity: f64) -> JointCommand {
     JointCommand::Velocity(all)
 }
 
-/// The fastest that each joint gets to when it is told far too much, alone.
+/// The largest speed that each joint reaches alone when its command is far too large.
 fn fastest_behind_the_limiter(arm: &ArmSetup) -> JointVector {
     JointVector::from_fn(|joint, _| {
         let (prompt, clock) = Prompt::new(arm.start_rad, 1.0);

@@ -232,7 +232,7 @@ impl Seen {
         self.transitions().iter().filter(|note| note.event == event).map(|note| note.t_s).collect()
     }
 
-    /// Neither arm is told to move in this time, nor moves.
+    /// Neither arm gets a motion command in this time, nor moves.
     fn rests(&self, from_s: f64, until_s: f64) {
         for (noted, name) in self.noted.iter().zip(NAMES) {
             let noted = noted.lock().unwrap();
@@ -244,7 +244,7 @@ impl Seen {
                     // A latched arm is asked so why it is latched.
                     JointCommand::Velocity(velocity) => velocity.amax() == 0.0,
                 };
-                assert!(is_rest, "{name} is told to move at {at_s} s: {command:?}");
+                assert!(is_rest, "{name} gets a motion command at {at_s} s: {command:?}");
                 let speed = measured.map_or(0.0, |joints| joints.velocity_rad_per_s.amax());
                 assert!(speed < AT_REST_RAD_PER_S, "{name} moves at {at_s} s: {speed} rad/s");
             }
@@ -521,7 +521,7 @@ fn a_command_that_an_arm_refuses_is_a_hold_until_resume() {
         assert!(held.len() == 1 && (3.0..3.03).contains(&held[0]), "{:?}", seen.transitions());
         assert!(resumed.len() == 1 && (4.99..5.02).contains(&resumed[0]), "{:?}", seen.transitions());
         let [vs, tc] = [0, 1].map(|arm| seen.noted[arm].lock().unwrap());
-        assert_eq!(vs.told.len(), tc.told.len(), "both arms are told in each step");
+        assert_eq!(vs.told.len(), tc.told.len(), "both arms get a command in each step");
         let held = vs.told.iter().filter(|(at_s, ..)| (3.03..4.99).contains(at_s));
         assert!(held.clone().count() > 150 && held.clone().all(|(_, command, _)| *command == JointCommand::Hold));
         drop((vs, tc));

@@ -159,7 +159,10 @@ fn a_target_that_the_estimator_took_anew_is_not_followed() {
     let moved = bench.run(0.5);
     assert_eq!((moved.decision.state, moved.decision.permission), (State::Holding, Permission::Hold));
     let line = moved.decision.why.to_string();
-    assert!(line.contains("target 2") && line.contains("target 1") && line.contains("use resume [PB3DP-SUP-"), "{line}");
+    assert!(
+        line.contains("target 2") && line.contains("target 1") && line.contains("use resume [PB3DP-SUP-"),
+        "{line}"
+    );
     bench.target = Some(1);
     let moved = bench.rests_for(3.0);
     assert_eq!(moved.decision.state, State::Holding, "nobody said that it may go on");

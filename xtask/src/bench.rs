@@ -33,7 +33,7 @@ const QUICK_ROUNDS: &str = "40";
 ///         arm's limits allow; fails if a limit is missed (ten minutes on two idle cores; --quick: seconds; --only WORDS, --seed N). Writes docs/benchmarks/servo.md
 /// safety  seeded runs in which everything goes wrong, with both arms emulated in virtual time, judged on the simulator's truth;
 ///         fails if anything does not hold, and says how to do that run again: --runs N, --seed N, --quick, --trace,
-///         --imaged N (of the first runs so many once more with rendered images); a run of default length writes docs/benchmarks/safety.md. --disabled, in a build of its own: each safeguard switched off, which
+///         --imaged N (of the first runs so many once more with rendered images); a run of default length writes docs/benchmarks/safety.md. --disabled, in a build of its own: each safeguard disabled, which
 ///         must show; --only NAME: some of them; all of them write their part of that page
 /// all     speed and raster
 ///
@@ -124,7 +124,7 @@ fn servo(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
 fn safety(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
     let mut command = workspace.cargo();
     command.args(["run", "--release", "--locked", "--package", "pb3dp-benchmarks", "--example", "safety"]);
-    // Safeguards that can be switched off are in no other build.
+    // Safeguards that can be disabled are in no other build.
     if options.iter().any(|option| option == "--disabled") {
         command.args(["--features", "disabled-guards", "--config", "profile.release.debug-assertions=true"]);
     }

@@ -1,11 +1,11 @@
-//! How long an image of 640x480 takes from a driver's bytes to the bytes that are estimated on, on one core.
+//! Time to convert a 640x480 image from the driver's bytes to the pixels that the estimators use, on one core.
 //!
 //! `cargo run --release -p pb3dp-benchmarks --example pixel_speed`
 //!
-//! Prints the median of many images for each format, for `YUYV` beside the scalar code as well, and fails if `YUYV` takes longer than
+//! Prints the median over many images for each format, for `YUYV` also with the scalar code. Fails if `YUYV` exceeds
 //! the limit.
 
-#![allow(clippy::print_stdout, clippy::expect_used, reason = "a program for the console, whose images are its own")]
+#![allow(clippy::print_stdout, clippy::expect_used, reason = "a console program with its own images")]
 
 use std::hint::black_box;
 use std::process::ExitCode;
@@ -20,7 +20,7 @@ use pb3dp_geometry::ImageSize;
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 const IMAGES: usize = 401;
 
-/// What a `YUYV` image may take: half a per cent of the time from image to image.
+/// Limit for one `YUYV` image: half a per cent of the frame period.
 const YUYV_MILLIS_MAX: f64 = 0.15;
 
 fn main() -> ExitCode {
@@ -33,9 +33,9 @@ fn main() -> ExitCode {
     let best = millis(PixelFormat::Yuyv, YuvKernels::best());
     println!("| YUYV | scalar | {scalar:.3} |");
     println!("| YUYV | {} | {best:.3} |", YuvKernels::best().name());
-    println!("YUYV: vectors are {:.1} times as fast as the scalar code", scalar / best);
+    println!("YUYV: vector code is {:.1} times as fast as scalar code", scalar / best);
     if best > YUYV_MILLIS_MAX {
-        println!("YUYV takes longer than {YUYV_MILLIS_MAX} ms");
+        println!("YUYV is slower than the limit of {YUYV_MILLIS_MAX} ms");
         return ExitCode::FAILURE;
     }
     ExitCode::SUCCESS
@@ -45,12 +45,12 @@ fn millis(format: PixelFormat, kernels: YuvKernels) -> f64 {
     let bytes = image(format);
     let stride = format.row_bytes(SIZE.width).unwrap_or(0);
     let layout = Layout { format, size: SIZE, stride, matrix: YuvMatrix::Bt601, range: YuvRange::Limited };
-    let mut converter = Converter::new(layout).expect("a layout without gaps").with_kernels(kernels);
+    let mut converter = Converter::new(layout).expect("a valid layout").with_kernels(kernels);
     let mut target = RgbImage::new(SIZE.width, SIZE.height);
     let mut times: Vec<f64> = (0..IMAGES)
         .map(|_| {
             let begin = Instant::now();
-            converter.convert(black_box(&bytes), &mut target).expect("a whole image");
+            converter.convert(black_box(&bytes), &mut target).expect("a complete image");
             black_box(&target);
             begin.elapsed().as_secs_f64() * 1e3
         })
@@ -59,7 +59,7 @@ fn millis(format: PixelFormat, kernels: YuvKernels) -> f64 {
     times[IMAGES / 2]
 }
 
-/// Bytes of an image with structure everywhere.
+/// Bytes of an image with texture everywhere.
 fn image(format: PixelFormat) -> Vec<u8> {
     let value = |k: u32| (k.wrapping_mul(2_654_435_761) >> 26) as u8 + (k / 97) as u8 % 128;
     match format.row_bytes(SIZE.width) {

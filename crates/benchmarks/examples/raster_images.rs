@@ -1,5 +1,5 @@
-//! Writes a sheet per target into a folder, to be looked at: left and right, frontal with an ideal lens and turned with a
-//! distorted one.
+//! Writes a contact sheet per target into a folder, for inspection: left and right image, frontal with an ideal lens
+//! and tilted with a distorted one.
 //!
 //! `cargo run --release -p pb3dp-benchmarks --example raster_images FOLDER`
 #![allow(clippy::print_stdout)]
@@ -15,7 +15,7 @@ use pb3dp_sim::sensor::SensorConfig;
 use pb3dp_sim::targets::TargetConfig;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let folder = PathBuf::from(std::env::args().nth(1).ok_or("name the folder to write into")?);
+    let folder = PathBuf::from(std::env::args().nth(1).ok_or("no folder given: name the output folder")?);
     std::fs::create_dir_all(&folder)?;
     let targets = [
         ("crab", TargetConfig::crab(0.020)),

@@ -1,6 +1,6 @@
-//! Measures the renderer: pairs of 640x480 per second on one core, everything on but motion blur.
+//! Measures the renderer: stereo pairs of 640x480 per second on one core, with all effects except motion blur.
 //!
-//! Processor time is counted where the system tells it, so that a busy machine does not spoil the figure.
+//! Counts CPU time where the system reports it, so that other load does not affect the figure.
 //!
 //! `cargo run --release -p pb3dp-benchmarks --example raster_speed [SECONDS]`
 #![allow(clippy::print_stdout)]
@@ -36,7 +36,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Pairs per second of processor time while the target sways.
+/// Stereo pairs per second of CPU time while the target oscillates.
 fn measure(renderer: &mut StereoRenderer, duration: Duration) -> f64 {
     let (mut left, mut right) = (RgbImage::new(1, 1), RgbImage::new(1, 1));
     let mut frames = 0;

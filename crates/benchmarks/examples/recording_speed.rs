@@ -1,7 +1,7 @@
-//! How many pairs of 640x480 pixels one thread compresses and writes in a second, in each format: what a recording keeps up with.
+//! Stereo pairs of 640x480 that one thread compresses and writes per second, in each format: the recording rate.
 //!
-//! `cargo run --release -p pb3dp-benchmarks --example recording_speed` takes a real pair of `tests/data`, and writes into the folder for
-//! temporary files.
+//! `cargo run --release -p pb3dp-benchmarks --example recording_speed` uses a real pair of `tests/data` and writes to
+//! the folder for temporary files.
 
 #![allow(clippy::print_stdout, reason = "a program for the console")]
 
@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use pb3dp_record::dataset::{FrameFiles, load_case};
 use pb3dp_record::images::StoredFormat;
 
-/// For so long each format is measured, and as often; the best one counts, as other programs only take away.
+/// Duration and number of measurements per format; the best one counts, because other programs only slow it down.
 const WHILE: Duration = Duration::from_millis(500);
 const TIMES: usize = 5;
 

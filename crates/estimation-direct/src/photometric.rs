@@ -130,7 +130,7 @@ pub struct RefinedPlane {
     pub covariance: Matrix3<f64>,
     /// Row of the right image minus row of the left image, in addition to the pyramid's row offset, pixels.
     pub row_offset_px: f64,
-    /// Blur variance of the right image minus that of the left image, as far as it was compensated, squared pixels.
+    /// Blur variance of the right image minus that of the left image, compensated part only, squared pixels.
     pub blur_px2: f64,
     /// Share of the points that agree with the plane, 0 to 1.
     pub inlier_share: f64,

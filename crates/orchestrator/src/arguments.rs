@@ -125,7 +125,7 @@ pub struct EstimateArgs {
     /// The object in the left image.
     #[arg(long, value_name = "REGION", help = format!("The object in the left image: {REGION_HELP}"), requires = "left")]
     pub region: Option<RegionSpec>,
-    /// Also search every hypothesis that a chromosome can express, so that search error and fitness error are told apart (slow; --method published only).
+    /// Also search every hypothesis that a chromosome can express, so that search error and fitness error can be distinguished (slow; --method published only).
     #[arg(long)]
     pub reference_optimum: bool,
     /// How to estimate.

@@ -19,7 +19,7 @@ use crate::logging::LogFormat;
 
 /// A test build must not be taken for a program that may drive a real arm.
 const VERSION: &str = if pb3dp_safeguards::CAN_BE_OFF {
-    concat!(env!("CARGO_PKG_VERSION"), " (test build: safeguards can be switched off)")
+    concat!(env!("CARGO_PKG_VERSION"), " (test build: safeguards can be disabled)")
 } else {
     env!("CARGO_PKG_VERSION")
 };

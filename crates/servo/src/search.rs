@@ -39,7 +39,7 @@ const ACCELERATION_MAX_M_PER_S2: f64 = 0.05;
 /// Its corners are passed with this share of the speed.
 const CORNER_SHARE: f64 = 0.1;
 /// A hand that is farther from where it began than the pattern leads, by this share and length (metres), ends the search: it does not go
-/// where it is told.
+/// where it is commanded to.
 const BEYOND_SHARE: f64 = 1.2;
 const BEYOND_M: f64 = 0.005;
 /// The search has returned when the hand is this near to its beginning, metres.
@@ -216,7 +216,7 @@ mod tests {
         MonotonicTime::from_secs_f64(100.0 + seconds)
     }
 
-    /// A hand that does what it is told: how long it moved, how far it was, where it ends.
+    /// A hand that follows its commands: how long it moved, how far it was, where it ends.
     fn searched(config: &SearchConfig) -> (f64, f64, Pose<Base, Hand>) {
         let (mut search, mut hand, mut farthest_m, mut t_s) = (Search::Off, begin(), 0.0f64, 0.0);
         search.permit(true);

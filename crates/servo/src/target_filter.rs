@@ -15,7 +15,7 @@ pub struct TargetObservation {
     /// Pose of the model in the left camera. What the estimator does not observe (the rotation about the normal of the
     /// published method) stays at the value that the estimator holds it at.
     pub cam_left_from_model: Pose<CamLeft, Model>,
-    /// Whether the estimator stands by the depth (status `ok` or `weak-tilt`); others are not followed. A weak tilt is
+    /// Whether the estimator is confident in the depth (status `ok` or `weak-tilt`); others are not followed. A weak tilt is
     /// noisy, not wrong: the smoothing of the target is there for it.
     pub trusted: bool,
     /// Covariance of `xi = [rho; phi]` (metres, radians; axes of `model`) in `true = cam_left_from_model * exp(xi)`; `None`: the
@@ -33,7 +33,7 @@ pub enum ObservationVerdict {
     NoneNew,
     /// It is part of the target's pose now.
     Accepted,
-    /// The estimator does not stand by it.
+    /// The estimator has low confidence in it.
     Untrusted,
     /// It contains a number that is not finite.
     NotFinite,

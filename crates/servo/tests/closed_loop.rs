@@ -1,4 +1,4 @@
-//! The loop closed around joints and a camera in pure maths: it converges as fast as the gains say, trails as far as the
+//! The loop closed around joints and a camera in pure maths: it converges as fast as the gains say, lags as much as the
 //! theory says, and keeps its limits.
 
 use crate::common;

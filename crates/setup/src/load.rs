@@ -163,7 +163,7 @@ impl ConfigFile {
 
 /// More problems than a user can read.
 const PROBLEMS_MAX: usize = 300;
-/// From so many missing keys on, a setup is told how it could have a base.
+/// From this number of missing keys on, the message suggests a base for the setup.
 const MISSING_MANY: usize = 5;
 const MISSING: &str = ": missing";
 const ALLOWED: &str = ": allowed are ";

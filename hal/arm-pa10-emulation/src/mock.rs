@@ -11,7 +11,7 @@ use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Cl
 use pb3dp_kinematics::{DOF, JointState, JointVector};
 use pb3dp_sim::joint_dynamics::JointPlant;
 
-/// Slower than this in every joint is at rest, rad/s: the brakes close, the drives can be switched on.
+/// Slower than this in every joint is at rest, rad/s: the brakes close, the drives can be enabled.
 const AT_REST_RAD_PER_S: f64 = 1e-3;
 
 /// An arm that has not come to rest after this long never will.

@@ -1,4 +1,4 @@
-//! Where the other end of a link is, and what is spoken there: what a setup says and a driver is told. Nothing here opens anything.
+//! Where the other end of a link is, and what is spoken there: settings of links. Nothing here opens anything.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -42,7 +42,7 @@ impl std::fmt::Display for BusTarget {
     }
 }
 
-/// What the link to a gateway is told.
+/// Settings of the link to a gateway.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GatewayLinkConfig {
     /// The arm at the other end.
@@ -51,7 +51,7 @@ pub struct GatewayLinkConfig {
     pub dialect: Dialect,
     /// The wire format of the arm. A gateway that knows another one is refused.
     pub format: WireFormat,
-    /// The geometry of the arm. A gateway that is told another one is refused.
+    /// The geometry of the arm. A gateway with another geometry is refused.
     pub geometry: Geometry,
     /// Time between two commands.
     pub cycle: Duration,

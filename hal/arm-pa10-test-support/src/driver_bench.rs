@@ -1,4 +1,4 @@
-//! A driver with an arm that answers as it is told, in virtual time.
+//! A driver with a scripted arm, in virtual time.
 
 use std::time::Duration;
 

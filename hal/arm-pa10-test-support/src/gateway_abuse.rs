@@ -56,7 +56,7 @@ struct World {
     heard_host: MonotonicTime,
     /// The largest speed that was ever asked for, on each axis.
     speed_max: [u16; Axis::COUNT],
-    /// Since when each brake is told to be on.
+    /// Since when each brake is commanded on.
     closed_since: [Option<MonotonicTime>; Axis::COUNT],
 }
 
@@ -323,7 +323,7 @@ impl World {
     }
 
     /// Nobody says anything any more: the arm comes to rest behind closed brakes, and stays there. A controller that does not answer
-    /// is told so until it does.
+    /// gets the order again until it does.
     fn fall_silent(&mut self) {
         self.run_to_rest();
         if !self.answers && !self.gateway.is_at_rest() {

@@ -36,7 +36,7 @@ pub fn config(format: WireFormat) -> GatewayConfig {
     GatewayConfig::new(ARM, format, Firmware::new("test gateway 1").unwrap())
 }
 
-/// The servo controller on the bus: it answers what it is asked, as it is told to.
+/// The servo controller on the bus: it answers each request as scripted.
 #[derive(Clone, Debug)]
 pub struct Controller {
     pub format: WireFormat,

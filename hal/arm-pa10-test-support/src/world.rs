@@ -199,7 +199,7 @@ impl Host {
             dialect,
             format: FORMAT,
             geometry: Geometry::Unknown,
-            // What a gateway is told is at most 10 ms.
+            // The setting of a gateway is at most 10 ms.
             cycle: ms(10),
         };
         hurry();

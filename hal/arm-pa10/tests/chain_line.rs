@@ -95,7 +95,7 @@ fn time_to_rest(chain: &mut Chain) -> Duration {
     last.saturating_since(begin)
 }
 
-/// From a jump on: the arm follows what it is told within the watchdog's time, or stands, latched, with a cause.
+/// From a jump on: the arm follows its commands within the watchdog's time, or stands, latched, with a cause.
 fn judge(chain: &mut Chain, place: &str) -> bool {
     for turn in 0..40 {
         let velocity = if turn % 2 == 0 { -wanted() } else { wanted() };

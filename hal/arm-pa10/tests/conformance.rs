@@ -1,4 +1,4 @@
-//! The mock arm keeps the contract of the arm traits, and fails as it is told.
+//! The mock arm keeps the contract of the arm traits, and fails as scripted.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 

@@ -1,4 +1,4 @@
-//! What the driver sends and when, with an arm that answers as it is told.
+//! What the driver sends and when, with a scripted arm.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -543,7 +543,7 @@ fn a_gateway_that_refuses_is_a_fault_with_its_reason() {
     assert_eq!(trip(&waited), Trip::Fault(FaultCause::Rejected(RejectReason::WrongState)));
 }
 
-/// R8: whatever happens, the brakes are told to close within 100 ms.
+/// R8: whatever happens, the brakes get the order to close within 100 ms.
 #[test]
 fn after_a_fault_the_brakes_are_told_to_close_within_100_ms() {
     for word in [0x00E0, 0x0110] {

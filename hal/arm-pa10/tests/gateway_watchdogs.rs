@@ -17,7 +17,7 @@ use pb3dp_arm_pa10_test_support::gateway_bench::{
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
 
-/// In motion, with speeds as they are told.
+/// In motion, with the given speeds.
 fn moving() -> Bench {
     let plain = GatewayConfig { interpolates: false, ..config(WireFormat::BigEndian6x10) };
     let mut bench = Bench::greeted(plain, Dialect::GatewayV1);
@@ -178,7 +178,7 @@ fn two_lost_replies_are_tolerated_and_the_third_stops_the_arm() {
         assert_eq!(count(Kind::Off) > 0, heard_of_brakes);
         assert_eq!(kind(bench.sent.last().unwrap()), Kind::Braked);
         assert!(!bench.gateway.is_at_rest() && bench.gateway.status().is_unheard);
-        // It is told so for as long as it takes, and the time of the brakes counts from there.
+        // The order is repeated until it does, and the time of the brakes counts from there.
         bench.sent.clear();
         bench.run(ms(5000));
         assert!(bench.sent.len() >= 2499 && bench.sent.iter().all(|sent| kind(sent) == Kind::Braked));
@@ -476,7 +476,7 @@ fn a_controller_that_is_off_is_no_fault_at_the_start() {
     assert!(bench.now.saturating_since(asked) <= ms(50));
     assert_eq!(bench.letters().trim_matches('C'), "E");
     assert!(bench.gateway.status().is_unheard);
-    // It is switched on.
+    // It is enabled.
     bench.controller.answers = true;
     bench.run(ms(10));
     assert_eq!(bench.state(), GatewayState::Stopping);

@@ -258,7 +258,7 @@ fn a_message_that_is_lost_is_said_again_and_a_line_that_is_dead_latches_by_itsel
     }
 }
 
-/// It is told once, not in each cycle.
+/// The report comes once, not in each cycle.
 #[test]
 fn a_gateway_that_has_heard_of_it_is_told_nothing_more() {
     use std::sync::atomic::{AtomicUsize, Ordering};

@@ -172,7 +172,7 @@ fn a_gateway_that_latches_during_motion_stops_the_driver_with_its_cause() {
     rig.settle();
 }
 
-/// The other arm stopped, or a monitor found something: the gateway is told once, latches, and refuses nothing but the E of an
+/// The other arm stopped, or a monitor found something: the gateway gets one report, latches, and refuses nothing but the E of an
 /// order that it has gone through by itself.
 #[test]
 fn a_fault_that_the_host_found_latches_the_gateway() {
@@ -325,7 +325,7 @@ fn noise_on_the_line_is_survived_and_counted_and_keeps_the_brakes_on() {
     assert!(matches!(rig.driver.warm_up_failure(), Some(WarmUpFailure::Damaged { bad: 1, .. })));
 }
 
-/// The servo controller on the bus, as far as a driver sees it.
+/// The servo controller on the bus, as a driver sees it.
 fn controller_reply(format: WireFormat, asked: &ControlPacket) -> Packet {
     let axis = AxisReply {
         status: AxisStatus::Undocumented(0),

@@ -109,7 +109,7 @@ fn inject(bench: &mut BusBench, kind: &Kind, dice: &mut Dice) -> Stop {
     assert_eq!(bench.driver.state(), DriverState::Moving, "{}: before it", kind.name);
     let (at, line) = (bench.now, (kind.begin)(dice));
     let velocity = bench.plant.lock().unwrap().state().velocity_rad_per_s.abs();
-    // What the joints do, what they are told, and what they will be told next.
+    // Motion of the joints, their commands, and their next commands.
     let fastest = velocity.sup(&bench.wanted.unwrap().abs()).sup(&bench.controller.commanded_rad_per_s().abs());
     bench.inject(&line);
     bench.run(Duration::from_millis(600));

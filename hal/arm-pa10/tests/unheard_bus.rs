@@ -107,7 +107,7 @@ fn an_outage_within_the_order_that_is_heard_is_no_end_of_it() {
     }
 }
 
-/// It was switched off and on, has no use for C until S, and answers E.
+/// It was powered off and on, has no use for C until S, and answers E.
 #[test]
 fn a_controller_that_was_switched_off_and_on_is_reset() {
     for format in WireFormat::ALL {

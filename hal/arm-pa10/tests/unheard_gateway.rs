@@ -123,7 +123,7 @@ fn an_outage_within_the_order_that_is_heard_is_no_end_of_it() {
     }
 }
 
-/// It was switched off and on, has no use for C until S, and answers E.
+/// It was powered off and on, has no use for C until S, and answers E.
 #[test]
 fn a_controller_that_was_switched_off_and_on_is_reset() {
     for (dialect, format) in EVERY {
@@ -236,7 +236,7 @@ fn a_start_at_an_arm_of_which_nothing_is_heard_lets_no_joint_go() {
     }
 }
 
-/// One that is switched on after its gateway, and has no use for C until S.
+/// One that is powered on after its gateway, and has no use for C until S.
 #[test]
 fn a_controller_that_is_switched_on_later_is_started_at_once() {
     for (dialect, format) in EVERY {

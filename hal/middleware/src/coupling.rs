@@ -1,4 +1,4 @@
-//! Two arms in one cell: what stops one stops the other, and neither is told to move where they could meet.
+//! Two arms in one cell: what stops one stops the other, and neither gets a command that leads to a collision.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;

@@ -6,7 +6,7 @@ use std::time::Duration;
 use pb3dp_kinematics::{DOF, JointVector};
 
 /// Differences fade while a joint moves this far, rad: drives that are a hundredth too slow or too fast must not add up over
-/// minutes. One that does not move forgets nothing, however slowly it is told to.
+/// minutes. One that does not move forgets nothing, however slow its command is.
 const MEMORY_RAD: f64 = 1.0;
 
 /// Speeds that differ by less never add up, rad/s: commands are rounded to 2e-4 rad/s, and drives drift and stick a little.
@@ -51,7 +51,7 @@ impl Expectation {
         }
     }
 
-    /// From now on, the time of the last sample, the joints are told to move like this, rad/s.
+    /// From now on, the time of the last sample, the joints are commanded to move like this, rad/s.
     pub(crate) fn command(&mut self, velocity_rad_per_s: &JointVector) {
         if self.pending.len() == PENDING_MAX {
             self.arrive();

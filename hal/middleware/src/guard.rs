@@ -60,7 +60,7 @@ const OVER_SPEED_SAMPLES: u32 = 2;
 const JUMP_FACTOR: f64 = 1.5;
 /// ... and by this much more, rad; what is beyond is a wrong sample.
 const JUMP_MARGIN_RAD: f64 = 0.002;
-/// Samples that are farther apart, in cycles, are no sequence while an arm is being switched on: nobody measures it with its brakes on,
+/// Samples that are farther apart, in cycles, are no sequence while an arm is being enabled: nobody measures it with its brakes on,
 /// and three that are lost stop it.
 const OLD_CYCLES: u32 = 5;
 /// So many wrong samples in a row are a fault and not a disturbance of the link.
@@ -71,7 +71,7 @@ pub(crate) const LIMIT_ROUNDING_RAD: f64 = 1e-4;
 const RETURN_SWING_RAD: f64 = 2e-3;
 
 /// An arm whose answers are watched: it stops and stays stopped when a joint is where none can be, is faster than it may be,
-/// or does not go where it is told. Only [`ArmPower::reset`] ends that, and only an operator's action calls it.
+/// or does not follow its command. Only [`ArmPower::reset`] ends that, and only an operator's action calls it.
 ///
 /// A joint that is beyond its servo limits when the guard first sees it after power-up, enabling or a reset may come back, and
 /// is stopped if it goes further out.
@@ -90,7 +90,7 @@ pub struct Guard<A> {
     too_fast: [u32; DOF],
     off_track_for: [Duration; DOF],
     jumps: u32,
-    /// The arm is being switched on: it may begin with what was measured of it long ago.
+    /// The arm is being enabled: it may begin with what was measured of it long ago.
     is_switching_on: bool,
     /// Why the arm was stopped.
     latched: Option<String>,
@@ -294,7 +294,7 @@ impl<A: Arm> Guard<A> {
         self.jumps = 0;
     }
 
-    /// What comes before the arm is switched on: a new beginning, unless the arm is stopped.
+    /// What comes before the arm is enabled: a new beginning, unless the arm is stopped.
     fn prepare(&mut self) -> Result<(), ArmError> {
         self.check_latched()?;
         self.is_switching_on = false;

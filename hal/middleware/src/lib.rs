@@ -2,8 +2,8 @@
 //!
 //! [`Limiter`] stands between every controller and every arm: no velocity reaches the arm that is not finite, too fast, too
 //! sudden, or too fast for the way that is left to a joint's limit (docs/arm-limits.md). [`Guard`] stands behind it and watches what the arm makes
-//! of it: a joint that jumps, is too fast or does not go where it is told stops the arm until an operator resets it. [`Coupled`] arms
-//! stop with each other, and are told nothing that could bring them too near to each other. [`Recorded`] stands around the arm
+//! of it: a joint that jumps, is too fast or does not follow its command stops the arm until an operator resets it. [`Coupled`] arms
+//! stop with each other, and get no command that could bring them too near to each other. [`Recorded`] stands around the arm
 //! itself and keeps the last exchanges.
 
 mod coupling;

@@ -17,7 +17,7 @@ use crate::stopping::DriveLimits;
 /// overshoots unless its gain is at most 1 / (e x delay), so T is e times the reaction time.
 const NO_OVERSHOOT: f64 = std::f64::consts::E;
 
-/// In place of a limit that a test has switched off: more than any joint can do, in whatever unit.
+/// In place of a limit that a test has disabled: more than any joint can do, in whatever unit.
 const UNLIMITED: f64 = 1e3;
 
 /// How the arm behaves that a limiter is before, besides its limits.
@@ -29,7 +29,7 @@ pub struct LimiterConfig {
     pub command_timeout: Duration,
     /// How the arm fades a command that no other follows; none if it goes on until the time-out.
     pub fade: Option<CommandFade>,
-    /// Without a sample younger than this the arm is told to rest.
+    /// Without a sample younger than this, the arm gets the command to hold.
     pub stale_after: Duration,
     /// Where the arm has to be when it is first told to move after it was enabled.
     pub start: StartPose,

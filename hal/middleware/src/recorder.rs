@@ -48,7 +48,7 @@ pub struct Recorded<A> {
     arm: A,
     clock: Arc<dyn Clock>,
     log: FlightLog,
-    /// Since when it is being switched on.
+    /// Since when it is being enabled.
     enabling_since: Option<MonotonicTime>,
 }
 

@@ -13,7 +13,7 @@ pub(crate) struct Caps {
     pub by_position: [[bool; 2]; DOF],
 }
 
-/// What an arm is told: a velocity, and how it changes while it comes about.
+/// Command of an arm: a velocity, and how it changes until it is reached.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct SetPoint {
     pub velocity: JointVector,
@@ -80,8 +80,8 @@ pub(crate) fn caps(
 /// The set-point nearest to `desired` that keeps the caps where that is possible, and in any case the speeds, accelerations and
 /// jerks of `step` and, if there is any, the room: brought to rest afterwards, no joint leaves it.
 ///
-/// Too fast: the whole vector is scaled, so that the hand keeps its direction. Too sudden: the whole vector is scaled as far as
-/// that helps; where no multiple of it can be reached at once (the direction changes), each joint goes as far as it may.
+/// Too fast: the whole vector is scaled, so that the hand keeps its direction. Too sudden: the whole vector is scaled as much as
+/// that helps; where no multiple of it can be reached at once (the direction changes), each joint goes up to its limit.
 /// Without room nothing is known of the arm: each joint comes to rest as quickly as it may.
 pub(crate) fn shape(desired: &JointVector, caps: &Caps, step: &Step<'_>, room: Option<&Room>) -> Shaped {
     let (target, mut shaped) = scaled_to_caps(desired, caps);

@@ -263,7 +263,7 @@ fn coupled_mock_arm_keeps_the_contract() {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(60) })]
 
-    /// Whatever both arms are told, they keep their distance: tested against where the simulated joints really were.
+    /// Both arms keep their distance, for any commands: tested against where the simulated joints really were.
     #[test]
     fn no_commands_bring_the_arms_too_near(
         desired in prop::collection::vec((prop::array::uniform14(-1.0..1.0f64), 5..120usize), 1..15),

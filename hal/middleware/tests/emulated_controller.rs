@@ -219,7 +219,7 @@ impl Braking {
 
 /// Faults, how soon they are to be found by what their size allows, what is said then, and how the arm comes to rest.
 ///
-/// The last four are told by status words in format B. In format A nobody knows these words, and only the joints tell.
+/// Status words report the last four in format B. In format A nobody knows these words, and only the joints tell.
 const FAULTS: [(&str, u64, &str, Braking); 11] = [
     ("runaway 2 0.9rad/s", 50, "axis 2 moves at +", Braking::Brake),
     ("runaway 6 -4rad/s", 130, "axis 6 moves at -", Braking::Brake),
@@ -369,7 +369,7 @@ fn after_a_stall_the_velocity_goes_on_from_what_the_driver_left_of_it() {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(60) })]
 
-    /// Whatever is wished, and whenever the arm is told to hold: no joint leaves its operating range, and the guard, which expects
+    /// Whatever is wished, and whenever the arm gets the command to hold: no joint leaves its operating range, and the guard, which expects
     /// each joint to brake by itself, finds nothing wrong.
     #[test]
     fn the_drivers_own_ramp_leaves_no_range(

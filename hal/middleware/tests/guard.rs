@@ -99,7 +99,7 @@ fn a_joint_that_does_not_go_where_it_is_told_stops_the_arm() {
     bench.assert_latched_until_reset();
 }
 
-/// While an arm is switched on it is measured anew, perhaps long after the last time; from then on a joint that goes by itself is found
+/// While an arm is being enabled, it is measured anew, perhaps long after the last time; from then on a joint that goes by itself is found
 /// before anybody moves the arm.
 #[test]
 fn an_arm_that_is_being_switched_on_is_watched_from_its_first_fresh_sample_on() {
@@ -311,7 +311,7 @@ fn guarded_mock_arm_keeps_the_contract() {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(300) })]
 
-    /// Behind the limiter, an arm that does what it is told is never stopped, whatever that is.
+    /// Behind the limiter, an arm that follows its commands is never stopped, whatever they are.
     #[test]
     fn an_arm_that_follows_is_left_alone(
         start in prop::array::uniform7(-1.2..1.2f64),

@@ -183,7 +183,7 @@ fn the_first_velocity_is_refused_away_from_the_start() {
     }
 }
 
-/// An arm that had begun at its start may go on from elsewhere, also where it was not switched on at the first try.
+/// An arm that had begun at its start may go on from elsewhere, also where it was not enabled at the first try.
 #[test]
 fn an_arm_that_is_switched_on_where_it_is_at_the_second_try_goes_on() {
     let clock = Arc::new(VirtualClock::new());

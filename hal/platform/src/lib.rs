@@ -1,4 +1,4 @@
-//! What backends need of the operating system. Linux only, as far as it waits: `ppoll`, `eventfd`.
+//! Operating-system services for backends. Waiting is Linux only: `ppoll`, `eventfd`.
 //!
 //! * [`transport`]: what all byte links have in common, and a pair of them in one process; [`tcp`] and [`pty`] are two.
 //! * [`realtime`], [`signals`]: what the thread of a cycle needs, and how it is asked to end.

@@ -47,10 +47,9 @@ pub fn check(report: &mut Report) -> Option<World> {
     });
     let (world, mut run) = rig?;
     report.check("the hand is led by the images, and stays before the target", || follow(&world, &mut run));
-    report
-        .check("a camera that is pulled and plugged in again: the hand rests, and goes on when it is told to", || {
-            pulled(&world, &mut run)
-        });
+    report.check("a camera that is pulled and plugged in again: the hand holds, and continues on command", || {
+        pulled(&world, &mut run)
+    });
     report.check("the hand holds, and both arms stop in order", || end(&world, run));
     Some(world)
 }

@@ -40,7 +40,7 @@ pub fn write() -> Result<(), Box<dyn Error>> {
 
 /// What differs from the rig, and why.
 fn text(stamps: u32) -> String {
-    // They have neither exposure nor white balance. `vivid` stamps the end of an image that is still to come unless it is told not to.
+    // They have neither exposure nor white balance. `vivid` stamps the end of an image that is still to come unless this is disabled.
     let side = |number: usize| {
         format!(
             "device = \"{}\"\nexposure_millis = \"keep\"\nstated_exposure_millis = 0.0\ngain = \"keep\"\n\

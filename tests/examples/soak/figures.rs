@@ -214,7 +214,7 @@ pub fn page(origin: &str, (minutes, seed): (f64, u64), (faults, losses): (&Figur
          For {minutes} minutes faults come at random, in the words of [mock-arm.md](../mock-arm.md), to one of the arms.\n\
          After each one both arms are reset and enabled again, which proves the links with 100 exchanges: they move for a quarter of \
          the time.\n\n\
-         * **noticed**: from the fault to the moment at which the control loop is told.\n\
+         * **noticed**: from the fault to the moment at which the control loop gets the report.\n\
          * **at rest**: from the fault to the moment at which the last joint of both arms is slower than {AT_REST_RAD_PER_S} rad/s; \
          the joints are looked at every millisecond.\n\
          * **allowed**, **later**: when both must be at rest, and how often they were later; found by controller or gateway: 30 ms \

@@ -14,7 +14,7 @@
 //! | disobedience | an arm of which a joint moves by itself is latched |
 //! | arms-apart | no part of an arm comes near the other arm |
 //! | target-apart | the hand comes no nearer to the target by its own motion |
-//! | log | what went wrong with an effect is told |
+//! | log | a fault with an effect is reported |
 //! | status-line | an arm that may not move says why |
 //!
 //! Rest is wanted from the moment on at which the arm could have come to rest:

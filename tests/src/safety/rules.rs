@@ -62,7 +62,7 @@ pub struct Rules {
     pub search_m_per_s: f64,
     /// How far it goes from where it began to, metres.
     pub search_reach_m: f64,
-    /// Within this time after the stop of one arm the other one is told, seconds.
+    /// Within this time after the stop of one arm the other one gets the stop, seconds.
     pub told_other_s: f64,
     /// How long a joint may be too fast that moves by itself, seconds.
     pub too_fast_s: f64,

@@ -56,7 +56,7 @@ pub struct ArmTruth {
     /// When the fault or emergency stop came that is latched now, wherever it latched first (controller, gateway, driver,
     /// supervisor), seconds; none if nothing is latched.
     pub latched_since_s: Option<f64>,
-    /// Whether each joint follows what its servo is told: false while an injected fault moves a joint by itself.
+    /// Whether each joint follows its command: false while an injected fault moves a joint by itself.
     pub obeys: bool,
     /// The joint that an injected fault moves or keeps at present, from 0.
     pub by_itself: Option<usize>,

@@ -317,7 +317,7 @@ pub fn check(packages: &[Package]) -> Vec<Violation> {
 fn check_package(package: &Package, ours: &[&str]) -> Vec<Violation> {
     let place = format!("package {}", package.name);
     let enabled = package.enablers.iter().map(|by| {
-        let message = format!("{by} enables {TEST_FEATURE}, with which safeguards can be switched off: leave it out");
+        let message = format!("{by} enables {TEST_FEATURE}, with which safeguards can be disabled: leave it out");
         Violation::of(&place, "test-feature", message)
     });
     let mut violations: Vec<_> = enabled.collect();

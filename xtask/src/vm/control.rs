@@ -1,4 +1,4 @@
-//! What QEMU is told while it runs: the QEMU Machine Protocol, lines of JSON on a socket.
+//! Commands to QEMU while it runs: the QEMU Machine Protocol, lines of JSON on a socket.
 
 use std::io::{BufRead, BufReader, Write};
 use std::os::unix::net::UnixStream;

@@ -202,7 +202,7 @@ fn keep_image(packed: &Path, folder: &Path) -> anyhow::Result<()> {
     fs::remove_file(packed).context("cannot remove the packed kernel")
 }
 
-/// The length of the kernel stands behind the packed stream, which `xz` takes for damage unless it is told.
+/// The length of the kernel stands behind the packed stream, which `xz` takes for damage unless the length is given.
 fn unpacked_stream(file: &Path) -> anyhow::Result<Vec<u8>> {
     let whole = fs::read(file)?;
     let end = whole.len().saturating_sub(4);

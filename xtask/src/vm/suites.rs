@@ -2,7 +2,7 @@
 
 /// A set of tests in one emulated computer.
 pub struct Suite {
-    /// On the command line, and what the guest's program is told.
+    /// The name on the command line, and the argument of the guest's program.
     pub name: &'static str,
     /// For the reader.
     pub what: &'static str,

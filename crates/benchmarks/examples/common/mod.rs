@@ -1,4 +1,4 @@
-//! Rigs and poses for the examples.
+//! Stereo rigs and target poses for the examples.
 #![allow(dead_code)]
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
@@ -6,20 +6,20 @@ use pb3dp_geometry::frames::{CamLeft, Target};
 use pb3dp_geometry::{Camera, CameraError, Distortion, ImageSize, Pinhole, Pose, StereoRig, StereoRigError};
 use pb3dp_sim::scene::ScenePoses;
 
-/// A lens of the example rig.
+/// Lens model of the example rig.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Lens {
     /// No distortion.
     Ideal,
-    /// The distortion of a plain 6 mm lens.
+    /// Distortion of a typical 6 mm lens.
     Distorted,
 }
 
 impl Lens {
-    /// Both lenses.
+    /// Both lens models.
     pub const ALL: [Self; 2] = [Self::Ideal, Self::Distorted];
 
-    /// Name for the table.
+    /// Name in tables.
     pub fn name(self) -> &'static str {
         if self == Self::Ideal { "ideal" } else { "distorted" }
     }
@@ -40,7 +40,7 @@ pub fn rig(lens: Lens) -> Result<StereoRig, StereoRigError> {
     StereoRig::new(camera(0.0)?, camera(1.0)?, Pose::from_translation(Vector3::new(-0.1, 0.0, 0.0)))
 }
 
-/// The camera looks along +x of the world, one metre up; the target stands in front of it, turned about its axes (radians).
+/// The camera axis is +x of the world, one metre up; the target is in front of it, rotated about its axes (radians).
 pub fn frontal(distance_m: f64, turn_x_rad: f64, turn_y_rad: f64) -> ScenePoses {
     let axes = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
     let world_from_cam_left = Pose::from_rotation_matrix(&axes, Vector3::new(0.3, 0.1, 0.5));

@@ -1,4 +1,4 @@
-//! On what the figures were measured.
+//! The machine and commit of the measurement.
 
 use std::process::Command;
 

@@ -1,4 +1,4 @@
-//! How fast the published method is on this machine: kernels, a full frame, and the ratio to a naive implementation
+//! Speed of the published method on this machine: kernels, a full frame, and the ratio to a naive implementation
 //! measured in the same run.
 //!
 //! `cargo run --release -p pb3dp-benchmarks --example published_speed -- [--json] [--check] [--rounds N]`
@@ -37,7 +37,7 @@ fn parse(mut arguments: impl Iterator<Item = String>) -> Result<Option<Options>,
                     .parse()
                     .ok()
                     .filter(|rounds| (5..=100_000).contains(rounds))
-                    .ok_or_else(|| format!("--rounds is '{value}': give a number from 5 to 100000"))?;
+                    .ok_or_else(|| format!("--rounds is '{value}', not a number from 5 to 100000"))?;
             }
             "--help" | "-h" => return Ok(None),
             other => return Err(format!("unknown option '{other}': see --help")),

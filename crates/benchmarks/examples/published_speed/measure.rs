@@ -1,4 +1,4 @@
-//! The measurements: one synthetic frame, all kernel families and the naive version in turn, many times.
+//! The measurements: one synthetic frame, scored in turn by all kernel families and the naive version, many times.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -18,7 +18,7 @@ use pb3dp_estimation_test_support::scene::{self, Scene};
 use pb3dp_geometry::{ImageSize, StereoRig};
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
-/// Times that a batch of 60 is scored within one reading of the clock.
+/// Batches of 60 that are scored per clock reading.
 const REPEATS: usize = 20;
 /// Seed of the genetic algorithm.
 pub const SEED: u64 = 7;
@@ -60,14 +60,14 @@ pub struct PairResult {
 /// Medians of one kernel family.
 pub struct KernelResult {
     pub set: KernelSet,
-    /// Scoring 60 hypotheses, their preparation included.
+    /// Scoring 60 hypotheses, including their preparation.
     pub ns_per_sample: f64,
     pub ns_per_sample_min: f64,
-    /// The same with the frame's preparation (the match table of rectified pairs) shared out over 9 generations.
+    /// The same, with the frame's preparation (the match table of rectified pairs) divided among 9 generations.
     pub ns_per_sample_with_preparation: f64,
     pub frame: FrameTimes,
     pub frame_min_ms: f64,
-    /// Largest difference of F to the naive version over the scored hypotheses.
+    /// Largest difference of F from the naive version over the scored hypotheses.
     pub fitness_difference_max: f64,
 }
 
@@ -81,7 +81,7 @@ pub struct FrameTimes {
     pub total_ms: f64,
 }
 
-/// The frame that everything is measured on.
+/// The frame used for all measurements.
 struct Input {
     rig: StereoRig,
     pair: PinholePair,
@@ -114,7 +114,7 @@ impl Input {
     }
 }
 
-/// Measures everything for one kind of pair.
+/// Measures everything for one kind of stereo pair.
 pub fn run(kind: PairKind, rounds: usize) -> PairResult {
     let input = Input::new(kind);
     let hue_config = HueConfig::default();
@@ -124,7 +124,7 @@ pub fn run(kind: PairKind, rounds: usize) -> PairResult {
     let samples = (input.hypotheses.len() * (model.inner().len() + model.outer().len())) as f64;
     let mut benches: Vec<Bench<'_>> = Kernels::available().map(|kernels| Bench::new(&input, &model, kernels)).collect();
     let (mut naive_ns, mut kernel_ns) = (Vec::new(), vec![Vec::new(); benches.len()]);
-    // In turn, so that whatever else the machine does meets all alike.
+    // In turn, so that other load on the machine affects all families alike.
     for round in 0..rounds {
         if round % 4 == 0 {
             naive_ns.push(time_ns(|| score_naively(&reference, &input.hypotheses)) / samples);
@@ -163,16 +163,16 @@ fn score_naively(reference: &Naive<'_>, hypotheses: &[PlaneHypothesis]) {
     }
 }
 
-/// One kernel family with the memory it keeps between frames.
+/// One kernel family with the buffers it reuses between frames.
 struct Bench<'a> {
     input: &'a Input,
     kernels: Kernels,
-    /// For the bare scoring: prepared once.
+    /// Input for scoring alone; prepared once.
     scoring: HueFitness,
     scoring_model: PhotoModel,
     scoring_right: HuePlane,
     scores: Vec<i32>,
-    /// For whole frames.
+    /// Input for whole frames.
     left: HuePlane,
     right: HuePlane,
     model: PhotoModel,
@@ -205,7 +205,7 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// Time to score the hypotheses once.
+    /// Time to score all hypotheses once.
     fn score_ns(&mut self) -> f64 {
         let Self { input, scoring, scoring_model, scoring_right, scores, .. } = self;
         let frame = scoring.prepare(&input.pair, scoring_model, scoring_right, &input.range).expect("frame");
@@ -284,7 +284,7 @@ fn time_ns(mut work: impl FnMut()) -> f64 {
     start.elapsed().as_secs_f64() * 1e9
 }
 
-/// Middle of a list that is not empty.
+/// Median of a non-empty list.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]

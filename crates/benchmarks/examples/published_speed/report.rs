@@ -1,4 +1,4 @@
-//! The figures as a table for people and as JSON for programs.
+//! The figures as a table and as JSON.
 
 use std::fmt::Write as _;
 
@@ -7,10 +7,10 @@ use pb3dp_estimation_core::cpu::KernelSet;
 use crate::machine::Machine;
 use crate::measure::{KernelResult, PairKind, PairResult, SEED};
 
-/// Most milliseconds of a full frame with AVX2 or better.
+/// Goal: maximum milliseconds of a full frame with AVX2 or better.
 const FRAME_GOAL_MS: f64 = 0.6;
 
-/// Least ratio of the naive version's time per sample to that of AVX2 or better.
+/// Goal: minimum ratio of the naive version's time per sample to that of AVX2 or better.
 fn ratio_goal(kind: PairKind) -> f64 {
     match kind {
         PairKind::Rectified => 25.0,
@@ -22,7 +22,7 @@ fn ratio(pair: &PairResult, kernel: &KernelResult) -> f64 {
     pair.naive_ns_per_sample / kernel.ns_per_sample_with_preparation
 }
 
-/// Which goals the vector kernels miss, in words.
+/// The goals that the vector kernels miss, as messages.
 pub fn missed_goals(results: &[PairResult]) -> Vec<String> {
     let mut missed = Vec::new();
     for pair in results {
@@ -43,7 +43,7 @@ pub fn missed_goals(results: &[PairResult]) -> Vec<String> {
     missed
 }
 
-/// For people.
+/// Formats the table.
 pub fn table(machine: &Machine, rounds: usize, results: &[PairResult]) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
@@ -110,7 +110,7 @@ fn write_table(text: &mut String, machine: &Machine, rounds: usize, results: &[P
     )
 }
 
-/// For programs.
+/// Formats the JSON.
 pub fn json(machine: &Machine, rounds: usize, results: &[PairResult]) -> String {
     let features: Vec<String> = machine.features.iter().map(|feature| quoted(feature)).collect();
     let pairs: Vec<String> = results.iter().map(pair_json).collect();

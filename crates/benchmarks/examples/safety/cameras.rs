@@ -1,4 +1,4 @@
-//! What goes wrong with the cameras: the faults of a setup, `[[camera.faults]]`, which do to a pose what they do to the images.
+//! Camera faults: the `[[camera.faults]]` of a setup, applied to poses as the cameras apply them to images.
 
 use std::time::Duration;
 
@@ -6,13 +6,13 @@ use crate::faults::{Fault, Kind};
 use crate::scenario::Dice;
 use pb3dp_sim::camera_faults::{AffectedCameras, CameraFault, CameraFaultKind, CameraFaults};
 
-/// From the camera's begin to that of the control loop, seconds: both arms are switched on meanwhile.
+/// Time from the start of the camera to the start of the control loop, seconds; both arms are enabled in this time.
 pub const LEAD_S: f64 = 1.25;
 
-/// How many kinds there are.
+/// Number of camera fault kinds.
 pub const COUNT: usize = 11;
 
-/// One of all kinds.
+/// Draws one of the kinds.
 pub fn draw(dice: &mut Dice) -> CameraFaultKind {
     let cameras = dice.pick(&[AffectedCameras::Left, AffectedCameras::Right, AffectedCameras::Both]);
     match dice.below(COUNT) {
@@ -39,24 +39,24 @@ pub fn draw(dice: &mut Dice) -> CameraFaultKind {
     }
 }
 
-/// The name in tables.
+/// Name in tables.
 pub fn name(kind: &CameraFaultKind) -> &'static str {
     match kind {
         CameraFaultKind::Dropped { .. } => "camera: pairs dropped",
         CameraFaultKind::Repeated { .. } => "camera: pairs repeated",
         CameraFaultKind::Late { .. } => "camera: pairs late",
         CameraFaultKind::Torn { .. } => "camera: pairs torn",
-        CameraFaultKind::Skewed { .. } => "camera: exposures apart",
+        CameraFaultKind::Skewed { .. } => "camera: exposures not synchronous",
         CameraFaultKind::Frozen => "camera: frozen",
         CameraFaultKind::Black { .. } => "camera: black",
         CameraFaultKind::Saturated { .. } => "camera: saturated",
         CameraFaultKind::Brightness { .. } => "camera: brightness",
-        CameraFaultKind::Occluder { .. } => "camera: something before the target",
+        CameraFaultKind::Occluder { .. } => "camera: occluder in front of the target",
         CameraFaultKind::Miscalibrated { .. } => "camera: miscalibrated",
     }
 }
 
-/// Whether it does something to each pair that is taken while it lasts; otherwise what comes of a pair tells.
+/// Whether the fault affects every frame pair that is taken while it lasts; otherwise the effect on a pair decides.
 pub fn is_of_each_pair(kind: &CameraFaultKind) -> bool {
     !matches!(
         kind,
@@ -68,7 +68,7 @@ pub fn is_of_each_pair(kind: &CameraFaultKind) -> bool {
     )
 }
 
-/// What the camera of a run is told.
+/// Configures the camera of a run.
 pub fn plan(faults: &[Fault], seed: u64) -> CameraFaults {
     let since_s = |t_s: f64| Duration::from_secs_f64(LEAD_S + t_s);
     let list = faults.iter().filter_map(|fault| match fault.kind {

@@ -1,4 +1,4 @@
-//! A number of a whole record: the same run gives the same one.
+//! A hash of a whole record: the same run gives the same hash.
 
 use system_tests::safety::truth::{Step, Truth};
 
@@ -20,7 +20,7 @@ fn add_step(hash: u64, step: &Step) -> u64 {
     add(numbers.fold(hash, |hash, number| add(hash, &number.to_le_bytes())), step.state.as_bytes())
 }
 
-/// Of all that was written down: every bit counts.
+/// Hash of the complete record; every bit counts.
 pub fn digest(truth: &Truth) -> u64 {
     let steps = truth.steps.iter().fold(OFFSET, add_step);
     truth.log.iter().fold(steps, |hash, line| add(add(hash, &line.t_millis.to_le_bytes()), line.text.as_bytes()))

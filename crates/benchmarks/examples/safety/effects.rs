@@ -1,4 +1,4 @@
-//! What became of the faults of a run: one that met nothing shows nothing, and is counted by itself.
+//! The outcome of each fault of a run; a fault without effect is counted separately.
 
 use system_tests::safety::truth::Truth;
 
@@ -7,24 +7,24 @@ use crate::recorder::Recorder;
 use crate::scenario::Scenario;
 use crate::telling::Happened;
 
-/// Something is noticed of a fault until so long after its end, seconds.
+/// A fault counts as noticed until this long after its end, seconds.
 const NOTICED_S: f64 = 0.5;
 
-/// What became of a fault.
+/// Outcome of a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Became {
     /// The control loop had ended.
     AfterTheEnd,
-    /// It met nothing: no pair came while it lasted, nobody was there to speak, or the arm was off.
+    /// No effect: no frame pair arrived while it lasted, no operator was present, or the drives were disabled.
     NoEffect,
-    /// Nothing was said or counted.
+    /// No log line and no counter.
     Borne,
-    /// A line was said, or a counter rose.
+    /// A log line, or a counter that rose.
     Noticed,
 }
 
 impl Became {
-    /// In a word.
+    /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::AfterTheEnd => "after the end",
@@ -35,7 +35,7 @@ impl Became {
     }
 }
 
-/// Of each fault.
+/// Outcomes of all faults.
 pub fn all(scenario: &Scenario, times: &[Happened], recording: &Recorder) -> Vec<Became> {
     let faults = scenario.faults.iter().zip(times).enumerate();
     faults
@@ -53,7 +53,7 @@ pub fn all(scenario: &Scenario, times: &[Happened], recording: &Recorder) -> Vec
         .collect()
 }
 
-/// Whether a fault met anything, if that is to be seen from its time and the record; otherwise who looked has written it down.
+/// Whether the fault had an effect, if its time and the record show it; `None`: the perception thread has recorded it.
 fn met(fault: &Fault, (from_s, until_s): (f64, f64), scenario: &Scenario, truth: &Truth) -> Option<bool> {
     let is_on = |arm: Option<usize>| {
         let during = truth.steps.iter().filter(|step| step.t_s >= from_s - 0.01 && step.t_s <= until_s + 0.01);

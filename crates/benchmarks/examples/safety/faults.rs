@@ -1,4 +1,4 @@
-//! What goes wrong in a run, at every seam: what is seen, when it comes, the control loop, its clock, lines, gateways and arms.
+//! The faults of a run: estimates, their timing, the control loop, its clock, links, gateways and arms.
 
 use pb3dp_arm_pa10_protocol::codec::{CommAlarm, ServoAlarm};
 use pb3dp_servo::supervisor::OperatorCommand;
@@ -7,76 +7,76 @@ use pb3dp_sim::camera_faults::CameraFaultKind;
 use crate::cameras;
 use crate::scenario::Dice;
 
-/// Something that goes wrong for a while.
+/// A fault that lasts for a while.
 #[derive(Clone, Debug)]
 pub struct Fault {
-    /// What.
+    /// Kind of fault.
     pub kind: Kind,
-    /// From then on, seconds since the run began.
+    /// Start, seconds since the run began.
     pub from_s: f64,
-    /// For so long, seconds, where it has a length.
+    /// Duration, seconds, for kinds that have one.
     pub for_s: f64,
 }
 
-/// What goes wrong.
+/// Kind of fault.
 #[derive(Clone, Debug)]
 pub enum Kind {
-    /// Each estimate gets lost with this chance.
+    /// Each estimate is lost with this probability.
     EstimatesLost(f64),
     /// The estimator has no pose: black, saturated or covered images.
     NoPose,
-    /// It has one by which it does not stand.
+    /// The estimator has a pose with low confidence.
     Doubtful,
-    /// Estimates come later by so much, seconds.
+    /// Estimates are late by this much, seconds.
     Late(f64),
-    /// The estimator stands still, and then says what it saw last.
+    /// The estimator stalls, and then reports its last pose.
     Stall,
-    /// Poses are off by so much to one side, metres, and turned, radians: another object, or a calibration that is wrong.
+    /// Poses are offset by this much to one side, metres, and rotated, radians: another object, or a wrong calibration.
     Off(f64, f64),
-    /// Single poses are off by so much, metres.
+    /// Single poses are offset by this much, metres.
     Outliers(f64),
-    /// Both cameras are exposed so far apart, seconds.
+    /// Exposures of the left and right camera differ by this much, seconds.
     Skew(f64),
-    /// Number and times of images go back.
+    /// Image numbers and timestamps go back.
     OldImages,
     /// The estimator follows another target.
     OtherTarget,
-    /// A control step takes so long, seconds.
+    /// A control step takes this long, seconds.
     Overrun(f64),
-    /// The control loop's clock is off by so much, seconds.
+    /// The clock of the control loop jumps by this much, seconds.
     ClockJump(f64),
-    /// Something of an arm, as a line of a script, and the line that ends it.
+    /// A fault of an arm, as a line of a script, and the line that ends it.
     Arm {
-        /// 0: the one with the cameras.
+        /// 0: the arm with the cameras.
         arm: usize,
-        /// For tables.
+        /// Name in tables.
         name: &'static str,
-        /// How it begins.
+        /// Line that starts the fault.
         line: String,
-        /// How it ends, if it does.
+        /// Line that ends it, if it ends.
         end: Option<String>,
     },
-    /// The emergency stop of both arms, pressed.
+    /// The emergency stop of both arms is pressed.
     EmergencyStopOfBoth,
     /// The cable of this arm is pulled.
     Unplugged(usize),
-    /// New images come with the number of an old one.
+    /// New images have the number of an old image.
     NumbersStand,
-    /// Each pose is off by as much as this, metres, to another side.
+    /// Each pose is offset by up to this much, metres, in a random direction.
     Scatter(f64),
-    /// The estimator is less sure by these factors: of standard deviations of position and orientation.
+    /// The standard deviations of position and orientation grow by these factors.
     Unsure([f64; 2]),
-    /// The operator says this, and it is heard so much later, seconds.
+    /// The operator gives this command, and it arrives this much later, seconds.
     OperatorCommand(OperatorCommand, f64),
-    /// There is no sign of life of the operator.
+    /// No operator heartbeat.
     Silence,
-    /// Something of the cameras.
+    /// A camera fault.
     Camera(CameraFaultKind),
 }
 
 type Lines = fn(&mut Dice) -> (String, Option<String>);
 
-/// What goes wrong of an arm, in the words of docs/mock-arm.md.
+/// Faults of an arm, as script lines of docs/mock-arm.md.
 const OF_ARMS: [(&str, Lines); 21] = [
     ("bus: replies lost", |dice| (format!("drop {}", 1 + dice.below(4)), None)),
     ("bus: replies damaged", |dice| (format!("corrupt {}", 1 + dice.below(6)), None)),
@@ -118,42 +118,42 @@ const OF_ARMS: [(&str, Lines); 21] = [
     }),
 ];
 
-/// Names of the kinds that are not of one arm, as tables have them.
+/// Names in tables of the kinds that do not belong to one arm.
 const OF_THE_CELL: [&str; 20] = [
     "estimates lost",
     "no pose",
-    "doubtful pose",
+    "low-confidence pose",
     "late estimates",
     "estimator stalls",
-    "poses off",
+    "pose offset",
     "outliers",
-    "exposures apart",
+    "exposures not synchronous",
     "old images",
     "another target",
     "control step overruns",
     "clock jumps",
     "emergency stop of both",
     "cable pulled",
-    "numbers of images stand",
-    "poses scatter",
-    "unsure poses",
-    "a word of the operator",
-    "a late word of the operator",
+    "image numbers repeat",
+    "scattered poses",
+    "uncertain poses",
+    "operator command",
+    "late operator command",
     "operator silent",
 ];
 
 impl Kind {
-    /// How many there are, those of the cameras not counted.
+    /// Number of kinds, without those of the cameras.
     pub const COUNT: usize = OF_THE_CELL.len() + OF_ARMS.len();
 
-    /// What goes wrong with one arm, by its name in tables.
+    /// A fault of one arm, by its name in tables.
     #[cfg(any(test, feature = "disabled-guards"))]
     pub fn of_arm(arm: usize, name: &'static str, line: &str, end: Option<&str>) -> Self {
         assert!(OF_ARMS.iter().any(|(known, _)| *known == name), "{name}");
         Self::Arm { arm, name, line: line.to_owned(), end: end.map(str::to_owned) }
     }
 
-    /// One of all kinds.
+    /// Draws one of all kinds.
     pub fn draw(dice: &mut Dice) -> Self {
         match dice.below(Self::COUNT) {
             0 => Self::EstimatesLost(dice.within(0.1, 1.0)),
@@ -184,7 +184,7 @@ impl Kind {
         }
     }
 
-    /// The name in tables.
+    /// Name in tables.
     pub fn name(&self) -> &'static str {
         OF_THE_CELL[match self {
             Self::EstimatesLost(_) => 0,
@@ -212,7 +212,7 @@ impl Kind {
         }]
     }
 
-    /// What a line of the log has to say where this cannot go unnoticed.
+    /// Words of which a log line must contain one, where the fault must not go unnoticed.
     pub fn words(&self) -> &'static [&'static str] {
         match self {
             Self::EmergencyStopOfBoth => &["emergency stop"],
@@ -224,8 +224,8 @@ impl Kind {
         }
     }
 
-    /// For how long it has to last, and how long it then takes until both arms have begun to stop for good, seconds: by what each arm is
-    /// told of it, three exchanges without an answer, or a watchdog of 50 ms.
+    /// Minimum duration of the fault, and the time after that in which both arms begin to stop for good, seconds. The
+    /// time follows from the arm's report, from three exchanges without an answer, or from a watchdog of 50 ms.
     pub fn stops_after_s(&self) -> Option<(f64, f64)> {
         const TOLD_S: f64 = 0.02;
         const MISSED_S: f64 = 0.1;
@@ -237,14 +237,14 @@ impl Kind {
             Self::Arm { name: "arm: emergency stop" | "arm: limit switch", .. } => Some((0.0, TOLD_S)),
             Self::Arm { name: "arm: servo alarm" | "arm: controller alarm", .. } => Some((0.0, TOLD_S)),
             Self::Arm { name: "arm: power", .. } => Some((MISSED_S, MISSED_S)),
-            // More than any joint moves between two samples, and more than any joint may carry.
+            // More than any joint moves between two samples, and more torque than any joint may carry.
             Self::Arm { name: "arm: encoder jumps", line, .. } if amount(line) >= 0.12 => Some((0.0, MISSED_S)),
             Self::Arm { name: "arm: torque", line, .. } if amount(line) >= 130.0 => Some((MISSED_S, MISSED_S)),
             _ => None,
         }
     }
 
-    /// Which arm it is about; none if about both.
+    /// The arm concerned; `None` if both.
     pub fn arm(&self) -> Option<usize> {
         match self {
             Self::Unplugged(arm) | Self::Arm { arm, .. } => Some(*arm),
@@ -252,7 +252,7 @@ impl Kind {
         }
     }
 
-    /// The arm of which nobody who writes the log can know anything while it lasts: its controller has no power, or nothing comes from it.
+    /// The arm that the log cannot see while the fault lasts: its controller has no power, or its replies are lost.
     pub fn hides(&self) -> Option<usize> {
         match self {
             Self::Unplugged(arm) => Some(*arm),
@@ -261,7 +261,7 @@ impl Kind {
         }
     }
 
-    /// Whether nobody knows of it but by what the servo controller says.
+    /// Whether only the servo controller can report the fault.
     pub fn is_read_by_controller(&self) -> bool {
         match self {
             Self::EmergencyStopOfBoth => true,
@@ -275,7 +275,7 @@ impl Kind {
         }
     }
 
-    /// Whether arms may be stopped because of it.
+    /// Whether the fault may stop arms.
     pub fn may_stop(&self) -> bool {
         match self {
             Self::Arm { .. } | Self::Unplugged(_) | Self::EmergencyStopOfBoth => true,
@@ -285,7 +285,7 @@ impl Kind {
         }
     }
 
-    /// Whether the cameras can fail in its place: what it does to estimates, they do to images.
+    /// Whether a camera fault can replace this fault of the estimates.
     pub fn is_of_estimates(&self) -> bool {
         matches!(
             self,
@@ -300,12 +300,12 @@ impl Kind {
         )
     }
 
-    /// Whether it is gone when its time is over; an alarm stays.
+    /// Whether the fault ends with its time; an alarm stays.
     pub fn ends(&self) -> bool {
         !matches!(self, Self::Arm { end: None, .. })
     }
 
-    /// The arm and the joint, from 0, that does not do what it is told while it lasts.
+    /// The arm and the joint (from 0) that does not obey commands while the fault lasts.
     pub fn disobeys(&self) -> Option<(usize, usize)> {
         match self {
             Self::Arm { arm, name: "arm: stuck joint" | "arm: runaway joint", line, .. } => {
@@ -317,7 +317,7 @@ impl Kind {
     }
 }
 
-/// The amount that is the third word of a line, without its unit and sign.
+/// The value in the third word of a line, without unit and sign.
 fn amount(line: &str) -> f64 {
     let word = line.split(' ').nth(2).unwrap_or("");
     let number = word.trim_end_matches(|c: char| c.is_ascii_alphabetic());
@@ -325,12 +325,12 @@ fn amount(line: &str) -> f64 {
 }
 
 impl Fault {
-    /// When it ends, seconds.
+    /// End of the fault, seconds.
     pub fn until_s(&self) -> f64 {
         self.from_s + self.for_s
     }
 
-    /// Whether it lasts at this time.
+    /// Whether the fault is active at this time.
     pub fn is_on(&self, t_s: f64) -> bool {
         (self.from_s..self.until_s()).contains(&t_s)
     }

@@ -1,4 +1,4 @@
-//! What many runs came to.
+//! Statistics over many runs.
 
 use std::collections::BTreeMap;
 
@@ -8,64 +8,64 @@ use system_tests::safety::truth::{ARM_NAMES, HAND_ARM, Step, Truth};
 use crate::Judged;
 use crate::effects::Became;
 
-/// How often something went wrong.
+/// Counts of one kind of fault.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Count {
-    /// In scenarios.
+    /// Drawn in scenarios.
     pub drawn: u64,
-    /// While the control loop ran.
+    /// Active while the control loop ran.
     pub begun: u64,
-    /// Where it met nothing.
+    /// Without effect.
     pub without_effect: u64,
-    /// Where a line was said or a counter rose meanwhile or soon after.
+    /// Noticed: a log line, or a counter that rose, during the fault or soon after.
     pub noticed: u64,
 }
 
-/// How near runs came to a limit: the largest share of it that was used.
+/// Margin to a limit: the largest share of the limit that was used.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Margin {
-    /// 1 is the limit.
+    /// Largest share; 1 is the limit.
     pub share: f64,
-    /// In which run.
+    /// Seed of that run.
     pub seed: u64,
 }
 
 impl Margin {
     fn add(&mut self, share: f64, seed: u64) {
-        // Of equal ones the run with the smaller seed, in whatever order they come.
+        // Of equal shares the smaller seed counts, so that the order of the runs does not matter.
         if share > self.share || (share == self.share && seed < self.seed) {
             *self = Self { share, seed };
         }
     }
 }
 
-/// All that is told of many runs.
+/// Statistics of many runs.
 #[derive(Debug, Default)]
 pub struct Figures {
-    /// How many.
+    /// Number of runs.
     pub runs: u64,
-    /// What did not hold: invariant, and in which runs.
+    /// Violations: invariant, and the runs that violated it.
     pub violations: BTreeMap<String, Vec<u64>>,
     /// By kind of fault.
     pub faults: BTreeMap<&'static str, Count>,
     /// By kind of motion.
     pub motions: BTreeMap<&'static str, u64>,
-    /// Why control loops ended.
+    /// Reasons why control loops ended.
     pub ends: BTreeMap<String, u64>,
     /// By limit and arm.
     pub margins: BTreeMap<String, Margin>,
-    /// Runs in which the hand may look for a target that was lost, and for how long it did, seconds.
+    /// Runs in which the hand may search for a lost target, and the total time of searching, seconds.
     pub searches: (u64, f64),
-    /// Of all records, in whatever order they came.
+    /// Hash of all records, independent of their order.
     pub digest: u64,
     /// CPU time, milliseconds.
     pub cpu_millis: f64,
-    /// Virtual time in which the control loop ran or the arms were looked at after it, seconds.
+    /// Virtual time in which the control loop ran or the arms were observed after it, seconds.
     pub virtual_s: f64,
 }
 
 impl Figures {
-    /// One more run.
+    /// Adds a run.
     pub fn add(&mut self, judged: &Judged, rules: &Rules) {
         let Judged { scenario, ran, violations, digest, cpu_millis, .. } = judged;
         self.runs += 1;
@@ -88,11 +88,11 @@ impl Figures {
             count.without_effect += u64::from(*became == Became::NoEffect);
             count.noticed += u64::from(*became == Became::Noticed);
         }
-        *self.ends.entry(ran.ended.as_deref().map_or_else(|| "at its time".to_owned(), cause)).or_default() += 1;
+        *self.ends.entry(ran.ended.as_deref().map_or_else(|| "end of the run".to_owned(), cause)).or_default() += 1;
         self.margins_of(&ran.truth, rules, scenario.seed);
     }
 
-    /// How much of their limits joints used, as long as they obeyed.
+    /// Share of their limits that the joints used, while they obeyed.
     fn margins_of(&mut self, truth: &Truth, rules: &Rules, seed: u64) {
         const WINDOW: usize = 2;
         for (arm, rules) in rules.arms.iter().enumerate() {
@@ -121,18 +121,18 @@ impl Figures {
         }
     }
 
-    /// How many runs did not keep an invariant, each invariant counted by itself.
+    /// Number of runs that violated an invariant, summed over the invariants.
     pub fn broken(&self) -> usize {
         self.violations.values().map(Vec::len).sum()
     }
 
-    /// Simulated seconds per second of one core; the runs count with their full length only where they had it.
+    /// Simulated seconds per second of one core; each run counts with its actual length.
     pub fn times_real_time(&self) -> f64 {
         self.virtual_s / (self.cpu_millis * 1e-3).max(1e-9)
     }
 }
 
-/// For how long the hand moved to look for its target, seconds.
+/// How long the hand moved in search of its target, seconds.
 fn searched_s(truth: &Truth, rules: &Rules) -> f64 {
     let moves = |step: &Step| step.arms[HAND_ARM].velocity_rad_per_s.iter().any(|v| v.abs() > rules.rest_rad_per_s);
     let searches = |pair: &&[Step]| pair[1].may_search && pair[1].pose_age_s > rules.pose_age_max_s && moves(&pair[1]);

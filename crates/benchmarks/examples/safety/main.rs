@@ -1,4 +1,4 @@
-//! Seeded runs in which everything goes wrong, judged on the simulator's truth. Run it by `cargo xtask bench safety`.
+//! Seeded runs with random faults, checked against the simulator's truth. Run it by `cargo xtask bench safety`.
 #![allow(clippy::print_stdout, reason = "prints its figures")]
 
 mod cameras;
@@ -33,17 +33,17 @@ use system_tests::safety::rules::Rules;
 use system_tests::safety::shape::room_m;
 use system_tests::safety::truth::ARM_NAMES;
 
-/// Runs of a whole measurement.
+/// Runs of a full measurement.
 const RUNS: u64 = 20_000;
-/// Of these so many are done again with images.
+/// Number of these runs that are repeated with images.
 const IMAGED: u64 = 24;
-/// Runs of a quick one.
+/// Runs of a quick measurement.
 const QUICK_RUNS: u64 = 200;
 
-/// Faults of cameras come by so much earlier or later than they are counted, seconds; more would make the table wrong.
+/// Largest difference between the drawn and the actual time of camera faults, seconds; more would make the table wrong.
 const LEAD_OFF_MAX_S: f64 = 0.2;
 
-/// What was asked for.
+/// Command line options.
 struct Args {
     seed: u64,
     runs: u64,
@@ -61,11 +61,11 @@ impl Args {
         let mut args = Self { seed: 1, runs: RUNS, imaged: 0, trace: false, disabled: false, only, origin, page: None };
         let (mut is_whole, mut imaged) = (true, None);
         while let Some(word) = words.next() {
-            let mut value = || words.next().with_context(|| format!("{word} needs a value"));
+            let mut value = || words.next().with_context(|| format!("{word}: no value given"));
             match word.as_str() {
-                "--seed" => args.seed = value()?.parse().context("--seed: a number from 0 on")?,
-                "--runs" => (args.runs, is_whole) = (value()?.parse().context("--runs: a number from 0 on")?, false),
-                "--imaged" => imaged = Some(value()?.parse().context("--imaged: a number from 0 on")?),
+                "--seed" => args.seed = value()?.parse().context("--seed: give a whole number")?,
+                "--runs" => (args.runs, is_whole) = (value()?.parse().context("--runs: give a whole number")?, false),
+                "--imaged" => imaged = Some(value()?.parse().context("--imaged: give a whole number")?),
                 "--quick" => (args.runs, is_whole) = (QUICK_RUNS, false),
                 "--trace" => args.trace = true,
                 "--disabled" => args.disabled = true,
@@ -73,36 +73,36 @@ impl Args {
                 "--origin" => args.origin = value()?,
                 "--page" => args.page = Some(value()?.into()),
                 _ => bail!(
-                    "{word}: --seed N, --runs N, --imaged N, --quick, --trace, --disabled, --only NAME, --page FOLDER and --origin TEXT are known"
+                    "unknown option {word}; options: --seed N, --runs N, --imaged N, --quick, --trace, --disabled, --only NAME, --page FOLDER, --origin TEXT"
                 ),
             }
         }
         args.imaged = imaged.unwrap_or(if is_whole { IMAGED } else { 0 });
-        ensure!(args.runs + args.imaged > 0, "--runs and --imaged: at least one run");
+        ensure!(args.runs + args.imaged > 0, "--runs and --imaged are both 0: give at least one run");
         Ok(args)
     }
 }
 
-/// What one seed came to.
+/// Result of one seed.
 pub struct Judged {
-    /// Of which seed.
+    /// The seed.
     pub scenario: Scenario,
-    /// Whether images were rendered and looked at.
+    /// Whether images were rendered and processed.
     pub imaged: bool,
     /// What happened.
     pub ran: Ran,
-    /// What did not hold.
+    /// Violations.
     pub violations: Vec<Violation>,
-    /// Of the whole record.
+    /// Hash of the whole record.
     pub digest: u64,
     /// CPU time, milliseconds.
     pub cpu_millis: f64,
 }
 
-/// Runs one seed and judges it.
+/// Runs one seed and checks the invariants.
 ///
 /// # Errors
-/// If it cannot be wired.
+/// If the setup cannot be built.
 fn judge(setup: &Setup, rules: &Rules, scenario: Scenario) -> Result<Judged> {
     let seed = scenario.seed;
     let (ran, cpu_millis) = timed(|| run(setup, &scenario));
@@ -112,14 +112,14 @@ fn judge(setup: &Setup, rules: &Rules, scenario: Scenario) -> Result<Judged> {
     let off_s = (ran.lead_s - cameras::LEAD_S).abs();
     ensure!(
         off_s < LEAD_OFF_MAX_S,
-        "seed {seed}: the control loop began {} s after the camera; set LEAD_S in cameras.rs to that",
+        "seed {seed}: the control loop started {} s after the camera; set LEAD_S in cameras.rs to this value",
         ran.lead_s
     );
     let imaged = setup.leader.needs_images();
     Ok(Judged { scenario, imaged, violations, digest, cpu_millis, ran })
 }
 
-/// The command that does one seed again, with or without images.
+/// The command that repeats one seed, with or without images.
 pub fn replay(seed: u64, imaged: bool) -> String {
     let runs = if imaged { "--runs 0 --imaged 1" } else { "--runs 1" };
     format!("cargo xtask bench safety --seed {seed} {runs} --trace")
@@ -128,15 +128,15 @@ pub fn replay(seed: u64, imaged: bool) -> String {
 fn tell(judged: &Judged) {
     let seed = judged.scenario.seed;
     for violation in &judged.violations {
-        println!("seed {seed}: {violation}\n  again: {}", replay(seed, judged.imaged));
+        println!("seed {seed}: {violation}\n  repeat: {}", replay(seed, judged.imaged));
     }
 }
 
-/// Everything of one run.
+/// Prints the trace of one run.
 fn trace(judged: &Judged) {
     let Judged { scenario, ran, digest, .. } = judged;
     println!("seed {}: {}, digest {digest:016x}", scenario.seed, scenario.motion_name);
-    println!("the target: {:?}, {:?}", scenario.carrier, scenario.motion);
+    println!("target: {:?}, {:?}", scenario.carrier, scenario.motion);
     for (fault, became) in scenario.faults.iter().zip(&ran.became) {
         println!("{:7.3} to {:7.3} s  {:?}: {}", fault.from_s, fault.until_s(), fault.kind, became.name());
     }
@@ -153,7 +153,7 @@ fn trace(judged: &Judged) {
             format!("{least:.2} to {most:.2}")
         };
         let used: Vec<_> = (0..7).map(used).collect();
-        println!("{}: shares of the operating ranges that were used: {}", ARM_NAMES[arm], used.join(", "));
+        println!("{}: used shares of the operating ranges: {}", ARM_NAMES[arm], used.join(", "));
     }
     let [mut one, mut other] = [Vec::new(), Vec::new()];
     let rooms = ran.truth.steps.iter().map(|step| {
@@ -161,8 +161,8 @@ fn trace(judged: &Judged) {
         rules.arms[1].body.place(&step.arms[1].position_rad, &mut other);
         room_m(&one, &other)
     });
-    println!("least room between both arms: {:.0} mm", 1e3 * rooms.fold(f64::INFINITY, f64::min));
-    println!("ended: {}", ran.ended.as_deref().unwrap_or("at its time"));
+    println!("smallest distance between the arms: {:.0} mm", 1e3 * rooms.fold(f64::INFINITY, f64::min));
+    println!("ended: {}", ran.ended.as_deref().unwrap_or("end of the run"));
     let broken = |invariant: Invariant| judged.violations.iter().any(|violation| violation.invariant == invariant);
     let [held, violated]: [Vec<&str>; 2] = [false, true].map(|wanted| {
         Invariant::ALL.into_iter().filter(|&invariant| broken(invariant) == wanted).map(Invariant::name).collect()
@@ -171,7 +171,7 @@ fn trace(judged: &Judged) {
     println!("violated: {}", if violated.is_empty() { "none".to_owned() } else { violated.join(", ") });
 }
 
-/// How far a long measurement is: a line each minute.
+/// Progress of a long measurement: one line per minute.
 struct Progress {
     since: Instant,
     minutes: AtomicU64,
@@ -196,7 +196,7 @@ impl Progress {
     }
 }
 
-/// What many runs came to: without images, and with them.
+/// Statistics of many runs, without and with images.
 #[derive(Default)]
 struct Both {
     plain: Figures,
@@ -210,7 +210,7 @@ fn all(args: &Args) -> Result<Both> {
     let told = Progress::default();
     let work = || {
         loop {
-            // Those with images take longest, and come first.
+            // Runs with images take longest, so they start first.
             let index = next.fetch_add(1, Ordering::Relaxed);
             if index >= args.imaged + args.runs {
                 return;
@@ -244,7 +244,7 @@ fn all(args: &Args) -> Result<Both> {
             scope.spawn(work);
         }
     });
-    figures.into_inner().map_err(|_| anyhow::anyhow!("a run has panicked; its message is above"))?
+    figures.into_inner().map_err(|_| anyhow::anyhow!("a run panicked; see its message above"))?
 }
 
 fn main() -> Result<ExitCode> {
@@ -259,11 +259,11 @@ fn main() -> Result<ExitCode> {
     if let Some(folder) = &args.page {
         page::write_part(folder, Some(&text), None)?;
     }
-    println!("{} virtual seconds per run, digest of all: {:016x}", RUN_S, plain.digest.wrapping_add(imaged.digest));
+    println!("{} virtual seconds per run, hash of all: {:016x}", RUN_S, plain.digest.wrapping_add(imaged.digest));
     Ok(if plain.broken() + imaged.broken() == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Switches each safeguard off.
+/// Disables each safeguard.
 #[cfg(feature = "disabled-guards")]
 fn disabled(args: &Args) -> Result<ExitCode> {
     proofs::run(args)
@@ -273,14 +273,14 @@ fn disabled(args: &Args) -> Result<ExitCode> {
 /// Always.
 #[cfg(not(feature = "disabled-guards"))]
 fn disabled(_: &Args) -> Result<ExitCode> {
-    bail!("--disabled: in this build no safeguard can be switched off; use `cargo xtask bench safety --disabled`")
+    bail!("--disabled: this build cannot disable safeguards; use `cargo xtask bench safety --disabled`")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// Some runs, twice: nothing is violated, and every number is the same again.
+    /// Some runs, twice: no invariant is violated, and all numbers are identical.
     #[test]
     fn seeded_runs_keep_the_invariants_and_repeat_themselves() {
         let args = Args::read(["--runs", "12"].map(str::to_owned).into_iter()).unwrap();

@@ -18,17 +18,17 @@ use crate::replay;
 /// The whole page.
 pub fn text(figures: &Figures, imaged: &Figures, seed: u64, origin: &str) -> String {
     let mut page = String::new();
-    // Nothing is written to that could fail.
+    // Writing to a string cannot fail.
     write(&mut page, figures, imaged, (seed, origin)).ok();
     page
 }
 
-/// Of the page.
+/// A part of the page.
 const HEADING: &str = "# Safety";
-/// With this the part about safeguards begins: another build writes it than the part before.
-const SAFEGUARDS: &str = "## Safeguards, each switched off";
+/// Heading at which the part about safeguards begins; a separate build writes that part.
+const SAFEGUARDS: &str = "## Safeguards, each disabled";
 
-/// Writes one part of the page, or both; the other one stays as it is.
+/// Writes one part of the page, or both; the other part stays as it is.
 ///
 /// # Errors
 /// If the page cannot be written.
@@ -38,15 +38,14 @@ pub fn write_part(folder: &Path, runs: Option<&str>, safeguards: Option<&str>) -
     let (runs_before, safeguards_before) = before.split_at(before.find(SAFEGUARDS).unwrap_or(before.len()));
     let runs = Some(runs.unwrap_or(runs_before).trim_end()).filter(|runs| !runs.is_empty()).unwrap_or(HEADING);
     let text = format!("{runs}\n\n{}", safeguards.unwrap_or(safeguards_before).trim_end());
-    std::fs::write(&path, format!("{}\n", text.trim()))
-        .with_context(|| format!("{}: cannot be written", path.display()))
+    std::fs::write(&path, format!("{}\n", text.trim())).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// The table of safeguards that were switched off one by one, and what these runs do not show.
+/// The table of safeguards that were disabled one by one, and the limits of these runs.
 #[cfg(feature = "disabled-guards")]
 pub fn safeguards(shown: &[Shown], elsewhere: &[(Safeguard, &str)], origin: &str) -> String {
     let mut page = String::new();
-    // Nothing is written to that could fail.
+    // Writing to a string cannot fail.
     write_safeguards(&mut page, shown, elsewhere, origin).ok();
     page
 }
@@ -62,13 +61,13 @@ fn write_safeguards(
     writeln!(page, "{SAFEGUARDS}\n\n`cargo xtask bench safety --disabled`; {origin}\n")?;
     writeln!(
         page,
-        "{runs} runs of 7 virtual seconds in a test build that can do this; `pb3dp` is never built so.\n\
-         Each line is two runs of the same seed that differ in one safeguard: with it everything holds, without it an invariant does not.\n\
-         Where others guard the same, they are off in both runs: each one is enough by itself.\n"
+        "{runs} runs of 7 virtual seconds in a test build that can disable safeguards; `pb3dp` is never built with this option.\n\
+         Each row compares two runs of the same seed that differ in one safeguard: with it all invariants hold, without it at least one is violated.\n\
+         Other safeguards against the same hazard are disabled in both runs: each safeguard is sufficient alone.\n"
     )?;
     writeln!(
         page,
-        "| safeguard | what it does | off in both runs | broken without it | seed | with it |\n|---|---|---|---|---|---|"
+        "| safeguard | function | disabled in both runs | violated without it | seed | with it |\n|---|---|---|---|---|---|"
     )?;
     for Shown { guard, others, without, with, .. } in shown {
         let names: Vec<_> = others.iter().map(|other| other.name()).collect();
@@ -77,14 +76,14 @@ fn write_safeguards(
             None => ("NOTHING".to_owned(), String::new()),
         };
         let with = match with {
-            Some((seed, violations)) => format!("BROKEN: {} (seed {seed})", self::broken(violations)),
+            Some((seed, violations)) => format!("VIOLATED: {} (seed {seed})", self::broken(violations)),
             None => "all hold".to_owned(),
         };
         writeln!(page, "| {} | {} | {} | {broken} | {seed} | {with} |", guard.name(), guard.what(), names.join(", "))?;
     }
     writeln!(
         page,
-        "\nNot shown by these runs:\n\n| safeguard | what it does | why, and what shows it |\n|---|---|---|"
+        "\nNot shown by these runs:\n\n| safeguard | function | reason, and the test that shows it |\n|---|---|---|"
     )?;
     for (guard, by) in elsewhere {
         writeln!(page, "| {} | {} | {by} |", guard.name(), guard.what())?;
@@ -92,7 +91,7 @@ fn write_safeguards(
     Ok(())
 }
 
-/// The invariants that do not hold.
+/// The invariants that are violated.
 #[cfg(feature = "disabled-guards")]
 fn broken(violations: &[Violation]) -> String {
     let mut names: Vec<_> = violations.iter().map(|violation| violation.invariant.name()).collect();
@@ -100,12 +99,12 @@ fn broken(violations: &[Violation]) -> String {
     names.join(", ")
 }
 
-/// What did not hold, with the command that does it again.
+/// The violations, with the command that repeats the first run.
 fn write_violations(page: &mut String, figures: &Figures, imaged: bool) -> std::fmt::Result {
     if figures.violations.is_empty() {
         return writeln!(page, "None.\n");
     }
-    writeln!(page, "| invariant | runs | the first one again |\n|---|---|---|")?;
+    writeln!(page, "| invariant | runs | command for the first run |\n|---|---|---|")?;
     for (invariant, seeds) in &figures.violations {
         let first = seeds.first().map_or_else(String::new, |seed| replay(*seed, imaged));
         writeln!(page, "| {invariant} | {} | `{first}` |", seeds.len())?;
@@ -113,7 +112,7 @@ fn write_violations(page: &mut String, figures: &Figures, imaged: bool) -> std::
     writeln!(page)
 }
 
-/// Runs in which images were rendered and looked at.
+/// Runs in which images were rendered and processed.
 fn write_imaged(page: &mut String, figures: &Figures) -> std::fmt::Result {
     let Figures { runs, virtual_s, .. } = figures;
     if *runs == 0 {
@@ -122,7 +121,7 @@ fn write_imaged(page: &mut String, figures: &Figures) -> std::fmt::Result {
     writeln!(page, "## With images\n")?;
     writeln!(
         page,
-        "The first {runs} of them once more, with rendered images and the method that looks at them ({virtual_s:.0} s in all), at {:.1} times real time per core; violations:\n",
+        "The first {runs} of these runs again, with rendered images and the estimation method ({virtual_s:.0} s in all), at {:.1} times real time per core; violations:\n",
         figures.times_real_time()
     )?;
     write_violations(page, figures, true)
@@ -139,31 +138,25 @@ fn write(page: &mut String, figures: &Figures, imaged: &Figures, (seed, origin):
     )?;
     writeln!(
         page,
-        "The whole loop of `pb3dp run` without images, both arms emulated byte by byte behind gateways ([hil.md](../hil.md))."
+        "The runs use the whole loop of `pb3dp run` without images; both arms are emulated byte by byte behind gateways ([hil.md](../hil.md))."
     )?;
+    writeln!(page, "A run ends early if the supervisor or an arm stops it; both arms are observed for 1.5 s more.")?;
     writeln!(
         page,
-        "A run ends early where the supervisor or an arm stops it; both arms are looked at for 1.5 s more."
+        "`tests/src/safety` checks the invariants on the simulator's joints and shares no code with the checked system."
     )?;
-    writeln!(
-        page,
-        "What must hold is checked on the simulator's joints by `tests/src/safety`, which shares no code with what it checks."
-    )?;
-    writeln!(
-        page,
-        "In {searches} of them the hand may look for a target that was lost, and did so for {searched_s:.0} s.\n"
-    )?;
+    writeln!(page, "In {searches} runs the hand may search for a lost target; it did so for {searched_s:.0} s.\n")?;
     writeln!(page, "## Violations\n")?;
     write_violations(page, figures, false)?;
     write_imaged(page, imaged)?;
     writeln!(page, "## Faults\n")?;
     writeln!(
         page,
-        "Without effect: it met nothing, as no pair came while it lasted, the arm was off, or nobody was there to speak.\n\
-         Noticed, of the others: a line in the log, or a counter of a link or gateway, while it lasted or within 0.5 s.\n\
-         A fault that is borne leaves no trace, such as one late reply.\n"
+        "Without effect: no frame pair arrived during the fault, the drives were disabled, or no operator was present.\n\
+         Noticed, as a share of the others: a log line or a counter of a link or gateway, during the fault or within 0.5 s after it.\n\
+         A tolerated fault, such as one late reply, leaves no trace.\n"
     )?;
-    writeln!(page, "| fault | drawn | while the loop ran | without effect | noticed |\n|---|---|---|---|---|")?;
+    writeln!(page, "| fault | drawn | during the control loop | without effect | noticed |\n|---|---|---|---|---|")?;
     for (name, count) in &figures.faults {
         let Count { drawn, begun, without_effect, noticed } = *count;
         let share = 100.0 * noticed as f64 / (begun - without_effect).max(1) as f64;
@@ -173,7 +166,7 @@ fn write(page: &mut String, figures: &Figures, imaged: &Figures, (seed, origin):
     for (name, count) in &figures.motions {
         writeln!(page, "| {name} | {count} |")?;
     }
-    writeln!(page, "\n## How runs ended\n\n| why, numbers left out | runs |\n|---|---|")?;
+    writeln!(page, "\n## How runs ended\n\n| reason, without its numbers | runs |\n|---|---|")?;
     let mut ends: Vec<_> = figures.ends.iter().collect();
     ends.sort_by_key(|(_, count)| std::cmp::Reverse(**count));
     for (why, count) in ends {
@@ -182,8 +175,8 @@ fn write(page: &mut String, figures: &Figures, imaged: &Figures, (seed, origin):
     writeln!(page, "\n## Margins\n")?;
     writeln!(
         page,
-        "The largest share of a limit that a joint used that obeyed; accelerations without what a stop of the arm itself does.\n\
-         An acceleration is what the speed changed by within 20 ms; allowed are 2.5 times the limit ([safety.md](../safety.md)).\n"
+        "The largest share of a limit that an obeying joint used; accelerations of stops by the arm itself are excluded.\n\
+         An acceleration is the change of speed within 20 ms; 2.5 times the limit is allowed ([safety.md](../safety.md)).\n"
     )?;
     writeln!(page, "| limit | share | seed |\n|---|---|---|")?;
     for (name, margin) in &figures.margins {

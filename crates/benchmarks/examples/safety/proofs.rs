@@ -1,6 +1,7 @@
-//! Each safeguard, switched off, must let something go wrong: otherwise it is there for nothing, or the invariants see too little.
+//! Each safeguard, disabled, must lead to a violation: otherwise it is useless, or the invariants are too weak.
 //!
-//! Where several guard the same thing, each is shown by itself: with all the others off it is enough, and without it too it is not.
+//! If several safeguards cover one hazard, each is tested with all others disabled: alone it is sufficient, and
+//! without it an invariant is violated.
 
 mod table;
 
@@ -20,42 +21,42 @@ use crate::rig::base;
 use crate::scenario::{Dice, Scenario};
 use crate::{Args, Judged, judge, page, trace};
 
-/// Seeds that are tried until something goes wrong without the safeguard.
+/// Number of seeds that are tried until a run without the safeguard violates an invariant.
 const SEEDS: u64 = 6;
-/// When the first fault comes, seconds: the hand follows by then.
+/// Time of the first fault, seconds; the hand tracks the target by then.
 const FIRST_S: f64 = 3.0;
-/// How long a run lasts, seconds.
+/// Duration of a run, seconds.
 const RUN_S: f64 = 7.0;
 
-/// That a safeguard is there for something.
+/// The proof that a safeguard is needed.
 struct Proof {
     guard: Safeguard,
-    /// What guards the same and is off, too, in both runs.
+    /// Safeguards against the same hazard that are disabled in both runs.
     others: &'static [Safeguard],
-    /// Whether a person leads.
+    /// Whether an operator is present.
     has_person: bool,
-    /// How the target moves.
+    /// Motion of the target.
     motion: fn(&mut Dice) -> (MotionConfig, Carrier),
-    /// What goes wrong: how long after [`FIRST_S`] it begins and for how long it lasts, seconds.
+    /// Faults: start after [`FIRST_S`] and duration, seconds.
     faults: fn(&mut Dice) -> Vec<(f64, f64, Kind)>,
 }
 
-/// What became of one.
+/// Result of one proof.
 pub struct Shown {
-    /// Of which safeguard.
+    /// The safeguard.
     pub guard: Safeguard,
-    /// What was off besides.
+    /// The other safeguards that were disabled.
     pub others: &'static [Safeguard],
-    /// Seed and violations of the first run without it in which anything did not hold.
+    /// Seed and violations of the first run without the safeguard that violated an invariant.
     pub without: Option<(u64, Vec<Violation>)>,
-    /// Seed and violations of a run with it in which something did not hold.
+    /// Seed and violations of a run with the safeguard that violated an invariant.
     pub with: Option<(u64, Vec<Violation>)>,
-    /// Runs in all.
+    /// Total number of runs.
     pub runs: u64,
 }
 
 impl Shown {
-    /// Whether it is enough by itself, and needed.
+    /// Whether the safeguard is sufficient alone, and needed.
     pub fn is_proof(&self) -> bool {
         self.without.is_some() && self.with.is_none()
     }
@@ -98,14 +99,14 @@ impl Proof {
     }
 }
 
-/// All of them, or those whose name holds what was asked for.
+/// All proofs, or those whose name contains the given text.
 ///
 /// # Errors
-/// A run that cannot be wired, or no safeguard of that name.
+/// If a run cannot be built, or no safeguard has that name.
 pub fn run(args: &Args) -> Result<ExitCode> {
     let (setup, rules) = (base(false)?, Rules::of_the_rig());
     let proofs: Vec<_> = table::PROOFS.iter().filter(|proof| proof.guard.name().contains(&args.only)).collect();
-    ensure!(!proofs.is_empty(), "--only {}: no safeguard has such a name", args.only);
+    ensure!(!proofs.is_empty(), "--only {}: no safeguard has this text in its name", args.only);
     let next = AtomicUsize::new(0);
     let shown = Mutex::new(Vec::new());
     let work = || {
@@ -123,8 +124,8 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             scope.spawn(work);
         }
     });
-    let mut shown = shown.into_inner().map_err(|_| anyhow::anyhow!("a run has panicked; its message is above"))?;
-    ensure!(shown.len() == proofs.len(), "a run has panicked; its message is above");
+    let mut shown = shown.into_inner().map_err(|_| anyhow::anyhow!("a run panicked; see its message above"))?;
+    ensure!(shown.len() == proofs.len(), "a run panicked; see its message above");
     shown.sort_by_key(|(index, _)| *index);
     let shown: Vec<Shown> = shown.into_iter().map(|(_, became)| became).collect::<Result<_>>()?;
     let text = page::safeguards(&shown, &table::ELSEWHERE, &args.origin);

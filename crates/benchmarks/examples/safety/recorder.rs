@@ -1,4 +1,4 @@
-//! Writes down what truly happens: joints from the simulated plants, latches from gateways and drivers, and what is said.
+//! Records the true motion: joints from the simulated plants, latches from gateways and drivers, and log lines.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -21,30 +21,31 @@ use crate::rig::SEARCH_MAX_S;
 use crate::scenario::Scenario;
 use crate::telling::Happened;
 
-/// Time between two steps of the record: a fifth of the control cycle, which costs 8 % more computing than one step in a cycle.
+/// Time between two samples of the record: a fifth of the control cycle; costs 8 % more CPU than one sample per cycle.
 const STEP_NANOS: u64 = 2_000_000;
 
-/// Who works on a run shares it.
+/// Shared by the threads of a run.
 pub type Shared = Arc<Mutex<Recorder>>;
 
-/// The recorder, for a moment.
+/// Locks the recorder.
 pub fn lock(recorder: &Shared) -> MutexGuard<'_, Recorder> {
     recorder.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A word that was said longer ago leads on to nothing, seconds: `word_age_max_s`, and a cycle.
+/// A command older than this has no effect, seconds: `word_age_max_s`, and a cycle.
 const WORD_AGE_S: f64 = 0.51;
-/// Without a sign of life of the operator for longer both arms have to rest, seconds: `operator_silent`, and a cycle.
+/// Without an operator heartbeat for longer than this both arms must hold, seconds: `operator_silent`, and a cycle.
 const SILENCE_S: f64 = 1.01;
-/// How sure a pose has to be: root of the summed variances of position and orientation, metres and radians.
+/// Largest uncertainty of a usable pose: root of the summed variances of position and orientation, metres and radians.
 const SURE_M: f64 = 0.020;
 const SURE_RAD: f64 = 6.0 * std::f64::consts::PI / 180.0;
-/// A control cycle passes until a search that took too long ends, seconds.
+/// A search that exceeds its time ends within one control cycle, seconds.
 const SEARCH_END_S: f64 = 0.02;
-/// What only a person can judge: after each of these the hand waits for a word, whatever the supervisor makes of it. Written down here once
-/// more, because a supervisor that goes on by itself would otherwise give itself the right to. That it waits after each of them, and after
-/// a second one during a rest, `crates/servo/tests/supervisor/starting.rs` and `conditions.rs` check one by one: eight of those tests fail
-/// without `!self.needs_word` in `Supervisor::by_itself`.
+/// Conditions that only a person can judge: after each the hand waits for a command, whatever the supervisor does. They
+/// are listed here again, because a supervisor that resumes by itself would otherwise permit itself to do so.
+/// `crates/servo/tests/supervisor/starting.rs` and `conditions.rs` check one by one that the hand waits after each of
+/// them, and after a second one during a hold: eight of those tests fail without `!self.needs_word` in
+/// `Supervisor::by_itself`.
 const FOR_PERSONS: [Condition; 6] = [
     Condition::EmergencyStop,
     Condition::ArmFault,
@@ -53,65 +54,65 @@ const FOR_PERSONS: [Condition; 6] = [
     Condition::OperatorSilent,
     Condition::TargetChanged,
 ];
-/// How far apart both cameras may be exposed, seconds.
+/// Largest difference between the exposures of both cameras, seconds.
 const TOGETHER_S: f64 = 0.005;
 
-/// What is known of one run while it goes on.
+/// The state of one run in progress.
 pub struct Recorder {
-    /// What was written down.
+    /// The record.
     pub truth: Truth,
     scenario: Scenario,
     cell: SimulatedCell,
     arms: [(ArmMonitor, VirtualEnd); 2],
     begin: Option<MonotonicTime>,
     next: MonotonicTime,
-    /// By target: exposure of the newest confident estimate of a new image that was delivered.
+    /// By target: exposure time of the newest confident estimate of a new image that was delivered.
     exposed: BTreeMap<u64, MonotonicTime>,
-    /// Number and time of the newest image that was delivered.
+    /// Number and exposure time of the newest delivered image.
     newest: Option<(u64, MonotonicTime)>,
-    /// Which target was followed from when on, by what was delivered.
+    /// The followed target and the time since when, from the delivered estimates.
     followed: Vec<(MonotonicTime, u64)>,
-    /// The one that was followed when the operator said start.
+    /// The target that was followed when the operator gave `start`.
     target: Option<u64>,
     /// Images whose poses are worthless.
     spoiled: BTreeSet<u64>,
-    /// When the faults of the scenario began and ended, as far as they have.
+    /// Start and end of the scenario's faults, if they have occurred.
     began_at: Vec<Option<MonotonicTime>>,
     ended_at: Vec<Option<MonotonicTime>>,
-    /// Which of them met something.
+    /// Which faults had an effect.
     touched: Vec<bool>,
-    /// Which of them found arms that nothing had stopped yet.
+    /// Which faults started while both arms were enabled and not yet stopped.
     could_stop: Vec<bool>,
     latched_since: [Option<MonotonicTime>; 2],
     was_latched: [bool; 2],
     state: State,
     stopped_at: Option<MonotonicTime>,
-    /// When the operator last reset, how often, and was last heard.
+    /// Last reset by the operator, number of resets, and last sign of the operator.
     reset_at: MonotonicTime,
     resets: u32,
-    /// When the operator said reset, seconds.
+    /// Times of the operator's resets, seconds.
     pub resets_s: Vec<f64>,
     heard_at: Option<MonotonicTime>,
-    /// When the operator last said start or resume; words that were said before `not_before` lead on to nothing.
+    /// Time of the operator's last start or resume; commands given before `not_before` have no effect.
     go_at: Option<MonotonicTime>,
     not_before: MonotonicTime,
-    /// The operator said hold, and not resume since.
+    /// The operator gave `hold`, and no `resume` since.
     was_told_to_rest: bool,
-    /// Something that only a person can judge was found since the hand rests.
+    /// A condition that only a person can judge was detected during this hold.
     waits_for_person: bool,
-    /// Since when the supervisor has said that the target is lost, if it does.
+    /// Time since which the supervisor reports the target as lost.
     lost_at: Option<MonotonicTime>,
     says_why: bool,
     may_go: [bool; 2],
     found: [bool; Condition::COUNT],
-    /// What the links and gateways counted, at the last look: grows with each harm that was noticed.
+    /// Error counters of links and gateways at the last check; grows with each detected error.
     counted: u64,
-    /// When something was noticed, seconds.
+    /// Times at which a fault was noticed, seconds.
     pub noticed_s: Vec<f64>,
 }
 
 impl Recorder {
-    /// Nothing has happened yet.
+    /// An empty record.
     pub fn new(scenario: Scenario, cell: SimulatedCell, arms: [(ArmMonitor, VirtualEnd); 2]) -> Self {
         Self {
             truth: Truth::default(),
@@ -162,7 +163,7 @@ impl Recorder {
         self.begin.map_or(0.0, |begin| at.seconds_since(begin))
     }
 
-    /// When each fault of the scenario truly was there.
+    /// Actual start and end of each fault of the scenario.
     pub fn times(&self) -> Vec<Happened> {
         let seconds = |at: Option<MonotonicTime>| at.map(|at| self.t_s(at));
         let times = self.began_at.iter().zip(&self.ended_at).zip(&self.could_stop);
@@ -175,17 +176,17 @@ impl Recorder {
             .collect()
     }
 
-    /// This fault of the scenario met something.
+    /// This fault of the scenario had an effect.
     pub fn touched(&mut self, index: usize) {
         self.touched[index] = true;
     }
 
-    /// Whether it did.
+    /// Whether this fault had an effect.
     pub fn was_touched(&self, index: usize) -> bool {
         self.touched[index]
     }
 
-    /// The pose of this image is worthless, although nothing tells.
+    /// The pose of this image is worthless, but nothing indicates that.
     pub fn spoiled(&mut self, sequence: u64) {
         self.spoiled.insert(sequence);
     }
@@ -195,7 +196,7 @@ impl Recorder {
         let about = self.scenario.faults[index].kind.arm();
         let is_on = |arm: usize| about.is_some_and(|about| about != arm) || self.truth_of(arm, now).servo_on;
         let may_be_told = self.latched_since.iter().all(Option::is_none) && !self.state.is_latched();
-        // Only who moves misses the next command at once.
+        // Only a moving arm misses the next command at once.
         let misses = !matches!(self.scenario.faults[index].kind, Kind::Overrun(_)) || self.state.is_moving();
         self.could_stop[index] = may_be_told && misses && is_on(HAND_ARM) && is_on(TARGET_ARM);
         self.began_at[index] = Some(now);
@@ -206,15 +207,15 @@ impl Recorder {
         self.ended_at[index] = Some(now);
     }
 
-    /// What is truly known of an arm.
+    /// The true state of an arm.
     fn truth_of(&self, arm: usize, at: MonotonicTime) -> ArmTruth {
         let site = [&self.cell.vs, &self.cell.tc][arm];
         let plant = site.joints.simulated().map(|plant| plant.lock().unwrap_or_else(PoisonError::into_inner));
         plant.map_or(ArmTruth::resting_at([f64::NAN; 7]), |plant| joints(plant, at))
     }
 
-    /// The joint of this arm that does not do what it is told, and whether that lasts: one that was driven away takes its time to come
-    /// back to rest.
+    /// The joint of this arm that does not obey, and whether that lasts: a joint that was driven away needs time to come
+    /// to rest.
     fn by_itself(&self, arm: usize, at: MonotonicTime) -> Option<(usize, bool)> {
         const BACK_S: f64 = 0.1;
         let times = self.began_at.iter().zip(&self.ended_at);
@@ -225,8 +226,8 @@ impl Recorder {
         })
     }
 
-    /// An estimate comes to those who move. It counts if the estimator stands by it, it is of an image that is newer than all before by
-    /// number and time, with both cameras exposed together, of the target that was started, and sure enough.
+    /// Delivers an estimate to the control loop. It counts if it is confident, of an image that is newer than all before
+    /// by number and time, with synchronous exposures, of the started target, and with a small enough uncertainty.
     pub fn delivered(&mut self, percept: &Percept, now: MonotonicTime) {
         let Percept { frame, estimate, .. } = percept;
         let is_newest = self.newest.is_none_or(|(number, at)| frame.sequence > number && frame.at > at);
@@ -250,7 +251,7 @@ impl Recorder {
         }
     }
 
-    /// A control step was done.
+    /// Records a control step.
     pub fn moved(&mut self, step: &Moved, now: MonotonicTime) {
         let decision = &step.decision;
         if let Some(transition) = decision.transition {
@@ -269,21 +270,21 @@ impl Recorder {
         for condition in Condition::ALL {
             let is_found = decision.found.contains(condition);
             if is_found && !self.found[condition as usize] {
-                self.say(now, format!("found: {}", condition.key()));
+                self.say(now, format!("condition: {}", condition.key()));
             }
             self.found[condition as usize] = is_found;
         }
         self.catch_up(now);
     }
 
-    /// What a change of state means for who may go.
+    /// Updates which arm may move after a change of state.
     fn follow(&mut self, transition: Transition, now: MonotonicTime) {
         self.lost_at = (transition.to == State::Lost).then_some(now);
         match transition.to {
             State::Approaching => {
                 let by_word = matches!(transition.event, Event::Start | Event::Resume);
                 if transition.event == Event::Start {
-                    // Who says start means what is followed then; what is followed when the word is heard may be something else.
+                    // A `start` means the target followed when it was given; the target may change before it arrives.
                     let said_at = self.go_at.filter(|_| self.scenario.has_person).unwrap_or(now);
                     let followed = self.followed.iter().rev().find(|(since, _)| *since <= said_at);
                     self.target = followed.map(|(_, target)| *target);
@@ -296,7 +297,7 @@ impl Recorder {
                 }
             }
             State::Stopped | State::Fault => self.must_rest(now, true),
-            // Without a person the arm with the target goes its way from the beginning on.
+            // Without an operator the arm with the target moves along its path from the beginning.
             State::Idle | State::Selecting => {
                 self.target = None;
                 self.must_rest(now, self.scenario.has_person);
@@ -318,14 +319,14 @@ impl Recorder {
         self.may_go[TARGET_ARM] &= !both;
     }
 
-    /// The operator is there.
+    /// The operator is present.
     pub fn heard(&mut self, at: MonotonicTime) {
         self.heard_at = Some(at);
     }
 
-    /// The operator said a word, which was heard now.
+    /// The operator's command, which arrived now.
     pub fn told(&mut self, word: OperatorCommand, at: MonotonicTime, now: MonotonicTime) {
-        self.say(now, format!("the operator: {}", word.name()));
+        self.say(now, format!("operator command: {}", word.name()));
         match word {
             OperatorCommand::Start | OperatorCommand::Resume => {
                 self.go_at = Some(at);
@@ -350,19 +351,19 @@ impl Recorder {
         self.may_go = [false; 2];
     }
 
-    /// The control loop has come to its end: both arms are stopped.
+    /// The control loop has ended: both arms are stopped.
     pub fn ended(&mut self) {
         self.may_go = [false; 2];
     }
 
-    /// A line for the log.
+    /// Adds a line to the log.
     pub fn say(&mut self, at: MonotonicTime, text: String) {
         let t_s = self.t_s(at).max(0.0);
         self.noticed_s.push(t_s);
         self.truth.log.push(LogLine { t_millis: (t_s * 1e3) as u64, text });
     }
 
-    /// Harm that links and gateways have counted.
+    /// Number of errors that links and gateways have counted.
     fn count(&self) -> u64 {
         let of_arm = |(monitor, end): &(ArmMonitor, VirtualEnd)| {
             let seen = monitor.snapshot();
@@ -378,7 +379,7 @@ impl Recorder {
         self.arms.iter().map(of_arm).sum()
     }
 
-    /// Writes down what happened until now.
+    /// Records everything up to now.
     pub fn catch_up(&mut self, now: MonotonicTime) {
         self.look_for_latches(now);
         let counted = self.count();
@@ -414,7 +415,7 @@ impl Recorder {
         }
     }
 
-    /// Since when this arm has to be latched because of what was done to it.
+    /// Time since which this arm must be latched because of a fault.
     fn stopped_by_fault(&self, arm: usize, now: MonotonicTime) -> Option<MonotonicTime> {
         let stops = |(index, fault): (usize, &Fault)| {
             let (lasts_s, within_s) = fault.kind.stops_after_s()?;
@@ -427,17 +428,17 @@ impl Recorder {
         self.scenario.faults.iter().enumerate().filter_map(stops).min()
     }
 
-    /// Whether nothing was heard of the operator for too long.
+    /// Whether the operator has been silent for too long.
     fn is_alone(&self, at: MonotonicTime) -> bool {
         self.scenario.has_person && self.heard_at.is_none_or(|heard| at.seconds_since(heard) > SILENCE_S)
     }
 
-    /// Exposure of the newest pose of the target that was started.
+    /// Exposure of the newest pose of the started target.
     fn exposed_at(&self) -> Option<MonotonicTime> {
         self.target.and_then(|target| self.exposed.get(&target).copied())
     }
 
-    /// Whether the hand may look for the target that is lost.
+    /// Whether the hand may search for the lost target.
     fn may_search(&self, at: MonotonicTime) -> bool {
         let is_early = self.lost_at.is_some_and(|lost| at.seconds_since(lost) <= SEARCH_MAX_S + SEARCH_END_S);
         self.scenario.searches && is_early && self.may_go[HAND_ARM] && !self.was_told_to_rest
@@ -468,7 +469,7 @@ impl Recorder {
     }
 }
 
-/// Joints at a time of the last seconds.
+/// Joints at a time within the history.
 fn joints(mut plant: MutexGuard<'_, JointPlant>, at: MonotonicTime) -> ArmTruth {
     plant.advance_to(at);
     let (position_rad, velocity_rad_per_s) =

@@ -1,4 +1,4 @@
-//! One run of one scenario: the loop of `pb3dp run` with both arms emulated in virtual time, and everything that goes wrong between.
+//! One run of one scenario: the loop of `pb3dp run` with both arms emulated in virtual time, and all faults.
 
 use std::collections::VecDeque;
 use std::sync::atomic::AtomicBool;
@@ -32,16 +32,16 @@ use crate::scenario::{Dice, Scenario};
 use crate::speaker::Speaker;
 use crate::telling::Faults;
 
-/// What came before is known for so long: switching both arms off takes less.
+/// Length of the history; disabling both arms takes less.
 const HISTORY: Duration = Duration::from_secs(5);
-/// The search of runs in which the hand may look for its target.
+/// The search in runs in which the hand may search for its target.
 const SEARCH: SearchConfig =
     SearchConfig { back_m: 0.05, radius_m: 0.05, turns: 2.0, speed_m_per_s: 0.03, time_s: 10.0 };
-/// How long it may take since the loss, seconds.
+/// Largest duration of a search after the loss, seconds.
 pub const SEARCH_MAX_S: f64 = 12.0;
-/// After the control loop has ended the arms are looked at for so long.
+/// Time for which the arms are observed after the end of the control loop.
 const AFTERWARDS: Duration = Duration::from_millis(1500);
-/// What it is looked at in.
+/// Interval between these observations.
 const LOOK: Duration = Duration::from_millis(10);
 
 /// The setup of all runs: that of configs/hil.toml, in simulated time, with or without images.
@@ -61,22 +61,22 @@ pub fn base(imaged: bool) -> Result<Setup> {
     Ok(setup)
 }
 
-/// What came of one run.
+/// Result of one run.
 pub struct Ran {
-    /// What truly happened.
+    /// The true course of the run.
     pub truth: Truth,
-    /// Why the control loop ended before its time.
+    /// Why the control loop ended early.
     pub ended: Option<String>,
-    /// What became of each fault of the scenario.
+    /// Outcome of each fault of the scenario.
     pub became: Vec<Became>,
-    /// When the control loop began, since the camera had, seconds.
+    /// Start of the control loop after that of the camera, seconds.
     pub lead_s: f64,
 }
 
 /// Runs a scenario.
 ///
 /// # Errors
-/// If it cannot be wired: no run of this simulation is refused.
+/// If it cannot be built: no run of this simulation is refused.
 pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     let mut setup = base.clone();
     setup.reseed(scenario.seed);
@@ -147,7 +147,7 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     Ok(afterwards(scenario, lead_s, (&clock, &recorder), ended))
 }
 
-/// Both arms are looked at for a while, and what was noticed is put together.
+/// Observes both arms for a while, and collects what was noticed.
 fn afterwards(
     scenario: &Scenario,
     lead_s: f64,
@@ -169,22 +169,22 @@ fn afterwards(
     Ran { truth: std::mem::take(&mut recording.truth), ended, became, lead_s }
 }
 
-/// The half that looks, with what goes wrong there.
+/// The perception thread with its faults.
 struct Watching<'a> {
     looking: Looking<'a>,
     begin_cell: Box<dyn Fn(MonotonicTime)>,
     scenario: &'a Scenario,
     clock: Arc<dyn Clock>,
     recorder: Shared,
-    /// When the camera began.
+    /// When the camera started.
     wired: MonotonicTime,
     begin: MonotonicTime,
     dice: Dice,
-    /// Whether the fault that was looked at last did anything to a percept.
+    /// Whether the last checked fault changed a percept.
     hit: bool,
-    /// Percepts that are late, and when they are due.
+    /// Late percepts, and when they are due.
     waiting: VecDeque<(MonotonicTime, Percept)>,
-    /// The number at which those of images stand.
+    /// The image number that repeats.
     standing: Option<u64>,
 }
 
@@ -230,7 +230,7 @@ impl Watcher for Watching<'_> {
 }
 
 impl Watching<'_> {
-    /// What became of a pair that was to come now, as far as it is the cameras'.
+    /// Records the effect of camera faults on the frame pair that is due now.
     fn note_cameras(&self, seen: Option<&Percept>, t_s: f64) {
         let is_spoiled = seen.is_none_or(|percept| percept.estimate.confidence != Confidence::Sure);
         for (index, fault) in self.scenario.faults.iter().enumerate().filter(|(_, fault)| fault.is_on(t_s)) {
@@ -239,7 +239,7 @@ impl Watching<'_> {
             if is_spoiled || cameras::is_of_each_pair(&kind) {
                 recorder.touched(index);
             }
-            // Nothing is new in the images of a frozen camera, whatever it says of them.
+            // A frozen camera delivers no new image, whatever frame number it reports.
             let exposed_s = seen.map(|percept| percept.frame.at.seconds_since(self.wired) - cameras::LEAD_S);
             if let (Some(percept), true, CameraFaultKind::Frozen) =
                 (seen, exposed_s.is_some_and(|exposed_s| fault.is_on(exposed_s)), kind)
@@ -249,7 +249,7 @@ impl Watching<'_> {
         }
     }
 
-    /// What becomes of a percept; `None`: it does not come now.
+    /// Applies a fault to a percept; `None`: it is not delivered now.
     fn spoil(&mut self, kind: &Kind, mut percept: Percept, now: MonotonicTime) -> Option<Percept> {
         match *kind {
             Kind::EstimatesLost(share) if self.dice.unit() < share => return None,
@@ -300,7 +300,7 @@ impl Watching<'_> {
     }
 }
 
-/// Moves a pose by this much to a side that has no length of its own.
+/// Displaces a pose by this much in a direction; the length of `side` does not matter.
 fn scatter(percept: &mut Percept, by_m: f64, side: [f64; 3]) {
     let side = Vector3::from(side);
     let way_m = side.try_normalize(1e-6).unwrap_or_else(Vector3::x) * by_m;
@@ -317,7 +317,7 @@ fn displace(percept: &mut Percept, by_m: f64, turned_rad: f64) {
     }
 }
 
-/// The half that moves, with what goes wrong there and behind it.
+/// The control thread with its faults and those behind it.
 struct Faulty<'a> {
     inner: Moving<'a>,
     scenario: &'a Scenario,
@@ -325,7 +325,7 @@ struct Faulty<'a> {
     recorder: Shared,
     ends: Vec<VirtualEnd>,
     begin: MonotonicTime,
-    /// When each fault really began, seconds: arms that are switched on keep the control loop waiting.
+    /// When each fault actually began, seconds: while the arms are being enabled the control loop waits.
     begun_s: Vec<Option<f64>>,
     ended: Vec<bool>,
 }
@@ -380,7 +380,7 @@ impl Faulty<'_> {
         self.scenario.faults.iter().filter(move |fault| fault.is_on(t_s))
     }
 
-    /// What the clock of the control loop shows.
+    /// The time that the clock of the control loop shows.
     fn shown(&self, now: MonotonicTime) -> MonotonicTime {
         let t_s = now.seconds_since(self.begin);
         let jumps_s = self.on(t_s).map(|fault| if let Kind::ClockJump(by_s) = fault.kind { by_s } else { 0.0 });

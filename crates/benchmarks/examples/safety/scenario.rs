@@ -1,4 +1,4 @@
-//! One run of the simulation, drawn from its seed: how the target moves, and what goes wrong when.
+//! One run of the simulation, drawn from its seed: the motion of the target, and the faults with their times.
 
 use pb3dp_setup::setup::Carrier;
 use pb3dp_sim::noise::{hash, unit};
@@ -9,18 +9,18 @@ use crate::faults::{Fault, Kind};
 
 /// Length of a run, virtual seconds.
 pub const RUN_S: f64 = 20.0;
-/// The hand is at its place by then, as long as nothing goes wrong, seconds.
+/// The hand has reached its pose by then if no fault occurs, seconds.
 const LEAD_IN_S: f64 = 2.0;
-/// Nothing goes wrong before, seconds: while the arms are switched on a fault keeps them off, which other tests show.
+/// No fault occurs before, seconds: a fault while the arms are being enabled keeps them disabled; other tests show it.
 const FIRST_FAULT_S: f64 = 0.5;
-/// The last fault comes this long before the end, seconds: what comes of it is to be seen.
+/// The last fault occurs this long before the end, seconds, so that its consequences are recorded.
 const LAST_FAULT_S: f64 = 3.0;
 
-/// Of what goes wrong with estimates, so much is done by the cameras.
+/// Share of the faults of estimates that the cameras cause.
 const BY_CAMERA: f64 = 0.6;
-/// In so many runs the hand looks for a target that was lost.
+/// Share of the runs in which the hand searches for a lost target.
 const SEARCHES: f64 = 0.25;
-/// What was drawn before there were these is drawn as it was.
+/// Draws that existed before these two stay as they were.
 const OTHER_DICE: u64 = 0xca3e_7a00_0000_0000;
 
 /// Random numbers: the same seed gives the same ones on every machine.
@@ -30,7 +30,7 @@ pub struct Dice {
 }
 
 impl Dice {
-    /// The dice of one run.
+    /// The random numbers of one run.
     pub fn new(seed: u64) -> Self {
         Self { seed: [seed as u32, (seed >> 32) as u32], count: 0 }
     }
@@ -51,7 +51,7 @@ impl Dice {
         ((self.unit() * count as f64) as usize).min(count - 1)
     }
 
-    /// One of these.
+    /// One of these values.
     pub fn pick<T: Copy>(&mut self, of: &[T]) -> T {
         of[self.below(of.len())]
     }
@@ -62,29 +62,29 @@ impl Dice {
     }
 }
 
-/// What is tried in one run.
+/// The scenario of one run.
 #[derive(Clone, Debug)]
 pub struct Scenario {
-    /// What it was drawn from.
+    /// Its seed.
     pub seed: u64,
-    /// In a word: for tables.
+    /// Name of the motion, for tables.
     pub motion_name: &'static str,
-    /// How the target moves.
+    /// Motion of the target.
     pub motion: MotionConfig,
-    /// What moves it.
+    /// What moves the target.
     pub carrier: Carrier,
-    /// What goes wrong, 1 to 5, in order of time.
+    /// The faults, 1 to 5, in order of time.
     pub faults: Vec<Fault>,
-    /// How long it lasts, seconds.
+    /// Duration of the run, seconds.
     pub run_s: f64,
-    /// Whether a person leads, who resets and goes on; otherwise the run ends with the first stop.
+    /// Whether an operator resets and resumes; otherwise the run ends with the first stop.
     pub has_person: bool,
-    /// Whether the hand may look for a target that was lost.
+    /// Whether the hand may search for a lost target.
     pub searches: bool,
 }
 
 impl Scenario {
-    /// The run of this seed.
+    /// The scenario of this seed.
     pub fn of(seed: u64) -> Self {
         let mut dice = Dice::new(seed);
         let (motion_name, motion, carrier) = motion(&mut dice);
@@ -93,7 +93,7 @@ impl Scenario {
             .map(|_| {
                 let kind = Kind::draw(&mut dice);
                 let from_s = dice.within(FIRST_FAULT_S, RUN_S - LAST_FAULT_S);
-                // Half of them are short: what is nearly borne is where mistakes hide.
+                // Half of the faults are short: mistakes hide where a fault is almost tolerated.
                 let for_s = if dice.unit() < 0.5 { dice.within(0.01, 0.3) } else { dice.within(0.3, 3.0) };
                 Fault { kind, from_s, for_s }
             })
@@ -111,14 +111,14 @@ impl Scenario {
     }
 }
 
-/// A target that swings by itself or on the other arm, as the hand can follow.
+/// A target that oscillates by itself or on the other arm, slowly enough for the hand to follow.
 #[cfg(feature = "disabled-guards")]
 pub fn swing(carrier: Carrier, channel: Channel, amplitude: f64, period_s: f64) -> (MotionConfig, Carrier) {
     let axes = ExperimentAxes::TargetAtStart;
     (MotionConfig::Sine(SineConfig { channel, amplitude, period_s, periods: 100, lead_in_s: 1.0, axes }), carrier)
 }
 
-/// A target that goes there and back, by so many metres or radians in so much time.
+/// A target that moves out and back, by so many metres or radians in so much time.
 #[cfg(feature = "disabled-guards")]
 pub fn there_and_back(carrier: Carrier, channel: Channel, way: f64, move_s: f64) -> (MotionConfig, Carrier) {
     let motion = MotionConfig::Steps(StepExperimentConfig {
@@ -133,7 +133,7 @@ pub fn there_and_back(carrier: Carrier, channel: Channel, way: f64, move_s: f64)
     (motion, carrier)
 }
 
-/// How the target moves: on the other arm or by itself, as the hand can follow or as it cannot.
+/// Motion of the target: on the other arm or by itself, slow enough for the hand to follow or too fast.
 fn motion(dice: &mut Dice) -> (&'static str, MotionConfig, Carrier) {
     match dice.below(8) {
         0..3 => ("carried steps", steps(dice, (0.02, 0.1), (0.03, 0.35), (1.5, 3.0)), Carrier::Arm),
@@ -163,7 +163,7 @@ fn sine(dice: &mut Dice, period_s: (f64, f64), way_m: (f64, f64)) -> MotionConfi
     let way_m = dice.within(way_m.0, way_m.1);
     MotionConfig::Sine(SineConfig {
         channel,
-        // At 500 mm a turn moves the hand by half of it per radian.
+        // At 500 mm a rotation moves the hand by half a metre per radian.
         amplitude: if channel.is_rotation() { 2.0 * way_m } else { way_m },
         period_s: dice.within(period_s.0, period_s.1),
         periods: 100,

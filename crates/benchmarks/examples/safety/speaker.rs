@@ -1,4 +1,4 @@
-//! A person at the panel: who goes on where that is possible, and at times says something else, too late, or nothing at all.
+//! An operator at the panel: resumes where possible, and at times gives another command, too late, or none at all.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -12,24 +12,24 @@ use crate::faults::Kind;
 use crate::recorder::{Shared, lock};
 use crate::scenario::{Dice, Scenario};
 
-/// How long this person thinks, seconds.
+/// Reaction time of the operator, seconds.
 const THINKS_S: (f64, f64) = (0.1, 1.0);
 
-/// Says the next word that leads on, after a while, and what the scenario has.
+/// Gives the next useful command after a while, and the commands of the scenario.
 pub struct Speaker {
     scenario: Scenario,
     clock: Arc<dyn Clock>,
     recorder: Shared,
     dice: Dice,
-    /// Which words of the scenario were said.
+    /// Which commands of the scenario were given.
     said: Vec<bool>,
-    /// For which state the next word is thought of, and when it comes.
+    /// State for which the next command is meant, and its time.
     next: Option<(State, MonotonicTime)>,
     heard_at: Option<MonotonicTime>,
 }
 
 impl Speaker {
-    /// The person of this scenario.
+    /// The operator of this scenario.
     pub fn new(scenario: &Scenario, clock: Arc<dyn Clock>, recorder: Shared) -> Self {
         Self {
             said: vec![false; scenario.faults.len()],
@@ -42,7 +42,7 @@ impl Speaker {
         }
     }
 
-    /// A word of the scenario that is due, and how long ago it was said, seconds.
+    /// A command of the scenario that is due, and how long ago it was given, seconds.
     fn of_scenario(&mut self, t_s: f64) -> Option<(OperatorCommand, f64)> {
         for (index, (fault, said)) in self.scenario.faults.iter().zip(&mut self.said).enumerate() {
             if let (Kind::OperatorCommand(word, late_s), false) = (&fault.kind, *said)
@@ -56,7 +56,7 @@ impl Speaker {
         None
     }
 
-    /// What leads on from there.
+    /// The command that leads on from this state.
     fn leads_on(last: &Decision) -> Option<OperatorCommand> {
         match last.state {
             State::Idle => Some(OperatorCommand::Select),
@@ -67,7 +67,7 @@ impl Speaker {
         }
     }
 
-    /// The same, once this person has thought about it.
+    /// The same command, after the reaction time.
     fn by_itself(&mut self, last: Option<&Decision>, at: MonotonicTime) -> Option<OperatorCommand> {
         let Some(last) = last else { return Some(OperatorCommand::Select) };
         let word = Self::leads_on(last)?;
@@ -113,7 +113,7 @@ impl Operator for Speaker {
 
     fn tell(&mut self, trouble: Option<String>) {
         if let Some(trouble) = trouble {
-            lock(&self.recorder).say(self.clock.now(), format!("to the operator: {trouble}"));
+            lock(&self.recorder).say(self.clock.now(), format!("report to the operator: {trouble}"));
         }
     }
 

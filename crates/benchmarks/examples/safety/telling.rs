@@ -1,26 +1,26 @@
-//! What the log has to tell of, and by when: what each part could detect.
+//! What the log must report, and by when, given what each part can detect.
 
 use system_tests::safety::truth::{ARM_NAMES, Injected, Truth};
 
 use crate::faults::Fault;
 
-/// What lasts for so long and is not hidden is known, seconds.
+/// A fault that lasts this long and is not hidden is detected, seconds.
 const KNOWN_S: f64 = 0.02;
-/// What is over for longer than this stops no arm any more, seconds: a lost link is found within that time.
+/// A fault that ended longer ago than this stops no arm, seconds: a lost link is detected within that time.
 const LATE_S: f64 = 0.1;
-/// Both arms are reset in this time, seconds; a control step waits for it.
+/// Resetting both arms takes this time, seconds; a control step waits for it.
 const RESET_S: f64 = 0.6;
-/// Times are compared so exactly, seconds.
+/// Tolerance of comparisons of times, seconds.
 const NEAR_S: f64 = 1e-3;
 
-/// When a fault truly was there.
+/// Actual time of a fault.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Happened {
-    /// Seconds since the run began; none if it never did.
+    /// Start, seconds since the run began; none if it never occurred.
     pub from_s: Option<f64>,
-    /// When it was ended.
+    /// End, seconds.
     pub until_s: Option<f64>,
-    /// Whether it found arms that were on and that nothing had stopped.
+    /// Whether both arms were enabled and not stopped when it began.
     pub could_stop: bool,
 }
 
@@ -32,16 +32,16 @@ impl Happened {
 
 /// All faults of a run, with their times.
 pub struct Faults<'a> {
-    /// What they are.
+    /// The faults.
     pub faults: &'a [Fault],
-    /// When they were there.
+    /// Their actual times.
     pub times: &'a [Happened],
-    /// When the operator said reset, seconds.
+    /// Times of the operator's resets, seconds.
     pub resets_s: &'a [f64],
 }
 
 impl Faults<'_> {
-    /// What has to be told.
+    /// The faults that the log must report.
     pub fn to_be_told(&self, truth: &Truth) -> Vec<Injected> {
         let told = (0..self.faults.len()).filter_map(|index| self.one(index, truth));
         let ended_s = truth.steps.last().map_or(0.0, |step| step.t_s);
@@ -53,7 +53,7 @@ impl Faults<'_> {
         let words = kind.words();
         let began_s = times.from_s.filter(|_| times.could_stop && !words.is_empty())?;
         let known_s = self.known_s(index, began_s)?;
-        // An arm that is stopped by something else by then is not stopped once more: who resets it is told what is still there.
+        // An arm that another cause has stopped is not stopped again: a reset reports the conditions that remain.
         let was_stopped = known_s > began_s && latched(truth, known_s);
         let until_s = if was_stopped || self.is_one_of_several(index, known_s, truth) {
             let is_told_of = |&reset_s: &f64| {
@@ -63,13 +63,13 @@ impl Faults<'_> {
         } else {
             known_s
         };
-        // What latches is told of at once, however long its cause lasts.
+        // A latched fault is reported at once, however long its cause lasts.
         let name = kind.name().to_owned();
         Some(Injected { name, from_s: known_s, until_s, had_effect: true, words })
     }
 
-    /// From when on it could be known, at this time or later: as long as a controller has no power, or nothing comes through to it,
-    /// nobody can read its switches and alarms. None if it was over by then.
+    /// The earliest time at which the fault can be detected, from this time on: while a controller has no power, or its
+    /// replies are lost, its switches and alarms cannot be read. None if the fault had ended by then.
     fn known_s(&self, index: usize, from_s: f64) -> Option<f64> {
         let fault = &self.faults[index];
         let mut at_s = from_s;
@@ -82,7 +82,7 @@ impl Faults<'_> {
         (!is_over).then_some(at_s)
     }
 
-    /// If nobody can know then what is wrong with an arm, or with both: until when; it may be for good.
+    /// If the faults of an arm, or of both, cannot be detected at this time: until when; it may be for good.
     fn hidden_until_s(&self, arm: Option<usize>, at_s: f64) -> Option<Option<f64>> {
         let hides = |of: usize| {
             self.faults.iter().zip(self.times).find_map(|(other, times)| {
@@ -96,7 +96,7 @@ impl Faults<'_> {
         }
     }
 
-    /// Whether another fault stopped the arms at the same time, and the log says why they were stopped.
+    /// Whether another fault stopped the arms at the same time, and the log gives the reason of the stop.
     fn is_one_of_several(&self, index: usize, at_s: f64, truth: &Truth) -> bool {
         let others = self.faults.iter().zip(self.times).enumerate().filter(|(other, _)| *other != index);
         let is_there = others
@@ -110,7 +110,7 @@ impl Faults<'_> {
     }
 }
 
-/// Whether an arm was latched.
+/// Whether an arm was latched at this time.
 fn latched(truth: &Truth, at_s: f64) -> bool {
     let step = truth.steps.iter().find(|step| step.t_s >= at_s).or(truth.steps.last());
     step.is_some_and(|step| {
@@ -136,7 +136,7 @@ mod tests {
         Happened { from_s: Some(from_s), until_s: Some(until_s), could_stop: true }
     }
 
-    /// Ten seconds, latched from 2 s to 8 s, with this line at the beginning of it.
+    /// Ten seconds, latched from 2 s to 8 s, with this log line at the beginning of the latch.
     fn truth(line: &str) -> Truth {
         let step = |k: u32| {
             let t_s = f64::from(k) * 0.01;
@@ -180,11 +180,11 @@ mod tests {
         let times = [from_to(2.0, 6.0), from_to(2.0, 4.0)];
         let faults = [switch(), power()];
         let switch_of = |told: Vec<(f64, f64)>| told[..told.len() - 1].to_vec();
-        // The power itself is told of to who resets, too: another fault was there at the same time.
+        // A reset reports the power, too: another fault was present at the same time.
         assert_eq!(switch_of(told(&faults, &times, &[3.0, 5.0])), [(4.0, 5.6)]);
-        // Not in the dark, and not when the switch is closed again.
+        // Not without power, and not after the switch has closed again.
         assert!(switch_of(told(&faults, &times, &[3.0, 7.0])).is_empty());
-        // It was closed before the power came back: nobody could ever know.
+        // The switch closed before the power came back: it could never be detected.
         let times = [from_to(2.0, 3.5), from_to(2.0, 4.0)];
         assert!(switch_of(told(&faults, &times, &[3.0, 4.5])).is_empty());
         // The power of the other arm hides nothing.
@@ -200,7 +200,7 @@ mod tests {
         // An alarm stays until it is reset, however long the fault was to last.
         assert_eq!(told(&[alarm(), clock()], &times, &[5.0]), [(2.0, 5.6)]);
         assert!(told(&[alarm(), clock()], &times, &[]).is_empty());
-        // What can stop no arm excuses nothing, nor what was over long ago, nor an arm that says nothing.
+        // A fault that cannot stop an arm excuses nothing, nor one that ended long ago, nor an arm without a report.
         let blind = Fault { kind: Kind::NoPose, from_s: 0.0, for_s: 0.0 };
         assert_eq!(told(&[alarm(), blind], &times, &[5.0]), [(2.0, 2.0)]);
         assert_eq!(told(&[alarm(), clock()], &[times[0], from_to(1.0, 1.8)], &[5.0]), [(2.0, 2.0)]);

@@ -1,4 +1,4 @@
-//! Which ways are measured: approaches, ways through and to singular poses, and the same for other laws.
+//! The measured cases: approaches, paths through and to singular poses, and the same with other laws.
 
 use anyhow::{Context, Result};
 use nalgebra::{UnitQuaternion, Vector3};
@@ -21,17 +21,17 @@ fn turned(x_deg: f64, y_deg: f64, z_deg: f64) -> UnitQuaternion<f64> {
     UnitQuaternion::from_scaled_axis(Vector3::new(x_deg, y_deg, z_deg).map(f64::to_radians))
 }
 
-/// The place at which the approaches end lies so far from that of the configuration, metres down and ahead of the hand: the first
-/// that leaves the arm room for the beginning.
+/// Offset of the end of the approaches from the configured hand pose, metres down and ahead of the hand: the smallest
+/// that leaves the arm enough range for the start.
 const DOWN_M: [f64; 5] = [0.0, -0.1, 0.1, -0.2, 0.2];
 const AHEAD_M: [f64; 5] = [0.2, 0.25, 0.3, 0.1, 0.0];
 
-/// An approach: where it begins.
+/// Start of an approach.
 #[derive(Clone, Copy, Debug)]
 pub enum Approach {
-    /// So far from the target (metres), seen from a side that is turned by this (degrees about x, y, z of the target).
+    /// At this distance from the target (metres), in a direction turned by this (degrees about x, y, z of the target).
     Off(f64, [f64; 3]),
-    /// With these joints (degrees); the place of the hand lies this much (metres and degrees, in its axes) beside where it begins.
+    /// With these joints (degrees); the desired hand pose is offset by this (metres and degrees, in its axes) from the start.
     From(&'static str, [f64; 7], [f64; 3], [f64; 3]),
 }
 
@@ -88,29 +88,29 @@ pub const APPROACHES: [Approach; 14] = [
     ),
 ];
 
-/// Whether the place of the hand can be reached.
+/// Whether the desired hand pose is reachable.
 fn is_reachable(case: &Approach) -> bool {
     !matches!(case, Approach::From(name, ..) if name.contains("beyond"))
 }
 
 impl Approach {
-    /// For tables.
+    /// Name in tables.
     pub fn name(&self) -> String {
         match self {
             Self::Off(distance_m, turned) => {
                 let axes = ["x", "y", "z"];
                 let (axis, angle) =
                     (0..3).map(|i| (axes[i], turned[i])).find(|(_, angle)| *angle != 0.0).unwrap_or(("x", 0.0));
-                format!("{:.0} mm before the target, {angle:+.0} deg about {axis}", distance_m * 1e3)
+                format!("{:.0} mm from the target, {angle:+.0} deg about {axis}", distance_m * 1e3)
             }
             Self::From(name, ..) => (*name).to_owned(),
         }
     }
 
-    /// The run that makes it.
+    /// The run of this approach.
     ///
     /// # Errors
-    /// If no joints lead to the beginning.
+    /// If no joints reach the start pose.
     pub fn setup(&self, mut setup: Setup) -> Result<Setup> {
         match *self {
             Self::Off(distance_m, [x, y, z]) => {
@@ -122,7 +122,7 @@ impl Approach {
                 };
                 let places = DOWN_M.into_iter().flat_map(|down_m| AHEAD_M.map(|ahead_m| (down_m, ahead_m)));
                 let found = places.map(begins).find(Result::is_ok);
-                found.context("no place of the target leaves room for the beginning")?
+                found.context("no target pose makes the start of the approach reachable")?
             }
             Self::From(_, start_deg, shift_m, [x, y, z]) => {
                 let start_rad = degrees(start_deg);
@@ -135,37 +135,37 @@ impl Approach {
     }
 }
 
-/// An approach with what was to become of it.
+/// Result of an approach, with its expected outcome.
 pub struct Approached {
-    /// What became of it.
+    /// The result.
     pub way: Way,
-    /// Whether the place of the hand can be reached.
+    /// Whether the desired hand pose is reachable.
     pub is_reachable: bool,
 }
 
-/// Makes an approach.
+/// Runs an approach.
 ///
 /// # Errors
-/// As the parts have them.
+/// Errors of the parts.
 pub fn approach(case: &Approach) -> Result<Approached> {
     let setup = case.setup(Who::Ours.setup(DELAYS_MILLIS[0])?)?;
     Ok(Approached { way: run_way(case.name(), &setup)?, is_reachable: is_reachable(case) })
 }
 
-/// A way through or to a singular pose.
+/// A path through or to a singular pose.
 #[derive(Clone, Copy, Debug)]
 pub struct Singular {
-    /// For tables.
+    /// Name in tables.
     pub name: &'static str,
-    /// Joints on the way (degrees), and how far before them it begins (metres, along and across, in `world`).
+    /// Joints on the path (degrees), and the offset of its start from them (metres, along and across, in `world`).
     on_the_way_deg: [f64; 7],
     before_m: [f64; 3],
-    /// Joints near the beginning (degrees).
+    /// Initial guess of the joints at the start (degrees).
     guess_deg: [f64; 7],
-    /// How far the target goes along x of `world`, metres, and how long it takes.
+    /// Distance that the target moves along x of `world`, metres, and the time that it takes.
     way_m: f64,
     way_s: f64,
-    /// Whether all of it is within reach.
+    /// Whether the whole path is within reach.
     pub is_reachable: bool,
 }
 
@@ -173,7 +173,7 @@ const STRAIGHT_WRIST: [f64; 7] = [0.0, 0.0, 0.0, 70.0, 0.0, 0.0, 0.0];
 const BEFORE_STRAIGHT_WRIST: [f64; 7] = [0.0, -10.0, 0.0, 75.0, 0.0, 5.0, 0.0];
 const BENT: [f64; 7] = [0.0, 57.0, 0.0, 58.0, 0.0, -25.0, 0.0];
 
-/// All of them.
+/// All of these paths.
 pub const SINGULAR: [Singular; 5] = [
     Singular {
         name: "through q2 = q6 = 0",
@@ -185,7 +185,7 @@ pub const SINGULAR: [Singular; 5] = [
         is_reachable: true,
     },
     Singular {
-        name: "10 mm beside q2 = q6 = 0",
+        name: "10 mm from q2 = q6 = 0",
         on_the_way_deg: STRAIGHT_WRIST,
         before_m: [-0.1, 0.01, 0.0],
         guess_deg: BEFORE_STRAIGHT_WRIST,
@@ -194,7 +194,7 @@ pub const SINGULAR: [Singular; 5] = [
         is_reachable: true,
     },
     Singular {
-        name: "30 mm beside q2 = q6 = 0",
+        name: "30 mm from q2 = q6 = 0",
         on_the_way_deg: STRAIGHT_WRIST,
         before_m: [-0.1, 0.03, 0.0],
         guess_deg: BEFORE_STRAIGHT_WRIST,
@@ -225,13 +225,13 @@ pub const SINGULAR: [Singular; 5] = [
 /// Follows a target through or to a singular pose.
 ///
 /// # Errors
-/// As the parts have them.
+/// Errors of the parts.
 pub fn singular(case: &Singular) -> Result<Way> {
     let mut setup = Who::Ours.setup(DELAYS_MILLIS[0])?;
     let on_the_way = world_from_hand(&setup, &degrees(case.on_the_way_deg));
     let begin: Pose<World, Hand> =
         Pose::from_parts(on_the_way.translation_m() + Vector3::from(case.before_m), on_the_way.rotation());
-    let start_rad = joints_at(&setup, &begin, &degrees(case.guess_deg)).context("where it begins")?;
+    let start_rad = joints_at(&setup, &begin, &degrees(case.guess_deg)).context("start of the path")?;
     place(&mut setup, start_rad, &begin);
     let motion = out_and_back(Channel::X, case.way_m, case.way_s);
     let mut setup = geometric(setup, motion)?;
@@ -241,16 +241,16 @@ pub fn singular(case: &Singular) -> Result<Way> {
     run_way(case.name, &setup)
 }
 
-/// The laws that are compared.
+/// The compared control laws.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Law {
-    /// The default.
+    /// The default law.
     FeedForward,
-    /// That of the paper's group.
+    /// The law of the paper's group.
     Published,
-    /// Points of the model through the image.
+    /// Image-based: points of the model in the image.
     ImageBased,
-    /// 2 1/2-D.
+    /// 2 1/2-D visual servoing.
     Hybrid,
 }
 
@@ -258,10 +258,10 @@ pub enum Law {
 const POINTS_HALF_WIDTH_M: f64 = 0.05;
 
 impl Law {
-    /// All.
+    /// All laws.
     pub const ALL: [Self; 4] = [Self::FeedForward, Self::Published, Self::ImageBased, Self::Hybrid];
 
-    /// As in the configuration.
+    /// Name as in the configuration.
     pub fn name(self) -> &'static str {
         match self {
             Self::FeedForward => "feed-forward",
@@ -271,7 +271,7 @@ impl Law {
         }
     }
 
-    /// The setup with this law; those that know no feed-forward have the gain and the smoothing of the published one.
+    /// The setup with this law; laws without feed-forward get the gain and the smoothing of the published law.
     ///
     /// # Errors
     /// If a file cannot be read.
@@ -294,17 +294,17 @@ impl Law {
     }
 }
 
-/// What one law makes of the experiment of Fig. 7, and of ways from far away.
+/// Results of one law: the experiment of Fig. 7, and approaches from far away.
 pub struct LawFindings {
-    /// Which.
+    /// The law.
     pub law: Law,
     /// The experiment, without images.
     pub fig7: Ran,
-    /// Ways.
+    /// The approaches.
     pub ways: Vec<Way>,
 }
 
-/// Ways on which the laws differ: distance and turn.
+/// Approaches in which the laws differ: distance and rotation.
 pub const FAR: [Approach; 5] = [
     Approach::Off(0.5, [0.0, 0.0, 30.0]),
     Approach::Off(0.5, [0.0, 0.0, 60.0]),
@@ -316,7 +316,7 @@ pub const FAR: [Approach; 5] = [
 /// Runs everything with one law.
 ///
 /// # Errors
-/// As the parts have them.
+/// Errors of the parts.
 pub fn law_findings(law: Law, far: &[Approach]) -> Result<LawFindings> {
     let setup = law.setup()?;
     let motion = setup.experiment.motion.clone();

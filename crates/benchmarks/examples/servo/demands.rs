@@ -1,4 +1,4 @@
-//! What a motion of the target demands of the arm that follows it, as shares of what it may; and how soon it could follow a step.
+//! Demands of a target motion on the following arm, as shares of its limits; and the fastest possible step response.
 
 use anyhow::{Context, Result};
 use pb3dp_geometry::frames::{Model, Target, World};
@@ -10,29 +10,29 @@ use pb3dp_sim::trajectory::{Mark, MotionConfig, StepExperimentConfig, Trajectory
 
 use crate::setups::ARM_LAG;
 
-/// Speeds and accelerations are allowed this many times what they are, to see what a motion would demand.
+/// Factor by which the limits are raised, to find the demands beyond them.
 const LIFTED: f64 = 1e4;
 
-/// What a motion demands of one thing.
+/// One demand of a motion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Demand {
-    /// `axis 3, speed`.
+    /// Name such as `axis 3, speed`.
     pub what: String,
     /// Whether it is the speed of a joint or of the hand, and not an acceleration.
     pub is_speed: bool,
-    /// As a share of what is allowed: above 1 it is not to be had.
+    /// Share of the limit: above 1 the motion is not feasible.
     pub share: f64,
 }
 
-/// Where the target is at the beginning.
+/// Pose of the target at the start.
 pub fn start(setup: &Setup) -> Pose<World, Target> {
     setup.rig.tc.world_from_base * setup.rig.tc.chain.forward(&setup.rig.tc.start_rad) * setup.rig.flange_from_target
 }
 
-/// What a hand that follows without lag demands, the largest first.
+/// Demands on a hand that follows without lag, the largest first.
 ///
 /// # Errors
-/// If it leads out of reach, out of a joint's range or to a singular pose.
+/// If the motion leads out of reach, out of a joint's range or to a singular pose.
 pub fn demands(setup: &Setup, motion: &MotionConfig) -> Result<Vec<Demand>> {
     let target = motion.begin_at(start(setup))?;
     let report = follow(setup, &*target)?;
@@ -77,7 +77,7 @@ fn follow(setup: &Setup, target: &dyn Trajectory) -> Result<PathReport> {
     Ok(check_experiment(&setup.rig.vs.chain, &lifted.effective()?, &setup.rig.vs.start_rad, &path, &requirements)?)
 }
 
-/// A motion that ends before its time.
+/// A motion that ends early.
 struct Shortened<'a>(&'a dyn Trajectory, f64);
 
 impl Trajectory for Shortened<'_> {
@@ -98,9 +98,9 @@ impl Trajectory for Shortened<'_> {
     }
 }
 
-/// The shortest time in which a hand can come within `within_share` of the way after a sudden step, whatever leads it, and what sets it: the total
-/// delay without the arm's lag (which a law may make up for), and the slowest of each joint from rest to rest at its largest speed and
-/// acceleration and the hand's way at its largest speeds.
+/// The shortest time in which a hand can come within `within_share` of the distance after a step, with any law, and
+/// what determines it. The time is the total delay without the arm's lag (which a law may compensate), and the slowest
+/// of each joint from rest to rest at its largest speed and acceleration and of the hand at its largest speeds.
 ///
 /// # Errors
 /// If the step leads out of reach.
@@ -110,7 +110,7 @@ pub fn shortest_step(
     delay_s: f64,
     within_share: f64,
 ) -> Result<(f64, String)> {
-    // Slow enough for anything; only the places matter.
+    // Slow enough for all limits; only the poses matter.
     let slow = StepExperimentConfig { move_s: 4.0, lead_in_s: 0.0, ..step.clone() };
     let target = MotionConfig::Steps(slow).begin_at(start(setup))?;
     let report = follow(setup, &Shortened(&*target, 4.0))?;
@@ -134,7 +134,8 @@ pub fn shortest_step(
     Ok((delay_s - ARM_LAG.as_secs_f64() + move_s, what))
 }
 
-/// From rest to within a share of the end, at which it may still brake: full acceleration, largest speed, full deceleration.
+/// Time from rest to within a share of the end, where the joint may still brake: full acceleration, largest speed, full
+/// deceleration.
 fn rest_to_rest_s(way: f64, speed: f64, acceleration: f64, within_share: f64) -> f64 {
     let whole_s = if way * acceleration > speed * speed {
         way / speed + speed / acceleration
@@ -151,10 +152,10 @@ mod tests {
 
     #[test]
     fn rest_to_rest_takes_as_long_as_the_textbook_says() {
-        // 1 rad at 2 rad/s^2: half the way in 1/sqrt(2) s each; at most 0.5 rad/s: 2 s and 0.25 s.
+        // 1 rad at 2 rad/s^2: half the distance in 1/sqrt(2) s each; at most 0.5 rad/s: 2 s and 0.25 s.
         assert!((rest_to_rest_s(1.0, 10.0, 2.0, 0.0) - 2.0_f64.sqrt()).abs() < 1e-12);
         assert!((rest_to_rest_s(1.0, 0.5, 2.0, 0.0) - 2.25).abs() < 1e-12);
-        // The last 2 % of the way take sqrt(2 x 0.02 / 2) s.
+        // The last 2 % of the distance take sqrt(2 x 0.02 / 2) s.
         assert!((rest_to_rest_s(1.0, 10.0, 2.0, 0.02) - (2.0_f64.sqrt() - 0.02_f64.sqrt())).abs() < 1e-12);
     }
 }

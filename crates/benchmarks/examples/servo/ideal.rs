@@ -1,12 +1,13 @@
-//! How well any linear filter could tell where the hand should be: the bound that stands beside the errors.
+//! The smallest error of any linear filter that predicts the desired hand pose: the bound shown next to the errors.
 //!
-//! What is known of the hand's place at a time t are the estimates of frames that are at least the total delay T old, one every frame
-//! period, each with white noise. The filter is a weighted sum of the last of them, with weights that add to one (where the origin
-//! of the axes is must not matter). Of all such filters that with the least mean square error over the given times is found in
-//! closed form, for each axis by itself and for each age of the newest frame (T to T and a frame period): for a true signal s, noise
-//! of standard deviation sigma and weights w it is the mean of (s(t) - sum w_k s(t_k))^2 plus sigma^2 sum w_k^2.
+//! The filter knows the desired hand pose at a time t from the estimates of frames that are at least the total delay T
+//! old, one every frame period, each with white noise. It is a weighted sum of the last of these estimates, with weights
+//! that add to one (the origin of the axes must not matter). The filter with the least mean square error over the given
+//! times follows in closed form, for each axis separately and for each age of the newest frame (T to T plus a frame
+//! period): for a true signal s, noise of standard deviation sigma and weights w the error is the mean of
+//! (s(t) - sum w_k s(t_k))^2 plus sigma^2 sum w_k^2.
 //!
-//! It knows the noise, and the very motion over which it is judged; it is linear, always the same, and remembers a limited time.
+//! The filter knows the noise and the very motion on which it is judged; it is linear, constant, and has finite memory.
 
 use nalgebra::{DMatrix, DVector, Vector6};
 use pb3dp_cell::log::RunLog;
@@ -15,18 +16,18 @@ use pb3dp_geometry::frames::{Hand, Target, World};
 use pb3dp_record::metrics::rms;
 use pb3dp_sim::trajectory::Trajectory;
 
-/// Frames that the filter remembers.
+/// Number of frames in the filter's memory.
 pub const TAPS: usize = 60;
-/// Ages of the newest frame over the delay, shares of the frame period: middles of equal parts.
+/// Ages of the newest frame beyond the delay, as shares of the frame period: midpoints of equal parts.
 const AGES: [f64; 3] = [1.0 / 6.0, 0.5, 5.0 / 6.0];
-/// Times between which the error is averaged, seconds.
+/// Times over which the error is averaged, seconds.
 const STEP_S: f64 = 0.02;
 
-/// White noise of the place where an estimate puts the hand, along and about the target's axes: metres, then radians.
+/// White noise of the desired hand pose from an estimate, along and about the target's axes: metres, then radians.
 pub type HandNoise = Vector6<f64>;
 
-/// The noise of the estimates of a run: second differences over consecutive frames, over sqrt(6), which leaves out what changes
-/// slowly. Beside it the rms of all that the estimates get wrong against the lock: metres and radians.
+/// The noise of the estimates of a run: second differences over consecutive frames, over sqrt(6), which removes slow
+/// changes. Also the rms of the whole error of the estimates relative to the initial lock: metres and radians.
 pub fn hand_noise(
     log: &RunLog,
     model_from_hand: &Pose<pb3dp_geometry::frames::Model, Hand>,
@@ -63,7 +64,7 @@ pub fn hand_noise(
     Some((noise, [whole(0)?, whole(3)?]))
 }
 
-/// What the ideal filter leaves over some times: rms of distance and angle.
+/// Error of the ideal filter over some times: rms of distance and angle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ideal {
     /// Millimetres.
@@ -72,22 +73,22 @@ pub struct Ideal {
     pub deg: f64,
 }
 
-/// The motion of the place where the hand should be, and what is seen of it.
+/// The desired motion of the hand, and its measurement.
 pub struct Seen<'a> {
     /// The target's motion.
     pub target: &'a dyn Trajectory,
-    /// Where the hand should be before it.
+    /// Desired hand pose relative to the target.
     pub target_from_hand: Pose<Target, Hand>,
-    /// Of each estimate.
+    /// Noise of each estimate.
     pub noise: HandNoise,
-    /// From the middle of an exposure to the motion that it causes, seconds.
+    /// From the middle of an exposure to the resulting motion, seconds.
     pub delay_s: f64,
-    /// Between two frames, seconds.
+    /// Frame period, seconds.
     pub frame_s: f64,
 }
 
 impl Seen<'_> {
-    /// The least error over these times (seconds, from and until); none if they are empty.
+    /// The least error over these times (seconds, start and end); `None` if they are empty.
     pub fn ideal(&self, times_s: &[(f64, f64)]) -> Option<Ideal> {
         let times: Vec<f64> = times_s.iter().flat_map(|&(from, until)| steps(from, until)).collect();
         let mut squares = Vector6::<f64>::zeros();
@@ -102,14 +103,14 @@ impl Seen<'_> {
         Some(Ideal { mm: root(0) * 1e3, deg: root(3).to_degrees() })
     }
 
-    /// Where the hand should be at `t_s`, then what the frames have shown of it, the newest first.
+    /// The desired hand pose at `t_s`, then as the frames have shown it, the newest first.
     fn past(&self, t_s: f64, newest_s: f64) -> Vec<Vector6<f64>> {
         let start = self.target.pose_at(0.0);
         let frames = (0..TAPS).map(|k| t_s - newest_s - k as f64 * self.frame_s);
         std::iter::once(t_s).chain(frames).map(|at_s| self.place(&start, at_s)).collect()
     }
 
-    /// Displacement and turn of the hand's place since the beginning, in the target's axes at the beginning.
+    /// Displacement and rotation of the desired hand pose since the start, in the target's axes at the start.
     fn place(&self, start: &Pose<World, Target>, at_s: f64) -> Vector6<f64> {
         let (was, is) = (*start * self.target_from_hand, self.target.pose_at(at_s) * self.target_from_hand);
         let axes = start.rotation().inverse();

@@ -1,4 +1,4 @@
-//! Everything that was measured, as JSON.
+//! All results as JSON.
 
 use serde_json::{Value, json};
 
@@ -10,7 +10,7 @@ use crate::limits::Check;
 use crate::runs::{Fig7, IdealPhases, Response, Step};
 use crate::ways::Way;
 
-/// Findings and limits, with where they were found.
+/// Results and limits, with their origin.
 pub fn all(findings: &Findings, checks: &[Check], origin: &str) -> Value {
     json!({
         "bench": "servo",

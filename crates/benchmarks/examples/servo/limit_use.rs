@@ -1,27 +1,27 @@
-//! What a run made of the limits of its arm.
+//! How a run used the limits of its arm.
 
 use pb3dp_hal_api::JointState;
 use pb3dp_kinematics::DOF;
 use pb3dp_setup::setup::Setup;
 
-/// How much of its limits an arm used.
+/// Use of the limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LimitUse {
-    /// Largest speed as a share of what is allowed, with its axis, counted from 1.
+    /// Largest speed as a share of the limit, with its axis, counted from 1.
     pub speed: (f64, usize),
-    /// Largest acceleration as a share of what is allowed, with its axis.
+    /// Largest acceleration as a share of the limit, with its axis.
     pub acceleration: (f64, usize),
-    /// Least angle to an end of the operating range, degrees; negative beyond it; with its axis.
+    /// Smallest margin to an end of the operating range, degrees; negative outside the range; with its axis.
     pub room_deg: (f64, usize),
-    /// How often joints turned round while they moved.
+    /// Number of joint reversals during the motion.
     pub turns: usize,
 }
 
-/// A joint that is slower than this does not count as turning round, rad/s.
+/// A slower joint does not count as reversing, rad/s.
 const STILL_RAD_PER_S: f64 = 0.01;
 
 impl LimitUse {
-    /// What these measurements of the arm with the cameras show.
+    /// The use of the limits in these measurements of the arm with the cameras.
     pub fn of(setup: &Setup, seen: &[JointState]) -> Self {
         let limits = &setup.rig.vs.limits;
         let speeds = limits.velocity_max_rad_per_s();

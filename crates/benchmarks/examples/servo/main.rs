@@ -1,5 +1,5 @@
-//! How well the hand follows: the experiment of Fig. 7, sinusoids and sudden steps, beside the published method and law, beside what
-//! an ideal filter or the arm's limits allow, and beside the limits that are to be kept. Run it by `cargo xtask bench servo`.
+//! Tracking error of the hand: the experiment of Fig. 7, sinusoids and steps, compared with the published method and
+//! law, with an ideal filter or the arm's limits, and with the required limits. Run it by `cargo xtask bench servo`.
 #![allow(clippy::print_stdout, reason = "prints its figures")]
 
 mod cases;
@@ -28,7 +28,7 @@ use ways::Way;
 
 const PERIODS_S: [f64; 10] = [30.0, 20.0, 15.0, 10.0, 8.0, 6.0, 5.0, 4.0, 3.0, 2.0];
 
-/// Everything that was measured.
+/// All results.
 #[derive(Default)]
 struct Findings {
     fig7: Vec<Fig7>,
@@ -37,17 +37,17 @@ struct Findings {
     approaches: Vec<Approached>,
     singular: Vec<Way>,
     laws: Vec<LawFindings>,
-    /// Simulated seconds per second of this machine, of the experiment without images.
+    /// Simulated seconds per second of this machine, for the experiment without images.
     geometric_times_real_time: f64,
 }
 
-/// How much is measured.
+/// The extent of a measurement.
 #[derive(Default)]
 struct Extent {
-    /// The experiment with images, and when it ends.
+    /// Runs of the experiment with images, and their end.
     fig7: Vec<Fig7Case>,
     stop_after_s: Option<f64>,
-    /// Of the experiment with images; else that of the files.
+    /// Seed of the experiment with images; otherwise that of the configuration files.
     seed: Option<u64>,
     without_images: bool,
     channels: Vec<Channel>,
@@ -60,7 +60,7 @@ struct Extent {
 }
 
 impl Extent {
-    /// All of it.
+    /// The whole measurement.
     fn whole() -> Self {
         Self {
             fig7: Fig7Case::all(),
@@ -77,7 +77,7 @@ impl Extent {
         }
     }
 
-    /// A sample of everything, for a test: some seconds.
+    /// A sample of everything, for a test; takes some seconds.
     fn quick() -> Self {
         let channels = vec![Channel::X, Channel::Ry];
         Self {
@@ -93,7 +93,7 @@ impl Extent {
         }
     }
 
-    /// Only what has one of these words, separated by commas, in its name.
+    /// Restricts the measurement to names with one of these words, separated by commas.
     fn only(mut self, words: &str) -> Self {
         let wanted = |name: &str| words.split(',').any(|word| name.contains(word));
         self.fig7.retain(|case| wanted(&format!("fig7/{}", case.name())));
@@ -183,7 +183,7 @@ impl Findings {
     }
 }
 
-/// The runs with images, as many at once as this machine has processors; each is the same alone.
+/// The runs with images, in parallel on all processors; each gives the same result alone.
 fn with_images(extent: &Extent) -> Result<Vec<Fig7>> {
     let next = AtomicUsize::new(0);
     let found: Mutex<Vec<(usize, Result<Fig7>)>> = Mutex::new(Vec::new());
@@ -217,31 +217,31 @@ fn main() -> Result<()> {
     let findings = Findings::of(&extent)?;
     let checks = findings.checks();
     println!("\n{}", findings.text(&checks));
-    println!("all of it took {:.1} minutes", started.elapsed().as_secs_f64() / 60.0);
-    println!("without images: {:.0} times as fast as time", findings.geometric_times_real_time);
+    println!("total time {:.1} minutes", started.elapsed().as_secs_f64() / 60.0);
+    println!("without images: {:.0} times real time", findings.geometric_times_real_time);
     if let Some(file) = &options.json {
         write(file, &format!("{:#}\n", json::all(&findings, &checks, &options.origin)))?;
     }
     if let Some(folder) = &options.page {
         write(&folder.join("servo.md"), &page::page(&findings, &checks, &options.origin))?;
-        write(&folder.join("servo.svg"), &page::motion_figure(&findings.fig7).context("no run to draw")?)?;
+        write(&folder.join("servo.svg"), &page::motion_figure(&findings.fig7).context("no run to plot")?)?;
         write(&folder.join("servo_response.svg"), &page::response_figure(&findings.responses))?;
     }
     let missed = checks.iter().filter(|check| !check.is_kept()).count();
     if missed > 0 {
-        bail!("{missed} of {} limits are missed: see the last table", checks.len());
+        bail!("{missed} of {} limits are missed; see the last table", checks.len());
     }
     Ok(())
 }
 
 fn write(file: &Path, text: &str) -> Result<()> {
     if let Some(folder) = file.parent() {
-        std::fs::create_dir_all(folder).with_context(|| format!("{} cannot be made", folder.display()))?;
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     }
-    std::fs::write(file, text).with_context(|| format!("{} cannot be written", file.display()))
+    std::fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))
 }
 
-/// What the command line says.
+/// The command line options.
 #[derive(Default)]
 struct Options {
     quick: bool,
@@ -260,7 +260,7 @@ impl Options {
                 options.quick = true;
                 continue;
             }
-            let value = words.next().with_context(|| format!("{word}: give a value"))?;
+            let value = words.next().with_context(|| format!("{word}: no value given"))?;
             match word.as_str() {
                 "--seed" => {
                     options.seed = Some(value.parse().with_context(|| format!("--seed {value}: give a whole number"))?)
@@ -269,11 +269,11 @@ impl Options {
                 "--json" => options.json = Some(value.into()),
                 "--page" => options.page = Some(value.into()),
                 "--origin" => options.origin = value,
-                other => bail!("{other}: known are --quick, --only, --seed, --json, --page and --origin"),
+                other => bail!("unknown option {other}; options: --quick, --only, --seed, --json, --page, --origin"),
             }
         }
         if (options.quick || options.only.is_some() || options.seed.is_some()) && options.page.is_some() {
-            bail!("--page: a run that is quick, partial or with another seed writes no page");
+            bail!("--page needs a full run: remove --quick, --only and --seed");
         }
         Ok(options)
     }
@@ -283,7 +283,7 @@ impl Options {
 mod tests {
     use super::*;
 
-    /// All parts of the measurement on a sample of it; figures are there, and those of the bounds are below what was reached.
+    /// All parts of the measurement on a sample; all figures exist, and the bounds are below the measured errors.
     #[test]
     fn a_quick_run_measures_everything() {
         let findings = Findings::of(&Extent::quick()).unwrap();
@@ -303,7 +303,7 @@ mod tests {
         );
         assert!(findings.steps.iter().all(|step| step.shortest_s > 0.1 && step.shortest_s < 2.0), "{text}");
         assert_eq!((findings.approaches.len(), findings.singular.len()), (4, 5));
-        // No way is beyond a limit of the arm; those that lead to a place arrive, the others say why they do not.
+        // No path exceeds a limit of the arm; reachable approaches arrive, the others report why they do not.
         let of_ways = findings.approaches.iter().map(|approach| &approach.way).chain(&findings.singular);
         for way in of_ways {
             let mut of_way = checks.iter().filter(|check| check.what.starts_with(&way.name)).peekable();

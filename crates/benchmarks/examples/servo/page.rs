@@ -15,10 +15,10 @@ use crate::runs::{Fig7, Response, Step};
 use crate::setups::{NOISE_GREY, Who};
 use crate::{Findings, ways_page};
 
-/// Seconds between two points of a line.
+/// Time between two points of a line, seconds.
 const LINE_STEP_S: f64 = 0.12;
 
-/// With so many digits, or a dash.
+/// The number with so many digits, or a dash.
 pub fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or("-".to_owned(), |value| format!("{value:.digits$}"))
 }
@@ -30,10 +30,10 @@ fn with_ideal(error: Option<RmsMax>, ideal: Option<Ideal>, pick: fn(Ideal) -> f6
     format!("{:.digits$} ({:.digits$}; {ideal})", error.rms, error.max)
 }
 
-/// The experiment of Fig. 7, a line for each run.
+/// The experiment of Fig. 7, one row per run.
 pub fn fig7_table(runs: &[Fig7]) -> String {
     let mut text = String::from(
-        "| target | led by | delay, ms | moving, mm | moving, deg | hold, mm | hold, deg | lag, ms | lock, mm (500 mm x sigma) | \
+        "| target | led by | delay, ms | moving, mm | moving, deg | hold, mm | hold, deg | lag, ms | initial lock, mm (500 mm x sigma) | \
          noise at the hand, mm | deg | estimates, mm | deg | no pose |\n|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n",
     );
     for run in runs {
@@ -67,7 +67,7 @@ pub fn fig7_table(runs: &[Fig7]) -> String {
     text
 }
 
-/// Each axis of each run by itself.
+/// Each axis of each run separately.
 pub fn axis_table(runs: &[Fig7]) -> String {
     let mut text = String::from(
         "| target | led by | delay, ms | axis | moving, mm | moving, deg | hold, mm | hold, deg | lag, ms |\n\
@@ -94,10 +94,10 @@ pub fn axis_table(runs: &[Fig7]) -> String {
     text
 }
 
-/// Gain and phase of both laws, and what the motion demands.
+/// Gain and phase of both laws, and the demands of the motion.
 pub fn response_table(responses: &[Response]) -> String {
     let mut text = String::from(
-        "| axis | period, s | gain, dB | phase, deg | published law: gain, dB | phase, deg | most of what the arm may | of its speeds |\n\
+        "| axis | period, s | gain, dB | phase, deg | published law: gain, dB | phase, deg | largest share of all limits | of the speed limits |\n\
          |---|---:|---:|---:|---:|---:|---|---|\n",
     );
     for ours in responses.iter().filter(|response| response.who == Who::Ours.name()) {
@@ -124,10 +124,10 @@ pub fn response_table(responses: &[Response]) -> String {
     text
 }
 
-/// Sudden steps of both laws.
+/// Steps with both laws.
 pub fn step_table(steps: &[Step]) -> String {
     let mut text = String::from(
-        "| step | law | settled after, s | overshoot, % | no hand sooner than, s | set by |\n|---|---|---:|---:|---:|---|\n",
+        "| step | law | settling time, s | overshoot, % | lower bound, s | set by |\n|---|---|---:|---:|---:|---|\n",
     );
     for Step { who, summary, shortest_s, set_by } in steps {
         let size = if summary.unit == "mm" { "50 mm" } else { "15 deg" };
@@ -142,9 +142,9 @@ pub fn step_table(steps: &[Step]) -> String {
     text
 }
 
-/// The limits and what was found.
+/// The limits and the measured values.
 pub fn limit_table(checks: &[Check]) -> String {
-    let mut text = String::from("| limit | found | at most | |\n|---|---:|---:|---|\n");
+    let mut text = String::from("| quantity | measured | limit | |\n|---|---:|---:|---|\n");
     for check in checks {
         let verdict = if check.is_kept() { "kept" } else { "**missed**" };
         let (found, unit) = (number(check.found, 3), check.unit);
@@ -153,7 +153,7 @@ pub fn limit_table(checks: &[Check]) -> String {
     text
 }
 
-/// The page of the documentation.
+/// The documentation page.
 pub fn page(findings: &Findings, checks: &[Check], origin: &str) -> String {
     let missed = checks.iter().filter(|check| !check.is_kept()).count();
     let fig7 = fig7_table(&findings.fig7);
@@ -171,37 +171,37 @@ pub fn page(findings: &Findings, checks: &[Check], origin: &str) -> String {
          30 images per second, fx 740, baseline 100 mm, image noise of {NOISE_GREY} grey levels, rendered; the arms of `configs/sim.toml`.\n\
          The delay is the total one, from the middle of an exposure to the motion that it causes, with the lag of the drives (30 ms) and the mean wait for the next control step.\n\
          `direct` is the setup of `configs/sim.toml`, `published` that of `configs/published.toml`: the published method with the published law.\n\n\
-         Errors are those of the hand against its place by the pose of the lock, which takes the mean of the estimates before the first move for the truth: distance and angle, rms (max; ideal).\n\
-         Moving is while the target moves, hold from one second after the move.\n\
-         The lock itself is off by a constant, which stands beside the length that a tilt of one standard deviation, as the first estimate states it, makes of 500 mm.\n\
-         The noise is the white part of the estimates at the hand (second differences), the estimates' own error against the lock all of it.\n\n\
-         Ideal is what the best linear filter would leave: a weighted sum of the last {TAPS} frames that are old enough, with weights that are chosen for this noise, this delay and this very motion, for each axis by itself.\n\
-         One set of weights is chosen for all moves and another for all rests, so no filter of this kind is better at either; one that is good at both is worse at each.\n\
-         It is no bound for filters that change with what they see, nor does it know errors of the estimates that are no white noise.\n\n\
+         Errors are those of the hand relative to its desired pose: distance and angle, rms (max; ideal). The desired pose follows from the initial lock, which uses the mean of the estimates before the first move as the true pose.\n\
+         Moving: the target moves. Hold: from one second after the move.\n\
+         The initial lock has a constant error. In brackets: the displacement at 500 mm that results from a tilt of one standard deviation of the first estimate.\n\
+         The noise is the white part of the estimates at the hand (second differences); the error of the estimates is their whole error relative to the initial lock.\n\n\
+         Ideal is the error of the best linear filter: a weighted sum of the last {TAPS} frames that are old enough, with weights chosen for this noise, this delay and this very motion, separately for each axis.\n\
+         One set of weights is chosen for all moves and another for all holds, so no linear filter is better at either; a filter for both is worse at each.\n\
+         It is no bound for adaptive filters, and it ignores errors of the estimates that are not white noise.\n\n\
          {fig7}\n\
          ### Each axis\n\n\
          {axes}\n\
          ## Frequency response\n\n\
          ![Gain and phase](servo_response.svg)\n\n\
-         The target swings by 100 mm or 20 degrees to either side; gain and phase of the hand against its wanted way, by least-squares fits of a sinusoid.\n\
-         No image was rendered: the poses are true ones with the noise of `estimator.geometric` in the configuration, and nothing carries the target, which moves as no arm might.\n\
-         The last columns say what a hand without lag would demand, of all that is limited (speeds and accelerations of the axes and of the hand) and of speeds alone: above 100 % it cannot follow.\n\n\
+         The target oscillates with an amplitude of 100 mm or 20 degrees; gain and phase of the hand relative to its desired motion come from least-squares fits of a sinusoid.\n\
+         No images are rendered: the poses are the true ones with the noise of `estimator.geometric` in the configuration. No arm carries the target, so its motion is not limited.\n\
+         The last columns give the demand of a hand without lag as a share of all limits (speeds and accelerations of the axes and of the hand) and of the speed limits alone: above 100 % it cannot follow.\n\n\
          {responses}\n\
          ## Steps\n\n\
-         The target is 50 mm or 15 degrees elsewhere at once, and later back; again without images.\n\
-         Settled is when the hand stays within 1 mm and 0.3 degrees of its place, the longer of both ways.\n\
-         A target that is suddenly elsewhere is an outlier at first, and believed only after some images.\n\
-         No hand can be there sooner than after the delay without the drives' lag, and the time of the slowest axis from rest to rest at its largest speed and acceleration, or of the hand at its largest speed.\n\n\
+         The target jumps by 50 mm or 15 degrees, and later back; also without images.\n\
+         Settled: the hand stays within 1 mm and 0.3 degrees of its desired pose; the longer of both directions counts.\n\
+         A target that jumps is an outlier at first, and is accepted only after some images.\n\
+         The lower bound is the delay without the drives' lag, plus the time of the slowest axis from rest to rest at its largest speed and acceleration, or of the hand at its largest speed.\n\n\
          {steps}\n\
          {ways}\n\
          ## Limits\n\n\
          {limits}\n\
-         Without images a run of Fig. 7 took 1/{speed:.0} of its time on one core of this machine.\n",
+         A run of Fig. 7 without images took 1/{speed:.0} of its simulated time on one core of this machine.\n",
         checks.len(),
     )
 }
 
-/// The six panels: where the hand should be, and where it was with either setup.
+/// The six panels: the desired and the actual motion of the hand with both setups.
 pub fn motion_figure(runs: &[Fig7]) -> Option<String> {
     let ours = runs.iter().find(|run| run.who == Who::Ours.name())?;
     let published = runs.iter().find(|run| run.who == Who::Published.name() && run.delay_millis == ours.delay_millis);

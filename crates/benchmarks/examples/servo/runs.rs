@@ -1,4 +1,4 @@
-//! The runs: the experiment of Fig. 7, sinusoids, sudden steps.
+//! The runs: the experiment of Fig. 7, sinusoids, steps.
 
 use std::time::Instant;
 
@@ -15,25 +15,25 @@ use crate::demands::{Demand, demands, shortest_step};
 use crate::ideal::{HandNoise, Ideal, Seen, hand_noise};
 use crate::setups::{DELAYS_MILLIS, Fig7Case, TARGETS, Who, geometric, sinusoid, step};
 
-/// The hand should have settled so long after a move, seconds.
+/// Time after a move by which the hand should have settled, seconds.
 const SETTLE_S: f64 = 1.0;
-/// Of the way of a step: 1 mm of 50, and 0.3 degrees of 15.
+/// Share of the step that counts as settled: 1 mm of 50, and 0.3 degrees of 15.
 const STEP_WITHIN_SHARE: f64 = 0.02;
 
 /// A run with its log.
 pub struct Ran {
-    /// What was written down.
+    /// The log.
     pub log: RunLog,
     /// Its figures.
     pub summary: RunSummary,
-    /// Simulated seconds per second of this machine, with the wiring.
+    /// Simulated seconds per second of this machine, including the setup.
     pub times_real_time: f64,
 }
 
-/// Wires and runs a setup to its end, or to `stop_after_s`.
+/// Builds a setup and runs it to its end, or to `stop_after_s`.
 ///
 /// # Errors
-/// As the parts have them.
+/// Errors of the parts.
 pub fn run(setup: &Setup, stop_after_s: Option<f64>) -> Result<Ran> {
     let started = Instant::now();
     let parts = wire(setup)?;
@@ -46,9 +46,9 @@ pub fn run(setup: &Setup, stop_after_s: Option<f64>) -> Result<Ran> {
 
 /// One run of the experiment of Fig. 7.
 pub struct Fig7 {
-    /// Who led the hand.
+    /// Method and law that controlled the hand.
     pub who: &'static str,
-    /// The target, or how there was none.
+    /// The target, or the reason why there was none.
     pub target: String,
     /// Total delay, milliseconds.
     pub delay_millis: f64,
@@ -56,19 +56,19 @@ pub struct Fig7 {
     pub seed: u64,
     /// Its figures.
     pub summary: RunSummary,
-    /// What the ideal filter leaves, over all channels.
+    /// Error of the ideal filter, over all channels.
     pub ideal: IdealPhases,
     /// The same for each channel.
     pub channel_ideals: Vec<IdealPhases>,
     /// White noise of the estimates at the hand: mm along x, y, z, degrees about them.
     pub noise: Option<[f64; 6]>,
-    /// All that the estimates get wrong against the lock, rms at the hand: mm and degrees.
+    /// Whole error of the estimates relative to the initial lock, rms at the hand: mm and degrees.
     pub estimates: Option<[f64; 2]>,
-    /// What was written down, for the figure.
+    /// The log, for the figure.
     pub log: RunLog,
 }
 
-/// What the ideal filter leaves while the target moves, and while it rests.
+/// Error of the ideal filter while the target moves, and while it is stationary.
 #[derive(Clone, Copy, Default)]
 pub struct IdealPhases {
     /// In motion.
@@ -80,7 +80,7 @@ pub struct IdealPhases {
 /// The experiment of Fig. 7 with images.
 ///
 /// # Errors
-/// As the parts have them.
+/// Errors of the parts.
 pub fn fig7(case: &Fig7Case, seed: Option<u64>, stop_after_s: Option<f64>) -> Result<Fig7> {
     fig7_of(&case.setup(seed)?, case, TARGETS[case.target].0, stop_after_s)
 }
@@ -88,7 +88,7 @@ pub fn fig7(case: &Fig7Case, seed: Option<u64>, stop_after_s: Option<f64>) -> Re
 /// The experiment of Fig. 7 of a setup.
 ///
 /// # Errors
-/// As the parts have them.
+/// Errors of the parts.
 pub fn fig7_of(setup: &Setup, case: &Fig7Case, target_name: &str, stop_after_s: Option<f64>) -> Result<Fig7> {
     let Ran { log, summary, .. } = run(setup, stop_after_s)?;
     let first = log.control.first().context("the run has no steps")?;
@@ -134,21 +134,21 @@ fn ideals(setup: &Setup, seen: &Seen<'_>, channels: usize) -> (IdealPhases, Vec<
     (phases(&moving, &hold), of_channels)
 }
 
-/// How the hand follows one sinusoid.
+/// Response of the hand to one sinusoid.
 pub struct Response {
-    /// Who led the hand: by which law; no image was rendered.
+    /// The control law; no image was rendered.
     pub who: &'static str,
     /// `x` to `rz`.
     pub channel: &'static str,
-    /// Seconds.
+    /// Period, seconds.
     pub period_s: f64,
-    /// What it demands of the arm, the largest first; none if the way leads where the arm cannot go.
+    /// Demands on the arm, the largest first; none if the motion leads out of the arm's range.
     pub demands: Option<Vec<Demand>>,
-    /// Why there are none.
+    /// Why there are no demands.
     pub refusal: Option<String>,
     /// Gain, dB.
     pub gain_db: Option<f64>,
-    /// Phase, degrees; negative if the hand comes later.
+    /// Phase, degrees; negative if the hand lags.
     pub phase_deg: Option<f64>,
 }
 
@@ -159,10 +159,10 @@ impl Response {
     }
 }
 
-/// The hand before a sinusoid, without images.
+/// Response to a sinusoid, without images.
 ///
 /// # Errors
-/// As the parts have them.
+/// Errors of the parts.
 pub fn response(who: Who, channel: Channel, period_s: f64) -> Result<Response> {
     let setup = geometric(who.setup(DELAYS_MILLIS[0])?, sinusoid(channel, period_s))?;
     let demanded = demands(&setup, &setup.experiment.motion);
@@ -182,22 +182,22 @@ pub fn response(who: Who, channel: Channel, period_s: f64) -> Result<Response> {
     })
 }
 
-/// How the hand answers a sudden step.
+/// Response of the hand to a step.
 pub struct Step {
-    /// Who led the hand: by which law; no image was rendered.
+    /// The control law; no image was rendered.
     pub who: &'static str,
     /// The figures of its channel.
     pub summary: ChannelSummary,
-    /// No hand could have settled sooner, seconds.
+    /// Lower bound of the settling time, seconds.
     pub shortest_s: f64,
-    /// What sets that.
+    /// What determines the bound.
     pub set_by: String,
 }
 
-/// The hand before a sudden step, without images.
+/// Response to a step, without images.
 ///
 /// # Errors
-/// As the parts have them.
+/// Errors of the parts.
 pub fn step_response(who: Who, channel: Channel) -> Result<Step> {
     let steps = step(channel);
     let setup = geometric(who.setup(DELAYS_MILLIS[0])?, MotionConfig::Steps(steps.clone()))?;

@@ -1,4 +1,4 @@
-//! The setups under test: those of the repository with the conditions of the requirements.
+//! The setups under test: those of the repository, under the conditions of the requirements.
 
 use std::time::Duration;
 
@@ -12,14 +12,14 @@ use system_tests::repository;
 
 /// Standard deviation of the image noise, grey levels.
 pub const NOISE_GREY: f64 = 3.0;
-/// Lag of the arm's drives, which is a part of the total delay.
+/// Lag of the arm's drives, part of the total delay.
 pub const ARM_LAG: Duration = Duration::from_millis(30);
-/// Total delays from the middle of an exposure to the motion that it causes, milliseconds.
+/// Total delays from the middle of an exposure to the resulting motion, milliseconds.
 pub const DELAYS_MILLIS: [f64; 2] = [66.0, 100.0];
-/// Latency of the estimate at the first of these delays; the others are longer by the difference.
+/// Latency of the estimate at the first of these delays; for the others it is longer by the difference.
 const LATENCY_MILLIS: f64 = 20.0;
 
-/// Who leads the hand by which law.
+/// Method and law that control the hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Who {
     /// The setup of configs/sim.toml: the direct method and the default law.
@@ -29,10 +29,10 @@ pub enum Who {
 }
 
 impl Who {
-    /// Both.
+    /// Both setups.
     pub const ALL: [Self; 2] = [Self::Ours, Self::Published];
 
-    /// For tables.
+    /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Ours => "direct",
@@ -40,10 +40,10 @@ impl Who {
         }
     }
 
-    /// With the image noise and the arm's lag of the requirements, and this total delay.
+    /// The setup with the image noise and the arm's lag of the requirements, and this total delay.
     ///
     /// # Errors
-    /// If the file cannot be read, or does not leave room for the delay.
+    /// If the file cannot be read, or the delay is too short.
     pub fn setup(self, delay_millis: f64) -> Result<Setup> {
         let file = match self {
             Self::Ours => "configs/sim.toml",
@@ -70,7 +70,7 @@ pub const TARGETS: [(&str, TargetConfig); 4] = [
 /// One run of the experiment of Fig. 7 with images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fig7Case {
-    /// Who leads the hand.
+    /// Method and law that control the hand.
     pub who: Who,
     /// Index of [`TARGETS`].
     pub target: usize,
@@ -79,7 +79,7 @@ pub struct Fig7Case {
 }
 
 impl Fig7Case {
-    /// All: those that are required, and for comparison.
+    /// All cases: the required ones, and those for comparison.
     pub fn all() -> Vec<Self> {
         let ours = |delay: usize, target: usize| Self { who: Who::Ours, target, delay_millis: DELAYS_MILLIS[delay] };
         let cards = [ours(0, 0), ours(0, 1), ours(1, 0), ours(1, 1)];
@@ -87,15 +87,15 @@ impl Fig7Case {
         cards.into_iter().chain(published).chain([ours(0, 2), ours(0, 3)]).collect()
     }
 
-    /// For tables and the option `--only`.
+    /// Name in tables and for the option `--only`.
     pub fn name(&self) -> String {
         format!("{}/{}/{} ms", self.who.name(), TARGETS[self.target].0, self.delay_millis)
     }
 
-    /// Everything that the run needs; `seed` takes the place of that of the file.
+    /// The setup of the run; `seed` replaces that of the file.
     ///
     /// # Errors
-    /// As [`Who::setup`].
+    /// Those of [`Who::setup`].
     pub fn setup(&self, seed: Option<u64>) -> Result<Setup> {
         let mut setup = self.who.setup(self.delay_millis)?;
         if let Some(world) = setup.world_mut() {
@@ -108,26 +108,26 @@ impl Fig7Case {
     }
 }
 
-/// Gives the setup a total delay: half an exposure, the latency of the estimate, the mean wait for the next control step, the
+/// Sets the total delay: half an exposure, the latency of the estimate, the mean wait for the next control step, the
 /// arm's delay and its lag.
 fn set_delay(setup: &mut Setup, delay_millis: f64) -> Result<()> {
     setup.estimate_latency =
         Duration::from_secs_f64((LATENCY_MILLIS + delay_millis - DELAYS_MILLIS[0]).max(0.0) * 1e-3);
     let rest_s = delay_millis * 1e-3 - ARM_LAG.as_secs_f64() - until_control_step_s(setup);
-    ensure!((0.0..=0.02).contains(&rest_s), "{:.1} ms are left for the arm's own delay", rest_s * 1e3);
+    ensure!((0.0..=0.02).contains(&rest_s), "{:.1} ms remain for the arm's own delay; allowed are 0 to 20 ms", rest_s * 1e3);
     for arm in [&mut setup.rig.vs, &mut setup.rig.tc] {
         arm.plant.velocity_time_constant = ARM_LAG;
         arm.plant.command_delay = Duration::from_secs_f64(rest_s);
         arm.limiter.reaction_time = setup.control_period + arm.plant.command_delay + ARM_LAG;
     }
-    // As `pb3dp identify delay` would have found it.
+    // The value that `pb3dp identify delay` would identify.
     if let LawConfig::FeedForward(law) = &mut setup.controller.law {
         law.arm = ArmResponse { delay_s: rest_s, lag_s: ARM_LAG.as_secs_f64() };
     }
     Ok(())
 }
 
-/// From the middle of an exposure to the control step that uses it, mean over many frames, seconds.
+/// From the middle of an exposure to the control step that uses the frame, mean over many frames, seconds.
 fn until_control_step_s(setup: &Setup) -> f64 {
     const FRAMES: u32 = 300;
     let step_s = setup.control_period.as_secs_f64();
@@ -142,16 +142,16 @@ fn until_control_step_s(setup: &Setup) -> f64 {
     (0..FRAMES).map(wait_s).sum::<f64>() / f64::from(FRAMES)
 }
 
-/// Without images, before a target that nothing carries.
+/// Without images, with a target that no arm carries.
 ///
 /// # Errors
-/// If the file of the setup does not say what would stand in the place of images.
+/// If the setup file has no configuration for runs without images.
 pub fn geometric(mut setup: Setup, motion: MotionConfig) -> Result<Setup> {
-    let config = setup.geometric.context("the table estimator.geometric is missing")?;
+    let config = setup.geometric.context("the table `estimator.geometric` is missing")?;
     setup.leader = Leader::Geometric(config);
     setup.experiment.carrier = Carrier::Nothing;
     if matches!(&motion, MotionConfig::Steps(steps) if steps.move_s == 0.0) {
-        // How the hand answers a target that is suddenly elsewhere is what is asked: nobody is to hold it for that.
+        // The response to a jump of the target is measured, so the supervisor must not hold the hand because of it.
         for jump in [Condition::Outlier, Condition::PositionJump, Condition::OrientationJump] {
             setup.supervisor.policies.get_mut(jump).action = Action::Note;
         }
@@ -160,7 +160,7 @@ pub fn geometric(mut setup: Setup, motion: MotionConfig) -> Result<Setup> {
     Ok(setup)
 }
 
-/// A sinusoid of the amplitude: 100 mm or 20 degrees.
+/// A sinusoid with an amplitude of 100 mm or 20 degrees.
 pub fn sinusoid(channel: Channel, period_s: f64) -> MotionConfig {
     let amplitude = if channel.is_rotation() { 20_f64.to_radians() } else { 0.1 };
     let periods = (8.0 / period_s).ceil().max(1.0) as u32;
@@ -174,7 +174,7 @@ pub fn sinusoid(channel: Channel, period_s: f64) -> MotionConfig {
     })
 }
 
-/// A sudden step of 50 mm or 15 degrees, and back.
+/// A step of 50 mm or 15 degrees, and back.
 pub fn step(channel: Channel) -> StepExperimentConfig {
     StepExperimentConfig {
         channels: vec![channel],
@@ -191,7 +191,7 @@ pub fn step(channel: Channel) -> StepExperimentConfig {
 mod tests {
     use super::*;
 
-    /// The parts of the delay add up to the whole, and the law knows the arm's share.
+    /// The parts of the delay add up to the total, and the law compensates the arm's share.
     #[test]
     fn the_total_delay_is_made_of_its_parts_and_the_law_knows_the_arm() {
         for delay_millis in DELAYS_MILLIS {

@@ -1,4 +1,4 @@
-//! Ways of the hand from elsewhere to a target that rests, and after one that leads through or to singular poses; without images.
+//! Approaches to a stationary target, and tracking of a target through or to singular poses; without images.
 
 use std::sync::PoisonError;
 
@@ -21,59 +21,59 @@ use system_tests::watched::watched;
 use crate::limit_use::LimitUse;
 use crate::setups::geometric;
 
-/// The hand is there when it stays within this of its place by the pose of the lock: mm and degrees.
+/// The hand has arrived if it stays within this of its desired pose by the initial lock: mm and degrees.
 pub const THERE_WITHIN: (f64, f64) = (1.0, 0.3);
-/// Approaches end after this time, seconds.
+/// Duration of an approach, seconds.
 const APPROACH_S: f64 = 20.0;
-/// The target is seen from here on, metres.
+/// Distance up to which the target is visible, metres.
 pub const SEEN_UP_TO_M: f64 = 1.4;
 
-/// What became of a way.
+/// Result of an approach or path.
 pub struct Way {
-    /// For tables.
+    /// Name in tables.
     pub name: String,
-    /// How far the hand was off at the beginning: mm and degrees.
+    /// Error of the hand at the start: mm and degrees.
     pub off: (f64, f64),
-    /// Until the hand stays at its place, seconds; none if it does not.
+    /// Time until the hand stays at its desired pose, seconds; none if it does not.
     pub there_after_s: Option<f64>,
-    /// What the controller did at the end, and why.
+    /// State of the controller at the end, and the reason.
     pub mode: String,
     /// Error at the end: mm and degrees.
     pub left: (f64, f64),
-    /// Largest error while the target moved and until it rested for a second, mm and degrees.
+    /// Largest error while the target moved and during the second after it, mm and degrees.
     pub most: (f64, f64),
-    /// Smallest singular value on the way.
+    /// Smallest singular value on the path.
     pub singular_value_min: f64,
-    /// Share of the time between the lock and the end in which the arm was held, with the first reason.
+    /// Share of the time between the lock and the end in which the arm was on hold, with the first reason.
     pub held: (f64, Option<String>),
-    /// What the arm made of its limits.
+    /// Use of the arm's limits.
     pub used: LimitUse,
-    /// The way of the hand.
+    /// The path of the hand.
     pub path: PathShape,
 }
 
-/// The way of the hand from its beginning to its end.
+/// The path of the hand from start to end.
 #[derive(Clone, Copy, Debug)]
 pub struct PathShape {
-    /// Its length, mm.
+    /// Path length, mm.
     pub length_mm: f64,
-    /// From its beginning to its end, mm.
+    /// Distance from start to end, mm.
     pub straight_mm: f64,
-    /// Farthest from the straight line between both, mm.
+    /// Largest distance from the straight line between both, mm.
     pub aside_mm: f64,
     /// Largest distance between hand and target, mm.
     pub farthest_mm: f64,
-    /// Smallest distance of the target's outline to the border of either image, pixels; negative outside.
+    /// Smallest distance of the target's outline from the border of either image, pixels; negative outside.
     pub border_px: f64,
 }
 
-/// Brings the hand to `start_rad` and the target to where the hand should be at `world_from_hand`.
+/// Places the hand at `start_rad` and the target so that the desired hand pose is `world_from_hand`.
 pub fn place(setup: &mut Setup, start_rad: JointVector, world_from_hand: &Pose<World, Hand>) {
     setup.rig.vs.start_rad = start_rad;
     setup.rig.vs.limiter.start = StartPose::Near { position_rad: start_rad, tolerance_rad: StartPose::TOLERANCE_RAD };
     let world_from_target =
         *world_from_hand * setup.controller.model_from_hand_desired.inverse().relabel::<Hand, Target>();
-    // The other arm rests far away, and the target does not hang on it.
+    // The other arm is stationary and far away, and does not carry the target.
     let aside = Pose::<World, World>::from_translation(Vector3::new(20.0, 0.0, 0.0));
     setup.rig.tc.world_from_base = aside * setup.rig.tc.world_from_base;
     let world_from_flange = setup.rig.tc.world_from_base * setup.rig.tc.chain.forward(&setup.rig.tc.start_rad);
@@ -83,7 +83,7 @@ pub fn place(setup: &mut Setup, start_rad: JointVector, world_from_hand: &Pose<W
     }
 }
 
-/// Where the hand is at these joints.
+/// Pose of the hand at these joints.
 pub fn world_from_hand(setup: &Setup, position_rad: &JointVector) -> Pose<World, Hand> {
     setup.rig.vs.world_from_base * setup.rig.vs.chain.forward(position_rad) * setup.controller.flange_from_hand
 }
@@ -105,7 +105,7 @@ pub fn joints_at(setup: &Setup, hand: &Pose<World, Hand>, guess_rad: &JointVecto
             let margin_rad = setup.rig.vs.limits.operating().position_max_rad() - position_rad.abs();
             ensure!(
                 margin_rad.min() > 0.0,
-                "a joint would be beyond its range by {:.1} degrees",
+                "a joint exceeds its range by {:.1} degrees",
                 -margin_rad.min().to_degrees()
             );
             return Ok(position_rad);
@@ -116,7 +116,7 @@ pub fn joints_at(setup: &Setup, hand: &Pose<World, Hand>, guess_rad: &JointVecto
     anyhow::bail!("no joints for the hand at {:?}", hand.translation_m())
 }
 
-/// A target that rests.
+/// A stationary target.
 pub fn at_rest() -> MotionConfig {
     MotionConfig::Steps(StepExperimentConfig {
         channels: vec![Channel::X],
@@ -129,7 +129,7 @@ pub fn at_rest() -> MotionConfig {
     })
 }
 
-/// The target goes along an axis of the world and comes back.
+/// A target that moves along an axis of the world and returns.
 pub fn out_and_back(channel: Channel, translation_m: f64, move_s: f64) -> MotionConfig {
     MotionConfig::Steps(StepExperimentConfig {
         channels: vec![channel],
@@ -142,10 +142,10 @@ pub fn out_and_back(channel: Channel, translation_m: f64, move_s: f64) -> Motion
     })
 }
 
-/// Runs a setup that was placed.
+/// Runs a setup with placed hand and target.
 ///
 /// # Errors
-/// As the parts have them.
+/// Errors of the parts.
 pub fn run_way(name: impl Into<String>, setup: &Setup) -> Result<Way> {
     let (parts, vs, _) = watched(wire(setup)?);
     let Marking::Outline(outline_m) = parts.marking.clone() else { bail!("the target is not simulated") };
@@ -180,7 +180,7 @@ pub fn run_way(name: impl Into<String>, setup: &Setup) -> Result<Way> {
     })
 }
 
-/// Share of the steps behind the lock in which the controller held, and why it did first.
+/// Share of the steps after the lock in which the controller held, and the first reason.
 fn held(log: &RunLog) -> (f64, Option<String>) {
     let locked_s = log.lock.map_or(0.0, |lock| lock.at_s + 0.3);
     let after: Vec<&ControlSample> = log.control.iter().filter(|sample| sample.t_s > locked_s).collect();
@@ -215,7 +215,7 @@ fn path_shape(setup: &Setup, log: &RunLog, outline_m: &[nalgebra::Point3<f64>]) 
     }
 }
 
-/// Smallest distance of the outline to the border of either image; minus infinity if a point is not before a camera.
+/// Smallest distance of the outline from the border of either image; minus infinity if a point is behind a camera.
 fn border_px(
     setup: &Setup,
     cam_left_from_target: &Pose<pb3dp_geometry::frames::CamLeft, Target>,
@@ -235,17 +235,17 @@ fn border_px(
     outline_m.iter().map(least).fold(f64::INFINITY, f64::min)
 }
 
-/// A hand that begins 500 mm or farther before the target, turned about an axis of the target by this, and should end at `to`.
+/// A hand that starts 500 mm or farther from the target, turned about an axis of the target by this, and should end at `to`.
 ///
 /// # Errors
-/// If no joints lead there.
+/// If no joints reach the start.
 pub fn approach_from(
     mut setup: Setup,
     to: &Pose<World, Hand>,
     distance_m: f64,
     turned: &UnitQuaternion<f64>,
 ) -> Result<Setup> {
-    // A turn about the optical axis is none for a tracker that takes the axes of its model from the first image: it is asked for.
+    // A tracker takes the axes of its model from the first image, so a rotation about the optical axis has to be commanded.
     let axis_turn = turned.scaled_axis();
     let about_normal = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.0, -axis_turn.z));
     let desired = Pose::<Model, Hand>::from_parts(
@@ -262,10 +262,10 @@ pub fn approach_from(
     geometric_at_rest(setup)
 }
 
-/// The setup before a target that rests.
+/// The setup with a stationary target.
 ///
 /// # Errors
-/// If the file of the setup does not say what would stand in the place of images.
+/// If the setup file has no configuration for runs without images.
 pub fn geometric_at_rest(setup: Setup) -> Result<Setup> {
     let mut setup = geometric(setup, at_rest())?;
     if let Leader::Geometric(config) = &mut setup.leader {

@@ -1,4 +1,4 @@
-//! Tables of ways: approaches, singular poses, other laws.
+//! Tables of approaches, singular poses and other laws.
 
 use std::fmt::Write as _;
 
@@ -7,30 +7,30 @@ use crate::cases::{Approached, LawFindings};
 use crate::page::number;
 use crate::ways::{SEEN_UP_TO_M, THERE_WITHIN, Way};
 
-/// What the page says of them.
+/// The section of the page.
 pub fn sections(findings: &Findings) -> String {
     let (approaches, singular) = (approach_table(&findings.approaches), singular_table(&findings.singular));
     let (laws, far) = (law_table(&findings.laws), far_table(&findings.laws));
     let (mm, deg) = THERE_WITHIN;
     format!(
         "## Approach\n\n\
-         The target rests, and the hand begins elsewhere: far off, or with joints near a singular pose or an end of a range; without images, with a tracker that sees up to {SEEN_UP_TO_M} m.\n\
-         It is there when it stays within {mm} mm and {deg} degrees of its place.\n\
-         Speeds, accelerations and angles are those that the simulated arm had, beside the limits of `configs/sim.toml` (60 % of the joints' speeds, the operating range).\n\
-         A turn of the target about its normal is asked for, as a tracker takes the axes of its model from its first image.\n\n\
+         The target is stationary, and the hand starts far away, or with joints near a singular pose or an end of a range; without images, with a tracker that sees up to {SEEN_UP_TO_M} m.\n\
+         The hand has settled when it stays within {mm} mm and {deg} degrees of its desired pose.\n\
+         Speeds, accelerations and angles are those of the simulated arm, relative to the limits of `configs/sim.toml` (60 % of the joints' speeds, the operating range).\n\
+         A rotation of the target about its normal is commanded, because a tracker takes the axes of its model from its first image.\n\n\
          {approaches}\n\
          ## Through singular poses\n\n\
-         The target goes along x of the world and comes back; without images.\n\
-         With shoulder and wrist straight (q2 = q6 = 0) the arm cannot move the hand sideways, and a way beside that pose turns its first joint by up to half a turn at the speed that this has: the hand trails meanwhile, and neither halts nor shakes.\n\
-         With the elbow stretched (q4 = 0) it is at the end of its reach: it is not pulled straighter than `servo.damping.elbow_min_deg`, rests, says why, and comes back with the target.\n\n\
+         The target moves along x of the world and returns; without images.\n\
+         With shoulder and wrist straight (q2 = q6 = 0) the arm cannot move the hand sideways, and a path near that pose turns the first joint by up to half a turn at its largest speed: the hand lags meanwhile, and neither halts nor oscillates.\n\
+         With the elbow stretched (q4 = 0) the arm is at the end of its reach: the elbow stops at `servo.damping.elbow_min_deg`, the arm holds and reports the reason, and it returns with the target.\n\n\
          {singular}\n\
          ## Other laws\n\n\
-         The same cell with the law of the paper's group, with classical image-based servoing (corners of a square of the model) and with 2 1/2-D servoing; these three have one gain and one smoothing of the target, and no feed-forward.\n\
+         The same workcell with the law of the paper's group, with classical image-based servoing (corners of a square of the model) and with 2 1/2-D servoing; these three have one gain and one smoothing of the target, and no feed-forward.\n\
          The experiment of Fig. 7, without images, rms:\n\n\
          {laws}\n\
          From far away, before a target that rests.\n\
-         Aside is the way's largest distance from the straight line between its ends, and to border the smallest distance between the target's outline and the border of either image.\n\
-         Before large turns about the optical axis the image-based law backs away.\n\n\
+         Aside is the largest distance of the path from the straight line between its ends; to border is the smallest distance between the target's outline and the border of either image.\n\
+         For large rotations about the optical axis the image-based law retreats from the target.\n\n\
          {far}"
     )
 }
@@ -48,11 +48,11 @@ fn used(way: &Way) -> String {
     )
 }
 
-/// Approaches, a line for each.
+/// Approaches, one row each.
 pub fn approach_table(approaches: &[Approached]) -> String {
     let mut text = String::from(
-        "| from | off, mm | deg | there after, s | in the end | left, mm | deg | joint speed, of the allowed | acceleration, of the allowed | \
-         least room to an end of a range, deg | smallest singular value |\n|---|---:|---:|---:|---|---:|---:|---|---|---|---:|\n",
+        "| start | initial error, mm | deg | settling time, s | end state | final error, mm | deg | joint speed, of the limit | acceleration, of the limit | \
+         smallest margin to an end of a range, deg | smallest singular value |\n|---|---:|---:|---:|---|---:|---:|---|---|---|---:|\n",
     );
     for Approached { way, .. } in approaches {
         let _ = writeln!(
@@ -72,11 +72,11 @@ pub fn approach_table(approaches: &[Approached]) -> String {
     text
 }
 
-/// Ways through and to singular poses, a line for each.
+/// Paths through and to singular poses, one row each.
 pub fn singular_table(ways: &[Way]) -> String {
     let mut text = String::from(
-        "| way | smallest singular value | most off, mm | deg | at the end, mm | deg | halts, % of the time | why | joints turn round, times | \
-         joint speed, of the allowed | acceleration, of the allowed | least room to an end of a range, deg |\n\
+        "| path | smallest singular value | largest error, mm | deg | final error, mm | deg | on hold, % of the time | reason | joint reversals | \
+         joint speed, of the limit | acceleration, of the limit | smallest margin to an end of a range, deg |\n\
          |---|---:|---:|---:|---:|---:|---:|---|---:|---|---|---|\n",
     );
     for way in ways {
@@ -123,11 +123,11 @@ pub fn law_table(laws: &[LawFindings]) -> String {
     text
 }
 
-/// Ways from far away with each law.
+/// Approaches from far away with each law.
 pub fn far_table(laws: &[LawFindings]) -> String {
     let mut text = String::from(
-        "| from | law | there after, s | in the end | left, mm | deg | way, mm | straight, mm | farthest aside, mm | farthest from the target, mm | \
-         target to border, px |\n|---|---|---:|---|---:|---:|---:|---:|---:|---:|---:|\n",
+        "| start | law | settling time, s | end state | final error, mm | deg | path, mm | straight, mm | aside, mm | largest distance to the target, mm | \
+         to border, px |\n|---|---|---:|---|---:|---:|---:|---:|---:|---:|---:|\n",
     );
     let count = laws.iter().map(|findings| findings.ways.len()).max().unwrap_or(0);
     for index in 0..count {

@@ -1,4 +1,4 @@
-//! One cycle after the other, and what is left of each.
+//! Repeated cycles, and the remaining position error after each.
 
 use std::time::Duration;
 
@@ -17,55 +17,55 @@ use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::Channel;
 use pb3dp_wiring::wire;
 
-/// A move out, a rest, a move back, a rest.
+/// A move out, a hold, a move back, a hold.
 const MOVE_S: f64 = 1.5;
 const HOLD_S: f64 = 1.5;
 const CYCLE_S: f64 = 2.0 * (MOVE_S + HOLD_S);
 /// Before the first cycle.
 const LEAD_IN_S: f64 = 3.0;
-/// The end of a rest, over which the place of the hand is averaged, seconds.
+/// The end of a hold, over which the hand position is averaged, seconds.
 const AVERAGED_S: f64 = 0.5;
-/// One after the other, each once per round.
+/// Channels in turn, each once per round.
 const CHANNELS: [Channel; 6] = [Channel::X, Channel::Y, Channel::Z, Channel::Rx, Channel::Ry, Channel::Rz];
-/// Cycles at the beginning and at the end that are compared: whole rounds, as each axis leaves something else behind.
+/// Number of cycles at the start and at the end that are compared: whole rounds, because each axis leaves a different error.
 const COMPARED: usize = 2 * CHANNELS.len();
-/// Until every ring and buffer has its size.
+/// Number of cycles until all rings and buffers have their final size.
 const SETTLING: usize = 8;
-/// Fewer cannot be compared.
+/// Minimum number of cycles for a comparison.
 pub const CYCLES_MIN: usize = 2 * COMPARED;
-/// What the hand may come back to worse than its noise explains, mm.
+/// Largest drift of the hand that the noise does not explain, mm.
 const DRIFT_MAX_MM: f64 = 0.1;
-/// What a whole soak may hold more at its end than after settling, bytes: less than one sample of a joint per cycle.
+/// Largest growth of the heap after settling in a whole soak, bytes: less than one sample of a joint per cycle.
 const GROWTH_MAX_BYTES: usize = 16 * 1024;
 
-/// What is left of the cycles.
+/// Results of the cycles.
 #[derive(Debug, Default)]
 pub struct Figures {
-    /// Where the hand rested after each cycle, in `world`, relative to the first one, mm.
+    /// Position of the hand after each cycle, in `world`, relative to the first one, mm.
     returned_mm: Vec<Vector3<f64>>,
     /// Bytes held on the heap then.
     held: Vec<usize>,
 }
 
 impl Figures {
-    /// Of so many cycles: what is noted of them is no memory that a run takes more and more of.
+    /// For this number of cycles; the vectors are allocated here, so that recording does not count as growth.
     fn of(cycles: usize) -> Self {
         Self { returned_mm: Vec::with_capacity(cycles), held: Vec::with_capacity(cycles) }
     }
 
-    /// A cycle has ended.
+    /// Records the end of a cycle.
     pub fn push(&mut self, returned_mm: [f64; 3], held: usize) {
         self.returned_mm.push(Vector3::from(returned_mm));
         self.held.push(held);
     }
 
-    /// How many cycles there were.
+    /// Number of cycles.
     pub fn cycles(&self) -> usize {
         self.returned_mm.len()
     }
 
-    /// Mean of the last cycles less mean of the first ones, mm, and the standard deviation of that by the noise of single ones: by
-    /// how much cycles along or about the same axis differ that follow each other.
+    /// Mean of the last cycles minus mean of the first ones, mm, and its standard deviation from the noise of single cycles:
+    /// from the differences of consecutive cycles along or about the same axis.
     fn drift_mm(&self) -> (f64, f64) {
         let all = &self.returned_mm;
         let mean = |some: &[Vector3<f64>]| some.iter().sum::<Vector3<f64>>() / some.len() as f64;
@@ -76,7 +76,7 @@ impl Figures {
         (drift.norm(), (2.0 * variance / COMPARED as f64).sqrt())
     }
 
-    /// How much more is held at the end than when everything had its size, bytes.
+    /// Growth of the heap from the end of settling to the end, bytes.
     fn growth(&self) -> usize {
         let settled = self.held[SETTLING.min(self.held.len() - 1)];
         self.held[self.held.len() - 1].saturating_sub(settled)
@@ -96,30 +96,30 @@ impl Figures {
     }
 
     /// # Errors
-    /// Drift, or memory that grows.
+    /// Drift, or a growing heap.
     pub fn judge(&self) -> Result<()> {
-        ensure!(self.cycles() >= CYCLES_MIN, "{} cycles are too few to judge", self.cycles());
+        ensure!(self.cycles() >= CYCLES_MIN, "{} cycles are too few: at least {CYCLES_MIN} are needed", self.cycles());
         let (drift, sigma) = self.drift_mm();
         ensure!(
             drift <= DRIFT_MAX_MM + 3.0 * sigma,
-            "the hand comes back {drift:.3} mm from where it was; allowed are {DRIFT_MAX_MM} mm and 3 x {sigma:.3} mm of noise"
+            "the hand returns with a drift of {drift:.3} mm; allowed are {DRIFT_MAX_MM} mm and 3 x {sigma:.3} mm of noise"
         );
         let growth = self.growth();
         ensure!(
             growth <= GROWTH_MAX_BYTES,
-            "{growth} bytes more are held than at the beginning; allowed are {GROWTH_MAX_BYTES}"
+            "the heap has grown by {growth} bytes; allowed are {GROWTH_MAX_BYTES}"
         );
         Ok(())
     }
 }
 
-/// Follows the target for so many minutes; a line for each cycle goes to `tell`.
+/// Follows the target for this many minutes; `tell` gets a line for each cycle.
 ///
 /// # Errors
-/// If a part fails, or the hand does not follow.
+/// If a part fails, or the hand does not follow the target.
 pub fn repeat(setup: &Setup, minutes: f64, tell: impl FnMut(&str)) -> Result<Figures> {
     let cycles = (minutes * 60.0 / CYCLE_S).round() as usize;
-    ensure!(cycles >= CYCLES_MIN, "{minutes} minutes are {cycles} cycles: at least {CYCLES_MIN} can be judged");
+    ensure!(cycles >= CYCLES_MIN, "{minutes} minutes are {cycles} cycles: at least {CYCLES_MIN} are needed");
     let mut setup = setup.clone();
     let steps = setup.experiment.steps_mut().context("the experiment of the setup does not go out and back")?;
     steps.channels = CHANNELS.into_iter().cycle().take(cycles).collect();
@@ -136,7 +136,7 @@ pub fn repeat(setup: &Setup, minutes: f64, tell: impl FnMut(&str)) -> Result<Fig
     Ok(watching.figures)
 }
 
-/// What is gathered at the end of a cycle.
+/// Collects the results at the end of a cycle.
 #[derive(Default)]
 struct AtEnd {
     sum_mm: Vector3<f64>,
@@ -144,7 +144,7 @@ struct AtEnd {
     first_mm: Option<Vector3<f64>>,
 }
 
-/// Looks, and writes nothing down but where the hand is at the end of each cycle.
+/// Observer that records only the hand position at the end of each cycle.
 struct Watching<'a, T> {
     looking: Looking<'a>,
     cell: SimulatedCell,
@@ -166,7 +166,7 @@ impl<T: FnMut(&str)> Watcher for Watching<'_, T> {
     fn moved(&mut self, moved: &Moved) {
         self.looking.push_joints(moved.vs_joints);
         let in_cycle_s = moved.at.seconds_since(self.begin) - LEAD_IN_S - CYCLE_S * self.figures.cycles() as f64;
-        // A hand that does not follow has not come back.
+        // A hand that does not follow the target has not returned.
         if in_cycle_s < CYCLE_S - AVERAGED_S || !moved.decision.state.is_moving() {
             return;
         }

@@ -1,12 +1,12 @@
-//! The hand follows a target there and back for minutes or hours of virtual time: whether memory stays as it was, and whether the hand
-//! comes back to where it was.
+//! The hand follows a target out and back for minutes or hours of virtual time: checks that memory does not grow, and that
+//! the hand returns to its position.
 //!
 //! ```text
 //! cargo run --release -p pb3dp-benchmarks --example there_and_back -- --minutes 60
 //! ```
 //!
-//! With the setup of `configs/sim.toml`, the colourful card and all pixels; `--geometric` leaves images out. Nothing of the run is
-//! written down but one line for each cycle, as what a run writes down grows with its length.
+//! With the setup of `configs/sim.toml`, the colourful card and all pixels; `--geometric` omits images. The run logs one line
+//! per cycle and nothing else, because a full log grows with the run.
 #![allow(clippy::print_stdout, reason = "prints its figures")]
 
 mod cycles;
@@ -24,23 +24,23 @@ fn main() -> Result<()> {
     let (mut minutes, mut geometric, mut seed) = (60.0, false, 1);
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
-        let mut value = || arguments.next().with_context(|| format!("{argument} needs a value"));
+        let mut value = || arguments.next().with_context(|| format!("{argument}: no value given"));
         match argument.as_str() {
             "--minutes" => minutes = value()?.parse().context("--minutes: give a number")?,
             "--seed" => seed = value()?.parse().context("--seed: give a whole number")?,
             "--geometric" => geometric = true,
-            _ => bail!("{argument} is unknown: there are --minutes N, --seed N and --geometric"),
+            _ => bail!("unknown option {argument}; options: --minutes N, --seed N, --geometric"),
         }
     }
     if !(0.0..=MINUTES_MAX).contains(&minutes) {
-        bail!("--minutes is {minutes}: give at most {MINUTES_MAX}");
+        bail!("--minutes is {minutes}, more than {MINUTES_MAX}: give less");
     }
     let figures = repeat(&setup(geometric, seed)?, minutes, |line| println!("{line}"))?;
     println!("{}", figures.text());
     figures.judge()
 }
 
-/// The repository's setup, with the card.
+/// The setup of the repository, with the card.
 fn setup(geometric: bool, seed: u64) -> Result<Setup> {
     let mut setup = read_setup(&repository().join("configs/sim.toml"))?;
     setup.reseed(seed);
@@ -60,7 +60,7 @@ mod tests {
     use super::*;
     use crate::cycles::Figures;
 
-    /// As few as can be judged; five with `cargo xtask test --all`.
+    /// The minimum number of cycles; five with `cargo xtask test --all`.
     #[test]
     fn minutes_there_and_back_leave_memory_and_hand_as_they_were() {
         let (minutes, cycles) = sweep((2.4, 24), (5.0, 50));

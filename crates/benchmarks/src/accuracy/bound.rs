@@ -88,7 +88,7 @@ pub struct BoundMaker {
 }
 
 impl BoundMaker {
-    /// For a set-up, its scene and the rig that the estimators are told.
+    /// For a set-up, its scene and the rig that the estimators receive.
     ///
     /// # Errors
     /// If the simulator refuses it.

@@ -82,7 +82,7 @@ fn the_most_likely_plane_spreads_as_the_bound_says() {
     let bound = channel_information(&samples, GAIN, NOISE * NOISE).try_inverse().unwrap();
     for i in 0..3 {
         let ratio = (squares[(i, i)] / bound[(i, i)]).sqrt();
-        assert!((0.92..1.12).contains(&ratio), "parameter {i} spreads {ratio} times as far as the bound");
+        assert!((0.92..1.12).contains(&ratio), "parameter {i} has {ratio} times the spread of the bound");
     }
 }
 

@@ -203,7 +203,7 @@ pub struct Cell {
     pub setup: Setup,
     /// The poses.
     pub poses: PoseRange,
-    /// Depths and tilts that the methods are told to search.
+    /// Depths and tilts that the methods search.
     pub search: SearchRange,
     /// What is asked.
     pub question: Question,

@@ -113,7 +113,7 @@ impl<'a> Worker<'a> {
         Ok(Self { cell, seed, rigs, renderer, bounds, estimators })
     }
 
-    /// The rig that the estimators are told.
+    /// The rig that the estimators receive.
     pub fn told_rig(&self) -> &pb3dp_geometry::StereoRig {
         &self.rigs.told
     }

@@ -97,7 +97,7 @@ This file is written by `cargo xtask bench accuracy`; edit the program, not the 
 
 Each cell differs from the nominal one in one factor, which its name tells.
 The nominal cell: a flat target of 110 mm with the crab's outline and texture, 30 mm before a panel of sand; 420 to 650 mm away, both tilts evenly within 25 degrees, any rotation about the normal; two cameras of 640 x 480 px and 740 px focal length, 100 mm apart; noise of 3 grey levels, lens blur of 0.6 px, and a right camera with the gains 1.06, 0.98, 0.93 and the offsets 3, 0, -2 grey levels.
-Every answer is a cold start from one pair: the methods are told the depth range (330 to 840 mm, 300 to 1150 mm in the cells `distance`), tilts of up to 45 degrees, and the region.
+Every answer is a cold start from one pair: the methods receive the depth range (330 to 840 mm, 300 to 1150 mm in the cells `distance`), tilts of up to 45 degrees, and the region.
 The region is the target's true outline, except in the cells `rectangle`, where it is the box around it, and `unobservable/uniform-interior`, where it lies within the target.
 
 Images are sampled at twice the resolution and blurred before the pixels integrate them.

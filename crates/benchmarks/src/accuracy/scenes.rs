@@ -142,7 +142,7 @@ fn occluder() -> ScenePart {
     part
 }
 
-/// The cameras as they are, and as the estimators are told that they are.
+/// The true cameras, and those that the estimators receive.
 pub struct Rigs {
     /// What renders.
     pub real: StereoRig,

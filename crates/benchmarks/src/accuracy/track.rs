@@ -22,7 +22,7 @@ use pb3dp_hal_platform::cpu_time::timed;
 pub struct Frames<'a> {
     spec: &'a SequenceSpec,
     renderer: StereoRenderer,
-    /// What the trackers are told.
+    /// Input of the trackers.
     pub rig: pb3dp_geometry::StereoRig,
 }
 

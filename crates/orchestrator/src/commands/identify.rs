@@ -27,7 +27,7 @@ use serde::Serialize;
 
 use crate::logging::last_words;
 
-/// An arm that does what it is told, with dead time and lag, leaves less than this.
+/// An arm that follows its commands with dead time and lag leaves a smaller residual than this.
 const RESIDUAL_MAX_DEG: f64 = 0.01;
 
 /// Arguments of `pb3dp identify`.
@@ -98,7 +98,7 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     if !(setup.rig.vs.link.is_toy() && setup.rig.tc.link.is_toy()) {
-        tracing::warn!("{plan}; both arms are switched on: type vs-robot and Enter to go on");
+        tracing::warn!("{plan}; both arms will be enabled: type vs-robot and Enter to go on");
         confirm::typed("vs-robot", &mut signals)?;
     }
     // Before anything moves: what an arm says when it stops must find its place.

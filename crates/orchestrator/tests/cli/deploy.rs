@@ -1,4 +1,4 @@
-//! The files of configs/deploy, as far as the tools of this machine can judge them. That they parse, `cargo xtask tidy` checks.
+//! The files of configs/deploy, checked by the tools of this machine. `cargo xtask tidy` checks that they parse.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -89,7 +89,7 @@ fn systemd_finds_nothing_wrong_with_the_unit() {
     // It also tells of other units of the machine.
     assert!(works && !said.contains("pb3dp"), "{said}");
     let (_, said) = verify(&unit().replace("RestartSec=", "RestartSecs=")).unwrap();
-    assert!(said.contains("RestartSecs"), "a mistake is told: {said}");
+    assert!(said.contains("RestartSecs"), "a mistake is reported: {said}");
 }
 
 #[test]

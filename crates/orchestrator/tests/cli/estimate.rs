@@ -81,7 +81,7 @@ impl OnePair {
         self.assert_near_truth_at(self.centre_px(), method, finished, what)
     }
 
-    /// The same for a region whose centroid, where the depth is told, is not the centre of the target.
+    /// The same for a region whose centroid, where the depth is reported, is not the centre of the target.
     fn assert_near_truth_at(&self, at_px: [f64; 2], method: &str, finished: Finished, what: &str) -> Value {
         let (depth_share_max, normal_max_deg) = if method == "direct" { (0.001, 0.6) } else { (0.03, 10.0) };
         let finished = finished.assert_success();
@@ -308,7 +308,7 @@ fn to_the_published_method_a_grey_region_is_not_observable_and_groups_are_told_a
     let [grey, colour] = &lines[..] else { panic!("{}", finished.stdout) };
     assert_eq!(grey["status"], "not-observable", "{grey}");
     assert!(grey["z_mm"].is_null() && grey["normal"].is_null(), "no pose where there is none: {grey}");
-    assert!(finished.stderr.contains("hue"), "the reason is told: {}", finished.stderr);
+    assert!(finished.stderr.contains("hue"), "the reason is reported: {}", finished.stderr);
     let true_mm = true_depth_mm(&pair.cam_left_from_target, pair.centre_px());
     let z_mm = colour["z_mm"].as_f64().unwrap();
     assert!((z_mm / true_mm - 1.0).abs() < 0.02, "{colour}, true {true_mm} mm");

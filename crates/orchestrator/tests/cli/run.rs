@@ -298,7 +298,7 @@ fn a_recorded_run_can_be_tracked() {
         assert!(tracked.stderr.contains("motion error"), "{}", tracked.stderr);
         assert_eq!(tracked.stderr.contains("normal is not observed"), !observed, "{method}: {}", tracked.stderr);
     }
-    // Before an arm is switched on, and before the report of the run before is lost.
+    // Before an arm is enabled, and before the report of the run before is lost.
     let report = std::fs::read(out.join("summary.json")).unwrap();
     let refused = run();
     refused.assert_refused(&["--record", "sequence.json"]);

@@ -163,7 +163,7 @@ fn a_sequence_without_its_first_frame_starts_with_the_second() {
     }
 }
 
-/// Images that show nothing: the region is tried for half a second, then the user is told what to do.
+/// Images that show nothing: the region is tried for half a second, then a message says what to do.
 #[test]
 fn a_target_that_is_never_seen_is_given_up() {
     let dir = tempfile::tempdir().unwrap();

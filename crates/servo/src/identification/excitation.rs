@@ -10,7 +10,7 @@ use super::BATCHES;
 
 /// Periods of the motion to the right in one piece of the record.
 const PERIODS_RIGHT: f64 = 2.0;
-/// The same of the motion downwards: another number, so that both are told apart.
+/// The same of the motion downwards: another number, so that both can be distinguished.
 const PERIODS_DOWN: f64 = 3.0;
 /// Farther than this the image changes too much, metres.
 const WAY_MAX_M: f64 = 0.03;

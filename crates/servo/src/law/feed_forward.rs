@@ -20,7 +20,7 @@
 //! What is not known of delay and lag is a delay in this loop, and bounds K: a gain of 1 / (e T') is free of overshoot with a
 //! delay of T'. The default takes half of delay and lag as unknown ([`ArmResponse::gain_without_overshoot`]).
 //!
-//! The correction K e grows with the error only as far as the hand can brake it away again, see [`correction_speed`]: with the
+//! The correction K e grows with the error only up to what the hand can brake away again, see [`correction_speed`]: with the
 //! accelerations of the configuration, or less where the joints do not have them ([`Aim::gains_within`]).
 
 use nalgebra::Vector3;
@@ -268,7 +268,7 @@ mod tests {
         assert!(there.linear_m_per_s <= 0.1 && there.angular_rad_per_s <= 0.4, "{there:?}");
     }
 
-    /// A hand that is where it should be, as fast as it should be, and lags, is told what inverts the lag, and no correction.
+    /// A hand that is where it should be, as fast as it should be, and lags, gets the command that inverts the lag, and no correction.
     #[test]
     fn a_hand_that_is_right_is_told_what_inverts_its_lag() {
         let arm = ArmResponse { delay_s: 0.02, lag_s: 0.04 };

@@ -1,4 +1,4 @@
-//! What the supervisor is told in each step. Times are those of the measurements: it reckons their ages itself.
+//! The inputs of the supervisor in each step. Times are those of the measurements; the supervisor computes their ages.
 
 use nalgebra::Matrix6;
 use pb3dp_geometry::MonotonicTime;
@@ -86,7 +86,7 @@ impl OperatorCommand {
 pub struct EstimateInput {
     /// Middle of the left image's exposure.
     pub at: MonotonicTime,
-    /// Whether the estimator stands by its pose.
+    /// Confidence of the estimator in its pose.
     pub confidence: Confidence,
     /// Covariance of the pose, metres and radians, translation first; none: the method cannot say.
     pub covariance: Option<Matrix6<f64>>,
@@ -95,7 +95,7 @@ pub struct EstimateInput {
     pub target: u64,
 }
 
-/// Whether the estimator stands by its pose.
+/// Confidence of the estimator in its pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Confidence {
     /// It does: at least the depth is determined.

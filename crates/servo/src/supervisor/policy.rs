@@ -24,11 +24,11 @@ pub enum Condition {
     FrameStale,
     /// Numbers and times of the images do not both increase.
     FrameOrder,
-    /// The newest pose that the estimator stands by is so old that the target counts as lost.
+    /// The newest confident pose is so old that the target counts as lost.
     TargetLost,
-    /// The newest pose that the estimator stands by is too old.
+    /// The newest confident pose is too old.
     EstimateStale,
-    /// The estimator does not stand by its newest pose, or has none.
+    /// The newest pose has low confidence, or there is none.
     LowConfidence,
     /// The target jumped, or seems to have.
     PositionJump,

@@ -1,5 +1,5 @@
-//! A supervisor with everything that it is told: a camera at 33 pairs per second, an estimator that is sure, a controller that
-//! locks on after 50 ms and is at its place after 300 ms, two arms, and an operator who is there. What is told can be changed.
+//! A supervisor with all its inputs: a camera at 33 pairs per second, an estimator that is sure, a controller that
+//! locks on after 50 ms and is at its place after 300 ms, two arms, and an operator who is there. Each input can be changed.
 
 use nalgebra::Matrix6;
 use pb3dp_geometry::MonotonicTime;
@@ -144,7 +144,7 @@ impl Bench {
         self.decision().why.to_string()
     }
 
-    /// From now on this is told otherwise than it is.
+    /// From now on this input differs from the truth.
     pub fn lie(&mut self, lie: impl Fn(&mut Inputs) + 'static) {
         self.lie = Box::new(lie);
     }
@@ -163,7 +163,7 @@ impl Bench {
         self.step()
     }
 
-    /// What is told in this step.
+    /// The inputs of this step.
     fn inputs(&mut self) -> Inputs {
         let mut inputs = good(self.now_s);
         if self.steps.is_multiple_of(FRAME_EVERY) {

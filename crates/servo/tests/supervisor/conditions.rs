@@ -9,12 +9,12 @@ use pb3dp_servo::{HoldReason, Mode};
 
 use super::bench::{Bench, STEP_S, at, config, with};
 
-/// What is told otherwise than it is.
+/// The input that differs from the truth.
 type Lie = Box<dyn Fn(&mut Inputs)>;
 /// How a condition is brought about from this time on.
 type Trouble = fn(f64) -> Lie;
 
-/// What is told about each condition when it is there, and its value then, if it does not grow with time.
+/// The inputs for each condition when it is active, and its value then, if it does not grow with time.
 fn troubles() -> Vec<(Condition, Trouble, Option<f64>)> {
     vec![
         (Condition::EmergencyStop, |_| Box::new(|i| i.arms[1].state = ArmCondition::EmergencyStop), Some(0.0)),

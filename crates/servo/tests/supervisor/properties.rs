@@ -1,4 +1,4 @@
-//! Whatever is told, and whatever is said: what is permitted is judged by code that knows nothing of the supervisor's.
+//! Random inputs and commands: independent code judges what the supervisor permits.
 
 use std::cell::Cell;
 

@@ -1,4 +1,4 @@
-//! Ways to start or resume wrongly, as far as the supervisor can see them: each a test. What every one of them shows is that
+//! Wrong starts and resumes that the supervisor can detect: each is a test. What every one of them shows is that
 //! nothing is permitted to move, or that nothing moves by itself.
 
 use pb3dp_servo::supervisor::{
@@ -158,7 +158,7 @@ fn start_with_an_arm_that_is_off() {
         let mut bench = selected();
         bench.lie(move |i| i.arms[arm].state = ArmCondition::Disabled);
         start_is_refused_for(&mut bench, Condition::ArmDisabled);
-        // Nor when it is switched on.
+        // Nor when it is enabled.
         bench.truth();
         stays_at_rest(&mut bench);
     }

@@ -208,7 +208,7 @@ fn there_is_no_prediction_without_a_target_or_beyond_the_horizon() {
     let error = filter.at(at_s(newest + 0.5001)).unwrap_err();
     assert_eq!(filter.base_from_model_at(at_s(newest + 0.5001)), Err(error));
     assert!(error.to_string().starts_with("the time lies 0.500 s after the newest measurement"), "{error}");
-    // The past, as far as it is kept, without what came later.
+    // The stored past, without what came later.
     let past = filter.at(all[35].at).unwrap();
     assert_eq!(past, fed(&all[..36]).at(all[35].at).unwrap());
     assert!(matches!(filter.at(all[20].at), Err(NotPredictable::TooOld { behind_s }) if behind_s > 0.1));

@@ -63,7 +63,7 @@ impl RealCameras {
         Duration::from_secs_f64(self.stereo.left.mode.interval.seconds().unwrap_or(1.0))
     }
 
-    /// Time of the left exposure as far as the file says it; zero where the camera tells it.
+    /// Time of the left exposure from the file; zero if the camera reports it.
     pub fn exposure(&self) -> Duration {
         match (self.stereo.left.controls.exposure, self.stereo.left.exposure) {
             (Setting::Manual(time), _) | (Setting::Keep | Setting::Auto, Some(time)) => time,

@@ -1,4 +1,4 @@
-//! The keys `parts`: the shape of an arm, as far as the room between two arms needs it.
+//! The keys `parts`: the shape of an arm, for the clearance between two arms.
 
 use nalgebra::Point3;
 use pb3dp_kinematics::{ArmPart, ArmShape, Capsule, Carrier, DOF};

@@ -25,11 +25,11 @@ pub(super) struct AxisDrive {
     pub servo_on: bool,
     /// The servo goes off by itself as soon as the brake holds.
     servo_off_when_held: bool,
-    /// What the servo is told, rad/s.
+    /// Command of the servo, rad/s.
     pub velocity_rad_per_s: f64,
     /// It does not move, whatever drives it.
     pub stuck: bool,
-    /// What it does instead of what it is told, rad/s.
+    /// Velocity that replaces the command, rad/s.
     pub runaway_rad_per_s: Option<f64>,
 }
 

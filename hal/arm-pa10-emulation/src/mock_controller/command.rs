@@ -9,7 +9,7 @@ const OTHER_AXES: u16 = 0x0010;
 const WATCH_DEAD_MAN: u16 = 0x0008;
 const SPEED_RAD_PER_S: f64 = 1.0 / 5000.0;
 
-/// What one axis is told.
+/// Command of one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct RawAxis {
     pub brake_on: bool,
@@ -21,7 +21,7 @@ pub(super) struct RawAxis {
     pub velocity_rad_per_s: f64,
 }
 
-/// What all axes are told.
+/// Commands of all axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct RawCommand {
     pub axes: [RawAxis; Axis::COUNT],

@@ -1,4 +1,4 @@
-//! What an emulated controller is told about itself.
+//! Settings of an emulated controller.
 
 use std::f64::consts::TAU;
 use std::time::Duration;
@@ -33,7 +33,7 @@ pub fn pa10_joints() -> Result<JointPlantConfig, JointLimitsError> {
     })
 }
 
-/// What an emulated controller is told about itself.
+/// Settings of an emulated controller.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MockControllerConfig {
     /// How it speaks.

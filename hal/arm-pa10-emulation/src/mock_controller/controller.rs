@@ -77,7 +77,7 @@ pub struct MockController {
 }
 
 impl MockController {
-    /// A controller that was just switched on, with these joints.
+    /// A controller that was just powered on, with these joints.
     ///
     /// # Errors
     /// If a number of the configuration is out of range.
@@ -155,7 +155,7 @@ impl MockController {
         joints.motion_at(joints.now()).unwrap_or_else(|| (JointVector::zeros(), JointVector::zeros()))
     }
 
-    /// What each servo is told, rad/s.
+    /// Command of each servo, rad/s.
     pub fn commanded_rad_per_s(&self) -> JointVector {
         JointVector::from(self.axes.map(|axis| axis.velocity_rad_per_s))
     }

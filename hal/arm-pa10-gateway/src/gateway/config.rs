@@ -1,4 +1,4 @@
-//! What a gateway is told about its arm, its bus and its host.
+//! Settings of a gateway: its arm, its bus and its host.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 /// Cycles on the bus that make sense: a controller that wants one every 2 ms, or a slower one (the period stands in its ROM).
 const CYCLE_RANGE: std::ops::RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_millis(10);
 
-/// What a gateway is told about its arm, its bus and its host.
+/// Settings of a gateway: its arm, its bus and its host.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GatewayConfig {
     /// The arm that every frame must name.

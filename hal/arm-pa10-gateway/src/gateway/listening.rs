@@ -1,7 +1,7 @@
 //! A stop order that nobody has heard is not done: what the gateway does until somebody has.
 //!
 //! It goes on with the step that closes the brakes. Whatever it hears, the time of the brakes counts from there, and then servos off
-//! and E; only an answer to E ends it. A controller that was switched off meanwhile may answer E only: who asks for something of a
+//! and E; only an answer to E ends it. A controller that was powered off meanwhile may answer E only: who asks for something of a
 //! silent one has one E sent.
 
 use pb3dp_arm_pa10_protocol::codec::ArmReply;
@@ -27,7 +27,7 @@ impl Machine {
             self.host.refuse(now, &job.asker, Refused(RejectReason::NoAnswer, 0));
         }
         if self.state == GatewayState::Stopping {
-            // Hosts may come, and are told that nobody answers.
+            // Hosts may connect, and are informed that no controller answers.
             self.state = GatewayState::Idle;
         }
         self.is_unasked = self.state == GatewayState::Idle;

@@ -56,7 +56,7 @@ pub struct GatewayStatus {
     pub found: Option<FaultReport>,
     /// The dialect of the host that said HELLO, if one did.
     pub host: Option<Dialect>,
-    /// The controller has not answered the stop order: the arm may move, and is told to stop again and again.
+    /// The controller has not answered the stop order: the arm may move, and the stop order is repeated.
     pub is_unheard: bool,
     /// Counts of the cycle.
     pub cycle: CycleCounters,

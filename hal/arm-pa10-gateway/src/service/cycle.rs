@@ -285,7 +285,7 @@ impl HostLine {
         self.written < self.pending.len()
     }
 
-    /// Writes what there is to say, as far as there is room.
+    /// Writes the pending output that fits.
     fn flush(&mut self, core: &mut Gateway) -> Result<(), Unplugged> {
         loop {
             while self.is_full() {

@@ -38,7 +38,7 @@ pub enum HostSide {
     Line(Box<dyn Connector>),
 }
 
-/// What a server is told.
+/// Settings of a server.
 pub struct GatewayServerConfig {
     /// Of the core.
     pub gateway: GatewayConfig,
@@ -210,7 +210,7 @@ impl GatewayServer {
     }
 
     /// The stop order, the end, and how the gateway was then; `None` if its thread had failed, which
-    /// stops the arm as far as it still can. Waits for as long as the stop order
+    /// stops the arm if it still can. Waits for as long as the stop order
     /// takes: brakes have their time to close, and half a second is added.
     pub fn end(mut self) -> Option<GatewayStatus> {
         self.finish()

@@ -1,4 +1,4 @@
-//! Status words, as far as their meaning is known.
+//! Status words with known meaning.
 //!
 //! Flags are single bits; alarms are codes in bits 4 to 11. The codes are an enumeration: a test of single bits would take one
 //! alarm for another (over-current 0x0E has all bits of the velocity deviation 0x06). Values from Orca. Whether a switch bit means

@@ -49,7 +49,7 @@ pub struct HelloReply {
     pub dialect: Dialect,
     /// The wire format of the arm, as replies showed it; none before the first one.
     pub wire_format: Option<WireFormat>,
-    /// The geometry of the arm, as the gateway is told.
+    /// The geometry of the arm, from the settings of the gateway.
     pub geometry: Geometry,
     /// What it is doing.
     pub state: GatewayState,

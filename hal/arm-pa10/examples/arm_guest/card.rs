@@ -34,7 +34,7 @@ const RECEIVED: u8 = 0x80;
 const SENT: u8 = 0x01;
 const ACKNOWLEDGED: u8 = 0x02;
 
-/// What the driver is told.
+/// Settings of the driver.
 pub fn module_parameters(interface: &str) -> String {
     format!("io={MEMORY:#x} irq={BELL_LINE} node=0x42 device={interface}")
 }

@@ -29,7 +29,7 @@ const AT_REST_IN: Duration = Duration::from_millis(100);
 const ROUNDS: u32 = 3;
 const CLOSED_IN: Duration = Duration::from_millis(1500);
 
-/// Cycles in which an arm that is plugged in again is told to move, and must not.
+/// Cycles in which an arm that is plugged in again gets motion commands, and must not move.
 const CYCLES_WITHOUT_RESET: u32 = 30;
 
 /// Whose cable is pulled.

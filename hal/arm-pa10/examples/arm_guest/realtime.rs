@@ -14,7 +14,7 @@ const CYCLES: usize = 1000;
 
 pub fn check(report: &mut Report) {
     report.check("root gets a cycle of 2 ms: policy, memory, processor, clock", as_root);
-    report.check("nobody is told what is refused, and by which right it can be had", as_nobody);
+    report.check("the user nobody gets the refusal and the right that is needed", as_nobody);
 }
 
 fn as_root() -> Outcome {

@@ -141,7 +141,7 @@ fn refused_rate(path: &str, asked: u32, has: Option<u32>) -> Outcome {
     }
 }
 
-/// Before anybody has opened the ports: they keep what they are told.
+/// Before anybody has opened the ports: they keep the bytes that arrive.
 fn latency() -> Outcome {
     let [host, gateway] = [adapter(HOST)?, adapter(GATEWAY)?];
     let file = |path: &str| format!("/sys/bus/usb-serial/devices/{}/latency_timer", path.trim_start_matches("/dev/"));

@@ -1,4 +1,4 @@
-//! What an arm is told, and why there may be none.
+//! Settings of an arm, and why there may be none.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use pb3dp_hal_platform::transport::ConnectError;
 /// Above ordinary programs, below the interrupts of the system.
 pub const REALTIME: Realtime = Realtime { priority: Some(50), locks_memory: true, cpu: None };
 
-/// What an arm behind a gateway is told.
+/// Settings of an arm behind a gateway.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pa10ArmConfig {
     /// For messages: `vs-robot`.
@@ -26,7 +26,7 @@ pub struct Pa10ArmConfig {
     pub realtime: Realtime,
 }
 
-/// What an arm is told whose ARCNET card is in this computer. Nothing but the servo controller stands between program and arm then:
+/// Settings of an arm whose ARCNET card is in this computer. Nothing but the servo controller stands between program and arm then:
 /// where its time-out is not known, a gateway is the safer way.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BusArmConfig {

@@ -75,7 +75,7 @@ const OPEN_MAX: Duration = Duration::from_secs(2);
 /// Who enables an arm goes on exchanging with it: a velocity fades after 20 ms and stops the arm after 50 ms, and one that only holds
 /// is stopped, latched, after 5 s in which nobody asked for anything.
 ///
-/// Dropping it stops the arm: it is at rest within its emergency ramp, and the brakes are told to close within 100 ms.
+/// Dropping it stops the arm: it is at rest within its emergency ramp, and the brakes get the order to close within 100 ms.
 pub struct Pa10Arm {
     driver: DriverConfig,
     info: ArmInfo,
@@ -87,7 +87,7 @@ pub struct Pa10Arm {
     ends: Receiver<WishEnd>,
     work: Work,
     warnings: Vec<String>,
-    /// The request to be switched on that is being fulfilled: its number, and when its end has to be known.
+    /// The request to enable the arm that is being carried out: its number, and when its end has to be known.
     enabling: Option<(u64, MonotonicTime)>,
 }
 

@@ -71,7 +71,7 @@ pub(super) trait HostPort: Send {
     /// Takes a message of the driver. One that cannot be sent gets no answer, which the driver counts.
     fn send(&mut self, now: MonotonicTime, transmit: &Transmit, activity: Activity);
 
-    /// Writes what is to be written, as far as the line takes it.
+    /// Writes the pending bytes that the line accepts.
     ///
     /// # Errors
     /// If the link is gone: told once.

@@ -51,8 +51,8 @@ pub enum WishError {
     StillStopping(Duration),
     /// On a bus: the controller has not answered the stop order.
     #[error(
-        "its controller has not answered the stop order, and the arm may still move: press its emergency stop; it is told to stop \
-         for as long as this program runs"
+        "its controller has not answered the stop order, and the arm may still move: press its emergency stop; the stop order is repeated \
+         while this program runs"
     )]
     Unheard,
     /// The link cannot be opened again.

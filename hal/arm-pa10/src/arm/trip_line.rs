@@ -26,7 +26,7 @@ struct Member {
     waker: Waker,
 }
 
-/// How an arm is told to look around.
+/// Wakes the thread of an arm.
 #[derive(Debug)]
 enum Waker {
     /// Its thread waits for this.

@@ -49,7 +49,7 @@ pub(super) struct Progress {
     command: u64,
     request: u64,
     running: Option<Running>,
-    /// How the last request ended, until the owner is told.
+    /// Result of the last request, until the owner reads it.
     ended: Option<WishEnd>,
     /// The others were told that this arm has stopped.
     others_told: bool,

@@ -38,7 +38,7 @@ pub enum ArcnetError {
         /// What the system says of its type.
         got: u16,
     },
-    /// The interface is switched off.
+    /// The interface is down.
     #[error("network interface {name} is down; switch it on: ip link set {name} up")]
     Down {
         /// Its name.

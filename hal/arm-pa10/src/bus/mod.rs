@@ -58,7 +58,7 @@ pub trait BusPort: Send {
     fn fd(&self) -> BorrowedFd<'_>;
 }
 
-/// The bus is down: the interface was switched off or taken away, or the emulated controller ended.
+/// The bus is down: the interface was set down or removed, or the emulated controller ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the bus is down ({symptom}); check the card, its interface and the cable to the controller")]
 pub struct BusDown {

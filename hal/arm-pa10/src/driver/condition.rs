@@ -16,13 +16,13 @@ pub const MEASUREMENT_AGE_MAX: Duration = Duration::from_millis(30);
 /// A measurement of the arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// How old it was when the reply came, as far as the link tells.
+    /// How old it was when the reply came, if the link reports it.
     pub age: Duration,
     /// Joint angles, rad, never wrapped.
     pub position_rad: JointVector,
     /// Joint speeds, rad/s, where they are measured.
     pub velocity_rad_per_s: Option<JointVector>,
-    /// Torques at the joints, N m, as far as their scale is known.
+    /// Torques at the joints, N m; only where their scale is known.
     pub torque_n_m: JointVector,
     /// Flags and alarms.
     pub condition: ArmCondition,

@@ -1,4 +1,4 @@
-//! What a driver is told about its arm and link.
+//! Settings of a driver: its arm and its link.
 
 use std::f64::consts::TAU;
 use std::time::Duration;
@@ -30,7 +30,7 @@ const TORQUE_PART: f64 = 0.8;
 /// The longest that a joint may carry more.
 const TORQUE_FOR_MAX: Duration = Duration::from_millis(200);
 
-/// What a driver is told about its arm and link.
+/// Settings of a driver: its arm and its link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriverConfig {
     /// Time between two cyclic commands: 10 ms to a gateway, 2 ms on the bus.

@@ -1,4 +1,4 @@
-//! The host's side of one arm as a state machine that is told the time and does no I/O.
+//! The host's side of one arm as a state machine that receives the time and does no I/O.
 //!
 //! The owner of the link asks [`Driver::poll_transmit`] for the message that is due, hands replies to [`Driver::handle_reply`],
 //! tells damage and time, and passes on what the operator and the control loop want ([`Request`]). The link may be a gateway or

@@ -48,7 +48,7 @@ pub enum HelloError {
     },
     /// It stands at an arm of another geometry.
     #[error(
-        "the gateway is told a {got} arm, the configuration says {configured}; measure the arm and correct one of them"
+        "the gateway is set to a {got} arm, the configuration to {configured}; measure the arm and correct one of them"
     )]
     Geometry {
         /// Of the gateway.
@@ -83,7 +83,7 @@ pub enum LinkError {
     /// The message cannot be expressed.
     #[error("the message cannot be expressed")]
     Codec(#[from] CodecError),
-    /// The dialect has no place for what single axes are told.
+    /// The dialect has no field for commands of single axes.
     #[error("the dialect gateway-v1 gives one mode for all axes; give the axes one mode, or speak transparent")]
     MixedModes,
 }
@@ -417,7 +417,7 @@ impl GatewayLink {
     }
 }
 
-/// What a driver is told of a refusal: with what the gateway has found, if it says so.
+/// The refusal for a driver, with the finding of the gateway if there is one.
 fn refusal(reason: RejectReason, detail: u32) -> Reply {
     let found = u8::try_from(detail).ok().and_then(StopCause::from_code);
     match (reason, found) {

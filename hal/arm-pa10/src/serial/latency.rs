@@ -73,7 +73,7 @@ impl Latency {
     }
 }
 
-/// Makes the port hand on bytes at once, as far as that is possible.
+/// Makes the port hand on bytes at once, if that is possible.
 pub(super) fn lower(fd: BorrowedFd<'_>, path: &str) -> Latency {
     if set_low_latency(fd) {
         return Latency::Low;

@@ -144,7 +144,7 @@ impl Scene {
         assert_eq!(self.end.status().cause, cause);
     }
 
-    /// The next program is refused until it resets; then the arm moves. What it is told.
+    /// The next program is refused until it resets; then the arm moves. Returns its message.
     fn check_next_start(&self) -> String {
         self.check_still(Duration::from_millis(100));
         let mut arm = open(&self.path);

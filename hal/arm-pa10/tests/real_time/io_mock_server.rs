@@ -258,7 +258,7 @@ fn clocks_that_jump_never_leave_an_arm_moving_by_itself() {
             move_for(&mut arm, Duration::from_millis(500));
             let state = arm.state();
             if state == ArmState::Enabled {
-                // It goes on: then it also stops when it is told to, or because the machine is busy.
+                // It goes on: then it also stops on request, or because the machine is busy.
                 arm.stop().ok();
             } else {
                 let cause = arm.monitor().snapshot().latched;

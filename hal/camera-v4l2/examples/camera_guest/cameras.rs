@@ -223,7 +223,7 @@ fn formats() -> Outcome {
         for _ in 0..2 {
             next(&mut camera, &mut pair)?;
         }
-        // Colour bars: the same in every format, as far as the format can represent them.
+        // Colour bars: the same in every format, within what the format can represent.
         let sum: u64 = pair.left.pixels().map(|pixel| u64::from(pixel.0[1])).sum();
         brightness.push((*format, sum as f64 / f64::from(640 * 480)));
     }

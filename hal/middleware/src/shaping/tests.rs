@@ -105,7 +105,7 @@ fn a_joint_at_its_limit_holds_the_whole_arm() {
     assert!((away.set_point.velocity - JointVector::repeat(-0.01)).amax() < 1e-3, "{away:?}");
 }
 
-/// The first step has 0.01 s x jerk as its acceleration: S1 is told 0.5, 0.01 s x 40 x 0.01 s of that are possible.
+/// The first step has 0.01 s x jerk as its acceleration: S1 gets the command 0.5, 0.01 s x 40 x 0.01 s of that are possible.
 #[test]
 fn a_start_keeps_its_direction() {
     let desired = JointVector::from([0.5, -0.25, 0.0, 0.1, 0.2, 0.0, 1.0]);

@@ -125,7 +125,7 @@ pub fn assert_contract<A: Arm + ArmPower + 'static>(
 
 pub type Tamper = Box<dyn FnMut(&mut JointState) + Send>;
 
-/// Notes what an arm is told, and changes what it answers.
+/// Records the commands of an arm, and changes its answers.
 pub struct Tampered {
     pub arm: MockArm,
     pub told: Arc<Mutex<Vec<JointCommand>>>,

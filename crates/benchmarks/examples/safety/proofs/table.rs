@@ -1,4 +1,4 @@
-//! Which safeguard is shown by what.
+//! The proof of each safeguard.
 
 use pb3dp_safeguards::Safeguard::{self, *};
 use pb3dp_servo::supervisor::OperatorCommand;
@@ -12,7 +12,7 @@ use crate::scenario::{Dice, swing, there_and_back};
 type Motion = fn(&mut Dice) -> (pb3dp_sim::trajectory::MotionConfig, pb3dp_setup::setup::Carrier);
 type Faults = fn(&mut Dice) -> Vec<(f64, f64, Kind)>;
 
-/// The hand follows a target that swings by itself, or on the other arm.
+/// The hand follows a target that moves by itself, or on the other arm.
 const FREE: Motion = |_| swing(Nothing, Channel::X, 0.08, 4.0);
 const CARRIED: Motion = |_| swing(Arm, Channel::X, 0.06, 4.0);
 
@@ -27,7 +27,7 @@ const fn among(guard: Safeguard, others: &'static [Safeguard], motion: Motion, f
 /// Longer than a run.
 const FOR_EVER_S: f64 = 60.0;
 
-/// With a person, for whom a run goes on after a stop.
+/// With an operator, so that a run continues after a stop.
 const fn with_person(guard: Safeguard, others: &'static [Safeguard], motion: Motion, faults: Faults) -> Proof {
     Proof { guard, others, has_person: true, motion, faults }
 }
@@ -51,7 +51,7 @@ const JUMP: Faults = |_| vec![(0.1, 1.0, Kind::of_arm(0, "arm: encoder jumps", "
 const FAR_JUMP: Faults = |_| vec![(0.1, 1.0, Kind::of_arm(0, "arm: encoder jumps", "jump 2 0.95rad", None))];
 const RUNAWAY: Faults = |_| of_arm("arm: runaway joint", "runaway 1 1.0rad/s", "runaway 1 off");
 
-/// The order is that of the table on the page.
+/// In the order of the table on the page.
 pub const PROOFS: &[Proof] = &[
     among(EstimateStale, &[TargetLost, ObservationAge, ControllerRests], FREE, NO_POSE),
     among(ObservationAge, &[TargetLost, EstimateStale], FREE, NO_POSE),
@@ -83,7 +83,7 @@ pub const PROOFS: &[Proof] = &[
     }),
     among(GuardJump, &[GuardTracking, GuardSpeed], CARRIED, JUMP),
     among(GuardRange, &[GuardJump, GuardTracking, GuardSpeed], CARRIED, FAR_JUMP),
-    // The hand sees nothing and rests, and the other arm brings the target.
+    // The hand has no pose and holds, and the other arm brings the target.
     alone(CouplingRoom, |_| there_and_back(Arm, Channel::Z, -0.6, 3.0), |_| vec![(-1.8, 5.0, Kind::NoPose)]),
     among(LimiterStale, &[DriverLink, JointsStale, JointsAge], CARRIED, LINES_SILENT),
     among(JointsStale, &[DriverLink, LimiterStale, JointsAge], CARRIED, LINES_SILENT),
@@ -124,21 +124,21 @@ pub const PROOFS: &[Proof] = &[
     with_person(EmergencyStop, &[CouplingStop, TripLine, ArmFault], CARRIED, EMERGENCY),
 ];
 
-/// What these runs cannot show, and what shows it.
+/// Safeguards that these runs cannot show, and the tests that show them.
 pub const ELSEWHERE: [(Safeguard, &str); 6] = [
-    (ArmDisabled, "nothing moves with drives that are off; `crates/servo/tests/supervisor`, start_and_resume.rs"),
+    (ArmDisabled, "nothing moves while the drives are disabled; `crates/servo/tests/supervisor`, start_and_resume.rs"),
     (
         TargetLost,
-        "0.7 s later than what rests without a fresh pose; what it adds is how the arm goes on, `crates/servo/tests/supervisor`",
+        "takes effect 0.7 s after the hold without a fresh pose; it adds the conditions for resuming, `crates/servo/tests/supervisor`",
     ),
-    (PositionJump, "only the law `published` tells of jumps; `crates/servo/tests/supervisor/conditions.rs`"),
+    (PositionJump, "only the law `published` reports jumps; `crates/servo/tests/supervisor/conditions.rs`"),
     (OrientationJump, "the same"),
     (
         ClearForWords,
-        "a word has to fall between two outliers: one run in 1500; `crates/servo/tests/supervisor/settling.rs`",
+        "a command must fall between two outliers, which happens in one run of 1500; `crates/servo/tests/supervisor/settling.rs`",
     ),
     (
         ControllerRests,
-        "a controller that rests has no velocity that could be sent; it keeps the supervisor from calling that motion",
+        "a holding controller outputs no velocity to send; this condition keeps the supervisor from reporting motion",
     ),
 ];

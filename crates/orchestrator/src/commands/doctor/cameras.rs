@@ -117,7 +117,7 @@ fn named(system: &dyn System, who: &Identity, cameras: &[ConnectedCamera], names
     findings
 }
 
-/// Whether the setup has a calibration of its cameras, as far as the file itself tells.
+/// Whether the setup names a calibration of its cameras, according to the file itself.
 fn calibration(needs: &Needs) -> Finding {
     const CHECK: &str = "calibration";
     match &needs.nominal_calibration {

@@ -86,7 +86,7 @@ fn checked(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &CheckArgs
     }
     let taken = take(&mut camera, clock.as_ref(), args.pairs as usize);
     if taken.moments.len() < 2 {
-        bail!("{name}: no pairs come: {}", taken.failure.as_deref().unwrap_or("nothing is told"));
+        bail!("{name}: no pairs come: {}", taken.failure.as_deref().unwrap_or("the driver reports no reason"));
     }
     let mut findings = times::findings(&taken.moments, period, skew_max, &taken.counters);
     findings.extend(images::findings(&taken.samples, rig.as_ref()));
