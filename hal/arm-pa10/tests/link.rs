@@ -78,7 +78,7 @@ fn a_gateway_of_another_arm_or_format_is_refused_by_name() {
     let geometry = Geometry::FirstGeneration;
     let expected = HelloError::Geometry { got: Geometry::SecondGeneration, configured: geometry };
     assert_eq!(greet(GatewayLinkConfig { geometry, ..good }), expected);
-    assert!(expected.to_string().contains("told a second-generation arm"), "{expected}");
+    assert!(expected.to_string().contains("set to a second-generation arm"), "{expected}");
 }
 
 /// A gateway whose watchdog is none, or longer than the document allows, stops nothing in time.
