@@ -1,4 +1,4 @@
-//! What a test puts between a run and one of its arms.
+//! An intermediary between a run and one of its arms.
 
 use pb3dp_cell::parts::DrivenArm;
 use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
@@ -6,14 +6,14 @@ use pb3dp_hal_middleware::LimiterStatistics;
 
 type Exchange = dyn FnMut(&mut dyn DrivenArm, JointCommand) -> Result<JointState, ArmError> + Send;
 
-/// An arm whose exchanges the test makes; all else goes to the arm itself.
+/// An arm whose exchanges go through the test; all other calls go to the arm itself.
 pub struct Between {
     arm: Box<dyn DrivenArm>,
     exchange: Box<Exchange>,
 }
 
 impl Between {
-    /// Each command of the run is given to `exchange` with the arm; what that returns is what the run gets.
+    /// `exchange` gets each command of the run, with the arm; the run gets its return value.
     pub fn boxed(
         arm: Box<dyn DrivenArm>,
         exchange: impl FnMut(&mut dyn DrivenArm, JointCommand) -> Result<JointState, ArmError> + Send + 'static,

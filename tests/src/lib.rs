@@ -1,4 +1,4 @@
-//! Whole-system tests: in `tests/`, with real images in `data/`. Here is only what they share.
+//! Code shared by the whole-system tests, which are in `tests/`, with real images in `data/`.
 
 pub mod between;
 pub mod safety;

@@ -1,4 +1,4 @@
-//! Arms that write down what they were told and what they measured, and fail if asked to.
+//! Arms that record their commands and measurements, and fail on request.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -7,14 +7,14 @@ use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
 
 use crate::between::Between;
 
-/// What one arm was told (before its limiter) and measured, one entry per control step.
+/// Commands (before the limiter) and measurements of one arm, one entry per control step.
 #[derive(Clone, Default)]
 pub struct Notes {
     /// What it was told, before its limiter.
     pub commands: Arc<Mutex<Vec<JointCommand>>>,
     /// What it measured.
     pub measured: Arc<Mutex<Vec<JointState>>>,
-    /// After so many exchanges every further one fails.
+    /// After this many exchanges every further exchange fails.
     pub fail_after: Arc<Mutex<Option<usize>>>,
 }
 

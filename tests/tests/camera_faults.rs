@@ -1,5 +1,5 @@
-//! What the direct method makes of images with faults: it is not sure, or it is right within what it states, or the error is
-//! the one that no method could see.
+//! Images with faults in the direct method: it has no confidence, or it is right within its covariance, or the error is one
+//! that no method could detect.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
 
 use std::sync::Arc;
@@ -23,10 +23,10 @@ use pb3dp_sim::targets::TargetConfig;
 use system_tests::repository;
 
 const PERIOD: Duration = Duration::from_millis(33);
-/// Pairs 5 to 8 suffer.
+/// Pairs 5 to 8 have the fault.
 const SUFFER: std::ops::Range<u32> = 5..9;
 
-/// A target 500 mm before the cameras that goes to the right and turns.
+/// A target 500 mm in front of the cameras that moves to the right and rotates.
 #[derive(Clone, Copy)]
 struct Passing;
 
@@ -54,7 +54,7 @@ fn setup() -> Setup {
     setup
 }
 
-/// What was said of a pair, and how far from the truth it is: metres and radians, of the pose relative to that of pair 3.
+/// Answer for a pair, and its error relative to the truth: metres and radians, of the pose relative to that of pair 3.
 struct Said {
     number: u32,
     estimate: TrackEstimate,
@@ -66,8 +66,8 @@ impl Said {
         self.error.is_some() && self.estimate.status.depth_is_sure()
     }
 
-    /// Whether the error is one that the covariance admits, with the trust that configs/sim.toml has in it. Chosen: measured is 6.7 at
-    /// most, of six independent numbers one in a hundred is beyond 16.8, and the gate of the servo's filter is at 80.
+    /// Whether the covariance admits the error, with the trust of configs/sim.toml in it. Chosen: the largest measured value is
+    /// 6.7; of six independent numbers one in a hundred exceeds 16.8, and the gate of the servo's filter is at 80.
     fn is_right(&self) -> bool {
         self.normalised_error() < 12.0
     }
@@ -81,7 +81,7 @@ impl Said {
     }
 }
 
-/// Follows the target through 13 pairs.
+/// Tracks the target through 13 pairs.
 fn follow(kind: CameraFaultKind) -> Vec<Said> {
     let setup = setup();
     let scene = Scene::build(&setup.world().unwrap().scene).unwrap();
@@ -123,11 +123,11 @@ fn line(said: &Said) -> String {
     let error = error.map(|xi| {
         format!("{:.2} mm, {:.2} deg", xi.fixed_rows::<3>(0).norm() * 1e3, xi.fixed_rows::<3>(3).norm().to_degrees())
     });
-    format!("pair {number}: {}, {}; off by {error:?}", estimate.status, estimate.reason)
+    format!("pair {number}: {}, {}; error {error:?}", estimate.status, estimate.reason)
 }
 
-/// Neither while the fault lasts nor afterwards is a wrong pose given as a sure one, and in all pairs afterwards the target is followed.
-/// In at least so many of the pairs that suffer the method is sure, and right.
+/// No wrong pose is reported as confident, during the fault or afterwards, and all pairs afterwards have a pose. In at
+/// least this many of the pairs with the fault the method is confident and right.
 fn is_borne(kind: CameraFaultKind, sure_at_least: usize) -> Vec<Said> {
     let said = follow(kind);
     for said in &said[4..] {
@@ -136,10 +136,10 @@ fn is_borne(kind: CameraFaultKind, sure_at_least: usize) -> Vec<Said> {
     let after: Vec<&Said> = said.iter().filter(|said| said.number >= SUFFER.end).collect();
     assert_eq!(after.len(), 4, "{}", kind.name());
     for said in after {
-        assert!(said.is_sure(), "{}: found again, {}", kind.name(), line(said));
+        assert!(said.is_sure(), "{}: not confident after the fault, {}", kind.name(), line(said));
     }
     let sure = suffering(&said).filter(|said| said.is_sure()).count();
-    assert!(sure >= sure_at_least, "{}: sure of {sure} pairs that suffer", kind.name());
+    assert!(sure >= sure_at_least, "{}: confident in {sure} pairs with the fault", kind.name());
     said
 }
 
@@ -147,7 +147,7 @@ fn suffering(said: &[Said]) -> impl Iterator<Item = &Said> {
     said.iter().filter(|said| SUFFER.contains(&said.number))
 }
 
-/// In each pair that suffers the method is not sure of anything.
+/// In no pair with the fault is the method confident.
 fn is_told(kind: CameraFaultKind) {
     let said = is_borne(kind, 0);
     assert_eq!(suffering(&said).count(), SUFFER.len(), "{}", kind.name());
@@ -170,17 +170,17 @@ fn images_that_are_harder_to_read_are_read_right_or_not_at_all() {
         is_borne(CameraFaultKind::Brightness { cameras, factor }, 4);
     }
     is_borne(CameraFaultKind::Occluder { width_share: 0.1, crosses: true }, 2);
-    // Two of the four do not come at all.
+    // Two of the four do not arrive at all.
     is_borne(CameraFaultKind::Late { pairs: 2 }, 2);
     is_told(CameraFaultKind::Miscalibrated { columns_px: 0.0, rows_px: 4.0, roll_rad: 0.0, scale: 1.0 });
 }
 
-/// Both images torn at the same row show one bent target: what it moved in a period, 1.7 mm, is all that can be wrong, over half of
+/// Both images torn at the same row show one bent target: only its motion of a period, 1.7 mm, can be wrong, over half of
 /// its height, 20 mm.
 #[test]
 fn a_torn_pair_is_off_by_no_more_than_the_target_moved() {
     let said = follow(CameraFaultKind::Torn { share: 1.0 });
-    assert!(suffering(&said).filter(|said| said.is_sure()).count() >= 3, "torn pairs are read");
+    assert!(suffering(&said).filter(|said| said.is_sure()).count() >= 3, "torn pairs have confident poses");
     for said in said.iter().filter(|said| said.number > 3 && said.is_sure()) {
         let error = said.error.unwrap();
         let (off_m, turned_rad) = (error.fixed_rows::<3>(0).norm(), error.fixed_rows::<3>(3).norm());
@@ -189,14 +189,14 @@ fn a_torn_pair_is_off_by_no_more_than_the_target_moved() {
     }
 }
 
-/// A shift along the rows is what another depth looks like: no method can tell from the images. What it leads to is known.
+/// A shift along the rows looks like another depth: no method can detect it from the images. Its effect is known.
 #[test]
 fn what_no_image_tells_is_off_by_what_geometry_says() {
     let (disparity_px, columns_px) = (74.0, 1.0);
     let kind = CameraFaultKind::Miscalibrated { columns_px, rows_px: 0.0, roll_rad: 0.0, scale: 1.0 };
     let farther_mm = 500.0 * (disparity_px / (disparity_px - columns_px) - 1.0);
     let said = follow(kind);
-    assert!(suffering(&said).filter(|said| said.is_sure()).count() >= 3, "no image tells, so the method is sure");
+    assert!(suffering(&said).filter(|said| said.is_sure()).count() >= 3, "the images do not show the fault");
     for said in suffering(&said).filter(|said| said.is_sure()) {
         let off_mm = said.error.unwrap().fixed_rows::<3>(0).norm() * 1e3;
         assert!((off_mm - farther_mm).abs() < 1.0, "{farther_mm} mm: {}", line(said));

@@ -1,4 +1,4 @@
-//! Every file in `configs/` is read by the part of the program that it is for.
+//! Every file in `configs/` is read by the part of the program that uses it.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -25,7 +25,7 @@ fn every_configuration_is_accepted_by_its_reader() {
             read_estimator(file).unwrap_or_else(|error| panic!("{error}"));
             estimators += 1;
         } else if path == "gateway.toml" {
-            // Where it listens is left to the command line.
+            // The command line gives its address.
             read_gateway(file, None, Some("serial:/dev/ttyUSB0")).unwrap_or_else(|error| panic!("{error}"));
             gateways += 1;
         } else if path.ends_with(".toml")
@@ -35,7 +35,7 @@ fn every_configuration_is_accepted_by_its_reader() {
             setups += 1;
         } else if ["calibration_gates.toml", "calibration_verify.toml", "hand_eye_gates.toml"].contains(&path.as_str())
         {
-            // Read by `pb3dp calibrate`, whose own tests compare it with the limits that are built in.
+            // Read by `pb3dp calibrate`, whose own tests compare the file with the built-in limits.
         } else if path.starts_with("calibration/") {
             load_stereo(std::slice::from_ref(file)).unwrap_or_else(|error| panic!("{error}"));
         } else if path.starts_with("robots/") && path.ends_with(".urdf") {
@@ -52,9 +52,9 @@ fn every_configuration_is_accepted_by_its_reader() {
             let setup = changed_setup(&[("# carries_cameras = \"ur5e\"", &named)]);
             assert_eq!(setup.rig.vs.key, format!("arms.{name}"));
         } else if path.starts_with("deploy/") {
-            // Read by the system; `cargo xtask tidy` parses each of these, and refuses others.
+            // Read by the operating system; `cargo xtask tidy` parses each of these, and rejects others.
         } else {
-            panic!("{path}: no reader is known for this kind of file; name it in this test");
+            panic!("{path}: no reader of this kind of file is known; add it to this test");
         }
     }
     assert!(setups > 1 && estimators == 1 && gateways == 1 && robots > 0, "{files:?}");
@@ -71,7 +71,7 @@ fn the_estimator_file_and_the_setup_hold_the_documented_defaults() {
     }
 }
 
-/// The keys in which two setups differ, without what belongs to one of these tables.
+/// The keys in which two setups differ, without the keys of these tables.
 fn differing(a: &str, b: &str, but: &[&str]) -> Vec<String> {
     let of = |name: &str| -> BTreeMap<String, String> {
         let args = SetupArgs::of_file(&repository().join("configs").join(name));
@@ -80,13 +80,13 @@ fn differing(a: &str, b: &str, but: &[&str]) -> Vec<String> {
     };
     let (a, b) = (of(a), of(b));
     let keys: BTreeSet<&String> = a.keys().chain(b.keys()).collect();
-    // The same robot description lies beside a file and in the program.
+    // The same robot description exists next to a file and in the program.
     let but: Vec<&str> = but.iter().copied().chain(["arms.vs.robot", "arms.tc.robot"]).collect();
     let is_other = |key: &&&String| a.get(**key) != b.get(**key) && !but.iter().any(|table| key.starts_with(table));
     keys.iter().filter(is_other).map(|key| (*key).clone()).collect()
 }
 
-/// The shipped setups are the same cell and the same experiment, so that their figures can be compared.
+/// The shipped setups have the same workcell and the same experiment, so that their figures are comparable.
 #[test]
 fn the_setups_differ_only_in_what_they_are_for() {
     let of_feed_forward =
@@ -121,7 +121,7 @@ fn the_setups_differ_only_in_what_they_are_for() {
     );
 }
 
-/// The cameras of a rig by themselves are those of its setup.
+/// The cameras of a rig alone equal those of its setup.
 #[test]
 fn the_cameras_of_the_rig_can_be_read_alone() {
     let file = repository().join("configs/rig.toml");

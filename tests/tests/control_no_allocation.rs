@@ -1,4 +1,4 @@
-//! A control step of a run, through all that stands before both arms, does not touch the heap.
+//! A control step of a run, with the full chain of both arms, does not allocate.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
 
 use nalgebra::Matrix6;
@@ -13,7 +13,7 @@ use pb3dp_setup::setup::read_setup;
 use pb3dp_wiring::wire;
 use system_tests::repository;
 
-/// Steps after which every ring is full: more than the joints' past and the flight recorder hold.
+/// Steps after which every ring is full: more than the joint history and the flight recorder hold.
 const WARM_UP: usize = 2500;
 const COUNTED: usize = 1000;
 
@@ -28,7 +28,7 @@ fn control_steps_of_both_arms_do_not_allocate() {
     for step in 0..WARM_UP + COUNTED {
         let now = clock.now() + setup.control_period;
         clock.sleep_until(now);
-        // What the cameras would see without error, of a model whose frame is the target's.
+        // An error-free observation of a model whose frame is the target's.
         let cam_left_from_target = cell.world_from_cam_left_at(now).inverse() * cell.world_from_target_at(now);
         let observation = TargetObservation {
             at: now,

@@ -1,5 +1,5 @@
-//! One set of limits: whatever speed scale a setup states, each consumer of an arm's limits keeps to the same numbers, which are
-//! computed here once more from the robot description.
+//! One set of limits: with any speed scale of a setup, each consumer of an arm's limits uses the same numbers, which this
+//! test computes independently from the robot description.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -22,7 +22,7 @@ use pb3dp_wiring::wire;
 
 use crate::closed_loop::support::changed_setup;
 
-/// Of the robot description, configs/robots/pa10_gen2.urdf, rad/s.
+/// From the robot description, configs/robots/pa10_gen2.urdf, rad/s.
 const DRIVES_RAD_PER_S: [f64; DOF] = [1.0, 1.0, 2.0, 2.0, 2.0, TAU, TAU];
 const SCALES: [f64; 3] = [0.10, 0.25, 0.6];
 const CYCLE: Duration = Duration::from_millis(10);
@@ -39,7 +39,7 @@ fn assert_equal(found: &JointVector, expected: &JointVector, what: &str) {
     assert!((found - expected).amax() < 1e-3 * expected.amax(), "{what}: {found} instead of {expected}");
 }
 
-/// An arm that has each velocity at once, times a factor.
+/// An arm that reaches each velocity at once, times a factor.
 struct Prompt {
     info: ArmInfo,
     clock: Arc<VirtualClock>,
@@ -101,7 +101,7 @@ fn fastest_behind_the_limiter(arm: &ArmSetup) -> JointVector {
         let config = LimiterConfig { start: StartPose::Anywhere, ..arm.limiter.clone() };
         let mut limiter = Limiter::new(prompt, arm.limits, config, Arc::clone(&clock) as Arc<dyn Clock>).unwrap();
         limiter.enable().unwrap();
-        // Away from where the joint stands, until the end of its range makes it slower.
+        // Away from the joint's position, until the end of its range slows it.
         let direction = if arm.start_rad[joint] > 0.0 { -1.0 } else { 1.0 };
         let speeds = (0..400).map(|_| {
             clock.sleep_until(clock.now() + CYCLE);
@@ -111,7 +111,7 @@ fn fastest_behind_the_limiter(arm: &ArmSetup) -> JointVector {
     })
 }
 
-/// Whether the guard lets a joint of this arm have this speed for some samples.
+/// Whether the guard accepts this speed of a joint of this arm for some samples.
 fn is_within_guard(arm: &ArmSetup, joint: usize, speed_rad_per_s: f64) -> bool {
     let (prompt, clock) = Prompt::new(arm.start_rad, 1.0);
     let mut guard = Guard::new(prompt, arm.limits, arm.guard.clone()).unwrap();
@@ -121,7 +121,7 @@ fn is_within_guard(arm: &ArmSetup, joint: usize, speed_rad_per_s: f64) -> bool {
     })
 }
 
-/// The largest share of what is allowed that any joint gets from the controller before a target that is far away.
+/// The largest share of its limit that the controller gives any joint for a target that is far away.
 fn share_of_the_controller(setup: &Setup, scale: f64) -> f64 {
     let mut config = setup.controller;
     (config.speed.soft_start_s, config.approach.speed) = (0.0, config.speed.tracking);
@@ -151,7 +151,7 @@ fn share_of_the_controller(setup: &Setup, scale: f64) -> f64 {
     share
 }
 
-/// Quick moves of the target's arm, which the planner refuses at the first joint that would be too fast.
+/// Quick moves of the target's arm; the planner refuses them at the first joint that would be too fast.
 fn refused_by_the_planner(arm: &ArmSetup, setup: &Setup) -> (usize, f64) {
     let target = arm.world_from_base * arm.chain.forward(&arm.start_rad) * setup.rig.flange_from_target;
     let quick = StepExperimentConfig { move_s: 0.05, hold_s: 0.1, ..StepExperimentConfig::default() };
@@ -197,7 +197,7 @@ fn commissioning_only_takes_away() {
             assert_equal(arm.limits.velocity_max_rad_per_s(), &expected, "commissioning");
             assert_equal(other.limits.velocity_max_rad_per_s(), &allowed(scale.min(0.10)), "the other arm");
             assert_equal(&fastest_behind_the_limiter(arm), &expected, "limiter of commissioning");
-            // The guard knows that slow gears ripple by 0.02 rad/s.
+            // The guard allows for the ripple of slow gears, 0.02 rad/s.
             for joint in 0..DOF {
                 assert!(is_within_guard(arm, joint, 1.05 * (expected[joint] + 0.02)), "{scale}, {joint}");
                 assert!(!is_within_guard(arm, joint, 1.15 * (expected[joint] + 0.02)), "{scale}, {joint}");

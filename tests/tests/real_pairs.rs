@@ -1,4 +1,4 @@
-//! Every method on the real pairs of the repository, which carry their truth.
+//! Every method on the real pairs of the repository, which have ground truth.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests may fail the test")]
 
 use std::time::Duration;
@@ -18,7 +18,7 @@ use system_tests::repository;
 fn cases() -> Vec<Case> {
     let folders = find_cases(&repository().join("tests/data/cases")).unwrap();
     let cases: Vec<Case> = folders.iter().map(|folder| load_case(folder).unwrap()).collect();
-    assert!(cases.len() >= 4 && cases.iter().all(|case| case.truth.is_some()), "real pairs with truth are there");
+    assert!(cases.len() >= 4 && cases.iter().all(|case| case.truth.is_some()), "there are real pairs with truth");
     cases
 }
 
@@ -31,7 +31,7 @@ fn published(case: &Case, images: &StereoImages, seed: u64, saturation_min: f64)
     run(Estimator::new(Method::Published, &rig, &config).unwrap(), case, images)
 }
 
-/// The direct method, the rows measured beforehand or taken as they are.
+/// The direct method, with the vertical misalignment measured beforehand or assumed to be zero.
 fn direct(case: &Case, images: &StereoImages, measures_rows: bool) -> PlaneEstimate {
     let rig = case.load_calibration().unwrap().rig;
     let mut estimator = Estimator::new(Method::Direct, &rig, &EstimatorConfig::default()).unwrap();
@@ -69,7 +69,7 @@ fn no_answer_of_the_published_method_is_sure_and_wrong() {
     let mut sure = 0;
     for case in cases() {
         let images = case.load_images().unwrap();
-        // With a gate that lets noise through, the grey fields of the boards get hues that mean nothing.
+        // With a gate that lets noise through, the grey fields of the boards get meaningless hues.
         for (seed, saturation_min) in [(1, 0.08), (2, 0.08), (3, 0.08), (1, 0.04), (1, 0.02)] {
             let found = published(&case, &images, seed, saturation_min);
             let what =
@@ -77,14 +77,14 @@ fn no_answer_of_the_published_method_is_sure_and_wrong() {
             match errors(&case, &found) {
                 Some((depth, _)) if found.status.depth_is_sure() => {
                     sure += 1;
-                    assert!(depth.abs() < 0.02, "{what}: the depth is off by {:.1} %", depth * 100.0);
+                    assert!(depth.abs() < 0.02, "{what}: the depth error is {:.1} %", depth * 100.0);
                 }
-                None => assert!(!found.status.depth_is_sure(), "{what}: sure of a pose that is not there"),
-                Some(_) => assert!(!found.reason.is_empty(), "{what}: a doubt has its reason"),
+                None => assert!(!found.status.depth_is_sure(), "{what}: confident without a pose"),
+                Some(_) => assert!(!found.reason.is_empty(), "{what}: low confidence needs a reason"),
             }
         }
     }
-    assert!(sure > 0, "at least one of the boards has enough colour to be answered");
+    assert!(sure > 0, "at least one of the boards has enough colour for an answer");
 }
 
 #[test]
@@ -117,7 +117,7 @@ fn the_direct_method_finds_every_board_to_a_tenth_of_a_percent_and_half_a_degree
     }
 }
 
-/// A board two squares off looks like itself, so in a range without the truth its alias fits most of what both share.
+/// A board shifted by two squares looks like itself, so in a range without the truth its alias fits most of the overlap.
 #[test]
 fn a_board_outside_the_depth_range_is_not_sure_of_its_alias() {
     let mut case = cases().into_iter().find(|case| case.name == "bb204_c0").unwrap();
@@ -132,7 +132,7 @@ fn a_board_outside_the_depth_range_is_not_sure_of_its_alias() {
     }
 }
 
-/// Parts of the boards, each with a range that misses it; the answers to all of them were once `ok`, an alias or chance.
+/// Parts of the boards, each with a depth range that excludes it; earlier versions answered all of them with `ok`.
 #[test]
 fn a_part_of_a_board_outside_the_depth_range_is_not_sure_of_anything() {
     let parts = [

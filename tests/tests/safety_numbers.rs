@@ -1,4 +1,4 @@
-//! What the safety invariants have written down once more is what the product has: arm, shape, limits.
+//! The numbers that the safety invariants restate equal those of the product: arm, shape, limits.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
 
 use nalgebra::Vector3;
@@ -17,7 +17,7 @@ fn setup() -> Setup {
     read_setup(&repository().join("configs/sim.toml")).unwrap()
 }
 
-/// Joints all over their ranges; the same ones each time.
+/// Joints from the whole of their ranges; the same ones each time.
 fn many_joints(count: usize) -> impl Iterator<Item = Joints> {
     let mut random = SplitMix64::new(11);
     let operating_rad = Rules::of_the_rig().arms[0].operating_rad;
@@ -45,7 +45,7 @@ fn two_ways_to_write_the_arm_down_give_the_same_flange() {
 #[test]
 fn two_ways_to_compute_room_between_arms_agree() {
     let (mut setup, mut rules) = (setup(), Rules::of_the_rig());
-    // Nearer than in the cell, so that some overlap.
+    // Closer than in the workcell, so that some overlap.
     for (arm, x_m) in [-0.4, 0.4].into_iter().enumerate() {
         rules.arms[arm].body.base.translation_m[0] = x_m;
         let base = if arm == 0 { &mut setup.rig.vs.world_from_base } else { &mut setup.rig.tc.world_from_base };
@@ -70,7 +70,7 @@ fn two_ways_to_compute_room_between_arms_agree() {
     assert!(overlaps > 3, "arms that overlap are among them: {overlaps}");
 }
 
-/// A setup that is changed beyond what the rules say has to be seen.
+/// A setup that exceeds the rules must be detected.
 #[test]
 fn the_setup_of_the_cell_keeps_to_the_rules() {
     let (setup, rules) = (setup(), Rules::of_the_rig());

@@ -1,4 +1,4 @@
-//! Ways to start or resume wrongly, over the whole program in virtual time: docs/start-and-resume.md lists them.
+//! Ways to start or resume wrongly, with the whole program in virtual time: docs/start-and-resume.md lists them.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests may fail the test")]
 
 use std::sync::{Arc, Mutex};
@@ -19,13 +19,13 @@ use pb3dp_setup::setup::{Leader, Setup, read_setup};
 use pb3dp_wiring::wire;
 use system_tests::repository;
 
-/// Both arms move at least so fast when they are stopped, rad/s.
+/// Both arms move at least this fast when they are stopped, rad/s.
 const MOVING_RAD_PER_S: f64 = 0.02;
 
-/// A joint that is slower than this rests, rad/s.
+/// A joint slower than this is stationary, rad/s.
 const AT_REST_RAD_PER_S: f64 = 1e-3;
 
-/// A setup without images whose arm carries the target, on its first way from 2.1 s to 4.1 s if it is started at 0.6 s.
+/// A setup without images; its arm carries the target along its first path from 2.1 s to 4.1 s if it is started at 0.6 s.
 fn setup() -> Setup {
     let mut setup = read_setup(&repository().join("configs/sim.toml")).unwrap();
     setup.compared.clear();
@@ -34,7 +34,7 @@ fn setup() -> Setup {
     setup
 }
 
-/// A person who says these words at these times (seconds), and is there until he falls silent.
+/// An operator who gives these commands at these times (seconds), with a heartbeat until he falls silent.
 struct Person {
     words: Vec<(f64, OperatorCommand)>,
     silent: (f64, f64),
@@ -70,7 +70,7 @@ impl Operator for Person {
     }
 }
 
-/// What an arm was told, and where it was then; when it was reset, and when stopped.
+/// Commands of an arm with its positions at that time; times of its resets and stops.
 #[derive(Default)]
 struct Noted {
     told: Vec<(f64, JointCommand, Option<JointState>)>,
@@ -78,16 +78,16 @@ struct Noted {
     stops_s: Vec<f64>,
 }
 
-/// An arm with an emergency stop, which is pressed from one time to another, and latches however short that is.
+/// An arm with an emergency stop, which is pressed during a period, and latches even if that is short.
 struct Stoppable {
     inner: Box<dyn DrivenArm>,
     clock: Arc<dyn Clock>,
     pressed: Vec<(f64, f64)>,
-    /// Until when everything that was pressed is cleared.
+    /// Time up to which a reset clears the pressed stops.
     cleared_s: f64,
-    /// So many stops do not reach the arm.
+    /// This many stops do not reach the arm.
     stops_failing: usize,
-    /// Velocities are refused from one time to another.
+    /// Period in which velocities are refused.
     refuses: (f64, f64),
     noted: Arc<Mutex<Noted>>,
 }
@@ -174,29 +174,29 @@ impl DrivenArm for Stoppable {
     }
 }
 
-/// A run that is to be.
+/// The plan of a run.
 #[derive(Clone, Default)]
 struct Scene {
-    /// Said at these times, seconds.
+    /// Commands at these times, seconds.
     words: Vec<(f64, OperatorCommand)>,
     /// The emergency stop of the hand's arm, seconds.
     pressed: Vec<(f64, f64)>,
-    /// When the person is silent, seconds.
+    /// When the operator's heartbeat ends, seconds.
     silent: (f64, f64),
-    /// A reset is heard so much later than it was said.
+    /// Delay from a reset to its arrival.
     resets_late_s: f64,
-    /// So many stops do not reach the arm with the target.
+    /// This many stops do not reach the arm with the target.
     tc_stops_failing: usize,
-    /// When the hand's arm, and the one with the target, refuse velocities, seconds.
+    /// Periods in which the hand's arm, and the one with the target, refuse velocities, seconds.
     refuse: [(f64, f64); 2],
 }
 
-/// A run that is over, and what was noticed of it: by arm, the one with the cameras first.
+/// A finished run, with its records: by arm, the one with the cameras first.
 struct Seen {
     setup: Setup,
     ended: Ended,
     noted: [Arc<Mutex<Noted>>; 2],
-    /// What the innermost recorders hold: the last 5 s.
+    /// Contents of the innermost recorders: the last 5 s.
     flights: [FlightLog; 2],
     trouble: Vec<String>,
 }
@@ -227,7 +227,7 @@ impl Seen {
         self.ended.outcome.log.supervision.summary().transitions
     }
 
-    /// When this happened, seconds.
+    /// Times of this event, seconds.
     fn times_of(&self, event: &str) -> Vec<f64> {
         self.transitions().iter().filter(|note| note.event == event).map(|note| note.t_s).collect()
     }
@@ -237,11 +237,11 @@ impl Seen {
         for (noted, name) in self.noted.iter().zip(NAMES) {
             let noted = noted.lock().unwrap();
             let inside: Vec<_> = noted.told.iter().filter(|(at_s, ..)| (from_s..until_s).contains(at_s)).collect();
-            assert!(!inside.is_empty(), "{name} is looked at");
+            assert!(!inside.is_empty(), "{name} has samples");
             for (at_s, command, measured) in inside {
                 let is_rest = match command {
                     JointCommand::Hold => true,
-                    // A latched arm is asked so why it is latched.
+                    // A latched arm gets such a command so that it reports why it is latched.
                     JointCommand::Velocity(velocity) => velocity.amax() == 0.0,
                 };
                 assert!(is_rest, "{name} gets a motion command at {at_s} s: {command:?}");
@@ -251,7 +251,7 @@ impl Seen {
         }
     }
 
-    /// These arms (0: with the cameras, 1: with the target) move until then, and so many seconds later they have come to rest.
+    /// These arms (0: with the cameras, 1: with the target) move until then, and are stationary this many seconds later.
     fn braking_s(&self, stopped_s: f64, arms: &[usize]) -> f64 {
         let braking_s = arms.iter().map(|&arm| {
             let noted = self.noted[arm].lock().unwrap();
@@ -271,13 +271,13 @@ impl Seen {
         braking_s.fold(0.0, f64::max) + self.setup.control_period.as_secs_f64()
     }
 
-    /// Both arms move until they are stopped, are at rest after their braking time and one cycle, and rest until then.
+    /// Both arms move until they are stopped, stop within their braking time and one cycle, and do not move until then.
     fn stops(&self, stopped_s: f64, until_s: f64) {
         self.rests(stopped_s + self.braking_s(stopped_s, &[0, 1]), until_s);
     }
 
-    /// What these arms are sent from this time on leads from where they are and from rest, and changes in no cycle by more than one
-    /// cycle of acceleration allows.
+    /// From this time on the commands of these arms start at their position and from standstill, and change in no cycle by
+    /// more than one cycle of acceleration.
     fn begins_where_it_is(&self, from_s: f64, arms: &[usize]) {
         for &arm in arms {
             let name = NAMES[arm];
@@ -299,12 +299,12 @@ impl Seen {
             let is_first =
                 |(at_s, command, _): &(f64, JointCommand, JointState)| *at_s >= from_s && sent(*command).amax() > 0.0;
             let first = exchanges.iter().position(is_first);
-            let first = first.unwrap_or_else(|| panic!("{name} goes on: {:?} {:?}", self.transitions(), self.trouble));
+            let first = first.unwrap_or_else(|| panic!("{name} stays: {:?} {:?}", self.transitions(), self.trouble));
             let (before, begun) = (exchanges[first - 1].2, exchanges[first].2);
             let speed = begun.velocity_rad_per_s.amax();
-            assert!(speed < AT_REST_RAD_PER_S, "{name} comes from rest: {speed} rad/s");
+            assert!(speed < AT_REST_RAD_PER_S, "{name} starts from standstill: {speed} rad/s");
             let jump_rad = (begun.position_rad - before.position_rad).amax();
-            assert!(jump_rad < AT_REST_RAD_PER_S, "{name} is where it was: {jump_rad} rad");
+            assert!(jump_rad < AT_REST_RAD_PER_S, "{name} has not moved: {jump_rad} rad");
             let most = [&self.setup.rig.vs, &self.setup.rig.tc][arm].limits.acceleration_max_rad_per_s2()
                 * (self.setup.control_period.as_secs_f64() * 1.001);
             for pair in exchanges[first - 1..].windows(2).take(50) {
@@ -328,7 +328,7 @@ impl Seen {
 
 const BEGIN: [(f64, OperatorCommand); 2] = [(0.1, OperatorCommand::Select), (0.6, OperatorCommand::Start)];
 
-/// Begins, and says this then; the emergency stop of the hand's arm is pressed in these times.
+/// Starts a run and gives these commands; the emergency stop of the hand's arm is pressed in these periods.
 fn scene(more: &[(f64, OperatorCommand)], pressed: &[(f64, f64)]) -> Scene {
     let words = BEGIN.iter().chain(more).copied().collect();
     Scene { words, pressed: pressed.to_vec(), ..Scene::default() }
@@ -357,7 +357,7 @@ fn a_person_selects_starts_holds_and_resumes() {
     let names: Vec<&str> = transitions.iter().map(|note| note.event).filter(|event| *event != "left").collect();
     assert_eq!(names[..2], ["select", "start"]);
     assert!(names.contains(&"hold") && names.contains(&"resume"), "{names:?}");
-    assert!(seen.braking_s(3.0, &[0]) < 0.5, "the hand moves when hold is said");
+    assert!(seen.braking_s(3.0, &[0]) < 0.5, "the hand moves when `hold` is given");
     seen.begins_where_it_is(4.9, &[0]);
     seen.ends_following();
 }
@@ -385,7 +385,7 @@ fn a_released_emergency_stop_starts_nothing_by_itself() {
     let seen = scene(&[], &[(3.0, 4.0)]).run(8.0);
     seen.stops(3.0, 8.0);
     seen.ends_in("fault");
-    assert!(seen.ended.how.is_ok(), "where a person leads a fault does not end the run");
+    assert!(seen.ended.how.is_ok(), "with an operator a fault does not end the run");
 }
 
 #[test]
@@ -440,7 +440,7 @@ fn a_person_who_falls_silent_and_speaks_again_has_to_reset() {
 #[test]
 fn a_second_emergency_stop_behind_the_reset_stops_again() {
     let more = [(4.5, OperatorCommand::Reset), (5.0, OperatorCommand::Select), (6.0, OperatorCommand::Start)];
-    // It is pressed again while both arms wait for the start.
+    // The stop is pressed again while both arms wait for the start.
     let seen = scene(&more, &[(3.0, 4.0), (5.5, 7.0)]).run(9.0);
     seen.stops(3.0, 9.0);
     assert_eq!(seen.times_of("fault-found").len(), 2, "{:?}", seen.transitions());
@@ -456,7 +456,7 @@ fn a_second_emergency_stop_behind_the_reset_stops_again() {
 
 #[test]
 fn a_reset_that_was_said_too_early_clears_no_arm() {
-    // Said too long ago, and said before the emergency stop.
+    // Given too long ago, and given before the emergency stop.
     for (reset_s, resets_late_s, pressed, why) in [
         (4.5, 1.0, (3.0, 3.2), "the request is 1.000 s old"),
         (3.2, 0.4, (3.0, 3.05), "before the state changed to fault"),
@@ -471,7 +471,7 @@ fn a_reset_that_was_said_too_early_clears_no_arm() {
     }
 }
 
-/// An emergency stop so short that it is over when the step comes in which the second reset is heard.
+/// An emergency stop so short that it is over when the step comes in which the second reset arrives.
 #[test]
 fn a_reset_clears_nothing_that_the_supervisor_has_not_seen() {
     let more = [(4.5, OperatorCommand::Reset), (5.003, OperatorCommand::Reset)];
@@ -479,7 +479,7 @@ fn a_reset_clears_nothing_that_the_supervisor_has_not_seen() {
     assert_eq!(seen.noted[0].lock().unwrap().resets_s.len(), 1, "the second one clears nothing");
     assert_eq!(seen.times_of("fault-found").len(), 2, "{:?}", seen.transitions());
     seen.ends_in("fault");
-    // The same while both arms are stopped by word.
+    // The same while both arms are stopped by a command.
     let seen = scene(&[(3.0, OperatorCommand::Stop), (5.003, OperatorCommand::Reset)], &[(5.002, 5.006)]).run(7.0);
     assert!(seen.noted[0].lock().unwrap().resets_s.is_empty());
     seen.ends_in("fault");
@@ -510,7 +510,7 @@ fn a_stop_that_fails_is_tried_again_and_nothing_is_reset_before() {
     seen.ends_in("idle");
 }
 
-/// Whichever arm it is, the hand rests until the person goes on, and the other arm is exchanged with in each step.
+/// With either arm, the hand holds until the operator resumes, and the other arm exchanges data in each step.
 #[test]
 fn a_command_that_an_arm_refuses_is_a_hold_until_resume() {
     for refuse in [[(3.0, 3.02), (0.0, 0.0)], [(0.0, 0.0), (3.0, 3.02)]] {
@@ -529,7 +529,7 @@ fn a_command_that_an_arm_refuses_is_a_hold_until_resume() {
     }
 }
 
-/// Nobody resets where the command leads: the run ends, and its report says why.
+/// Without an operator a fault is not reset: the run ends, and its report gives the reason.
 #[test]
 fn a_fault_that_ends_a_run_is_on_top_of_its_report() {
     let setup = setup();
@@ -553,7 +553,7 @@ fn a_fault_that_ends_a_run_is_on_top_of_its_report() {
     assert!(figures.contains("\"ended_by\": \"") && figures.contains("the emergency stop of the test"));
 }
 
-/// The page lists at least 50 ways, each with a test that exists.
+/// The page lists at least 50 ways, each with an existing test.
 #[test]
 fn each_way_of_the_page_has_its_test() {
     let page = std::fs::read_to_string(repository().join("docs/start-and-resume.md")).unwrap();

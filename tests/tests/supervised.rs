@@ -1,4 +1,4 @@
-//! The supervisor between the controller and the arms of a run: what is not permitted does not move.
+//! The supervisor between the controller and the arms of a run: without permission nothing moves.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
 
 use std::sync::Arc;
@@ -24,10 +24,10 @@ use pb3dp_wiring::{Wired, wire, wire_at_rest, wire_watched};
 use system_tests::between::Between;
 use system_tests::repository;
 
-/// A joint that is slower than this rests, rad/s: one count of the resolver in one cycle is 0.8 mrad/s.
+/// A joint slower than this is stationary, rad/s: one count of the resolver in one cycle is 0.8 mrad/s.
 const AT_REST_RAD_PER_S: f64 = 1e-3;
 
-/// Some replies of the arm with the cameras get lost, by the number of the exchange; it holds meanwhile.
+/// Some replies of the arm with the cameras are lost, by the number of the exchange; the arm holds meanwhile.
 fn with_losses(parts: Parts, is_lost: impl Fn(usize) -> bool + Send + 'static) -> Parts {
     let mut exchanges = 0;
     let vs = Between::boxed(parts.vs, move |arm, command| {
@@ -54,7 +54,7 @@ struct Bench<'a> {
     cell: SimulatedCell,
     setup: &'a Setup,
     steps: u64,
-    /// Observations of the cameras; none if they are covered.
+    /// Observations of the cameras; none while they are covered.
     target: Option<u64>,
     confidence: Confidence,
     /// The fastest joint of the hand's arm since it was asked for.
@@ -62,7 +62,7 @@ struct Bench<'a> {
 }
 
 impl<'a> Bench<'a> {
-    /// A hand that follows the target on its first way.
+    /// A hand that tracks the target on its first path.
     fn following(setup: &'a Setup, parts: Parts, experiment: &'a dyn Trajectory) -> Self {
         let Parts { clock, vs, tc, cell, .. } = parts;
         let mut moving = Moving::new(setup, (vs, tc), experiment, clock.now()).unwrap();
@@ -109,7 +109,7 @@ impl<'a> Bench<'a> {
         (0..steps).map(|_| self.step()).last().unwrap()
     }
 
-    /// Runs, and nothing of the hand's arm may move.
+    /// Runs; the hand's arm must not move.
     fn rests_for(&mut self, seconds: f64) -> Moved {
         self.fastest_rad_per_s = 0.0;
         let moved = self.run(seconds);
@@ -125,7 +125,7 @@ fn a_hand_whose_eyes_are_shut_rests_and_goes_on_from_where_it_is() {
     let experiment = parts.experiment.clone();
     let mut bench = Bench::following(&setup, parts, &*experiment);
     bench.target = None;
-    // Stale after 0.25 s, at rest 0.3 s later at most: 0.6 rad/s at 2 rad/s^2.
+    // Stale after 0.25 s, stationary at most 0.3 s later: 0.6 rad/s at 2 rad/s^2.
     let moved = bench.run(0.6);
     assert_eq!(moved.decision.permission, Permission::Hold);
     let moved = bench.rests_for(1.0);
@@ -144,8 +144,8 @@ fn a_hand_whose_eyes_are_shut_rests_and_goes_on_from_where_it_is() {
     }
     let first = first.unwrap();
     let moved_by = (first.vs_joints.position_rad - rested.position_rad).amax();
-    assert!(moved_by < 0.01, "the first command is where the arm is: {moved_by} rad");
-    assert!(first.vs_joints.velocity_rad_per_s.amax() < AT_REST_RAD_PER_S, "it begins from rest");
+    assert!(moved_by < 0.01, "the first command is at the arm's position: {moved_by} rad");
+    assert!(first.vs_joints.velocity_rad_per_s.amax() < AT_REST_RAD_PER_S, "it starts from standstill");
     assert_eq!(bench.run(2.0).decision.state, State::Tracking);
 }
 
@@ -165,7 +165,7 @@ fn a_target_that_the_estimator_took_anew_is_not_followed() {
     );
     bench.target = Some(1);
     let moved = bench.rests_for(3.0);
-    assert_eq!(moved.decision.state, State::Holding, "nobody said that it may go on");
+    assert_eq!(moved.decision.state, State::Holding, "no command to resume was given");
 }
 
 #[test]
@@ -187,7 +187,7 @@ fn a_loss_waits_for_the_operator_if_the_policy_says_so() {
 const SEARCH: SearchConfig =
     SearchConfig { back_m: 0.03, radius_m: 0.02, turns: 2.0, speed_m_per_s: 0.02, time_s: 30.0 };
 
-/// A hand whose target is lost while images come on: how far it goes from where it rested, and how fast, for this time.
+/// A hand whose target is lost while images continue: its distance from the position of its hold, and its speed, for this time.
 fn hand_after_loss(bench: &mut Bench<'_>, begin: Pose<World, Hand>, until_s: f64) -> (f64, f64, Moved) {
     let at = |bench: &Bench<'_>| bench.cell.world_from_hand_at(bench.clock.now());
     let (mut before, mut farthest_m, mut fastest_m_per_s, mut last) = (at(bench), 0.0f64, 0.0f64, None);
@@ -202,7 +202,7 @@ fn hand_after_loss(bench: &mut Bench<'_>, begin: Pose<World, Hand>, until_s: f64
     (farthest_m, fastest_m_per_s, last.unwrap())
 }
 
-/// Follows, loses its target, and comes to rest.
+/// Tracks, loses its target, and holds.
 fn lost<'a>(setup: &'a Setup, parts: Parts, experiment: &'a dyn Trajectory) -> Bench<'a> {
     let mut bench = Bench::following(setup, parts, experiment);
     bench.confidence = Confidence::NoPose;
@@ -232,11 +232,11 @@ fn a_search_keeps_its_bounds_and_ends_where_it_began() {
     let mut bench = lost(&setup, parts, &*experiment);
     let begin = bench.cell.world_from_hand_at(bench.clock.now());
     let (farthest_m, fastest_m_per_s, moved) = hand_after_loss(&mut bench, begin, 4.0);
-    assert!(farthest_m > 0.02, "it looks round: {farthest_m}");
+    assert!(farthest_m > 0.02, "it searches: {farthest_m}");
     assert_eq!((moved.decision.state, moved.mode), (State::Lost, Mode::Searching));
     assert!(moved.decision.why.to_string().starts_with("lost: the hand searches for the target"));
     let (farthest_later_m, fastest_later_m_per_s, _) = hand_after_loss(&mut bench, begin, 16.0);
-    // What the arm lags behind is on top.
+    // Plus the lag of the arm.
     assert!(farthest_m.max(farthest_later_m) < 1.1 * SEARCH.reach_m(), "{farthest_m} {farthest_later_m}");
     assert!(
         fastest_m_per_s.max(fastest_later_m_per_s) < 1.2 * SEARCH.speed_m_per_s,
@@ -256,14 +256,14 @@ fn a_search_ends_when_the_target_is_found_and_when_anything_else_is_wrong() {
     let experiment = parts.experiment.clone();
     let mut bench = lost(&setup, parts, &*experiment);
     assert_eq!(bench.run(1.0).mode, Mode::Searching);
-    // No image comes any more: nothing is looked for.
+    // Without images there is no search.
     let (cameras, confidence) = (bench.target.take(), bench.confidence);
     bench.run(0.6);
     assert_eq!(bench.rests_for(0.5).decision.permission, Permission::Hold);
     (bench.target, bench.confidence) = (cameras, confidence);
-    assert_eq!(bench.rests_for(3.0).decision.state, State::Lost, "what was broken off does not begin again");
+    assert_eq!(bench.rests_for(3.0).decision.state, State::Lost, "an aborted search does not start again");
     bench.confidence = Confidence::Sure;
-    assert_eq!(bench.run(3.0).decision.state, State::Tracking, "found, and the policy lets it go on");
+    assert_eq!(bench.run(3.0).decision.state, State::Tracking, "found, and the policy resumes");
     bench.confidence = Confidence::NoPose;
     assert_eq!(bench.run(2.0).mode, Mode::Searching, "the next loss has a search of its own");
     bench.confidence = Confidence::Sure;
@@ -293,7 +293,7 @@ fn nothing_moves_while_the_target_was_never_seen() {
     assert!(line.contains("no confident pose yet") && line.contains("then use start [PB3DP-SUP-"), "{line}");
 }
 
-/// A stop of the supervisor ends the run with its reason; both arms rest afterwards.
+/// A stop of the supervisor ends the run with its reason; both arms hold afterwards.
 #[test]
 fn a_stop_by_a_policy_ends_the_run_with_its_reason() {
     let mut setup = setup();
@@ -316,7 +316,7 @@ fn a_stop_by_a_policy_ends_the_run_with_its_reason() {
     bench.moving.stop().unwrap();
 }
 
-/// Every arm waits for what every arm needs: here one arm does not answer for half a second.
+/// All arms wait for data that all arms need: here one arm does not answer for half a second.
 #[test]
 fn an_arm_that_does_not_answer_holds_the_other_one_too_and_its_way_waits() {
     let setup = setup();
@@ -336,21 +336,21 @@ fn an_arm_that_does_not_answer_holds_the_other_one_too_and_its_way_waits() {
     let rested = tc(&bench);
     assert!(rested.velocity_rad_per_s.amax() < AT_REST_RAD_PER_S, "{rested:?}");
     is_mute.store(false, Ordering::SeqCst);
-    assert!(bench.step().decision.no_arm_may_move, "what answers now is known in the next step");
+    assert!(bench.step().decision.no_arm_may_move, "the next step uses the new answer");
     let (mut before, mut fastest_again) = (rested, 0.0_f64);
     for _ in 0..150 {
         assert!(!bench.step().decision.no_arm_may_move);
         let now = tc(&bench);
-        // As fast as before, and what it had lost by the rest at 2 per second; without a jump.
+        // As fast as before, minus the loss by the hold, which recovers at 2 per second; without a jump.
         assert!(now.velocity_rad_per_s.amax() < 1.3 * fastest.max(0.05), "{now:?}");
         assert!((now.velocity_rad_per_s - before.velocity_rad_per_s).amax() < 0.06, "{now:?} after {before:?}");
         before = now;
         fastest_again = fastest_again.max(now.velocity_rad_per_s.amax());
     }
-    assert!(fastest_again > 0.5 * fastest, "it goes on: {fastest_again} rad/s after {fastest}");
+    assert!(fastest_again > 0.5 * fastest, "it resumes: {fastest_again} rad/s after {fastest}");
 }
 
-/// A target that is suddenly elsewhere is not followed there before the operator has said so.
+/// A target that jumps is not tracked there before the operator's command.
 #[test]
 fn a_target_that_jumps_is_not_followed_by_itself() {
     for (channel, translation_m, rotation_rad) in
@@ -383,7 +383,7 @@ fn a_target_that_jumps_is_not_followed_by_itself() {
     }
 }
 
-/// What an arm did while its reply was lost is what it was seen to do: it held.
+/// An arm whose reply is lost holds, and its recorded motion shows that.
 #[test]
 fn a_swing_whose_replies_get_lost_knows_that_the_arm_held() {
     let mut setup = setup();
@@ -395,8 +395,8 @@ fn a_swing_whose_replies_get_lost_knows_that_the_arm_held() {
     assert_eq!(held, 700 / 70, "each lost reply is a held cycle");
 }
 
-/// Brakes take seconds to open, and those of one arm open before those of the other one: a joint that runs away in that time is found
-/// within some hundredths of a second, and both arms stop.
+/// Brakes take seconds to open, and those of one arm open before those of the other: a joint that runs away in that time is
+/// detected within some hundredths of a second, and both arms stop.
 #[test]
 fn a_joint_that_runs_away_while_both_arms_are_switched_on_stops_both() {
     let mut setup = read_setup(&repository().join("configs/hil.toml")).unwrap();

@@ -1,4 +1,4 @@
-//! `cargo xtask bench`: measurements of speed, and of what the estimators reach.
+//! `cargo xtask bench`: measures the speed of the program and the accuracy of the estimators.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -11,44 +11,46 @@ use serde_json::{Value, json};
 use crate::workspace::{Workspace, run_visibly};
 
 const OUT: &str = "out/bench";
-/// Benches that are programs of their own.
+/// Benchmarks that are separate programs.
 const EXAMPLES: &str = "crates/benchmarks/examples";
 const PAGES: &str = "docs/benchmarks";
 
-/// Rounds of the example `speed` in a quick run.
+/// Rounds of the example `published_speed` in a quick run.
 const QUICK_ROUNDS: &str = "40";
 
-/// Measures, with optimisation, and keeps the figures beside the commit and the machine.
+/// Runs benchmarks with optimisation, and saves the figures with the commit and the machine.
 ///
-/// speed   the published method (kernels, a frame, ratio to the naive scalar version), then the direct one: cold start,
-///         tracking, kernels, and what the times depend on; --cases DIR adds real cases, --quick takes half a minute;
+/// speed   the published method (kernels, a frame, ratio to the naive scalar version), then the direct method: cold start,
+///         tracking, kernels, and scaling; --cases DIR adds real cases, --quick takes half a minute;
 ///         `cargo xtask bench speed -- --help` lists the options. Writes docs/benchmarks/speed.md
-/// raster  stereo pairs per second and core from the simulator's rasteriser
-/// real    every method on real stereo cases, beside other tools if they are given: --cases DIR, --peers DIR;
+/// raster  stereo pairs per second and core of the simulator's rasteriser
+/// real    every method on real stereo cases, compared with other tools if given: --cases DIR, --peers DIR;
 ///         `cargo xtask bench real -- --help` lists the options. Writes docs/benchmarks/real.md
-/// accuracy  every method on rendered scenes with exact truth, beside the Cramér-Rao bound (up to 20 minutes on two cores;
+/// accuracy  every method on rendered scenes with exact truth, compared with the Cramér-Rao bound (up to 20 minutes on two cores;
 ///           --quick: 3); `cargo xtask bench accuracy -- --help` lists the options. Writes docs/benchmarks/accuracy.md
-/// figures  the figures of docs/method.md, on rendered scenes: some minutes. Writes docs/images/score.svg, noise.svg, track.svg
-/// servo   how well the hand follows in simulation: the experiment of Fig. 7, sinusoids, steps, beside what an ideal filter or the
-///         arm's limits allow; fails if a limit is missed (ten minutes on two idle cores; --quick: seconds; --only WORDS, --seed N). Writes docs/benchmarks/servo.md
+/// figures  the figures of docs/method.md, on rendered scenes: takes some minutes. Writes docs/images/score.svg, noise.svg, track.svg
+/// servo   tracking error of the hand in simulation: the experiment of Fig. 7, sinusoids, steps, compared with an ideal filter or
+///         the arm's limits; fails if a limit is missed (ten minutes on two idle cores; --quick: seconds; --only WORDS,
+///         --seed N). Writes docs/benchmarks/servo.md
 /// safety  seeded runs in which everything goes wrong, with both arms emulated in virtual time, judged on the simulator's truth;
 ///         fails if anything does not hold, and says how to do that run again: --runs N, --seed N, --quick, --trace,
 ///         --imaged N (of the first runs so many once more with rendered images); a run of default length writes docs/benchmarks/safety.md. --disabled, in a build of its own: each safeguard disabled, which
 ///         must show; --only NAME: some of them; all of them write their part of that page
 /// all     speed and raster
 ///
-/// All are in crates/benchmarks: the examples `published_speed` and `raster_speed` measure the published method and the rasteriser, `servo` and `safety` the whole loop, `pb3dp-bench` all others; each prints its own table. The figures are also kept in `out/bench/*.json`, with
-/// commit, processor and compiler. Measure on an idle machine.
+/// All are in crates/benchmarks: the examples `published_speed` and `raster_speed` measure the published method and the
+/// rasteriser, `servo` and `safety` the whole loop, `pb3dp-bench` all others; each prints its own table. The figures are also
+/// saved in `out/bench/*.json`, with commit, processor and compiler. Measure on an idle machine.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
-    /// What to measure.
+    /// The benchmark.
     #[arg(value_enum, default_value = "all")]
     what: What,
-    /// JSON instead of the table, from the programs that can; it is kept as figures, the table as text.
+    /// Print and save JSON instead of the table, for programs with this option.
     #[arg(long)]
     json: bool,
-    /// Further options, which go to the program: not for raster and all.
+    /// Further options for the program; not for raster and all.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "OPTIONS")]
     options: Vec<String>,
 }
@@ -65,11 +67,11 @@ enum What {
     All,
 }
 
-/// Subcommands of `pb3dp-bench` in crates/benchmarks: they take options and write what they find themselves.
+/// Subcommands of `pb3dp-bench` in crates/benchmarks, which take options and save their results themselves.
 const PROGRAMS: [(What, &str); 4] =
     [(What::Speed, "speed"), (What::Real, "real"), (What::Accuracy, "accuracy"), (What::Figures, "figures")];
 
-/// What `all` stands for.
+/// The benchmarks of `all`.
 const OF_ALL: [What; 2] = [What::Speed, What::Raster];
 
 struct Bench {
@@ -95,7 +97,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     let wanted = |what: What| args.what == What::All && OF_ALL.contains(&what) || args.what == what;
     let takes_options = PROGRAMS.iter().any(|(what, _)| *what == args.what);
     if let Some(option) = args.options.first().filter(|_| !takes_options) {
-        bail!("`{option}`: only `speed`, `real`, `accuracy` and `figures` take further options");
+        bail!("`{option}`: no such option here; only `speed`, `real`, `accuracy` and `figures` take further options");
     }
     let asks_for_help = args.options.iter().any(|option| option == "--help" || option == "-h");
     for bench in BENCHES.iter().filter(|bench| wanted(bench.what) && !asks_for_help) {
@@ -107,12 +109,12 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Runs the example `servo`; a whole run writes its page.
+/// Runs the example `servo`; a full run writes its page.
 fn servo(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
     let mut command = workspace.cargo();
     command.args(["run", "--release", "--locked", "--package", "pb3dp-benchmarks", "--example", "servo", "--"]);
     command.args(["--origin", &origin(workspace), "--json", &format!("{OUT}/servo.json")]);
-    // A sample or a part of it leaves the page as it is; what else may be said the program knows.
+    // A sample or a partial run does not change the page; the program checks its other options.
     if options.is_empty() {
         command.args(["--page", PAGES]);
     }
@@ -120,7 +122,7 @@ fn servo(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
     run_visibly(&mut command)
 }
 
-/// Runs the example `safety`; a whole run writes its page.
+/// Runs the example `safety`; a full run writes its page.
 fn safety(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
     let mut command = workspace.cargo();
     command.args(["run", "--release", "--locked", "--package", "pb3dp-benchmarks", "--example", "safety"]);
@@ -135,10 +137,10 @@ fn safety(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
     run_visibly(&mut command)
 }
 
-/// Runs a subcommand of `pb3dp-bench` where the user stands, so that the folders which are given mean what they say.
+/// Runs a subcommand of `pb3dp-bench` in the user's current folder, so that relative paths are correct.
 fn run_program(workspace: &Workspace, subcommand: &str, args: &Args) -> anyhow::Result<()> {
     let mut command = workspace.cargo();
-    command.current_dir(std::env::current_dir().context("the current folder is gone")?);
+    command.current_dir(std::env::current_dir().context("cannot find the current folder")?);
     command.args(["run", "--release", "--locked", "--quiet", "--package", "pb3dp-benchmarks", "--manifest-path"]);
     command.arg(workspace.root().join("Cargo.toml")).args(["--bin", "pb3dp-bench", "--", subcommand, "--root"]);
     command.arg(workspace.root()).args(args.json.then_some("--json")).args(&args.options);
@@ -149,8 +151,8 @@ fn run_program(workspace: &Workspace, subcommand: &str, args: &Args) -> anyhow::
     Ok(())
 }
 
-/// Runs an example and keeps its figures; those of the published method go onto the page of `pb3dp-bench speed`, which
-/// reads them as figures.
+/// Runs an example and saves its figures; those of the published method go to the page of `pb3dp-bench speed`, which reads
+/// them as JSON.
 fn measure(workspace: &Workspace, bench: &Bench, args: &Args) -> anyhow::Result<()> {
     let mut command = workspace.cargo();
     command.args([
@@ -174,16 +176,16 @@ fn measure(workspace: &Workspace, bench: &Bench, args: &Args) -> anyhow::Result<
     println!("== {} (cargo run --release -p pb3dp-benchmarks --example {})", bench.name, bench.example);
     let (results, table) = run_and_collect(&mut command)?;
     let folder = workspace.root().join(OUT);
-    std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {OUT}"))?;
+    std::fs::create_dir_all(&folder).with_context(|| format!("cannot create {OUT}"))?;
     let path = format!("{OUT}/{}.json", bench.name);
     let kept = json!({ "bench": bench.name, "where": circumstances(workspace), "results": results, "printed": table });
     std::fs::write(workspace.root().join(&path), format!("{kept:#}\n"))
         .with_context(|| format!("cannot write {path}"))?;
-    println!("kept in {path}");
+    println!("saved in {path}");
     Ok(())
 }
 
-/// Whether an example's source mentions the option `--json`; an example is one file or a folder.
+/// Whether an example's source contains the option `--json`; an example is one file or a folder.
 fn offers_json(folder: &Path, example: &str) -> anyhow::Result<bool> {
     let (file, directory) = (folder.join(format!("{example}.rs")), folder.join(example));
     let mut sources = vec![file];
@@ -192,12 +194,12 @@ fn offers_json(folder: &Path, example: &str) -> anyhow::Result<bool> {
     }
     let texts: Vec<String> = sources.iter().filter_map(|path| std::fs::read_to_string(path).ok()).collect();
     if texts.is_empty() {
-        bail!("there is no example `{example}` in {}", folder.display());
+        bail!("no example `{example}` in {}", folder.display());
     }
     Ok(texts.iter().any(|text| text.contains("\"--json\"")))
 }
 
-/// Runs the program and shows what it prints; returns the lines that are JSON objects, and the other lines.
+/// Runs the program and prints its output; returns the JSON lines, and the other lines.
 fn run_and_collect(command: &mut Command) -> anyhow::Result<(Vec<Value>, Vec<String>)> {
     let mut child = command.stdout(Stdio::piped()).spawn().context("cannot start cargo")?;
     let stdout = child.stdout.take().context("the program has no output")?;
@@ -217,7 +219,7 @@ fn run_and_collect(command: &mut Command) -> anyhow::Result<(Vec<Value>, Vec<Str
     Ok((results, table))
 }
 
-/// Commit, processor and compiler; "unknown" where the machine does not tell.
+/// Commit, processor and compiler; "unknown" if not available.
 fn circumstances(workspace: &Workspace) -> Value {
     let told = |program: &str, args: &[&str]| workspace.output_of(program, args);
     let unknown = || "unknown".to_owned();
@@ -232,13 +234,13 @@ fn circumstances(workspace: &Workspace) -> Value {
     })
 }
 
-/// Commit, processor and compiler as a line of a page.
+/// Commit, processor and compiler as a line for a page.
 pub fn origin(workspace: &Workspace) -> String {
     let found = circumstances(workspace);
     format!(
         "Commit {}{}; {}; {}.",
         found["commit"].as_str().unwrap_or("unknown").chars().take(12).collect::<String>(),
-        if found["uncommitted_changes"] == true { " with changes that are not committed" } else { "" },
+        if found["uncommitted_changes"] == true { "  with uncommitted changes" } else { "" },
         found["processor"].as_str().unwrap_or("unknown processor"),
         found["compiler"].as_str().unwrap_or("unknown compiler"),
     )

@@ -1,4 +1,4 @@
-//! `cargo xtask check-deps`: who may know whom.
+//! `cargo xtask check-deps`: rules for dependencies and access to the system.
 
 mod graph;
 mod modules;
@@ -8,23 +8,23 @@ mod source;
 use crate::violation::{Violation, conclude};
 use crate::workspace::Workspace;
 
-/// Checks who may know whom.
+/// Checks the rules for dependencies between packages and modules, and for access to the system.
 ///
-/// * Dependencies between our packages run downwards only, as in the table of xtask/src/check_deps/graph.rs; every package
-///   of the workspace has its line there.
-/// * No circle between the modules that a package's lib.rs declares.
-/// * Who may name a backend is a list of modules; backends do not name each other, the estimation or the servo.
-/// * The entry of the estimation has at most 120 public items, and no re-export without names.
-/// * Nothing enables the feature `disabled-guards`, with which tests switch safeguards off, but who asks for it by name.
-/// * serde stands in setup, cell, commissioning, orchestrator, record, benchmarks and calibration only.
-/// * Files, threads, clocks, the environment, the network: each may be used only by the modules that the table of
-///   xtask/src/check_deps/source.rs allows; tests are exempt.
+/// * Dependencies between our packages go downwards only, as in the table of xtask/src/check_deps/graph.rs; every package
+///   of the workspace has a row there.
+/// * No cycle between the modules that a package's lib.rs declares.
+/// * A list of modules may name backends; backends do not name each other, the estimation or the servo.
+/// * The entry of the estimation has at most 120 public items, and no glob re-export.
+/// * Nothing enables the feature `disabled-guards`, with which tests disable safeguards, unless a build requests it by name.
+/// * Only setup, cell, commissioning, orchestrator, record, benchmarks and calibration use serde.
+/// * Files, threads, clocks, the environment, the network: only the modules in the table of xtask/src/check_deps/source.rs
+///   may use them; tests are exempt.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {}
 
 /// # Errors
-/// If a rule is broken, or cargo or a file cannot be read.
+/// If a rule is violated, or cargo or a file cannot be read.
 pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
     let packages = graph::packages(&workspace.metadata()?)?;
     let mut violations: Vec<Violation> = graph::check(&packages);

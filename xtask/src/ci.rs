@@ -1,4 +1,4 @@
-//! `cargo xtask ci`: everything that must hold before a change is taken.
+//! `cargo xtask ci`: all checks before a change is merged.
 
 mod changes;
 mod steps;
@@ -10,24 +10,24 @@ use crate::workspace::Workspace;
 use changes::Changes;
 use steps::{Progress, STEPS, Step};
 
-/// Runs every check, the cheapest first, and stops at the first that fails.
+/// Runs all checks, the fastest first, and stops at the first failure.
 ///
-/// fmt, tidy, check-deps, licences, clippy, rustdoc, tests, safeguards; then, where the change touches what they check: a bare rig
-/// calibrated by the commands of its documentation, a quick run of the accuracy benchmark, drivers in emulated computers, the fuzz
-/// targets, Miri, the oldest compiler. The change is what differs from the merge base with the main branch (or from the commit that
-/// PB3DP_CI_BASE names), with all packages that depend on it; where no base is known everything runs. Tests run their long sweeps
-/// for touched packages only. What was left out is printed at the end.
+/// fmt, tidy, check-deps, licences, clippy, rustdoc, tests, safeguards; then, if the change touches what they check: calibration of
+/// a bare rig by the commands of its documentation, a quick run of the accuracy benchmark, drivers in emulated computers, the
+/// fuzz targets, Miri, the oldest compiler. The change is the difference from the merge base with the main branch (or from the
+/// commit in PB3DP_CI_BASE), with all packages that depend on it; without a known base all checks run. Tests run their long
+/// sweeps for touched packages only. At the end the command prints what it left out.
 ///
-/// Warnings of clippy and rustdoc are errors. Needs the rustup components rustfmt and clippy (the failure says what to type), and
-/// nothing else beside rustc, cargo and cc. Steps that want more (QEMU and a kernel, a nightly compiler) fetch it where that is
-/// permitted, and are skipped where it is not.
+/// Warnings of clippy and rustdoc are errors. Needs the rustup components rustfmt and clippy (the error message gives the command
+/// to install them), and otherwise only rustc, cargo and cc. Steps with further needs (QEMU and a kernel, a nightly compiler)
+/// install them if permitted, and are skipped otherwise.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
-    /// Run one check only, whatever the change touches.
+    /// Run this check only, even if the change does not touch it.
     #[arg(long, value_parser = STEPS.map(|step| step.name))]
     only: Option<String>,
-    /// Run everything, whatever the change touches.
+    /// Run all checks, even if the change does not touch them.
     #[arg(long)]
     all: bool,
     /// Also print the 20 slowest test programs with build and run time.
@@ -35,17 +35,17 @@ pub struct Args {
     timings: bool,
 }
 
-/// What became of a step.
+/// Result of a step.
 enum Outcome {
     Passed,
     Failed,
-    /// This machine lacks what it needs.
+    /// This machine lacks a requirement.
     Skipped(String),
-    /// The change does not touch what it checks.
+    /// The change does not touch what the step checks.
     LeftOut,
 }
 
-/// A step that ran, or not.
+/// A step with its result.
 struct Done {
     name: &'static str,
     time: Duration,
@@ -56,7 +56,7 @@ struct Done {
 /// If a check fails.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     let changes = match args.all || args.only.is_some() {
-        true => Changes::Everything("by --all or --only".to_owned()),
+        true => Changes::Everything("--all or --only is given".to_owned()),
         false => changes::find(workspace)?,
     };
     println!("{}", changes.text());
@@ -96,7 +96,7 @@ fn take(step: &Step, progress: &mut Progress<'_>) -> (Done, Option<anyhow::Error
         Err(error) => match error.downcast_ref::<NotPossible>() {
             Some(why) => (Outcome::Skipped(why.to_string()), None),
             None => {
-                let repeat = format!("`{}` failed; to repeat it: cargo xtask ci --only {}", step.name, step.name);
+                let repeat = format!("`{}` failed; repeat it by: cargo xtask ci --only {}", step.name, step.name);
                 (Outcome::Failed, Some(error.context(repeat)))
             }
         },
@@ -104,7 +104,7 @@ fn take(step: &Step, progress: &mut Progress<'_>) -> (Done, Option<anyhow::Error
     (Done { name: step.name, time: start.elapsed(), outcome }, error)
 }
 
-/// The table of the checks, and what was not checked.
+/// The table of the checks, and the checks that did not run.
 fn summary(done: &[Done], progress: &Progress<'_>) -> String {
     let mut text = table(done);
     if let Changes::Packages { .. } = progress.changes {

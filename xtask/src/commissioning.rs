@@ -1,4 +1,4 @@
-//! `cargo xtask commissioning`: the bare rig, calibrated by the commands of the documentation, and then put to work.
+//! `cargo xtask commissioning`: calibrates the bare rig by the commands of the documentation, and then runs the experiment.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,35 +9,35 @@ use anyhow::{Context, bail};
 use crate::workspace::{Workspace, run_visibly};
 
 const DOCUMENT: &str = "docs/commissioning.md";
-/// The section whose commands are done.
+/// The section whose commands are run.
 const HEADING: &str = "## 10. Calibrate cameras and hand";
 const PLACE: &str = "out/commissioning";
-/// By how much more the hand may be off than with a cell that is exactly as its setup says.
+/// Largest allowed ratio of the tracking error to that of a workcell that equals its setup exactly.
 const RATIO_MAX: f64 = 1.3;
-/// What is compared, and how it is called.
+/// The compared figures, with their names.
 const FIGURES: [(&str, &str); 2] = [
     ("tracking_position_mm", "hand, position, mm rms"),
     ("tracking_orientation_deg", "hand, orientation, degrees rms"),
 ];
 
 /// Calibrates configs/bare.toml by the commands of docs/commissioning.md, step 10, word by word, in a copy of configs in
-/// out/commissioning; a calibration that a gate refuses ends it.
+/// out/commissioning; stops if a gate rejects a calibration.
 ///
-/// Then the experiment of Fig. 7 with it, and with a cell that is exactly as its setup says: fails if the hand is off by more than 1.3
-/// times as much. Some minutes.
+/// Then runs the experiment of Fig. 7 with this calibration, and with a workcell that equals its setup exactly: fails if the
+/// tracking error is more than 1.3 times as large. Takes some minutes.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
-    /// Without the experiments.
+    /// Skip the experiments.
     #[arg(long)]
     calibrate_only: bool,
-    /// Built with optimisation; the experiments take a third of the time then.
+    /// Build with optimisation; the experiments then take a third of the time.
     #[arg(long)]
     release: bool,
 }
 
 /// # Errors
-/// If a command fails, or the hand is off by too much.
+/// If a command fails, or the tracking error is too large.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     with_programs(workspace, args, &build(workspace, args.release)?)
 }
@@ -45,11 +45,11 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
 fn with_programs(workspace: &Workspace, args: &Args, programs: &Path) -> anyhow::Result<()> {
     let place = workspace.root().join(PLACE);
     if place.exists() {
-        fs::remove_dir_all(&place).with_context(|| format!("{PLACE} cannot be removed"))?;
+        fs::remove_dir_all(&place).with_context(|| format!("cannot remove {PLACE}"))?;
     }
     copy_folder(&workspace.root().join("configs"), &place.join("configs"))?;
     let text =
-        fs::read_to_string(workspace.root().join(DOCUMENT)).with_context(|| format!("{DOCUMENT} cannot be read"))?;
+        fs::read_to_string(workspace.root().join(DOCUMENT)).with_context(|| format!("cannot read {DOCUMENT}"))?;
     for command in commands(&text)? {
         in_shell(&place, programs, &command)?;
     }
@@ -61,10 +61,10 @@ fn with_programs(workspace: &Workspace, args: &Args, programs: &Path) -> anyhow:
     compare(&found?, &exact?)
 }
 
-/// The calibration alone, for `cargo xtask ci`, with programs that are there or are built.
+/// The calibration alone, for `cargo xtask ci`, with existing programs or after a build.
 ///
 /// # Errors
-/// As [`run`].
+/// Those of [`run`].
 pub fn calibrate(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<()> {
     let args = Args { calibrate_only: true, release: false };
     match programs {
@@ -78,25 +78,25 @@ fn build(workspace: &Workspace, release: bool) -> anyhow::Result<PathBuf> {
     let profile: &[&str] = if release { &["--release"] } else { &[] };
     let packages = ["--locked", "--package", "pb3dp-orchestrator", "--package", "pb3dp-calibration", "--bins"];
     run_visibly(workspace.cargo().arg("build").args(profile).args(packages))?;
-    let target = workspace.metadata()?["target_directory"].as_str().context("cargo names no folder")?.to_owned();
+    let target = workspace.metadata()?["target_directory"].as_str().context("the output of cargo metadata has no target folder")?.to_owned();
     Ok(Path::new(&target).join(if release { "release" } else { "debug" }))
 }
 
 fn copy_folder(from: &Path, to: &Path) -> anyhow::Result<()> {
-    fs::create_dir_all(to).with_context(|| format!("{} cannot be made", to.display()))?;
-    for entry in fs::read_dir(from).with_context(|| format!("{} cannot be read", from.display()))? {
+    fs::create_dir_all(to).with_context(|| format!("cannot create {}", to.display()))?;
+    for entry in fs::read_dir(from).with_context(|| format!("cannot read {}", from.display()))? {
         let entry = entry?.path();
         let copy = to.join(entry.file_name().context("a file without a name")?);
         if entry.is_dir() {
             copy_folder(&entry, &copy)?;
         } else {
-            fs::copy(&entry, &copy).with_context(|| format!("{} cannot be copied", entry.display()))?;
+            fs::copy(&entry, &copy).with_context(|| format!("cannot copy {}", entry.display()))?;
         }
     }
     Ok(())
 }
 
-/// The lines of the section's blocks that are for a shell.
+/// The lines of the section's shell blocks.
 fn commands(document: &str) -> anyhow::Result<Vec<String>> {
     let (_, section) = document.split_once(HEADING).with_context(|| format!("{DOCUMENT} has no {HEADING:?}"))?;
     let section = section.split("\n## ").next().unwrap_or(section);
@@ -109,7 +109,7 @@ fn commands(document: &str) -> anyhow::Result<Vec<String>> {
     Ok(commands)
 }
 
-/// Runs a command in the copy, by a shell that finds our programs first.
+/// Runs a command in the copy, by a shell with our programs first in its PATH.
 fn in_shell(place: &Path, programs: &Path, command: &str) -> anyhow::Result<()> {
     println!("$ {command}");
     let path = std::env::var_os("PATH").unwrap_or_default();
@@ -117,13 +117,13 @@ fn in_shell(place: &Path, programs: &Path, command: &str) -> anyhow::Result<()> 
     let mut shell = Command::new("sh");
     shell.current_dir(place).env("PATH", std::env::join_paths(paths)?).args(["-c", command]);
     let status = shell.status().context("cannot run sh")?;
-    if status.success() { Ok(()) } else { bail!("ended with {status}: {command}") }
+    if status.success() { Ok(()) } else { bail!("command failed ({status}): {command}") }
 }
 
-/// The calibrated setup in a cell that is exactly as it says, but for the second arm.
+/// The calibrated setup in a workcell that equals it exactly, except for the second arm.
 fn exact_cell(place: &Path) -> anyhow::Result<()> {
     let file = place.join("configs/calibrated.toml");
-    let text = fs::read_to_string(&file).with_context(|| format!("{} is not there", file.display()))?;
+    let text = fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
     let setup: toml::Table = text.parse()?;
     let calibration = setup["camera"].get("calibration").context("camera.calibration is not set")?;
     let text = format!(
@@ -137,7 +137,7 @@ fn experiment(place: &Path, programs: &Path, name: &str) -> anyhow::Result<serde
     println!("Fig. 7, {name}");
     in_shell(place, programs, &format!("pb3dp run --config configs/{name}.toml --out out/{name}"))?;
     let file = place.join("out").join(name).join("summary.json");
-    let text = fs::read_to_string(&file).with_context(|| format!("{} is not there", file.display()))?;
+    let text = fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
     Ok(serde_json::from_str(&text)?)
 }
 
@@ -148,7 +148,7 @@ fn compare(found: &serde_json::Value, exact: &serde_json::Value) -> anyhow::Resu
         let rms = |of: &serde_json::Value| of["summary"][key]["rms"].as_f64().with_context(|| format!("no {key}"));
         let (found, exact) = (rms(found)?, rms(exact)?);
         println!("| {name} | {found:.2} | {exact:.2} | {:.2} |", found / exact);
-        // What is no number is too far.
+        // NaN counts as too large.
         let is_near = found <= RATIO_MAX * exact;
         if !is_near {
             too_far.push(name);
@@ -157,7 +157,7 @@ fn compare(found: &serde_json::Value, exact: &serde_json::Value) -> anyhow::Resu
     if too_far.is_empty() {
         return Ok(());
     }
-    bail!("more than {RATIO_MAX} times as far off as with a cell that is exactly known: {}", too_far.join(", "))
+    bail!("the error is more than {RATIO_MAX} times that of an exactly known workcell: {}", too_far.join(", "))
 }
 
 #[cfg(test)]

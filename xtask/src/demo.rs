@@ -1,4 +1,4 @@
-//! `cargo xtask demo`: the experiment in simulation, from source to report.
+//! `cargo xtask demo`: the simulated experiment, from source to report.
 
 use std::time::Instant;
 
@@ -9,24 +9,24 @@ use crate::workspace::{Workspace, run_visibly};
 const CONFIG: &str = "configs/sim.toml";
 const OUT: &str = "out/demo";
 
-/// Builds the program and runs the experiment in simulation: a hand with two cameras follows an object it has never seen.
+/// Builds the program and runs the experiment in simulation: a hand with two cameras follows an unknown object.
 ///
-/// The first build takes some minutes; the program shows its progress while it runs. Afterwards out/demo/report.html holds the
-/// plots and images; it is one file that any browser opens. The experiment is described in configs/sim.toml: copy that file,
-/// change it, and pass it with --config.
+/// The first build takes some minutes; the program shows its progress while it runs. Afterwards out/demo/report.html contains
+/// the plots and images in one file for any browser. configs/sim.toml defines the experiment: copy that file, change it, and
+/// pass it with --config.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
     /// The setup to run.
     #[arg(long, default_value = CONFIG)]
     config: String,
-    /// Where the report goes.
+    /// Folder of the report.
     #[arg(long, default_value = OUT)]
     out: String,
 }
 
 /// # Errors
-/// If the program does not build, the run fails, or no report is there afterwards.
+/// If the program does not build, the run fails, or the report is missing.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     let package = ["--release", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"];
     println!("Building pb3dp with optimisation (some minutes the first time).");
@@ -41,7 +41,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
 
     let report = workspace.root().join(&args.out).join("report.html");
     if !report.is_file() {
-        bail!("the run ended without an error but {} is not there", report.display());
+        bail!("the run ended without an error, but {} is missing", report.display());
     }
     println!("Ran in {:.0} s. Open the report in a browser: {}", start.elapsed().as_secs_f64(), report.display());
     Ok(())

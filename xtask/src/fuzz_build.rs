@@ -1,13 +1,13 @@
-//! `cargo xtask fuzz-build`: the fuzz targets still build.
+//! `cargo xtask fuzz-build`: checks that the fuzz targets build.
 
 use crate::nightly;
 use crate::workspace::{Workspace, run_visibly};
 
-/// Builds the fuzz targets of `tests/fuzz` with the nightly compiler, so that a change of an interface cannot break them unnoticed.
+/// Builds the fuzz targets of `tests/fuzz` with the nightly compiler, so that interface changes cannot break them unnoticed.
 ///
 /// Runs nothing: the bodies of all targets also run as seeded tests in `cargo xtask test`, on the stable compiler. To fuzz, see
-/// CONTRIBUTING.md. Needs the nightly toolchain (`rustup toolchain install nightly --profile minimal`) and a C++ compiler, and the
-/// network once, for libfuzzer-sys. Without a nightly toolchain the check is not possible. cargo-fuzz is not needed.
+/// CONTRIBUTING.md. Needs the nightly toolchain (`rustup toolchain install nightly --profile minimal`), a C++ compiler, and
+/// the network once, for libfuzzer-sys; the check is skipped without a nightly toolchain. Does not need cargo-fuzz.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {}
@@ -15,11 +15,11 @@ pub struct Args {}
 const MANIFEST: &str = "tests/fuzz/Cargo.toml";
 
 /// # Errors
-/// [`NotPossible`](crate::not_possible::NotPossible) if the nightly toolchain is missing; else if a target does not build.
+/// [`NotPossible`](crate::not_possible::NotPossible) without the nightly toolchain; otherwise if a target does not build.
 pub fn run(workspace: &Workspace) -> anyhow::Result<()> {
     let mut command = nightly::cargo(workspace, None)?;
     command.args(["build", "--locked", "--bins", "--manifest-path", MANIFEST]);
-    // `fuzzing` is what cargo-fuzz sets. Without its sanitizers and counters the targets link all the same.
+    // cargo-fuzz sets `fuzzing`. The targets also link without its sanitizers and counters.
     command.env("RUSTFLAGS", "--cfg fuzzing").env("CARGO_TARGET_DIR", workspace.target_folder()?.join("fuzz"));
     run_visibly(&mut command)
 }

@@ -1,6 +1,6 @@
-//! Licences, sources and banned crates of all dependencies, judged by `deny.toml`.
+//! Licences, sources and banned crates of all dependencies, checked against `deny.toml`.
 //!
-//! The same rules as `cargo deny check licenses bans sources`, without that tool: what `deny.toml` allows is read from there.
+//! The same rules as `cargo deny check licenses bans sources`, without that tool; reads the allowed values from `deny.toml`.
 
 use anyhow::{Context, bail};
 use serde_json::Value;
@@ -12,16 +12,16 @@ use crate::workspace::{Workspace, run_visibly};
 #[derive(Debug)]
 struct Policy {
     licences: Vec<String>,
-    /// Licences of single crates besides.
+    /// Additional licences for single crates.
     exceptions: Vec<(String, Vec<String>)>,
     banned: Vec<(String, String)>,
     registries: Vec<String>,
 }
 
-/// Checks every package of the dependency graph, and asks cargo-deny too where it is installed.
+/// Checks every package of the dependency graph; also runs cargo-deny if it is installed.
 ///
 /// # Errors
-/// If a package breaks the policy, or `deny.toml` or the metadata cannot be read.
+/// If a package violates the policy, or `deny.toml` or the metadata cannot be read.
 pub fn run(workspace: &Workspace) -> anyhow::Result<()> {
     let text = std::fs::read_to_string(workspace.root().join("deny.toml")).context("cannot read deny.toml")?;
     let policy = Policy::parse(&text).context("in deny.toml")?;
@@ -87,7 +87,7 @@ impl Policy {
                 violations.push(Violation::of(&place, "licence", message));
             }
             Some(Err(error)) => violations.push(Violation::of(&place, "licence", format!("{error:#}"))),
-            None => violations.push(Violation::of(&place, "licence", "states no SPDX licence")),
+            None => violations.push(Violation::of(&place, "licence", "has no SPDX licence in its manifest")),
         }
         if let Some((_, reason)) = self.banned.iter().find(|(name, _)| Some(name.as_str()) == text("name")) {
             violations.push(Violation::of(&place, "banned", reason.clone()));
@@ -97,20 +97,20 @@ impl Policy {
             violations.push(Violation::of(
                 &place,
                 "source",
-                format!("comes from {source}, which deny.toml does not know"),
+                format!("comes from {source}, which deny.toml does not allow"),
             ));
         }
         violations
     }
 
-    /// Whether an SPDX expression can be fulfilled with allowed licences.
+    /// Whether allowed licences satisfy an SPDX expression.
     fn accepts(&self, expression: &str) -> anyhow::Result<bool> {
         let spaced = expression.replace('(', " ( ").replace(')', " ) ").replace('/', " OR ");
         let words: Vec<&str> = spaced.split_whitespace().collect();
         let mut at = 0;
         let accepted = self.any_of(&words, &mut at).with_context(|| format!("licence `{expression}`"))?;
         if at < words.len() {
-            bail!("licence `{expression}`: cannot read on at `{}`", words[at]);
+            bail!("licence `{expression}`: unexpected `{}`", words[at]);
         }
         Ok(accepted)
     }
@@ -145,9 +145,9 @@ impl Policy {
                 *at += 1;
                 Ok(accepted)
             }
-            ")" | "OR" | "AND" | "WITH" => bail!("`{word}` stands where a licence is expected"),
+            ")" | "OR" | "AND" | "WITH" => bail!("`{word}` found, but a licence is expected"),
             name if words.get(*at) == Some(&"WITH") => {
-                let exception = words.get(*at + 1).context("`WITH` names no exception")?;
+                let exception = words.get(*at + 1).context("no exception after `WITH`")?;
                 *at += 2;
                 Ok(self.allows(&format!("{name} WITH {exception}")))
             }

@@ -1,7 +1,7 @@
 //! Project commands: `cargo xtask <command>`.
 //!
-//! One file per command. Nothing of the product lives here, and the product knows nothing of it. The commands need rustc,
-//! cargo and cc; `git` is used where it is there.
+//! One file per command. This package contains no code of the product, and the product does not depend on it. The commands
+//! need rustc, cargo and cc; they use `git` if it is installed.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program for the terminal")]
 
 mod bench;

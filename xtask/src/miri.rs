@@ -1,14 +1,14 @@
-//! `cargo xtask miri`: undefined behaviour in the unsafe kernels.
+//! `cargo xtask miri`: checks the unsafe kernels for undefined behaviour.
 
 use crate::nightly;
 use crate::workspace::{Workspace, run_visibly};
 
-/// Looks for undefined behaviour in the scalar forms of the unsafe kernels: runs some of their unit tests in the interpreter Miri.
+/// Checks the scalar forms of the unsafe kernels for undefined behaviour: runs some of their unit tests in the interpreter Miri.
 ///
-/// Miri checks each memory access and each unchecked conversion. It reports no processor features, so each kernel runs in its scalar
-/// form. An interpreter is some thousand times slower than the processor, so only small tests run.
+/// Miri checks each memory access and each unchecked conversion. It reports no processor features, so each kernel runs in its
+/// scalar form. An interpreter is some thousand times slower than the processor, so only small tests run.
 /// Needs the nightly toolchain with the components miri and rust-src: `rustup toolchain install nightly --profile minimal`,
-/// `rustup component add --toolchain nightly miri rust-src`. Without them the check is not possible.
+/// `rustup component add --toolchain nightly miri rust-src`. Without them the check is skipped.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {}
@@ -16,11 +16,11 @@ pub struct Args {}
 /// The unit tests of one package that run in Miri.
 struct Interpreted {
     package: &'static str,
-    /// Parts of their names.
+    /// Names of the tests.
     tests: &'static [&'static str],
 }
 
-/// All kernels that have unsafe code. Tests on large images, and those of proptest, take minutes in an interpreter and are left out.
+/// All kernels with unsafe code. Tests on large images, and those of proptest, take minutes in an interpreter and are omitted.
 const INTERPRETED: [Interpreted; 3] = [
     Interpreted { package: "pb3dp-estimation-core", tests: &["wide::tests::every_width_gives_the_same_bits"] },
     Interpreted {
@@ -37,8 +37,8 @@ const INTERPRETED: [Interpreted; 3] = [
 ];
 
 /// # Errors
-/// [`NotPossible`](crate::not_possible::NotPossible) if the nightly toolchain or Miri is missing; else if Miri finds undefined behaviour,
-/// or a test fails.
+/// [`NotPossible`](crate::not_possible::NotPossible) without the nightly toolchain or Miri; otherwise if Miri finds undefined
+/// behaviour, or a test fails.
 pub fn run(workspace: &Workspace) -> anyhow::Result<()> {
     let target = workspace.target_folder()?.join("miri");
     for Interpreted { package, tests } in &INTERPRETED {
@@ -55,7 +55,7 @@ pub fn run(workspace: &Workspace) -> anyhow::Result<()> {
 mod tests {
     use super::*;
 
-    /// With a name that no test has, nothing would run and the check would pass.
+    /// A name without a test would run nothing, and the check would pass.
     #[test]
     fn every_interpreted_test_exists() {
         let workspace = Workspace::find().unwrap();

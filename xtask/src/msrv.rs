@@ -1,14 +1,14 @@
-//! The oldest compiler that the project promises to build with.
+//! The oldest supported compiler.
 
 use anyhow::Context;
 
 use crate::not_possible::NotPossible;
 use crate::workspace::{Workspace, run_visibly};
 
-/// Checks the whole workspace with the compiler that `rust-version` names, where rustup has it or can fetch it.
+/// Checks the whole workspace with the compiler version in `rust-version`, if rustup has it or can fetch it.
 ///
 /// # Errors
-/// [`NotPossible`] if the compiler is not to be had; else if something does not build with it.
+/// [`NotPossible`] if the compiler is not available; otherwise if a package does not build with it.
 pub fn run(workspace: &Workspace) -> anyhow::Result<()> {
     let version = rust_version(workspace)?;
     let toolchain = format!("{version}.0");
@@ -21,12 +21,12 @@ pub fn run(workspace: &Workspace) -> anyhow::Result<()> {
     }
     if !has(&toolchain) {
         return Err(NotPossible::because(format!(
-            "rustc {version} is not to be had: type `rustup toolchain install {toolchain}`"
+            "rustc {version} is missing: run `rustup toolchain install {toolchain}`"
         )));
     }
     let mut command = workspace.command("rustup");
     command.args(["run", &toolchain, "cargo", "check", "--workspace", "--all-targets", "--locked", "--quiet"]);
-    // Of the variables that the cargo sets which runs this command, some name its own compiler.
+    // Some of the variables from the cargo that runs this command name its own compiler.
     for variable in ["CARGO", "RUSTC", "RUSTDOC", "RUSTUP_TOOLCHAIN"] {
         command.env_remove(variable);
     }
@@ -38,5 +38,5 @@ fn rust_version(workspace: &Workspace) -> anyhow::Result<String> {
     let text = std::fs::read_to_string(workspace.root().join("Cargo.toml")).context("cannot read Cargo.toml")?;
     let manifest: toml::Table = text.parse()?;
     let version = manifest["workspace"]["package"]["rust-version"].as_str();
-    Ok(version.context("the workspace names no rust-version")?.to_owned())
+    Ok(version.context("Cargo.toml has no rust-version")?.to_owned())
 }

@@ -1,4 +1,4 @@
-//! `cargo xtask mutants`: changes the product in small ways, and sees whether a test notices.
+//! `cargo xtask mutants`: changes the product in small ways, and checks whether a test fails.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -12,24 +12,24 @@ use crate::not_possible::NotPossible;
 use crate::scratch::Scratch;
 use crate::workspace::{Workspace, run_visibly};
 
-/// Changes the code of the safety chain in small ways, and sees whether a test notices.
+/// Changes the code of the safety chain in small ways, and checks whether a test fails.
 ///
-/// A mutant is one small change: `<` for `<=`, a function that returns at once, an arm of a match that is gone. From each part a seeded
-/// sample is drawn, and the tests in virtual time run against each mutant in a scratch copy. A mutant that no test notices must be
-/// explained in tests/mutants.toml. Results are kept until a source file changes: a run that was ended goes on where it was. Ends with an error if less than 95 % of a part are noticed, too slow or explained. Needs cargo-mutants:
-/// `cargo install --locked cargo-mutants`.
+/// A mutant is one small change: `<` for `<=`, a function that returns at once, a match without one arm. A seeded sample is drawn
+/// from each part, and the tests in virtual time run against each mutant in a scratch copy. A mutant without a failing test must be
+/// explained in tests/mutants.toml. Results are kept until a source file changes, so an interrupted run continues. Fails if less
+/// than 95 % of a part are noticed, too slow or explained. Needs cargo-mutants: `cargo install --locked cargo-mutants`.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
-    /// The part: middleware, clearance or law. Without it, all of them.
+    /// The part: middleware, clearance or law. Default: all parts.
     part: Option<String>,
-    /// Draws the sample.
+    /// Seed of the sample.
     #[arg(long, default_value_t = 20)]
     seed: u64,
-    /// Mutants of each part that build; all of them where there are fewer.
+    /// Number of mutants of each part that build; at most all of them.
     #[arg(long, default_value_t = 60)]
     sample: usize,
-    /// Only the K-th of N shares of the sample, from 1, as K/N: for several machines, or several evenings.
+    /// Only the K-th of N shares of the sample, from 1, as K/N, to divide it among machines or evenings.
     #[arg(long, value_parser = Shard::parse, default_value = "1/1")]
     shard: Shard,
 }
@@ -46,12 +46,12 @@ impl Shard {
         let numbers = text.split_once('/').and_then(|(index, count)| Some((index.parse().ok()?, count.parse().ok()?)));
         match numbers {
             Some((index, count)) if (1..=count).contains(&index) => Ok(Self { index: index - 1, count }),
-            _ => Err(format!("{text:?} is no share: write K/N with K from 1 to N, as 2/5")),
+            _ => Err(format!("{text:?} is not a share: write K/N with K from 1 to N, such as 2/5")),
         }
     }
 }
 
-/// Code that must not change unnoticed.
+/// A part of the code that must not change unnoticed.
 struct Part {
     name: &'static str,
     package: &'static str,
@@ -65,21 +65,21 @@ const PARTS: [Part; 3] = [
 ];
 /// File of the results of all runs.
 const KEPT: &str = "results.json";
-/// The share that must be noticed or explained.
+/// Minimum share of noticed or explained mutants.
 const NOTICED_MIN: f64 = 0.95;
-/// Mutants that change nothing which the product promises, each with its reason.
+/// Mutants that do not change the promised behaviour, each with its reason.
 const EXPLAINED: &str = "tests/mutants.toml";
 
 /// # Errors
-/// [`NotPossible`] if cargo-mutants is missing; else if the tests fail without a change, or too few mutants are noticed.
+/// [`NotPossible`] without cargo-mutants; otherwise if the tests fail without a change, or too few mutants are noticed.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     if !Command::new("cargo-mutants").args(["mutants", "--version"]).output().is_ok_and(|out| out.status.success()) {
-        return Err(NotPossible::because("cargo-mutants is missing: type `cargo install --locked cargo-mutants`"));
+        return Err(NotPossible::because("cargo-mutants is missing: run `cargo install --locked cargo-mutants`"));
     }
     let parts: Vec<&Part> =
         PARTS.iter().filter(|part| args.part.as_ref().is_none_or(|name| name == part.name)).collect();
     if parts.is_empty() {
-        bail!("there is no such part; write one of: {}", PARTS.map(|part| part.name).join(", "));
+        bail!("no such part; give one of: {}", PARTS.map(|part| part.name).join(", "));
     }
     let explained = explained(workspace)?;
     let sources = sources(workspace)?;
@@ -111,10 +111,10 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
 /// One small change.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Mutant {
-    /// `file:line:column: what is changed`.
+    /// `file:line:column: change`.
     name: String,
     file: String,
-    /// What is changed, without its place.
+    /// The change, without its position.
     change: String,
     /// The line of the source.
     line: String,
@@ -145,20 +145,20 @@ fn list(scratch: &Scratch, part: &Part) -> anyhow::Result<Vec<Mutant>> {
     if !output.status.success() {
         bail!("cargo-mutants cannot list mutants: {}", String::from_utf8_lossy(&output.stderr));
     }
-    let listed: Vec<Value> = serde_json::from_slice(&output.stdout).context("cargo-mutants lists no JSON")?;
+    let listed: Vec<Value> = serde_json::from_slice(&output.stdout).context("the list of cargo-mutants is not JSON")?;
     let read = |value: &Value| {
-        Mutant::read(value, &scratch.tree).with_context(|| format!("cargo-mutants 26.1 or newer is needed: {value}"))
+        Mutant::read(value, &scratch.tree).with_context(|| format!("unexpected output; install cargo-mutants 26.1 or newer: {value}"))
     };
     listed.iter().map(read).collect()
 }
 
-/// The mutants in an order that the seed alone decides.
+/// The mutants in an order that depends on the seed alone.
 fn shuffled(mut mutants: Vec<Mutant>, seed: u64) -> Vec<Mutant> {
     mutants.sort_by_cached_key(|mutant| (scrambled(seed, &mutant.name), mutant.name.clone()));
     mutants
 }
 
-/// Tries mutants until so many of them build, or all have been tried. `test` gives the results of all that it is given.
+/// Tries mutants until this many of them build, or all have been tried. `test` returns the results of the given mutants.
 fn draw(
     mutants: &[Mutant],
     wanted: usize,
@@ -177,7 +177,7 @@ fn draw(
     }
 }
 
-/// A number that follows from the seed and the text: FNV-1a, whose last bits are mixed once more as in SplitMix64.
+/// A number from the seed and the text: FNV-1a, whose last bits are mixed as in SplitMix64.
 fn scrambled(seed: u64, text: &str) -> u64 {
     let hash = text
         .bytes()
@@ -186,14 +186,14 @@ fn scrambled(seed: u64, text: &str) -> u64 {
     (mixed ^ mixed >> 27).wrapping_mul(0x94d0_49bb_1331_11eb)
 }
 
-/// Results by the names of the mutants, in the words of cargo-mutants.
+/// Results by the names of the mutants, as from cargo-mutants.
 type Results = BTreeMap<String, String>;
 
-/// Runs the tests against the mutants that have no result yet. A result holds as long as no source file changes.
+/// Runs the tests against the mutants without a result. A result is valid while no source file changes.
 fn test(scratch: &Scratch, part: &Part, mutants: &[Mutant], sources: u64) -> anyhow::Result<Results> {
     let folder = scratch.target.join("results").join(part.name).join(format!("{sources:016x}"));
     fs::create_dir_all(&folder)?;
-    // With what a run has left that was ended.
+    // Includes the results of an interrupted run.
     let mut known = read_kept(&folder);
     known.extend(read_results(&folder.join("mutants.out")));
     let names = mutants.iter().filter(|mutant| !known.contains_key(&mutant.name)).map(|mutant| escaped(&mutant.name));
@@ -202,9 +202,9 @@ fn test(scratch: &Scratch, part: &Part, mutants: &[Mutant], sources: u64) -> any
         let mut command = cargo_mutants(scratch, part);
         command.args(["--in-place", "--no-shuffle", "--cap-lints", "true", "--minimum-test-timeout", "60"]);
         command.arg("--output").arg(&folder).arg("--re").arg(format!("^({})$", names.join("|")));
-        // Mutants in code that waits would have to be waited for: only tests in virtual time run.
+        // Mutants in waiting code would cost real time: only tests in virtual time run.
         command.args(["--", "--lib", "--test", "integration", "--", "--skip", "real_time::"]);
-        // It ends with an error if a mutant is missed: the results say so.
+        // cargo-mutants fails if a mutant is missed; the results contain this.
         let ended = run_visibly(&mut command);
         let results = read_results(&folder.join("mutants.out"));
         if results.is_empty() {
@@ -213,18 +213,18 @@ fn test(scratch: &Scratch, part: &Part, mutants: &[Mutant], sources: u64) -> any
         }
         known.extend(results);
     }
-    fs::write(folder.join(KEPT), serde_json::to_string_pretty(&known)?).context("cannot keep the results")?;
+    fs::write(folder.join(KEPT), serde_json::to_string_pretty(&known)?).context("cannot save the results")?;
     Ok(known)
 }
 
-/// A number that changes with every source file, product and tests.
+/// A hash of all source files, product and tests.
 fn sources(workspace: &Workspace) -> anyhow::Result<u64> {
     let files = workspace.texts(&[".rs", ".toml", ".urdf", "Cargo.lock"])?;
     let files = files.iter().filter(|file| !file.path.starts_with("xtask/") && file.path != EXPLAINED);
     Ok(files.fold(0, |sum, file| scrambled(scrambled(sum, &file.path), &file.text)))
 }
 
-/// As a pattern that fits only itself.
+/// A pattern that matches only this text.
 fn escaped(name: &str) -> String {
     name.chars().flat_map(|c| r"\.+*?()|[]{}^$".contains(c).then_some('\\').into_iter().chain([c])).collect()
 }
@@ -243,7 +243,7 @@ fn read_kept(folder: &Path) -> Results {
     serde_json::from_str(&text).unwrap_or_default()
 }
 
-/// A mutant that need not be noticed.
+/// A mutant that no test needs to notice.
 #[derive(Debug, PartialEq, Eq)]
 struct Explained {
     file: String,
@@ -254,7 +254,7 @@ struct Explained {
 fn explained(workspace: &Workspace) -> anyhow::Result<Vec<Explained>> {
     let file = workspace.root().join(EXPLAINED);
     let text = fs::read_to_string(&file).with_context(|| format!("cannot read {EXPLAINED}"))?;
-    let table: toml::Table = text.parse().with_context(|| format!("{EXPLAINED} is no TOML"))?;
+    let table: toml::Table = text.parse().with_context(|| format!("{EXPLAINED} is not TOML"))?;
     let entries = table.get("mutant").and_then(toml::Value::as_array).cloned().unwrap_or_default();
     let read = |entry: &toml::Value| {
         let of = |key: &str| entry.get(key).and_then(toml::Value::as_str).map(str::to_owned);
@@ -266,7 +266,7 @@ fn explained(workspace: &Workspace) -> anyhow::Result<Vec<Explained>> {
     entries.iter().map(complete).collect()
 }
 
-/// What came of the mutants of a part.
+/// Results of the mutants of a part.
 #[derive(Default)]
 struct Tally {
     noticed: usize,
@@ -296,7 +296,7 @@ impl Tally {
         tally
     }
 
-    /// Of those that build. What was not tried was not noticed.
+    /// Share of the mutants that build. An untried mutant counts as not noticed.
     fn share_noticed(&self) -> f64 {
         let good = self.noticed + self.too_slow + self.explained;
         good as f64 / (good + self.unnoticed.len() + self.untried).max(1) as f64
@@ -368,7 +368,7 @@ mod tests {
     fn a_share_is_one_of_several() {
         assert_eq!(Shard::parse("2/5"), Ok(Shard { index: 1, count: 5 }));
         for wrong in ["0/5", "6/5", "2", "a/b", ""] {
-            assert!(Shard::parse(wrong).unwrap_err().contains("is no share"), "{wrong}");
+            assert!(Shard::parse(wrong).unwrap_err().contains("is not a share"), "{wrong}");
         }
     }
 

@@ -1,29 +1,29 @@
-//! The nightly compiler, which a few checks need.
+//! The nightly compiler, for a few checks.
 
 use std::process::Command;
 
 use crate::not_possible::NotPossible;
 use crate::workspace::Workspace;
 
-/// The nightly cargo. `rustup run` picks the toolchain, because the cargo that runs us is a given toolchain's own program.
+/// The nightly cargo. `rustup run` selects the toolchain, because the cargo that runs us belongs to one toolchain.
 ///
 /// # Errors
-/// [`NotPossible`] if the nightly toolchain, or a `component` of it (a cargo subcommand), is missing. The message says what to type.
+/// [`NotPossible`] without the nightly toolchain or a `component` of it (a cargo subcommand). The message gives the command.
 pub fn cargo(workspace: &Workspace, component: Option<&str>) -> anyhow::Result<Command> {
     if !answers(&mut plain(workspace)) {
         let install = "rustup toolchain install nightly --profile minimal";
-        return Err(NotPossible::because(format!("the nightly toolchain is missing: type `{install}`")));
+        return Err(NotPossible::because(format!("the nightly toolchain is missing: run `{install}`")));
     }
     if let Some(component) = component
         && !answers(plain(workspace).arg(component))
     {
         let install = format!("rustup component add --toolchain nightly {component} rust-src");
-        return Err(NotPossible::because(format!("{component} is missing: type `{install}`")));
+        return Err(NotPossible::because(format!("{component} is missing: run `{install}`")));
     }
     Ok(plain(workspace))
 }
 
-/// Our own cargo sets variables that name its toolchain; with them the nightly cargo would call the stable rustc.
+/// Our own cargo sets variables that name its toolchain; with them the nightly cargo would use the stable rustc.
 fn plain(workspace: &Workspace) -> Command {
     let mut command = workspace.command("rustup");
     command.args(["run", "nightly", "cargo"]);

@@ -1,11 +1,11 @@
-//! What a machine cannot do.
+//! Checks that a machine cannot run.
 
-/// The machine lacks what a check needs: nothing is wrong with what it checks.
+/// The machine lacks a requirement of a check; the check itself has not failed.
 #[derive(Debug)]
 pub struct NotPossible(String);
 
 impl NotPossible {
-    /// The error, with what is missing and what to do.
+    /// The error, with the missing requirement and the remedy.
     pub fn because(why: impl Into<String>) -> anyhow::Error {
         anyhow::Error::new(Self(why.into()))
     }

@@ -13,32 +13,32 @@ use crate::workspace::{Workspace, run_visibly};
 
 /// Builds the release: a static archive (.tar.gz) and a Debian package (.deb), in target/package.
 ///
-/// Both hold the program with its setups, robot files and boards inside, manual pages, completion scripts, documentation, licences,
-/// and the files of configs/deploy. The program is linked statically: it needs no library of the computer that it runs on.
-/// Afterwards the archive is unpacked in an empty root, and the package is installed in a fresh Debian (if debootstrap, root and a
-/// network are there), and the program runs there.
+/// Both contain the program with its built-in setups, robot files and boards, manual pages, completion scripts, documentation,
+/// licences, and the files of configs/deploy. The program is linked statically: it needs no library of the host. Afterwards the
+/// command unpacks the archive in an empty root, installs the package in a fresh Debian (needs debootstrap, root and a network),
+/// and runs the program in both.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
-    /// Build only; try nothing.
+    /// Build only; skip the trial.
     #[arg(long)]
     build_only: bool,
-    /// Only check that every crate can be published: pack all of them and build each from its package (`cargo publish --dry-run`).
+    /// Only check that every crate can be published: package all crates and build each from its package (`cargo publish --dry-run`).
     #[arg(long, conflicts_with = "build_only")]
     crates: bool,
-    /// Mirror of Debian for the trial.
+    /// Debian mirror for the trial.
     #[arg(long, default_value = "http://deb.debian.org/debian")]
     mirror: String,
 }
 
-/// What a release consists of.
+/// Contents of a release.
 struct Release {
     version: String,
     /// Target triple.
     triple: String,
     /// The static program.
     program: PathBuf,
-    /// Folder of everything below.
+    /// Folder of all files below.
     folder: PathBuf,
 }
 
@@ -63,11 +63,11 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Packs every crate and builds it from its package, in one call; publishes nothing.
+/// Packages every crate and builds it from its package, in one call; publishes nothing.
 fn try_to_publish(workspace: &Workspace) -> anyhow::Result<()> {
     let mut cargo = workspace.cargo();
     cargo.args(["publish", "--workspace", "--dry-run", "--locked", "--allow-dirty"]);
-    // As in the workspace: without the patch the kernel's structures are generated again, which needs libclang.
+    // As in the workspace: without the patch a build generates the kernel's structures again, which needs libclang.
     let vendored = workspace.root().join("hal/vendor/v4l2-sys-mit");
     cargo.arg("--config").arg(format!("patch.crates-io.v4l2-sys-mit.path={:?}", vendored.display().to_string()));
     run_visibly(&mut cargo)
@@ -75,7 +75,7 @@ fn try_to_publish(workspace: &Workspace) -> anyhow::Result<()> {
 
 fn build(workspace: &Workspace) -> anyhow::Result<Release> {
     let rustc = workspace.output_of("rustc", &["-vV"]).context("rustc does not print its version")?;
-    let triple = rustc.lines().find_map(|line| line.strip_prefix("host: ")).context("rustc names no host")?.to_owned();
+    let triple = rustc.lines().find_map(|line| line.strip_prefix("host: ")).context("the output of rustc has no host")?.to_owned();
     let metadata = workspace.metadata()?;
     let packages = metadata["packages"].as_array().context("`packages` is missing from cargo metadata")?;
     let program = packages.iter().find(|package| package["name"] == "pb3dp-orchestrator");
@@ -83,7 +83,7 @@ fn build(workspace: &Workspace) -> anyhow::Result<Release> {
     let folder = workspace.target_folder()?.join("package");
     let cargo_target = workspace.target_folder()?.join("package-build");
     let mut cargo = workspace.cargo();
-    // With --target these flags are not used for build scripts and macros, which cannot be static.
+    // With --target these flags do not apply to build scripts and macros, which cannot be static.
     cargo.env("RUSTFLAGS", "-C target-feature=+crt-static").env("CARGO_TARGET_DIR", &cargo_target);
     cargo.args([
         "build",
@@ -101,7 +101,7 @@ fn build(workspace: &Workspace) -> anyhow::Result<Release> {
     Ok(Release { version, triple, program, folder })
 }
 
-/// Puts all files where they stand below a prefix (`/usr`, `/usr/local`); returns the prefix.
+/// Copies all files to their places below a prefix (`/usr`, `/usr/local`); returns the prefix.
 fn stage(workspace: &Workspace, release: &Release) -> anyhow::Result<PathBuf> {
     let tree = release.folder.join(format!("pb3dp-{}-{}", release.version, release.triple));
     if tree.exists() {
@@ -131,7 +131,7 @@ fn stage(workspace: &Workspace, release: &Release) -> anyhow::Result<PathBuf> {
     Ok(tree)
 }
 
-/// Packs the tree so that the same content gives the same bytes.
+/// Packs the tree so that equal contents give equal bytes.
 fn archive(workspace: &Workspace, release: &Release, tree: &Path) -> anyhow::Result<PathBuf> {
     let name = tree.file_name().and_then(|name| name.to_str()).context("the tree has no name")?;
     let archive = release.folder.join(format!("{name}.tar.gz"));
@@ -148,7 +148,7 @@ fn size_of(file: &Path) -> anyhow::Result<String> {
     Ok(format!("{}: {:.1} MB", file.display(), bytes as f64 / 1e6))
 }
 
-/// Copies a file with its rights, and makes the folder that it goes to.
+/// Copies a file with its permissions, and creates its folder.
 fn copy(from: &Path, to: &Path) -> anyhow::Result<()> {
     if let Some(folder) = to.parent() {
         fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;

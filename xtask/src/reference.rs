@@ -1,4 +1,4 @@
-//! `cargo xtask reference`: the pages of docs/reference, made from the source.
+//! `cargo xtask reference`: generates the pages of docs/reference from the source.
 
 use std::fs;
 
@@ -6,9 +6,9 @@ use anyhow::{Context, bail};
 
 use crate::workspace::{Workspace, run_visibly};
 
-/// Writes the reference pages from the source into docs/reference.
+/// Generates the reference pages in docs/reference from the source.
 ///
-/// Commands come from the definition of the command line, keys from the built-in setups and from what refuses a wrong value, messages
+/// Commands come from the definition of the command line, keys from the built-in setups and their checks of values, messages
 /// from the tables of their codes. A test of the orchestrator fails if a page differs from the source.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]

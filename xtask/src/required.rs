@@ -1,5 +1,5 @@
-//! The tests that keep people safe. `cargo xtask ci` fails if one of them was not checked; `cargo xtask test --prove-red` breaks what each
-//! of them guards, and sees it fail.
+//! The required safety tests. `cargo xtask ci` fails if one of them was not checked; `cargo xtask test --prove-red` breaks the
+//! property behind each test, and checks that the test fails.
 
 use std::collections::BTreeSet;
 
@@ -10,7 +10,7 @@ use crate::test::Report;
 /// A safety property and the test that shows it.
 #[derive(Clone, Copy, Debug)]
 pub struct Required {
-    /// What must hold.
+    /// The property.
     pub what: &'static str,
     /// The package of the test.
     pub package: &'static str,
@@ -24,7 +24,7 @@ pub struct Required {
 
 const ARM: &str = "pb3dp-arm-pa10";
 
-/// One for each property.
+/// One test per property.
 pub const REQUIRED: [Required; 10] = [
     Required {
         what: "an arm whose program is killed is braked",
@@ -98,7 +98,7 @@ pub const REQUIRED: [Required; 10] = [
     },
 ];
 
-/// The share of the tests in real time that a machine may leave unchecked.
+/// Largest share of the tests in real time that a machine may leave unchecked.
 const UNCHECKED_MAX: f64 = 0.03;
 
 /// # Errors
@@ -113,7 +113,7 @@ pub fn check(report: &Report) -> anyhow::Result<()> {
     let [left_out, all] = report.real_time_counts();
     println!("tests in real time: {all}, of them not checked: {left_out}");
     if left_out as f64 > UNCHECKED_MAX * all as f64 {
-        bail!("{left_out} of {all} tests in real time were not checked, at most {:.0} % may be", 100.0 * UNCHECKED_MAX);
+        bail!("{left_out} of {all} tests in real time were not checked, the limit is {:.0} %", 100.0 * UNCHECKED_MAX);
     }
     Ok(())
 }

@@ -1,19 +1,19 @@
-//! Just enough understanding of Rust source text for the checks: code without comments and literals, functions, paths.
+//! Minimal analysis of Rust source text for the checks: code without comments and literals, functions, paths.
 //!
-//! It is not a parser. What it cannot see (code made by macros) the checks do not judge.
+//! It is not a parser. The checks ignore code that it cannot see (code from macros).
 
 /// A function found in source text.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FunctionSpan {
     /// Its name.
     pub name: String,
-    /// First line, from 1: the one that holds `fn`.
+    /// First line, from 1: the line with `fn`.
     pub line: usize,
     /// Number of lines up to the closing brace.
     pub lines: usize,
 }
 
-/// The source with every comment, string and character literal replaced by spaces; line breaks stay where they are.
+/// The source with every comment, string and character literal replaced by spaces; line breaks remain.
 pub fn code_only(source: &str) -> String {
     let chars: Vec<char> = source.chars().collect();
     let mut code = String::with_capacity(source.len());
@@ -31,7 +31,7 @@ pub fn code_only(source: &str) -> String {
     code
 }
 
-/// Where the comment or literal that starts at `at` ends, or `at` if none starts there.
+/// End of the comment or literal that starts at `at`, or `at` if none starts there.
 fn end_of_opaque(chars: &[char], at: usize) -> usize {
     let next = chars.get(at + 1).copied();
     let inside_word = at > 0 && is_word(chars[at - 1]);
@@ -92,7 +92,7 @@ fn end_of_raw_string(chars: &[char], at: usize) -> Option<usize> {
     Some(close.map_or(chars.len(), |i| i + 1 + hashes))
 }
 
-/// A character literal; a lifetime (`'a`) is left alone.
+/// A character literal; a lifetime (`'a`) is not one.
 fn end_of_char(chars: &[char], at: usize) -> usize {
     match (chars.get(at + 1), chars.get(at + 2)) {
         (Some('\\'), _) => end_of_quoted(chars, at, '\''),
@@ -105,7 +105,7 @@ fn is_word(c: char) -> bool {
     c.is_alphanumeric() || c == '_'
 }
 
-/// Byte positions at which `word` stands by itself in `code`.
+/// Byte positions of `word` as a whole word in `code`.
 pub fn word_positions<'a>(code: &'a str, word: &'a str) -> impl Iterator<Item = usize> + 'a {
     code.match_indices(word).map(|(at, _)| at).filter(move |&at| {
         let before = code[..at].chars().next_back();
@@ -119,7 +119,7 @@ pub fn line_at(text: &str, position: usize) -> usize {
     text[..position].matches('\n').count() + 1
 }
 
-/// All functions with a body in code that [`code_only`] has made; nested ones are listed too.
+/// All functions with a body in the output of [`code_only`], including nested ones.
 pub fn functions(code: &str) -> Vec<FunctionSpan> {
     word_positions(code, "fn").filter_map(|at| function_at(code, at)).collect()
 }
@@ -166,7 +166,7 @@ fn matching_brace(code: &str, open: usize) -> Option<usize> {
     None
 }
 
-/// Code with every item behind `#[cfg(test)]` that has a body in braces replaced by spaces.
+/// Code in which every item with `#[cfg(test)]` and a body in braces is replaced by spaces.
 pub fn without_test_items(code: &str) -> String {
     let mut kept = code.to_owned();
     for (at, mark) in code.match_indices("#[cfg(test)]") {
@@ -183,8 +183,8 @@ pub fn without_test_items(code: &str) -> String {
     kept
 }
 
-/// Every path that the code names, `use` trees written out, each with its line: `use std::{fs, time::Instant}` gives
-/// `std::fs` and `std::time::Instant`.
+/// Every path in the code, with expanded `use` trees, and its line: `use std::{fs, time::Instant}` gives `std::fs` and
+/// `std::time::Instant`.
 pub fn paths(code: &str) -> Vec<(usize, String)> {
     let mut found = Vec::new();
     for at in word_positions(code, "use") {
@@ -216,7 +216,7 @@ fn expand_use_tree(prefix: &str, tree: &str, emit: &mut impl FnMut(String)) {
     };
     let prefix = format!("{prefix}{}", tree[..open].trim());
     let inner = tree[open + 1..].trim_end().trim_end_matches('}');
-    // `trim_end_matches` may have taken braces of inner trees; put back what is missing.
+    // `trim_end_matches` may have removed braces of inner trees; restore them.
     let missing = inner.matches('{').count().saturating_sub(inner.matches('}').count());
     let inner = format!("{inner}{}", "}".repeat(missing));
     let (mut depth, mut start) = (0_i32, 0);

@@ -1,4 +1,4 @@
-//! `cargo xtask same-answers`: a change of structure that changed no answer.
+//! `cargo xtask same-answers`: checks that a change of structure has changed no result.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,24 +9,24 @@ use serde_json::Value;
 
 use crate::workspace::{Workspace, run_visibly};
 
-/// Methods that are compared.
+/// The compared methods.
 const METHODS: [&str; 2] = ["direct", "published"];
 
 /// The cases of the repository.
 const CASES: &str = "tests/data/cases";
 
-/// Keys whose values the clock or the commit decides, at any depth of a JSON document.
+/// Keys whose values depend on the clock or the commit, at any depth of a JSON document.
 const NOT_COMPARED: [&str; 5] = ["ms", "latency_p50_millis", "latency_p99_millis", "duration", "commit"];
 
-/// Lines that differ and are shown, of each answer.
+/// Number of differing lines that are shown per answer.
 const SHOWN: usize = 5;
 
-/// Compares the work tree's answers with those of an earlier commit, byte for byte, times aside.
+/// Compares the results of the work tree with those of an earlier commit, byte for byte, without times.
 ///
-/// Builds the programs of both with optimisation. Then both run the experiment in simulation (summary.json), estimate the
-/// four cases of the repository and those of --cases DIR with each method (`estimate --json`), track --sequence DIR
-/// (`track --json`), and go through seeded safety runs (a digest of each whole record). The first build of a commit takes
-/// some minutes; it is kept below the target folder.
+/// Builds the programs of both with optimisation. Then both run the experiment in simulation (summary.json), estimate the four
+/// cases of the repository and those of --cases DIR with each method (`estimate --json`), track --sequence DIR
+/// (`track --json`), and do seeded safety runs (a hash of each whole record). The first build of a commit takes some minutes;
+/// it is kept below the target folder.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
@@ -44,21 +44,21 @@ pub struct Args {
     seeds: u64,
 }
 
-/// What is asked of both programs.
+/// The inputs of both programs.
 struct Questions {
-    /// Folders of cases, absolute, and a name for each.
+    /// Folders of cases (absolute), with a name for each.
     cases: Vec<(&'static str, PathBuf)>,
     sequence: Option<PathBuf>,
     seeds: u64,
 }
 
-/// A checkout, and where its programs are built.
+/// A checkout, and its build folder.
 struct Tree {
     root: PathBuf,
     target: PathBuf,
 }
 
-/// One thing that both were asked, and its lines.
+/// One request, and the lines of the answer.
 struct Answer {
     name: String,
     lines: Vec<String>,
@@ -81,24 +81,24 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         println!("== {name}: {}", tree.root.display());
         answers.push(tree.answers(workspace, &questions, &folder.join(name))?);
     }
-    let [before, now] = answers.try_into().ok().context("two trees were asked")?;
+    let [before, now] = answers.try_into().ok().context("two trees have answered")?;
     conclude(&before, &now)
 }
 
-/// The files of a commit, in a folder of their own that is named after it.
+/// The files of a commit, in a separate folder named after it.
 fn checked_out(workspace: &Workspace, commit: &str, folder: &Path) -> anyhow::Result<Tree> {
     let wanted = format!("{commit}^{{commit}}");
     let commit = workspace
         .output_of("git", &["rev-parse", "--verify", &wanted])
-        .with_context(|| format!("--before {commit}: git knows no such commit"))?;
+        .with_context(|| format!("--before {commit}: git has no such commit"))?;
     let root = folder.join(&commit);
     let (index, begun) = (folder.join(format!("{commit}.index")), folder.join("begun"));
     if !root.is_dir() {
-        // Under another name until it is whole: a checkout that is cut short is not taken for one.
+        // A temporary name until the checkout is complete, so that an interrupted one is not used.
         if begun.is_dir() {
             fs::remove_dir_all(&begun).with_context(|| format!("cannot remove {}", begun.display()))?;
         }
-        fs::create_dir_all(&begun).with_context(|| format!("cannot make {}", begun.display()))?;
+        fs::create_dir_all(&begun).with_context(|| format!("cannot create {}", begun.display()))?;
         let git = || {
             let mut command = workspace.command("git");
             command.env("GIT_INDEX_FILE", &index);
@@ -106,7 +106,7 @@ fn checked_out(workspace: &Workspace, commit: &str, folder: &Path) -> anyhow::Re
         };
         run_visibly(git().args(["read-tree", &commit]))?;
         run_visibly(git().args(["checkout-index", "--all"]).arg(format!("--prefix={}/", begun.display())))?;
-        fs::rename(&begun, &root).with_context(|| format!("cannot make {}", root.display()))?;
+        fs::rename(&begun, &root).with_context(|| format!("cannot create {}", root.display()))?;
     }
     Ok(Tree { root, target: folder.join("target") })
 }
@@ -120,10 +120,10 @@ impl Tree {
         command
     }
 
-    /// Builds both programs and asks them everything; what a run leaves goes into `out`.
+    /// Builds both programs and runs all requests; the output of a run goes to `out`.
     fn answers(&self, workspace: &Workspace, questions: &Questions, out: &Path) -> anyhow::Result<Vec<Answer>> {
         run_visibly(&mut self.cargo(workspace, &["build", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"]))?;
-        // In one of both packages: it was moved.
+        // The example is in one of both packages, because it was moved.
         let packages = ["build", "--package", "system-tests", "--package", "pb3dp-benchmarks", "--example", "safety"];
         run_visibly(&mut self.cargo(workspace, &packages))?;
         let mut answers = vec![self.experiment(out)?];
@@ -147,7 +147,7 @@ impl Tree {
         command
     }
 
-    /// The figures of the experiment in simulation.
+    /// The results of the experiment in simulation.
     fn experiment(&self, out: &Path) -> anyhow::Result<Answer> {
         let output = self.program().args(["run", "--config", "configs/sim.toml", "--out"]).arg(out).output()?;
         ensure!(output.status.success(), "the experiment failed:\n{}", String::from_utf8_lossy(&output.stderr));
@@ -158,10 +158,10 @@ impl Tree {
         Ok(Answer { name: "summary.json of the experiment".into(), lines })
     }
 
-    /// The JSON lines of a command. A refused case ends it with a failure; what it says of the case is a line as all others.
+    /// The JSON lines of a command. A rejected case makes the command fail; its message is a line like all others.
     fn lines(&self, name: String, words: &[&str], folder: &Path) -> anyhow::Result<Answer> {
         let output = self.program().args(words).arg(folder).output()?;
-        let text = String::from_utf8(output.stdout).with_context(|| format!("{name}: no text"))?;
+        let text = String::from_utf8(output.stdout).with_context(|| format!("{name}: the output is not text"))?;
         let lines: Vec<String> = text
             .lines()
             .map(|line| Ok(without_times(serde_json::from_str(line)?).to_string()))
@@ -171,7 +171,7 @@ impl Tree {
         Ok(Answer { name, lines })
     }
 
-    /// A digest of each seeded run, in the order of seeds.
+    /// A hash of each seeded run, in the order of seeds.
     fn safety(&self, seeds: u64) -> anyhow::Result<Answer> {
         let mut command = Command::new(self.target.join("release").join("examples").join("safety"));
         let output = command.current_dir(&self.root).args(["--trace", "--runs", &seeds.to_string()]).output()?;
@@ -188,7 +188,7 @@ impl Tree {
     }
 }
 
-/// The document without what the clock decides.
+/// The document without values that depend on the clock.
 fn without_times(value: Value) -> Value {
     match value {
         Value::Object(entries) => entries
@@ -201,7 +201,7 @@ fn without_times(value: Value) -> Value {
     }
 }
 
-/// Tells for each answer whether it is the same.
+/// Prints for each answer whether it is the same.
 fn conclude(before: &[Answer], now: &[Answer]) -> anyhow::Result<()> {
     let mut different = 0;
     for (before, now) in before.iter().zip(now) {
@@ -230,7 +230,7 @@ fn differences(before: &[String], now: &[String]) -> Vec<String> {
         .collect()
 }
 
-/// A line of JSON without the keys that were not there before: lines may gain keys, never lose or rename one.
+/// A line of JSON without new keys: lines may gain keys, but not lose or rename any.
 fn as_before(before: Option<&String>, now: &str) -> String {
     let object = |line: &str| serde_json::from_str::<serde_json::Map<String, Value>>(line).ok();
     match (before.and_then(|line| object(line)), object(now)) {

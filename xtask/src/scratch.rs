@@ -1,4 +1,4 @@
-//! A copy of the work tree that may be broken.
+//! A copy of the work tree that tests may break.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -8,16 +8,16 @@ use anyhow::Context;
 
 use crate::workspace::Workspace;
 
-/// A copy of the files that git knows, with a target folder of its own.
+/// A copy of the tracked files, with a separate target folder.
 pub struct Scratch {
     /// The copy.
     pub tree: PathBuf,
-    /// What is built from it.
+    /// Its target folder.
     pub target: PathBuf,
 }
 
 impl Scratch {
-    /// The copy of this name, as the work tree is now. Only files that differ are written: cargo builds again what was built from them.
+    /// The copy of this name, updated to the work tree. Only differing files are written, because cargo rebuilds whatever depends on them.
     ///
     /// # Errors
     /// If a file cannot be read, written or removed.
@@ -33,7 +33,7 @@ impl Scratch {
             }
             fs::create_dir_all(to.parent().context("a file lies in a folder")?)?;
             fs::copy(&from, &to).with_context(|| format!("cannot write {}", to.display()))?;
-            // A copy may keep the time of its original, which cargo takes for a file that has not changed.
+            // A copy may keep the modification time of its original, and cargo would not rebuild it.
             fs::File::options().write(true).open(&to)?.set_modified(std::time::SystemTime::now())?;
         }
         remove_others(&scratch.tree, Path::new(""), &files)?;
@@ -41,7 +41,7 @@ impl Scratch {
     }
 }
 
-/// Removes what is in the folder, and is not one of the files.
+/// Removes all files in the folder that are not among these files.
 fn remove_others(tree: &Path, folder: &Path, files: &BTreeSet<PathBuf>) -> anyhow::Result<()> {
     for entry in fs::read_dir(tree.join(folder))? {
         let entry = entry?;

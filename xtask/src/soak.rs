@@ -1,36 +1,36 @@
-//! `cargo xtask soak`: two emulated arms over pseudo-terminals for minutes, with faults at random.
+//! `cargo xtask soak`: two emulated arms on pseudo-terminals for minutes, with random faults.
 
 use crate::bench::origin;
 use crate::workspace::{Workspace, run_visibly};
 
 const PAGE: &str = "docs/benchmarks/arm.md";
 
-/// Moves two emulated arms over pseudo-terminals, lets them fail at random, and counts what becomes of it.
+/// Moves two emulated arms on pseudo-terminals, injects random faults, and counts the reactions.
 ///
-/// Both arms are those of configs/hil.toml with all that stands before a real arm; one reply of each controller in a hundred is
-/// lost all the time. Ten minutes take every kind of fault some eight times. It fails if a fault is not noticed, an arm comes to
-/// rest too late, or one stops without a reason.
+/// Both arms are those of configs/hil.toml with the full software chain of a real arm; one of a hundred replies of each controller is
+/// lost throughout. Ten minutes include every kind of fault about eight times. Fails if a fault is not detected, an arm is
+/// stationary too late, or an arm stops without a reason.
 /// With --page both runs are made, with faults and with losses only, and the tables go to docs/benchmarks/arm.md, with commit and
-/// machine; commit first, and leave the machine alone.
+/// machine; commit first, and keep the machine idle.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
-    /// How long.
+    /// Duration, minutes.
     #[arg(long, default_value_t = 10.0)]
     minutes: f64,
-    /// No faults but the lost replies: the arms move all the time, and nothing may stop them.
+    /// Only lost replies, no other faults: the arms move throughout, and no loss may stop them.
     #[arg(long, conflicts_with = "page")]
     losses_only: bool,
-    /// Of faults and losses.
+    /// Seed of faults and losses.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Also write the page of the documentation.
+    /// Also write the documentation page.
     #[arg(long)]
     page: bool,
 }
 
 /// # Errors
-/// If a number is out of range, the program does not build, or something went unnoticed.
+/// If a number is out of range, the program does not build, or a fault is not detected.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     let (minutes, seed) = (args.minutes.to_string(), args.seed.to_string());
     let mut command = workspace.cargo();

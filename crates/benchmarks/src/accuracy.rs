@@ -1,7 +1,7 @@
-//! How exact the estimators are on rendered scenes, whose truth is known, beside the Cramér-Rao bound.
+//! Accuracy of the estimators on rendered scenes with known truth, compared with the Cramér-Rao bound.
 //!
-//! [`cells`] says what is measured on single pairs and [`sequences`] on moving targets; [`bound`] is the limit of what can
-//! be reached, [`limits`] what must be reached; [`page`] makes the document.
+//! [`cells`] lists the configurations for single pairs and [`sequences`] those for moving targets; [`bound`] computes
+//! the Cramér-Rao bound, [`limits`] checks the required accuracy, and [`page`] writes the document.
 
 mod bound;
 mod cell;
@@ -47,22 +47,22 @@ const DRAWN_SEQUENCE: &str = "track/crab-30fps";
 /// Options.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Fewer poses and sequences, for a check in minutes; docs/benchmarks stays as it is.
+    /// Fewer poses and sequences, for a check in minutes; does not change docs/benchmarks.
     #[arg(long)]
     quick: bool,
-    /// Only cells and sequences whose name contains one of these texts, separated by commas.
+    /// Only configurations and sequences whose name contains one of these texts, separated by commas.
     #[arg(long, value_delimiter = ',', value_name = "TEXTS")]
     only: Vec<String>,
     /// Methods, separated by commas.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     methods: Vec<Method>,
-    /// Poses per cell.
+    /// Poses per configuration.
     #[arg(long, value_name = "NUMBER")]
     poses: Option<usize>,
-    /// Also the run of 10000 frames.
+    /// Also the sequence of 10000 frames.
     #[arg(long)]
     long: bool,
-    /// Threads.
+    /// Number of threads.
     #[arg(long, default_value_t = 2, value_name = "NUMBER")]
     threads: usize,
     /// Seed of poses and noise.
@@ -71,10 +71,10 @@ pub struct Args {
     /// One JSON line per row instead of the tables.
     #[arg(long)]
     json: bool,
-    /// Leaves docs/benchmarks as it is.
+    /// Does not change docs/benchmarks.
     #[arg(long)]
     no_docs: bool,
-    /// Folder of the workspace.
+    /// Root folder of the workspace.
     #[arg(long, default_value = ".", value_name = "DIR")]
     root: PathBuf,
 }
@@ -100,7 +100,7 @@ impl Args {
 }
 
 /// # Errors
-/// If a part fails, or a limit is not kept.
+/// If a part fails, or a limit is not met.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let options = Options {
         methods: args.methods(),
@@ -112,7 +112,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let cells: Vec<_> = cells::all().into_iter().filter(|cell| args.wants(&cell.name)).collect();
     let specs = args.sequences();
     if cells.is_empty() && specs.is_empty() {
-        bail!("no cell and no sequence has a name with {}", args.only.join(" or "));
+        bail!("no configuration or sequence has a name with {}", args.only.join(" or "));
     }
     let summaries = measure_cells(&cells, &options, args.json)?;
     let sequences = measure_sequences(&specs, &options, args.json)?;
@@ -147,7 +147,7 @@ fn measure_cells(cells: &[cell::Cell], options: &Options, as_json: bool) -> anyh
     Ok(summaries)
 }
 
-/// Runs the sequences, one per thread at a time.
+/// Runs the sequences, one per thread.
 fn measure_sequences(specs: &[SequenceSpec], options: &Options, as_json: bool) -> anyhow::Result<Vec<SequenceSummary>> {
     if !specs.is_empty() && !as_json {
         println!("\n{}", sequence_summary::line(&sequence_summary::HEADINGS.map(str::to_owned)));
@@ -185,7 +185,7 @@ fn measure_sequences(specs: &[SequenceSpec], options: &Options, as_json: bool) -
     Ok(found.into_iter().flat_map(|(_, rows)| rows).collect())
 }
 
-/// Keeps the figures as JSON.
+/// Saves the results as JSON.
 fn keep(root: &Path, findings: &Findings, circumstances: &Circumstances) -> anyhow::Result<()> {
     let checks: Vec<_> = findings
         .checks
@@ -216,12 +216,12 @@ fn document(root: &Path, findings: &Findings, circumstances: &Circumstances) -> 
 
 fn write(path: &Path, text: &str) -> anyhow::Result<()> {
     if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     }
     std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Tells which limits are not kept.
+/// Reports the limits that are not met.
 fn conclude(checks: &[Check], quick: bool) -> anyhow::Result<()> {
     let (mut open, mut broken) = (0, 0);
     for check in checks {
@@ -229,7 +229,7 @@ fn conclude(checks: &[Check], quick: bool) -> anyhow::Result<()> {
             Standing::Kept => continue,
             Standing::Open(ceiling) => {
                 open += 1;
-                format!(" (open, at most {ceiling:.3} meanwhile)")
+                format!(" (open goal, at most {ceiling:.3} for now)")
             }
             Standing::Broken => {
                 broken += 1;
@@ -237,13 +237,13 @@ fn conclude(checks: &[Check], quick: bool) -> anyhow::Result<()> {
             }
         };
         eprintln!(
-            "{} {}: {} is {:.3}, must be at most {:.3}{known}",
+            "{} {}: {} is {:.3}, the limit is {:.3}{known}",
             check.method, check.name, check.figure, check.measured, check.max
         );
     }
-    println!("{} limits: {} kept, {open} open, {broken} not kept", checks.len(), checks.len() - open - broken);
+    println!("{} limits: {} met, {open} open, {broken} not met", checks.len(), checks.len() - open - broken);
     if broken > 0 {
-        bail!("{broken} of {} limits are not kept", checks.len());
+        bail!("{broken} of {} limits are not met", checks.len());
     }
     Ok(())
 }

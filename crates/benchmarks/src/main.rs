@@ -1,4 +1,4 @@
-//! Measures what the estimators reach: against exact truth on rendered scenes, and against other tools on real pairs.
+//! Measures the accuracy and speed of the estimators: on rendered scenes with exact truth, and on real pairs with other tools.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program that reports to its user")]
 
 mod accuracy;
@@ -19,15 +19,15 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum What {
-    /// Rendered scenes with exact truth, beside the Cramér-Rao bound.
+    /// Accuracy on rendered scenes with exact truth, compared with the Cramér-Rao bound.
     Accuracy(accuracy::Args),
-    /// Writes the pairs of one cell of `accuracy` as case folders, or one of its sequences as a sequence folder.
+    /// Writes the stereo pairs of one configuration of `accuracy` as case folders, or one of its sequences as a sequence folder.
     Dump(accuracy::dump::Args),
-    /// The figures of docs/method.md.
+    /// Draws the figures of docs/method.md.
     Figures(accuracy::figures::Args),
-    /// Real stereo cases, beside other tools.
+    /// Accuracy on real stereo cases, compared with other tools.
     Real(real::Args),
-    /// How long the direct method takes.
+    /// Speed of the direct method.
     Speed(speed::Args),
 }
 

@@ -1,7 +1,7 @@
-//! Real stereo cases: what our methods and other tools reach on pairs whose truth is known.
+//! Accuracy on real stereo cases: our methods and other tools on pairs with known truth.
 //!
-//! Every method gets the same input: both images, the region, the calibration and the case's own search range. What
-//! counts as passed is in [`score`]; [`table`] makes rows of it, [`page`] the document and [`plot`] its figure.
+//! Every method gets the same input: both images, the region, the calibration and the search range of the case. [`score`]
+//! defines the pass criteria; [`table`] computes the rows, [`page`] writes the document and [`plot`] its figure.
 
 pub mod cases;
 mod ours;
@@ -20,7 +20,7 @@ use serde_json::{Value, json};
 use self::score::Entry;
 use crate::common::circumstances::Circumstances;
 
-/// The boards of this repository, used where no other cases are given.
+/// The boards of this repository, used without `--cases`.
 const OWN_CASES: &str = "tests/data/cases";
 const KEPT: &str = "out/bench/real.json";
 const PAGE: &str = "docs/benchmarks/real.md";
@@ -29,7 +29,7 @@ const FIGURE: &str = "docs/benchmarks/real.svg";
 /// Options.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Folder with cases (docs/dataset-format.md); without it the few boards in this repository.
+    /// Folder with cases (docs/dataset-format.md); default: the few boards in this repository.
     #[arg(long, value_name = "DIR")]
     cases: Option<PathBuf>,
     /// Folder with `peers.py`, which runs other tools on the same cases; it prints one JSON line per case and tool.
@@ -38,10 +38,10 @@ pub struct Args {
     /// The Python that runs `peers.py`; it needs OpenCV and NumPy.
     #[arg(long, value_name = "PROGRAM", default_value = "python3")]
     python: PathBuf,
-    /// Lines that an earlier run of `peers.py` printed for these cases, instead of running it again.
+    /// Output lines of an earlier run of `peers.py` on these cases; replaces a new run.
     #[arg(long, value_name = "FILE", conflicts_with = "peers")]
     peer_results: Vec<PathBuf>,
-    /// Methods of ours, separated by commas; all if not given.
+    /// Our methods to measure, separated by commas; default: all.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     methods: Vec<Method>,
     /// Only cases whose name contains this.
@@ -53,21 +53,21 @@ pub struct Args {
     /// One JSON line per case and method instead of the tables.
     #[arg(long)]
     json: bool,
-    /// After the tables, every case that one of our methods did not pass.
+    /// Also list every case that one of our methods did not pass.
     #[arg(long)]
     failures: bool,
-    /// Leaves docs/benchmarks as it is.
+    /// Does not change docs/benchmarks.
     #[arg(long)]
     no_docs: bool,
-    /// Folder of the workspace, where results are kept.
+    /// Root folder of the workspace, where results are saved.
     #[arg(long, value_name = "DIR", default_value = ".")]
     root: PathBuf,
 }
 
-/// Runs our methods, and other tools if they are given, and writes down what came out.
+/// Runs our methods and, if given, other tools, and saves the results.
 ///
 /// # Errors
-/// A folder or file that cannot be used, by name; an unknown method; other tools that fail.
+/// A folder or file that cannot be used, by name; an unknown method; a failure of the other tools.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     check_root(&args.root)?;
     let folder = args.cases.clone().unwrap_or_else(|| args.root.join(OWN_CASES));
@@ -89,21 +89,21 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 fn check_root(root: &Path) -> anyhow::Result<()> {
     if !root.join("Cargo.toml").is_file() {
-        bail!("--root {} is not the workspace (it has no Cargo.toml): give the folder of the clone", root.display());
+        bail!("--root {} is not the workspace (no Cargo.toml): give the root folder of the clone", root.display());
     }
     Ok(())
 }
 
-/// Every case by every method of ours, then the other tools.
+/// Runs our methods and then the other tools on all cases.
 fn measure(args: &Args, folder: &Path, peers_script: Option<&Path>) -> anyhow::Result<Vec<Entry>> {
     let found = cases::find(folder, args.filter.as_deref())?;
-    // The other tools first: a Python that lacks something is found out at once.
+    // The other tools run first, so that a missing Python package is reported at once.
     let peers = peers_script.map(|script| peers::run(&args.python, script, folder, args.repeat)).transpose()?;
     let methods = if args.methods.is_empty() { Method::ALL.to_vec() } else { args.methods.clone() };
     let (mut entries, mut facts) = (Vec::new(), Vec::new());
     for (index, case) in found.iter().enumerate() {
         let Some(prepared) = cases::load(case)? else {
-            eprintln!("{}: no truth, left out", case.display());
+            eprintln!("{}: no truth, skipped", case.display());
             continue;
         };
         entries.extend(methods.iter().map(|method| ours::run(&prepared, *method, args.repeat)));
@@ -113,20 +113,20 @@ fn measure(args: &Args, folder: &Path, peers_script: Option<&Path>) -> anyhow::R
         }
     }
     if facts.is_empty() {
-        bail!("no case in {} has a `truth`: there is nothing to measure against", folder.display());
+        bail!("no case in {} has a `truth`: nothing to compare with", folder.display());
     }
     if let Some(lines) = peers {
         entries.extend(peers::entries(&lines, &facts, "peers.py")?);
     }
     for file in &args.peer_results {
-        let text = std::fs::read_to_string(file)
-            .with_context(|| format!("--peer-results {} cannot be read", file.display()))?;
+        let text =
+            std::fs::read_to_string(file).with_context(|| format!("cannot read --peer-results {}", file.display()))?;
         entries.extend(peers::entries(&text, &facts, &file.display().to_string())?);
     }
     Ok(entries)
 }
 
-/// The figures with their circumstances, and, for cases that were given, the page and its figure.
+/// Saves the results with their circumstances, and with `--cases` also the page and its figure.
 fn keep(args: &Args, entries: &[Entry]) -> anyhow::Result<()> {
     let circumstances = Circumstances::of(&args.root);
     let results: Vec<Value> = entries.iter().map(Entry::to_json).collect();
@@ -148,14 +148,14 @@ fn keep(args: &Args, entries: &[Entry]) -> anyhow::Result<()> {
 fn write(root: &Path, path: &str, text: &str) -> anyhow::Result<()> {
     let file = root.join(path);
     if let Some(folder) = file.parent() {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     }
     std::fs::write(&file, text).with_context(|| format!("cannot write {}", file.display()))?;
     eprintln!("written: {path}");
     Ok(())
 }
 
-/// The command that makes the page again; folders of one machine are not named.
+/// The command that writes the page again, without the folders of this machine.
 fn command_line(args: &Args) -> String {
     let mut words = vec!["cargo xtask bench real --cases DIR".to_owned()];
     if args.peers.is_some() {

@@ -1,7 +1,8 @@
-//! How fast the direct method is: cold start, tracking, kernels, and what the times depend on.
+//! Speed of the direct method: cold start, tracking, kernels, and the influence of sizes and counts.
 //!
-//! [`cold`] measures single pairs, with [`stages`] for the parts, [`tracking`] sequences and [`scaling`] what they depend
-//! on; [`clips`] are the images, [`goals`] the limits, [`page`] the document, [`plot`] its figure.
+//! [`cold`] measures single pairs, with [`stages`] for the parts, [`tracking`] sequences and [`scaling`] the influence of
+//! sizes and counts; [`clips`] renders the images, [`goals`] defines the limits, [`page`] writes the document and [`plot`]
+//! its figure.
 
 mod clips;
 mod cold;
@@ -23,19 +24,19 @@ use crate::common::circumstances::Circumstances;
 const KEPT: &str = "out/bench/speed.json";
 const PAGE: &str = "docs/benchmarks/speed.md";
 const FIGURE: &str = "docs/benchmarks/speed.svg";
-/// Where the figures of the published method are, if they were measured before.
+/// Results of the published method's program, if it ran before.
 const PUBLISHED: &str = "out/bench/speed_published.json";
 
 /// Options.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Also real cases: a folder with cases (docs/dataset-format.md).
+    /// Also measure real cases: a folder with cases (docs/dataset-format.md).
     #[arg(long, value_name = "DIR")]
     cases: Option<PathBuf>,
-    /// Fewer calls and every tenth case, for a check in half a minute; docs/benchmarks stays as it is.
+    /// Fewer calls and every tenth case, for a check in half a minute; does not change docs/benchmarks.
     #[arg(long)]
     quick: bool,
-    /// Calls per figure; of each real case, a twentieth of it.
+    /// Calls per figure; for each real case, a twentieth of this number.
     #[arg(long, value_name = "NUMBER", default_value_t = 300, value_parser = clap::value_parser!(u32).range(20..=100_000))]
     rounds: u32,
     /// Exit with an error if a goal is missed.
@@ -44,15 +45,15 @@ pub struct Args {
     /// One JSON object instead of the tables.
     #[arg(long)]
     json: bool,
-    /// Leaves docs/benchmarks as it is.
+    /// Does not change docs/benchmarks.
     #[arg(long)]
     no_docs: bool,
-    /// Folder of the workspace.
+    /// Root folder of the workspace.
     #[arg(long, default_value = ".", value_name = "DIR")]
     root: PathBuf,
 }
 
-/// Everything that was measured.
+/// All results.
 pub struct Findings {
     sizes: Vec<cold::SizeRow>,
     real: Option<cold::RealRows>,
@@ -63,19 +64,16 @@ pub struct Findings {
 
 /// Rounds of a quick run.
 const QUICK_ROUNDS: usize = 40;
-/// Of the cases, a quick run takes one in so many.
+/// A quick run uses one case of this many.
 const QUICK_EVERY: usize = 10;
 
-/// Measures, prints, and writes down what came out.
+/// Runs the measurements, prints the results and saves them.
 ///
 /// # Errors
-/// A folder or file that cannot be used, by name; with `--check` a goal that is missed.
+/// A folder or file that cannot be used, by name; with `--check`, a missed goal.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     if !args.root.join("Cargo.toml").is_file() {
-        bail!(
-            "--root {} is not the workspace (it has no Cargo.toml): give the folder of the clone",
-            args.root.display()
-        );
+        bail!("--root {} is not the workspace (no Cargo.toml): give the root folder of the clone", args.root.display());
     }
     let findings = measure(args)?;
     let circumstances = Circumstances::of(&args.root);
@@ -97,7 +95,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         eprintln!("missed: {} is {:.2} ms, the goal is {:.2} ms", goal.name, goal.found_ms, goal.limit_ms);
     }
     if args.check && !missed.is_empty() {
-        bail!("{} of the goals are missed", missed.len());
+        bail!("{} goals are missed", missed.len());
     }
     Ok(())
 }
@@ -141,7 +139,7 @@ fn kept(findings: &Findings, published: Option<&Value>, circumstances: &Circumst
     })
 }
 
-/// The JSON object of the published method's program, if it ran.
+/// The JSON object from the published method's program, if it ran.
 fn published(root: &Path) -> Option<Value> {
     let text = std::fs::read_to_string(root.join(PUBLISHED)).ok()?;
     let kept: Value = serde_json::from_str(&text).ok()?;
@@ -151,14 +149,14 @@ fn published(root: &Path) -> Option<Value> {
 fn write(root: &Path, path: &str, text: &str) -> anyhow::Result<()> {
     let file = root.join(path);
     if let Some(folder) = file.parent() {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     }
     std::fs::write(&file, text).with_context(|| format!("cannot write {}", file.display()))?;
     eprintln!("written: {path}");
     Ok(())
 }
 
-/// The command that makes the page again; folders of one machine are not named.
+/// The command that writes the page again, without the folders of this machine.
 fn command_line(args: &Args) -> String {
     let mut words = vec!["cargo xtask bench speed".to_owned()];
     if args.cases.is_some() {

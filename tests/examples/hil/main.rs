@@ -1,4 +1,4 @@
-//! The experiment of `configs/hil.toml` three times: in simulated time and in the machine's time with simulated joints in this
+//! The experiment of `configs/hil.toml` three times: in simulated time and in real time with simulated joints in this
 //! process, then through serial lines to emulated arms. Run it by `cargo xtask hil`.
 #![allow(clippy::print_stdout, reason = "prints its figures")]
 
@@ -15,7 +15,7 @@ use pb3dp_setup::setup::{ArmLink, Pace, Setup, read_setup};
 use pb3dp_wiring::wire;
 use system_tests::repository;
 
-/// The hand may be off by so much more with arms behind lines than in simulated time.
+/// Largest ratio of the tracking error with arms on serial lines to that in simulated time.
 const RATIO_MAX: f64 = 1.2;
 
 fn main() -> Result<()> {
@@ -28,8 +28,8 @@ fn main() -> Result<()> {
     let mut runs = Vec::new();
     for (name, setup) in [
         ("in process, simulated time", &simulated),
-        ("in process, the machine's time", &in_process),
-        ("serial lines, the machine's time", &hil),
+        ("in process, real time", &in_process),
+        ("serial lines, real time", &hil),
     ] {
         println!("{name} ...");
         runs.push((name, run(setup, options.stop_after_s).context(name)?));
@@ -38,7 +38,7 @@ fn main() -> Result<()> {
     let tables = figures.tables();
     print!("\n{tables}");
     if let Some(file) = &options.page {
-        std::fs::write(file, page(&options.origin, &tables)).with_context(|| format!("{file} cannot be written"))?;
+        std::fs::write(file, page(&options.origin, &tables)).with_context(|| format!("cannot write {file}"))?;
     }
     figures.judge()
 }
@@ -46,7 +46,7 @@ fn main() -> Result<()> {
 fn run(setup: &Setup, stop_after_s: Option<f64>) -> Result<RunSummary> {
     let parts = wire(setup)?;
     let plan = Plan::of(&setup.experiment.motion, &*parts.experiment);
-    // In simulated time nobody can be late.
+    // In simulated time no thread can be late.
     let witness = (setup.pace == Pace::Live).then(Witness::start).transpose()?;
     let outcome = experiment::run(setup, parts, stop_after_s, None);
     let machine = witness.map(|witness| CycleSummary::new("the machine", PERIOD, &witness.end()));
@@ -56,35 +56,35 @@ fn run(setup: &Setup, stop_after_s: Option<f64>) -> Result<RunSummary> {
     Ok(summary)
 }
 
-/// What the machine did meanwhile to a thread that goes before all of ours.
+/// Explains how long the machine delayed a thread of highest priority.
 fn doubt(machine: &CycleSummary) -> String {
     let late = machine.late_max_millis;
     let advice = if late > TOO_LATE.as_secs_f64() * 1e3 {
-        "it keeps no cycle of 10 ms by itself: repeat on a machine that nobody shares (virtual machines often are)"
+        "too late for a cycle of 10 ms; repeat on a machine without other load (virtual machines often share processors)"
     } else {
-        "so it was not the machine that was late"
+        "so the machine did not cause the delay"
     };
-    format!("meanwhile the machine held up its most urgent thread by up to {late:.1} ms; {advice}")
+    format!("the machine delayed its thread of highest priority by up to {late:.1} ms; {advice}")
 }
 
-/// How well the hand followed in a run.
+/// Tracking error of the hand in a run.
 struct Row {
     name: &'static str,
     summary: RunSummary,
-    /// Against the place by the pose of the lock, while the target moves.
+    /// Relative to the desired pose from the initial lock, while the target moves.
     moving_mm: RmsMax,
     moving_deg: RmsMax,
 }
 
 struct Figures {
-    /// The one in simulated time first, that through lines last.
+    /// The run in simulated time first, the run through serial lines last.
     rows: Vec<Row>,
 }
 
 impl Figures {
     fn of(runs: Vec<(&'static str, RunSummary)>) -> Result<Self> {
         let rows = runs.into_iter().map(|(name, summary)| {
-            let of = |error: Option<RmsMax>| error.with_context(|| format!("{name}: the hand followed nothing"));
+            let of = |error: Option<RmsMax>| error.with_context(|| format!("{name}: the target was not tracked"));
             let (moving_mm, moving_deg) = (of(summary.locked.moving_mm)?, of(summary.locked.moving_deg)?);
             Ok(Row { name, moving_mm, moving_deg, summary })
         });
@@ -93,7 +93,7 @@ impl Figures {
 
     fn tables(&self) -> String {
         let mut text = String::from(
-            "| run | moving rms, mm | max | moving rms, deg | max | resting rms, mm | rms, deg | whole rms, mm | rms, deg | lag, s |\n\
+            "| run | moving rms, mm | max | moving rms, deg | max | hold rms, mm | rms, deg | total rms, mm | rms, deg | lag, s |\n\
              |---|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n",
         );
         let or_dash = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
@@ -130,8 +130,7 @@ impl Figures {
             "\nThrough serial lines the error in motion is {position:.2} times (position) and {orientation:.2} times (orientation) that in \
              simulated time; at most {RATIO_MAX} is allowed.\n"
         );
-        text +=
-            "| run | cycle | period, ms | begun | late p50, ms | p99 | max | left out | not taken | replies lost |\n";
+        text += "| run | cycle | period, ms | begun | late p50, ms | p99 | max | skipped | dropped | replies lost |\n";
         text += "|---|---|---:|---:|---:|---:|---:|---:|---:|---:|\n";
         for Row { name, summary, .. } in &self.rows {
             for cycle in &summary.cycles {
@@ -153,7 +152,7 @@ impl Figures {
         text
     }
 
-    /// Position and orientation of the run through lines, over those in simulated time.
+    /// Ratios of position and orientation error of the run through serial lines to those in simulated time.
     fn ratios(&self) -> (f64, f64) {
         let (Some(first), Some(last)) = (self.rows.first(), self.rows.last()) else { return (f64::NAN, f64::NAN) };
         (last.moving_mm.rms / first.moving_mm.rms, last.moving_deg.rms / first.moving_deg.rms)
@@ -161,13 +160,13 @@ impl Figures {
 
     fn judge(&self) -> Result<()> {
         let (position, orientation) = self.ratios();
-        // Not so for what is no number, either.
+        // A NaN ratio is a failure, too.
         if position <= RATIO_MAX && orientation <= RATIO_MAX {
             return Ok(());
         }
         let machine = self.rows.last().and_then(|row| row.summary.cycles.last()).map_or(String::new(), doubt);
         bail!(
-            "the hand is off by {position:.2} and {orientation:.2} times what it is in simulated time, more than {RATIO_MAX}; {machine}"
+            "the errors in position and orientation are {position:.2} and {orientation:.2} times those in simulated time, the limit is {RATIO_MAX}; {machine}"
         )
     }
 }
@@ -176,20 +175,20 @@ fn page(origin: &str, tables: &str) -> String {
     format!(
         "# Hardware in the loop\n\n\
          This page is written by the command below; change the program, not the page.\n\n\
-         The experiment of `configs/hil.toml` ([hil.md](../hil.md)), the hand led by the method `direct`.\n\
-         The first estimate puts the plane of the target beside the true one, which stays the same during a run and is most of the \
-         whole error: so motion and rest are judged against the place by the pose of the lock.\n\n\
-         * **in process, simulated time**: joints simulated in the process, one thread, as `configs/sim.toml` has it.\n\
-         * **in process, the machine's time**: the same joints, with looking and moving on threads of their own.\n\
-         * **serial lines, the machine's time**: both arms emulated byte by byte behind gateways on pseudo-terminals.\n\n\
-         Cycles: the control loop runs every 10 ms, and so do the links; `late` is how long after its time a cycle began.\n\
-         `the machine` is a thread on each processor that goes before all others and does nothing but sleep for 1 ms: how late it wakes is no \
-         work of this program's, and the worst processor is shown.\n\n\
+         The experiment of `configs/hil.toml` ([hil.md](../hil.md)), with the method `direct`.\n\
+         The first estimate of the target's plane has an error, which is constant during a run and is most of the \
+         total error. Therefore the errors while moving and holding are relative to the desired pose from the initial lock.\n\n\
+         * **in process, simulated time**: joints simulated in the process, one thread, as in `configs/sim.toml`.\n\
+         * **in process, real time**: the same joints, with perception and control on separate threads.\n\
+         * **serial lines, real time**: both arms emulated byte by byte behind gateways on pseudo-terminals.\n\n\
+         Cycles: the control loop runs every 10 ms, and so do the links; `late` is the delay of the start of a cycle.\n\
+         `the machine` is a thread of highest priority on each processor that only sleeps for 1 ms: its delay does not come from this \
+         program; the worst processor is shown.\n\n\
          ```text\ncargo xtask hil\n```\n\n{origin}\n\n{tables}"
     )
 }
 
-/// What the command line says.
+/// The command line options.
 #[derive(Default)]
 struct Options {
     stop_after_s: Option<f64>,
@@ -201,15 +200,15 @@ impl Options {
     fn parse(mut words: impl Iterator<Item = String>) -> Result<Self> {
         let mut options = Self::default();
         while let Some(word) = words.next() {
-            let value = words.next().with_context(|| format!("{word}: give a value"))?;
+            let value = words.next().with_context(|| format!("{word}: no value given"))?;
             match word.as_str() {
                 "--stop-after" => {
-                    let seconds: f64 = value.parse().with_context(|| format!("--stop-after {value}: no number"))?;
+                    let seconds: f64 = value.parse().with_context(|| format!("--stop-after {value}: not a number"))?;
                     options.stop_after_s = Some(seconds);
                 }
                 "--page" => options.page = Some(value),
                 "--origin" => options.origin = value,
-                other => bail!("{other}: known are --stop-after, --page and --origin"),
+                other => bail!("unknown option {other}; options: --stop-after, --page, --origin"),
             }
         }
         Ok(options)

@@ -1,4 +1,4 @@
-//! `pb3dp cameras` in this computer.
+//! The commands `pb3dp cameras` in this computer.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -14,11 +14,11 @@ use crate::system::wait_for;
 /// Images per second.
 const RATE_HZ: f64 = 25.0;
 
-/// Pairs of a recording; its file.
+/// Number of pairs of a recording; its file.
 const PAIRS: usize = 16;
 const FOLDER: &str = "/recorded";
 
-/// Findings of `cameras check` that an image without noise can pass as well as any.
+/// Findings of `cameras check` that an image without noise can also meet.
 const OF_TIME: [&str; 4] = ["rate", "jitter", "skew", "missing"];
 
 pub fn check(report: &mut Report) {
@@ -28,7 +28,7 @@ pub fn check(report: &mut Report) {
     report.check("a second program at one camera is refused by name", second);
 }
 
-/// What the program says on standard output, whatever its exit code.
+/// Output of the program on standard output, with any exit code.
 fn said(words: &[&str]) -> Result<(bool, String, String), Box<dyn std::error::Error>> {
     let output = once(words)?;
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).trim().to_owned();
@@ -91,7 +91,7 @@ fn measure() -> Outcome {
 fn second() -> Outcome {
     let words = ["cameras", "record", "--config", HERE, "--out", "/first", "--pairs", "1000", "--json"];
     let first = Running::start(&words)?;
-    // It has them once it writes.
+    // The cameras are in use once it writes.
     wait_for("the first program records", || std::fs::read_dir("/first").ok()?.nth(2).map(|_| ()))?;
     let (is_good, out, err) = said(&["cameras", "check", "--config", HERE, "--pairs", "30"])?;
     drop(first);

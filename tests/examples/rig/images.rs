@@ -1,4 +1,4 @@
-//! What the cameras show: `vivid` has video outputs, which its inputs can be made to show.
+//! The camera images: `vivid` has video outputs, which can be looped to its inputs.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -12,20 +12,20 @@ use crate::outputs::Stream;
 use crate::setup::{LOOP, OSD, control, name};
 use crate::system;
 
-/// Two devices that capture and put out video. Their inputs take a part of the image and do not scale it.
+/// Two devices with video input and output. Their inputs show a part of the output image without scaling.
 const VIVID: &str = "n_devs=2 node_types=0x101,0x101 ccs_cap_mode=1,1";
 
-/// Where the kernel lists video devices.
+/// Folder in which the kernel lists video devices.
 const NODES: &str = "/sys/class/video4linux";
 
-/// What an output takes until somebody requests something else: PAL, in YUYV.
+/// Format of an output by default: PAL, YUYV.
 const FRAME: (usize, usize) = (720, 576);
 
-/// In the upper left corner stand the time and the number of each image (`vivid`'s menu "Counters Only"): no two images are the same,
-/// as noise makes it in those of cameras. The program takes a camera for frozen that delivers one image twice.
+/// The upper left corner shows the time and the number of each image (`vivid`'s menu "Counters Only"): no two images are the
+/// same, as with the noise of real cameras. The program takes a camera that delivers one image twice for frozen.
 const COUNTERS: i32 = 1;
 
-/// Makes both cameras, each of which shows what its output is given.
+/// Creates both cameras; each shows the image of its output.
 pub fn prepare() -> Result<(), Box<dyn Error>> {
     system::load("vivid", VIVID)?;
     let (looping, text) = (control(LOOP)?, control(OSD)?);
@@ -54,11 +54,11 @@ impl Output {
                 return Ok(Self { path, stream: None, frame: Vec::new() });
             }
         }
-        Err(format!("there is no {wanted}").into())
+        Err(format!("no {wanted} found").into())
     }
 
-    /// Puts the image into the frame, with its upper left corner there, and its own upper left pixel's colour where nothing was yet. The
-    /// camera takes the upper left part of the frame.
+    /// Puts the image into the frame, with its upper left corner at this position; the unused area gets the colour of the
+    /// image's upper left pixel. The camera takes the upper left part of the frame.
     pub fn draw(&mut self, image: &RgbImage, (x, y): (u32, u32)) {
         let (width, pixels) = (image.width() as usize, image.as_raw());
         if self.frame.is_empty() {
@@ -73,23 +73,23 @@ impl Output {
         }
     }
 
-    /// Waits until the next frame can be given.
+    /// Waits until the next frame can be queued.
     pub fn wait(&mut self) {
         if self.stream.as_mut().is_some_and(|stream| stream.wait().is_err()) {
             self.stream = None;
         }
     }
 
-    /// Has the frame shown next.
+    /// Queues the frame.
     ///
     /// # Errors
-    /// A camera that was pulled comes back when nobody has it open any more, the output included; it is opened anew by the next call.
+    /// A disconnected camera comes back when no process has it open, including its output; the next call opens it again.
     pub fn show(&mut self) -> io::Result<()> {
         let mut stream = match self.stream.take() {
             Some(stream) => stream,
             None => {
                 let mut stream = Stream::open(&self.path)?;
-                // It begins when it has two.
+                // Streaming starts with two buffers.
                 stream.give(&self.frame)?;
                 stream
             }
@@ -100,7 +100,7 @@ impl Output {
     }
 }
 
-/// Two pixels (ITU-R BT.601, 16 to 235), the colour of which is their mean.
+/// Two pixels (ITU-R BT.601, 16 to 235), with the mean of their colours.
 fn yuyv_of(pair: &[u8]) -> [u8; 4] {
     let [r0, g0, b0, r1, g1, b1] = [0, 1, 2, 3, 4, 5].map(|index| i32::from(pair[index]));
     let luma = |r: i32, g: i32, b: i32| (((66 * r + 129 * g + 25 * b + 128) >> 8) + 16) as u8;

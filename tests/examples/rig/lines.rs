@@ -1,4 +1,4 @@
-//! Serial lines: four USB adapters, two at the ends of each cable. One end is the program's, the other one an arm's.
+//! Serial lines: four USB adapters, two at the ends of each cable. One end belongs to the program, the other to an arm.
 
 use std::error::Error;
 use std::fs;
@@ -14,7 +14,7 @@ use pb3dp_setup::setup::{ArmLink, ArmSetup, GatewayWay};
 use crate::report::Outcome;
 use crate::system::wait_for;
 
-/// The path of the adapter with this number of its own.
+/// Path of the adapter with this serial number.
 fn adapter(number: &str) -> Result<String, Box<dyn Error>> {
     let wanted =
         |port: &PortDescription| matches!(&port.kind, PortKind::Usb { serial_number: Some(own), .. } if own == number);
@@ -22,17 +22,17 @@ fn adapter(number: &str) -> Result<String, Box<dyn Error>> {
     wait_for(&format!("the adapter {number} is found"), find)
 }
 
-/// The port of the program by the name that the setup has for it, which udev gives elsewhere.
+/// The port of the program under the name in the setup, which udev creates on a real host.
 fn port(arm: &ArmSetup) -> Result<SerialConfig, Box<dyn Error>> {
     match &arm.link {
         ArmLink::Gateway(link, GatewayWay::Serial { path, baud }) => {
             Ok(SerialConfig::of_link(path.clone(), *baud, link))
         }
-        other => Err(format!("the setup has no arm at a serial port: {other:?}").into()),
+        other => Err(format!("the setup has no arm on a serial port: {other:?}").into()),
     }
 }
 
-/// Gives the adapter `own` the name of the setup.
+/// Creates a link with the setup's name to the adapter `own`.
 pub fn name_port(arm: &ArmSetup, own: &str) -> Outcome {
     let port = port(arm)?;
     let path = Path::new(&port.path);

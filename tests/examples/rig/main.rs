@@ -1,7 +1,8 @@
-//! What `cargo xtask vm rig` runs in an emulated computer: the world around the program `pb3dp`, which is there as `/bin/pb3dp` and knows
-//! nothing of it. Two emulated arms stand at the far ends of its serial lines, and two cameras (`vivid`) show what their hand would see.
+//! The program that `cargo xtask vm rig` runs in an emulated computer: the environment of the program `pb3dp` (`/bin/pb3dp`),
+//! which cannot tell the difference. Two emulated arms are at the far ends of its serial lines, and two cameras (`vivid`)
+//! show the view from their hand.
 //!
-//! It is the first program of that computer. What it finds out it says on the console, in the words of `report.rs`.
+//! It is the first program of that computer. It reports its results on the console, in the format of `report.rs`.
 
 #![allow(clippy::print_stdout, clippy::panic, reason = "a program for the console, whose checks may panic")]
 
@@ -21,7 +22,7 @@ mod system;
 mod world;
 
 mod clock {
-    //! The time, for `system.rs`.
+    //! The clock, for `system.rs`.
     pub use pb3dp_hal_platform::realtime::{now, sleep_until};
 }
 
@@ -34,7 +35,7 @@ const FIRST: u32 = 1;
 
 fn main() -> ExitCode {
     if std::process::id() != FIRST {
-        println!("this is started by `cargo xtask vm rig`");
+        println!("start this program by `cargo xtask vm rig`");
         return ExitCode::FAILURE;
     }
     let mut report = Report::default();

@@ -1,5 +1,5 @@
-//! Video outputs by V4L2, with memory that is shared with the driver: `write` to an output is refused by the kernels of Debian 12 (6.1),
-//! which lose the length of what was written.
+//! Video outputs by V4L2, with memory shared with the driver: the kernels of Debian 12 (6.1) reject `write` to an output,
+//! because they lose the length of the data.
 
 use std::fs::{File, OpenOptions};
 use std::io;
@@ -14,19 +14,19 @@ use v4l::v4l2::{ioctl, vidioc};
 const OUTPUT: u32 = sys::v4l2_buf_type_V4L2_BUF_TYPE_VIDEO_OUTPUT;
 const MAPPED: u32 = sys::v4l2_memory_V4L2_MEMORY_MMAP;
 
-/// One image is shown while the next one is waited for: with more of them images would be shown late.
+/// Number of buffers: one image is shown while the next one waits; more buffers would add delay.
 const BUFFERS: u32 = 2;
 
-/// An output that is open.
+/// An open output.
 pub struct Stream {
     file: File,
     buffers: Vec<Mapping>,
-    /// Those that the driver does not have.
+    /// Buffers that the driver does not hold.
     free: Vec<u32>,
     is_running: bool,
 }
 
-/// Memory of a buffer, which the driver shares with us.
+/// Memory of a buffer, shared with the driver.
 struct Mapping {
     start: *mut u8,
     length: usize,
@@ -44,7 +44,7 @@ impl Drop for Mapping {
 
 impl Stream {
     /// # Errors
-    /// What the driver refuses.
+    /// Errors of the driver.
     pub fn open(path: &Path) -> io::Result<Self> {
         let file = OpenOptions::new().read(true).write(true).open(path)?;
         let mut stream = Self { file, buffers: Vec::new(), free: (0..BUFFERS).collect(), is_running: false };
@@ -53,7 +53,7 @@ impl Stream {
         let mut request = sys::v4l2_requestbuffers { count: BUFFERS, type_: OUTPUT, memory: MAPPED, ..empty };
         stream.call(vidioc::VIDIOC_REQBUFS, &mut request)?;
         if request.count != BUFFERS {
-            return Err(io::Error::other(format!("{} buffers were given for {BUFFERS}", request.count)));
+            return Err(io::Error::other(format!("the driver gave {} buffers, {BUFFERS} are needed", request.count)));
         }
         for index in 0..BUFFERS {
             let buffer = stream.map(index)?;
@@ -62,10 +62,10 @@ impl Stream {
         Ok(stream)
     }
 
-    /// Waits until an image can be given: the one before the last was shown for its period.
+    /// Waits until an image can be queued: until the image before the last was shown for its period.
     ///
     /// # Errors
-    /// What the driver refuses.
+    /// Errors of the driver.
     pub fn wait(&mut self) -> io::Result<()> {
         if self.free.is_empty() {
             let mut buffer = Self::buffer(0);
@@ -75,16 +75,20 @@ impl Stream {
         Ok(())
     }
 
-    /// Gives an image, which is shown next; waits before if that is necessary.
+    /// Queues an image, which is shown next; waits first if necessary.
     ///
     /// # Errors
-    /// What the driver refuses; an image of another size.
+    /// Errors of the driver; an image of another size.
     pub fn give(&mut self, image: &[u8]) -> io::Result<()> {
         self.wait()?;
         let index = self.free.pop().ok_or_else(|| io::Error::other("no buffer is free"))?;
         let mapping = &self.buffers[index as usize];
         if mapping.length < image.len() {
-            return Err(io::Error::other(format!("{} bytes for a buffer of {}", image.len(), mapping.length)));
+            return Err(io::Error::other(format!(
+                "the image has {} bytes, the buffer {}",
+                image.len(),
+                mapping.length
+            )));
         }
         // SAFETY: mapped with at least that length, and the driver's only while it is queued.
         unsafe { std::ptr::copy_nonoverlapping(image.as_ptr(), mapping.start, image.len()) };

@@ -1,4 +1,4 @@
-//! The program, as a person has it before them: words go in, lines come out.
+//! Runs the program as a user does: writes commands, reads lines.
 
 use std::error::Error;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -12,21 +12,21 @@ use crate::report::note;
 
 const PROGRAM: &str = "/bin/pb3dp";
 
-/// Whatever it does takes less than this, in the time of this computer.
+/// Timeout for any action of the program, in the time of this computer.
 const LONG: Duration = Duration::from_secs(30);
 
-/// A word is said again after this time.
+/// A command is repeated after this time.
 const AGAIN: Duration = Duration::from_millis(500);
 
-/// Lines that are shown of a program that did not say what it should.
+/// Number of last lines that are shown when an expected line is missing.
 const LAST_LINES: usize = 30;
 
-/// What it comes to if nobody speaks to it.
+/// Output of the program without input.
 pub fn once(words: &[&str]) -> Result<Output, Box<dyn Error>> {
     Ok(Command::new(PROGRAM).args(words).output().map_err(|error| format!("{PROGRAM}: {error}"))?)
 }
 
-/// A program that runs, with what it says.
+/// A running program, with its output.
 pub struct Running {
     child: Child,
     input: ChildStdin,
@@ -62,7 +62,7 @@ impl Running {
         Ok(writeln!(self.input, "{word}").and_then(|()| self.input.flush())?)
     }
 
-    /// Waits for a line with this in it, and says a word now, and again whenever nothing is said for a while.
+    /// Gives a command and waits for a line with this text; repeats the command whenever no line comes for a while.
     pub fn wait_for(&mut self, part: &str, word: Option<&str>) -> Result<String, Box<dyn Error>> {
         word.map_or(Ok(()), |word| self.say(word))?;
         let end = Instant::now() + LONG;
@@ -81,14 +81,14 @@ impl Running {
         Err(self.untold(part))
     }
 
-    /// That it did not say this, after what it has said last.
+    /// The error that this line did not come; first shows the last lines.
     fn untold(&self, what: &str) -> Box<dyn Error> {
         let last = self.heard.len().saturating_sub(LAST_LINES);
         self.heard[last..].iter().for_each(|line| note(line));
-        format!("the program did not say `{what}` within {LONG:?}").into()
+        format!("the program did not print `{what}` within {LONG:?}").into()
     }
 
-    /// Waits until it has ended.
+    /// Waits until the program has ended.
     pub fn end(mut self) -> Result<ExitStatus, Box<dyn Error>> {
         loop {
             match self.lines.recv_timeout(LONG) {
@@ -102,7 +102,7 @@ impl Running {
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // One that was not waited for is in nobody's way any more.
+        // A program that nothing waited for is no longer needed.
         self.child.kill().ok();
         self.child.wait().ok();
     }

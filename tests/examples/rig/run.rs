@@ -1,4 +1,4 @@
-//! `pb3dp run` in this computer.
+//! The command `pb3dp run` in this computer.
 
 use std::path::Path;
 use std::time::Duration;
@@ -15,23 +15,23 @@ use crate::setup::{self, BUSES, DISCONNECT, HERE, control, name};
 use crate::system::wait_for;
 use crate::world::World;
 
-/// Of the target in the left image.
+/// Region of the target in the left image.
 const REGION: &str = "rect:344,200,100,80";
 
-/// How far the hand may be from where it is wanted.
+/// Largest error of the hand.
 const OFF_MAX_M: f64 = 0.005;
 const TURNED_MAX_DEG: f64 = 2.0;
 
-/// For so long the hand is led by images before it is looked where it is.
+/// Tracking time before the hand pose is checked.
 const TRACKED: Duration = Duration::from_millis(500);
 
-/// What is said of a hand that rests because it was told to.
+/// Status line while the operator holds the hand.
 const HOLDING: &str = "holding: held by the operator";
 
-/// The camera that is pulled.
+/// The camera that is disconnected.
 const PULLED: usize = 1;
 
-/// The world goes on behind it.
+/// Runs the checks and returns the world for the next ones.
 pub fn check(report: &mut Report) -> Option<World> {
     report.check("the rig is there", || {
         images::prepare()?;
@@ -71,21 +71,21 @@ fn follow(world: &World, run: &mut Running) -> Outcome {
     place(world)
 }
 
-/// Where the hand truly is before the target.
+/// True error of the hand.
 fn place(world: &World) -> Outcome {
     let (off_m, turned_deg) = world.hand_off();
-    let text = format!("{:.1} mm and {turned_deg:.1} degrees from where it is wanted", off_m * 1e3);
+    let text = format!("{:.1} mm and {turned_deg:.1} degrees from the desired pose", off_m * 1e3);
     ensure(off_m < OFF_MAX_M && turned_deg < TURNED_MAX_DEG, || text.clone())?;
     Ok(text)
 }
 
 fn pulled(world: &World, run: &mut Running) -> Outcome {
     let disconnect = control(DISCONNECT)?;
-    // Closed again before the program has noticed: the driver comes back when nobody has it open.
+    // Closed before the program has noticed: the driver comes back when no process has it open.
     let node = names::open(&Linux, &name(PULLED))?.1;
     let _ = { node }.set_control(disconnect, 0);
     let lost = run.wait_for("trying to reopen", None)?;
-    ensure(lost.contains(BUSES[PULLED]), || format!("it said: {lost}"))?;
+    ensure(lost.contains(BUSES[PULLED]), || format!("the program printed: {lost}"))?;
     let rests = run.wait_for("check the cameras", None)?;
     run.wait_for("tracking", Some("resume"))?;
     Ok(format!("{rests}; then {}", place(world)?))
@@ -93,13 +93,13 @@ fn pulled(world: &World, run: &mut Running) -> Outcome {
 
 fn end(world: &World, mut run: Running) -> Outcome {
     run.say("hold")?;
-    // It says so by itself only where it had moved.
+    // The program prints this line by itself only after a motion.
     let holding = run.wait_for(HOLDING, Some("status"))?;
     run.say("quit")?;
     let status = run.end()?;
     ensure(status.success(), || format!("the run ended with {status}"))?;
     for arm in world.arms() {
-        ensure(arm.is_braked, || format!("an arm has open brakes: {arm}"))?;
+        ensure(arm.is_braked, || format!("the brakes of an arm are open: {arm}"))?;
     }
     Ok(holding)
 }

@@ -1,4 +1,4 @@
-//! `configs/rig.toml`, and what this rig differs in.
+//! `configs/rig.toml`, and the differences of this rig.
 
 use std::error::Error;
 use std::fs;
@@ -9,10 +9,10 @@ use pb3dp_camera_v4l2::controls;
 use pb3dp_camera_v4l2::linux::Linux;
 use pb3dp_camera_v4l2::names;
 
-/// The file that the program gets, beside that of the rig.
+/// The configuration file of the program, next to that of the rig.
 pub const HERE: &str = "/configs/here.toml";
 
-/// Where the two cameras are.
+/// Bus addresses of the two cameras.
 pub const BUSES: [&str; 2] = ["platform:vivid-000", "platform:vivid-001"];
 
 /// Controls of `vivid` by their names.
@@ -25,7 +25,7 @@ pub fn name(number: usize) -> CameraName {
     CameraName::Bus { bus: BUSES[number].to_owned(), index: None }
 }
 
-/// The number of a control.
+/// Identifier of a control.
 pub fn control(name: &str) -> Result<u32, Box<dyn Error>> {
     let (_, node) = names::open(&Linux, &self::name(0))?;
     let controls = controls::controls(node.as_ref())?;
@@ -33,12 +33,12 @@ pub fn control(name: &str) -> Result<u32, Box<dyn Error>> {
     Ok(found.ok_or_else(|| format!("vivid has no control `{name}`"))?.entry.id)
 }
 
-/// Writes the file that the program gets.
+/// Writes the configuration file of the program.
 pub fn write() -> Result<(), Box<dyn Error>> {
     Ok(fs::write(Path::new(HERE), text(control(STAMPS)?))?)
 }
 
-/// What differs from the rig, and why.
+/// The differences from the rig, with their reasons.
 fn text(stamps: u32) -> String {
     // They have neither exposure nor white balance. `vivid` stamps the end of an image that is still to come unless this is disabled.
     let side = |number: usize| {

@@ -1,4 +1,4 @@
-//! The world: arms that do what the bytes on their lines say, and what the cameras on the hand see of it.
+//! The environment: arms that obey the bytes on their lines, and cameras on the hand that show the simulated view.
 
 use std::error::Error;
 use std::path::Path;
@@ -25,25 +25,25 @@ use crate::images::Output;
 use crate::lines::far_end;
 use crate::setup::HERE;
 
-/// What moves less is painted where it was: a hundredth of a pixel.
+/// Smaller motions are not rendered again: a hundredth of a pixel.
 const SEEN_M: f64 = 1e-5;
 const SEEN_RAD: f64 = 2e-5;
 
-/// What is rendered of the images, around the target; the rest is background. Whole images would take this computer longer than they
-/// are shown.
+/// Size of the rendered part of the images, around the target; the rest is background. Rendering whole images takes this
+/// computer longer than the frame period.
 const WINDOW: ImageSize = ImageSize { width: 208, height: 160 };
 
-/// Where that is in the left and in the right image: x and y of the upper left pixel.
+/// Position of that part in the left and in the right image: x and y of the upper left pixel.
 const CORNERS: [(u32, u32); 2] = [(290, 160), (142, 160)];
 
-/// An output that is gone is looked for so often.
+/// Interval of the search for a missing output.
 const AGAIN: Duration = Duration::from_millis(10);
 
-/// Everything around the program.
+/// The environment of the program.
 pub struct World {
     arms: [MockServer; 2],
     cell: SimulatedCell,
-    /// The middle of the region that is marked is that of the target.
+    /// The marked region and the target have the same centre.
     hand_wanted_from_target: Pose<Hand, Target>,
     clock: Arc<dyn Clock>,
     painter: Option<JoinHandle<()>>,
@@ -78,12 +78,12 @@ impl World {
         Ok(Self { arms: [vs, tc], cell, hand_wanted_from_target, clock, painter, shared })
     }
 
-    /// How the arms are.
+    /// State of the arms.
     pub fn arms(&self) -> [MockReport; 2] {
         [self.arms[0].report(), self.arms[1].report()]
     }
 
-    /// How far the hand truly is from where it is wanted before the target: meters, and degrees.
+    /// True error of the hand relative to its desired pose: metres, and degrees.
     pub fn hand_off(&self) -> (f64, f64) {
         let now = self.clock.now();
         let hand_from_target = self.cell.world_from_hand_at(now).inverse() * self.cell.world_from_target_at(now);
@@ -91,7 +91,7 @@ impl World {
         (off.translation_m().norm(), off.rotation_angle_rad().to_degrees())
     }
 
-    /// Stereo pairs that were shown.
+    /// Number of stereo pairs that were shown.
     pub fn shown(&self) -> u64 {
         self.shared.shown.load(Ordering::SeqCst)
     }
@@ -106,7 +106,7 @@ impl Drop for World {
     }
 }
 
-/// Renders what the cameras see, whenever something has moved.
+/// Renders the camera images after each motion.
 struct Painter {
     renderer: StereoRenderer,
     outputs: [Output; 2],
@@ -122,7 +122,7 @@ impl Painter {
         clock: Arc<dyn Clock>,
         shared: Arc<Shared>,
     ) -> Result<Self, Box<dyn Error>> {
-        // Without a room and without noise, about which this computer would be long.
+        // Without a room and without noise, which would take this computer long.
         let (target, parts) = targets::build(&TargetConfig::card(), 1)?;
         let scene = Scene::from_parts(parts, target, Lighting::default())?;
         let sensor = SensorConfig { right: SensorConfig::default().right, ..SensorConfig::IDEAL };
@@ -155,7 +155,7 @@ impl Painter {
     }
 }
 
-/// The parts of both images that are rendered.
+/// The rendered parts of both images.
 fn windows(rig: &StereoRig) -> Result<StereoRig, Box<dyn Error>> {
     let window = |camera: &Camera, (x, y): (u32, u32)| {
         let whole = *camera.pinhole();
@@ -166,7 +166,7 @@ fn windows(rig: &StereoRig) -> Result<StereoRig, Box<dyn Error>> {
     Ok(StereoRig::new(left, right, *rig.cam_right_from_cam_left())?)
 }
 
-/// Whether somebody could see that it is not the same.
+/// Whether the difference is visible.
 fn is_seen(before: &ScenePoses, now: &ScenePoses) -> bool {
     fn differ<A: Frame, B: Frame>(before: &Pose<A, B>, now: &Pose<A, B>) -> bool {
         let motion = before.inverse() * *now;

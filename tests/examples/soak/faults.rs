@@ -1,22 +1,22 @@
-//! What goes wrong, in the words of docs/mock-arm.md.
+//! The faults, as script lines of docs/mock-arm.md.
 
 /// A kind of fault.
 pub struct Fault {
-    /// For the table.
+    /// Name in the table.
     pub name: &'static str,
-    /// The line that begins it; `AXIS` is an axis at random.
+    /// Line that starts the fault; `AXIS` is a random axis.
     pub begin: &'static str,
-    /// The line that ends it, if something must.
+    /// Line that ends the fault, if one is needed.
     pub end: Option<&'static str>,
-    /// Within so many milliseconds both arms must be at rest; none if it is borne.
+    /// Both arms must be stationary within this time, milliseconds; none for a tolerated fault.
     pub rest_max_millis: Option<u64>,
 }
 
-/// Found by the controller or the gateway: 30 ms down to speed 0, the lag of the drives, and 20 ms.
+/// Detected by controller or gateway: 30 ms down to speed 0, the lag of the drives, and 20 ms.
 const AT_ONCE: u64 = 100;
-/// Found by what does not come: up to 50 ms (host and gateway wait for three messages, or that long), and the above.
+/// Detected by missing messages: up to 50 ms (host and gateway wait for three messages, or that long), plus the above.
 const SILENT: u64 = 150;
-/// Found by the joints: an angle twice in a row, then brakes that close on a joint that follows nobody.
+/// Detected by the joints: two wrong angles in a row, then brakes that close on a joint that does not follow commands.
 const BY_JOINTS: u64 = 400;
 
 const fn stops(name: &'static str, begin: &'static str, end: Option<&'static str>, rest_max_millis: u64) -> Fault {
@@ -27,7 +27,7 @@ const fn borne(name: &'static str, begin: &'static str) -> Fault {
     Fault { name, begin, end: None, rest_max_millis: None }
 }
 
-/// All of them.
+/// All faults.
 pub const FAULTS: [Fault; 27] = [
     stops("cable between host and gateway", "unplug", Some("plug"), AT_ONCE),
     stops("line silent", "line silence on", Some("line silence off"), SILENT),
@@ -54,7 +54,7 @@ pub const FAULTS: [Fault; 27] = [
     borne("one frame damaged", "line corrupt 1"),
     borne("one frame cut", "line truncate 1"),
     borne("one reply lost", "drop 1"),
-    // Not `corrupt`: the bus checks its frames, so the host never sees a reply with a wrong bit.
+    // Not `corrupt`: the bus checks its frames, so the host never gets a reply with a wrong bit.
     borne("one reply cut", "truncate 1"),
     borne("one reply twice", "duplicate 1"),
 ];

@@ -1,4 +1,4 @@
-//! What is counted, and the table of it.
+//! Counters, and their table.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -10,10 +10,10 @@ use pb3dp_hal_platform::jitter::Jitter;
 
 use crate::rig::{AT_REST_RAD_PER_S, DEADLINE, Stopped};
 
-/// After so many stops without a reason nothing more is to be learned.
+/// The run ends after this many stops without a reason.
 const FALSE_STOPS_MAX: usize = 50;
 
-/// What is counted.
+/// Counters of a run.
 #[derive(Default)]
 pub struct Figures {
     cycles: u64,
@@ -22,7 +22,7 @@ pub struct Figures {
     lateness_max: Duration,
     late_replies: u64,
     kinds: BTreeMap<&'static str, Kind>,
-    /// Stops after the control loop has missed a deadline.
+    /// Stops after the control loop missed a deadline.
     late_stops: u64,
     false_stops: Vec<String>,
     enabled: u64,
@@ -30,30 +30,30 @@ pub struct Figures {
     links: Vec<(String, LinkCounters, Jitter)>,
 }
 
-/// Of one kind of fault.
+/// Counters of one kind of fault.
 #[derive(Default)]
 struct Kind {
     injected: u64,
     borne: u64,
-    /// Stopped an arm although it is to be borne.
+    /// Stopped an arm although the fault should be tolerated.
     not_borne: u64,
-    /// Until the control loop was told, and until both arms were at rest.
+    /// Time until the control loop got the report, and until both arms were stationary.
     stops: Vec<(Duration, Duration)>,
-    /// None if it is to be borne.
+    /// None for a tolerated fault.
     rest_max_millis: Option<u64>,
-    /// Stops after which the arms were at rest later than that.
+    /// Stops after which the arms were stationary too late.
     too_late: u64,
 }
 
 impl Figures {
-    /// A control step began so late.
+    /// A control step started this late.
     pub fn cycle(&mut self, late: Duration) {
         self.cycles += 1;
         self.missed_deadlines += u64::from(late > DEADLINE);
         self.lateness_max = self.lateness_max.max(late);
     }
 
-    /// So many cycles of links and emulated arms began later than a deadline.
+    /// This many cycles of links and emulated arms started later than a deadline.
     pub fn late_elsewhere(&mut self, cycles: u64) {
         self.late_elsewhere += cycles;
     }
@@ -63,16 +63,16 @@ impl Figures {
         self.late_replies += 1;
     }
 
-    /// Both arms were enabled after so many tries in vain.
+    /// Both arms were enabled after this many failed attempts.
     pub fn enabled_after(&mut self, tries: usize) {
         self.enabled += 1;
         self.tries_more += tries as u64;
     }
 
-    /// An arm stopped although nothing was injected that stops it: because the control loop was late, or without a reason.
+    /// An arm stopped without an injected fault: because the control loop was late, or without a reason.
     ///
     /// # Errors
-    /// After too many without a reason.
+    /// After too many stops without a reason.
     pub fn stopped_by_itself(&mut self, stopped: &Stopped) -> Result<()> {
         let why = &stopped.message;
         if stopped.was_late {
@@ -81,37 +81,37 @@ impl Figures {
         }
         self.false_stops.push(why.clone());
         if self.false_stops.len() > FALSE_STOPS_MAX {
-            bail!("{} stops without a reason, the last one: {why}", self.false_stops.len());
+            bail!("{} stops without a reason; the last one: {why}", self.false_stops.len());
         }
         Ok(())
     }
 
-    /// A fault begins, after which both arms must be at rest within so many milliseconds; none if it is to be borne. One of the
-    /// three below follows, unless nobody notices what should have stopped the arms.
+    /// A fault starts, after which both arms must be stationary within this time, milliseconds; none for a tolerated fault.
+    /// One of the three methods below follows, unless the fault should stop the arms and is not detected.
     pub fn injected(&mut self, name: &'static str, rest_max_millis: Option<u64>) {
         let kind = self.kinds.entry(name).or_default();
         kind.injected += 1;
         kind.rest_max_millis = rest_max_millis;
     }
 
-    /// What is to be borne was.
+    /// A fault was tolerated, as it should be.
     pub fn borne(&mut self, name: &'static str) {
         self.kinds.entry(name).or_default().borne += 1;
     }
 
-    /// What is to be borne was not.
+    /// A fault stopped an arm, but should be tolerated.
     pub fn not_borne(&mut self, name: &'static str) {
         self.kinds.entry(name).or_default().not_borne += 1;
     }
 
-    /// A fault stopped the arms: until the control loop was told, and until both were at rest.
+    /// A fault stopped the arms: time until the control loop got the report, and until both arms were stationary.
     pub fn stopped(&mut self, name: &'static str, times: (Duration, Duration)) {
         let kind = self.kinds.entry(name).or_default();
         kind.too_late += u64::from(kind.rest_max_millis.is_some_and(|most| times.1 > Duration::from_millis(most)));
         kind.stops.push(times);
     }
 
-    /// What happened on a link.
+    /// Counters of a link.
     pub fn link(&mut self, name: &str, counters: &LinkCounters, jitter: &Jitter) {
         self.links.push((name.to_owned(), *counters, *jitter));
     }
@@ -120,7 +120,7 @@ impl Figures {
         self.kinds.values().map(|kind| kind.injected - kind.borne - kind.not_borne - kind.stops.len() as u64).sum()
     }
 
-    /// The figures as they are printed.
+    /// The tables as text.
     pub fn text(&self) -> String {
         let mut text = self.tables();
         for why in &self.false_stops {
@@ -131,20 +131,20 @@ impl Figures {
 
     fn tables(&self) -> String {
         let injected: u64 = self.kinds.values().map(|kind| kind.injected).sum();
-        let late = format!("begun more than {} ms late", millis(DEADLINE));
+        let late = format!("started more than {} ms late", millis(DEADLINE));
         let mut text = String::from("| figure | |\n|---|---:|\n");
         for (name, value) in [
             ("control steps", self.cycles.to_string()),
             (late.as_str(), self.missed_deadlines.to_string()),
-            ("cycles of links and emulated arms that late", self.late_elsewhere.to_string()),
+            ("cycles of links and emulated arms that were as late", self.late_elsewhere.to_string()),
             ("latest control step, ms", format!("{:.2}", millis(self.lateness_max))),
-            ("measurements not in time", self.late_replies.to_string()),
+            ("late measurements", self.late_replies.to_string()),
             ("faults injected", injected.to_string()),
-            ("not noticed", self.undetected().to_string()),
-            ("stops after something was that late", self.late_stops.to_string()),
+            ("not detected", self.undetected().to_string()),
+            ("stops after a delay of that size", self.late_stops.to_string()),
             ("stops without a reason", self.false_stops.len().to_string()),
             ("times enabled", self.enabled.to_string()),
-            ("tries in vain before", self.tries_more.to_string()),
+            ("failed attempts to enable", self.tries_more.to_string()),
         ] {
             let _ = writeln!(text, "| {name} | {value} |");
         }
@@ -157,7 +157,7 @@ impl Figures {
 
     fn faults(&self) -> String {
         let mut text = String::from(
-            "\n| fault | injected | noticed, ms: p50 | p99 | max | at rest, ms: p50 | p99 | max | allowed | later |\n",
+            "\n| fault | injected | detected, ms: p50 | p99 | max | stationary, ms: p50 | p99 | max | limit | later |\n",
         );
         text += "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n";
         let mut all = Kind::default();
@@ -169,7 +169,7 @@ impl Figures {
                 all.too_late += kind.too_late;
             }
         }
-        text += &all.row("all that stop");
+        text += &all.row("all stops");
         text
     }
 
@@ -189,42 +189,42 @@ impl Figures {
     }
 
     /// # Errors
-    /// If a fault was not noticed, an arm was at rest too late, or stopped without a reason.
+    /// If a fault was not detected, or an arm was stationary too late or stopped without a reason.
     pub fn judge(&self) -> Result<()> {
         let (undetected, without_reason) = (self.undetected(), self.false_stops.len());
         let too_late: u64 = self.kinds.values().map(|kind| kind.too_late).sum();
         if undetected > 0 || without_reason > 0 || too_late > 0 {
             bail!(
-                "{undetected} faults were not noticed, {too_late} times arms came to rest too late, {without_reason} stops had no reason"
+                "{undetected} faults were not detected, arms were stationary too late {too_late} times, {without_reason} stops had no reason"
             );
         }
         Ok(())
     }
 }
 
-/// The figures of both runs as a page of the documentation: with faults, and with lost replies only.
+/// The documentation page with the figures of both runs: with faults, and with lost replies only.
 pub fn page(origin: &str, (minutes, seed): (f64, u64), (faults, losses): (&Figures, &Figures)) -> String {
     format!(
         "# Arms\n\nThis page is written by the command below; change the program, not the page.\n\n\
-         Two emulated arms over pseudo-terminals, as `configs/hil.toml` has them, behind limiter, coupling, guard and driver; all \
-         joints move, at 100 Hz.\n\
-         One reply of each controller in a hundred is lost all the time, never three in a row.\n\n\
+         Two emulated arms on pseudo-terminals, as in `configs/hil.toml`, with limiter, coupling, guard and driver; all \
+         joints move; the control rate is 100 Hz.\n\
+         One of a hundred replies of each controller is lost throughout, never three in a row.\n\n\
          ```text\ncargo xtask soak --page --minutes {minutes} --seed {seed}\n```\n\n{origin}\n\n\
          ## With faults\n\n\
-         For {minutes} minutes faults come at random, in the words of [mock-arm.md](../mock-arm.md), to one of the arms.\n\
-         After each one both arms are reset and enabled again, which proves the links with 100 exchanges: they move for a quarter of \
-         the time.\n\n\
-         * **noticed**: from the fault to the moment at which the control loop gets the report.\n\
-         * **at rest**: from the fault to the moment at which the last joint of both arms is slower than {AT_REST_RAD_PER_S} rad/s; \
-         the joints are looked at every millisecond.\n\
-         * **allowed**, **later**: when both must be at rest, and how often they were later; found by controller or gateway: 30 ms \
-         down to speed 0, the lag of the drives, and 20 ms; found by what does not come: up to 50 ms before; found by the joints: \
+         For {minutes} minutes one of the arms gets random faults, in the commands of [mock-arm.md](../mock-arm.md).\n\
+         After each fault both arms are reset and enabled again, which tests the links with 100 exchanges: the arms move for a \
+         quarter of the time.\n\n\
+         * **detected**: time from the fault to its report to the control loop.\n\
+         * **stationary**: time from the fault until all joints of both arms are slower than {AT_REST_RAD_PER_S} rad/s; \
+         the joints are checked every millisecond.\n\
+         * **limit**, **later**: time until both must be stationary, and number of later stops.\n  Detected by controller or gateway: 30 ms \
+         down to speed 0, the lag of the drives, and 20 ms.\n  Detected by missing messages: up to 50 ms more.\n  Detected by the joints: \
          two wrong angles, and the brakes.\n\
-         * What is borne must not stop an arm; all else must.\n\n{}\n\
+         * Tolerated faults must not stop an arm; all other faults must.\n\n{}\n\
          ## With lost replies only\n\n\
-         For {minutes} minutes the arms move all the time, one reply of each gateway in a hundred is lost on its line, too, never three in \
-         a row, and nothing may stop them (`--losses-only`).\n\
-         The replies that a controller loses are borne by its gateway, those that a line loses by the host.\n\n{}",
+         For {minutes} minutes the arms move throughout.\nOne of a hundred replies of each gateway is also lost on its line, never three in \
+         a row, and no loss may stop the arms (`--losses-only`).\n\
+         The gateway tolerates the lost replies of its controller, the host those of the line.\n\n{}",
         faults.tables(),
         losses.tables()
     )
@@ -255,7 +255,7 @@ fn millis(duration: Duration) -> f64 {
 mod tests {
     use super::*;
 
-    /// What is to be borne and stops an arm is a fault that was injected, and no stop without a reason goes without it.
+    /// An injected fault that should be tolerated but stops an arm is counted; every stop without a reason is counted, too.
     #[test]
     fn every_fault_is_counted_whatever_becomes_of_it() {
         let mut figures = Figures::default();
@@ -268,10 +268,10 @@ mod tests {
         figures.not_borne("not borne");
         figures.stopped("stops", (Duration::from_millis(20), Duration::from_millis(101)));
         let text = figures.text();
-        for line in ["| faults injected | 4 |", "| not noticed | 1 |", "| not borne | 1 |", "| all that stop | 2 |"] {
+        for line in ["| faults injected | 4 |", "| not detected | 1 |", "| not borne | 1 |", "| all stops | 2 |"] {
             assert!(text.contains(line), "{line} is missing in\n{text}");
         }
         let judgement = figures.judge().unwrap_err().to_string();
-        assert!(judgement.starts_with("1 faults were not noticed, 1 times"), "{judgement}");
+        assert!(judgement.starts_with("1 faults were not detected, arms were"), "{judgement}");
     }
 }

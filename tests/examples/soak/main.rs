@@ -1,7 +1,7 @@
-//! Two arms over pseudo-terminals, for minutes: faults at random, and how long it takes until both arms are at rest.
+//! Two arms on pseudo-terminals for minutes: random faults, and the time until both arms are stationary.
 //!
-//! The arms are those of `configs/hil.toml`, emulated byte by byte, behind all that stands before a real arm; both move, at 100 Hz.
-//! One reply in a hundred is lost all the time, never three in a row. Run it by `cargo xtask soak`.
+//! The arms are those of `configs/hil.toml`, emulated byte by byte, with the full software chain of a real arm; both move at
+//! 100 Hz. One of a hundred replies is lost throughout, never three in a row. Run it by `cargo xtask soak`.
 #![allow(clippy::print_stdout, reason = "prints its figures")]
 
 mod faults;
@@ -17,9 +17,9 @@ use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_hal_api::ArmErrorKind;
 use rig::{Rig, Stopped};
 
-/// How long a fault may take to be noticed.
+/// Largest time to detect a fault.
 const NOTICE_MAX: Duration = Duration::from_secs(1);
-/// What is borne is waited for so long.
+/// A fault without a reaction within this time counts as tolerated.
 const BORNE_AFTER: Duration = Duration::from_millis(300);
 /// A week.
 const MINUTES_MAX: f64 = 10_080.0;
@@ -30,12 +30,12 @@ fn main() -> Result<()> {
     let losses = if options.losses_only || options.page.is_some() { Some(losses_only(&options)?) } else { None };
     if let (Some(file), Some(faults), Some(losses)) = (&options.page, &faults, &losses) {
         let page = figures::page(&options.origin, (options.minutes, options.seed), (faults, losses));
-        std::fs::write(file, page).with_context(|| format!("{file} cannot be written"))?;
+        std::fs::write(file, page).with_context(|| format!("cannot write {file}"))?;
     }
     faults.iter().chain(&losses).try_for_each(Figures::judge)
 }
 
-/// Nothing but lost replies: of the controllers, and of the gateways.
+/// Lost replies only: of the controllers, and of the gateways.
 fn losses_only(options: &Options) -> Result<Figures> {
     let mut rig = Rig::new(options.seed)?;
     rig.lose_replies_on_the_line(options.seed);
@@ -52,7 +52,7 @@ fn losses_only(options: &Options) -> Result<Figures> {
     Ok(figures)
 }
 
-/// Faults of all kinds, one after the other.
+/// Faults of all kinds in turn.
 fn with_faults(options: &Options) -> Result<Figures> {
     let mut rig = Rig::new(options.seed)?;
     let mut random = SplitMix64::new(options.seed);
@@ -62,7 +62,7 @@ fn with_faults(options: &Options) -> Result<Figures> {
     while rig.clock.now() < end {
         rig.make_ready(&mut figures)?;
         if order.is_empty() {
-            // Every kind once, in another order each time.
+            // Every kind once, in a new order each time.
             order.extend(&FAULTS);
             shuffle(&mut order, &mut random);
         }
@@ -80,7 +80,7 @@ fn with_faults(options: &Options) -> Result<Figures> {
     Ok(figures)
 }
 
-/// One fault: until it is noticed and both arms are at rest, or has been borne.
+/// One fault: until it is detected and both arms are stationary, or until it counts as tolerated.
 fn inject(rig: &mut Rig, fault: &Fault, arm: usize, random: &mut SplitMix64, figures: &mut Figures) -> Result<()> {
     let axis = 1 + random.below(7);
     let line = fault.begin.replace("AXIS", &axis.to_string());
@@ -88,18 +88,18 @@ fn inject(rig: &mut Rig, fault: &Fault, arm: usize, random: &mut SplitMix64, fig
     figures.injected(fault.name, fault.rest_max_millis);
     let outcome = rig.cycle_for(if fault.rest_max_millis.is_some() { NOTICE_MAX } else { BORNE_AFTER }, figures);
     match outcome {
-        // What is to stop the arms and did not is counted by what is missing.
+        // A fault that should stop the arms but did not is counted as not detected.
         Ok(()) if fault.rest_max_millis.is_some() => {}
         Ok(()) => figures.borne(fault.name),
         Err(stopped) => {
             let Stopped { at: noticed, kind, message, .. } = &stopped;
             if fault.rest_max_millis.is_none() {
-                let message = format!("after `{line}`, which is to be borne: {message}");
+                let message = format!("after `{line}`, which should be tolerated: {message}");
                 figures.not_borne(fault.name);
                 return figures.stopped_by_itself(&Stopped { message, ..stopped });
             }
             if !matches!(kind, ArmErrorKind::Fault | ArmErrorKind::Disconnected | ArmErrorKind::NotEnabled) {
-                bail!("`{line}`: an error of another kind: {message}");
+                bail!("`{line}`: unexpected kind of error: {message}");
             }
             let rest = rig.rest_after(at);
             figures.stopped(fault.name, (noticed.saturating_since(at), rest));
@@ -111,14 +111,14 @@ fn inject(rig: &mut Rig, fault: &Fault, arm: usize, random: &mut SplitMix64, fig
     Ok(())
 }
 
-/// Another order.
+/// Shuffles the order.
 fn shuffle<T>(items: &mut [T], random: &mut SplitMix64) {
     for left in (2..=items.len()).rev() {
         items.swap(left - 1, random.below(left as u32) as usize);
     }
 }
 
-/// What the command line says.
+/// The command line options.
 struct Options {
     minutes: f64,
     losses_only: bool,
@@ -135,16 +135,16 @@ impl Options {
     fn parse(mut words: impl Iterator<Item = String>) -> Result<Self> {
         let mut options = Self { minutes: 1.0, losses_only: false, seed: 1, page: None, origin: String::new() };
         while let Some(word) = words.next() {
-            let value = words.next().with_context(|| format!("{word}: give a value"))?;
+            let value = words.next().with_context(|| format!("{word}: no value given"))?;
             match word.as_str() {
                 "--minutes" => {
-                    options.minutes = value.parse().with_context(|| format!("--minutes {value}: no number"))?
+                    options.minutes = value.parse().with_context(|| format!("--minutes {value}: not a number"))?
                 }
-                "--seed" => options.seed = value.parse().with_context(|| format!("--seed {value}: no number"))?,
+                "--seed" => options.seed = value.parse().with_context(|| format!("--seed {value}: not a number"))?,
                 "--what" if value == "losses" => options.losses_only = true,
                 "--page" => options.page = Some(value),
                 "--origin" => options.origin = value,
-                other => bail!("{other}: known are --minutes, --what losses, --seed, --page and --origin"),
+                other => bail!("unknown option {other}; options: --minutes, --what losses, --seed, --page, --origin"),
             }
         }
         if !(options.minutes > 0.0 && options.minutes <= MINUTES_MAX) {

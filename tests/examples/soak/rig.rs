@@ -1,4 +1,4 @@
-//! Both arms, wired as for a run, and what their joints truly do.
+//! Both arms with the wiring of a run, and the true motion of their joints.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, PoisonError};
@@ -22,37 +22,37 @@ use system_tests::repository;
 
 use crate::figures::Figures;
 
-/// Slower than this in every joint is at rest, rad/s.
+/// An arm is stationary if every joint is slower than this, rad/s.
 pub const AT_REST_RAD_PER_S: f64 = 1e-3;
-/// After a stop the joints are watched for so long.
+/// Time for which the joints are observed after a stop.
 const WATCHED: Duration = Duration::from_millis(500);
-/// A control step that begins later than this is counted as a missed deadline.
+/// A control step that starts later than this counts as a missed deadline.
 pub const DEADLINE: Duration = Duration::from_millis(5);
-/// What an arm does within this time after a missed deadline may be its answer to that.
+/// A stop within this time after a missed deadline may be a reaction to it.
 const LATE_FOR: Duration = Duration::from_millis(200);
-/// Joints go back to where they began with this rate, 1/s.
+/// Joints return to their start with this rate, 1/s.
 const BACK_PER_S: f64 = 0.3;
-/// One of so many replies of a gateway is lost where replies on the line are lost, and never more in a row.
+/// One of this many replies of a gateway is lost on lines with losses, and never more in a row.
 const LINE_LOSS_ONE_OF: u32 = 100;
 const LINE_LOSSES_IN_A_ROW_MAX: u8 = 2;
-/// Arms that cannot be made ready in so many tries never can.
+/// Largest number of attempts to enable the arms.
 const TRIES: usize = 40;
 
-/// An arm has refused to go on.
+/// An arm has refused to continue.
 pub struct Stopped {
-    /// When the control loop was told.
+    /// When the control loop got the report.
     pub at: MonotonicTime,
-    /// How.
+    /// Kind of the error.
     pub kind: ArmErrorKind,
-    /// Why.
+    /// Message of the error.
     pub message: String,
-    /// Whether a thread has missed a deadline shortly before: then the arms may stop for that.
+    /// Whether a thread missed a deadline shortly before: then the arms may stop because of it.
     pub was_late: bool,
 }
 
 /// Both arms.
 pub struct Rig {
-    /// That of everything.
+    /// The clock of all parts.
     pub clock: Arc<dyn Clock>,
     period: Duration,
     wired: WiredArms,
@@ -61,9 +61,9 @@ pub struct Rig {
     watcher: Watcher,
     next: MonotonicTime,
     begin: MonotonicTime,
-    /// When a deadline was missed last.
+    /// Time of the last missed deadline.
     missed_at: Option<MonotonicTime>,
-    /// Cycles of links and emulated arms that have begun later than a deadline.
+    /// Number of cycles of links and emulated arms that started later than a deadline.
     late_elsewhere: u64,
     line_losses: Option<LineLosses>,
 }
@@ -75,14 +75,14 @@ struct LineLosses {
 }
 
 impl Rig {
-    /// Arms as in `configs/hil.toml`, connected and with brakes on.
+    /// Arms as in `configs/hil.toml`, connected and with closed brakes.
     pub fn new(seed: u64) -> Result<Self> {
         let mut setup = read_setup(&repository().join("configs/hil.toml"))?;
         setup.reseed(seed);
         for arm in [&mut setup.rig.vs, &mut setup.rig.tc] {
-            // Drives that are as quick as those of a real arm have to be; the loop knows only what it measures.
+            // Drives as fast as those of a real arm must be; the loop uses only its measurements.
             arm.plant.velocity_time_constant = Duration::from_millis(5);
-            // The motions begin wherever the last fault has left the joints.
+            // The motions start where the last fault has left the joints.
             arm.limiter.start = StartPose::Anywhere;
         }
         let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
@@ -111,7 +111,7 @@ impl Rig {
         })
     }
 
-    /// From now on one reply of each gateway in a hundred is lost, too, never three in a row.
+    /// From now on one of a hundred replies of each gateway is lost, too, never three in a row.
     pub fn lose_replies_on_the_line(&mut self, seed: u64) {
         self.line_losses = Some(LineLosses { random: SplitMix64::new(seed), in_a_row: [0; 2] });
     }
@@ -122,7 +122,7 @@ impl Rig {
             let is_lost = losses.random.below(LINE_LOSS_ONE_OF) == 0 && *in_a_row < LINE_LOSSES_IN_A_ROW_MAX;
             *in_a_row = if is_lost { *in_a_row + 1 } else { 0 };
             if is_lost {
-                // The line is one of those that were tried at the start.
+                // The line is one of those that were checked at the start.
                 let _ = emulated.command_line("line drop 1");
             }
         }
@@ -132,7 +132,7 @@ impl Rig {
         self.wired.driven.each_mut()
     }
 
-    /// Both arms enabled, whatever they are in.
+    /// Enables both arms from any state.
     pub fn make_ready(&mut self, figures: &mut Figures) -> Result<()> {
         let mut last = String::new();
         for attempt in 0..TRIES {
@@ -146,7 +146,7 @@ impl Rig {
                 }
             }
             if ready {
-                // Both at once: each takes more than a second to prove its link.
+                // Both at once: each takes more than a second to test its link.
                 let enabled = std::thread::scope(|scope| {
                     let disabled = self.arms().into_iter().filter(|arm| arm.state() == ArmState::Disabled);
                     let threads: Vec<_> = disabled.map(|arm| scope.spawn(|| arm.enable())).collect();
@@ -156,7 +156,7 @@ impl Rig {
                     match outcome {
                         Ok(Ok(())) => {}
                         Ok(Err(error)) => last = error.to_string(),
-                        Err(_) => bail!("enabling an arm has failed by a mistake of the program"),
+                        Err(_) => bail!("a program error prevented enabling an arm"),
                     }
                 }
             }
@@ -168,7 +168,7 @@ impl Rig {
             }
             std::thread::sleep(Duration::from_millis(100));
         }
-        bail!("the arms cannot be made ready again: {last}");
+        bail!("the arms cannot be enabled again: {last}");
     }
 
     /// Moves both arms for a time.
@@ -210,7 +210,7 @@ impl Rig {
         Ok(())
     }
 
-    /// Whether the thread of a link or of an emulated arm was late: what they do then is no fault of theirs.
+    /// Whether the thread of a link or of an emulated arm was late: a stop after that is not a fault of the arms.
     fn look_elsewhere(&mut self, now: MonotonicTime, figures: &mut Figures) {
         let links = self.wired.monitors.iter().map(|(_, monitor)| monitor.cycles_later_than(DEADLINE));
         let emulated = self.wired.emulated.iter().map(|emulated| emulated.wakes_later_than(DEADLINE));
@@ -222,9 +222,9 @@ impl Rig {
         }
     }
 
-    /// Lets something go wrong, or end going wrong; when.
+    /// Starts or ends a fault; returns the time.
     pub fn fault(&self, arm: usize, line: &str) -> Result<MonotonicTime> {
-        let emulated = self.wired.emulated.get(arm).context("an emulated arm")?;
+        let emulated = self.wired.emulated.get(arm).context("no such emulated arm")?;
         let at = self.clock.now();
         match line {
             "unplug" => emulated.unplug(),
@@ -234,13 +234,13 @@ impl Rig {
         Ok(at)
     }
 
-    /// How long after a fault the last joint of both arms came to rest.
+    /// Time from a fault until all joints of both arms are stationary.
     pub fn rest_after(&self, at: MonotonicTime) -> Duration {
         self.clock.sleep_until(self.clock.now() + WATCHED);
         self.watcher.last_motion().saturating_since(at)
     }
 
-    /// What happened on the links.
+    /// Adds the counters of the links.
     pub fn add_links(&self, figures: &mut Figures) {
         for (name, monitor) in &self.wired.monitors {
             figures.link(name, &monitor.snapshot().counters, &monitor.jitter());
@@ -248,7 +248,7 @@ impl Rig {
     }
 }
 
-/// Small motions of all joints, never at rest together.
+/// Small motions of all joints, never stationary together.
 fn swing(t_s: f64) -> JointVector {
     JointVector::from_fn(|joint, _| {
         let omega = 3.0 + 0.4 * joint as f64;
@@ -256,7 +256,7 @@ fn swing(t_s: f64) -> JointVector {
     })
 }
 
-/// Looks at the true joints every millisecond.
+/// Samples the true joints every millisecond.
 struct Watcher {
     last_motion: Arc<AtomicU64>,
     is_over: Arc<AtomicBool>,

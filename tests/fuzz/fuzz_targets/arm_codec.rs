@@ -1,4 +1,4 @@
-//! Packets of both wire formats of the PA-10, out of whatever the fuzzer makes up.
+//! Decodes packets of both wire formats of the PA-10 from fuzzer input.
 #![no_main]
 
 use pb3dp_arm_pa10_test_support::codec_abuse as abuse;

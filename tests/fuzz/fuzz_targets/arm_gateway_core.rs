@@ -1,4 +1,4 @@
-//! A gateway between a host, a controller and a clock that do whatever the fuzzer makes up.
+//! Runs a gateway with a host, a controller and a clock driven by fuzzer input.
 #![no_main]
 
 use pb3dp_arm_pa10_test_support::gateway_abuse as abuse;

@@ -1,4 +1,4 @@
-//! Messages of the gateway's protocol, out of whatever the fuzzer makes up.
+//! Decodes messages of the gateway protocol from fuzzer input.
 #![no_main]
 
 use pb3dp_arm_pa10_test_support::codec_abuse as abuse;

@@ -1,4 +1,4 @@
-//! Streams of the gateway's protocol: garbage, sound frames and damaged ones, out of whatever the fuzzer makes up.
+//! Decodes streams of the gateway protocol from fuzzer input: garbage, valid frames and damaged ones.
 #![no_main]
 
 use pb3dp_arm_pa10_test_support::codec_abuse as abuse;

@@ -1,4 +1,4 @@
-//! Every method of the estimation crate on whatever the fuzzer makes up.
+//! Runs every estimation method on fuzzer input.
 #![no_main]
 
 #[allow(dead_code, reason = "the property tests use more of it")]

@@ -1,24 +1,24 @@
-//! The invariants: what must hold at every moment of every run.
+//! The invariants: conditions that hold at every moment of every run.
 //!
-//! | invariant | what must hold |
+//! | invariant | condition |
 //! |---|---|
 //! | record | the record is complete: finite numbers, steps in order and not far apart |
-//! | position | each joint is within its operating range, and always within its stops |
+//! | position | each joint is within its operating range, and always within its mechanical stops |
 //! | speed | no joint is faster than its limit |
-//! | acceleration | what a joint's speed changes by within 20 ms, and within 100 ms, is what its limit allows |
-//! | rest-after-latch | after a latched fault or emergency stop of either arm both rest, until it is cleared |
-//! | rest-without-pose | without a fresh, confident pose the hand's arm rests |
-//! | search | a hand that looks for its target goes no farther and no faster than it is to |
-//! | rest-without-word | as long as the operator's last word does not let an arm go, it rests |
-//! | latch-cleared | a latch is cleared by the operator's reset only |
+//! | acceleration | the change of a joint's speed within 20 ms, and within 100 ms, is within its limit |
+//! | rest-after-latch | after a latched fault or emergency stop of either arm both are stationary, until it is cleared |
+//! | rest-without-pose | without a fresh, confident pose the hand's arm is stationary |
+//! | search | a hand that searches for its target stays within the search range and speed |
+//! | rest-without-word | an arm is stationary unless the operator's last command permits its motion |
+//! | latch-cleared | only the operator's reset clears a latch |
 //! | disobedience | an arm of which a joint moves by itself is latched |
-//! | arms-apart | no part of an arm comes near the other arm |
-//! | target-apart | the hand comes no nearer to the target by its own motion |
+//! | arms-apart | no part of an arm comes close to the other arm |
+//! | target-apart | the hand comes no closer to the target by its own motion |
 //! | log | a fault with an effect is reported |
-//! | status-line | an arm that may not move says why |
+//! | status-line | the status line says why an arm may not move |
 //!
-//! Rest is wanted from the moment on at which the arm could have come to rest:
-//! [`ArmRules::rests_within_s`](super::rules::ArmRules::rests_within_s) at the speed that it had when the cause came.
+//! An arm must be stationary from the moment at which it could have stopped:
+//! [`ArmRules::rests_within_s`](super::rules::ArmRules::rests_within_s) at its speed at the time of the cause.
 
 mod motion;
 mod rest;
@@ -30,10 +30,10 @@ use std::fmt;
 use super::rules::Rules;
 use super::truth::{ARM_NAMES, Truth};
 
-/// Which of them.
+/// The invariants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Invariant {
-    /// The record itself is not complete.
+    /// The record itself is complete.
     Record,
     /// Ranges of joints, radians.
     Position,
@@ -41,30 +41,30 @@ pub enum Invariant {
     Speed,
     /// Changes of speed, rad/s.
     Acceleration,
-    /// Rest after a fault or emergency stop of either arm; rad/s, or radians of creep.
+    /// Standstill after a fault or emergency stop of either arm; rad/s, or radians of creep.
     RestAfterLatch,
-    /// Rest without a fresh, confident pose; rad/s, or radians of creep.
+    /// Standstill without a fresh, confident pose; rad/s, or radians of creep.
     RestWithoutPose,
-    /// The search of a lost target; metres, or m/s.
+    /// The search for a lost target; metres, or m/s.
     Search,
-    /// Rest without the operator's word; rad/s, or radians of creep.
+    /// Standstill without the operator's command; rad/s, or radians of creep.
     RestWithoutWord,
-    /// A latch that went without a reset; how many resets there were.
+    /// A latch that was cleared without a reset; number of resets.
     LatchCleared,
-    /// A joint that moves by itself, seconds.
+    /// A joint that moves by itself; seconds.
     Disobedience,
-    /// Room between both arms, metres.
+    /// Distance of both arms, metres.
     ArmsApart,
-    /// How much nearer to the target the hand got, metres.
+    /// Approach of the hand to the target by its own motion, metres.
     TargetApart,
-    /// A fault that nobody told of; seconds.
+    /// A fault without a log line; seconds.
     Log,
-    /// No line says why nothing moves.
+    /// A status line without the reason of a hold.
     StatusLine,
 }
 
 impl Invariant {
-    /// All of them.
+    /// All invariants.
     pub const ALL: [Self; 14] = [
         Self::Record,
         Self::Position,
@@ -82,7 +82,7 @@ impl Invariant {
         Self::StatusLine,
     ];
 
-    /// The name in reports.
+    /// Name in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Record => "record",
@@ -103,26 +103,26 @@ impl Invariant {
     }
 }
 
-/// What did not hold: one for each invariant, arm and joint.
+/// A violation: one for each invariant, arm and joint.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Violation {
-    /// What.
+    /// The invariant.
     pub invariant: Invariant,
-    /// Index of the arm, if it is about one.
+    /// Index of the arm, if it concerns one.
     pub arm: Option<usize>,
-    /// Index of the joint from the base, 0 to 6, if it is about one.
+    /// Index of the joint from the base, 0 to 6, if it concerns one.
     pub joint: Option<usize>,
-    /// When first, seconds.
+    /// Time of the first violation, seconds.
     pub first_s: f64,
-    /// In how many steps.
+    /// Number of steps.
     pub steps: usize,
-    /// When the worst was seen, seconds.
+    /// Time of the worst violation, seconds.
     pub worst_s: f64,
     /// The worst value, in the unit of the invariant.
     pub value: f64,
-    /// What was allowed then.
+    /// The limit at that time.
     pub limit: f64,
-    /// What more there is to say; may be empty.
+    /// Further information; may be empty.
     pub note: String,
 }
 
@@ -136,12 +136,12 @@ impl fmt::Display for Violation {
             write!(f, ", axis {}", joint + 1)?;
         }
         let Self { first_s, steps, worst_s, value, limit, note, .. } = self;
-        write!(f, ": {value:.6} at {worst_s:.3} s, allowed is {limit:.6}; from {first_s:.3} s on, in {steps} steps")?;
+        write!(f, ": {value:.6} at {worst_s:.3} s, the limit is {limit:.6}; since {first_s:.3} s, in {steps} steps")?;
         if note.is_empty() { Ok(()) } else { write!(f, "; {note}") }
     }
 }
 
-/// Checks a whole run: all that did not hold, in order of the invariants. None for a run in which all did.
+/// Checks a whole run: all violations, in order of the invariants. Empty for a run without violations.
 pub fn check(rules: &Rules, truth: &Truth) -> Vec<Violation> {
     let mut found = Found::default();
     record(rules, truth, &mut found);
@@ -157,7 +157,7 @@ pub fn check(rules: &Rules, truth: &Truth) -> Vec<Violation> {
     found.0
 }
 
-/// Where something was seen.
+/// Where a violation occurred.
 #[derive(Clone, Copy, Debug)]
 struct Place {
     invariant: Invariant,
@@ -170,11 +170,11 @@ struct Place {
 struct Found(Vec<Violation>);
 
 impl Found {
-    /// A violation: how far a value is beyond its limit decides which one is the worst. What is no number is beyond any.
+    /// Adds a violation: the largest excess over the limit is the worst. NaN is worse than any number.
     fn push(&mut self, place: Place, (value, limit): (f64, f64), note: impl Into<String>) {
         let Place { invariant, arm, joint, t_s } = place;
         let same = |seen: &&mut Violation| (seen.invariant, seen.arm, seen.joint) == (invariant, arm, joint);
-        // Two faults that nobody told of are two violations.
+        // Two faults without a log line are two violations.
         match self.0.iter_mut().find(same).filter(|_| invariant != Invariant::Log) {
             Some(seen) => {
                 seen.steps += 1;
@@ -220,7 +220,7 @@ fn record(rules: &Rules, truth: &Truth, found: &mut Found) {
             found.push(place(step.t_s), (number, 0.0), "not a finite number");
         }
         if step.pose_age_s.is_nan() {
-            found.push(place(step.t_s), (step.pose_age_s, 0.0), "the age of the pose");
+            found.push(place(step.t_s), (step.pose_age_s, 0.0), "age of the pose");
         }
     }
 }
@@ -240,10 +240,10 @@ fn log(rules: &Rules, truth: &Truth, found: &mut Found) {
             let t_s = line.t_millis as f64 / 1e3;
             (fault.from_s - 1e-3..=until_s).contains(&t_s) && fault.words.iter().any(|word| line.text.contains(word))
         });
-        // What the run ended in had no time to be told of.
+        // The log had no time to report what ended the run.
         if !told && until_s <= ended_s {
             let place = Place { invariant: Invariant::Log, arm: None, joint: None, t_s: until_s };
-            let note = format!("{} from {:.3} s on: no line with {:?}", fault.name, fault.from_s, fault.words);
+            let note = format!("{} since {:.3} s: no log line with {:?}", fault.name, fault.from_s, fault.words);
             found.push(place, (until_s - fault.from_s, rules.log_within_s), note);
         }
     }

@@ -1,8 +1,8 @@
-//! What must hold in every run, whatever goes wrong: the truth of a simulated run as plain numbers, and the invariants on it.
+//! Conditions that hold in every run, with any fault: the truth of a simulated run as plain numbers, and its invariants.
 //!
-//! Nothing in here uses a crate of this workspace. The arm, its limits and its shape are written down once more, from their
-//! sources, and distances are computed in another way; a mistake in limiter, guard, coupling, supervisor or kinematics cannot
-//! hide itself.
+//! This module uses no crate of this workspace. It restates the arm, its limits and its shape from their sources, and
+//! computes distances in another way, so that a mistake in limiter, guard, coupling, supervisor or kinematics cannot hide
+//! itself.
 
 pub mod invariants;
 pub mod pa10;

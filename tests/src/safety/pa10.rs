@@ -1,4 +1,4 @@
-//! Where the links of a PA-10 are, by its Denavit-Hartenberg table.
+//! Positions of the links of a PA-10, from its Denavit-Hartenberg table.
 //!
 //! Standard (distal) convention, T_i = Rz(q_i) Tz(d_i) Rx(alpha_i), a = 0 and no offsets of the angles:
 //!
@@ -34,7 +34,7 @@ pub struct Lengths {
     pub flange: f64,
 }
 
-/// The arm's crossings of axes and its flange, in `base`.
+/// Positions of the joint axes' intersections and of the flange, in `base`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Links {
     /// Metres.
@@ -47,7 +47,7 @@ pub struct Links {
     pub flange: Placement,
 }
 
-/// Forward kinematics: where the links are in `base`, angles in radians.
+/// Forward kinematics: positions of the links in `base` from angles in radians.
 pub fn links(lengths: &Lengths, q_rad: &Joints) -> Links {
     let Lengths { shoulder, elbow, wrist, flange } = *lengths;
     let d_m = [shoulder, 0.0, elbow, 0.0, wrist, 0.0, flange];

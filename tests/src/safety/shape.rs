@@ -1,14 +1,14 @@
-//! How far bodies are apart that are all points within a radius of a line.
+//! Distances of bodies that consist of all points within a radius of a line segment.
 
 use super::pa10::{Lengths, Links, links};
 use super::truth::{Joints, Placement};
 
-/// All points within `radius_m` of the line between two points, metres.
+/// All points within `radius_m` of the line segment between two points, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rod {
-    /// Ends of the line.
+    /// Ends of the line segment.
     pub ends_m: [[f64; 3]; 2],
-    /// Distance of the surface from it.
+    /// Distance of the surface from the segment.
     pub radius_m: f64,
 }
 
@@ -24,7 +24,7 @@ impl Rod {
     }
 }
 
-/// The smallest distance between two sets of rods, metres. Not a number if a place is none.
+/// The smallest distance between two sets of rods, metres. NaN if a position is NaN.
 pub fn room_m(some: &[Rod], others: &[Rod]) -> f64 {
     let mut least_m = f64::INFINITY;
     for one in some {
@@ -47,7 +47,7 @@ fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Distance of two line segments by clamping the feet of their common perpendicular, one after the other
+/// Distance of two line segments by clamping the end points of their common perpendicular, one after the other
 /// (C. Ericson, Real-Time Collision Detection, 2005, section 5.1.9).
 fn line_distance_m(first: &[[f64; 3]; 2], second: &[[f64; 3]; 2]) -> f64 {
     let (d1, d2) = (minus(&first[1], &first[0]), minus(&second[1], &second[0]));
@@ -77,7 +77,7 @@ fn line_distance_m(first: &[[f64; 3]; 2], second: &[[f64; 3]; 2]) -> f64 {
     dot(&apart, &apart).sqrt()
 }
 
-/// What an arm looks like.
+/// Shape of an arm.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArmBody {
     /// Lengths of its links.
@@ -86,12 +86,12 @@ pub struct ArmBody {
     pub base: Placement,
     /// Radii of base, upper arm, forearm and wrist, metres.
     pub radii_m: [f64; 4],
-    /// What is mounted on the flange, in its frame.
+    /// Bodies mounted on the flange, in its frame.
     pub mounted: Vec<Rod>,
 }
 
 impl ArmBody {
-    /// All of the arm in `world`, base first, what is mounted last; into `rods`, which is emptied.
+    /// All bodies of the arm in `world`, base first, mounted bodies last; written to `rods`, which is cleared first.
     pub fn place(&self, q_rad: &Joints, rods: &mut Vec<Rod>) {
         let Links { shoulder_m, elbow_m, wrist_m, flange } = links(&self.lengths_m, q_rad);
         let points =
@@ -102,7 +102,7 @@ impl ArmBody {
         rods.extend(self.mounted.iter().map(|rod| rod.placed(&world_from_flange)));
     }
 
-    /// No point of the arm is farther from any of its axes than this, metres.
+    /// No point of the arm is farther than this from any of its axes, metres.
     pub fn reach_m(&self) -> f64 {
         let Lengths { elbow, wrist, flange, .. } = self.lengths_m;
         let beyond = self.mounted.iter().flat_map(|rod| rod.ends_m.map(|end| dot(&end, &end).sqrt() + rod.radius_m));
@@ -136,7 +136,7 @@ mod tests {
         }
     }
 
-    /// Against the smallest distance on a fine grid of points of both lines.
+    /// Compares with the smallest distance on a fine grid of points of both segments.
     #[test]
     fn distances_are_those_of_a_grid() {
         let mut random = SplitMix64::new(7);

@@ -1,6 +1,6 @@
-//! What truly happened in a simulated run, step by step, as plain numbers.
+//! The true course of a simulated run, step by step, as plain numbers.
 //!
-//! Times are seconds of the simulation's own time since the run began, which no injected step of a clock changes.
+//! Times are seconds of the simulation's own clock since the run began; injected clock steps do not change them.
 
 /// One number per joint, from the base.
 pub type Joints = [f64; 7];
@@ -17,7 +17,7 @@ pub const ARM_NAMES: [&str; 2] = ["vs-robot", "tc-robot"];
 pub struct Placement {
     /// Rows of the rotation matrix.
     pub rotation: [[f64; 3]; 3],
-    /// Where the origin of `b` is in `a`, metres.
+    /// Position of the origin of `b` in `a`, metres.
     pub translation_m: [f64; 3],
 }
 
@@ -34,7 +34,7 @@ impl Placement {
         Self { rotation, translation_m: self.point(&inner.translation_m) }
     }
 
-    /// A point given in `b`, in `a`, metres.
+    /// Transforms a point from `b` to `a`, metres.
     pub fn point(&self, point_m: &[f64; 3]) -> [f64; 3] {
         std::array::from_fn(|row| {
             self.translation_m[row] + (0..3).map(|k| self.rotation[row][k] * point_m[k]).sum::<f64>()
@@ -49,24 +49,24 @@ pub struct ArmTruth {
     pub position_rad: Joints,
     /// True velocities, rad/s.
     pub velocity_rad_per_s: Joints,
-    /// Whether all servos are on.
+    /// Whether all servos are enabled.
     pub servo_on: bool,
     /// Whether all brakes hold.
     pub brakes_closed: bool,
-    /// When the fault or emergency stop came that is latched now, wherever it latched first (controller, gateway, driver,
+    /// Time of the fault or emergency stop that is latched now, wherever it latched first (controller, gateway, driver,
     /// supervisor), seconds; none if nothing is latched.
     pub latched_since_s: Option<f64>,
     /// Whether each joint follows its command: false while an injected fault moves a joint by itself.
     pub obeys: bool,
-    /// The joint that an injected fault moves or keeps at present, from 0.
+    /// The joint that an injected fault moves or blocks at present, from 0.
     pub by_itself: Option<usize>,
-    /// Whether the operator's last word lets the arm move: for the hand `start` or `resume`, or the policy that takes the place of
-    /// `resume`, with no `hold`, `stop` or latched fault since; for the other arm the begin of the experiment.
+    /// Whether the operator's last command permits motion of the arm: for the hand `start` or `resume`, or the policy that
+    /// replaces `resume`, with no `hold`, `stop` or latched fault since; for the other arm the start of the experiment.
     pub may_go: bool,
 }
 
 impl ArmTruth {
-    /// An arm that rests with open brakes.
+    /// A stationary arm with open brakes.
     pub fn resting_at(position_rad: Joints) -> Self {
         Self {
             position_rad,
@@ -88,18 +88,18 @@ pub struct Step {
     pub t_s: f64,
     /// Both arms, that with the cameras first.
     pub arms: [ArmTruth; 2],
-    /// Where the target truly is.
+    /// True pose of the target.
     pub world_from_target: Placement,
-    /// Time since the exposure of the newest estimate that was delivered, by which the estimator stands and whose image was
-    /// new, seconds; infinite before the first one.
+    /// Time since the exposure of the newest delivered estimate that is confident and of a new image, seconds; infinite
+    /// before the first one.
     pub pose_age_s: f64,
-    /// Whether the hand may look for the target: the run permits it, the target is lost, and not for too long.
+    /// Whether the hand may search for the target: the run permits it, the target is lost, and not for too long.
     pub may_search: bool,
-    /// How often the operator has reset.
+    /// Number of resets by the operator.
     pub resets: u32,
     /// Name of the supervisor's state.
     pub state: &'static str,
-    /// Whether the supervisor gives a line that says why it does not move.
+    /// Whether the supervisor's status line gives the reason of a hold.
     pub says_why: bool,
 }
 
@@ -108,22 +108,22 @@ pub struct Step {
 pub struct LogLine {
     /// Milliseconds since the run began.
     pub t_millis: u64,
-    /// What it says.
+    /// Its text.
     pub text: String,
 }
 
-/// A fault that was injected.
+/// An injected fault.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Injected {
-    /// For messages.
+    /// Name in messages.
     pub name: String,
-    /// When it began, seconds.
+    /// Start, seconds.
     pub from_s: f64,
-    /// When it ended, seconds.
+    /// End, seconds.
     pub until_s: f64,
-    /// Whether anything came of it: an image was lost, a reply did not come, a joint moved by itself.
+    /// Whether it had an effect: an image was lost, a reply did not come, a joint moved by itself.
     pub had_effect: bool,
-    /// At least one of these has to be in a line of the log.
+    /// A log line must contain at least one of these.
     pub words: &'static [&'static str],
 }
 
@@ -139,7 +139,7 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// Forgets the run and keeps the memory for the next one.
+    /// Clears the run and keeps the memory for the next one.
     pub fn clear(&mut self) {
         self.steps.clear();
         self.log.clear();

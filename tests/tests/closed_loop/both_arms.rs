@@ -1,4 +1,4 @@
-//! What stands before both arms of a run alike, and what is left of them after a fault.
+//! The common wiring of both arms of a run, and their recordings after a fault.
 
 use std::path::Path;
 use std::time::{Duration, SystemTime};
@@ -16,7 +16,7 @@ use serde_json::Value;
 
 use crate::closed_loop::support::*;
 
-/// The arm with the target is wired like the arm with the cameras: the same refusals, states and limits.
+/// The arm with the target has the same wiring as the arm with the cameras: the same refusals, states and limits.
 #[test]
 fn the_carrying_arm_has_the_limits_and_states_of_the_following_one() {
     let setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::X]);
@@ -63,7 +63,7 @@ fn lines_of(file: &Path) -> Vec<Value> {
 #[test]
 fn a_fault_leaves_the_flight_of_both_arms() {
     let mut setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::X]);
-    // The guard expects slower drives: it finds fault with the first move.
+    // The guard expects slower drives: it detects a fault in the first motion.
     setup.rig.tc.guard.lag = Duration::from_millis(300);
     setup.rig.tc.guard.tracking_error_max_rad = 0.005;
     let parts = wire(&setup).unwrap();

@@ -1,4 +1,4 @@
-//! Cameras that are not any more what was calibrated.
+//! Cameras that have moved since their calibration.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use pb3dp_wiring::wire;
 
 use super::support::{Pixels, quick_setup};
 
-/// What a run with these cameras finds, which are taken for the calibrated ones.
+/// The drift that a run with these cameras detects, with the calibration of the original ones.
 fn found(calibrated: &Setup, cameras: &Setup) -> Vec<DriftSummary> {
     experiment::run(calibrated, wire(cameras).unwrap(), Some(4.0), None).unwrap().log.drift
 }
@@ -32,7 +32,7 @@ fn a_run_finds_cameras_that_are_not_any_more_what_was_calibrated() {
     assert_eq!(unchanged.len(), 4, "{unchanged:#?}");
     assert!(unchanged.iter().all(|one| one.looks >= 7 && !one.was_too_far()), "{unchanged:#?}");
 
-    // The right camera has been knocked: it nods by 0.15 degrees, and its lens is smeared.
+    // The right camera was knocked: it is pitched by 0.15 degrees, and its lens is smeared.
     let mut knocked = sound.clone();
     let angle_rad = 0.15_f64.to_radians();
     let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(angle_rad, 0.0, 0.0));

@@ -1,4 +1,4 @@
-//! What is left when a part fails in the middle of a run: arms at rest, and the recording so far.
+//! A part fails in the middle of a run: the arms stop, and the recording up to then is complete.
 
 use pb3dp_cell::experiment;
 use pb3dp_estimation::estimator::Method;
@@ -29,15 +29,15 @@ fn check(which: &str) {
         .iter()
         .chain(tc.measured.lock().unwrap().iter())
         .any(|joints| joints.velocity_rad_per_s.amax() > 0.01);
-    assert!(moved, "the failure must come while something moves");
+    assert!(moved, "the failure must occur during a motion");
     for (name, site) in [("vs-robot", &cell.vs), ("tc-robot", &cell.tc)] {
         let mut plant = site.joints.simulated().unwrap().lock().unwrap();
         plant.advance_to(clock.now());
-        // The arm's own limit of rest, at which the brakes close; without the stop it is 0.35 rad/s here.
+        // The arm's own speed limit for closing the brakes; without the stop the speed is 0.35 rad/s here.
         let speed = plant.state().velocity_rad_per_s.amax();
-        assert!(speed < 1e-3, "{name} must be at rest after the failure of {which}, moves at {speed} rad/s");
+        assert!(speed < 1e-3, "{name} must be stationary after the failure of {which}, moves at {speed} rad/s");
     }
-    assert!(load_sequence(&recording).unwrap().frames() > 40, "what was recorded before is whole");
+    assert!(load_sequence(&recording).unwrap().frames() > 40, "the recording before the failure is complete");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Runs without images: the whole loop with the true pose and stated noise in place of cameras and estimation.
+//! Runs without images: the whole loop with the true pose and stated noise instead of cameras and estimation.
 
 use nalgebra::Vector3;
 use pb3dp_cell::channels::Plan;
@@ -33,7 +33,7 @@ fn setup(config: GeometricConfig) -> Setup {
     Setup { leader: Leader::Geometric(config), ..whole_setup(Method::Direct) }
 }
 
-/// A filter of the target that believes what is seen without noise.
+/// A target filter that treats the measurements as free of noise.
 fn trusting(mut setup: Setup) -> Setup {
     if let LawConfig::FeedForward(law) = &mut setup.controller.law {
         law.target.measurement.orientation_sigma_min_rad = 1e-4;
@@ -56,7 +56,7 @@ fn without_noise_the_hand_comes_to_rest_where_it_should_be() {
         (0, 6, "geometric")
     );
     for channel in &found.channels {
-        // What is left is the last of the way, and the quantum of the measured angles.
+        // The remaining error is the end of the motion, and the resolution of the measured angles.
         let (mm, deg) = (channel.locked.hold_mm.unwrap(), channel.locked.hold_deg.unwrap());
         assert!(mm.max < 0.3 && deg.max < 0.05, "{channel:?}");
     }
@@ -72,7 +72,7 @@ fn what_the_lock_gets_wrong_is_constant_and_told() {
     let told = found.lock.unwrap();
     assert!(told.hand_mm > 0.5 && told.hand_mm < 40.0, "{told:?}");
     let (locked, whole) = (found.locked.hold_mm.unwrap(), found.tracking_position_mm.unwrap());
-    assert!(locked.max < 0.3, "by the pose of the lock the hand is where it should be: {locked:?}");
+    assert!(locked.max < 0.3, "relative to the initial lock the hand is at its desired pose: {locked:?}");
     assert!(whole.rms > 0.8 * told.hand_mm, "before the true plane it is not: {whole:?}, {told:?}");
 }
 
@@ -102,7 +102,7 @@ fn a_target_out_of_view_has_no_pose_and_the_hand_rests_until_it_is_back() {
     assert!(at_s(0.0, 1.0).all(|f| f.status == "ok") && at_s(1.0, 4.0).all(|f| f.status == "lost"));
     assert!(at_s(4.0, 7.0).all(|f| f.status == "ok"), "the same target, found again");
     let (hand_mm, _) = ways_mm(&log, 2.5, 3.9);
-    assert!(hand_mm.norm() < 0.1, "nothing is seen and the hand goes {hand_mm}");
+    assert!(hand_mm.norm() < 0.1, "the hand moves {hand_mm} without a visible target");
     assert!(log.control.iter().any(|s| s.mode_word() == "lost" || s.mode_word() == "holding"));
 }
 
@@ -122,7 +122,7 @@ fn a_free_target_is_where_its_motion_says_and_the_second_arm_rests() {
     assert!((there - start - Vector3::new(0.0, 0.0, amplitude)).norm() < 2e-5, "{}", there - start);
     let measured = tc.measured.lock().unwrap();
     let first = measured[0].position_rad;
-    assert!(measured.iter().all(|state| state.position_rad == first), "the second arm rests");
+    assert!(measured.iter().all(|state| state.position_rad == first), "the second arm does not move");
     let plan = Plan { motion: setup.experiment.motion.clone(), world_from_axes: nalgebra::UnitQuaternion::identity() };
     let channel = summarize(&log, &plan).channels[0].clone();
     assert!(channel.gain_db.unwrap().abs() < 3.0 && channel.phase_deg.unwrap() < 1.0, "{channel:?}");

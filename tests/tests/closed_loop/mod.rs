@@ -1,5 +1,5 @@
-//! The whole loop in the simulated cell: cameras, estimation, servo, limiter, arms. Images are small and the experiment
-//! short, so that the suite is quick; the setup is the repository's otherwise.
+//! The whole loop in the simulated workcell: cameras, estimation, servo, limiter, arms. Images are small and the experiment
+//! is short for a quick suite; otherwise the setup is that of the repository.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests may fail the test")]
 
 mod both_arms;

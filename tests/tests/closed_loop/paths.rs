@@ -1,5 +1,5 @@
-//! The place of the cell: along the whole experiment of the repository's setup no arm comes near a singular pose, and an
-//! experiment that the limits do not allow is refused.
+//! The placement of the workcell: along the whole experiment of the repository's setup no arm comes close to a singular
+//! pose, and an experiment beyond the limits is refused.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use pb3dp_wiring::wire;
 
 use crate::closed_loop::support::whole_setup;
 
-/// The bound for the smallest singular value of the Jacobian, metres and radians.
+/// Required lower bound of the smallest singular value of the Jacobian, metres and radians.
 const SINGULAR_VALUE_MIN: f64 = 0.05;
 
 fn world_from_target_at_start(setup: &Setup) -> Pose<World, Target> {
@@ -66,8 +66,8 @@ fn both_arms_stay_away_from_singular_poses_along_the_whole_experiment() {
     }
 }
 
-/// The smallest singular value along the experiment, with nothing but forward kinematics: Jacobian by differences, joint
-/// angles by Newton's method at each point.
+/// The smallest singular value along the experiment from forward kinematics alone: Jacobian by differences, joint angles
+/// by Newton's method at each point.
 fn smallest_along(
     chain: &Chain,
     start_rad: JointVector,
@@ -100,7 +100,7 @@ fn smallest_along(
     smallest
 }
 
-/// Way of the origin (m) and rotation vector (rad) from one pose to the other, in `base`.
+/// Translation of the origin (m) and rotation vector (rad) from one pose to the other, in `base`.
 fn between(from: &Pose<Base, Flange>, to: &Pose<Base, Flange>) -> Vector6<f64> {
     let way = to.translation_m() - from.translation_m();
     let turn = (to.rotation() * from.rotation().inverse()).scaled_axis();
@@ -130,9 +130,9 @@ fn the_rigs_default_speed_is_refused_for_this_experiment_by_how_much() {
     let Err(error) = wire(&setup) else { panic!("at a tenth of the speeds the arms cannot follow") };
     let text = format!("{error:#}");
     let words: Vec<&str> = text.split_whitespace().collect();
-    let axis = words.iter().position(|word| *word == "axis").expect("names the axis");
+    let axis = words.iter().position(|word| *word == "axis").expect("the message names the axis");
     assert!((1..=DOF).contains(&words[axis + 1].parse::<usize>().unwrap()), "{text}");
-    let ratio = words.iter().position(|word| *word == "times").expect("says by how much");
+    let ratio = words.iter().position(|word| *word == "times").expect("the message gives the ratio");
     assert!(words[ratio - 1].parse::<f64>().unwrap() > 1.05, "{text}");
     assert!(text.contains("vs-robot") && text.contains("arms.speed_scale"), "{text}");
 }

@@ -10,8 +10,8 @@ use pb3dp_sim::trajectory::Channel;
 
 use crate::closed_loop::support::*;
 
-/// Everything that a run writes down, without what depends on the machine's speed: the file of the time series, and the log
-/// with numbers to the last bit.
+/// All records of a run, without those that depend on the machine's speed: the file of the time series, and the log with
+/// numbers to the last bit.
 fn traces(setup: &Setup) -> (String, String) {
     let mut outcome = run(setup, Some(1.3));
     let log = &mut outcome.log;

@@ -1,4 +1,4 @@
-//! Cameras that fail, targets that are hidden for a while, and what comes back.
+//! Camera faults, targets that are hidden for a while, and the recovery after them.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -28,7 +28,7 @@ fn fault(kind: CameraFaultKind, from_s: f64, until_s: f64) -> CameraFault {
     CameraFault { kind, from: Duration::from_secs_f64(from_s), until: Duration::from_secs_f64(until_s) }
 }
 
-/// A card that goes to the right from 1 s to 2 s, seen with this fault.
+/// A card that moves to the right from 1 s to 2 s, with this camera fault.
 fn card(faults: Vec<CameraFault>) -> Setup {
     let mut setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::X]);
     setup.world_mut().unwrap().scene.target = TargetConfig::card();
@@ -36,19 +36,19 @@ fn card(faults: Vec<CameraFault>) -> Setup {
     setup
 }
 
-/// How far the hand goes between two times, mm.
+/// Path length of the hand between two times, mm.
 fn hand_went_mm(log: &RunLog, from_s: f64, to_s: f64) -> f64 {
     let mut hand = log.control.iter().filter(|sample| (from_s..to_s).contains(&sample.t_s));
     let first = hand.next().unwrap().world_from_hand.translation_m();
     hand.map(|sample| (sample.world_from_hand.translation_m() - first).norm() * 1e3).fold(0.0, f64::max)
 }
 
-/// From state to state, without the beginning.
+/// The changes of state, without the start.
 fn ways(supervision: &Supervision) -> Vec<(&'static str, &'static str)> {
     supervision.transitions.iter().map(|note| (note.from, note.to)).skip_while(|(_, to)| *to != "tracking").collect()
 }
 
-/// The hand follows at the end, or is on its way.
+/// The hand tracks the target at the end, or is approaching it.
 fn goes_on(supervision: &Supervision, what: &str) {
     let last = supervision.transitions.last().unwrap();
     assert!(matches!(last.to, "approaching" | "tracking"), "{what}: {}", last.why);
@@ -72,7 +72,7 @@ fn a_frozen_camera_is_recognised_although_its_stamps_go_on() {
     goes_on(&supervision, "frozen");
 }
 
-/// What each fault does to a run without images: the hand rests while nothing can be seen, and goes on afterwards.
+/// The effect of each fault on a run without images: the hand holds while nothing is visible, and continues afterwards.
 #[test]
 fn without_images_a_hand_that_is_blind_rests() {
     for kind in [
@@ -95,7 +95,7 @@ fn without_images_a_hand_that_is_blind_rests() {
     }
 }
 
-/// The target is hidden for this time.
+/// The target is hidden for this period.
 fn hidden(from_s: f64, until_s: f64) -> CameraFault {
     fault(CameraFaultKind::Occluder { width_share: 0.75, crosses: false }, from_s, until_s)
 }
@@ -123,7 +123,7 @@ fn a_hidden_target_waits_for_the_operator_if_the_policy_says_so() {
     assert!(hand_went_mm(&log, 2.3, 4.6) < 0.05, "{} mm", hand_went_mm(&log, 2.3, 4.6));
 }
 
-/// A camera that shows another scene from a time on.
+/// A camera that shows another scene from some time on.
 struct Swapped {
     cameras: [SimStereoCamera; 2],
     clock: Arc<dyn Clock>,
@@ -141,7 +141,7 @@ impl StereoCamera for Swapped {
     }
 }
 
-/// A run in which another target stands in the place of the card from 1.8 s on, while a bar hides it.
+/// A run in which another target replaces the card at 1.8 s, while a bar hides it.
 fn swapped_for(other: SceneConfig) -> RunLog {
     let setup = card(Vec::new());
     let parts = wire(&setup).unwrap();
@@ -164,7 +164,7 @@ fn swapped_for(other: SceneConfig) -> RunLog {
 fn another_target_in_the_same_place_is_not_followed() {
     let card = card(Vec::new()).world().unwrap().scene.clone();
     let same = swapped_for(card.clone());
-    goes_on(&same.supervision.summary(), "the same card is known again");
+    goes_on(&same.supervision.summary(), "the same card is recognised");
     for (what, other) in [
         ("a crab", SceneConfig { target: TargetConfig::crab(0.01), ..card.clone() }),
         ("a card with another image", SceneConfig { seed: card.seed + 1, ..card.clone() }),

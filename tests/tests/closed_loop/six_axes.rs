@@ -1,4 +1,4 @@
-//! An arm with six axes, chosen by one line of the setup, carries the cameras through the experiment of Fig. 7.
+//! An arm with six axes, selected by one line of the setup, carries the cameras through the experiment of Fig. 7.
 
 use pb3dp_cell::channels::Plan;
 use pb3dp_cell::summary::{RunSummary, summarize};
@@ -11,7 +11,7 @@ use pb3dp_wiring::wire;
 use crate::closed_loop::geometric::QUIET;
 use crate::closed_loop::support::*;
 
-/// About what the direct method has on the crab.
+/// Approximate noise of the direct method on the crab.
 const NOISY: GeometricConfig = GeometricConfig {
     noise: PoseSigma { lateral_m: 2e-5, depth_m: 1e-4, tilt_rad: 1e-3, about_normal_rad: 3e-4 },
     ..QUIET
@@ -45,7 +45,7 @@ fn it_starts_well_away_from_its_singular_poses() {
     let arm = six_axes().rig.vs;
     assert_eq!((arm.key.as_str(), arm.chain.joints(), arm.chain.elbow()), ("arms.ur5e", 6, None));
     let start_deg = arm.start_rad.map(f64::to_degrees);
-    // Stretched or folded at the elbow, and with the outer axes of the wrist parallel.
+    // Stretched or folded at the elbow, and with parallel outer axes of the wrist.
     let from_stretched_deg = start_deg[2].abs().min(180.0 - start_deg[2].abs());
     let from_parallel_deg = start_deg[4].abs().min(180.0 - start_deg[4].abs());
     assert!(from_stretched_deg > 15.0 && from_parallel_deg > 15.0, "{start_deg}");

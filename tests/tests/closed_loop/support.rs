@@ -1,4 +1,4 @@
-//! Setups that are quick to run, and figures of what they leave.
+//! Setups that run quickly, and figures of their results.
 
 use nalgebra::Vector3;
 use pb3dp_cell::experiment;
@@ -12,7 +12,7 @@ use pb3dp_sim::trajectory::{Channel, StepExperimentConfig};
 use pb3dp_wiring::wire;
 use system_tests::repository;
 
-/// The setup of the repository in which a method leads the hand; none looks on.
+/// The setup of the repository with this method in the control loop; no method runs beside it.
 pub fn whole_setup(method: Method) -> Setup {
     let file = match method {
         Method::Published => "configs/published.toml",
@@ -23,7 +23,7 @@ pub fn whole_setup(method: Method) -> Setup {
     Setup { compared: Vec::new(), ..setup }
 }
 
-/// configs/sim.toml with these lines changed, each of which stands in it once.
+/// configs/sim.toml with these lines changed, each of which occurs in it once.
 pub fn changed_setup(changes: &[(&str, &str)]) -> Setup {
     let dir = tempfile::tempdir().unwrap();
     let configs = repository().join("configs").canonicalize().unwrap();
@@ -32,7 +32,7 @@ pub fn changed_setup(changes: &[(&str, &str)]) -> Setup {
         assert_eq!(text.matches(from).count(), 1, "{from}");
         text = text.replace(from, to);
     }
-    // The files that a setup names stand beside it.
+    // The files that a setup names are next to it.
     for folder in ["robots", "arms"] {
         std::os::unix::fs::symlink(configs.join(folder), dir.path().join(folder)).unwrap();
     }
@@ -41,7 +41,7 @@ pub fn changed_setup(changes: &[(&str, &str)]) -> Setup {
     read_setup(&file).unwrap()
 }
 
-/// How many pixels the cameras of a quick setup have; fewer are quicker and less exact.
+/// Camera resolution of a quick setup; fewer pixels are quicker and less accurate.
 #[derive(Clone, Copy)]
 pub enum Pixels {
     /// 320 x 240.
@@ -50,7 +50,7 @@ pub enum Pixels {
     More,
 }
 
-/// The same with fewer pixels in the same field of view, and moves and rests of one second.
+/// The same with fewer pixels in the same field of view, and moves and holds of one second.
 pub fn quick_setup(method: Method, pixels: Pixels, channels: &[Channel]) -> Setup {
     let mut setup = whole_setup(method);
     let share = match pixels {
@@ -75,12 +75,12 @@ pub fn steps_of(setup: &mut Setup) -> &mut StepExperimentConfig {
     setup.experiment.steps_mut().unwrap()
 }
 
-/// Wires and runs a setup.
+/// Builds and runs a setup.
 pub fn run(setup: &Setup, stop_after_s: Option<f64>) -> Outcome {
     experiment::run(setup, wire(setup).unwrap(), stop_after_s, None).unwrap()
 }
 
-/// Distance of the hand (mm) and angle between the viewing axes (degrees) from the wanted pose between two times.
+/// Distance of the hand (mm) and angle between the camera axes (degrees) from the desired pose between two times.
 pub struct Errors {
     pub rms_mm: f64,
     pub max_mm: f64,
@@ -110,7 +110,7 @@ pub fn at(log: &RunLog, t_s: f64) -> &ControlSample {
     log.control.iter().find(|sample| sample.t_s >= t_s).unwrap()
 }
 
-/// Way of the hand, and of where it should be, between two times, mm in `world`.
+/// Displacement of the hand, and of its desired position, between two times, mm in `world`.
 pub fn ways_mm(log: &RunLog, from_s: f64, to_s: f64) -> (Vector3<f64>, Vector3<f64>) {
     let (from, to) = (at(log, from_s), at(log, to_s));
     let hand = to.world_from_hand.translation_m() - from.world_from_hand.translation_m();

@@ -1,5 +1,5 @@
-//! The whole loop in the machine's time: emulated arms behind gateways on pseudo-terminals, cameras where the arms are. A machine
-//! that is too loaded for it is late, and an arm that waits too long stops: so each run is tried again there.
+//! The whole loop in real time: emulated arms behind gateways on pseudo-terminals, simulated cameras on the arms. On a
+//! machine with too much load cycles are late, and an arm without commands stops: then each run is repeated.
 
 use pb3dp_arm_pa10::driver::DriverState;
 use pb3dp_cell::experiment;
@@ -14,7 +14,7 @@ use system_tests::repository;
 
 use crate::closed_loop::support::{Pixels, errors, quick_setup, run};
 
-/// A quick setup whose arms are reached as `configs/hil.toml` says.
+/// A quick setup whose arms are connected as in `configs/hil.toml`.
 fn hil_setup() -> Setup {
     let hil = read_setup(&repository().join("configs/hil.toml")).unwrap();
     let mut setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::X]);
@@ -24,7 +24,7 @@ fn hil_setup() -> Setup {
     setup
 }
 
-/// What the law without feed-forward leaves in simulated time is the measure: a loaded machine leaves images out.
+/// The reference is the error of the law without feed-forward in simulated time: a loaded machine skips images.
 fn with_published_law(mut setup: Setup) -> Setup {
     let gains = Gains { position_per_s: 8.0, velocity: 0.0, orientation_per_s: 16.0, angular_velocity: 0.0 };
     let target_filter = TargetFilterConfig {
@@ -71,7 +71,7 @@ fn an_alarm_of_one_arm_ends_the_run_with_both_at_rest() {
     let setup = hil_setup();
     programs_in_real_time(|| {
         let parts = wire(&setup).unwrap();
-        // Switching both arms on takes up to 3 s; then the target moves after a second.
+        // Enabling both arms takes up to 3 s; then the target moves after a second.
         parts.emulated[1].command_line("in 5s alarm 4 0x0e").unwrap();
         let cell = parts.cell.clone();
         let clock = parts.clock.clone();
@@ -83,7 +83,7 @@ fn an_alarm_of_one_arm_ends_the_run_with_both_at_rest() {
             let speed = joints.state().velocity_rad_per_s.amax();
             assert!(speed < 1e-3, "{name} at {speed} rad/s after: {message}");
         }
-        // On a machine that is late an arm may have stopped for that before.
+        // On a machine that is late an arm may have stopped earlier because of that.
         assert!(message.contains("tc-robot") && message.contains("over-current"), "{message}");
     });
 }

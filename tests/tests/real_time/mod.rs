@@ -1,4 +1,4 @@
-//! Tests whose threads must run in time: through `programs_in_real_time`.
+//! Tests whose threads must run in real time: through `programs_in_real_time`.
 
 mod live;
 mod real_cameras;

@@ -1,4 +1,4 @@
-//! A run with real cameras, whose drivers are emulated call by call: no truth, a region that somebody has marked, and plugs that are pulled.
+//! A run with real cameras, whose drivers are emulated call by call: no truth, a marked region, and disconnected cameras.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -24,7 +24,7 @@ use system_tests::repository;
 /// Half of the size in `configs/rig.toml`, and half of its rate.
 const SIZE: ImageSize = ImageSize { width: 320, height: 240 };
 const RATE: Interval = Interval { numerator: 1, denominator: 15 };
-/// A plane at 500 mm, where the hand begins: 370 px times 100 mm over 500 mm.
+/// A plane at 500 mm, at the start of the hand: 370 px times 100 mm over 500 mm.
 const DISPARITY_PX: usize = 74;
 
 /// Brightness of the scene: blocks of 5 pixels.
@@ -37,7 +37,7 @@ static SCENE: LazyLock<Vec<u8>> = LazyLock::new(|| {
     (0..SIZE.height as usize).flat_map(|v| (0..width).map(move |u| block(u, v))).collect()
 });
 
-/// The scene from a column on; a clock in the first pixels makes each image another one.
+/// The scene from a column on; a clock in the first pixels makes each image different.
 fn paint(from: usize, number: u64, memory: &mut [u8]) {
     let width = SIZE.width as usize;
     for (v, row) in memory.chunks_exact_mut(2 * width).enumerate() {
@@ -51,7 +51,7 @@ fn paint(from: usize, number: u64, memory: &mut [u8]) {
     }
 }
 
-/// The rig of `configs/rig.toml` with smaller images, and arms in this process.
+/// The rig of `configs/rig.toml` with smaller images, and simulated arms.
 fn rig() -> (Setup, EmulatedSystem) {
     let mut setup = read_setup(&repository().join("configs/rig.toml")).unwrap();
     let side = |number: u32, paint: fn(u64, &mut [u8])| {
@@ -68,7 +68,7 @@ fn rig() -> (Setup, EmulatedSystem) {
         side.name = format!("bus:usb-emulated-{number}").parse().unwrap();
         (side.mode.size, side.mode.interval) = (SIZE, RATE);
     }
-    // 50 mm to the right of the left camera: straight before the hand.
+    // 50 mm to the right of the left camera: straight in front of the hand.
     cameras.region = Some("rect:157,80,80,80".parse().unwrap());
     let whole = setup.rig.stereo.left().pinhole();
     let half = Pinhole { fx: whole.fx / 2.0, fy: whole.fy / 2.0, cx: 159.5, cy: 119.5 };
@@ -76,7 +76,7 @@ fn rig() -> (Setup, EmulatedSystem) {
     setup.rig.stereo = StereoRig::new(camera, camera, *setup.rig.stereo.cam_right_from_cam_left()).unwrap();
     setup.rig.frames.period = Duration::from_secs(1) / 15;
     (setup.rig.vs.link, setup.rig.tc.link) = (ArmLink::InProcess, ArmLink::InProcess);
-    // What comes back goes on: the policies of a rig wait for an operator after a second.
+    // The run resumes by itself: the policies of a rig wait for an operator after a second.
     setup.supervisor = read_setup(&repository().join("configs/hil.toml")).unwrap().supervisor;
     (setup, system)
 }
@@ -85,7 +85,7 @@ fn cameras(setup: &mut Setup) -> &mut RealCameras {
     setup.real_cameras_mut().unwrap()
 }
 
-/// Runs for so long, and does meanwhile what `fate` says.
+/// Runs for this time; `fate` acts meanwhile.
 fn run(setup: &Setup, system: &EmulatedSystem, seconds: f64, fate: impl FnOnce() + Send) -> Ended {
     let parts = wire_with(setup, Arc::new(system.clone())).unwrap().parts;
     std::thread::scope(|scope| {
@@ -113,7 +113,7 @@ fn records() {
     let sequence = load_sequence(&folder).unwrap();
     assert!(!sequence.is_unfinished && sequence.frames() > 10, "{} frames", sequence.frames());
     assert!(sequence.frames() as usize <= outcome.log.leading.frames.len() + 1);
-    // The region is the one that was marked, and nobody knows the truth.
+    // The region is the marked one, and the truth is unknown.
     let side = |axis: usize| sequence.region_polygon_left_px.iter().map(move |corner| corner[axis]);
     let ends = [0, 1].map(|axis| [side(axis).fold(f64::MAX, f64::min), side(axis).fold(f64::MIN, f64::max)]);
     let is_near = |found: f64, expected: f64| (found - expected).abs() < 3.0;
@@ -124,7 +124,7 @@ fn records() {
     );
     assert!(sequence.cam_left_from_model.is_none());
     assert!((sequence.search.z_min_m - setup.range.z_min_m).abs() < 1e-9, "{:?}", sequence.search);
-    // Each pair is one that was painted, left and right of the same number, 67 ms after the one before or a multiple of that.
+    // Each pair is a painted one, left and right with the same number, 67 ms or a multiple of that after the previous pair.
     let number = |image: &image::RgbImage| (0..8).map(|u| u32::from(image.get_pixel(u, 0)[0])).collect::<Vec<_>>();
     let read = |frame| sequence.load_images(frame, SIZE).unwrap();
     for frame in 1..sequence.frames() {
@@ -146,7 +146,7 @@ fn swings() {
     let parts = wire_with(&setup, Arc::new(system)).unwrap().parts;
     let swung = swing::run(&setup, parts, Excitation::new(3e-3, 6.0).unwrap()).unwrap();
     assert!(swung.seen.len() > 40 && swung.joints.len() > 400, "{} seen", swung.seen.len());
-    // Where the marked region is: straight before the hand, at 500 mm, in images that never change.
+    // Pose of the marked region: straight in front of the hand, at 500 mm, in images that never change.
     let first = swung.seen[0].cam_left_from_model.translation_m();
     assert!((first.z - 0.5).abs() < 0.01 && (first.x - 0.05).abs() < 0.01, "{first}");
     let joint = |k: usize| swung.joints.iter().map(move |sample| sample.position_rad[k]);
@@ -178,15 +178,15 @@ fn holds_rests_and_goes_on() {
     assert!(summary.supervisor.transitions[rests].why.contains("frame pair"), "{told}");
     assert!(steps[rests..].iter().any(|(_, to)| moving(to)), "{told}");
     assert!(summary.supervisor.steps_found["frame_stale"] > 50 && summary.pairs_lost >= 8, "{told}");
-    // It is where it should be by its own images, which never change: neither the pose nor the calibration draws it away.
+    // The hand is at its desired pose by its own images, which never change: neither the pose nor the calibration drifts.
     let (first, last) = (outcome.log.control.first().unwrap(), outcome.log.control.last().unwrap());
     let moved = (last.world_from_hand.translation_m() - first.world_from_hand.translation_m()).norm();
     assert!(moved < 0.02 && last.t_s > 8.5, "{moved} m in {} s", last.t_s);
     assert!(summary.frames > 50 && summary.frames_without_pose < summary.frames / 4, "{told}");
-    // It has looked after its cameras, every two seconds.
+    // The cameras were checked every two seconds.
     assert_eq!(summary.drift.len(), 4, "{:?}", summary.drift);
     assert!(summary.drift.iter().all(|one| one.looks + one.blind_looks >= 2), "{:?}", summary.drift);
-    // Nobody knows the truth.
+    // The truth is unknown.
     assert!(summary.without_truth && summary.lock.is_none() && summary.channels.is_empty(), "{summary:?}");
     assert!(summary.tracking_position_mm.is_none() && summary.estimation_depth_mm.is_none(), "{summary:?}");
 }

@@ -1,5 +1,5 @@
-//! The threads of a run in the machine's time: who is slow, stalled or mistaken holds nobody else up, and both arms are stopped. Nothing
-//! here is judged by how long something took: a stalled thread waits for the others.
+//! The threads of a run in real time: a slow, stalled or failing thread delays no other thread, and both arms are stopped.
+//! No test depends on durations: a stalled thread waits for the others.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may fail the test")]
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -26,13 +26,13 @@ use pb3dp_test_support::programs_in_real_time;
 use pb3dp_wiring::wire;
 use system_tests::repository;
 
-/// What waits for others fails after this: they are held up.
+/// A wait for other threads fails after this time: they are blocked.
 const HELD_UP: Duration = Duration::from_secs(60);
 
-/// What a control step is remembered by: about as large as that of a run.
+/// Size of the record of a control step: about that of a run.
 type Step = [u64; 64];
 
-/// What all parts have done so far.
+/// Counters of all parts.
 #[derive(Default)]
 struct Done {
     captured: AtomicU64,
@@ -41,9 +41,9 @@ struct Done {
     recorded: AtomicU64,
     steps: AtomicU64,
     stops: AtomicU64,
-    /// What the thread of the control steps has asked the heap for between them.
+    /// Number of heap requests of the control thread between control steps.
     requests: AtomicU64,
-    /// The course is to end.
+    /// The run shall end.
     is_enough: AtomicBool,
 }
 
@@ -55,19 +55,19 @@ fn of(counter: &AtomicU64) -> u64 {
     counter.load(Ordering::SeqCst)
 }
 
-/// Waits until each of the counters has gone on by so much, or the arms are stopped.
+/// Waits until each of the counters has grown by this much, or the arms are stopped.
 fn wait_for(done: &Done, more: u64, counters: &[&AtomicU64]) {
     let begin = Instant::now();
     let until: Vec<u64> = counters.iter().map(|counter| of(counter) + more).collect();
     while of(&done.stops) == 0 && counters.iter().zip(&until).any(|(counter, until)| of(counter) < *until) {
-        assert!(begin.elapsed() < HELD_UP, "the others are held up");
+        assert!(begin.elapsed() < HELD_UP, "the other threads are blocked");
         std::thread::sleep(Duration::from_millis(1));
     }
 }
 
 type Action = fn(&Done) -> Result<()>;
 
-/// What the parts do beside their work.
+/// Actions of the parts in addition to their work.
 #[derive(Clone, Copy)]
 struct Script {
     capture: Action,
@@ -80,7 +80,7 @@ struct Script {
 const NOTHING: Action = |_| Ok(());
 const QUIET: Script = Script { capture: NOTHING, estimate: NOTHING, record: NOTHING, step: NOTHING, stop: NOTHING };
 
-/// A half that looks, and each of its parts. Frames are numbers, one each two milliseconds.
+/// Perception, and each of its parts. Frames are numbers, one every two milliseconds.
 #[derive(Clone, Copy)]
 struct Part<'a>(&'a Done, Script);
 
@@ -145,13 +145,13 @@ impl Parted for Part<'_> {
     }
 }
 
-/// Arms that only count; what the loop does between two steps is watched.
+/// Arms that only count; the loop's actions between two steps are observed.
 struct Arms<'a> {
     done: &'a Done,
     script: Script,
     is_on: bool,
     newest: u64,
-    /// Requests to the heap behind the step before.
+    /// Heap requests after the previous step.
     requests: Option<usize>,
     interrupt: &'a AtomicBool,
 }
@@ -167,7 +167,7 @@ impl Mover for Arms<'_> {
     fn begin_at(&mut self, _begin: MonotonicTime) {}
 
     fn observe(&mut self, percept: Percept, _now: MonotonicTime) {
-        assert!(percept.frame.sequence > self.newest, "a percept comes once, and none behind a newer one");
+        assert!(percept.frame.sequence > self.newest, "a percept arrives once, and never after a newer one");
         self.newest = percept.frame.sequence;
         count(&self.done.observed);
     }
@@ -199,7 +199,7 @@ fn setup(pace: Pace) -> Setup {
     }
 }
 
-/// What a course leaves behind, that ends when it is enough, after ten minutes, or by a failure or panic (`None`).
+/// Results of a run, which ends when it is complete, after ten minutes, or by a failure or panic (`None`).
 fn run(pace: Pace, script: Script) -> (Done, Option<Result<()>>, Punctuality) {
     let (done, interrupt) = (Done::default(), AtomicBool::new(false));
     let clock: Arc<dyn Clock> = match pace {
@@ -210,13 +210,13 @@ fn run(pace: Pace, script: Script) -> (Done, Option<Result<()>>, Punctuality) {
     let mut arms = Arms { done: &done, script, is_on: false, newest: 0, requests: None, interrupt: &interrupt };
     let course = Course { setup: &setup, clock: &clock, duration: Duration::from_secs(600), interrupt: &interrupt };
     let ended = catch_unwind(AssertUnwindSafe(|| course.run(&mut Part(&done, script), &mut arms)));
-    assert!(!arms.is_on, "both arms are stopped, however a course ends");
+    assert!(!arms.is_on, "both arms are stopped, however a run ends");
     assert_eq!(of(&done.stops), 1);
     let (ended, punctuality) = ended.map_or((None, None), |(ended, punctuality)| (Some(ended), punctuality));
     (done, ended, punctuality.unwrap_or_default())
 }
 
-/// What has ended a course, as a line.
+/// The cause of the end of a run, as a line.
 fn failure(ended: Option<Result<()>>) -> String {
     ended.map_or_else(|| "a panic".to_owned(), |ended| format!("{:#}", ended.unwrap_err()))
 }
@@ -233,7 +233,7 @@ fn a_stalled_recorder_holds_neither_estimation_nor_control_up() {
     };
     let (done, ended, punctuality) = run(Pace::Live, Script { record, ..QUIET });
     ended.unwrap().unwrap();
-    // What found no room was left out and counted; the rest was written down in the end.
+    // Frames without room in a ring were dropped and counted; all others were recorded in the end.
     let (recorded, estimated) = (of(&done.recorded), of(&done.estimated));
     assert!(
         punctuality.estimation.dropped >= estimated - recorded && estimated - recorded > MANY / 2,
@@ -258,7 +258,7 @@ fn a_slow_estimator_holds_neither_capture_nor_control_up_and_gets_the_newest_fra
     ended.unwrap().unwrap();
     let (captured, estimated) = (of(&done.captured), of(&done.estimated));
     assert!(punctuality.capture.dropped >= MANY - 1, "{punctuality:?}");
-    assert!(captured > MANY && estimated < MANY, "{captured} frames, {estimated} of them looked at");
+    assert!(captured > MANY && estimated < MANY, "{captured} frames, {estimated} of them estimated");
     assert_eq!(punctuality.control.lateness.summary().cycles, of(&done.steps));
 }
 
@@ -272,8 +272,7 @@ fn a_camera_that_waits_holds_control_not_up() {
     run(Pace::Live, Script { capture, ..QUIET }).1.unwrap().unwrap();
 }
 
-/// Rings and slots that are full, empty and overwritten in turn: the thread of the control steps takes nothing from the heap between two
-/// of them.
+/// Rings and slots that are full, empty and overwritten in turn: the control thread allocates nothing between two steps.
 #[test]
 fn handing_over_takes_nothing_from_the_heap() {
     let record: Action = |done| {
@@ -303,7 +302,7 @@ fn a_mistake_in_any_thread_stops_both_arms() {
     for (part, script) in scripts {
         let (done, ended, _) = run(Pace::Live, script);
         let why = failure(ended);
-        // The recorder has the thread of the caller.
+        // The recorder runs on the caller's thread.
         let expected = if part == "recording" { "a panic".to_owned() } else { format!("the {part} thread panicked") };
         assert!(why.contains(&expected), "{part}: {why}");
         assert!(of(&done.steps) >= 5, "{part}");
@@ -321,7 +320,7 @@ fn a_failure_in_any_thread_stops_both_arms_and_is_told() {
         Script { step: fail, ..QUIET },
         Script { record: fail, ..QUIET },
     ];
-    // A stop that fails does not hide why both arms were stopped.
+    // A stop that fails does not hide the cause of the stop of both arms.
     let stop: Action = |_| bail!("an arm cannot be told");
     for script in scripts {
         for pace in [Pace::Live, Pace::Fast] {
@@ -332,14 +331,14 @@ fn a_failure_in_any_thread_stops_both_arms_and_is_told() {
     }
 }
 
-/// Steps that the hand follows before its method takes long, rests meanwhile, and follows afterwards.
+/// Number of steps for which the hand tracks, before its method stalls, holds meanwhile, and tracks again.
 const ENOUGH: u64 = 40;
 
-/// A run whose method once takes as long as it needs to make the newest images too old.
+/// A run whose method once takes so long that the newest images become too old.
 struct SlowOnce<'a> {
     looking: Looking<'a>,
     seen: Seen,
-    /// Since the hand followed.
+    /// Since the hand tracks.
     moved: Vec<Moved>,
     /// Ends the run.
     interrupt: Arc<AtomicBool>,
@@ -350,7 +349,7 @@ struct SlowOnce<'a> {
 struct Seen {
     followed: AtomicU64,
     stale: AtomicU64,
-    /// The hand has gone on after it had rested.
+    /// The hand has resumed after a hold.
     resumed: AtomicU64,
 }
 
@@ -374,7 +373,7 @@ impl Estimate for SlowMethod<'_, '_> {
     fn look(&mut self, frame: Captured) -> Result<(Percept, ())> {
         let begin = Instant::now();
         while of(&self.1.followed) >= ENOUGH && of(&self.1.stale) < ENOUGH {
-            assert!(begin.elapsed() < HELD_UP, "the hand does not rest");
+            assert!(begin.elapsed() < HELD_UP, "the hand does not hold");
             std::thread::sleep(Duration::from_millis(1));
         }
         Ok((self.0.look(frame)?.percept(), ()))
@@ -392,7 +391,7 @@ impl Record for Kept<'_> {
             self.moved.push(*step);
         }
         if is_stale(step) {
-            // On a slow machine images may be too old before the method is slow.
+            // On a slow machine images may be too old before the method stalls.
             if has_followed {
                 count(&self.seen.stale);
             }
@@ -435,10 +434,10 @@ impl Parted for SlowOnce<'_> {
     }
 }
 
-/// As long as the method is at it the arm rests by the policy of stale frames, step by step, and goes on afterwards.
+/// While the method stalls the arm holds by the policy of stale frames, step by step, and resumes afterwards.
 #[test]
 fn an_arm_rests_while_its_method_takes_too_long() {
-    // Whatever fails: a machine that holds its threads up again and again lets the hand rest again and again.
+    // May fail by chance: a machine that stalls its threads repeatedly makes the hand hold repeatedly.
     programs_in_real_time(|| {
         let mut setup = read_setup(&repository().join("configs/sim.toml")).unwrap();
         setup.pace = Pace::Live;
@@ -451,7 +450,7 @@ fn an_arm_rests_while_its_method_takes_too_long() {
         let mut moving = Moving::new(&setup, (vs, tc), &*experiment, now).unwrap();
         let mut slow =
             SlowOnce { looking, seen: Seen::default(), moved: Vec::new(), interrupt: Arc::clone(&interrupt) };
-        // The recorder ends it long before.
+        // The recorder ends the run long before.
         let course = Course { setup: &setup, clock: &clock, duration: HELD_UP, interrupt: &interrupt };
         course.run(&mut slow, &mut moving).0.unwrap();
         rests_while_stale(&slow);

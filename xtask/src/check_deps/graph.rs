@@ -1,12 +1,12 @@
-//! Dependencies between our packages, and on serde, as `cargo metadata` tells them.
+//! Dependencies between our packages, and on serde, from `cargo metadata`.
 
 use anyhow::Context;
 use serde_json::Value;
 
 use crate::violation::Violation;
 
-/// One line per package: which of our packages it may depend on. Lowest floor first; a package may name only what stands
-/// above its own line. Names without the prefix `pb3dp-`.
+/// One row per package: which of our packages it may depend on. Lowest layer first; a package may depend only on packages
+/// above its own row. Names without the prefix `pb3dp-`.
 const ALLOWED: [(&str, &[&str]); 37] = [
     ("allocation-count", &[]),
     ("test-support", &[]),
@@ -101,7 +101,7 @@ const ALLOWED: [(&str, &[&str]); 37] = [
             "sim",
             "hal-middleware",
             "hal-platform",
-            // What is asked of cameras and arms, in words: no backend.
+            // Settings of cameras and arms as text: no backend.
             "camera-settings",
             "arm-pa10-protocol",
         ],
@@ -205,14 +205,14 @@ const ALLOWED: [(&str, &[&str]); 37] = [
     ),
 ];
 
-/// What tests of any package may use besides.
+/// Additional packages for tests of any package.
 const ALLOWED_IN_ALL_TESTS: [&str; 3] = ["allocation-count", "computing", "test-support"];
 
-/// What tests of a package in `hal/` may use besides: the suite that every backend must pass, and a clock to run it by.
+/// Additional packages for tests of a package in `hal/`: the conformance suite of all backends, and a clock to run it.
 const ALLOWED_IN_HAL_TESTS: [&str; 2] = ["hal-conformance", "hal-clock"];
 
-/// What tests of one package may use besides: a wrapper is tested around the arm that needs no hardware, and a calibration on simulated
-/// rigs, whose arms have joints.
+/// Additional packages for tests of one package: a wrapper is tested around the arm without hardware, and a calibration on
+/// simulated rigs, whose arms have joints.
 const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 10] = [
     ("cell", &["arm-pa10-emulation"]),
     ("estimation-core", &["estimation-test-support"]),
@@ -237,33 +237,33 @@ const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 10] = [
     ("calibration", &["kinematics", "sim"]),
 ];
 
-/// Packages outside the table: the whole-system tests see everything, the commands see nothing.
+/// Packages outside the table: the whole-system tests may depend on all, the project commands on none.
 const SEES_ALL: &str = "system-tests";
 const SEES_NOTHING: &str = "xtask";
 
 /// Its examples measure whole runs.
 const MEASURES_ALL: &str = "benchmarks";
 
-/// Packages that may turn structures into text and back.
+/// Packages that may serialise and deserialise structures.
 const SERDE_USERS: [&str; 7] =
     ["setup", "cell", "commissioning", "orchestrator", "record", "benchmarks", "calibration"];
 const SERDE_CRATES: [&str; 6] = ["serde", "serde_json", "serde-saphyr", "toml", "figment", "serde_derive"];
 
-/// Lets tests switch safeguards off: nothing may enable it but who builds a test and says so.
+/// Lets tests disable safeguards: only a build of a test may enable it, by name.
 const TEST_FEATURE: &str = "disabled-guards";
 
-/// One of our packages and what it depends on.
+/// One of our packages and its dependencies.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Package {
     /// Name without the prefix `pb3dp-`.
     pub name: String,
-    /// Whether it stands in `hal/`.
+    /// Whether it is in `hal/`.
     pub in_hal: bool,
     /// Normal and build dependencies, ours without the prefix.
     pub dependencies: Vec<String>,
     /// Dependencies of its tests, ours without the prefix.
     pub test_dependencies: Vec<String>,
-    /// What enables [`TEST_FEATURE`] without being asked for by that name: other features, and dependencies.
+    /// What enables [`TEST_FEATURE`] implicitly: other features, and dependencies.
     pub enablers: Vec<String>,
 }
 
@@ -271,13 +271,13 @@ fn short(name: &str) -> String {
     name.strip_prefix("pb3dp-").unwrap_or(name).to_owned()
 }
 
-/// Third-party pieces that lie in the tree: not ours to be judged.
+/// Third-party packages in the tree, which the rules do not cover.
 const VENDORED: &str = "/hal/vendor/";
 
 /// Members of the workspace from the output of `cargo metadata`.
 ///
 /// # Errors
-/// If the output lacks a key that cargo promises.
+/// If the output lacks a required key.
 pub fn packages(metadata: &Value) -> anyhow::Result<Vec<Package>> {
     let all = metadata["packages"].as_array().context("`packages` is missing from cargo metadata")?;
     let is_vendored = |package: &Value| package["manifest_path"].as_str().is_some_and(|path| path.contains(VENDORED));
@@ -302,7 +302,7 @@ fn package(package: &Value) -> anyhow::Result<Package> {
     Ok(found)
 }
 
-/// Whether a list of features holds the one for tests, of whatever package.
+/// Whether a list of features contains the one for tests, of any package.
 fn enables(features: &Value) -> bool {
     let of = |feature: &Value| feature.as_str().and_then(|text| text.rsplit('/').next()) == Some(TEST_FEATURE);
     features.as_array().is_some_and(|features| features.iter().any(of))
@@ -329,24 +329,24 @@ fn check_package(package: &Package, ours: &[&str]) -> Vec<Violation> {
         Some(allowed) => allowed,
         None if package.name == SEES_NOTHING => &[],
         None => {
-            let message = "is not in the table of xtask/src/check_deps/graph.rs: give it a line, at its floor";
+            let message = "is not in the table of xtask/src/check_deps/graph.rs: add a row, in its layer";
             return vec![Violation::of(&place, "unknown-package", message)];
         }
     };
     let is_ours = |name: &&String| ours.contains(&name.as_str());
     for name in package.dependencies.iter().filter(is_ours).filter(|name| !allowed.contains(&name.as_str())) {
-        let message = format!("must not depend on {name}: see the floors in ARCHITECTURE.md");
+        let message = format!("must not depend on {name}: see the layers in ARCHITECTURE.md");
         violations.push(Violation::of(&place, "direction", message));
     }
     for name in package.test_dependencies.iter().filter(is_ours) {
         if !allowed.contains(&name.as_str()) && !is_allowed_in_tests(package, name) {
-            let message = format!("its tests must not depend on {name}: move them to tests/, which sees everything");
+            let message = format!("its tests must not depend on {name}: move them to tests/, which may depend on all packages");
             violations.push(Violation::of(&place, "direction", message));
         }
     }
     if package.name != SEES_NOTHING && !SERDE_USERS.contains(&package.name.as_str()) {
         for name in package.dependencies.iter().filter(|name| SERDE_CRATES.contains(&name.as_str())) {
-            let message = format!("must not depend on {name}: files are read and written by {SERDE_USERS:?}");
+            let message = format!("must not depend on {name}: only {SERDE_USERS:?} read and write files");
             violations.push(Violation::of(&place, "serde", message));
         }
     }
@@ -390,10 +390,10 @@ mod tests {
     #[test]
     fn backends_stay_strangers_to_each_other() {
         let backends = ["camera-replay", "camera-sim", "camera-v4l2", "arm-pa10"];
-        // The last two by what their lines above name.
+        // The last two by what the rows above them name.
         let may_name = ["orchestrator", "wiring", "commissioning", "setup", "cell"];
         for (name, allowed) in ALLOWED.iter().filter(|(name, _)| !may_name.contains(name)) {
-            // The parts of one backend know each other.
+            // The parts of one backend may depend on each other.
             let is_own = |backend: &str| name.starts_with(backend);
             let named = backends
                 .iter()

@@ -1,4 +1,4 @@
-//! Circles between the modules of a package. A module is what `lib.rs` declares, with all that lies below it.
+//! Cycles between the modules of a package. A module is what `lib.rs` declares, with everything below it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,7 +6,7 @@ use crate::rust_text::{code_only, paths, without_test_items};
 use crate::violation::Violation;
 use crate::workspace::SourceFile;
 
-/// Modules of one package that take names from each other: from which to which, and a place where that happens.
+/// Modules of one package that use names from each other: from, to, and a position of such a use.
 type Arrows<'a> = BTreeMap<(&'a str, &'a str), (&'a str, usize)>;
 
 /// Checks all packages.
@@ -24,7 +24,7 @@ pub fn check(files: &[SourceFile]) -> Vec<Violation> {
     packages.iter().flat_map(of_package).collect()
 }
 
-/// The package's folder and the path below its `src`, of a file that is product code.
+/// The package's folder and the path below its `src`, for a file of product code.
 fn product_file(path: &str) -> Option<(&str, &str)> {
     let (package, inside) = path.split_once("/src/")?;
     let is_test = inside.ends_with("_tests.rs") || inside.split('/').any(|part| part == "tests" || part == "tests.rs");
@@ -57,7 +57,7 @@ fn arrows<'a>(files: &[(&'a str, &'a SourceFile)]) -> Arrows<'a> {
     arrows
 }
 
-/// The topmost module of a path that stands in `module`; none for what is not of this package.
+/// The topmost module of a path in `module`; `None` for other packages.
 fn top_of(path: &str, module: &[&str]) -> Option<String> {
     let mut parts = path.split("::").map(str::trim);
     let ups = match parts.next()? {
@@ -72,7 +72,7 @@ fn top_of(path: &str, module: &[&str]) -> Option<String> {
     }
 }
 
-/// Sets of modules each of which leads to every other one, sorted.
+/// Strongly connected sets of modules, sorted.
 fn circles<'a>(arrows: &Arrows<'a>) -> Vec<Vec<&'a str>> {
     let modules: BTreeSet<&str> = arrows.keys().flat_map(|(from, to)| [*from, *to]).collect();
     let reach: BTreeMap<&str, BTreeSet<&str>> =
@@ -105,7 +105,7 @@ fn of_circle(package: &str, circle: &[&str], arrows: &Arrows<'_>) -> Violation {
     let within = arrows.iter().filter(|((from, to), _)| circle.contains(from) && circle.contains(to));
     let ties: Vec<String> =
         within.map(|((from, to), (file, line))| format!("{from} -> {to} ({file}:{line})")).collect();
-    let message = format!("the modules {circle:?} form a circle: {}; move what both need below them", ties.join(", "));
+    let message = format!("the modules {circle:?} form a cycle: {}; move their common code below them", ties.join(", "));
     Violation::of(package, "module-circle", message)
 }
 
@@ -126,7 +126,7 @@ mod tests {
             ("crates/a/src/two/mod.rs", "use super::{one::A};"),
             ("crates/a/src/three.rs", "pub struct C;"),
         ]);
-        let [violation] = &check(&planted)[..] else { panic!("one circle") };
+        let [violation] = &check(&planted)[..] else { panic!("one cycle") };
         assert!(violation.message.contains(r#"["one", "two"]"#), "{violation}");
         assert!(violation.message.contains("two -> one (crates/a/src/two/mod.rs:1)"), "{violation}");
     }

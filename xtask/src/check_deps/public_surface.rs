@@ -1,4 +1,4 @@
-//! How much a user of the estimation has to know: the public items of its entry are counted.
+//! Size of the estimation's interface: counts the public items of its entry.
 
 use crate::rust_text::{code_only, line_at, without_test_items, word_positions};
 use crate::violation::Violation;
@@ -7,12 +7,12 @@ use crate::workspace::SourceFile;
 /// The entry.
 const ENTRY: &str = "crates/estimation/src/";
 
-/// Most public items.
+/// Maximum number of public items.
 const ITEMS_MAX: usize = 120;
 
 const ITEMS: [&str; 10] = ["fn", "struct", "enum", "trait", "const", "static", "type", "mod", "unsafe", "async"];
 
-/// Counts the public items and re-exports of the entry, and refuses re-exports that do not name what they are of.
+/// Counts the public items and re-exports of the entry, and rejects glob re-exports.
 pub fn check(files: &[SourceFile]) -> Vec<Violation> {
     let is_test = |path: &str| path.ends_with("/tests.rs") || path.ends_with("_tests.rs");
     let (mut count, mut violations) = (0, Vec::new());
@@ -25,7 +25,7 @@ pub fn check(files: &[SourceFile]) -> Vec<Violation> {
                 let names = rest.split(';').next().unwrap_or_default();
                 count += names.matches(',').count() + 1;
                 if names.trim_end().ends_with("::*") {
-                    let message = "a re-export that names nothing: name each item, so that a reader can count them";
+                    let message = "a glob re-export: name each item, so that a reader can count them";
                     violations.push(Violation::at(&file.path, line_at(&code, at), "public-surface", message));
                 }
             }
@@ -34,7 +34,7 @@ pub fn check(files: &[SourceFile]) -> Vec<Violation> {
     }
     if count > ITEMS_MAX {
         let message =
-            format!("{count} public items, at most {ITEMS_MAX}: hide what users of the estimation do not need");
+            format!("{count} public items, at most {ITEMS_MAX}: hide items that users of the estimation do not need");
         violations.push(Violation::of(ENTRY, "public-surface", message));
     }
     violations

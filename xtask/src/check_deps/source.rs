@@ -1,32 +1,32 @@
-//! What the source text of a package may use: files, threads, clocks, the environment.
+//! Access of a package's source text to the system: files, threads, clocks, the environment.
 
 use crate::rust_text::{code_only, line_at, paths, without_test_items};
 use crate::violation::Violation;
 
-/// A part of the outside world, the paths that lead to it, and the folders whose code may use it.
+/// A part of the system, the paths that access it, and the folders whose code may use it.
 struct World {
     what: &'static str,
     paths: &'static [&'static str],
     allowed_in: &'static [&'static str],
 }
 
-/// Byte links, signals and real-time scheduling, for all backends.
+/// Byte streams, signals and real-time scheduling, for all backends.
 const PLATFORM: &str = "hal/platform/";
 
-/// The folders of the arm's crates that do I/O; the rest receives bytes and time.
+/// The folders of the arm's crates that do I/O; all other code receives bytes and time.
 const ARM: &str = "hal/arm-pa10/src/arm/";
 const ARM_BUS: &str = "hal/arm-pa10/src/bus/";
 const ARM_SERIAL: &str = "hal/arm-pa10/src/serial/";
 const GATEWAY_SERVICE: &str = "hal/arm-pa10-gateway/src/service/";
 const EMULATED_LINES: &str = "hal/arm-pa10-emulation/src/line/";
 
-/// The commands of calibration; the rest of the crate receives images.
+/// The commands of calibration; all other code of the crate receives images.
 const CALIBRATION_IO: &str = "crates/calibration/src/command/";
 
-/// The page that shows the cameras.
+/// The web page with the camera images.
 const CAMERA_PAGE: &str = "crates/orchestrator/src/commands/cameras/view/";
 
-/// The one folder of the cameras' crate that asks the system.
+/// The only folder of the cameras' crate with system calls.
 const CAMERA_IO: &str = "hal/camera-v4l2/src/linux/";
 
 const WORLDS: [World; 6] = [
@@ -116,10 +116,10 @@ const WORLDS: [World; 6] = [
         ],
     },
     World {
-        what: "other programs",
+        what: "other processes",
         paths: &["std::process"],
         allowed_in: &[
-            // Ends the program when a second signal asks for it.
+            // Ends the program on a second signal.
             "crates/cell/src/interruption.rs",
             "crates/commissioning/",
             "crates/orchestrator/",
@@ -135,7 +135,7 @@ const WORLDS: [World; 6] = [
     },
 ];
 
-/// Crate names of the backends: who may name them says [`NAME_BACKENDS`].
+/// Crate names of the backends; only the modules in [`NAME_BACKENDS`] may name them.
 const BACKENDS: [&str; 6] = [
     "pb3dp_camera_replay",
     "pb3dp_camera_sim",
@@ -145,25 +145,25 @@ const BACKENDS: [&str; 6] = [
     "pb3dp_arm_pa10_emulation",
 ];
 
-/// Who may name a backend: wiring, and the commands that are about one.
+/// Modules that may name a backend: wiring, and the commands for one backend.
 const NAME_BACKENDS: [&str; 4] = [
     "crates/wiring/",
     "crates/commissioning/",
     "crates/orchestrator/src/commands/cameras/",
     "crates/orchestrator/src/commands/doctor/",
 ];
-/// Who may derive the traits of serde.
+/// Packages that may derive the traits of serde.
 const DERIVE_SERDE: [&str; 5] =
     ["crates/setup/", "crates/cell/", "crates/commissioning/", "crates/orchestrator/", "crates/record/"];
 const SERDE_TRAITS: [&str; 2] = ["Serialize", "Deserialize"];
 
-/// Who may know a speed scale: the setup that states it, and the type that applies it. Everybody else receives effective limits.
+/// Modules that may use a speed scale: the setup that states it, and the type that applies it. All others get effective limits.
 const KNOW_SPEED_SCALE: [&str; 2] = ["crates/setup/", "crates/kinematics/src/effective_limits.rs"];
 
 /// Checks one Rust file; tests, examples and the project's own commands are exempt.
 pub fn check(path: &str, text: &str) -> Vec<Violation> {
     let is_product = (path.starts_with("crates/") || path.starts_with("hal/")) && path.contains("/src/");
-    // A package that only tests link is a test.
+    // A package that only tests depend on is a test.
     let is_test = path.contains("test-support/src/")
         || path.ends_with("/tests.rs")
         || path.ends_with("_tests.rs")
@@ -195,7 +195,7 @@ fn worlds(path: &str, code: &str) -> Vec<Violation> {
     violations
 }
 
-/// Whether `name` is the forbidden path, something below it, or a glob import of its parent.
+/// Whether `name` is the forbidden path, a path below it, or a glob import of its parent.
 fn leads_to(name: &str, forbidden: &str) -> bool {
     let name = name.trim_start_matches("::");
     let below = |prefix: &str| name == prefix || name.strip_prefix(prefix).is_some_and(|rest| rest.starts_with("::"));
@@ -218,7 +218,7 @@ fn backends(path: &str, code: &str) -> Vec<Violation> {
     BACKENDS.into_iter().filter(|backend| names_crate(code, backend)).map(violation).collect()
 }
 
-/// Whether a crate is named, and not only one whose name begins alike.
+/// Whether the text names this crate, and not one whose name starts with the same letters.
 fn names_crate(code: &str, name: &str) -> bool {
     let goes_on = |rest: &str| rest.starts_with(|c: char| c.is_alphanumeric() || c == '_');
     code.match_indices(name).any(|(at, _)| !goes_on(&code[at + name.len()..]))
@@ -228,7 +228,7 @@ fn speed_scales(path: &str, code: &str) -> Vec<Violation> {
     if KNOW_SPEED_SCALE.iter().any(|place| path.starts_with(place)) {
         return Vec::new();
     }
-    let message = "`speed_scale`: take `EffectiveLimits`, in which it is applied; nobody multiplies by it again";
+    let message = "`speed_scale`: use `EffectiveLimits`, which already contain it; do not multiply by it again";
     let found = code.match_indices("speed_scale");
     found.map(|(at, _)| Violation::at(path, line_at(code, at), "speed-scale", message)).collect()
 }
@@ -241,7 +241,7 @@ fn serde_derives(path: &str, code: &str) -> Vec<Violation> {
     for (at, mark) in code.match_indices("derive(") {
         let derived = code[at + mark.len()..].split(')').next().unwrap_or_default();
         if SERDE_TRAITS.iter().any(|name| derived.contains(name)) {
-            let message = "serde derives stand in setup, cell, commissioning, record and orchestrator only: give the file format a type of its own there";
+            let message = "only setup, cell, commissioning, record and orchestrator may derive serde traits: define a separate type for the file format there";
             violations.push(Violation::at(path, line_at(code, at), "serde", message));
         }
     }

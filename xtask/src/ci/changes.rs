@@ -1,4 +1,4 @@
-//! What a change touches: files since the merge base, mapped to packages and to all packages that depend on them.
+//! Effect of a change: files since the merge base, mapped to packages and to all packages that depend on them.
 
 use std::collections::BTreeSet;
 
@@ -7,27 +7,27 @@ use serde_json::Value;
 
 use crate::workspace::Workspace;
 
-/// Names the base where no branch tells it.
+/// Environment variable that gives the base.
 const BASE: &str = "PB3DP_CI_BASE";
-/// Where a change usually starts from, the first that is there.
+/// Usual bases of a change; the first existing one counts.
 const TRUNKS: [&str; 2] = ["origin/main", "main"];
 
-/// What a change touches.
+/// Effect of a change.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Changes {
-    /// Everything must be checked, for this reason.
+    /// All checks are needed, for this reason.
     Everything(String),
-    /// These packages, with all that depend on them.
+    /// These packages changed, or depend on changed ones.
     Packages {
-        /// Their names.
+        /// Names of the packages.
         names: BTreeSet<String>,
-        /// The commit from which the change starts.
+        /// The base commit of the change.
         base: String,
     },
 }
 
 impl Changes {
-    /// Whether one of these packages is touched.
+    /// Whether one of these packages is affected.
     pub fn touch(&self, packages: &[&str]) -> bool {
         match self {
             Self::Everything(_) => true,
@@ -35,10 +35,10 @@ impl Changes {
         }
     }
 
-    /// For the reader.
+    /// As text.
     pub fn text(&self) -> String {
         match self {
-            Self::Everything(reason) => format!("everything is checked: {reason}"),
+            Self::Everything(reason) => format!("all checks run: {reason}"),
             Self::Packages { names, base } if names.is_empty() => format!("since {base} no package is touched"),
             Self::Packages { names, base } => {
                 let names: Vec<&str> = names.iter().map(String::as_str).collect();
@@ -48,25 +48,25 @@ impl Changes {
     }
 }
 
-/// The change that lies in the work tree and in the commits since its base.
+/// The change in the work tree and in the commits since its base.
 ///
 /// # Errors
-/// As [`Workspace::metadata`].
+/// Those of [`Workspace::metadata`].
 pub fn find(workspace: &Workspace) -> anyhow::Result<Changes> {
     let Some(base) = base(workspace) else {
-        let reason = format!("no base is known (this is {}; {BASE} names one)", TRUNKS[0]);
+        let reason = format!("no base is known (this is {}; set {BASE} to give one)", TRUNKS[0]);
         return Ok(Changes::Everything(reason));
     };
     let changed = workspace.output_of("git", &["diff", "--name-only", &base]);
     let new = workspace.output_of("git", &["ls-files", "--others", "--exclude-standard"]);
     let (Some(changed), Some(new)) = (changed, new) else {
-        return Ok(Changes::Everything(format!("git does not tell what changed since {base}")));
+        return Ok(Changes::Everything(format!("git cannot list the changes since {base}")));
     };
     let packages = packages(&workspace.metadata()?)?;
     Ok(touched(changed.lines().chain(new.lines()), &packages, base))
 }
 
-/// The commit from which the change starts; none where that is not known.
+/// The base commit of the change; `None` if unknown.
 fn base(workspace: &Workspace) -> Option<String> {
     let short = |name: &str| workspace.output_of("git", &["rev-parse", "--short", name]);
     if let Some(name) = std::env::var_os(BASE) {
@@ -75,7 +75,7 @@ fn base(workspace: &Workspace) -> Option<String> {
     let head = short("HEAD")?;
     let trunk = TRUNKS.into_iter().find(|trunk| short(trunk).is_some())?;
     let base = short(&workspace.output_of("git", &["merge-base", "HEAD", trunk])?)?;
-    // On the trunk itself only what is not committed yet is known to be a change.
+    // On the trunk itself only uncommitted changes are known.
     let is_dirty = !workspace.output_of("git", &["status", "--porcelain"])?.is_empty();
     (base != head || is_dirty).then_some(base)
 }
@@ -84,15 +84,15 @@ fn base(workspace: &Workspace) -> Option<String> {
 #[derive(Clone, Debug)]
 struct Package {
     name: String,
-    /// Inside the workspace, with a slash at the end.
+    /// Folder inside the workspace, with a slash at the end.
     folder: String,
-    /// Names of everything that it or its tests depend on.
+    /// Names of all its dependencies and those of its tests.
     dependencies: Vec<String>,
 }
 
 fn packages(metadata: &Value) -> anyhow::Result<Vec<Package>> {
-    let root = metadata["workspace_root"].as_str().context("cargo metadata names no workspace")?;
-    let all = metadata["packages"].as_array().context("cargo metadata names no packages")?;
+    let root = metadata["workspace_root"].as_str().context("the output of cargo metadata has no workspace")?;
+    let all = metadata["packages"].as_array().context("the output of cargo metadata has no packages")?;
     let package = |package: &Value| {
         let manifest = package["manifest_path"].as_str()?;
         let folder = manifest.strip_prefix(root)?.trim_start_matches('/').strip_suffix("Cargo.toml")?.to_owned();
@@ -103,7 +103,7 @@ fn packages(metadata: &Value) -> anyhow::Result<Vec<Package>> {
     Ok(all.iter().filter(|p| p["source"].is_null()).filter_map(package).collect())
 }
 
-/// Whether nothing that runs reads a file: only people do.
+/// Whether no program reads a file, only people.
 fn is_prose(path: &str) -> bool {
     path.ends_with(".md") || path.starts_with("docs/images/") || path.starts_with("LICENSE")
 }
@@ -113,9 +113,9 @@ fn touched<'a>(paths: impl Iterator<Item = &'a str>, packages: &[Package], base:
     for path in paths.filter(|path| !is_prose(path)) {
         let owner = packages.iter().filter(|package| path.starts_with(&package.folder));
         match owner.max_by_key(|package| package.folder.len()) {
-            // Commands decide what is checked: a change of theirs may hide anything.
+            // The project commands define the checks: a change of them may affect every result.
             Some(package) if package.name != "xtask" => names.insert(package.name.clone()),
-            _ => return Changes::Everything(format!("{path} belongs to every package")),
+            _ => return Changes::Everything(format!("{path} affects every package")),
         };
     }
     loop {

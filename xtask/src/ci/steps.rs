@@ -1,4 +1,4 @@
-//! What `cargo xtask ci` checks, step by step.
+//! The steps of `cargo xtask ci`.
 
 use std::path::Path;
 
@@ -8,18 +8,18 @@ use super::changes::Changes;
 use crate::workspace::{Workspace, run_visibly};
 use crate::{check_deps, commissioning, fuzz_build, licences, miri, msrv, required, test, tidy, vm};
 
-/// What steps share.
+/// Context of the steps.
 pub struct Progress<'a> {
     /// The workspace.
     pub workspace: &'a Workspace,
-    /// What the change touches.
+    /// The change.
     pub changes: Changes,
-    /// What the step `test` left.
+    /// Results of the step `test`.
     pub tested: Option<test::Tested>,
 }
 
 impl Progress<'_> {
-    /// Folder of the programs that the step `test` has built, if it ran.
+    /// Folder of the programs that the step `test` built, if it ran.
     fn programs(&self) -> Option<&Path> {
         self.tested.as_ref().and_then(|tested| tested.built.folder().ok())
     }
@@ -27,16 +27,16 @@ impl Progress<'_> {
 
 /// A step.
 pub struct Step {
-    /// On the command line.
+    /// Name on the command line.
     pub name: &'static str,
-    /// The packages whose change it checks; none for a step that always runs.
+    /// The packages for whose change it runs; empty for a step that always runs.
     pub of: &'static [&'static str],
-    /// Does it.
+    /// Runs the step.
     pub run: fn(&mut Progress<'_>) -> anyhow::Result<()>,
 }
 
 const ALWAYS: &[&str] = &[];
-/// With unsafe kernels, or read by fuzz targets.
+/// Packages with unsafe kernels or fuzz targets.
 const KERNELS: &[&str] = &[
     "pb3dp-estimation-core",
     "pb3dp-estimation-direct",
@@ -45,10 +45,10 @@ const KERNELS: &[&str] = &[
     "pb3dp-camera-v4l2",
 ];
 const FUZZED: &[&str] = &["pb3dp-estimation", "pb3dp-arm-pa10-test-support"];
-/// What every package depends on: touched with the manifests, the lock file or the tool chain only.
+/// Files that affect every package: manifests, the lock file and the toolchain.
 const MANIFESTS: &[&str] = &["manifests"];
 
-/// The cheapest first.
+/// The steps, the fastest first.
 pub const STEPS: [Step; 14] = [
     Step { name: "fmt", of: ALWAYS, run: |progress| fmt(progress.workspace) },
     Step { name: "tidy", of: ALWAYS, run: |progress| tidy::run(progress.workspace, &tidy::Args {}) },
@@ -70,11 +70,11 @@ pub const STEPS: [Step; 14] = [
     Step { name: "msrv", of: MANIFESTS, run: |progress| msrv::run(progress.workspace) },
 ];
 
-/// Fails with what to type if a component of the toolchain is missing.
+/// Fails with the install command if a component of the toolchain is missing.
 fn require(workspace: &Workspace, command: &str, component: &str) -> anyhow::Result<()> {
     let status = workspace.cargo().args([command, "--version"]).output().context("cannot run cargo")?.status;
     if !status.success() {
-        bail!("`cargo {command}` is missing: type `rustup component add {component}`");
+        bail!("`cargo {command}` is missing: run `rustup component add {component}`");
     }
     Ok(())
 }
@@ -96,7 +96,7 @@ fn doc(workspace: &Workspace) -> anyhow::Result<()> {
     run_visibly(&mut command)
 }
 
-/// All tests, with the long sweeps of what the change touches. The tests that keep people safe must have been checked.
+/// All tests, with the long sweeps of the affected packages. The required safety tests must have been checked.
 fn tests(progress: &mut Progress<'_>) -> anyhow::Result<()> {
     let long = match &progress.changes {
         Changes::Everything(_) => test::Long::Everywhere,
@@ -108,11 +108,11 @@ fn tests(progress: &mut Progress<'_>) -> anyhow::Result<()> {
     required::check(&tested.report)
 }
 
-/// The feature that lets tests switch safeguards off.
+/// The feature that lets tests disable safeguards.
 const SWITCHES: &str = "disabled-guards";
 
-/// No release can have the switches of safeguards, and without the feature none can be off. The tests of the example `safety` show that
-/// each safeguard is missed when it is off.
+/// No release can contain the disabling of safeguards, and without the feature none can be disabled. The tests of the example
+/// `safety` show that disabling any safeguard causes a violation.
 fn safeguards(workspace: &Workspace) -> anyhow::Result<()> {
     let package = ["--locked", "--package", "pb3dp-safeguards"];
     run_visibly(workspace.cargo().arg("test").args(package))?;
@@ -126,14 +126,14 @@ fn safeguards(workspace: &Workspace) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The accuracy benchmark with few poses: fails if a limit is not kept. Built for release: with the checks of the test build the run takes
-/// more than three times as long (over 9 minutes instead of 3, 2026-11-22), which is more than the second build.
+/// The accuracy benchmark with few poses: fails if a limit is not met. Built for release: with the checks of the test build the
+/// run takes more than three times as long (over 9 minutes instead of 3, 2026-11-22), which is more than the second build.
 fn accuracy(progress: &mut Progress<'_>) -> anyhow::Result<()> {
     let package = ["run", "--release", "--locked", "--package", "pb3dp-benchmarks"];
     run_visibly(progress.workspace.cargo().args(package).args(["--bin", "pb3dp-bench", "--", "accuracy", "--quick"]))
 }
 
-/// The suites in emulated computers whose packages are touched.
+/// The suites in emulated computers for the affected packages.
 fn guests(progress: &mut Progress<'_>) -> anyhow::Result<()> {
     let suites = vm::suites_of(|package| progress.changes.touch(&[package]));
     vm::run_suites(progress.workspace, suites)

@@ -1,4 +1,4 @@
-//! The Debian package: the files of the archive below `/usr`, those of a rig where the system looks for them.
+//! The Debian package: the files of the archive below `/usr`, and those of a rig in the system folders.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -10,8 +10,8 @@ use super::{Release, copy, copy_folder, write};
 use crate::not_possible::NotPossible;
 use crate::workspace::{Workspace, run_visibly};
 
-/// Files of `configs/deploy`, and where the system looks for them. Files below `/etc` belong to the user once they are installed.
-/// The modules of ARCNET cards are left out: only a rig with such a card needs them.
+/// Files of `configs/deploy`, and their places in the system. Files below `/etc` belong to the user after the installation.
+/// The modules of ARCNET cards are omitted: only a rig with such a card needs them.
 const DEPLOYED: [(&str, &str); 4] = [
     ("70-pb3dp.rules", "etc/udev/rules.d/70-pb3dp.rules"),
     ("90-pb3dp.conf", "etc/security/limits.d/90-pb3dp.conf"),
@@ -19,7 +19,7 @@ const DEPLOYED: [(&str, &str); 4] = [
     ("pb3dp-gateway@.service", "usr/lib/systemd/system/pb3dp-gateway@.service"),
 ];
 
-/// After the installation. A gateway that runs is never restarted by an upgrade: an arm may depend on it at this moment.
+/// Runs after the installation. An upgrade never restarts a running gateway: an arm may depend on it at this moment.
 const POSTINST: &str = r#"#!/bin/sh
 set -e
 if [ "$1" = configure ]; then
@@ -30,7 +30,7 @@ if [ "$1" = configure ]; then
     fi
     if [ -d /run/systemd/system ]; then systemctl daemon-reload; fi
     if [ -d /run/udev ]; then udevadm control --reload; fi
-    echo "pb3dp: who operates a rig: usermod -aG video,dialout,realtime USER"
+    echo "pb3dp: add each operator of a rig to its groups: usermod -aG video,dialout,realtime USER"
 fi
 "#;
 
@@ -78,7 +78,7 @@ pub fn build(workspace: &Workspace, release: &Release, tree: &Path) -> anyhow::R
     Ok(package)
 }
 
-/// The program is static, so the package depends on nothing.
+/// The program is static, so the package has no dependencies.
 fn control(version: &str, architecture: &str, size_kib: u64) -> String {
     format!(
         "Package: pb3dp\n\

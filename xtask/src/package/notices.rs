@@ -1,4 +1,4 @@
-//! The licences of all crates that the program contains, which a copy of the program must carry.
+//! The licences of all crates in the program, which each copy of the program must include.
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;

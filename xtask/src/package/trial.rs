@@ -1,4 +1,4 @@
-//! The release, installed and tried in a clean root: an empty one for the archive, a fresh Debian for the package.
+//! Trial of the release in a clean root: an empty one for the archive, a fresh Debian for the package.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,14 +10,14 @@ use super::{Release, copy};
 use crate::not_possible::NotPossible;
 use crate::workspace::{Workspace, run_visibly};
 
-/// One changed parameter, as the first page of the documentation shows it.
+/// One changed parameter, as on the first page of the documentation.
 const RUN: [&str; 10] =
     ["run", "--config", "sim", "--set", "scene.target=card", "--set", "run.pace=fast", "--stop-after", "2", "--out"];
 
-/// Unpacks the archive in an empty root, where there is no library, no shell and no `/proc`, and runs the program there.
+/// Unpacks the archive in an empty root, without libraries, shell and `/proc`, and runs the program there.
 ///
 /// # Errors
-/// If the program does not do what it must.
+/// If the program does not work as required.
 pub fn of_archive(workspace: &Workspace, release: &Release, archive: &Path) -> anyhow::Result<()> {
     let root = emptied(&release.folder.join("empty-root"))?;
     let mut tar = workspace.command("tar");
@@ -29,11 +29,11 @@ pub fn of_archive(workspace: &Workspace, release: &Release, archive: &Path) -> a
 /// Installs the package in a fresh Debian, runs the program there, and removes the package again.
 ///
 /// # Errors
-/// [`NotPossible`] without debootstrap or without the right to use it; otherwise if anything does not do what it must.
+/// [`NotPossible`] without debootstrap or the right to use it; otherwise if the package does not work as required.
 pub fn of_package(workspace: &Workspace, release: &Release, package: &Path, mirror: &str) -> anyhow::Result<()> {
     if workspace.output_of("debootstrap", &["--version"]).is_none() {
         return Err(NotPossible::because(
-            "the package was built, but not tried: debootstrap is missing (apt-get install debootstrap)",
+            "the package was built, but not tried: debootstrap is missing (run apt-get install debootstrap)",
         ));
     }
     if workspace.output_of("id", &["-u"]).as_deref() != Some("0") {
@@ -58,11 +58,11 @@ pub fn of_package(workspace: &Workspace, release: &Release, package: &Path, mirr
     }
     let rules = root.join("etc/udev/rules.d/70-pb3dp.rules");
     if root.join("usr/bin/pb3dp").exists() || !rules.is_file() {
-        bail!("after --remove the program must be gone and {} must be there", rules.display());
+        bail!("after --remove the program must be gone, and {} must exist", rules.display());
     }
     debian.run("dpkg", &["--purge", "pb3dp"])?;
     if rules.exists() || root.join("usr/share/doc/pb3dp").exists() {
-        bail!("after --purge nothing of pb3dp may be left below {}", root.display());
+        bail!("after --purge no file of pb3dp may remain below {}", root.display());
     }
     println!("pb3dp {}: the package works in a fresh Debian", release.version);
     Ok(())
@@ -72,14 +72,14 @@ pub fn of_package(workspace: &Workspace, release: &Release, package: &Path, mirr
 struct Installed<'a> {
     workspace: &'a Workspace,
     root: PathBuf,
-    /// The program, inside the root.
+    /// Path of the program inside the root.
     path: &'static str,
 }
 
 impl Installed<'_> {
     fn command(&self, program: &str, args: &[&str]) -> Command {
         let mut command = self.workspace.command("unshare");
-        // Not only `chroot`: this works for a user without rights, too.
+        // `unshare` instead of `chroot`, because it also works without root.
         if self.workspace.output_of("id", &["-u"]).as_deref() != Some("0") {
             command.arg("--map-root-user");
         }
@@ -103,7 +103,7 @@ impl Installed<'_> {
         Ok(())
     }
 
-    /// What a user does first: a setup of one's own, one changed parameter, a typo of each kind, a code that is looked up.
+    /// The first steps of a user: a new setup, one changed parameter, a typo of each kind, the explanation of a code.
     fn try_everything(&self, release: &Release) -> anyhow::Result<()> {
         self.expect(&["--version"], 0, &release.version)?;
         self.expect(&["config", "check", "--config", "sim"], 0, "")?;
@@ -111,7 +111,7 @@ impl Installed<'_> {
         self.expect(&[&RUN[..], &["out"]].concat(), 0, "")?;
         let summary = self.root.join("out/summary.json");
         if !summary.is_file() || !self.root.join("out/report.html").is_file() {
-            bail!("{}: the run left no summary or no report", summary.display());
+            bail!("{}: the run wrote no summary or no report", summary.display());
         }
         self.expect(&["run", "--config", "sin", "--out", "no"], 1, "sim")?;
         self.expect(

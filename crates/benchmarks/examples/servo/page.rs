@@ -171,9 +171,12 @@ pub fn page(findings: &Findings, checks: &[Check], origin: &str) -> String {
          30 images per second, fx 740, baseline 100 mm, image noise of {NOISE_GREY} grey levels, rendered; the arms of `configs/sim.toml`.\n\
          The delay is the total one, from the middle of an exposure to the motion that it causes, with the lag of the drives (30 ms) and the mean wait for the next control step.\n\
          `direct` is the setup of `configs/sim.toml`, `published` that of `configs/published.toml`: the published method with the published law.\n\n\
-         Errors are those of the hand relative to its desired pose: distance and angle, rms (max; ideal). The desired pose follows from the initial lock, which uses the mean of the estimates before the first move as the true pose.\n\
-         Moving: the target moves. Hold: from one second after the move.\n\
-         The initial lock has a constant error. In brackets: the displacement at 500 mm that results from a tilt of one standard deviation of the first estimate.\n\
+         Errors are those of the hand relative to its desired pose: distance and angle, rms (max; ideal).\n\
+         The desired pose follows from the initial lock, which uses the mean of the estimates before the first move as the true pose.\n\
+         Moving: the target moves.\n\
+         Hold: from one second after the move.\n\
+         The initial lock has a constant error.\n\
+         In brackets: the displacement at 500 mm that results from a tilt of one standard deviation of the first estimate.\n\
          The noise is the white part of the estimates at the hand (second differences); the error of the estimates is their whole error relative to the initial lock.\n\n\
          Ideal is the error of the best linear filter: a weighted sum of the last {TAPS} frames that are old enough, with weights chosen for this noise, this delay and this very motion, separately for each axis.\n\
          One set of weights is chosen for all moves and another for all holds, so no linear filter is better at either; a filter for both is worse at each.\n\
@@ -184,7 +187,8 @@ pub fn page(findings: &Findings, checks: &[Check], origin: &str) -> String {
          ## Frequency response\n\n\
          ![Gain and phase](servo_response.svg)\n\n\
          The target oscillates with an amplitude of 100 mm or 20 degrees; gain and phase of the hand relative to its desired motion come from least-squares fits of a sinusoid.\n\
-         No images are rendered: the poses are the true ones with the noise of `estimator.geometric` in the configuration. No arm carries the target, so its motion is not limited.\n\
+         No images are rendered: the poses are the true ones with the noise of `estimator.geometric` in the configuration.\n\
+         No arm carries the target, so its motion is not limited.\n\
          The last columns give the demand of a hand without lag as a share of all limits (speeds and accelerations of the axes and of the hand) and of the speed limits alone: above 100 % it cannot follow.\n\n\
          {responses}\n\
          ## Steps\n\n\
@@ -212,9 +216,9 @@ pub fn motion_figure(runs: &[Fig7]) -> Option<String> {
     let axes = ours.log.control.first()?.world_from_target.rotation();
     let panels: Vec<LinePlot> = (0..6).map(|row| motion_panel(row, &lines, &axes)).collect();
     let caption = format!(
-        "Way and turn of the hand since the beginning, along the target's axes at the beginning; {} before the direct method{}; total delay {:.0} ms.",
+        "Translation and rotation of the hand since the start, in the target's axes at the start; direct method: {}{}; total delay {:.0} ms.",
         ours.target,
-        published.map_or(String::new(), |run| format!(", {} before the published one", run.target)),
+        published.map_or(String::new(), |run| format!("; published method: {}", run.target)),
         ours.delay_millis
     );
     Some(svg_file(&panels, 2, &[caption]))
@@ -226,8 +230,8 @@ fn motion_panel(row: usize, lines: &[(&str, SeriesColor, &RunLog, Pick)], axes: 
     let letter = ["a", "b", "c", "d", "e", "f"][row];
     let axis = ["x", "y", "z"][row % 3];
     let (title, y) = match row < 3 {
-        true => (format!("({letter}) position {axis}"), ("way", "mm")),
-        false => (format!("({letter}) orientation {axis}"), ("turn", "deg")),
+        true => (format!("({letter}) position {axis}"), ("translation", "mm")),
+        false => (format!("({letter}) orientation {axis}"), ("rotation", "deg")),
     };
     let value = |start: &Pose<World, Hand>, now: &Pose<World, Hand>| -> f64 {
         let turned = (now.rotation() * start.rotation().inverse()).scaled_axis();
@@ -251,7 +255,7 @@ fn motion_panel(row: usize, lines: &[(&str, SeriesColor, &RunLog, Pick)], axes: 
     })
 }
 
-/// Gain and phase over the period, of a way and of a turn, with either law.
+/// Gain and phase over the period, for a translation and a rotation, with both laws.
 pub fn response_figure(responses: &[Response]) -> String {
     type Figure = fn(&Response) -> Option<f64>;
     let figures: [(&str, (&str, &str), Figure); 2] =

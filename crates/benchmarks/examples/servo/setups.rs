@@ -114,7 +114,7 @@ fn set_delay(setup: &mut Setup, delay_millis: f64) -> Result<()> {
     setup.estimate_latency =
         Duration::from_secs_f64((LATENCY_MILLIS + delay_millis - DELAYS_MILLIS[0]).max(0.0) * 1e-3);
     let rest_s = delay_millis * 1e-3 - ARM_LAG.as_secs_f64() - until_control_step_s(setup);
-    ensure!((0.0..=0.02).contains(&rest_s), "{:.1} ms remain for the arm's own delay; allowed are 0 to 20 ms", rest_s * 1e3);
+    ensure!((0.0..=0.02).contains(&rest_s), "the arm's own delay would be {:.1} ms, allowed are 0 to 20", rest_s * 1e3);
     for arm in [&mut setup.rig.vs, &mut setup.rig.tc] {
         arm.plant.velocity_time_constant = ARM_LAG;
         arm.plant.command_delay = Duration::from_secs_f64(rest_s);

@@ -91,7 +91,7 @@ pub fn world_from_hand(setup: &Setup, position_rad: &JointVector) -> Pose<World,
 /// Joints with the hand at this pose, near `guess_rad`.
 ///
 /// # Errors
-/// If none are found there.
+/// If none are found near the guess.
 pub fn joints_at(setup: &Setup, hand: &Pose<World, Hand>, guess_rad: &JointVector) -> Result<JointVector> {
     let wanted: Pose<Base, Flange> =
         setup.rig.vs.world_from_base.inverse() * *hand * setup.controller.flange_from_hand.inverse();
@@ -235,7 +235,8 @@ fn border_px(
     outline_m.iter().map(least).fold(f64::INFINITY, f64::min)
 }
 
-/// A hand that starts 500 mm or farther from the target, turned about an axis of the target by this, and should end at `to`.
+/// A hand that starts 500 mm or farther from the target, turned about an axis of the target by this; it should end at
+/// `to`.
 ///
 /// # Errors
 /// If no joints reach the start.
@@ -245,7 +246,7 @@ pub fn approach_from(
     distance_m: f64,
     turned: &UnitQuaternion<f64>,
 ) -> Result<Setup> {
-    // A tracker takes the axes of its model from the first image, so a rotation about the optical axis has to be commanded.
+    // A tracker takes the axes of its model from the first image: a rotation about the optical axis must be commanded.
     let axis_turn = turned.scaled_axis();
     let about_normal = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.0, -axis_turn.z));
     let desired = Pose::<Model, Hand>::from_parts(

@@ -28,7 +28,7 @@ pub fn sections(findings: &Findings) -> String {
          The same workcell with the law of the paper's group, with classical image-based servoing (corners of a square of the model) and with 2 1/2-D servoing; these three have one gain and one smoothing of the target, and no feed-forward.\n\
          The experiment of Fig. 7, without images, rms:\n\n\
          {laws}\n\
-         From far away, before a target that rests.\n\
+         From far away, with a stationary target.\n\
          Aside is the largest distance of the path from the straight line between its ends; to border is the smallest distance between the target's outline and the border of either image.\n\
          For large rotations about the optical axis the image-based law retreats from the target.\n\n\
          {far}"

@@ -27,7 +27,7 @@ const LEAD_IN_S: f64 = 3.0;
 const AVERAGED_S: f64 = 0.5;
 /// Channels in turn, each once per round.
 const CHANNELS: [Channel; 6] = [Channel::X, Channel::Y, Channel::Z, Channel::Rx, Channel::Ry, Channel::Rz];
-/// Number of cycles at the start and at the end that are compared: whole rounds, because each axis leaves a different error.
+/// Number of cycles compared at the start and at the end: whole rounds, because each axis leaves a different error.
 const COMPARED: usize = 2 * CHANNELS.len();
 /// Number of cycles until all rings and buffers have their final size.
 const SETTLING: usize = 8;
@@ -64,8 +64,8 @@ impl Figures {
         self.returned_mm.len()
     }
 
-    /// Mean of the last cycles minus mean of the first ones, mm, and its standard deviation from the noise of single cycles:
-    /// from the differences of consecutive cycles along or about the same axis.
+    /// Mean of the last cycles minus mean of the first ones, mm, and its standard deviation from the noise of single
+    /// cycles: from the differences of consecutive cycles along or about the same axis.
     fn drift_mm(&self) -> (f64, f64) {
         let all = &self.returned_mm;
         let mean = |some: &[Vector3<f64>]| some.iter().sum::<Vector3<f64>>() / some.len() as f64;
@@ -105,10 +105,7 @@ impl Figures {
             "the hand returns with a drift of {drift:.3} mm; allowed are {DRIFT_MAX_MM} mm and 3 x {sigma:.3} mm of noise"
         );
         let growth = self.growth();
-        ensure!(
-            growth <= GROWTH_MAX_BYTES,
-            "the heap has grown by {growth} bytes; allowed are {GROWTH_MAX_BYTES}"
-        );
+        ensure!(growth <= GROWTH_MAX_BYTES, "the heap has grown by {growth} bytes; allowed are {GROWTH_MAX_BYTES}");
         Ok(())
     }
 }

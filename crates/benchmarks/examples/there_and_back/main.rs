@@ -1,12 +1,12 @@
-//! The hand follows a target out and back for minutes or hours of virtual time: checks that memory does not grow, and that
-//! the hand returns to its position.
+//! The hand follows a target out and back for minutes or hours of virtual time: checks that memory does not grow, and
+//! that the hand returns to its position.
 //!
 //! ```text
 //! cargo run --release -p pb3dp-benchmarks --example there_and_back -- --minutes 60
 //! ```
 //!
-//! With the setup of `configs/sim.toml`, the colourful card and all pixels; `--geometric` omits images. The run logs one line
-//! per cycle and nothing else, because a full log grows with the run.
+//! With the setup of `configs/sim.toml`, the colourful card and all pixels; `--geometric` omits images. The run logs one
+//! line per cycle and nothing else, because a full log grows with the run.
 #![allow(clippy::print_stdout, reason = "prints its figures")]
 
 mod cycles;

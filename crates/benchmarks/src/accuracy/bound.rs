@@ -1,4 +1,4 @@
-//! The Cramér-Rao bound: how exact any unbiased estimate of a plane can be on one pair.
+//! The Cramér-Rao bound: the smallest possible variance of an unbiased estimate of a plane from one stereo pair.
 //!
 //! Model: at a pixel x of the left image on the target, `I_R(W(x; q)) = g I_L(x) + o` but for noise, with the map W of
 //! the plane q, gain g and offset o per channel. The left image is as noisy as the right one, so the difference of the two
@@ -8,13 +8,14 @@
 //! A = sum over pixels and channels of  g^2 / (s^2 (1 + g^2))  j j^T,   j = (dI_L/dx)^T (dW/dx)^-1 dW/dq
 //! ```
 //!
-//! less what the unknown gain and offset of each channel take from it (Schur complement). Assumed: white normal noise of
-//! known variance (quantisation included, 1/12), the calibration is exact, the pixels of the target are known, and only
-//! they tell anything: every pixel that shows the target alone counts, those within 2 px of its outline or of what hides it do
-//! not, nor do saturated ones. The outline itself, which could tell more, is not used. Both images are equally sharp.
+//! minus the part that the unknown gain and offset of each channel take from it (Schur complement). Assumptions: white
+//! normal noise of known variance (quantisation included, 1/12), an exact calibration, known target pixels, and
+//! information from these pixels alone. Every pixel that shows only the target counts; pixels within 2 px of its outline
+//! or of an occluder do not, nor do saturated ones. The outline itself, which could add information, is not used. Both
+//! images are equally sharp.
 //!
-//! The gradient is that of the image without noise, exact: the difference of two renderings whose left camera is moved by
-//! a quarter of a pixel either way.
+//! The gradient of the noise-free image is exact: the difference of two renderings whose left camera is moved by a
+//! quarter of a pixel in either direction.
 
 use anyhow::Context;
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Matrix3x2, RowVector3, Vector2, Vector3};
@@ -28,10 +29,10 @@ use super::cell::{OFFSET_GREY, Setup};
 use super::scenes::{moved, sensor};
 use super::trial::across;
 
-/// How far the camera is moved either way for a gradient, pixels.
+/// Displacement of the camera in either direction for a gradient, pixels.
 const STEP_PX: f64 = 0.25;
 
-/// Pixels nearer than this to something else are not used, pixels.
+/// Pixels closer than this to another object are not used, pixels.
 const RIM_PX: usize = 2;
 
 /// Variance of rounding to whole grey levels.
@@ -42,12 +43,12 @@ const QUANTISATION: f64 = 1.0 / 12.0;
 pub struct Sample {
     /// Grey level of the left image.
     pub grey: f64,
-    /// How the difference of the images changes with the plane's three numbers, for a gain of 1.
+    /// Derivative of the difference of the images with respect to the three plane parameters, for a gain of 1.
     pub slope: Vector3<f64>,
 }
 
-/// The information about three numbers of one channel whose gain and offset are unknown; `variance` is that of the noise in
-/// either image.
+/// The information about the three parameters from one channel with unknown gain and offset; `variance` is that of the
+/// noise in either image.
 pub fn channel_information(samples: &[Sample], gain: f64, variance: f64) -> Matrix3<f64> {
     let weight = 1.0 / (variance * (1.0 + gain * gain));
     let (mut own, mut mixed, mut nuisance) = (Matrix3::zeros(), Matrix3x2::zeros(), Matrix2::zeros());
@@ -60,7 +61,7 @@ pub fn channel_information(samples: &[Sample], gain: f64, variance: f64) -> Matr
     }
     match nuisance.try_inverse() {
         Some(inverse) => own - mixed * inverse * mixed.transpose(),
-        // Without contrast nothing can be told from gain and offset.
+        // Without contrast the plane cannot be distinguished from gain and offset.
         None => Matrix3::zeros(),
     }
 }
@@ -78,9 +79,9 @@ pub fn covariance_of_errors(plane: &Vector3<f64>, covariance: &Matrix3<f64>, ray
     jacobian * covariance * jacobian.transpose()
 }
 
-/// Computes the bound for poses of one set-up.
+/// Computes the bound for poses of one setup.
 pub struct BoundMaker {
-    /// Renderers whose left camera is moved by -, + a step along u, and along v where it matters.
+    /// Renderers whose left camera is moved by -, + a step along u, and along v where needed.
     moved: Vec<StereoRenderer>,
     images: Vec<Vec<f32>>,
     rig: StereoRig,
@@ -91,12 +92,12 @@ impl BoundMaker {
     /// For a set-up, its scene and the rig that the estimators receive.
     ///
     /// # Errors
-    /// If the simulator refuses it.
+    /// If the simulator rejects the setup.
     pub fn new(setup: &Setup, scene: &Scene, rig: &StereoRig) -> anyhow::Result<Self> {
         let sensor = SensorConfig { read_noise_grey: 0.0, ..sensor(setup) };
         let along_u = [Vector2::new(-STEP_PX, 0.0), Vector2::new(STEP_PX, 0.0)];
         let along_v = [Vector2::new(0.0, -STEP_PX), Vector2::new(0.0, STEP_PX)];
-        // Rows do not matter where all disparities lie along them.
+        // The v derivative does not matter if all disparities are horizontal.
         let steps = along_u.iter().chain(if rig.is_rectified() { &[] } else { &along_v[..] });
         let renderer = |by_px: &Vector2<f64>| {
             let left = moved(rig.left(), *by_px)?;
@@ -107,8 +108,8 @@ impl BoundMaker {
         Ok(Self { images: vec![Vec::new(); moved.len()], moved, rig: *rig, setup: *setup })
     }
 
-    /// The covariance of an ideal estimate, as [`covariance_of_errors`] gives it. `None` if the scene does not determine
-    /// the plane.
+    /// The covariance of an ideal estimate, in the form of [`covariance_of_errors`]. `None` if the scene does not
+    /// determine the plane.
     pub fn bound(
         &mut self,
         poses: &ScenePoses,
@@ -147,7 +148,7 @@ impl BoundMaker {
         if grey.max(in_right) > 252.0 || grey.min(in_right) < 2.0 {
             return None;
         }
-        // A camera moved by + shows what was further on the - side.
+        // A camera that moved by + shows the part of the scene on the - side.
         let slope = |minus: f64, plus: f64| (minus - plus) / (2.0 * STEP_PX);
         let along_v = if self.images.len() > 2 { slope(value(2), value(3)) } else { 0.0 };
         let gradient = Vector2::new(slope(value(0), value(1)), along_v);
@@ -155,7 +156,7 @@ impl BoundMaker {
     }
 }
 
-/// Indices of the pixels that show nothing but the target, blur included.
+/// Indices of the pixels that show only the target, including blur.
 fn inner_pixels(seen: &GroundTruth) -> Vec<usize> {
     let (width, height) = (seen.size.width as usize, seen.size.height as usize);
     let is_target = |index: usize| seen.object[index] == SceneObject::Target;
@@ -170,14 +171,14 @@ fn inner_pixels(seen: &GroundTruth) -> Vec<usize> {
     (0..seen.object.len()).filter(|&index| is_target(index) && is_inner(index)).collect()
 }
 
-/// The map between the raw images of a plane.
+/// The map between the raw images that a plane induces.
 struct PlaneMap<'a> {
     rig: &'a StereoRig,
     plane: Vector3<f64>,
 }
 
 impl PlaneMap<'_> {
-    /// How far the left pixel that shows the same as a fixed right pixel moves with the plane: `(dW/dx)^-1 dW/dq`.
+    /// Displacement, with the plane, of the left pixel that corresponds to a fixed right pixel: `(dW/dx)^-1 dW/dq`.
     fn left_displacement(&self, pixel: &Vector2<f64>) -> Option<Matrix2x3<f64>> {
         let ray = self.rig.left().unproject(pixel).ok()?;
         let ray_slopes = ray_slopes(self.rig.left(), pixel)?;
@@ -197,10 +198,10 @@ impl PlaneMap<'_> {
     }
 }
 
-/// How the ray of a pixel changes with the pixel.
+/// Derivative of the ray of a pixel with respect to the pixel.
 fn ray_slopes(camera: &Camera, pixel: &Vector2<f64>) -> Option<Matrix3x2<f64>> {
     let ray = camera.unproject(pixel).ok()?;
-    // The inverse of the projection's own slopes, on the plane z = 1.
+    // The inverse of the projection's Jacobian, on the plane z = 1.
     let (_, projection) = camera.project_with_jacobian(&ray.into())?;
     let inverse = projection.fixed_columns::<2>(0).into_owned().try_inverse()?;
     Some(Matrix3x2::from_rows(&[inverse.row(0).into(), inverse.row(1).into(), [0.0, 0.0].into()]))

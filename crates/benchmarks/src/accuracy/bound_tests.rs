@@ -1,4 +1,4 @@
-//! The bound against an estimator that reaches it, and against numerical derivatives.
+//! Compares the bound with an estimator that reaches it, and with numerical derivatives.
 
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 use pb3dp_estimation_core::plane_hypothesis::PlaneHypothesis;
@@ -15,13 +15,14 @@ fn texture(u: f64, v: f64) -> f64 {
     120.0 + 40.0 * (0.7 * u + 0.2 * v).sin() + 25.0 * (0.35 * u - 0.6 * v + 1.0).cos()
 }
 
-/// Normal numbers with the variance 1.
+/// Normal random numbers with variance 1.
 fn normal(random: &mut Random) -> f64 {
     (0..12).map(|_| random.between(-0.5, 0.5)).sum()
 }
 
-/// The disparities of a plane `a u + b v + c` found by least squares over plane, gain and offset: with normal noise the most
-/// likely one. The right image is read where each pixel of the left one goes; its own noise is one number per pixel.
+/// The disparities of a plane `a u + b v + c`, by least squares over plane, gain and offset: the maximum likelihood
+/// estimate for normal noise. The right image is sampled at the target of each left pixel; its own noise is one number
+/// per pixel.
 fn most_likely(left: &[f64], right: impl Fn(usize, f64) -> f64, pixels: &[(f64, f64)]) -> DVector<f64> {
     let mut found = DVector::from_vec(vec![0.0, 0.0, 0.0, 1.0, 0.0]);
     for _ in 0..8 {
@@ -74,7 +75,7 @@ fn the_most_likely_plane_spreads_as_the_bound_says() {
         .iter()
         .map(|&(u, v)| {
             let gradient = (texture(u + 1e-5, v) - texture(u - 1e-5, v)) / 2e-5;
-            // One more disparity moves the left pixel that is seen at a right one by 1 / (1 - a).
+            // One more pixel of disparity moves the left pixel of a fixed right pixel by 1 / (1 - a).
             Sample { grey: texture(u, v), slope: Vector3::new(u, v, 1.0) * (gradient / (1.0 - truth[0])) }
         })
         .collect();
@@ -86,8 +87,8 @@ fn the_most_likely_plane_spreads_as_the_bound_says() {
     }
 }
 
-/// An image blurred by (1 2 1) / 4 along rows and columns, twice: without it the fit prefers places between pixels, where
-/// interpolation smooths the noise.
+/// An image blurred by (1 2 1) / 4 along rows and columns, twice: without blur the fit prefers subpixel positions,
+/// where interpolation smooths the noise.
 fn blurred(image: &image::RgbImage) -> Vec<f64> {
     let mut values: Vec<f64> = image.as_raw().iter().map(|&grey| f64::from(grey)).collect();
     for step in [3, 3 * image.width() as usize, 3, 3 * image.width() as usize] {
@@ -108,8 +109,8 @@ fn cubic(image: &[f64], u: f64, row: u32, channel: usize) -> (f64, f64) {
     (b + t * (p + t * (q + t * r)), p + t * (2.0 * q + 3.0 * t * r))
 }
 
-/// Plane, gains and offsets by least squares over every pixel of the target, started at the truth: what an estimator could
-/// reach that has nothing to find and nothing to doubt.
+/// Plane, gains and offsets by least squares over every pixel of the target, started at the truth: the result of an
+/// estimator without search and without outlier rejection.
 fn best_fit(pair: &Rendered, rig: &StereoRig) -> Vector3<f64> {
     let (pinhole, focal_baseline) = (*rig.left().pinhole(), rig.left().pinhole().fx * rig.baseline_m());
     let (left, right) = (blurred(&pair.left), blurred(&pair.right));
@@ -178,7 +179,7 @@ fn displacements_are_the_slopes_of_the_map() {
         for column in 0..3 {
             let mut changed = plane;
             changed[column] += 1e-4;
-            // The left pixel moves back by the displacement and shows the same right pixel as before.
+            // The left pixel moves back by the displacement and corresponds to the same right pixel as before.
             let back = pixel - found.column(column) * 1e-4;
             let moved = in_right(&back, &changed) - in_right(&pixel, &plane);
             assert!(moved.norm() < 1e-6, "{kind:?}, column {column}: {moved}");
@@ -221,7 +222,7 @@ fn the_bound_grows_with_noise_and_falls_with_the_baseline() {
         covariance[(0, 0)].sqrt() * 1e3
     };
     let nominal = sigma_mm(0.1, 3.0);
-    // A prototype's own bound for such a target was 0.025 mm (rms over poses from 420 to 650 mm).
+    // The bound of a prototype for such a target was 0.025 mm (rms over poses from 420 to 650 mm).
     assert!((0.004..0.05).contains(&nominal), "{nominal} mm");
     let noisy = sigma_mm(0.1, 6.0) / nominal;
     assert!((noisy - f64::sqrt((36.0 + 1.0 / 12.0) / (9.0 + 1.0 / 12.0))).abs() < 1e-9, "{noisy}");

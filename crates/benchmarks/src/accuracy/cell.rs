@@ -1,4 +1,4 @@
-//! What a measurement is made of: one factor varied from the nominal set-up.
+//! Configuration of one measurement: one factor varied from the nominal setup.
 
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_sim::targets::Paint;
@@ -8,16 +8,16 @@ use super::random::Random;
 /// Cameras.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RigKind {
-    /// Two equal pinholes, fx = fy = 740 px, 640 x 480, the right one beside the left one.
+    /// Two equal pinhole cameras, fx = fy = 740 px, 640 x 480, side by side.
     Parallel {
-        /// Distance of the cameras, metres.
+        /// Baseline, metres.
         baseline_m: f64,
     },
-    /// Different focal lengths, lens distortion, 5 degrees of vergence, all axes turned; 100 mm apart.
+    /// Different focal lengths, lens distortion, 5 degrees of vergence, all axes rotated; baseline 100 mm.
     Unequal,
 }
 
-/// What is looked at.
+/// Target shape.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape {
     /// The crab's outline with a relief of this height, metres; 0 is flat.
@@ -29,32 +29,32 @@ pub enum Shape {
     Wall,
 }
 
-/// What stands behind the target.
+/// Background.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Backdrop {
-    /// Sand with bluish patches, this far behind the target's rear, metres.
+    /// Sand with bluish patches, at this distance behind the target's rear, metres.
     Sand {
         /// Distance, metres.
         gap_m: f64,
     },
     /// A panel with the crab's own hues, 30 mm behind.
     SameHue,
-    /// Nothing but even grey.
+    /// Uniform grey.
     Nothing,
 }
 
-/// Light.
+/// Lighting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Light {
-    /// The same everywhere.
+    /// Uniform.
     Even,
-    /// One lamp near the cameras that does not move with the target: shading by the angle to it.
+    /// One lamp near the cameras that does not move with the target: shading by the angle to the lamp.
     Shaded,
-    /// The same with a highlight.
+    /// The same lamp, with a specular highlight.
     Glossy,
 }
 
-/// What the operator marks.
+/// The region that the operator marks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RegionKind {
     /// The target's outline.
@@ -65,28 +65,28 @@ pub enum RegionKind {
     Interior,
 }
 
-/// A set-up; the default is the nominal one.
+/// A setup; the default is the nominal one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setup {
     /// Texture of the target.
     pub paint: Paint,
-    /// Its shape.
+    /// Shape of the target.
     pub shape: Shape,
-    /// Behind it.
+    /// Background.
     pub backdrop: Backdrop,
-    /// Light.
+    /// Lighting.
     pub light: Light,
     /// Cameras.
     pub rig: RigKind,
-    /// How far the right image lies below what the calibration says, pixels.
+    /// Vertical misalignment of the right image relative to the calibration, downwards, pixels.
     pub rows_off_px: f64,
     /// Standard deviation of the noise, grey levels.
     pub noise_grey: f64,
     /// Gain of the right camera, red, green, blue.
     pub gain: [f64; 3],
-    /// How far the right camera is out of focus, standard deviation of the blur, pixels.
+    /// Defocus of the right camera, standard deviation of the blur, pixels.
     pub defocus_px: f64,
-    /// Share of the target's pixels in the left image that something in front hides.
+    /// Share of the target's pixels in the left image that an occluder hides.
     pub occluded_share: f64,
     /// The region.
     pub region: RegionKind,
@@ -117,7 +117,7 @@ impl Default for Setup {
 }
 
 impl Setup {
-    /// Distance of the cameras, metres.
+    /// Baseline, metres.
     pub fn baseline_m(&self) -> f64 {
         match self.rig {
             RigKind::Parallel { baseline_m } => baseline_m,
@@ -133,31 +133,31 @@ impl Setup {
         }
     }
 
-    /// Whether the target is a plane, so that the bound is that of the truth.
+    /// Whether the target is a plane, so that the bound holds for the truth.
     pub fn is_planar(&self) -> bool {
         self.relief_m() == 0.0
     }
 }
 
-/// How the target is turned.
+/// Orientation of the target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Tilt {
-    /// Both tilts evenly within plus and minus this, degrees.
+    /// Both tilts uniform within plus and minus this, degrees.
     Box(f64),
     /// Exactly this, in any direction, degrees.
     Exactly(f64),
-    /// Evenly up to this, in any direction, degrees.
+    /// Uniform up to this, in any direction, degrees.
     UpTo(f64),
 }
 
-/// Where the target is.
+/// Range of poses of the target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseRange {
     /// Nearest depth of the target's origin, metres.
     pub z_min_m: f64,
     /// Farthest, metres.
     pub z_max_m: f64,
-    /// Turns.
+    /// Orientations.
     pub tilt: Tilt,
 }
 
@@ -165,7 +165,7 @@ impl PoseRange {
     /// 420 to 650 mm, both tilts up to 25 degrees.
     pub const NOMINAL: Self = Self { z_min_m: 0.42, z_max_m: 0.65, tilt: Tilt::Box(25.0) };
 
-    /// A random tilt: the two angles of the plane hypothesis' order of rotation, radians.
+    /// A random tilt: the two angles of the plane hypothesis in its order of rotation, radians.
     pub fn tilt_rad(&self, random: &mut Random) -> [f64; 2] {
         let (magnitude_deg, direction) = match self.tilt {
             Tilt::Box(limit) => {
@@ -181,36 +181,36 @@ impl PoseRange {
     }
 }
 
-/// What is asked of a cell.
+/// Question that a configuration answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Question {
-    /// How exact are the answers.
+    /// Accuracy of the answers.
     Accuracy,
-    /// How often is the target found from nothing; a thousand poses.
+    /// Success rate of a cold start; a thousand poses.
     ColdStart,
-    /// Is it said that nothing can be known; a thousand poses.
+    /// Whether the method reports that the plane is not observable; a thousand poses.
     Unobservable,
 }
 
-/// One measurement.
+/// One configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cell {
-    /// `noise/8`: the factor, and its value.
+    /// Name such as `noise/8`: the factor, and its value.
     pub name: String,
-    /// The value as a number, for the figures; 0 where it is none.
+    /// The value as a number, for the figures; 0 if it is not a number.
     pub value: f64,
-    /// The set-up.
+    /// The setup.
     pub setup: Setup,
     /// The poses.
     pub poses: PoseRange,
     /// Depths and tilts that the methods search.
     pub search: SearchRange,
-    /// What is asked.
+    /// The question.
     pub question: Question,
 }
 
 impl Cell {
-    /// The factor that is varied.
+    /// Name of the varied factor.
     pub fn factor(&self) -> &str {
         self.name.split('/').next().unwrap_or_default()
     }

@@ -1,26 +1,26 @@
-//! The measurements on single pairs.
+//! The configurations for single pairs.
 
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_sim::targets::Paint;
 
 use super::cell::{Backdrop, Cell, Light, PoseRange, Question, RegionKind, RigKind, Setup, Shape, Tilt};
 
-/// What the methods search in the nominal cell: more than the poses span.
+/// Search range of the methods in the nominal configuration: larger than the range of the poses.
 const SEARCH: SearchRange = SearchRange { z_min_m: 0.33, z_max_m: 0.84, tilt_max_rad: 45.0 / DEGREES };
-/// The same for cells with other depths.
+/// The same for configurations with other depths.
 const SEARCH_FAR: SearchRange = SearchRange { z_min_m: 0.30, z_max_m: 1.15, ..SEARCH };
 const DEGREES: f64 = 180.0 / std::f64::consts::PI;
 
 const NOMINAL: PoseRange = PoseRange::NOMINAL;
 
-/// Paints with texture of their own.
+/// Paints with a texture.
 const TEXTURED: [Paint; 6] = [Paint::Colourful, Paint::Crab, Paint::Red, Paint::Grey, Paint::Faint, Paint::Repetitive];
 
 fn cell(name: impl Into<String>, value: f64, setup: Setup) -> Cell {
     Cell { name: name.into(), value, setup, poses: NOMINAL, search: SEARCH, question: Question::Accuracy }
 }
 
-/// Every cell, in the order of the table.
+/// All configurations, in the order of the table.
 pub fn all() -> Vec<Cell> {
     let mut cells = Vec::new();
     for paint in TEXTURED {
@@ -72,7 +72,7 @@ fn geometry() -> Vec<Cell> {
     cells
 }
 
-/// Noise, gain, colour, focus, rows.
+/// Noise, gain, colour, focus, vertical misalignment.
 fn cameras() -> Vec<Cell> {
     let nominal = Setup::default();
     let mut cells = Vec::new();
@@ -88,7 +88,7 @@ fn cameras() -> Vec<Cell> {
     cells
 }
 
-/// What hides the target or is marked with it.
+/// Occlusion of the target, and background inside the marked region.
 fn surroundings() -> Vec<Cell> {
     let nominal = Setup::default();
     let rectangle = |gap_m: f64| Setup { region: RegionKind::Rectangle, backdrop: Backdrop::Sand { gap_m }, ..nominal };
@@ -120,7 +120,7 @@ fn relief_and_light() -> Vec<Cell> {
     cells
 }
 
-/// Scenes in which a plane cannot be known, or not by hue.
+/// Scenes in which a plane is not observable, or not from hue.
 fn unobservable() -> Vec<Cell> {
     let scene = |name: &str, setup: Setup| Cell { question: Question::Unobservable, ..cell(name, 0.0, setup) };
     let uniform = painted(Paint::Uniform);
@@ -139,7 +139,7 @@ mod tests {
     fn names_are_unique_and_search_ranges_hold_the_poses() {
         let cells = all();
         for (index, cell) in cells.iter().enumerate() {
-            assert!(cells[..index].iter().all(|other| other.name != cell.name), "{} stands twice", cell.name);
+            assert!(cells[..index].iter().all(|other| other.name != cell.name), "{} occurs twice", cell.name);
             cell.search.validate().unwrap();
             assert!(cell.search.z_min_m < cell.poses.z_min_m && cell.search.z_max_m > cell.poses.z_max_m);
             let mut random = super::super::random::Random::of(1, &cell.name, 0);

@@ -1,4 +1,4 @@
-//! Writes what is measured as folders that every other command reads.
+//! Writes the measured images as folders that all other commands read.
 
 use std::path::PathBuf;
 
@@ -16,16 +16,16 @@ use super::scenes::SceneStore;
 use super::sequences::{self, SEARCH, SequenceSpec, long};
 use super::track::Frames;
 
-/// Writes one cell as case folders, or one sequence as a sequence folder (docs/dataset-format.md).
+/// Writes one configuration as case folders, or one sequence as a sequence folder (docs/dataset-format.md).
 #[derive(clap::Args)]
 pub struct Args {
-    /// Name of the cell or sequence.
+    /// Name of the configuration or sequence.
     #[arg(long)]
     cell: String,
-    /// New folder for it.
+    /// New folder for the output.
     #[arg(long)]
     out: PathBuf,
-    /// Poses, or frames.
+    /// Number of poses or frames.
     #[arg(long)]
     poses: Option<usize>,
     /// Seed of poses and noise.
@@ -34,7 +34,7 @@ pub struct Args {
 }
 
 /// # Errors
-/// If there is no cell of the name, or a file cannot be written.
+/// If no configuration has this name, or a file cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(cell) = cells::all().into_iter().find(|cell| cell.name == args.cell) {
         return dump_cell(&cell, args);
@@ -44,7 +44,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         None => {
             let cells = cells::all().into_iter().map(|cell| cell.name);
             let names: Vec<_> = cells.chain(sequences::all().into_iter().map(|sequence| sequence.name)).collect();
-            bail!("there is no cell or sequence `{}`; there are {}", args.cell, names.join(", "))
+            bail!("no configuration or sequence is called `{}`; known are {}", args.cell, names.join(", "))
         }
     }
 }

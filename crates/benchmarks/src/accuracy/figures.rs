@@ -1,4 +1,4 @@
-//! The figures of docs/method.md: one score over depth, the error over noise, and a track.
+//! The figures of docs/method.md: scores over depth, error over noise, and a track.
 
 use std::path::{Path, PathBuf};
 
@@ -21,25 +21,25 @@ use crate::common::circumstances::Circumstances;
 
 const FOLDER: &str = "docs/images";
 
-/// The methods that are drawn.
+/// The plotted methods.
 const METHODS: [Method; 2] = [Method::Direct, Method::Published];
 
-/// Draws the figures of docs/method.md on rendered scenes and writes them into docs/images.
+/// Draws the figures of docs/method.md on rendered scenes and writes them to docs/images.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Poses per level of noise.
+    /// Poses per noise level.
     #[arg(long, default_value_t = 40, value_name = "NUMBER", value_parser = clap::value_parser!(u32).range(4..=1000))]
     poses: u32,
     /// Frames of the track.
     #[arg(long, default_value_t = 240, value_name = "NUMBER", value_parser = clap::value_parser!(u32).range(10..=300))]
     frames: u32,
-    /// Threads.
+    /// Number of threads.
     #[arg(long, default_value_t = 2, value_name = "NUMBER")]
     threads: usize,
     /// Seed of poses and noise.
     #[arg(long, default_value_t = 1, value_name = "NUMBER")]
     seed: u32,
-    /// Folder of the workspace.
+    /// Root folder of the workspace.
     #[arg(long, default_value = ".", value_name = "DIR")]
     root: PathBuf,
 }
@@ -68,14 +68,14 @@ fn keep(root: &Path, name: &str, svg: &str) -> anyhow::Result<()> {
 }
 
 fn cell(name: &str) -> anyhow::Result<Cell> {
-    cells::all().into_iter().find(|cell| cell.name == name).with_context(|| format!("there is no cell {name}"))
+    cells::all().into_iter().find(|cell| cell.name == name).with_context(|| format!("no configuration {name}"))
 }
 
-/// The targets whose scores are drawn, and the pose.
+/// The targets whose scores are plotted, and the pose.
 const SCORED: [(&str, &str); 2] = [("target/crab", "mostly one hue"), ("target/grey", "grey")];
 const SCORED_POSE: usize = 0;
 
-/// Both scores over disparity, far around the truth and near it.
+/// Both scores over disparity, far from the truth and near it.
 fn score_figure(args: &Args, scenes: &mut SceneStore, made: &str) -> anyhow::Result<String> {
     let reaches = [(-40.0, 40.0, 0.25), (-2.0, 2.0, 0.02)];
     let mut panels = Vec::new();
@@ -122,7 +122,7 @@ fn truth(samples: &[Sample]) -> Line {
     Line { name: "truth".to_owned(), points: vec![[0.0, low], [0.0, high]], is_bound: true }
 }
 
-/// Rms of depth and normal over the noise, with the bound; of the target that suits the published method best.
+/// Rms error of depth and normal over the noise, with the bound, for the target that suits the published method best.
 fn noise_figure(args: &Args, scenes: &mut SceneStore, made: &str) -> anyhow::Result<String> {
     let options = Options {
         methods: METHODS.to_vec(),
@@ -150,13 +150,13 @@ fn noise_figure(args: &Args, scenes: &mut SceneStore, made: &str) -> anyhow::Res
     Ok(svg_with_caption(&panels, 2, &caption))
 }
 
-/// The sequence that is drawn.
+/// The plotted sequence.
 const TRACK: &str = "track/crab-30fps";
 
 /// Depth and rotation error of each frame.
 fn track_figure(args: &Args, scenes: &mut SceneStore, made: &str) -> anyhow::Result<String> {
     let spec = sequences::all().into_iter().find(|spec| spec.name == TRACK);
-    let spec = spec.with_context(|| format!("there is no sequence {TRACK}"))?;
+    let spec = spec.with_context(|| format!("no sequence is called {TRACK}"))?;
     let spec = SequenceSpec { frames: args.frames as usize, ..spec };
     let rows = run_sequence(&spec, &METHODS, args.seed, scenes)?;
     let panel = |title: &str, of: &dyn Fn(&SequenceSummary) -> Vec<f64>| Panel {
@@ -179,7 +179,7 @@ fn track_figure(args: &Args, scenes: &mut SceneStore, made: &str) -> anyhow::Res
     Ok(svg_with_caption(&panels, 2, &caption))
 }
 
-/// Errors from the second frame on: in the first there is no motion.
+/// Errors from the second frame on: the first frame has no motion.
 fn track_line(method: &str, errors: &[f64]) -> Line {
     let points = errors.iter().enumerate().skip(1).map(|(frame, error)| [frame as f64, *error]).collect();
     Line { name: method.to_owned(), points, is_bound: false }

@@ -1,24 +1,24 @@
-//! What a run must reach, and which rows do not.
+//! Required accuracy of a run, and the rows that miss it.
 
 use super::sequence_summary::SequenceSummary;
 use super::summary::Summary;
 
-/// A figure of a row.
+/// Measured quantity of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Figure {
     /// Median of the absolute depth error, mm.
     ZMedianMm,
     /// Its 95th percentile.
     ZP95Mm,
-    /// Median of the angle, degrees.
+    /// Median of the angle error, degrees.
     AngleMedianDeg,
     /// Its 95th percentile.
     AngleP95Deg,
-    /// Rms of the depth over the bound.
+    /// Rms depth error over the bound.
     ZRatio,
-    /// Rms of the angle over the bound.
+    /// Rms angle error over the bound.
     AngleRatio,
-    /// Confident and wrong.
+    /// Number of answers that are confident and wrong.
     WrongOk,
     /// Poses without a right answer, percent.
     MissedPercent,
@@ -28,14 +28,14 @@ pub enum Figure {
     Nees,
 }
 
-/// A limit for all cells whose name starts with a text.
+/// A limit for all configurations whose name starts with a text.
 #[derive(Clone, Copy, Debug)]
 pub struct Limit {
-    /// The method that claims it.
+    /// The method to which the limit applies.
     pub method: &'static str,
-    /// Start of the cell's name.
+    /// Start of the configuration's name.
     pub cell: &'static str,
-    /// The figure.
+    /// The quantity.
     pub figure: Figure,
     /// Its largest value.
     pub max: f64,
@@ -49,7 +49,7 @@ const fn published(cell: &'static str, figure: Figure, max: f64) -> Limit {
     Limit { method: "published", cell, figure, max }
 }
 
-/// The claims. Those of `published` are what keeps the comparison fair: it works where it is known to work.
+/// The limits. Those of `published` keep the comparison fair: the method must work where it is known to work.
 pub const LIMITS: &[Limit] = &[
     published("target/colourful", Figure::UnsurePercent, 10.0),
     published("target/colourful", Figure::ZMedianMm, 1.0),
@@ -98,38 +98,38 @@ pub const LIMITS: &[Limit] = &[
     direct("target/", Figure::Nees, 1.5),
 ];
 
-/// A goal that is not reached yet, of a cell or sequence of exactly this name: what it must not get worse than meanwhile.
+/// A goal that a configuration or sequence of exactly this name does not reach yet, with a ceiling for the meantime.
 #[derive(Clone, Copy, Debug)]
 pub struct OpenGoal {
-    /// Cell or sequence.
+    /// Configuration or sequence.
     pub name: &'static str,
-    /// The figure, by its name in the tables.
+    /// The quantity, by its name in the tables.
     pub figure: &'static str,
     /// Its largest value, above the limit.
     pub ceiling: f64,
 }
 
-/// The goals of the direct method that are not reached. The page says `open` of them; a run fails only above the ceiling.
+/// The open goals of the direct method. The page marks them as `open`; a run fails only above the ceiling.
 pub const OPEN: &[OpenGoal] = &[OpenGoal { name: "target/faint", figure: "Nees", ceiling: 1.8 }];
 
-/// What a method claims for tracked sequences whose name starts with a text: median and 95th percentile.
+/// Limits of a method for tracked sequences whose name starts with a text: median and 95th percentile.
 #[derive(Clone, Copy, Debug)]
 pub struct SequenceLimit {
-    /// The method that claims it.
+    /// The method to which the limits apply.
     pub method: &'static str,
     /// Start of the sequence's name.
     pub sequence: &'static str,
-    /// Across the optical axis, mm.
+    /// Error across the optical axis, mm.
     pub xy_mm: [f64; 2],
-    /// Along it, mm.
+    /// Error along the optical axis, mm.
     pub z_mm: [f64; 2],
-    /// Rotation since the first frame, degrees.
+    /// Rotation error since the first frame, degrees.
     pub rotation_deg: [f64; 2],
 }
 
 const NONE: [f64; 2] = [f64::INFINITY; 2];
 
-/// The claims for sequences; in all of them nothing may be lost but what is hidden, and nothing wrongly `ok`.
+/// The limits for sequences; in all of them only hidden targets may be lost, and no answer may be wrongly `ok`.
 pub const SEQUENCE_LIMITS: &[SequenceLimit] = &[
     planar("track/crab"),
     planar("track/colourful"),
@@ -157,11 +157,11 @@ const fn planar(sequence: &'static str) -> SequenceLimit {
 /// One check of one row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Check {
-    /// Cell or sequence.
+    /// Configuration or sequence.
     pub name: String,
     /// The method.
     pub method: &'static str,
-    /// What was measured.
+    /// The measured quantity.
     pub figure: String,
     /// The value.
     pub measured: f64,
@@ -169,19 +169,19 @@ pub struct Check {
     pub max: f64,
 }
 
-/// How a check ended.
+/// Result of a check.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Standing {
-    /// The limit is kept.
+    /// The limit is met.
     Kept,
-    /// A goal that is known not to be reached, and no worse than its ceiling.
+    /// An open goal: not reached, but not above its ceiling.
     Open(f64),
-    /// Neither.
+    /// Neither: the limit is missed.
     Broken,
 }
 
 impl Check {
-    /// How it ended, see [`Self::holds`].
+    /// The result, see [`Self::holds`].
     pub fn standing(&self, quick: bool) -> Standing {
         if self.holds(quick) {
             return Standing::Kept;
@@ -194,9 +194,9 @@ impl Check {
         }
     }
 
-    /// Whether the limit is kept. With few poses the value may be as far beyond it as chance brings it.
+    /// Whether the limit is met. With few poses the value may exceed the limit by as much as chance explains.
     pub fn holds(&self, quick: bool) -> bool {
-        // Of 32 poses, a 95th percentile scatters by a third and a median or an rms by a seventh.
+        // With 32 poses a 95th percentile scatters by a third, and a median or an rms by a seventh.
         let slack = if quick { 1.4 } else { 1.0 };
         self.measured <= self.max * slack
     }
@@ -220,7 +220,7 @@ impl Figure {
     }
 }
 
-/// Every limit that concerns one of the rows.
+/// Checks every limit that applies to one of the rows.
 pub fn checks(summaries: &[Summary], sequences: &[SequenceSummary]) -> Vec<Check> {
     let mut checks = Vec::new();
     for limit in LIMITS {

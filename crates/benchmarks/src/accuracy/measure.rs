@@ -1,4 +1,4 @@
-//! Runs the methods on every pose of a cell.
+//! Runs the methods on every pose of a configuration.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -22,16 +22,16 @@ use super::scenes::{Rigs, SceneStore, rigs, sensor};
 use super::trial::{PlaneErrors, Trial, plane_errors, trial};
 use pb3dp_hal_platform::cpu_time::timed;
 
-/// What one method said of one pose.
+/// Answer of one method for one pose.
 #[derive(Clone, Debug)]
 pub struct Outcome {
     /// Its status.
     pub status: Status,
-    /// Its errors; `None` where it gave no plane.
+    /// Errors of the plane; `None` without a plane.
     pub errors: Option<PlaneErrors>,
-    /// Its squared error, normalised by the covariance that it claims, over its expected value 3; `None` if it claims none.
+    /// Squared error, normalised by the method's covariance, over its expected value 3; `None` without a covariance.
     pub normalised_error: Option<f64>,
-    /// Processor time, milliseconds.
+    /// CPU time, milliseconds.
     pub cpu_millis: f64,
 }
 
@@ -44,29 +44,29 @@ pub struct Measured {
     pub outcomes: Vec<Outcome>,
 }
 
-/// How to run.
+/// Options of a measurement.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// The methods.
     pub methods: Vec<Method>,
     /// Seed of poses and noise.
     pub seed: u32,
-    /// Threads.
+    /// Number of threads.
     pub threads: usize,
-    /// Poses per cell, instead of the cell's own number.
+    /// Poses per configuration; replaces the configuration's own number.
     pub poses: Option<usize>,
     /// Fewer poses.
     pub quick: bool,
 }
 
 impl Options {
-    /// Number of poses of a cell.
+    /// Number of poses of a configuration.
     pub fn pose_count(&self, cell: &Cell) -> usize {
         self.poses.unwrap_or_else(|| cell.pose_count(self.quick))
     }
 }
 
-/// What one thread needs for a cell.
+/// Renderers and estimators of one thread for a configuration.
 pub struct Worker<'a> {
     cell: &'a Cell,
     seed: u32,
@@ -78,7 +78,7 @@ pub struct Worker<'a> {
 
 /// A rendered pose.
 pub struct Rendered {
-    /// Where everything is, and what is true.
+    /// The scene, and the truth.
     pub trial: Trial,
     /// The left image.
     pub left: RgbImage,
@@ -86,8 +86,8 @@ pub struct Rendered {
     pub right: RgbImage,
 }
 
-/// The methods as they are, for cameras whose calibration is exact: the direct method allows for what calibrations and lenses
-/// of real rigs leave, which is not there to be found in rendered pairs.
+/// The methods as configured for exactly calibrated cameras: the direct method's allowance for calibration and lens
+/// errors of real rigs is zero, because rendered pairs have none.
 pub fn config() -> EstimatorConfig {
     let mut config = EstimatorConfig::default();
     config.direct.cold_start.refine.calibration_sigma_px = 0.0;
@@ -99,12 +99,12 @@ impl<'a> Worker<'a> {
     /// Prepares renderers and estimators.
     ///
     /// # Errors
-    /// If simulator, geometry or an estimator refuses the set-up.
+    /// If simulator, geometry or an estimator rejects the setup.
     pub fn new(cell: &'a Cell, scene: &Scene, seed: u32, methods: &[Method]) -> anyhow::Result<Self> {
         let rigs = rigs(&cell.setup)?;
         let renderer = StereoRenderer::new(scene.clone(), rigs.real, &sensor(&cell.setup), seed ^ hash_of(&cell.name))?
             .with_defocus_px(0.0, cell.setup.defocus_px)?;
-        // Where millimetres are asked for, thousandths of a pixel do not matter.
+        // For errors in millimetres, thousandths of a pixel do not matter.
         let renderer = if cell.question == Question::Accuracy { renderer.with_fine_sampling()? } else { renderer };
         let config = config();
         let estimators =
@@ -162,7 +162,7 @@ fn outcome(estimate: &PlaneEstimate, truth: &Vector3<f64>, ray: &Vector3<f64>, c
     let normalised_error = estimate.pose.zip(errors).and_then(|(pose, errors)| {
         let (covariance, error) = match estimate.plane_covariance {
             Some(covariance) => (covariance, psi(truth, ray)? - psi(&pose.inverse_depth_plane, ray)?),
-            // The deviation of the normal is split evenly between the two tilts.
+            // The error of the normal is divided evenly between the two tilts.
             None => {
                 let (z, normal) = (estimate.z_sigma_m?, estimate.normal_sigma_rad?);
                 let variances = Vector3::new(z * z, 0.5 * normal * normal, 0.5 * normal * normal);
@@ -180,10 +180,10 @@ fn psi(plane: &Vector3<f64>, ray: &Vector3<f64>) -> Option<Vector3<f64>> {
     Some(Vector3::new(psi.z_m, psi.theta_x_rad, psi.theta_y_rad))
 }
 
-/// Measures all poses of a cell, in order of their numbers.
+/// Measures all poses of a configuration, in order of their numbers.
 ///
 /// # Errors
-/// If a part refuses the set-up; the first error of any thread.
+/// If a part rejects the setup; the first error of any thread.
 pub fn measure_cell(cell: &Cell, options: &Options, scenes: &mut SceneStore) -> anyhow::Result<Vec<Measured>> {
     let scene = scenes.scene(&cell.setup)?;
     let count = options.pose_count(cell);
@@ -208,7 +208,7 @@ pub fn measure_cell(cell: &Cell, options: &Options, scenes: &mut SceneStore) -> 
             Err(panic) => std::panic::resume_unwind(panic),
         })
     })
-    .with_context(|| format!("cell {}", cell.name))?;
+    .with_context(|| format!("configuration {}", cell.name))?;
     let results = results.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     Ok(results.into_iter().flatten().collect())
 }

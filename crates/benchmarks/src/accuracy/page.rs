@@ -10,27 +10,27 @@ use super::summary::Summary;
 use super::table;
 use crate::common::circumstances::Circumstances;
 
-/// Everything that a run found.
+/// All results of a run.
 pub struct Findings {
-    /// The cells that were measured.
+    /// The measured configurations.
     pub cells: Vec<Cell>,
-    /// Their rows.
+    /// Rows of the configurations.
     pub summaries: Vec<Summary>,
     /// Rows of the sequences.
     pub sequences: Vec<SequenceSummary>,
-    /// Limits and whether they are kept.
+    /// Limits, and whether they are met.
     pub checks: Vec<Check>,
-    /// Seed.
+    /// Random seed.
     pub seed: u32,
-    /// Fewer poses: limits have slack.
+    /// Fewer poses: limits have a tolerance.
     pub quick: bool,
 }
 
-/// Factors with a figure: name, label of the axis.
+/// Factors with a figure: name and axis label.
 const FIGURES: [(&str, &str); 3] =
     [("noise", "noise, grey levels"), ("distance", "distance, mm"), ("baseline", "baseline, mm")];
 
-/// Depth and angle against noise, distance and baseline: rms of each method, and the bound.
+/// Rms error of depth and angle over noise, distance and baseline, for each method, with the bound.
 pub fn accuracy_figure(findings: &Findings) -> String {
     let mut panels = Vec::new();
     for (quantity, index) in [("depth, rms, mm", 0), ("normal, rms, degrees", 1)] {
@@ -42,7 +42,7 @@ pub fn accuracy_figure(findings: &Findings) -> String {
     svg(&panels, FIGURES.len())
 }
 
-/// Rms of depth (0) or normal (1) over the values of one factor, with the bound.
+/// Rms error of depth (0) or normal (1) over the values of one factor, with the bound.
 pub fn cell_panel(cells: &[Cell], summaries: &[Summary], (quantity, index): (&str, usize), label: &str) -> Panel {
     let mut methods: Vec<&'static str> = summaries.iter().map(|row| row.method).collect();
     methods.sort_unstable();
@@ -89,52 +89,53 @@ pub fn sequence_figure(findings: &Findings, name: &str) -> String {
     )
 }
 
-/// What stands before the tables.
+/// Text before the tables.
 const INTRODUCTION: &str = "\
 This file is written by `cargo xtask bench accuracy`; edit the program, not the file.
 
 ## What is measured
 
-Each cell differs from the nominal one in one factor, which its name tells.
-The nominal cell: a flat target of 110 mm with the crab's outline and texture, 30 mm before a panel of sand; 420 to 650 mm away, both tilts evenly within 25 degrees, any rotation about the normal; two cameras of 640 x 480 px and 740 px focal length, 100 mm apart; noise of 3 grey levels, lens blur of 0.6 px, and a right camera with the gains 1.06, 0.98, 0.93 and the offsets 3, 0, -2 grey levels.
-Every answer is a cold start from one pair: the methods receive the depth range (330 to 840 mm, 300 to 1150 mm in the cells `distance`), tilts of up to 45 degrees, and the region.
-The region is the target's true outline, except in the cells `rectangle`, where it is the box around it, and `unobservable/uniform-interior`, where it lies within the target.
+Each configuration differs from the nominal one in one factor, which its name gives.
+The nominal configuration: a flat target of 110 mm with the crab's outline and texture, 30 mm in front of a panel of sand; 420 to 650 mm away, both tilts uniform within 25 degrees, any rotation about the normal; two cameras of 640 x 480 px and 740 px focal length, 100 mm apart; noise of 3 grey levels, lens blur of 0.6 px, and a right camera with the gains 1.06, 0.98, 0.93 and the offsets 3, 0, -2 grey levels.
+Every answer is a cold start from one pair: the methods receive the depth range (330 to 840 mm, 300 to 1150 mm in the configurations `distance`), tilts of up to 45 degrees, and the region.
+The region is the target's true outline, except in the configurations `rectangle`, with the bounding box of the outline, and `unobservable/uniform-interior`, with an area inside the target.
 
 Images are sampled at twice the resolution and blurred before the pixels integrate them.
-All methods see the same images; the seed of a pose depends on the cell's name and the pose's number only.
+All methods see the same images; the seed of a pose depends only on the name of the configuration and the number of the pose.
 
 | column | meaning |
 |---|---|
-| sure | status `ok` or `weak-tilt` |
-| right | depth and normal within 2 mm and 3 degrees, or within four times the bound where that is more, whatever the status |
-| wrong ok | `ok` with an error beyond those, or `weak-tilt` with a depth error beyond them |
-| z | absolute depth error on the ray of the region's centroid, of the sure answers |
-| angle | between the true and the found normal, of the answers that are `ok` |
+| conf % | share of confident answers: status `ok` or `weak-tilt` |
+| right % | share of answers with depth and normal within 2 mm and 3 degrees, or within four times the bound if that is more, with any status |
+| wrong ok | answers with status `ok` and larger errors, or `weak-tilt` and a larger depth error |
+| z | absolute depth error on the ray of the region's centroid, of the confident answers |
+| angle | angle between the true and the estimated normal, of the answers with status `ok` |
 | bound | the Cramér-Rao bound, rms over the poses |
 | rms / bound | rms of the errors over the bound of the same poses |
-| NEES | mean squared error, normalised by the covariance that the method claims, over its expected value: 1 is honest |
-| ms | processor time of one call, median |
+| NEES | mean squared error, normalised by the covariance of the method, over its expected value: 1 is consistent |
+| ms | CPU time of one call, median |
 
-For a relief the true plane is the least-squares plane of the inverse depths of the target's visible pixels; the bound, which is that of a plane, is then out of reach.
-A method that takes the larger surface of a relief finds another plane than least squares, so there a plane is right within the relief's height, and within the tilt that this height makes over half of the target.
+For a relief the true plane is the least-squares plane of the inverse depths of the target's visible pixels; the bound is that of a plane and cannot be reached.
+A method that fits the larger surface of a relief finds another plane than least squares.
+There a plane is right within the relief's height, and within the tilt that this height gives over half of the target.
 
 ## The bound
 
-At a left pixel x on the target, `I_R(W(x; q)) = g I_L(x) + o`, with the plane q, the map W between the images, and gain and offset of each channel, which are unknown.
-Both images are noisy, so a difference of them has the variance `s^2 (1 + g^2)`, quantisation included.
-The information about q is the sum over pixels and channels of the squared slopes of that difference over its variance, less what gain and offset take; its inverse is the bound.
-Assumed: white normal noise, exact calibration, the target's pixels are known and only they tell anything (those within 2 px of the outline, and saturated ones, do not), and both images are equally sharp.
-Slopes are differences of two renderings without noise whose left camera is moved by a quarter of a pixel either way.
-A test fits a plane to every pixel, started at the truth: its rms lies between 1.0 and 1.7 times the bound, so the bound is neither too high nor far from what can be reached; what is missing is lost in the interpolation between pixels.
+At a left pixel x on the target, `I_R(W(x; q)) = g I_L(x) + o`, with the plane q, the map W between the images, and the unknown gain g and offset o of each channel.
+Both images are noisy, so their difference has the variance `s^2 (1 + g^2)`, quantisation included.
+The information about q is the sum over pixels and channels of the squared derivatives of this difference over its variance, minus the part that gain and offset take; its inverse is the bound.
+Assumptions: white normal noise, exact calibration, known target pixels, information from these pixels alone (without saturated ones and those within 2 px of the outline), and equally sharp images.
+Derivatives are differences of two renderings without noise whose left camera is moved by a quarter of a pixel in either direction.
+A test fits a plane to every pixel, started at the truth: its rms lies between 1.0 and 1.7 times the bound, so the bound is neither too high nor far below the reachable error; the difference is lost in the interpolation between pixels.
 
 ## Sequences
 
-The target moves along and about all axes at once (50 mm, 35 mm up and down, 20 degrees; periods of 4 to 7 s), in `fig7` along and about one axis after the other (100 mm, 20 degrees).
-Errors are those of the motion since the first frame, at the target's origin, of the sure poses.
-Nothing is predicted for the trackers.
-In `hidden` something slides in front for 30 frames; `until back` counts the frames from the target's being free again to the first right pose.
-`jitter` is explained in [method.md](../method.md#jitter); `drift`, of long runs only, is the median error of the last tenth of the frames over that of the first.
-In `shaded` the lamp does not turn with the target.
+The target moves along and about all axes at once (50 mm, 35 mm up and down, 20 degrees; periods of 4 to 7 s), in `fig7` along and about each axis in turn (100 mm, 20 degrees).
+Errors are those of the motion since the first frame, at the target's origin, of the confident poses.
+The trackers get no prediction.
+In `hidden` an object slides in front of the target for 30 frames; `until back` is the number of frames from the end of the occlusion to the first right pose.
+`jitter` is explained in [method.md](../method.md#jitter); `drift`, for long runs only, is the median error of the last tenth of the frames over that of the first tenth.
+In `shaded` the lamp does not rotate with the target.
 ";
 
 /// The document.
@@ -180,7 +181,7 @@ fn limits_table(findings: &Findings) -> String {
             kept,
         ]
     };
-    table::markdown(&["cell", "method", "figure", "measured", "limit", "kept"], findings.checks.iter().map(row))
+    table::markdown(&["configuration", "method", "figure", "measured", "limit", "met"], findings.checks.iter().map(row))
 }
 
 #[cfg(test)]

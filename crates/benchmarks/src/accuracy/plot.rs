@@ -1,4 +1,4 @@
-//! Figures as SVG files of their own that follow light and dark pages.
+//! Figures as standalone SVG files that adapt to light and dark pages.
 
 use std::fmt::Write as _;
 
@@ -6,18 +6,18 @@ use std::fmt::Write as _;
 pub struct Line {
     /// Its name.
     pub name: String,
-    /// Its points; those that are not finite, or not positive on a logarithmic axis, are left out.
+    /// Its points; points that are not finite, or not positive on a logarithmic axis, are omitted.
     pub points: Vec<[f64; 2]>,
-    /// Dashed and grey: the bound.
+    /// Whether the line is dashed and grey: the bound.
     pub is_bound: bool,
 }
 
-/// How numbers become places.
+/// Scale of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AxisKind {
-    /// Equal factors, equal distances.
+    /// Logarithmic.
     Logarithmic,
-    /// Equal differences, equal distances.
+    /// Linear.
     Linear,
 }
 
@@ -39,9 +39,9 @@ const LEFT: f64 = 52.0;
 const TOP: f64 = 54.0;
 const BOTTOM: f64 = 40.0;
 const RIGHT: f64 = 16.0;
-/// Height of a line of the caption.
+/// Height of a caption line.
 const CAPTION: f64 = 16.0;
-/// Lines with more points than this are drawn without dots.
+/// Lines with more points than this have no dots.
 const DOTS_MAX: usize = 40;
 
 const STYLE: &str = "text { font: 11px sans-serif; fill: #5b6470; } .head { font-weight: bold; fill: #1c1f24; } \
@@ -56,7 +56,7 @@ pub fn svg(panels: &[Panel], columns: usize) -> String {
     svg_with_caption(panels, columns, &[])
 }
 
-/// The same with lines of text below.
+/// Panels with lines of text below.
 pub fn svg_with_caption(panels: &[Panel], columns: usize, caption: &[String]) -> String {
     let (cell_width, cell_height) = (LEFT + WIDTH + RIGHT, TOP + HEIGHT + BOTTOM);
     let rows = panels.len().div_ceil(columns);
@@ -66,7 +66,7 @@ pub fn svg_with_caption(panels: &[Panel], columns: usize, caption: &[String]) ->
     let mut body = String::new();
     for (index, panel) in panels.iter().enumerate() {
         let (x, y) = (cell_width * (index % columns) as f64, cell_height * (index / columns) as f64);
-        // Writing to a String does not fail.
+        // Writing to a string cannot fail.
         let _ = write!(body, "<g transform=\"translate({x} {y})\">{}</g>", draw(panel));
     }
     for (index, line) in caption.iter().enumerate() {
@@ -83,14 +83,14 @@ fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;")
 }
 
-/// The range of an axis.
+/// Range of an axis.
 struct Axis {
     kind: AxisKind,
     low: f64,
     high: f64,
 }
 
-/// Ticks of a linear axis, about.
+/// Approximate number of ticks of a linear axis.
 const TICKS: f64 = 6.0;
 
 impl Axis {
@@ -114,8 +114,8 @@ impl Axis {
         }
     }
 
-    /// Values with a line and a number: 1, 2 and 5 of each decade, fewer where there are many decades; on a linear axis
-    /// multiples of one of these.
+    /// Values with a grid line and a label: 1, 2 and 5 of each decade, fewer for many decades; on a linear axis multiples
+    /// of one of these.
     fn ticks(&self) -> Vec<f64> {
         if self.kind == AxisKind::Linear {
             let least = (self.high - self.low) / TICKS;
@@ -133,7 +133,7 @@ impl Axis {
     }
 }
 
-/// A number without zeros at its end.
+/// A number without trailing zeros.
 fn label(value: f64) -> String {
     let text = format!("{value:.4}");
     let short = text.trim_end_matches('0').trim_end_matches('.');

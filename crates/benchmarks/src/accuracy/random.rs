@@ -1,4 +1,4 @@
-//! Random numbers of one pose of one cell: the same whatever else is measured.
+//! Random numbers of one pose of one configuration, independent of the other measurements.
 
 use pb3dp_sim::noise::{hash, unit};
 
@@ -10,12 +10,12 @@ pub struct Random {
 }
 
 impl Random {
-    /// The stream of one pose of the cell (or sequence) called `name`.
+    /// The stream of one pose of the configuration or sequence `name`.
     pub fn of(seed: u32, name: &str, pose: usize) -> Self {
         Self { words: [seed, hash_of(name), pose as u32], count: 0 }
     }
 
-    /// The next number, evenly between two limits.
+    /// The next number, uniform between two limits.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         self.count += 1;
         let [seed, name, pose] = self.words;
@@ -23,7 +23,7 @@ impl Random {
     }
 }
 
-/// A number that stands for a name.
+/// Hash of a name.
 pub fn hash_of(name: &str) -> u32 {
     hash(&name.bytes().map(u32::from).collect::<Vec<_>>())
 }

@@ -1,4 +1,4 @@
-//! Scenes and cameras of the set-ups.
+//! Scenes and cameras of the setups.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -27,23 +27,23 @@ const ON_WALL_M: [f64; 2] = [0.055, 0.04];
 /// Half size of the wall, metres.
 const WALL_M: f64 = 1.5;
 
-/// Size of the thing that hides the target, metres; one edge of it lies on the y axis of `world`, the rest at x > 0.
+/// Size of the occluder, metres; one edge lies on the y axis of `world`, the rest at x > 0.
 const OCCLUDER_M: f64 = 0.5;
 
 /// Seed of all textures and bumps.
 const SCENE_SEED: u32 = 7;
 
-/// Scenes that were made once, by what they show.
+/// Cache of scenes by their content.
 #[derive(Default)]
 pub struct SceneStore {
     scenes: BTreeMap<String, Scene>,
 }
 
 impl SceneStore {
-    /// The scene of a set-up. `world` is the frame of what hides the target (see [`OCCLUDER_M`]), if anything does.
+    /// The scene of a setup. `world` is the frame of the occluder (see [`OCCLUDER_M`]), if there is one.
     ///
     /// # Errors
-    /// If the simulator refuses it.
+    /// If the simulator rejects the setup.
     pub fn scene(&mut self, setup: &Setup) -> anyhow::Result<Scene> {
         let interior = setup.region == RegionKind::Interior;
         let hidden = setup.occluded_share > 0.0;
@@ -83,7 +83,7 @@ fn build(setup: &Setup) -> anyhow::Result<Scene> {
     Ok(Scene::from_parts(parts, target, lighting(setup.light))?)
 }
 
-/// Light in `world`, which is `cam_left` (or its first place) where nothing hides the target.
+/// Light in `world`, which is `cam_left` (or its first pose) if there is no occluder.
 fn lighting(light: Light) -> Lighting {
     let shaded =
         Lighting { ambient: 0.4, lamp: 0.6, towards_lamp_in_world: Vector3::new(-0.25, -0.30, -1.0), highlight: None };
@@ -129,7 +129,7 @@ fn panel(
     ScenePart { mesh, texture, anchor, object }
 }
 
-/// What slides in front: greenish weed with strong texture.
+/// The occluder: greenish weed with a strong texture.
 fn occluder() -> ScenePart {
     let noise = pb3dp_sim::noise::ValueNoise::new(SCENE_SEED + 2);
     let texture = Texture::from_fn(9, 9, |u, v| -> Colour {
@@ -144,16 +144,16 @@ fn occluder() -> ScenePart {
 
 /// The true cameras, and those that the estimators receive.
 pub struct Rigs {
-    /// What renders.
+    /// The rig that renders.
     pub real: StereoRig,
-    /// What the estimators get.
+    /// The rig that the estimators use.
     pub told: StereoRig,
 }
 
-/// Cameras of a set-up.
+/// Cameras of a setup.
 ///
 /// # Errors
-/// If the geometry refuses them.
+/// If the geometry rejects them.
 pub fn rigs(setup: &Setup) -> anyhow::Result<Rigs> {
     let told = match setup.rig {
         RigKind::Parallel { baseline_m } => {
@@ -173,13 +173,13 @@ fn unequal() -> anyhow::Result<StereoRig> {
     let right = Pinhole { fx: 691.0, fy: 694.0, cx: 311.0, cy: 246.4 };
     let five = Distortion::BrownConrady5 { coefficients: [-0.21, 0.13, 0.0011, -0.0008, -0.02] };
     let eight = Distortion::BrownConrady8 { coefficients: [0.11, -0.07, -0.0009, 0.0013, 0.01, 0.02, -0.01, 0.004] };
-    // 5 degrees about y: both cameras look at the target.
+    // 5 degrees about y: both cameras point at the target.
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.009, 5f64.to_radians(), -0.014));
     let cam_right_from_cam_left = Pose::from_parts(turn * Vector3::new(-0.0995, 0.004, -0.007), turn);
     Ok(StereoRig::new(Camera::new(SIZE, left, five)?, Camera::new(SIZE, right, eight)?, cam_right_from_cam_left)?)
 }
 
-/// A rig with the left camera of one rig and the right camera of another, its image moved by `right_by_px`.
+/// A rig with the left camera of one rig and the right camera of another; the right image is moved by `right_by_px`.
 fn shifted(left_of: &StereoRig, right_of: &StereoRig, right_by_px: Vector2<f64>) -> anyhow::Result<StereoRig> {
     let right = moved(right_of.right(), right_by_px)?;
     Ok(StereoRig::new(*left_of.left(), right, *right_of.cam_right_from_cam_left())?)
@@ -188,14 +188,14 @@ fn shifted(left_of: &StereoRig, right_of: &StereoRig, right_by_px: Vector2<f64>)
 /// The camera whose image is moved by `by_px`.
 ///
 /// # Errors
-/// If the geometry refuses it.
+/// If the geometry rejects it.
 pub fn moved(camera: &Camera, by_px: Vector2<f64>) -> anyhow::Result<Camera> {
     let pinhole = *camera.pinhole();
     let pinhole = Pinhole { cx: pinhole.cx + by_px.x, cy: pinhole.cy + by_px.y, ..pinhole };
     Ok(Camera::new(camera.size(), pinhole, *camera.distortion())?)
 }
 
-/// What the sensors of a set-up do to the light.
+/// Sensor model of a setup.
 pub fn sensor(setup: &Setup) -> SensorConfig {
     SensorConfig {
         lens_blur_px: LENS_BLUR_PX,

@@ -1,4 +1,4 @@
-//! Scores of one region along depth, at the true tilt: what a search would find there.
+//! Scores of one region over depth, at the true tilt: the score function of a search.
 
 use anyhow::Context;
 use nalgebra::{Vector2, Vector3};
@@ -18,18 +18,18 @@ use pb3dp_geometry::StereoRig;
 use super::cell::Cell;
 use super::measure::Rendered;
 
-/// Scores at a distance from the truth.
+/// Scores at one offset from the truth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// Disparity of the plane minus that of the true plane, at the region's centroid, pixels.
     pub off_px: f64,
-    /// The published fitness, eq. (10); `None` where the hypothesis is refused or the target has no hue.
+    /// The published fitness, eq. (10); `None` if the hypothesis is rejected or the target has no hue.
     pub fitness: Option<f64>,
-    /// Correlation of luminance between the region and what the right image shows through the plane.
+    /// Correlation of luminance between the region and the right image warped by the plane.
     pub correlation: f64,
 }
 
-/// The scores of one rendered pair of a rectified rig, at the disparities `off_px` beside the truth.
+/// The scores of one rendered pair of a rectified rig, at the disparity offsets `off_px` from the truth.
 ///
 /// # Errors
 /// If the pair does not suit the methods.
@@ -38,7 +38,8 @@ pub fn scores(cell: &Cell, rig: &StereoRig, pair: &Rendered, off_px: &[f64]) -> 
     let centroid_px = mask.centroid_px().context("the region is empty")?;
     let pinholes = PinholePair::from_rig(rig)?;
     let ray = pinholes.left_ray(&centroid_px);
-    let truth = PlaneHypothesis::from_inverse_depth_plane(&pair.trial.plane, &ray).context("the target is behind")?;
+    let truth =
+        PlaneHypothesis::from_inverse_depth_plane(&pair.trial.plane, &ray).context("it is behind the camera")?;
     let focal_baseline_px_m = rig.left().pinhole().fx * rig.baseline_m();
     let hypotheses: Vec<PlaneHypothesis> = off_px
         .iter()
@@ -90,7 +91,7 @@ fn luminance(rig: &StereoRig, pair: &Rendered) -> anyhow::Result<[ImagePlane; 2]
     Ok([load(Side::Left, &pair.left), load(Side::Right, &pair.right)])
 }
 
-/// Correlation over the pixels whose partner, `shift` columns to the left, lies in the right image.
+/// Correlation over the pixels whose correspondence, `shift` columns to the left, lies in the right image.
 fn correlation(mask: &RegionMask, left: &ImagePlane, right: &ImagePlane, shift: impl Fn(&Vector2<f64>) -> f64) -> f64 {
     let (mut count, mut sums) = (0.0, [0.0; 5]);
     mask.for_each(|u, v| {
@@ -107,7 +108,7 @@ fn correlation(mask: &RegionMask, left: &ImagePlane, right: &ImagePlane, shift: 
     moments.z / (moments.x * moments.y).sqrt()
 }
 
-/// The value between pixels of a row (Keys 1981, a = -1/2); `None` where a neighbour is missing.
+/// The interpolated value between pixels of a row (Keys 1981, a = -1/2); `None` if a neighbour is missing.
 fn between(row: &[f32], at: f64) -> Option<f64> {
     let whole = at.floor();
     if !(whole >= 1.0 && whole + 2.0 < row.len() as f64) {

@@ -1,4 +1,4 @@
-//! Figures of one method on one sequence.
+//! Statistics of one method on one sequence.
 
 use nalgebra::Vector3;
 use pb3dp_estimation_core::status::Status;
@@ -9,39 +9,39 @@ use serde_json::{Value, json};
 
 use super::sequences::SequenceSpec;
 
-/// Errors beyond these are wrong: metres, radians.
+/// Errors above these are wrong: metres, radians.
 const TOLERANCE: (f64, f64) = (2e-3, 3.0 * std::f64::consts::PI / 180.0);
 
-/// What a tracker said of one frame.
+/// Answer of a tracker for one frame.
 #[derive(Clone, Debug)]
 pub struct Tracked {
     /// Its status.
     pub status: Status,
     /// Its pose.
     pub pose: Option<Pose<CamLeft, Model>>,
-    /// Squared error of the pose, normalised by the covariance that it claims, over its expected value 6.
+    /// Squared error of the pose, normalised by the covariance of the tracker, over its expected value 6.
     pub normalised_error: Option<f64>,
-    /// Whether the rotation about the normal is measured; where it is not, the normal's direction is judged instead.
+    /// Whether the rotation about the normal is measured; if not, the direction of the normal is judged instead.
     pub turn_observed: bool,
-    /// Processor time, milliseconds.
+    /// CPU time, milliseconds.
     pub cpu_millis: f64,
 }
 
-/// What a table holds for one method on one sequence; metres and radians. Errors are those of the motion since the first
-/// frame, at the target's origin, over the frames with a sure pose.
+/// Row of a table for one method on one sequence; metres and radians. Errors are those of the motion since the first
+/// frame, at the target's origin, over the frames with a confident pose.
 #[derive(Clone, Debug)]
 pub struct SequenceSummary {
     /// The sequence.
     pub sequence: String,
     /// The method.
     pub method: &'static str,
-    /// Frames.
+    /// Number of frames.
     pub frames: usize,
-    /// Frames without a sure pose while the target was not hidden; after hiding, those until it was found do not count.
+    /// Frames without a confident pose while the target was visible; frames until recovery from an occlusion do not count.
     pub lost: usize,
-    /// Frames with a sure pose that is wrong.
+    /// Frames with a confident pose that is wrong.
     pub wrong_ok: usize,
-    /// Frames from the target's coming back to the first right and sure pose; `None` if nothing hides it.
+    /// Frames from the end of the occlusion to the first right and confident pose; `None` without an occlusion.
     pub frames_until_back: Option<usize>,
     /// Error across the optical axis: median, 95th percentile.
     pub xy_m: [f64; 2],
@@ -53,20 +53,20 @@ pub struct SequenceSummary {
     pub tilt_rad: [f64; 2],
     /// Jitter from frame to frame: along the axis and of the rotation (see `record::metrics::motion`).
     pub jitter: Option<[f64; 2]>,
-    /// Median of the error of the last tenth of the frames over that of the first: drift of a long run.
+    /// Median error of the last tenth of the frames over that of the first tenth: drift of a long run.
     pub drift_ratio: Option<f64>,
-    /// Mean normalised squared error of the sure poses; 1 is honest.
+    /// Mean normalised squared error of the confident poses; 1 is consistent.
     pub nees: Option<f64>,
-    /// Processor time of a frame after the first, milliseconds, median.
+    /// CPU time of a frame after the first, milliseconds, median.
     pub cpu_millis: f64,
-    /// Depth error per frame, for the figure; NaN where there is no sure pose.
+    /// Depth error per frame, for the figure; NaN without a confident pose.
     pub z_errors_m: Vec<f64>,
     /// Rotation error per frame.
     pub rotation_errors_rad: Vec<f64>,
 }
 
 impl SequenceSummary {
-    /// Of one method's answers; `truth` is the pose of any frame fixed to the body.
+    /// Statistics of one method's answers; `truth` is the pose of any frame fixed to the body.
     pub fn of(spec: &SequenceSpec, method: &'static str, tracked: &[Tracked], truth: &[Pose<CamLeft, Model>]) -> Self {
         let sure: Vec<_> = tracked.iter().map(|t| t.pose.filter(|_| t.status.depth_is_sure())).collect();
         let errors = compare_motion(&sure, truth);
@@ -128,7 +128,7 @@ fn is_right(errors: &MotionErrors, whole: bool) -> bool {
     errors.translation_m.norm() <= TOLERANCE.0 && angle <= TOLERANCE.1
 }
 
-/// Frames from the first in which the target is free again to the first right pose; all frames if there is none.
+/// Frames from the first fully visible frame after the occlusion to the first right pose; all frames if there is none.
 fn frames_until_back(spec: &SequenceSpec, errors: &[Option<MotionErrors>], whole: bool) -> Option<usize> {
     let free = super::sequences::HIDING[3];
     let after = spec.hides.then(|| errors.get(free..))??;
@@ -156,7 +156,7 @@ fn jitter(errors: &[Option<MotionErrors>], of: impl Fn(&MotionErrors) -> Vector3
     Some(rms(&differences)? / 6_f64.sqrt())
 }
 
-/// Only long runs can drift.
+/// Only long runs have a drift.
 fn drift(errors: &[Option<MotionErrors>]) -> Option<f64> {
     let tenth = errors.len() / 10;
     let typical = |part: &[Option<MotionErrors>]| {
@@ -165,7 +165,7 @@ fn drift(errors: &[Option<MotionErrors>]) -> Option<f64> {
     (tenth >= 100).then(|| Some(typical(&errors[errors.len() - tenth..])? / typical(&errors[..tenth])?))?
 }
 
-/// Headings of a table of sequences.
+/// Headings of the sequence table.
 pub const HEADINGS: [&str; 14] = [
     "sequence",
     "method",
@@ -183,7 +183,7 @@ pub const HEADINGS: [&str; 14] = [
     "ms",
 ];
 
-/// Widths of the columns on the terminal.
+/// Column widths on the terminal.
 const WIDTHS: [usize; 14] = [30, 16, 7, 6, 9, 11, 17, 17, 23, 20, 17, 7, 8, 8];
 
 /// The cells of a row.

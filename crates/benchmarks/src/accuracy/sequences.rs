@@ -1,4 +1,4 @@
-//! The measurements on sequences: motions, and what stands in the way.
+//! The sequences: motions, lighting and occlusion.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -10,14 +10,14 @@ use pb3dp_sim::targets::Paint;
 use super::cell::{Light, Setup, Shape};
 use super::trial::plane_of;
 
-/// How the target moves.
+/// Motion of the target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Motion {
     /// Along and about all axes at once: 50 mm (35 mm down and up) and 20 degrees, periods of 4 to 7 s.
     Combined,
-    /// Not at all.
+    /// Stationary.
     Still,
-    /// 100 mm along and 20 degrees about one axis after the other, there and back: the experiment of the paper's Fig. 7.
+    /// 100 mm along and 20 degrees about each axis in turn, out and back: the experiment of the paper's Fig. 7.
     Steps,
 }
 
@@ -26,7 +26,7 @@ pub enum Motion {
 pub struct SequenceSpec {
     /// Its name.
     pub name: String,
-    /// Everything but the motion.
+    /// The setup without the motion.
     pub setup: Setup,
     /// The motion.
     pub motion: Motion,
@@ -34,17 +34,17 @@ pub struct SequenceSpec {
     pub frames: usize,
     /// Frames per second.
     pub rate_hz: f64,
-    /// Whether something slides in front and away again: frames [`HIDING`].
+    /// Whether an occluder slides in and out: frames [`HIDING`].
     pub hides: bool,
-    /// Whether surfaces are sampled finely; long runs go without.
+    /// Whether surfaces are sampled finely; long runs are not.
     pub fine: bool,
 }
 
-/// First frame in which something slides in, first in which the target is wholly hidden, first in which it slides out, and
-/// first in which the target is free again.
+/// First frame in which the occluder slides in, first in which the target is fully hidden, first in which the occluder
+/// slides out, and first in which the target is fully visible again.
 pub const HIDING: [usize; 4] = [60, 68, 98, 106];
 
-/// What the trackers search at the start.
+/// Search range of the trackers at the start.
 pub const SEARCH: SearchRange = SearchRange { z_min_m: 0.33, z_max_m: 0.84, tilt_max_rad: 0.785 };
 
 fn spec(name: &str, setup: Setup) -> SequenceSpec {
@@ -59,7 +59,7 @@ fn spec(name: &str, setup: Setup) -> SequenceSpec {
     }
 }
 
-/// Every sequence that is run without asking.
+/// All sequences of a default run.
 pub fn all() -> Vec<SequenceSpec> {
     let nominal = Setup::default();
     let mut sequences = Vec::new();
@@ -83,20 +83,20 @@ pub fn all() -> Vec<SequenceSpec> {
     sequences
 }
 
-/// Ten thousand frames that come back to the start every 28 s.
+/// Ten thousand frames; the motion returns to the start every 28 s.
 pub fn long() -> SequenceSpec {
     SequenceSpec { name: "long/crab".into(), frames: 10_000, fine: false, ..spec("", Setup::default()) }
 }
 
 impl SequenceSpec {
-    /// Fewer frames, for a check in minutes; `None` if it is left out there.
+    /// Fewer frames, for a check in minutes; `None` if a quick run omits it.
     pub fn quick(self) -> Option<Self> {
         let kept = ["track/crab-30fps", "track/relief-25mm", "hidden/crab", "still/crab"];
         let frames = if self.hides { self.frames } else { self.frames.min(90) };
         kept.contains(&self.name.as_str()).then_some(Self { frames, ..self })
     }
 
-    /// Pose of the target in the left camera, which stands still.
+    /// Pose of the target in the left camera, which is stationary.
     pub fn cam_left_from_target(&self, frame: usize) -> Pose<CamLeft, Target> {
         let t = frame as f64 / self.rate_hz;
         let (shift, turn_deg) = match self.motion {
@@ -112,14 +112,13 @@ impl SequenceSpec {
 
     fn start_m(&self) -> Vector3<f64> {
         match self.motion {
-            // Room for 100 mm along every axis.
+            // Leaves space for 100 mm along every axis.
             Motion::Steps => Vector3::new(0.0, -0.045, 0.48),
             _ => Vector3::new(0.05, 0.0, 0.53),
         }
     }
 
-    /// Where everything is in a frame. `world` is the frame of what hides the target where there is such a thing, else the
-    /// left camera's.
+    /// The scene of a frame. `world` is the frame of the occluder if there is one, otherwise that of the left camera.
     pub fn poses(&self, frame: usize) -> ScenePoses {
         let cam_left_from_world: Pose<CamLeft, World> = if self.hides {
             Pose::from_translation(Vector3::new(edge_m(frame), 0.0, 0.37))
@@ -130,13 +129,13 @@ impl SequenceSpec {
         ScenePoses { world_from_cam_left, world_from_target: world_from_cam_left * self.cam_left_from_target(frame) }
     }
 
-    /// Whether the target is not hidden at all in a frame.
+    /// Whether the target is fully visible in a frame.
     pub fn is_free(&self, frame: usize) -> bool {
         !self.hides || frame < HIDING[0] || frame >= HIDING[3]
     }
 }
 
-/// Left edge of what hides the target: right of the image, in front of the target, and away again.
+/// Left edge of the occluder: right of the image, in front of the target, and out again.
 fn edge_m(frame: usize) -> f64 {
     let [from, covered, leaves, free] = HIDING.map(|frame| frame as f64);
     let frame = frame as f64;
@@ -145,21 +144,21 @@ fn edge_m(frame: usize) -> f64 {
     away + (before - away) * (slide(from, covered) - slide(leaves, free))
 }
 
-/// Shift in metres and turns in degrees.
+/// Translation in metres and rotation in degrees.
 fn combined(t: f64) -> (Vector3<f64>, Vector3<f64>) {
     let wave = |size: f64, period_s: f64| size * (std::f64::consts::TAU * t / period_s).sin();
     let shift = Vector3::new(wave(0.05, 5.6), wave(0.035, 4.0), wave(0.05, 7.0));
     (shift, Vector3::new(wave(20.0, 4.0), wave(20.0, 5.6), wave(20.0, 7.0)))
 }
 
-/// Seconds of a move and of the rest after it.
+/// Duration of a move and of the hold after it, seconds.
 const MOVE_S: f64 = 2.0;
 const REST_S: f64 = 0.5;
 
 fn steps(t: f64) -> (Vector3<f64>, Vector3<f64>) {
     let event = (t / (MOVE_S + REST_S)).floor();
     let s = ((t - event * (MOVE_S + REST_S)) / MOVE_S).min(1.0);
-    // Minimum jerk: at rest at either end.
+    // Minimum jerk: stationary at either end.
     let rise = s * s * s * (10.0 + s * (6.0 * s - 15.0));
     let (axis, back) = ((event / 2.0) as usize, event % 2.0 > 0.5);
     let share = if back { 1.0 - rise } else { rise };
@@ -172,8 +171,8 @@ fn steps(t: f64) -> (Vector3<f64>, Vector3<f64>) {
     (shift, turn_deg)
 }
 
-/// The model frame of the first frame, as the trackers define it: origin on the plane on `centre_ray`, z along the normal
-/// away from the camera, x the image's x axis in the plane.
+/// The model frame of the first frame, as the trackers define it: origin on the plane on `centre_ray`, z along the
+/// normal away from the camera, x along the image's x axis in the plane.
 pub fn model_in_first_frame(first: &Pose<CamLeft, Target>, centre_ray: &Vector3<f64>) -> Pose<CamLeft, Model> {
     let plane = plane_of(first);
     let z = plane.normalize();

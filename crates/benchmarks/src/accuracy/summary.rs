@@ -1,4 +1,4 @@
-//! Figures of one method on one cell.
+//! Statistics of one method on one configuration.
 
 use nalgebra::Matrix3;
 use pb3dp_estimation_core::status::Status;
@@ -8,46 +8,46 @@ use serde_json::{Value, json};
 use super::cell::{Cell, Question};
 use super::measure::{Measured, Outcome};
 
-/// Errors that are never called wrong: metres, radians.
+/// Errors below these are never wrong: metres, radians.
 const TOLERANCE: (f64, f64) = (2e-3, 3.0 * std::f64::consts::PI / 180.0);
 
 /// Half the width of the target, metres.
 const HALF_WIDTH_M: f64 = 0.055;
 
-/// Errors within this many standard deviations of the bound are never called wrong either.
+/// Errors within this many standard deviations of the bound are not wrong either.
 const SIGMAS: f64 = 4.0;
 
-/// What a table holds for one method on one cell; metres and radians.
+/// Row of a table for one method on one configuration; metres and radians.
 #[derive(Clone, Debug)]
 pub struct Summary {
-    /// The cell.
+    /// The configuration.
     pub cell: String,
     /// The method.
     pub method: &'static str,
-    /// Poses.
+    /// Number of poses.
     pub count: usize,
     /// Poses with status `ok` or `weak-tilt`.
     pub sure: usize,
-    /// Poses with a plane within the tolerance, whatever the status.
+    /// Poses with a plane within the tolerance, with any status.
     pub right: usize,
-    /// Poses that are called `ok` (or `weak-tilt`: the depth only) and are wrong.
+    /// Poses with status `ok` (or `weak-tilt`: depth only) that are wrong.
     pub wrong_ok: usize,
-    /// Depth error of the sure answers, absolute: median, 95th percentile, rms.
+    /// Absolute depth error of the confident answers: median, 95th percentile, rms.
     pub z_m: [f64; 3],
-    /// Angle between true and found normal of the `ok` answers: the same.
+    /// Angle between true and estimated normal of the `ok` answers: the same statistics.
     pub angle_rad: [f64; 3],
     /// The bound: rms over all poses, depth and angle.
     pub bound: Option<[f64; 2]>,
-    /// Rms over the bound of the same answers, depth and angle.
+    /// Rms error over the bound of the same answers, depth and angle.
     pub ratio: Option<[f64; 2]>,
-    /// Mean normalised squared error over its expected value; 1 is honest.
+    /// Mean normalised squared error over its expected value; 1 is consistent.
     pub nees: Option<f64>,
-    /// Processor time, milliseconds, median.
+    /// CPU time, milliseconds, median.
     pub cpu_millis: f64,
 }
 
 impl Summary {
-    /// Share of poses with a sure answer.
+    /// Share of poses with a confident answer.
     pub fn sure_share(&self) -> f64 {
         self.sure as f64 / self.count.max(1) as f64
     }
@@ -57,7 +57,7 @@ impl Summary {
         self.right as f64 / self.count.max(1) as f64
     }
 
-    /// Of one method, which is number `index` of those measured.
+    /// Statistics of the method with number `index`.
     pub fn of(cell: &Cell, method: &'static str, index: usize, measured: &[Measured]) -> Self {
         let outcomes: Vec<_> = measured.iter().map(|m| (&m.outcomes[index], m.bound.as_ref())).collect();
         let tolerance = Tolerance::of(cell);
@@ -126,29 +126,29 @@ fn bound_rms(bounds: &[&Matrix3<f64>]) -> Option<[f64; 2]> {
     (!bounds.is_empty()).then(|| [mean(|b| b[(0, 0)]).sqrt(), mean(|b| b[(1, 1)] + b[(2, 2)]).sqrt()])
 }
 
-/// What is tolerated.
+/// Tolerances.
 #[derive(Clone, Copy, Debug)]
 struct Tolerance {
-    /// Depth in metres and angle in radians, without regard to the bound.
+    /// Depth in metres and angle in radians, without the bound.
     fixed: (f64, f64),
-    /// Whether the bound is known where there is one.
+    /// Whether to use the bound if there is one.
     bounded: bool,
 }
 
 impl Tolerance {
-    /// 2 mm and 3 degrees. A plane through a relief is a matter of definition, so there a plane within the relief will do.
+    /// 2 mm and 3 degrees. The plane of a relief is a matter of definition, so a plane within the relief is right.
     fn of(cell: &Cell) -> Self {
         let relief_m = cell.setup.relief_m();
         let fixed = (TOLERANCE.0.max(relief_m), TOLERANCE.1.max(relief_m / HALF_WIDTH_M));
         Self { fixed, bounded: cell.question != Question::Unobservable }
     }
 
-    /// At a pose: four times the bound where that is more.
+    /// At a pose: four times the bound if that is more.
     fn with(self, bound: Option<&Matrix3<f64>>) -> (f64, f64) {
         let sigma = |variance: f64| SIGMAS * variance.sqrt();
         match bound {
             Some(b) => (self.fixed.0.max(sigma(b[(0, 0)])), self.fixed.1.max(sigma(b[(1, 1)] + b[(2, 2)]))),
-            // Nothing tells the plane: any answer is as right as another, unless the cell asks just for that.
+            // The plane is not observable: any answer is equally right, unless the configuration tests for this.
             None if self.bounded => (f64::INFINITY, f64::INFINITY),
             None => self.fixed,
         }
@@ -163,7 +163,7 @@ fn is_wrong_ok(outcome: &Outcome, (z, angle): (f64, f64)) -> bool {
     match (outcome.status, outcome.errors) {
         (Status::Ok, Some(errors)) => !(errors.z_m.abs() <= z && errors.tilt_rad.norm() <= angle),
         (Status::WeakTilt, Some(errors)) => errors.z_m.is_nan() || errors.z_m.abs() > z,
-        // Sure of nothing is wrong as well.
+        // A confident answer without an observable plane is wrong as well.
         (Status::Ok | Status::WeakTilt, None) => true,
         _ => false,
     }

@@ -4,10 +4,10 @@ use super::summary::Summary;
 
 /// Headings of a table of summaries.
 pub const HEADINGS: [&str; 13] = [
-    "cell",
+    "configuration",
     "method",
     "n",
-    "sure %",
+    "conf %",
     "right %",
     "wrong ok",
     "z mm med / p95",
@@ -19,7 +19,7 @@ pub const HEADINGS: [&str; 13] = [
     "ms",
 ];
 
-/// The cells of a row, without the cell's name.
+/// The cells of a row, including the name of the configuration.
 pub fn row(summary: &Summary) -> [String; 13] {
     let number = |value: Option<f64>, digits: usize| match value {
         Some(value) if value.is_finite() => format!("{value:.digits$}"),
@@ -46,7 +46,7 @@ pub fn row(summary: &Summary) -> [String; 13] {
     ]
 }
 
-/// Widths of the columns on the terminal.
+/// Column widths on the terminal.
 const WIDTHS: [usize; 13] = [34, 16, 5, 7, 8, 9, 17, 20, 15, 14, 8, 8, 8];
 
 /// A row for the terminal.

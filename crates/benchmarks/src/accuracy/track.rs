@@ -30,10 +30,10 @@ impl<'a> Frames<'a> {
     /// Prepares the renderer.
     ///
     /// # Errors
-    /// If simulator or geometry refuse the set-up.
+    /// If simulator or geometry rejects the setup.
     pub fn new(spec: &'a SequenceSpec, seed: u32, scenes: &mut SceneStore) -> anyhow::Result<Self> {
         let rigs = rigs(&spec.setup)?;
-        // Something to hide behind is part of the scene only if a share is to be hidden.
+        // An occluder is part of the scene only if a share of the target is to be hidden.
         let setup = super::cell::Setup { occluded_share: if spec.hides { 1.0 } else { 0.0 }, ..spec.setup };
         let scene = scenes.scene(&setup)?;
         let renderer = StereoRenderer::new(scene, rigs.real, &sensor(&setup), seed ^ hash_of(&spec.name))?;
@@ -46,20 +46,20 @@ impl<'a> Frames<'a> {
         self.renderer.render_pair(&self.spec.poses(frame), frame as u64, left, right);
     }
 
-    /// What the operator marks in the first frame.
+    /// The region that the operator marks in the first frame.
     ///
     /// # Errors
     /// If the target is not in front of the camera.
     pub fn outline_px(&self) -> anyhow::Result<Vec<nalgebra::Vector2<f64>>> {
         let outline = self.renderer.target_outline_px(&self.spec.poses(0));
-        outline.with_context(|| format!("the target of {} is not before the camera", self.spec.name))
+        outline.with_context(|| format!("the target of {} is not in front of the camera", self.spec.name))
     }
 }
 
 /// Runs every method over a sequence.
 ///
 /// # Errors
-/// If a part refuses the set-up.
+/// If a part rejects the setup.
 pub fn run_sequence(
     spec: &SequenceSpec,
     methods: &[Method],
@@ -91,7 +91,7 @@ pub fn run_sequence(
                 0 => tracker.estimate(EstimateRequest::of_target(&left, &right, &region, &SEARCH)),
                 _ => tracker.estimate(EstimateRequest::of_next(&left, &right, &FramePrior::default())),
             });
-            // Where the model frame of a relief lies is a matter of definition: its absolute pose has no truth.
+            // The model frame of a relief is a matter of definition: its absolute pose has no truth.
             let judged = spec.setup.is_planar().then_some(&truth);
             tracked.push(answer_of(answer.ok(), judged, cpu_millis));
         }
@@ -107,7 +107,7 @@ fn answer_of(answer: Option<TrackEstimate>, truth: Option<&Pose<CamLeft, Model>>
         return Tracked { status: Status::Error, pose: None, normalised_error: None, turn_observed: false, cpu_millis };
     };
     let normalised_error = estimate.cam_left_from_model.zip(estimate.covariance).and_then(|(pose, covariance)| {
-        // true = found * exp(xi), xi = [rho; phi] in the model's axes.
+        // true = estimate * exp(xi), xi = [rho; phi] in the model's axes.
         let xi: Vector6<f64> = (pose.inverse() * *truth?).log();
         Some(xi.dot(&covariance.cholesky()?.solve(&xi)) / 6.0)
     });

@@ -1,4 +1,4 @@
-//! One pose of one cell: where everything is, what is true, and what the operator marks.
+//! One pose of one configuration: the scene, the truth, and the marked region.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector2, Vector3};
 use pb3dp_estimation_core::estimate::PlaneEstimate;
@@ -12,28 +12,28 @@ use pb3dp_sim::targets::part::SceneObject;
 use super::cell::{Cell, RegionKind};
 use super::random::Random;
 
-/// How far what hides the target stands before it, metres.
+/// Distance of the occluder in front of the target, metres.
 const OCCLUDER_GAP_M: f64 = 0.06;
 
-/// A pose and its truth.
+/// A pose with its truth.
 pub struct Trial {
-    /// Where everything is.
+    /// The scene.
     pub poses: ScenePoses,
-    /// What the left camera sees.
+    /// The view of the left camera.
     pub seen: GroundTruth,
-    /// The true inverse-depth plane: the target's own plane, or for a relief the least-squares plane of the inverse depths
-    /// of its visible pixels.
+    /// The true inverse-depth plane: the target's own plane, or for a relief the least-squares plane of the inverse
+    /// depths of its visible pixels.
     pub plane: Vector3<f64>,
-    /// The plane of what hides the target, if it fills more of what is marked than the target: it is a right answer too.
+    /// The plane of the occluder, if it covers more of the marked region than the target: also a right answer.
     pub larger_plane: Option<Vector3<f64>>,
-    /// What the operator marks.
+    /// The region that the operator marks.
     pub region: Region,
     /// The marked polygon, pixels.
     pub outline_px: Vec<Vector2<f64>>,
 }
 
 impl Trial {
-    /// The plane that an answer is compared with: of the right ones the nearest on a ray.
+    /// The reference plane of an answer: the nearest of the right planes on a ray.
     pub fn truth_for(&self, answer: &PlaneEstimate, ray: &Vector3<f64>) -> Vector3<f64> {
         let (Some(larger), Some(answer)) = (self.larger_plane, answer.pose) else { return self.plane };
         let off = |plane: &Vector3<f64>| (answer.inverse_depth_plane - plane).dot(ray).abs();
@@ -41,7 +41,7 @@ impl Trial {
     }
 }
 
-/// The pose number `index` of a cell. `None` if the target is not wholly in front of the camera.
+/// The pose number `index` of a configuration. `None` if the target is not wholly in front of the camera.
 pub fn trial(cell: &Cell, seed: u32, index: usize, renderer: &mut StereoRenderer) -> Option<Trial> {
     let mut random = Random::of(seed, &cell.name, index);
     let cam_left_from_target = random_pose(cell, &mut random);
@@ -74,7 +74,7 @@ fn random_pose(cell: &Cell, random: &mut Random) -> Pose<CamLeft, Target> {
     let roll = random.between(-std::f64::consts::PI, std::f64::consts::PI);
     let about = |axis: Vector3<f64>, angle: f64| UnitQuaternion::from_scaled_axis(axis * angle);
     let rotation = about(Vector3::y(), theta_y) * about(Vector3::x(), theta_x) * about(Vector3::z(), roll);
-    // In the middle between the cameras, so that both see all of it.
+    // In the middle between the cameras, so that both see the whole target.
     Pose::from_parts(Vector3::new(0.5 * cell.setup.baseline_m() + x_m, y_m, z_m), rotation)
 }
 
@@ -84,7 +84,7 @@ pub fn plane_of<F: Frame>(cam_left_from_it: &Pose<CamLeft, F>) -> Vector3<f64> {
     normal / normal.dot(&cam_left_from_it.translation_m())
 }
 
-/// Whether the rectangle around an outline shows more of what hides the target than of the target.
+/// Whether the bounding box of an outline shows more of the occluder than of the target.
 fn occluder_is_larger(seen: &GroundTruth, outline_px: &[Vector2<f64>]) -> bool {
     let corners_px = rectangle_around(outline_px);
     let (low, high) = (corners_px[0], corners_px[2]);
@@ -97,8 +97,8 @@ fn occluder_is_larger(seen: &GroundTruth, outline_px: &[Vector2<f64>]) -> bool {
     count(SceneObject::Room) > count(SceneObject::Target)
 }
 
-/// Poses in `world`, the frame of what hides the target, so that it hides a share of the target's pixels: its edge crosses
-/// the target in a random direction.
+/// Poses in `world`, the frame of the occluder, so that it hides a share of the target's pixels: its edge crosses the
+/// target in a random direction.
 fn hide(
     share: f64,
     cam_left_from_target: &Pose<CamLeft, Target>,
@@ -133,7 +133,7 @@ pub fn target_pixels(seen: &GroundTruth) -> impl Iterator<Item = (Vector2<f64>, 
     })
 }
 
-/// The least-squares plane of the inverse depths of the target's visible pixels; `None` if they do not span one.
+/// The least-squares plane of the inverse depths of the target's visible pixels; `None` if they do not span a plane.
 pub fn fitted_plane(seen: &GroundTruth, camera: &Camera) -> Option<Vector3<f64>> {
     let (mut normal_matrix, mut right_side) = (Matrix3::zeros(), Vector3::zeros());
     for (pixel, depth_m) in target_pixels(seen) {
@@ -150,7 +150,7 @@ fn rectangle_around(outline_px: &[Vector2<f64>]) -> Vec<Vector2<f64>> {
     vec![low, Vector2::new(high.x, low.y), high, Vector2::new(low.x, high.y)]
 }
 
-/// An error of a plane: depth along the centroid's ray, and the normal's deviation along two axes across it.
+/// Error of a plane: depth along the centroid's ray, and the deviation of the normal along two axes across the ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaneErrors {
     /// Estimated minus true depth, metres.
@@ -188,7 +188,7 @@ mod tests {
 
     use super::*;
 
-    /// A rectangle with something behind and something before the target: what fills more of it is seen on its plane.
+    /// A rectangle with background and occluder: the surface that fills more of it gives the reference plane.
     #[test]
     fn what_hides_more_than_is_left_of_the_target_has_a_plane() {
         use super::super::scenes::{SceneStore, rigs, sensor};

@@ -5,15 +5,15 @@ use std::process::Command;
 
 use serde_json::{Value, json};
 
-/// What the measurements write themselves: one page must not make the next say that files have changed.
+/// Files that the measurements write: one page must not make the next report uncommitted changes.
 const WRITTEN: [&str; 2] = [":(exclude)docs/benchmarks", ":(exclude)docs/images"];
 
-/// Where and with what the figures were made; `unknown` where the machine does not tell.
+/// Machine, compiler and commit of a measurement; `unknown` if not available.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Circumstances {
     /// Commit of the workspace.
     pub commit: String,
-    /// Whether files differ from the commit, but for those that measurements write.
+    /// Whether files differ from the commit, except those that measurements write.
     pub changed: bool,
     /// Name of the processor.
     pub processor: String,
@@ -22,7 +22,7 @@ pub struct Circumstances {
 }
 
 impl Circumstances {
-    /// Those of this machine and of the workspace at `root`.
+    /// The circumstances of this machine and of the workspace at `root`.
     pub fn of(root: &Path) -> Self {
         let told = |program: &str, args: &[&str]| {
             let output = Command::new(program).args(args).current_dir(root).output().ok()?;
@@ -43,7 +43,7 @@ impl Circumstances {
         }
     }
 
-    /// As kept beside the figures.
+    /// As saved with the figures.
     pub fn to_json(&self) -> Value {
         json!({
             "commit": self.commit,
@@ -68,7 +68,7 @@ mod tests {
         let root = std::env::temp_dir().join(format!("pb3dp-bench-circumstances-{}", std::process::id()));
         std::fs::create_dir_all(root.join("docs/benchmarks")).unwrap();
         let made = Command::new("git").args(["init", "--quiet"]).current_dir(&root).status();
-        // Without git nothing is known of changes.
+        // Without git the changes are unknown.
         if made.is_ok_and(|status| status.success()) {
             std::fs::write(root.join("docs/benchmarks/speed.md"), "1 ms").unwrap();
             assert!(!Circumstances::of(&root).changed);

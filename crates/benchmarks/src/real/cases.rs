@@ -1,4 +1,4 @@
-//! Cases in memory: everything that a method needs, loaded before its time is taken.
+//! Cases in memory: all inputs of a method, loaded before its time is measured.
 
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -16,7 +16,7 @@ use super::score::{CaseFacts, TruthSigma};
 
 /// A case in memory.
 pub struct Prepared {
-    /// What the results say of it.
+    /// Facts about the case for the results.
     pub facts: Rc<CaseFacts>,
     /// Both images.
     pub images: StereoImages,
@@ -24,35 +24,35 @@ pub struct Prepared {
     pub rig: StereoRig,
     /// The region.
     pub region: Region,
-    /// Where to search.
+    /// The search range.
     pub range: SearchRange,
     /// The truth.
     pub truth: PlaneTruth,
-    /// Where the depth is compared, pixels of the left image.
+    /// Pixel of the left image at which the depth is compared.
     pub centroid_px: [f64; 2],
     /// The region's corners, pixels.
     pub polygon_px: Vec<[f64; 2]>,
-    /// Known disparities of the left image.
+    /// True disparities of the left image.
     pub disparity: Option<DisparityMap>,
 }
 
-/// The case folders under `folder`, sorted; with a filter only those whose name contains it.
+/// The case folders under `folder`, sorted; with a filter only those whose name contains the filter text.
 ///
 /// # Errors
-/// A folder that cannot be read, holds no case, or none that the filter leaves.
+/// A folder that cannot be read or has no case, or a filter that matches none.
 pub fn find(folder: &Path, filter: Option<&str>) -> anyhow::Result<Vec<PathBuf>> {
     let mut found = find_cases(folder)?;
     if let Some(filter) = filter {
         let name_of = |case: &Path| case.file_name().map(|name| name.to_string_lossy().into_owned());
         found.retain(|case| name_of(case).is_some_and(|name| name.contains(filter)));
         if found.is_empty() {
-            bail!("no case in {} has {filter:?} in its name", folder.display());
+            bail!("no case in {} has a name with {filter:?}", folder.display());
         }
     }
     Ok(found)
 }
 
-/// Loads a case; `None` if nothing is known about its plane.
+/// Loads a case; `None` if the truth of its plane is unknown.
 ///
 /// # Errors
 /// A file that is missing or damaged, by name.
@@ -65,7 +65,7 @@ pub fn load(folder: &Path) -> anyhow::Result<Option<Prepared>> {
     let region = Region::Polygon { vertices_px };
     let mask = region
         .rasterize(&images.left, &RegionConfig::default())
-        .with_context(|| format!("{}: the region cannot serve", case.name))?;
+        .with_context(|| format!("{}: the region is not usable", case.name))?;
     let centre = mask.centroid_px().with_context(|| format!("{}: the region is empty", case.name))?;
     Ok(Some(Prepared {
         facts: Rc::new(facts_of(&case, &truth, mask.area_px())),

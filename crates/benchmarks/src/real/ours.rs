@@ -13,7 +13,8 @@ use super::score::{Answer, Entry, Maker};
 use pb3dp_hal_platform::cpu_time::timed;
 
 /// Runs a method with its default parameters: one estimator, called `repeat` times. The answer is that of the first call,
-/// the time the median of all. What is measured once per rig or scene comes before, with a time of its own. A refused case has no answer; the reason goes to standard error.
+/// the time the median of all calls. Measurements once per rig or scene run before and are timed separately. A rejected
+/// case has no answer; the reason goes to standard error.
 pub fn run(case: &Prepared, method: Method, repeat: u32) -> Entry {
     let mut entry = Entry {
         case: Rc::clone(&case.facts),
@@ -105,7 +106,7 @@ mod tests {
         let case = load(&folder).expect("loads").expect("has a truth");
         let entry = run(&case, Method::Published, 1);
         assert!(entry.status != Some("error") && entry.ms == entry.first_ms && entry.ms > Some(0.0), "{entry:?}");
-        // A colourless board is hard for the published method; wherever it answers, its own errors are consistent.
+        // A colourless board is hard for the published method; where it answers, its error fields are consistent.
         if let Some(answer) = entry.answer {
             let grade = entry.grade().expect("there is an answer");
             assert_eq!(grade == Grade::Pass, answer.z_m.abs() <= 0.01 * case.truth.z_m && answer.normal_rad < 0.0873);

@@ -1,4 +1,4 @@
-//! The document that shows the figures.
+//! The document with the results.
 
 use std::fmt::Write as _;
 
@@ -6,28 +6,28 @@ use super::score::{Entry, Maker};
 use super::table::{HEADINGS, Row, best_peer, groups, rows_notes, times_by_size};
 use crate::common::circumstances::Circumstances;
 
-/// What stands above the figures.
+/// Text before the figures.
 const HEAD: &str = "\
 # Real stereo cases
 
 This page is written by the command below; change the program, not the page.
 
 Each case is a calibrated pair with a region whose plane is known from ground truth that no method sees.
-Every method gets the same images, region, calibration and range of depths, no start value, and one thread.
+Every method gets the same images, region, calibration and depth range, no initial value, and one thread.
 
-* **pass**: depth within 1 % and normal within 5 degrees, or within twice the standard deviation of the truth where that is larger; of regions that are no plane only the depth is judged.
-* **answered**: a plane was given; **of answered**: passed among the answered.
-* **gross**: answers with a depth off by more than 1.5 % or a normal by more than 20 degrees; **gross, ok**: those that the method itself calls `ok`.
+* **pass**: depth within 1 % and normal within 5 degrees, or within twice the standard deviation of the truth if that is larger; for non-planar regions only the depth counts.
+* **answered**: share of cases with a plane; **of answered**: share of the answers that passed.
+* **gross**: answers with a depth error above 1.5 % or a normal error above 20 degrees; **gross, ok**: those with status `ok` from the method.
 * **z %**, **normal deg**: median and 95th percentile of the errors of the answers.
 * **ms**: CPU time of one thread from images in memory to the plane, median of the calls; median and 90th percentile over the cases.
-* **chi2**: mean squared error over variance, the method's own plus the truth's, of answers that are not grossly wrong: 1 is honest, more is too sure.
-* **within 1 px**: share of the known disparities inside the region that lie within 1 px of the plane, mean over all cases; where no plane was given it counts as 0.
+* **chi2**: mean squared error over variance (the method's own plus the truth's) of answers that are not grossly wrong: 1 is consistent, more is overconfident.
+* **within 1 px**: share of the true disparities inside the region that lie within 1 px of the plane, mean over all cases; a case without a plane counts as 0.
 ";
 
 /// The whole page.
 pub fn markdown(entries: &[Entry], circumstances: &Circumstances, command: &str) -> String {
     let mut page = HEAD.to_owned();
-    let changed = if circumstances.changed { ", with changes that are not committed" } else { "" };
+    let changed = if circumstances.changed { ", with uncommitted changes" } else { "" };
     let Circumstances { commit, processor, compiler, .. } = circumstances;
     // Writing to a String does not fail.
     let _ = write!(page, "\n```text\n{command}\n```\n\nCommit {commit}{changed}; {processor}; {compiler}.\n");
@@ -47,13 +47,13 @@ pub fn markdown(entries: &[Entry], circumstances: &Circumstances, command: &str)
     page
 }
 
-/// Ours beside the best of the others, group by group.
+/// Compares our methods with the best of the other tools, group by group.
 fn overview(page: &mut String, found: &[(&'static str, Vec<Row>)]) {
     if !found.iter().any(|(_, rows)| best_peer(rows).is_some()) {
         return;
     }
-    page.push_str("\n## Beside the best of the other tools\n\n");
-    page.push_str("The best tool of each group is the one that passes most; of regions that are no plane, the one with most disparities within 1 px.\n\n");
+    page.push_str("\n## Comparison with the best of the other tools\n\n");
+    page.push_str("The best tool of each group passes most cases; for non-planar regions it has the most disparities within 1 px.\n\n");
     line(page, &["group", "method", "pass %", "gross", "ms med / p90", "within 1 px %"].map(str::to_owned));
     rule(page, 6, 2);
     for (name, rows) in found {
@@ -69,7 +69,7 @@ fn overview(page: &mut String, found: &[(&'static str, Vec<Row>)]) {
     }
 }
 
-/// All columns that hold a figure.
+/// All columns with a value.
 fn table(page: &mut String, rows: &[Row]) {
     let cells: Vec<_> = rows.iter().map(Row::cells).collect();
     let used: Vec<_> = (0..HEADINGS.len()).filter(|c| cells.iter().any(|row| row[*c] != "-")).collect();
@@ -92,7 +92,7 @@ fn line(page: &mut String, cells: &[String]) {
     let _ = writeln!(page, "| {} |", cells.join(" | "));
 }
 
-/// The line under the headings: the first `left` columns to the left, the others to the right.
+/// The line under the headings: the first `left` columns left-aligned, the others right-aligned.
 fn rule(page: &mut String, columns: usize, left: usize) {
     let marks: Vec<_> = (0..columns).map(|c| if c < left { "---" } else { "---:" }).collect();
     let _ = writeln!(page, "|{}|", marks.join("|"));
@@ -125,7 +125,7 @@ mod tests {
         let page = markdown(&entries, &circumstances, "cargo xtask bench real --cases DIR");
         let expect = |part: &str| assert!(page.contains(part), "{part:?} is missing in:\n{page}");
         expect("```text\ncargo xtask bench real --cases DIR\n```");
-        expect("Commit 0123456789ab, with changes that are not committed; Some CPU; rustc 1.");
+        expect("Commit 0123456789ab, with uncommitted changes; Some CPU; rustc 1.");
         expect("## Low texture\n\n| method | n | answered % |");
         expect("| low texture | bm (best other) | 100.0 | 0 |");
         expect("| direct | 1 | 100 | 0.0 | 0.0 | 1 | 1 | 1.52 / 1.52 | 1.00 / 1.00 | 2.00 / 2.00 |");

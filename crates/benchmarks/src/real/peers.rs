@@ -1,4 +1,4 @@
-//! Other tools: a script that prints one JSON line per case and tool, with the errors that it found itself.
+//! Other tools: a script that prints one JSON line per case and tool, with the errors that the script computed.
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -15,16 +15,16 @@ const SCRIPT: &str = "peers.py";
 /// The script in a folder.
 ///
 /// # Errors
-/// If it is not there.
+/// If the script does not exist.
 pub fn script_in(folder: &Path) -> anyhow::Result<PathBuf> {
     let script = folder.join(SCRIPT);
     if !script.is_file() {
-        bail!("--peers {}: there is no {SCRIPT} in it; give the folder that holds it", folder.display());
+        bail!("--peers {}: no {SCRIPT} in this folder; give the folder that contains it", folder.display());
     }
     Ok(script)
 }
 
-/// Runs the script on the cases, each tool with one thread, and returns the lines that it prints.
+/// Runs the script on the cases, each tool with one thread, and returns the printed lines.
 ///
 /// # Errors
 /// If Python cannot be started or the script fails.
@@ -37,20 +37,20 @@ pub fn run(python: &Path, script: &Path, cases: &Path, repeat: u32) -> anyhow::R
         command.output().with_context(|| format!("cannot start {}: give a Python with --python", python.display()))?;
     if !output.status.success() {
         bail!(
-            "{} {} failed ({}): see its message above; it needs OpenCV and NumPy, and --python names a Python that has them",
+            "{} {} failed ({}): see its message above; it needs OpenCV and NumPy, set --python to a Python that has them",
             python.display(),
             script.display(),
             output.status
         );
     }
-    String::from_utf8(output.stdout).with_context(|| format!("{SCRIPT} printed what is not text"))
+    String::from_utf8(output.stdout).with_context(|| format!("the output of {SCRIPT} is not UTF-8 text"))
 }
 
-/// The lines as entries, for the cases that we know; `source` names them in messages. A case that a tool left out has no
-/// answer of it.
+/// Converts the lines to entries for the known cases; `source` names them in messages. A case that a tool left out has
+/// no answer from this tool.
 ///
 /// # Errors
-/// A line that is not what the script prints, by its number.
+/// A line in another format, by its number.
 pub fn entries(lines: &str, cases: &[Rc<CaseFacts>], source: &str) -> anyhow::Result<Vec<Entry>> {
     let by_name: HashMap<&str, &Rc<CaseFacts>> = cases.iter().map(|case| (case.name.as_str(), case)).collect();
     let mut found = Vec::new();
@@ -61,13 +61,13 @@ pub fn entries(lines: &str, cases: &[Rc<CaseFacts>], source: &str) -> anyhow::Re
     let seen: BTreeSet<_> = found.iter().map(|entry| entry.case.name.clone()).collect();
     let missing: Vec<_> = cases.iter().map(|case| &case.name).filter(|name| !seen.contains(*name)).collect();
     if let Some(first) = missing.first() {
-        eprintln!("{source} has no line for {} of {} cases, among them {first}", missing.len(), cases.len());
+        eprintln!("{source} has no line for {} of {} cases, such as {first}", missing.len(), cases.len());
     }
     Ok(found)
 }
 
 fn entry_of(line: &str, cases: &HashMap<&str, &Rc<CaseFacts>>) -> anyhow::Result<Option<Entry>> {
-    // Python writes numbers that are none in a way that is not JSON.
+    // Python writes NaN and infinity in a way that is not JSON.
     let line = ["-Infinity", "Infinity", "NaN"].iter().fold(line.to_owned(), |l, word| l.replace(word, "null"));
     let value: Value = serde_json::from_str(&line).context("is not JSON")?;
     let text = |key: &str| value[key].as_str().with_context(|| format!("has no text `{key}`"));

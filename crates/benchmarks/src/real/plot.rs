@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use super::score::{Entry, Maker};
 use super::table::{Row, groups};
 
-/// Other tools that are drawn: the best of them over all planar cases.
+/// Number of other tools in the figure: the best over all planar cases.
 const PEERS_DRAWN: usize = 4;
 const BAR: f64 = 13.0;
 const GAP: f64 = 16.0;
@@ -45,7 +45,7 @@ pub fn svg(entries: &[Entry]) -> String {
     )
 }
 
-/// Our methods and the best of the others by what they pass of all planar cases.
+/// Our methods and the best of the others by their share of passed planar cases.
 fn drawn_methods(rows: &[Row]) -> Vec<String> {
     let mut peers: Vec<_> = rows.iter().filter(|row| row.maker == Maker::Peer).collect();
     peers.sort_by(|a, b| b.pass_percent().total_cmp(&a.pass_percent()));

@@ -1,20 +1,20 @@
-//! What counts as passed, and what as grossly wrong.
+//! Criteria for passed and grossly wrong answers.
 
 use std::rc::Rc;
 
 use pb3dp_record::metrics::Group;
 use serde_json::{Value, json};
 
-/// Depth and normal within these pass; they give way where the truth itself is less certain.
+/// An answer within these passes; if the truth is less certain, its standard deviation counts instead.
 const PASS_Z_RATIO: f64 = 0.01;
 const PASS_NORMAL_DEG: f64 = 5.0;
-/// Beyond these an answer is grossly wrong.
+/// An answer with larger errors is grossly wrong.
 const GROSS_Z_RATIO: f64 = 0.015;
 const GROSS_NORMAL_DEG: f64 = 20.0;
-/// So many standard deviations of the truth are always allowed.
+/// This many standard deviations of the truth are always allowed.
 const TRUTH_SIGMAS: f64 = 2.0;
 
-/// Standard deviations of the truth; zero where it does not say.
+/// Standard deviations of the truth; zero if not given.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TruthSigma {
     /// Of the depth, metres.
@@ -23,7 +23,7 @@ pub struct TruthSigma {
     pub normal_rad: f64,
 }
 
-/// What the results say of a case.
+/// Facts about a case for the results.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CaseFacts {
     /// Its name.
@@ -34,23 +34,23 @@ pub struct CaseFacts {
     pub split: Option<String>,
     /// The data set that the pair comes from.
     pub family: Option<String>,
-    /// What makes it hard, as in its file.
+    /// Its difficulty, as in its file.
     pub hard: Option<&'static str>,
-    /// Pixels of the region.
+    /// Number of pixels of the region.
     pub region_px: usize,
     /// True depth on the ray of the region's centroid, metres.
     pub z_m: f64,
-    /// How certain the truth is.
+    /// Standard deviations of the truth.
     pub sigma: TruthSigma,
 }
 
 impl CaseFacts {
-    /// Whether the normal says something.
+    /// Whether the normal is judged.
     pub fn is_planar(&self) -> bool {
         self.group != Group::NonPlanar
     }
 
-    /// How good an answer with these errors is. Of a region that is no plane only the depth is judged.
+    /// Grade of an answer with these errors. For a non-planar region only the depth counts.
     pub fn grade(&self, z_m: f64, normal_rad: f64) -> Grade {
         let z_sure = TRUTH_SIGMAS * self.sigma.z_m;
         let normal_sure = TRUTH_SIGMAS * self.sigma.normal_rad;
@@ -66,35 +66,35 @@ impl CaseFacts {
     }
 }
 
-/// How good an answer is.
+/// Grade of an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Grade {
     /// Depth within 1 % and normal within 5 degrees, or within twice the standard deviation of the truth.
     Pass,
     /// Neither passed nor grossly wrong.
     Near,
-    /// Depth off by more than 1.5 % or normal by more than 20 degrees (or twice the standard deviation of the truth).
+    /// Depth error above 1.5 % or normal error above 20 degrees (or twice the standard deviation of the truth).
     Gross,
 }
 
-/// A plane that a method gave, against the truth.
+/// The plane from a method, compared with the truth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Answer {
     /// Estimated minus true depth on the ray of the region's centroid, metres.
     pub z_m: f64,
     /// Angle between the normals, radians.
     pub normal_rad: f64,
-    /// The depth's error as an error of disparity, pixels.
+    /// The depth error as a disparity error, pixels.
     pub disparity_px: Option<f64>,
     /// The method's own standard deviation of depth, metres.
     pub z_sigma_m: Option<f64>,
     /// The method's own standard deviation of the normal, radians.
     pub normal_sigma_rad: Option<f64>,
-    /// Median absolute difference to the known disparities inside the region, pixels, and the share within 1 px.
+    /// Median absolute difference from the true disparities inside the region, pixels, and the share within 1 px.
     pub map: Option<(f64, f64)>,
 }
 
-/// Who a method belongs to.
+/// Origin of a method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Maker {
     /// This project.
@@ -110,18 +110,17 @@ pub struct Entry {
     pub case: Rc<CaseFacts>,
     /// Name of the method.
     pub method: String,
-    /// Who it belongs to.
+    /// Origin of the method.
     pub maker: Maker,
-    /// What the method says of its answer; other tools say nothing.
+    /// Status from the method; other tools have none.
     pub status: Option<&'static str>,
-    /// The plane; `None` if the method gave none.
+    /// The plane; `None` without an answer.
     pub answer: Option<Answer>,
     /// CPU time of one thread from images in memory to the plane, median of the calls, milliseconds.
     pub ms: Option<f64>,
-    /// The same of the first call, which may do what is done once per rig.
+    /// CPU time of the first call, which may include work that is done once per rig.
     pub first_ms: Option<f64>,
-    /// CPU time of what is measured once per rig or scene, and not in `ms`, milliseconds; `None` if the method measures
-    /// nothing.
+    /// CPU time of measurements once per rig or scene, not included in `ms`, milliseconds; `None` if the method has none.
     pub rows_ms: Option<f64>,
 }
 
@@ -132,7 +131,7 @@ impl Entry {
     }
 
     /// Squared errors over their variances, of depth and of normal: the method's own variance plus the truth's. `None`
-    /// for a method that gives no standard deviation and for regions that are no plane.
+    /// for a method without standard deviations and for non-planar regions.
     pub fn squared_scores(&self) -> Option<(f64, f64)> {
         let answer = self.answer.filter(|_| self.case.is_planar())?;
         let truth = self.case.sigma;
@@ -142,7 +141,7 @@ impl Entry {
         (z.is_finite() && normal.is_finite()).then_some((z, normal))
     }
 
-    /// The line of the result file, with the keys of the other tools' scripts and a few more.
+    /// The line of the result file, with the keys of the other tools' scripts and some more.
     pub fn to_json(&self) -> Value {
         let (case, answer) = (&self.case, self.answer);
         json!({
@@ -195,7 +194,7 @@ pub(super) mod tests {
         })
     }
 
-    /// An answer with errors in millimetres and degrees, and half of the known disparities within 1 px.
+    /// An answer with errors in millimetres and degrees, and half of the true disparities within 1 px.
     pub fn answer(z_mm: f64, normal_deg: f64) -> Answer {
         Answer {
             z_m: 1e-3 * z_mm,

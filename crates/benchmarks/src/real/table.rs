@@ -1,4 +1,4 @@
-//! Rows of figures: one per group and method.
+//! Rows of the tables: one per group and method.
 
 use std::fmt::Write as _;
 
@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::score::{Entry, Grade, Maker};
 
-/// Groups in the order of the report, with their names there.
+/// Groups in the order of the report, with their names in it.
 pub const GROUPS: [(Group, &str); 6] = [
     (Group::Textured, "textured"),
     (Group::Boards, "boards"),
@@ -17,37 +17,37 @@ pub const GROUPS: [(Group, &str); 6] = [
     (Group::NonPlanar, "non-planar"),
 ];
 
-/// The figures of one method on one group. Errors are over the answered cases, times over all.
+/// The row of one method for one group. Errors are over the answered cases, times over all.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
     /// The method.
     pub method: String,
-    /// Who it belongs to.
+    /// Origin of the method.
     pub maker: Maker,
     /// Number of cases.
     pub cases: usize,
-    /// Cases with a plane.
+    /// Number of cases with a plane.
     pub answered: usize,
-    /// Cases that passed.
+    /// Number of cases that passed.
     pub passed: usize,
-    /// Answers that are grossly wrong.
+    /// Number of answers that are grossly wrong.
     pub gross: usize,
-    /// Those of them that the method itself calls `ok`; `None` for a method that says nothing of its answers.
+    /// Grossly wrong answers with status `ok`; `None` for a method without a status.
     pub gross_ok: Option<usize>,
     /// Median and 95th percentile of the absolute depth error, percent.
     pub z_percent: Option<[f64; 2]>,
-    /// The same of the angle between the normals, degrees; `None` for regions that are no plane.
+    /// The same of the angle between the normals, degrees; `None` for non-planar regions.
     pub normal_deg: Option<[f64; 2]>,
     /// Median and 90th percentile of the CPU time, milliseconds.
     pub millis: Option<[f64; 2]>,
-    /// Mean squared error over variance, of depth and of normal, of the answers that are not grossly wrong; 1 is honest.
+    /// Mean squared error over variance, of depth and of normal, of the answers that are not grossly wrong; 1 is consistent.
     pub squared_scores: Option<[f64; 2]>,
-    /// Regions that are no plane: mean over all cases of the share of known disparities within 1 px of the plane, percent.
+    /// Non-planar regions: share of the true disparities within 1 px of the plane, mean over all cases, percent.
     pub within_1px_percent: Option<f64>,
 }
 
 impl Row {
-    /// The figures of a method's entries in one group.
+    /// The row of a method's entries in one group.
     fn of(entries: &[&Entry]) -> Option<Self> {
         let first = entries.first()?;
         let planar = entries.iter().all(|entry| entry.case.is_planar());
@@ -81,7 +81,7 @@ impl Row {
         share(self.passed, self.cases)
     }
 
-    /// The cells of the row in the order of [`HEADINGS`].
+    /// The table cells of the row in the order of [`HEADINGS`].
     pub fn cells(&self) -> Vec<String> {
         let number = |value: Option<f64>, decimals: usize| value.map_or("-".into(), |x| format!("{x:.decimals$}"));
         let two = |values: Option<[f64; 2]>, decimals: usize| {
@@ -146,7 +146,7 @@ fn mean_of_pairs(pairs: &[(f64, f64)]) -> Option<[f64; 2]> {
     (!pairs.is_empty()).then(|| [mean(|p| p.0), mean(|p| p.1)])
 }
 
-/// The methods that occur, ours first, in the order in which they come.
+/// The methods that occur, ours first, in the order of their first occurrence.
 pub fn methods(entries: &[Entry]) -> Vec<&str> {
     let mut found: Vec<&str> = Vec::new();
     for maker in [Maker::Ours, Maker::Peer] {
@@ -177,8 +177,8 @@ pub fn groups(entries: &[Entry]) -> Vec<(&'static str, Vec<Row>)> {
     found
 }
 
-/// The best of the other tools: most passed, then fewest grossly wrong, then the smaller depth error. For regions that are
-/// no plane: most disparities within 1 px.
+/// The best of the other tools: most passed, then fewest grossly wrong, then the smallest depth error. For non-planar
+/// regions: most disparities within 1 px.
 pub fn best_peer(rows: &[Row]) -> Option<&Row> {
     let key = |row: &Row| {
         let z = row.z_percent.map_or(f64::INFINITY, |[median, _]| median);
@@ -215,18 +215,18 @@ fn group_name(entry: &Entry) -> &'static str {
     GROUPS.iter().find(|(group, _)| *group == entry.case.group).map_or("", |(_, name)| *name)
 }
 
-/// What the methods that measure something once per rig or scene take for it, a line for each: that time is in no other.
+/// Times of methods that measure once per rig or scene, one line each; these times are in no other column.
 pub fn rows_notes(entries: &[Entry], belongs: impl Fn(&Entry) -> bool) -> Vec<String> {
     let note = |method: &str| {
         let chosen = entries.iter().filter(|e| e.method == method && belongs(e));
         let times: Vec<f64> = chosen.filter_map(|e| e.rows_ms).collect();
         let [median, p90] = pair(&times, 90.0)?;
-        Some(format!("{method}: rows_ms {median:.1} / {p90:.1} (row offset, once per rig or scene, median / p90)"))
+        Some(format!("{method}: rows_ms {median:.1} / {p90:.1} (vertical misalignment per rig or scene, median / p90)"))
     };
     methods(entries).into_iter().filter_map(note).collect()
 }
 
-/// Lines of cells under each other; columns without any figure are left out.
+/// Aligned columns of text; columns without any value are omitted.
 fn aligned(lines: &[Vec<String>]) -> String {
     let columns = lines.first().map_or(0, Vec::len);
     let width = |column: usize| lines.iter().map(|line| line[column].chars().count()).max().unwrap_or(0);
@@ -267,10 +267,10 @@ pub fn summary_json(entries: &[Entry]) -> Value {
     groups(entries).into_iter().flat_map(of_group).collect()
 }
 
-/// Limits of the classes of size by which times are listed, pixels of the region.
+/// Bounds of the size classes for times, pixels of the region.
 const SIZE_LIMITS_PX: [usize; 4] = [2_000, 10_000, 60_000, usize::MAX];
 
-/// Our methods' times by the size of the region: method, class of size, number of cases, median and 90th percentile.
+/// Times of our methods by the size of the region: method, size class, number of cases, median and 90th percentile.
 pub fn times_by_size(entries: &[Entry]) -> Vec<(String, String, usize, [f64; 2])> {
     let mut found = Vec::new();
     for method in methods(entries) {

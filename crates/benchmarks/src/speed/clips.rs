@@ -1,4 +1,4 @@
-//! Pairs to measure on: rendered once and kept in memory.
+//! Stereo pairs for the measurements: rendered once and kept in memory.
 
 use std::sync::Arc;
 
@@ -17,21 +17,21 @@ use pb3dp_sim::targets::{BackdropConfig, Paint, TargetModel, backdrop, build_pai
 
 /// Seed of textures and noise.
 const SEED: u32 = 11;
-/// Columns of the images of usual size.
+/// Columns of the images of nominal size.
 const WIDTH: f64 = 640.0;
-/// Half width and height of the textured wall, and of one copy of its texture, metres.
+/// Half width and height of the textured wall, and of one repeat of its texture, metres.
 const WALL_M: [f64; 2] = [0.48, 0.36];
 const COPY_M: [f64; 2] = [0.06, 0.045];
 /// Frames per second of the moving targets.
 const RATE_HZ: f64 = 30.0;
 
-/// Some consecutive pairs of one rig.
+/// Consecutive stereo pairs of one rig.
 pub struct Clip {
     /// The cameras.
     pub rig: StereoRig,
     /// Left and right images.
     pub pairs: Vec<(RgbImage, RgbImage)>,
-    /// What is marked in the first left image.
+    /// The marked regions in the first left image.
     pub regions: Vec<Region>,
 }
 
@@ -39,7 +39,7 @@ pub struct Clip {
 pub const SEARCH: SearchRange = SearchRange { z_min_m: 74.0 / 178.0, z_max_m: 74.0 / 118.0, tilt_max_rad: 0.785 };
 
 impl Clip {
-    /// The frames forwards and backwards, for ever: neighbours in time stay neighbours.
+    /// The frames forwards and backwards, endlessly: consecutive frames stay neighbours.
     pub fn pair(&self, frame: usize) -> &(RgbImage, RgbImage) {
         let last = self.pairs.len() - 1;
         let place = if last == 0 { 0 } else { frame % (2 * last) };
@@ -47,10 +47,10 @@ impl Clip {
     }
 }
 
-/// A textured wall that fills images of `size`, moving a little; `regions` are marked by the caller.
+/// A textured wall that fills images of `size`, with a small motion; the caller marks `regions`.
 ///
 /// # Errors
-/// If the simulator refuses the set-up.
+/// If the simulator rejects the setup.
 pub fn wall(size: ImageSize, frames: usize) -> anyhow::Result<Clip> {
     let texture = Arc::new(Paint::Colourful.texture(SEED));
     let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, y)| {
@@ -77,7 +77,7 @@ pub fn square(size: ImageSize, centre: (i32, i32), side_px: u32) -> Region {
 /// The flat crab in front of sand, moving along and about all axes; its outline is marked.
 ///
 /// # Errors
-/// If the simulator refuses the set-up.
+/// If the simulator rejects the setup.
 pub fn crab(size: ImageSize, frames: usize) -> anyhow::Result<Clip> {
     let (target, mut parts) = build_painted(Paint::Crab, 0.0, SEED)?;
     let config = BackdropConfig { size_m: [0.6, 0.45], gap_m: 0.03 };
@@ -85,10 +85,10 @@ pub fn crab(size: ImageSize, frames: usize) -> anyhow::Result<Clip> {
     render(parts, target, size, (0.05, 1.0), frames)
 }
 
-/// The same place without the crab: what a tracker sees when the target is hidden.
+/// The same scene without the crab: the images of a tracker whose target is hidden.
 ///
 /// # Errors
-/// If the simulator refuses the set-up.
+/// If the simulator rejects the setup.
 pub fn empty_place(size: ImageSize, frames: usize) -> anyhow::Result<Clip> {
     let (target, _) = build_painted(Paint::Crab, 0.0, SEED)?;
     let config = BackdropConfig { size_m: [0.6, 0.45], gap_m: 0.03 };
@@ -122,7 +122,7 @@ fn render(
     Ok(Clip { rig, pairs, regions })
 }
 
-/// Two equal cameras, 100 mm apart, with the same field of view at every size.
+/// Two equal cameras, baseline 100 mm, with the same field of view at every size.
 fn rig(size: ImageSize) -> anyhow::Result<StereoRig> {
     let factor = f64::from(size.width) / WIDTH;
     let centre = |length: u32| (f64::from(length) - 1.0) / 2.0;

@@ -18,39 +18,39 @@ use super::times::{Times, repeat};
 use crate::real::cases;
 use pb3dp_hal_platform::cpu_time::timed;
 
-/// Size of the images of the measurements that do not vary it.
+/// Image size of the measurements that do not vary it.
 pub const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
-/// Where the regions lie.
+/// Position of the regions.
 const CENTRE: (i32, i32) = (430, 240);
 /// Sides of the square regions, pixels.
 pub const SIDES_PX: [u32; 5] = [30, 60, 100, 160, 250];
-/// Side of the region of the comparison of kernels, pixels.
+/// Side of the region for the comparison of kernels, pixels.
 const SIDE_OF_KERNELS_PX: u32 = 100;
 
 /// One size of region.
 pub struct SizeRow {
     /// Side of the square, pixels.
     pub side_px: u32,
-    /// What came out.
+    /// Status of the estimate.
     pub status: &'static str,
-    /// The whole.
+    /// Time of the whole cold start.
     pub whole: Times,
-    /// Each stage by itself.
+    /// Times of each stage.
     pub stages: Vec<(Stage, Times)>,
 }
 
 /// One part with one family of kernels.
 pub struct KernelRow {
-    /// What it does.
+    /// Name of the part.
     pub name: String,
-    /// What a sample is.
+    /// Unit of a sample.
     pub unit: &'static str,
-    /// Family, ns per sample (median), and how often faster than the scalar family in the same run.
+    /// Family, ns per sample (median), and ratio to the scalar family in the same run.
     pub sets: Vec<(&'static str, f64, f64)>,
 }
 
 impl KernelRow {
-    /// As kept.
+    /// As saved.
     pub fn to_json(&self) -> Value {
         let sets = self
             .sets
@@ -61,7 +61,7 @@ impl KernelRow {
 }
 
 impl SizeRow {
-    /// As kept.
+    /// As saved.
     pub fn to_json(&self) -> Value {
         let stages = self.stages.iter().map(|(stage, times)| (stage.name().to_owned(), times.to_json()));
         json!({
@@ -78,10 +78,10 @@ fn problem<'a>(clip: &'a Clip, region: &'a pb3dp_estimation_core::region::Region
     Problem { rig: &clip.rig, left, right, region, range: &SEARCH, rows: RowOffset::default() }
 }
 
-/// Square regions of a textured wall, 60 px of disparity to search.
+/// Square regions of a textured wall, with a search range of 60 px of disparity.
 ///
 /// # Errors
-/// If simulator or estimator refuse the set-up.
+/// If simulator or estimator rejects the setup.
 pub fn sizes(rounds: usize) -> anyhow::Result<Vec<SizeRow>> {
     let clip = wall(SIZE, 1)?;
     SIDES_PX.into_iter().map(|side| size_row(&clip, side, rounds)).collect()
@@ -103,10 +103,10 @@ fn size_row(clip: &Clip, side_px: u32, rounds: usize) -> anyhow::Result<SizeRow>
     Ok(SizeRow { side_px, status, whole, stages })
 }
 
-/// Every stage with every family of kernels that runs here.
+/// Every stage with every available family of kernels.
 ///
 /// # Errors
-/// If simulator or estimator refuse the set-up.
+/// If simulator or estimator rejects the setup.
 pub fn kernels(rounds: usize) -> anyhow::Result<Vec<KernelRow>> {
     let clip = wall(SIZE, 1)?;
     let region = square(SIZE, CENTRE, SIDE_OF_KERNELS_PX);
@@ -124,7 +124,7 @@ pub fn kernels(rounds: usize) -> anyhow::Result<Vec<KernelRow>> {
     Stage::ALL.into_iter().map(row).collect()
 }
 
-/// A row from the times of the families, the scalar one first.
+/// A row from the times of the families; the scalar family comes first.
 pub fn kernel_row(
     name: &str,
     unit: &'static str,
@@ -135,18 +135,18 @@ pub fn kernel_row(
     KernelRow { name: name.to_owned(), unit, sets }
 }
 
-/// Some cases together.
+/// Times over a group of cases.
 pub struct CasesRow {
     /// Group, or `all`.
     pub name: &'static str,
-    /// Over the cases, the median of each case's calls.
+    /// Distribution over the cases of the median of each case's calls.
     pub whole: Times,
     /// Medians over the cases of each stage's median.
     pub stages: Vec<(Stage, f64)>,
 }
 
 impl CasesRow {
-    /// As kept.
+    /// As saved.
     pub fn to_json(&self) -> Value {
         let stages = self.stages.iter().map(|(stage, ms)| (stage.name().to_owned(), json!(ms)));
         json!({
@@ -157,13 +157,13 @@ impl CasesRow {
     }
 }
 
-/// Real cases, all and by group, and the measurement of the rows, which comes once before.
+/// Real cases, all and by group, and the measurement of the vertical misalignment, which runs once before.
 pub struct RealRows {
-    /// All, then each group that has cases.
+    /// All cases, then each group that has cases.
     pub rows: Vec<CasesRow>,
-    /// Over the cases.
+    /// Time of the measurement of the vertical misalignment, over the cases.
     pub row_measurement: Times,
-    /// The first call of a new estimator, which also pays for its memory; over the cases.
+    /// The first call of a new estimator, which also allocates its memory; over the cases.
     pub first_call: Times,
 }
 
@@ -179,7 +179,7 @@ struct CaseTimes {
 /// Calls of one case for its stages.
 const STAGE_ROUNDS: usize = 3;
 
-/// Every case under `folder`, `rounds` calls each.
+/// Measures every case under `folder` with `rounds` calls each.
 ///
 /// # Errors
 /// A folder or case that cannot be used, by name.
@@ -197,7 +197,7 @@ pub fn real(folder: &Path, rounds: usize, every: usize) -> anyhow::Result<RealRo
     let first_ms: Vec<f64> = times.iter().map(|case| case.first_ms).collect();
     rows.zip(Times::of(&rows_ms).zip(Times::of(&first_ms)))
         .map(|(rows, (row_measurement, first_call))| RealRows { rows, row_measurement, first_call })
-        .with_context(|| format!("no case in {} has a `truth`: there is nothing to measure", folder.display()))
+        .with_context(|| format!("no case in {} has a `truth`: nothing to measure", folder.display()))
 }
 
 fn case_times(case: &cases::Prepared, rounds: usize) -> anyhow::Result<CaseTimes> {
@@ -214,7 +214,7 @@ fn case_times(case: &cases::Prepared, rounds: usize) -> anyhow::Result<CaseTimes
     })?;
     let problem = Problem { rig: &case.rig, left, right, region: &case.region, range: &case.range, rows };
     let mut stages_ms = Vec::new();
-    // A region in which nothing can be compared has no stages.
+    // A region without any comparable pixels has no stages.
     if let Ok(bench) = StageBench::new(problem, Kernels::best()) {
         let mut benches = [bench];
         run_in_turn(&mut benches, STAGE_ROUNDS)?;

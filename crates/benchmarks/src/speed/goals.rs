@@ -1,24 +1,24 @@
-//! What must be reached.
+//! The goals for the times.
 
 use serde_json::{Value, json};
 
-/// A figure beside its limit.
+/// A measured time and its goal.
 pub struct Goal {
-    /// What is limited.
+    /// Name of the time.
     pub name: &'static str,
-    /// Milliseconds.
+    /// Goal, milliseconds.
     pub limit_ms: f64,
-    /// Milliseconds.
+    /// Measured time, milliseconds.
     pub found_ms: f64,
 }
 
 impl Goal {
-    /// Whether it is reached.
+    /// Whether the goal is reached.
     pub fn is_reached(&self) -> bool {
         self.found_ms <= self.limit_ms
     }
 
-    /// As kept.
+    /// As saved.
     pub fn to_json(&self) -> Value {
         json!({
             "name": self.name,
@@ -29,7 +29,7 @@ impl Goal {
     }
 }
 
-/// The limits of everything that was measured.
+/// The goals for all measured times.
 pub fn goals(findings: &super::Findings) -> Vec<Goal> {
     let mut goals = Vec::new();
     if let Some(all) = findings.real.as_ref().and_then(|real| real.rows.first()) {
@@ -39,7 +39,7 @@ pub fn goals(findings: &super::Findings) -> Vec<Goal> {
     }
     if let Some(real) = &findings.real {
         let found_ms = real.row_measurement.median_ms;
-        goals.push(Goal { name: "row offset, once per rig, median", limit_ms: 20.0, found_ms });
+        goals.push(Goal { name: "vertical misalignment, once per rig, median", limit_ms: 20.0, found_ms });
     }
     let followed = &findings.tracking.followed;
     goals.push(Goal { name: "tracking frame, median", limit_ms: 1.0, found_ms: followed.median_ms });

@@ -1,4 +1,4 @@
-//! The document that shows the figures.
+//! The document with the results.
 
 use std::fmt::Write as _;
 
@@ -15,10 +15,10 @@ const HEAD: &str = "\
 
 This page is written by the command below; change the program, not the page.
 
-All times are CPU time of one thread in milliseconds, after warm-up, with images in memory and buffers that are kept.
+All times are CPU time of one thread in milliseconds, after warm-up, with images in memory and reused buffers.
 ";
 
-/// The whole page; `published` is what the example `speed` of the estimation crate has found in the same run.
+/// The whole page; `published` is the result of the example `published_speed` in the same run.
 pub fn markdown(
     findings: &Findings,
     published: Option<&Value>,
@@ -26,7 +26,7 @@ pub fn markdown(
     command: &str,
 ) -> String {
     let mut page = HEAD.to_owned();
-    let changed = if circumstances.changed { ", with changes that are not committed" } else { "" };
+    let changed = if circumstances.changed { ", with uncommitted changes" } else { "" };
     let Circumstances { commit, processor, compiler, .. } = circumstances;
     // Writing to a String does not fail.
     let _ = write!(page, "\n```text\n{command}\n```\n\nCommit {commit}{changed}; {processor}; {compiler}.\n");
@@ -57,7 +57,7 @@ fn three(times: &Times) -> [String; 3] {
 }
 
 fn goal_table(page: &mut String, findings: &Findings) {
-    section(page, "Goals", "What the direct method must reach.", &["figure", "goal", "found", "reached"]);
+    section(page, "Goals", "Goals for the direct method, in milliseconds.", &["figure", "goal", "found", "reached"]);
     for goal in goals(findings) {
         let reached = if goal.is_reached() { "yes" } else { "no" };
         row(
@@ -74,7 +74,7 @@ fn goal_table(page: &mut String, findings: &Findings) {
 
 fn real_cases(page: &mut String, findings: &Findings) {
     let Some(real) = &findings.real else { return };
-    let text = "From two images in memory to a pose with its covariance.\nEach case counts with the median of its calls; stages are medians over the cases, each measured by itself at the level where the answer was found.";
+    let text = "From two images in memory to a pose with its covariance.\nEach case counts with the median of its calls; stages are medians over the cases, each measured alone at the pyramid level of the answer.";
     let mut headings = vec!["group", "cases", "median", "p90", "max"];
     let first = real.rows.first().map(|row| row.stages.as_slice()).unwrap_or_default();
     headings.extend(first.iter().map(|(stage, _)| stage.name()));
@@ -89,20 +89,19 @@ fn real_cases(page: &mut String, findings: &Findings) {
     let rows = &real.row_measurement;
     let _ = write!(
         page,
-        "\nThe row offset of the rig is measured once before, apart from these times: median {:.1} ms, p90 {:.1} ms, max {:.1} ms.\n",
+        "\nThe vertical misalignment of the rig is measured once before and is not part of these times: median {:.1} ms, p90 {:.1} ms, max {:.1} ms.\n",
         rows.median_ms, rows.p90_ms, rows.max_ms
     );
     let first = &real.first_call;
     let _ = writeln!(
         page,
-        "The first call of an estimator also pays for its memory: median {:.2} ms, p90 {:.2} ms, max {:.2} ms.",
+        "The first call of an estimator also allocates its memory: median {:.2} ms, p90 {:.2} ms, max {:.2} ms.",
         first.median_ms, first.p90_ms, first.max_ms
     );
 }
 
 fn sizes(page: &mut String, findings: &Findings) {
-    let text =
-        "Squares on a rendered textured wall, images of 640 x 480, 60 px of disparity to search.\nStages are medians.";
+    let text = "Squares on a rendered textured wall, images of 640 x 480, search range of 60 px of disparity.\nStages are medians.";
     let mut headings = vec!["region px", "status", "median", "p90", "p99"];
     let first = findings.sizes.first().map(|row| row.stages.as_slice()).unwrap_or_default();
     headings.extend(first.iter().map(|(stage, _)| stage.name()));
@@ -118,7 +117,7 @@ fn sizes(page: &mut String, findings: &Findings) {
 
 fn tracking(page: &mut String, findings: &Findings) {
     let found = &findings.tracking;
-    let text = "The flat crab of the simulator moves along and about all axes; images of 640 x 480, 1000 points.\nOf a lost target, all kept views are searched for in the whole images.";
+    let text = "The flat crab of the simulator moves along and about all axes; images of 640 x 480, 1000 points.\nFor a lost target, all stored views are searched in the whole images.";
     section(page, "Tracking", text, &["frame", "frames", "median", "p90", "p99", "max"]);
     for (name, times) in [("followed", &found.followed), ("lost", &found.lost)] {
         let mut cells = vec![name.to_owned(), times.count.to_string()];
@@ -126,11 +125,11 @@ fn tracking(page: &mut String, findings: &Findings) {
         cells.push(format!("{:.3}", times.max_ms));
         row(page, &cells);
     }
-    let _ = write!(page, "\nThe first frame, cold start and model, took {:.2} ms.\n", found.start_ms);
+    let _ = write!(page, "\nThe first frame, with cold start and model, took {:.2} ms.\n", found.start_ms);
 }
 
 fn kernels(page: &mut String, rows: &[KernelRow]) {
-    let text = "Nanoseconds per sample and, in brackets, how often faster than the scalar family in the same run.\nA region of 100 x 100 px; all families give the same bits.";
+    let text = "Nanoseconds per sample and, in brackets, the speed-up over the scalar family in the same run.\nA region of 100 x 100 px; all families give bit-identical results.";
     let names: Vec<&str> =
         rows.first().map(|row| row.sets.iter().map(|(name, ..)| *name).collect()).unwrap_or_default();
     let headings: Vec<&str> = ["part", "a sample is a"].into_iter().chain(names).collect();
@@ -142,9 +141,9 @@ fn kernels(page: &mut String, rows: &[KernelRow]) {
     }
 }
 
-/// What the example has printed as JSON.
+/// The JSON output of the example.
 fn published_kernels(page: &mut String, published: &Value) {
-    let text = "Scoring of 60 hypotheses; the naive version is the formula as it stands.\nA frame is both hue images, the model and nine generations.";
+    let text = "Scoring of 60 hypotheses; the naive version computes the formula directly.\nA frame is both hue images, the model and nine generations.";
     let headings = ["pair", "kernels", "ns per sample", "ratio to naive", "frame ms"];
     section(page, "Kernels of the published method", text, &headings);
     let pairs = published["pairs"].as_array().map(Vec::as_slice).unwrap_or_default();
@@ -166,7 +165,7 @@ fn published_kernels(page: &mut String, published: &Value) {
 }
 
 fn scaling(page: &mut String, findings: &Findings) {
-    let text = "Targets of 100 x 100 px on the moving wall (160 x 160 where points are varied), the same field of view at every size of image.\nOf several targets the time is that of all together; of several threads, each with a target of its own, that of one.\nThe ratio is to the first row of its kind.";
+    let text = "Targets of 100 x 100 px on the moving wall (160 x 160 where points are varied), the same field of view at every image size.\nFor several targets the time is the total; for several threads, each with its own target, the time is per thread.\nThe ratio is relative to the first row of its kind.";
     section(page, "Scaling", text, &["varied", "value", "what", "median", "p90", "p99", "ratio"]);
     for found in &findings.scaling {
         let mut cells = vec![found.varied.to_owned(), found.value.clone(), found.what.to_owned()];

@@ -1,4 +1,4 @@
-//! The figure: the cold start by size of the region, and its stages.
+//! The figure: time of the cold start by size of the region, with its stages.
 
 use std::fmt::Write as _;
 
@@ -17,10 +17,10 @@ const STYLE: &str = "text { font: 12px sans-serif; fill: #1c1f24; } .soft { fill
     @media (prefers-color-scheme: dark) { text { fill: #e8eaed; } .soft { fill: #a3abb6; } .paper { fill: #15181d; } \
     .whole { fill: #e8eaed; } .s0 { fill: #68707c; } .s1 { fill: #6cb0ff; } .s2 { fill: #ffab66; } .s3 { fill: #7fd494; } }";
 
-/// Stages that do not contain one another.
+/// Stages that do not contain each other.
 const DRAWN: [Stage; 4] = [Stage::Windows, Stage::Search, Stage::Patches, Stage::Refinement];
 
-/// For each size the median of the whole, with a mark at the 99th percentile, and below it the stages one after the other.
+/// For each size the median of the whole, with a mark at the 99th percentile, and below it the stages in sequence.
 pub fn svg(sizes: &[SizeRow]) -> String {
     let longest =
         sizes.iter().flat_map(|row| [row.whole.p99_ms, stages(row).map(|(_, ms)| ms).sum()]).fold(0.0, f64::max);
@@ -46,7 +46,7 @@ fn legend() -> String {
     let mut text = String::from("<text x=\"8\" y=\"18\">median of the whole, mark at the 99th percentile, ms</text>");
     let mut x = 8.0;
     for (i, stage) in DRAWN.iter().enumerate() {
-        // Writing to a String does not fail.
+        // Writing to a string cannot fail.
         let _ = write!(
             text,
             "<rect class=\"s{i}\" x=\"{x}\" y=\"28\" width=\"11\" height=\"11\"/><text x=\"{}\" y=\"38\">{}</text>",
@@ -60,7 +60,7 @@ fn legend() -> String {
 
 fn size(body: &mut String, row: &SizeRow, y: f64, scale: f64) {
     let (median, p99) = (row.whole.median_ms * scale, LEFT + row.whole.p99_ms * scale);
-    // Writing to a String does not fail.
+    // Writing to a string cannot fail.
     let _ = write!(
         body,
         "<text x=\"8\" y=\"{0}\">{1} x {1} px</text><rect class=\"whole\" x=\"{LEFT}\" y=\"{y}\" width=\"{median:.1}\" height=\"{BAR}\"/>\
@@ -92,7 +92,7 @@ mod tests {
         let times = |ms: f64| Times::of(&[ms]).expect("not empty");
         let stages = vec![(Stage::Windows, times(0.25)), (Stage::Costs, times(9.0)), (Stage::Search, times(0.5))];
         let text = svg(&[SizeRow { side_px: 60, status: "ok", whole: times(1.0), stages }]);
-        // One millisecond is the whole width; costs are a part of the search and are not drawn.
+        // One millisecond is the whole width; the costs are part of the search and are not drawn.
         for (class, length) in [("whole", "460.0"), ("s0", "115.0"), ("s1", "230.0")] {
             assert!(text.contains(&format!("<rect class=\"{class}\" x=")), "{class}");
             assert!(text.contains(&format!("width=\"{length}\"")), "{length}: {text}");

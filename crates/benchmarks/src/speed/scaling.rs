@@ -1,4 +1,4 @@
-//! What the times depend on: points, size of the images, number of targets, threads.
+//! Scaling of the times: number of points, image size, number of targets, threads.
 
 use anyhow::Context;
 use pb3dp_estimation_core::cpu::Kernels;
@@ -18,27 +18,27 @@ const TARGETS_TRIED: [usize; 4] = [1, 2, 4, 8];
 const THREADS_TRIED: [usize; 2] = [1, 2];
 /// Side of a target on the wall, pixels of an image with 640 columns.
 const SIDE_PX: u32 = 100;
-/// Frames that are rendered of the small and the large wall.
+/// Rendered frames of the small and the large wall.
 const FRAMES: usize = 20;
-/// Frames before those that count.
+/// Warm-up frames.
 const WARM_UP: usize = 6;
 
 /// One measurement.
 pub struct ScalingRow {
-    /// What was varied.
+    /// The varied quantity.
     pub varied: &'static str,
-    /// To what.
+    /// Its value.
     pub value: String,
-    /// What was done.
+    /// The measured call.
     pub what: &'static str,
-    /// CPU time of one thread; of several targets, all together.
+    /// CPU time of one thread; for several targets, the total.
     pub times: Times,
-    /// Median, as a multiple of the first row that varies the same.
+    /// Median, as a multiple of the first row with the same varied quantity.
     pub ratio: f64,
 }
 
 impl ScalingRow {
-    /// As kept.
+    /// As saved.
     pub fn to_json(&self) -> Value {
         json!({
             "varied": self.varied,
@@ -63,10 +63,10 @@ impl Table {
 const FRAME: &str = "tracking frame";
 const COLD: &str = "cold start";
 
-/// Everything.
+/// Runs all scaling measurements.
 ///
 /// # Errors
-/// If simulator, estimator or tracker refuse the set-up, or a target is lost.
+/// If simulator, estimator or tracker rejects the setup, or a target is lost.
 pub fn scaling(rounds: usize) -> anyhow::Result<Vec<ScalingRow>> {
     let mut table = Table(Vec::new());
     let mut clip = targets_on_wall(SIZE, 8)?;
@@ -92,7 +92,7 @@ pub fn scaling(rounds: usize) -> anyhow::Result<Vec<ScalingRow>> {
     Ok(table.0)
 }
 
-/// The wall with up to eight targets on it, which the right camera sees as well.
+/// The wall with up to eight targets on it, which are visible in both images.
 fn targets_on_wall(size: ImageSize, count: usize) -> anyhow::Result<Clip> {
     let mut clip = wall(size, FRAMES)?;
     let centre = |i: usize| (250 + 105 * (i % 4) as i32, 150 + 180 * (i / 4) as i32);
@@ -100,7 +100,7 @@ fn targets_on_wall(size: ImageSize, count: usize) -> anyhow::Result<Clip> {
     Ok(clip)
 }
 
-/// Frames in which all `targets` are followed one after the other.
+/// Frames in which all `targets` are tracked in sequence.
 fn frames(clip: &Clip, targets: &[usize], points: usize, rounds: usize) -> anyhow::Result<Times> {
     let followers = targets.iter().map(|index| Follower::start(clip, *index, points, Kernels::best()));
     let mut followers = followers.collect::<anyhow::Result<Vec<_>>>()?;
@@ -128,7 +128,7 @@ fn cold_starts(clip: &Clip, targets: &[usize], rounds: usize) -> anyhow::Result<
     })
 }
 
-/// One target per thread, at the same time: what a frame costs each of them.
+/// One target per thread, in parallel: time per frame and thread.
 fn on_threads(clip: &Clip, threads: usize, rounds: usize) -> anyhow::Result<Times> {
     let one = |target: usize| -> anyhow::Result<Vec<f64>> {
         let mut follower = Follower::start(clip, target, POINTS, Kernels::best())?;

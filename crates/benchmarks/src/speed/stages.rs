@@ -1,4 +1,4 @@
-//! The parts of a cold start, one by one, with any kernels: on the levels and at the plane of a whole one.
+//! The stages of a cold start, one by one, with any kernels: at the levels and the plane of a complete cold start.
 
 use std::ops::RangeInclusive;
 
@@ -24,7 +24,7 @@ use pb3dp_geometry::StereoRig;
 use super::times::Times;
 use pb3dp_hal_platform::cpu_time::timed;
 
-/// What a cold start is given.
+/// Input of a cold start.
 #[derive(Clone, Copy)]
 pub struct Problem<'a> {
     /// The cameras.
@@ -35,33 +35,33 @@ pub struct Problem<'a> {
     pub right: &'a RgbImage,
     /// The region.
     pub region: &'a Region,
-    /// Depths and tilts.
+    /// Search range of depths and tilts.
     pub range: &'a SearchRange,
-    /// What is known of the rows.
+    /// Known vertical misalignment.
     pub rows: RowOffset,
 }
 
-/// A part of the cold start.
+/// A stage of the cold start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// Both windows as luminance, halved again and again.
+    /// Luminance pyramids of both windows.
     Windows,
     /// Costs of all pixels and disparities.
     Costs,
-    /// Semi-global aggregation, winners included.
+    /// Semi-global aggregation, including the winners.
     Aggregation,
     /// The whole search for planes: costs, aggregation, three-point planes.
     Search,
-    /// One look at all patches around a plane.
+    /// One pass over all patches around a plane.
     Patches,
     /// Refinement of a plane.
     Refinement,
-    /// Everything.
+    /// The whole cold start.
     Whole,
 }
 
 impl Stage {
-    /// In order.
+    /// All stages, in order.
     pub const ALL: [Self; 7] =
         [Self::Windows, Self::Costs, Self::Aggregation, Self::Search, Self::Patches, Self::Refinement, Self::Whole];
 
@@ -78,7 +78,7 @@ impl Stage {
         }
     }
 
-    /// What a sample is.
+    /// Unit of a sample.
     pub fn unit(self) -> &'static str {
         match self {
             Self::Windows => "pixel of both windows",
@@ -90,7 +90,7 @@ impl Stage {
     }
 }
 
-/// Runs the parts.
+/// Runs the stages.
 pub struct StageBench<'a> {
     problem: Problem<'a>,
     kernels: Kernels,
@@ -116,7 +116,7 @@ impl<'a> StageBench<'a> {
     /// Prepares one family of kernels.
     ///
     /// # Errors
-    /// A problem without an answer: there is nothing to measure then.
+    /// A problem without a solution: there is nothing to measure.
     pub fn new(problem: Problem<'a>, kernels: Kernels) -> anyhow::Result<Self> {
         let config = DirectConfig::default();
         let mut estimator = DirectEstimator::with_kernels(problem.rig, config.clone(), kernels)?;
@@ -127,7 +127,7 @@ impl<'a> StageBench<'a> {
             problem.region,
             problem.range,
         ))?;
-        let Some(outcome) = estimator.outcome() else { bail!("nothing to measure: {}", found.reason) };
+        let Some(outcome) = estimator.outcome() else { bail!("no estimate, nothing to measure: {}", found.reason) };
         let front_end = StereoFrontEnd::new(problem.rig, kernels)?;
         let raw = problem.region.rasterize(problem.left, &config.region)?;
         let mask = front_end.rectified_region(&raw)?.into_owned();
@@ -157,15 +157,15 @@ impl<'a> StageBench<'a> {
         })
     }
 
-    /// Which kernels.
+    /// The family of kernels.
     pub fn set(&self) -> KernelSet {
         self.kernels.set()
     }
 
-    /// Runs every part once; the times count if `is_warm`.
+    /// Runs every stage once; the times count if `is_warm`.
     ///
     /// # Errors
-    /// Those of the estimator.
+    /// Errors of the estimator.
     pub fn round(&mut self, is_warm: bool) -> anyhow::Result<()> {
         for (stage, index) in Stage::ALL.into_iter().zip(0..) {
             let (outcome, ms) = timed(|| self.run(stage));
@@ -222,7 +222,7 @@ impl<'a> StageBench<'a> {
         Ok(())
     }
 
-    /// How many samples a stage works on.
+    /// Number of samples of a stage.
     ///
     /// # Errors
     /// An empty region.
@@ -249,7 +249,7 @@ impl<'a> StageBench<'a> {
     }
 }
 
-/// Pixels around the region's box: as in the search.
+/// Margin around the region's bounding box: as in the search.
 const MARGIN: usize = 2;
 
 fn region_box(level: &RegionLevel) -> anyhow::Result<LevelBox> {
@@ -270,10 +270,10 @@ fn level_range(level: &RegionLevel, disparity_px: DisparityRange) -> RangeInclus
     (disparity_px.lowest / scale).floor() as i32 - 1..=(disparity_px.highest / scale).ceil() as i32 + 1
 }
 
-/// Runs several families of kernels in turn, so that whatever else the machine does meets all alike.
+/// Runs several families of kernels in turn, so that other load on the machine affects all families alike.
 ///
 /// # Errors
-/// As [`StageBench::round`].
+/// Those of [`StageBench::round`].
 pub fn run_in_turn(benches: &mut [StageBench<'_>], rounds: usize) -> anyhow::Result<()> {
     const WARM_UP: usize = 3;
     for round in 0..WARM_UP + rounds {

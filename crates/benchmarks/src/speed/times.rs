@@ -1,4 +1,4 @@
-//! Times of calls that are made many times over.
+//! Statistics of the times of repeated calls.
 
 use pb3dp_record::metrics::percentile;
 use serde_json::{Value, json};
@@ -8,22 +8,22 @@ use pb3dp_hal_platform::cpu_time::timed;
 /// CPU times of one thread, milliseconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Times {
-    /// How many calls.
+    /// Number of calls.
     pub count: usize,
-    /// The shortest.
+    /// Minimum.
     pub min_ms: f64,
-    /// Half of the calls are shorter.
+    /// Median.
     pub median_ms: f64,
-    /// Nine of ten are shorter.
+    /// 90th percentile.
     pub p90_ms: f64,
-    /// Ninety-nine of a hundred are shorter.
+    /// 99th percentile.
     pub p99_ms: f64,
-    /// The longest.
+    /// Maximum.
     pub max_ms: f64,
 }
 
 impl Times {
-    /// Summary of some times; `None` if there is none.
+    /// Statistics of some times; `None` if there are none.
     pub fn of(samples_ms: &[f64]) -> Option<Self> {
         let at = |percent| percentile(samples_ms, percent);
         Some(Self {
@@ -36,7 +36,7 @@ impl Times {
         })
     }
 
-    /// As kept.
+    /// As saved.
     pub fn to_json(self) -> Value {
         json!({
             "count": self.count,
@@ -49,13 +49,13 @@ impl Times {
     }
 }
 
-/// Calls that come before those that count: buffers grow, and the processor learns.
+/// Warm-up calls, which do not count: buffers grow, and caches fill.
 const WARM_UP: usize = 5;
 
-/// Times of `rounds` calls after some that do not count.
+/// Times of `rounds` calls after the warm-up.
 ///
 /// # Errors
-/// Those of the calls.
+/// Errors of the calls.
 pub fn repeat(rounds: usize, mut work: impl FnMut() -> anyhow::Result<()>) -> anyhow::Result<Times> {
     let mut samples = Vec::with_capacity(rounds.max(1));
     for round in 0..WARM_UP + rounds.max(1) {
@@ -65,7 +65,7 @@ pub fn repeat(rounds: usize, mut work: impl FnMut() -> anyhow::Result<()>) -> an
             samples.push(ms);
         }
     }
-    Times::of(&samples).ok_or_else(|| anyhow::anyhow!("a measured time is not a number"))
+    Times::of(&samples).ok_or_else(|| anyhow::anyhow!("a measured time is NaN"))
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Frames of the tracker: both images in, six degrees of freedom and their covariance out.
+//! Frames of the tracker: stereo pair in, six degrees of freedom with covariance out.
 
 use anyhow::{Context, bail};
 use pb3dp_estimation_core::cpu::Kernels;
@@ -18,23 +18,23 @@ use pb3dp_hal_platform::cpu_time::timed;
 pub const POINTS: usize = 1000;
 /// Rendered frames of the moving target.
 const FRAMES: usize = 45;
-/// Rendered frames without it.
+/// Rendered frames without the target.
 const FRAMES_EMPTY: usize = 4;
-/// Frames before those that count.
+/// Warm-up frames.
 const WARM_UP: usize = 10;
 
 /// Times of a tracker.
 pub struct TrackingRow {
-    /// Frames in which the target was followed.
+    /// Frames in which the target was tracked.
     pub followed: Times,
-    /// Frames in which it was lost: all kept views are searched for.
+    /// Frames in which the target was lost: all stored views are searched.
     pub lost: Times,
     /// The first frame: cold start and model.
     pub start_ms: f64,
 }
 
 impl TrackingRow {
-    /// As kept.
+    /// As saved.
     pub fn to_json(&self) -> Value {
         json!({
             "points": POINTS,
@@ -45,7 +45,7 @@ impl TrackingRow {
     }
 }
 
-/// A tracker at work on a clip.
+/// A tracker running on a clip.
 pub struct Follower {
     tracker: DirectTracker,
     estimate: TrackEstimate,
@@ -53,10 +53,10 @@ pub struct Follower {
 }
 
 impl Follower {
-    /// Starts on region `index` of the first pair. The pose that the status tells must be sure.
+    /// Starts on region `index` of the first pair. The status must be confident.
     ///
     /// # Errors
-    /// If the target is not found: there is nothing to measure then.
+    /// If the target is not found: there is nothing to measure.
     pub fn start(clip: &Clip, index: usize, points: usize, kernels: Kernels) -> anyhow::Result<Self> {
         let track = DirectTrackerConfig { points, ..DirectTrackerConfig::default() };
         let mut tracker = DirectTracker::with_kernels(&clip.rig, DirectConfig::default(), track, kernels)?;
@@ -69,10 +69,10 @@ impl Follower {
         Ok(Self { tracker, estimate, frame: 0 })
     }
 
-    /// The next frame of the clip: the status, and the CPU time in milliseconds.
+    /// Processes the next frame of the clip: the status, and the CPU time in milliseconds.
     ///
     /// # Errors
-    /// Those of the tracker.
+    /// Errors of the tracker.
     pub fn step(&mut self, clip: &Clip) -> anyhow::Result<(Status, f64)> {
         self.frame += 1;
         let (left, right) = clip.pair(self.frame);
@@ -83,7 +83,7 @@ impl Follower {
         Ok((self.estimate.status, ms))
     }
 
-    /// As [`Self::step`], where nothing but following counts.
+    /// Like [`Self::step`], but requires that the target is tracked.
     ///
     /// # Errors
     /// If the target was lost.
@@ -96,10 +96,10 @@ impl Follower {
     }
 }
 
-/// Follows the moving crab, then looks for it where it is not.
+/// Tracks the moving crab, then searches for it in images without the crab.
 ///
 /// # Errors
-/// If simulator or tracker refuse the set-up, or the target is lost.
+/// If simulator or tracker rejects the setup, or the target is lost.
 pub fn tracking(rounds: usize) -> anyhow::Result<TrackingRow> {
     let clip = crab(SIZE, FRAMES)?;
     let (follower, start_ms) = timed(|| Follower::start(&clip, 0, POINTS, Kernels::best()));
@@ -120,14 +120,14 @@ pub fn tracking(rounds: usize) -> anyhow::Result<TrackingRow> {
         }
     }
     let times = Times::of(&followed).zip(Times::of(&lost));
-    let (followed, lost) = times.context("the tracker never followed, or never lost an absent target")?;
+    let (followed, lost) = times.context("the tracker never tracked the target, or never lost the absent target")?;
     Ok(TrackingRow { followed, lost, start_ms })
 }
 
-/// A tracking frame with every family of kernels that runs here.
+/// A tracking frame with every available family of kernels.
 ///
 /// # Errors
-/// As [`tracking`].
+/// Those of [`tracking`].
 pub fn kernels(rounds: usize) -> anyhow::Result<KernelRow> {
     let clip = crab(SIZE, FRAMES)?;
     let families: Vec<Kernels> = Kernels::available().collect();

@@ -4,12 +4,13 @@ use super::super::rules::{ArmRules, Rules};
 use super::super::truth::{ArmTruth, Step};
 use super::{Found, Invariant, Place};
 
-/// Windows over which changes of speed are looked at, seconds: one that sees a jump, and one that sees acceleration.
+/// Windows for changes of speed, seconds: one shows a jump, the other acceleration.
 const WINDOWS_S: [f64; 2] = [0.020, 0.100];
-/// For how many cycles more than its window a joint may gain speed. Chosen: as many commands in a row may be late or lost, and the next one
-/// is off by what gathered meanwhile. In 200 runs 12.4 ms were needed; one cycle finds a violation in one of them.
+/// Number of cycles by which a joint may gain speed beyond its window. Chosen: as many commands in a row may be late or
+/// lost, and the next one contains the accumulated difference. In 200 runs 12.4 ms were needed; with one cycle one of them
+/// has a violation.
 const CYCLES_MORE: f64 = 2.0;
-/// How much faster than its limit a joint may be: commands are rounded to 1/5000 rad/s, and the record to 2 ms.
+/// Tolerance of the speed limit: commands are rounded to 1/5000 rad/s, and the record to 2 ms.
 const SPEED_SHARE: f64 = 1.01;
 const SPEED_MORE_RAD_PER_S: f64 = 0.001;
 
@@ -28,7 +29,7 @@ pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
     }
 }
 
-/// Whether nothing drives the joints: they fall or run out until the brakes hold.
+/// Whether nothing drives the joints: they fall or coast until the brakes hold.
 fn is_free(arm: &ArmTruth) -> bool {
     !arm.servo_on
 }
@@ -47,12 +48,12 @@ fn position(rules: &ArmRules, (arm, step): (usize, &Step), stops_only: bool, fou
     }
 }
 
-/// A joint that moves by itself, or comes back from there, may be faster by so much for as long as that is not found out, which has a
-/// limit of its own: drives are not exact, and their monitors allow for it (docs/arm-limits.md).
+/// Additional speed of a joint that moves by itself, or returns from there, until this is detected, for which there is
+/// another limit: drives are not exact, and their monitors allow for it (docs/arm-limits.md).
 const SPEED_SHARE_BY_ITSELF: f64 = 1.1;
 
-/// As the truth has it, and by how far the joint went: a joint that jumps is fast. A joint that moves by itself may be faster still from
-/// the moment on in which it is, for as long as it takes to see that and to close the brakes.
+/// Checks the recorded speed, and the speed from the distance moved: a joint that jumps is fast. A joint that moves by
+/// itself may be faster from that moment, for as long as it takes to detect this and to close the brakes.
 fn speed(
     rules: &Rules,
     (arm, step, before): (usize, &Step, Option<&Step>),
@@ -87,12 +88,12 @@ fn speed(
     }
 }
 
-/// Within a window a joint's speed changes by what its acceleration allows in the window and [`CYCLES_MORE`]. Arms that were stopped otherwise
-/// than by commands have other limits: those of their brakes.
+/// Within a window a joint's speed changes by at most its acceleration limit times the window and [`CYCLES_MORE`]. An arm
+/// that was not stopped by commands has other limits: those of its brakes.
 ///
-/// There is no invariant on jerk. It acts within 25 ms (2 rad/s^2 at 80 rad/s^3), less than the lag of the drive, and a lost command makes a
-/// step of true acceleration that is larger than what the limit on jerk allows: the true motion does not tell. The limiter's own tests
-/// check its commands (`hal/middleware/tests/limiter.rs`).
+/// There is no invariant on jerk. Jerk acts within 25 ms (2 rad/s^2 at 80 rad/s^3), less than the lag of the drive, and a
+/// lost command causes a step of true acceleration that is larger than the jerk limit allows: the true motion does not show
+/// it. The limiter's own tests check its commands (`hal/middleware/tests/limiter.rs`).
 fn acceleration(rules: &Rules, (arm, steps): (usize, &[Step]), window_s: f64, found: &mut Found) {
     let (mut from, mut commanded_since) = (0, 0);
     for (index, step) in steps.iter().enumerate() {
@@ -123,12 +124,12 @@ fn acceleration(rules: &Rules, (arm, steps): (usize, &[Step]), window_s: f64, fo
 /// Joints that move by themselves.
 #[derive(Default)]
 struct Disobedience {
-    /// A joint moved by itself, and the arm has not been within its operating range since.
+    /// A joint moved by itself, and the arm has not returned to its operating range since.
     may_be_out: bool,
     since_s: Option<f64>,
     /// The joint that moves by itself, or did so last.
     joint: Option<usize>,
-    /// Since when that joint is too fast.
+    /// Time since which that joint is too fast.
     too_fast_since_s: Option<f64>,
 }
 
@@ -146,7 +147,7 @@ impl Disobedience {
         }
         self.may_be_out = true;
         self.joint = truth.by_itself.or(self.joint);
-        // A joint that is stuck, or behind its brake, moves nothing; what its arm makes of it the other limits judge.
+        // A stuck or braked joint does not move; the other limits check the reaction of its arm.
         let moves = truth.by_itself.is_some_and(|joint| truth.velocity_rad_per_s[joint].abs() > rules.rest_rad_per_s);
         if !moves {
             self.since_s = None;

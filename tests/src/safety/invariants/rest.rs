@@ -1,4 +1,4 @@
-//! When arms have to rest.
+//! When arms must be stationary.
 
 use super::super::rules::Rules;
 use super::super::truth::{HAND_ARM, Joints, Step};
@@ -11,8 +11,8 @@ pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
             None => rules.told_other_s,
         };
         let latched = |step: &Step| step.arms.iter().any(|arm| arm.latched_since_s.is_some());
-        // What a joint does by itself ends with the latch.
-        // Without servos nothing keeps a joint but its brake: how long it may fall is said by the latch.
+        // The latch ends the exception for a joint that moves by itself.
+        // Without servos only the brake stops a joint: the latch determines how long it may fall.
         let drives = |step: &Step| step.arms[arm].obeys && step.arms[arm].servo_on;
         let silent = |step: &Step| drives(step) && !step.arms[arm].may_go;
         let blind =
@@ -32,23 +32,19 @@ pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
                 let t_s = pair[1].t_s;
                 let place = Place { invariant: Invariant::LatchCleared, arm: Some(arm), joint: None, t_s };
                 let resets = f64::from(pair[1].resets);
-                found.push(
-                    place,
-                    (resets, f64::from(pair[0].resets) + 1.0),
-                    "resets so far, and how many there must be",
-                );
+                found.push(place, (resets, f64::from(pair[0].resets) + 1.0), "resets so far, and required number");
             }
         }
     }
 }
 
-/// One reason for rest, from when it comes until it goes.
+/// One reason for standstill, from its start to its end.
 struct MustRest {
     invariant: Invariant,
     arm: usize,
-    /// When the arm has to be at rest.
+    /// When the arm must be stationary.
     from_s: Option<f64>,
-    /// Where it was then.
+    /// Its position at that time.
     rested_rad: Option<Joints>,
 }
 
@@ -57,7 +53,7 @@ impl MustRest {
         Self { invariant, arm, from_s: None, rested_rad: None }
     }
 
-    /// `reason`: how much later the arm hears of it, seconds; none if there is no reason.
+    /// `reason`: delay until the arm reacts, seconds; none without a reason.
     fn look(&mut self, rules: &Rules, step: &Step, reason: Option<f64>, found: &mut Found) {
         let Some(heard_s) = reason else {
             (self.from_s, self.rested_rad) = (None, None);

@@ -1,4 +1,4 @@
-//! Room between both arms, and between hand and target.
+//! Distance of both arms, and of hand and target.
 
 use super::super::rules::Rules;
 use super::super::shape::{Rod, room_m};
@@ -10,13 +10,12 @@ pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
     target_apart(rules, steps, found);
 }
 
-/// How much a joint vector differs, summed over the joints: no point of the arm moved farther than this times its reach.
+/// Distance of two joint vectors, summed over the joints: no point of the arm moved farther than this times its reach.
 fn turned_rad(a: &Joints, b: &Joints) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum()
 }
 
-/// What was computed once, and where everything was then: as long as nothing can have moved so far that it matters, it need not be
-/// computed again.
+/// A computed distance with the positions of that time: while nothing can have moved far enough to matter, it is reused.
 struct Known {
     room_m: f64,
     joints_rad: [Joints; 2],
@@ -46,7 +45,7 @@ fn arms_apart(rules: &Rules, steps: &[Step], found: &mut Found) {
     }
 }
 
-/// What a step can change of a place of the target, metres at most.
+/// Largest change of the target's position in one step, metres.
 fn displaced_m(rules: &Rules, a: &Placement, b: &Placement) -> f64 {
     let norm = |numbers: &mut dyn Iterator<Item = f64>| numbers.map(|x| x * x).sum::<f64>().sqrt();
     let moved = norm(&mut a.translation_m.iter().zip(&b.translation_m).map(|(a, b)| a - b));
@@ -55,7 +54,7 @@ fn displaced_m(rules: &Rules, a: &Placement, b: &Placement) -> f64 {
     moved + turned * farthest.fold(0.0, f64::max)
 }
 
-/// Below the least room the hand may only use up the way that braking takes: what the target does, it cannot help.
+/// Below the minimum distance the hand may only use its braking distance; the target's own motion does not count.
 fn target_apart(rules: &Rules, steps: &[Step], found: &mut Found) {
     let body = &rules.arms[HAND_ARM].body;
     let reach_m = body.reach_m();
@@ -74,7 +73,7 @@ fn target_apart(rules: &Rules, steps: &[Step], found: &mut Found) {
         let target: Vec<Rod> = rules.target.iter().map(|rod| rod.placed(&step.world_from_target)).collect();
         let mut room_of = |joints_rad: &Joints| {
             body.place(joints_rad, &mut rods);
-            // Base and links up to the wrist are the other invariant's.
+            // The other invariant covers base and links up to the wrist.
             room_m(&rods[3..], &target)
         };
         let now_m = room_of(&joints_rad[HAND_ARM]);
@@ -88,7 +87,7 @@ fn target_apart(rules: &Rules, steps: &[Step], found: &mut Found) {
         }
         if approached_m > rules.target_braking_m {
             let place = Place { invariant: Invariant::TargetApart, arm: Some(HAND_ARM), joint: None, t_s: step.t_s };
-            found.push(place, (approached_m, rules.target_braking_m), format!("{now_m:.3} m are left"));
+            found.push(place, (approached_m, rules.target_braking_m), format!("{now_m:.3} m remain"));
         }
     }
 }

@@ -1,4 +1,4 @@
-//! How a hand may look for its target: near to where it was lost, and slowly.
+//! How a hand may search for its target: close to the position of the loss, and slowly.
 
 use super::super::pa10::links;
 use super::super::rules::Rules;
@@ -13,7 +13,7 @@ pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
         let arm = &step.arms[HAND_ARM];
         step.may_search && step.pose_age_s > rules.pose_age_max_s && arm.obeys && arm.servo_on
     };
-    // Until when the hand may brake that moved when the target was lost, and from where it then looks for it.
+    // When a hand that moved at the loss must have braked, and the position from which it then searches.
     let mut braked_s: Option<f64> = None;
     let mut began_m: Option<[f64; 3]> = None;
     for pair in steps.windows(2) {
@@ -37,7 +37,7 @@ pub(super) fn check(rules: &Rules, steps: &[Step], found: &mut Found) {
         let place = Place { invariant: Invariant::Search, arm: Some(HAND_ARM), joint: None, t_s: step.t_s };
         let far_m = distance_m(began_m.get_or_insert(now_m), &now_m);
         if far_m > rules.search_reach_m {
-            found.push(place, (far_m, rules.search_reach_m), "m from where it began");
+            found.push(place, (far_m, rules.search_reach_m), "m from the start of the search");
         }
         if is_fast {
             found.push(place, (speed, rules.search_m_per_s), "m/s");

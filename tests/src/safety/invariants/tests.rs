@@ -1,4 +1,4 @@
-//! Each invariant is silent on a good run and fires on one that breaks it.
+//! Each invariant accepts a good run and reports a run that violates it.
 
 use super::super::truth::{ArmTruth, HAND_ARM, Injected, LogLine, Placement, TARGET_ARM};
 use super::*;
@@ -12,7 +12,7 @@ fn target() -> Placement {
     Placement { rotation: [[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], translation_m: [0.24, 0.0, 0.95] }
 }
 
-/// Both arms swing S1 and W2 by a tenth of a radian for as long as `goes` says, then brake at 1.9 rad/s^2, and go on likewise.
+/// Both arms oscillate in S1 and W2 by a tenth of a radian while `goes` is true, then brake at 1.9 rad/s^2, and continue likewise.
 fn run(seconds: f64, goes: impl Fn(usize, f64) -> bool, mut change: impl FnMut(&mut Step)) -> Truth {
     let mut truth = Truth::default();
     let mut arms = STARTS_DEG.map(|degrees| ArmTruth::resting_at(degrees.map(f64::to_radians)));
@@ -57,7 +57,7 @@ fn silent(truth: &Truth) {
     assert!(found.is_empty(), "{}", found[0]);
 }
 
-/// What is found is of this kind alone; the first of it.
+/// All violations are of this kind; returns the first of them.
 fn only(invariant: Invariant, truth: &Truth) -> Violation {
     let found = found_in(truth);
     assert!(!found.is_empty(), "{} was not found", invariant.name());
@@ -67,7 +67,7 @@ fn only(invariant: Invariant, truth: &Truth) -> Violation {
     found[0].clone()
 }
 
-/// A fault at 2 s of which both arms hear at once, a reset at 4 s, the word to go at 5 s.
+/// A fault at 2 s that both arms detect at once, a reset at 4 s, the command to go at 5 s.
 fn latched(step: &mut Step) {
     for arm in &mut step.arms {
         arm.latched_since_s = (2.0..4.0).contains(&step.t_s).then_some(2.0);
@@ -101,12 +101,12 @@ fn a_record_with_a_hole_or_without_a_number_proves_nothing() {
 
 #[test]
 fn a_joint_beyond_its_range_is_found() {
-    // E2 works to 249 degrees, 0.2 more are allowed.
+    // E2 works to 249 degrees; a tolerance of 0.2 degrees is allowed.
     let far = |degrees: f64| move |step: &mut Step| step.arms[TARGET_ARM].position_rad[4] = degrees.to_radians();
     silent(&run(1.0, always, far(249.1)));
     let seen = only(Invariant::Position, &run(1.0, always, far(249.3)));
     assert_eq!((seen.arm, seen.joint, seen.steps), (Some(TARGET_ARM), Some(4), 500));
-    // What nothing drives may run out, but not through its stops.
+    // A joint without drive may coast, but not through its stops.
     let free = |degrees: f64| {
         move |step: &mut Step| {
             far(degrees)(step);
@@ -115,7 +115,7 @@ fn a_joint_beyond_its_range_is_found() {
     };
     silent(&run(1.0, always, free(260.0)));
     only(Invariant::Position, &run(1.0, always, free(270.5)));
-    // A joint that moved by itself may be out until the arm is back within its range, and not once more.
+    // A joint that moved by itself may be out of range until the arm is back, and not again.
     let disobeyed = |back_s: f64, out_again_s: f64| {
         run(
             1.0,
@@ -153,10 +153,10 @@ fn a_joint_that_is_too_fast_or_jumps_is_found() {
     assert!((only(Invariant::Speed, &jump).value - 5.0).abs() < 0.1);
 }
 
-/// A joint runs away, at more and more speed, and comes back to rest; what it is allowed counts from where it is too fast, to it alone.
+/// A joint runs away with growing speed, and comes to rest; its tolerance counts from when it is too fast, for this joint alone.
 #[test]
 fn a_joint_that_runs_away_may_be_too_fast_for_a_moment() {
-    // From 0.4 s on it speeds up at 2 rad/s^2: at 0.7305 s it is as fast as it may be by itself. The fault ends at 0.75 s.
+    // From 0.4 s on it accelerates at 2 rad/s^2: at 0.7305 s it reaches its speed limit. The fault ends at 0.75 s.
     let runs_away = |most: f64, joint: usize, stopped_at_s: f64| {
         run(2.0, always, move |step| {
             let arm = &mut step.arms[HAND_ARM];
@@ -173,9 +173,9 @@ fn a_joint_that_runs_away_may_be_too_fast_for_a_moment() {
     silent(&runs_away(0.7, 1, 0.778));
     let seen = only(Invariant::Speed, &runs_away(0.7, 1, 0.83));
     assert!((0.778..0.784).contains(&seen.first_s) && seen.note.starts_with("for 0.0"), "{seen}");
-    // Slower than that it is the other invariants' concern, also on its way back.
+    // Below that speed the other invariants apply, also on the way back.
     silent(&runs_away(0.655, 1, 1.0));
-    // The arm's other joints have no reason to be too fast.
+    // The arm's other joints have no tolerance.
     let seen = only(Invariant::Speed, &runs_away(0.7, 0, 0.778));
     assert!(seen.first_s < 0.71 && seen.joint == Some(0), "{seen}");
 }
@@ -203,7 +203,7 @@ fn acceleration_beyond_the_limit_is_found_in_jumps_and_in_ramps() {
 
 #[test]
 fn motion_after_a_latched_fault_of_either_arm_is_found() {
-    // The partner goes on.
+    // The other arm continues.
     let truth = run(
         7.0,
         |arm, t_s| arm == HAND_ARM || rests_from_2_to_5(arm, t_s),
@@ -256,7 +256,7 @@ fn motion_without_a_fresh_pose_is_found_of_the_hand_alone() {
     only(Invariant::RestWithoutPose, &run(4.0, always, never));
 }
 
-/// S1 turns the flange, 0.8 m from its axis, with this speed for so long, from a second after a loss on.
+/// S1 turns the flange, 0.8 m from its axis, with this speed for this time, from a second after a loss.
 fn searching(speed_rad_per_s: f64, seconds: f64, may_search: bool) -> Truth {
     run(
         8.0,
@@ -275,11 +275,11 @@ fn searching(speed_rad_per_s: f64, seconds: f64, may_search: bool) -> Truth {
 fn a_hand_may_look_for_its_target_where_that_is_permitted_near_and_slowly() {
     silent(&searching(0.03, 2.0, true));
     only(Invariant::RestWithoutPose, &searching(0.03, 2.0, false));
-    assert!(only(Invariant::Search, &searching(0.03, 5.5, true)).note.contains("from where it began"));
+    assert!(only(Invariant::Search, &searching(0.03, 5.5, true)).note.contains("from the start of the search"));
     assert!(only(Invariant::Search, &searching(0.08, 0.5, true)).note.contains("m/s"));
 }
 
-/// S1 moves with 0.3 rad/s when the target is lost, at 1 s, and brakes so much later.
+/// S1 moves at 0.3 rad/s when the target is lost, at 1 s, and brakes this much later.
 fn lost_in_motion(later_s: f64) -> Truth {
     const SPEED: f64 = 0.3;
     const BRAKING: f64 = 1.9;
@@ -314,7 +314,7 @@ fn a_joint_that_moves_by_itself_has_to_be_stopped() {
                 let arm = &mut step.arms[HAND_ARM];
                 arm.obeys = step.t_s < 1.0 || step.t_s >= latched_at_s;
                 arm.by_itself = (!arm.obeys).then_some(0);
-                // Where it swings it is at rest for moments.
+                // The oscillation is stationary at its ends.
                 arm.velocity_rad_per_s[0] += if arm.obeys { 0.0 } else { 0.3 };
                 arm.latched_since_s = (step.t_s >= latched_at_s).then_some(latched_at_s);
             },
@@ -327,7 +327,7 @@ fn a_joint_that_moves_by_itself_has_to_be_stopped() {
     assert!(stopped(&by_itself(2.5)));
     let found = found_in(&by_itself(4.0));
     assert!(found.iter().any(|seen| (seen.invariant, seen.arm) == (Invariant::Disobedience, Some(HAND_ARM))));
-    // One that is stuck, axis 4, moves nothing.
+    // A stuck joint, axis 4, does not move.
     let mut stuck = by_itself(4.0);
     stuck.steps.iter_mut().for_each(|step| step.arms[HAND_ARM].by_itself = Some(3));
     assert!(found_in(&stuck).iter().all(|seen| seen.invariant != Invariant::Disobedience));
@@ -357,7 +357,7 @@ fn arms_that_come_too_near_are_found() {
 fn a_hand_that_goes_nearer_than_the_target_allows_is_found_and_a_target_that_comes_is_not() {
     let comes = run(2.0, |_, _| false, |step| step.world_from_target.translation_m[0] -= 0.25 * step.t_s);
     silent(&comes);
-    // S2 leans on, the hand comes down upon a target that hangs still.
+    // S2 leans forward, and the hand comes down on a target that is stationary.
     let leans = run(
         2.0,
         |_, _| false,
@@ -368,7 +368,7 @@ fn a_hand_that_goes_nearer_than_the_target_allows_is_found_and_a_target_that_com
         },
     );
     let seen = only(Invariant::TargetApart, &leans);
-    assert!(seen.value > 0.06 && seen.note.contains("are left"), "{seen}");
+    assert!(seen.value > 0.06 && seen.note.contains("remain"), "{seen}");
 }
 
 #[test]
