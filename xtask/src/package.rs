@@ -75,7 +75,11 @@ fn try_to_publish(workspace: &Workspace) -> anyhow::Result<()> {
 
 fn build(workspace: &Workspace) -> anyhow::Result<Release> {
     let rustc = workspace.output_of("rustc", &["-vV"]).context("rustc does not print its version")?;
-    let triple = rustc.lines().find_map(|line| line.strip_prefix("host: ")).context("the output of rustc has no host")?.to_owned();
+    let triple = rustc
+        .lines()
+        .find_map(|line| line.strip_prefix("host: "))
+        .context("the output of rustc has no host")?
+        .to_owned();
     let metadata = workspace.metadata()?;
     let packages = metadata["packages"].as_array().context("`packages` is missing from cargo metadata")?;
     let program = packages.iter().find(|package| package["name"] == "pb3dp-orchestrator");

@@ -1,5 +1,5 @@
 //! Types shared by all estimation methods: the [region] of the target, the [plane hypothesis](plane_hypothesis), the
-//! [request](method) and the trait of a method, the [estimate](estimate) with its [status], and vector kernels ([`mod@wide`]).
+//! [request](method) and the trait of a method, the [estimate] with its [status], and vector kernels ([`mod@wide`]).
 //!
 //! This crate contains no method and uses no file, clock, thread or environment.
 

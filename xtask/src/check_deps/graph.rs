@@ -340,7 +340,8 @@ fn check_package(package: &Package, ours: &[&str]) -> Vec<Violation> {
     }
     for name in package.test_dependencies.iter().filter(is_ours) {
         if !allowed.contains(&name.as_str()) && !is_allowed_in_tests(package, name) {
-            let message = format!("its tests must not depend on {name}: move them to tests/, which may depend on all packages");
+            let message =
+                format!("its tests must not depend on {name}: move them to tests/, which may depend on all packages");
             violations.push(Violation::of(&place, "direction", message));
         }
     }
