@@ -34,7 +34,7 @@ const QUICK_ROUNDS: &str = "40";
 ///         --seed N). Writes docs/benchmarks/servo.md
 /// safety  seeded runs in which everything goes wrong, with both arms emulated in virtual time, judged on the simulator's truth;
 ///         fails if anything does not hold, and says how to do that run again: --runs N, --seed N, --quick, --trace,
-///         --imaged N (of the first runs so many once more with rendered images); a run of default length writes docs/benchmarks/safety.md. --disabled, in a build of its own: each safeguard disabled, which
+///         --rendered N (of the first runs so many once more with rendered images); a run of default length writes docs/benchmarks/safety.md. --disabled, in a build of its own: each safeguard disabled, which
 ///         must show; --only NAME: some of them; all of them write their part of that page
 /// all     speed and raster
 ///

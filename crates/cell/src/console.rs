@@ -231,6 +231,16 @@ impl Drop for Reading {
     }
 }
 
+/// The command of a line. `stop` and `hold` are recognised by the first word in any case and with any punctuation, because an operator
+/// in a hurry types `STOP!`; a command that can cause motion must be exact.
+fn command_of(line: &str) -> Option<OperatorCommand> {
+    let first = line.split(|c: char| !c.is_alphabetic()).find(|word| !word.is_empty()).unwrap_or_default();
+    let is_cautious = |command: &OperatorCommand| {
+        matches!(command, OperatorCommand::Stop | OperatorCommand::Hold) && command.name().eq_ignore_ascii_case(first)
+    };
+    OperatorCommand::ALL.into_iter().find(|command| command.name() == line || is_cautious(command))
+}
+
 impl Reading {
     /// Reads until the input ends.
     fn read(mut self, mut lines: impl BufRead) {
@@ -263,8 +273,7 @@ impl Reading {
     }
 
     fn take(&mut self, line: &str) {
-        let word = OperatorCommand::ALL.into_iter().find(|word| word.name() == line);
-        let answer = match (word, line) {
+        let answer = match (command_of(line), line) {
             (Some(word), _) => self.say(word),
             (None, "status") => Some(self.status()),
             (None, "help" | "?") => Some(HELP.to_owned()),
@@ -434,6 +443,19 @@ mod tests {
             ]
         );
         assert_eq!(heard[2].heard_at, Some(NOW), "a closed console gives no sign of life");
+    }
+
+    #[test]
+    fn a_stop_typed_in_a_hurry_is_a_stop_and_a_start_must_be_exact() {
+        use OperatorCommand::{Hold, Start, Stop};
+        for line in ["stop", "STOP", "Stop!", "stop now", "stop.", "  stop", "!stop"] {
+            assert_eq!(command_of(line), Some(Stop), "{line:?}");
+        }
+        assert_eq!(["Hold", "HOLD it", "hold"].map(command_of), [Some(Hold); 3]);
+        assert_eq!(command_of("start"), Some(Start));
+        for line in ["START", "start now", "start.", "Resume", "reset!", "stopping", "do not stop", "restart", ""] {
+            assert_eq!(command_of(line), None, "{line:?}");
+        }
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::io;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressFinish, ProgressStyle};
 use pb3dp_cell::terminal::print_line;
 
 /// The bar that is shown; log lines are written above it.
@@ -21,11 +21,10 @@ pub struct Progress {
 impl Progress {
     /// A bar for `total` parts of the work.
     pub fn of(total: usize, work: &'static str) -> Self {
-        let style = ProgressStyle::with_template("{msg} [{bar:40}] {pos}/{len} {elapsed}, {eta} left");
-        let bar = ProgressBar::new(total as u64).with_message(work);
-        // The template is constant; a test draws it.
-        let bar = match style {
-            Ok(style) => bar.with_style(style.progress_chars("=> ")),
+        let bar = ProgressBar::new(total as u64).with_message(work).with_finish(ProgressFinish::AndClear);
+        // The template is constant, and a test sees it drawn.
+        let bar = match ProgressStyle::with_template("{msg} [{bar:40}] {pos}/{len} {elapsed}, {eta} left") {
+            Ok(style) => bar.with_style(style),
             Err(_) => bar,
         };
         bar.enable_steady_tick(REDRAWN_EVERY);
@@ -50,7 +49,6 @@ impl Progress {
 impl Drop for Progress {
     fn drop(&mut self) {
         *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = None;
-        self.bar.finish_and_clear();
     }
 }
 

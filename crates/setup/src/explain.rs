@@ -48,30 +48,19 @@ pub fn explain(key: &str) -> Result<Vec<Explanation>, Vec<String>> {
         alike.dedup();
         return Err(alike);
     }
-    let is_one = below.len() == 1;
-    Ok(below
-        .into_iter()
-        .map(|found| Explanation {
-            key: found.clone(),
-            about: about(found),
-            unit: unit_of(found),
-            allowed: is_one.then(|| allowed(found)).flatten(),
-            values: known[found].clone(),
-        })
-        .collect())
+    // The range of a key takes a whole check of a setup, so a table is listed without ranges.
+    let allowed = if below.len() == 1 { allowed } else { |_: &str| None };
+    Ok(below.into_iter().map(|key| explanation(key, known[key].clone(), allowed)).collect())
+}
+
+fn explanation(key: &str, values: Vec<(&'static str, String)>, allowed: fn(&str) -> Option<String>) -> Explanation {
+    Explanation { key: key.to_owned(), about: about(key), unit: unit_of(key), allowed: allowed(key), values }
 }
 
 /// Explains every key of the built-in setups.
 #[must_use]
 pub fn explain_all() -> Vec<Explanation> {
-    let of_one = |(key, values): (String, _)| Explanation {
-        about: about(&key),
-        unit: unit_of(&key),
-        allowed: allowed(&key),
-        values,
-        key,
-    };
-    all_keys().into_iter().map(of_one).collect()
+    all_keys().into_iter().map(|(key, values)| explanation(&key, values, allowed)).collect()
 }
 
 /// Whether some setup takes a key that none states.

@@ -36,7 +36,7 @@ use system_tests::safety::truth::ARM_NAMES;
 /// Runs of a full measurement.
 const RUNS: u64 = 20_000;
 /// Number of these runs that are repeated with images.
-const IMAGED: u64 = 24;
+const RENDERED: u64 = 24;
 /// Runs of a quick measurement.
 const QUICK_RUNS: u64 = 200;
 
@@ -47,7 +47,7 @@ const LEAD_OFF_MAX_S: f64 = 0.2;
 struct Args {
     seed: u64,
     runs: u64,
-    imaged: u64,
+    rendered: u64,
     trace: bool,
     disabled: bool,
     only: String,
@@ -58,14 +58,15 @@ struct Args {
 impl Args {
     fn read(mut words: impl Iterator<Item = String>) -> Result<Self> {
         let (only, origin) = (String::new(), "unknown".into());
-        let mut args = Self { seed: 1, runs: RUNS, imaged: 0, trace: false, disabled: false, only, origin, page: None };
-        let (mut is_whole, mut imaged) = (true, None);
+        let mut args =
+            Self { seed: 1, runs: RUNS, rendered: 0, trace: false, disabled: false, only, origin, page: None };
+        let (mut is_whole, mut rendered) = (true, None);
         while let Some(word) = words.next() {
             let mut value = || words.next().with_context(|| format!("{word}: no value given"));
             match word.as_str() {
                 "--seed" => args.seed = value()?.parse().context("--seed: give a whole number")?,
                 "--runs" => (args.runs, is_whole) = (value()?.parse().context("--runs: give a whole number")?, false),
-                "--imaged" => imaged = Some(value()?.parse().context("--imaged: give a whole number")?),
+                "--rendered" => rendered = Some(value()?.parse().context("--rendered: give a whole number")?),
                 "--quick" => (args.runs, is_whole) = (QUICK_RUNS, false),
                 "--trace" => args.trace = true,
                 "--disabled" => args.disabled = true,
@@ -73,12 +74,12 @@ impl Args {
                 "--origin" => args.origin = value()?,
                 "--page" => args.page = Some(value()?.into()),
                 _ => bail!(
-                    "unknown option {word}; options: --seed N, --runs N, --imaged N, --quick, --trace, --disabled, --only NAME, --page FOLDER, --origin TEXT"
+                    "unknown option {word}; options: --seed N, --runs N, --rendered N, --quick, --trace, --disabled, --only NAME, --page FOLDER, --origin TEXT"
                 ),
             }
         }
-        args.imaged = imaged.unwrap_or(if is_whole { IMAGED } else { 0 });
-        ensure!(args.runs + args.imaged > 0, "--runs and --imaged are both 0: give at least one run");
+        args.rendered = rendered.unwrap_or(if is_whole { RENDERED } else { 0 });
+        ensure!(args.runs + args.rendered > 0, "--runs and --rendered are both 0: give at least one run");
         Ok(args)
     }
 }
@@ -88,7 +89,7 @@ pub struct Judged {
     /// The seed.
     pub scenario: Scenario,
     /// Whether images were rendered and processed.
-    pub imaged: bool,
+    pub rendered: bool,
     /// What happened.
     pub ran: Ran,
     /// Violations.
@@ -115,20 +116,20 @@ fn judge(setup: &Setup, rules: &Rules, scenario: Scenario) -> Result<Judged> {
         "seed {seed}: the control loop started {} s after the camera; set LEAD_S in cameras.rs to this value",
         ran.lead_s
     );
-    let imaged = setup.leader.needs_images();
-    Ok(Judged { scenario, imaged, violations, digest, cpu_millis, ran })
+    let rendered = setup.leader.needs_images();
+    Ok(Judged { scenario, rendered, violations, digest, cpu_millis, ran })
 }
 
 /// The command that repeats one seed, with or without images.
-pub fn replay(seed: u64, imaged: bool) -> String {
-    let runs = if imaged { "--runs 0 --imaged 1" } else { "--runs 1" };
+pub fn replay(seed: u64, rendered: bool) -> String {
+    let runs = if rendered { "--runs 0 --rendered 1" } else { "--runs 1" };
     format!("cargo xtask bench safety --seed {seed} {runs} --trace")
 }
 
 fn tell(judged: &Judged) {
     let seed = judged.scenario.seed;
     for violation in &judged.violations {
-        println!("seed {seed}: {violation}\n  repeat: {}", replay(seed, judged.imaged));
+        println!("seed {seed}: {violation}\n  repeat: {}", replay(seed, judged.rendered));
     }
 }
 
@@ -184,11 +185,11 @@ impl Default for Progress {
 }
 
 impl Progress {
-    fn tell(&self, [plain, imaged]: [&Figures; 2], [runs, with_images]: [u64; 2]) {
+    fn tell(&self, [plain, rendered]: [&Figures; 2], [runs, with_images]: [u64; 2]) {
         let minutes = self.since.elapsed().as_secs() / 60;
         if self.minutes.swap(minutes, Ordering::Relaxed) < minutes {
-            let violations = plain.broken() + imaged.broken();
-            let (done, shown, rate) = (plain.runs, imaged.runs, plain.times_real_time());
+            let violations = plain.broken() + rendered.broken();
+            let (done, shown, rate) = (plain.runs, rendered.runs, plain.times_real_time());
             println!(
                 "{minutes} min: {done} of {runs} runs, {shown} of {with_images} with images, {violations} violations, {rate:.0} times real time per core"
             );
@@ -200,7 +201,7 @@ impl Progress {
 #[derive(Default)]
 struct Both {
     plain: Figures,
-    imaged: Figures,
+    rendered: Figures,
 }
 
 fn all(args: &Args) -> Result<Both> {
@@ -212,23 +213,23 @@ fn all(args: &Args) -> Result<Both> {
         loop {
             // Runs with images take longest, so they start first.
             let index = next.fetch_add(1, Ordering::Relaxed);
-            if index >= args.imaged + args.runs {
+            if index >= args.rendered + args.runs {
                 return;
             }
-            let (setup, index) = match index.checked_sub(args.imaged) {
+            let (setup, index) = match index.checked_sub(args.rendered) {
                 None => (&setups[1], index),
                 Some(index) => (&setups[0], index),
             };
             let judged = judge(setup, &rules, Scenario::of(args.seed + index));
             let Ok(mut figures) = figures.lock() else { return };
             match (judged, figures.as_mut()) {
-                (Ok(judged), Ok(Both { plain, imaged })) => {
+                (Ok(judged), Ok(Both { plain, rendered })) => {
                     tell(&judged);
                     if args.trace {
                         trace(&judged);
                     }
-                    if judged.imaged { &mut *imaged } else { &mut *plain }.add(&judged, &rules);
-                    told.tell([plain, imaged], [args.runs, args.imaged]);
+                    if judged.rendered { &mut *rendered } else { &mut *plain }.add(&judged, &rules);
+                    told.tell([plain, rendered], [args.runs, args.rendered]);
                 }
                 (Err(error), Ok(_)) => {
                     *figures = Err(error);
@@ -253,14 +254,14 @@ fn main() -> Result<ExitCode> {
         return disabled(&args);
     }
     let figures = all(&args)?;
-    let Both { plain, imaged } = &figures;
-    let text = page::text(plain, imaged, args.seed, &args.origin);
+    let Both { plain, rendered } = &figures;
+    let text = page::text(plain, rendered, args.seed, &args.origin);
     println!("{text}");
     if let Some(folder) = &args.page {
         page::write_part(folder, Some(&text), None)?;
     }
-    println!("{} virtual seconds per run, hash of all: {:016x}", RUN_S, plain.digest.wrapping_add(imaged.digest));
-    Ok(if plain.broken() + imaged.broken() == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    println!("{} virtual seconds per run, hash of all: {:016x}", RUN_S, plain.digest.wrapping_add(rendered.digest));
+    Ok(if plain.broken() + rendered.broken() == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 /// Disables each safeguard.
@@ -286,7 +287,7 @@ mod tests {
         let args = Args::read(["--runs", "12"].map(str::to_owned).into_iter()).unwrap();
         let (one, other) = (all(&args).unwrap(), all(&args).unwrap());
         assert!(one.plain.violations.is_empty(), "{:?}", one.plain.violations);
-        assert_eq!((one.plain.runs, one.imaged.runs), (12, 0));
+        assert_eq!((one.plain.runs, one.rendered.runs), (12, 0));
         assert_eq!(one.plain.digest, other.plain.digest, "the same seeds gave other runs");
     }
 }

@@ -16,10 +16,10 @@ use crate::proofs::Shown;
 use crate::replay;
 
 /// The whole page.
-pub fn text(figures: &Figures, imaged: &Figures, seed: u64, origin: &str) -> String {
+pub fn text(figures: &Figures, rendered: &Figures, seed: u64, origin: &str) -> String {
     let mut page = String::new();
     // Writing to a string cannot fail.
-    write(&mut page, figures, imaged, (seed, origin)).ok();
+    write(&mut page, figures, rendered, (seed, origin)).ok();
     page
 }
 
@@ -100,20 +100,20 @@ fn broken(violations: &[Violation]) -> String {
 }
 
 /// The violations, with the command that repeats the first run.
-fn write_violations(page: &mut String, figures: &Figures, imaged: bool) -> std::fmt::Result {
+fn write_violations(page: &mut String, figures: &Figures, rendered: bool) -> std::fmt::Result {
     if figures.violations.is_empty() {
         return writeln!(page, "None.\n");
     }
     writeln!(page, "| invariant | runs | command for the first run |\n|---|---|---|")?;
     for (invariant, seeds) in &figures.violations {
-        let first = seeds.first().map_or_else(String::new, |seed| replay(*seed, imaged));
+        let first = seeds.first().map_or_else(String::new, |seed| replay(*seed, rendered));
         writeln!(page, "| {invariant} | {} | `{first}` |", seeds.len())?;
     }
     writeln!(page)
 }
 
 /// Runs in which images were rendered and processed.
-fn write_imaged(page: &mut String, figures: &Figures) -> std::fmt::Result {
+fn write_rendered(page: &mut String, figures: &Figures) -> std::fmt::Result {
     let Figures { runs, virtual_s, .. } = figures;
     if *runs == 0 {
         return Ok(());
@@ -127,10 +127,10 @@ fn write_imaged(page: &mut String, figures: &Figures) -> std::fmt::Result {
     write_violations(page, figures, true)
 }
 
-fn write(page: &mut String, figures: &Figures, imaged: &Figures, (seed, origin): (u64, &str)) -> std::fmt::Result {
+fn write(page: &mut String, figures: &Figures, rendered: &Figures, (seed, origin): (u64, &str)) -> std::fmt::Result {
     let Figures { runs, virtual_s, searches: (searches, searched_s), .. } = figures;
     writeln!(page, "{HEADING}\n")?;
-    writeln!(page, "`cargo xtask bench safety --seed {seed} --runs {runs} --imaged {}`; {origin}\n", imaged.runs)?;
+    writeln!(page, "`cargo xtask bench safety --seed {seed} --runs {runs} --rendered {}`; {origin}\n", rendered.runs)?;
     writeln!(
         page,
         "{runs} runs of up to 20 virtual seconds ({virtual_s:.0} s in all) with 1 to 5 faults each, at {:.0} times real time per core.",
@@ -148,7 +148,7 @@ fn write(page: &mut String, figures: &Figures, imaged: &Figures, (seed, origin):
     writeln!(page, "In {searches} runs the hand may search for a lost target; it did so for {searched_s:.0} s.\n")?;
     writeln!(page, "## Violations\n")?;
     write_violations(page, figures, false)?;
-    write_imaged(page, imaged)?;
+    write_rendered(page, rendered)?;
     writeln!(page, "## Faults\n")?;
     writeln!(
         page,

@@ -48,11 +48,11 @@ const LOOK: Duration = Duration::from_millis(10);
 ///
 /// # Errors
 /// If the file cannot be read.
-pub fn base(imaged: bool) -> Result<Setup> {
+pub fn base(rendered: bool) -> Result<Setup> {
     let mut setup = read_setup(&repository().join("configs/hil.toml"))?;
     setup.pace = Pace::Fast;
     setup.compared.clear();
-    if !imaged {
+    if !rendered {
         setup.leader = Leader::Geometric(setup.geometric.context("configs/hil.toml has no table estimator.geometric")?);
     }
     for arm in [&mut setup.rig.vs, &mut setup.rig.tc] {

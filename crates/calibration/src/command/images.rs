@@ -77,7 +77,7 @@ impl<const N: usize> Images<N> {
         let (mut views, mut used) = (Vec::new(), Vec::new());
         let progress = super::progress(self.views.len());
         for (name, files) in &self.views {
-            progress.0.inc(1);
+            progress.inc(1);
             match view(name, files, board, size, &first.display().to_string())? {
                 Ok(view) => {
                     views.push(view);

@@ -32,7 +32,7 @@ use crate::quality::Quality;
 use crate::report::{of_camera, of_stereo};
 use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressFinish};
 use pb3dp_geometry::ImageSize;
 
 use self::board::BoardArgs;
@@ -278,22 +278,8 @@ fn make_folder_of(file: &Path) -> Result<()> {
 }
 
 /// A bar on standard error for work on `total` views, until it is dropped; nothing if standard error is not a terminal.
-fn progress(total: usize) -> Bar {
-    let style = ProgressStyle::with_template("views [{bar:40}] {pos}/{len} {elapsed}, {eta} left");
-    let bar = ProgressBar::new(total as u64);
-    Bar(match style {
-        Ok(style) => bar.with_style(style.progress_chars("=> ")),
-        Err(_) => bar,
-    })
-}
-
-/// A bar that disappears when it is dropped.
-struct Bar(ProgressBar);
-
-impl Drop for Bar {
-    fn drop(&mut self) {
-        self.0.finish_and_clear();
-    }
+fn progress(total: usize) -> ProgressBar {
+    ProgressBar::new(total as u64).with_finish(ProgressFinish::AndClear)
 }
 
 /// Prints lines to standard output.

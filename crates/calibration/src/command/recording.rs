@@ -149,7 +149,7 @@ impl<'a> Recording<'a> {
                 let Some(frame) = frame else { return };
                 let look = Look { frame: *frame, found: self.look(*frame) };
                 looks.lock().unwrap_or_else(PoisonError::into_inner).push(look);
-                progress.0.inc(1);
+                progress.inc(1);
             }
         };
         std::thread::scope(|scope| {

@@ -307,7 +307,7 @@ mod tests {
             assert_eq!((least, action), (&rule.least.to_string(), &policy.action.to_string()), "{key}");
             let expected = match (policy.action, policy.resume) {
                 (Action::Note | Action::Slow(_), _) => "",
-                (Action::Hold, Resume::ByItself) => "by itself",
+                (Action::Hold, Resume::ByItself) => "automatically",
                 (Action::Hold, Resume::ByOperator) => "operator",
                 (Action::Stop | Action::Fault, _) => "after reset",
             };
