@@ -32,10 +32,11 @@ const QUICK_ROUNDS: &str = "40";
 /// servo   tracking error of the hand in simulation: the experiment of Fig. 7, sinusoids, steps, compared with an ideal filter or
 ///         the arm's limits; fails if a limit is missed (ten minutes on two idle cores; --quick: seconds; --only WORDS,
 ///         --seed N). Writes docs/benchmarks/servo.md
-/// safety  seeded runs in which everything goes wrong, with both arms emulated in virtual time, judged on the simulator's truth;
-///         fails if anything does not hold, and says how to do that run again: --runs N, --seed N, --quick, --trace,
-///         --rendered N (of the first runs so many once more with rendered images); a run of default length writes docs/benchmarks/safety.md. --disabled, in a build of its own: each safeguard disabled, which
-///         must show; --only NAME: some of them; all of them write their part of that page
+/// safety  seeded runs with random faults, with both arms emulated in virtual time, checked against the simulator's truth;
+///         fails if an invariant is violated, and prints the command to repeat that run: --runs N, --seed N, --quick, --trace,
+///         --rendered N (repeats the first N runs with rendered images); a run of default length writes docs/benchmarks/safety.md.
+///         --disabled, in a separate build: disables each safeguard, which must cause a violation; --only NAME: some of them;
+///         a run with all safeguards writes their part of that page
 /// all     speed and raster
 ///
 /// All are in crates/benchmarks: the examples `published_speed` and `raster_speed` measure the published method and the
@@ -126,7 +127,7 @@ fn servo(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
 fn safety(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
     let mut command = workspace.cargo();
     command.args(["run", "--release", "--locked", "--package", "pb3dp-benchmarks", "--example", "safety"]);
-    // Safeguards that can be disabled are in no other build.
+    // Only this build can disable safeguards.
     if options.iter().any(|option| option == "--disabled") {
         command.args(["--features", "disabled-guards", "--config", "profile.release.debug-assertions=true"]);
     }

@@ -78,10 +78,7 @@ fn build(workspace: &Workspace, release: bool) -> anyhow::Result<PathBuf> {
     let profile: &[&str] = if release { &["--release"] } else { &[] };
     let packages = ["--locked", "--package", "pb3dp-orchestrator", "--package", "pb3dp-calibration", "--bins"];
     run_visibly(workspace.cargo().arg("build").args(profile).args(packages))?;
-    let target = workspace.metadata()?["target_directory"]
-        .as_str()
-        .context("the output of cargo metadata has no target folder")?
-        .to_owned();
+    let target = workspace.metadata()?["target_directory"].as_str().context("cargo has no target folder")?.to_owned();
     Ok(Path::new(&target).join(if release { "release" } else { "debug" }))
 }
 

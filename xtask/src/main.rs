@@ -108,7 +108,7 @@ mod tests {
         Cli::command().debug_assert();
         for command in Cli::command().get_subcommands() {
             let long = command.get_long_about().map(ToString::to_string).unwrap_or_default();
-            assert!(long.len() > 120, "`cargo xtask {} --help` says too little: {long:?}", command.get_name());
+            assert!(long.len() > 120, "`cargo xtask {} --help` is too short: {long:?}", command.get_name());
         }
     }
 }

@@ -147,8 +147,7 @@ fn list(scratch: &Scratch, part: &Part) -> anyhow::Result<Vec<Mutant>> {
     }
     let listed: Vec<Value> = serde_json::from_slice(&output.stdout).context("the list of cargo-mutants is not JSON")?;
     let read = |value: &Value| {
-        Mutant::read(value, &scratch.tree)
-            .with_context(|| format!("unexpected output; install cargo-mutants 26.1 or newer: {value}"))
+        Mutant::read(value, &scratch.tree).with_context(|| format!("needs cargo-mutants 26.1 or newer: {value}"))
     };
     listed.iter().map(read).collect()
 }

@@ -1,4 +1,4 @@
-//! `cargo xtask test`: every test of the project.
+//! `cargo xtask test`: all tests of the project.
 
 mod build;
 mod emulated;
@@ -18,15 +18,16 @@ pub use build::Built;
 pub use report::Report;
 use runner::Runner;
 
-/// Runs every test: unit tests, integration tests, examples in the documentation, whole-system tests.
+/// Runs all tests: unit tests, integration tests, examples in the documentation, whole-system tests.
 ///
-/// Test programs run while others build. Tests whose threads must run in time (`real_time::` in their names) go
-/// before all others where the system grants a priority, else they run when all else has run. Needs no hardware, no network (once the dependencies are there) and no
-/// further tool. Ends with the tests that this machine cannot check (`NOT CHECKED: name: reason`) and the line `N passed, N failed,
-/// N skipped`. For one crate, or one test by a part of its name: `cargo test -p pb3dp-geometry`, `cargo test -p pb3dp-sim lag`.
+/// Test programs run while others build. Tests whose threads must run in real time (`real_time::` in their names) run with
+/// priority over all others if the system grants it, otherwise after all others. Needs no hardware, no network (once the
+/// dependencies are installed) and no further tool. Ends with the tests that this machine cannot check
+/// (`NOT CHECKED: name: reason`) and the line `N passed, N failed, N skipped`. For one crate, or one test by a part of its name:
+/// `cargo test -p pb3dp-geometry`, `cargo test -p pb3dp-sim lag`.
 ///
-/// With `--aarch64` it runs the unit tests of the crates with vector kernels as ARM programs in an emulator, which is how those of
-/// NEON are tested on a PC. That needs a cross linker and QEMU, on Debian the packages gcc-aarch64-linux-gnu,
+/// With `--aarch64` it runs the unit tests of the crates with vector kernels as ARM programs in an emulator, to test the NEON
+/// kernels on a PC. That needs a cross linker and QEMU, on Debian the packages gcc-aarch64-linux-gnu,
 /// libc6-dev-arm64-cross and qemu-user-static, and `rustup target add aarch64-unknown-linux-gnu`.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -34,17 +35,17 @@ pub struct Args {
     /// Also the long sweeps: 100 simulated rigs, five minutes there and back, 60 000 random byte strings.
     #[arg(long)]
     all: bool,
-    /// Prints the 20 slowest test programs with build and run time.
+    /// Print the 20 slowest test programs with build and run time.
     #[arg(long)]
     timings: bool,
-    /// The unit tests of the crates with vector kernels for 64-bit ARM, in an emulator.
+    /// Run the unit tests of the crates with vector kernels for 64-bit ARM, in an emulator.
     #[arg(long)]
     aarch64: bool,
-    /// Builds everything and runs nothing: the time to compare with.
+    /// Build everything and run nothing: a reference for the build time.
     #[arg(long)]
     no_run: bool,
-    /// Breaks the product in ten ways in a scratch copy; the test that names each must fail, on the machine as it is and beside four
-    /// busy loops. With a filter: the patches in tests/red whose names contain it.
+    /// Break the product in ten ways in a scratch copy; the test named by each must fail, without and with four busy loops in
+    /// parallel. With a filter: the patches in tests/red whose names contain it.
     #[arg(long)]
     prove_red: bool,
     /// Run only the tests whose name contains this.
@@ -71,14 +72,14 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     tested.report.conclude()
 }
 
-/// Which packages run their long sweeps.
+/// Packages that run their long sweeps.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Long {
     /// None.
     Nowhere,
-    /// All.
+    /// All packages.
     Everywhere,
-    /// These.
+    /// These packages.
     In(Vec<String>),
 }
 
@@ -92,30 +93,30 @@ impl Long {
     }
 }
 
-/// What to run.
+/// Selection of the tests.
 pub struct Plan {
-    /// Long sweeps.
+    /// Packages with long sweeps.
     pub long: Long,
     /// A part of the names of the tests to run.
     pub filter: Option<String>,
 }
 
-/// What was built, and what the tests came to.
+/// The build, and the results of the tests.
 pub struct Tested {
     /// The build.
     pub built: Built,
-    /// The results.
+    /// The test results.
     pub report: Report,
 }
 
 impl Tested {
-    /// The slowest test programs, build and run time apart.
+    /// Prints the slowest test programs, build and run time separately.
     pub fn timings(&self) -> String {
         timings::table(&self.built.units(), &self.report)
     }
 }
 
-/// Builds and runs everything. Failed tests are no error here: [`Report::conclude`] tells of them.
+/// Builds and runs everything. Failed tests are no error here: [`Report::conclude`] reports them.
 ///
 /// # Errors
 /// If something does not build, or no program can be started.
@@ -126,13 +127,13 @@ pub fn all(workspace: &Workspace, plan: &Plan) -> anyhow::Result<Tested> {
     let built = runner.run(build, &mut report)?;
     report.add(runner::doctests(workspace, plan.filter.as_deref())?);
     if report.is_empty() {
-        bail!("no test ran: does the filter fit a name?");
+        bail!("no test ran: check the filter");
     }
     report.took = begin.elapsed();
     Ok(Tested { built, report })
 }
 
-/// Where this command keeps what it knows from one run to the next.
+/// Folder in which this command saves its data between runs.
 fn notebook(target: &std::path::Path) -> PathBuf {
     target.join("xtask")
 }

@@ -1,4 +1,4 @@
-//! `cargo xtask tidy`: rules of shape that neither rustfmt nor clippy knows.
+//! `cargo xtask tidy`: style rules beyond rustfmt and clippy.
 
 mod configs;
 mod dependencies;
@@ -19,33 +19,33 @@ use crate::workspace::{SourceFile, Workspace};
 
 use exceptions::Exceptions;
 
-/// Endings of the files that hold text of ours.
+/// Extensions of our text files.
 const TEXT_ENDINGS: [&str; 14] = [
     ".rs", ".toml", ".md", ".json", ".yaml", ".yml", ".urdf", ".sh", ".html", ".svg", ".ci/run", ".rules", ".service",
     ".conf",
 ];
 
-/// Checks the rules of shape that rustfmt and clippy do not know.
+/// Checks style rules beyond rustfmt and clippy.
 ///
 /// * Rust: files of at most 600 lines, functions of at most 70 (exceptions only in xtask/tidy-exceptions.toml, and they may
 ///   only shrink), no `todo!`, `unimplemented!`, `dbg!`, no ignored tests, no tests that expect a panic by attribute.
-/// * Tests: each file in a folder `tests` is part of a test program.
-/// * Text: no absolute paths of one machine, no paths out of the repository, `TODO(name, issue)` or none.
-/// * Markdown: one sentence per line; links and paths lead to something.
-/// * docs/: every page stands once in the table of contents of the site, docs/SUMMARY.md.
-/// * configs/: every TOML file, every robot description and every file of configs/deploy parses; docs/parameters.md names each parameter of
+/// * Tests: each file in a folder `tests` belongs to a test program.
+/// * Text: no absolute paths of one machine, no paths outside the repository, reminders only as `TODO(name, issue)`.
+/// * Markdown: one sentence per line; all links and paths exist.
+/// * docs/: every page is exactly once in the table of contents of the site, docs/SUMMARY.md.
+/// * configs/: every TOML file, every robot description and every file of configs/deploy parses; docs/parameters.md lists each parameter of
 ///   configs/estimator.toml with the same default.
-/// * Layout: the top level holds exactly the agreed entries; every package takes the workspace's lints, version and
-///   dependencies, and its root file opens with a `//!` text; every third-party dependency is used, and has its reason in
+/// * Layout: the top level contains exactly the agreed entries; every package uses the workspace's lints, version and
+///   dependencies, and its root file starts with a `//!` text; every third-party dependency is used, and has its reason in
 ///   docs/adr/0002-dependencies.md.
 ///
-/// Each broken rule is printed as `file:line: [rule] what to do`.
+/// Each violation is printed as `file:line: [rule] remedy`.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {}
 
 /// # Errors
-/// If a rule is broken or a file cannot be read.
+/// If a rule is violated or a file cannot be read.
 pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
     let files = workspace.files()?;
     let texts = workspace.texts(&TEXT_ENDINGS)?;

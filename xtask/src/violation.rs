@@ -1,8 +1,8 @@
-//! What a check found, where, and which rule it breaks.
+//! Violations of the rules of a check.
 
 use std::fmt;
 
-/// One broken rule at one place.
+/// One violation.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Violation {
     /// Path inside the workspace, with slashes.
@@ -11,7 +11,7 @@ pub struct Violation {
     pub line: usize,
     /// Short name of the rule.
     pub rule: &'static str,
-    /// What is wrong, and what to do.
+    /// The problem and the remedy.
     pub message: String,
 }
 
@@ -37,10 +37,10 @@ impl fmt::Display for Violation {
     }
 }
 
-/// Prints the violations in order of place and fails if there are any.
+/// Prints the violations in order of their positions, and fails if there are any.
 ///
 /// # Errors
-/// If there is at least one violation; `checked` says what was looked at.
+/// If there is at least one violation; `checked` lists the checked items.
 pub fn conclude(command: &str, checked: &str, mut violations: Vec<Violation>) -> anyhow::Result<()> {
     violations.sort();
     violations.dedup();
@@ -48,10 +48,10 @@ pub fn conclude(command: &str, checked: &str, mut violations: Vec<Violation>) ->
         eprintln!("{violation}");
     }
     if violations.is_empty() {
-        println!("{command}: {checked}: nothing to complain about");
+        println!("{command}: {checked}: no violations");
         return Ok(());
     }
-    anyhow::bail!("{command}: {} violations (the rules stand in CONTRIBUTING.md)", violations.len())
+    anyhow::bail!("{command}: {} violations (see the rules in CONTRIBUTING.md)", violations.len())
 }
 
 #[cfg(test)]

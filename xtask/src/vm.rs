@@ -1,4 +1,4 @@
-//! `cargo xtask vm`: what talks with drivers, tested with the real drivers of a real kernel in an emulated computer.
+//! `cargo xtask vm`: tests the hardware interfaces with the real drivers of a real kernel in an emulated computer.
 
 mod archive;
 mod console;
@@ -22,40 +22,41 @@ use kernel::Kernel;
 use machine::Machine;
 use suites::{SUITES, Suite};
 
-/// What the guest's programs are built for: it has neither libraries nor a dynamic linker.
+/// The guest has neither libraries nor a dynamic linker.
 const TARGET: &str = "x86_64-unknown-linux-gnu";
 const RUSTFLAGS: &str = "-C target-feature=+crt-static -C strip=debuginfo";
 
-/// How the programs are built: an emulated computer is many times slower than this one, and what is not inlined costs minutes.
+/// Build profile of the programs: an emulated computer is many times slower than this one, and code that is not inlined costs minutes.
 const PROFILE: &str = "guest";
 
-/// How often a suite is begun whose QEMU crashes: that of Debian 12 does so now and then when a USB device is pulled out.
+/// Attempts for a suite whose QEMU crashes: QEMU of Debian 12 sometimes crashes when a USB device is unplugged.
 const TRIES: u32 = 3;
 
-/// Tests what talks with drivers on a real kernel with its own drivers, in an emulated computer (QEMU, without KVM).
+/// Tests the hardware interfaces on a real kernel with its own drivers, in an emulated computer (QEMU, without KVM).
 ///
-/// serial  the serial ports of an arm: USB adapters (ftdi_sio) and a 16550; how they are found, their rates, who may open them,
-///         a cable that is pulled while an arm moves, the calls that a cycle of 2 ms needs
+/// serial  the serial ports of an arm: USB adapters (ftdi_sio) and a 16550; their detection, rates and permissions,
+///         a cable that is unplugged while an arm moves, the system calls of a cycle of 2 ms
 /// arcnet  the bus of an arm: the kernel's ARCNET driver (arc_rimi, arc_rawmode) on a card of plain memory
-/// cameras two cameras (vivid) as one: what is found, modes and controls, 300 pairs at full rate,
-///         skew, damaged and lost images, a camera that is pulled, who may open them
+/// cameras two cameras (vivid) as one: detection, modes and controls, 300 pairs at full rate,
+///         skew, damaged and lost images, a camera that is unplugged, permissions
 /// rig     `pb3dp run` itself with configs/rig.toml, two cameras (vivid) and two emulated
-///         arms at the far ends of serial cables (ftdi_sio): it follows, a camera is pulled, it holds and stops; `pb3dp cameras`
+///         arms at the far ends of serial cables (ftdi_sio): it tracks, a camera is unplugged, it holds and stops; `pb3dp cameras`
 ///
-/// The emulated computers' time is counted in instructions, so that a busy machine takes longer and finds the same. Suites run side by
-/// side. Takes a minute or two for all where little else runs, once the programs are built: the program itself (rig) takes longest.
-/// The kernel is the distribution's own (Debian, package linux-image-amd64, 6.1 or later), fetched by `apt-get download` and kept in the cache folder of the user; QEMU (qemu-system-x86) is installed by apt-get where
-/// that is permitted, and asked for where not. The tests are root in a computer of their own; nothing of this one is touched.
+/// The time of the emulated computers is counted in instructions, so a busy machine takes longer but gets the same results. Suites run
+/// in parallel. All suites take a minute or two on an idle machine, after the build; the program itself (rig) takes longest.
+/// The kernel is that of the distribution (Debian, package linux-image-amd64, 6.1 or later), fetched by `apt-get download` and kept
+/// in the user's cache folder; QEMU (qemu-system-x86) is installed by apt-get if permitted, otherwise the command asks for it.
+/// The tests are root in the emulated computer; they do not change this one.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
-    /// What to test; all of it if nothing is named.
+    /// Suites to run; default: all.
     #[arg(value_parser = SUITES.map(|suite| suite.name))]
     suites: Vec<String>,
-    /// Fetches the kernel again.
+    /// Fetch the kernel again.
     #[arg(long)]
     renew: bool,
-    /// Shows everything that the guest's console shows.
+    /// Print the whole console of the guest.
     #[arg(long)]
     console: bool,
 }
@@ -65,19 +66,19 @@ pub fn suites_of(is_wanted: impl Fn(&str) -> bool) -> Vec<String> {
     SUITES.iter().filter(|suite| is_wanted(suite.package)).map(|suite| suite.name.to_owned()).collect()
 }
 
-/// Some suites.
+/// Runs some suites.
 ///
 /// # Errors
-/// As [`run`].
+/// Those of [`run`].
 pub fn run_suites(workspace: &Workspace, suites: Vec<String>) -> anyhow::Result<()> {
     run(workspace, &Args { suites, renew: false, console: false })
 }
 
 /// # Errors
-/// [`NotPossible`] if kernel or QEMU are not to be had; else if a test fails or does not build.
+/// [`NotPossible`] without kernel or QEMU; otherwise if a test fails or does not build.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     if !cfg!(all(target_arch = "x86_64", target_os = "linux")) {
-        return Err(NotPossible::because("the guest is a Linux on x86-64, and is built on one"));
+        return Err(NotPossible::because("the guest is Linux on x86-64 and must be built on the same system"));
     }
     let qemu = machine::find_qemu()?;
     let kernel = Kernel::get(&cache_folder(workspace)?, args.renew)?;
@@ -85,7 +86,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     let wanted = |suite: &&Suite| args.suites.is_empty() || args.suites.iter().any(|name| name == suite.name);
     let wanted: Vec<&Suite> = SUITES.iter().filter(wanted).collect();
     let ready = build(workspace, &wanted)?;
-    // An emulated computer has one processor: they do not disturb each other, as their time is counted.
+    // An emulated computer has one processor: the suites do not disturb each other, because their time is counted.
     let outcomes: Vec<anyhow::Result<()>> = std::thread::scope(|scope| {
         let started: Vec<_> = ready
             .iter()
@@ -108,7 +109,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         return Ok(());
     }
     bail!(
-        "failed: {}; to repeat it with the guest's console: cargo xtask vm --console {}",
+        "failed: {}; repeat it with the guest's console by: cargo xtask vm --console {}",
         failed.join(", "),
         failed[0]
     )
@@ -124,7 +125,7 @@ fn run_suite(suite: &Suite, packed: Archive, kernel: &Kernel, qemu: &Path, shows
     outcome
 }
 
-/// Begins a suite again while it is QEMU that crashes. A check that failed has failed, whatever becomes of QEMU afterwards.
+/// Repeats a suite while QEMU itself crashes. A failed check stays failed, even if QEMU crashes afterwards.
 fn try_suite(
     suite: &Suite,
     shows_console: bool,
@@ -149,20 +150,20 @@ fn try_suite(
     }
 }
 
-/// What the checks have shown so far.
+/// Results of the checks so far.
 #[derive(Clone, Copy, Debug, Default)]
 struct Tally {
     passed: u32,
     failed: u32,
 }
 
-/// The program that tests, which runs without anything else, and the product.
+/// The static test program, and the product.
 struct Built {
     program: Vec<u8>,
     product: Option<Vec<u8>>,
 }
 
-/// All programs in one call of cargo, or what they share would be built once for each.
+/// All programs in one call of cargo, because otherwise their common code would be built once for each.
 fn build<'a>(workspace: &Workspace, suites: &[&'a Suite]) -> anyhow::Result<Vec<(&'a Suite, Built)>> {
     let mut command = workspace.cargo();
     command.args(["build", "--quiet", "--locked", "--profile", PROFILE, "--target", TARGET]);
@@ -191,7 +192,7 @@ fn build<'a>(workspace: &Workspace, suites: &[&'a Suite]) -> anyhow::Result<Vec<
     suites.iter().map(built).collect()
 }
 
-/// Where unpacked kernels are kept, beside no build: a folder of the user's, or the target folder where there is none.
+/// Folder of the unpacked kernels, outside any build: the user's cache folder, or the target folder if there is none.
 fn cache_folder(workspace: &Workspace) -> anyhow::Result<PathBuf> {
     let named = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let cache = named("XDG_CACHE_HOME").or_else(|| Some(named("HOME")?.join(".cache")));
@@ -202,7 +203,7 @@ fn cache_folder(workspace: &Workspace) -> anyhow::Result<PathBuf> {
     }
 }
 
-/// What the guest starts from: the program, modules in the order in which they are loaded, and the product with its configurations.
+/// The guest's initial file system: the program, modules in their order of loading, and the product with its configurations.
 fn pack(suite: &Suite, kernel: &Kernel, built: &Built, workspace: &Workspace) -> anyhow::Result<Archive> {
     let mut archive = Archive::default();
     for folder in ["dev", "proc", "sys", "tmp", "modules"] {
@@ -230,7 +231,7 @@ fn pack(suite: &Suite, kernel: &Kernel, built: &Built, workspace: &Workspace) ->
     Ok(archive)
 }
 
-/// Does what the guest asks for, and counts what it finds.
+/// Executes the guest's requests, and counts its results.
 fn watch(machine: &mut Machine, suite: &Suite, shows_console: bool, tally: &mut Tally) -> anyhow::Result<()> {
     let Tally { passed, failed } = tally;
     let mut last = Vec::new();
@@ -251,7 +252,7 @@ fn watch(machine: &mut Machine, suite: &Suite, shows_console: bool, tally: &mut 
             Some(Said::Unplug(name)) => machine.unplug(&name)?,
             Some(Said::Plug(name)) => machine.plug(suite, &name)?,
             Some(Said::End { checks }) if checks == *passed + *failed && checks > 0 => return Ok(()),
-            Some(Said::End { checks }) => bail!("{passed} checks passed, the guest tells of {checks}"),
+            Some(Said::End { checks }) => bail!("{passed} checks passed, the guest reports {checks}"),
             None => last.push(line),
         }
     }
@@ -263,13 +264,13 @@ fn last_lines(lines: &[String]) -> String {
     format!("its console said:\n{}", shown.join("\n"))
 }
 
-/// A folder that goes when it is not needed any more. Its path is short: sockets have at most 107 characters.
+/// A folder that is removed on drop. Its path is short: sockets have at most 107 characters.
 struct Folder(PathBuf);
 
 impl Folder {
     fn new(suite: &str) -> anyhow::Result<Self> {
         let path = std::env::temp_dir().join(format!("pb3dp-vm-{}-{suite}", std::process::id()));
-        std::fs::create_dir_all(&path).with_context(|| format!("cannot make {}", path.display()))?;
+        std::fs::create_dir_all(&path).with_context(|| format!("cannot create {}", path.display()))?;
         Ok(Self(path))
     }
 }
@@ -280,10 +281,10 @@ impl Drop for Folder {
     }
 }
 
-/// What a program prints, as text.
+/// The output of a program, as text.
 ///
 /// # Errors
-/// If it cannot be started or fails; the message holds what it said.
+/// If it cannot be started or fails; the message contains its error output.
 fn output_of(command: &mut Command) -> anyhow::Result<String> {
     let name = command.get_program().to_string_lossy().into_owned();
     let output = command.output().with_context(|| format!("cannot start {name}"))?;
@@ -297,7 +298,7 @@ fn output_of(command: &mut Command) -> anyhow::Result<String> {
 mod tests {
     use super::*;
 
-    /// What a suite comes to with a program in the place of QEMU, and how often that was started.
+    /// The result of a suite with a program in place of QEMU, and the number of its starts.
     fn outcome(name: &str, script: &str) -> (anyhow::Result<()>, usize) {
         let folder = std::env::temp_dir().join(format!("pb3dp-vm-test-{name}-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
@@ -347,7 +348,7 @@ mod tests {
                 "count",
                 "echo vm: passed one; echo vm: end 2".to_owned(),
                 1,
-                Some("1 checks passed, the guest tells of 2"),
+                Some("1 checks passed, the guest reports 2"),
             ),
         ] {
             let (outcome, started) = outcome(name, &script);

@@ -1,4 +1,4 @@
-//! The workspace on disk: its root, its files, its packages, and how programs are run in it.
+//! The workspace on disk: its root, its files, its packages, and running programs in it.
 
 use std::ffi::{OsStr, OsString};
 use std::fs;
@@ -7,10 +7,10 @@ use std::process::Command;
 
 use anyhow::{Context, bail};
 
-/// Folders that hold nothing of the project's own.
+/// Folders without files of the project.
 const GENERATED: [&str; 3] = [".git", "target", "out"];
 
-/// The workspace that this program was built from.
+/// The workspace of this program.
 pub struct Workspace {
     root: PathBuf,
 }
@@ -24,15 +24,15 @@ pub struct SourceFile {
 }
 
 impl Workspace {
-    /// Finds the root through the environment that cargo gives to a program it runs.
+    /// Finds the root through cargo's environment variable.
     ///
     /// # Errors
-    /// If the folder found there is not the workspace.
+    /// If the folder is not the workspace.
     pub fn find() -> anyhow::Result<Self> {
-        let package = std::env::var_os("CARGO_MANIFEST_DIR").context("run me as `cargo xtask <command>`")?;
+        let package = std::env::var_os("CARGO_MANIFEST_DIR").context("run this program as `cargo xtask <command>`")?;
         let root = Path::new(&package).parent().context("xtask has no parent folder")?.to_path_buf();
         if !root.join("Cargo.toml").is_file() || !root.join("xtask").is_dir() {
-            bail!("{} is not the pb3dp workspace: run me there as `cargo xtask <command>`", root.display());
+            bail!("{} is not the pb3dp workspace: run `cargo xtask <command>` there", root.display());
         }
         Ok(Self { root })
     }
@@ -42,7 +42,7 @@ impl Workspace {
         &self.root
     }
 
-    /// A program to be run in the workspace's root.
+    /// A command that runs in the workspace's root.
     pub fn command(&self, program: impl AsRef<OsStr>) -> Command {
         let mut command = Command::new(program);
         command.current_dir(&self.root);
@@ -54,7 +54,7 @@ impl Workspace {
         self.cargo_after(&[])
     }
 
-    /// The cargo that runs us, started by another program: `["nice", "-n", "10"]`.
+    /// The cargo that runs us, with a command prefix: `["nice", "-n", "10"]`.
     pub fn cargo_after(&self, before: &[&str]) -> Command {
         let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
         let mut words = before.iter().map(|word| OsString::from(*word)).chain([cargo]);
@@ -77,7 +77,7 @@ impl Workspace {
         Ok(files)
     }
 
-    /// The text files among [`Self::files`] that have one of these endings.
+    /// The text files among [`Self::files`] with one of these extensions.
     ///
     /// # Errors
     /// If a file cannot be read as UTF-8.
@@ -107,13 +107,13 @@ impl Workspace {
         serde_json::from_slice(&output.stdout).context("`cargo metadata` did not print JSON")
     }
 
-    /// The folder in which cargo builds.
+    /// Cargo's target folder.
     ///
     /// # Errors
-    /// As [`Self::metadata`].
+    /// Those of [`Self::metadata`].
     pub fn target_folder(&self) -> anyhow::Result<PathBuf> {
         let metadata = self.metadata()?;
-        let folder = metadata["target_directory"].as_str().context("`cargo metadata` names no target folder")?;
+        let folder = metadata["target_directory"].as_str().context("`cargo metadata` has no target folder")?;
         Ok(PathBuf::from(folder))
     }
 
@@ -153,7 +153,7 @@ impl Workspace {
 /// Runs a program with this terminal's input and output.
 ///
 /// # Errors
-/// If it cannot be started or ends with a failure; the message holds the command to type again.
+/// If it cannot be started or fails; the message contains the command.
 pub fn run_visibly(command: &mut Command) -> anyhow::Result<()> {
     let shown = shown(command);
     println!("$ {shown}");
@@ -164,7 +164,7 @@ pub fn run_visibly(command: &mut Command) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The command as one would type it, with the variables that it sets.
+/// The command as typed in a shell, with its environment variables.
 fn shown(command: &Command) -> String {
     let quoted = |text: &OsStr| {
         let text = text.to_string_lossy();

@@ -19,9 +19,15 @@ pub fn tables() -> Vec<CodeTable> {
     message_codes::TABLES.into_iter().chain(of_devices).collect()
 }
 
-/// The code of a message with its cause and remedy; `None` if no message has this code.
+const PREFIX: &str = "PB3DP-";
+
+/// The code of a message with its cause and remedy; `None` if no message has this code. Case, the prefix `PB3DP-` and the
+/// brackets of a log line may differ.
 pub fn find(code: &str) -> Option<&'static MessageCode> {
-    tables().into_iter().flat_map(|(_, codes)| codes).find(|known| known.code.eq_ignore_ascii_case(code))
+    let code = code.trim_matches(['[', ']', ' ']).to_ascii_uppercase();
+    let number = code.strip_prefix(PREFIX).unwrap_or(&code);
+    let is_same = |known: &&MessageCode| known.code.strip_prefix(PREFIX) == Some(number);
+    tables().into_iter().flat_map(|(_, codes)| codes).find(is_same)
 }
 
 /// The code of an error: that of its deepest source that has one, because it is the most specific.
@@ -74,7 +80,9 @@ mod tests {
         let silent = ArmError::new(ArmErrorKind::Timeout, "arm vs-robot: late");
         assert_eq!(code_of(&anyhow::Error::new(silent).context("run")).unwrap().code, "PB3DP-ARM-003");
         assert_eq!(code_of(&anyhow::anyhow!("something else")), None);
-        assert_eq!(find("pb3dp-arm-104").unwrap().code, "PB3DP-ARM-104");
+        for code in ["PB3DP-ARM-104", "pb3dp-arm-104", "ARM-104", "[PB3DP-ARM-104]"] {
+            assert_eq!(find(code).unwrap().code, "PB3DP-ARM-104", "{code}");
+        }
         assert_eq!(find("PB3DP-ARM-999"), None);
     }
 }

@@ -1,7 +1,7 @@
-//! The gateway of a PA-10, which owns the bus of an arm.
+//! The gateway of a PA-10: it owns the bus of one arm.
 //!
-//! * [`gateway`]: that device without its hardware: bytes of the host on one side, ARCNET frames on the other.
-//! * [`service`]: a gateway that runs, with a thread that keeps the cycle.
+//! * [`gateway`]: the state machine without I/O: bytes of the host on one side, ARCNET frames on the other.
+//! * [`service`]: the running gateway, with the thread that keeps the cycle.
 
 pub mod gateway;
 pub mod service;

@@ -130,7 +130,8 @@ impl Figures {
             "\nThrough serial lines the error in motion is {position:.2} times (position) and {orientation:.2} times (orientation) that in \
              simulated time; at most {RATIO_MAX} is allowed.\n"
         );
-        text += "| run | cycle | period, ms | begun | late p50, ms | p99 | max | skipped | dropped | replies lost |\n";
+        text +=
+            "| run | cycle | period, ms | begun | late p50, ms | p99 | max | skipped | not consumed | replies lost |\n";
         text += "|---|---|---:|---:|---:|---:|---:|---:|---:|---:|\n";
         for Row { name, summary, .. } in &self.rows {
             for cycle in &summary.cycles {
@@ -177,7 +178,8 @@ fn page(origin: &str, tables: &str) -> String {
          This page is written by the command below; change the program, not the page.\n\n\
          The experiment of `configs/hil.toml` ([hil.md](../hil.md)), with the method `direct`.\n\
          The first estimate of the target's plane has an error, which is constant during a run and is most of the \
-         total error. Therefore the errors while moving and holding are relative to the desired pose from the initial lock.\n\n\
+         total error.\n\
+         Therefore the errors while moving and holding are relative to the desired pose from the initial lock.\n\n\
          * **in process, simulated time**: joints simulated in the process, one thread, as in `configs/sim.toml`.\n\
          * **in process, real time**: the same joints, with perception and control on separate threads.\n\
          * **serial lines, real time**: both arms emulated byte by byte behind gateways on pseudo-terminals.\n\n\

@@ -317,7 +317,7 @@ pub fn check(packages: &[Package]) -> Vec<Violation> {
 fn check_package(package: &Package, ours: &[&str]) -> Vec<Violation> {
     let place = format!("package {}", package.name);
     let enabled = package.enablers.iter().map(|by| {
-        let message = format!("{by} enables {TEST_FEATURE}, with which safeguards can be disabled: leave it out");
+        let message = format!("{by} enables {TEST_FEATURE}, which can disable safeguards: remove it");
         Violation::of(&place, "test-feature", message)
     });
     let mut violations: Vec<_> = enabled.collect();
@@ -340,8 +340,7 @@ fn check_package(package: &Package, ours: &[&str]) -> Vec<Violation> {
     }
     for name in package.test_dependencies.iter().filter(is_ours) {
         if !allowed.contains(&name.as_str()) && !is_allowed_in_tests(package, name) {
-            let message =
-                format!("its tests must not depend on {name}: move them to tests/, which may depend on all packages");
+            let message = format!("its tests must not depend on {name}: move them to the folder tests/");
             violations.push(Violation::of(&place, "direction", message));
         }
     }

@@ -105,8 +105,7 @@ fn of_circle(package: &str, circle: &[&str], arrows: &Arrows<'_>) -> Violation {
     let within = arrows.iter().filter(|((from, to), _)| circle.contains(from) && circle.contains(to));
     let ties: Vec<String> =
         within.map(|((from, to), (file, line))| format!("{from} -> {to} ({file}:{line})")).collect();
-    let message =
-        format!("the modules {circle:?} form a cycle: {}; move their common code below them", ties.join(", "));
+    let message = format!("the modules {circle:?} form a cycle: {}; move common code below them", ties.join(", "));
     Violation::of(package, "module-circle", message)
 }
 

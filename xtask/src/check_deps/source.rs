@@ -241,7 +241,7 @@ fn serde_derives(path: &str, code: &str) -> Vec<Violation> {
     for (at, mark) in code.match_indices("derive(") {
         let derived = code[at + mark.len()..].split(')').next().unwrap_or_default();
         if SERDE_TRAITS.iter().any(|name| derived.contains(name)) {
-            let message = "only setup, cell, commissioning, record and orchestrator may derive serde traits: define a separate type for the file format there";
+            let message = "only setup, cell, commissioning, record and orchestrator may derive serde traits: define the file format there";
             violations.push(Violation::at(path, line_at(code, at), "serde", message));
         }
     }

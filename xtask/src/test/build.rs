@@ -1,4 +1,4 @@
-//! One build of everything that tests need: one call of cargo, one set of features, one profile.
+//! One build of everything for the tests: one call of cargo, one set of features, one profile.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -10,10 +10,10 @@ use serde_json::Value;
 use super::timings::{self, Unit};
 use crate::workspace::Workspace;
 
-/// Examples with tests of their own. The others are checked by clippy.
+/// Examples with tests. Clippy checks the others.
 const TESTED_EXAMPLES: [&str; 4] = ["safety", "servo", "soak", "there_and_back"];
 
-/// Tests switch safeguards off one by one: each must be missed.
+/// Tests disable safeguards one by one, which must cause violations.
 pub const FEATURES: &str = "pb3dp-benchmarks/disabled-guards";
 
 /// A test program that was built.
@@ -32,19 +32,19 @@ pub struct Program {
 }
 
 impl Program {
-    /// For tables: `pb3dp-servo integration`.
+    /// Name in tables: `pb3dp-servo integration`.
     pub fn name(&self) -> String {
         let what = if self.kind == "test" || self.kind == "example" { &self.target } else { "unit tests" };
         format!("{} {what}", self.package)
     }
 }
 
-/// What a build left.
+/// Results of a build.
 #[derive(Debug)]
 pub struct Built {
     /// Programs of the product, by name: `pb3dp`, `pb3dp-calibrate`.
     programs: Vec<(String, PathBuf)>,
-    /// Where cargo puts everything.
+    /// Cargo's target folder.
     target: PathBuf,
 }
 
@@ -52,19 +52,20 @@ impl Built {
     /// Folder of the programs of the product.
     ///
     /// # Errors
-    /// If the build had none.
+    /// If the build had no programs.
     pub fn folder(&self) -> anyhow::Result<&Path> {
-        let program = self.programs.iter().find(|(name, _)| name == "pb3dp").context("the build has no pb3dp")?;
-        program.1.parent().context("pb3dp lies in no folder")
+        let program =
+            self.programs.iter().find(|(name, _)| name == "pb3dp").context("the build has no program pb3dp")?;
+        program.1.parent().context("the path of pb3dp has no folder")
     }
 
-    /// How long each unit took to build; nothing of what was there before.
+    /// Build time of each unit, without units that were up to date.
     pub fn units(&self) -> Vec<Unit> {
         timings::units(&self.target.join("cargo-timings"))
     }
 }
 
-/// Builds everything, and hands each test program over as soon as it is there. `before` is what the command of cargo begins with.
+/// Builds everything, and passes on each test program as soon as it is built. `before` is the prefix of the cargo command.
 ///
 /// # Errors
 /// If something does not build.
@@ -88,21 +89,21 @@ pub fn run(workspace: &Workspace, before: &[&str], mut ready: impl FnMut(Program
         }
     }
     if !child.wait()?.success() {
-        bail!("the tests do not build: the compiler's errors stand above");
+        bail!("the tests do not build: see the compiler errors above");
     }
     Ok(built)
 }
 
-/// Holds test programs back until the programs that they start are there. Cargo does not: it tells tests where a program will be, and may
-/// link it after them.
+/// Delays test programs until the programs that they start are built. Cargo does not: it tells tests the future path of a
+/// program, and may link the program after them.
 struct Handover {
-    /// Package and name of what is not built yet.
+    /// Package and name of the programs that are not built yet.
     awaited: Vec<(String, String)>,
     held: Vec<Program>,
 }
 
 impl Handover {
-    /// From `cargo metadata`.
+    /// Reads `cargo metadata`.
     fn new(metadata: &Value) -> Self {
         let of = |value: &Value| value["name"].as_str().unwrap_or_default().to_owned();
         let mut awaited = Vec::new();
@@ -113,7 +114,7 @@ impl Handover {
         Self { awaited, held: Vec::new() }
     }
 
-    /// The tests that can run after one more program has been built.
+    /// The tests that can run after this program has been built.
     fn take(&mut self, is_test: bool, program: &Program) -> Vec<Program> {
         if is_test {
             self.held.push(program.clone());
@@ -144,7 +145,7 @@ fn artifact(message: &Value) -> Option<(bool, Program)> {
     ))
 }
 
-/// Name of a package by its identifier: `path+file:///...crates/servo#pb3dp-servo@0.1.0`, or `...tests#0.1.0` where the folder has its name.
+/// Name of a package from its identifier: `path+file:///...crates/servo#pb3dp-servo@0.1.0`, or `...tests#0.1.0` if the folder has the same name.
 fn package_of(id: &str, folder: &Path) -> String {
     let name = id.rsplit_once('#').and_then(|(_, tail)| tail.split_once('@')).map(|(name, _)| name.to_owned());
     name.unwrap_or_else(|| folder.file_name().unwrap_or_default().to_string_lossy().into_owned())
@@ -172,7 +173,7 @@ mod tests {
         assert_eq!(handover.take(true, &tests), []);
         assert_eq!(handover.take(true, &others), [others]);
         assert_eq!(handover.take(true, &unit_tests), [unit_tests]);
-        // The unit tests of a program are no program.
+        // The unit tests of a program are not a program.
         assert_eq!(handover.take(true, &program("pb3dp-calibration", "bin", "calibrate")).len(), 1);
         assert_eq!(handover.take(false, &program("pb3dp-calibration", "bin", "calibrate")), [tests]);
     }

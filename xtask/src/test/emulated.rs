@@ -6,7 +6,7 @@ use anyhow::{Context, bail};
 
 use crate::workspace::Workspace;
 
-/// The crates that have code for one kind of processor.
+/// The crates with code for one kind of processor.
 const WITH_KERNELS: [&str; 5] = [
     "pb3dp-estimation-core",
     "pb3dp-estimation-direct",

@@ -1,4 +1,4 @@
-//! `cargo xtask test --prove-red`: breaks the product in ten ways, and sees the test of each turn red.
+//! `cargo xtask test --prove-red`: breaks the product in ten ways, and checks that the test of each fails.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -12,20 +12,20 @@ use crate::workspace::Workspace;
 
 /// Patches of the product, one for each required test.
 const PATCHES: &str = "tests/red";
-/// Programs that keep the machine busy in the second half.
+/// Number of busy loops in the second half.
 const BUSY_LOOPS: usize = 4;
 
-/// Builds a scratch copy, in which each required test must pass; then breaks what each of them guards, and each must fail, on the machine
-/// as it is and beside four busy loops.
+/// Builds a scratch copy, in which each required test must pass; then breaks the property behind each test, which must fail,
+/// without and with four busy loops in parallel.
 ///
 /// # Errors
-/// If a patch does not fit, the copy does not build, or a test has the wrong colour.
+/// If a patch does not apply, the copy does not build, or a test has the wrong result.
 pub fn run(workspace: &Workspace, filter: Option<&str>) -> anyhow::Result<()> {
     let begin = Instant::now();
     let wanted = REQUIRED.iter().filter(|required| filter.is_none_or(|part| required.patch.contains(part)));
     let wanted: Vec<&Required> = wanted.collect();
     if wanted.is_empty() {
-        bail!("no patch in {PATCHES} has such a name");
+        bail!("no patch in {PATCHES} has this name");
     }
     let mut proof = Proof { scratch: Scratch::new(workspace, "red")?, wrong: Vec::new() };
     for required in &wanted {
@@ -37,7 +37,7 @@ pub fn run(workspace: &Workspace, filter: Option<&str>) -> anyhow::Result<()> {
         let program = proof.build(required)?;
         proof.expect(Colour::Red, "broken", &program, required)?;
         let busy = Busy::start()?;
-        proof.expect(Colour::Red, "broken, beside four busy loops", &program, required)?;
+        proof.expect(Colour::Red, "broken, with four busy loops", &program, required)?;
         drop(busy);
         proof.apply(required, true)?;
     }
@@ -46,15 +46,15 @@ pub fn run(workspace: &Workspace, filter: Option<&str>) -> anyhow::Result<()> {
     if wrong.is_empty() {
         return Ok(());
     }
-    bail!("tests of the wrong colour: {}", wrong.join("; "))
+    bail!("tests with the wrong result: {}", wrong.join("; "))
 }
 
-/// What a test came to.
+/// Result of a test.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Colour {
     Green,
     Red,
-    /// The test was not checked, or there is none of this name.
+    /// The test was not checked, or does not exist.
     Grey,
 }
 
@@ -67,7 +67,7 @@ impl Colour {
         }
     }
 
-    /// From what the test program printed.
+    /// From the output of the test program.
     fn of(output: &str, succeeded: bool) -> Self {
         if output.contains("NOT CHECKED: ") {
             return Self::Grey;
@@ -80,7 +80,7 @@ impl Colour {
     }
 }
 
-/// The copy, and the tests that had the wrong colour.
+/// The copy, and the tests with a wrong result.
 struct Proof {
     scratch: Scratch,
     wrong: Vec<String>,
@@ -96,19 +96,19 @@ impl Proof {
         Ok(())
     }
 
-    /// Applies a patch, or takes it back.
+    /// Applies or reverts a patch.
     fn apply(&self, required: &Required, reverse: bool) -> anyhow::Result<()> {
         let mut command = Command::new("git");
         command.arg("apply").args(reverse.then_some("--reverse"));
         command.arg(Path::new(PATCHES).join(required.patch)).current_dir(&self.scratch.tree);
-        // Git must not take the tree for a part of the repository around it.
+        // Git must not take the tree for a part of the surrounding repository.
         command
             .env("GIT_CEILING_DIRECTORIES", self.scratch.tree.parent().context("the copy lies in a folder")?)
             .env_remove("GIT_DIR");
         let output = command.output().context("cannot run git")?;
         if !output.status.success() {
             let said = String::from_utf8_lossy(&output.stderr);
-            bail!("{PATCHES}/{} does not fit any more: make it anew: {}", required.patch, said.trim_end());
+            bail!("{PATCHES}/{} does not apply any more; create it again: {}", required.patch, said.trim_end());
         }
         Ok(())
     }
@@ -130,10 +130,10 @@ impl Proof {
         };
         let program =
             messages.filter(is_wanted).find_map(|message| Some(PathBuf::from(message["executable"].as_str()?)));
-        program.with_context(|| format!("cargo has not built {} {}", required.package, required.program))
+        program.with_context(|| format!("cargo has not built the test {} {}", required.package, required.program))
     }
 
-    /// The colour of the test, and how long it took, s.
+    /// The result of the test, and its duration, s.
     fn run(&self, program: &Path, required: &Required) -> anyhow::Result<(Colour, f64)> {
         let begin = Instant::now();
         let mut command = Command::new(program);
@@ -144,7 +144,7 @@ impl Proof {
     }
 }
 
-/// Programs that compute nothing as fast as they can, until this goes.
+/// Processes that keep the processors busy until this is dropped.
 struct Busy(Vec<Child>);
 
 impl Busy {

@@ -1,36 +1,36 @@
-//! What the tests came to.
+//! The test results.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
 
 use anyhow::bail;
 
-/// What a test program says of a test that the machine cannot check.
+/// Output of a test program for a test that the machine cannot check.
 const NOT_CHECKED: &str = "NOT CHECKED: ";
 
 /// One run of a test program.
 #[derive(Clone, Debug, Default)]
 pub struct Run {
-    /// For tables.
+    /// Name in tables.
     pub name: String,
-    /// Tests that passed, by the harness's own count.
+    /// Tests that passed, as counted by the harness.
     pub passed: usize,
     /// Tests that failed.
     pub failed: usize,
-    /// Tests that the harness left out.
+    /// Tests that the harness ignored.
     pub ignored: usize,
     /// `name: reason` of each test that was not checked.
     pub not_checked: Vec<String>,
-    /// How long it took.
+    /// Duration.
     pub took: Duration,
-    /// Everything that it printed.
+    /// The whole output.
     pub output: String,
-    /// Whether its tests are those whose threads must run in time.
+    /// Whether its tests must run in real time.
     pub is_punctual: bool,
 }
 
 impl Run {
-    /// Reads the counts from what a test program printed. One that ended badly without saying why has one failure.
+    /// Reads the counts from the output of a test program. A program that ended badly without counts has one failure.
     pub fn read(name: String, output: String, succeeded: bool, took: Duration) -> Self {
         let mut run = Self { name, took, ..Self::default() };
         let mut has_result = false;
@@ -52,7 +52,7 @@ impl Run {
         run
     }
 
-    /// Names of the tests that were not checked, each once.
+    /// Names of the tests that were not checked, without duplicates.
     fn unchecked(&self) -> BTreeSet<&str> {
         self.not_checked.iter().map(|line| line.split(": ").next().unwrap_or(line)).collect()
     }
@@ -71,14 +71,14 @@ fn count(text: &str, word: &str) -> usize {
 /// All runs.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
-    /// One for each start of a program.
+    /// One per start of a program.
     pub programs: Vec<Run>,
     /// From the first build to the last test.
     pub took: Duration,
 }
 
 impl Report {
-    /// Adds a run, and prints it: one line, and everything that a failed program said.
+    /// Adds a run, and prints it: one line, and the whole output of a failed program.
     pub fn add(&mut self, run: Run) {
         let verdict = if run.failed == 0 { "ok" } else { "FAILED" };
         let Run { name, passed, failed, took, .. } = &run;
@@ -99,14 +99,14 @@ impl Report {
         self.programs.iter().flat_map(|run| &run.not_checked)
     }
 
-    /// Passed, failed, skipped.
+    /// Counts: passed, failed, skipped.
     pub fn counts(&self) -> [usize; 3] {
         let sum = |of: fn(&Run) -> usize| self.programs.iter().map(of).sum::<usize>();
         let unchecked = sum(|run| run.unchecked().len());
         [sum(|run| run.passed).saturating_sub(unchecked), sum(|run| run.failed), sum(Run::skipped)]
     }
 
-    /// Whether a test ran in a program of this package, and nothing failed there.
+    /// Whether a test ran in a program of this package, and none failed there.
     pub fn has_passed(&self, package: &str, test: &str) -> bool {
         let ran = |run: &&Run| {
             let names = run.output.lines().filter_map(|line| line.strip_prefix("test ")?.split(' ').next());
@@ -115,13 +115,13 @@ impl Report {
         self.programs.iter().find(ran).is_some()
     }
 
-    /// Of the tests whose threads must run in time: how many were not checked, and how many there are.
+    /// Tests that must run in real time: number that were not checked, and total number.
     pub fn real_time_counts(&self) -> [usize; 2] {
         let punctual = || self.programs.iter().filter(|run| run.is_punctual);
         [punctual().map(|run| run.unchecked().len()).sum(), punctual().map(|run| run.passed + run.failed).sum()]
     }
 
-    /// Prints what was not checked, and the counts on a line of their own.
+    /// Prints the tests that were not checked, and the counts on a separate line.
     pub fn tell(&self) {
         println!();
         for line in self.not_checked() {
@@ -132,7 +132,7 @@ impl Report {
         println!("{passed} passed, {failed} failed, {skipped} skipped");
     }
 
-    /// As [`Self::tell`].
+    /// Like [`Self::tell`].
     ///
     /// # Errors
     /// If a test failed; the message names the programs.

@@ -1,4 +1,4 @@
-//! Runs test programs while others build.
+//! Runs test programs during the build.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -17,20 +17,20 @@ use super::scheduling::{LowSession, Precedence};
 use super::{Built, Long, Plan, build::Program, notebook};
 use crate::workspace::Workspace;
 
-/// The module of the tests whose threads must run in time.
+/// The module of the tests that must run in real time.
 const REAL_TIME: &str = "real_time::";
-/// Programs all of whose tests must run in time.
+/// Programs with only real-time tests.
 const ALONE: &str = "alone";
-/// A program that runs for longer than this hangs.
+/// A program that runs longer than this hangs.
 const LONGEST: Duration = Duration::from_secs(1200);
-/// With which tests run their long sweeps.
+/// Environment variable for the long sweeps.
 const LONG_TESTS: &str = "PB3DP_LONG_TESTS";
-/// Packages whose punctual tests start whole programs, which compute: no priority of SCHED_FIFO is for them.
+/// Packages whose real-time tests start whole programs, which compute: they get no SCHED_FIFO priority.
 const COMPUTING: [&str; 2] = ["pb3dp-orchestrator", "system-tests"];
-/// How many punctual tests run beside each other: those of programs sleep for the most part.
+/// Number of real-time tests that run in parallel: their programs mostly sleep.
 const PUNCTUAL_THREADS: [&str; 2] = ["4", "6"];
 
-/// Which tests of a program run.
+/// Selection of the tests of a program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Part {
     All,
@@ -38,7 +38,7 @@ enum Part {
     Others,
 }
 
-/// A program to be run.
+/// A test program to run.
 #[derive(Clone, Debug)]
 struct Job {
     program: Program,
@@ -65,20 +65,20 @@ struct State {
     others: Vec<Job>,
     punctual: Vec<Job>,
     is_building: bool,
-    /// Jobs of tests that need not be punctual.
+    /// Number of parallel jobs of the other tests.
     running: usize,
 }
 
-/// Takes test programs as they are built, and runs them: the punctual ones under their lock, the others on all processors that the build
-/// leaves.
+/// Runs test programs as they are built: the real-time tests under their lock, the others on all processors that the build
+/// does not use.
 pub struct Runner {
     state: Mutex<State>,
     changed: Condvar,
-    /// What punctual tests can go before.
+    /// Priority of real-time tests.
     pub precedence: Precedence,
     long: Long,
     filter: Option<String>,
-    /// How long each run took last time, s.
+    /// Duration of each run last time, s.
     before: BTreeMap<String, f64>,
     notebook: PathBuf,
     outputs: AtomicUsize,
@@ -89,13 +89,13 @@ fn of<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Runner {
-    /// With what is known from the last run.
+    /// Reads the durations of the last run.
     ///
     /// # Errors
-    /// If the target folder is not known or cannot be written.
+    /// If the target folder is unknown or cannot be written.
     pub fn new(workspace: &Workspace, plan: &Plan) -> anyhow::Result<(Self, Report)> {
         let notebook = notebook(&workspace.target_folder()?);
-        fs::create_dir_all(&notebook).with_context(|| format!("cannot make {}", notebook.display()))?;
+        fs::create_dir_all(&notebook).with_context(|| format!("cannot create {}", notebook.display()))?;
         let before = fs::read_to_string(notebook.join("durations.json")).ok();
         let runner = Self {
             state: Mutex::new(State { is_building: true, ..State::default() }),
@@ -110,10 +110,10 @@ impl Runner {
         Ok((runner, Report::default()))
     }
 
-    /// Builds, and runs what is handed over meanwhile, until all of it has run.
+    /// Builds, runs the built programs meanwhile, and waits for all of them.
     ///
     /// # Errors
-    /// If the build fails; the programs that are there already run to their ends.
+    /// If the build fails; programs that are already built run to their ends.
     pub fn run(
         &self,
         build: impl FnOnce(&Self) -> anyhow::Result<Built>,
@@ -151,9 +151,9 @@ impl Runner {
         Ok(built)
     }
 
-    /// A program has been built.
+    /// Queues a built program.
     pub fn ready(&self, program: Program) {
-        // With a filter, the few tests that fit wait for each other where they must.
+        // With a filter, the few matching tests wait for each other where necessary.
         let has_both = self.filter.is_none()
             && program.kind == "test"
             && list(&program).lines().any(|line| line.starts_with(REAL_TIME));
@@ -171,7 +171,7 @@ impl Runner {
         self.changed.notify_all();
     }
 
-    /// The next job of tests that need not be punctual. While a build runs, it has all processors but what one job takes.
+    /// The next job of the other tests. During a build they use one processor only.
     fn next_other(&self, place: usize) -> Option<Job> {
         let mut state = of(&self.state);
         loop {
@@ -187,7 +187,7 @@ impl Runner {
         }
     }
 
-    /// The next job of punctual tests, which run one program at a time. Where nothing lets them go before others, others have to end first.
+    /// The next job of real-time tests, which run one program at a time. Without a priority they wait for the end of the others.
     fn next_punctual(&self) -> Option<Job> {
         let mut state = of(&self.state);
         loop {
@@ -206,7 +206,7 @@ impl Runner {
         }
     }
 
-    /// The job that took longest last time, of those that may run; one that is not known counts as long.
+    /// The longest job of those that may run, by its last duration; an unknown job counts as long.
     fn longest(&self, jobs: &[Job], may_run: impl Fn(&Job) -> bool) -> Option<usize> {
         let seconds = |index: &usize| self.before.get(&jobs[*index].name()).copied().unwrap_or(60.0);
         let due = (0..jobs.len()).filter(|index| may_run(&jobs[*index]));
@@ -219,7 +219,7 @@ impl Runner {
         state.running -= usize::from(!job.is_punctual());
         drop(state);
         self.changed.notify_all();
-        // A program without a test is not worth a line.
+        // A program without tests gets no line.
         if run.passed + run.failed + run.ignored > 0 {
             of(report).add(run);
         }
@@ -243,7 +243,7 @@ impl Runner {
         run
     }
 
-    /// The program with its output in a file: both streams in the order in which they were written.
+    /// The program with its output in a file: both streams in their order.
     fn command(&self, job: &Job, output: &Path) -> anyhow::Result<Command> {
         let Program { path, folder, package, .. } = &job.program;
         let before = if job.is_punctual() { &[] } else { self.precedence.of_tests() };
@@ -273,11 +273,11 @@ impl Runner {
         let mut known = self.before.clone();
         known.extend(report.programs.iter().map(|run| (run.name.clone(), run.took.as_secs_f64())));
         let text = serde_json::to_string_pretty(&known)?;
-        fs::write(self.notebook.join("durations.json"), text).context("cannot write how long the tests took")
+        fs::write(self.notebook.join("durations.json"), text).context("cannot save the durations of the tests")
     }
 }
 
-/// Examples in the documentation of all libraries that do not say `doctest = false`.
+/// Runs the documentation examples of all libraries without `doctest = false`.
 ///
 /// # Errors
 /// If cargo cannot be run.
@@ -290,7 +290,7 @@ pub fn doctests(workspace: &Workspace, filter: Option<&str>) -> anyhow::Result<R
     Ok(Run::read("examples in the documentation".to_owned(), text, output.status.success(), begin.elapsed()))
 }
 
-/// Waits for the end of a program; whether it succeeded.
+/// Waits for the end of a program; returns whether it succeeded.
 fn wait(command: &mut Command, begin: Instant) -> anyhow::Result<bool> {
     let mut child = command.spawn().with_context(|| format!("cannot start {command:?}"))?;
     loop {
@@ -300,7 +300,7 @@ fn wait(command: &mut Command, begin: Instant) -> anyhow::Result<bool> {
         if begin.elapsed() > LONGEST {
             child.kill()?;
             child.wait()?;
-            anyhow::bail!("ended after {} s: it hangs", LONGEST.as_secs());
+            anyhow::bail!("killed after {} s: it hangs", LONGEST.as_secs());
         }
         std::thread::sleep(Duration::from_millis(20));
     }

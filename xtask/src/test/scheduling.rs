@@ -1,28 +1,28 @@
-//! Who goes before whom while tests run.
+//! Scheduling priorities during the tests.
 
 use std::fs;
 use std::process::Command;
 
-/// Niceness of the session while tests run.
+/// Niceness of the session during the tests.
 const NICE_OF_SESSION: &str = "19";
 /// Starts a program in the class SCHED_IDLE.
 const IDLE: &[&str] = &["chrt", "--idle", "0"];
 const AUTOGROUP: &str = "/proc/self/autogroup";
 
-/// What punctual tests can go before on this machine.
+/// Priority that real-time tests can have on this machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Precedence {
-    /// Nothing: they run when all else has run.
+    /// None: they run after all others.
     None,
-    /// All usual programs, if their threads get a priority of SCHED_FIFO. Whole programs, which compute, wait until all else has run.
+    /// Over all normal programs, if their threads get a SCHED_FIFO priority. Whole programs, which compute, wait for all others.
     Priority,
-    /// The build and the other tests, which run in the class SCHED_IDLE. The threads of the kernel that carry bytes to a terminal go before
-    /// those, too.
+    /// Over the build and the other tests, which run in the class SCHED_IDLE, as also the kernel threads that carry bytes to a
+    /// terminal have priority over these.
     Class,
 }
 
 impl Precedence {
-    /// Of this machine.
+    /// The priority on this machine.
     pub fn find() -> Self {
         match (grants_real_time(), has_idle_class()) {
             (false, _) => Self::None,
@@ -31,7 +31,7 @@ impl Precedence {
         }
     }
 
-    /// What the command of a test that need not be punctual begins with: a program that lets others go before.
+    /// Prefix of the command of other tests: a program that lowers their priority.
     pub fn of_tests(self) -> &'static [&'static str] {
         match self {
             Self::Class => IDLE,
@@ -39,7 +39,7 @@ impl Precedence {
         }
     }
 
-    /// What the command of the build begins with.
+    /// Prefix of the build command.
     pub fn of_build(self) -> &'static [&'static str] {
         match self {
             Self::Class => IDLE,
@@ -48,15 +48,16 @@ impl Precedence {
     }
 }
 
-/// Whether all usual threads go before a program of the class SCHED_IDLE. In a control group of its own the program competes with the
-/// kernel's threads by the weight of its group; so it would in a session of its own, but for the niceness of the session ([`LowSession`]).
+/// Whether all normal threads have priority over a program of the class SCHED_IDLE. In a separate control group the program
+/// competes with kernel threads by the weight of its group; the same holds for a separate session, but not with its niceness
+/// ([`LowSession`]).
 fn has_idle_class() -> bool {
     let groups = fs::read_to_string("/proc/self/cgroup").unwrap_or_default();
     let chrt = Command::new(IDLE[0]).args(&IDLE[1..]).arg("true").status();
     chrt.is_ok_and(|status| status.success()) && shares_processors_with_kernel(&groups)
 }
 
-/// Whether processors are shared with the threads of the kernel without a group between: from /proc/self/cgroup.
+/// Whether processors are shared with kernel threads without a control group between: from /proc/self/cgroup.
 fn shares_processors_with_kernel(groups: &str) -> bool {
     let mut group_of_all = None;
     for line in groups.lines() {
@@ -72,14 +73,15 @@ fn shares_processors_with_kernel(groups: &str) -> bool {
     group_of_all == Some("/")
 }
 
-/// The session of this program comes after all others, until this goes. Linux divides processors between sessions first (sched(7), "The
-/// autogroup feature"): without this, the class of a program counts within its session only, and the kernel's threads are in none.
+/// Lowers the priority of this program's session until this is dropped. Linux divides processors between sessions first
+/// (sched(7), "The autogroup feature"): without this, the class of a program counts within its session only, and kernel
+/// threads are in none.
 pub struct LowSession {
     before: Option<String>,
 }
 
 impl LowSession {
-    /// Where the machine divides processors by sessions.
+    /// Whether the machine divides processors by sessions.
     pub fn enter() -> Self {
         let before = fs::read_to_string(AUTOGROUP).ok();
         let nice = before.as_deref().and_then(|text| text.split_whitespace().last()).map(str::to_owned);
@@ -91,7 +93,7 @@ impl LowSession {
 impl Drop for LowSession {
     fn drop(&mut self) {
         if let Some(nice) = &self.before {
-            // A run that was interrupted has left the session low.
+            // An interrupted run has left the session at low priority.
             let nice = if nice == NICE_OF_SESSION { "0" } else { nice };
             fs::write(AUTOGROUP, nice).ok();
         }

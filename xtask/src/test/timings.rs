@@ -1,4 +1,4 @@
-//! How long each part took to build and to run.
+//! Build and run time of each part.
 
 use std::fs;
 use std::path::Path;
@@ -16,13 +16,13 @@ const ROWS: usize = 20;
 pub struct Unit {
     /// Package.
     pub package: String,
-    /// As cargo's page names it: `integration "test" (test)`; empty for a library.
+    /// Name on cargo's page: `integration "test" (test)`; empty for a library.
     pub target: String,
-    /// Seconds.
+    /// Duration, seconds.
     pub duration_s: f64,
 }
 
-/// The units of the newest page that `cargo --timings` has written to a folder; none if there is none.
+/// The units of the newest page that `cargo --timings` has written to a folder; none without a page.
 pub fn units(folder: &Path) -> Vec<Unit> {
     newest_page(folder).and_then(|text| parse(&text)).unwrap_or_default()
 }
@@ -47,7 +47,7 @@ fn parse(page: &str) -> Option<Vec<Unit>> {
     units.as_array().map(|units| units.iter().filter_map(unit).collect())
 }
 
-/// The slowest test programs, build and run time apart.
+/// The slowest test programs, build and run time separately.
 pub fn table(units: &[Unit], report: &Report) -> String {
     let build_s = |package: &str, target: &str| {
         let fits = |unit: &&Unit| {

@@ -1,4 +1,4 @@
-//! Files in `configs/`: each must parse. What their values mean is checked by the crates that read them.
+//! Files in `configs/`: each must parse. The crates that read them check their values.
 
 use quick_xml::Reader;
 use quick_xml::events::Event;
@@ -42,7 +42,7 @@ fn robot_description(text: &str) -> Result<(), String> {
         match event {
             Event::Start(_) => depth += 1,
             Event::End(_) => depth = depth.saturating_sub(1),
-            Event::Eof if depth > 0 => return Err("ends inside an element".to_owned()),
+            Event::Eof if depth > 0 => return Err("the file ends inside an element".to_owned()),
             Event::Eof => break,
             _ => {}
         }

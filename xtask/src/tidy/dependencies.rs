@@ -1,4 +1,4 @@
-//! Every third-party dependency of the root manifest is used, and its reason stands in the record.
+//! Checks that every third-party dependency of the root manifest is used, and has its reason in the record.
 
 use crate::violation::Violation;
 use crate::workspace::SourceFile;
@@ -21,7 +21,7 @@ pub fn check(texts: &[SourceFile]) -> Vec<Violation> {
             continue;
         }
         if !text_of(RECORD).contains(&format!("| `{name}` |")) {
-            let message = format!("`{name}` has no line of reason in {RECORD}");
+            let message = format!("`{name}` has no reason in {RECORD}: add a row");
             violations.push(Violation::of(ROOT, "dependency-reason", message));
         }
         if !members.iter().any(|member| is_used(name, &member.text)) {

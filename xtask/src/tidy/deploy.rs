@@ -1,7 +1,7 @@
-//! Files in `configs/deploy/`: rules of udev, units of systemd, limits, users and modules. Each line must be one of its format.
-//! Tests of the program ask the tools of the machine besides, where there are any.
+//! Files in `configs/deploy/`: rules of udev, units of systemd, limits, users and modules. Each line must be valid in its format.
+//! Tests of the program also run the tools of the machine on them, where they exist.
 
-/// What is wrong with a file of one of these formats; none of another one.
+/// The error in a file of one of these formats; none for other formats.
 pub fn check(path: &str, text: &str) -> Option<Result<(), String>> {
     let name = path.strip_prefix("configs/deploy/")?;
     let lines = |judge: fn(&str) -> Result<(), String>| each_line(text, judge);
@@ -15,7 +15,7 @@ pub fn check(path: &str, text: &str) -> Option<Result<(), String>> {
     })
 }
 
-/// Judges each line that is neither empty nor a comment; there must be one.
+/// Checks each line that is neither empty nor a comment; at least one is needed.
 fn each_line(text: &str, judge: fn(&str) -> Result<(), String>) -> Result<(), String> {
     let mut judged = 0;
     for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'))
@@ -23,7 +23,7 @@ fn each_line(text: &str, judge: fn(&str) -> Result<(), String>) -> Result<(), St
         judge(line).map_err(|problem| format!("line {}: {problem}", index + 1))?;
         judged += 1;
     }
-    if judged == 0 { Err("says nothing".to_owned()) } else { Ok(()) }
+    if judged == 0 { Err("has no line with content".to_owned()) } else { Ok(()) }
 }
 
 /// Keys of udev(7) that only compare, that only assign, and that do both.
@@ -43,10 +43,10 @@ const MATCHES: [&str; 12] = [
 ];
 const ASSIGNS: [&str; 8] = ["OWNER", "GROUP", "MODE", "RUN", "LABEL", "GOTO", "IMPORT", "OPTIONS"];
 const BOTH: [&str; 6] = ["NAME", "SYMLINK", "ATTR", "ENV", "TAG", "PROGRAM"];
-/// Of them, those with a name in braces.
+/// Keys with a name in braces.
 const NAMED: [&str; 4] = ["ATTR", "ATTRS", "ENV", "IMPORT"];
 
-/// `KEY=="value", KEY{name}="value"`: something is compared, and something done.
+/// `KEY=="value", KEY{name}="value"`: at least one comparison and one assignment.
 fn udev_rule(line: &str) -> Result<(), String> {
     let (mut rest, mut compares, mut assigns) = (line.trim(), 0, 0);
     while !rest.is_empty() {
@@ -60,14 +60,14 @@ fn udev_rule(line: &str) -> Result<(), String> {
         };
         let is_compared = matches!(operator, "==" | "!=");
         if !is_compared && !matches!(operator, "=" | "+=" | "-=" | ":=") {
-            return Err(format!("`{operator}` is no operator"));
+            return Err(format!("`{operator}` is not an operator"));
         }
         let known = if is_compared { MATCHES.contains(&key) } else { ASSIGNS.contains(&key) };
         if !known && !BOTH.contains(&key) {
-            return Err(format!("`{key}{operator}` is not to be had"));
+            return Err(format!("`{key}{operator}` is not allowed"));
         }
         if NAMED.contains(&key) != name.is_some_and(|name| !name.is_empty()) && key != "TEST" {
-            return Err(format!("`{key}`: a name in braces is for {NAMED:?}"));
+            return Err(format!("`{key}`: only {NAMED:?} have a name in braces"));
         }
         if key == "MODE" && u32::from_str_radix(value, 8).is_err() {
             return Err(format!("the mode {value:?} is not octal"));
@@ -88,7 +88,7 @@ fn udev_rule(line: &str) -> Result<(), String> {
         }
     }
     if compares == 0 || assigns == 0 {
-        return Err("a rule compares something and does something".to_owned());
+        return Err("a rule needs a comparison and an assignment".to_owned());
     }
     Ok(())
 }

@@ -5,7 +5,7 @@ use anyhow::Context;
 use crate::violation::Violation;
 use crate::workspace::Workspace;
 
-/// Where the list stands.
+/// Path of the list.
 pub const LIST: &str = "xtask/tidy-exceptions.toml";
 
 /// One entry: a file, or a function in it, that may have up to `lines_max` lines.
@@ -44,7 +44,7 @@ impl Exceptions {
         Ok(Self { entries })
     }
 
-    /// Lines that the file, or the function in it, may have; `usual` if it is not on the list.
+    /// Allowed lines of the file, or of the function in it; `usual` if it is not on the list.
     pub fn lines_max(&mut self, path: &str, function: Option<&str>, lines: usize, usual: usize) -> usize {
         if lines <= usual {
             return usual;
@@ -56,13 +56,13 @@ impl Exceptions {
         })
     }
 
-    /// Entries that nothing needed.
+    /// Entries that are not needed.
     pub fn unused(&self) -> Vec<Violation> {
         let stale = self.entries.iter().filter(|entry| !entry.used);
         stale
             .map(|entry| {
                 let what = entry.function.as_deref().unwrap_or("the file");
-                let message = format!("{what} in {} is short enough or gone: remove the entry", entry.path);
+                let message = format!("{what} in {} is short enough or does not exist: remove the entry", entry.path);
                 Violation::of(LIST, "stale-exception", message)
             })
             .collect()

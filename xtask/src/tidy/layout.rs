@@ -1,8 +1,8 @@
-//! The shape of the tree: what lies at the top level, and what every package has.
+//! The layout of the tree: entries of the top level, and requirements for every package.
 
 use crate::violation::Violation;
 
-/// Everything that may lie at the top level; the ones marked `true` must.
+/// All allowed entries of the top level; those marked `true` are required.
 const TOP_LEVEL: [(&str, bool); 23] = [
     (".cargo", true),
     (".ci", true),
@@ -47,14 +47,14 @@ pub fn top_level(files: &[String]) -> Vec<Violation> {
     violations
 }
 
-/// A crate that can be published has a README, which its page in the registry shows.
+/// A publishable crate has a README, which its registry page shows.
 pub fn readme(path: &str, text: &str, files: &[String]) -> Vec<Violation> {
     let is_crate = path.starts_with("crates/") || (path.starts_with("hal/") && !path.starts_with("hal/vendor/"));
     let readme = path.replace("Cargo.toml", "README.md");
     if !is_crate || text.contains("\npublish = false\n") || files.contains(&readme) {
         return Vec::new();
     }
-    vec![Violation::of(&readme, "readme", "is missing: say what the crate is for, with an example if it is a library")]
+    vec![Violation::of(&readme, "readme", "is missing: state the crate's purpose, with an example for a library")]
 }
 
 /// Checks a member's `Cargo.toml`: lints and package keys from the workspace, dependencies from the workspace.
@@ -85,7 +85,7 @@ pub fn manifest(path: &str, text: &str) -> Vec<Violation> {
     }
     for section in ["dependencies", "dev-dependencies", "build-dependencies"] {
         let Some(entries) = table.get(section).and_then(toml::Value::as_table) else { continue };
-        // Without a version cargo leaves a crate of the workspace out of what it publishes: no circle, no test crate to publish.
+        // Cargo does not publish a crate of the workspace without a version: no cycle, no test crate to publish.
         let is_left_out = |entry: &toml::Value| {
             section == "dev-dependencies"
                 && !is_private
@@ -101,11 +101,11 @@ pub fn manifest(path: &str, text: &str) -> Vec<Violation> {
     violations
 }
 
-/// Checks that a package's root file says in `//!` what the package is.
+/// Checks that a package's root file states in `//!` what the package is.
 pub fn crate_docs(path: &str, text: &str) -> Vec<Violation> {
     let is_root = path.ends_with("/src/lib.rs") || path.ends_with("/src/main.rs");
     if is_root && !text.trim_start().starts_with("//!") {
-        let message = "open with `//!`: what the crate is, what it does not do, its main types";
+        let message = "start with `//!`: purpose of the crate, its limits, its main types";
         return vec![Violation::at(path, 1, "crate-docs", message)];
     }
     Vec::new()

@@ -1,11 +1,11 @@
-//! Links and paths in Markdown lead to something.
+//! Checks that links and paths in Markdown exist.
 
 use crate::violation::Violation;
 
-/// First folders of paths that are checked where they stand in backticks.
+/// First folders of the paths in backticks that are checked.
 const ROOTS: [&str; 7] = ["crates/", "hal/", "configs/", "docs/", "tests/", "xtask/", ".ci/"];
 
-/// Checks the relative links of one Markdown file, and the paths from the root that stand alone in backticks.
+/// Checks the relative links of one Markdown file, and the paths from the root that are in backticks.
 pub fn check(path: &str, text: &str, files: &[String]) -> Vec<Violation> {
     let exists = |target: &str| {
         let target = target.trim_end_matches('/');
@@ -23,7 +23,7 @@ pub fn check(path: &str, text: &str, files: &[String]) -> Vec<Violation> {
         let links = links(line).filter_map(|link| resolve(path, link)).filter(|target| !exists(target));
         let paths = code_spans(line).filter(|span| is_path(span) && !exists(span)).map(str::to_owned);
         for target in links.chain(paths) {
-            violations.push(Violation::at(path, index + 1, "dead-link", format!("`{target}` is not there")));
+            violations.push(Violation::at(path, index + 1, "dead-link", format!("`{target}` does not exist")));
         }
     }
     violations
@@ -42,7 +42,7 @@ fn is_path(span: &str) -> bool {
     plain && ROOTS.iter().any(|root| span.starts_with(root))
 }
 
-/// The path from the root that a link means; `None` for other sites and places in the same file.
+/// The path from the root for a link; `None` for other sites and anchors in the same file.
 fn resolve(path: &str, link: &str) -> Option<String> {
     let target = link.split('#').next().unwrap_or_default();
     if target.is_empty() || target.contains("://") || target.starts_with("mailto:") {
@@ -71,9 +71,9 @@ mod tests {
 
     #[test]
     fn dead_links_and_paths_are_caught() {
-        assert_eq!(messages("README.md", "see [units](docs/unit.md)"), ["`docs/unit.md` is not there"]);
-        assert_eq!(messages("docs/adr/0001-a.md", "[u](../unit.md)"), ["`docs/unit.md` is not there"]);
-        assert_eq!(messages("README.md", "in `crates/a/src/main.rs`"), ["`crates/a/src/main.rs` is not there"]);
+        assert_eq!(messages("README.md", "see [units](docs/unit.md)"), ["`docs/unit.md` does not exist"]);
+        assert_eq!(messages("docs/adr/0001-a.md", "[u](../unit.md)"), ["`docs/unit.md` does not exist"]);
+        assert_eq!(messages("README.md", "in `crates/a/src/main.rs`"), ["`crates/a/src/main.rs` does not exist"]);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Markdown: one sentence per line, so that a change of one sentence is a change of one line.
 //!
-//! Headings, tables, code and HTML are left alone, and doubtful cases pass.
+//! Headings, tables, code and HTML are ignored, and doubtful cases pass.
 
 use crate::violation::Violation;
 
@@ -24,7 +24,7 @@ pub fn check(path: &str, text: &str) -> Vec<Violation> {
             continue;
         }
         if let Some(second) = second_sentence(line_text) {
-            let message = format!("a second sentence starts at \"{second}\": give it a line of its own");
+            let message = format!("a second sentence starts at \"{second}\": start a new line");
             violations.push(Violation::at(path, index + 1, "one-sentence-per-line", message));
         }
         if breaks_inside_sentence(previous, line_text) {
@@ -32,7 +32,7 @@ pub fn check(path: &str, text: &str) -> Vec<Violation> {
                 path,
                 index + 1,
                 "one-sentence-per-line",
-                "goes on from the line above: join them",
+                "continues the line above: join the lines",
             ));
         }
         previous = line_text;
@@ -44,7 +44,7 @@ fn is_prose(line: &str) -> bool {
     !line.is_empty() && !line.starts_with(['#', '|', '<', '!']) && !line.starts_with("    ")
 }
 
-/// The first words of a sentence that starts in the middle of the line.
+/// The first words of a sentence that starts within the line.
 fn second_sentence(line: &str) -> Option<String> {
     let line = without_code_spans(line);
     for (at, mark) in line.match_indices(['.', '!', '?']) {

@@ -1,15 +1,15 @@
-//! The parameter tables and the configuration say the same: every key of the estimator's file stands in the document of
-//! the parameters, with the same default.
+//! The parameter tables and the configuration agree: every key of the estimator's file is in the document of the
+//! parameters, with the same default.
 
 use crate::violation::Violation;
 use crate::workspace::SourceFile;
 
 const DOCUMENT: &str = "docs/parameters.md";
 const FILE: &str = "configs/estimator.toml";
-/// Keys of this table stand in the document without its name, those of others with it.
+/// Keys of this table are in the document without its name, other keys with the name of their table.
 const SECTION: &str = "published";
 
-/// Compares document and file; neither may be without the other.
+/// Compares document and file; both are required.
 pub fn check(texts: &[SourceFile]) -> Vec<Violation> {
     let find = |path: &str| texts.iter().find(|file| file.path == path).map(|file| file.text.as_str());
     let (document, file) = match (find(DOCUMENT), find(FILE)) {
@@ -17,7 +17,7 @@ pub fn check(texts: &[SourceFile]) -> Vec<Violation> {
         (None, None) => return Vec::new(),
         (found, _) => {
             let missing = if found.is_none() { DOCUMENT } else { FILE };
-            return vec![Violation::of(missing, "method-table", "is not there: the tables and the file go together")];
+            return vec![Violation::of(missing, "method-table", "is missing: both document and file are needed")];
         }
     };
     let Ok(table) = file.parse::<toml::Table>() else { return Vec::new() };
@@ -97,7 +97,7 @@ mod tests {
         for path in [DOCUMENT, FILE] {
             let alone = [SourceFile { path: path.to_owned(), text: String::new() }];
             let missing: Vec<_> = check(&alone).into_iter().map(|v| v.to_string()).collect();
-            assert!(missing.len() == 1 && missing[0].contains("is not there"), "{missing:?}");
+            assert!(missing.len() == 1 && missing[0].contains("is missing"), "{missing:?}");
         }
         assert!(check(&[]).is_empty());
     }

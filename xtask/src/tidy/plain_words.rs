@@ -1,14 +1,14 @@
-//! The word list of plain English: words that the readers of this project do not expect, and what to write instead.
+//! The word list of plain English: words to avoid, and their replacements.
 
 use anyhow::Context;
 
 use crate::violation::Violation;
 use crate::workspace::{SourceFile, Workspace};
 
-/// Where the list stands.
+/// Path of the list.
 pub const LIST: &str = "xtask/plain-words.toml";
 
-/// Endings of the files that are searched.
+/// Extensions of the searched files.
 const ENDINGS: [&str; 3] = [".rs", ".md", ".toml"];
 
 /// One entry of the list.
@@ -74,7 +74,7 @@ impl Word {
         violations
     }
 
-    /// Whether a line has the word as a whole one, or its plural; not behind a hyphen (`hand-eye`).
+    /// Whether a line has the word as a whole word, or its plural; not after a hyphen (`hand-eye`).
     fn is_in(&self, line: &str) -> bool {
         let line = line.to_ascii_lowercase();
         line.match_indices(&self.not).any(|(at, _)| {

@@ -1,4 +1,4 @@
-//! Rules for Rust files: size, and what must not stand in them.
+//! Rules for Rust files: size, and forbidden items.
 
 use crate::rust_text::{code_only, functions, line_at, word_positions};
 use crate::tidy::exceptions::{Exceptions, LIST};
@@ -22,15 +22,14 @@ fn sizes(path: &str, code: &str, exceptions: &mut Exceptions) -> Vec<Violation> 
     let lines = code.lines().count();
     let max = exceptions.lines_max(path, None, lines, FILE_LINES_MAX);
     if lines > max {
-        let message =
-            format!("{lines} lines, at most {max}: split it by what a reader looks for (or give a reason in {LIST})");
+        let message = format!("{lines} lines, at most {max}: split it by topic (or give a reason in {LIST})");
         violations.push(Violation::of(path, "file-length", message));
     }
     for function in functions(code) {
         let max = exceptions.lines_max(path, Some(&function.name), function.lines, FUNCTION_LINES_MAX);
         if function.lines > max {
             let message =
-                format!("`{}` has {} lines, at most {max}: take its leaves out", function.name, function.lines);
+                format!("`{}` has {} lines, at most {max}: move parts into functions", function.name, function.lines);
             violations.push(Violation::at(path, function.line, "function-length", message));
         }
     }
@@ -54,7 +53,7 @@ fn test_attributes(path: &str, code: &str) -> Vec<Violation> {
         let names = |word: &str| word_positions(attribute, word).next().is_some();
         let is_test_switch = attribute.starts_with("ignore") || attribute.starts_with("cfg_attr");
         if is_test_switch && names("ignore") {
-            let message = "a test that does not run proves nothing: make it run, or remove it";
+            let message = "an ignored test proves nothing: make it run, or remove it";
             violations.push(Violation::at(path, line_at(code, at), "ignored-test", message));
         }
         if names("should_panic") {

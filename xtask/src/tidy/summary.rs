@@ -1,19 +1,19 @@
-//! The table of contents of the site names every page once.
+//! Checks that the table of contents of the site has every page once.
 
 use crate::violation::Violation;
 use crate::workspace::SourceFile;
 
 const SUMMARY: &str = "docs/SUMMARY.md";
 
-/// Checks that every Markdown page of docs/ stands in the table of contents exactly once.
+/// Checks that every Markdown page of docs/ is in the table of contents exactly once.
 pub fn check(files: &[SourceFile]) -> Vec<Violation> {
     let Some(summary) = files.iter().find(|file| file.path == SUMMARY) else {
-        return vec![Violation::of(SUMMARY, "site", "is missing: the site has its table of contents there")];
+        return vec![Violation::of(SUMMARY, "site", "is missing: it is the table of contents of the site")];
     };
     let pages = files.iter().filter_map(|file| file.path.strip_prefix("docs/").filter(|page| page.ends_with(".md")));
     let wrong = pages.filter(|page| *page != "SUMMARY.md").filter_map(|page| {
         let count = summary.text.matches(&format!("]({page})")).count();
-        let message = format!("`{page}` stands there {count} times, not once: every page has one place in the site");
+        let message = format!("`{page}` is listed {count} times: list every page exactly once");
         (count != 1).then(|| Violation::of(SUMMARY, "site", message))
     });
     wrong.collect()

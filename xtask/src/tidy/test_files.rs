@@ -1,7 +1,7 @@
-//! Every file of tests is part of a test program.
+//! Checks that every test file belongs to a test program.
 //!
-//! Packages list their test programs themselves (`autotests = false`), so a file that no program names would be compiled by nobody, and its
-//! tests would never fail.
+//! Packages list their test programs themselves (`autotests = false`), so a file without a test program would not be compiled, and
+//! its tests would never fail.
 
 use crate::violation::Violation;
 use crate::workspace::SourceFile;
@@ -19,7 +19,7 @@ pub fn check(texts: &[SourceFile]) -> Vec<Violation> {
             let is_program = manifest.contains(&format!("path = \"tests/{path}\""));
             let is_fuzzed = path.starts_with("fuzz/");
             if !is_program && !is_fuzzed && !is_named(path, &inside) {
-                let message = "no test program names this file, so nobody compiles it: add `mod` to the root in tests/";
+                let message = "no test program includes this file: add `mod` to the root in tests/";
                 violations.push(Violation::at(&file.path, 1, "unlisted-test", message));
             }
         }
@@ -33,7 +33,7 @@ fn package_with_its_own_list(file: &SourceFile) -> Option<(&str, &str)> {
     file.text.contains("autotests = false").then_some((folder, file.text.as_str()))
 }
 
-/// Whether a file beside or above this one has a `mod` for it.
+/// Whether a file next to or above this one has a `mod` for it.
 fn is_named(path: &str, inside: &[&SourceFile]) -> bool {
     let module = path.strip_suffix("/mod.rs").or_else(|| path.strip_suffix(".rs")).unwrap_or(path);
     let name = module.rsplit('/').next().unwrap_or(module);

@@ -1,8 +1,8 @@
-//! Rules for every text file: no paths of one machine, no paths out of the repository, no nameless reminders.
+//! Rules for every text file: no paths of one machine, no paths outside the repository, no nameless reminders.
 
 use crate::violation::Violation;
 
-/// First folders of absolute paths that exist on one machine only. Spelt in halves, so that this file obeys its own rule.
+/// First folders of absolute paths that exist on one machine only. Written in halves, so that this file obeys its own rule.
 const MACHINE_FOLDERS: [&str; 6] = [
     concat!("/wo", "rk/"),
     concat!("/ro", "ot/"),
@@ -19,15 +19,15 @@ pub fn check(path: &str, text: &str) -> Vec<Violation> {
     let mut violations = Vec::new();
     for (index, line) in text.lines().enumerate() {
         if let Some(folder) = machine_folder(line) {
-            let message = format!("`{folder}...` exists on one machine only: use a path inside the repository");
+            let message = format!("`{folder}...` exists on one machine only; use a path inside the repository");
             violations.push(Violation::at(path, index + 1, "machine-path", message));
         }
         if line.contains(OUTSIDE) {
-            let message = format!("`{OUTSIDE}` lies outside the repository: nothing here may need it");
+            let message = format!("`{OUTSIDE}` is outside the repository: remove the dependency on it");
             violations.push(Violation::at(path, index + 1, "outside-path", message));
         }
         if let Some(word) = nameless_reminder(line) {
-            let message = format!("`{word}` without (name, issue): do it, or open an issue and name it");
+            let message = format!("`{word}` without (name, issue): do it, or open an issue and give its number");
             violations.push(Violation::at(path, index + 1, "nameless-reminder", message));
         }
     }
@@ -56,7 +56,7 @@ fn nameless_reminder(line: &str) -> Option<&'static str> {
     })
 }
 
-/// Whether the text goes on as `(name, issue)`.
+/// Whether the text continues as `(name, issue)`.
 fn is_named(rest: &str) -> bool {
     let Some((inner, _)) = rest.strip_prefix('(').and_then(|rest| rest.split_once(')')) else { return false };
     let parts: Vec<&str> = inner.split(',').map(str::trim).collect();

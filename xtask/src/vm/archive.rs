@@ -1,13 +1,13 @@
-//! What a kernel unpacks before it starts its first program: a cpio archive of the format `newc`, not compressed.
+//! The kernel's initial file system: a cpio archive of the format `newc`, not compressed.
 //!
-//! The format: a header of 6 letters and 13 numbers of 8 hexadecimal digits, the path with a zero, the content, each filled up to
+//! The format: a header of 6 letters and 13 numbers of 8 hexadecimal digits, the path with a zero, the content, each padded to
 //! whole words of 4 bytes (Linux, Documentation/driver-api/early-userspace/buffer-format.rst).
 
 use std::path::Path;
 
 use anyhow::Context;
 
-/// Kinds of entries, with the rights on them.
+/// Kinds of entries, with their permissions.
 const FOLDER: u32 = 0o040_755;
 const FILE: u32 = 0o100_644;
 const PROGRAM: u32 = 0o100_755;
@@ -29,7 +29,7 @@ impl Archive {
         self.entry(path, if is_program { PROGRAM } else { FILE }, [0, 0], content);
     }
 
-    /// `/dev/console`, which the kernel opens for its first program before that could make it.
+    /// `/dev/console`, which the kernel opens before its first program can create it.
     pub fn console(&mut self) {
         self.entry("dev/console", CHARACTER_DEVICE, [5, 1], &[]);
     }
@@ -56,7 +56,7 @@ impl Archive {
         self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
     }
 
-    /// Ends the archive and writes it down.
+    /// Completes the archive and writes it to a file.
     ///
     /// # Errors
     /// If it cannot be written.

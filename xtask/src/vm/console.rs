@@ -1,26 +1,26 @@
-//! What the program in the guest says on its console.
+//! Messages of the program in the guest on its console.
 
-/// What it can say; the same words stand in the guest's `report.rs`.
+/// A message; the guest's `report.rs` has the same words.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Said {
     /// A check passed.
     Passed(String),
     /// A check failed.
     Failed(String),
-    /// Something to be told.
+    /// A note.
     Note(String),
-    /// Pull the device of this name out.
+    /// Unplug the device of this name.
     Unplug(String),
-    /// Plug it in again.
+    /// Plug the device in again.
     Plug(String),
     /// The tests are over.
     End {
-        /// How many there were.
+        /// Number of tests.
         checks: u32,
     },
 }
 
-/// A line of the console, if it is from the program and not from the kernel.
+/// Parses a line of the console; `None` for lines of the kernel.
 pub fn parse(line: &str) -> Option<Said> {
     let (_, said) = line.split_once("vm: ")?;
     let (word, rest) = said.split_once(' ').unwrap_or((said, ""));
@@ -45,7 +45,7 @@ mod tests {
         assert_eq!(parse("vm: passed ports are found: 3"), Some(Said::Passed("ports are found: 3".into())));
         assert_eq!(parse("vm: unplug host"), Some(Said::Unplug("host".into())));
         assert_eq!(parse("vm: end 12"), Some(Said::End { checks: 12 }));
-        // What the kernel has left on the line before does not hide it.
+        // Kernel output before it on the line does not hide it.
         assert_eq!(parse("\u{1b}[0mvm: plug host"), Some(Said::Plug("host".into())));
         for other in ["", "[    0.1] Linux version 6.1", "vm: end", "vm: end soon", "vm: passe"] {
             assert_eq!(parse(other), None, "{other}");

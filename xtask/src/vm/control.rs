@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use serde_json::{Map, Value, json};
 
-/// QEMU answers at once, and takes two seconds for a device at most.
+/// Timeout for QEMU: it answers at once, and takes two seconds for a device at most.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A connection to QEMU.
@@ -18,9 +18,9 @@ pub struct Control {
 
 impl Control {
     /// # Errors
-    /// If QEMU is not there or does not greet.
+    /// If QEMU does not run or does not send its greeting.
     pub fn connect(socket: &Path) -> anyhow::Result<Self> {
-        let stream = UnixStream::connect(socket).context("QEMU does not listen to commands")?;
+        let stream = UnixStream::connect(socket).context("cannot connect to QEMU")?;
         stream.set_read_timeout(Some(PATIENCE))?;
         stream.set_write_timeout(Some(PATIENCE))?;
         let mut control = Self { stream: BufReader::new(stream) };
@@ -29,20 +29,20 @@ impl Control {
         Ok(control)
     }
 
-    /// Pulls a device out, and waits until QEMU says that it is gone.
+    /// Unplugs a device, and waits until QEMU reports that it is gone.
     ///
     /// # Errors
     /// If it is not gone in time.
     pub fn unplug(&mut self, name: &str) -> anyhow::Result<()> {
         self.send("device_del", json!({ "id": name }))?;
-        // The answer and the end of the device come in any order.
+        // The answer and the end of the device arrive in any order.
         let (mut answered, mut gone) = (false, false);
         self.until(|message| {
             answered |= message.get("return").is_some();
             gone |= message["event"] == "DEVICE_DELETED" && message["data"]["device"] == name;
             answered && gone
         })
-        .with_context(|| format!("{name} was not pulled out"))
+        .with_context(|| format!("{name} was not unplugged"))
     }
 
     /// Plugs a device in: as on QEMU's command line, `usb-serial,bus=usb.0`.
@@ -60,10 +60,10 @@ impl Control {
 
     fn send(&mut self, command: &str, arguments: Value) -> anyhow::Result<()> {
         let message = json!({ "execute": command, "arguments": arguments });
-        writeln!(self.stream.get_mut(), "{message}").context("QEMU takes no commands")
+        writeln!(self.stream.get_mut(), "{message}").context("cannot send a command to QEMU")
     }
 
-    /// Reads on until a message is the one; an error that QEMU reports ends it.
+    /// Reads until a message matches; an error from QEMU ends it.
     fn until(&mut self, mut is_it: impl FnMut(&Value) -> bool) -> anyhow::Result<()> {
         let end = Instant::now() + PATIENCE;
         let mut line = String::new();
@@ -74,7 +74,7 @@ impl Control {
             }
             let message: Value = serde_json::from_str(&line).context("QEMU does not answer in JSON")?;
             if let Some(error) = message.get("error") {
-                bail!("QEMU says: {}", error["desc"].as_str().unwrap_or_default());
+                bail!("QEMU reports: {}", error["desc"].as_str().unwrap_or_default());
             }
             if is_it(&message) {
                 return Ok(());
@@ -86,7 +86,7 @@ impl Control {
     }
 }
 
-/// A device as a message has it.
+/// A device in the form of a message.
 fn arguments(name: &str, what: &str) -> Value {
     let mut map = Map::new();
     let mut parts = what.split(',');

@@ -1,4 +1,4 @@
-//! The distribution's kernel: found, fetched, unpacked, kept.
+//! The distribution's kernel: find, fetch, unpack, keep.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,10 +10,10 @@ use super::modules::unpacked;
 use super::output_of;
 use crate::not_possible::NotPossible;
 
-/// The package that needs the kernel of the day: the name of that one changes with every update.
+/// The metapackage that depends on the current kernel: the name of the kernel's package changes with every update.
 const METAPACKAGE: &str = "linux-image-amd64";
 
-/// The oldest kernel with which the tests are known to run: major, minor.
+/// The oldest kernel with which the tests are known to work: major, minor.
 const OLDEST: [u32; 2] = [6, 1];
 
 /// Parts of the kernel that are kept; all modules would be 400 MB.
@@ -30,39 +30,39 @@ const MODULE_FOLDERS: [&str; 10] = [
     "drivers/media/v4l2-core",
 ];
 
-/// The list of parts of a kernel that was kept.
+/// File in the folder of a kept kernel with the list of its parts.
 const PARTS: &str = "parts";
 
-/// A server that does not answer fails the tests instead of holding them up.
+/// A server that does not answer fails the tests instead of blocking them.
 const IMPATIENT: [&str; 6] =
     ["-o", "Acquire::http::Timeout=20", "-o", "Acquire::Retries=1", "-o", "DPkg::Lock::Timeout=60"];
 
 /// A kernel on disk.
 pub struct Kernel {
-    /// What QEMU starts.
+    /// The kernel image for QEMU.
     pub image: PathBuf,
-    /// Below which its modules are.
+    /// Root folder of its modules.
     pub modules: PathBuf,
-    /// `6.1.0-56-amd64`.
+    /// Release, such as `6.1.0-56-amd64`.
     pub release: String,
     /// Name and version of its package.
     pub package: String,
 }
 
 impl Kernel {
-    /// The kernel that is there, or a new one.
+    /// The kept kernel, or a new one.
     ///
     /// # Errors
-    /// [`NotPossible`] if there is none and none can be fetched; else if it cannot be unpacked.
+    /// [`NotPossible`] if there is none and none can be fetched; otherwise if it cannot be unpacked.
     pub fn get(cache: &Path, renews: bool) -> anyhow::Result<Self> {
         if !renews && let Some(kernel) = kept(cache)? {
             return Ok(kernel);
         }
         let scratch = cache.join("new");
         if scratch.exists() {
-            fs::remove_dir_all(&scratch).context("what a run that was interrupted has left")?;
+            fs::remove_dir_all(&scratch).context("cannot remove the folder of an interrupted run")?;
         }
-        fs::create_dir_all(&scratch).with_context(|| format!("cannot make {}", scratch.display()))?;
+        fs::create_dir_all(&scratch).with_context(|| format!("cannot create {}", scratch.display()))?;
         let package = newest_package()?;
         println!("fetching {package}");
         let file = download(&package, &scratch)?;
@@ -73,8 +73,8 @@ impl Kernel {
         if folder.exists() {
             fs::remove_dir_all(&folder)?;
         }
-        // Whole or not at all.
-        fs::rename(&scratch, &folder).context("the new kernel cannot be put in its place")?;
+        // Complete or not at all.
+        fs::rename(&scratch, &folder).context("cannot move the new kernel to its folder")?;
         Self::open(&folder)
     }
 
@@ -86,7 +86,7 @@ impl Kernel {
     }
 }
 
-/// The newest kernel that was kept. One with other parts than are wanted now is none.
+/// The newest kept kernel. A kernel with other parts than needed now does not count.
 fn kept(cache: &Path) -> anyhow::Result<Option<Kernel>> {
     if !cache.is_dir() {
         return Ok(None);
@@ -104,16 +104,16 @@ fn kept(cache: &Path) -> anyhow::Result<Option<Kernel>> {
     folders.pop().map(|(_, path)| Kernel::open(&path)).transpose()
 }
 
-/// All numbers in a name, by which kernels are in order.
+/// All numbers in a name, which order the kernels.
 fn numbers(name: &str) -> Vec<u32> {
     name.split(|letter: char| !letter.is_ascii_digit()).filter_map(|part| part.parse().ok()).collect()
 }
 
-/// Name of the package that the metapackage needs now.
+/// Name of the package that the metapackage depends on.
 fn newest_package() -> anyhow::Result<String> {
     let mut found = needed_package();
     if found.is_err() && is_root() {
-        // A machine that has never asked knows no packages.
+        // A machine that has never run `apt-get update` knows no packages.
         let _ = output_of(apt_get().arg("update"));
         found = needed_package();
     }
@@ -122,24 +122,23 @@ fn newest_package() -> anyhow::Result<String> {
     if version.as_slice() < OLDEST.as_slice() {
         let [major, minor] = OLDEST;
         return Err(NotPossible::because(format!(
-            "{METAPACKAGE} is {package}, and the tests want {major}.{minor} or later"
+            "{METAPACKAGE} is {package}, but the tests need {major}.{minor} or later"
         )));
     }
     Ok(package)
 }
 
 fn needed_package() -> anyhow::Result<String> {
-    let text = output_of(Command::new("apt-cache").args(["depends", METAPACKAGE])).map_err(|error| {
-        NotPossible::because(format!("no kernel to be had by apt: {error:#}; the tests want a Debian"))
-    })?;
+    let text = output_of(Command::new("apt-cache").args(["depends", METAPACKAGE]))
+        .map_err(|error| NotPossible::because(format!("apt provides no kernel: {error:#}; the tests need Debian")))?;
     image_of(&text).map(str::to_owned).ok_or_else(|| {
         NotPossible::because(format!(
-            "apt knows no package {METAPACKAGE}: type `apt-get update` as root; or this is no Debian"
+            "apt has no package {METAPACKAGE}: run `apt-get update` as root; or this is not Debian"
         ))
     })
 }
 
-/// What `apt-cache depends` says that the metapackage needs.
+/// The dependency of the metapackage in the output of `apt-cache depends`.
 fn image_of(text: &str) -> Option<&str> {
     let needed = text.lines().filter_map(|line| line.trim().strip_prefix("Depends: "));
     let has_version = |name: &&str| {
@@ -148,33 +147,32 @@ fn image_of(text: &str) -> Option<&str> {
     needed.map(str::trim).find(has_version)
 }
 
-/// The file of a package. Needs no special rights.
+/// Fetches the file of a package. Needs no special rights.
 fn download(package: &str, folder: &Path) -> anyhow::Result<PathBuf> {
     let fetched = output_of(apt_get().args(["download", package]).current_dir(folder));
-    fetched.map_err(|error| NotPossible::because(format!("{package} cannot be fetched: {error:#}")))?;
+    fetched.map_err(|error| NotPossible::because(format!("cannot fetch {package}: {error:#}")))?;
     let files = fs::read_dir(folder)?.filter_map(|entry| Some(entry.ok()?.path()));
     let mut files = files.filter(|path| path.extension().is_some_and(|ending| ending == "deb"));
-    files.next().with_context(|| format!("apt-get has fetched {package} to nowhere"))
+    files.next().with_context(|| format!("apt-get has fetched no file for {package}"))
 }
 
-/// The kernel and those of its modules that are kept.
+/// Unpacks the kernel and the kept modules.
 fn unpack(file: &Path, folder: &Path) -> anyhow::Result<()> {
     let raw = folder.join("raw");
     fs::create_dir_all(&raw)?;
     let mut packed = Command::new("dpkg-deb");
     packed.arg("--fsys-tarfile").arg(file).stdin(Stdio::null()).stdout(Stdio::piped());
-    let mut packed =
-        packed.spawn().map_err(|_| NotPossible::because("dpkg-deb is missing: the tests want a Debian"))?;
+    let mut packed = packed.spawn().map_err(|_| NotPossible::because("dpkg-deb is missing: the tests need Debian"))?;
     let mut tar = Command::new("tar");
     tar.args(["--extract", "--wildcards", "--directory"]).arg(&raw);
     if let Some(output) = packed.stdout.take() {
         tar.stdin(Stdio::from(output));
     }
-    // Folders that a kernel does not have are no error here: a module that is missing is named when it is wanted.
+    // Folders that a kernel does not have are no error here: a missing module is reported when it is needed.
     tar.arg("*/vmlinuz-*").args(MODULE_FOLDERS.map(|part| format!("*/kernel/{part}/*"))).stderr(Stdio::null());
     let _ = tar.status().context("cannot start tar")?;
     if !packed.wait()?.success() {
-        bail!("{} cannot be unpacked: delete it, and try again", file.display());
+        bail!("cannot unpack {}: delete it, and try again", file.display());
     }
     let boot = fs::read_dir(raw.join("boot")).context("the package has no kernel")?;
     let names = boot.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
@@ -182,10 +180,10 @@ fn unpack(file: &Path, folder: &Path) -> anyhow::Result<()> {
     fs::write(folder.join(PARTS), MODULE_FOLDERS.join("\n"))?;
     fs::write(folder.join("release"), name.trim_start_matches("vmlinuz-"))?;
     keep_image(&raw.join("boot").join(name), folder)?;
-    fs::rename(raw, folder.join("modules")).context("the modules cannot be put in their place")
+    fs::rename(raw, folder.join("modules")).context("cannot move the modules to their folder")
 }
 
-/// Keeps the kernel itself, unpacked where that is possible: an emulated processor takes seconds for it at every start.
+/// Keeps the kernel image, unpacked if possible: unpacking takes an emulated processor seconds at every start.
 fn keep_image(packed: &Path, folder: &Path) -> anyhow::Result<()> {
     let bytes = fs::read(packed).with_context(|| format!("cannot read {}", packed.display()))?;
     let image = match payload(&bytes) {
@@ -202,7 +200,7 @@ fn keep_image(packed: &Path, folder: &Path) -> anyhow::Result<()> {
     fs::remove_file(packed).context("cannot remove the packed kernel")
 }
 
-/// The length of the kernel stands behind the packed stream, which `xz` takes for damage unless the length is given.
+/// The length of the kernel follows the packed stream; `xz` would report it as damage, so it is cut off first.
 fn unpacked_stream(file: &Path) -> anyhow::Result<Vec<u8>> {
     let whole = fs::read(file)?;
     let end = whole.len().saturating_sub(4);
@@ -210,7 +208,7 @@ fn unpacked_stream(file: &Path) -> anyhow::Result<Vec<u8>> {
     unpacked("xz", file)
 }
 
-/// The packed kernel in its file, by the header of the boot protocol (Linux, Documentation/arch/x86/boot.rst, 2.08 and later).
+/// Position of the packed kernel in its file, from the header of the boot protocol (Linux, Documentation/arch/x86/boot.rst, 2.08 and later).
 fn payload(file: &[u8]) -> Option<&[u8]> {
     let word = |at: usize| Some(u32::from_le_bytes(file.get(at..at + 4)?.try_into().ok()?) as usize);
     if file.get(0x202..0x206)? != b"HdrS" || u16::from_le_bytes(file.get(0x206..0x208)?.try_into().ok()?) < 0x208 {
@@ -224,7 +222,7 @@ fn payload(file: &[u8]) -> Option<&[u8]> {
     file.get(begin..begin.checked_add(word(0x24C)?)?)
 }
 
-/// apt-get that asks nothing.
+/// apt-get without questions.
 pub fn apt_get() -> Command {
     let mut command = Command::new("apt-get");
     command.args(["--quiet", "--quiet", "--yes"]).args(IMPATIENT);

@@ -1,4 +1,4 @@
-//! The emulated computer: QEMU as a child that never outlives us, with a limit on its time.
+//! The emulated computer: QEMU as a child process that never outlives us, with a time limit.
 
 use std::io::{BufRead, BufReader};
 use std::os::unix::process::ExitStatusExt;
@@ -18,16 +18,16 @@ use crate::not_possible::NotPossible;
 const QEMU: &str = "qemu-system-x86_64";
 const PACKAGE: &str = "qemu-system-x86";
 
-/// A guest that takes longer than this hangs. The longest suite takes a minute or two where little else runs.
+/// A guest that takes longer than this hangs. The longest suite takes a minute or two on an idle machine.
 const LIMIT: Duration = Duration::from_secs(600);
 
-/// Of every emulated computer. KVM is not used, even where it is there: what the tests need works without, and everywhere alike. One
-/// processor of a plain kind is emulated quicker than two.
+/// Options of every emulated computer. KVM is not used, even if available: the tests work without it, and everywhere in the same way.
+/// One plain processor is emulated faster than two.
 ///
-/// Its time is counted, not measured: an instruction takes a nanosecond, and waiting takes none of ours. On a machine that is busy or
-/// slow a suite lasts longer and finds the same.
+/// Its time is counted, not measured: an instruction takes a nanosecond, and waiting takes no real time. On a busy or slow machine
+/// a suite takes longer and gets the same results.
 ///
-/// The usual firmware waits for devices of USB, which costs as much as the kernel's start; the small one starts the kernel at once.
+/// The default firmware waits for USB devices, which costs as much as the kernel's start; the small one starts the kernel at once.
 const COMPUTER: [&str; 19] = [
     "-icount",
     "shift=0,sleep=off",
@@ -50,10 +50,10 @@ const COMPUTER: [&str; 19] = [
     "base=utc",
 ];
 
-/// Kernel messages stay off the console, where they would get into the lines of the tests; the guest shows them if a test fails.
+/// Kernel messages stay off the console, where they would mix with the lines of the tests; the guest shows them if a test fails.
 const KERNEL_ARGUMENTS: &str = "console=ttyS0 quiet loglevel=1 panic=-1";
 
-/// An emulated computer that runs.
+/// A running emulated computer.
 pub struct Machine {
     child: Child,
     lines: Receiver<String>,
@@ -62,34 +62,34 @@ pub struct Machine {
     deadline: Instant,
 }
 
-/// QEMU, installed if that is permitted.
+/// Path of QEMU, which is installed if permitted.
 ///
 /// # Errors
-/// [`NotPossible`], with what to install.
+/// [`NotPossible`], with the package to install.
 pub fn find_qemu() -> anyhow::Result<PathBuf> {
     let runs = || output_of(Command::new(QEMU).arg("--version")).is_ok();
     if !runs() {
         if !is_root() {
             return Err(NotPossible::because(format!(
-                "{QEMU} is missing: type `apt-get install --no-install-recommends {PACKAGE}` as root"
+                "{QEMU} is missing: run `apt-get install --no-install-recommends {PACKAGE}` as root"
             )));
         }
         println!("installing {PACKAGE}");
         let install = || output_of(apt_get().args(["install", "--no-install-recommends", PACKAGE]));
-        // A machine that has never asked knows no packages, and one that asked long ago knows old ones.
+        // The package list may be empty or old.
         let installed = install().or_else(|_| output_of(apt_get().arg("update")).and_then(|_| install()));
         installed.map_err(|error| {
-            NotPossible::because(format!("{QEMU} is missing, and {PACKAGE} cannot be installed: {error:#}"))
+            NotPossible::because(format!("{QEMU} is missing, and the installation of {PACKAGE} failed: {error:#}"))
         })?;
         if !runs() {
-            return Err(NotPossible::because(format!("{PACKAGE} is installed, and {QEMU} does not start")));
+            return Err(NotPossible::because(format!("{PACKAGE} is installed, but {QEMU} does not start")));
         }
     }
     Ok(PathBuf::from(QEMU))
 }
 
 impl Machine {
-    /// Starts one. Its sockets are in `folder`.
+    /// Starts an emulated computer. Its sockets are in `folder`.
     ///
     /// # Errors
     /// If QEMU does not start.
@@ -105,7 +105,7 @@ impl Machine {
         }
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::inherit());
         let mut child = command.spawn().with_context(|| format!("cannot start {}", qemu.display()))?;
-        let output = child.stdout.take().context("QEMU without output")?;
+        let output = child.stdout.take().context("QEMU has no output")?;
         let (tell, lines) = channel();
         std::thread::spawn(move || {
             let mut output = BufReader::new(output);
@@ -128,11 +128,11 @@ impl Machine {
         match self.lines.recv_timeout(self.deadline.saturating_duration_since(Instant::now())) {
             Ok(line) => Ok(Some(line)),
             Err(RecvTimeoutError::Disconnected) => Ok(None),
-            Err(RecvTimeoutError::Timeout) => bail!("the guest was not ready after {} s", LIMIT.as_secs()),
+            Err(RecvTimeoutError::Timeout) => bail!("the guest did not finish within {} s", LIMIT.as_secs()),
         }
     }
 
-    /// Whether QEMU was ended by a signal that is not ours. A guest that fails ends it in good order.
+    /// Whether a signal that is not ours ended QEMU. A guest that fails ends it normally.
     pub fn has_crashed(&mut self) -> bool {
         let end = Instant::now() + Duration::from_secs(2);
         while Instant::now() < end {
@@ -145,21 +145,21 @@ impl Machine {
         false
     }
 
-    /// Pulls a device out, and waits until it is.
+    /// Unplugs a device, and waits until it is gone.
     ///
     /// # Errors
-    /// If QEMU does not do it.
+    /// If QEMU fails.
     pub fn unplug(&mut self, name: &str) -> anyhow::Result<()> {
         self.control()?.unplug(name)
     }
 
-    /// Plugs it in again.
+    /// Plugs the device in again.
     ///
     /// # Errors
-    /// If the suite has no such device, or QEMU does not do it.
+    /// If the suite has no such device, or QEMU fails.
     pub fn plug(&mut self, suite: &Suite, name: &str) -> anyhow::Result<()> {
         let device = suite.pluggable.iter().find(|device| device.name == name);
-        let device = device.with_context(|| format!("the guest asks for `{name}`, which this suite does not have"))?;
+        let device = device.with_context(|| format!("the guest requests `{name}`, which this suite does not have"))?;
         self.control()?.plug(name, device.what)
     }
 
@@ -173,7 +173,7 @@ impl Machine {
 
 impl Drop for Machine {
     fn drop(&mut self) {
-        // It has ended already, unless something went wrong.
+        // QEMU has already ended, unless an error occurred.
         self.child.kill().ok();
         self.child.wait().ok();
     }

@@ -1,19 +1,19 @@
-//! Modules of a kernel, with the modules that they need.
+//! Kernel modules, with their dependencies.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, bail};
 
-/// A module as it is loaded.
+/// A module to load.
 pub struct Module {
-    /// With underscores.
+    /// Name, with underscores.
     pub name: String,
     pub content: Vec<u8>,
 }
 
-/// The modules in the order in which they can be loaded, those before them that they need; and those that the guest loads itself,
-/// whose own needs are among the first.
+/// The modules in their order of loading, after their dependencies; and those that the guest loads itself, whose dependencies
+/// are among the first.
 ///
 /// # Errors
 /// If the kernel has no such module, or it cannot be read.
@@ -34,7 +34,7 @@ pub fn closure(folder: &Path, wanted: &[&str], by_hand: &[&str]) -> anyhow::Resu
     Ok((at_start, later))
 }
 
-/// Deeper than this is a circle.
+/// Deeper recursion is a cycle.
 const DEPTH_MAX: u32 = 20;
 
 fn add(files: &[PathBuf], name: &str, order: &mut Vec<Module>, depth: u32) -> anyhow::Result<()> {
@@ -43,7 +43,7 @@ fn add(files: &[PathBuf], name: &str, order: &mut Vec<Module>, depth: u32) -> an
         return Ok(());
     }
     if depth > DEPTH_MAX {
-        bail!("module {name} needs itself");
+        bail!("module {name} depends on itself");
     }
     let module = read(files, &name)?;
     for needed in needs(&module.content) {
@@ -66,7 +66,7 @@ fn read(files: &[PathBuf], name: &str) -> anyhow::Result<Module> {
     Ok(Module { name: name.to_owned(), content })
 }
 
-/// What a module says that it needs: `depends=a,b` in its section `.modinfo`.
+/// The dependencies of a module: `depends=a,b` in its section `.modinfo`.
 fn needs(content: &[u8]) -> Vec<String> {
     const KEY: &[u8] = b"\0depends=";
     let at = content.windows(KEY.len()).position(|bytes| bytes == KEY);
@@ -75,7 +75,7 @@ fn needs(content: &[u8]) -> Vec<String> {
     names.split(',').filter(|name| !name.is_empty()).map(|name| name.replace('-', "_")).collect()
 }
 
-/// What a program that unpacks makes of a file.
+/// Output of a decompression program for a file.
 pub fn unpacked(program: &str, path: &Path) -> anyhow::Result<Vec<u8>> {
     let mut command = Command::new(program);
     command.args(["--decompress", "--stdout"]).arg(path).stdin(Stdio::null());
@@ -130,7 +130,7 @@ mod tests {
         let missing = closure(&folder, &["com20020"], &[]).map(|_| ()).unwrap_err();
         assert!(missing.to_string().contains("no module com20020"), "{missing}");
         std::fs::write(folder.join("usbcore.ko"), module("ftdi_sio")).unwrap();
-        assert!(closure(&folder, &["ftdi_sio"], &[]).is_err(), "a circle ends");
+        assert!(closure(&folder, &["ftdi_sio"], &[]).is_err(), "a cycle ends");
         std::fs::remove_dir_all(&folder).unwrap();
     }
 }

@@ -1,46 +1,46 @@
-//! Which tests run in an emulated computer, and what that computer has.
+//! The test suites in emulated computers, with their hardware.
 
-/// A set of tests in one emulated computer.
+/// A test suite in one emulated computer.
 pub struct Suite {
     /// The name on the command line, and the argument of the guest's program.
     pub name: &'static str,
-    /// For the reader.
+    /// Description.
     pub what: &'static str,
-    /// Where the guest's program is.
+    /// Package of the guest's program.
     pub package: &'static str,
-    /// Its name: an example of that package.
+    /// Name of the guest's program: an example of that package.
     pub example: &'static str,
-    /// Whether the product itself is there as well, as `/bin/pb3dp`, with what is in `configs`.
+    /// Whether the product itself is included, as `/bin/pb3dp`, with the files of `configs`.
     pub has_product: bool,
-    /// QEMU's name of the processor: a plain one is emulated quickest, one with long vectors counts fewer instructions for the same work.
+    /// QEMU's name of the processor: a plain one is emulated fastest, one with long vectors counts fewer instructions for the same work.
     pub processor: &'static str,
-    /// Modules that are loaded before the program starts.
+    /// Modules loaded before the program starts.
     pub modules: &'static [&'static str],
     /// Modules that the program loads itself.
     pub modules_by_hand: &'static [&'static str],
-    /// Of the kernel.
+    /// Arguments of the kernel.
     pub kernel_arguments: &'static str,
-    /// Options of QEMU; FOLDER is where its sockets may be.
+    /// Options of QEMU; FOLDER is the folder of its sockets.
     pub fixed: &'static [&'static str],
-    /// Devices that the program may have pulled out.
+    /// Devices that the program may unplug.
     pub pluggable: &'static [Device],
 }
 
-/// A device that can be pulled out.
+/// A device that can be unplugged.
 pub struct Device {
     pub name: &'static str,
-    /// As on QEMU's command line.
+    /// Arguments as on QEMU's command line.
     pub what: &'static str,
 }
 
 const PLAIN: &str = "qemu64";
 const WITH_VECTORS: &str = "max,la57=off,erms=off,fsrm=off";
 
-/// All of them.
+/// All suites.
 pub const SUITES: [Suite; 4] = [
     Suite {
         name: "serial",
-        what: "serial ports of an arm: USB adapters, a 16550, a cable that is pulled",
+        what: "serial ports of an arm: USB adapters, a 16550, a cable that is unplugged",
         package: "pb3dp-arm-pa10",
         example: "arm_guest",
         has_product: false,
@@ -48,7 +48,7 @@ pub const SUITES: [Suite; 4] = [
         modules: &["xhci_pci", "ftdi_sio", "configfs", "dummy_hcd", "usb_f_acm", "cdc_acm"],
         modules_by_hand: &[],
         kernel_arguments: "",
-        // Two adapters at the ends of one cable, and a built-in port that leads nowhere.
+        // Two adapters at the ends of one cable, and a built-in port without connection.
         fixed: &[
             "-device",
             "qemu-xhci,id=usb",
@@ -75,30 +75,30 @@ pub const SUITES: [Suite; 4] = [
         processor: PLAIN,
         modules: &["arcnet", "arc_rawmode"],
         modules_by_hand: &["arc_rimi"],
-        // A part of the memory that the kernel does not use stands for a card, which the program reads and writes as well.
+        // Memory that the kernel does not use serves as a card, which the program also reads and writes.
         kernel_arguments: "memmap=1M$0x10000000 iomem=relaxed",
-        // A port whose interrupt is the card's.
+        // A port with the card's interrupt.
         fixed: &["-chardev", "null,id=nowhere", "-device", "isa-serial,chardev=nowhere,index=1"],
         pluggable: &[],
     },
     Suite {
         name: "cameras",
-        what: "two cameras by V4L2: modes, controls, pairs, what is damaged, a camera that is pulled",
+        what: "two cameras by V4L2: modes, controls, pairs, damaged images, a camera that is unplugged",
         package: "pb3dp-camera-v4l2",
         example: "camera_guest",
         has_product: false,
         processor: PLAIN,
         modules: &[],
-        // The program says how many cameras there are.
+        // The program sets the number of cameras.
         modules_by_hand: &["vivid"],
-        // A kernel that tries its timer on a busy machine takes it for broken.
+        // On a busy machine the kernel's check of its timer would fail.
         kernel_arguments: "no_timer_check",
         fixed: &[],
         pluggable: &[],
     },
     Suite {
         name: "rig",
-        what: "`pb3dp run` with configs/rig.toml: two cameras, two emulated arms at serial ports, a camera that is pulled",
+        what: "`pb3dp run` with configs/rig.toml: two cameras, two emulated arms at serial ports, a camera that is unplugged",
         package: "system-tests",
         example: "rig",
         has_product: true,

@@ -94,9 +94,9 @@ fn score_figure(args: &Args, scenes: &mut SceneStore, made: &str) -> anyhow::Res
         }
     }
     let caption = [
-        "Scores of one region through planes with the true tilt that are moved in depth: left far around the truth, right near it."
+        "Scores of one region for planes with the true tilt at other depths: left a wide range around the truth, right a narrow one."
             .to_owned(),
-        "direct: correlation of luminance, which its refinement climbs. published: the fitness of eq. (10).".to_owned(),
+        "direct: correlation of luminance, which refinement maximises. published: the fitness of eq. (10).".to_owned(),
         made.to_owned(),
     ];
     Ok(svg_with_caption(&panels, 2, &caption))
@@ -110,7 +110,7 @@ fn score_panel(title: String, samples: &[Sample]) -> Panel {
     };
     let lines =
         vec![line("direct", &|s| s.correlation), line("published", &|s| s.fitness.unwrap_or(f64::NAN)), truth(samples)];
-    Panel { title, x: "disparity off the truth, px".to_owned(), axes: [AxisKind::Linear; 2], lines }
+    Panel { title, x: "disparity offset from the truth, px".to_owned(), axes: [AxisKind::Linear; 2], lines }
 }
 
 /// A vertical line at the truth over the height of all values.
@@ -142,7 +142,7 @@ fn noise_figure(args: &Args, scenes: &mut SceneStore, made: &str) -> anyhow::Res
         .map(|quantity| cell_panel(&cells, &summaries, quantity, "noise, grey levels"));
     let caption = [
         format!(
-            "Single pairs of a flat colourful target, {} poses for each noise; depths that the method calls sure, normals that it calls ok.",
+            "Single pairs of a flat colourful target, {} poses for each noise; depths with status ok or weak-tilt, normals with status ok.",
             args.poses
         ),
         made.to_owned(),
@@ -173,7 +173,7 @@ fn track_figure(args: &Args, scenes: &mut SceneStore, made: &str) -> anyhow::Res
     let caption = [
         "A flat target moves along and about all axes at once, 50 mm and 20 degrees; errors of the motion since the first frame."
             .to_owned(),
-        "The published method holds the rotation about the normal instead of measuring it.".to_owned(),
+        "The published method keeps the rotation about the normal constant instead of measuring it.".to_owned(),
         made.to_owned(),
     ];
     Ok(svg_with_caption(&panels, 2, &caption))

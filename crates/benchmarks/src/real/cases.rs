@@ -106,7 +106,7 @@ mod tests {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/cases");
         let found = find(&folder, Some("bb201")).expect("there");
         let case = load(&found[0]).expect("loads").expect("has a truth");
-        // The values stand in its case.json, in millimetres and degrees.
+        // The values are in its case.json, in millimetres and degrees.
         assert_eq!((case.facts.name.as_str(), case.facts.group), ("bb201_c0", Group::Boards));
         assert!((case.facts.z_m - 0.336_905_622_820).abs() < 1e-9);
         assert!((case.facts.sigma.normal_rad.to_degrees() - 0.043_694_855).abs() < 1e-8);

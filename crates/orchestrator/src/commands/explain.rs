@@ -10,7 +10,7 @@ use pb3dp_wiring::message_codes::{find, tables};
 /// Arguments of `pb3dp explain`.
 #[derive(Debug, Args)]
 pub struct ExplainArgs {
-    /// Code of a message, for instance PB3DP-CFG-005; all codes without it.
+    /// Code of a message, for instance PB3DP-CFG-005 or CFG-005; all codes without it.
     #[arg(value_name = "CODE")]
     code: Option<String>,
 }

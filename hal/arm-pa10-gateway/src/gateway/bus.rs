@@ -1,4 +1,4 @@
-//! The side of the bus: numbers messages, knows which reply is waited for, and judges what comes.
+//! The bus side: numbers the messages, matches replies to them, and checks the replies.
 
 use pb3dp_arm_pa10_protocol::arcnet::{self, Frame, FrameError, Route};
 use pb3dp_arm_pa10_protocol::codec::{
@@ -10,23 +10,23 @@ use pb3dp_geometry::MonotonicTime;
 use super::config::GatewayConfig;
 use super::host::Asker;
 
-/// Messages to which a reply counts as late and not as foreign.
+/// A reply to one of this many newest messages counts as late, an older one as mismatched.
 const LATE_MESSAGES_MAX: u8 = 16;
 
-/// Hosts that can wait for the reply to one cyclic command.
+/// Requests of the host that can wait for the reply to one cyclic command.
 const ASKERS_MAX: usize = 4;
 
-/// An angle beyond two turns from zero is none.
+/// An angle beyond two turns from zero is invalid.
 const ANGLE_COUNTS_MAX: u32 = 2 * COUNTS_PER_TURN.unsigned_abs();
 
-/// Counts of the bus, since the gateway started. They stop at their maximum.
+/// Counters of the bus since the gateway started. They saturate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BusCounters {
     /// Messages sent.
     pub exchanges: u64,
-    /// Messages whose reply did not come in time.
+    /// Messages without a reply in time.
     pub lost: u64,
-    /// Replies that came after their time.
+    /// Replies that came too late.
     pub late: u64,
     /// Replies with a wrong number, letter or length.
     pub mismatched: u64,
@@ -39,7 +39,7 @@ pub(super) struct Askers {
 }
 
 impl Askers {
-    /// Adds one; the oldest gives way, and comes back.
+    /// Adds one; if the list is full, the oldest is removed and returned.
     pub fn push(&mut self, asker: Asker) -> Option<Asker> {
         if let Some(place) = self.list.iter_mut().find(|place| place.is_none()) {
             *place = Some(asker);
@@ -54,48 +54,48 @@ impl Askers {
     }
 }
 
-/// A message whose reply is waited for.
+/// A message that waits for its reply.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Outstanding {
     packet: ControlPacket,
-    /// Cycles that have begun since.
+    /// Cycles that have begun since the message was sent.
     pub cycles: u32,
-    /// Who waits for it in the dialect `transparent`.
+    /// Frames that wait for the reply in the dialect `transparent`.
     pub askers: Askers,
 }
 
-/// What a frame of the bus is.
+/// A classified frame of the bus.
 #[derive(Clone, Debug)]
 pub(super) enum Arrived {
-    /// Nothing that is waited for; it is counted.
+    /// No expected reply; it is counted.
     Nothing,
-    /// The measurement that was waited for.
+    /// The expected measurement.
     Sample(ArmReply, Askers, RawReply),
-    /// The table of an axis that was waited for.
+    /// The expected table of an axis.
     Eeprom(Option<EepromAxis>, RawReply),
-    /// Another reply that was waited for.
+    /// Another expected reply.
     Done(RawReply),
-    /// A reply that shows that this is not the arm of the configuration.
+    /// A reply which shows that this is not the configured arm.
     Unusable,
 }
 
-/// The data of a reply as it came.
+/// The unchanged data of a reply.
 pub(super) type RawReply = ByteBuffer<PACKET_LENGTH_MAX>;
 
-/// The side of the bus.
+/// State of the bus side.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Bus {
     pub outstanding: Option<Outstanding>,
     pub counters: BusCounters,
     /// Messages in a row without a usable reply.
     pub misses: u32,
-    /// The format that replies have shown.
+    /// The wire format of the received replies.
     pub seen_format: Option<WireFormat>,
     last_sequence: u8,
 }
 
 impl Bus {
-    /// The frame of a message, whose reply is waited for from now on.
+    /// Encodes a message; its reply is expected from now on.
     pub fn send(
         &mut self,
         config: &GatewayConfig,
@@ -110,7 +110,7 @@ impl Bus {
         Ok(frame)
     }
 
-    /// The reply that is waited for did not come.
+    /// The expected reply did not come.
     pub fn give_up(&mut self) -> Option<Outstanding> {
         let outstanding = self.outstanding.take()?;
         count(&mut self.counters.lost);
@@ -118,15 +118,15 @@ impl Bus {
         Some(outstanding)
     }
 
-    /// A frame of the bus.
+    /// Handles a frame of the bus.
     pub fn handle_frame(&mut self, config: &GatewayConfig, frame: &[u8]) -> Arrived {
         let packet = match arcnet::decode(Route::TO_HOST, frame) {
             Ok(packet) => packet,
-            // Other nodes may talk as they like.
+            // Frames between other nodes are normal.
             Err(FrameError::Route { .. }) => return Arrived::Nothing,
             Err(_) => return self.mismatch(),
         };
-        // A frame that was decoded has a number and a letter.
+        // A decoded frame has at least a number and a letter.
         let [sequence, letter, data @ ..] = packet else { return self.mismatch() };
         let asked = match &self.outstanding {
             Some(outstanding) if outstanding.packet.sequence == *sequence => outstanding.packet.message,
@@ -145,7 +145,7 @@ impl Bus {
                 count(&mut self.counters.mismatched);
                 Arrived::Unusable
             }
-            // A table of another layout is for the host to read, in the dialect that passes it on.
+            // A table of another layout is forwarded to the host, in the dialect that does so.
             Err(_) if asked.letter() == Letter::ReadEeprom => self.used(|_| Arrived::Eeprom(None, raw)),
             Err(_) => self.mismatch(),
         }
@@ -170,7 +170,7 @@ impl Bus {
         Arrived::Nothing
     }
 
-    /// A reply to no message that is waited for.
+    /// A reply to a message that is no longer outstanding.
     fn old(&mut self, config: &GatewayConfig, sequence: u8) -> Arrived {
         let modulus = config.modulus.reduce(u64::MAX);
         let behind = self.last_sequence.wrapping_sub(sequence) & modulus;
@@ -184,7 +184,7 @@ pub(super) fn count(counter: &mut u64) {
     *counter = counter.saturating_add(1);
 }
 
-/// A monotonic clock in µs, as frames carry it.
+/// Monotonic time in µs, the unit of the frames.
 pub(super) fn micros(now: MonotonicTime) -> u64 {
     now.as_nanos() / 1000
 }

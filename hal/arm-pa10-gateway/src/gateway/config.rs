@@ -6,94 +6,90 @@ use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Supervision, TorqueScale, 
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Firmware, Geometry};
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 
-/// Cycles on the bus that make sense: a controller that wants one every 2 ms, or a slower one (the period stands in its ROM).
+/// Allowed cycle on the bus: the controller expects 2 ms, or a slower cycle (its ROM holds the period).
 const CYCLE_RANGE: std::ops::RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_millis(10);
 
 /// Settings of a gateway: its arm, its bus and its host.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GatewayConfig {
-    /// The arm that every frame must name.
+    /// The arm number that every frame must carry.
     pub arm: ArmId,
-    /// The wire format in which the controller is spoken to.
+    /// The wire format of the controller.
     pub format: WireFormat,
-    /// After how many messages the sequence number of the bus starts again.
+    /// Number of messages after which the sequence number of the bus wraps.
     pub modulus: SequenceModulus,
-    /// The geometry of the arm, passed on to hosts.
+    /// The geometry of the arm, forwarded to hosts.
     pub geometry: Geometry,
     /// Time between two exchanges: 2 ms.
     pub cycle: Duration,
-    /// How late a cycle may begin before the arm is stopped: one cycle. More is for machines that are not fit to drive an arm, as
-    /// those that run tests; at most the time after which a silent host stops the arm.
+    /// How late a cycle may begin before the gateway stops the arm: one cycle. Allow more only on machines that drive no arm, such
+    /// as test machines; at most the time after which a silent host stops the arm.
     pub lateness_allowed: Duration,
-    /// When a command whose successor stays away fades and stops.
+    /// When a command without a successor fades and stops.
     pub watchdog: CommandWatchdog,
-    /// The time-out of the servo controller, if it is known: passed on to hosts.
+    /// The time-out of the servo controller, if it is known: forwarded to hosts.
     pub controller_watchdog: Option<Duration>,
-    /// How long brakes take to open, and to close.
+    /// Time that brakes take to open, and to close.
     pub brake_time: Duration,
-    /// Whether speeds go from one command to the next on a straight line (dialect `gateway-v1`).
+    /// Whether speeds are interpolated linearly between two commands (dialect `gateway-v1`).
     pub interpolates: bool,
-    /// What the controller itself is to watch (format B, dialect `gateway-v1`).
+    /// Supervision by the controller itself (format B, dialect `gateway-v1`).
     pub supervision: Supervision,
     /// Bits of the controller's status word (format B) that mean an emergency stop: none until the rig has shown their polarity.
     pub emergency_stop_bits: u16,
-    /// What torque counts are at the joints.
+    /// Joint torque per torque count.
     pub torque_scale: TorqueScale,
     /// Name and version, for hosts.
     pub firmware: Firmware,
 }
 
-/// Why a configuration is none.
+/// Why a configuration is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum GatewayConfigError {
     /// The cycle is out of range.
-    #[error("a cycle of {got:?} on the bus: give 1 to 10 ms; the controller wants 2 ms unless its ROM says otherwise")]
+    #[error("a bus cycle of {got:?} is out of range: give 1 to 10 ms, and 2 ms unless the controller's ROM differs")]
     Cycle {
-        /// The cycle given.
+        /// The configured cycle.
         got: Duration,
     },
-    /// A late cycle is noticed too early or too late.
+    /// The allowed lateness is too short or too long.
     #[error(
-        "a cycle that may begin {got:?} late: give at least one cycle ({cycle:?}), and less than the time after which a silent \
-         host stops the arm ({stop_after:?})"
+        "an allowed lateness of {got:?} is out of range: give at least one cycle ({cycle:?}), and less than the time \
+         after which a silent host stops the arm ({stop_after:?})"
     )]
     Lateness {
-        /// The lateness given.
+        /// The configured lateness.
         got: Duration,
-        /// Of the configuration.
+        /// The configured cycle.
         cycle: Duration,
-        /// Of the configuration.
+        /// The configured time-out of the host.
         stop_after: Duration,
     },
-    /// The brakes take no time or too much.
-    #[error("brakes that take {got:?} to open: give more than 0 and at most 5 s; 200 ms if nobody has measured it")]
+    /// The brake time is zero or too long.
+    #[error("a brake time of {got:?} is out of range: give more than 0 and at most 5 s; 200 ms if it is not measured")]
     BrakeTime {
-        /// The time given.
+        /// The configured time.
         got: Duration,
     },
-    /// The watchdog would slow down the arm of a host that keeps its time.
-    #[error("commands fade after {got:?}: hosts send one every 10 ms at the slowest, so give at least 20 ms")]
+    /// The watchdog would slow down the arm of a host that keeps its cycle.
+    #[error("commands fade after {got:?}, at least 20 ms are needed: a host may send only one command per 10 ms")]
     Watchdog {
-        /// The time given.
+        /// The configured time.
         got: Duration,
     },
-    /// Format A has no field for it.
-    #[error(
-        "supervision by the controller exists in format B only: switch it off, or choose that format if the arm speaks it"
-    )]
+    /// Format A has no field for supervision.
+    #[error("supervision by the controller exists in format B only: disable it, or choose format B if the arm uses it")]
     Supervision,
     /// Format A has no status words with a known meaning.
-    #[error(
-        "emergency-stop bits 0x{got:04x} of a controller with format A, whose status words nobody can read: give none"
-    )]
+    #[error("emergency-stop bits 0x{got:04x} cannot be used: the status words of format A are undocumented; give none")]
     EmergencyStopBits {
-        /// The bits given.
+        /// The configured bits.
         got: u16,
     },
 }
 
 impl GatewayConfig {
-    /// An arm with this number and wire format; the rest as the sources suggest it.
+    /// A configuration for an arm with this number and wire format; the other values are those of the sources.
     pub fn new(arm: ArmId, format: WireFormat, firmware: Firmware) -> Self {
         let cycle = Duration::from_millis(2);
         Self {
@@ -114,10 +110,10 @@ impl GatewayConfig {
         }
     }
 
-    /// Whether it can be driven by.
+    /// Checks all values.
     ///
     /// # Errors
-    /// Which value cannot be, and which can.
+    /// The first value that is out of range, with the range.
     pub fn check(&self) -> Result<(), GatewayConfigError> {
         let Self { cycle, lateness_allowed, watchdog, .. } = *self;
         if !CYCLE_RANGE.contains(&cycle) {

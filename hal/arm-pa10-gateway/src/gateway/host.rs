@@ -1,4 +1,4 @@
-//! The side of the host: which frames are accepted, who waits for an answer, and what is to be sent.
+//! The host side: checks received frames, remembers who waits for an answer, and queues the output.
 
 use std::time::Duration;
 
@@ -10,10 +10,10 @@ use pb3dp_geometry::MonotonicTime;
 
 use super::bus::{count, micros};
 
-/// Answers that wait to be written. A frame of the host has at least 19 bytes, so this is enough for pieces of 600 bytes.
+/// Answers that wait to be written. A frame of the host has at least 19 bytes, so 32 answers are enough for pieces of 600 bytes.
 const OUTBOX_MAX: usize = 32;
 
-/// A frame that gets an answer.
+/// A frame of the host that waits for its answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Asker {
     pub sequence: u16,
@@ -26,7 +26,7 @@ pub(super) struct Asker {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Refused(pub RejectReason, pub u32);
 
-/// Something to send, and since when it waits.
+/// A message in the output queue, and when it was queued.
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
     message: GatewayMessage,
@@ -34,7 +34,7 @@ struct Waiting {
     since: MonotonicTime,
 }
 
-/// What is to be sent to the host, in order.
+/// Output queue to the host, in order.
 #[derive(Clone, Debug)]
 struct Outbox {
     ring: [Option<Waiting>; OUTBOX_MAX],
@@ -42,19 +42,19 @@ struct Outbox {
     length: usize,
 }
 
-/// The side of the host.
+/// State of the host side.
 #[derive(Clone, Debug)]
 pub(super) struct Host {
-    /// The dialect since the last HELLO; none before it.
+    /// The dialect since the last HELLO; `None` before it.
     pub dialect: Option<Dialect>,
-    /// Time between two commands, as the host says.
+    /// Time between two commands, as the host reported it.
     pub cycle: Duration,
-    /// The last frame that was understood.
+    /// Time of the last decoded frame.
     pub heard: MonotonicTime,
     pub sequence: SequenceTracker,
     /// Frames that waited in a buffer for too long.
     pub waited: u64,
-    /// Answers that found no place, as nobody took the ones before.
+    /// Answers that were dropped because the output queue was full.
     pub answers_dropped: u64,
     delay: DelayMeter,
     faults: u16,
@@ -76,13 +76,13 @@ impl Host {
         }
     }
 
-    /// Nobody is there any more: what was to be said is said to nobody.
+    /// The host is disconnected: its dialect and its queued output are discarded.
     pub fn forget(&mut self) {
         self.dialect = None;
         self.outbox = Outbox { ring: [None; OUTBOX_MAX], first: 0, length: 0 };
     }
 
-    /// A HELLO was accepted: sequence and clock of the host begin anew.
+    /// A HELLO was accepted: sequence and clock of the host start again.
     pub fn greet(&mut self, now: MonotonicTime, frame: &Frame, dialect: Dialect, cycle: Duration) {
         self.dialect = Some(dialect);
         self.cycle = cycle;
@@ -93,7 +93,7 @@ impl Host {
         self.delay.handle(frame.timestamp_us, micros(now));
     }
 
-    /// The message in a frame of a host that said HELLO, if it is new and in time.
+    /// The message in a frame, if the host has sent HELLO and the frame is new and in time.
     pub fn judge(
         &mut self,
         now: MonotonicTime,
@@ -114,7 +114,7 @@ impl Host {
         Ok(message)
     }
 
-    /// To be sent with the sequence of the frame that it answers.
+    /// Queues an answer with the sequence number of the frame that it answers.
     pub fn answer(&mut self, now: MonotonicTime, asker: &Asker, message: GatewayMessage) {
         self.put(Waiting { message, sequence: asker.sequence, since: now });
     }
@@ -171,7 +171,7 @@ impl Outbox {
     }
 }
 
-/// Why a frame that is no message is refused.
+/// Maps a decoding error to the reason of the refusal.
 pub(super) fn refusal_of(error: &MessageError) -> Refused {
     match error {
         MessageError::Type { .. } => Refused(RejectReason::UnknownType, 0),
@@ -182,7 +182,7 @@ pub(super) fn refusal_of(error: &MessageError) -> Refused {
     }
 }
 
-/// The operations of the dialect `transparent`.
+/// Whether the dialect `transparent` has this operation.
 pub(super) fn is_in_both_dialects(operation: ControlOperation) -> bool {
     matches!(operation, ControlOperation::Stop | ControlOperation::Reset | ControlOperation::Abort)
 }

@@ -1,8 +1,8 @@
-//! A stop order that nobody has heard is not done: what the gateway does until somebody has.
+//! A stop order that the controller has not received: what the gateway does until it is received.
 //!
-//! It goes on with the step that closes the brakes. Whatever it hears, the time of the brakes counts from there, and then servos off
-//! and E; only an answer to E ends it. A controller that was powered off meanwhile may answer E only: who asks for something of a
-//! silent one has one E sent.
+//! The gateway repeats the step that closes the brakes. The brake time counts from the first answer; then servos off and E follow.
+//! Only an answer to E ends the order. A controller that was powered off meanwhile may answer E only: a host request to a
+//! silent controller therefore sends one E.
 
 use pb3dp_arm_pa10_protocol::codec::ArmReply;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, RejectReason, StopCause};
@@ -11,17 +11,17 @@ use pb3dp_geometry::MonotonicTime;
 use super::host::Refused;
 use super::machine::{END_TRIES, Job, Machine, StopStep, Work, wrong_state};
 
-/// An axis that shows more than this is driven, in counts of 0.0002 rad/s: half of the slowest motion that an operator asks for.
+/// An axis with more speed than this is driven, in counts of 0.0002 rad/s: half of the slowest motion that an operator requests.
 const SPEED_AT_REST_MAX: u16 = 50;
 
-/// C so often in a row without an answer, after E, says that there is none: more than a bus loses, or a held-up computer.
+/// After E, so many unanswered C in a row show that the controller does not answer C: more than a bus or a delayed computer loses.
 const CHECKS: u32 = 10;
 
-/// An axis that shows angles farther apart than this has moved, in counts of 7.67 µrad: 77 µrad.
+/// An axis whose angles differ by more than this has moved, in counts of 7.67 µrad: 77 µrad.
 const ANGLE_AT_REST_MAX: u32 = 10;
 
 impl Machine {
-    /// E was not answered: the order begins again with the brakes, and waits there until something is heard.
+    /// E was not answered: the order starts again with the brakes, and waits there for an answer.
     pub fn listen(&mut self, now: MonotonicTime) {
         if let Some(job) = self.queued.take() {
             self.host.refuse(now, &job.asker, Refused(RejectReason::NoAnswer, 0));
@@ -37,19 +37,19 @@ impl Machine {
         self.work = Work::Stop(StopStep::Brake);
     }
 
-    /// Whether nothing is going on but that.
+    /// Whether the gateway only waits for an answer to the stop order.
     pub fn is_listening(&self) -> bool {
         self.is_unheard && matches!(self.work, Work::Stop(StopStep::Brake))
     }
 
-    /// Somebody wants something of a controller that is silent: does it answer E at least?
+    /// A request to a silent controller: sends E once, to test whether the controller answers.
     pub fn ask_for_end(&mut self, job: Job) -> Result<(), Refused> {
         self.queued = Some(job);
         self.work = Work::Close { tries: END_TRIES - 1 };
         Ok(())
     }
 
-    /// C was answered.
+    /// Handles an answer to C.
     pub fn hear(&mut self, now: MonotonicTime) {
         let was_heard = self.motion.is_heard();
         self.motion.note_heard(now);
@@ -64,7 +64,7 @@ impl Machine {
         }
     }
 
-    /// The order from the brakes on, as it is heard now.
+    /// Continues the order from the brakes on, as the controller now receives it.
     fn begin_heard(&mut self, now: MonotonicTime) {
         if self.state == GatewayState::Idle {
             self.state = GatewayState::Stopping;
@@ -77,10 +77,10 @@ impl Machine {
         }
     }
 
-    /// E was answered that ends the control mode in the background.
+    /// Handles an answer to the E that ends the control mode in the background.
     pub fn end_close(&mut self, now: MonotonicTime) {
         let was_heard = self.motion.is_heard();
-        // It may have been the first that was heard: then the brakes close since now.
+        // This may be the first answer: then the brakes close from now on.
         self.motion.note_heard(now);
         self.is_unheard = false;
         if was_heard || self.state == GatewayState::Idle {
@@ -91,7 +91,7 @@ impl Machine {
         }
     }
 
-    /// E was answered, with which the stop order ends.
+    /// Handles an answer to the E that ends the stop order.
     pub fn end_stop(&mut self, now: MonotonicTime) {
         if self.is_unasked && self.motion.is_heard() {
             self.work = Work::Stop(StopStep::Check { left: CHECKS });
@@ -101,7 +101,7 @@ impl Machine {
         }
     }
 
-    /// What is found in an order that nobody asked for: an arm that moves was driven by somebody who died.
+    /// Checks a measurement in an order that no host requested: an arm in motion was driven by a program that died.
     pub fn note_found(&mut self, now: MonotonicTime, reply: &ArmReply) {
         let is_ended = matches!(self.work, Work::Stop(StopStep::Check { .. }));
         if !self.is_unasked || self.state != GatewayState::Stopping {
@@ -121,11 +121,11 @@ impl Machine {
         }
     }
 
-    /// Somebody drove the arm and died: it was in motion, or its controller in a control mode that nobody had asked for here.
+    /// A program that drove the arm has died: the arm was in motion, or its controller was in a control mode that no host requested.
     pub fn latch_found(&mut self, now: MonotonicTime) {
         self.is_unasked = false;
         self.trip(now, StopCause::HostSilent, None, 0);
-        // Of what moves the order goes on; after E it is over.
+        // If the arm moves, the order continues; after E it is over.
         if matches!(self.work, Work::Stop(StopStep::Check { .. })) {
             self.finish_stop();
         }

@@ -1,4 +1,4 @@
-//! The gateway between its two sides: the state, the work on the bus, the watchdogs and the stop order.
+//! The state machine between host and bus: state, work on the bus, watchdogs and stop order.
 
 use std::time::Duration;
 
@@ -13,13 +13,13 @@ use super::config::GatewayConfig;
 use super::host::{Asker, Host, Refused};
 use super::motion::{self, Kind, Motion};
 
-/// Messages in a row without a usable reply that stop the arm, and cycles in which a message besides the cycle is answered.
+/// So many messages in a row without a usable reply stop the arm; a message outside the cycle has as many cycles for its reply.
 pub(super) const SILENT_CYCLES: u32 = 3;
 
-/// A host that says nothing for this long ends the control mode.
+/// A host that is silent for this long ends the control mode.
 pub(super) const STARTED_SILENCE: Duration = Duration::from_secs(1);
 
-/// How long speeds take to come to 0 in the stop order.
+/// Time in which the stop order brings speeds to 0.
 const RAMP: Duration = Duration::from_millis(30);
 
 /// Cycles at speed 0 before the brakes close.
@@ -28,12 +28,12 @@ const REST_CYCLES: u32 = 5;
 /// How often E is sent without an answer.
 pub(super) const END_TRIES: u32 = 3;
 
-/// What the bus is used for besides the cycle.
+/// Use of the bus besides the cycle.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Work {
-    /// Nothing: the state alone says what is sent.
+    /// None: the state alone determines what is sent.
     Steady,
-    /// What a host asked for.
+    /// A request of a host.
     Job(Job),
     /// The stop order.
     Stop(StopStep),
@@ -41,14 +41,14 @@ pub(super) enum Work {
     Close { tries: u32 },
 }
 
-/// What a host asked for and waits for.
+/// A request of a host that waits for its answer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Job {
     pub asker: Asker,
     pub task: Task,
 }
 
-/// Messages besides the cycle.
+/// Messages outside the cycle.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Task {
     Start,
@@ -58,7 +58,7 @@ pub(super) enum Task {
     Reset(ResetStep),
 }
 
-/// What a reset looks at.
+/// Steps of a reset.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum ResetStep {
     Start,
@@ -82,13 +82,13 @@ pub(super) enum StopStep {
     End {
         tries: u32,
     },
-    /// After the E of an order that nobody asked for: does this controller answer C out of its control mode, too?
+    /// After E, in a stop order that no host requested: tests whether the controller answers C outside its control mode, too.
     Check {
         left: u32,
     },
 }
 
-/// What a message is for: who notices that it was not answered.
+/// Purpose of a message: determines how a missing answer is handled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Purpose {
     Cycle,
@@ -102,43 +102,43 @@ pub(super) struct Measured {
     pub at: MonotonicTime,
 }
 
-/// Counts of the cycle, since the gateway started.
+/// Counters of the cycle since the gateway started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CycleCounters {
     /// Cycles.
     pub cycles: u64,
-    /// Cycles that began late by more than a tenth.
+    /// Cycles that began late by more than a tenth of a cycle.
     pub overruns: u64,
-    /// The longest time between the beginnings of two cycles.
+    /// Longest time between the starts of two cycles.
     pub worst: Duration,
 }
 
-/// All but the parser, so that frames can be handled while it runs.
+/// Everything but the parser, so that frames can be handled while the parser runs.
 #[derive(Clone, Debug)]
 pub(super) struct Machine {
     pub config: GatewayConfig,
     pub state: GatewayState,
     pub cause: StopCause,
-    /// What the cause was found in, as long as it is latched.
+    /// Axis and status word of the cause, while it is latched.
     pub found: Option<FaultReport>,
     pub host: Host,
     pub bus: Bus,
     pub motion: Motion,
     pub work: Work,
-    /// Nobody asked for the stop order: a gateway begins with it, or has heard of a controller that was silent.
+    /// No host requested the stop order: the gateway has just started, or a silent controller has answered again.
     pub is_unasked: bool,
-    /// The brakes had their time to close in a stop order that nobody has answered.
+    /// The brakes had their time to close in a stop order that the controller has not answered.
     pub is_unheard: bool,
-    /// The angles that were measured first in an order that nobody asked for.
+    /// The first measured angles in a stop order that no host requested.
     pub seen_first: Option<[AngleCounts; Axis::COUNT]>,
-    /// Waits until E was answered.
+    /// Waits until E is answered.
     pub queued: Option<Job>,
     /// A `start` that waits for the first measurement.
     pub opening: Option<Asker>,
     /// RAW with C, until it is sent.
     pub waiting: Askers,
     pub measured: Option<Measured>,
-    /// The watchdog slowed down the last cycle.
+    /// Whether the watchdog slowed down the last cycle.
     pub slowed: bool,
     pub cycles: CycleCounters,
     /// The longest cycle since the last HEALTH.
@@ -154,7 +154,7 @@ impl Machine {
     pub fn new(config: GatewayConfig, now: MonotonicTime) -> Self {
         Self {
             config,
-            // Nobody knows what was before: an arm whose gateway died may still be driven, with open brakes.
+            // The state is unknown: an arm whose gateway died may still be driven, with open brakes.
             state: GatewayState::Stopping,
             cause: StopCause::None,
             found: None,
@@ -179,7 +179,7 @@ impl Machine {
         }
     }
 
-    /// Begins a cycle, if it is time: the frame that is due.
+    /// Begins a cycle if it is due, and returns the frame to send.
     pub fn tick(&mut self, now: MonotonicTime) -> Option<Frame> {
         if now < self.next_cycle {
             return None;
@@ -187,7 +187,7 @@ impl Machine {
         self.note_cycle(now);
         self.check_reply(now);
         self.check_host(now);
-        // What is waited for is a message besides the cycle: one at a time.
+        // The outstanding reply belongs to a message outside the cycle: only one at a time.
         if self.bus.outstanding.is_some() {
             return None;
         }
@@ -195,14 +195,14 @@ impl Machine {
         self.send(now, message, purpose)
     }
 
-    /// Stops the arm and latches, unless it is latched already.
+    /// Stops the arm and latches, unless a cause is latched already.
     pub fn trip(&mut self, now: MonotonicTime, cause: StopCause, axis: Option<Axis>, word: u16) {
         let state_before = self.state;
         let is_about_controller = !matches!(cause, StopCause::Internal | StopCause::HostFault);
         match state_before {
             GatewayState::Fault | GatewayState::EmergencyStop => return,
             GatewayState::Idle if is_about_controller => return,
-            // A controller that is off, or in no mood for commands, is what a gateway may well find. Hosts will see.
+            // At start the controller may be powered off or may not accept commands. Hosts are informed when they connect.
             GatewayState::Stopping if self.is_unasked && is_about_controller => return,
             _ => {}
         }
@@ -212,7 +212,7 @@ impl Machine {
         self.cause = cause;
         let report = FaultReport { cause, state_before, axis, word };
         self.found = Some(report);
-        // A host that found it knows.
+        // A fault of the host was reported by the host itself.
         if cause != StopCause::HostFault {
             self.host.report(now, report);
         }
@@ -224,7 +224,7 @@ impl Machine {
         }
     }
 
-    /// Who waits for anything learns that it does not come.
+    /// Refuses all requests that wait for an answer.
     pub fn cancel(&mut self, now: MonotonicTime, reason: Refused) {
         let job = if let Work::Job(job) = self.work { Some(job) } else { None };
         let jobs = [job, self.queued.take()].into_iter().flatten().map(|job| job.asker);
@@ -238,10 +238,10 @@ impl Machine {
         }
     }
 
-    /// Begins the stop order where it has to begin.
+    /// Begins the stop order with the step that fits the last command.
     pub fn begin_stop(&mut self, now: MonotonicTime, state_before: GatewayState) {
         let from = *self.motion.sent();
-        // No speed outlives the command that it belongs to.
+        // No speed lasts longer than the command that it belongs to.
         let expires = self.motion.since() + self.config.watchdog.stop_after();
         let first = match motion::kind(&from) {
             _ if state_before == GatewayState::Idle && self.motion.is_heard() => StopStep::End { tries: 0 },
@@ -252,7 +252,7 @@ impl Machine {
         self.work = Work::Stop(first);
     }
 
-    /// Whether something is under way that a host waits for.
+    /// Whether a request of a host is in progress.
     pub fn is_busy(&self) -> bool {
         matches!(self.work, Work::Job(_)) || self.queued.is_some() || self.opening.is_some()
     }
@@ -263,7 +263,7 @@ impl Machine {
         self.work = Work::Close { tries: 0 };
     }
 
-    /// Nobody is there any more in `started`: E at once, but only behind brakes that hold.
+    /// The host has disconnected in `started`: E at once if all brakes are closed, otherwise the stop order first.
     pub fn end_started(&mut self, now: MonotonicTime) {
         if self.motion.brakes_closed(now) {
             self.state = GatewayState::Idle;
@@ -278,7 +278,7 @@ impl Machine {
         matches!(self.state, GatewayState::Started | GatewayState::Holding | GatewayState::Moving)
     }
 
-    /// The host has been silent for too long.
+    /// Handles the time-outs of a silent host.
     pub fn check_host(&mut self, now: MonotonicTime) {
         match self.state {
             GatewayState::Started if now.saturating_since(self.host.heard) >= STARTED_SILENCE => {
@@ -315,7 +315,7 @@ impl Machine {
             count(&mut self.cycles.overruns);
         }
         self.last_cycle = Some(now);
-        // Cycles keep their times; those that were missed are left out.
+        // Cycles keep their phase; missed cycles are skipped.
         self.next_cycle = self.next_cycle + self.config.cycle;
         if self.next_cycle <= now {
             self.next_cycle = now + self.config.cycle;
@@ -325,7 +325,7 @@ impl Machine {
         }
     }
 
-    /// A message that was not answered in time is given up.
+    /// Gives up a message that was not answered in time.
     fn check_reply(&mut self, now: MonotonicTime) {
         let Some(outstanding) = &mut self.bus.outstanding else { return };
         outstanding.cycles += 1;
@@ -358,11 +358,11 @@ impl Machine {
         }
     }
 
-    /// The controller did not answer what the host asked for.
+    /// The controller did not answer a request of the host.
     fn fail(&mut self, now: MonotonicTime, job: &Job) {
         self.work = Work::Steady;
         match job.task {
-            // The controller may have heard it all the same.
+            // The controller may have executed the message without an answer.
             Task::Start | Task::Reset(_) => self.close(),
             Task::End => self.trip(now, StopCause::ControllerSilent, None, 0),
             Task::Clear(_) | Task::Read(_) => {}
@@ -370,12 +370,12 @@ impl Machine {
         self.host.refuse(now, &job.asker, Refused(RejectReason::NoAnswer, 0));
     }
 
-    /// What is to be sent in this cycle.
+    /// The message that is due in this cycle.
     fn due(&mut self, now: MonotonicTime) -> Option<(ControlMessage, Purpose)> {
         match self.work {
             Work::Steady if self.is_cycling() => {
                 let (command, slowed) = self.motion.command(now, &self.config.watchdog);
-                // Before the brakes open nothing fades.
+                // Speeds fade only while brakes are open.
                 self.slowed = slowed && self.state == GatewayState::Moving;
                 Some((ControlMessage::Cyclic(command), Purpose::Cycle))
             }
@@ -399,8 +399,8 @@ impl Machine {
         }
     }
 
-    /// The next message of the stop order. It goes on by count and time, whether or not anybody answers, until the brakes are on:
-    /// who has not heard that would go on moving, or let its axes fall.
+    /// The next message of the stop order. It advances by count and time, with or without answers, until the brakes are commanded on:
+    /// a controller that has not received that command could go on moving, or let its axes fall.
     fn stop_message(&mut self, now: MonotonicTime, step: StopStep) -> (ControlMessage, Purpose) {
         self.slowed = false;
         let step = match step {
@@ -414,7 +414,7 @@ impl Machine {
         let step = match step {
             StopStep::Brake if self.motion.brakes_closed(now) => match self.state {
                 _ if self.motion.is_heard() => StopStep::Off,
-                // A controller that is not in its control mode may have no use for C, and answers E.
+                // A controller outside its control mode may not answer C, but answers E.
                 GatewayState::Stopping if self.is_unasked => StopStep::End { tries: 0 },
                 _ => {
                     self.is_unheard = true;
@@ -464,7 +464,7 @@ impl Machine {
     }
 }
 
-/// Not in this state.
+/// Refusal: not allowed in this state.
 pub(super) fn wrong_state(state: GatewayState) -> Refused {
     Refused(RejectReason::WrongState, u32::from(state.code()))
 }

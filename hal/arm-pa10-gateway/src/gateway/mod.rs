@@ -1,16 +1,16 @@
-//! The gateway of `docs/arm-protocol.md` without I/O and clock: bytes of the host on one side, ARCNET frames on the other.
+//! The gateway of `docs/arm-protocol.md` as a state machine without I/O and clock.
 //!
-//! The owner of the two lines hands in their bytes ([`Gateway::handle_host_bytes`], [`Gateway::handle_bus_frame`]), asks for
-//! what is to be sent ([`Gateway::poll_host_output`], [`Gateway::poll_bus_frame`]) until there is nothing more, and waits for the
-//! next of either or for [`Gateway::next_deadline`]. The bus side is a machine of its own and not the host's
-//! [`pb3dp_arm_pa10::driver::Driver`]: that one proves a link and carries an operator's requests, this one follows the table of the document
-//! ([`table`]), and both watch each other.
+//! The caller passes received bytes to [`Gateway::handle_host_bytes`] and received frames to [`Gateway::handle_bus_frame`].
+//! It polls [`Gateway::poll_host_output`] and [`Gateway::poll_bus_frame`] until both return nothing, and then waits for input
+//! or for [`Gateway::next_deadline`]. The bus side is separate from the host's
+//! [`pb3dp_arm_pa10::driver::Driver`]: the driver proves a link and forwards an operator's requests; the gateway follows the table
+//! of the document ([`table`]). Each monitors the other.
 //!
-//! What it promises:
-//! * Commands with open brakes go out in the states `holding` and `moving` and in the stop order, and nowhere else.
+//! Guarantees:
+//! * Commands with open brakes are sent in the states `holding` and `moving` and in the stop order, and nowhere else.
 //! * No speed is sent once the last command of the host is as old as the watchdog allows.
-//! * What stops the arm latches. Only a reset leaves it, only if the controller shows that the cause is gone, and only to `idle`.
-//! * Each sound frame of the host gets exactly one answer.
+//! * Every cause of a stop latches. Only a reset clears it, only if the controller shows that the cause is gone, and only to `idle`.
+//! * Each valid frame of the host gets exactly one answer.
 //! * Nothing is allocated after construction.
 
 mod bus;
@@ -40,56 +40,56 @@ pub use machine::CycleCounters;
 #[derive(Clone, Debug)]
 pub struct Gateway {
     parser: FrameParser,
-    /// When bytes of the host came last.
+    /// Time of the last bytes from the host.
     last_bytes: MonotonicTime,
     machine: Machine,
 }
 
-/// How a gateway is, for its log.
+/// Status of a gateway, for its log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GatewayStatus {
-    /// What it is doing.
+    /// Current state.
     pub state: GatewayState,
-    /// Why it stopped the arm, until it is reset.
+    /// Why the gateway stopped the arm, until a reset.
     pub cause: StopCause,
-    /// What the cause was found in, until it is reset: axis and status word, where they show it.
+    /// Axis and status word of the cause, if they show it, until a reset.
     pub found: Option<FaultReport>,
-    /// The dialect of the host that said HELLO, if one did.
+    /// Dialect of the host that sent HELLO, if any.
     pub host: Option<Dialect>,
-    /// The controller has not answered the stop order: the arm may move, and the stop order is repeated.
+    /// The controller has not answered the stop order: the arm may move, and the gateway repeats the stop order.
     pub is_unheard: bool,
-    /// Counts of the cycle.
+    /// Counters of the cycle.
     pub cycle: CycleCounters,
-    /// Counts of the bus.
+    /// Counters of the bus.
     pub bus: BusCounters,
-    /// Counts of the host's bytes.
+    /// Counters of the host's bytes.
     pub bytes: ParserCounters,
-    /// Frames of the host that are missing by their sequence.
+    /// Frames of the host that are missing in the sequence.
     pub host_lost: u64,
     /// Frames of the host that were repeated, overtaken or waited too long.
     pub host_stale: u64,
-    /// Answers that found no place, as nobody took the ones before.
+    /// Answers that were dropped because the output queue was full.
     pub answers_dropped: u64,
 }
 
 impl Gateway {
-    /// A gateway that knows nothing of its arm, which may be driven with open brakes: it closes them, sends E, is `idle` and waits
-    /// for HELLO. An arm that it finds in motion is latched.
+    /// Creates a gateway in an unknown state of the arm, which may be driven with open brakes: the gateway closes the brakes, sends E,
+    /// becomes `idle` and waits for HELLO. If it finds the arm in motion, it latches.
     ///
     /// # Errors
-    /// If the configuration contradicts itself or leaves less than the requirements allow.
+    /// If the configuration contradicts itself or a value is out of range.
     pub fn new(config: GatewayConfig, now: MonotonicTime) -> Result<Self, GatewayConfigError> {
         config.check()?;
         Ok(Self { parser: FrameParser::new(config.arm), last_bytes: now, machine: Machine::new(config, now) })
     }
 
-    /// What it was told.
+    /// The configuration.
     pub fn config(&self) -> &GatewayConfig {
         &self.machine.config
     }
 
-    /// Bytes from the host, in pieces of any size up to 600 bytes: answers of more frames than that holds may find no place
-    /// unless [`Self::poll_host_output`] takes them in between.
+    /// Handles bytes from the host, in pieces of up to 600 bytes. In larger pieces, answers may be dropped
+    /// unless [`Self::poll_host_output`] is called in between.
     pub fn handle_host_bytes(&mut self, now: MonotonicTime, bytes: &[u8]) {
         if !bytes.is_empty() {
             self.last_bytes = now;
@@ -99,23 +99,23 @@ impl Gateway {
         self.count_damage();
     }
 
-    /// The host is gone: a line error, the end of a connection, an adapter that was unplugged. Another one may come.
+    /// The host is disconnected: a line error, a closed connection or an unplugged adapter. Another host may connect.
     pub fn handle_host_gone(&mut self, now: MonotonicTime) {
         self.parser.restart();
         self.machine.handle_host_gone(now);
     }
 
-    /// The next bytes for the host: ask again until there are none.
+    /// The next bytes for the host: call this until it returns `None`.
     pub fn poll_host_output(&mut self, now: MonotonicTime) -> Option<FrameBytes> {
         self.machine.host.poll(now, self.machine.config.arm)
     }
 
-    /// A frame from the bus. Frames between other nodes are left alone.
+    /// Handles a frame from the bus. Frames between other nodes are ignored.
     pub fn handle_bus_frame(&mut self, now: MonotonicTime, frame: &[u8]) {
         self.machine.handle_bus_frame(now, frame);
     }
 
-    /// The frame that is due on the bus, if one is: at most one in each cycle.
+    /// The frame that is due on the bus, if any: at most one per cycle.
     pub fn poll_bus_frame(&mut self, now: MonotonicTime) -> Option<Frame> {
         if self.parser.is_within_frame() && now.saturating_since(self.last_bytes) >= SILENCE {
             let machine = &mut self.machine;
@@ -125,22 +125,22 @@ impl Gateway {
         self.machine.tick(now)
     }
 
-    /// When the next cycle begins: ask [`Self::poll_bus_frame`] then, whatever happens before.
+    /// Start of the next cycle: call [`Self::poll_bus_frame`] then, whatever happens before.
     pub fn next_deadline(&self) -> MonotonicTime {
         self.machine.next_cycle
     }
 
-    /// The stop order, as when a host asks for it: for a caller that ends the program. Harmless when repeated.
+    /// Begins the stop order, as a host's stop request does: for a caller that ends the program. Repeating it is harmless.
     pub fn stop(&mut self, now: MonotonicTime) {
         self.machine.stop(now);
     }
 
-    /// Whether the control mode is off and nothing is to be said to the controller.
+    /// Whether the control mode is off and no message for the controller is due.
     pub fn is_at_rest(&self) -> bool {
         matches!(self.machine.work, Work::Steady) && !self.machine.is_cycling()
     }
 
-    /// How it is.
+    /// Current status.
     pub fn status(&self) -> GatewayStatus {
         let Machine { state, cause, found, host, bus, cycles, .. } = &self.machine;
         GatewayStatus {

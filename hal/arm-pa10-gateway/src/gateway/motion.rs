@@ -1,4 +1,4 @@
-//! The command of a cycle: what the host asked for, how far the arm is on the way to it, and how the stop order leads it to rest.
+//! The command of a cycle: follows the host's command, interpolates speeds, fades stale commands and stops the arm.
 
 use std::time::Duration;
 
@@ -7,33 +7,33 @@ use pb3dp_arm_pa10_protocol::watchdog::{CommandWatchdog, Staleness};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_safeguards::{Safeguard, is_off};
 
-/// What is sent, and since when.
+/// The current command, and its time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
-    /// What the host asked for.
+    /// The last command of the host.
     target: ArmCommand,
-    /// The speeds that were sent when it came.
+    /// The speeds that were sent when the command came.
     from: [SpeedCounts; Axis::COUNT],
     since: MonotonicTime,
-    /// How long the way from there to the target takes.
+    /// Time to go from these speeds to the target.
     over: Duration,
     sent: ArmCommand,
     brakes: [Brake; Axis::COUNT],
     brake_time: Duration,
 }
 
-/// Where a brake was told to be, and since when.
+/// The last command to a brake, and its time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Brake {
     OpenSince(MonotonicTime),
-    /// Since it was said first; since it was answered first, once it was.
+    /// `since` is the time of the first command; after the first answer it is the time of that answer.
     Closed {
         since: MonotonicTime,
         heard: bool,
     },
 }
 
-/// What kind of command.
+/// Kind of a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     BrakesOn,
@@ -50,7 +50,7 @@ pub(super) fn is_open(axis: &AxisCommand) -> bool {
     matches!(axis, AxisCommand::Speed(_))
 }
 
-/// What kind of command it is: one open brake counts.
+/// Kind of a command: one open brake counts.
 pub(super) fn kind(command: &ArmCommand) -> Kind {
     if command.axes.iter().any(|axis| axis.speed() != SpeedCounts::ZERO) {
         Kind::Motion
@@ -62,7 +62,7 @@ pub(super) fn kind(command: &ArmCommand) -> Kind {
 }
 
 impl Motion {
-    /// Nobody knows what was before: the brakes count as open until they were told to close, and had their time.
+    /// The state is unknown: brakes count as open until they were commanded to close and had their time.
     pub fn new(brake_time: Duration, now: MonotonicTime) -> Self {
         Self {
             target: off(),
@@ -80,20 +80,20 @@ impl Motion {
         self.follow(now, ArmCommand { supervision, ..off() }, Duration::ZERO);
     }
 
-    /// A command came; speeds take this long to get there. One that only repeats the last one leaves its way as long as it was.
+    /// Follows a new command; speeds reach it after `over`. A repeated command keeps the end of the interpolation.
     pub fn follow(&mut self, now: MonotonicTime, target: ArmCommand, over: Duration) {
         self.over = if target == self.target { (self.since + self.over).saturating_since(now) } else { over };
         (self.target, self.since) = (target, now);
         self.from = self.sent.axes.map(|axis| axis.speed());
     }
 
-    /// As [`Self::follow`], after the watchdog has slowed the arm down: the way begins anew.
+    /// As [`Self::follow`], after the watchdog has slowed the arm down: the interpolation starts again.
     pub fn follow_anew(&mut self, now: MonotonicTime, target: ArmCommand, over: Duration) {
         (self.target, self.since, self.over) = (target, now, over);
         self.from = self.sent.axes.map(|axis| axis.speed());
     }
 
-    /// When the last command came.
+    /// Time of the last command.
     pub fn since(&self) -> MonotonicTime {
         self.since
     }
@@ -103,12 +103,12 @@ impl Motion {
         now.saturating_since(self.since)
     }
 
-    /// What was sent last.
+    /// The last command sent.
     pub fn sent(&self) -> &ArmCommand {
         &self.sent
     }
 
-    /// Notes what is sent in this cycle.
+    /// Records the command that is sent in this cycle.
     pub fn note_sent(&mut self, now: MonotonicTime, command: &ArmCommand) {
         for (brake, axis) in self.brakes.iter_mut().zip(&command.axes) {
             *brake = match (is_open(axis), *brake) {
@@ -121,7 +121,7 @@ impl Motion {
         self.sent = *command;
     }
 
-    /// What was sent last was answered: what it says of brakes was heard, now at the latest.
+    /// The last message was answered: the controller has received its brake commands, now at the latest.
     pub fn note_heard(&mut self, now: MonotonicTime) {
         for brake in &mut self.brakes {
             if let Brake::Closed { heard: false, .. } = brake {
@@ -130,12 +130,12 @@ impl Motion {
         }
     }
 
-    /// Whether the controller has heard that every brake is to be on.
+    /// Whether the controller has received the command to close every brake.
     pub fn is_heard(&self) -> bool {
         self.brakes.iter().all(|brake| matches!(brake, Brake::Closed { heard: true, .. }))
     }
 
-    /// Nobody knows any more what the controller has heard: all brakes on, servos on.
+    /// It is unknown what the controller has received: all brakes on, servos on.
     pub fn doubt(&mut self) {
         self.sent.axes = [AxisCommand::Braked; Axis::COUNT];
         for brake in &mut self.brakes {
@@ -153,12 +153,12 @@ impl Motion {
         })
     }
 
-    /// Whether a command leaves each brake where the last one wanted it.
+    /// Whether a command keeps each brake as the last command set it.
     pub fn keeps_brakes(&self, command: &ArmCommand) -> bool {
         command.axes.iter().zip(&self.target.axes).all(|(new, old)| is_open(new) == is_open(old))
     }
 
-    /// Whether a command closes the brake of an axis that has not come to speed 0.
+    /// Whether a command closes the brake of an axis before its speed is 0.
     pub fn brakes_motion(&self, command: &ArmCommand) -> bool {
         command.axes.iter().zip(&self.sent.axes).any(|(new, old)| !is_open(new) && old.speed() != SpeedCounts::ZERO)
     }
@@ -184,7 +184,7 @@ impl Motion {
                     let from = f64::from(self.from[index].0);
                     AxisCommand::Speed(part((f64::from(to.0) - from).mul_add(way.min(1.0), from), left))
                 }
-                // A servo that lets go before the brake holds lets the axis fall.
+                // A servo that is disabled before the brake holds lets the axis fall.
                 AxisCommand::Off if !self.brake_holds(index, now) => AxisCommand::Braked,
                 braked => braked,
             };
@@ -192,7 +192,7 @@ impl Motion {
         (command, slowed)
     }
 
-    /// All brakes on; servos that are on stay on.
+    /// All brakes on; enabled servos stay enabled.
     pub fn braked(&self) -> ArmCommand {
         let axes = self.sent.axes.map(|axis| match axis {
             AxisCommand::Speed(_) | AxisCommand::Braked => AxisCommand::Braked,
@@ -214,7 +214,7 @@ impl Motion {
     }
 }
 
-/// A command with this part of its speeds.
+/// The command with its speeds scaled by `left`.
 pub(super) fn fading(from: &ArmCommand, left: f64) -> ArmCommand {
     let axes = from.axes.map(|axis| match axis {
         AxisCommand::Speed(speed) => AxisCommand::Speed(part(f64::from(speed.0), left)),
@@ -223,8 +223,8 @@ pub(super) fn fading(from: &ArmCommand, left: f64) -> ArmCommand {
     ArmCommand { axes, ..*from }
 }
 
-/// A part, between 0 and 1, of a number of counts.
+/// A number of counts scaled by `part`, 0 to 1.
 fn part(counts: f64, part: f64) -> SpeedCounts {
-    // Within 16 bits, as it lies between two numbers that are, or between one of them and 0.
+    // Within 16 bits: the value lies between two 16-bit numbers, or between one and 0.
     SpeedCounts((counts * part).round() as i16)
 }

@@ -1,4 +1,4 @@
-//! What the bus brings, and what becomes of it.
+//! Replies from the bus and their handling.
 
 use pb3dp_arm_pa10::driver::{ArmCondition, EmergencyStopCause, FaultCause, Sample, Trip};
 use pb3dp_arm_pa10_protocol::codec::{ArmReply, Axis, AxisStatus, ByteBuffer, CommStatus, EepromAxis, Letter};
@@ -16,7 +16,7 @@ use super::machine::{Job, Machine, Measured, ResetStep, Task, Work};
 /// Micro-units per unit.
 const MICRO: f64 = 1e6;
 
-/// Why the arm has to stop, as FAULT tells it.
+/// Why the arm has to stop, as reported in FAULT.
 #[derive(Clone, Copy, Debug)]
 struct Found {
     cause: StopCause,
@@ -25,7 +25,7 @@ struct Found {
 }
 
 impl Machine {
-    /// A frame of the bus.
+    /// Handles a frame of the bus.
     pub fn handle_bus_frame(&mut self, now: MonotonicTime, frame: &[u8]) {
         match self.bus.handle_frame(&self.config, frame) {
             Arrived::Nothing => {}
@@ -75,7 +75,7 @@ impl Machine {
             let urad = |rad: f64| (rad * MICRO).round() as i32;
             let limits = EepromLimits {
                 axis: table.axis,
-                // Within two turns, as the table was checked.
+                // Within two turns: the table was checked.
                 positive_limit_urad: urad(table.positive_limit.to_rad()),
                 negative_limit_urad: urad(table.negative_limit.to_rad()),
             };
@@ -89,7 +89,7 @@ impl Machine {
         match self.work {
             Work::Job(job) => self.advance(now, &job, raw),
             Work::Close { .. } => self.end_close(now),
-            // Of E, with which the order ends.
+            // The reply to E, which ends the order.
             Work::Stop(_) => self.end_stop(now),
             Work::Steady => {}
         }
@@ -115,7 +115,7 @@ impl Machine {
                 (Letter::End, Control::Arm(ArmOperation::End))
             }
             Task::Clear(axis) => (Letter::ClearAlarm, Control::ClearAlarm(axis)),
-            // Its reply is no bare letter.
+            // The reply to R is not a bare letter.
             Task::Read(_) => return,
             Task::Reset(ResetStep::Start | ResetStep::Look) => return self.go_on(asker, ResetStep::Look),
             Task::Reset(ResetStep::End { found: StopCause::None }) => {
@@ -151,18 +151,18 @@ impl Machine {
                 let reply = RawMessage { letter: letter.byte(), data };
                 self.host.answer(now, asker, GatewayMessage::RawReply(reply));
             }
-            // Longer than any reply that is known, and than what a frame can carry.
+            // Longer than any known reply, and longer than a frame can carry.
             None => self.host.refuse(now, asker, Refused(RejectReason::NoAnswer, 0)),
         }
     }
 
-    /// Whether the newest measurement shows that the arm would not hold itself with open brakes.
+    /// Whether the newest measurement shows that the arm would not hold its pose with open brakes.
     pub fn is_uncontrollable(&self) -> bool {
         let condition = |measured: &Measured| Sample::from_reply(&measured.reply, &self.config.torque_scale).condition;
         self.measured.as_ref().is_some_and(|measured| condition(measured).uncontrollable().is_some())
     }
 
-    /// What stops the arm in what it tells of itself. Format A tells nothing.
+    /// The cause of a stop in the reported condition, if any. Format A reports none.
     fn judge(&self, condition: &ArmCondition) -> Option<Found> {
         let comm = match condition.comm {
             CommStatus::Comm(word) => word.0,

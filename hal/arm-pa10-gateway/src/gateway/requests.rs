@@ -1,4 +1,4 @@
-//! What the host asks for, and what becomes of it.
+//! Requests of the host and their handling.
 
 use std::time::Duration;
 
@@ -15,15 +15,15 @@ use super::motion::{self, Kind};
 use super::table::{GatewayAction, HostRequest, action};
 
 impl Machine {
-    /// A sound frame of another arm.
+    /// Handles a valid frame of another arm.
     pub fn handle_other_arm(&mut self, now: MonotonicTime, frame: &Frame) {
         let refused = Refused(RejectReason::WrongArm, u32::from(frame.arm.0));
         self.host.refuse(now, &asker(frame), refused);
     }
 
-    /// A sound frame of this arm: it gets exactly one answer, now or later.
+    /// Handles a valid frame of this arm: it gets exactly one answer, now or later.
     pub fn handle_frame(&mut self, now: MonotonicTime, frame: &Frame) {
-        // What has run out runs out before a new command could hide it.
+        // Time-outs are handled first: a new command must not hide them.
         self.check_host(now);
         let asker = asker(frame);
         let refused = if frame.frame_type == HELLO {
@@ -39,7 +39,7 @@ impl Machine {
         }
     }
 
-    /// The host is gone: unplugged, closed.
+    /// The host is disconnected: unplugged or closed.
     pub fn handle_host_gone(&mut self, now: MonotonicTime) {
         let may_have_started = matches!(self.work, Work::Job(Job { task: Task::Start | Task::Reset(_), .. }));
         self.cancel(now, wrong_state(self.state));
@@ -54,7 +54,7 @@ impl Machine {
         }
     }
 
-    /// The stop order, for any caller.
+    /// Begins the stop order, for any caller.
     pub fn stop(&mut self, now: MonotonicTime) {
         let state = self.state;
         let starting = matches!(self.work, Work::Job(Job { task: Task::Start, .. }));
@@ -65,7 +65,7 @@ impl Machine {
                 self.cancel(now, wrong_state(self.state));
                 self.begin_stop(now, state);
             }
-            // It may have started: what was said to be stopped must not go on.
+            // The controller may have started although the request was aborted: end its control mode.
             _ if starting => {
                 self.state = GatewayState::Stopping;
                 self.cancel(now, wrong_state(self.state));
@@ -83,11 +83,11 @@ impl Machine {
         }
     }
 
-    /// The stop order for a host that has found a fault: nothing but a reset leads on.
+    /// The stop order for a host that has found a fault: only a reset leaves the latched state.
     fn abort(&mut self, now: MonotonicTime) {
         match action(self.state, HostRequest::Abort) {
             GatewayAction::Latch => self.trip(now, StopCause::HostFault, None, 0),
-            // It is latched and keeps its cause; a release that is under way ends.
+            // The state is latched and keeps its cause; a release in progress ends.
             _ => self.stop(now),
         }
     }
@@ -161,7 +161,7 @@ impl Machine {
         Ok(())
     }
 
-    /// The state to which a command leads; none if it is only shown the state.
+    /// The state to which a command leads; `None` if the host only gets the current state.
     fn judge_command(&self, now: MonotonicTime, asked: &ArmCommand) -> Result<Option<GatewayState>, Refused> {
         let request = match motion::kind(asked) {
             Kind::BrakesOn => HostRequest::BrakesOn,
@@ -211,7 +211,7 @@ impl Machine {
         }
     }
 
-    /// Asks for something that takes a message to the controller, unless it is done already.
+    /// Starts a request that needs a message to the controller, unless it is done already.
     fn request(
         &mut self,
         now: MonotonicTime,
@@ -283,7 +283,7 @@ impl Machine {
         }
     }
 
-    /// The newest measurement; none if there is none since the control mode began.
+    /// The newest measurement; `None` if there is none since the control mode began.
     fn arm_state(&self, now: MonotonicTime) -> Option<State> {
         let measured = self.measured.as_ref()?;
         let state =
@@ -334,7 +334,7 @@ fn asker(frame: &Frame) -> Asker {
     Asker { sequence: frame.sequence, frame_type: frame.frame_type, is_raw: false }
 }
 
-/// Why the data of a letter is refused: the length counts the letter.
+/// Why the data of a letter are refused: the length includes the letter.
 fn refusal_of_data(error: CodecError) -> Refused {
     match error {
         CodecError::Length { expected, .. } => {
@@ -344,7 +344,7 @@ fn refusal_of_data(error: CodecError) -> Refused {
     }
 }
 
-/// Whole microseconds, up to the maximum.
+/// Whole microseconds, saturating.
 fn us(duration: Duration) -> u32 {
     u32::try_from(duration.as_micros()).unwrap_or(u32::MAX)
 }

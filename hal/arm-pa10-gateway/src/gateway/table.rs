@@ -1,8 +1,8 @@
-//! What the host may ask for in each state: the table of `docs/arm-protocol.md` on one page.
+//! Requests that the host may make in each state: the table of `docs/arm-protocol.md`.
 
 use pb3dp_arm_pa10_protocol::gateway_protocol::GatewayState;
 
-/// What a host can ask for.
+/// Requests of a host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HostRequest {
     /// A command with all brakes on.
@@ -11,41 +11,41 @@ pub enum HostRequest {
     Rest,
     /// A command with open brakes and a speed.
     Motion,
-    /// The control mode.
+    /// Start the control mode.
     Start,
-    /// The end of the control mode.
+    /// End the control mode.
     End,
-    /// To clear an alarm or to read limits.
+    /// Clear an alarm or read limits.
     Service,
     /// The stop order.
     Stop,
-    /// The end of a latched state.
+    /// End a latched state.
     Reset,
     /// The stop order of a host that has found a fault.
     Abort,
 }
 
-/// What the gateway does about it.
+/// Action of the gateway on a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GatewayAction {
     /// Follows the command from now on, in this state.
     Follow(GatewayState),
-    /// Does nothing of the command, and shows where it is.
+    /// Executes nothing, and answers with the state.
     Show,
-    /// Speaks to the controller, and answers when that is done.
+    /// Sends a message to the controller, and answers when that is done.
     Speak,
-    /// Nothing: it is done already.
+    /// Nothing: the request is already fulfilled.
     Nothing,
     /// Begins the stop order.
     BeginStop,
-    /// Begins the stop order or goes on with it, and latches.
+    /// Begins or continues the stop order, and latches.
     Latch,
-    /// Refuses it.
+    /// Refuses the request.
     Refuse,
 }
 
 impl HostRequest {
-    /// All of them, in the order of the table.
+    /// All requests, in the order of the table.
     pub const ALL: [Self; 9] = [
         Self::BrakesOn,
         Self::Rest,
@@ -59,7 +59,7 @@ impl HostRequest {
     ];
 }
 
-/// What the gateway does in a state, besides the conditions that the text adds: times of brakes, measurements, work under way.
+/// The action in a state, without the further conditions of the document: brake times, measurements, requests in progress.
 #[rustfmt::skip]
 pub fn action(state: GatewayState, request: HostRequest) -> GatewayAction {
     use GatewayAction::{BeginStop as Stop, Latch, Nothing as Done, Refuse as N, Show, Speak};

@@ -1,4 +1,4 @@
-//! The thread that keeps the cycle.
+//! The thread that runs the cycle.
 
 use std::os::fd::AsFd;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -20,32 +20,32 @@ use super::door::Lines;
 use super::events::{EventQueue, Happened};
 use crate::gateway::{Gateway, GatewayStatus};
 
-/// The last part of a cycle is slept through to its very end: waiting for lines ends a little late.
+/// The last part of a cycle is spent in a precise sleep: `poll` returns a little late.
 const LAST_PART: Duration = Duration::from_micros(150);
 
-/// Frames of the bus and pieces of the host's bytes that are taken before the cycle is looked after again.
+/// Frames of the bus and pieces of the host's bytes that are handled before the cycle is checked again.
 const PIECES_MAX: usize = 8;
 
-/// The answers of a piece of this size find room in the core.
+/// The core has room for the answers to a piece of this size.
 const PIECE_BYTES: usize = 512;
 
-/// How long the stop order may take at the end, besides the time of the brakes.
+/// Time limit of the final stop order, besides the brake time.
 const END_MAX: Duration = Duration::from_millis(500);
 
-/// How often E is said past the core: nobody looks at its answer.
+/// How often E is sent without the core: its answer is not read.
 const END_TRIES: u32 = 3;
 
-/// Numbers of messages past the core: fewer than either kind of controller counts.
+/// Sequence numbers of messages without the core: within the modulus of both kinds of controller.
 const SEQUENCES: u8 = 128;
 
-/// The line to a host, with what it had no room for.
+/// The line to a host, with the output that is not yet written.
 struct HostLine {
     link: Box<dyn ByteLink>,
     pending: FrameBytes,
     written: usize,
 }
 
-/// What was seen the last time, to notice what changed.
+/// The last reported status, to detect changes.
 #[derive(Clone, Copy)]
 struct Seen {
     state: GatewayState,
@@ -63,7 +63,7 @@ pub(super) struct Cycle {
     lines: Lines,
     queue: EventQueue,
     seen: Seen,
-    /// Until when the stop order may take.
+    /// Deadline of the final stop order.
     ends: Option<MonotonicTime>,
     brake_time: Duration,
 }
@@ -75,9 +75,9 @@ impl Cycle {
         Self { core, bus: Some(bus), host: None, shared, lines, queue, seen, ends: None, brake_time }
     }
 
-    /// Runs until it was asked to end and the arm is at rest: how the gateway was then, or nothing after a mistake of the program.
+    /// Runs until the end is requested and the arm is stopped. Returns the final status, or `None` after a panic.
     pub fn run(mut self) -> Option<GatewayStatus> {
-        // A mistake of ours must not leave the arm moving: what is still sound stops it.
+        // After a panic the arm must not go on moving: the core, or code without the core, stops it.
         if catch_unwind(AssertUnwindSafe(|| self.serve())).is_ok() {
             return Some(self.core.status());
         }
@@ -88,7 +88,7 @@ impl Cycle {
         None
     }
 
-    /// The stop order of the core, without the host: its end of the line sees that nobody is there.
+    /// The stop order of the core without the host, whose connection is closed.
     fn stop_after_failure(&mut self) {
         self.shared.end.store(true, Ordering::SeqCst);
         self.ends = None;
@@ -97,7 +97,7 @@ impl Cycle {
         self.serve();
     }
 
-    /// The last resort: brakes on for as long as they take to close, then E; whatever the core thinks.
+    /// The last resort: brakes on for the brake time, then E, whatever the state of the core.
     fn stop_past_core(&mut self) {
         let (cycle, format) = (self.core.config().cycle, self.core.config().format);
         let Some(bus) = &mut self.bus else { return };
@@ -175,7 +175,7 @@ impl Cycle {
         let due = self.core.next_deadline();
         let at = now();
         let Some(frame) = self.core.poll_bus_frame(at) else { return self.note_lateness(at, due) };
-        // A frame without room or bus is one that the controller does not answer.
+        // A frame that cannot be sent counts as one that the controller does not answer.
         if let Some(bus) = &mut self.bus
             && let Err(down) = bus.try_send(&frame)
         {
@@ -214,7 +214,7 @@ impl Cycle {
         (self.seen.state, self.seen.dialect, self.seen.is_unheard) = (state, host, is_unheard);
     }
 
-    /// Lines that the door has opened.
+    /// Takes the lines that the connection thread has opened.
     fn take_lines(&mut self) {
         if let Ok(link) = self.lines.hosts.try_recv() {
             let at = now();
@@ -249,7 +249,7 @@ impl Cycle {
         self.queue.tell(now(), Happened::BusDown(down.symptom));
     }
 
-    /// Until the next cycle, or until something comes.
+    /// Waits until the next cycle or the next input.
     fn wait(&mut self) {
         let due = self.core.next_deadline();
         let left = due.saturating_since(now());
@@ -267,7 +267,7 @@ impl Cycle {
             Some(host) if host.is_full() => PollFlags::IN | PollFlags::OUT,
             _ => PollFlags::IN,
         };
-        // Where there is no line the waker stands in its place.
+        // A missing line is replaced by the waker.
         let mut fds = [
             waiting(waker, PollFlags::IN),
             waiting(self.bus.as_ref().map_or(waker, |bus| bus.fd()), PollFlags::IN),

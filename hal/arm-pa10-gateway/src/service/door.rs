@@ -1,4 +1,4 @@
-//! The door: opens lines for the thread of the cycle, and closes those that it has done with.
+//! The connection thread: opens lines for the cycle thread, and closes those that are done.
 
 use std::net::TcpListener;
 use std::os::fd::AsFd;
@@ -16,16 +16,16 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use super::{BusOpener, HostSide, Shared};
 
-/// How often something that cannot be opened is tried again.
+/// Time between two attempts to open a line.
 const AGAIN: Duration = Duration::from_millis(500);
 
-/// How often the door looks up.
+/// Polling interval of the connection thread.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// A host that has said nothing for this long gives way to another one: a living one says something every 250 ms.
+/// A host that has been silent for this long gives way to another one: a connected host sends something every 250 ms.
 const GIVES_WAY: Duration = Duration::from_secs(1);
 
-/// The ends of the cycle's thread. None of them ever waits.
+/// The ends of the cycle thread. None of them blocks.
 pub(super) struct Lines {
     pub hosts: Receiver<Box<dyn ByteLink>>,
     pub buses: Receiver<Box<dyn BusPort>>,
@@ -33,7 +33,7 @@ pub(super) struct Lines {
     pub old_buses: SyncSender<Box<dyn BusPort>>,
 }
 
-/// The ends of the door.
+/// The ends of the connection thread.
 pub(super) struct LineEnds {
     hosts: SyncSender<Box<dyn ByteLink>>,
     buses: SyncSender<Box<dyn BusPort>>,
@@ -45,7 +45,7 @@ impl Lines {
     pub fn pairs() -> (Self, LineEnds) {
         let (hosts_in, hosts) = sync_channel(1);
         let (buses_in, buses) = sync_channel(1);
-        // One that gives way and one that follows it.
+        // Room for a replaced line and for its replacement.
         let (old_hosts, hosts_out) = sync_channel(4);
         let (old_buses, buses_out) = sync_channel(4);
         let ends = LineEnds { hosts: hosts_in, buses: buses_in, old_hosts: hosts_out, old_buses: buses_out };
@@ -53,7 +53,7 @@ impl Lines {
     }
 }
 
-/// The thread that opens and closes.
+/// The connection thread.
 pub(super) struct Door {
     pub shared: Arc<Shared>,
     pub lines: LineEnds,
@@ -62,7 +62,7 @@ pub(super) struct Door {
     pub host: HostSide,
 }
 
-/// When to try again, and what was said the last time.
+/// Time of the next attempt, and the last message.
 struct Patience {
     again: MonotonicTime,
     said: Option<String>,
@@ -77,7 +77,7 @@ impl Patience {
         now() >= self.again
     }
 
-    /// It was tried: what there is to say, unless it was said the last time.
+    /// Records an attempt. Returns the message, unless it equals the last one.
     fn note(&mut self, error: Option<&(dyn std::error::Error + 'static)>, what: &str) -> Option<String> {
         self.again = now() + AGAIN;
         let text = error.map(|error| format!("{what} cannot be opened: {}", chain(error)));
@@ -137,7 +137,7 @@ impl Door {
     }
 }
 
-/// To the owner, who may have gone to sleep.
+/// Sends a message to the owner; it is dropped if the queue is full.
 fn say(tell: &SyncSender<String>, text: String) {
     let _ = tell.try_send(text);
 }
@@ -163,7 +163,7 @@ fn open_line(
     }
 }
 
-/// Waits for a host for a moment, and lets it in unless another one is there.
+/// Waits briefly for a host, and accepts it unless another one is connected.
 fn accept(listener: &TcpListener, shared: &Shared, lines: &LineEnds, tell: &SyncSender<String>) {
     let timeout = Timespec { tv_sec: 0, tv_nsec: i64::from(LOOK.subsec_nanos()) };
     let mut fds = [PollFd::from_borrowed_fd(listener.as_fd(), PollFlags::IN)];
@@ -172,7 +172,7 @@ fn accept(listener: &TcpListener, shared: &Shared, lines: &LineEnds, tell: &Sync
     }
     let (stream, address) = match listener.accept() {
         Ok(accepted) => accepted,
-        // It went away again, or the system has no room now.
+        // The connection was closed again, or the system has no resources now.
         Err(_) => return sleep_until(now() + LOOK),
     };
     let silent = now().saturating_since(MonotonicTime::from_nanos(shared.heard.load(Ordering::SeqCst)));
@@ -189,7 +189,7 @@ fn accept(listener: &TcpListener, shared: &Shared, lines: &LineEnds, tell: &Sync
     }
 }
 
-/// Told before the line is there: the thread of the cycle may find it gone at once, and its word has to be the last.
+/// `has_host` is set before the line is handed over: the cycle thread may find the line closed at once, and must clear it last.
 fn hand_over(link: Box<dyn ByteLink>, shared: &Shared, lines: &LineEnds) {
     shared.heard.store(now().as_nanos(), Ordering::SeqCst);
     let had_host = shared.has_host.swap(true, Ordering::SeqCst);
@@ -211,7 +211,7 @@ mod tests {
 
     use super::*;
 
-    /// A line that is gone as soon as it is taken leaves the door open for the next one.
+    /// A line that closes as soon as it is taken does not block the next one.
     #[test]
     fn a_line_that_is_gone_at_once_is_not_taken_for_a_host() {
         let shared = Arc::new(Shared {

@@ -1,4 +1,4 @@
-//! What happened, from the thread of the cycle to its owner: a queue of fixed size whose sender never waits.
+//! Events from the cycle thread to the owner: a queue of fixed size whose sender never blocks.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -9,56 +9,56 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, FaultReport, GatewaySta
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::transport::Symptom;
 
-/// Events that wait for the owner.
+/// Capacity of the queue.
 const EVENTS_MAX: usize = 1024;
 
-/// What happened.
+/// An event with its time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GatewayEvent {
-    /// When.
+    /// Time of the event.
     pub at: MonotonicTime,
-    /// What.
+    /// The event.
     pub what: Happened,
 }
 
-/// What can happen to a gateway.
+/// Events of a gateway.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Happened {
-    /// Another state, and why.
+    /// The state changed.
     State {
-        /// Before.
+        /// State before.
         from: GatewayState,
-        /// Now.
+        /// State now.
         to: GatewayState,
-        /// The cause that is latched.
+        /// The latched cause.
         cause: StopCause,
-        /// What it was found in: axis and status word, where they show it.
+        /// Axis and status word of the cause, if they show it.
         found: Option<FaultReport>,
     },
-    /// The controller does not answer the stop order, which goes on.
+    /// The controller does not answer the stop order, which is repeated.
     Unheard,
-    /// It has.
+    /// The controller has answered the stop order.
     Heard,
-    /// A line to a host is there.
+    /// A line to a host is open.
     HostConnected,
-    /// A host said HELLO.
+    /// A host sent HELLO.
     HostGreeted(Dialect),
-    /// The line to the host is gone.
+    /// The line to the host is closed.
     HostGone(Symptom),
-    /// Another connection took the place of one that had been silent.
+    /// A new connection replaced a silent one.
     HostReplaced,
-    /// A cycle began late by more than a tenth.
+    /// A cycle began late by more than a tenth of a cycle.
     Overrun {
-        /// By how much.
+        /// The delay.
         late: Duration,
     },
     /// The bus went down.
     BusDown(Symptom),
-    /// The bus is there again.
+    /// The bus is up again.
     BusUp,
 }
 
-/// The sender's end.
+/// The sending end.
 #[derive(Debug)]
 pub(super) struct EventQueue {
     sender: SyncSender<GatewayEvent>,
@@ -75,7 +75,7 @@ impl EventQueue {
         Arc::clone(&self.dropped)
     }
 
-    /// Without waiting and without allocating: the owner only ever looks whether something is there.
+    /// Sends an event without blocking and without allocating: the owner polls.
     pub fn tell(&self, at: MonotonicTime, what: Happened) {
         if self.sender.try_send(GatewayEvent { at, what }).is_err() {
             self.dropped.fetch_add(1, Ordering::Relaxed);

@@ -1,7 +1,7 @@
-//! A gateway that runs: its core on a thread that keeps the cycle, a door through which hosts come in, and what it tells its owner.
+//! The running gateway: the core on a thread that keeps the cycle, a connection thread for hosts, and a queue of events for the owner.
 //!
-//! The thread of the cycle opens nothing, closes nothing, formats nothing and waits for no lock: the door opens and closes lines for
-//! it, and what happened goes to the owner through a queue of fixed size.
+//! The cycle thread opens nothing, closes nothing, formats nothing and takes no lock: the connection thread opens and closes its
+//! lines, and events go to the owner through a queue of fixed size.
 
 mod cycle;
 mod door;
@@ -27,64 +27,64 @@ use crate::gateway::{Gateway, GatewayConfig, GatewayConfigError, GatewayStatus};
 
 pub use events::{GatewayEvent, Happened};
 
-/// Opens the bus, and opens it again when it was down.
+/// Opens the bus, and opens it again after it was down.
 pub type BusOpener = Box<dyn FnMut() -> Result<Box<dyn BusPort>, ConnectError> + Send>;
 
-/// Where hosts come from.
+/// Transport to the hosts.
 pub enum HostSide {
-    /// From the network: one connection at a time.
+    /// TCP: one connection at a time.
     Tcp(TcpListener),
-    /// Through a line that is opened again when it was unplugged.
+    /// A line that is opened again after it was unplugged.
     Line(Box<dyn Connector>),
 }
 
 /// Settings of a server.
 pub struct GatewayServerConfig {
-    /// Of the core.
+    /// Settings of the core.
     pub gateway: GatewayConfig,
-    /// What the thread of the cycle asks for.
+    /// Requested real-time scheduling of the cycle thread.
     pub realtime: Realtime,
 }
 
-/// Why there is no server.
+/// Why a server cannot start.
 #[derive(Debug, thiserror::Error)]
 pub enum GatewayServerError {
     /// The configuration contradicts itself.
     #[error("gateway")]
     Config(#[from] GatewayConfigError),
-    /// The operating system gives no thread or file descriptor.
+    /// The operating system provides no thread or file descriptor.
     #[error("the gateway cannot be started")]
     System(#[from] std::io::Error),
     /// The bus cannot be opened.
     #[error("the bus cannot be opened")]
     Bus(#[source] ConnectError),
-    /// The port cannot be listened at.
-    #[error("nobody can be listened for at {address}; is another program using that port?")]
+    /// The gateway cannot listen at the address.
+    #[error("cannot listen at {address}: check whether another program uses this port")]
     Listen {
-        /// Where.
+        /// The address.
         address: SocketAddr,
-        /// What the system says.
+        /// The error of the system.
         #[source]
         source: std::io::Error,
     },
 }
 
-/// What the threads share.
+/// State shared between the threads.
 #[derive(Debug)]
 struct Shared {
-    /// The stop order, then the end.
+    /// Requests the stop order and then the end.
     end: AtomicBool,
     /// A host is connected.
     has_host: AtomicBool,
     /// The bus has to be opened again.
     wants_bus: AtomicBool,
-    /// When bytes of the host came last, ns.
+    /// Time of the last bytes from the host, ns.
     heard: AtomicU64,
-    /// Wakes the thread of the cycle.
+    /// Wakes the cycle thread.
     waker: OwnedFd,
 }
 
-/// A gateway that runs.
+/// A running gateway.
 #[derive(Debug)]
 pub struct GatewayServer {
     shared: Arc<Shared>,
@@ -97,18 +97,18 @@ pub struct GatewayServer {
     name_of_bus: String,
 }
 
-/// Asks a gateway to end, from any thread.
+/// Requests the end of a gateway, from any thread.
 #[derive(Clone, Debug)]
 pub struct Ending(Arc<Shared>);
 
 impl Ending {
-    /// Asks for the stop order and the end; harmless when repeated.
+    /// Requests the stop order and the end; repeating it is harmless.
     pub fn ask(&self) {
         self.0.end.store(true, Ordering::SeqCst);
         self.0.wake();
     }
 
-    /// Whether it was asked for.
+    /// Whether the end was requested.
     pub fn is_asked(&self) -> bool {
         self.0.end.load(Ordering::SeqCst)
     }
@@ -116,7 +116,7 @@ impl Ending {
 
 impl Shared {
     fn wake(&self) {
-        // It is full only if it was not taken since, and then it wakes all the same.
+        // The write fails only if the counter is full, and then the thread wakes all the same.
         let _ = rustix::io::write(&self.waker, &1u64.to_ne_bytes());
     }
 }
@@ -125,7 +125,7 @@ impl HostSide {
     /// Listens at an address of this machine.
     ///
     /// # Errors
-    /// If another program does.
+    /// If the address is in use or not available.
     pub fn listen(address: SocketAddr) -> Result<Self, GatewayServerError> {
         let listen = |source| GatewayServerError::Listen { address, source };
         let listener = TcpListener::bind(address).map_err(listen)?;
@@ -135,10 +135,10 @@ impl HostSide {
 }
 
 impl GatewayServer {
-    /// Starts a gateway: E is sent, and hosts may come.
+    /// Starts a gateway: E is sent, and hosts may connect.
     ///
     /// # Errors
-    /// If the configuration contradicts itself, the bus cannot be opened or the system gives no thread.
+    /// If the configuration contradicts itself, the bus cannot be opened or the system provides no thread.
     pub fn start(config: GatewayServerConfig, mut bus: BusOpener, host: HostSide) -> Result<Self, GatewayServerError> {
         let core = Gateway::new(config.gateway, realtime::now())?;
         let port = bus().map_err(GatewayServerError::Bus)?;
@@ -163,55 +163,54 @@ impl GatewayServer {
             Cycle::new(core, port, for_cycle, lines, queue).run()
         })?;
         let door = std::thread::Builder::new().name("gateway-door".into()).spawn(move || door.run())?;
-        // It ends early only if the thread does, which `end` will tell.
+        // No answer comes only if the thread has ended, which `end` reports.
         let shortfalls = is_ready.recv_timeout(Duration::from_secs(5)).unwrap_or_default();
         let (cycle, door) = (Some(cycle), Some(door));
         Ok(Self { shared, cycle, door, events, door_messages, dropped, shortfalls, name_of_bus })
     }
 
-    /// What the thread of the cycle asked for and did not get.
+    /// Requested resources that the cycle thread did not get.
     pub fn shortfalls(&self) -> &[Shortfall] {
         &self.shortfalls
     }
 
-    /// The bus, for messages.
+    /// Name of the bus, for messages.
     pub fn name_of_bus(&self) -> &str {
         &self.name_of_bus
     }
 
-    /// What happened since the last call, if something did.
+    /// The next event, if any.
     pub fn try_event(&self) -> Option<GatewayEvent> {
         self.events.try_recv().ok()
     }
 
-    /// What the door has to say: lines that cannot be opened, hosts that were turned away.
+    /// The next message of the connection thread: lines that cannot be opened, hosts that were turned away.
     pub fn try_message(&self) -> Option<String> {
         self.door_messages.try_recv().ok()
     }
 
-    /// Events that found no place, as nobody took the ones before.
+    /// Events that were dropped because the queue was full.
     pub fn events_dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    /// Whether it still runs.
+    /// Whether the cycle thread still runs.
     pub fn is_running(&self) -> bool {
         self.cycle.as_ref().is_some_and(|cycle| !cycle.is_finished())
     }
 
-    /// Asks for the stop order and the end; harmless when repeated.
+    /// Requests the stop order and the end; repeating it is harmless.
     pub fn ask_to_end(&self) {
         self.ending().ask();
     }
 
-    /// What another thread than the owner's asks with: one that nothing holds up.
+    /// A handle with which another thread can request the end, without a lock.
     pub fn ending(&self) -> Ending {
         Ending(Arc::clone(&self.shared))
     }
 
-    /// The stop order, the end, and how the gateway was then; `None` if its thread had failed, which
-    /// stops the arm if it still can. Waits for as long as the stop order
-    /// takes: brakes have their time to close, and half a second is added.
+    /// Executes the stop order, ends the gateway and returns its final status; `None` if its thread had panicked, in which case the
+    /// thread stops the arm if it still can. Takes as long as the stop order: the brake time and up to half a second.
     pub fn end(mut self) -> Option<GatewayStatus> {
         self.finish()
     }

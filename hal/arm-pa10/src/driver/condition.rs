@@ -1,4 +1,4 @@
-//! What a reply tells of the arm, whichever link it came by.
+//! State of the arm in a reply: measurements, alarms, and the causes of stops. The same for both kinds of links.
 
 use std::time::Duration;
 
@@ -10,19 +10,19 @@ use pb3dp_kinematics::JointVector;
 
 use super::WarmUpFailure;
 
-/// An arm whose newest measurement is older than this is not watched any more: three commands of a host at 100 Hz.
+/// Maximum age of the newest measurement: three commands of a host at 100 Hz. An older one stops the arm.
 pub const MEASUREMENT_AGE_MAX: Duration = Duration::from_millis(30);
 
 /// A measurement of the arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// How old it was when the reply came, if the link reports it.
+    /// Age when the reply came, if the link reports it; else 0.
     pub age: Duration,
     /// Joint angles, rad, never wrapped.
     pub position_rad: JointVector,
-    /// Joint speeds, rad/s, where they are measured.
+    /// Joint speeds, rad/s, if the arm measures them.
     pub velocity_rad_per_s: Option<JointVector>,
-    /// Torques at the joints, N m; only where their scale is known.
+    /// Torques at the joints, N m; valid only if their scale is known.
     pub torque_n_m: JointVector,
     /// Flags and alarms.
     pub condition: ArmCondition,
@@ -31,15 +31,15 @@ pub struct Sample {
 /// Flags and alarms of a measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ArmCondition {
-    /// Of each axis.
+    /// Status of each axis.
     pub axes: [AxisStatus; Axis::COUNT],
-    /// Of the controller.
+    /// Status of the controller.
     pub comm: CommStatus,
-    /// Of the gateway, if there is one: what it is doing and why it stopped.
+    /// State of the gateway and the cause of its stop, if there is a gateway.
     pub gateway: Option<(GatewayState, StopCause)>,
 }
 
-/// An axis without power or control; without an axis the controller says so of the whole arm.
+/// An axis without power or control. `None` as the axis: the controller reports the whole arm as uncontrollable.
 #[derive(Clone, Copy, Debug)]
 pub struct Uncontrollable {
     axis: Option<Axis>,
@@ -49,28 +49,28 @@ pub struct Uncontrollable {
 /// Why the arm was stopped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trip {
-    /// By a fault.
+    /// A fault.
     Fault(FaultCause),
-    /// By an emergency stop.
+    /// An emergency stop, dead-man switch or limit switch.
     EStop(EmergencyStopCause),
 }
 
-/// A fault. The text names the check that failed and what to do.
+/// A fault. The message names the check that failed and what to do.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum FaultCause {
     /// Too many exchanges in a row without a usable reply.
     #[error(
-        "{misses} exchanges in a row without a usable reply; check cable and power, and that no other program has the line or \
+        "{misses} exchanges in a row without a usable reply; check cable and power, and that no other program uses the line or \
          the bus, then reset"
     )]
     LinkLost {
-        /// How many.
+        /// Number of exchanges.
         misses: u32,
     },
-    /// Answers come, but what they tell was measured too long ago.
+    /// The gateway answers, but the newest measurement is too old.
     #[error(
-        "the newest measurement is {age:?} old although the gateway answers, {allowed:?} are allowed: it has no newer one of its \
-         bus; look at its log and at the servo controller, then reset"
+        "the newest measurement is {age:?} old although the gateway answers, the limit is {allowed:?}: its bus delivers no newer one; \
+         check the gateway's log and the servo controller, then reset"
     )]
     MeasurementTooOld {
         /// Age of the measurement when the answer came.
@@ -80,46 +80,46 @@ pub enum FaultCause {
     },
     /// Replies of the controller have the length of the other wire format.
     #[error(
-        "the controller answers in {got}, the configuration says {configured}; find out which arm it is, correct wire_format, then \
-         reset"
+        "the controller answers in {got}, the configuration says {configured}; find out which generation the arm is, correct \
+         wire_format, then reset"
     )]
     ReplyFormat {
-        /// What the length of a reply shows.
+        /// Format that has replies of this length.
         got: WireFormat,
-        /// Of the configuration.
+        /// Format of the configuration.
         configured: WireFormat,
     },
-    /// The link is gone.
-    #[error("the link is gone (unplugged, closed); connect it again, then reset")]
+    /// The link was unplugged or closed.
+    #[error("the link is gone (unplugged or closed); connect it again, then reset")]
     Unplugged,
-    /// A sound frame of another arm came.
+    /// A valid frame of another arm came.
     #[error(
-        "a reply came from arm {got}: the configuration has another number for it, or the links of two arms are swapped; correct \
-         one of them, then reset"
+        "a reply came from arm {got}: the configuration has another arm number, or the links of two arms are swapped; correct the \
+         number or the links, then reset"
     )]
     WrongArm {
-        /// The arm in the frame.
+        /// Arm number in the frame.
         got: u8,
     },
-    /// The control loop stayed away.
+    /// The control loop sent no velocity in time.
     #[error(
-        "no velocity for {age:?}, the watchdog allows {allowed:?}; find out what held the control loop up, then reset"
+        "no velocity for {age:?}, the watchdog allows {allowed:?}; find out what delayed the control loop, then reset"
     )]
     CommandTimeout {
         /// Age of the last velocity.
         age: Duration,
-        /// What the watchdog allows.
+        /// Limit of the watchdog.
         allowed: Duration,
     },
-    /// The owner of the arm stayed away while it held with open brakes.
+    /// The program sent no request while the arm held with open brakes.
     #[error(
-        "nobody has asked for anything for {age:?} while the brakes were open, {allowed:?} are allowed; find out what held the \
-         control loop up, then reset"
+        "no request for {age:?} while the brakes were open, the limit is {allowed:?}; find out what delayed the control loop, then \
+         reset"
     )]
     OwnerSilent {
-        /// Since the last request.
+        /// Time since the last request.
         age: Duration,
-        /// How long it may stay away.
+        /// Limit.
         allowed: Duration,
     },
     /// An axis raised an alarm.
@@ -138,7 +138,7 @@ pub enum FaultCause {
     },
     /// An axis has no power or does not follow.
     #[error(
-        "{axis}: status word 0x{word:04x} says power off or uncontrollable while the brakes are open; check its power, then reset"
+        "{axis}: power off or uncontrollable while the brakes are open (status word 0x{word:04x}); check its power, then reset"
     )]
     AxisUncontrollable {
         /// Which axis.
@@ -146,55 +146,55 @@ pub enum FaultCause {
         /// Its status word.
         word: u16,
     },
-    /// The controller says that the arm does not follow.
+    /// The controller reports that the arm does not follow.
     #[error(
-        "controller: status word 0x{word:04x} says uncontrollable while the arm has to follow; look at its panel, then reset"
+        "controller: arm uncontrollable while the brakes are open (status word 0x{word:04x}); check its panel, then reset"
     )]
     ArmUncontrollable {
         /// The status word.
         word: u16,
     },
-    /// A joint carried too much for too long.
+    /// The torque of a joint was above its limit for too long.
     #[error(
-        "{axis}: {torque_n_m:+.1} N m at the joint, more than {allowed_n_m:.1} N m for {lasted:?}: it is blocked, overloaded or \
-         pushed; free it, then reset"
+        "{axis}: {torque_n_m:+.1} N m at the joint, more than {allowed_n_m:.1} N m for {lasted:?}: the joint is blocked, overloaded \
+         or pushed; free it, then reset"
     )]
     TorqueTooHigh {
         /// Which axis.
         axis: Axis,
-        /// The last torque measured, N m.
+        /// Last measured torque, N m.
         torque_n_m: f64,
-        /// What is allowed for long, N m.
+        /// Limit of the permanent torque, N m.
         allowed_n_m: f64,
-        /// For how long it was more.
+        /// Time above the limit.
         lasted: Duration,
     },
     /// The gateway stopped the arm.
     #[error("the gateway stopped the arm: {0}; {advice}", advice = advice_on_stop(*.0))]
     Gateway(StopCause),
-    /// The gateway does not follow any more, and gives no cause.
-    #[error("the gateway is {gateway} although nobody here has stopped it; find out who has, then reset")]
+    /// The gateway stopped following commands without giving a cause.
+    #[error("the gateway is {gateway}, but this program did not stop it; find out which program did, then reset")]
     GatewayStopped {
-        /// What it is doing.
+        /// State of the gateway.
         gateway: GatewayState,
     },
-    /// The gateway refused what the driver sent.
+    /// The gateway refused a message of the driver.
     #[error(
         "the gateway refused a message: {0}; {advice}",
         advice = advice(*.0)
     )]
     Rejected(RejectReason),
-    /// The gateway does not reset the arm: what it found is still there.
+    /// The gateway refused a reset, because the cause of the stop is still present.
     #[error(
-        "the gateway does not reset the arm, because of {what}, which is still there; a probe shows its status words; remove the cause, \
+        "the gateway cannot reset the arm: {what} is still present; `pb3dp arm probe` shows the status words; remove the cause, \
          then reset",
         what = what_is_there(*.0)
     )]
     StillThere(StopCause),
-    /// The limits of an axis are not those of the configuration.
+    /// The limits of an axis differ from the configuration.
     #[error(
-        "{axis}: the controller keeps a limit of {found_deg:.3} degrees where the configuration says {expected_deg:.3}; find out \
-         whether this is the arm of the configuration, correct it, then reset"
+        "{axis}: the controller keeps a limit of {found_deg:.3} degrees, the configuration {expected_deg:.3}; find out whether this \
+         is the arm of the configuration, correct the wrong one, then reset"
     )]
     LimitsDiffer {
         /// Which axis.
@@ -205,36 +205,38 @@ pub enum FaultCause {
         expected_deg: f64,
     },
     /// An activity took too long.
-    #[error("{activity} was not done within {allowed:?}; check the arm's answers, then reset")]
+    #[error("{activity} took longer than {allowed:?}; check that the arm answers, then reset")]
     ActivityTimeout {
         /// Which activity.
         activity: super::Activity,
-        /// What was allowed.
+        /// Limit.
         allowed: Duration,
     },
     /// The other arm of the cell stopped.
-    #[error("arm {arm} of the same cell stopped, and stops this one too; see what it says, then reset both")]
+    #[error("arm {arm} of the same cell stopped, and stopped this one too; check its message, then reset both")]
     OtherArm {
         /// Number of the other arm.
         arm: u8,
     },
-    /// Somebody had driven the arm and left it.
+    /// Another program drove the arm before, and died.
     #[error(
-        "the arm was found in motion or in its control mode, although nobody here had asked for that, and was stopped: a program \
-         that drove it died; look at the arm, find out which program and why, then reset"
+        "the arm was in motion or in its control mode before this program requested it, and was stopped: the program that drove it \
+         died; inspect the arm, find out which program and why, then reset"
     )]
     FoundDriven,
-    /// A supervisor of the program stopped the arm.
-    #[error("the program's supervisor stopped the arm; see what it says, then reset")]
+    /// The supervisor of this program stopped the arm.
+    #[error("the supervisor of this program stopped the arm; check its message, then reset")]
     Supervisor,
     /// The program ended or released the arm while its brakes were open.
     #[error("the program released the arm while its brakes were open; stop the arm first")]
     LetGo,
-    /// The thread that watches the arm failed.
-    #[error("the thread that watches the arm failed: a mistake of the program; report it, and start the program again")]
+    /// The thread that monitors the arm failed.
+    #[error(
+        "the thread that monitors the arm failed: a defect of pb3dp; report it with the log, and start the program again"
+    )]
     Program,
-    /// The state machine met an event that its table does not have.
-    #[error("the driver met {event:?} while {state}: a mistake of the program; report it, then reset")]
+    /// The state machine received an event that its table does not allow.
+    #[error("unexpected event {event:?} while {state}: a defect of pb3dp; report it with the log, then reset")]
     Internal {
         /// The event.
         event: super::Event,
@@ -243,10 +245,10 @@ pub enum FaultCause {
     },
 }
 
-/// An emergency stop, or another switch that stops an arm as it does.
+/// An emergency stop, or a switch that stops the arm in the same way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EmergencyStopCause {
-    /// Told by an axis.
+    /// Reported by an axis.
     #[error("{axis}: {alarm}; {advice}, then reset", advice = release(alarm.code()))]
     Axis {
         /// Which axis.
@@ -254,30 +256,31 @@ pub enum EmergencyStopCause {
         /// Emergency stop, dead-man switch or limit switch.
         alarm: ServoAlarm,
     },
-    /// Told by the controller.
+    /// Reported by the controller.
     #[error("controller: {alarm}; {advice}, then reset", advice = release(alarm.code()))]
     Controller {
         /// Emergency stop, dead-man switch or limit switch.
         alarm: CommAlarm,
     },
-    /// Told by a switch bit of the controller.
+    /// Reported by a switch bit of the controller.
     #[error(
-        "controller: status word 0x{word:04x} has a switch bit that the configuration calls an emergency stop; release it, then reset"
+        "controller: status word 0x{word:04x} has a switch bit that the configuration calls an emergency stop; release the switch, \
+         then reset"
     )]
     Switch {
         /// The status word.
         word: u16,
     },
-    /// Told by the gateway.
+    /// Reported by the gateway.
     #[error(
-        "the gateway tells of an emergency stop, a dead-man switch that was let go or a limit switch, and not which; remove the \
+        "the gateway reports an emergency stop, a released dead-man switch or a limit switch, and cannot tell which; remove the \
          cause, then reset"
     )]
     Gateway,
 }
 
 impl EmergencyStopCause {
-    /// Which switch it was.
+    /// Name of the switch.
     pub fn name(&self) -> &'static str {
         let code = match self {
             Self::Axis { alarm, .. } => alarm.code(),
@@ -293,17 +296,17 @@ impl EmergencyStopCause {
     }
 }
 
-/// What to do about the switch of this alarm, whose code axes and controller share.
+/// Advice for the switch of this alarm. Axes and controller share the code.
 fn release(code: u8) -> &'static str {
     match ServoAlarm::from_code(code) {
         Some(ServoAlarm::DeadManOff) => "hold the dead-man switch",
-        Some(ServoAlarm::LimitSwitch) => "lead the arm away from the limit switch",
+        Some(ServoAlarm::LimitSwitch) => "move the arm away from the limit switch",
         _ => "release the emergency stop",
     }
 }
 
 impl Sample {
-    /// From a reply on the bus, whose torques have this scale.
+    /// The measurement in a reply on the bus. `scale` converts its torques.
     pub fn from_reply(reply: &ArmReply, scale: &TorqueScale) -> Self {
         Self {
             age: Duration::ZERO,
@@ -314,7 +317,7 @@ impl Sample {
         }
     }
 
-    /// From a state of the gateway.
+    /// The measurement in a state message of the gateway.
     pub fn from_state(state: &State) -> Self {
         Self {
             age: Duration::from_micros(u64::from(state.sample_age_us)),
@@ -331,7 +334,7 @@ impl Sample {
 }
 
 impl Sample {
-    /// That it tells too little of the arm as it is now.
+    /// The fault, if the measurement is older than [`MEASUREMENT_AGE_MAX`].
     pub(super) fn too_old(&self) -> Option<FaultCause> {
         let (age, allowed) = (self.age, MEASUREMENT_AGE_MAX);
         (age > allowed).then_some(FaultCause::MeasurementTooOld { age, allowed })
@@ -339,15 +342,16 @@ impl Sample {
 }
 
 impl ArmCondition {
-    /// What stops the arm, an emergency stop before a fault. Status words of format A tell nothing, as their meaning is not public.
+    /// The condition that stops the arm; an emergency stop takes precedence over a fault. Status words of format A are ignored,
+    /// because their meaning is not public.
     ///
-    /// `emergency_stop_bits` of the controller's word mean an emergency stop.
+    /// `emergency_stop_bits` of the controller's status word mean an emergency stop.
     pub fn trip(&self, emergency_stop_bits: u16) -> Option<Trip> {
         let emergency_stop = self.emergency_stop(emergency_stop_bits).map(Trip::EStop);
         emergency_stop.or_else(|| self.fault().map(Trip::Fault))
     }
 
-    /// What the gateway is doing instead of following, where it should.
+    /// The fault, if the gateway does not follow commands. Call it only while the gateway should.
     pub(super) fn gateway_stopped(&self) -> Option<FaultCause> {
         use GatewayState::{Holding, Moving, Started};
         let (gateway, _) = self.gateway?;
@@ -355,7 +359,7 @@ impl ArmCondition {
         (!follows).then_some(FaultCause::GatewayStopped { gateway })
     }
 
-    /// An axis that cannot be held by its servo, where all should be; or the whole arm, as the controller says.
+    /// The first axis that its servo cannot hold, or the whole arm, if the controller reports it. Call it only with servos on.
     pub fn uncontrollable(&self) -> Option<Uncontrollable> {
         let lost = |axis: &Axis| match self.axes[axis.index()] {
             AxisStatus::Servo(word) if word.is_power_off() || word.is_uncontrollable() => {
@@ -370,7 +374,7 @@ impl ArmCondition {
         Axis::ALL.iter().find_map(lost).or_else(all)
     }
 
-    /// The power supply of the controller says that it is too warm.
+    /// Whether the controller reports that its power supply is too warm.
     pub fn is_power_too_warm(&self) -> bool {
         matches!(self.comm, CommStatus::Comm(word) if word.is_power_too_warm())
     }
@@ -439,7 +443,7 @@ impl From<Uncontrollable> for WarmUpFailure {
 }
 
 impl Trip {
-    /// The axis that it is about, if it is about one.
+    /// The axis concerned, if there is one.
     pub fn axis(&self) -> Option<Axis> {
         match self {
             Self::Fault(
@@ -458,7 +462,7 @@ impl Trip {
         matches!(self, Self::Fault(FaultCause::OtherArm { .. }))
     }
 
-    /// The alarm code of axis or controller, if one raised it.
+    /// The alarm code, if an axis or the controller raised an alarm.
     pub fn code(&self) -> Option<u8> {
         match self {
             Self::Fault(FaultCause::ServoAlarm { alarm, .. }) | Self::EStop(EmergencyStopCause::Axis { alarm, .. }) => {
@@ -471,20 +475,20 @@ impl Trip {
     }
 }
 
-/// What to do about an arm that its gateway has stopped.
+/// Advice for an arm that its gateway stopped.
 fn advice_on_stop(cause: StopCause) -> &'static str {
     match cause {
         StopCause::HostFault => {
-            "the program that drove it found a fault; see what it said and its flight recorder, remove the cause, then reset"
+            "the program that drove the arm found a fault; check its log and its flight recorder, remove the cause, then reset"
         }
         StopCause::HostSilent => {
-            "the program that drove it ended, hung or lost the line; find out why, remove the cause, then reset"
+            "the program that drove the arm ended, hung or lost the line; find out why, remove the cause, then reset"
         }
         _ => "remove the cause, then reset",
     }
 }
 
-/// What a gateway finds at a reset, in words.
+/// The condition that prevents a reset, in words.
 fn what_is_there(found: StopCause) -> String {
     match found {
         StopCause::ServoAlarm => "an alarm of an axis".to_owned(),
@@ -494,13 +498,13 @@ fn what_is_there(found: StopCause) -> String {
     }
 }
 
-/// What to do when a gateway refuses.
+/// Advice for a message that the gateway refused.
 fn advice(reason: RejectReason) -> &'static str {
     match reason {
         RejectReason::CausePresent => {
-            "what stopped the arm is still there, in the status words that a probe shows: remove it, then reset"
+            "the cause of the stop is still present, `pb3dp arm probe` shows it in the status words: remove it, then reset"
         }
-        _ => "was it restarted, or told to stop by somebody else? Find out, then reset",
+        _ => "find out whether it was restarted or stopped by another program, then reset",
     }
 }
 

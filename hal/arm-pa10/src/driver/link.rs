@@ -1,66 +1,66 @@
-//! How good the link is.
+//! Quality of the link: lost, late and damaged replies.
 
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::codec::Axis;
 
-/// Exchanges in a row without a usable reply that are tolerated.
+/// Tolerated exchanges in a row without a usable reply.
 const MISSES_TOLERATED: u32 = 2;
 
-/// Why bytes that came were no use as the reply that is waited for.
+/// Why received bytes are not the expected reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BadReply {
-    /// Damaged: a wrong check, length or field.
+    /// Damaged: wrong checksum, length or field.
     Damaged,
     /// The answer to an earlier message.
     Late,
-    /// The answer to something else.
+    /// The answer to another request.
     Mismatched,
 }
 
-/// What happened on the link since the driver was made.
+/// Message counts of the link since the driver was created.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkCounters {
     /// Messages sent.
     pub sent: u64,
     /// Messages with a usable reply in time.
     pub answered: u64,
-    /// Messages without one.
+    /// Messages without a usable reply in time.
     pub lost: u64,
     /// Replies to earlier messages.
     pub late: u64,
     /// Damaged replies.
     pub damaged: u64,
-    /// Replies to something else, or that nobody waited for.
+    /// Replies to another request, or to none.
     pub mismatched: u64,
-    /// Cycles that were left out because the driver was not asked in time.
+    /// Cycles that were skipped because the driver was polled too late.
     pub overruns: u64,
 }
 
-/// Why the brakes may not open.
+/// Why the brakes must not open.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WarmUpFailure {
-    /// Replies were damaged or answered something else.
+    /// Replies were damaged, or answered another request.
     #[error(
-        "{bad} damaged or foreign replies in {exchanges} exchanges; none may be: check cable, ground and baud rate"
+        "{bad} damaged or foreign replies in {exchanges} exchanges, none is allowed; check cable, ground and baud rate"
     )]
     Damaged {
-        /// How many.
+        /// Number of these replies.
         bad: u64,
-        /// Of how many exchanges.
+        /// Number of exchanges.
         exchanges: u32,
     },
     /// Replies were too slow or lost.
     #[error(
-        "{slow} of {exchanges} replies were lost or took longer than {allowed:?} (the slowest {worst:?}), at most 1 in 100 may: \
-         check the latency timer of the adapter and the load of the machine"
+        "{slow} of {exchanges} replies were lost or took longer than {allowed:?} (slowest {worst:?}), at most 1 in 100 is \
+         allowed; check the latency timer of the adapter and the load of the computer"
     )]
     Slow {
-        /// How many.
+        /// Number of these replies.
         slow: u32,
-        /// Of how many exchanges.
+        /// Number of exchanges.
         exchanges: u32,
-        /// Half of the watchdog.
+        /// Half of the watchdog time.
         allowed: Duration,
         /// The slowest reply that came.
         worst: Duration,
@@ -70,7 +70,7 @@ pub enum WarmUpFailure {
     PowerTooWarm,
     /// An axis has no power or does not follow.
     #[error(
-        "{axis}: status word 0x{word:04x} says power off or uncontrollable with its servo on; check its power, then enable again"
+        "{axis}: power off or uncontrollable with its servo on (status word 0x{word:04x}); check its power, then enable again"
     )]
     AxisUncontrollable {
         /// Which axis.
@@ -78,9 +78,9 @@ pub enum WarmUpFailure {
         /// Its status word.
         word: u16,
     },
-    /// The controller says that the arm does not follow.
+    /// The controller reports that the arm does not follow.
     #[error(
-        "controller: status word 0x{word:04x} says uncontrollable with the servos on; look at its panel, then enable again"
+        "controller: arm uncontrollable with the servos on (status word 0x{word:04x}); check its panel, then enable again"
     )]
     ArmUncontrollable {
         /// The status word.
@@ -118,7 +118,7 @@ impl LinkMonitor {
         self.warm_up.worst = self.warm_up.worst.max(round_trip);
     }
 
-    /// A message without a usable reply: how many in a row, if these are too many.
+    /// Counts a message without a usable reply. Returns their number in a row, if it is too large.
     pub fn handle_miss(&mut self) -> Option<u32> {
         self.counters.lost += 1;
         self.misses += 1;
@@ -148,7 +148,7 @@ impl LinkMonitor {
         self.warm_up = WarmUp { allowed, bad_before: self.bad(), ..WarmUp::default() };
     }
 
-    /// The judgement over the warm-up, once it has so many exchanges.
+    /// The result of the warm-up, once it has `exchanges_needed` exchanges.
     pub fn warm_up(&self, exchanges_needed: u32) -> Option<Result<(), WarmUpFailure>> {
         let WarmUp { exchanges, slow, bad_before, allowed, worst } = self.warm_up;
         if exchanges < exchanges_needed {
@@ -158,7 +158,7 @@ impl LinkMonitor {
         if bad > 0 {
             return Some(Err(WarmUpFailure::Damaged { bad, exchanges }));
         }
-        // The 99th percentile is within the bound if at most one in 100 is beyond.
+        // The 99th percentile is within the bound if at most one in 100 exceeds it.
         let too_slow = slow > exchanges / 100;
         Some(if too_slow { Err(WarmUpFailure::Slow { slow, exchanges, allowed, worst }) } else { Ok(()) })
     }

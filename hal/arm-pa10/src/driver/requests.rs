@@ -1,26 +1,26 @@
-//! What operator and control loop may ask for, and why it may be refused.
+//! Requests of operator and control loop, and why they are refused.
 
 use pb3dp_arm_pa10_protocol::codec::CodecError;
 use pb3dp_kinematics::JointVector;
 
 use super::{Activity, DriverState, Event};
 
-/// What operator and control loop may ask for.
+/// A request of the operator or the control loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Request {
-    /// Look at the arm.
+    /// Check the arm: start and end the control mode with brakes on.
     Connect,
-    /// Servos on, brakes on, and prove the link.
+    /// Servos on, brakes on, and test the link.
     Enable,
     /// Open the brakes at speed 0.
     ReleaseBrakes,
     /// Follow these joint speeds, rad/s, until the next request.
     Move(JointVector),
-    /// Come to rest with open brakes.
+    /// Stop with open brakes.
     Hold,
-    /// Come to rest, brakes on, servos off, control mode off. Harmless when repeated.
+    /// Stop, brakes on, servos off, control mode off. May be repeated.
     Stop,
-    /// Clear the latched state: only an operator's action asks for it.
+    /// Clear the latched state. Send it only on an operator's action.
     Reset,
     /// Release the arm.
     Disconnect,
@@ -41,35 +41,35 @@ impl Request {
     }
 }
 
-/// Why a request was refused. Nothing was sent, and the arm goes on with what it was doing; a refused velocity makes it hold.
+/// Why a request was refused. Nothing was sent, and the arm continues as before; after a refused velocity it holds.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
     /// Not in this state.
     #[error("{request:?} is not possible: the arm is {state}; {}", hint(*state))]
     NotInState {
-        /// What was asked for.
+        /// The request.
         request: Event,
-        /// Where the driver is.
+        /// State of the driver.
         state: DriverState,
     },
-    /// Something else has to end first.
-    #[error("{request:?} is not possible while {activity}; wait for its end, or stop")]
+    /// Another activity has to end first.
+    #[error("{request:?} is not possible while {activity}; wait until this has ended, or stop")]
     Busy {
-        /// What was asked for.
+        /// The request.
         request: Event,
-        /// What is going on.
+        /// The activity.
         activity: Activity,
     },
     /// A velocity cannot be sent.
-    #[error("the velocity is refused as a whole")]
+    #[error("velocity refused, no axis was commanded")]
     Velocity(#[from] CodecError),
 }
 
-/// What to do in a state.
+/// Advice for a state.
 fn hint(state: DriverState) -> &'static str {
     match state {
         DriverState::Disconnected => "connect first",
-        DriverState::Connected => "enable first, or it is done already",
+        DriverState::Connected => "enable first, unless the arm is already as requested",
         DriverState::Enabled => "release the brakes to move, or stop",
         DriverState::Holding | DriverState::Moving => "move, hold or stop",
         DriverState::Fault | DriverState::EStop => "remove the cause, then reset",
