@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{ArgGroup, Args};
 use pb3dp_cell::terminal::parse_seconds;
 use pb3dp_estimation::estimator::Method;
@@ -58,9 +59,9 @@ pub enum OperatorName {
 /// Arguments that choose and tune the estimation method.
 #[derive(Debug, Args)]
 pub struct MethodArgs {
-    /// The estimation method by name.
-    #[arg(long, value_name = "NAME", default_value = Method::Direct.name(), help = method_help())]
-    pub method: String,
+    /// The estimation method.
+    #[arg(long, value_name = "NAME", default_value = Method::Direct.name(), value_parser = method_parser())]
+    pub method: Method,
     /// A TOML file with all of the method's parameters (copy configs/estimator.toml); without it the documented defaults.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
@@ -179,9 +180,9 @@ pub struct ZRange {
 }
 
 /// The methods by name, with what each is for.
-fn method_help() -> String {
-    let all: Vec<String> = Method::ALL.iter().map(|method| format!("{method} ({})", method.summary())).collect();
-    format!("The estimation method by name: {}", all.join(", "))
+fn method_parser() -> impl TypedValueParser<Value = Method> {
+    let values = Method::ALL.map(|method| PossibleValue::new(method.name()).help(method.summary()));
+    PossibleValuesParser::new(values).try_map(|name| Method::from_name(&name))
 }
 
 pub(crate) fn parse_z_range(text: &str) -> Result<ZRange, String> {

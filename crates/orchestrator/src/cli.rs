@@ -48,7 +48,7 @@ pub struct Cli {
     /// What to do.
     #[command(subcommand)]
     pub command: Command,
-    /// Log level or directives, for instance `debug` or `pb3dp_servo=trace,info`; `info` without it.
+    /// Log level or directives, for instance `debug` or `pb3dp_cell=trace,info`; `info` without it.
     #[arg(long, global = true, value_name = "FILTER", conflicts_with_all = ["quiet", "verbose"])]
     pub log: Option<String>,
     /// Log warnings and errors only.

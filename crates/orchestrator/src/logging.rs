@@ -71,13 +71,18 @@ static COUNTS: OnceLock<Arc<Counts>> = OnceLock::new();
 /// Installs the program's log writer.
 ///
 /// # Errors
-/// If `filter` is not a level (`info`) or directive (`pb3dp_servo=debug,info`), or the system gives no thread.
+/// If `filter` is not a level (`info`) or directive (`pb3dp_cell=debug,info`), or the system gives no thread.
 pub fn init(format: LogFormat, filter: &str) -> anyhow::Result<Log> {
     let refused = |why: &dyn std::fmt::Display| {
         anyhow::anyhow!("--log {filter:?} is not understood ({why}); write error, warn, info, debug or trace")
     };
-    if let Some(word) = filter.split(',').find(|part| is_mistaken_level(part.trim())) {
-        return Err(refused(&format!("{word:?} is no level")));
+    for part in filter.split(',').map(str::trim) {
+        if is_mistaken_level(part) {
+            return Err(refused(&format!("{part:?} is no level")));
+        }
+        if let Some(name) = mistaken_crate(part) {
+            return Err(refused(&format!("nothing logs as {name}; these do: {}", CRATES.join(", "))));
+        }
     }
     let filter = EnvFilter::builder().parse(filter).map_err(|error| refused(&error))?;
     let builder = tracing_subscriber::fmt()
@@ -95,7 +100,17 @@ pub fn init(format: LogFormat, filter: &str) -> anyhow::Result<Log> {
     Ok(Log(()))
 }
 
-/// A word of its own that is no level means a part of the program to the filter, and everything else is silent then.
+/// Crates of ours that log, by which a directive selects log lines.
+const CRATES: [&str; 4] = ["pb3dp_cell", "pb3dp_commissioning", "pb3dp_orchestrator", "pb3dp_wiring"];
+
+/// A name of ours that never logs: the filter would accept it and show nothing.
+fn mistaken_crate(part: &str) -> Option<&str> {
+    let target = part.split(['=', '[']).next().unwrap_or_default();
+    let name = target.split("::").next().unwrap_or_default();
+    (name.starts_with("pb3dp") && !CRATES.contains(&name)).then_some(name)
+}
+
+/// A single word that is no level would be a target to the filter, and everything else would be silent.
 fn is_mistaken_level(part: &str) -> bool {
     let is_directive = part.contains(['=', '[']) || part.starts_with("pb3dp");
     !part.is_empty() && !is_directive && part.parse::<tracing_subscriber::filter::LevelFilter>().is_err()
@@ -163,5 +178,54 @@ impl MakeWriter<'_> for Lines {
 
     fn make_writer(&self) -> Self {
         self.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    #[test]
+    fn words_that_select_nothing_are_refused() {
+        for good in
+            ["info", "pb3dp_cell=trace,info", "pb3dp_cell::sight=debug", "tokio=warn", "pb3dp_wiring[span]=debug"]
+        {
+            assert!(good.split(',').all(|part| !is_mistaken_level(part) && mistaken_crate(part).is_none()), "{good}");
+        }
+        assert!(is_mistaken_level("inof"));
+        assert_eq!(mistaken_crate("pb3dp_servvo=trace"), Some("pb3dp_servvo"));
+        assert_eq!(mistaken_crate("pb3dp"), Some("pb3dp"));
+    }
+
+    #[test]
+    fn every_crate_that_logs_is_known() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+        let mut logging = Vec::new();
+        for group in ["crates", "hal"] {
+            for folder in std::fs::read_dir(root.join(group)).unwrap() {
+                let folder = folder.unwrap().path();
+                let is_tool = folder.ends_with("benchmarks") || folder.ends_with("test-support");
+                if !is_tool && logs(&folder.join("src")) {
+                    let name = folder.file_name().unwrap().to_str().unwrap().replace('-', "_");
+                    logging.push(format!("pb3dp_{name}"));
+                }
+            }
+        }
+        logging.sort();
+        assert_eq!(logging, CRATES);
+    }
+
+    fn logs(folder: &Path) -> bool {
+        let Ok(entries) = std::fs::read_dir(folder) else { return false };
+        entries.flatten().map(|entry| entry.path()).any(|path| match path.is_dir() {
+            true => logs(&path),
+            false => std::fs::read_to_string(&path).is_ok_and(|text| {
+                ["error", "warn", "info", "debug", "trace"]
+                    .iter()
+                    .any(|level| text.contains(&format!("tracing::{level}!")))
+            }),
+        })
     }
 }

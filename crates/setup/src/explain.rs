@@ -1,4 +1,4 @@
-//! What a key of a setup means: from the comments of the built-in setups, and from what refuses a wrong value, so that nothing is said twice.
+//! Meaning of a key: from the comments of the built-in setups and from the checks of its value, so that nothing is stated twice.
 
 use std::collections::BTreeMap;
 
@@ -6,18 +6,18 @@ use crate::layers::{Layers, built_in};
 use crate::load::{nearest, unit_of};
 use crate::setup::refusals_of;
 
-/// What is known of one key.
+/// Meaning, unit, range and built-in values of one key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Explanation {
     /// The key.
     pub key: String,
-    /// What the built-in setups say of it, or of its table.
+    /// The comment of the key in the built-in setups, or else that of its table.
     pub about: String,
-    /// The unit in which it is stated.
+    /// The unit of the value.
     pub unit: Option<String>,
-    /// What is allowed, if a wrong value is refused with that.
+    /// The allowed range or choice, if it is limited.
     pub allowed: Option<String>,
-    /// Its values in the built-in setups that have it: name and value.
+    /// Values in the built-in setups: name and value.
     pub values: Vec<(&'static str, String)>,
 }
 
@@ -26,10 +26,10 @@ fn texts() -> impl Iterator<Item = (&'static str, &'static str)> {
     built_in::SETUPS.iter().map(|setup| (setup.name, setup.text)).chain([("rig example", built_in::RIG_EXAMPLE)])
 }
 
-/// Explains `key`, or names the keys that are most alike. The name of an arm may be any.
+/// Explains a key, all keys of a table, or all keys with a word in their name or else in their comment. Any name of an arm is accepted.
 ///
 /// # Errors
-/// The keys that are most alike, if no built-in setup has this one.
+/// The most similar keys, if no built-in setup has this one.
 pub fn explain(key: &str) -> Result<Vec<Explanation>, Vec<String>> {
     let of_sample = as_sample(key);
     let known = all_keys();
@@ -39,21 +39,27 @@ pub fn explain(key: &str) -> Result<Vec<Explanation>, Vec<String>> {
         let allowed = texts().find_map(|(name, text)| allowed_in(name, text, &of_sample, "1e12"));
         return Ok(vec![Explanation { unit: unit_of(&of_sample), key: of_sample, about, allowed, values: Vec::new() }]);
     }
+    let below = if below.is_empty() { mentioning(&of_sample, &known) } else { below };
     if below.is_empty() {
         let names: Vec<&str> = known.keys().map(String::as_str).collect();
-        let last = key.rsplit('.').next().unwrap_or(key);
-        let same_end = names.iter().filter(|name| name.rsplit('.').next() == Some(last)).map(|name| (*name).to_owned());
-        let mut alike: Vec<String> = same_end.collect();
-        alike.extend(nearest(&of_sample, &names).map(str::to_owned));
-        alike.dedup();
-        return Err(alike);
+        return Err(nearest(&of_sample, &names).map(str::to_owned).into_iter().collect());
     }
     // The range of a key takes a whole check of a setup, so a table is listed without ranges.
     let allowed = if below.len() == 1 { allowed } else { |_: &str| None };
     Ok(below.into_iter().map(|key| explanation(key, known[key].clone(), allowed)).collect())
 }
 
-fn explanation(key: &str, values: Vec<(&'static str, String)>, allowed: fn(&str) -> Option<String>) -> Explanation {
+/// Keys with this word in their name, or else in their own comment.
+fn mentioning<'a>(word: &str, known: &'a BTreeMap<String, Values>) -> Vec<&'a String> {
+    let named: Vec<&String> = known.keys().filter(|key| key.contains(word)).collect();
+    if !named.is_empty() {
+        return named;
+    }
+    let is_about = |key: &&String| own_comment(key).is_some_and(|comment| comment.to_lowercase().contains(word));
+    known.keys().filter(is_about).collect()
+}
+
+fn explanation(key: &str, values: Values, allowed: fn(&str) -> Option<String>) -> Explanation {
     Explanation { key: key.to_owned(), about: about(key), unit: unit_of(key), allowed: allowed(key), values }
 }
 
@@ -88,9 +94,17 @@ pub fn is_within(key: &str, table: &str) -> bool {
     key == table || key.strip_prefix(table).is_some_and(|rest| rest.starts_with('.'))
 }
 
+/// Values of one key: name of the setup and value.
+type Values = Vec<(&'static str, String)>;
+
+/// Every key of the built-in setups.
+pub(crate) fn known_keys() -> Vec<String> {
+    all_keys().into_keys().collect()
+}
+
 /// Every key of the built-in setups with its values.
-fn all_keys() -> BTreeMap<String, Vec<(&'static str, String)>> {
-    let mut found: BTreeMap<String, Vec<_>> = BTreeMap::new();
+fn all_keys() -> BTreeMap<String, Values> {
+    let mut found: BTreeMap<String, Values> = BTreeMap::new();
     for (name, text) in texts() {
         let layers = Layers::of_text(name, text).unwrap_or_default();
         for setting in layers.effective() {
@@ -126,11 +140,20 @@ fn allowed_in(name: &'static str, text: &str, key: &str, absurd: &str) -> Option
     })
 }
 
-/// The comment behind or above a key, or else that of its table; of the first text that has one.
+/// The comment behind or above a key, or else that of its table, from the first text that has one.
 fn about(key: &str) -> String {
-    let said = |key: &str| texts().find_map(|(_, text)| comment_of(key, text));
-    let of_table = || key.rsplit_once('.').and_then(|(table, _)| Some(format!("of [{table}]: {}", said(table)?)));
-    said(key).or_else(of_table).unwrap_or_default()
+    // Both arms of the built-in setups have the same keys; the first one has the comments.
+    let of_twin = key.strip_prefix("arms.tc.").map_or_else(|| key.to_owned(), |rest| format!("arms.vs.{rest}"));
+    let of_table = || {
+        let (table, _) = of_twin.rsplit_once('.')?;
+        Some(format!("of [{table}]: {}", own_comment(table)?))
+    };
+    own_comment(key).or_else(|| own_comment(&of_twin)).or_else(of_table).unwrap_or_default()
+}
+
+/// The comment of this very key or table.
+fn own_comment(key: &str) -> Option<String> {
+    texts().find_map(|(_, text)| comment_of(key, text))
 }
 
 fn comment_of(key: &str, text: &str) -> Option<String> {
@@ -156,7 +179,10 @@ fn comment_of(key: &str, text: &str) -> Option<String> {
             None => format!("{table}.{}", code.split('=').next().unwrap_or_default().trim()),
         };
         let behind: Vec<&str> = std::iter::once(comment).filter(|comment| !comment.is_empty()).collect();
-        let mut said = if header.is_some() { [std::mem::take(&mut above), behind].concat() } else { behind };
+        let mut said = match header.is_some() || behind.is_empty() {
+            true => [std::mem::take(&mut above), behind].concat(),
+            false => behind,
+        };
         while let Some(more) =
             lines.peek().filter(|next| next.starts_with(' ')).and_then(|next| next.trim().strip_prefix('#'))
         {
@@ -195,6 +221,15 @@ mod tests {
     fn a_table_lists_its_keys_and_a_typo_names_the_nearest() {
         assert!(explain("servo.speed").unwrap().len() >= 4);
         assert_eq!(explain("servo.speed.linear_max_mm_per_ss").unwrap_err(), ["servo.speed.linear_max_mm_per_s"]);
-        assert!(explain("seed").unwrap_err().contains(&"run.seed".to_owned()));
+    }
+
+    #[test]
+    fn a_word_lists_the_keys_that_mention_it() {
+        let seeds = explain("seed").unwrap();
+        assert!(seeds.iter().any(|found| found.key == "run.seed"), "{seeds:?}");
+        assert!(seeds.iter().all(|found| found.key.contains("seed")), "{seeds:?}");
+        let round = explain("too round").unwrap();
+        assert!(round.iter().any(|found| found.key == "scene.target"), "{round:?}");
+        assert_eq!(explain("nothing has this").unwrap_err(), Vec::<String>::new());
     }
 }

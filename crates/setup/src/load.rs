@@ -108,7 +108,8 @@ impl ConfigFile {
                     error.path.rotate_right(parts.min(length));
                 }
                 let owner = if owner.is_empty() { String::new() } else { format!(" {owner}") };
-                self.note(format!("{}{owner}", describe(&error)));
+                let choices = choices::<T>(values, key, &error);
+                self.note(format!("{}{owner}", choices.unwrap_or_else(|| describe(&error))));
                 if !repair(values, &error) {
                     return None;
                 }
@@ -167,6 +168,25 @@ const PROBLEMS_MAX: usize = 300;
 const MISSING_MANY: usize = 5;
 const MISSING: &str = ": missing";
 const ALLOWED: &str = ": allowed are ";
+
+/// For a value of the wrong type where one of several words is needed: the message that lists these words.
+fn choices<T: DeserializeOwned>(values: &Dict, key: &str, error: &figment::Error) -> Option<String> {
+    let Kind::InvalidType(actual, expected) = &error.kind else { return None };
+    if !expected.starts_with("enum ") {
+        return None;
+    }
+    let mut with_word = values.clone();
+    put(&mut with_word, &error.path, Value::from("?"));
+    let figment = Figment::from(Serialized::defaults(with_word));
+    let refused = if key.is_empty() { figment.extract::<T>() } else { figment.extract_inner::<T>(key) }.err()?;
+    let words = refused.into_iter().find_map(|refused| match refused.kind {
+        Kind::UnknownVariant(_, words) => Some(words.join(", ")),
+        _ => None,
+    })?;
+    let actual = actual.to_string();
+    let found = actual.rsplit(' ').next().unwrap_or_default().replace('`', "");
+    Some(format!("{}: found {found}, expected one of {words}", error.path.join(".")))
+}
 
 /// Puts something usable in the place of what an error is about; whether that was possible.
 fn repair(values: &mut Dict, error: &figment::Error) -> bool {

@@ -36,7 +36,7 @@ use crate::progress::Progress;
 /// # Errors
 /// Bad arguments or configuration, or a folder without cases.
 pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
-    let method = Method::from_name(&args.method.method)?;
+    let method = args.method.method;
     if args.reference_optimum && method != Method::Published {
         bail!("--reference-optimum: the method {method} has no reference optimum: use --method {}", Method::Published);
     }

@@ -33,7 +33,7 @@ const PAIR_TIMEOUT: Duration = Duration::from_secs(10);
 /// Bad arguments or configuration, a sequence that cannot be used at all, exchanged images, or regions that are all
 /// refused.
 pub fn run(args: &TrackArgs) -> Result<ExitCode> {
-    let method = Method::from_name(&args.method.method)?;
+    let method = args.method.method;
     if args.surface.is_some() && !method.recovers_surface() {
         bail!("--surface: the method {method} recovers no surface: use --method {}", Method::Direct);
     }
