@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, ErrorKind, Read, Write};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError, TryLockError};
 use std::thread::Builder;
 use std::time::Duration;
@@ -23,6 +23,8 @@ const ANSWERS_MAX: usize = 64;
 const LINE_MAX: u64 = 256;
 /// Time between two read attempts on a non-blocking input.
 const READ_AGAIN: Duration = Duration::from_millis(10);
+/// Time between two checks for results of commands; an operator does not notice it.
+const RESULTS_EVERY: Duration = Duration::from_millis(50);
 
 /// Part of the answer to an unknown command.
 const WORDS: &str = "use select, start, hold, resume, stop, reset, status, help or quit";
@@ -49,6 +51,10 @@ pub struct Console {
     begun_at: Option<MonotonicTime>,
     /// Commands up to this number precede a `stop` or `hold` that was taken, and are dropped.
     overtaken: u64,
+    /// The command that this control step obeys or refuses.
+    commanded: Option<OperatorCommand>,
+    /// Results of commands, for the answering thread.
+    results: Producer<(OperatorCommand, Decision)>,
     /// Trouble not shown yet because the reader held the lock.
     untold: Option<Option<String>>,
 }
@@ -106,8 +112,9 @@ impl Console {
     ) -> Result<Self> {
         let (give, words) = RingBuffer::new(WORDS_MAX);
         let (say, said) = sync_channel(ANSWERS_MAX);
+        let (results, decided) = RingBuffer::new(WORDS_MAX);
         let shared = Arc::new(Shared::default());
-        let write = move || write_all(&said, answers, prompt);
+        let write = move || write_all(&said, decided, answers, prompt);
         Builder::new().name("answers".to_owned()).spawn(write).context("no thread for the answers of the console")?;
         let reading = Reading {
             clock,
@@ -119,7 +126,7 @@ impl Console {
         };
         let read = move || reading.read(lines);
         Builder::new().name("console".to_owned()).spawn(read).context("no thread for the console")?;
-        Ok(Self { words, shared, heard_at: None, begun_at: None, overtaken: 0, untold: None })
+        Ok(Self { words, shared, heard_at: None, begun_at: None, overtaken: 0, commanded: None, results, untold: None })
     }
 
     fn next_word(&mut self) -> Option<OperatorRequest> {
@@ -157,10 +164,15 @@ impl Operator for Console {
             self.heard_at = Some(now);
         }
         let said = self.next_word().map(|said| OperatorRequest { at: said.at.max(begun_at), ..said });
+        self.commanded = said.map(|said| said.word);
         OperatorInput { said, heard_at: self.heard_at }
     }
 
     fn show(&mut self, decision: &Decision) {
+        if let Some(command) = self.commanded.take() {
+            // More results than anybody reads are dropped; the log has all.
+            let _ = self.results.push((command, *decision));
+        }
         let mut untold = self.untold.take();
         // If the lock is held, the reader gets the state of the previous step.
         self.try_show(|shown| {
@@ -184,14 +196,38 @@ impl Operator for Console {
     }
 }
 
+/// The result of a command.
+fn result_of(command: OperatorCommand, decision: &Decision) -> String {
+    match (&decision.refused, &decision.transition) {
+        (Some(refused), _) => refused.to_string(),
+        (None, Some(transition)) => format!("{}: {}", command.name(), transition.to),
+        (None, None) => format!("{}: no change, the state is {}", command.name(), decision.state),
+    }
+}
+
 /// Writes answers until all senders are dropped; write errors are ignored.
-fn write_all(said: &Receiver<String>, mut answers: impl Write, prompt: &str) {
+fn write_all(
+    said: &Receiver<String>,
+    mut results: Consumer<(OperatorCommand, Decision)>,
+    mut answers: impl Write,
+    prompt: &str,
+) {
     if !prompt.is_empty() {
         let _ = write!(answers, "type a command; help lists them\n{prompt}").and_then(|()| answers.flush());
     }
-    for answer in said {
-        // An operator whose output is not read can still type commands.
-        let _ = write!(answers, "{answer}\n{prompt}").and_then(|()| answers.flush());
+    // An operator whose output is not read can still type commands.
+    let mut answer = |text: &str| drop(write!(answers, "{text}\n{prompt}").and_then(|()| answers.flush()));
+    loop {
+        let said = said.recv_timeout(RESULTS_EVERY);
+        if let Ok(text) = &said {
+            answer(text);
+        }
+        while let Ok((command, decision)) = results.pop() {
+            answer(&result_of(command, &decision));
+        }
+        if said == Err(RecvTimeoutError::Disconnected) {
+            return;
+        }
     }
 }
 
@@ -456,6 +492,23 @@ mod tests {
         for line in ["START", "start now", "start.", "Resume", "reset!", "stopping", "do not stop", "restart", ""] {
             assert_eq!(command_of(line), None, "{line:?}");
         }
+    }
+
+    #[test]
+    fn every_command_gets_its_result_as_an_answer() {
+        let (mut console, mut writer, answers, _) = begun();
+        writeln!(writer, "start").unwrap();
+        wait_until(|| !console.words.is_empty());
+        assert_eq!(word(&mut console), Some(OperatorCommand::Start));
+        let unchanged = decision();
+        assert_eq!((unchanged.refused, unchanged.transition), (None, None));
+        console.show(&unchanged);
+        // A step without a command has no result.
+        console.show(&unchanged);
+        drop((console, writer));
+        let text: String = answers.iter().collect();
+        assert!(text.contains("start: no change, the state is idle\n"), "{text}");
+        assert_eq!(text.matches("no change").count(), 1, "{text}");
     }
 
     #[test]

@@ -4,6 +4,7 @@ use nalgebra::Vector6;
 use pb3dp_geometry::frames::{CamLeft, Model, Target};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, smallest_singular_value};
+use pb3dp_servo::supervisor::{Event, State};
 use pb3dp_setup::setup::Setup;
 
 use super::cell::SimulatedCell;
@@ -55,7 +56,13 @@ impl Journal {
     pub fn note(&mut self, moved: &Moved) {
         let t_s = moved.at.seconds_since(self.begin);
         if let Some(note) = self.log.supervision.note(t_s, &moved.decision) {
-            tracing::info!("{t_s:7.2} s  {}", note.why);
+            match moved.decision.state {
+                // No news for the operator who commanded it.
+                State::Holding if note.event == Event::Hold.name() => tracing::info!("{t_s:7.2} s  {}", note.why),
+                State::Holding | State::Lost | State::Stopped => tracing::warn!("{t_s:7.2} s  {}", note.why),
+                State::Fault => tracing::error!("{t_s:7.2} s  {}", note.why),
+                _ => tracing::info!("{t_s:7.2} s  {}", note.why),
+            }
         }
         if let Some(refused) = &moved.decision.refused {
             tracing::warn!("{t_s:7.2} s  {refused}");

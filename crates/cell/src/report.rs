@@ -22,7 +22,7 @@ use super::{commands, cycles, drift, methods};
 use crate::figures::{MedianP95, RmsMax, TrackingError};
 use crate::marks::with_marks;
 
-/// Below this share of time in which the hand followed, a warning is logged.
+/// Expected share of the time in which the hand follows.
 const FOLLOWING_EXPECTED: f64 = 0.9;
 
 /// How a run was made; only the program knows these facts.
@@ -93,24 +93,32 @@ fn write_all(
     page.folded("All settings and their origin", &settings).write(&folder.join("report.html"))?;
     print_line(&plain_zero(&text_table(summary)))?;
     let following = summary.share_following();
-    if following < FOLLOWING_EXPECTED {
-        tracing::warn!(
-            "the hand followed the target for {:.1} % of the time, expected {:.0} %; see the statuses above and the supervisor in the report",
-            100.0 * following,
-            100.0 * FOLLOWING_EXPECTED
-        );
-    }
     print_line(&format!("report: {}", folder.join("report.html").display()))?;
-    Ok(if following < FOLLOWING_EXPECTED { Following::TooLittle } else { Following::Well })
+    Ok(if following < FOLLOWING_EXPECTED { Following::TooLittle { share: following } } else { Following::Well })
 }
 
 /// Whether the hand followed the target for the expected share of the time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Following {
     /// At least 90 % of the time.
     Well,
     /// Less.
-    TooLittle,
+    TooLittle {
+        /// Share of the time, 0 to 1.
+        share: f64,
+    },
+}
+
+impl Following {
+    /// Logs that the hand followed for too little time, if it did.
+    pub fn warn(self) {
+        let Self::TooLittle { share } = self else { return };
+        tracing::warn!(
+            "the hand followed the target for {:.1} % of the time, expected {:.0} %; see the statuses above and the supervisor in the report",
+            100.0 * share,
+            100.0 * FOLLOWING_EXPECTED
+        );
+    }
 }
 
 /// Information for repeating the run.

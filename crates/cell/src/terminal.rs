@@ -34,13 +34,13 @@ pub fn typed_lines() -> Result<Receiver<std::io::Result<String>>> {
     Ok(receiver)
 }
 
-/// A number of seconds, 0 to 1e6.
+/// A duration in seconds, above 0 to 1e6.
 ///
 /// # Errors
 /// The allowed range.
 pub fn parse_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
-        Ok(seconds) if (0.0..=1e6).contains(&seconds) => Ok(seconds),
-        _ => Err(format!("{text:?} is not a number of seconds between 0 and 1000000")),
+        Ok(seconds) if seconds > 0.0 && seconds <= 1e6 => Ok(seconds),
+        _ => Err(format!("{text:?} is not a number of seconds above 0, up to 1000000")),
     }
 }

@@ -229,7 +229,8 @@ mod tests {
             assert!(parse_z_range(bad).unwrap_err().contains("MIN,MAX"), "{bad}");
         }
         assert!(
-            ["nan", "-1", "inf", "x"].iter().all(|bad| parse_seconds(bad).is_err()) && parse_seconds("2.5") == Ok(2.5)
+            ["nan", "-1", "0", "inf", "x"].iter().all(|bad| parse_seconds(bad).is_err())
+                && parse_seconds("2.5") == Ok(2.5)
         );
         assert!(["-1", "1.5", "x", ""].iter().all(|bad| parse_seed(bad).is_err()) && parse_seed("7") == Ok(7));
         assert!(["85.01", "-1", "nan", "x"].iter().all(|bad| parse_tilt(bad).is_err()) && parse_tilt("45") == Ok(45.0));

@@ -214,7 +214,7 @@ mod tests {
         assert!(target.allowed.as_ref().unwrap().contains("potato"), "{target:?}");
         let start = &explain("arms.left_arm.start_deg").unwrap()[0];
         assert!(start.values.len() > 1, "{start:?}");
-        assert!(explain("camera.left.device").unwrap()[0].about.contains("plugged in"));
+        assert!(explain("camera.left.device").unwrap()[0].about.contains("USB port"));
     }
 
     #[test]

@@ -10,7 +10,12 @@ use anyhow::{Context, Result, bail};
 /// If it cannot be made.
 pub fn make_overlay_folder(folder: &Path) -> Result<()> {
     if folder.exists() && !folder.is_dir() {
-        bail!("--overlay {}: is no folder; name one, it is made if it is not there", folder.display());
+        bail!("--overlay {}: is not a folder; name one, it is created if necessary", folder.display());
     }
     std::fs::create_dir_all(folder).with_context(|| format!("--overlay {}: cannot be created", folder.display()))
+}
+
+/// Logs where the images are.
+pub fn report_overlay_folder(folder: &Path, images: usize) {
+    tracing::info!("{images} overlay images: {}", folder.display());
 }

@@ -66,9 +66,13 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
         Made { configuration: asked.to_string(), commit: crate::COMMIT, wall_s: started.elapsed().as_secs_f64() };
     let summary = summarize(&outcome.log, &plan);
     let following = report::tell(&args.out, &setup, &made, (&outcome, summary, &plan), how)?;
+    // A person at the console decides when the hand follows.
+    if args.operator == OperatorName::Command {
+        following.warn();
+    }
     Ok(match following {
         _ if was_interrupted.load(Ordering::SeqCst) => ExitCode::from(INTERRUPTED),
-        Following::TooLittle if args.strict => ExitCode::from(UNSURE),
-        Following::Well | Following::TooLittle => ExitCode::SUCCESS,
+        Following::TooLittle { .. } if args.strict => ExitCode::from(UNSURE),
+        Following::Well | Following::TooLittle { .. } => ExitCode::SUCCESS,
     })
 }

@@ -64,7 +64,7 @@ fn missing_and_damaged_files_are_named() {
     pb3dp(&pair.words(&left, &right, &left, REGION)).assert_refused(&["left.png: is not text", "YAML or JSON"]);
     let mut overlay = pair.words(&left, &right, &calibration, REGION);
     overlay.extend(["--overlay".into(), left.clone().into()]);
-    pb3dp(&overlay).assert_refused(&["--overlay", "left.png: is no folder"]);
+    pb3dp(&overlay).assert_refused(&["--overlay", "left.png: is not a folder"]);
     let mut optimum = pair.words(&left, &right, &calibration, REGION);
     optimum.push("--reference-optimum".into());
     pb3dp(&optimum).assert_refused(&["--reference-optimum", "direct", "--method published"]);

@@ -233,12 +233,12 @@ fn policies_of_the_supervisor_that_are_too_weak_or_none_are_refused_by_key() {
         (
             "arm_fault = { action = \"fault\"",
             "arm_fault = { action = \"stop\"",
-            &["supervisor.policies.arm_fault.action = stop", "fault or more"][..],
+            &["supervisor.policies.arm_fault.action = stop", "allowed is fault"][..],
         ),
         (
             "age_s = 0.25, action = \"hold\", resume = \"by-itself\"",
             "age_s = 0.25, action = \"note\"",
-            &["supervisor.policies.frame_stale.action = note", "hold or more"],
+            &["supervisor.policies.frame_stale.action = note", "allowed is hold or stop or fault"],
         ),
         (
             "target_changed = { action = \"hold\"",

@@ -315,6 +315,13 @@ impl SupervisorConfig {
     }
 }
 
+impl Action {
+    /// This action and all that are more severe, for messages.
+    fn and_more(self) -> String {
+        ["note", "slow", "hold", "stop", "fault"][usize::from(self.severity())..].join(" or ")
+    }
+}
+
 impl Policy {
     fn validate(&self, condition: Condition) -> Result<(), SupervisorError> {
         let rule = condition.rule();
@@ -330,7 +337,7 @@ impl Policy {
             Err(SupervisorError { key: key(part), value: value.to_string(), allowed })
         };
         if self.action < rule.least {
-            return refused("action", &self.action, format!("{} or more", rule.least));
+            return refused("action", &self.action, rule.least.and_more());
         }
         if self.resume == Resume::ByItself && !rule.may_resume_by_itself {
             return refused("resume", &"by-itself", "by-operator".to_owned());

@@ -209,8 +209,8 @@ impl PolicySection {
         match (self.resume, may_choose) {
             (None, true) => check.refuse(format!("{table}.resume: missing; the file must set it")),
             (Some(ResumeName::ByItself), false) => {
-                let why = if rule.may_resume_by_itself { "only after a hold" } else { "never after this" };
-                check.refuse(format!("{table}.resume = by-itself: the arm goes on by itself {why}"));
+                let when = if rule.may_resume_by_itself { "with action = hold" } else { "never for this condition" };
+                check.refuse(format!("{table}.resume = by-itself: allowed {when}; leave the key out"));
             }
             _ => {}
         }

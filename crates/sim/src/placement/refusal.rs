@@ -79,7 +79,7 @@ pub enum PathRefusal {
     /// A joint would exceed its speed limit; the worst joint is reported.
     #[error(
         "axis {} needs a speed of {needed_rad_per_s:.3} rad/s after {at_s:.2} s, allowed is \
-         {allowed_rad_per_s:.3} rad/s: {ratio:.2} times too fast; lengthen the moves {ratio:.2}-fold or raise the limit",
+         {allowed_rad_per_s:.3} rad/s: {ratio:.2} times too fast; lengthen the moves (experiment.move_s) {ratio:.2}-fold or raise the limit",
         joint + 1
     )]
     TooFast {
@@ -97,7 +97,7 @@ pub enum PathRefusal {
     /// A joint would exceed its acceleration limit; the worst joint is reported.
     #[error(
         "axis {} needs an acceleration of {needed_rad_per_s2:.3} rad/s^2 after {at_s:.2} s, allowed is \
-         {allowed_rad_per_s2:.3} rad/s^2: {ratio:.2} times too much; lengthen the moves {lengthen:.2}-fold or make them smaller",
+         {allowed_rad_per_s2:.3} rad/s^2: {ratio:.2} times too much; lengthen the moves (experiment.move_s) {lengthen:.2}-fold or make them smaller",
         joint + 1,
         lengthen = ratio.sqrt()
     )]
@@ -116,7 +116,7 @@ pub enum PathRefusal {
     /// The tool would exceed its speed limit.
     #[error(
         "the tool needs a {quantity} of {needed:.3} {unit} after {at_s:.2} s, allowed is {allowed:.3} {unit}: \
-         {ratio:.2} times too fast; lengthen the moves {ratio:.2}-fold or raise the limit",
+         {ratio:.2} times too fast; lengthen the moves (experiment.move_s) {ratio:.2}-fold or raise the limit",
         unit = quantity.unit()
     )]
     ToolTooFast {

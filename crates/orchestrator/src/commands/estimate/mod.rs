@@ -27,7 +27,7 @@ use pb3dp_setup::estimator::read_estimator;
 use self::job::{Job, pair_name};
 use self::output::EstimateLine;
 use self::rigs::Rigs;
-use super::overlay_folder::make_overlay_folder;
+use super::overlay_folder::{make_overlay_folder, report_overlay_folder};
 use crate::arguments::{EstimateArgs, MethodArgs, UNSURE};
 use crate::progress::Progress;
 
@@ -77,6 +77,7 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
         progress.print_line(&if args.method.json { serde_json::to_string(&line)? } else { line.human() })?;
     }
     drop(progress);
+    overlays.report();
     report_errors(&evaluated);
     Ok(match (refused, unsure) {
         (0, 1..) if args.method.strict => ExitCode::from(UNSURE),
@@ -316,6 +317,12 @@ impl<'a> Overlays<'a> {
         let image = annotate(&job.left, &job.right, &job.rig, &[annotation]);
         save(&image, &folder.join(self.file_name(&line.case)), StoredFormat::Png)?;
         Ok(())
+    }
+
+    fn report(&self) {
+        if let Some(folder) = self.folder {
+            report_overlay_folder(folder, self.taken.len());
+        }
     }
 
     /// A file name for a case, inside the folder whatever the case is called, and unlike all before.

@@ -10,7 +10,7 @@ use pb3dp_hal_api::FramePair;
 use pb3dp_record::images::{StoredFormat, save};
 use pb3dp_record::overlay::{Animation, AnimationLimits};
 
-use super::super::overlay_folder::make_overlay_folder;
+use super::super::overlay_folder::{make_overlay_folder, report_overlay_folder};
 use super::walk::{Outcome, TargetResult};
 use crate::arguments::MethodArgs;
 
@@ -73,6 +73,7 @@ impl Overlays {
         if animation.frames() > 0 {
             animation.write(&folder.join("sequence.png"))?;
         }
+        report_overlay_folder(&folder, animation.frames());
         Ok(())
     }
 }
