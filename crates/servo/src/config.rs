@@ -1,4 +1,4 @@
-//! All numbers of the controller, and the check that refuses bad ones.
+//! Parameters of the controller and their check.
 
 mod laws;
 
@@ -13,46 +13,46 @@ pub use laws::{
     PublishedConfig, RedundancyConfig, TargetFilterConfig, UnstatedCovariance,
 };
 
-/// Everything that [`crate::Controller::new`] needs besides the arm.
+/// All parameters of [`crate::Controller::new`] except those of the arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ControllerConfig {
-    /// Where the hand shall be before the target (eq. 11 of the paper: translation (0, 0, -0.5) m, no rotation).
+    /// Desired pose of the hand relative to the target (eq. 11 of the paper: translation (0, 0, -0.5) m, no rotation).
     pub model_from_hand_desired: Pose<Model, Hand>,
     /// Mounting of the left camera on the hand, from the hand-eye calibration.
     pub hand_from_cam_left: Pose<Hand, CamLeft>,
     /// Mounting of the hand on the flange.
     pub flange_from_hand: Pose<Flange, Hand>,
-    /// The control law, and what it makes of the observations.
+    /// The control law, and its use of the observations.
     pub law: LawConfig,
     /// Behaviour near singular poses.
     pub damping: DampingConfig,
-    /// How fast hand and joints may move.
+    /// Speed limits of hand and joints.
     pub speed: SpeedConfig,
-    /// The way to the first contact with the desired pose.
+    /// Motion from the initialisation of the target to the desired pose.
     pub approach: ApproachConfig,
-    /// How long old data is used.
+    /// Time-outs for old data.
     pub timeouts: Timeouts,
-    /// A motion that looks for a target that was lost; `None`: the hand rests.
+    /// Search motion for a lost target; `None`: the hand holds.
     pub search: Option<SearchConfig>,
-    /// Joint samples that are kept to find the hand's pose at the time of exposure, 8 to 10000: more than the number of
-    /// control cycles between an exposure and the arrival of its estimate.
+    /// Number of stored joint samples, 8 to 10000: more than the control cycles between an exposure and the arrival of its
+    /// estimate.
     pub joint_history_samples: usize,
 }
 
 /// Behaviour near singular poses: damping of the pseudo-inverse of the Jacobian (metres and radians), and a bound of the elbow.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DampingConfig {
-    /// Singular value below which motion along its direction is damped, 0.001 to 0.5.
+    /// Singular value below which motion in its direction is damped, 0.001 to 0.5.
     pub threshold: f64,
-    /// Damping factor where the singular value is zero, 0.001 to 0.5.
+    /// Damping factor at a singular value of zero, 0.001 to 0.5.
     pub factor_max: f64,
-    /// The elbow (fourth joint) is not stretched to less than this, rad, 0 to 0.5; 0: it may be. An arm that was pulled straight by a
-    /// target beyond its reach does not come back by itself, as no joint moves the wrist inwards then.
+    /// Least angle of the elbow (fourth joint), rad, 0 to 0.5; 0: no bound. An arm that an unreachable target has pulled straight
+    /// cannot come back, because no joint moves the wrist inwards in that pose.
     pub elbow_min_rad: f64,
 }
 
 impl Default for DampingConfig {
-    /// Acts only nearer to singular poses than the experiments go (0.05); with the elbow at its bound (5 degrees) the smallest
+    /// Acts only nearer to singular poses than the experiments (0.05). With the elbow at its bound (5 degrees) the smallest
     /// singular value of a PA-10 is about 0.02.
     fn default() -> Self {
         Self { threshold: 0.04, factor_max: 0.04, elbow_min_rad: 0.09 }
@@ -64,12 +64,12 @@ impl Default for DampingConfig {
 pub struct CartesianSpeed {
     /// Of the hand's origin, m/s, above 0 to 2.
     pub linear_m_per_s: f64,
-    /// Angular, rad/s, above 0 to 6.
+    /// Angular speed, rad/s, above 0 to 6.
     pub angular_rad_per_s: f64,
 }
 
 impl CartesianSpeed {
-    /// This share of the way to other speeds.
+    /// Interpolates linearly to other speeds.
     pub(crate) fn towards(&self, other: &Self, share: f64) -> Self {
         let between = |own: f64, other: f64| own + (other - own) * share;
         Self {
@@ -79,37 +79,37 @@ impl CartesianSpeed {
     }
 }
 
-/// How fast the hand may move, and how joints approach the ends of their ranges. There are no defaults: these are safety limits.
+/// Speed limits of the hand, and of joints near their limits. There are no defaults: these are safety limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpeedConfig {
-    /// Largest speed of the hand while it follows.
+    /// Speed limit of the hand while it follows the target.
     pub tracking: CartesianSpeed,
-    /// A joint approaches an end of its range at most with this rate times the remaining angle, 1/s, 0.1 to 20.
+    /// Largest joint speed towards a limit per remaining angle, 1/s, 0.1 to 20.
     pub limit_approach_per_s: f64,
-    /// Time in which the hand gets up to speed after rest, seconds, 0 to 10.
+    /// Time over which the hand speeds up after a hold, seconds, 0 to 10.
     pub soft_start_s: f64,
 }
 
-/// The way from the lock to the first contact with the desired pose.
+/// Motion from the initialisation of the target to the desired pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ApproachConfig {
-    /// Largest speed of the hand on this way.
+    /// Speed limit of the hand in this motion.
     pub speed: CartesianSpeed,
-    /// The approach has ended when the hand is this near, metres, 0.0001 to 1.
+    /// Position error that ends the approach, metres, 0.0001 to 1.
     pub done_within_m: f64,
-    /// The approach has ended when the hand is turned by less than this, radians, 0.001 to 1.
+    /// Orientation error that ends the approach, radians, 0.001 to 1.
     pub done_within_rad: f64,
 }
 
-/// How long old data is used. There are no defaults: these are safety limits.
+/// Time-outs for old data. There are no defaults: these are safety limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Timeouts {
-    /// The hand rests when the newest accepted observation was exposed longer ago than this, seconds, 0.02 to 5.
+    /// Age of the newest accepted observation at which the hand holds, seconds, 0.02 to 5.
     pub observation_s: f64,
-    /// The target counts as lost when it was exposed longer ago than this, seconds, `observation_s` to 60.
+    /// Age of the newest accepted observation at which the target is lost, seconds, `observation_s` to 60.
     pub lost_s: f64,
-    /// The hand rests when the joints were measured longer ago than this; also the longest gap between two joint samples
-    /// that is interpolated. Seconds, 0.002 to 0.5.
+    /// Age of the joint sample at which the hand holds; also the longest gap between two joint samples for interpolation. Seconds,
+    /// 0.002 to 0.5.
     pub joints_s: f64,
 }
 
@@ -117,7 +117,7 @@ impl ControllerConfig {
     /// Checks every number.
     ///
     /// # Errors
-    /// The first setting that is out of its range.
+    /// The first setting that is out of range.
     pub fn validate(&self) -> Result<(), ConfigError> {
         check_pose("model_from_hand_desired", &self.model_from_hand_desired)?;
         check_pose("hand_from_cam_left", &self.hand_from_cam_left)?;

@@ -1,6 +1,6 @@
-//! Why a configuration is refused.
+//! Error for a refused configuration.
 
-/// A number of the configuration that is refused.
+/// A parameter out of range.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("servo setting {key} is {value}: allowed is {allowed}")]
 pub struct ConfigError {
@@ -8,7 +8,7 @@ pub struct ConfigError {
     pub key: &'static str,
     /// Its value.
     pub value: f64,
-    /// What is allowed.
+    /// The allowed values.
     pub allowed: &'static str,
 }
 

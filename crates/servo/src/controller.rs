@@ -1,4 +1,4 @@
-//! The one entry: joints and observations in, a command with its reason out.
+//! The entry point: joints and observations in, a command with its reason out.
 
 mod driving;
 
@@ -20,62 +20,62 @@ use crate::resolved_rate::{HandJacobian, Limitation};
 use crate::search::Search;
 use crate::target_filter::{ObservationVerdict, TargetObservation};
 
-/// What the arm shall do until the next step.
+/// Command for the arm until the next step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Command {
-    /// Move each joint at this velocity, rad/s.
+    /// Joint velocities, rad/s.
     Velocity(JointVector),
-    /// Come to rest and stay.
+    /// Decelerate and hold.
     Hold,
 }
 
-/// What the controller is doing.
+/// Mode of the controller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Mode {
-    /// No target yet.
+    /// No target.
     Idle,
-    /// A target is seen; more observations must agree before the hand moves.
+    /// A target is observed; more consistent observations are needed before the hand moves.
     Locking,
-    /// The hand goes to the desired pose for the first time since the lock.
+    /// The hand moves to the desired pose for the first time since the target was initialised.
     Approaching,
-    /// The hand follows.
+    /// The hand follows the target.
     Tracking,
-    /// The hand rests, and goes on when the reason is gone.
+    /// The hand holds, and continues when the reason is gone.
     Holding(HoldReason),
-    /// The target is lost; the next observations are locked on to, and the hand approaches again.
+    /// The target is lost; new observations initialise it again, and the hand approaches again.
     Lost,
-    /// The target is lost, and the hand looks for it, see [`crate::search`].
+    /// The target is lost, and the hand searches for it, see [`crate::search`].
     Searching,
 }
 
-/// Why the hand rests.
+/// Why the hand holds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum HoldReason {
     /// No observation was accepted for longer than the time-out.
     ObservationStale {
-        /// Seconds since the exposure of the last one.
+        /// Time since the exposure of the last one, seconds.
         age_s: f64,
     },
-    /// The joints were measured too long ago.
+    /// The newest joint sample is too old.
     JointsStale {
-        /// Seconds since then.
+        /// Its age, seconds.
         age_s: f64,
     },
-    /// A measured angle or speed of a joint is not finite.
+    /// A measured joint angle or speed is not finite.
     JointsNotFinite,
-    /// Time ran backwards, or the joints' time lies in the future; the target is lost by that, and observations count again
-    /// only when they are newer than all before the step.
+    /// Time ran backwards, or the joints have a future time. The target is dropped, and only newer observations than before the
+    /// step are used.
     ClockStepped,
-    /// A joint is at the end of its range and would have to go on.
+    /// A joint is at its limit and would have to exceed it.
     JointRange {
-        /// Index from the base.
+        /// Index of the joint from the base.
         joint: usize,
     },
-    /// The elbow is nearly stretched and would have to be stretched further: the target is beyond the arm's reach.
+    /// The elbow is nearly straight and would have to straighten further: the target is out of reach.
     ElbowStretched,
-    /// The law looks at the target in the image, and some of it is not before the camera.
+    /// An image-based law needs the whole target in front of the camera.
     TargetNotBeforeCamera,
-    /// The law gave a number that is not finite.
+    /// The law returned a number that is not finite.
     CommandNotFinite,
 }
 
@@ -110,49 +110,49 @@ impl fmt::Display for HoldReason {
     }
 }
 
-/// Result of one step. What cannot be known in a mode is `None`.
+/// Result of a step. A value that is unknown in a mode is `None`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ControlStep {
-    /// What the arm shall do.
+    /// Command for the arm.
     pub command: Command,
-    /// What the controller is doing, and why it does not move.
+    /// Mode of the controller, with the reason if the arm holds.
     pub mode: Mode,
-    /// What became of the newest observation.
+    /// What happened to the newest observation.
     pub observation: ObservationVerdict,
-    /// Where the hand is, from the measured joints.
+    /// Pose of the hand, from the measured joints.
     pub base_from_hand: Option<Pose<Base, Hand>>,
-    /// Where the target is when the joints were measured: smoothed, or predicted.
+    /// Pose of the target at the time of the joint sample, smoothed or predicted.
     pub base_from_model: Option<Pose<Base, Model>>,
-    /// Where the hand should be.
+    /// Desired pose of the hand.
     pub base_from_hand_desired: Option<Pose<Base, Hand>>,
-    /// Seconds since the exposure of the last accepted observation.
+    /// Time since the exposure of the last accepted observation, seconds.
     pub observation_age_s: Option<f64>,
-    /// Distance of the hand from where it should be, metres.
+    /// Distance of the hand from its desired position, metres.
     pub position_error_m: Option<f64>,
-    /// Angle between the hand and the desired hand, radians.
+    /// Angle between the hand and its desired orientation, radians.
     pub orientation_error_rad: Option<f64>,
     /// Smallest singular value of the hand's Jacobian, metres and radians.
     pub smallest_singular_value: Option<f64>,
-    /// What makes the hand slower than the law wants.
+    /// What makes the hand slower than the law requests.
     pub limited_by: Option<Limitation>,
 }
 
-/// The controller of one arm with a camera on its hand.
+/// Controller of one arm with a camera on its hand.
 #[derive(Clone, Debug)]
 pub struct Controller {
     config: ControllerConfig,
     chain: Chain,
     limits: EffectiveLimits,
-    /// The elbow and its least angle, rad, if the arm has one that is bound.
+    /// The elbow joint and its least angle, rad, if the arm has a bounded elbow.
     elbow: Option<(usize, f64)>,
     damping: Damping,
     history: JointHistory,
     given: GivenCommands,
     target: KnownTarget,
-    /// The exposure of the newest observation that was looked at: none is used twice, none that is older.
+    /// Exposure time of the newest observation seen so far: none is used twice, and no older one.
     handled_at: Option<MonotonicTime>,
     stepped_at: Option<MonotonicTime>,
-    /// Time since the step before, seconds; 0 if that was long ago or never.
+    /// Time since the previous step, seconds; 0 after a long gap.
     period_s: f64,
     pace: Pace,
     approached_at: Option<MonotonicTime>,
@@ -161,10 +161,11 @@ pub struct Controller {
 }
 
 impl Controller {
-    /// A controller at rest, without a target, of an arm with these limits. Large errors are corrected no faster than its joints can brake.
+    /// A controller at rest without a target, for an arm with these limits. Large errors are corrected only as fast as its joints
+    /// can brake.
     ///
     /// # Errors
-    /// The first setting that is out of its range.
+    /// The first setting that is out of range.
     pub fn new(config: ControllerConfig, chain: Chain, limits: EffectiveLimits) -> Result<Self, ConfigError> {
         config.validate()?;
         let damping = Damping::new(config.damping.threshold, config.damping.factor_max)
@@ -190,21 +191,20 @@ impl Controller {
         })
     }
 
-    /// Forgets the target and looks for a new one, as after a word of the operator. Observations that were handed over before are not
-    /// used again.
+    /// Drops the target and initialises a new one, after an operator command. Observations from before are not used again.
     pub fn acquire(&mut self) {
         self.forget();
         self.lost = false;
     }
 
-    /// Whether the hand may look for a target that was lost, as the supervisor says in each step
-    /// ([`crate::supervisor::Decision::search`]); without [`ControllerConfig::search`] it rests all the same.
+    /// Whether the hand may search for a lost target, from [`crate::supervisor::Decision::search`] in each step. Without
+    /// [`ControllerConfig::search`] the hand holds.
     pub fn permit_search(&mut self, is_permitted: bool) {
         self.search.permit(is_permitted);
     }
 
-    /// What the arm was told in place of the last command: after a rest the hand starts softly anew, and what the joints are still
-    /// going to do is what they were told.
+    /// Reports what the arm was really commanded. After a hold the hand starts softly again, and the predicted motion of the joints
+    /// follows from the real commands.
     pub fn note_told(&mut self, told: Command) {
         let velocity_rad_per_s = match told {
             Command::Velocity(velocity) => velocity,
@@ -218,7 +218,7 @@ impl Controller {
         }
     }
 
-    /// One control cycle: never blocks, does not allocate. `newest` may be the same observation many times.
+    /// One control cycle: never blocks, never allocates. `newest` may be the same observation several times.
     pub fn step(&mut self, joints: &JointState, newest: Option<&TargetObservation>, now: MonotonicTime) -> ControlStep {
         let step = match self.take_joints(joints, now) {
             Ok(()) => self.step_with(joints, newest, now),
@@ -231,7 +231,7 @@ impl Controller {
         step
     }
 
-    /// A step with joints that can be used.
+    /// A step with valid joints.
     fn step_with(
         &mut self,
         joints: &JointState,
@@ -269,7 +269,7 @@ impl Controller {
         step
     }
 
-    /// Checks the joints and keeps them.
+    /// Checks the joints and stores them.
     fn take_joints(&mut self, joints: &JointState, now: MonotonicTime) -> Result<(), HoldReason> {
         let since_s = self.stepped_at.map(|before| now.seconds_since(before));
         let back = since_s.is_some_and(|since_s| since_s < 0.0);
@@ -295,7 +295,7 @@ impl Controller {
         Ok(())
     }
 
-    /// Looks at an observation that is newer than all before.
+    /// Handles an observation that is newer than all before.
     fn take_observation(&mut self, newest: Option<&TargetObservation>, now: MonotonicTime) -> ObservationVerdict {
         let Some(observation) = newest else { return ObservationVerdict::NoneNew };
         if self.handled_at.is_some_and(|handled| observation.at <= handled) {
@@ -318,7 +318,7 @@ impl Controller {
         }
     }
 
-    /// Carries an observation to `base` with the joints at its time.
+    /// Transforms an observation to `base` with the joints at its time.
     fn place_target(&mut self, observation: &TargetObservation, position_rad: &JointVector) -> ObservationVerdict {
         let base_from_hand = self.chain.forward(position_rad) * self.config.flange_from_hand;
         let observed = base_from_hand * self.config.hand_from_cam_left * observation.cam_left_from_model;
@@ -346,7 +346,7 @@ impl Controller {
         }
     }
 
-    /// Ends the approach when the hand is there.
+    /// Ends the approach when the hand has arrived.
     fn note_approach(&mut self, error: &HandError, now: MonotonicTime) -> Mode {
         let near = error.position_in_base_m.norm() <= self.config.approach.done_within_m
             && error.angle_rad <= self.config.approach.done_within_rad;
@@ -356,7 +356,7 @@ impl Controller {
         if self.approached_at.is_some() { Mode::Tracking } else { Mode::Approaching }
     }
 
-    /// A target that was locked is lost; one that never was is only forgotten.
+    /// An initialised target becomes lost; another one is only dropped.
     fn lose(&mut self) {
         self.lost |= self.target.is_locked();
         self.forget();

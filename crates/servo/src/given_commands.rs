@@ -1,4 +1,4 @@
-//! The commands of the last moments, to know what the joints are still going to do.
+//! History of velocity commands, to predict the motion that the joints still have to execute.
 
 use std::collections::VecDeque;
 
@@ -7,7 +7,7 @@ use pb3dp_kinematics::{JointState, JointVector};
 
 use crate::config::ArmResponse;
 
-/// A ring of the velocities that were commanded, each in force until the next. Its memory is taken once, at the beginning.
+/// Ring buffer of commanded velocities; each is valid until the next. All memory is allocated at construction.
 #[derive(Clone, Debug)]
 pub struct GivenCommands {
     given: VecDeque<Given>,
@@ -21,13 +21,13 @@ struct Given {
 }
 
 impl GivenCommands {
-    /// Room for `capacity` commands; when it is full, the oldest is forgotten as if the arm had rested then.
+    /// Creates a buffer for `capacity` commands. When it is full, the oldest command is replaced by a standstill.
     pub fn new(capacity: usize) -> Self {
         let capacity = capacity.max(2);
         Self { given: VecDeque::with_capacity(capacity), capacity }
     }
 
-    /// A velocity (rad/s; zero: rest) was commanded. One that is not later than the newest takes its place.
+    /// Adds a commanded velocity (rad/s; zero: standstill). A command that is not newer than the newest replaces it.
     pub fn push(&mut self, at: MonotonicTime, velocity_rad_per_s: JointVector) {
         while self.given.back().is_some_and(|newest| newest.at >= at) {
             self.given.pop_back();
@@ -38,13 +38,13 @@ impl GivenCommands {
         self.given.push_back(Given { at, velocity_rad_per_s });
     }
 
-    /// Forgets everything: the arm rests.
+    /// Forgets all commands: the arm stands still.
     pub fn clear(&mut self) {
         self.given.clear();
     }
 
-    /// The angles (rad) at which the joints come to rest if the last command ends at `now`: measured angles, what is left of the
-    /// measured velocity after the lag, and what was commanded and is not executed yet.
+    /// Angles (rad) at which the joints come to rest if the last command ends at `now`: measured angles, the rest of the lagged
+    /// velocity, and commands that are not yet executed.
     pub fn rest_position(&self, measured: &JointState, arm: &ArmResponse, now: MonotonicTime) -> JointVector {
         let window_s = now.seconds_since(measured.at) + arm.delay_s;
         let mut position_rad = measured.position_rad + measured.velocity_rad_per_s * arm.lag_s;

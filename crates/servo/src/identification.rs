@@ -1,13 +1,13 @@
-//! Delays of a rig, from a record of the hand moving a few millimetres before a target that rests.
+//! Identification of delays, from a record of the hand moving a few millimetres in front of a stationary target.
 //!
-//! * [`exposure_offset`]: how much later than their stamps say the images were exposed, on the clock of the joints. The pose of
-//!   a target at rest must not depend on how fast the hand moves; where it does, the joints were taken at the wrong time.
-//! * [`arm_response`]: what lies between a commanded velocity and the motion: a dead time and a first-order lag.
-//! * [`Excitation`]: the motion that shows both.
+//! * [`exposure_offset`]: delay between the timestamps of images and their exposure, on the clock of the joints. The pose of a
+//! stationary target must not depend on the velocity of the hand; if it does, the joints were taken at the wrong time.
+//! * [`arm_response`]: dead time and first-order lag from a commanded velocity to the motion.
+//! * [`Excitation`]: the motion that makes both observable.
 //!
-//! Each answer is an [`Interval`]: the record is cut into [`BATCHES`] pieces that are evaluated apart, and the spread of their
-//! answers is that of the whole times the root of their number (batch means), so noise that hangs together over some samples
-//! is counted as what it is. This is not for the control path: it allocates.
+//! Each result is an [`Interval`]: the record is split into [`BATCHES`] pieces that are evaluated separately, and the spread of
+//! their results gives the interval of the whole (batch means). Noise that is correlated over some samples is therefore counted
+//! correctly. Not for the control path: it allocates.
 
 mod arm_response;
 mod excitation;
@@ -17,7 +17,7 @@ pub use arm_response::{ArmResponseEstimate, GivenVelocity, arm_response};
 pub use excitation::{Excitation, ExcitationError};
 pub use exposure_offset::{CameraOnHand, exposure_offset};
 
-/// Into how many pieces a record is cut.
+/// Number of pieces of a record.
 pub const BATCHES: usize = 6;
 
 /// Student's t of 97.5 % with `BATCHES - 1` degrees of freedom.
@@ -28,7 +28,7 @@ const T_975: f64 = 2.571;
 pub struct Interval {
     /// The estimate.
     pub value: f64,
-    /// Half of the width of the interval.
+    /// Half width of the interval.
     pub half_width_95: f64,
 }
 
@@ -47,43 +47,43 @@ impl Interval {
     }
 }
 
-/// Why a record does not tell a delay.
+/// Why a delay cannot be identified.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NotIdentified {
-    /// Too little was recorded.
+    /// The record is too short.
     #[error("{count} {what} in the record, at least {needed} are needed: record for longer")]
     TooFew {
-        /// Of what.
+        /// Kind of data.
         what: &'static str,
-        /// How many there are.
+        /// Number available.
         count: usize,
-        /// How many there should be.
+        /// Number needed.
         needed: usize,
     },
-    /// The motion does not show it, or is not there.
+    /// The motion does not make the delay observable, or there is no motion.
     #[error("{what} is not told by this record: the hand must move, and in more than one way while it does")]
     NotExcited {
-        /// What was asked for.
+        /// The requested delay.
         what: &'static str,
     },
-    /// The best answer lies at the end of what is looked at.
+    /// The best solution is at the end of the search range.
     #[error(
         "{what} is {value_s:.3} s or beyond: more than {most_s} s is not looked for; check the clock that stamps the images and \
          the link of the arm"
     )]
     TooLong {
-        /// What was asked for.
+        /// The requested delay.
         what: &'static str,
-        /// Where the search ended, seconds.
+        /// End of the search, seconds.
         value_s: f64,
-        /// How far is looked, seconds.
+        /// Limit of the search, seconds.
         most_s: f64,
     },
 }
 
-/// Which piece of the record from `begin_s` to `end_s` the time `at_s` belongs to.
+/// Index of the piece of the record from `begin_s` to `end_s` that contains the time `at_s`.
 fn batch_of(at_s: f64, (begin_s, end_s): (f64, f64)) -> usize {
     let share = (at_s - begin_s) / (end_s - begin_s);
-    // Casts of floats saturate: before the beginning is 0.
+    // Casts of floats saturate: a time before the beginning gives 0.
     ((share * BATCHES as f64) as usize).min(BATCHES - 1)
 }

@@ -1,11 +1,11 @@
-//! The joints of the last moments, to know where the hand was when an image was exposed.
+//! History of joint samples, for the pose of the hand at the time of an exposure.
 
 use std::collections::VecDeque;
 
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::{JointState, JointVector};
 
-/// A ring of joint samples in the order of time. Its memory is taken once, at the beginning.
+/// Ring buffer of joint samples, ordered by time. All memory is allocated at construction.
 #[derive(Clone, Debug)]
 pub struct JointHistory {
     samples: VecDeque<JointState>,
@@ -13,25 +13,25 @@ pub struct JointHistory {
     gap_max_s: f64,
 }
 
-/// Why the history cannot say where the joints were.
+/// Why the joints at a time are unknown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NotInHistory {
     /// Before the oldest sample.
     TooOld,
     /// Too long after the newest sample.
     TooNew,
-    /// Between two samples that lie too far apart.
+    /// Between two samples with too large a gap.
     Gap,
 }
 
 impl JointHistory {
-    /// Room for `capacity` samples; between samples more than `gap_max_s` apart nothing is interpolated.
+    /// Creates a buffer for `capacity` samples; gaps longer than `gap_max_s` are not interpolated.
     pub fn new(capacity: usize, gap_max_s: f64) -> Self {
         let capacity = capacity.max(2);
         Self { samples: VecDeque::with_capacity(capacity), capacity, gap_max_s }
     }
 
-    /// Appends a sample; the same time again replaces the newest one, an earlier time is not taken (`false`).
+    /// Appends a sample. An equal time replaces the newest sample; an earlier time is refused (`false`).
     pub fn push(&mut self, sample: JointState) -> bool {
         match self.samples.back_mut() {
             Some(newest) if sample.at < newest.at => return false,
@@ -46,7 +46,7 @@ impl JointHistory {
         true
     }
 
-    /// Forgets everything.
+    /// Removes all samples.
     pub fn clear(&mut self) {
         self.samples.clear();
     }
@@ -56,11 +56,11 @@ impl JointHistory {
         self.samples.back()
     }
 
-    /// Joint angles at a time: linear between samples; up to the longest gap behind the newest sample they are continued with
-    /// the measured velocity.
+    /// Joint angles at a time: interpolated linearly between samples. Up to the longest gap after the newest sample they are
+    /// extrapolated with the measured velocity.
     ///
     /// # Errors
-    /// If no samples near enough are known.
+    /// If there are no samples near enough.
     pub fn position_at(&self, at: MonotonicTime) -> Result<JointVector, NotInHistory> {
         let behind = self.samples.partition_point(|sample| sample.at < at);
         match (behind.checked_sub(1).and_then(|before| self.samples.get(before)), self.samples.get(behind)) {

@@ -1,4 +1,4 @@
-//! What is known of the target in `base`, in the form that the configured law needs.
+//! State of the target in `base`, in the form that the configured law needs.
 
 use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
 use pb3dp_geometry::frames::{Base, Hand, Model};
@@ -12,33 +12,33 @@ use crate::config_error::ConfigError;
 use crate::target_filter::{ObservationVerdict, TargetObservation, TargetTrack};
 use crate::target_state::{MeasurementVerdict, PoseMeasurement, Prediction, TargetState};
 
-/// Nothing, or a target with its motion. Its memory is taken once, at the beginning.
+/// No target, or a target with its motion. All memory is allocated at construction.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "one per controller")]
 pub(crate) enum KnownTarget {
-    /// A smoothed pose, for the laws without feed-forward.
+    /// Smoothed pose, for the laws without feed-forward.
     Smoothed {
         /// Gate and smoothing.
         config: TargetFilterConfig,
         /// The target, if there is one.
         track: Option<TargetTrack>,
     },
-    /// A state that can be predicted, for the law with feed-forward.
+    /// Predictable state, for the law with feed-forward.
     Predicted {
-        /// What is made of observations.
+        /// How observations are used.
         config: FeedForwardConfig,
         /// The target, if there is one.
         state: TargetState,
-        /// Observations since it was seen first that are part of the state.
+        /// Observations in the state since the target was first seen.
         observations: u32,
     },
 }
 
 impl KnownTarget {
-    /// No target yet.
+    /// Starts without a target.
     ///
     /// # Errors
-    /// The first setting that is out of its range.
+    /// The first setting that is out of range.
     pub(crate) fn none(law: &LawConfig) -> Result<Self, ConfigError> {
         Ok(match law {
             LawConfig::Published(PublishedConfig { target_filter, .. })
@@ -52,7 +52,7 @@ impl KnownTarget {
         })
     }
 
-    /// Forgets the target.
+    /// Drops the target.
     pub(crate) fn forget(&mut self) {
         match self {
             Self::Smoothed { track, .. } => *track = None,
@@ -76,7 +76,7 @@ impl KnownTarget {
         }
     }
 
-    /// Whether enough observations agree.
+    /// Whether enough consistent observations were accepted.
     pub(crate) fn is_locked(&self) -> bool {
         match self {
             Self::Smoothed { config, track } => track.is_some_and(|track| track.is_locked(config)),
@@ -84,7 +84,7 @@ impl KnownTarget {
         }
     }
 
-    /// Takes an observation whose pose in `base` is `observed`.
+    /// Adds an observation with the pose `observed` in `base`.
     pub(crate) fn take(&mut self, observed: &Pose<Base, Model>, observation: &TargetObservation) -> ObservationVerdict {
         let is_locked = self.is_locked();
         match self {
@@ -97,7 +97,7 @@ impl KnownTarget {
                 let measured = measurement(config, state, observed, observation);
                 let mut verdict = state.observe(&measured);
                 if matches!(verdict, MeasurementVerdict::Outlier { .. }) && !is_locked {
-                    // Nothing speaks for what was seen before.
+                    // Earlier observations do not count any more.
                     state.clear();
                     verdict = state.observe(&measured);
                 }
@@ -111,7 +111,7 @@ impl KnownTarget {
         }
     }
 
-    /// Where the target is at a time: predicted, or where it was smoothed to be.
+    /// Pose of the target at a time: predicted or smoothed.
     pub(crate) fn base_from_model_at(&self, time: MonotonicTime) -> Option<Pose<Base, Model>> {
         match self {
             Self::Smoothed { track, .. } => track.map(|track| *track.base_from_model()),
@@ -119,7 +119,7 @@ impl KnownTarget {
         }
     }
 
-    /// The target at a time, if it can be predicted.
+    /// State of the target at a time, if it is predictable.
     pub(crate) fn at(&self, time: MonotonicTime) -> Option<Prediction> {
         match self {
             Self::Smoothed { .. } => None,
@@ -127,7 +127,7 @@ impl KnownTarget {
         }
     }
 
-    /// How the desired hand moved from one smoothed pose to the next.
+    /// Motion of the desired hand from one smoothed pose to the next.
     pub(crate) fn smoothed_twist(&self, model_from_hand_desired: &Pose<Model, Hand>) -> Twist<Base> {
         match self {
             Self::Smoothed { track: Some(track), .. } => track.hand_desired_twist(model_from_hand_desired),
@@ -136,7 +136,7 @@ impl KnownTarget {
     }
 }
 
-/// What the filter is given for an observation.
+/// Measurement for the filter.
 fn measurement(
     config: &FeedForwardConfig,
     state: &TargetState,
@@ -151,12 +151,12 @@ fn measurement(
     PoseMeasurement { at: observation.at, base_from_model, covariance }
 }
 
-/// The observed position and normal, with the predicted axes turned to that normal by the smallest rotation.
+/// The observed position and normal; the rotation about the normal is that of the prediction, turned by the smallest rotation.
 fn with_rotation_about_normal_of(predicted: &Pose<Base, Model>, observed: &Pose<Base, Model>) -> Pose<Base, Model> {
     let normal = |pose: &Pose<Base, Model>| pose.transform_vector(&Vector3::z());
     match UnitQuaternion::rotation_between(&normal(predicted), &normal(observed)) {
         Some(turn) => Pose::from_parts(observed.translation_m(), turn * predicted.rotation()),
-        // Seen from behind: nothing of it agrees with what is known, and it is left as it is.
+        // Seen from behind: contradicts the state and is ignored.
         None => *observed,
     }
 }

@@ -8,10 +8,10 @@ pub mod pose_based;
 use pb3dp_geometry::frames::{Base, CamLeft, Hand};
 use pb3dp_geometry::{Pose, Twist};
 
-/// A point nearer to the plane of the camera than this, metres, is not before it.
+/// A point is in front of the camera beyond this depth, metres.
 const DEPTH_MIN_M: f64 = 1e-3;
 
-/// Velocity of the hand's origin and its angular velocity, in `base`, if the camera on it moves with this twist.
+/// Velocity of the hand's origin and its angular velocity, in `base`, for this twist of the camera on the hand.
 pub fn hand_twist_of_camera(
     camera: &Twist<CamLeft>,
     base_from_hand: &Pose<Base, Hand>,

@@ -1,15 +1,15 @@
-//! The visual-servo controller: where the target is, how the hand should move, and whether it may, as a pure
-//! `step(joints, newest observation, now)`. No camera, no arm, no clock, no thread; time and data come from the caller.
+//! Visual-servo controller and supervisor: a pure `step(joints, newest observation, now)` without camera, arm, clock or thread.
+//! Time and data come from the caller.
 //!
-//! * [`Controller::step`] is the one entry: it returns a [`Command`] and the [`Mode`] with the reason why the arm rests.
-//! * [`TargetObservation`] is what the estimator says: pose of the model and time of exposure.
-//! * [`supervisor::Supervisor::step`] says whether the arm may do that, and if not, why and what to do.
-//! * [`ControllerConfig`] holds all numbers; [`Controller::new`] refuses bad ones by key, value and allowed range.
+//! * [`Controller::step`] is the entry point: it returns a [`Command`] and the [`Mode`], with the reason if the arm holds.
+//! * [`TargetObservation`] is the output of the estimator: pose of the model and time of exposure.
+//! * [`supervisor::Supervisor::step`] permits or inhibits the motion, with the reason and the remedy.
+//! * [`ControllerConfig`] holds all parameters; [`Controller::new`] refuses bad ones by key, value and allowed range.
 //!
-//! The way of a number: the hand's pose at the time of exposure comes from the [`joint_history`]; with it the observation is
-//! carried to `base`, gated, and made part of a state that can be predicted ([`target_state`]), or smoothed ([`target_filter`]);
-//! the [`law`] turns the error of the hand into a twist; the [`resolved_rate`] turns the twist into joint velocities within the
-//! limits, and the [`redundancy`] adds what the seventh joint can do.
+//! Data flow: the [`joint_history`] gives the pose of the hand at the time of exposure. With it the observation is transformed to
+//! `base`, gated, and fused into a predictable state ([`target_state`]) or smoothed ([`target_filter`]). The [`law`] turns the
+//! error of the hand into a twist, the [`resolved_rate`] turns the twist into joint velocities within the limits, and the
+//! [`redundancy`] adds the null motion.
 
 pub mod config;
 pub mod config_error;

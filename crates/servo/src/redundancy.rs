@@ -1,27 +1,27 @@
-//! What the seventh joint, of an arm that has one, is used for: a motion of the elbow about the line from shoulder to wrist, which leaves the hand where it
-//! is, away from the ends of joint ranges and from singular poses.
+//! Null motion of a seven-axis arm: the elbow moves about the line from shoulder to wrist, away from joint limits and singular
+//! poses, while the hand stays in place.
 //!
-//! The motion goes down the gradient of a cost, projected on the null space of the Jacobian (Liegeois 1977). The cost is
+//! The motion follows the negative gradient of a cost, projected on the null space of the Jacobian (Liegeois 1977). The cost is
 //!
 //! ```text
 //! C(q) = sum_i 1 / (1 - x_i^2)  -  ln w(q)
 //! ```
 //!
-//! x_i: how far joint i is from the middle of its range, 1 at the end: a barrier that hardly acts in the middle, after Zghal, Dubey
-//! and Euler (1990); w: Yoshikawa's manipulability (1985), 0 at singular poses. It does not depend on which point of the hand is
-//! looked at.
+//! x_i: offset of joint i from the middle of its range, 1 at the limit. The first term is a barrier that hardly acts in the middle,
+//! after Zghal, Dubey and Euler (1990). w: Yoshikawa's manipulability (1985), 0 at singular poses, independent of the chosen point
+//! of the hand.
 
 use pb3dp_kinematics::{Chain, DOF, Jacobian, JointLimits, JointVector};
 
 use crate::config::RedundancyConfig;
 
-/// Half of the distance over which the cost is differentiated, rad: the third derivative of the cost is of the order of 10, so
-/// that truncation is below 1e-6.
+/// Step of the central difference of the cost, rad: the third derivative of the cost is of the order of 10, so truncation is below
+/// 1e-6.
 const DIFFERENCE_RAD: f64 = 5e-4;
-/// Nearer to an end of its range the barrier of a joint does not grow any more, as a share of half the range.
+/// The barrier of a joint is constant nearer to its limit than this share of half the range.
 const BARRIER_UP_TO: f64 = 0.99;
 
-/// The joint motion that leaves the hand where it is.
+/// The joint motion that keeps the hand in place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NullMotion {
     /// Direction in joint space, of length 1; zero where the Jacobian has lost a rank.
@@ -31,11 +31,11 @@ pub struct NullMotion {
 }
 
 impl NullMotion {
-    /// The generalised cross product of the rows of the Jacobian: its components are the minors of order 6, its length is the
+    /// Generalised cross product of the rows of the Jacobian. Its components are the minors of order 6, and its length is the
     /// manipulability (Cauchy and Binet).
     ///
-    /// Found by elimination with complete pivoting: the solution with a 1 in the column that is left is the cross product over
-    /// the determinant of the six others.
+    /// Computed by elimination with complete pivoting: the solution with a 1 in the remaining column is the cross product divided
+    /// by the determinant of the other six columns.
     pub fn of(jacobian: &Jacobian) -> Self {
         let negligible = jacobian.amax() * f64::EPSILON;
         let mut rest = *jacobian;
@@ -74,7 +74,7 @@ impl NullMotion {
     }
 }
 
-/// Row and column, from `step` on, of the element that is farthest from zero.
+/// Row and column, from `step` on, of the element with the largest absolute value.
 fn largest(matrix: &Jacobian, step: usize) -> (usize, usize) {
     let mut place = (step, step);
     for column in step..DOF {
@@ -87,7 +87,7 @@ fn largest(matrix: &Jacobian, step: usize) -> (usize, usize) {
     place
 }
 
-/// The cost of a pose of the arm, see the module.
+/// Cost of an arm pose, see the module documentation.
 pub fn cost(chain: &Chain, limits: &JointLimits, position_rad: &JointVector) -> f64 {
     let manipulability = NullMotion::of(&chain.jacobian(position_rad)).manipulability;
     let mut barriers = 0.0;
@@ -100,8 +100,8 @@ pub fn cost(chain: &Chain, limits: &JointLimits, position_rad: &JointVector) -> 
     barriers - manipulability.max(f64::MIN_POSITIVE).ln()
 }
 
-/// Joint velocities (rad/s) that lower the cost and leave the hand where it is. `weight`, 0 to 1, fades them out near singular
-/// poses, where the null space turns faster than joints can follow.
+/// Joint velocities (rad/s) that lower the cost and keep the hand in place. `weight`, 0 to 1, fades them out near singular poses,
+/// where the null space turns faster than the joints can follow.
 pub fn secondary_velocity(
     chain: &Chain,
     limits: &JointLimits,
@@ -118,7 +118,7 @@ pub fn secondary_velocity(
     let rise = cost(chain, limits, &(position_rad + step)) - cost(chain, limits, &(position_rad - step));
     let slope = rise / (2.0 * DIFFERENCE_RAD);
     let wanted = -config.gain_rad_per_s * slope;
-    // Bounded without a bend.
+    // A smooth bound.
     let speed = wanted / (1.0 + (wanted / config.speed_max_rad_per_s).powi(2)).sqrt();
     direction * (speed * weight.min(1.0))
 }

@@ -1,6 +1,6 @@
-//! From the velocity of the hand to joint velocities within the limits.
+//! Resolved-rate control: from the velocity of the hand to joint velocities within the limits.
 //!
-//! Whatever has to be slowed down is slowed down as a whole, so that the hand keeps its direction.
+//! All reductions scale the whole motion, so the direction of the hand is kept.
 
 use nalgebra::Point3;
 use pb3dp_geometry::Twist;
@@ -9,31 +9,30 @@ use pb3dp_kinematics::{Chain, DOF, Damping, Jacobian, JointFrames, JointLimits, 
 
 use crate::config::CartesianSpeed;
 
-/// What makes the hand slower than the law wants; the strongest one is named.
+/// What makes the hand slower than the law requests; the strongest limit is named.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Limitation {
-    /// The largest speed of the hand.
+    /// Speed limit of the hand.
     HandSpeed,
-    /// The speed limit of a joint, counted from 0 at the base.
+    /// Speed limit of a joint, counted from 0 at the base.
     JointSpeed {
         /// Index from the base.
         joint: usize,
     },
-    /// A joint is near an end of its range and moves towards it.
+    /// A joint near its limit moves towards it.
     JointRange {
         /// Index from the base.
         joint: usize,
     },
-    /// The elbow ([`Chain::elbow`]) is nearly stretched and is to be stretched further: the target is at the end of the arm's
-    /// reach.
+    /// The elbow ([`Chain::elbow`]) is nearly straight and would straighten further: the target is at the end of the reach.
     ElbowStretched,
-    /// The start after a rest.
+    /// Soft start after a hold.
     SoftStart,
-    /// The target was not seen for a while: the hand slows down until it rests.
+    /// The target was not observed for a while: the hand slows down to a hold.
     Fading,
 }
 
-/// The Jacobian of the hand at one moment.
+/// Jacobian of the hand at one moment.
 #[derive(Clone, Copy, Debug)]
 pub struct HandJacobian {
     jacobian: Jacobian,
@@ -68,37 +67,37 @@ impl HandJacobian {
     }
 }
 
-/// Joint velocities after all limits.
+/// Joint velocities within all limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LimitedVelocity {
     /// Joint velocities, rad/s.
     pub velocity_rad_per_s: JointVector,
-    /// Share of the wanted speed that is left, 0 to 1.
+    /// Share of the requested speed that is left, 0 to 1.
     pub share: f64,
-    /// What took most of it; `None` if nothing did.
+    /// The strongest limit; `None` if none acts.
     pub limited_by: Option<Limitation>,
 }
 
-/// Scales a twist down to the hand's largest speed.
+/// Scales a twist down to the speed limit of the hand.
 pub fn limit_twist(twist: &Twist<Base>, most: &CartesianSpeed) -> (Twist<Base>, f64) {
     let linear = share_of(twist.linear_m_per_s.norm(), most.linear_m_per_s);
     let share = linear.min(share_of(twist.angular_rad_per_s.norm(), most.angular_rad_per_s));
     (Twist::new(twist.linear_m_per_s * share, twist.angular_rad_per_s * share), share)
 }
 
-/// What limits the joints.
+/// Limits of the joints.
 #[derive(Clone, Copy, Debug)]
 pub struct JointBounds<'a> {
-    /// Ranges and speeds.
+    /// Ranges and speed limits.
     pub limits: &'a JointLimits,
-    /// A joint approaches an end of its range at most with this rate times the remaining angle, 1/s.
+    /// Largest joint speed towards a limit per remaining angle, 1/s.
     pub limit_approach_per_s: f64,
-    /// The joint that is the elbow, and to less than which angle it is not stretched, rad; `None`: no joint is one, or it may be.
+    /// The elbow joint and its least angle, rad; `None` if the elbow is not bounded.
     pub elbow: Option<(usize, f64)>,
 }
 
 impl JointBounds<'_> {
-    /// Largest speeds (rad/s) of a joint at this angle in the direction of `velocity`: of the joint, and for the room that is left.
+    /// Speed limits (rad/s) of a joint at this angle in the direction of `velocity`: of the joint, and for the remaining range.
     fn most(&self, joint: usize, velocity: f64, position_rad: f64) -> [(f64, Limitation); 2] {
         let limits = self.limits;
         let speed = limits.velocity_max_rad_per_s()[joint];
@@ -116,7 +115,7 @@ impl JointBounds<'_> {
         [(speed, Limitation::JointSpeed { joint }), (here, limitation)]
     }
 
-    /// Scales joint velocities down to the joints' speeds and to what the distance to the ends of their ranges allows.
+    /// Scales joint velocities down to the speed limits of the joints and of their remaining ranges.
     pub fn limit(&self, velocity_rad_per_s: &JointVector, position_rad: &JointVector) -> LimitedVelocity {
         let mut share = 1.0;
         let mut limited_by = None;
@@ -133,8 +132,7 @@ impl JointBounds<'_> {
         LimitedVelocity { velocity_rad_per_s: velocity_rad_per_s * share, share, limited_by }
     }
 
-    /// The share, 0 to 1, of a secondary velocity that takes no speed from the primary one: with it no joint is beyond its bounds
-    /// that was within them without.
+    /// Share, 0 to 1, of a secondary velocity that costs no primary speed: it brings no joint beyond bounds that it keeps without.
     pub fn share_beside(&self, primary: &JointVector, secondary: &JointVector, position_rad: &JointVector) -> f64 {
         let mut share: f64 = 1.0;
         for joint in 0..DOF {
@@ -142,7 +140,7 @@ impl JointBounds<'_> {
             if second == 0.0 {
                 continue;
             }
-            // In the direction of the secondary velocity there is so much left beside the primary one.
+            // Remaining velocity in the direction of the secondary motion.
             let most = self
                 .most(joint, second, position_rad[joint])
                 .map(|(most, _)| most)

@@ -1,10 +1,9 @@
-//! A search for a target that was lost: a small, slow way of the hand about the place where it lost it, bounded in space and time.
+//! Search for a lost target: a small, slow motion of the hand around its last pose, bounded in space and time.
 //!
-//! The hand goes back along its z, away from the target, and then along an Archimedean spiral across its z, with its orientation kept,
-//! and returns to where it began. It looks at what the pattern passes by; it guesses nothing about where the target went.
+//! The hand backs off along its z axis, follows an Archimedean spiral across its z axis with constant orientation, and returns. The
+//! search does not predict where the target went.
 //!
-//! It is off unless it is configured, and moves nothing unless the supervisor permits it in each step
-//! ([`crate::supervisor::Decision::search`]).
+//! It is off unless configured, and needs the permission of the supervisor in each step ([`crate::supervisor::Decision::search`]).
 
 use std::f64::consts::TAU;
 
@@ -14,35 +13,35 @@ use pb3dp_geometry::{MonotonicTime, Pose, Twist, so3};
 
 use crate::config_error::{ConfigError, check};
 
-/// The pattern and its bounds.
+/// Pattern and bounds of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SearchConfig {
-    /// How far the hand goes back, metres, 0 to 0.2.
+    /// Distance that the hand backs off, metres, 0 to 0.2.
     pub back_m: f64,
-    /// How far it goes aside, metres, 0.001 to 0.2.
+    /// Largest radius of the spiral, metres, 0.001 to 0.2.
     pub radius_m: f64,
-    /// How many turns the spiral has, 1 to 10.
+    /// Turns of the spiral, 1 to 10.
     pub turns: f64,
-    /// How fast the hand is, m/s, 0.001 to 0.1.
+    /// Speed of the hand, m/s, 0.001 to 0.1.
     pub speed_m_per_s: f64,
-    /// When the search ends at the latest, seconds after the first step, 1 to 60.
+    /// Time limit of the search, seconds from the first step, 1 to 60.
     pub time_s: f64,
 }
 
-/// A hand that is off its way is brought back with this rate, 1/s, within the speed of the search.
+/// Gain of the correction of path errors, 1/s, within the speed of the search.
 const CORRECTION_PER_S: f64 = 2.0;
-/// And turned back no faster than this, rad/s.
+/// Speed limit of the orientation correction, rad/s.
 const TURN_MAX_RAD_PER_S: f64 = 0.1;
-/// Along the pattern the velocity changes no faster than this, m/s^2, in size and in direction: of a sharp turn the joints make, each
-/// within its own limits, something else, in which the hand is faster than before and behind it.
+/// Largest acceleration along the pattern, m/s^2, of speed and direction: in a sharp corner the joints, each within its own limits,
+/// would leave the path and make the hand faster before and after it.
 const ACCELERATION_MAX_M_PER_S2: f64 = 0.05;
-/// Its corners are passed with this share of the speed.
+/// Share of the speed at corners.
 const CORNER_SHARE: f64 = 0.1;
-/// A hand that is farther from where it began than the pattern leads, by this share and length (metres), ends the search: it does not go
-/// where it is commanded to.
+/// Share and length (metres) by which the hand may exceed the extent of the pattern; beyond it the hand does not follow its
+/// commands, and the search ends.
 const BEYOND_SHARE: f64 = 1.2;
 const BEYOND_M: f64 = 0.005;
-/// The search has returned when the hand is this near to its beginning, metres.
+/// The search has returned at this distance from its start, metres.
 const RETURNED_WITHIN_M: f64 = 1e-3;
 
 impl SearchConfig {
@@ -54,7 +53,7 @@ impl SearchConfig {
         check("search.time_s", self.time_s, 1.0, 60.0, "1 to 60 s")
     }
 
-    /// Farthest from its beginning that the pattern leads, metres.
+    /// Largest distance of the pattern from its start, metres.
     pub fn reach_m(&self) -> f64 {
         self.back_m.hypot(self.radius_m)
     }
@@ -64,17 +63,17 @@ impl SearchConfig {
         self.radius_m / (TAU * self.turns)
     }
 
-    /// Length of the spiral up to an angle, metres.
+    /// Length of the spiral up to an angle, radians; metres.
     fn spiral_m(&self, angle: f64) -> f64 {
         0.5 * self.per_rad_m() * (angle * (1.0 + angle * angle).sqrt() + angle.asinh())
     }
 
-    /// The way at which the pattern ends, and the hand returns, metres.
+    /// Path length at which the pattern ends and the hand returns, metres.
     fn end_m(&self) -> f64 {
         self.back_m + self.spiral_m(TAU * self.turns)
     }
 
-    /// The angle of the spiral after this way (metres); `None` before and behind it.
+    /// Angle of the spiral after this path length (metres); `None` before and after it.
     fn angle(&self, way_m: f64) -> Option<f64> {
         if !(self.back_m..=self.end_m()).contains(&way_m) {
             return None;
@@ -87,7 +86,7 @@ impl SearchConfig {
         Some(low)
     }
 
-    /// Where the pattern is after this way (metres), in axes of the hand at its beginning; `None` behind its end.
+    /// Point of the pattern after this path length (metres), in the start axes of the hand; `None` after its end.
     fn place(&self, way_m: f64) -> Option<Vector3<f64>> {
         if way_m < self.back_m {
             return Some(Vector3::new(0.0, 0.0, -way_m));
@@ -97,7 +96,8 @@ impl SearchConfig {
         Some(Vector3::new(radius_m * angle.cos(), radius_m * angle.sin(), -self.back_m))
     }
 
-    /// How fast the pattern is passed after this way (metres), m/s: slowly at its beginning, corner and end, and where it is bent most.
+    /// Speed along the pattern after this path length (metres), m/s: low at the start, the corner, the end and where the curvature
+    /// is largest.
     fn pace_m_per_s(&self, way_m: f64) -> f64 {
         let to_corner_m = [0.0, self.back_m, self.end_m()].map(|corner_m| (way_m - corner_m).abs());
         let to_corner_m = to_corner_m.into_iter().fold(f64::INFINITY, f64::min);
@@ -111,21 +111,21 @@ impl SearchConfig {
     }
 }
 
-/// A search, or that there is none.
+/// State of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Search {
     /// Not permitted.
     Off,
     /// Permitted, and begins with the next step.
     Ready,
-    /// On its way.
+    /// In motion.
     Under { began: MonotonicTime, stepped: MonotonicTime, from: Pose<Base, Hand>, way_m: f64 },
-    /// Found, returned or out of time: there is no other one before the next loss.
+    /// Finished: found, returned or out of time. The next search needs another loss.
     Over,
 }
 
 impl Search {
-    /// What the supervisor says; one search for each time that it permits one.
+    /// Takes the permission of the supervisor; one search per permission.
     pub(crate) fn permit(&mut self, is_permitted: bool) {
         *self = match (is_permitted, *self) {
             (false, _) => Self::Off,
@@ -134,19 +134,19 @@ impl Search {
         };
     }
 
-    /// It is not needed any more.
+    /// Ends the search.
     pub(crate) fn end(&mut self) {
         if *self != Self::Off {
             *self = Self::Over;
         }
     }
 
-    /// Whether it was permitted and has not begun.
+    /// Whether it is permitted and has not started.
     pub(crate) fn is_ready(&self) -> bool {
         *self == Self::Ready
     }
 
-    /// Velocity of the hand, in `base`, as long as there is one.
+    /// Velocity of the hand in `base`; `None` if no search is active.
     pub(crate) fn step(
         &mut self,
         config: &SearchConfig,
@@ -175,7 +175,7 @@ impl Search {
         }
         *self = Self::Under { began, stepped: now, from, way_m };
         let turn = so3::log(&(from.rotation() * base_from_hand.rotation().inverse()));
-        // What leads back to the beginning sets out as slowly as everything else.
+        // The return path also starts slowly.
         let most = if place.is_some() { config.speed_m_per_s } else { config.pace_m_per_s(way_m) };
         Some(Twist::new(
             no_longer_than(along(config, &from, way_m) + left * CORRECTION_PER_S, most),
@@ -184,7 +184,7 @@ impl Search {
     }
 }
 
-/// Velocity of the pattern, in `base`; none behind its end.
+/// Velocity along the pattern, in `base`; zero after its end.
 fn along(config: &SearchConfig, from: &Pose<Base, Hand>, way_m: f64) -> Vector3<f64> {
     let ahead_m = 1e-4;
     match (config.place(way_m), config.place(way_m + ahead_m)) {

@@ -1,12 +1,11 @@
-//! The supervisor: whether the arm may move, and if not, why and what to do.
+//! The supervisor: decides whether the arm may move, and if not, states the reason and the remedy.
 //!
-//! It stands between the controller and the arm. In each step [`Supervisor::step`] looks at everything that is known
-//! ([`Inputs`]), at its [`Policies`] and at the operator's word, and says what is permitted ([`Decision`]). The
-//! [`table`](mod@table) of states is its whole memory of what was permitted before; a latched state ends with the operator's
-//! reset only, and leads to [`State::Idle`] and no further.
+//! The supervisor is between the controller and the arm. In each step [`Supervisor::step`] checks all measurements ([`Inputs`])
+//! against its [`Policies`], takes the operator's command, and returns a [`Decision`]. Its only memory is the state of the
+//! [`table`](mod@table) and timers. Only the operator's reset leaves a latched state, and it leads to [`State::Idle`].
 //!
-//! The arm goes on only from what is measured: with each rest, stop, fault, reset and selection [`Decision::rearm`] tells the
-//! controller to drop its set-points, and nothing is permitted before it has new ones.
+//! Motion always starts from measurements: with each hold, stop, fault, reset and selection [`Decision::rearm`] makes the
+//! controller drop its set-points, and motion is inhibited until new ones exist.
 
 mod codes;
 mod findings;
@@ -38,73 +37,72 @@ use crate::controller::Mode;
 /// What the arm may do until the next step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Permission {
-    /// Go as the controller says, with this share of its velocity, above 0 to 1.
+    /// Move as the controller commands, with this share of the velocity, above 0 to 1.
     Move {
         /// The share.
         share: f64,
     },
-    /// Come to rest and stay; brakes stay open.
+    /// Decelerate and hold, with open brakes.
     Hold,
-    /// Both arms are to be stopped, and stay so.
+    /// Both arms are stopped and latched.
     Stop,
 }
 
-/// The outcome of a step.
+/// Result of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Decision {
-    /// What the arm may do.
+    /// Permission for the arm.
     pub permission: Permission,
-    /// Where the supervisor is.
+    /// State of the supervisor.
     pub state: State,
-    /// One line: why the arm does not move, and what to do.
+    /// One line: why the arm does not move, and the remedy.
     pub why: Why,
-    /// The controller is to drop its set-points and target ([`crate::Controller::acquire`]).
+    /// The controller must drop its set-points and its target ([`crate::Controller::acquire`]).
     pub rearm: bool,
-    /// The controller may look for the target that was lost ([`crate::Controller::permit_search`]).
+    /// The controller may search for the lost target ([`crate::Controller::permit_search`]).
     pub search: bool,
-    /// What is wrong, in motion or at rest after it, and has lasted.
+    /// Active conditions that have lasted for their time, during motion or a hold.
     pub found: ConditionSet,
-    /// No arm may move by itself, the one that carries the target included: its joints, its drives, the clock or the operator are not
-    /// what they must be for that, in whatever state.
+    /// No arm may move, including the one that carries the target: joints, drives, clock or operator do not allow it in any state.
     pub no_arm_may_move: bool,
-    /// Whether `start`, or after a rest `resume`, would be obeyed now.
+    /// Whether `start` (after a hold `resume`) would be accepted now.
     pub is_ready: bool,
     /// The change of state in this step.
     pub transition: Option<Transition>,
-    /// The word that was not obeyed in this step.
+    /// The command that was refused in this step.
     pub refused: Option<Refusal>,
 }
 
-/// The supervisor of both arms of a cell.
+/// Supervisor of both arms.
 #[derive(Clone, Debug)]
 pub struct Supervisor {
     config: SupervisorConfig,
     state: State,
-    /// When the state was entered; a word that was said before was said to another state.
+    /// Time at which the state was entered; older commands refer to another state.
     entered_at: Option<MonotonicTime>,
     findings: Findings,
-    /// What led to the state; none if the operator's word did.
+    /// Condition that led to the state; `None` if a command did.
     cause: Option<Cause>,
-    /// Since when nothing has spoken against motion.
+    /// Time since which no condition inhibits motion.
     clear_since: Option<MonotonicTime>,
-    /// What spoke against it last, since the target was selected.
+    /// The last condition that inhibited motion since the target was selected.
     spoke: Option<Cause>,
-    /// The operator has said hold since the last motion.
+    /// The operator has commanded a hold since the last motion.
     held_by_operator: bool,
-    /// Something was found since the last motion after which only the operator's word leads on.
+    /// A condition since the last motion needs the operator's `resume`.
     needs_word: bool,
-    /// The same, other than that the target is lost.
+    /// The same, for conditions other than a lost target.
     needs_word_for_more: bool,
-    /// What became of the search for the target since the last motion.
+    /// State of the search for the target since the last motion.
     search: SearchRight,
     log: TransitionLog,
 }
 
 impl Supervisor {
-    /// A supervisor at [`State::Idle`].
+    /// A supervisor in [`State::Idle`].
     ///
     /// # Errors
-    /// The first setting that is out of its range, or weaker than its condition allows.
+    /// The first setting that is out of range, or weaker than its condition allows.
     pub fn new(config: SupervisorConfig) -> Result<Self, SupervisorError> {
         config.validate()?;
         Ok(Self {
@@ -128,15 +126,15 @@ impl Supervisor {
         &self.log
     }
 
-    /// One control cycle: never blocks, does not allocate. In one step the state changes at most once.
+    /// One control cycle: never blocks, never allocates. The state changes at most once per step.
     ///
-    /// What is found goes before what is said, but for `stop` and `hold`, which are always obeyed. `start` and `resume` are
-    /// refused while a condition inhibits motion, even if it has not lasted yet, and until it has been gone for
-    /// [`SupervisorConfig::go_after_s`]; `reset` as long as a fault of an arm or an emergency stop is still there; and every word that
-    /// was said too long ago, or before the state was entered.
+    /// Detected conditions take precedence over operator commands, except `stop` and `hold`, which are always obeyed. `start` and
+    /// `resume` are refused while a condition inhibits motion, even if it has not lasted for its time, and until it has been gone
+    /// for [`SupervisorConfig::go_after_s`]. `reset` is refused while an arm reports a fault or an emergency stop. Every command is
+    /// refused if it is too old or older than the state.
     pub fn step(&mut self, inputs: &Inputs, now: MonotonicTime) -> Decision {
         self.findings.look(inputs, &self.config.policies, now);
-        // A clock that was set back must not keep the operator's words out until it has caught up.
+        // After a backward step of the clock, commands must not be refused until the clock has caught up.
         self.entered_at = self.entered_at.map(|entered| entered.min(now));
         let blocking = self.findings.first_at_least(&self.config.policies, Action::Hold);
         self.clear_since = match (blocking, self.clear_since) {
@@ -154,7 +152,7 @@ impl Supervisor {
             self.findings.rearm();
             self.clear_since = None;
             if self.state == State::Selecting {
-                // What was known of another target, or of the same one before, speaks for nothing any more.
+                // Times that were measured for another target, or before this selection, do not count.
                 self.findings.look(inputs, &self.config.policies, now);
                 blocking = self.findings.first_at_least(&self.config.policies, Action::Hold);
             }
@@ -176,7 +174,7 @@ impl Supervisor {
         }
     }
 
-    /// The most telling of the most severe things that are wrong, with the event that it makes.
+    /// The most severe active condition (of several the first), with its event.
     fn alarm(&self, now: MonotonicTime) -> Option<(Event, Cause)> {
         let follows = self.state.is_moving() || self.state.is_resting();
         let counts = |condition: Condition| follows || condition.rule().counts_always;
@@ -201,7 +199,7 @@ impl Supervisor {
         Some((event, cause))
     }
 
-    /// The first of all events, the most severe one first, that leads to another state.
+    /// The first event, by severity, that leads to another state.
     fn change(
         &mut self,
         inputs: &Inputs,
@@ -238,18 +236,18 @@ impl Supervisor {
         None
     }
 
-    /// For how long nothing has spoken against motion, seconds, up to the newest confident estimate: while none comes nothing is known.
+    /// Time without an active inhibit, seconds, up to the newest confident estimate: nothing is known after it.
     fn clear_for_s(&self) -> f64 {
         let (Some(since), Some(until)) = (self.clear_since, self.findings.confirmed_at) else { return 0.0 };
         until.seconds_since(since).max(0.0)
     }
 
-    /// Whether that is long enough for a word to lead on: a cause that comes and goes from image to image is not gone between two.
+    /// Whether this time is long enough for a command: a cause that comes and goes from image to image must not count as gone.
     fn is_clear(&self) -> bool {
         self.clear_since.is_some() && (self.clear_for_s() >= self.config.go_after_s || is_off(Safeguard::ClearForWords))
     }
 
-    /// What happens without anybody's word.
+    /// Transitions without a command.
     fn by_itself(&self, inputs: &Inputs) -> Option<Event> {
         let may_resume = !self.held_by_operator && !self.needs_word && self.clear_for_s() >= self.config.resume_after_s;
         match (self.state, inputs.controller) {
@@ -283,13 +281,13 @@ impl Supervisor {
         self.log.push(transition);
     }
 
-    /// Whether a reset is to reach the arms: one that is obeyed as soon as no arm has a fault or an emergency stop any more. Nothing but a
-    /// latched state is reset, and not by a word that was said too long ago or before the state was entered.
+    /// Whether a reset is passed on to the arms. It must leave a latched state as soon as no arm has a fault or an emergency stop,
+    /// and must be neither too old nor older than the state.
     pub fn would_reset(&self, said: OperatorRequest, now: MonotonicTime) -> bool {
         said.word == OperatorCommand::Reset && self.state.is_latched() && self.untimely(said, now).is_none()
     }
 
-    /// What is wrong; keeps in mind that only a word leads on.
+    /// Active conditions; remembers whether one of them needs the operator's `resume`.
     fn note(&mut self, now: MonotonicTime) -> ConditionSet {
         let mut found = ConditionSet::default();
         if !(self.state.is_moving() || self.state.is_resting()) {
@@ -309,7 +307,7 @@ impl Supervisor {
         self.findings.lasting(&self.config.policies, now).any(|(cause, _)| cause.condition.rule().holds_every_arm)
     }
 
-    /// Why a word may not be obeyed, whatever the table says.
+    /// Reason to refuse a command, apart from the table.
     fn refusal(&self, said: OperatorRequest, blocking: Option<Cause>, now: MonotonicTime) -> Option<RefusedFor> {
         if matches!(said.word, OperatorCommand::Stop | OperatorCommand::Hold) {
             return None;
@@ -329,13 +327,13 @@ impl Supervisor {
         }
     }
 
-    /// No condition inhibits motion any more, but not yet for long enough.
+    /// The cause is gone, but not for long enough.
     fn not_clear(&self) -> Option<RefusedFor> {
         let (clear_s, wanted_s) = (self.clear_for_s(), self.config.go_after_s);
         (!self.is_clear()).then_some(RefusedFor::NotClear { cause: self.spoke, clear_s, wanted_s })
     }
 
-    /// Why a word may not be obeyed because of when it was said.
+    /// Reason to refuse a command because of its time.
     fn untimely(&self, said: OperatorRequest, now: MonotonicTime) -> Option<RefusedFor> {
         if is_off(Safeguard::TimelyWords) {
             return None;
@@ -345,24 +343,24 @@ impl Supervisor {
         if !(-age_max_s..=age_max_s).contains(&age_s) {
             return Some(RefusedFor::Age { age_s, age_max_s });
         }
-        // A clock that was set back must not keep the operator's words out until it has caught up.
+        // After a backward step of the clock, commands must not be refused until the clock has caught up.
         let is_before = self.entered_at.is_some_and(|entered| said.at < entered.min(now));
         if is_before {
             return Some(RefusedFor::OlderThanState(self.state));
         }
-        // Who says start means the target that is followed then.
+        // `start` refers to the target that was followed when the command was given.
         let followed_since = self.findings.followed_since().filter(|_| said.word == OperatorCommand::Start);
         let is_other = followed_since.is_some_and(|since| said.at < since.min(now));
         is_other.then_some(RefusedFor::OlderThanTarget)
     }
 
-    /// What became of a word.
+    /// Result of a command.
     fn refused(&self, word: OperatorCommand, refused: Option<RefusedFor>, happened: Option<Event>) -> Option<Refusal> {
         let own = event_of(word);
         let because = match (refused, happened) {
             (Some(because), _) => because,
             (None, Some(event)) if event == own => return None,
-            // `stop` is obeyed by a fault, and `hold` by everything that ends motion.
+            // A fault fulfils `stop`, and every end of motion fulfils `hold`.
             (None, Some(_)) if matches!(word, OperatorCommand::Stop | OperatorCommand::Hold) => return None,
             (None, Some(_)) => RefusedFor::Overtaken(self.state),
             (None, None) if outcome(self.state, own) == Outcome::Refuse => RefusedFor::State(self.state),
@@ -371,8 +369,8 @@ impl Supervisor {
         Some(Refusal { word, because })
     }
 
-    /// Whether the hand may look for the target: it is lost, not for too long, the operator has not said hold, nothing waits for a word
-    /// but the loss itself, and nothing is wrong but what a loss brings with it.
+    /// Whether the hand may search for the target: it is lost for not too long, the operator has not commanded a hold, only the
+    /// loss needs a `resume`, and no condition is active except those that a loss causes.
     fn may_search(&self, now: MonotonicTime) -> bool {
         let since_s = self.entered_at.map_or(f64::INFINITY, |entered| now.seconds_since(entered));
         let of_loss = |cause: Cause| comes_with_loss(cause.condition);
@@ -383,8 +381,8 @@ impl Supervisor {
             && self.findings.all_at_least(&self.config.policies, Action::Slow(1.0)).all(of_loss)
     }
 
-    /// The same, once for each loss: a search that was broken off does not begin again, nor does one after a clock that stepped, by
-    /// which nobody knows how long the target has been lost.
+    /// The same, once per loss: an aborted search does not start again. After a clock step no search starts, because the time since
+    /// the loss is unknown.
     fn permits_search(&mut self, now: MonotonicTime) -> bool {
         let has_stepped = self.state == State::Lost && self.findings.cause(Condition::ClockStepped).is_some();
         self.search = match (self.search, self.may_search(now)) {
@@ -410,7 +408,7 @@ impl Supervisor {
         Permission::Move { share: self.slowed(now).map_or(1.0, |(_, share)| share) }
     }
 
-    /// What slows the arm most.
+    /// The action that slows the arm most.
     fn slowed(&self, now: MonotonicTime) -> Option<(Cause, f64)> {
         let shares = self.findings.lasting(&self.config.policies, now).filter_map(|(cause, action)| match action {
             Action::Slow(share) => Some((cause, share)),
@@ -448,18 +446,18 @@ impl Supervisor {
     }
 }
 
-/// One search for each loss.
+/// Search state: at most one search per loss.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum SearchRight {
-    /// Not permitted yet.
+    /// Not yet permitted.
     Unused,
-    /// Permitted now.
+    /// Permitted.
     Used,
-    /// Was permitted, and is not any more.
+    /// Was permitted and has ended.
     Over,
 }
 
-/// Whether this is found because the target is not seen.
+/// Whether this condition is a consequence of an invisible target.
 fn comes_with_loss(condition: Condition) -> bool {
     matches!(
         condition,

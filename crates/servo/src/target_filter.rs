@@ -1,4 +1,4 @@
-//! Where the target is in `base`: observations gated and smoothed, held between frames.
+//! Smoothed pose of the target in `base`: observations are gated and low-pass filtered, and held between frames.
 
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use pb3dp_geometry::frames::{Base, CamLeft, Hand, Model};
@@ -7,60 +7,60 @@ use pb3dp_geometry::{MonotonicTime, Pose, Twist};
 use crate::config::TargetFilterConfig;
 use crate::joint_history::NotInHistory;
 
-/// What the estimator says about one frame pair.
+/// Output of the estimator for one frame pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TargetObservation {
-    /// Middle of the left image's exposure.
+    /// Midpoint of the left exposure.
     pub at: MonotonicTime,
-    /// Pose of the model in the left camera. What the estimator does not observe (the rotation about the normal of the
-    /// published method) stays at the value that the estimator holds it at.
+    /// Pose of the model in the left camera. A component that the method does not observe (the rotation about the normal in the
+    /// published method) stays constant.
     pub cam_left_from_model: Pose<CamLeft, Model>,
-    /// Whether the estimator is confident in the depth (status `ok` or `weak-tilt`); others are not followed. A weak tilt is
-    /// noisy, not wrong: the smoothing of the target is there for it.
+    /// Whether the depth is confident (status `ok` or `weak-tilt`); other observations are not used. A weak tilt is noisy, not
+    /// wrong, and smoothing handles it.
     pub trusted: bool,
-    /// Covariance of `xi = [rho; phi]` (metres, radians; axes of `model`) in `true = cam_left_from_model * exp(xi)`; `None`: the
-    /// estimator does not say.
+    /// Covariance of `xi = [rho; phi]` (metres, radians; axes of `model`) in `true = cam_left_from_model * exp(xi)`; `None` if the
+    /// method has none.
     pub covariance: Option<Matrix6<f64>>,
-    /// Whether the estimator measures the rotation about the model's z. What it does not measure follows the hand that it is seen
-    /// from: as a measurement it would lead the hand after itself.
+    /// Whether the estimator measures the rotation about the model's z axis. An unmeasured rotation follows the hand; used as a
+    /// measurement, it would make the hand follow itself.
     pub rotation_about_normal_observed: bool,
 }
 
-/// What became of the newest observation.
+/// What happened to the newest observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ObservationVerdict {
-    /// There was none, or it was already handled.
+    /// There is none, or it was already handled.
     NoneNew,
-    /// It is part of the target's pose now.
+    /// Accepted into the pose of the target.
     Accepted,
-    /// The estimator has low confidence in it.
+    /// The estimator has low confidence.
     Untrusted,
     /// It contains a number that is not finite.
     NotFinite,
-    /// Its exposure lies longer ago than the observation time-out, or in the future.
+    /// The exposure is older than the observation time-out, or in the future.
     WrongTime {
-        /// Seconds since the exposure.
+        /// Age of the exposure, seconds.
         age_s: f64,
     },
-    /// The joints at its time are not known.
+    /// The joints at the time of exposure are unknown.
     JointsUnknown(NotInHistory),
-    /// It is farther from the target's pose than the gate allows.
+    /// Too far from the pose of the target.
     Jump {
         /// Distance, metres.
         position_m: f64,
         /// Angle, radians.
         orientation_rad: f64,
     },
-    /// It disagrees with what the target's motion so far leads to expect.
+    /// Too far from the predicted pose.
     Outlier {
         /// Squared Mahalanobis distance of its six components.
         distance_squared: f64,
     },
-    /// Its covariance is none: not finite, not symmetric, or negative.
+    /// The covariance is invalid: not finite, not symmetric, or negative.
     BadCovariance,
 }
 
-/// The target in `base`, as of the last accepted observation.
+/// The target in `base` at the time of the last accepted observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TargetTrack {
     base_from_model: Pose<Base, Model>,
@@ -70,7 +70,7 @@ pub struct TargetTrack {
 }
 
 impl TargetTrack {
-    /// A target seen for the first time.
+    /// Starts from a first observation.
     pub fn begin(base_from_model: Pose<Base, Model>, observed_at: MonotonicTime) -> Self {
         Self { base_from_model, twist: Twist::zero(), observed_at, observations: 1 }
     }
@@ -85,24 +85,24 @@ impl TargetTrack {
         self.observed_at
     }
 
-    /// Accepted observations since the beginning.
+    /// Number of accepted observations.
     pub fn observations(&self) -> u32 {
         self.observations
     }
 
-    /// Where the hand should be.
+    /// Desired pose of the hand.
     pub fn base_from_hand_desired(&self, model_from_hand_desired: &Pose<Model, Hand>) -> Pose<Base, Hand> {
         self.base_from_model * *model_from_hand_desired
     }
 
-    /// Velocity of the desired hand's origin and its angular velocity, in `base`, by differences of the smoothed pose.
+    /// Velocity of the desired hand's origin and its angular velocity, in `base`, from differences of the smoothed pose.
     pub fn hand_desired_twist(&self, model_from_hand_desired: &Pose<Model, Hand>) -> Twist<Base> {
         let lever = self.base_from_model.transform_vector(&model_from_hand_desired.translation_m());
         let angular = self.twist.angular_rad_per_s;
         Twist::new(self.twist.linear_m_per_s + angular.cross(&lever), angular)
     }
 
-    /// Takes an observation in unless it lies outside the gate; a jump of a target that is not locked yet begins anew.
+    /// Adds an observation that passes the gate. A jump before the target is initialised starts again.
     pub fn update(
         &mut self,
         config: &TargetFilterConfig,
@@ -130,7 +130,7 @@ impl TargetTrack {
         ObservationVerdict::Accepted
     }
 
-    /// Whether enough observations agree.
+    /// Whether enough consistent observations were accepted.
     pub fn is_locked(&self, config: &TargetFilterConfig) -> bool {
         self.observations >= config.observations_to_lock
     }
@@ -143,7 +143,7 @@ impl TargetTrack {
     }
 }
 
-/// Share of the difference that a first-order low-pass takes over in `dt_s`.
+/// Share of the difference that a first-order low-pass filter applies in `dt_s`.
 fn share(dt_s: f64, time_constant_s: f64) -> f64 {
     if time_constant_s > 0.0 { 1.0 - (-dt_s / time_constant_s).exp() } else { 1.0 }
 }

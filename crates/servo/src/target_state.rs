@@ -1,11 +1,11 @@
-//! Where the target is and how it moves: an error-state Kalman filter on SE(3), in `base`.
+//! Pose and motion of the target: an error-state Kalman filter on SE(3), in `base`.
 //!
 //! State: pose of the model, velocity and acceleration of the model's origin, angular velocity and acceleration of the model.
-//! The linear and the angular part each are in motion (Singer's model of a correlated acceleration) or at rest, and the filter
-//! weighs these four hypotheses by what it measures, see [`TargetStateConfig`] and `docs/servo.md`.
+//! The linear and the angular part are each in motion (Singer's model of a correlated acceleration) or at rest. The filter weights
+//! these four hypotheses by their likelihood, see [`TargetStateConfig`] and `docs/servo.md`.
 //!
-//! [`TargetState::observe`] takes measured poses in with their time of exposure, in any order; [`TargetState::at`] says where
-//! the target will be. Both leave the heap alone.
+//! [`TargetState::observe`] adds measured poses with their time of exposure, in any order; [`TargetState::at`] predicts the target.
+//! Neither allocates.
 
 use std::collections::VecDeque;
 
@@ -26,24 +26,24 @@ pub use config::{MeasurementConfig, MotionConfig, RestConfig, SurpriseConfig, Ta
 use measurement::BaseMeasurement;
 pub use measurement::PoseMeasurement;
 
-/// What became of a measurement.
+/// What happened to a measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum MeasurementVerdict {
-    /// It is the first one, or came too long after all others: a new target begins with it.
+    /// The first measurement, or one after a long gap: it initialises the target.
     Began,
-    /// It is part of the state now.
+    /// Used in the state.
     Accepted {
         /// Squared Mahalanobis distance from the prediction, 6 degrees of freedom.
         nis: f64,
     },
-    /// It lies outside the gate. It is kept, and used after all if a late measurement makes it fit.
+    /// Outside the gate. It is kept, and used if a late measurement makes it consistent.
     Outlier {
         /// Squared Mahalanobis distance from the prediction, 6 degrees of freedom.
         nis: f64,
     },
-    /// It is older than the history reaches.
+    /// Older than the history.
     TooOld,
-    /// There is a measurement of this very time already.
+    /// There is already a measurement with this time.
     Duplicate,
     /// The pose contains a number that is not finite.
     NotFinite,
@@ -54,41 +54,41 @@ pub enum MeasurementVerdict {
 /// Why there is no prediction.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum NotPredictable {
-    /// Nothing was measured yet.
+    /// There is no measurement yet.
     #[error("no pose of the target was measured yet")]
     NoTarget,
-    /// The time lies before the history.
+    /// The time is before the history.
     #[error("the time lies {behind_s:.3} s before the oldest measurement that is kept")]
     TooOld {
-        /// Seconds before the oldest measurement.
+        /// Time before the oldest measurement, seconds.
         behind_s: f64,
     },
-    /// The time lies too far behind the newest measurement.
+    /// The time is too far after the newest measurement.
     #[error("the time lies {ahead_s:.3} s after the newest measurement, the horizon is {horizon_s:.3} s")]
     TooFar {
-        /// Seconds after the newest measurement.
+        /// Time after the newest measurement, seconds.
         ahead_s: f64,
-        /// How many are allowed.
+        /// Allowed time, seconds.
         horizon_s: f64,
     },
 }
 
-/// Second derivatives of the motion of a rigid body, expressed in frame `In`.
+/// Linear and angular acceleration of a rigid body, expressed in frame `In`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Acceleration<In: Frame> {
-    /// Of the moving frame's origin, m/s^2.
+    /// Of the origin of the moving frame, m/s^2.
     pub linear_m_per_s2: Vector3<f64>,
     /// Angular, rad/s^2.
     pub angular_rad_per_s2: Vector3<f64>,
     frame: std::marker::PhantomData<In>,
 }
 
-/// The target at a time.
+/// State of the target at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prediction {
     /// The time.
     pub at: MonotonicTime,
-    /// Where the model is.
+    /// Pose of the model.
     pub base_from_model: Pose<Base, Model>,
     /// Velocity of the model's origin, and angular velocity of the model.
     pub twist: Twist<Base>,
@@ -106,7 +106,7 @@ pub struct Prediction {
 #[derive(Clone, Debug)]
 pub struct TargetState {
     config: TargetStateConfig,
-    /// In the order of exposure; what a measurement changed stands beside it.
+    /// In the order of exposure, each with the state after it.
     history: VecDeque<Entry>,
 }
 
@@ -119,17 +119,17 @@ struct Entry {
 }
 
 impl TargetState {
-    /// A filter without a target. All memory is taken here.
+    /// Creates a filter without a target and allocates all memory.
     ///
     /// # Errors
-    /// The first setting that is out of its range.
+    /// The first setting that is out of range.
     pub fn new(config: TargetStateConfig) -> Result<Self, ConfigError> {
         config.validate()?;
         Ok(Self { config, history: VecDeque::with_capacity(config.history_measurements) })
     }
 
-    /// Takes a measurement in. A late one is put in its place and the newer ones are taken in again: the state is that of
-    /// measurements in order. Never blocks, does not allocate.
+    /// Adds a measurement. A late one is inserted at its time, and the newer ones are processed again: the state equals that of
+    /// ordered measurements. Never blocks, never allocates.
     pub fn observe(&mut self, measurement: &PoseMeasurement) -> MeasurementVerdict {
         if !measurement.base_from_model.is_finite() {
             return MeasurementVerdict::NotFinite;
@@ -148,21 +148,21 @@ impl TargetState {
         self.insert(place, measured)
     }
 
-    /// Forgets the target.
+    /// Drops the target.
     pub fn clear(&mut self) {
         self.history.clear();
     }
 
-    /// The target at a time, which may lie before the newest measurement as well. Changes nothing, does not allocate.
+    /// State of the target at a time, also before the newest measurement. Changes nothing, never allocates.
     ///
     /// # Errors
-    /// If nothing was measured, or the time lies before the history or beyond the horizon.
+    /// If there is no measurement, or the time is before the history or beyond the horizon.
     pub fn at(&self, time: MonotonicTime) -> Result<Prediction, NotPredictable> {
         let (bank, ahead_s) = self.known_at(time)?;
         Ok(Prediction::new(time, &bank.mixture(&self.config, ahead_s)))
     }
 
-    /// The pose of [`Self::at`] alone, which costs a fraction of it.
+    /// The pose of [`Self::at`] only, at a fraction of the cost.
     ///
     /// # Errors
     /// As [`Self::at`].
@@ -171,7 +171,7 @@ impl TargetState {
         Ok(bank.pose_after(&self.config, ahead_s))
     }
 
-    /// What was known at a time, and how long before it, seconds.
+    /// The newest state before a time, and its age, seconds.
     fn known_at(&self, time: MonotonicTime) -> Result<(&Bank, f64), NotPredictable> {
         let behind = self.history.partition_point(|entry| entry.measured.at <= time);
         let Some(entry) = behind.checked_sub(1).and_then(|before| self.history.get(before)) else {
@@ -190,13 +190,13 @@ impl TargetState {
         self.history.back().map(|entry| entry.measured.at)
     }
 
-    /// Time of the newest measurement that is part of the state, of those that are kept.
+    /// Time of the newest kept measurement that is used in the state.
     pub fn newest_accepted_at(&self) -> Option<MonotonicTime> {
         let accepted = self.history.iter().rev().find(|entry| entry.outliers_in_a_row == 0);
         accepted.map(|entry| entry.measured.at)
     }
 
-    /// How many measurements in a row, up to the newest, were outliers.
+    /// Number of consecutive outliers up to the newest measurement.
     pub fn consecutive_outliers(&self) -> u32 {
         self.history.back().map_or(0, |entry| entry.outliers_in_a_row)
     }
@@ -232,7 +232,7 @@ impl TargetState {
         entry.verdict
     }
 
-    /// The entry of a measurement behind another entry.
+    /// Processes the entry after another one.
     fn next(&self, before: &Entry, measured: BaseMeasurement) -> Entry {
         let dt_s = measured.at.seconds_since(before.measured.at);
         let predicted = before.bank.predicted(&self.config, dt_s);
@@ -249,7 +249,7 @@ impl TargetState {
 }
 
 impl<In: Frame> Acceleration<In> {
-    /// Claims that both parts are expressed in `In`.
+    /// Asserts that both parts are expressed in `In`.
     pub fn new(linear_m_per_s2: Vector3<f64>, angular_rad_per_s2: Vector3<f64>) -> Self {
         Self { linear_m_per_s2, angular_rad_per_s2, frame: std::marker::PhantomData }
     }
@@ -277,14 +277,14 @@ impl Prediction {
         }
     }
 
-    /// Velocity of a frame that is fixed to the model, the desired hand say: of its origin, and angular.
+    /// Velocity of a frame fixed to the model, for example the desired hand: of its origin, and angular.
     pub fn twist_of<Fixed: Frame>(&self, model_from_fixed: &Pose<Model, Fixed>) -> Twist<Base> {
         let lever = self.base_from_model.transform_vector(&model_from_fixed.translation_m());
         let angular = self.twist.angular_rad_per_s;
         Twist::new(self.twist.linear_m_per_s + angular.cross(&lever), angular)
     }
 
-    /// Acceleration of a frame that is fixed to the model: of its origin, and angular.
+    /// Acceleration of a frame fixed to the model: of its origin, and angular.
     pub fn acceleration_of<Fixed: Frame>(&self, model_from_fixed: &Pose<Model, Fixed>) -> Acceleration<Base> {
         let lever = self.base_from_model.transform_vector(&model_from_fixed.translation_m());
         let (velocity, angular) = (self.twist.angular_rad_per_s, self.acceleration.angular_rad_per_s2);
@@ -293,8 +293,8 @@ impl Prediction {
         Acceleration::new(linear, angular)
     }
 
-    /// Covariance of the pose of a frame that is fixed to the model: of `xi = [rho; phi]` (metres, radians; axes of that
-    /// frame) in `true = predicted * exp(xi)`.
+    /// Covariance of the pose of a frame fixed to the model: of `xi = [rho; phi]` (metres, radians; axes of that frame) in `true =
+    /// predicted * exp(xi)`.
     pub fn covariance_of<Fixed: Frame>(&self, model_from_fixed: &Pose<Model, Fixed>) -> Matrix6<f64> {
         let adjoint = model_from_fixed.inverse().adjoint();
         let covariance = adjoint * self.covariance * adjoint.transpose();

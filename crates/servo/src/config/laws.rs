@@ -1,29 +1,29 @@
-//! What each control law needs.
+//! Parameters of the control laws.
 
 use super::TINY;
 use crate::config_error::{ConfigError, check};
 use crate::target_state::TargetStateConfig;
 
-/// Which law leads the hand, with its numbers.
+/// The control law with its parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "one per controller, and configurations are copied")]
 pub enum LawConfig {
     /// Feed-forward of the target's velocity and compensation of the delays, see [`crate::law::feed_forward`].
     FeedForward(FeedForwardConfig),
-    /// The law of the paper's group, see [`crate::law::pose_based`].
+    /// The law of the paper's authors, see [`crate::law::pose_based`].
     Published(PublishedConfig),
-    /// Points of the model led through the image, see [`crate::law::image_based`].
+    /// Image-based law, see [`crate::law::image_based`].
     ImageBased(ImageBasedConfig),
-    /// One point and its depth in the image, and the turn that is left, see [`crate::law::hybrid`].
+    /// 2 1/2-D law, see [`crate::law::hybrid`].
     Hybrid(HybridConfig),
 }
 
 /// Classical image-based servoing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImageBasedConfig {
-    /// Share of the error in the image that is taken away per second, 1/s, 0 (exclusive) to 50.
+    /// Gain on the image error, 1/s, 0 (exclusive) to 50.
     pub gain_per_s: f64,
-    /// The points are the corners of a square of the model, this far to either side of its origin, metres, 0.001 to 1.
+    /// The points are the corners of a square of the model, at this distance from its origin along each axis, metres, 0.001 to 1.
     pub half_width_m: f64,
     /// Gate and smoothing of the observations.
     pub target_filter: TargetFilterConfig,
@@ -32,78 +32,78 @@ pub struct ImageBasedConfig {
 /// 2 1/2-D servoing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HybridConfig {
-    /// Share of the errors that is taken away per second, 1/s, 0 (exclusive) to 50.
+    /// Gain on the errors, 1/s, 0 (exclusive) to 50.
     pub gain_per_s: f64,
     /// Gate and smoothing of the observations.
     pub target_filter: TargetFilterConfig,
 }
 
-/// The law with feed-forward: what is known of the arm, gains, and what is known of the target.
+/// The law with feed-forward: model of the arm, gains, and model of the target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForwardConfig {
-    /// From a command to its effect.
+    /// Response of the arm to a command.
     pub arm: ArmResponse,
-    /// Gains, and how hard errors are braked away.
+    /// Gains, and decelerations for large errors.
     pub gains: FeedForwardGains,
-    /// How the target moves, and how far observations are believed.
+    /// Motion model of the target and measurement noise.
     pub target: TargetStateConfig,
-    /// Observations that are accepted before the hand moves, 1 to 1000.
+    /// Accepted observations before the hand moves, 1 to 1000.
     pub observations_to_lock: u32,
-    /// How sure an observation is if the estimator does not say.
+    /// Standard deviations if the estimator reports no covariance.
     pub unstated: UnstatedCovariance,
-    /// What the seventh joint is used for.
+    /// Null motion.
     pub redundancy: RedundancyConfig,
 }
 
-/// How the joints answer a velocity command: after a dead time, with a first-order lag.
+/// Response of the joints to a velocity command: a dead time and a first-order lag.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmResponse {
-    /// From a command to the beginning of its effect, seconds, 0 to 0.5.
+    /// Dead time from a command to its effect, seconds, 0 to 0.5.
     pub delay_s: f64,
-    /// Time constant with which the velocity then follows, seconds, 0 to 0.5.
+    /// Time constant of the velocity, seconds, 0 to 0.5.
     pub lag_s: f64,
 }
 
 impl ArmResponse {
-    /// Share of delay and lag that may be unknown.
+    /// Assumed share of delay and lag that is unknown.
     pub const UNKNOWN_SHARE: f64 = 0.5;
-    /// Largest gain of the errors, 1/s, that is used however quick an arm is.
+    /// Upper bound of the gains, 1/s, for any arm.
     pub const GAIN_MAX_PER_S: f64 = 20.0;
 
-    /// The largest gain, 1/s, that is free of overshoot if a share of delay and lag is not compensated: 1 / (e T), see
-    /// [`Gains::without_overshoot`], where T is [`Self::UNKNOWN_SHARE`] of both; at most [`Self::GAIN_MAX_PER_S`].
+    /// The largest gain without overshoot, 1/s, if a share of delay and lag is not compensated: 1 / (e T), see
+    /// [`Gains::without_overshoot`], with T = [`Self::UNKNOWN_SHARE`] of both; at most [`Self::GAIN_MAX_PER_S`].
     pub fn gain_without_overshoot(&self) -> f64 {
         let unknown_s = Self::UNKNOWN_SHARE * (self.delay_s + self.lag_s);
         (1.0 / (std::f64::consts::E * unknown_s)).min(Self::GAIN_MAX_PER_S)
     }
 }
 
-/// Gains of the law with feed-forward. Errors are metres and angles: equal gains are equally fast.
+/// Gains of the law with feed-forward. Errors are metres and angles: equal gains converge equally fast.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedForwardGains {
-    /// Hand speed per position error, 1/s, 0 (exclusive) to 50.
+    /// Speed of the hand per position error, 1/s, 0 (exclusive) to 50.
     pub position_per_s: f64,
     /// Angular speed per angle, 1/s, 0 (exclusive) to 50.
     pub orientation_per_s: f64,
-    /// Large errors are corrected no faster than can be braked with this, m/s^2, 0.01 to 20.
+    /// Deceleration that limits the speed of large corrections, m/s^2, 0.01 to 20.
     pub linear_m_per_s2: f64,
     /// The same for angles, rad/s^2, 0.01 to 50.
     pub angular_rad_per_s2: f64,
 }
 
 impl FeedForwardGains {
-    /// Gains for this arm, see [`ArmResponse::gain_without_overshoot`], and accelerations that a PA-10 has at 2 rad/s^2 of its
-    /// first joints with the hand 0.6 m away.
+    /// Gains for this arm, see [`ArmResponse::gain_without_overshoot`], and the accelerations of a PA-10 with 2 rad/s^2 at its
+    /// first joints and the hand 0.6 m away.
     pub fn of(arm: &ArmResponse) -> Self {
         let gain = arm.gain_without_overshoot();
         Self { position_per_s: gain, orientation_per_s: gain, linear_m_per_s2: 0.8, angular_rad_per_s2: 1.6 }
     }
 }
 
-/// Standard deviations of observations of an estimator that does not state them.
+/// Standard deviations of observations without a covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UnstatedCovariance {
-    /// Of the position across the viewing direction, metres, 1e-6 to 0.1.
+    /// Of the position perpendicular to the viewing direction, metres, 1e-6 to 0.1.
     pub lateral_m: f64,
     /// Of the position along the model's normal, metres, 1e-6 to 0.1.
     pub depth_m: f64,
@@ -120,23 +120,23 @@ impl Default for UnstatedCovariance {
     }
 }
 
-/// What the seventh joint is used for, see [`crate::redundancy`].
+/// Null motion of a redundant arm, see [`crate::redundancy`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RedundancyConfig {
     /// Speed of the null motion (of all joints together) per slope of the cost, rad/s, 0 to 10.
     pub gain_rad_per_s: f64,
-    /// Largest speed of the null motion, rad/s, 0 to 1; 0: the seventh joint is not used.
+    /// Speed limit of the null motion, rad/s, 0 to 1; 0: no null motion.
     pub speed_max_rad_per_s: f64,
 }
 
 impl Default for RedundancyConfig {
-    /// Slow beside the motion of the hand.
+    /// Slow compared with the motion of the hand.
     fn default() -> Self {
         Self { gain_rad_per_s: 0.2, speed_max_rad_per_s: 0.1 }
     }
 }
 
-/// The law of the paper's group.
+/// The law of the paper's authors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PublishedConfig {
     /// Gains of the law.
@@ -145,13 +145,13 @@ pub struct PublishedConfig {
     pub target_filter: TargetFilterConfig,
 }
 
-/// Gains of the law of the paper's group, see [`crate::law::pose_based`].
+/// Gains of the law of the paper's authors, see [`crate::law::pose_based`].
 ///
-/// The orientation error of the law is the vector part of a quaternion, half the angle where that is small: for equal rates of
+/// The orientation error of this law is the vector part of a quaternion, half the angle for small angles. For equal rates of
 /// convergence `orientation_per_s` is twice `position_per_s`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gains {
-    /// K_Pp: hand speed per position error, 1/s, 0 (exclusive) to 50. The hand trails a moving target by its inverse.
+    /// K_Pp: hand speed per position error, 1/s, 0 (exclusive) to 50. The hand lags a moving target by its inverse.
     pub position_per_s: f64,
     /// K_Vp: share of the rate of the position error that is added, 0 to 0.9.
     pub velocity: f64,
@@ -162,10 +162,10 @@ pub struct Gains {
 }
 
 impl Gains {
-    /// The largest gains without overshoot for a total delay from measured error to motion (1/(e T)), no velocity terms.
+    /// The largest gains without overshoot for a total delay from measured error to motion (1/(e T)), without velocity terms.
     ///
-    /// `delay_s` counts what lies inside the loop. The pose of the target is kept in `base`, found with the joint angles at
-    /// the time of exposure, so with exact calibration the camera's delay is outside; it is wise to count it all the same.
+    /// `delay_s` is the delay inside the loop. The target pose is stored in `base`, computed with the joint angles at the time of
+    /// exposure, so with exact calibration the camera's delay is outside the loop; include it as a reserve.
     pub fn without_overshoot(delay_s: f64) -> Self {
         let position_per_s = 1.0 / (std::f64::consts::E * delay_s);
         Self { position_per_s, velocity: 0.0, orientation_per_s: 2.0 * position_per_s, angular_velocity: 0.0 }
@@ -173,30 +173,30 @@ impl Gains {
 }
 
 impl Default for Gains {
-    /// No gains are published. These are free of overshoot up to a total delay of 92 ms and trail by 0.25 s; velocity terms
-    /// are off, because differentiated estimates of the published method are mostly noise.
+    /// No gains are published. These have no overshoot up to a total delay of 92 ms, and lag by 0.25 s. Velocity terms are off,
+    /// because differentiated estimates of the published method are mostly noise.
     fn default() -> Self {
         Self { position_per_s: 4.0, velocity: 0.0, orientation_per_s: 8.0, angular_velocity: 0.0 }
     }
 }
 
-/// Gate and smoothing of the observations. The paper has neither; its hand wanders.
+/// Gate and smoothing of the observations. The paper has neither; its hand position jitters.
 ///
-/// The observed pose of the model in `base` passes a first-order low-pass, position and orientation apart, because the
-/// method's depth is good and its tilt is not: one degree of tilt moves the desired hand by 8.7 mm at 500 mm. A time
-/// constant T divides white jitter of frames at an interval h by about sqrt(2 T / h) and lets the hand trail by T more. 0 is
-/// no smoothing. The first observations are averaged, so that a lock does not start from a single one.
+/// Position and orientation of the model in `base` pass separate first-order low-pass filters, because the depth of the method is
+/// accurate and its tilt is not: one degree of tilt moves the desired hand by 8.7 mm at 500 mm. A time constant T divides the white
+/// jitter of frames at an interval h by about sqrt(2 T / h), and adds a lag of T. 0 disables smoothing. The first observations are
+/// averaged, so that the target is not initialised from a single one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TargetFilterConfig {
     /// Time constant for the position, seconds, 0 to 5.
     pub position_time_constant_s: f64,
     /// Time constant for the orientation, seconds, 0 to 5.
     pub orientation_time_constant_s: f64,
-    /// An observation farther than this from the smoothed position is not used, metres, 0.001 to 10.
+    /// Position gate: distance from the smoothed position beyond which an observation is rejected, metres, 0.001 to 10.
     pub gate_position_m: f64,
-    /// An observation turned by more than this against the smoothed orientation is not used, radians, 0.01 to pi.
+    /// Orientation gate, radians, 0.01 to pi.
     pub gate_orientation_rad: f64,
-    /// Observations in agreement (within the gate) before the hand moves, 1 to 1000.
+    /// Consistent observations (within the gate) before the hand moves, 1 to 1000.
     pub observations_to_lock: u32,
 }
 

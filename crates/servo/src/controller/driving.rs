@@ -1,4 +1,4 @@
-//! From the error of the hand to joint velocities, or to the reason why there are none.
+//! From the error of the hand to joint velocities, or to the reason for a hold.
 
 use std::time::Duration;
 
@@ -15,35 +15,35 @@ use crate::law::{hand_twist_of_camera, hybrid, image_based};
 use crate::redundancy::secondary_velocity;
 use crate::resolved_rate::{HandJacobian, JointBounds, Limitation, limit_twist};
 
-/// With no more than this share of the wanted speed left by an end of a range the hand rests, and says why.
+/// If a joint limit leaves no more than this share of the requested speed, the hand holds and reports the limit.
 const STANDSTILL_SHARE: f64 = 0.02;
 
-/// A search begins when no joint is faster than this, rad/s.
+/// A search starts when no joint is faster than this, rad/s.
 const AT_REST_RAD_PER_S: f64 = 0.01;
 
-/// Time behind the approach after which way and turn are corrected each by itself, seconds.
+/// Time after the approach in which translation and rotation become independent, seconds.
 const TOGETHER_FADES_S: f64 = 1.0;
 
-/// How much of the wanted speed the hand has: it starts softly after a rest, and slows down while the target is not seen.
+/// Share of the requested speed that is used: it rises after a hold, and falls while the target is not observed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pace {
-    /// When the motion began, with the share of speed that it has; `None` at rest.
+    /// Start of the motion and its share of speed; `None` while the hand holds.
     moving: Option<(MonotonicTime, f64)>,
 }
 
 impl Pace {
-    /// At rest.
+    /// Holding.
     pub(super) fn rest() -> Self {
         Self { moving: None }
     }
 
-    /// The share of the speed by time alone: 0 at the start, 1 after `soft_start_s`.
+    /// Share of the speed by time alone: 0 at the start, 1 after `soft_start_s`.
     fn started(&mut self, soft_start_s: f64, now: MonotonicTime) -> f64 {
         let (began, _) = *self.moving.get_or_insert((now, 0.0));
         if soft_start_s > 0.0 { (now.seconds_since(began) / soft_start_s).clamp(0.0, 1.0) } else { 1.0 }
     }
 
-    /// The share of the speed, 0 at the start: it rises by 1 in `soft_start_s`, and is never above `most`.
+    /// Share of the speed, 0 at the start: it rises by 1 in `soft_start_s`, and is never above `most`.
     fn risen(&mut self, soft_start_s: f64, period_s: f64, most: f64, now: MonotonicTime) -> f64 {
         let share = match self.moving {
             _ if soft_start_s <= 0.0 => 1.0,
@@ -56,24 +56,24 @@ impl Pace {
     }
 }
 
-/// What a law wants.
+/// Motion that a law requests.
 struct LawOutput {
     /// Velocity of the hand.
     twist: Twist<Base>,
-    /// Largest speed of the hand.
+    /// Speed limit of the hand.
     most: CartesianSpeed,
-    /// Joints and Jacobian that it is resolved with.
+    /// Joints and Jacobian to resolve it with.
     position_rad: JointVector,
     jacobian: HandJacobian,
-    /// Motion of the joints that leaves the hand where it is, rad/s.
+    /// Null motion of the joints, rad/s.
     secondary_rad_per_s: JointVector,
-    /// Share of all this that is used now, and why it is less than 1.
+    /// Share of the motion that is used now, and why it is less than 1.
     share: f64,
     slowed_by: Limitation,
 }
 
 impl Controller {
-    /// Law and limits; leaves `Hold` with the reason where there is no way on.
+    /// Applies law and limits; keeps `Hold` with the reason if no motion is possible.
     pub(super) fn drive(
         &mut self,
         step: &mut ControlStep,
@@ -135,7 +135,7 @@ impl Controller {
         }
     }
 
-    /// One step of the search, if there is one, no faster than an approach.
+    /// One step of the search, if it is configured, no faster than an approach.
     pub(super) fn look_for_target(
         &mut self,
         step: &mut ControlStep,
@@ -145,7 +145,7 @@ impl Controller {
         now: MonotonicTime,
     ) {
         let Some(config) = self.config.search else { return };
-        // Where a hand is that still moves is not where it lost the target.
+        // While the hand still moves, its pose is not the one at which the target was lost.
         if self.search.is_ready() && joints.velocity_rad_per_s.amax() > AT_REST_RAD_PER_S {
             return;
         }
@@ -173,7 +173,7 @@ impl Controller {
         pose_based::hand_twist(&law.gains, error, &desired_twist, &measured_twist)
     }
 
-    /// What the laws that lead the camera want of the hand; `None` if the target is not before the camera.
+    /// Request of the image-based laws; `None` if the target is not in front of the camera.
     fn twist_by_camera(&self, step: &ControlStep) -> Option<Twist<Base>> {
         let (base_from_hand, base_from_model) = (step.base_from_hand?, step.base_from_model?);
         let mounting = self.config.hand_from_cam_left;
@@ -226,7 +226,7 @@ impl Controller {
         let most = self.correction_most(law, now);
         let most = most.towards(&aim.together(&gains, &base_from_hand, &most), self.share_together(now));
         let twist = feed_forward::hand_twist(&gains, &aim, &base_from_hand, &most);
-        // The closer to a singular pose, the less.
+        // The closer to a singular pose, the less null motion.
         let weight = (jacobian.smallest_singular_value() / self.damping.threshold()).min(1.0).powi(2);
         let secondary_rad_per_s = secondary_velocity(
             &self.chain,
@@ -243,8 +243,7 @@ impl Controller {
         Some(LawOutput { twist, most, position_rad, jacobian, secondary_rad_per_s, share, slowed_by })
     }
 
-    /// Largest speed at which an error is corrected: that of the approach until the hand has arrived, from where on it rises to that
-    /// of tracking.
+    /// Speed limit for corrections: that of the approach until the hand has arrived, then rising to that of tracking.
     fn correction_most(&self, law: &FeedForwardConfig, now: MonotonicTime) -> CartesianSpeed {
         let (slow, fast) = (&self.config.approach.speed, &self.config.speed.tracking);
         let since_s = self.approached_at.map_or(0.0, |at| now.seconds_since(at).max(0.0));
@@ -255,13 +254,13 @@ impl Controller {
         }
     }
 
-    /// How far way and turn are to end together: 1 during the approach, and less and less behind it.
+    /// How far translation and rotation must end together: 1 during the approach, then falling to 0.
     fn share_together(&self, now: MonotonicTime) -> f64 {
         let since_s = self.approached_at.map_or(0.0, |at| now.seconds_since(at));
         (1.0 - since_s / TOGETHER_FADES_S).clamp(0.0, 1.0)
     }
 
-    /// 1 while the target was seen within half the time-out; then it falls to 0 until the time-out, where the hand rests.
+    /// 1 while the target was observed within half of the time-out; then falling to 0 at the time-out, where the hand holds.
     fn freshness(&self, now: MonotonicTime) -> f64 {
         let timeout_s = self.config.timeouts.observation_s;
         let age_s = self.target.observed_at().map_or(timeout_s, |at| now.seconds_since(at));

@@ -1,4 +1,4 @@
-//! What lies between a commanded velocity and the motion of the joints: a dead time and a first-order lag.
+//! Response of an arm to a commanded velocity: a dead time and a first-order lag.
 
 use nalgebra::{Matrix2, Vector2};
 use pb3dp_geometry::MonotonicTime;
@@ -8,50 +8,50 @@ use super::{BATCHES, Interval, NotIdentified, batch_of};
 
 const WHAT: &str = "the time from command to motion";
 
-/// A velocity that was given to an arm.
+/// A commanded velocity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GivenVelocity {
-    /// When; it counts until the next one.
+    /// Start time; valid until the next command.
     pub at: MonotonicTime,
     /// Joint velocities, rad/s.
     pub velocity_rad_per_s: JointVector,
 }
 
-/// How an arm answers velocities.
+/// Identified response of an arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmResponseEstimate {
-    /// Dead time: for so long nothing comes of a velocity, seconds.
+    /// Dead time, seconds.
     pub delay: Interval,
-    /// Time constant of the first-order lag behind it, seconds.
+    /// Time constant of the first-order lag after it, seconds.
     pub lag: Interval,
-    /// Both together, which is known better than either, seconds.
+    /// Sum of both, seconds; more accurate than either.
     pub total: Interval,
-    /// Root mean square of what the model leaves of the joint angles, rad.
+    /// Root mean square of the joint-angle residuals, rad.
     pub residual_rms_rad: f64,
 }
 
-/// Dead times and lags beyond these are not looked for, seconds.
+/// Search range of dead time and of lag, seconds.
 const DELAY_MAX_S: f64 = 0.3;
 const LAG_MAX_S: f64 = 0.3;
-/// Grid of the search before the fine one.
+/// Coarse grid of the search.
 const DELAYS: usize = 31;
 const LAGS_S: [f64; 7] = [0.0, 0.01, 0.02, 0.04, 0.08, 0.16, 0.3];
-/// Joint samples in the record, at least.
+/// Minimum number of joint samples.
 const SAMPLES_MIN: usize = 50 * BATCHES;
-/// A record in which no joint moves by more than this tells nothing, rad.
+/// A record in which no joint moves by more than this is rejected, rad.
 const MOTION_MIN_RAD: f64 = 1e-3;
-/// Differences for the derivatives, steps of the fine search, and when it has arrived, seconds.
+/// Step of the derivatives, number of steps of the fine search, and its tolerance, seconds.
 const DIFFERENCE_S: f64 = 1e-4;
 const STEPS_MAX: usize = 30;
 const ARRIVED_S: f64 = 1e-7;
 
-/// Dead time and lag that explain how the joints moved (`joints`) when these velocities were `given`, both in the order of time, by
-/// least squares over the angles of all joints. Before the first velocity the arm is at rest.
+/// Identifies dead time and lag from commanded velocities (`given`) and measured joints (`joints`), both ordered by time, by least
+/// squares over the angles of all joints. Before the first velocity the arm stands still.
 ///
-/// What stands between the caller and the arm (a limiter) belongs to what is measured.
+/// Everything between the caller and the arm, such as a limiter, is part of the result.
 ///
 /// # Errors
-/// If the record is too short, nothing moved, or the times are longer than 0.3 s each.
+/// If the record is too short, nothing moved, or a time is longer than 0.3 s.
 pub fn arm_response(given: &[GivenVelocity], joints: &[JointState]) -> Result<ArmResponseEstimate, NotIdentified> {
     let record = Record::new(given, joints)?;
     let (mut best, mut least) = (Vector2::zeros(), f64::INFINITY);
@@ -87,13 +87,13 @@ fn check_range(delay_and_lag_s: &Vector2<f64>) -> Result<(), NotIdentified> {
     Ok(())
 }
 
-/// Given velocities and measured joints, in seconds since the first velocity.
+/// Commanded velocities and measured joints, in seconds since the first velocity.
 struct Record {
     given: Vec<(f64, JointVector)>,
     joints: Vec<(f64, JointVector)>,
 }
 
-/// Residuals of the angles and their derivatives by delay and lag; the caller sums and handles the offsets.
+/// Residuals of the angles and their derivatives by delay and lag; the caller sums them and removes the offsets.
 struct Linearised {
     at_s: Vec<f64>,
     residuals: Vec<JointVector>,
@@ -118,7 +118,7 @@ impl Record {
         Ok(Self { given, joints })
     }
 
-    /// Where the joints would be at the times of the samples, from where they began, with this dead time and lag.
+    /// Predicted joint angles at the times of the samples, from the first ones, for this dead time and lag.
     fn predicted(&self, delay_and_lag_s: &Vector2<f64>) -> Vec<JointVector> {
         let (delay_s, lag_s) = (delay_and_lag_s.x, delay_and_lag_s.y);
         let mut state = Motion { at_s: 0.0, way_rad: JointVector::zeros(), velocity: JointVector::zeros() };
@@ -156,7 +156,7 @@ impl Record {
         Linearised { at_s: self.joints.iter().map(|(at_s, _)| *at_s).collect(), residuals, by_delay, by_lag }
     }
 
-    /// The spread of the answers of the pieces.
+    /// Spread of the results of the pieces.
     fn with_intervals(&self, best: &Vector2<f64>) -> Result<ArmResponseEstimate, NotIdentified> {
         let linearised = self.linearised(best);
         let span_s = (self.joints[0].0, self.joints[self.joints.len() - 1].0);
@@ -180,7 +180,7 @@ impl Record {
 }
 
 impl Linearised {
-    /// Step of delay and lag by least squares over the samples at these times, each joint with an offset of its own.
+    /// Least-squares step of delay and lag over the samples at these times, with one offset per joint.
     fn step(&self, is_meant: impl Fn(f64) -> bool) -> Option<Vector2<f64>> {
         let meant: Vec<usize> = (0..self.at_s.len()).filter(|index| is_meant(self.at_s[*index])).collect();
         let mean =

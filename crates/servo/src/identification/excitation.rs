@@ -1,4 +1,4 @@
-//! The motion that shows delays: small, smooth, back where it began, and in two directions with different periods.
+//! Excitation motion for the identification of delays: small, smooth, closed, and with different periods in two directions.
 
 use std::f64::consts::PI;
 
@@ -10,38 +10,39 @@ use super::BATCHES;
 
 /// Periods of the motion to the right in one piece of the record.
 const PERIODS_RIGHT: f64 = 2.0;
-/// The same of the motion downwards: another number, so that both can be distinguished.
+/// Periods of the motion downwards: another number, so that both can be distinguished.
 const PERIODS_DOWN: f64 = 3.0;
-/// Farther than this the image changes too much, metres.
+/// A larger motion changes the image too much, metres.
 const WAY_MAX_M: f64 = 0.03;
-/// Faster than this the limiter may have to round the motion off, and images smear, m/s.
+/// A faster motion may reach the limiter, and blurs the images, m/s.
 const SPEED_MAX_M_PER_S: f64 = 0.06;
 
-/// The hand swings to its right and downwards and comes back, in each piece of the record in the same way: along the fourth power
-/// of a sine, which begins with acceleration zero, so that no limiter has to round it off.
+/// The hand moves to its right and downwards and back, equally in each piece of the record. The path is the fourth power of a sine:
+/// it starts with zero acceleration, so no limiter changes it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Excitation {
     way_m: f64,
     piece_s: f64,
 }
 
-/// A motion that is refused.
+/// A refused motion.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("excitation {key} is {value}: allowed is {allowed}")]
 pub struct ExcitationError {
-    /// Which number.
+    /// Name of the parameter.
     pub key: &'static str,
     /// Its value.
     pub value: f64,
-    /// What is allowed.
+    /// The allowed values.
     pub allowed: &'static str,
 }
 
 impl Excitation {
-    /// Swings of `way_m` metres from end to end, 0.001 to 0.03, during `duration_s` seconds, 6 to 120, at most 0.06 m/s fast.
+    /// Creates an excitation of `way_m` metres from end to end, 0.001 to 0.03, that takes `duration_s` seconds, 6 to 120, with at
+    /// most 0.06 m/s.
     ///
     /// # Errors
-    /// If a number is out of its range.
+    /// If a number is out of range.
     pub fn new(way_m: f64, duration_s: f64) -> Result<Self, ExcitationError> {
         if !(1e-3..=WAY_MAX_M).contains(&way_m) {
             return Err(ExcitationError { key: "way_m", value: way_m, allowed: "0.001 to 0.03 m" });
@@ -58,26 +59,26 @@ impl Excitation {
         Ok(motion)
     }
 
-    /// Seconds from beginning to end.
+    /// Duration, seconds.
     pub fn duration_s(&self) -> f64 {
         self.piece_s * BATCHES as f64
     }
 
     /// Largest speed of the hand, m/s.
     pub fn speed_max_m_per_s(&self) -> f64 {
-        // 4 sin^3 cos is largest at a third of the half turn.
+        // 4 sin^3 cos has its maximum at a third of the half turn.
         let steepest = 0.75 * 3f64.sqrt();
         self.way_m * steepest * PI / self.piece_s * PERIODS_RIGHT.hypot(PERIODS_DOWN)
     }
 
-    /// Where the hand is `t_s` seconds after the beginning, from where it began, along its own axes there, metres.
+    /// Position of the hand `t_s` seconds after the start, relative to the start, along its start axes, metres.
     pub fn way_at(&self, t_s: f64) -> Vector3<f64> {
         let t_s = t_s.clamp(0.0, self.duration_s());
         let along = |periods: f64| self.way_m * (PI * periods * t_s / self.piece_s).sin().powi(4);
         Vector3::new(along(PERIODS_RIGHT), along(PERIODS_DOWN), 0.0)
     }
 
-    /// How the hand moves there, along the same axes: at rest before the beginning and behind the end.
+    /// Velocity of the hand, along the same axes; zero before the start and after the end.
     pub fn twist_at(&self, t_s: f64) -> Twist<Hand> {
         if !(0.0..=self.duration_s()).contains(&t_s) {
             return Twist::zero();

@@ -1,4 +1,4 @@
-//! How much later than their stamps say the images were exposed, on the clock of the joints.
+//! Delay between the timestamps of images and their exposure, on the clock of the joints.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Model};
@@ -10,21 +10,22 @@ use crate::joint_history::JointHistory;
 
 const WHAT: &str = "the time between stamp and exposure";
 
-/// Offsets beyond this are not looked for, seconds.
+/// Search range, seconds.
 const OFFSET_MAX_S: f64 = 0.2;
-/// Observations in each piece of the record, at least.
+/// Minimum number of observations in each piece of the record.
 const OBSERVATIONS_MIN: usize = 24 * BATCHES;
-/// The velocity of the hand is the difference over twice this time, seconds.
+/// The velocity of the hand is a central difference over this time to either side, seconds.
 const DIFFERENCE_S: f64 = 5e-3;
-/// Joint samples farther apart are not interpolated, seconds.
+/// Longest gap between joint samples for interpolation, seconds.
 const GAP_MAX_S: f64 = 0.05;
-/// Steps of the search, and when it has arrived, seconds.
+/// Number of steps of the search, and its tolerance, seconds.
 const STEPS_MAX: usize = 20;
 const ARRIVED_S: f64 = 1e-7;
-/// Constant, way and velocity: what the observed place of the target is explained by, in each direction apart but for the last.
+/// Regressors of the observed target position: constant, path of the hand and its velocity; the last one is common to all
+/// directions.
 const UNKNOWNS: usize = 3 + 9 + 1;
 
-/// How the camera sits on the arm.
+/// Geometry of the camera on the arm.
 #[derive(Clone, Copy, Debug)]
 pub struct CameraOnHand<'a> {
     /// The arm.
@@ -35,20 +36,20 @@ pub struct CameraOnHand<'a> {
     pub hand_from_cam_left: Pose<Hand, CamLeft>,
 }
 
-/// One observation carried to `base`.
+/// One observation in `base`.
 struct Row {
     at_s: f64,
     target_in_base_m: Vector3<f64>,
     camera_in_base_m: Vector3<f64>,
-    /// How fast the observed place would move if the joints were taken later, m/s.
+    /// Rate of the observed position with respect to the time of the joints, m/s.
     rate_m_per_s: Vector3<f64>,
 }
 
-/// The offset by which joints have to be taken later than the images' stamps for a target at rest to rest in `base`, seconds.
+/// Offset between the timestamps and the joints, seconds, for which a stationary target is stationary in `base`.
 ///
-/// `seen` are the stamps and poses of the model in the left camera while the target rested and the hand moved; `joints` are in
-/// the order of time. A share of the observed place that goes with the way of the hand, not with its velocity (errors of the
-/// mounting, of the scale), is estimated beside it and does not count.
+/// `seen` are timestamps and poses of the model in the left camera while the target stands still and the hand moves; `joints` are
+/// ordered by time. A part of the observed position that is proportional to the path of the hand and not to its velocity (errors of
+/// mounting and scale) is estimated too and does not affect the result.
 ///
 /// # Errors
 /// If the record is too short, or the hand did not move.
@@ -91,7 +92,7 @@ fn check_count(count: usize) -> Result<(), NotIdentified> {
     if count >= OBSERVATIONS_MIN { Ok(()) } else { Err(too_few) }
 }
 
-/// All observations whose joints are known.
+/// All observations with known joints.
 fn rows(
     seen: &[(MonotonicTime, Pose<CamLeft, Model>)],
     history: &JointHistory,
@@ -116,7 +117,7 @@ fn rows(
     seen.iter().filter_map(row).collect()
 }
 
-/// How much later the joints have to be taken still, by least squares; `None` if the motion does not tell.
+/// Remaining offset by least squares; `None` if the motion does not determine it.
 fn solve<'a>(rows: impl Iterator<Item = &'a Row> + Clone) -> Option<f64> {
     let count = rows.clone().count();
     let mean = |of: fn(&Row) -> Vector3<f64>| rows.clone().map(of).sum::<Vector3<f64>>() / count.max(1) as f64;
@@ -138,9 +139,9 @@ fn solve<'a>(rows: impl Iterator<Item = &'a Row> + Clone) -> Option<f64> {
     scaled_least_squares(matrix, &observed)?.get(UNKNOWNS - 1).copied()
 }
 
-/// Least squares with columns of equal length; directions without any motion get nothing. `None` if the last unknown is one.
+/// Least squares with normalised columns; directions without motion get zero. `None` if the last unknown has no motion.
 fn scaled_least_squares(mut matrix: DMatrix<f64>, observed: &DVector<f64>) -> Option<DVector<f64>> {
-    /// Of the largest singular value: the hand moves in a plane, so some directions are empty.
+    /// Share of the largest singular value: the hand moves in a plane, so some directions are zero.
     const EMPTY: f64 = 1e-6;
     let norms: Vec<f64> = matrix.column_iter().map(|column| column.norm()).collect();
     for (mut column, norm) in matrix.column_iter_mut().zip(&norms) {
@@ -149,7 +150,7 @@ fn scaled_least_squares(mut matrix: DMatrix<f64>, observed: &DVector<f64>) -> Op
         }
     }
     let last = norms.len() - 1;
-    // A rate of 0.1 mm/s on average is none.
+    // A mean rate below 0.1 mm/s counts as no motion.
     if norms[last] < 1e-4 * (matrix.nrows() as f64).sqrt() {
         return None;
     }

@@ -1,27 +1,27 @@
 //! Position-based law with feed-forward of the target's velocity and compensation of the arm's delay and lag; the default.
 //!
-//! The joints of an arm follow velocity commands u after a dead time d with a first-order lag T: v' = (u(t - d) - v) / T. For
-//! such joints the angles at which they come to rest when no more commands are given,
+//! The joints follow velocity commands u after a dead time d with a first-order lag T: v' = (u(t - d) - v) / T. For such joints the
+//! angles at which they come to rest without further commands,
 //!
 //! ```text
 //! q_rest = q + T v + (all commands in flight, each times its duration),        q_rest' = u,
 //! ```
 //!
-//! answer a command at once, with neither delay nor lag: the loop is closed around them (a Smith predictor, O. J. M. Smith
-//! 1957, for an integrating plant; [`crate::given_commands`] finds them). When the command of now begins to act, at now + d, the
+//! respond to a command at once, without delay or lag. The loop is closed around these angles (a Smith predictor, O. J. M. Smith
+//! 1957, for an integrating plant; [`crate::given_commands`] computes them). When the present command takes effect, at now + d, the
 //! hand at rest should be where a hand at the desired pose with the desired velocity comes to rest:
 //!
 //! ```text
 //! x_rest,d = x_d + T v_d,        u = v_d + T a_d + K (x_rest,d - x_rest)
 //! ```
 //!
-//! with the target predicted to now + d. Where the prediction of target and arm is right, nothing is left to trail by: the error
-//! e follows e + T e' = e_rest with e_rest' = -K e_rest, two real poles at -K and -1/T, without overshoot for any K.
-//! What is not known of delay and lag is a delay in this loop, and bounds K: a gain of 1 / (e T') is free of overshoot with a
-//! delay of T'. The default takes half of delay and lag as unknown ([`ArmResponse::gain_without_overshoot`]).
+//! with the target predicted to now + d. If the predictions of target and arm are exact, there is no lag: the error e follows e + T
+//! e' = e_rest with e_rest' = -K e_rest, two real poles at -K and -1/T, without overshoot for any K. The unknown part of delay and
+//! lag is a delay in this loop and bounds K: a gain of 1 / (e T') has no overshoot for a delay of T'. The default assumes half of
+//! delay and lag as unknown ([`ArmResponse::gain_without_overshoot`]).
 //!
-//! The correction K e grows with the error only up to what the hand can brake away again, see [`correction_speed`]: with the
-//! accelerations of the configuration, or less where the joints do not have them ([`Aim::gains_within`]).
+//! The correction K e grows with the error only as far as the hand can decelerate, see [`correction_speed`]: with the configured
+//! accelerations, or less if the joints cannot provide them ([`Aim::gains_within`]).
 
 use nalgebra::Vector3;
 use pb3dp_geometry::frames::{Base, Hand, Model};
@@ -31,22 +31,23 @@ use pb3dp_kinematics::JointVector;
 use crate::config::{ArmResponse, CartesianSpeed, FeedForwardGains};
 use crate::target_state::{Acceleration, Prediction};
 
-/// Share of the joints' accelerations that is planned with; the rest is for the target's own motion and for the jerk at both ends.
+/// Share of the joints' accelerations that is used for corrections; the rest is for the motion of the target and for the jerk at
+/// both ends.
 const BRAKING_SHARE: f64 = 0.7;
 
-/// How the hand should move.
+/// Desired motion of the hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DesiredMotion {
-    /// Where it should be.
+    /// Pose.
     pub base_from_hand: Pose<Base, Hand>,
     /// Velocity of its origin, and angular velocity.
     pub twist: Twist<Base>,
-    /// Their rates of change.
+    /// Linear and angular acceleration.
     pub acceleration: Acceleration<Base>,
 }
 
 impl DesiredMotion {
-    /// The motion of a hand that is rigidly tied to the target.
+    /// Motion of a hand that is rigidly attached to the target.
     pub fn before(target: &Prediction, model_from_hand_desired: &Pose<Model, Hand>) -> Self {
         Self {
             base_from_hand: target.base_from_model * *model_from_hand_desired,
@@ -56,18 +57,18 @@ impl DesiredMotion {
     }
 }
 
-/// What the hand is to do when the command of now begins to act.
+/// Goal for the time at which the present command takes effect.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Aim {
-    /// Where the hand would have to come to rest.
+    /// Desired resting pose of the hand.
     pub base_from_hand_at_rest: Pose<Base, Hand>,
-    /// The velocity that keeps it right, in `base`.
+    /// Velocity that keeps the error constant, in `base`.
     pub feed_forward: Twist<Base>,
 }
 
 impl Aim {
-    /// For a hand that should move like `desired` when the command begins to act. The command is held for `period_s`, and right
-    /// in the middle of it.
+    /// For a hand with the motion `desired` when the command takes effect. The command is held for `period_s`, and is exact in the
+    /// middle of this time.
     pub fn new(desired: &DesiredMotion, arm: &ArmResponse, period_s: f64) -> Self {
         let DesiredMotion { base_from_hand, twist, acceleration } = desired;
         let ahead_s = arm.lag_s + 0.5 * period_s;
@@ -82,15 +83,15 @@ impl Aim {
         }
     }
 
-    /// Way (metres) and rotation vector, in `base`, from where the hand comes to rest by itself to where it would have to.
+    /// Translation (metres) and rotation vector, in `base`, from the predicted resting pose of the hand to the desired one.
     fn error(&self, base_from_hand_at_rest: &Pose<Base, Hand>) -> (Vector3<f64>, Vector3<f64>) {
         let aimed = &self.base_from_hand_at_rest;
         let position = aimed.translation_m() - base_from_hand_at_rest.translation_m();
         (position, so3::log(&(aimed.rotation() * base_from_hand_at_rest.rotation().inverse())))
     }
 
-    /// Speeds of the corrections at which way and turn end together: the one that would be done first takes as long as the other one.
-    /// A hand that turned at once and went its way slowly would lose the target from its view.
+    /// Speeds of the corrections at which translation and rotation end together: the shorter one takes as long as the longer one. A
+    /// hand that rotated first and moved slowly would lose the target from its view.
     pub fn together(
         &self,
         gains: &FeedForwardGains,
@@ -114,8 +115,8 @@ impl Aim {
         }
     }
 
-    /// The gains with no more acceleration than the joints have to brake a correction of this error with. `joint_velocity` is what the
-    /// joints do (rad/s) when the hand moves with a velocity.
+    /// The gains that need no more acceleration than the joints have to decelerate from a correction of this error.
+    /// `joint_velocity` maps a velocity of the hand to joint velocities (rad/s).
     pub fn gains_within(
         &self,
         gains: &FeedForwardGains,
@@ -124,7 +125,7 @@ impl Aim {
         joint_velocity: impl Fn(&Twist<Base>) -> JointVector,
     ) -> FeedForwardGains {
         let (position, rotation) = self.error(base_from_hand_at_rest);
-        // Direction of the braking; and how much of it the other one has to share the joints with: the smaller the error, the less.
+        // Direction of the deceleration, and the share of the joints that the other correction needs: less for a smaller error.
         let braked = |error: &Vector3<f64>, gain_per_s: f64, acceleration: f64| {
             let size = error.norm();
             let direction = if size > 0.0 { error * (acceleration / size) } else { Vector3::zeros() };
@@ -148,8 +149,8 @@ impl Aim {
     }
 }
 
-/// Velocity that the hand should have: of its origin, and angular, in `base`. `base_from_hand_at_rest` is where the hand comes to
-/// rest by itself; the correction of its error is no faster than `most`.
+/// Desired velocity of the hand: of its origin, and angular, in `base`. `base_from_hand_at_rest` is the predicted resting pose of
+/// the hand; the correction of its error is limited to `most`.
 pub fn hand_twist(
     gains: &FeedForwardGains,
     aim: &Aim,
@@ -171,9 +172,9 @@ fn correction(error: &Vector3<f64>, gain_per_s: f64, acceleration: f64, most: f6
     error * (correction_speed(size, gain_per_s, acceleration).min(most) / size)
 }
 
-/// Speed at which an error is corrected, per second in the unit of the error: K e as long as braking with that needs no more than
-/// `acceleration` (up to e = a / K^2), beyond it the speed sqrt(2 a (e - a / (2 K^2))) of a steady braking with it, which goes
-/// over into K e without a bend.
+/// Speed of the correction of an error, per second in the unit of the error. K e as long as the deceleration stays below
+/// `acceleration` (up to e = a / K^2); beyond it sqrt(2 a (e - a / (2 K^2))), the speed of a constant deceleration, with a
+/// continuous slope.
 pub fn correction_speed(error: f64, gain_per_s: f64, acceleration: f64) -> f64 {
     let linear_up_to = acceleration / (gain_per_s * gain_per_s);
     if error <= linear_up_to { gain_per_s * error } else { (2.0 * acceleration * (error - 0.5 * linear_up_to)).sqrt() }

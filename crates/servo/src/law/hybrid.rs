@@ -1,11 +1,11 @@
-//! 2 1/2-D servoing: the place of one point in the left image and the logarithm of its depth lead the translation, the turn that is
-//! left leads the rotation; for comparison. E. Malis, F. Chaumette and S. Boudet, "2 1/2 D visual servoing", IEEE Transactions on
-//! Robotics and Automation 15(2), 1999; in the form of F. Chaumette and S. Hutchinson, "Visual servo control, Part II: Advanced
+//! 2 1/2-D visual servoing, for comparison: the image position of one point and the logarithm of its depth control the translation,
+//! the remaining rotation controls the rotation. E. Malis, F. Chaumette and S. Boudet, "2 1/2 D visual servoing", IEEE Transactions
+//! on Robotics and Automation 15(2), 1999; in the form of F. Chaumette and S. Hutchinson, "Visual servo control, Part II: Advanced
 //! approaches", IEEE Robotics and Automation Magazine 14(1), 2007.
 //!
-//! The point is the model's origin, at (X, Y, Z) before the camera, seen at (x, y) = (X / Z, Y / Z), desired at (x*, y*) and the depth
-//! Z*. With v and w the camera's velocity and angular velocity in its own axes, and r the rotation vector from the desired camera to
-//! that of now,
+//! The point is the model's origin at (X, Y, Z) in front of the camera. It appears at (x, y) = (X / Z, Y / Z); the desired image
+//! position is (x*, y*) at the depth Z*. With v and w the camera's velocity and angular velocity in its own axes, and r the
+//! rotation vector from the desired camera to the current one,
 //!
 //! ```text
 //! e = (x - x*, y - y*, ln(Z / Z*)),      e' = Lv v / Z + Lw w
@@ -17,8 +17,8 @@
 //! w = -gain r,      v = -gain Z inv(Lv) (e - Lw r)
 //! ```
 //!
-//! so that both e and r fall exponentially, without a singularity before the camera: the point keeps to a straight line in the image,
-//! the camera turns about one axis.
+//! so that both e and r decrease exponentially, without a singularity in front of the camera: the point moves along a straight line
+//! in the image, and the camera rotates about one axis.
 
 use nalgebra::{Matrix3, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Model};
@@ -26,7 +26,7 @@ use pb3dp_geometry::{Pose, Twist, so3};
 
 use super::DEPTH_MIN_M;
 
-/// Velocity of the left camera, in its own axes. `None` if the model's origin is not before the camera.
+/// Velocity of the left camera, in its own axes. `None` if the model's origin is not in front of the camera.
 pub fn camera_twist(
     gain_per_s: f64,
     cam_left_from_model: &Pose<CamLeft, Model>,
@@ -38,7 +38,7 @@ pub fn camera_twist(
     }
     let (x, y) = (seen.x / seen.z, seen.y / seen.z);
     let error = Vector3::new(x - wanted.x / wanted.z, y - wanted.y / wanted.z, (seen.z / wanted.z).ln());
-    // From the axes of the camera of now to those of the desired one: the inverse of how far the model is turned.
+    // From the axes of the current camera to those of the desired one: the inverse of the model's rotation.
     let turn = so3::log(&(desired_from_model.rotation() * cam_left_from_model.rotation().inverse()));
     let of_turn = Matrix3::new(
         x * y,

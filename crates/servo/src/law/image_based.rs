@@ -1,25 +1,25 @@
-//! Classical image-based servoing: the points of the model are led to their places in the left image, each along a straight line;
-//! for comparison. F. Chaumette and S. Hutchinson, "Visual servo control, Part I: Basic approaches", IEEE Robotics and Automation
-//! Magazine 13(4), 2006, equations (2) to (5) and (11).
+//! Classical image-based visual servoing, for comparison: the points of the model move to their desired positions in the left
+//! image, each along a straight line. F. Chaumette and S. Hutchinson, "Visual servo control, Part I: Basic approaches", IEEE
+//! Robotics and Automation Magazine 13(4), 2006, equations (2) to (5) and (11).
 //!
-//! A point at (X, Y, Z) before the camera is seen at (x, y) = (X / Z, Y / Z). A camera that moves with velocity v and angular velocity
-//! w, both in its own axes, sees it move by
+//! A point at (X, Y, Z) in front of the camera appears at (x, y) = (X / Z, Y / Z). If the camera moves with velocity v and angular
+//! velocity w, both in its own axes, the point moves by
 //!
 //! ```text
 //! [x']   [-1/Z   0   x/Z    x y    -(1+x^2)   y ] [v]
 //! [y'] = [  0  -1/Z  y/Z   1+y^2    -x y     -x ] [w]
 //! ```
 //!
-//! With these rows of all points stacked to L, at the places and depths of now (from the estimated pose), and e the stacked
-//! differences between the points and their desired places, the camera moves with
+//! With these rows of all points stacked to L, at the current image positions and depths (from the estimated pose), and e the
+//! stacked differences between the points and their desired positions, the camera moves with
 //!
 //! ```text
 //! (v, w) = -gain pinv(L) e
 //! ```
 //!
-//! so that e falls exponentially as long as the points allow it. What the hand does on this way is left open: before a large turn about
-//! the optical axis the points go straight through the middle of the image, and the camera backs away for that ("Chaumette's
-//! conundrum", the same, Part II, 2007), endlessly for half a turn.
+//! so that e decreases exponentially as far as the points allow it. The path of the hand is not controlled: for a large rotation
+//! about the optical axis the points move straight through the middle of the image, and the camera backs away ("Chaumette's
+//! conundrum", Part II, 2007), without end for half a turn.
 
 use nalgebra::{Matrix6, Point3, SMatrix, SVector, Vector6};
 use pb3dp_geometry::frames::{CamLeft, Model};
@@ -27,9 +27,9 @@ use pb3dp_geometry::{Pose, Twist};
 
 use super::DEPTH_MIN_M;
 
-/// Points of the model: the corners of a square about its origin, in its plane.
+/// Points of the model: the corners of a square around its origin, in its plane.
 const POINTS: usize = 4;
-/// Two numbers in the image each.
+/// Two image coordinates per point.
 const ROWS: usize = 2 * POINTS;
 /// A point in the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,7 +45,7 @@ impl ImagePoint {
         (depth_m > DEPTH_MIN_M).then(|| Self { x: point.x / depth_m, y: point.y / depth_m, depth_m })
     }
 
-    /// How it moves with the camera, per velocity (m/s) and angular velocity (rad/s) in axes of the camera.
+    /// Interaction matrix of the point: image velocity per velocity (m/s) and angular velocity (rad/s) in camera axes.
     fn interaction(&self) -> SMatrix<f64, 2, 6> {
         let Self { x, y, depth_m } = *self;
         let near = 1.0 / depth_m;
@@ -66,9 +66,9 @@ impl ImagePoint {
     }
 }
 
-/// Velocity of the left camera, in its own axes, that leads the corners of a square of the model (to `half_width_m` on either side
-/// of its origin) to where they are seen from the desired place. `None` if a corner is not before the camera, or the corners do not tell all six
-/// degrees of freedom.
+/// Velocity of the left camera, in its own axes, that moves the corners of a square of the model (`half_width_m` on either side of
+/// its origin) to their desired image positions. `None` if a corner is not in front of the camera, or the corners do not determine
+/// all six degrees of freedom.
 pub fn camera_twist(
     gain_per_s: f64,
     half_width_m: f64,

@@ -1,10 +1,10 @@
-//! The position-based law of the paper's group.
+//! The position-based law of the paper's authors.
 //!
 //! ```text
 //! v_d = K_Pp r + K_Vp r'            w_d = K_Po R de + K_Vo w
 //! ```
 //!
-//! The published text leaves the symbols partly open. Here they mean:
+//! The publication leaves some symbols open. Here they mean:
 //! * `r`: from the hand's origin to the desired one, in `base`; `r'`: its rate, the velocity of the desired hand (from the
 //!   smoothed observations) minus the measured velocity of the hand (from the joints);
 //! * `de`: vector part of the quaternion `hand_from_hand_desired`, of the two quaternions of one rotation that with the
@@ -12,8 +12,8 @@
 //!   sin(angle/2), not the angle;
 //! * `w`: the rate of the orientation error, angular velocity of the desired hand minus that of the hand.
 //!
-//! Velocity of the hand is measured, so K_Vp is no feed-forward: a target of constant speed is trailed by 1/K_Pp whatever
-//! K_Vp is.
+//! The velocity of the hand is measured, so K_Vp is no feed-forward: the hand lags a target with constant speed by 1/K_Pp for every
+//! K_Vp.
 
 use nalgebra::Vector3;
 use pb3dp_geometry::frames::{Base, Hand};
@@ -21,7 +21,7 @@ use pb3dp_geometry::{Pose, Twist};
 
 use crate::config::Gains;
 
-/// Difference between the hand and where it should be.
+/// Error of the hand pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HandError {
     /// `r`: from the hand's origin to the desired one, in `base`, metres.
@@ -33,7 +33,7 @@ pub struct HandError {
 }
 
 impl HandError {
-    /// Error of a hand at `base_from_hand` that should be at `base_from_hand_desired`.
+    /// Error of a hand at `base_from_hand` whose desired pose is `base_from_hand_desired`.
     pub fn new(base_from_hand: &Pose<Base, Hand>, base_from_hand_desired: &Pose<Base, Hand>) -> Self {
         let position_in_base_m = base_from_hand_desired.translation_m() - base_from_hand.translation_m();
         let hand_from_desired = base_from_hand.rotation().inverse() * base_from_hand_desired.rotation();
@@ -44,7 +44,7 @@ impl HandError {
     }
 }
 
-/// Velocity that the hand should have: of its origin, and angular, in `base`.
+/// Desired velocity of the hand: of its origin, and angular, in `base`.
 ///
 /// `desired` and `hand` are the velocities of the desired and of the present hand: of their origins, and angular, in `base`.
 pub fn hand_twist(gains: &Gains, error: &HandError, desired: &Twist<Base>, hand: &Twist<Base>) -> Twist<Base> {

@@ -1,4 +1,4 @@
-//! What is wrong at the moment, and since when.
+//! The active conditions, and since when each is active.
 
 use nalgebra::Matrix6;
 use pb3dp_geometry::MonotonicTime;
@@ -8,66 +8,66 @@ use super::inputs::{ArmCondition, Confidence, EstimateInput, FrameInput, Innovat
 use super::policy::{Action, Condition, Policies};
 use crate::controller::Mode;
 
-/// What was found to be wrong.
+/// An active condition with its measured value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cause {
     /// The condition.
     pub condition: Condition,
-    /// What was measured, in the unit of the threshold; infinite if there is no measurement, 0 where there is no threshold.
+    /// Measured value in the unit of the threshold; infinite without a measurement, 0 without a threshold.
     pub value: f64,
-    /// What is allowed; 0 where there is no threshold.
+    /// The limit; 0 without a threshold.
     pub threshold: f64,
-    /// Where, or what else is to be said.
+    /// Location or further detail.
     pub detail: Detail,
 }
 
-/// What else is to be said of a [`Cause`].
+/// Further detail of a [`Cause`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Detail {
-    /// Nothing.
+    /// None.
     None,
-    /// It concerns this arm, an index of [`super::ARM_NAMES`].
+    /// Index of the arm in [`super::ARM_NAMES`].
     Arm(usize),
-    /// It concerns this joint, counted from the base from 0.
+    /// Index of the joint from the base, from 0.
     Joint(usize),
-    /// What the controller is doing.
+    /// Mode of the controller.
     Controller(Mode),
-    /// Numbers of the target that was started and of the one that is followed.
+    /// Number of the started target and of the followed one.
     Targets {
-        /// That was started.
+        /// The started target.
         started: u64,
-        /// That is followed.
+        /// The followed target.
         followed: u64,
     },
-    /// Numbers of two pairs, one after the other.
+    /// Numbers of two consecutive frame pairs.
     Frames {
-        /// The one before.
+        /// The earlier one.
         before: u64,
-        /// The one that followed.
+        /// The later one.
         after: u64,
     },
-    /// There is no pose at all.
+    /// The estimate has no pose.
     NoPose,
 }
 
-/// Looks at the inputs and remembers what they cannot tell again.
+/// Evaluates the inputs and stores what later steps need.
 #[derive(Clone, Debug)]
 pub(super) struct Findings {
     stepped_at: Option<MonotonicTime>,
     frame: Option<FrameInput>,
     disorder: Option<Detail>,
     estimate: Option<EstimateInput>,
-    /// The newest estimate with a pose: how sure the target's pose is, until another one says so. That none comes makes it no surer.
+    /// The newest estimate with a pose: its covariance counts until the next pose.
     posed: Option<EstimateInput>,
-    /// Exposure of the newest estimate that counts as confident.
+    /// Exposure of the newest confident estimate.
     confident_at: Option<MonotonicTime>,
-    /// When that estimate came.
+    /// Time at which this estimate arrived.
     pub(super) confirmed_at: Option<MonotonicTime>,
-    /// Images from before are not of the target that was selected.
+    /// Older images do not show the selected target.
     not_before: MonotonicTime,
     innovation: Innovation,
     started_target: Option<u64>,
-    /// That of the newest pose; an estimate without one follows nothing.
+    /// Target number of the newest pose; an estimate without a pose has none.
     followed_target: Option<u64>,
     /// Since when.
     followed_since: Option<MonotonicTime>,
@@ -95,19 +95,19 @@ impl Findings {
         }
     }
 
-    /// A target is selected: what was seen before is not of it.
+    /// A target is selected: earlier estimates do not count.
     pub(super) fn begin(&mut self, now: MonotonicTime) {
         self.forget_target();
         self.started_target = None;
         self.not_before = now;
     }
 
-    /// The target that is seen now is the one to follow.
+    /// The currently observed target is the started one.
     pub(super) fn start(&mut self) {
         self.started_target = self.followed_target;
     }
 
-    /// The controller drops what it knows: whether the next observation is a jump is open.
+    /// The controller drops its target, so the next observation cannot be a jump.
     pub(super) fn rearm(&mut self) {
         self.innovation = Innovation::NoneNew;
     }
@@ -122,13 +122,13 @@ impl Findings {
         self.innovation = Innovation::NoneNew;
     }
 
-    /// Finds out what is wrong now.
+    /// Determines the active conditions.
     pub(super) fn look(&mut self, inputs: &Inputs, policies: &Policies, now: MonotonicTime) {
         let looks_at_clock = !is_off(Safeguard::ClockStepped);
         let step_max_s = if looks_at_clock { policies.get(Condition::ClockStepped).threshold } else { f64::INFINITY };
         let step_s = self.clock_step_s(inputs, step_max_s, now).filter(|_| looks_at_clock);
         if step_s.is_some_and(|step_s| step_s < 0.0) {
-            // Nothing that was measured before can be told from the future any more.
+            // Older times are not comparable after a clock step.
             self.forget_target();
             self.frame = None;
             self.not_before = self.not_before.min(now);
@@ -161,7 +161,7 @@ impl Findings {
         }
     }
 
-    /// The step of the clock that is too long, or leads back; or, negative, how far a measurement lies ahead.
+    /// The clock step that is too long or negative; as a negative value also how far a measurement lies in the future.
     fn clock_step_s(&mut self, inputs: &Inputs, step_max_s: f64, now: MonotonicTime) -> Option<f64> {
         let step_s = self.stepped_at.replace(now).map(|before| now.seconds_since(before));
         if let Some(step_s) = step_s.filter(|step_s| !(0.0..=step_max_s).contains(step_s)) {
@@ -232,7 +232,7 @@ impl Findings {
         }
     }
 
-    /// How far the last observation was off, in the unit of the condition.
+    /// Deviation of the last observation, in the unit of the condition.
     fn innovation_of(&self, condition: Condition) -> Option<f64> {
         match (self.innovation, condition) {
             (Innovation::Jump { position_m, .. }, Condition::PositionJump) => Some(position_m),
@@ -242,12 +242,12 @@ impl Findings {
         }
     }
 
-    /// The first of what is found, whether or not it has lasted, whose action is at least this.
+    /// The first condition with at least this action, whether or not it has lasted for its time.
     pub(super) fn first_at_least(&self, policies: &Policies, action: Action) -> Option<Cause> {
         self.all_at_least(policies, action).next()
     }
 
-    /// All of what is found, whether or not it has lasted, whose action is at least this.
+    /// All conditions with at least this action, whether or not they have lasted for their time.
     pub(super) fn all_at_least<'a>(
         &'a self,
         policies: &'a Policies,
@@ -256,7 +256,7 @@ impl Findings {
         self.found.iter().flatten().filter(move |cause| policies.get(cause.condition).action >= action).copied()
     }
 
-    /// What is found and has lasted for as long as its policy says.
+    /// The conditions that have lasted for the time of their policy.
     pub(super) fn lasting<'a>(
         &'a self,
         policies: &'a Policies,
@@ -269,18 +269,18 @@ impl Findings {
         })
     }
 
-    /// Since when the target that is followed now is the one; none if none is.
+    /// Since when the followed target is the current one; `None` without a target.
     pub(super) fn followed_since(&self) -> Option<MonotonicTime> {
         self.followed_since
     }
 
-    /// What is found of this condition at the moment.
+    /// The current measurement of this condition.
     pub(super) fn cause(&self, condition: Condition) -> Option<Cause> {
         self.found[condition as usize]
     }
 }
 
-/// Its name for tests, if anything more than a note or a slower hand may follow on it.
+/// The name of the safeguard, for tests, if the condition can do more than a note or a slower motion.
 const fn safeguard(condition: Condition) -> Option<Safeguard> {
     Some(match condition {
         Condition::EmergencyStop => Safeguard::EmergencyStop,
@@ -305,7 +305,7 @@ const fn safeguard(condition: Condition) -> Option<Safeguard> {
     })
 }
 
-/// What the inputs of one step tell.
+/// Measurements of one step.
 fn of_the_moment(condition: Condition, threshold: f64, inputs: &Inputs, now: MonotonicTime) -> Option<(f64, Detail)> {
     let age_s = |at: Option<MonotonicTime>| at.map_or(f64::INFINITY, |at| now.seconds_since(at));
     let in_state = |state| inputs.arms.iter().position(|arm| arm.state == state).map(|arm| (0.0, Detail::Arm(arm)));
@@ -336,14 +336,14 @@ fn of_the_moment(condition: Condition, threshold: f64, inputs: &Inputs, now: Mon
     }
 }
 
-/// The value, if it is above what is allowed; what is not a number is.
+/// The value, if it is above the limit or NaN.
 fn above(value: f64, allowed: f64) -> Option<(f64, Detail)> {
     let is_allowed = value <= allowed;
     (!is_allowed).then_some((value, Detail::None))
 }
 
-/// Standard deviation of the length of three components' error: the root of the sum of their variances, no smaller than the
-/// largest standard deviation in any direction. A variance that is negative or no number makes it infinite.
+/// Standard deviation of the norm of a three-component error: the square root of the sum of variances, which is at least the
+/// largest standard deviation in any direction. Infinite for a negative or NaN variance.
 fn root_of_trace(covariance: &Matrix6<f64>, first: usize) -> f64 {
     let variances = [0, 1, 2].map(|i| covariance[(first + i, first + i)]);
     let are_variances = variances.iter().all(|variance| *variance >= 0.0);

@@ -5,22 +5,22 @@ use pb3dp_geometry::MonotonicTime;
 
 use crate::controller::Mode;
 
-/// Everything that is known in one control step. "Newest" may be the same as in the step before.
+/// Inputs of one control step. A "newest" value may be the same as in the previous step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Inputs {
-    /// What the operator says.
+    /// Input from the operator.
     pub operator: OperatorInput,
-    /// What the controller is doing.
+    /// Mode of the controller.
     pub controller: Mode,
-    /// What became of an observation in this step.
+    /// What the controller did with an observation in this step.
     pub innovation: Innovation,
-    /// The newest estimate; none before the first one.
+    /// The newest estimate; `None` before the first one.
     pub estimate: Option<EstimateInput>,
-    /// The newest stereo pair; none before the first one.
+    /// The newest frame pair; `None` before the first one.
     pub frame: Option<FrameInput>,
-    /// The joint of the hand's arm that is nearest to an end of its operating range; none if its joints are not known.
+    /// The joint of the camera arm that is nearest to its operating limit; `None` if its joints are unknown.
     pub range_end: Option<RangeEnd>,
-    /// Smallest singular value of the hand's Jacobian, metres and radians; none if its joints are not known.
+    /// Smallest singular value of the hand's Jacobian, metres and radians; `None` if its joints are unknown.
     pub smallest_singular_value: Option<f64>,
     /// The arm that carries the cameras, and the one that carries the target.
     pub arms: [ArmInput; 2],
@@ -29,34 +29,34 @@ pub struct Inputs {
 /// Names of the arms in the order of [`Inputs::arms`].
 pub const ARM_NAMES: [&str; 2] = ["vs-robot", "tc-robot"];
 
-/// What the operator says.
+/// Input from the operator.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OperatorInput {
-    /// A word that was not handed over before.
+    /// A new command.
     pub said: Option<OperatorRequest>,
-    /// The last sign of life: of a panel or a person, not of this program.
+    /// Last sign of life of a panel or a person, not of this program.
     pub heard_at: Option<MonotonicTime>,
 }
 
-/// A word of the operator.
+/// A command of the operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OperatorRequest {
-    /// The word.
+    /// The command.
     pub word: OperatorCommand,
-    /// When it was said.
+    /// Time at which it was given.
     pub at: MonotonicTime,
 }
 
-/// The words of the operator.
+/// Commands of the operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum OperatorCommand {
-    /// This is the target.
+    /// Initialise this target.
     Select,
-    /// Follow it.
+    /// Follow the target.
     Start,
-    /// Come to rest.
+    /// Hold.
     Hold,
-    /// Go on after a rest.
+    /// Continue after a hold.
     Resume,
     /// Stop both arms.
     Stop,
@@ -65,10 +65,10 @@ pub enum OperatorCommand {
 }
 
 impl OperatorCommand {
-    /// All words.
+    /// All commands.
     pub const ALL: [Self; 6] = [Self::Select, Self::Start, Self::Hold, Self::Resume, Self::Stop, Self::Reset];
 
-    /// The word as it is said.
+    /// Name of the command.
     pub fn name(self) -> &'static str {
         match self {
             Self::Select => "select",
@@ -81,48 +81,48 @@ impl OperatorCommand {
     }
 }
 
-/// What the estimator says about one stereo pair.
+/// The estimate of one stereo pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EstimateInput {
-    /// Middle of the left image's exposure.
+    /// Midpoint of the left exposure.
     pub at: MonotonicTime,
     /// Confidence of the estimator in its pose.
     pub confidence: Confidence,
-    /// Covariance of the pose, metres and radians, translation first; none: the method cannot say.
+    /// Covariance of the pose, metres and radians, translation first; `None` if the method has none.
     pub covariance: Option<Matrix6<f64>>,
-    /// Number of the target that it follows. A target that was lost and is known again keeps its number; anything else that the
-    /// estimator begins to follow, also after a restart, has another one.
+    /// Number of the followed target. A lost target that is found again keeps its number; any other target, also after a restart,
+    /// gets a new one.
     pub target: u64,
 }
 
 /// Confidence of the estimator in its pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Confidence {
-    /// It does: at least the depth is determined.
+    /// Confident: at least the depth is determined.
     Sure,
-    /// There is a pose that may be wrong.
+    /// A pose that may be wrong.
     Doubtful,
-    /// There is none.
+    /// No pose.
     NoPose,
 }
 
-/// What became of an observation in the controller.
+/// What the controller did with an observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Innovation {
-    /// There was no new one in this step.
+    /// No new observation in this step.
     NoneNew,
-    /// It agrees with where the target was thought to be.
+    /// Accepted: it agrees with the expected pose.
     Agrees,
-    /// It was refused, as it is too far from there.
+    /// Rejected: too far from the last pose.
     Jump {
         /// Distance, metres.
         position_m: f64,
         /// Angle, radians.
         orientation_rad: f64,
     },
-    /// It was refused, as it is too far from where the target's motion so far leads to expect it.
+    /// Rejected: too far from the predicted pose.
     Outlier {
-        /// Mahalanobis distance: in standard deviations.
+        /// Mahalanobis distance, in standard deviations.
         sigmas: f64,
     },
 }
@@ -130,20 +130,20 @@ pub enum Innovation {
 /// A stereo pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameInput {
-    /// Counts pairs.
+    /// Number of the pair.
     pub sequence: u64,
-    /// Middle of the left image's exposure.
+    /// Midpoint of the left exposure.
     pub at: MonotonicTime,
-    /// Middle of the right exposure minus middle of the left one, seconds.
+    /// Midpoint of the right exposure minus that of the left one, seconds.
     pub skew_s: f64,
 }
 
-/// How far a joint is from the nearest end of its range.
+/// Distance of a joint from its nearest limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeEnd {
     /// Index from the base, 0 to 6.
     pub joint: usize,
-    /// Angle to the end, radians; negative beyond it.
+    /// Angle to the limit, radians; negative beyond it.
     pub distance_rad: f64,
 }
 
@@ -152,7 +152,7 @@ pub struct RangeEnd {
 pub struct ArmInput {
     /// State of its drives and brakes.
     pub state: ArmCondition,
-    /// When its joints were last measured; none before the first time.
+    /// Time of the newest joint sample; `None` before the first one.
     pub measured_at: Option<MonotonicTime>,
 }
 
@@ -161,12 +161,12 @@ pub struct ArmInput {
 pub enum ArmCondition {
     /// Brakes on, no motion possible.
     Disabled,
-    /// Velocities are followed.
+    /// Velocity commands are executed.
     Enabled,
     /// Stopped by a fault of the arm, its link or its limits.
     Fault,
     /// Stopped by an emergency stop.
     EmergencyStop,
-    /// Stopped only because the other arm was: a fault, of which the other one is the cause.
+    /// Stopped by a fault of the other arm.
     StoppedByOther,
 }

@@ -5,25 +5,25 @@ use pb3dp_geometry::MonotonicTime;
 use super::findings::Cause;
 use super::table::{Event, State};
 
-/// How many are kept.
+/// Number of transitions that are kept.
 pub const TRANSITIONS_KEPT: usize = 64;
 
 /// A change of state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transition {
-    /// When.
+    /// Time of the transition.
     pub at: MonotonicTime,
-    /// From here.
+    /// Previous state.
     pub from: State,
-    /// To here; the same state if it began anew.
+    /// New state; the same one if it was entered again.
     pub to: State,
-    /// By this.
+    /// The event.
     pub event: Event,
-    /// What was found, with value and threshold; none if the operator said so or the hand got there.
+    /// The condition with value and threshold; `None` after a command or an arrival.
     pub cause: Option<Cause>,
 }
 
-/// A ring of the last transitions. It takes nothing from the heap.
+/// Ring buffer of the last transitions, without heap memory.
 #[derive(Clone, Debug)]
 pub struct TransitionLog {
     ring: [Option<Transition>; TRANSITIONS_KEPT],
@@ -40,17 +40,17 @@ impl TransitionLog {
         self.total += 1;
     }
 
-    /// The last one.
+    /// The last transition.
     pub fn newest(&self) -> Option<Transition> {
         self.ring[self.total.checked_sub(1)? % TRANSITIONS_KEPT]
     }
 
-    /// How many there were, with those that are no longer kept.
+    /// Number of all transitions, including those that are no longer kept.
     pub fn total(&self) -> usize {
         self.total
     }
 
-    /// Those that are kept, oldest first.
+    /// The kept transitions, oldest first.
     pub fn iter(&self) -> impl Iterator<Item = &Transition> {
         let oldest = if self.total > TRANSITIONS_KEPT { self.total % TRANSITIONS_KEPT } else { 0 };
         let (newer, older) = self.ring.split_at(oldest);

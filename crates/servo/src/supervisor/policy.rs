@@ -1,67 +1,67 @@
-//! What may be wrong, for how long it may be, and what follows: conditions, actions, and the policies that connect them.
+//! Conditions, actions, and the policies that connect them.
 
 use std::cmp::Ordering;
 use std::fmt;
 
-/// What may be wrong. Where several ask for the same action, the one that stands further up gives the reason.
+/// A monitored condition. If several active ones have the same action, the first one in this order gives the reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Condition {
-    /// An arm is stopped by an emergency stop.
+    /// An arm reports an emergency stop.
     EmergencyStop,
-    /// An arm has a fault.
+    /// An arm reports a fault.
     ArmFault,
-    /// The drives of an arm are off.
+    /// The drives of an arm are disabled.
     ArmDisabled,
-    /// Time went back, or on by too much, between two steps; or a measurement comes from the future.
+    /// Time went backwards, or forwards by too much, between two steps; or a measurement has a future time.
     ClockStepped,
-    /// No sign of life of the operator.
+    /// The operator has given no sign of life for too long.
     OperatorSilent,
-    /// The joints of an arm were measured too long ago.
+    /// The newest joint sample of an arm is too old.
     JointsStale,
-    /// The estimator follows another target than the one that was started.
+    /// The estimator follows another target than the started one.
     TargetChanged,
     /// The newest image is too old.
     FrameStale,
-    /// Numbers and times of the images do not both increase.
+    /// Numbers or times of the images do not increase.
     FrameOrder,
-    /// The newest confident pose is so old that the target counts as lost.
+    /// The newest confident pose is so old that the target is lost.
     TargetLost,
     /// The newest confident pose is too old.
     EstimateStale,
     /// The newest pose has low confidence, or there is none.
     LowConfidence,
-    /// The target jumped, or seems to have.
+    /// The observed target position jumped.
     PositionJump,
-    /// The target turned at once, or seems to have.
+    /// The observed target orientation jumped.
     OrientationJump,
-    /// The target is not where its motion so far leads to expect it.
+    /// The observed target pose is too far from its prediction.
     Outlier,
-    /// The estimator is not sure of the position.
+    /// The estimator's standard deviation of the position is too large.
     PositionUncertain,
-    /// The estimator is not sure of the orientation.
+    /// The estimator's standard deviation of the orientation is too large.
     OrientationUncertain,
-    /// Both cameras were not exposed together.
+    /// The two cameras were not exposed at the same time.
     CameraSkew,
-    /// A joint of the hand's arm is near an end of its range.
+    /// A joint of the camera arm is near its limit.
     LimitNear,
-    /// The hand's arm is near a singular pose.
+    /// The camera arm is near a singular pose.
     Singularity,
-    /// The controller gives no velocity.
+    /// The controller commands no velocity.
     ControllerRests,
 }
 
-/// Some of the conditions.
+/// A set of conditions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ConditionSet(u32);
 
-/// What follows, in the order of severity; of two shares the smaller one is the more severe.
+/// Actions by severity; of two shares the smaller one is more severe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Action {
-    /// It is counted.
+    /// The report counts the condition.
     Note,
-    /// The arm goes on with this share of its velocity, 0.05 to 0.95.
+    /// The arm moves with this share of its velocity, 0.05 to 0.95.
     Slow(f64),
-    /// The arm rests.
+    /// The arm holds.
     Hold,
     /// Both arms are stopped until the operator's reset.
     Stop,
@@ -69,25 +69,25 @@ pub enum Action {
     Fault,
 }
 
-/// How the arm goes on after a rest.
+/// How the arm resumes after a hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Resume {
-    /// When the operator says so.
+    /// By the operator's `resume`.
     ByOperator,
-    /// When the cause has been gone for the time of [`SupervisorConfig::resume_after_s`].
+    /// Automatically, after [`SupervisorConfig::resume_after_s`] without the cause.
     ByItself,
 }
 
-/// What follows when something is wrong.
+/// Reaction to a condition.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Policy {
-    /// What is still allowed, in the unit of the condition's [`ThresholdRule`]; without meaning where there is none.
+    /// Limit in the unit of the condition's [`ThresholdRule`]; unused if the condition has none.
     pub threshold: f64,
-    /// It must last for this time, seconds.
+    /// Time for which the condition must last, seconds.
     pub for_s: f64,
-    /// What follows.
+    /// The action.
     pub action: Action,
-    /// How it goes on after [`Action::Hold`].
+    /// How the arm resumes after [`Action::Hold`].
     pub resume: Resume,
 }
 
@@ -95,46 +95,46 @@ pub struct Policy {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Policies([Policy; Condition::COUNT]);
 
-/// Everything that [`super::Supervisor::new`] needs. There are no defaults: these are safety limits.
+/// All parameters of [`super::Supervisor::new`]. There are no defaults: these are safety limits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SupervisorConfig {
-    /// What follows on what.
+    /// The policy of each condition.
     pub policies: Policies,
-    /// The arm goes on by itself only when nothing has spoken against it for this time, seconds, 0.05 to 60, up to the newest confident
-    /// estimate.
+    /// The arm resumes automatically only after this time without an active inhibit, up to the newest confident estimate. Seconds,
+    /// 0.05 to 60.
     pub resume_after_s: f64,
-    /// `start` and `resume` are obeyed only when nothing has spoken against motion for this time, seconds, 0.05 to
-    /// [`Self::resume_after_s`]: what one image in some shows is not gone between two of them.
+    /// `start` and `resume` are accepted only after this time without an active inhibit: a condition of single images is not gone
+    /// between two of them. Seconds, 0.05 to [`Self::resume_after_s`].
     pub go_after_s: f64,
-    /// A word (other than stop and hold) that was said longer ago is not obeyed, seconds, 0.05 to 5.
+    /// Older commands (except stop and hold) are refused, seconds, 0.05 to 5.
     pub word_age_max_s: f64,
-    /// How long the hand may look for a target that was lost, seconds since the loss, 0 to 60; 0: it rests.
+    /// Longest search for a lost target, seconds since the loss, 0 to 60; 0: the arm holds.
     pub search_max_s: f64,
 }
 
-/// What a condition allows its policy to be.
+/// What the policy of a condition may be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rule {
     /// Name of the condition in configurations, logs and reports.
     pub key: &'static str,
-    /// What the threshold is; none if the condition is there or not.
+    /// The threshold, if the condition has one.
     pub threshold: Option<ThresholdRule>,
-    /// The longest time that it may have to last, seconds.
+    /// Upper bound of `for_s`, seconds.
     pub for_max_s: f64,
-    /// The least that must follow.
+    /// The least severe action that is allowed.
     pub least: Action,
-    /// Whether the arm may go on by itself after a rest for this reason.
+    /// Whether the arm may resume automatically after a hold for this condition.
     pub may_resume_by_itself: bool,
-    /// Whether it counts when nothing is followed, too, and must be gone for a reset.
+    /// Whether the condition also counts when no target is followed, and inhibits a reset.
     pub counts_always: bool,
-    /// Whether no arm may move while it is there, the one that carries the target included, whatever the state is.
+    /// Whether the condition inhibits all arms, including the one that carries the target, in every state.
     pub holds_every_arm: bool,
 }
 
 /// A threshold.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ThresholdRule {
-    /// Its name, with the unit.
+    /// Name with unit.
     pub name: &'static str,
     /// Smallest allowed value.
     pub min: f64,
@@ -142,7 +142,7 @@ pub struct ThresholdRule {
     pub max: f64,
 }
 
-/// A setting that is refused.
+/// A refused setting.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("supervisor setting {key} is {value}: allowed is {allowed}")]
 pub struct SupervisorError {
@@ -150,12 +150,12 @@ pub struct SupervisorError {
     pub key: String,
     /// Its value.
     pub value: String,
-    /// What is allowed.
+    /// The allowed values.
     pub allowed: String,
 }
 
 impl Condition {
-    /// How many there are.
+    /// Number of conditions.
     pub const COUNT: usize = 21;
 
     /// All conditions.
@@ -188,7 +188,7 @@ impl Condition {
         self.rule().key
     }
 
-    /// What its policy may be.
+    /// What the policy of this condition may be.
     #[rustfmt::skip]
     pub fn rule(self) -> Rule {
         use Action::{Fault, Hold, Note};
@@ -232,12 +232,12 @@ impl ConditionSet {
         self.0 |= 1 << condition as u32;
     }
 
-    /// Whether it is one of them.
+    /// Whether the set contains this condition.
     pub fn contains(self, condition: Condition) -> bool {
         self.0 & (1 << condition as u32) != 0
     }
 
-    /// They, in the order of [`Condition::ALL`].
+    /// The conditions in the order of [`Condition::ALL`].
     pub fn iter(self) -> impl Iterator<Item = Condition> {
         Condition::ALL.into_iter().filter(move |condition| self.contains(*condition))
     }
@@ -254,7 +254,7 @@ impl Action {
         }
     }
 
-    /// Whether the arm does not move any more.
+    /// Whether the arm stops moving.
     pub fn is_rest(self) -> bool {
         self >= Self::Hold
     }
@@ -292,7 +292,7 @@ impl Policies {
         &self.0[condition as usize]
     }
 
-    /// The policy for a condition, to be changed.
+    /// Mutable access to the policy of a condition.
     pub fn get_mut(&mut self, condition: Condition) -> &mut Policy {
         &mut self.0[condition as usize]
     }
@@ -316,7 +316,7 @@ impl SupervisorConfig {
 }
 
 impl Action {
-    /// This action and all that are more severe, for messages.
+    /// This action and all more severe ones, for messages.
     fn and_more(self) -> String {
         ["note", "slow", "hold", "stop", "fault"][usize::from(self.severity())..].join(" or ")
     }
@@ -346,7 +346,7 @@ impl Policy {
     }
 }
 
-/// Refuses what is not in a range; not a number is in none.
+/// Refuses a value out of range, or NaN.
 fn within(key: impl FnOnce() -> String, value: f64, min: f64, max: f64) -> Result<(), SupervisorError> {
     if value >= min && value <= max {
         return Ok(());

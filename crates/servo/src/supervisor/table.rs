@@ -1,80 +1,80 @@
-//! Which event leads where: the whole supervisor on one page.
+//! The complete table of states and events.
 
 use std::fmt;
 
-/// Where the supervisor is.
+/// State of the supervisor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum State {
-    /// No target is selected; the arm rests.
+    /// No target is selected; the arm holds.
     Idle,
-    /// A target is selected and looked for; the arm rests until the operator starts it.
+    /// A target is selected and observed; the arm holds until the operator's `start`.
     Selecting,
-    /// The hand goes to its place before the target.
+    /// The hand moves to its desired pose relative to the target.
     Approaching,
-    /// The hand follows.
+    /// The hand follows the target.
     Tracking,
-    /// The arm rests, the target is kept; the way on is open when the cause is gone.
+    /// The arm holds and keeps its target; it can resume when the cause is gone.
     Holding,
-    /// The arm rests, because the target is lost.
+    /// The arm holds because the target is lost.
     Lost,
-    /// Both arms are stopped, by the operator or by a policy; latched.
+    /// Both arms are stopped and latched, by the operator or by a policy.
     Stopped,
-    /// Both arms are stopped by a fault; latched.
+    /// Both arms are stopped and latched by a fault.
     Fault,
 }
 
-/// What can happen.
+/// Events: operator commands, progress of the motion, detected conditions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Event {
-    /// Said: this is the target.
+    /// Command: initialise this target.
     Select,
-    /// Said: follow it.
+    /// Command: follow the target.
     Start,
-    /// Said: come to rest.
+    /// Command: hold.
     Hold,
-    /// Said: go on after a rest.
+    /// Command: continue after a hold.
     Resume,
-    /// Said: stop both arms.
+    /// Command: stop both arms.
     Stop,
-    /// Said: clear the latched state.
+    /// Command: clear the latched state.
     Reset,
-    /// The hand is at its place before the target.
+    /// The hand has reached its desired pose.
     Reached,
     /// The hand has to approach again.
     Left,
-    /// What held the arm has been gone for long enough, and the policy lets it go on.
+    /// The cause of the hold has been gone for long enough, and its policy allows to resume automatically.
     CauseGone,
-    /// The lost target is seen again, has been for long enough, and the policy lets the arm go on.
+    /// The lost target has been observed again for long enough, and the policy allows to resume automatically.
     TargetFound,
-    /// Found: something that asks for rest.
+    /// A condition with the action hold.
     HoldFound,
-    /// Found: the target is lost.
+    /// The target is lost.
     LossFound,
-    /// Found: something that asks for a stop.
+    /// A condition with the action stop.
     StopFound,
-    /// Found: a fault.
+    /// A condition with the action fault.
     FaultFound,
 }
 
-/// What goes with a transition.
+/// Side effect of a transition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
-    /// Nothing.
+    /// None.
     None,
-    /// The controller drops its set-points and takes them anew from what is measured from now on.
+    /// The controller drops its set-points and takes new ones from later measurements.
     Rearm,
     /// The same, and both arms are stopped.
     RearmAndStop,
 }
 
-/// What an event does in a state.
+/// Effect of an event in a state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// Another state, or the same one begun anew.
+    /// Another state, or the same one entered again.
     To(State, Order),
-    /// Allowed, and changes nothing.
+    /// Accepted without effect.
     Stay,
-    /// Not in this state.
+    /// Refused in this state.
     Refuse,
 }
 
@@ -96,12 +96,12 @@ impl State {
         matches!(self, Self::Approaching | Self::Tracking)
     }
 
-    /// Whether the arm rests between motions, with its target kept in mind.
+    /// Whether the arm holds and keeps its target.
     pub fn is_resting(self) -> bool {
         matches!(self, Self::Holding | Self::Lost)
     }
 
-    /// Whether only the operator's reset leads on.
+    /// Whether only the operator's reset leaves the state.
     pub fn is_latched(self) -> bool {
         matches!(self, Self::Stopped | Self::Fault)
     }
@@ -173,9 +173,9 @@ impl fmt::Display for Event {
     }
 }
 
-/// What an event does in a state.
+/// Effect of an event in a state.
 ///
-/// `Start`, `Resume` and `Reset` come here only if no condition inhibits them, see [`super::Supervisor::step`].
+/// `Start`, `Resume` and `Reset` are passed only if no condition inhibits them, see [`super::Supervisor::step`].
 #[rustfmt::skip]
 pub fn outcome(state: State, event: Event) -> Outcome {
     use Outcome::{Refuse, Stay, To};

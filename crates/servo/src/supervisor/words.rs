@@ -1,4 +1,4 @@
-//! What the supervisor says: one line for everything that keeps an arm from moving, with value, what is allowed and what to do.
+//! Messages of the supervisor: one line for every reason that inhibits motion, with value, limit and remedy.
 
 use std::fmt;
 
@@ -9,25 +9,25 @@ use super::inputs::{ARM_NAMES, OperatorCommand};
 use super::policy::Condition;
 use super::table::State;
 
-/// Why the arm does not move, or how it moves. Its `Display` is one line.
+/// Why the arm does not move, or how it moves. `Display` writes one line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Why {
     /// No target is selected.
     Idle,
-    /// The target is seen, and no condition inhibits motion.
+    /// The target is observed, and no condition inhibits motion.
     Ready,
     /// The target is selected; this condition inhibits motion.
     Waiting {
-        /// What is wrong.
+        /// The condition.
         cause: Cause,
     },
-    /// No condition inhibits motion any more, but not yet for long enough.
+    /// No condition inhibits motion any more, but the time since then is too short.
     Settling {
         /// Selecting, holding or lost.
         state: State,
-        /// What did.
+        /// The last condition.
         cause: Option<Cause>,
-        /// For how long it has to be gone, seconds.
+        /// Remaining time, seconds.
         for_s: f64,
     },
     /// The arm moves.
@@ -35,36 +35,36 @@ pub enum Why {
         /// Approaching or tracking.
         state: State,
     },
-    /// The arm moves more slowly than the controller wants.
+    /// The arm moves more slowly than the controller requests.
     Slowed {
         /// Approaching or tracking.
         state: State,
-        /// What is wrong.
+        /// The condition.
         cause: Cause,
-        /// Share of the velocity that is left.
+        /// Share of the velocity.
         share: f64,
     },
-    /// The target is lost, and the hand looks for it.
+    /// The target is lost, and the hand searches for it.
     Searching,
     /// The arm holds, and this condition inhibits motion.
     Resting {
         /// Holding or lost.
         state: State,
-        /// What is wrong.
+        /// The condition.
         cause: Cause,
-        /// What leads on afterwards.
+        /// How the arm resumes afterwards.
         then: Then,
     },
     /// The arm holds, and no condition inhibits motion any more.
     CauseGone {
         /// Holding or lost.
         state: State,
-        /// What was wrong.
+        /// The last condition.
         cause: Cause,
-        /// What leads on.
+        /// How the arm resumes.
         then: Then,
     },
-    /// The arm rests because the operator said so.
+    /// The arm holds by command of the operator.
     HeldByOperator {
         /// Holding or lost.
         state: State,
@@ -77,61 +77,61 @@ pub enum Why {
     Latched {
         /// Stopped or fault.
         state: State,
-        /// What was wrong.
+        /// The condition.
         cause: Cause,
-        /// Whether it still is not.
+        /// Whether the condition is still active.
         is_gone: bool,
     },
 }
 
-/// What ends a rest.
+/// How the arm resumes after a hold.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Then {
     /// The operator's `resume`.
     Resume,
-    /// Time, when nothing is wrong.
+    /// Automatically, after a time without an active inhibit.
     ByItself {
         /// Seconds.
         after_s: f64,
     },
 }
 
-/// A word that was not obeyed.
+/// A refused command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Refusal {
-    /// The word.
+    /// The command.
     pub word: OperatorCommand,
-    /// Why not.
+    /// The reason.
     pub because: RefusedFor,
 }
 
-/// Why a word was not obeyed.
+/// Why a command was refused.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RefusedFor {
-    /// It has no place in this state.
+    /// It is not possible in this state.
     State(State),
-    /// It was said too long ago, or will be.
+    /// It is too old, or has a future time.
     Age {
-        /// Seconds since then.
+        /// Its age, seconds.
         age_s: f64,
-        /// How many are allowed.
+        /// Largest allowed age, seconds.
         age_max_s: f64,
     },
-    /// It was said before this state was entered.
+    /// It was given before the state changed.
     OlderThanState(State),
-    /// It was said before the target was followed that is followed now.
+    /// It was given before the present target was observed.
     OlderThanTarget,
-    /// Something happened in the same step that led to this state.
+    /// The state changed in the same step.
     Overtaken(State),
     /// This condition inhibits motion.
     Cause(Cause),
-    /// No condition inhibits motion any more, but not yet for long enough.
+    /// No condition inhibits motion any more, but the time since then is too short.
     NotClear {
-        /// What did.
+        /// The last condition.
         cause: Option<Cause>,
-        /// For how long it has been gone, seconds.
+        /// Time since it ended, seconds.
         clear_s: f64,
-        /// How long is wanted.
+        /// Required time, seconds.
         wanted_s: f64,
     },
 }
@@ -241,7 +241,7 @@ impl Refusal {
     }
 }
 
-/// What may be said instead in a state.
+/// Commands that are possible in a state instead.
 fn instead(state: State) -> &'static str {
     match state {
         State::Idle => "; use select first",
@@ -252,7 +252,7 @@ fn instead(state: State) -> &'static str {
     }
 }
 
-/// That something is not so any more.
+/// Message for a cause that is gone.
 struct Gone<'a>(&'a Option<Cause>);
 
 impl fmt::Display for Gone<'_> {
@@ -264,10 +264,10 @@ impl fmt::Display for Gone<'_> {
     }
 }
 
-/// How old the newest one of something is, or that there was none yet.
+/// Age of the newest item of a kind, or that there is none yet.
 struct Age {
     age_s: f64,
-    /// A frame pair, say.
+    /// For example "frame pair".
     one: &'static str,
     limit_s: f64,
 }
@@ -345,7 +345,7 @@ impl fmt::Display for Cause {
     }
 }
 
-/// The arm that a detail names, or what to call it.
+/// The arm of a detail, or a general name.
 struct ArmOf {
     detail: Detail,
     of: &'static str,
@@ -360,7 +360,7 @@ impl fmt::Display for ArmOf {
     }
 }
 
-/// The axis that a detail names, counted from 1.
+/// The axis of a detail, counted from 1.
 struct Joint(Detail);
 
 impl fmt::Display for Joint {
@@ -372,7 +372,7 @@ impl fmt::Display for Joint {
     }
 }
 
-/// A length and what is allowed, metres.
+/// A length and its limit, metres.
 struct Millimetres(f64, f64);
 
 impl fmt::Display for Millimetres {
@@ -381,7 +381,7 @@ impl fmt::Display for Millimetres {
     }
 }
 
-/// An angle and what is allowed, radians.
+/// An angle and its limit, radians.
 struct Degrees(f64, f64);
 
 impl fmt::Display for Degrees {
@@ -390,7 +390,7 @@ impl fmt::Display for Degrees {
     }
 }
 
-/// What to do about it.
+/// The remedy.
 fn remedy(cause: &Cause) -> &'static str {
     match cause.condition {
         Condition::EmergencyStop => "release the switch, then reset the arm",
@@ -400,7 +400,7 @@ fn remedy(cause: &Cause) -> &'static str {
         Condition::OperatorSilent => "check the panel and its connection",
         Condition::JointsStale => "check the link to the arm",
         Condition::TargetChanged => "select the target again",
-        // In a healthy run the first one is on its way.
+        // In a healthy run the first image is on its way.
         Condition::FrameStale if cause.value.is_infinite() => "wait for the cameras",
         Condition::FrameStale => "check the cameras",
         Condition::FrameOrder => "check whether the cameras were restarted or send old images",

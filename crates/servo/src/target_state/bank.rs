@@ -14,12 +14,12 @@ use super::motion::{AxisStep, Mode, switching, usual};
 
 /// Two modes of two parts.
 const HYPOTHESES_MAX: usize = 4;
-/// Of a measured pose.
+/// Degrees of freedom of a measured pose.
 const DEGREES_OF_FREEDOM: f64 = 6.0;
-/// A hypothesis less probable than this does not show in a prediction.
+/// Less probable hypotheses are left out of predictions.
 const NEGLIGIBLE: f64 = 1e-3;
 
-/// One pair of modes, how probable it is, and what it says.
+/// One pair of modes with its probability and its state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Hypothesis {
     linear: Mode,
@@ -33,23 +33,23 @@ struct Hypothesis {
 pub(super) struct Bank {
     hypotheses: [Hypothesis; HYPOTHESES_MAX],
     count: usize,
-    /// Squared Mahalanobis distances of the last measurements per degree of freedom, smoothed: about 1 as long as the target
-    /// moves as the models say.
+    /// Smoothed squared Mahalanobis distances of the measurements per degree of freedom: about 1 while the target moves as
+    /// modelled.
     surprise: f64,
 }
 
-/// What became of a measurement.
+/// What happened to a measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Correction {
-    /// It is part of the state now.
+    /// Used in the state.
     Accepted { nis: f64 },
-    /// No hypothesis explains it.
+    /// Outside the gate of every hypothesis.
     Outlier { nis: f64 },
     /// A covariance is not positive definite, or a number is not finite: the measurement is not used.
     Failed,
 }
 
-/// The hypotheses taken together.
+/// The mixture of all hypotheses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Mixture {
     pub state: State,
@@ -62,7 +62,7 @@ pub(super) struct Mixture {
 }
 
 impl Bank {
-    /// A target seen for the first time.
+    /// Starts from a first measurement.
     pub(super) fn begin(config: &TargetStateConfig, measured: &BaseMeasurement) -> Self {
         let state = State {
             base_from_model: measured.base_from_model,
@@ -90,7 +90,7 @@ impl Bank {
         bank
     }
 
-    /// The hypotheses after a time without a measurement: modes may have changed, then each goes on as its mode does.
+    /// Prediction: the modes may change, then each hypothesis is propagated with its mode.
     pub(super) fn predicted(&self, config: &TargetStateConfig, dt_s: f64) -> Self {
         let old = self.hypotheses();
         let steps = Steps::new(config, self.surprise, dt_s);
@@ -109,7 +109,7 @@ impl Bank {
         next
     }
 
-    /// Takes a measurement of this very time in, unless it lies outside the gate of every hypothesis.
+    /// Updates with a measurement at this time, unless it is outside the gate of every hypothesis.
     pub(super) fn corrected(&self, config: &TargetStateConfig, measured: &BaseMeasurement) -> (Self, Correction) {
         let mut innovations: [Option<Innovation>; HYPOTHESES_MAX] = [const { None }; HYPOTHESES_MAX];
         let (mut nis, mut best) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -137,7 +137,7 @@ impl Bank {
         if next.is_finite() { (next, Correction::Accepted { nis }) } else { (*self, Correction::Failed) }
     }
 
-    /// The hypotheses taken together after a time in which no mode changes.
+    /// The mixture after a time in which no mode changes.
     pub(super) fn mixture(&self, config: &TargetStateConfig, dt_s: f64) -> Mixture {
         let steps = Steps::new(config, self.surprise, dt_s);
         let (mut linear_motion, mut angular_motion) = (0.0, 0.0);
@@ -159,7 +159,7 @@ impl Bank {
         Mixture { state, covariance, linear_motion, angular_motion }
     }
 
-    /// The pose of that mixture alone, which costs a fraction of it.
+    /// The pose of that mixture only, at a fraction of the cost.
     pub(super) fn pose_after(&self, config: &TargetStateConfig, dt_s: f64) -> Pose<Base, Model> {
         let both = |part| [Mode::Motion, Mode::Rest].map(|mode| AxisStep::transition_of(part, mode, dt_s));
         let (linear, angular) = (both(&config.linear), both(&config.angular));
@@ -170,7 +170,7 @@ impl Bank {
         self.mean(&states).state.base_from_model
     }
 
-    /// What is made of each hypothesis that shows in a prediction, with its weight; their sum is 1.
+    /// Maps each hypothesis that counts in a prediction, with its weight; the weights sum to 1.
     fn probable<T: Copy>(&self, make: impl Fn(&Hypothesis) -> T) -> [Option<(f64, T)>; HYPOTHESES_MAX] {
         let mut parts = [None; HYPOTHESES_MAX];
         let mut kept = 0.0;
@@ -203,21 +203,21 @@ impl Bank {
     }
 }
 
-/// The mean of several states, and the error that leads to it from one of them.
+/// The mean of several states, and the error from the mean to one of them.
 struct Mean {
     reference: State,
     apart: ErrorVector,
     state: State,
 }
 
-/// A step of time in each mode, `[motion, rest]`.
+/// A time step in each mode, `[motion, rest]`.
 struct Steps {
     linear: [AxisStep; 2],
     angular: [AxisStep; 2],
 }
 
 impl Steps {
-    /// Surprise adds noise to motion, and to the velocity and acceleration with which motion begins.
+    /// A large innovation increases the noise of motion, and of the velocity and acceleration at the onset of motion.
     fn new(config: &TargetStateConfig, surprise: f64, dt_s: f64) -> Self {
         let factor = config.surprise.noise_factor(surprise);
         let both = |part: &MotionConfig| {
@@ -241,7 +241,7 @@ impl Steps {
     }
 }
 
-/// The modes that a part has.
+/// The modes of a part.
 fn modes(part: &MotionConfig) -> &'static [Mode] {
     if part.rest.is_some() { &[Mode::Motion, Mode::Rest] } else { &[Mode::Motion] }
 }
@@ -272,7 +272,7 @@ fn mixed(hypotheses: &[Hypothesis], weights: &[f64; HYPOTHESES_MAX], sum: f64) -
     let mut covariance = ErrorMatrix::zeros();
     for ((apart, hypothesis), weight) in apart.iter().zip(hypotheses).zip(weights) {
         let (apart, share) = (apart - mean, weight / sum);
-        // Element by element: matrices of this size are not to be written down in between.
+        // Element by element, without temporary matrices of this size.
         for column in 0..ERRORS {
             for row in 0..ERRORS {
                 let own = hypothesis.gaussian.covariance[(row, column)];

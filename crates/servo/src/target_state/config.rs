@@ -1,52 +1,52 @@
-//! The numbers of the target's state, and the check that refuses bad ones.
+//! Parameters of the target filter and their check.
 
 use crate::config_error::{ConfigError, check};
 
-/// Everything that [`crate::TargetState::new`] needs.
+/// All parameters of [`crate::TargetState::new`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TargetStateConfig {
-    /// How the model's origin moves: metres.
+    /// Linear motion of the model's origin: metres.
     pub linear: MotionConfig,
-    /// How the model turns: radians.
+    /// Rotation of the model: radians.
     pub angular: MotionConfig,
-    /// How far the covariance of a measurement is believed.
+    /// Measurement noise.
     pub measurement: MeasurementConfig,
-    /// What happens when the target moves as no model says.
+    /// Adaptation to motion that no model explains.
     pub surprise: SurpriseConfig,
-    /// A measurement whose squared Mahalanobis distance (6 degrees of freedom) from the prediction is larger is an outlier,
-    /// 6 to 10000. Of Gaussian measurements a gate of 16.8 refuses 1 %, 22.5 0.1 %, 27.9 0.01 %, 38.3 one in a million.
+    /// Gate: a measurement with a larger squared Mahalanobis distance (6 degrees of freedom) is an outlier, 6 to 10000. For
+    /// Gaussian measurements a gate of 16.8 rejects 1 %, 22.5 0.1 %, 27.9 0.01 %, 38.3 one in a million.
     pub gate_nis: f64,
-    /// Measurements that are kept, to put late ones in their place, 2 to 1000. Each takes about 12 kB. A measurement may
-    /// be later than this many others, less two.
+    /// Number of stored measurements, for late ones, 2 to 1000. Each takes about 12 kB. A measurement may arrive after this many
+    /// others, less two.
     pub history_measurements: usize,
     /// Longest prediction beyond the newest measurement, seconds, 0.01 to 5.
     pub horizon_s: f64,
-    /// A measurement that comes longer after the newest one begins a new target, seconds, `horizon_s` to 60.
+    /// Longest gap between measurements, seconds, `horizon_s` to 60; after a longer one the target is initialised again.
     pub gap_max_s: f64,
 }
 
-/// How one part of the motion, linear or angular, goes. `X` stands for metres or radians.
+/// Motion model of one part, linear or angular. `X` is metres or radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionConfig {
     /// Standard deviation of the acceleration of a target in motion, per axis, X/s^2, 0.0001 to 100.
     pub acceleration_sigma_per_s2: f64,
-    /// Time over which this acceleration keeps its correlation (to 1/e), seconds, 0.01 to 100.
+    /// Correlation time of this acceleration (to 1/e), seconds, 0.01 to 100.
     pub correlation_time_s: f64,
-    /// Share of the acceleration's variance that is left across the direction of motion once that direction is known, 0.001
-    /// to 1. Few targets change their axis as fast as their speed; 1: the acceleration is the same in all directions.
+    /// Share of the acceleration's variance across the known direction of motion, 0.001 to 1. Few targets change their axis as fast
+    /// as their speed; 1: equal in all directions.
     pub across_share: f64,
-    /// Standard deviation of the unknown velocity of a target that is seen for the first time, per axis, X/s, 0.0001 to 10.
+    /// Standard deviation of the velocity of a new target, per axis, X/s, 0.0001 to 10.
     pub start_velocity_sigma_per_s: f64,
-    /// Targets that also rest; `None`: only the Singer model.
+    /// Model of rest; `None`: only the Singer model.
     pub rest: Option<RestConfig>,
 }
 
-/// The second model of a part: a target at rest.
+/// Second model of a part: a target at rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RestConfig {
     /// Random walk of a target at rest, per axis and square root of a second, X/s^0.5, 1e-7 to 0.1.
     pub drift_sigma_per_sqrt_s: f64,
-    /// Standard deviation of the velocity with which motion begins after rest, per axis, X/s, 1e-6 to 10.
+    /// Standard deviation of the velocity at the onset of motion, per axis, X/s, 1e-6 to 10.
     pub onset_velocity_sigma_per_s: f64,
     /// Mean duration of a rest, seconds, 0.1 to 1000.
     pub mean_rest_s: f64,
@@ -54,37 +54,36 @@ pub struct RestConfig {
     pub mean_motion_s: f64,
 }
 
-/// What happens when the target moves as no model says: faster than the configured acceleration, or by a jerk.
+/// Adaptation to motion that no model explains: larger accelerations than configured, or a jerk.
 ///
-/// The surprise is the squared Mahalanobis distance of the measurements per degree of freedom, smoothed; outliers count with
-/// the gate. Beyond a threshold the noise of motion, and the velocity with which motion begins, grow with a power of it. So a
-/// quick target is not lost at the gate, and one that keeps away from the prediction is taken up again after some frames.
+/// The surprise is the smoothed squared Mahalanobis distance of the measurements per degree of freedom; outliers count with the
+/// gate. Above a threshold the noise of motion, and the velocity at its onset, grow with a power of the surprise. A fast target is
+/// therefore not lost at the gate, and a target away from its prediction is found again after a few frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurpriseConfig {
-    /// Share of the newest measurement in the smoothed surprise, 0.01 to 1.
+    /// Weight of the newest measurement in the smoothed surprise, 0.01 to 1.
     pub newest_share: f64,
-    /// Surprise up to which nothing happens, 1 to 100; 1 is what a target gives that moves as the models say.
+    /// Surprise without effect, 1 to 100; 1 is expected for a target that moves as modelled.
     pub from: f64,
-    /// Power of surprise over threshold by which variances grow, 0 to 8; 0 turns it off.
+    /// Exponent of surprise over threshold by which variances grow, 0 to 8; 0 disables the adaptation.
     pub exponent: f64,
-    /// Largest factor of the variances, 1 to 1e6.
+    /// Largest factor on the variances, 1 to 1e6.
     pub factor_max: f64,
 }
 
-/// How far the covariance of a measurement is believed.
+/// Use of the measured covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasurementConfig {
-    /// The covariance is multiplied by this, 0.01 to 1000: an estimator whose mean squared Mahalanobis error is k per degree
-    /// of freedom needs k.
+    /// Factor on the covariance, 0.01 to 1000: k for an estimator whose mean squared Mahalanobis error is k per degree of freedom.
     pub covariance_factor: f64,
-    /// Least standard deviation of a position in any direction, metres, 1e-6 to 0.1.
+    /// Lower bound of the standard deviation of position in any direction, metres, 1e-6 to 0.1.
     pub position_sigma_min_m: f64,
-    /// Least standard deviation of an orientation about any axis, radians, 1e-6 to 0.5.
+    /// Lower bound of the standard deviation of orientation about any axis, radians, 1e-6 to 0.5.
     pub orientation_sigma_min_rad: f64,
 }
 
 impl Default for TargetStateConfig {
-    /// For a target that moves by about 100 mm or 20 degrees within 2 s, rests between, and is seen at 30 Hz by the direct
+    /// For a target that moves by about 100 mm or 20 degrees within 2 s with rests between, observed at 30 Hz by the direct
     /// tracker; chosen by the measurement in `docs/servo.md`.
     fn default() -> Self {
         Self {
@@ -130,7 +129,7 @@ impl TargetStateConfig {
     /// Checks every number.
     ///
     /// # Errors
-    /// The first setting that is out of its range.
+    /// The first setting that is out of range.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.linear.validate(&LINEAR_KEYS)?;
         self.angular.validate(&ANGULAR_KEYS)?;
@@ -200,7 +199,7 @@ impl SurpriseConfig {
         check("target_state.surprise.factor_max", self.factor_max, 1.0, 1e6, "1 to 1e6")
     }
 
-    /// By how much variances grow.
+    /// Factor on the variances.
     pub(super) fn noise_factor(&self, surprise: f64) -> f64 {
         (surprise / self.from).max(1.0).powf(self.exponent).min(self.factor_max)
     }

@@ -1,4 +1,4 @@
-//! One hypothesis about the target: its state and the covariance of the error, predicted and corrected.
+//! One hypothesis about the target: state and error covariance, with prediction and correction.
 //!
 //! Error state, all in axes of `base`, in this order: position, rotation vector, velocity, angular velocity, acceleration,
 //! angular acceleration. The true rotation is `exp(rotation vector) * estimate`. Error-state filters on rotations: J. Solà,
@@ -37,7 +37,7 @@ pub(super) struct Gaussian {
     pub covariance: ErrorMatrix,
 }
 
-/// A measurement held against a prediction.
+/// Innovation of a measurement.
 #[derive(Clone, Debug)]
 pub(super) struct Innovation {
     residual: Vector6<f64>,
@@ -49,7 +49,7 @@ pub(super) struct Innovation {
 }
 
 impl State {
-    /// The state with an error put right.
+    /// The state corrected by an error.
     pub(super) fn plus(&self, error: &ErrorVector) -> Self {
         let turn = so3::exp(&error.fixed_rows::<3>(ROTATION).into_owned());
         let mut rotation = turn * self.base_from_model.rotation();
@@ -62,7 +62,7 @@ impl State {
         }
     }
 
-    /// The error that leads from `other` to this state.
+    /// The error from `other` to this state.
     pub(super) fn minus(&self, other: &Self) -> ErrorVector {
         let mut error = ErrorVector::zeros();
         error.fixed_rows_mut::<6>(0).copy_from(&pose_difference(&self.base_from_model, &other.base_from_model));
@@ -71,12 +71,12 @@ impl State {
         error
     }
 
-    /// The state after a step with these transitions, and the rotation vector by which it turned.
+    /// The state after a step with these transitions, and the rotation vector of the step.
     pub(super) fn after(&self, l: &Matrix3<f64>, a: &Matrix3<f64>) -> (Self, Vector3<f64>) {
         let (velocity, spin) = se3::split(&self.rate);
         let (push, twirl) = se3::split(&self.acceleration);
         let shift = velocity * l[(0, 1)] + push * l[(0, 2)];
-        // The last term: the axis turns while the target turns about it (Magnus expansion to the third order in time).
+        // Last term: the axis turns during the rotation (Magnus expansion to the third order in time).
         let turn = spin * a[(0, 1)] + twirl * a[(0, 2)] + twirl.cross(&spin) * (a[(0, 1)].powi(3) / 12.0);
         let mut rotation = so3::exp(&turn) * self.base_from_model.rotation();
         rotation.renormalize();
@@ -99,8 +99,8 @@ impl Gaussian {
         Self { state, covariance: symmetric(&(covariance + noise([linear, angular], &spreads, &turn))) }
     }
 
-    /// How the noise of a part is spread over the directions: evenly as long as the direction of motion is not known, then
-    /// mostly along it. Second moment of the velocity, estimate and uncertainty, in units of its largest eigenvalue.
+    /// Distribution of the noise of a part over the directions: uniform while the direction of motion is unknown, then mostly along
+    /// it. Second moment of the velocity, estimate and uncertainty, in units of its largest eigenvalue.
     fn spread(&self, part: usize, step: &AxisStep) -> Matrix3<f64> {
         let velocity = self.state.rate.fixed_rows::<3>(part).into_owned();
         let uncertainty = self.covariance.fixed_view::<3, 3>(RATE + part, RATE + part).into_owned();
@@ -110,7 +110,7 @@ impl Gaussian {
         Matrix3::identity() * even + moment * ((1.0 - even) / largest.max(f64::MIN_POSITIVE))
     }
 
-    /// Pose and covariance of its error (axes of `base`) after a step, the rest of the state without its covariance.
+    /// Pose and its error covariance (axes of `base`) after a step; the rest of the state without covariance.
     pub(super) fn predicted_pose(&self, linear: &AxisStep, angular: &AxisStep) -> (State, Matrix6<f64>) {
         let (state, turn) = self.state.after(&linear.transition, &angular.transition);
         let half = times_pose_transition(&self.covariance, linear, angular, &turn);
@@ -125,22 +125,22 @@ impl Gaussian {
         (state, (covariance + covariance.transpose()) * 0.5)
     }
 
-    /// Holds a measurement against this prediction. `None`: the covariances are not positive definite.
+    /// Innovation of a measurement against this prediction. `None`: the covariances are not positive definite.
     pub(super) fn innovation(&self, measured: &BaseMeasurement) -> Option<Innovation> {
         let residual = pose_difference(&measured.base_from_model, &self.state.base_from_model);
-        // Noise turns the measured pose, the residual is a logarithm at the predicted one: between them lies the inverse of
-        // the Jacobian.
+        // Noise rotates the measured pose, while the residual is a logarithm at the predicted one: the inverse Jacobian maps
+        // between them.
         let noise = turned_by(&measured.covariance, &so3::left_jacobian_inverse(&rotation_part(&residual)));
         let factor = (self.covariance.fixed_view::<6, 6>(0, 0) + noise).cholesky()?;
         let nis = residual.dot(&factor.solve(&residual));
-        // Too far for a number is far, not a fault of the covariance.
+        // An overflow means a large distance, not a bad covariance.
         let nis = if nis.is_nan() { f64::INFINITY } else { nis };
         let log_determinant: f64 = 2.0 * factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum::<f64>();
         let log_likelihood = -0.5 * (nis + log_determinant);
         log_determinant.is_finite().then_some(Innovation { residual, noise, factor, nis, log_likelihood })
     }
 
-    /// The state with the measurement taken in; the covariance by Joseph's form.
+    /// The state after the measurement update; the covariance in Joseph's form.
     pub(super) fn updated(&self, innovation: &Innovation) -> Self {
         let seen = self.covariance.fixed_rows::<6>(0).into_owned();
         let gain = innovation.factor.solve(&seen).transpose();
@@ -149,7 +149,7 @@ impl Gaussian {
         let columns = half.fixed_columns::<6>(0).into_owned();
         let covariance = half - columns * gain.transpose() + gain * innovation.noise * gain.transpose();
         let state = self.state.plus(&error);
-        // The error that is left is one about the new rotation.
+        // The remaining error is one about the new rotation.
         let jacobian = so3::left_jacobian(&error.fixed_rows::<3>(ROTATION).into_owned());
         let mut covariance = symmetric(&covariance);
         let rows = jacobian * covariance.fixed_rows::<3>(ROTATION);
@@ -166,7 +166,7 @@ impl Gaussian {
     }
 }
 
-/// Position and rotation vector, in axes of `base`, that lead from one pose to another.
+/// Position and rotation vector from one pose to another, in axes of `base`.
 pub(super) fn pose_difference(to: &Pose<Base, Model>, from: &Pose<Base, Model>) -> Vector6<f64> {
     let turn = so3::log(&(to.rotation() * from.rotation().inverse()));
     se3::join(&(to.translation_m() - from.translation_m()), &turn)
@@ -176,7 +176,7 @@ fn rotation_part(difference: &Vector6<f64>) -> Vector3<f64> {
     difference.fixed_rows::<3>(ROTATION).into_owned()
 }
 
-/// A matrix times the transposed transition of errors, column by column, as most of the transition is zero.
+/// A matrix times the transposed error transition, column by column, because most of the transition is zero.
 fn times_transition(matrix: &ErrorMatrix, linear: &AxisStep, angular: &AxisStep, turn: &Vector3<f64>) -> ErrorMatrix {
     let mut product = ErrorMatrix::zeros();
     product.fixed_columns_mut::<6>(0).copy_from(&times_pose_transition(matrix, linear, angular, turn));
@@ -189,7 +189,7 @@ fn times_transition(matrix: &ErrorMatrix, linear: &AxisStep, angular: &AxisStep,
     product
 }
 
-/// The columns of that product that belong to the pose.
+/// The columns of this product that belong to the pose.
 fn times_pose_transition<const ROWS: usize>(
     matrix: &SMatrix<f64, ROWS, ERRORS>,
     linear: &AxisStep,
@@ -210,7 +210,7 @@ fn times_pose_transition<const ROWS: usize>(
     product
 }
 
-/// Noise of a step of both parts, linear and angular, spread over the directions.
+/// Process noise of a step for both parts, distributed over the directions.
 fn noise(steps: [&AxisStep; 2], spreads: &[Matrix3<f64>; 2], turn: &Vector3<f64>) -> ErrorMatrix {
     let turned = [Matrix3::identity(), so3::left_jacobian(turn)];
     let mut noise = ErrorMatrix::zeros();

@@ -1,4 +1,4 @@
-//! A measured pose, and its covariance made fit for a filter.
+//! A measured pose, with a covariance conditioned for the filter.
 
 use nalgebra::{Matrix6, SymmetricEigen, Vector6};
 use pb3dp_geometry::frames::{Base, Model};
@@ -15,12 +15,13 @@ pub struct PoseMeasurement {
     pub base_from_model: Pose<Base, Model>,
     /// Covariance of `xi = [rho; phi]` (metres, radians; axes of `model`) in `true = measured * exp(xi)`.
     ///
-    /// A direction that is not observed has a large, finite variance; standard deviations beyond 1e5 times the least one of
+    /// An unobserved direction has a large, finite variance. Standard deviations above 1e5 times the configured minimum count as
+    /// that.
     /// the configuration count as that.
     pub covariance: Matrix6<f64>,
 }
 
-/// A measurement as the filter takes it.
+/// A measurement in the form of the filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct BaseMeasurement {
     pub at: MonotonicTime,
@@ -29,15 +30,15 @@ pub(super) struct BaseMeasurement {
     pub covariance: Matrix6<f64>,
 }
 
-/// Largest standard deviation that is kept apart from larger ones, as a multiple of the least: beyond it a covariance
-/// would lose, by rounding, the directions that are observed.
+/// Largest distinguished standard deviation as a multiple of the minimum. Beyond it, rounding would destroy the observed directions
+/// of the covariance.
 const SIGMA_RANGE: f64 = 1e5;
-/// Share of the largest entry by which a matrix may fail to be symmetric, or an eigenvalue be negative.
+/// Tolerance for asymmetry and negative eigenvalues, as a share of the largest entry.
 const ROUNDING: f64 = 1e-6;
 const SWEEPS: usize = 200;
 
 impl BaseMeasurement {
-    /// Scales the covariance, bounds it from below and above, and turns it into `base`. `None`: it is none.
+    /// Scales the covariance, bounds it from below and above, and transforms it to `base`. `None`: it is not a covariance.
     pub(super) fn new(config: &MeasurementConfig, measurement: &PoseMeasurement) -> Option<Self> {
         let covariance = bounded(config, &measurement.covariance)?;
         let rotation = measurement.base_from_model.rotation_matrix();
@@ -51,7 +52,7 @@ impl BaseMeasurement {
     }
 }
 
-/// The covariance, scaled, with all eigenvalues (in units of the least standard deviations) between 1 and a bound.
+/// The scaled covariance with all eigenvalues (in units of the minimum standard deviations) between 1 and a bound.
 fn bounded(config: &MeasurementConfig, covariance: &Matrix6<f64>) -> Option<Matrix6<f64>> {
     let (position, orientation) = (config.position_sigma_min_m, config.orientation_sigma_min_rad);
     let least = Vector6::new(position, position, position, orientation, orientation, orientation);
@@ -97,7 +98,7 @@ mod tests {
     fn a_covariance_within_the_bounds_is_scaled_and_turned() {
         let measurement = measured(correlated());
         let found = BaseMeasurement::new(&CONFIG, &measurement).unwrap().covariance;
-        // A vector in base axes is the rotated vector in model axes, for position and rotation vector alike.
+        // For position and rotation vector alike, the vector in base axes is the rotated vector in model axes.
         let direction = Vector6::new(0.3, -0.2, 0.5, 0.7, 0.1, -0.4);
         let inverse = measurement.base_from_model.rotation().inverse();
         let (linear, angular) =

@@ -1,10 +1,10 @@
-//! How a target moves along or about one axis: the Singer model, rest, and the change between them.
+//! Motion models along or about one axis: Singer model, rest, and the transitions between them.
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::config::{MotionConfig, RestConfig};
 
-/// What a part of the target, linear or angular, does.
+/// Mode of a part of the target, linear or angular.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Mode {
     /// Acceleration is correlated over time: the Singer model.
@@ -13,19 +13,19 @@ pub(super) enum Mode {
     Rest,
 }
 
-/// One step of time of `[position, velocity, acceleration]` along one axis.
+/// One time step of `[position, velocity, acceleration]` along one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct AxisStep {
     /// The state after the step without noise.
     pub transition: Matrix3<f64>,
-    /// Covariance of the noise that the step adds.
+    /// Covariance of the noise of the step.
     pub noise: Matrix3<f64>,
     /// Share of that noise across the direction of motion.
     pub across_share: f64,
 }
 
 impl AxisStep {
-    /// The step of a part in a mode. A part that never rests moves.
+    /// The step of a part in a mode. A part without a rest model is always in motion.
     pub(super) fn new(config: &MotionConfig, mode: Mode, dt_s: f64) -> Self {
         match (mode, &config.rest) {
             (Mode::Rest, Some(rest)) => Self::rest(config, rest, dt_s),
@@ -45,7 +45,7 @@ impl AxisStep {
         Self { transition: singer_transition(time_s, dt_s), noise: noise * (sigma * sigma), across_share: 1.0 }
     }
 
-    /// The transition alone of the step of a part in a mode.
+    /// The transition matrix of the step of a part in a mode.
     pub(super) fn transition_of(config: &MotionConfig, mode: Mode, dt_s: f64) -> Matrix3<f64> {
         match (mode, &config.rest) {
             (Mode::Rest, Some(_)) => rest_transition(),
@@ -53,8 +53,8 @@ impl AxisStep {
         }
     }
 
-    /// Rest: the position walks, velocity and acceleration do not act. They are drawn anew at each step, as they will be
-    /// when motion begins: so the mode of motion finds them where it takes over.
+    /// Rest: the position is a random walk, velocity and acceleration have no effect. They are drawn anew at each step with the
+    /// values of an onset, so that the motion mode can start from them.
     fn rest(config: &MotionConfig, rest: &RestConfig, dt_s: f64) -> Self {
         let sigma = Vector3::new(
             rest.drift_sigma_per_sqrt_s * dt_s.sqrt(),
@@ -97,7 +97,7 @@ pub(super) fn switching(rest: &RestConfig, from: Mode, to: Mode, dt_s: f64) -> f
     if from == to { 1.0 - to_other } else { to_other }
 }
 
-/// Share of time in a mode.
+/// Stationary probability of a mode.
 pub(super) fn usual(rest: &RestConfig, mode: Mode) -> f64 {
     let rests = rest.mean_rest_s / (rest.mean_rest_s + rest.mean_motion_s);
     match mode {
@@ -106,7 +106,7 @@ pub(super) fn usual(rest: &RestConfig, mode: Mode) -> f64 {
     }
 }
 
-/// `[position, velocity, acceleration]` at a time after an acceleration of 1 that fades with the correlation time.
+/// `[position, velocity, acceleration]` at a time after an acceleration of 1 that decays with the correlation time.
 fn impulse_response(time_s: f64, dt_s: f64) -> Vector3<f64> {
     let fade = (-dt_s / time_s).exp_m1();
     Vector3::new(time_s * time_s * (fade + dt_s / time_s), -time_s * fade, 1.0 + fade)
@@ -114,8 +114,8 @@ fn impulse_response(time_s: f64, dt_s: f64) -> Vector3<f64> {
 
 /// Noise of a step for a standard deviation of 1: `2 / time_s` times the integral of the response's outer product.
 ///
-/// Gauss-Legendre quadrature with five nodes: for steps up to the correlation time its relative error is below 1e-8, and a
-/// sum of outer products has no negative eigenvalue, where Singer's closed form loses all digits of the position.
+/// Gauss-Legendre quadrature with five nodes: for steps up to the correlation time its relative error is below 1e-8. A sum of outer
+/// products has no negative eigenvalue, while Singer's closed form loses all digits of the position.
 fn singer_noise_quadrature(time_s: f64, dt_s: f64) -> Matrix3<f64> {
     const NODES: [(f64, f64); 5] = [
         (-0.906_179_845_938_664, 0.236_926_885_056_189_1),
