@@ -20,7 +20,8 @@
 //! lag is a delay in this loop and bounds K: a gain of 1 / (e T') has no overshoot for a delay of T'. The default assumes half of
 //! delay and lag as unknown ([`ArmResponse::gain_without_overshoot`]).
 //!
-//! The correction K e grows with the error only as far as the hand can decelerate, see [`correction_speed`]: with the configured
+//! The correction K e grows with the error only up to a speed from which the hand can decelerate, see [`correction_speed`]: with
+//! the configured
 //! accelerations, or less if the joints cannot provide them ([`Aim::gains_within`]).
 
 use nalgebra::Vector3;

@@ -17,7 +17,7 @@
 //! (v, w) = -gain pinv(L) e
 //! ```
 //!
-//! so that e decreases exponentially as far as the points allow it. The path of the hand is not controlled: for a large rotation
+//! so that e decreases exponentially if the points allow it. The path of the hand is not controlled: for a large rotation
 //! about the optical axis the points move straight through the middle of the image, and the camera backs away ("Chaumette's
 //! conundrum", Part II, 2007), without end for half a turn.
 

@@ -1,0 +1,250 @@
+//! Tests of the console.
+
+use std::io::{BufReader, PipeWriter, pipe};
+use std::path::Path;
+use std::sync::mpsc::{Sender, channel};
+use std::time::Instant;
+
+use pb3dp_hal_clock::VirtualClock;
+use pb3dp_servo::Mode;
+use pb3dp_servo::supervisor::{ArmCondition, ArmInput, Innovation, Inputs, Supervisor};
+use pb3dp_setup::setup::read_setup;
+
+use super::*;
+
+const NOW: MonotonicTime = MonotonicTime::from_nanos(9);
+
+/// Collects the written answers, one by one.
+struct Written(Sender<String>);
+
+impl Write for Written {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.send(String::from_utf8_lossy(bytes).into_owned()).ok();
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+/// A console with the given input, its answers, and its interrupt flag.
+fn console(lines: impl BufRead + Send + 'static) -> (Console, Receiver<String>, Arc<AtomicBool>) {
+    let (written, answers) = channel();
+    let interrupt = Arc::new(AtomicBool::new(false));
+    let clock = Arc::new(VirtualClock::new());
+    clock.sleep_until(MonotonicTime::from_nanos(5));
+    (Console::start(clock, lines, Written(written), (Arc::clone(&interrupt), "")).unwrap(), answers, interrupt)
+}
+
+fn typed() -> (BufReader<std::io::PipeReader>, PipeWriter) {
+    let (reader, writer) = pipe().unwrap();
+    (BufReader::new(reader), writer)
+}
+
+fn wait_until(what: impl Fn() -> bool) {
+    let begin = Instant::now();
+    while !what() {
+        assert!(begin.elapsed() < Duration::from_secs(30));
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+fn decision() -> Decision {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
+    let config = read_setup(Path::new(file)).unwrap().supervisor;
+    let inputs = Inputs {
+        operator: OperatorInput::default(),
+        controller: Mode::Idle,
+        innovation: Innovation::NoneNew,
+        estimate: None,
+        frame: None,
+        range_end: None,
+        smallest_singular_value: None,
+        arms: [ArmInput { state: ArmCondition::Disabled, measured_at: None }; 2],
+    };
+    Supervisor::new(config).unwrap().step(&inputs, NOW)
+}
+
+fn word(console: &mut Console) -> Option<OperatorCommand> {
+    console.listen(None, NOW).said.map(|said| said.word)
+}
+
+/// As [`console`], with both arms enabled; also returns the writer for commands.
+fn begun() -> (Console, PipeWriter, Receiver<String>, Arc<AtomicBool>) {
+    let (lines, writer) = typed();
+    let (mut console, answers, interrupt) = console(lines);
+    assert_eq!(console.listen(None, NOW).said, None);
+    (console, writer, answers, interrupt)
+}
+
+#[test]
+fn a_console_hands_words_over_in_order_and_ends_the_run_behind_its_end() {
+    let (mut console, mut writer, answers, interrupt) = begun();
+    write!(writer, "select\n start \n\nstatus\ngo\nresume").unwrap();
+    drop(writer);
+    let text: String = answers.iter().collect();
+    assert!(text.contains("not started yet") && text.contains("unknown command \"go\": use select"), "{text}");
+    assert!(text.ends_with("end of input: stopping both arms, then writing the report\n"), "{text}");
+    wait_until(|| interrupt.load(Ordering::SeqCst) && console.shared.is_closed.load(Ordering::SeqCst));
+    let later = MonotonicTime::from_nanos(70);
+    let heard = [0; 4].map(|_| console.listen(None, later));
+    let words = heard.map(|input| input.said.map(|said| (said.word, said.at)));
+    assert_eq!(
+        words,
+        [
+            Some((OperatorCommand::Select, NOW)),
+            Some((OperatorCommand::Start, NOW)),
+            Some((OperatorCommand::Resume, NOW)),
+            None
+        ]
+    );
+    assert_eq!(heard[2].heard_at, Some(NOW), "a closed console gives no sign of life");
+}
+
+#[test]
+fn a_stop_typed_in_a_hurry_is_a_stop_and_a_start_must_be_exact() {
+    use OperatorCommand::{Hold, Start, Stop};
+    for line in ["stop", "STOP", "Stop!", "stop now", "stop.", "  stop", "!stop"] {
+        assert_eq!(command_of(line), Some(Stop), "{line:?}");
+    }
+    assert_eq!(["Hold", "HOLD it", "hold"].map(command_of), [Some(Hold); 3]);
+    assert_eq!(command_of("start"), Some(Start));
+    for line in ["START", "start now", "start.", "Resume", "reset!", "stopping", "do not stop", "restart", ""] {
+        assert_eq!(command_of(line), None, "{line:?}");
+    }
+}
+
+#[test]
+fn every_command_gets_its_result_as_an_answer() {
+    let (mut console, mut writer, answers, _) = begun();
+    writeln!(writer, "start").unwrap();
+    wait_until(|| !console.words.is_empty());
+    assert_eq!(word(&mut console), Some(OperatorCommand::Start));
+    let unchanged = decision();
+    assert_eq!((unchanged.refused, unchanged.transition), (None, None));
+    console.show(&unchanged);
+    // A step without a command has no result.
+    console.show(&unchanged);
+    drop((console, writer));
+    let text: String = answers.iter().collect();
+    assert!(text.contains("start: no change, the state is idle\n"), "{text}");
+    assert_eq!(text.matches("no change").count(), 1, "{text}");
+}
+
+#[test]
+fn words_that_are_said_while_the_arms_are_switched_on_are_kept_or_refused_at_once() {
+    let (lines, mut writer) = typed();
+    let (mut console, answers, interrupt) = console(lines);
+    writeln!(writer, "start\nselect\nresume\nreset\nstatus\nhold\nselect").unwrap();
+    let mut text = String::new();
+    while text.matches("queued").count() < 3 {
+        text += &answers.recv().unwrap();
+    }
+    for word in ["start", "resume", "reset"] {
+        let refusal = format!("{word} refused: both arms are still being enabled");
+        assert!(text.contains(&refusal), "{text}");
+    }
+    assert!(text.contains("not started yet: both arms are being enabled"), "{text}");
+    // Ten seconds later: each command is stamped now, and hold has overtaken the first select.
+    let later = NOW + Duration::from_secs(10);
+    let words = [0; 3].map(|_| console.listen(None, later).said.map(|said| (said.word, said.at)));
+    assert_eq!(words, [Some((OperatorCommand::Hold, later)), Some((OperatorCommand::Select, later)), None]);
+    assert!(!interrupt.load(Ordering::SeqCst));
+    // From now on each command counts at the time of its input.
+    writeln!(writer, "start").unwrap();
+    wait_until(|| !console.words.is_empty());
+    assert_eq!(word(&mut console), Some(OperatorCommand::Start));
+}
+
+#[test]
+fn stop_breaks_off_the_switching_on_of_both_arms() {
+    let (lines, mut writer) = typed();
+    let (_console, answers, interrupt) = console(lines);
+    writeln!(writer, "stop").unwrap();
+    assert!(answers.recv().unwrap().contains("enabling aborted"));
+    wait_until(|| interrupt.load(Ordering::SeqCst));
+}
+
+#[test]
+fn an_open_console_is_a_sign_of_life() {
+    let (lines, writer) = typed();
+    let (mut console, _answers, interrupt) = console(lines);
+    assert_eq!(console.listen(None, NOW), OperatorInput { said: None, heard_at: Some(NOW) });
+    assert!(!interrupt.load(Ordering::SeqCst));
+    drop(writer);
+    wait_until(|| console.shared.is_closed.load(Ordering::SeqCst));
+    assert_eq!(console.listen(None, MonotonicTime::from_nanos(70)).heard_at, Some(NOW));
+}
+
+#[test]
+fn stop_and_hold_find_room_behind_any_number_of_words_and_overtake_them() {
+    let (mut console, mut writer, answers, _) = begun();
+    // More commands than the queue holds, but no more refusals than the answer queue holds.
+    for _ in 0..40 {
+        writeln!(writer, "start").unwrap();
+    }
+    writeln!(writer, "hold\nstop\nquit").unwrap();
+    let mut text = String::new();
+    while !text.contains("stopping both arms") {
+        text += &answers.recv().unwrap();
+    }
+    assert!(text.contains("start refused: 16 commands are waiting"), "{text}");
+    assert_eq!([0; 3].map(|_| word(&mut console)), [Some(OperatorCommand::Stop), Some(OperatorCommand::Hold), None]);
+    // Later commands are taken again.
+    writeln!(writer, "reset").unwrap();
+    wait_until(|| !console.words.is_empty());
+    assert_eq!([0; 2].map(|_| word(&mut console)), [Some(OperatorCommand::Reset), None]);
+}
+
+#[test]
+fn bytes_that_are_no_text_and_lines_without_end_are_no_words_and_close_nothing() {
+    let long = [b"x".repeat(LINE_MAX as usize), b"start\n".to_vec()].concat();
+    let lines = [b"st\xffart\n\xfe\xfe\n".to_vec(), long, b"select\n".to_vec()].concat();
+    let (mut console, answers, _) = console(std::io::Cursor::new(lines));
+    let text: String = answers.iter().collect();
+    assert!(text.contains("unknown command \"st\u{fffd}art\"") && text.contains("longer than 256 bytes"), "{text}");
+    assert_eq!([0; 2].map(|_| word(&mut console)), [Some(OperatorCommand::Select), None]);
+}
+
+#[test]
+fn a_person_who_reads_no_answers_is_still_heard() {
+    let ((lines, mut writer), (unread, full)) = (typed(), pipe().unwrap());
+    let mut console = Console::start(Arc::new(VirtualClock::new()), lines, full, (Arc::default(), "")).unwrap();
+    assert_eq!(word(&mut console), None);
+    // More than a pipe and the answer queue hold.
+    for _ in 0..4000 {
+        writeln!(writer, "what is the matter with you?").unwrap();
+    }
+    writeln!(writer, "stop").unwrap();
+    wait_until(|| console.shared.stop.number.load(Ordering::SeqCst) > 0);
+    assert_eq!(word(&mut console), Some(OperatorCommand::Stop));
+    // Dropped answers are reported once the output is read.
+    let mut read = BufReader::new(unread).lines().map(|line| line.unwrap());
+    let told = read.find(|line| {
+        writeln!(writer, "status").unwrap();
+        line.contains("earlier answers dropped")
+    });
+    assert!(told.is_some());
+}
+
+#[test]
+fn what_is_told_while_somebody_reads_is_shown_in_the_next_step() {
+    let (lines, _writer) = typed();
+    let (mut console, ..) = console(lines);
+    let shared = Arc::clone(&console.shared);
+    let reading = shared.shown.lock().unwrap();
+    console.tell(Some("an overcurrent".to_owned()));
+    drop(reading);
+    assert_eq!(shared.shown.lock().unwrap().trouble, None);
+    let decision = decision();
+    console.show(&decision);
+    assert_eq!(shared.shown.lock().unwrap().trouble.as_deref(), Some("an overcurrent"));
+    let reading = shared.shown.lock().unwrap();
+    console.tell(None);
+    console.show(&decision);
+    drop(reading);
+    console.show(&decision);
+    let shown = shared.shown.lock().unwrap();
+    assert!(shown.trouble.is_none() && shown.decision.is_some());
+}
