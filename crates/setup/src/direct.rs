@@ -1,6 +1,6 @@
 //! The table `[direct]` of `configs/estimator.toml`, and `[estimator.direct]` of a setup.
 //!
-//! What a user can sensibly change; the rest stays as the method's own defaults have it.
+//! The settings that are useful to users; all others keep the defaults of the method.
 
 use pb3dp_estimation_core::region::RegionConfig;
 use pb3dp_estimation_direct::cold_start::ColdStartConfig;
@@ -85,7 +85,7 @@ struct TrackerSection {
 }
 
 impl DirectSection {
-    /// The parameters of tracking; what is out of range goes to `check` under `key`.
+    /// The parameters of tracking; values out of range are reported to `check` under `key`.
     pub fn build_tracker(&self, key: &str, check: &mut Checker) -> DirectTrackerConfig {
         let config = self.tracker.build(&format!("{key}.tracker"), check);
         if let (true, Err(error)) = (check.is_clean(), config.validate()) {
@@ -94,7 +94,7 @@ impl DirectSection {
         config
     }
 
-    /// The parameters in the units of the estimator, for regions as in `region`; what is out of range goes to `check` under
+    /// The parameters in the units of the estimator, for regions as in `region`; values out of range are reported to `check` under
     /// `key`.
     pub fn build(&self, key: &str, region: RegionConfig, check: &mut Checker) -> DirectConfig {
         let defaults = ColdStartConfig::default();

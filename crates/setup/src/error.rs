@@ -1,4 +1,4 @@
-//! Why a configuration is refused, and what a configuration file is for.
+//! Errors of refused configurations, and the kinds of configuration files.
 
 use std::path::{Path, PathBuf};
 
@@ -17,27 +17,27 @@ pub enum ConfigError {
     /// The file is another kind of configuration.
     #[error("configuration {file}: this is {found}, but {wanted} is needed here", file = file.display())]
     OtherKind {
-        /// The file.
+        /// Its kind.
         file: PathBuf,
-        /// What it is.
+        /// The found kind.
         found: FileKind,
-        /// What it should be.
+        /// The needed kind.
         wanted: FileKind,
     },
-    /// The text is no TOML.
+    /// The text is not valid TOML.
     #[error("configuration {place}: {reason}", place = place.display())]
     Syntax {
         /// File, line and column.
         place: PathBuf,
-        /// What the parser says.
+        /// Message of the parser.
         reason: String,
     },
     /// Neither a file nor a built-in setup.
     #[error("configuration {name}: there is no such file, and no built-in setup of this name; built-in are {known}")]
     NoSuchSetup {
-        /// As it was written.
+        /// The given name.
         name: String,
-        /// The names of those that are built in.
+        /// The built-in names.
         known: String,
     },
     /// Keys are unknown, missing or of the wrong type, or values are out of range. One line per key.
@@ -45,28 +45,28 @@ pub enum ConfigError {
     Values {
         /// The file.
         file: PathBuf,
-        /// What is wrong, one line per key.
+        /// One line per key.
         lines: String,
     },
 }
 
-/// What a configuration file is for.
+/// Kind of a configuration file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileKind {
     /// Parameters of the estimators, for `pb3dp estimate` and `pb3dp track`.
     Estimator,
-    /// A whole setup, for `pb3dp run`.
+    /// A complete setup, for `pb3dp run`.
     Setup,
     /// A gateway, for `pb3dp gateway`.
     Gateway,
-    /// One arm, for setups that name it.
+    /// One arm, for setups that refer to it.
     Arm,
 }
 
 impl FileKind {
     pub(crate) const ALL: [Self; 4] = [Self::Estimator, Self::Setup, Self::Gateway, Self::Arm];
 
-    /// A table that this kind has, and the others have not.
+    /// A table that only this kind has.
     pub(crate) fn own_table(self) -> &'static str {
         match self {
             Self::Estimator => "published",
@@ -88,7 +88,7 @@ impl std::fmt::Display for FileKind {
     }
 }
 
-/// The text of a file of settings.
+/// Reads a configuration file.
 ///
 /// # Errors
 /// If the file cannot be read.

@@ -27,7 +27,7 @@ struct EstimatorFile {
 /// Reads a file of estimator parameters.
 ///
 /// # Errors
-/// An unreadable file, unknown or missing keys, values out of range; the error names file, key and what is allowed.
+/// An unreadable file, unknown or missing keys, values out of range; the error names file, key and allowed values.
 pub fn read_estimator(file: &Path) -> Result<EstimatorConfig, ConfigError> {
     let config = ConfigFile::read(file, FileKind::Estimator)?;
     let mut check = Checker::default();
@@ -162,7 +162,7 @@ struct TrackerSection {
 }
 
 impl PublishedSection {
-    /// The parameters in the units of the estimator; what is out of range goes to `check` under `key`.
+    /// The parameters in the units of the estimator; values out of range are reported to `check` under `key`.
     pub fn build(&self, key: &str, check: &mut Checker) -> PublishedConfig {
         self.hue.check(&format!("{key}.hue"), check);
         self.model.check(&format!("{key}.model"), check);

@@ -21,7 +21,7 @@ pub struct Explanation {
     pub values: Vec<(&'static str, String)>,
 }
 
-/// All texts that state keys: name, text.
+/// All built-in texts: name, text.
 fn texts() -> impl Iterator<Item = (&'static str, &'static str)> {
     built_in::SETUPS.iter().map(|setup| (setup.name, setup.text)).chain([("rig example", built_in::RIG_EXAMPLE)])
 }
@@ -44,7 +44,7 @@ pub fn explain(key: &str) -> Result<Vec<Explanation>, Vec<String>> {
         let names: Vec<&str> = known.keys().map(String::as_str).collect();
         return Err(nearest(&of_sample, &names).map(str::to_owned).into_iter().collect());
     }
-    // The range of a key takes a whole check of a setup, so a table is listed without ranges.
+    // The range of a key needs a complete check of a setup, so a table is listed without ranges.
     let allowed = if below.len() == 1 { allowed } else { |_: &str| None };
     Ok(below.into_iter().map(|key| explanation(key, known[key].clone(), allowed)).collect())
 }
@@ -69,7 +69,7 @@ pub fn explain_all() -> Vec<Explanation> {
     all_keys().into_iter().map(|(key, values)| explanation(&key, values, allowed)).collect()
 }
 
-/// Whether some setup takes a key that none states.
+/// Whether a setup accepts a key that no built-in setup has.
 fn is_taken(key: &str) -> bool {
     let is_known = |line: &String| line.trim_start().starts_with(key) && !line.contains("unknown key");
     texts()
@@ -77,7 +77,7 @@ fn is_taken(key: &str) -> bool {
         .any(|(name, text)| refusals_of(name, text, key, "{ x = 1 }").iter().any(is_known))
 }
 
-/// An arm of any name has the keys of the built-in one.
+/// Replaces the name of an arm by that of the built-in one.
 fn as_sample(key: &str) -> String {
     let parts: Vec<&str> = key.split('.').collect();
     match parts.as_slice() {
@@ -88,7 +88,7 @@ fn as_sample(key: &str) -> String {
     }
 }
 
-/// Whether a key is that of a table or lies below it.
+/// Whether a key is that of a table or below it.
 #[must_use]
 pub fn is_within(key: &str, table: &str) -> bool {
     key == table || key.strip_prefix(table).is_some_and(|rest| rest.starts_with('.'))
@@ -114,7 +114,7 @@ fn all_keys() -> BTreeMap<String, Values> {
     found
 }
 
-/// What is allowed, from what refuses something absurd.
+/// The allowed values, from the refusal of an absurd value.
 fn allowed(key: &str) -> Option<String> {
     let (name, text) = texts().filter(|(name, _)| *name != "rig").find(|(name, text)| {
         Layers::of_text(name, text).is_ok_and(|layers| layers.effective().iter().any(|setting| setting.key == key))

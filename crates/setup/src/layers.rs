@@ -1,7 +1,7 @@
 //! The layers of a setup: built-in setups, files, variables of the environment and `--set`; later ones win.
 //!
-//! A file states only what differs from its `base`, which is a built-in setup or another file. figment merges the layers and knows
-//! where each value comes from.
+//! A file states only what differs from its `base`, which is a built-in setup or another file. figment merges the layers and
+//! records the origin of each value.
 
 pub mod built_in;
 mod layer;
@@ -20,39 +20,39 @@ use figment::value::{Dict, Value};
 use self::layer::{Layer, change, flatten, remove_at, toml_text, value_at};
 use crate::error::{ConfigError, text_of};
 
-/// The options of every command that reads a setup.
+/// Options of every command that reads a setup.
 #[derive(Clone, Debug, Default, Args)]
 pub struct SetupArgs {
-    /// A setup: a TOML file, or a built-in one: sim, hil, rig, bare, published. Of several, later ones win.
+    /// A TOML file or a built-in setup (sim, hil, rig, bare, published); may be repeated, later ones override.
     #[arg(long = "config", value_name = "FILE|NAME", required = true)]
     pub configs: Vec<PathBuf>,
-    /// Set one key of the setup, for instance `scene.target=card`; `pb3dp config explain KEY` tells what a key means.
+    /// Set one key, for instance `scene.target=card`; may be repeated. `pb3dp config explain KEY` describes a key.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub set: Vec<String>,
-    /// Keys that other options of the command line set: the option, the key, the value.
+    /// Keys set by other options: option, key, value.
     #[arg(skip)]
     pub by_options: Vec<(&'static str, &'static str, String)>,
 }
 
 impl SetupArgs {
-    /// One file and nothing else.
+    /// One file only.
     pub fn of_file(file: &Path) -> Self {
         Self { configs: vec![file.to_path_buf()], ..Self::default() }
     }
 
-    /// The same with a key that an option of its own sets, over all others; without a value, the same.
+    /// Adds a key that an option of its own sets, with the highest precedence; without a value, no change.
     #[must_use]
     pub fn with(mut self, option: &'static str, key: &'static str, value: Option<String>) -> Self {
         self.by_options.extend(value.map(|value| (option, key, value)));
         self
     }
 
-    /// The first file or name, which stands for the whole in messages.
+    /// The first file or name, which represents the setup in messages.
     pub fn name(&self) -> &Path {
         self.configs.first().map_or(Path::new("(no setup)"), PathBuf::as_path)
     }
 
-    /// The same options as words of a command line.
+    /// The same options as command-line arguments.
     pub fn words(&self) -> Vec<std::ffi::OsString> {
         let configs = self.configs.iter().flat_map(|file| ["--config".into(), file.clone().into_os_string()]);
         configs.chain(self.set.iter().flat_map(|set| ["--set".into(), set.into()])).collect()
@@ -67,21 +67,21 @@ impl std::fmt::Display for SetupArgs {
     }
 }
 
-/// Where a value comes from.
+/// Origin of a value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Origin {
-    /// A setup inside the program.
+    /// A built-in setup.
     BuiltIn(&'static str),
     /// A file.
     File(PathBuf),
-    /// A variable of the environment.
+    /// An environment variable.
     Variable(String),
-    /// An option of the command line.
+    /// A command-line option.
     Option(&'static str),
 }
 
 impl Origin {
-    /// Where paths stated here start: the folder of a file, and for all else the one that the program runs in.
+    /// Base folder of relative paths: the folder of a file, otherwise the working directory.
     fn folder(&self) -> &Path {
         match self {
             Self::File(file) => file.parent().unwrap_or(Path::new(".")),
@@ -101,24 +101,24 @@ impl std::fmt::Display for Origin {
     }
 }
 
-/// A value of a setup.
+/// An effective value of a setup.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Effective {
     /// Its key: `arms.vs.start_deg`.
     pub key: String,
     /// The value, as TOML text.
     pub value: String,
-    /// Where it is stated: `configs/hil.toml:12`.
+    /// Its origin: `configs/hil.toml:12`.
     pub origin: String,
 }
 
-/// All layers of a setup, the lowest first.
+/// All layers of a setup, lowest first.
 #[derive(Clone, Debug, Default)]
 pub struct Layers {
     list: Vec<Layer>,
 }
 
-/// A key that chooses between kinds, and the keys of a lower layer that do not go with another kind.
+/// A key that selects a kind, and the keys of lower layers that are invalid for another kind.
 const KINDS: [(&str, &[&str]); 5] = [
     ("camera.backend", &["camera", "scene", "truth", "estimator.geometric"]),
     (
@@ -140,33 +140,33 @@ const KINDS: [(&str, &[&str]); 5] = [
     ("mounts.hand_from_cam_left", &["mounts.hand_eye"]),
 ];
 
-/// Tables that go with one way to reach an arm.
+/// Tables that belong to one kind of link.
 const OF_LINK: [&str; 2] = ["gateway", "bus"];
 
-/// Backends of arms that move nothing outside of this program.
+/// Backends of arms that move nothing outside this program.
 const EMULATED: [&str; 2] = ["mock", "emulated"];
 
-/// With a real arm variables of the environment do not set these.
+/// Keys that environment variables may not set for a real arm.
 const GUARDED: [&str; 4] = ["arms.", "mounts.", "servo.", "supervisor."];
 
-/// Keys of a file that are about its layers.
+/// Keys of a file that control its layers.
 const BASE: &str = "base";
 const WITHOUT: &str = "without";
 
-/// More files that refer to each other are a mistake.
+/// Maximum depth of references between files.
 const DEPTH_MAX: usize = 8;
 
 impl Layers {
-    /// One file, as it is: neither a base nor variables.
+    /// One file without base and variables.
     ///
     /// # Errors
-    /// An unreadable file, a text that is no TOML.
+    /// An unreadable file, or a text that is not valid TOML.
     pub fn one_file(file: &Path) -> Result<Self, ConfigError> {
         let layer = Layer::of_text(Origin::File(file.to_path_buf()), text_of(file)?)?;
         Ok(Self { list: vec![layer] })
     }
 
-    /// One text with what it builds on, and options over it; nothing of the environment.
+    /// One text with its base and options; without environment variables.
     ///
     /// # Errors
     /// As [`Self::read`].
@@ -181,7 +181,7 @@ impl Layers {
         Ok(layers)
     }
 
-    /// One text with what it builds on.
+    /// One text with its base.
     ///
     /// # Errors
     /// As [`Self::read`].
@@ -189,11 +189,11 @@ impl Layers {
         Self::of_text_with(name, text, &[])
     }
 
-    /// All that `args` and the environment say.
+    /// All layers of `args` and the environment.
     ///
     /// # Errors
-    /// An unreadable file, a text that is no TOML, a base that does not exist or refers to itself, an option that sets nothing; a
-    /// variable that sets what only a file may set.
+    /// An unreadable file, a text that is not valid TOML, a missing or circular base, an option without effect; a variable that
+    /// sets a key which only a file may set.
     pub fn read(args: &SetupArgs) -> Result<Self, ConfigError> {
         let mut layers = Self::default();
         for config in &args.configs {
@@ -224,7 +224,7 @@ impl Layers {
         self.list.iter().fold(Figment::new(), Figment::merge)
     }
 
-    /// Where a key is stated, with line and column if it stands in a text; `None` if nothing states it.
+    /// Origin of a key, with line and column in a text; `None` if nothing states it.
     pub fn origin_of(&self, key: &str) -> Option<String> {
         let path = position::parts(key);
         let layer = self.list.iter().rev().find(|layer| value_at(&layer.stated, &path).is_some())?;
@@ -232,7 +232,7 @@ impl Layers {
         Some(format!("{}{}", layer.origin, at.unwrap_or_default()))
     }
 
-    /// Every value that holds, by key.
+    /// Every effective value, by key.
     pub fn effective(&self) -> Vec<Effective> {
         let mut found = Vec::new();
         let all: Dict = self.figment().extract().unwrap_or_default();
@@ -248,7 +248,7 @@ impl Layers {
         self.list.iter().filter(|layer| !matches!(layer.origin, Origin::Variable(_) | Origin::Option(_))).count() > 1
     }
 
-    /// Puts a layer on top: what it says of a kind takes away what lower layers say of another kind.
+    /// Adds a layer on top. Another kind removes the keys of the former kind from lower layers.
     fn push(&mut self, layer: Layer) {
         for (kind, dropped) in KINDS {
             let Some(new) = value_at(&layer.stated, &position::parts(kind)) else { continue };
@@ -288,7 +288,7 @@ impl Layers {
         self.list.iter_mut().for_each(|layer| remove_at(&mut layer.stated, &path));
     }
 
-    /// A file or a built-in setup, with what it builds on.
+    /// Adds a file or a built-in setup, with its base.
     fn add_config(&mut self, config: &Path, folder: &Path, depth: usize) -> Result<(), ConfigError> {
         let (origin, text) = find(config, folder)?;
         if depth >= DEPTH_MAX {
@@ -310,7 +310,7 @@ impl Layers {
             let own_folder = layer.origin.folder().to_path_buf();
             let known = find(Path::new(&base), &own_folder).is_ok_and(|(origin, _)| self.has(&origin));
             match () {
-                // Laid over a setup with the same base, which would otherwise take back what that setup says.
+                // On top of a setup with the same base, the base must not override that setup.
                 () if known => {}
                 () if depth == 0 && !self.list.is_empty() => {
                     let why = format!(
@@ -340,8 +340,8 @@ impl Layers {
         Ok(())
     }
 
-    /// The file of an arm that is named and has no table: `arms/NAME.toml` beside the file that names it, or a built-in one. It lies
-    /// below all that is said of the arm elsewhere.
+    /// Adds the file of an arm that is named without a table: `arms/NAME.toml` beside the file that names it, or a built-in one. It
+    /// is below all other statements about the arm.
     fn add_named_arms(&mut self) -> Result<(), ConfigError> {
         for key in ["carries_cameras", "carries_target"] {
             let path = ["arms", key];
@@ -364,14 +364,14 @@ impl Layers {
         Ok(())
     }
 
-    /// The names of the arms of a run, from whatever states them.
+    /// Names of the arms of a run, from all layers.
     fn arms(&self) -> [String; 2] {
         [("arms.carries_cameras", "vs"), ("arms.carries_target", "tc")].map(|(key, usual)| {
             self.value(key).and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_else(|| usual.to_owned())
         })
     }
 
-    /// The arms that are neither simulated nor emulated in this program.
+    /// Arms that are neither simulated nor emulated in this program.
     fn real_arms(&self) -> Vec<String> {
         let is_real = |name: &String| {
             let backend = self.value(&format!("arms.{name}.backend"));
@@ -380,7 +380,7 @@ impl Layers {
         self.arms().into_iter().filter(is_real).collect()
     }
 
-    /// What a built-in setup says of limits, places and mounts is true of its simulation; a real arm needs its own.
+    /// The limits, poses and mounts of a built-in setup are those of the simulation; a real arm needs its own.
     fn keep_simulation_from_real_arms(&mut self) {
         let real = self.real_arms();
         if real.is_empty() {
@@ -394,8 +394,8 @@ impl Layers {
         }
     }
 
-    /// A variable is history: it may have been set long ago, by somebody else. `real`: the arms that files and built-in setups say are
-    /// real, which a variable must not hide either.
+    /// A variable may have been set long ago by somebody else. `real`: arms that are real according to files and built-in setups; a
+    /// variable must not hide them.
     fn check_variables(&self, variables: &[Layer], mut real: Vec<String>) -> Result<(), ConfigError> {
         real.extend(self.real_arms());
         real.sort();
@@ -418,7 +418,7 @@ impl Layers {
         Err(ConfigError::Values { file: PathBuf::from("environment"), lines: lines.join("\n") })
     }
 
-    /// Paths lie beside the file that states them; a robot is also found by its name among the built-in ones.
+    /// Relative paths start at the file that states them; a robot is also found by its name among the built-in ones.
     fn resolve_paths(&mut self) {
         for layer in &mut self.list {
             let folder = match &layer.origin {
@@ -429,7 +429,7 @@ impl Layers {
                 Some(folder) if folder.join(path).exists() || path.contains('/') => {
                     folder.join(path).display().to_string()
                 }
-                // A name alone may be that of a file inside the program; all that a built-in setup names is.
+                // A name without a folder may be a built-in file; a built-in setup refers to built-in files only.
                 folder => built_in::path_of(path)
                     .unwrap_or_else(|| folder.clone().unwrap_or_default().join(path).display().to_string()),
             };
@@ -452,7 +452,7 @@ impl Layers {
     }
 }
 
-/// A file, if the word is a path or has an ending; else a built-in setup.
+/// A file, if the word is a path or has an extension; else a built-in setup.
 fn find(config: &Path, folder: &Path) -> Result<(Origin, String), ConfigError> {
     let name = config.to_str().unwrap_or_default();
     if let Some(setup) = built_in::setup(name) {
@@ -468,9 +468,9 @@ fn find(config: &Path, folder: &Path) -> Result<(Origin, String), ConfigError> {
     Ok((Origin::File(file), text))
 }
 
-/// A whole setup as one file, each value with where it is stated.
+/// A complete setup as one file, each value with its origin.
 pub fn toml_of(settings: &[Effective]) -> String {
-    // A table is stated once, before the tables in it.
+    // A table is stated once, before its subtables.
     let mut tables: BTreeMap<&str, String> = BTreeMap::new();
     for setting in settings {
         let (table, name) = setting.key.rsplit_once('.').unwrap_or(("", &setting.key));

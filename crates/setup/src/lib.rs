@@ -1,4 +1,4 @@
-//! Configuration files: read, checked, and turned into the parameters of the parts.
+//! Configuration files: reading, checks, and conversion to the parameters of the other crates.
 
 mod codes;
 pub mod direct;

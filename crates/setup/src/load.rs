@@ -1,4 +1,4 @@
-//! Reading a configuration: TOML to raw structs, with errors that name file and line, the key and what is allowed.
+//! Deserialisation of configurations: TOML to raw structs, with errors that name file, line, key and allowed values.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -15,7 +15,7 @@ use crate::error::text_of;
 pub use crate::error::{ConfigError, FileKind};
 use crate::layers::{Layers, SetupArgs, built_in};
 
-/// What a file is for, by the tables that it has; none if by them it is nothing.
+/// Kind of a file by its tables; `None` if it has no table of any kind.
 ///
 /// # Errors
 /// An unreadable file.
@@ -24,10 +24,10 @@ pub fn kind_of(file: &Path) -> Result<Option<FileKind>, ConfigError> {
     Ok(FileKind::ALL.into_iter().find(|kind| figment.find_value(kind.own_table()).is_ok()))
 }
 
-/// A configuration whose tables are taken one by one: which keys one of them has may depend on what it says itself.
+/// A configuration that is read table by table: the keys of a table may depend on its values.
 ///
-/// What is wrong with keys is collected: a value that cannot be used is replaced by the one of a sample, so that everything else that is
-/// wrong is found, too. [`Self::finish`] tells all of it.
+/// Problems with keys are collected: an unusable value is replaced by a sample, so that all other problems are found too.
+/// [`Self::finish`] reports all of them.
 pub struct ConfigFile {
     name: PathBuf,
     wanted: FileKind,
@@ -40,7 +40,7 @@ impl ConfigFile {
     /// Reads one file, which should be of the kind `wanted`.
     ///
     /// # Errors
-    /// An unreadable file, a text that is no TOML.
+    /// An unreadable file, or a text that is not valid TOML.
     pub fn read(file: &Path, wanted: FileKind) -> Result<Self, ConfigError> {
         Ok(Self::of(file.to_path_buf(), wanted, Layers::one_file(file)?))
     }
@@ -58,22 +58,22 @@ impl ConfigFile {
         Self { name, wanted, layers, values: RefCell::new(values), problems: RefCell::default() }
     }
 
-    /// The layers that it is made of.
+    /// Its layers.
     pub fn layers(&self) -> &Layers {
         &self.layers
     }
 
-    /// All of it; `None` if a key is wrong that no sample replaces.
+    /// The whole configuration; `None` if a wrong key has no sample.
     pub fn all<T: DeserializeOwned>(&self) -> Option<T> {
         self.extract("", "")
     }
 
-    /// One key of it, with everything below; `owner` is what its keys are those of, for messages.
+    /// One key with everything below it; messages call `owner` the owner of its keys.
     pub fn at<T: DeserializeOwned>(&self, key: &str, owner: &str) -> Option<T> {
         self.extract(key, owner)
     }
 
-    /// The table `key`: its own keys are those of `All`; the tables in it, which the user names, are each a `One`.
+    /// The table `key`: its own keys form an `All`; its subtables, named by the user, are a `One` each.
     pub fn named_tables<All: DeserializeOwned, One: DeserializeOwned>(
         &self,
         key: &str,
@@ -91,7 +91,7 @@ impl ConfigFile {
         self.extract_from(&mut values, key, owner)
     }
 
-    /// What `key` of `values` is, or the whole of them; puts samples in the place of what is wrong.
+    /// The value of `key`, or all values; replaces wrong values by samples.
     fn extract_from<T: DeserializeOwned>(&self, values: &mut Dict, key: &str, owner: &str) -> Option<T> {
         let parts = key.split('.').filter(|part| !part.is_empty()).count();
         for _ in 0..PROBLEMS_MAX {
@@ -103,7 +103,7 @@ impl ConfigFile {
             };
             for mut error in errors {
                 if !key.is_empty() {
-                    // What is below the key is named before the key itself.
+                    // The path starts below the key, so the key is moved to the front.
                     let length = error.path.len();
                     error.path.rotate_right(parts.min(length));
                 }
@@ -125,15 +125,15 @@ impl ConfigFile {
         }
     }
 
-    /// Success, or all that is wrong in one error: keys first, then what `check` has refused.
+    /// Success, or all problems in one error: keys first, then the refusals of `check`.
     ///
     /// # Errors
-    /// If anything is wrong.
+    /// If there is any problem.
     pub fn finish(&self, check: Checker) -> Result<(), ConfigError> {
         let keys = self.problems.borrow();
         let key_of = |line: &str| line.split([' ', ':', '=']).next().unwrap_or_default().to_owned();
         let replaced: Vec<String> = keys.iter().map(|line| key_of(line)).collect();
-        // What follows from a sample is no mistake of the user.
+        // Consequences of a sample are not the user's mistake.
         let is_own = |line: &String| {
             let key = key_of(line);
             let is_stated = line.contains(MISSING) || self.layers.origin_of(&key).is_some();
@@ -162,14 +162,14 @@ impl ConfigFile {
     }
 }
 
-/// More problems than a user can read.
+/// More problems are not reported.
 const PROBLEMS_MAX: usize = 300;
 /// From this number of missing keys on, the message suggests a base for the setup.
 const MISSING_MANY: usize = 5;
 const MISSING: &str = ": missing";
 const ALLOWED: &str = ": allowed are ";
 
-/// For a value of the wrong type where one of several words is needed: the message that lists these words.
+/// For a value of the wrong type where one of several words is required: the message with these words.
 fn choices<T: DeserializeOwned>(values: &Dict, key: &str, error: &figment::Error) -> Option<String> {
     let Kind::InvalidType(actual, expected) = &error.kind else { return None };
     if !expected.starts_with("enum ") {
@@ -188,7 +188,7 @@ fn choices<T: DeserializeOwned>(values: &Dict, key: &str, error: &figment::Error
     Some(format!("{}: found {found}, expected one of {words}", error.path.join(".")))
 }
 
-/// Puts something usable in the place of what an error is about; whether that was possible.
+/// Replaces the value of an error by a usable one; returns whether that was possible.
 fn repair(values: &mut Dict, error: &figment::Error) -> bool {
     let mut path: Vec<String> = error.path.clone();
     match &error.kind {
@@ -251,7 +251,7 @@ fn describe(error: &figment::Error) -> String {
     }
 }
 
-/// What serde says of a value, without the names of Rust's types.
+/// A message of serde without the names of Rust types.
 fn plain(said: &str) -> String {
     let words = [
         ("`", ""),
@@ -263,21 +263,21 @@ fn plain(said: &str) -> String {
     words.into_iter().fold(said.to_owned(), |text, (from, to)| text.replace(from, to))
 }
 
-/// The known key that a mistyped one was probably meant to be.
+/// The known key that a mistyped one probably means.
 pub(crate) fn nearest<'a>(key: &str, known: &[&'a str]) -> Option<&'a str> {
     let likeness = |other: &&str| strsim::jaro_winkler(key, other);
     let best = known.iter().copied().max_by(|a, b| likeness(a).total_cmp(&likeness(b)))?;
     (likeness(&best) > LIKE).then_some(best)
 }
 
-/// Two keys are alike above this Jaro-Winkler similarity; chosen: `serach` and `search` have 0.95, `port` and `baud` 0.
+/// Minimum Jaro-Winkler similarity of two keys; chosen: `serach` and `search` have 0.95, `port` and `baud` 0.
 const LIKE: f64 = 0.85;
 
 fn at_or(path: &str, field: &str) -> String {
     if path.is_empty() { field.to_owned() } else { path.to_owned() }
 }
 
-/// The unit that a key names: `mm/s` of `speed_max_mm_per_s`.
+/// The unit in the name of a key: `mm/s` for `speed_max_mm_per_s`.
 pub fn unit_of(key: &str) -> Option<String> {
     let name = key.rsplit('.').next().unwrap_or(key).split(['[', ' ']).next().unwrap_or_default();
     let words: Vec<&str> = name.split('_').collect();
@@ -305,14 +305,14 @@ pub fn unit_of(key: &str) -> Option<String> {
     }
 }
 
-/// Collects what is out of range, so that a user sees everything at once.
+/// Collects values out of range, so that a user sees all of them at once.
 #[derive(Debug, Default)]
 pub struct Checker {
     lines: Vec<String>,
 }
 
 impl Checker {
-    /// Refuses a value outside `allowed` or not finite.
+    /// Refuses a value that is not in `allowed` or not finite.
     pub fn number(&mut self, key: &str, value: f64, allowed: RangeInclusive<f64>) {
         if !allowed.contains(&value) {
             self.refuse_range(key, value, allowed);
@@ -324,45 +324,45 @@ impl Checker {
         self.lines.push(format!("{key} = {value}{ALLOWED}{} to {}{unit}", allowed.start(), allowed.end()));
     }
 
-    /// Refuses each of several values outside `allowed` or not finite.
+    /// Refuses each of several values that is not in `allowed` or not finite.
     pub fn numbers(&mut self, key: &str, values: &[f64], allowed: RangeInclusive<f64>) {
         for (index, value) in values.iter().enumerate() {
             self.number(&format!("{key}[{index}]"), *value, allowed.clone());
         }
     }
 
-    /// Refuses a whole number outside `allowed`. Sections read whole numbers as `i64`, so that any of them is refused with its
-    /// range and not with the type it does not fit; [`whole`] turns them into what the parts want.
+    /// Refuses a whole number that is not in `allowed`. Sections read whole numbers as `i64`, so that a refusal states the range
+    /// and not a type; [`whole`] converts them.
     pub fn count(&mut self, key: &str, value: i64, allowed: RangeInclusive<i64>) {
         if !allowed.contains(&value) {
             self.refuse_range(key, value, allowed);
         }
     }
 
-    /// How much was refused so far.
+    /// Number of refusals.
     pub fn refused(&self) -> usize {
         self.lines.len()
     }
 
-    /// Whether nothing was refused so far.
+    /// Whether there is no refusal.
     pub fn is_clean(&self) -> bool {
         self.lines.is_empty()
     }
 
-    /// Refuses with a line that names key, value and what is allowed.
+    /// Refuses with a line that names key, value and allowed values.
     pub fn refuse(&mut self, line: String) {
         self.lines.push(line);
     }
 }
 
-/// The number nearest to `value` within `min` to `max` (not below `min`); `min` if it is none. For bounds that depend on another key: that key is
+/// `value` limited to `min` to `max` (at least `min`); `min` for NaN. For bounds that depend on another key: that key is refused
+/// separately, and the bound stays sensible.
 /// refused by itself, and the bound stays sensible.
 pub fn within(value: f64, min: f64, max: f64) -> f64 {
     if value.is_nan() { min } else { value.clamp(min, max) }
 }
 
-/// A whole number that [`Checker::count`] has checked, in the type that a part wants; 0 if it does not fit, which is refused
-/// by then.
+/// A whole number checked by [`Checker::count`], in the type of its parameter; 0 if it does not fit and is refused already.
 pub fn whole<T: TryFrom<i64> + Default>(checked: i64) -> T {
     T::try_from(checked).unwrap_or_default()
 }

@@ -1,4 +1,4 @@
-//! Wire formats, geometries and sequences by their names, in files and on the command line.
+//! Names of wire formats, geometries and sequences, in files and on the command line.
 
 use clap::ValueEnum;
 use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, WireFormat};
@@ -20,7 +20,7 @@ pub enum FormatName {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum GeometryName {
-    /// Not told.
+    /// Unknown.
     Unknown,
     /// 315, 450, 500 and 80 mm.
     #[value(name = "first")]
@@ -49,7 +49,7 @@ impl From<GeometryName> for Geometry {
     }
 }
 
-/// After how many messages sequence numbers start again.
+/// Number of messages after which sequence numbers wrap.
 pub fn sequence_modulus(key: &str, numbers: i64, check: &mut Checker) -> SequenceModulus {
     match numbers {
         128 => SequenceModulus::Modulo128,

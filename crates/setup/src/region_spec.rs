@@ -1,4 +1,4 @@
-//! How a region is written on the command line.
+//! Notation of a region on the command line.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -17,13 +17,13 @@ pub enum RegionSpec {
     Rectangle([f64; 4]),
     /// `poly:x1,y1;x2,y2;...` in pixels.
     Polygon(Vec<[f64; 2]>),
-    /// `mask:FILE`, an image of the left image's size, not black = inside.
+    /// `mask:FILE`, an image of the size of the left image; pixels that are not black are inside.
     Mask(PathBuf),
-    /// `click:x,y`: grown from that pixel.
+    /// `click:x,y`: grown from this pixel.
     Click([f64; 2]),
 }
 
-/// What a region may look like; shown with every error and in `--help`.
+/// The notations of a region, for errors and `--help`.
 pub const REGION_HELP: &str = "rect:X,Y,WIDTH,HEIGHT | poly:X1,Y1;X2,Y2;X3,Y3... | mask:FILE | click:X,Y (pixels in the left image; quote what has a `;`)";
 
 impl FromStr for RegionSpec {
@@ -56,7 +56,7 @@ impl FromStr for RegionSpec {
 }
 
 impl std::fmt::Display for RegionSpec {
-    /// As it is written on the command line.
+    /// The notation of the command line.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Rectangle([x, y, width, height]) => write!(f, "rect:{x},{y},{width},{height}"),
@@ -84,10 +84,10 @@ fn numbers<const N: usize>(whole: &str, text: &str) -> std::result::Result<[f64;
 }
 
 impl RegionSpec {
-    /// Refuses what lies outside of images of this size, or has no area; masks say by themselves where they are.
+    /// Refuses a region outside images of this size, or without area; masks are checked when they are read.
     ///
     /// # Errors
-    /// What is wrong, in words.
+    /// The reason, as text.
     pub fn check_inside(&self, images: ImageSize) -> std::result::Result<(), String> {
         let corners = match self {
             Self::Mask(_) => return Ok(()),

@@ -21,8 +21,7 @@
 //! delay and lag as unknown ([`ArmResponse::gain_without_overshoot`]).
 //!
 //! The correction K e grows with the error only up to a speed from which the hand can decelerate, see [`correction_speed`]: with
-//! the configured
-//! accelerations, or less if the joints cannot provide them ([`Aim::gains_within`]).
+//! the configured accelerations, or less if the joints cannot provide them ([`Aim::gains_within`]).
 
 use nalgebra::Vector3;
 use pb3dp_geometry::frames::{Base, Hand, Model};

@@ -1,4 +1,4 @@
-//! Files inside the program: setups and what they refer to, so that an installed program works anywhere.
+//! Files inside the program: setups and the files that they refer to, so that an installed program works anywhere.
 
 use figment::Figment;
 use figment::providers::{Format, Toml};
@@ -7,9 +7,9 @@ use figment::value::Value;
 /// A setup inside the program.
 #[derive(Clone, Copy, Debug)]
 pub struct BuiltIn {
-    /// What `--config` and `base` call it.
+    /// Name for `--config` and `base`.
     pub name: &'static str,
-    /// What it is, for help texts.
+    /// Description for help texts.
     pub about: &'static str,
     /// Its TOML text.
     pub text: &'static str,
@@ -44,14 +44,14 @@ pub const SETUPS: [BuiltIn; 5] = [
     },
 ];
 
-/// A complete setup of a rig, with values to replace.
+/// A complete example of a rig.
 pub const RIG_EXAMPLE: &str = include_str!("../../configs/rig.toml");
 
-/// A complete file of estimator parameters, and one of a gateway.
+/// A complete estimator file and a complete gateway file.
 const ESTIMATOR: &str = include_str!("../../configs/estimator.toml");
 const GATEWAY: &str = include_str!("../../configs/gateway.toml");
 
-/// Before the name of a file inside the program, where a path is expected.
+/// Prefix of a built-in file where a path is expected.
 const PREFIX: &str = "built-in:";
 
 const FILES: [(&str, &str); 6] = [
@@ -63,19 +63,19 @@ const FILES: [(&str, &str); 6] = [
     ("ur5e.toml", include_str!("../../configs/arms/ur5e.toml")),
 ];
 
-/// The setup of this name.
+/// The built-in setup with this name.
 pub fn setup(name: &str) -> Option<&'static BuiltIn> {
     SETUPS.iter().find(|setup| setup.name == name)
 }
 
-/// How a file inside the program is written where a path is expected; its ending and its folder may be left out.
+/// Path of a built-in file; extension and folder may be omitted.
 pub(crate) fn path_of(written: &str) -> Option<String> {
     let name = written.strip_prefix(PREFIX).unwrap_or(written).rsplit('/').next()?;
     let is_it = |file: &&(&str, &str)| file.0 == name || file.0.strip_suffix(".urdf") == Some(name);
     FILES.iter().find(is_it).map(|(name, _)| format!("{PREFIX}{name}"))
 }
 
-/// A usable value of a key of a setup: that of a built-in one, of any arm for a table of an arm.
+/// A valid value of a key, from a built-in setup; for the table of an arm from any arm.
 pub(crate) fn sample(path: &[String]) -> Option<Value> {
     let of_any_arm: Vec<String> = match path {
         [arms, _, rest @ ..] if arms == "arms" && !rest.is_empty() => {
@@ -89,7 +89,7 @@ pub(crate) fn sample(path: &[String]) -> Option<Value> {
     })
 }
 
-/// The text of a file inside the program, from how it is written where a path is expected.
+/// The text of a built-in file with this path.
 pub(crate) fn text_at(path: &str) -> Option<&'static str> {
     let name = path.strip_prefix(PREFIX)?;
     FILES.iter().find(|file| file.0 == name).map(|(_, text)| *text)

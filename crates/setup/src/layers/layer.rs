@@ -1,4 +1,4 @@
-//! One source of values: what it states, where, and how nested tables of values are looked up, changed and listed.
+//! One source of values and their positions; lookup, change and listing of nested tables.
 
 use std::path::PathBuf;
 
@@ -10,11 +10,11 @@ use super::Origin;
 use super::position::{self, Positions};
 use crate::error::ConfigError;
 
-/// What one source states.
+/// The values of one source.
 #[derive(Clone, Debug)]
 pub(super) struct Layer {
     pub origin: Origin,
-    /// Where its keys stand in its text, if it has one.
+    /// Positions of its keys in its text, if it has one.
     pub positions: Positions,
     /// The values, as nested tables.
     pub stated: Dict,
@@ -34,7 +34,7 @@ impl Layer {
     /// The layer of a TOML text.
     ///
     /// # Errors
-    /// A text that is no TOML, with line and column.
+    /// A text that is not valid TOML, with line and column.
     pub fn of_text(origin: Origin, text: String) -> Result<Self, ConfigError> {
         if let Err(error) = toml::de::DeTable::parse(&text) {
             let (line, column) = position::line_and_column(&text, error.span().map_or(0, |span| span.start));
@@ -49,10 +49,10 @@ impl Layer {
         Ok(Self { origin, positions: position::all(&text), stated })
     }
 
-    /// What the option `--set KEY=VALUE` states.
+    /// The value of the option `--set KEY=VALUE`.
     ///
     /// # Errors
-    /// A text without `=`, or whose key is none.
+    /// A text without `=`, or with an invalid key.
     pub fn of_option(set: &str) -> Result<Self, ConfigError> {
         match set.split_once('=') {
             Some((key, value)) if !key.trim().is_empty() => {
@@ -65,10 +65,10 @@ impl Layer {
         }
     }
 
-    /// One key with its value as TOML; a value that is not TOML is taken as text, so that words need no quotes.
+    /// One key with its value as TOML; a value that is not TOML is text, so that words need no quotes.
     ///
     /// # Errors
-    /// A key that is none.
+    /// An invalid key.
     pub fn of_words(origin: Origin, key: &str, value: &str) -> Result<Self, ConfigError> {
         let quoted = format!("{key} = {}", toml::Value::from(value));
         let text = [format!("{key} = {value}"), quoted].into_iter().find(|text| toml::de::DeTable::parse(text).is_ok());
@@ -79,7 +79,7 @@ impl Layer {
         Ok(Self { positions: Positions::new(), ..Self::of_text(origin, text)? })
     }
 
-    /// The table `named_arm` of an arm's file as the table of an arm of a setup.
+    /// The table `named_arm` of an arm's file, as the table of an arm in a setup.
     ///
     /// # Errors
     /// A file without that table.
@@ -91,7 +91,7 @@ impl Layer {
         };
         let arms = Dict::from([(name.to_owned(), arm)]);
         self.stated = Dict::from([("arms".to_owned(), Value::from(arms))]);
-        // Its keys stand below another table than in the setup.
+        // Its keys are below another table than in the setup.
         let in_setup = |(key, at): (String, _)| (key.replacen("named_arm", &format!("arms.{name}"), 1), at);
         self.positions = self.positions.into_iter().map(in_setup).collect();
         Ok(self)
@@ -119,7 +119,7 @@ pub(super) fn remove_at(dict: &mut Dict, path: &[&str]) {
     }
 }
 
-/// Changes the text at `path`, or each text of the list there.
+/// Changes the text at `path`, or each text of a list.
 pub(super) fn change(dict: &mut Dict, path: &[&str], changed: &dyn Fn(&str) -> String) {
     let Some((first, rest)) = path.split_first() else { return };
     match dict.get_mut(*first) {
@@ -137,7 +137,7 @@ fn change_text(value: &mut Value, changed: &dyn Fn(&str) -> String) {
     }
 }
 
-/// Calls `each` with every value that is no table, by its key.
+/// Calls `each` with every value that is not a table, by its key.
 pub(super) fn flatten(dict: &Dict, prefix: &str, each: &mut dyn FnMut(&str, &Value)) {
     for (name, value) in dict {
         let key = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
@@ -148,7 +148,7 @@ pub(super) fn flatten(dict: &Dict, prefix: &str, each: &mut dyn FnMut(&str, &Val
     }
 }
 
-/// A value as one would write it.
+/// A value in TOML notation.
 pub(super) fn toml_text(value: &Value) -> String {
     match value {
         Value::Array(_, items) => format!("[{}]", items.iter().map(toml_text).collect::<Vec<_>>().join(", ")),

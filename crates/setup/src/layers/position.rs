@@ -1,4 +1,4 @@
-//! Where keys stand in a TOML text: line and column, both from 1.
+//! Positions of keys in a TOML text: line and column, both from 1.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ pub(super) fn parts(key: &str) -> Vec<&str> {
     key.split(['.', '[']).map(|part| part.trim_end_matches(']')).filter(|part| !part.is_empty()).collect()
 }
 
-/// All keys of a text; none of one that is no TOML.
+/// All keys of a text; none for invalid TOML.
 pub(super) fn all(text: &str) -> Positions {
     let mut found = Positions::new();
     if let Ok(root) = DeTable::parse(text) {

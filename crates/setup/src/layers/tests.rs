@@ -1,4 +1,4 @@
-//! Layers of setups: who wins, what is refused, and what never reaches a real arm.
+//! Tests of the layers: precedence, refusals, and values that must not reach a real arm.
 
 use super::*;
 use crate::setup::read_layers;

@@ -1,4 +1,4 @@
-//! Variables of the environment that set keys: `PB3DP_RUN__SEED=5` sets `run.seed`.
+//! Environment variables that set keys: `PB3DP_RUN__SEED=5` sets `run.seed`.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -14,7 +14,7 @@ const SEPARATOR: &str = "__";
 /// One layer for each variable that sets a key, by name.
 ///
 /// # Errors
-/// A value that is no text, and a name that would set a key with two underscores between table and key.
+/// A value that is not text, and a name with one underscore in place of two between table and key.
 pub(super) fn layers() -> Result<Vec<Layer>, ConfigError> {
     layers_of(std::env::vars_os())
 }

@@ -1,4 +1,4 @@
-//! The table `[arms]`: where the arms stand, what they are, how their simulated drives answer, and their limits.
+//! The table `[arms]`: base poses, robot descriptions, limits, and the response of simulated drives.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -21,43 +21,43 @@ use super::link::{ArmBackend, ArmLink, BusSection, GatewaySection};
 use super::shape::{PartEntry, build_shape};
 use super::{IN_THE_CELL_MM, PoseEntry, millis};
 
-/// One arm, ready to be wired.
+/// Settings of one arm, ready for its backend.
 #[derive(Clone, Debug)]
 pub struct ArmSetup {
     /// Its table of the setup: `arms.vs`.
     pub key: String,
-    /// How it is reached.
+    /// Its link.
     pub link: ArmLink,
     /// Kinematics.
     pub chain: Chain,
-    /// Where it stands.
+    /// Base pose.
     pub world_from_base: Pose<World, Base>,
-    /// Joint angles at the beginning, rad.
+    /// Joint angles at the start, rad.
     pub start_rad: JointVector,
-    /// How the simulated drives answer.
+    /// Response of the simulated drives.
     pub plant: JointPlantConfig,
-    /// What it may do: limiter, guard, coupling, controller and planner are built from these.
+    /// Effective limits: limiter, guard, coupling, controller and planner receive these.
     pub limits: EffectiveLimits,
-    /// The limiter before them.
+    /// Settings of the limiter before the drives.
     pub limiter: LimiterConfig,
-    /// The guard behind it.
+    /// Settings of the guard after the drives.
     pub guard: GuardConfig,
-    /// Its shape with all that is mounted, for the room between both arms.
+    /// Shape of the arm with its tool, for the clearance between both arms.
     pub shape: ArmShape,
-    /// The arm stops by itself if no command comes for longer than this.
+    /// The arm stops without a new command for this time.
     pub command_timeout: Duration,
-    /// Of the random faults of the arm, if it is emulated.
+    /// Seed of the random faults of an emulated arm.
     pub emulation_seed: u64,
 }
 
 impl ArmSetup {
-    /// What messages call a joint, 0 at the base: `axis 2 (S2)`, with its name in the robot description.
+    /// Name of a joint in messages, 0 at the base: `axis 2 (S2)`, with its name in the robot description.
     pub fn axis_name(&self, joint: usize) -> String {
         let name = self.chain.joint_names().get(joint).map(|name| name.to_uppercase()).unwrap_or_default();
         format!("axis {} ({name})", joint + 1)
     }
 
-    /// What the coupling of both arms has to know of it.
+    /// Information for the coupling of both arms.
     pub fn coupled(&self) -> CoupledArmConfig {
         CoupledArmConfig {
             chain: self.chain.clone(),
@@ -71,7 +71,7 @@ impl ArmSetup {
     }
 }
 
-/// What both arms share, and which of the tables beside it are the arms of this run.
+/// Settings that both arms share, and the names of the arms of this run.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ArmsSection {
@@ -92,25 +92,25 @@ pub(super) struct ArmsSection {
 /// The arms of a setup, by their names.
 pub(super) type ArmTables = BTreeMap<String, ArmSection>;
 
-/// The table that is the arm with the cameras unless the file says otherwise.
+/// Default table of the arm with the cameras.
 fn vs_name() -> String {
     "vs".to_owned()
 }
 
-/// The table that is the arm with the target unless the file says otherwise.
+/// Default table of the arm with the target.
 fn tc_name() -> String {
     "tc".to_owned()
 }
 
-/// The share of their speeds with which arms run unless the file says otherwise, R11 of the requirements.
+/// Default share of the joint speed limits, R11 of the requirements.
 fn rig_speed_scale() -> f64 {
     0.10
 }
 
-/// The largest share as long as the arms have not been run yet.
+/// Largest share on the first run.
 const FIRST_RUN_SPEED_SCALE: f64 = 0.25;
 
-/// Arms count as not run yet unless the file says otherwise.
+/// Default: the arms have not been run yet.
 fn yes() -> bool {
     true
 }
@@ -136,13 +136,13 @@ pub(super) struct ArmSection {
     command_timeout_millis: f64,
 }
 
-/// The joints' past that the simulation keeps, so that the cameras can ask where the arms were.
+/// Joint history of the simulation, for the arm poses at the times of exposures.
 const PLANT_HISTORY: Duration = Duration::from_secs(1);
 
-/// The largest accelerations that an arm may be given, rad/s^2, before its wrist and in it: no source has any, see docs/arm-limits.md.
+/// Upper bounds of the accelerations, rad/s^2, before the wrist and in it: chosen, no source has any (docs/arm-limits.md).
 const ACCELERATION_MAX_RAD_PER_S2: [f64; 2] = [2.0, 5.0];
 
-/// The last joints of an arm, which turn the hand.
+/// Number of wrist joints.
 const WRIST_JOINTS: usize = 3;
 
 fn check_accelerations(key: &str, accelerations: &[f64], check: &mut Checker) {
@@ -153,7 +153,7 @@ fn check_accelerations(key: &str, accelerations: &[f64], check: &mut Checker) {
     }
 }
 
-/// What becomes of a velocity that no other one follows: the driver of a real arm fades it.
+/// Behaviour of a velocity without a successor: the driver of a real arm fades it.
 fn fade(link: &ArmLink) -> Option<CommandFade> {
     let watchdog = CommandWatchdog::default();
     match link {
@@ -165,14 +165,15 @@ fn fade(link: &ArmLink) -> Option<CommandFade> {
 }
 
 impl ArmsSection {
-    /// Whether an arm of this run is at the end of a link.
+    /// Whether an arm of this run is behind a link.
     pub(super) fn has_link(&self, tables: &ArmTables) -> bool {
         let names = [&self.carries_cameras, &self.carries_target];
         let mut arms = names.into_iter().filter_map(|name| tables.get(name));
         arms.any(|arm| arm.gateway.is_some() || arm.bus.is_some())
     }
 
-    /// The arm with the cameras and the one with the target; `None` if a file cannot be read or a limit is refused. All other arms are
+    /// The arm with the cameras and the one with the target; `None` if a file cannot be read or a limit is refused. All other arms
+    /// are checked too.
     /// checked, too.
     pub(super) fn build(
         &self,
@@ -188,7 +189,7 @@ impl ArmsSection {
             ));
         }
         check.number("arms.stale_after_millis", self.stale_after_millis, control_period_millis..=200.0);
-        // To a tenth of a degree, upwards.
+        // Rounded up to a tenth of a degree.
         let tracking_error_max_deg = (GuardConfig::TRACKING_ERROR_MAX_RAD.to_degrees() * 10.0).ceil() / 10.0;
         check.number("arms.tracking_error_max_deg", self.tracking_error_max_deg, 0.1..=tracking_error_max_deg);
         check.number("arms.least_room_mm", self.least_room_mm, 1.0..=1000.0);
@@ -223,12 +224,12 @@ impl ArmsSection {
     }
 }
 
-/// A vector of the numbers that a file gives for each joint; `without` stands where there is no joint.
+/// Numbers for each joint, from a file; `without` for the unused capacity.
 fn per_joint(numbers: &[f64], without: f64) -> JointVector {
     JointVector::from_fn(|joint, _| numbers.get(joint).copied().unwrap_or(without))
 }
 
-/// Half of a range to both sides, rad.
+/// Half of a symmetric range, rad.
 fn range_rad(range_deg: &[f64]) -> JointVector {
     per_joint(range_deg, NO_JOINT_RAD.to_degrees()).map(f64::to_radians).map(|end| end.min(NO_JOINT_RAD))
 }
@@ -248,7 +249,7 @@ impl ArmSection {
         let shape = build_shape(&format!("{key}.parts"), &self.parts, check);
         let chain = self.chain(key, link.as_ref(), check);
         let has_all = self.check_lengths(key, chain.as_ref(), check);
-        // Of a robot that cannot be read nothing is known that the angles could be compared with.
+        // Without a valid robot description the angles cannot be checked.
         if let Some(chain) = chain.as_ref().filter(|_| has_all) {
             self.check_angles(key, chain.limits(), check);
         }
@@ -295,8 +296,7 @@ impl ArmSection {
         })
     }
 
-    /// What the arm may do. Where a number was refused before, by the name of its key, something that is possible stands in for it, so
-    /// that whatever else is wrong is found, too.
+    /// Effective limits of the arm. A refused number is replaced by a possible one, so that all other problems are found too.
     fn limits(&self, (key, speed_scale): (&str, f64), chain: &Chain, check: &mut Checker) -> Option<EffectiveLimits> {
         let servo = *chain.limits();
         let operating_max_rad = range_rad(&self.operating_range_deg);
@@ -325,7 +325,7 @@ impl ArmSection {
         stated.effective().or_else(instead).ok()
     }
 
-    /// The limiter leaves room for as long as the arm may go on with its last command.
+    /// The limiter keeps a margin for the time in which the arm may continue with its last command.
     fn check_timeout(&self, key: &str, control_period_millis: f64, check: &mut Checker) {
         let timeout = self.command_timeout_millis;
         let least = self.backend.goes_on_millis(control_period_millis);
@@ -340,7 +340,7 @@ impl ArmSection {
         }
     }
 
-    /// Every list has a number for each joint of the robot, if that is known, and no part hangs on a joint that it has not.
+    /// Every list must have one number per joint of the robot, and every part must belong to an existing joint.
     fn check_lengths(&self, key: &str, chain: Option<&Chain>, check: &mut Checker) -> bool {
         let lists = [
             ("start_deg", &self.start_deg),
@@ -372,8 +372,8 @@ impl ArmSection {
         has_all && joints <= DOF
     }
 
-    /// The operating range lies within the limits of the robot's joints and these within the mechanical
-    /// range, the start within the operating range.
+    /// The operating range is inside the limits of the robot's joints, these are inside the mechanical range, and the start is
+    /// inside the operating range.
     fn check_angles(&self, key: &str, limits: &JointLimits, check: &mut Checker) {
         let ranges = self.operating_range_deg.iter().copied().zip(self.start_deg.iter().copied());
         for (joint, (operating_deg, start_deg)) in ranges.enumerate() {
@@ -390,7 +390,7 @@ impl ArmSection {
         }
     }
 
-    /// The robot description, with the lengths of the arm that it is to describe.
+    /// The robot description, compared with the link lengths of the stated geometry.
     fn chain(&self, key: &str, link: Option<&ArmLink>, check: &mut Checker) -> Option<Chain> {
         let file = Path::new(&self.robot);
         let xml = match built_in::text_at(&self.robot) {

@@ -1,4 +1,4 @@
-//! What is asked of a calibration before arms move by what is seen with it.
+//! Requirements on a calibration before arms move with it.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -13,29 +13,29 @@ use super::super::load::{Checker, within};
 
 /// Waives the age of a calibration.
 pub const AGE: &str = "age";
-/// Waives that a calibration belongs to the cameras that are there.
+/// Waives the check that a calibration belongs to the connected cameras.
 pub const CAMERAS: &str = "cameras";
 
-/// An older calibration is refused unless the file says otherwise.
+/// Default age limit, days.
 const AGE_MAX_DAYS: f64 = 180.0;
 
-/// A calibration that a setup uses, with what its file says of it.
+/// A calibration of a setup, with the statements in its file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibrationInUse {
     /// The table of the setup that names it: `camera` or `mounts`.
     pub table: &'static str,
     /// Its files, for messages and reports.
     pub source: String,
-    /// What it says of its making and worth; most formats say nothing.
+    /// Statements on its origin and quality; most formats have none.
     pub judgement: Option<Judgement>,
-    /// Gates that the setup waives: those that it names, [`AGE`] and [`CAMERAS`].
+    /// Waived gates: names of gates, [`AGE`] and [`CAMERAS`].
     pub waived: Vec<String>,
-    /// An older one is refused.
+    /// Age limit.
     pub age_max: Duration,
 }
 
 impl CalibrationInUse {
-    /// With what the setup waives; the age is in days.
+    /// With the waivers of the setup; the age is in days.
     pub(super) fn new(
         (table, source): (&'static str, String),
         judgement: Option<Judgement>,
@@ -67,7 +67,7 @@ impl CalibrationInUse {
         self.waived.iter().any(|name| name == gate)
     }
 
-    /// What a report says of it: the file, when it was made, what refuses it and is waived.
+    /// Text for reports: file, date, refusals and waivers.
     pub fn text(&self) -> String {
         let Some(judgement) = &self.judgement else {
             return format!("{}, which says nothing of its worth", self.source);
@@ -82,7 +82,7 @@ impl CalibrationInUse {
     }
 }
 
-/// Reads the files of a calibration, of which one may be inside the program.
+/// Reads the files of a calibration; a file may be built in.
 pub(super) fn load_files(files: &[PathBuf], size: ImageSize) -> Result<StereoCalibration, CalibrationFileError> {
     let built_in = files.first().and_then(|file| Some((file, built_in::text_at(file.to_str()?)?)));
     match (built_in, files.len()) {
@@ -91,7 +91,7 @@ pub(super) fn load_files(files: &[PathBuf], size: ImageSize) -> Result<StereoCal
     }
 }
 
-/// A measured number with four digits, for people.
+/// A measured number with four digits.
 pub fn rounded(value: f64) -> String {
     let digits = (3.0 - value.abs().max(1e-9).log10().floor()).clamp(0.0, 9.0) as usize;
     format!("{value:.digits$}")

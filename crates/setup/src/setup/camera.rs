@@ -1,4 +1,4 @@
-//! The tables `[camera]` with `backend = "sim"` and `[scene]`: the simulated stereo pair and what it sees.
+//! The tables `[camera]` with `backend = "sim"` and `[scene]`: the simulated stereo rig and its scene.
 
 use pb3dp_geometry::frames::{CamLeft, CamRight};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
@@ -15,7 +15,7 @@ use super::camera_faults::{self, FaultSection};
 use super::real_cameras::load_calibration;
 use super::{FrameTiming, millis};
 
-/// What follows keys of this table in messages.
+/// Suffix of keys of this table in messages.
 pub(super) const OWNER: &str = "(with camera.backend = \"sim\")";
 
 #[derive(Clone, Debug, Deserialize)]
@@ -70,12 +70,12 @@ impl CameraSection {
         (self.rig(check), frames, sensor)
     }
 
-    /// Moments of an exposure that are rendered.
+    /// Rendered moments of an exposure.
     pub(super) fn blur_moments(&self) -> u32 {
         whole(self.motion_blur_moments)
     }
 
-    /// What the program takes the cameras for: those of the calibration, if one is named, else those that are rendered.
+    /// The assumed cameras: those of the calibration, if one is named, else the rendered ones.
     pub(super) fn calibrated(
         &self,
         drawn: Option<StereoRig>,
@@ -98,8 +98,8 @@ impl CameraSection {
         camera_faults::build(&self.faults, check)
     }
 
-    /// Every key by itself. The ranges are those of the parts, which check again; focal length and distortion, which the parts
-    /// take in any finite size, keep to what lenses have.
+    /// Checks every key separately. The ranges are those of the parts, which check again; focal length and distortion are limited
+    /// to the values of real lenses.
     fn check(&self, check: &mut Checker) {
         if let Some(region) = &self.region {
             check.refuse(format!(
@@ -122,7 +122,7 @@ impl CameraSection {
         self.right.check("camera.right", check);
     }
 
-    /// Two equal cameras side by side, the right one `baseline_mm` to the right.
+    /// Two identical parallel cameras, the right one `baseline_mm` to the right.
     fn rig(&self, check: &mut Checker) -> Option<StereoRig> {
         if !check.is_clean() {
             return None;

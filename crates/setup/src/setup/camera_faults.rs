@@ -1,4 +1,4 @@
-//! The tables `[[camera.faults]]`: what goes wrong with the simulated cameras.
+//! The tables `[[camera.faults]]`: faults of the simulated cameras.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use serde::Deserialize;
 use super::super::load::{Checker, whole};
 use pb3dp_sim::camera_faults::{AffectedCameras, CameraFault, CameraFaultKind, CameraFaults};
 
-/// One fault; each kind has keys of its own, and all have their time.
+/// One fault; each kind has its own keys, and all have a time span.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub(super) enum FaultSection {

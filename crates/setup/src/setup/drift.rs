@@ -1,4 +1,4 @@
-//! The table `[drift]`: when a run warns that the cameras are not any more what was calibrated.
+//! The table `[drift]`: when a run warns that the cameras no longer match their calibration.
 
 use std::time::Duration;
 
@@ -7,18 +7,18 @@ use serde::Deserialize;
 use super::super::load::{Checker, within};
 use super::millis;
 
-/// How often a run looks at that, and how far the median of some looks may be off.
+/// Interval of the checks, and limits for the median of several checks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriftConfig {
-    /// Time between two looks.
+    /// Time between two checks.
     pub every: Duration,
-    /// Rows of the right image, where they are off most, pixels.
+    /// Largest vertical misalignment, pixels.
     pub rows_max_px: f64,
-    /// Blur that one camera has and the other one has not, standard deviation in pixels.
+    /// Additional blur of one camera, standard deviation in pixels.
     pub focus_max_px: f64,
     /// Difference of the mean luminances, percent of the brighter camera.
     pub brightness_max_percent: f64,
-    /// Time between both exposures, of cameras that expose at the same time.
+    /// Time between both exposures, for synchronised cameras.
     pub skew_max: Duration,
 }
 

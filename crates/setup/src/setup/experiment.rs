@@ -1,30 +1,30 @@
-//! The table `[experiment]`: how the target moves.
+//! The table `[experiment]`: motion of the target.
 
 use pb3dp_sim::trajectory::{Channel, ExperimentAxes, Mark, MotionConfig, SineConfig, StepExperimentConfig};
 use serde::Deserialize;
 
 use super::super::load::{Checker, whole};
 
-/// How the target moves, and what moves it.
+/// Motion of the target and its carrier.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Experiment {
-    /// How it moves.
+    /// The motion.
     pub motion: MotionConfig,
-    /// What moves it.
+    /// The carrier.
     pub carrier: Carrier,
 }
 
-/// What moves the target.
+/// Carrier of the target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Carrier {
     /// The second arm, within its limits.
     Arm,
-    /// Nothing: the simulated target is where its motion says, and the second arm rests.
+    /// None: the simulated target follows its motion, and the second arm stands still.
     Nothing,
 }
 
 impl Experiment {
-    /// The numbers of moves out and back; none of another motion.
+    /// The numbers of moves out and back; `None` for another motion.
     pub fn steps(&self) -> Option<&StepExperimentConfig> {
         match &self.motion {
             MotionConfig::Steps(steps) => Some(steps),
@@ -32,7 +32,7 @@ impl Experiment {
         }
     }
 
-    /// As [`Self::steps`], to be changed.
+    /// Mutable access to [`Self::steps`].
     pub fn steps_mut(&mut self) -> Option<&mut StepExperimentConfig> {
         match &mut self.motion {
             MotionConfig::Steps(steps) => Some(steps),
@@ -40,9 +40,9 @@ impl Experiment {
         }
     }
 
-    /// Moments of which a report shows images, seconds, in order, with what happens then.
+    /// Times at which a report shows images, seconds, in order, with a description.
     pub fn moments(&self, marks: &[Mark]) -> Vec<(f64, String)> {
-        // Moves have two marks each, out and back: a second after the move out the hand should rest before the target.
+        // Moves have two marks each, out and back. One second after the move out the hand should have settled.
         let (every, after_s) = self.steps().map_or((1, 0.0), |steps| (2, steps.move_s + 1.0));
         let begin = (0.0, "the target is taken".to_owned());
         let later = marks.iter().step_by(every).map(|mark| (mark.at_s + after_s, mark.label.clone()));
@@ -124,7 +124,7 @@ impl ExperimentSection {
         check.count("experiment.channels (their number)", count, 1..=100);
         let (move_s, hold_s) = (self.needed("move_s", self.move_s, check), self.needed("hold_s", self.hold_s, check));
         let (move_s, hold_s) = (move_s?, hold_s?);
-        // No arm carries anything anywhere at once.
+        // No arm can move its payload instantly.
         let is_sudden = carrier == Carrier::Nothing && move_s == 0.0;
         if !is_sudden {
             check.number("experiment.move_s", move_s, 0.05..=600.0);
@@ -181,7 +181,7 @@ impl ExperimentSection {
         }
     }
 
-    /// A key that this kind of motion cannot do without.
+    /// A key that this kind of motion requires.
     fn needed<T>(&self, key: &str, value: Option<T>, check: &mut Checker) -> Option<T> {
         if value.is_none() {
             let kind = self.kind.name();
@@ -190,7 +190,7 @@ impl ExperimentSection {
         value
     }
 
-    /// Keys of another kind of motion, and whether they are there.
+    /// Keys of another kind of motion, and whether they are present.
     fn refuse_unused(&self, keys: [(&str, bool); 2], check: &mut Checker) {
         for (key, _) in keys.into_iter().filter(|(_, is_there)| *is_there) {
             let kind = self.kind.name();

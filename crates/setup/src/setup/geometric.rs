@@ -1,4 +1,4 @@
-//! The table `[estimator.geometric]`: what a tracker without images gets wrong and cannot see.
+//! The table `[estimator.geometric]`: errors and visibility limits of a tracker without images.
 
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_sim::geometric::{GeometricConfig, PoseSigma};
@@ -6,9 +6,9 @@ use serde::Deserialize;
 
 use super::super::load::Checker;
 
-/// The name by which a setup asks for it.
+/// Its name in setups.
 pub(super) const NAME: &str = "geometric";
-/// Behind the list of the methods that look at images.
+/// Position in the list after the methods that use images.
 pub(super) const ALSO_KNOWN: &str = ", and geometric, which renders no image";
 
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -31,7 +31,7 @@ struct SigmaSection {
 }
 
 impl GeometricSection {
-    /// Where it sees is the range of the search.
+    /// It sees targets in the search range.
     pub(super) fn build(&self, range: &SearchRange, check: &mut Checker) -> GeometricConfig {
         let key = |name: &str| format!("estimator.{NAME}.{name}");
         check.number(&key("in_view_share_min"), self.in_view_share_min, 0.0..=1.0);
@@ -43,7 +43,7 @@ impl GeometricSection {
             turned_max_rad: self.turned_max_deg.to_radians(),
             z_min_m: range.z_min_m,
             z_max_m: range.z_max_m,
-            // Each run seeds it: see `Setup::reseed`.
+            // Each run sets the seed: see `Setup::reseed`.
             seed: 0,
         }
     }

@@ -1,18 +1,18 @@
-//! Whether the robot description of an arm has the lengths of the geometry that its table says.
+//! Compares the lengths of a robot description with the stated geometry of the arm.
 
 use pb3dp_arm_pa10_protocol::gateway_protocol::Geometry;
 use pb3dp_kinematics::{Chain, JointVector};
 
 use super::super::load::Checker;
 
-/// By how much a length may differ, mm: less than the generations do, so that a flange of 85 mm (as some models have it) is one
-/// of the first generation.
+/// Tolerance of a length, mm: less than the difference between the generations, so that a flange of 85 mm (as some models have it)
+/// belongs to the first generation.
 const TOLERANCE_MM: [f64; 4] = [1.0, 5.0, 10.0, 5.0];
 
 /// Rounding errors, mm.
 const ROUNDING_MM: f64 = 1e-6;
 
-/// Refuses a robot description whose lengths are not those of the geometry. One that is unknown is compared with nothing.
+/// Refuses a robot description with other lengths than the geometry. An unknown geometry is not checked.
 pub(super) fn check_geometry((key, table): (&str, &str), geometry: Geometry, chain: &Chain, check: &mut Checker) {
     let Some(expected_mm) = geometry.lengths_mm() else { return };
     let found_mm = lengths_mm(chain);

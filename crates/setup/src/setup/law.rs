@@ -1,4 +1,4 @@
-//! The tables of the control laws: those of the law that is chosen must be there, those of the others must not.
+//! The tables of the control laws: those of the chosen law are required, those of the others are refused.
 
 use std::ops::RangeInclusive;
 
@@ -11,7 +11,7 @@ use serde::Deserialize;
 use super::super::load::{Checker, whole};
 use super::target_state::TargetStateSection;
 
-/// Which law leads the hand.
+/// The control law.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum LawName {
@@ -22,7 +22,7 @@ pub(super) enum LawName {
 }
 
 impl LawName {
-    /// As it is written.
+    /// Its name in files.
     fn text(self) -> &'static str {
         match self {
             Self::FeedForward => "feed-forward",
@@ -32,7 +32,7 @@ impl LawName {
         }
     }
 
-    /// The tables that it needs; it has no others.
+    /// Its tables; others are refused.
     fn tables(self) -> &'static [&'static str] {
         match self {
             Self::FeedForward => &["arm_response", "feed_forward", "null_motion", "unstated", "target"],
@@ -43,7 +43,7 @@ impl LawName {
     }
 }
 
-/// What of the table `[servo]` belongs to one law.
+/// The keys of the table `[servo]` that belong to one law.
 pub(super) struct LawTables<'a> {
     pub arm_response: Option<&'a ArmResponseSection>,
     pub feed_forward: Option<&'a FeedForwardSection>,
@@ -122,7 +122,7 @@ pub(super) struct SmoothingSection {
 }
 
 impl LawTables<'_> {
-    /// The law with its numbers; `None` if a table is missing, which is refused. `observation_s` is the time-out of observations.
+    /// The law with its parameters; `None` if a table is missing. `observation_s` is the time-out of observations.
     pub(super) fn build(&self, name: LawName, observation_s: f64, check: &mut Checker) -> Option<LawConfig> {
         let tables = [
             ("arm_response", self.arm_response.is_some()),

@@ -1,4 +1,4 @@
-//! How an arm is reached: the key `backend` of an arm, and its table `gateway` or `bus`.
+//! Links to an arm: the key `backend` of an arm, and its table `gateway` or `bus`.
 
 use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Supervision, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Dialect, Geometry, check_line};
@@ -12,22 +12,22 @@ use super::super::load::{Checker, whole};
 use super::super::names::{FormatName, GeometryName, sequence_modulus};
 use super::millis;
 
-/// The slowest cycle of a host that a gateway accepts, milliseconds.
+/// Longest host cycle that a gateway accepts, milliseconds.
 pub(super) const GATEWAY_CYCLE_MAX_MILLIS: f64 = 10.0;
 
-/// How an arm is reached.
+/// Link to an arm.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ArmLink {
-    /// Not at all: its joints are simulated where its commands come from.
+    /// None: the joints are simulated in the process.
     InProcess,
     /// Through a gateway.
     Gateway(GatewayLinkConfig, GatewayWay),
-    /// Over a bus of this computer, which holds the ARCNET card.
+    /// An ARCNET card of this computer.
     Bus(BusLinkConfig),
 }
 
 impl ArmLink {
-    /// Whether nothing outside this program moves: the arm is simulated or emulated here.
+    /// Whether nothing outside this program moves: the arm is simulated or emulated.
     pub fn is_toy(&self) -> bool {
         matches!(self, Self::InProcess | Self::Gateway(_, GatewayWay::Emulated))
     }
@@ -36,36 +36,36 @@ impl ArmLink {
 /// A bus of this computer and the servo controller on it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BusLinkConfig {
-    /// Which arm it is, to the other one of the cell.
+    /// Role of the arm in the workcell.
     pub arm: ArmId,
-    /// Where the bus is.
+    /// Port of the bus.
     pub target: BusTarget,
-    /// How the controller speaks.
+    /// Wire format of the controller.
     pub format: WireFormat,
-    /// How it counts messages.
+    /// Sequence numbers of the controller.
     pub modulus: SequenceModulus,
     /// Time between two messages on the bus.
     pub cycle: Duration,
     /// The geometry of the arm.
     pub geometry: Geometry,
-    /// How long brakes take to open, and to close.
+    /// Time that brakes take to open, and to close.
     pub brake_time: Duration,
-    /// What the controller itself is to watch (format B).
+    /// Supervision by the controller itself (format B).
     pub supervision: Supervision,
     /// Bits of the controller's status word that mean an emergency stop (format B).
     pub emergency_stop_bits: u16,
-    /// After how long without a command the controller stops the arm, if it is known.
+    /// Time-out of the controller, if it is known.
     pub controller_time_out: Option<Duration>,
 }
 
-/// The way to a gateway.
+/// Connection to a gateway.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum GatewayWay {
-    /// Gateway and servo controller are emulated byte by byte, in this program, behind a pseudo-terminal.
+    /// Gateway and servo controller are emulated byte by byte in this program, behind a pseudo-terminal.
     Emulated,
     /// A serial port.
     Serial {
-        /// `/dev/ttyUSB0`; better a name below `/dev/serial/by-id`, which stays with the adapter.
+        /// `/dev/ttyUSB0`; better a name in `/dev/serial/by-id`, which stays with the adapter.
         path: String,
         /// Bits per second.
         baud: u32,
@@ -74,7 +74,7 @@ pub enum GatewayWay {
     Tcp(TcpConfig),
 }
 
-/// Which arm backend is wired in.
+/// Arm backends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum ArmBackend {
@@ -131,7 +131,8 @@ impl ArmBackend {
         }
     }
 
-    /// For how long an arm goes on with its last command at least, milliseconds: one behind a link until its driver has faded it.
+    /// Shortest time for which an arm continues with its last command, milliseconds: behind a link until its driver has faded the
+    /// command.
     pub(super) fn goes_on_millis(self, control_period_millis: f64) -> f64 {
         match self {
             Self::Mock => control_period_millis,
@@ -141,7 +142,7 @@ impl ArmBackend {
         }
     }
 
-    /// How the arm is reached; `None` if something is refused. `key` is that of the arm.
+    /// The link of the arm; `None` if something is refused. `key` is the table of the arm.
     pub(super) fn link(
         self,
         (gateway, bus): (Option<&GatewaySection>, Option<&BusSection>),
@@ -167,7 +168,7 @@ impl ArmBackend {
 }
 
 impl ArmLink {
-    /// The number that names the arm on its link, if it has one, and the table that says it.
+    /// The arm number on the link, if there is one, and the table that states it.
     pub(super) fn number(&self) -> Option<(ArmId, &'static str)> {
         match self {
             Self::InProcess => None,
@@ -176,7 +177,7 @@ impl ArmLink {
         }
     }
 
-    /// The geometry that the arm is said to have, if it has a link, and the table that says it.
+    /// The stated geometry of the arm, if it has a link, and the table that states it.
     pub(super) fn geometry(&self) -> Option<(Geometry, &'static str)> {
         match self {
             Self::InProcess => None,
@@ -187,7 +188,7 @@ impl ArmLink {
 }
 
 impl BusSection {
-    /// After how long without a command the controller stops the arm, milliseconds; 0 if nobody knows.
+    /// Time-out of the controller, milliseconds; 0 if it is unknown.
     pub(super) fn controller_time_out_millis(&self) -> f64 {
         self.controller_time_out_millis
     }
@@ -195,7 +196,7 @@ impl BusSection {
     fn build(&self, (key, control_period_millis): (&str, f64), check: &mut Checker) -> Option<ArmLink> {
         let key = format!("{key}.bus");
         check.count(&format!("{key}.arm"), self.arm, 0..=255);
-        // Three replies that are missing have to be noticed in time; the control loop is no quicker than the bus.
+        // Three missing replies must be detected in time; the control loop is no faster than the bus.
         check.number(&format!("{key}.cycle_millis"), self.cycle_millis, 1.0..=control_period_millis);
         let brake_millis_max = BRAKE_TIME_MAX.as_secs_f64() * 1e3;
         check.number(&format!("{key}.brake_millis"), self.brake_millis, 1.0..=brake_millis_max);
@@ -222,7 +223,7 @@ impl BusSection {
         }))
     }
 
-    /// Format A has no field for some of it, and status words that nobody can read.
+    /// Format A has no field for some settings, and its status words are undocumented.
     fn check_format(&self, key: &str, check: &mut Checker) {
         if self.wire_format != FormatName::A {
             return;
@@ -258,7 +259,7 @@ fn tcp_place(key: &str, text: &str, check: &mut Checker) -> Option<TcpConfig> {
 }
 
 impl ArmLink {
-    /// Where the other end is, which only one arm can have; as its key and value.
+    /// Address of the other end, which only one arm can use, as its key and value.
     pub(super) fn place(&self) -> Option<(&'static str, String)> {
         match self {
             Self::Gateway(_, GatewayWay::Serial { path, .. }) => Some(("gateway.port", path.clone())),

@@ -1,4 +1,4 @@
-//! The file of one setup, for `pb3dp run`: every table, checked, and turned into the parameters of the parts.
+//! The complete file of one setup, for `pb3dp run`: every table is checked and converted to parameters.
 
 mod arms;
 mod calibration;
@@ -63,105 +63,106 @@ use super::estimator::PublishedSection;
 use super::layers::{Layers, SetupArgs};
 use super::load::{Checker, ConfigError, ConfigFile, FileKind, within};
 
-/// A setup whose every value has been checked.
+/// A checked setup.
 #[derive(Clone, Debug)]
 pub struct Setup {
-    /// Seed of everything random; [`Setup::reseed`] changes it.
+    /// Seed of all random numbers; [`Setup::reseed`] changes it.
     pub seed: u64,
-    /// Whether the simulation waits for the wall clock.
+    /// Relation of simulated time to the clock of the computer.
     pub pace: Pace,
     /// Time between two control steps.
     pub control_period: Duration,
-    /// Time from the end of an exposure to the moment at which its estimate reaches the controller.
+    /// Time from the end of an exposure until its estimate reaches the controller.
     pub estimate_latency: Duration,
-    /// Cameras, arms and where they are.
+    /// Cameras, arms and their poses.
     pub rig: Rig,
-    /// When a run warns that the cameras are not any more what was calibrated, if the file says so.
+    /// Limits of the camera drift, if the setup has them.
     pub drift: Option<DriftConfig>,
-    /// What estimates the pose by which the hand is led.
+    /// Estimator of the control loop.
     pub leader: Leader,
-    /// What would stand in its place without images, if the file says so.
+    /// Parameters of the geometric tracker, if the setup has them.
     pub geometric: Option<GeometricConfig>,
-    /// Methods that get the same pairs and only look on.
+    /// Methods that estimate from the same pairs for comparison.
     pub compared: Vec<Method>,
     /// Parameters of all methods.
     pub estimator: EstimatorConfig,
-    /// Where it searches.
+    /// Search range.
     pub range: SearchRange,
     /// The visual-servo controller.
     pub controller: ControllerConfig,
-    /// What is permitted to it.
+    /// Settings of the supervisor.
     pub supervisor: SupervisorConfig,
-    /// How the target moves.
+    /// Motion of the target.
     pub experiment: Experiment,
-    /// What it was read from: every value, with where it is stated.
+    /// All values with their origin.
     pub layers: Layers,
 }
 
-/// What stands in a cell: cameras, arms, and what is mounted where. All that a simulation adds is in [`SimulatedWorld`].
+/// Cameras, arms and mounts of a workcell. [`SimulatedWorld`] has everything that only a simulation has.
 #[derive(Clone, Debug)]
 pub struct Rig {
     /// The stereo pair, as calibrated.
     pub stereo: StereoRig,
-    /// When it exposes.
+    /// Times of its exposures.
     pub frames: FrameTiming,
-    /// What its cameras are: of this machine, or simulated with all that they see.
+    /// Its cameras: real, or simulated with their world.
     pub cameras: Cameras,
-    /// What their calibration says of itself if it is that of no cameras, a drawing's say: by such a one no real arm moves.
+    /// Statement of the calibration, if no cameras were measured for it (for example a drawing); no real arm moves with such a
+    /// calibration.
     pub nominal_calibration: Option<String>,
-    /// The calibrations that it uses, if they are files: of the cameras, and of where they are on the arm.
+    /// Calibration files in use: of the cameras, and of their mounting on the arm.
     pub calibrations: Vec<CalibrationInUse>,
     /// The arm that carries the cameras.
     pub vs: ArmSetup,
-    /// The arm that carries the target, with the mounting of the target on its flange.
+    /// The arm that carries the target.
     pub tc: ArmSetup,
-    /// Least room between the surfaces of both arms, metres.
+    /// Minimum clearance between both arms, metres.
     pub least_room_m: f64,
     /// Mounting of the target on the second arm.
     pub flange_from_target: Pose<Flange, Target>,
 }
 
-/// When a stereo pair exposes.
+/// Times of the exposures of a stereo pair.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameTiming {
-    /// Time between exposures.
+    /// Period.
     pub period: Duration,
-    /// Length of an exposure.
+    /// Exposure time.
     pub exposure: Duration,
 }
 
-/// What the cameras of a setup are.
+/// Cameras of a setup.
 #[derive(Clone, Debug)]
 pub enum Cameras {
-    /// Cameras of this machine: they see what there is.
+    /// Cameras of this computer.
     Real(Box<RealCameras>),
-    /// Simulated ones, in a world that the setup describes.
+    /// Simulated cameras and their world.
     Simulated(Box<SimulatedWorld>),
 }
 
-/// What a simulation has and a real rig has not.
+/// Everything that only a simulation has.
 #[derive(Clone, Debug)]
 pub struct SimulatedWorld {
-    /// What stands in the cell.
+    /// The scene.
     pub scene: SceneConfig,
-    /// What the sensors of the cameras do to the light.
+    /// Sensor model of the cameras.
     pub sensor: SensorConfig,
-    /// Of the noise of the sensors.
+    /// Seed of the sensor noise.
     pub sensor_seed: u32,
     /// Moments of an exposure that are rendered and averaged: 1 for sharp images.
     pub blur_moments: u32,
-    /// What goes wrong with the cameras.
+    /// Camera faults.
     pub faults: CameraFaults,
-    /// Where things truly are.
+    /// True values, if they differ from the setup.
     pub truth: Truth,
 }
 
-/// What estimates the pose by which the hand is led.
+/// Estimator of the control loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Leader {
-    /// A method that looks at images.
+    /// A method that uses images.
     Images(Method),
-    /// None: the truth with noise, and no image is rendered.
+    /// The truth with noise; no image is rendered.
     Geometric(GeometricConfig),
 }
 
@@ -174,21 +175,21 @@ impl Leader {
         }
     }
 
-    /// Whether it looks at images.
+    /// Whether it uses images.
     pub fn needs_images(&self) -> bool {
         matches!(self, Self::Images(_))
     }
 }
 
-/// What time is in a run.
+/// Relation of simulated time to the clock of the computer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Pace {
-    /// As fast as the machine can.
+    /// As fast as the computer can.
     Fast,
     /// One simulated second takes at least one second; the results are those of `Fast`.
     RealTime,
-    /// The machine's: looking and moving have a thread each, and what takes too long comes too late.
+    /// The clock of the computer: vision and motion have their own threads, and late results arrive late.
     Live,
 }
 
@@ -240,13 +241,13 @@ struct PoseEntry {
     rotation_vector_deg: [f64; 3],
 }
 
-/// Farthest that two frames on one arm, or on hand and target, may be apart: the controller's bound.
+/// Largest distance between two frames on one arm, or between hand and target: the controller's bound.
 const ON_THE_ARM_MM: f64 = 5000.0;
-/// Farthest that an arm may stand from the origin of the world.
+/// Largest distance of a base from the origin of the world.
 const IN_THE_CELL_MM: f64 = 20_000.0;
 
 impl PoseEntry {
-    /// The transform; its origins are at most `length_max_mm` apart.
+    /// The transform, with at most `length_max_mm` between the origins.
     fn build<To: Frame, From: Frame>(&self, key: &str, length_max_mm: f64, check: &mut Checker) -> Pose<To, From> {
         check.numbers(&format!("{key}.translation_mm"), &self.translation_mm, -length_max_mm..=length_max_mm);
         if self.translation_mm.iter().all(|component| component.abs() <= length_max_mm) {
@@ -268,7 +269,7 @@ impl Setup {
         }
     }
 
-    /// The same, to be changed.
+    /// Mutable access to the simulated world.
     pub fn world_mut(&mut self) -> Option<&mut SimulatedWorld> {
         match &mut self.rig.cameras {
             Cameras::Real(_) => None,
@@ -276,7 +277,7 @@ impl Setup {
         }
     }
 
-    /// The cameras of this machine, if they are not simulated.
+    /// The cameras of this computer, if they are not simulated.
     pub fn real_cameras(&self) -> Option<&RealCameras> {
         match &self.rig.cameras {
             Cameras::Real(cameras) => Some(cameras),
@@ -284,7 +285,7 @@ impl Setup {
         }
     }
 
-    /// The same, to be changed.
+    /// Mutable access to the cameras of this computer.
     pub fn real_cameras_mut(&mut self) -> Option<&mut RealCameras> {
         match &mut self.rig.cameras {
             Cameras::Real(cameras) => Some(cameras),
@@ -292,7 +293,7 @@ impl Setup {
         }
     }
 
-    /// The cameras that images are rendered with: those of the setup, unless the truth is another one.
+    /// The rendered cameras: those of the setup, unless the truth differs.
     pub fn true_rig(&self) -> &StereoRig {
         self.world().and_then(|world| world.truth.rig.as_ref()).unwrap_or(&self.rig.stereo)
     }
@@ -309,18 +310,18 @@ pub fn read_setup(file: &Path) -> Result<Setup, ConfigError> {
 /// Reads and checks a setup with all its layers.
 ///
 /// # Errors
-/// An unreadable file, unknown or missing keys, values out of range; the error names file, line, key and what is allowed.
+/// An unreadable file, unknown or missing keys, values out of range; the error names file, line, key and allowed values.
 pub fn read_layers(args: &SetupArgs) -> Result<Setup, ConfigError> {
     let config = ConfigFile::setup(args)?;
     let mut check = Checker::default();
     let setup = read_tables(&config, &mut check).map(Setup::seeded);
     config.finish(check)?;
-    // Every way on which there is no setup leaves a refusal behind.
+    // Every path without a setup has a refusal.
     let lines = || "  the setup is not complete".to_owned();
     setup.ok_or_else(|| ConfigError::Values { file: args.name().to_path_buf(), lines: lines() })
 }
 
-/// What refuses a setup of this text once `key` has another value, line by line.
+/// Refusals of a setup with this text after `key` is set to another value, line by line.
 pub(crate) fn refusals_of(name: &'static str, text: &str, key: &str, value: &str) -> Vec<String> {
     let Ok(layers) = Layers::of_text_with(name, text, &[format!("{key}={value}")]) else { return Vec::new() };
     let config = ConfigFile::of(PathBuf::from(name), FileKind::Setup, layers);
@@ -339,7 +340,7 @@ fn read_tables(config: &ConfigFile, check: &mut Checker) -> Option<Setup> {
     Some(setup)
 }
 
-/// Two arms that bear one number: behind gateways swapped cables would not be noticed.
+/// Two arms with the same number: swapped cables of their gateways would not be detected.
 fn refuse_equal_numbers(vs: &ArmSetup, tc: &ArmSetup, check: &mut Checker) {
     if let (Some((number, vs_table)), Some((same, tc_table))) = (vs.link.number(), tc.link.number())
         && number == same
@@ -351,7 +352,7 @@ fn refuse_equal_numbers(vs: &ArmSetup, tc: &ArmSetup, check: &mut Checker) {
     }
 }
 
-/// Two arms at the end of one line: a line has one arm.
+/// Two arms on one line: a line has one arm.
 fn refuse_one_place(vs: &ArmSetup, tc: &ArmSetup, check: &mut Checker) {
     if let (Some((_, place)), Some((key, same))) = (vs.link.place(), tc.link.place())
         && place == same
@@ -435,7 +436,7 @@ impl SetupFile {
 }
 
 impl SetupFile {
-    /// Real arms do not wait for simulated time.
+    /// Real arms need the clock of the computer.
     fn check_pace(&self, arms: [&ArmSetup; 2], check: &mut Checker) {
         for arm in arms.into_iter().filter(|arm| !arm.link.is_toy() && self.run.pace != Pace::Live) {
             let key = &arm.key;
@@ -445,7 +446,7 @@ impl SetupFile {
         }
     }
 
-    /// What there is only where cameras are simulated.
+    /// Settings that need simulated cameras.
     fn refuse_simulation(&self, experiment: Option<&Experiment>, check: &mut Checker) {
         let with = "with camera.backend = \"v4l2\"";
         if self.run.pace != Pace::Live {
@@ -487,7 +488,7 @@ impl EstimatorSection {
         self.method == geometric::NAME
     }
 
-    /// What leads the hand; `None` if it is refused.
+    /// The estimator of the control loop; `None` if it is refused.
     fn leader(
         &self,
         method: Option<Method>,
@@ -504,7 +505,7 @@ impl EstimatorSection {
         geometric.map(Leader::Geometric)
     }
 
-    /// The methods that look on.
+    /// The compared methods.
     fn compared(&self, method: Option<Method>, check: &mut Checker) -> Vec<Method> {
         let compared: Vec<Method> =
             self.compare.iter().filter_map(|name| named("estimator.compare", (name, ""), check)).collect();
@@ -528,12 +529,12 @@ impl EstimatorSection {
     }
 }
 
-/// The method of a name; `None` if it is refused, with the other ones that are known.
+/// The method with this name; `None` if it is refused.
 fn named(key: &str, (name, also): (&str, &str), check: &mut Checker) -> Option<Method> {
     Method::from_name(name).inspect_err(|error| check.refuse(format!("{key} = {name:?}: {error}{also}"))).ok()
 }
 
-/// A duration of a checked number of milliseconds; what is not a number gives zero.
+/// A duration from a checked number of milliseconds; zero for NaN.
 fn millis(value: f64) -> Duration {
     Duration::try_from_secs_f64(value * 1e-3).unwrap_or_default()
 }

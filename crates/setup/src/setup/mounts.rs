@@ -1,4 +1,4 @@
-//! The table `[mounts]`: what sits where on the arms, as drawn or as calibrated.
+//! The table `[mounts]`: poses of the cameras and the target on the arms, from a drawing or a calibration.
 
 use std::path::PathBuf;
 
@@ -11,7 +11,7 @@ use super::super::load::Checker;
 use super::calibration::CalibrationInUse;
 use super::{ON_THE_ARM_MM, PoseEntry};
 
-/// What is mounted where.
+/// Mounting poses.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct MountsSection {
@@ -29,7 +29,7 @@ pub(super) struct Mounts {
     pub(super) flange_from_hand: Pose<Flange, Hand>,
     pub(super) hand_from_cam_left: Pose<Hand, CamLeft>,
     pub(super) flange_from_target: Pose<Flange, Target>,
-    /// That of the cameras, if they were calibrated.
+    /// The mounting of the cameras from a hand-eye calibration, if there is one.
     pub(super) calibration: Option<CalibrationInUse>,
 }
 

@@ -1,4 +1,4 @@
-//! The table `[camera]` with `backend = "v4l2"`: two cameras of this machine, in the words of [`pb3dp_camera_settings`].
+//! The table `[camera]` with `backend = "v4l2"`: two cameras of this computer, in the types of [`pb3dp_camera_settings`].
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -21,34 +21,34 @@ use super::range::read_search_range;
 use super::servo::LINEAR_MM_PER_S;
 use crate::region_spec::RegionSpec;
 
-/// What follows keys of this table in messages.
+/// Suffix of keys of this table in messages.
 pub(super) const OWNER: &str = "(with camera.backend = \"v4l2\")";
 
-/// Longest exposure that can be asked for, and the longest time that a stamp may be off, milliseconds.
+/// Upper bound of the exposure time and of the timestamp delay, milliseconds.
 const TIME_MAX_MILLIS: f64 = 1000.0;
 
-/// Two cameras of this machine: everything that `pb3dp run` and `pb3dp cameras` need to open them.
+/// Two cameras of this computer: all settings that `pb3dp run` and `pb3dp cameras` need to open them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RealCameras {
-    /// Devices, modes, controls and the limit of the skew.
+    /// Devices, modes, controls and the limit of the exposure skew.
     pub stereo: StereoConfig,
-    /// What the cameras begin their exposures by.
+    /// Synchronisation of the exposures.
     pub synchronisation: Synchronisation,
-    /// For how long a camera that was lost is looked for; zero: its loss ends a run.
+    /// Time for which a run searches for a disconnected camera; zero: the run ends.
     pub reopen_for: Duration,
-    /// The calibration: one or two files, or a folder, as `--calib` of `pb3dp estimate` takes them.
+    /// The calibration: one or two files, or a folder, as for `--calib` of `pb3dp estimate`.
     pub calibration_files: Vec<PathBuf>,
-    /// The target in the first left image, if the file says so.
+    /// The target in the first left image, if the file states it.
     pub region: Option<RegionSpec>,
 }
 
-/// What two cameras begin their exposures by.
+/// Synchronisation of the exposures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Synchronisation {
-    /// One signal for both: they do not drift.
+    /// One trigger signal for both cameras.
     HardwareTrigger,
-    /// Each by its own clock: the skew drifts through all values.
+    /// Each camera has its own clock: the skew drifts through a whole period.
     FreeRunning,
 }
 
@@ -58,12 +58,12 @@ impl RealCameras {
         self.stereo.left.mode.size
     }
 
-    /// Time from image to image, as it is asked for.
+    /// Requested time between images.
     pub fn period(&self) -> Duration {
         Duration::from_secs_f64(self.stereo.left.mode.interval.seconds().unwrap_or(1.0))
     }
 
-    /// Time of the left exposure from the file; zero if the camera reports it.
+    /// Exposure time of the left camera from the file; zero if the camera reports it.
     pub fn exposure(&self) -> Duration {
         match (self.stereo.left.controls.exposure, self.stereo.left.exposure) {
             (Setting::Manual(time), _) | (Setting::Keep | Setting::Auto, Some(time)) => time,
@@ -73,17 +73,17 @@ impl RealCameras {
 
     /// Reads the calibration.
     ///
-    /// # Errors
+    /// Unusable files, or a calibration for images of another size.
     /// Files that cannot be used, or that are for images of another size.
     pub fn calibration(&self) -> Result<StereoCalibration> {
         load_calibration(&self.calibration_files, self.size())
     }
 }
 
-/// Reads the calibration that the table `[camera]` names, for images of this size.
+/// Reads the calibration of the table `[camera]`, for images of this size.
 ///
 /// # Errors
-/// Files that cannot be used, or that are for images of another size.
+/// Unusable files, or a calibration for images of another size.
 pub(super) fn load_calibration(files: &[PathBuf], size: ImageSize) -> Result<StereoCalibration> {
     let calibration = load_files(files, size).context("camera.calibration")?;
     let calibrated = calibration.rig.left().size();
@@ -100,11 +100,11 @@ pub(super) fn load_calibration(files: &[PathBuf], size: ImageSize) -> Result<Ste
     Ok(calibration)
 }
 
-/// Reads the real cameras of a setup, and where a target is searched: of the other tables only `servo.speed.linear_max_mm_per_s` is
-/// looked at, which messages about skew need. The calibration is not read: see [`RealCameras::calibration`].
+/// Reads the real cameras of a setup and the search range of the target. Of the other tables it reads only
+/// `servo.speed.linear_max_mm_per_s`, for messages about skew. It does not read the calibration: see [`RealCameras::calibration`].
 ///
 /// # Errors
-/// An unreadable file, cameras that are simulated, unknown or missing keys, values out of range.
+/// An unreadable file, simulated cameras, unknown or missing keys, values out of range.
 pub fn read_cameras(args: &SetupArgs) -> Result<(RealCameras, SearchRange), ConfigError> {
     let config = ConfigFile::setup(args)?;
     let mut check = Checker::default();
@@ -169,7 +169,7 @@ struct SideSection {
     stamp_delay_millis: f64,
 }
 
-/// A number, or who decides in its place.
+/// A number, "keep" or "auto".
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(
     untagged,
@@ -205,13 +205,13 @@ impl<T> ControlValue<T> {
 }
 
 impl V4l2Section {
-    /// The cameras; `speed_max_m_per_s` is the fastest that the hand moves against the target.
+    /// The cameras; `speed_max_m_per_s` is the largest speed of the hand relative to the target.
     pub(super) fn build(&self, speed_max_m_per_s: f64, check: &mut Checker) -> Option<RealCameras> {
         check.count("camera.width_px", self.width_px, 64..=4096);
         check.count("camera.height_px", self.height_px, 64..=4096);
         check.number("camera.frame_rate_hz", self.frame_rate_hz, 1.0..=240.0);
         let rate_hz = within(self.frame_rate_hz, 1.0, 240.0);
-        // A skew of a period cannot be told from the next image.
+        // A skew of one period cannot be distinguished from the next image.
         let skew_max_millis = self.skew_max_millis.unwrap_or(SKEW_MAX.as_secs_f64() * 1e3);
         check.number("camera.skew_max_millis", skew_max_millis, 0.1..=900.0 / rate_hz);
         check.number("camera.reopen_for_s", self.reopen_for_s, 0.0..=86_400.0);
@@ -255,7 +255,7 @@ impl V4l2Section {
         })
     }
 
-    /// The calibration with what this table waives of it.
+    /// The calibration with the waivers of this table.
     pub(super) fn in_use(
         &self,
         (source, judgement): (String, Option<Judgement>),
@@ -284,7 +284,7 @@ impl V4l2Section {
     }
 }
 
-/// The time from image to image as the shortest fraction that is right to a thousandth of an image per second.
+/// The time between images as the shortest fraction that is accurate to a thousandth of an image per second.
 pub fn interval(rate_hz: f64) -> Interval {
     let (thousandths, mut a, mut b) = ((rate_hz * 1e3).round() as u32, (rate_hz * 1e3).round() as u32, 1000);
     while b > 0 {
@@ -294,7 +294,7 @@ pub fn interval(rate_hz: f64) -> Interval {
 }
 
 impl SideSection {
-    /// Every key by itself; what a camera does not take of it is refused when it is opened. The name of its device, if that is one.
+    /// Checks every key separately, and the name of the device. The camera checks its controls when it is opened.
     fn check(&self, key: &str, period_millis: f64, check: &mut Checker) -> Option<CameraName> {
         let number = i64::from(i32::MAX);
         if let ControlValue::Number(exposure_millis) = self.exposure_millis {

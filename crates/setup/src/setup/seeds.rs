@@ -1,4 +1,4 @@
-//! The seeds of a run: one number, `run.seed` or `--seed`, from which every consumer of random numbers gets a seed of its own.
+//! Seeds of a run: one number, `run.seed` or `--seed`, from which every consumer of random numbers derives its own seed.
 
 use pb3dp_estimation_core::rng::SplitMix64;
 
@@ -6,7 +6,8 @@ use super::{Leader, Setup};
 
 /// A consumer of random numbers in a run.
 ///
-/// The discriminants are part of the derivation: keep them, and give a new stream the next number, so that a seed keeps its meaning.
+/// The discriminants are part of the derivation: keep them, and give a new stream the next number, so that existing seeds keep
+/// their meaning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stream {
     /// Textures and shapes of target, backdrop and room.
@@ -15,9 +16,9 @@ pub enum Stream {
     SensorNoise = 1,
     /// Noise and initial pose error of the geometric tracker.
     GeometricNoise = 2,
-    /// Which frame pairs the faults of the simulated cameras hit.
+    /// Frame pairs that the faults of the simulated cameras affect.
     CameraFaults = 3,
-    /// Genetic algorithm of the method `published`, the only one that tracks and draws random numbers.
+    /// Genetic algorithm of the method `published`, the only tracker with random numbers.
     PublishedSearch = 4,
     /// Random faults of the emulated arm that carries the cameras.
     VsEmulation = 5,
@@ -39,10 +40,10 @@ impl Stream {
 
     /// The seed of this stream in the run with the seed `run`.
     ///
-    /// Two rounds of SplitMix64 (Steele, Lea and Flood, 2014). A round is a bijection of 64 bits, so that no two derived streams of a
+    /// Two rounds of SplitMix64 (Steele, Lea and Flood, 2014). A round is a bijection of 64 bits, so no two derived streams of a
     /// run are equal. The first round comes before the number of the stream, so that runs with neighbouring seeds share no stream.
     ///
-    /// The scene keeps the seed of the run: seed 1 is the target that tests, benchmarks and images without a run show as well.
+    /// The scene uses the seed of the run unchanged: tests, benchmarks and images without a run also show the target of seed 1.
     pub fn of(self, run: u64) -> u64 {
         match self {
             Self::Scene => run,
@@ -50,7 +51,7 @@ impl Stream {
         }
     }
 
-    /// As [`Self::of`], for a consumer that takes 32 bits; all 64 bits of the seed decide them.
+    /// As [`Self::of`], for a consumer of 32 bits; all 64 bits of the seed contribute.
     pub fn narrow(self, run: u64) -> u32 {
         let seed = self.of(run);
         (seed ^ (seed >> 32)) as u32
@@ -58,10 +59,10 @@ impl Stream {
 }
 
 impl Setup {
-    /// The same setup with another seed: every stream gets a new one.
+    /// The same setup with another seed for every stream.
     pub fn reseed(&mut self, seed: u64) {
         let published = &mut self.estimator.published.rmga.seed;
-        // What the file adds to the seed of the published search stays added.
+        // Keeps the offset of the published search from the file.
         let added = published.wrapping_sub(Stream::PublishedSearch.of(self.seed));
         *published = Stream::PublishedSearch.of(seed).wrapping_add(added);
         self.seed = seed;
@@ -74,7 +75,7 @@ impl Setup {
         self
     }
 
-    /// Gives every part its seed from that of the run; the published search adds what the file states.
+    /// Sets the seed of every part from that of the run; the published search adds the value of the file.
     fn seed_parts(&mut self) {
         let run = self.seed;
         if let Some(world) = self.world_mut() {

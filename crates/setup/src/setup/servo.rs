@@ -1,4 +1,4 @@
-//! The table `[servo]`: the place to keep, the law, speeds and time-outs of the controller.
+//! The table `[servo]`: desired pose, law, speeds and time-outs of the controller.
 
 use std::ops::RangeInclusive;
 
@@ -73,7 +73,7 @@ struct TimeoutsSection {
     joints_s: f64,
 }
 
-/// A motion that looks for a lost target; without this table the hand rests.
+/// Search motion for a lost target; without this table the hand holds.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SearchSection {
@@ -85,12 +85,12 @@ struct SearchSection {
 }
 
 impl ServoSection {
-    /// The fastest that the hand moves, as the file says it.
+    /// Speed limit of the hand, as stated in the file.
     pub(super) fn speed_max_m_per_s(&self) -> f64 {
         self.speed.linear_max_mm_per_s * 1e-3
     }
 
-    /// Whether the hand looks for a lost target.
+    /// Whether the hand searches for a lost target.
     pub(super) fn searches(&self) -> bool {
         self.search.is_some()
     }
@@ -148,8 +148,8 @@ impl ServoSection {
         tables.build(self.law, self.timeouts.observation_s, check).unwrap_or(LawConfig::Published(refused))
     }
 
-    /// Every key by itself, so that the user reads his own keys and units; then the controller checks the whole again. The
-    /// ranges are the controller's, in the units of the file and rounded to within.
+    /// Checks every key separately, so that messages use the keys and units of the file; then the controller checks all values
+    /// again. The ranges are those of the controller in the units of the file, rounded inwards.
     fn check(&self, config: &ControllerConfig, check: &mut Checker) {
         check.number("servo.damping.threshold", self.damping.threshold, 0.001..=0.5);
         check.number("servo.damping.factor_max", self.damping.factor_max, 0.001..=0.5);
@@ -158,7 +158,7 @@ impl ServoSection {
         check.number("servo.speed.angular_max_deg_per_s", self.speed.angular_max_deg_per_s, ANGULAR_DEG_PER_S);
         check.number("servo.speed.limit_approach_per_s", self.speed.limit_approach_per_s, 0.1..=20.0);
         check.number("servo.speed.soft_start_s", self.speed.soft_start_s, 0.0..=10.0);
-        // The way to the first contact is at most as quick as what comes behind it.
+        // The approach is at most as fast as tracking.
         let at_most = |speed: f64, allowed: RangeInclusive<f64>| {
             let (min, max) = allowed.into_inner();
             min..=within(speed, min, max)
@@ -197,7 +197,7 @@ impl SearchSection {
     }
 }
 
-/// Speeds of the hand, in both [`SpeedSection`] and [`ApproachSection`].
+/// Speeds of the hand in [`SpeedSection`] and [`ApproachSection`].
 pub(super) const LINEAR_MM_PER_S: RangeInclusive<f64> = 0.001..=2000.0;
 const ANGULAR_DEG_PER_S: RangeInclusive<f64> = 0.0001..=343.7;
 

@@ -1,4 +1,4 @@
-//! The keys `parts`: the shape of an arm, for the clearance between two arms.
+//! The keys `parts`: shape of an arm, for the clearance between two arms.
 
 use nalgebra::Point3;
 use pb3dp_kinematics::{ArmPart, ArmShape, Capsule, Carrier, DOF};
@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use super::super::load::Checker;
 
-/// A capsule that moves with a part of the arm.
+/// A capsule that moves with a link of the arm.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PartEntry {
@@ -48,7 +48,7 @@ impl PartEntry {
         })
     }
 
-    /// The joint that it moves with, if it moves with one.
+    /// The joint that the capsule moves with, if any.
     pub(super) fn joint(&self) -> Option<usize> {
         match self.carrier()? {
             Carrier::Joint(joint) => Some(joint),

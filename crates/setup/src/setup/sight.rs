@@ -1,4 +1,4 @@
-//! The table `[camera]`, whatever its backend is: what a run sees with.
+//! The table `[camera]` for any backend.
 
 use std::time::Duration;
 
@@ -11,13 +11,13 @@ use super::camera::{self, CameraSection, SceneSection};
 use super::real_cameras::{self, V4l2Section};
 use super::{Cameras, FrameTiming, SimulatedWorld, Truth};
 
-/// The one key that all backends have; the others depend on it.
+/// The key that all backends have; the others depend on it.
 #[derive(Clone, Copy, Debug, Deserialize)]
 pub(super) struct CameraEntry {
     backend: CameraBackend,
 }
 
-/// Which camera backend is wired in; others join by name.
+/// Camera backends; further ones are added by name.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum CameraBackend {
@@ -29,11 +29,11 @@ enum CameraBackend {
 pub(super) enum CameraTable {
     /// Simulated cameras.
     Sim(Box<CameraSection>),
-    /// Cameras of this machine.
+    /// Cameras of this computer.
     V4l2(Box<V4l2Section>),
 }
 
-/// What a run sees with; see [`Setup`](super::Setup).
+/// Vision settings of a run; see [`Setup`](super::Setup).
 pub(super) struct Sight {
     pub(super) rig: StereoRig,
     pub(super) frames: FrameTiming,
@@ -53,12 +53,12 @@ impl CameraEntry {
 }
 
 impl CameraTable {
-    /// Whether its cameras are not simulated.
+    /// Whether the cameras are real.
     pub(super) fn is_real(&self) -> bool {
         matches!(self, Self::V4l2(_))
     }
 
-    /// What a run sees with: how fast the hand moves at most, and what stands before simulated cameras.
+    /// Vision settings of a run, with the speed limit of the hand, and with the scene for simulated cameras.
     pub(super) fn build(
         &self,
         hand_speed_max_m_per_s: f64,

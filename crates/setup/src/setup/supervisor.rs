@@ -1,4 +1,4 @@
-//! The table `[supervisor]`: what it watches, and what follows.
+//! The table `[supervisor]`: monitored conditions and their policies.
 
 use std::ops::RangeInclusive;
 use std::time::Duration;
@@ -44,7 +44,7 @@ struct PoliciesSection {
     controller_rests: PolicySection,
 }
 
-/// One policy; which of the thresholds it has is said by [`Threshold::of`].
+/// One policy; [`Threshold::of`] names the threshold of each condition.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PolicySection {
@@ -84,7 +84,7 @@ enum ResumeName {
 /// A threshold in the units of the file.
 struct Threshold {
     key: &'static str,
-    /// The supervisor's range, rounded to within.
+    /// Range of the supervisor, rounded inwards.
     allowed: RangeInclusive<f64>,
     to_si: fn(f64) -> f64,
 }
@@ -121,7 +121,7 @@ impl Threshold {
 }
 
 impl SupervisorSection {
-    /// What is permitted where an image comes in each `frame_period`.
+    /// The supervisor's settings for images with the period `frame_period`.
     pub(super) fn build(&self, frame_period: Duration, check: &mut Checker) -> SupervisorConfig {
         check.number("supervisor.resume_after_s", self.resume_after_s, 0.05..=60.0);
         check.number("supervisor.go_after_s", self.go_after_s, 0.05..=within(self.resume_after_s, 0.05, 60.0));
@@ -136,7 +136,7 @@ impl SupervisorSection {
         if lost_s >= 0.05 {
             check.number("supervisor.policies.target_lost.age_s", lost_s, within(stale_s, 0.05, 1.0)..=10.0);
         }
-        // Two periods are the least that tells a missing image; a hand that waits for less rests between any two.
+        // Two periods are the minimum for detecting a missing image; with less the hand would hold between any two images.
         let frame_stale_s = self.policies.frame_stale.age_s.unwrap_or(f64::NAN);
         if frame_stale_s >= 0.02 {
             let two_periods_s = within(2.0 * frame_period.as_secs_f64(), 0.02, 0.99);
@@ -244,7 +244,7 @@ impl PolicySection {
     }
 }
 
-/// A number that is there exactly when it is wanted; 0 if it is not.
+/// A number that must be present if and only if it is needed; 0 if it is not.
 fn optional(
     (table, name): (&str, &str),
     value: Option<f64>,

@@ -1,4 +1,4 @@
-//! The table `[servo.target]`: how a target moves, and how far measurements of it are believed.
+//! The table `[servo.target]`: motion models of the target and measurement noise.
 
 use pb3dp_servo::target_state::{MeasurementConfig, MotionConfig, RestConfig, SurpriseConfig, TargetStateConfig};
 use serde::Deserialize;

@@ -1,7 +1,7 @@
-//! The table `[truth]`: where things of a simulation truly are, if not where the other tables say.
+//! The table `[truth]`: true poses and cameras of a simulation, if they differ from the other tables.
 //!
-//! A real cell differs from what its setup says of it, by what its calibration has left over; a simulated one does so with this table
-//! only. Images and errors follow the truth, everything that moves and estimates the other tables.
+//! A real workcell differs from its setup by calibration errors; a simulated one only by this table. Images and errors use the
+//! truth, motion and estimation use the other tables.
 
 use std::path::PathBuf;
 
@@ -13,16 +13,16 @@ use super::super::load::Checker;
 use super::calibration::load_files;
 use super::{IN_THE_CELL_MM, ON_THE_ARM_MM, PoseEntry};
 
-/// Where things of a simulation truly are; what is `None` is where the setup says.
+/// True values of a simulation; `None` means the value of the setup.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Truth {
-    /// Both cameras, and how they stand to each other.
+    /// Both cameras with their relative pose.
     pub rig: Option<StereoRig>,
-    /// Where the left camera is on the first arm.
+    /// Pose of the left camera on the first arm.
     pub flange_from_cam_left: Option<Pose<Flange, CamLeft>>,
-    /// Where the target is on the second arm.
+    /// Pose of the target on the second arm.
     pub flange_from_target: Option<Pose<Flange, Target>>,
-    /// Where the second arm stands, if the first one stands where the setup says.
+    /// Base pose of the second arm, if the first one is where the setup states.
     pub tc_world_from_base: Option<Pose<World, Base>>,
 }
 
@@ -36,7 +36,7 @@ pub(super) struct TruthSection {
 }
 
 impl TruthSection {
-    /// With images of this size.
+    /// For images of this size.
     pub(super) fn build(&self, size: Option<ImageSize>, check: &mut Checker) -> Truth {
         let rig = self.calibration.as_deref().zip(size);
         Truth {
@@ -57,7 +57,7 @@ fn pose<To: pb3dp_geometry::Frame, From: pb3dp_geometry::Frame>(
     entry.as_ref().map(|entry| entry.build(&format!("truth.{key}"), length_max_mm, check))
 }
 
-/// The cameras of a calibration for images of this size, beside the configuration.
+/// The cameras of a calibration for images of this size, relative to the configuration.
 fn load_rig(key: &str, files: &[PathBuf], size: ImageSize, check: &mut Checker) -> Option<StereoRig> {
     let loaded = load_files(files, size).inspect_err(|error| check.refuse(format!("{key}: {error}"))).ok()?;
     let ImageSize { width, height } = loaded.rig.left().size();
