@@ -1,4 +1,4 @@
-//! Arguments of `pb3dp run`, `estimate` and `track`, and how they are read.
+//! Arguments of `pb3dp run`, `estimate` and `track`, and their parsers.
 
 use std::path::PathBuf;
 
@@ -11,7 +11,7 @@ use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
 use pb3dp_wiring::ReplayPace;
 
-/// The exit code of an answer that is not sure, where `--strict` asks for it, and of setups that differ.
+/// Exit code with `--strict` for an answer other than `ok`, and for setups that differ.
 pub const UNSURE: u8 = 3;
 
 /// Arguments of `pb3dp run`.
@@ -23,7 +23,7 @@ pub struct RunArgs {
     /// Folder for report.html, summary.json and the recorded time series.
     #[arg(long, value_name = "DIR", default_value = "out/run")]
     pub out: PathBuf,
-    /// Seed of everything random, instead of `run.seed` of the setup: scene, noise, searches, camera faults and emulated arms.
+    /// Seed of all random numbers, instead of `run.seed` of the setup: scene, noise, searches, camera faults and emulated arms.
     #[arg(long, value_name = "N", value_parser = parse_seed, allow_hyphen_values = true)]
     pub seed: Option<u64>,
     /// End after this many seconds of the experiment.
@@ -32,13 +32,13 @@ pub struct RunArgs {
     /// Also write every stereo pair with its truth as a sequence folder, for `pb3dp track`.
     #[arg(long, value_name = "DIR")]
     pub record: Option<PathBuf>,
-    /// The target in the first left image of real cameras; it goes before camera.region of the setup.
-    #[arg(long, value_name = "REGION", help = format!("The target in the first left image of real cameras; it goes before camera.region of the setup: {REGION_HELP}"))]
+    /// The target in the first left image of real cameras; overrides camera.region of the setup.
+    #[arg(long, value_name = "REGION", help = format!("The target in the first left image of real cameras; overrides camera.region of the setup: {REGION_HELP}"))]
     pub region: Option<RegionSpec>,
-    /// Move real arms by a calibration that says of itself that no cameras were measured (`calibration_quality`: none).
+    /// Move real arms with a calibration that states no measured cameras (`calibration_quality`: none).
     #[arg(long)]
     pub nominal_calibration: bool,
-    /// Who tells the run what to do.
+    /// The operator of the run.
     #[arg(long, value_enum, default_value_t = OperatorName::Command)]
     pub operator: OperatorName,
     /// End with exit code 3 if the hand followed the target for less than 90 % of the time.
@@ -46,35 +46,35 @@ pub struct RunArgs {
     pub strict: bool,
 }
 
-/// Who tells a run what to do.
+/// The operator of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum OperatorName {
-    /// The command itself: it selects the target and starts once; what stops the arms ends the run.
+    /// The command itself: it selects the target and starts once; a stop of the arms ends the run.
     Command,
-    /// A person, by lines on standard input: select, start, hold, resume, stop, reset, status, quit. Nothing moves before start; a stop
-    /// or fault does not end the run. Without --stop-after it ends after an hour at the latest.
+    /// A person who types commands on standard input: select, start, hold, resume, stop, reset, status, quit. Nothing moves before
+    /// start; a stop or fault does not end the run. Without --stop-after the run ends after one hour.
     Console,
 }
 
-/// Arguments that choose and tune the estimation method.
+/// Arguments that select and tune the estimation method.
 #[derive(Debug, Args)]
 pub struct MethodArgs {
     /// The estimation method.
     #[arg(long, value_name = "NAME", default_value = Method::Direct.name(), value_parser = method_parser())]
     pub method: Method,
-    /// A TOML file with all of the method's parameters (copy configs/estimator.toml); without it the documented defaults.
+    /// A TOML file with all parameters of the method (copy configs/estimator.toml); the documented defaults without it.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Another seed than the configuration's.
+    /// Seed of the search, instead of that of the configuration.
     #[arg(long, value_name = "N", value_parser = parse_seed, allow_hyphen_values = true)]
     pub seed: Option<u64>,
-    /// Depths to search, millimetres; overrides what a case or sequence says.
+    /// Depths to search, millimetres; overrides the case or sequence.
     #[arg(long, value_name = "MIN,MAX", value_parser = parse_z_range, allow_hyphen_values = true)]
     pub z_range: Option<ZRange>,
-    /// Largest tilt to search, degrees; overrides what a case or sequence says. Without either 60.
+    /// Largest tilt to search, degrees; overrides the case or sequence. Default 60.
     #[arg(long, value_name = "DEGREES", value_parser = parse_tilt, allow_hyphen_values = true)]
     pub tilt_max: Option<f64>,
-    /// Give the best answer so far once a pair has taken this much time, milliseconds; a warning tells of it.
+    /// Return the best answer so far after this time per pair, milliseconds, with a warning.
     #[arg(long, value_name = "MS", value_parser = parse_deadline, allow_hyphen_values = true)]
     pub deadline: Option<f64>,
     /// One JSON object per line on standard output instead of a table.
@@ -83,12 +83,13 @@ pub struct MethodArgs {
     /// End with exit code 3 if an answer has another status than `ok`.
     #[arg(long)]
     pub strict: bool,
-    /// Write images with region, re-projected model and pose axes into this folder; `track` also writes one animated PNG, sequence.png.
+    /// Write images with region, re-projected model and pose axes into this folder; `track` also writes an animated PNG,
+    /// sequence.png.
     #[arg(long, value_name = "DIR")]
     pub overlay: Option<PathBuf>,
 }
 
-/// What the numbers of `pb3dp estimate --json` are.
+/// Meaning of the numbers of `pb3dp estimate --json`.
 const ESTIMATE_JSON: &str = "Lines of --json (one per case):
   case, method      their names
   status            ok, weak-tilt, ambiguous, not-observable or error
@@ -129,12 +130,12 @@ pub struct EstimateArgs {
     /// Also search every hypothesis that a chromosome can express, so that search error and fitness error can be distinguished (slow; --method published only).
     #[arg(long)]
     pub reference_optimum: bool,
-    /// How to estimate.
+    /// Estimation options.
     #[command(flatten)]
     pub method: MethodArgs,
 }
 
-/// What the numbers of `pb3dp track --json` are.
+/// Meaning of the numbers of `pb3dp track --json`.
 const TRACK_JSON: &str =
     "Lines of --json (one per frame; one per frame and target, with the key `target`, if there are several):
   frame                counts from 0
@@ -156,16 +157,16 @@ pub struct TrackArgs {
     /// A sequence folder (one with a sequence.json); the format is described in docs/dataset-format.md.
     #[arg(long, value_name = "DIR")]
     pub sequence: PathBuf,
-    /// Frames as fast as they are worked on, or at the times of the recording.
+    /// Process frames as fast as possible, or at the times of the recording.
     #[arg(long, value_enum, default_value = "fast")]
     pub pace: ReplayPace,
-    /// Further targets in the left image of frame 0, beside that of the sequence.
-    #[arg(long, value_name = "REGION", help = format!("A further target in the left image of frame 0, beside that of the sequence; may be given more than once: {REGION_HELP}"))]
+    /// Further targets in the left image of frame 0, in addition to that of the sequence.
+    #[arg(long, value_name = "REGION", help = format!("A further target in the left image of frame 0, in addition to that of the sequence; may be repeated: {REGION_HELP}"))]
     pub region: Vec<RegionSpec>,
-    /// Write the recovered surface with its colours into this PLY file, in the frame of the model (direct only).
+    /// Write the recovered surface with its colours into this PLY file, in the model frame (direct only).
     #[arg(long, value_name = "FILE")]
     pub surface: Option<PathBuf>,
-    /// How to estimate.
+    /// Estimation options.
     #[command(flatten)]
     pub method: MethodArgs,
 }

@@ -17,19 +17,19 @@ use crate::commands::identify::IdentifyArgs;
 use crate::commands::rig::RigArgs;
 use crate::logging::LogFormat;
 
-/// A test build must not be taken for a program that may drive a real arm.
+/// A test build must not be mistaken for a program that may drive a real arm.
 const VERSION: &str = if pb3dp_safeguards::CAN_BE_OFF {
     concat!(env!("CARGO_PKG_VERSION"), " (test build: safeguards can be disabled)")
 } else {
     env!("CARGO_PKG_VERSION")
 };
 
-/// The same for every command, but for `doctor`, whose help has its own.
+/// Help footer of every command except `doctor`, which has its own.
 const EXIT_CODES: &str = "\
 Exit codes: 0 good; 1 failed; 2 the command line is not understood; 3 unsure (--strict) or different (config diff)";
 
 impl Cli {
-    /// What is logged.
+    /// Log options.
     pub fn filter(&self) -> &str {
         match (&self.log, self.quiet, self.verbose) {
             (Some(filter), ..) => filter,
@@ -41,14 +41,14 @@ impl Cli {
     }
 }
 
-/// Robot vision that needs to know nothing about its target: pose of any object from one calibrated stereo pair.
+/// Stereo vision and visual servoing without object models: the pose of any object from one calibrated stereo pair.
 #[derive(Debug, Parser)]
 #[command(name = "pb3dp", version = VERSION, propagate_version = true, max_term_width = 100, after_help = EXIT_CODES)]
 pub struct Cli {
-    /// What to do.
+    /// The command.
     #[command(subcommand)]
     pub command: Command,
-    /// Log level or directives, for instance `debug` or `pb3dp_cell=trace,info`; `info` without it.
+    /// Log level or directives, for instance `debug` or `pb3dp_cell=trace,info`; default `info`.
     #[arg(long, global = true, value_name = "FILTER", conflicts_with_all = ["quiet", "verbose"])]
     pub log: Option<String>,
     /// Log warnings and errors only.
@@ -65,29 +65,29 @@ pub struct Cli {
 /// The subcommands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Run the whole loop: cameras, estimation, servo, arms.
+    /// Run the complete loop: cameras, estimation, servo, arms.
     Run(RunArgs),
     /// Estimate the pose of a region in stereo images.
     Estimate(EstimateArgs),
     /// Track a region through a recorded stereo sequence.
     Track(TrackArgs),
-    /// Measure what a setup needs to know of the rig: its delays.
+    /// Measure properties of the rig that a setup needs: its delays.
     Identify(IdentifyArgs),
-    /// Commission an arm: look at it, jog it, bring it to its start (docs/commissioning.md).
+    /// Commission an arm: read its state, jog it, move it to its start pose (docs/commissioning.md).
     Arm(ArmArgs),
-    /// Run an emulated PA-10 in real time that fails on request.
+    /// Run an emulated PA-10 in real time, with faults on request.
     MockArm(MockArmArgs),
-    /// Own the bus of one PA-10 and its cycle, and serve a host (docs/gateway.md).
+    /// Run the gateway of one PA-10: it owns the bus and its cycle, and serves one host (docs/gateway.md).
     Gateway(GatewayArgs),
-    /// The cameras of a rig: which there are, and what they can do (docs/rig.md).
+    /// List, check, view and record the cameras of a rig (docs/rig.md).
     Cameras(CamerasArgs),
-    /// Calibrate cameras and stereo heads from images of a board (docs/calibration.md).
+    /// Calibrate cameras and stereo rigs from images of a board (docs/calibration.md).
     Calibrate(CalibrateArgs),
-    /// Plan a stereo head: what cameras, lenses and a baseline give (docs/rig.md).
+    /// Plan a stereo rig: accuracy of cameras, lenses and a baseline (docs/rig.md).
     Rig(RigArgs),
-    /// Show, check, compare and explain setups, or begin one.
+    /// Show, check, compare and explain setups, or create one.
     Config(ConfigArgs),
-    /// Check whether this machine can do what a rig asks of it, and say what to do where it cannot (docs/rig.md).
+    /// Check whether this computer meets the needs of a rig, with the remedies (docs/rig.md).
     Doctor(DoctorArgs),
     /// Print cause and remedy of a message, by its code.
     Explain(ExplainArgs),

@@ -1,7 +1,7 @@
-//! Logs: human text or JSON, on standard error, so that standard output carries results alone.
+//! Log output: human-readable text or JSON, on standard error; standard output carries only results.
 //!
-//! A thread of its own writes them. Who has something to say may be the thread that moves an arm, takes an image, or hears a signal:
-//! none of them waits for a reader that does not read.
+//! A separate thread writes the log. Log calls come from threads that move an arm, capture an image or handle a signal: none of
+//! them may wait for a slow reader.
 
 use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -19,16 +19,16 @@ use tracing_subscriber::fmt::time::FormatTime;
 
 use crate::progress;
 
-/// Lines that wait to be written; of more, the first ones count.
+/// Capacity of the queue of lines; further lines are dropped and counted.
 const WAITING_MAX: usize = 16_384;
 
-/// How long the end of the program waits for what is not yet written.
+/// Longest wait at the end of the program for lines that are not written yet.
 const LAST_WORDS_MAX: Duration = Duration::from_millis(500);
 
-/// How often it looks.
+/// Polling interval of that wait.
 const LOOK: Duration = Duration::from_millis(1);
 
-/// How log lines look.
+/// Format of log lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum LogFormat {
     /// One readable line per event.
@@ -37,7 +37,7 @@ pub enum LogFormat {
     Json,
 }
 
-/// Hours, minutes, seconds and milliseconds of the day, UTC.
+/// UTC time of day with milliseconds.
 struct WallTime;
 
 impl FormatTime for WallTime {
@@ -48,18 +48,18 @@ impl FormatTime for WallTime {
     }
 }
 
-/// The log of the program. Dropping it, at the end, is [`last_words`].
+/// The log of the program. Its drop at the end calls [`last_words`].
 #[derive(Debug)]
 pub struct Log(());
 
-/// What was handed over to the thread that writes.
+/// Counts of lines handed over to the writing thread.
 #[derive(Debug, Default)]
 struct Counts {
     waiting: AtomicU64,
     lost: AtomicU64,
 }
 
-/// Where lines go that nobody waits for.
+/// Sink of log lines that never blocks.
 #[derive(Clone, Debug)]
 struct Lines {
     give: SyncSender<Vec<u8>>,
@@ -71,7 +71,7 @@ static COUNTS: OnceLock<Arc<Counts>> = OnceLock::new();
 /// Installs the program's log writer.
 ///
 /// # Errors
-/// If `filter` is not a level (`info`) or directive (`pb3dp_cell=debug,info`), or the system gives no thread.
+/// If `filter` is neither a level (`info`) nor a directive (`pb3dp_cell=debug,info`), or the system provides no thread.
 pub fn init(format: LogFormat, filter: &str) -> anyhow::Result<Log> {
     let refused = |why: &dyn std::fmt::Display| {
         anyhow::anyhow!("--log {filter:?} is not understood ({why}); write error, warn, info, debug or trace")
@@ -89,7 +89,7 @@ pub fn init(format: LogFormat, filter: &str) -> anyhow::Result<Log> {
         .with_env_filter(filter)
         .with_ansi(io::stderr().is_terminal())
         .with_writer(Lines::begin()?)
-        // A reader that is gone is no reason to panic.
+        // A closed standard error must not cause a panic.
         .log_internal_errors(false)
         .with_target(false);
     let installed = match format {
@@ -100,23 +100,23 @@ pub fn init(format: LogFormat, filter: &str) -> anyhow::Result<Log> {
     Ok(Log(()))
 }
 
-/// Crates of ours that log, by which a directive selects log lines.
+/// Our crates that log; directives select by these names.
 const CRATES: [&str; 4] = ["pb3dp_cell", "pb3dp_commissioning", "pb3dp_orchestrator", "pb3dp_wiring"];
 
-/// A name of ours that never logs: the filter would accept it and show nothing.
+/// One of our names that never logs: the filter would accept it and show nothing.
 fn mistaken_crate(part: &str) -> Option<&str> {
     let target = part.split(['=', '[']).next().unwrap_or_default();
     let name = target.split("::").next().unwrap_or_default();
     (name.starts_with("pb3dp") && !CRATES.contains(&name)).then_some(name)
 }
 
-/// A single word that is no level would be a target to the filter, and everything else would be silent.
+/// To the filter a single word that is no level is a target, and everything else would be silent.
 fn is_mistaken_level(part: &str) -> bool {
     let is_directive = part.contains(['=', '[']) || part.starts_with("pb3dp");
     !part.is_empty() && !is_directive && part.parse::<tracing_subscriber::filter::LevelFilter>().is_err()
 }
 
-/// Before the program ends: waits a little for what is not yet written.
+/// Waits briefly, at the end of the program, for lines that are not written yet.
 pub fn last_words() {
     let Some(counts) = COUNTS.get() else { return };
     let begin = Instant::now();
@@ -137,7 +137,7 @@ impl Lines {
         let (give, take) = sync_channel(WAITING_MAX);
         let written = Arc::clone(&counts);
         let work = move || write_all(&take, &written);
-        // A signal that ends the program is for those who stop an arm first.
+        // Signals are handled by the threads that stop an arm first.
         let started = shielded(|| std::thread::Builder::new().name("log".into()).spawn(work));
         started.and_then(|thread| thread).context("no thread to write the log")?;
         Ok(Self { give, counts })
@@ -146,9 +146,9 @@ impl Lines {
 
 fn write_all(lines: &Receiver<Vec<u8>>, counts: &Counts) {
     for line in lines {
-        // A reader that is gone misses it.
+        // A closed standard error loses the line.
         let _ = progress::beside(|| io::stderr().write_all(&line));
-        // Told when there is room again.
+        // Reported when there is space again.
         if counts.waiting.fetch_sub(1, Ordering::SeqCst) == 1 {
             let lost = counts.lost.swap(0, Ordering::SeqCst);
             if lost > 0 {

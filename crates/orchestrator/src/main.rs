@@ -10,16 +10,16 @@ use pb3dp_orchestrator::{commands, logging, panics};
 const PROGRAM: pb3dp_commissioning::Program =
     pb3dp_commissioning::Program { commit: pb3dp_orchestrator::COMMIT, last_words: logging::last_words };
 
-/// The exit code of a command line that is not understood, as clap has it.
+/// Exit code of a wrong command line, as in clap.
 const USAGE: u8 = 2;
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    // Lives until the end, also that of a panic.
+    // Lives until the end, also after a panic.
     let _log = match logging::init(cli.log_format, cli.filter()) {
         Ok(log) => log,
         Err(error) => {
-            // There is no log yet that could carry this.
+            // The log does not exist yet.
             let _ = writeln!(std::io::stderr(), "error: {error:#}");
             return ExitCode::from(USAGE);
         }

@@ -1,9 +1,9 @@
-//! What a mistake of the program says of itself.
+//! Panic messages in the log.
 
 use std::backtrace::{Backtrace, BacktraceStatus};
 
-/// From now on a panic of any thread goes to the log, for which nobody waits: who panics may be the thread that moves an arm, and goes
-/// on to stop it.
+/// Sends the message of a panic in any thread to the log, which never blocks: a panicking thread may be the one that moves an arm,
+/// and still has to stop it.
 pub fn install() {
     std::panic::set_hook(Box::new(|info| {
         let thread = std::thread::current();

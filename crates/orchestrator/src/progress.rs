@@ -1,4 +1,4 @@
-//! The progress of long work: a bar in a terminal, nothing elsewhere.
+//! Progress of long work: a bar in a terminal, nothing elsewhere.
 
 use std::io;
 use std::sync::{Mutex, PoisonError};
@@ -22,7 +22,7 @@ impl Progress {
     /// A bar for `total` parts of the work.
     pub fn of(total: usize, work: &'static str) -> Self {
         let bar = ProgressBar::new(total as u64).with_message(work).with_finish(ProgressFinish::AndClear);
-        // The template is constant, and a test sees it drawn.
+        // The template is constant, and a test draws it.
         let bar = match ProgressStyle::with_template("{msg} [{bar:40}] {pos}/{len} {elapsed}, {eta} left") {
             Ok(style) => bar.with_style(style),
             Err(_) => bar,

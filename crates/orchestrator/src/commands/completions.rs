@@ -1,4 +1,4 @@
-//! `pb3dp completions`: completion of the command line, for a shell.
+//! `pb3dp completions`: completion script for a shell.
 
 use std::io::Write;
 use std::process::ExitCode;

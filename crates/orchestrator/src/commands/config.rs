@@ -1,4 +1,4 @@
-//! `pb3dp config`: what a setup says, where each value comes from, what a key means; and how to begin one.
+//! `pb3dp config`: values of a setup with their origin, meaning of keys, and templates.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -13,7 +13,7 @@ use pb3dp_setup::setup::read_layers;
 
 use crate::arguments::UNSURE;
 
-/// Where the arms begin in the example of a rig.
+/// Beginning of the arms in the example of a rig.
 const ARMS: &str = "[arms]\n";
 
 /// Arguments of `pb3dp config`.
@@ -25,15 +25,15 @@ pub struct ConfigArgs {
 
 #[derive(Debug, Subcommand)]
 enum ConfigCommand {
-    /// Print every value of a setup with the file and line that states it.
+    /// Print every value of a setup with its file and line.
     Show(ShowArgs),
-    /// Check a setup: exit code 0 if a run would accept it, 1 with everything that is wrong.
+    /// Check a setup: exit code 0 if a run would accept it, 1 with all errors.
     Check(CheckArgs),
-    /// Print the values in which two setups differ: exit code 0 if there are none, 3 otherwise.
+    /// Print the values that differ between two setups: exit code 0 without differences, 3 otherwise.
     Diff(DiffArgs),
-    /// Print a file to begin a setup with.
+    /// Print a template of a setup.
     Init(InitArgs),
-    /// Print what a key or a table means: unit, range, values of the built-in setups.
+    /// Describe a key, all keys of a table, or all keys that mention a word: unit, range, built-in values.
     Explain(ExplainArgs),
 }
 
@@ -60,31 +60,31 @@ struct DiffArgs {
     /// A TOML file or a built-in setup.
     #[arg(value_name = "FILE|NAME")]
     a: PathBuf,
-    /// Another one.
+    /// The second setup.
     #[arg(value_name = "FILE|NAME")]
     b: PathBuf,
-    /// Set one key of the second one.
+    /// Set one key of the second setup.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
 }
 
 #[derive(Debug, Args)]
 struct InitArgs {
-    /// What the setup is for.
+    /// Purpose of the setup.
     #[arg(value_enum)]
     kind: Kind,
 }
 
-/// Kinds of setups to begin with.
+/// Templates of setups.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Kind {
-    /// A changed simulation.
+    /// A modified simulation.
     Sim,
-    /// Emulated arms in the machine's time.
+    /// Emulated arms on the clock of the computer.
     Hil,
     /// Two cameras of this computer, for `pb3dp cameras`.
     Cameras,
-    /// Two real arms, with simulated cameras where the arms are.
+    /// Two real arms, with cameras simulated at the measured arm poses.
     Arms,
     /// Two real arms and cameras.
     Rig,
@@ -92,14 +92,14 @@ enum Kind {
 
 #[derive(Debug, Args)]
 struct ExplainArgs {
-    /// A key, `servo.speed.linear_max_mm_per_s`, or a table, `servo.speed`.
+    /// A key (`servo.speed.linear_max_mm_per_s`), a table (`servo.speed`) or a word (`delay`).
     key: String,
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// A setup that cannot be read or is refused, a key that no setup has.
+/// An unreadable or refused setup, or an unknown key.
 pub fn run(args: &ConfigArgs) -> Result<ExitCode> {
     match &args.command {
         ConfigCommand::Show(args) => show(args),
@@ -132,7 +132,7 @@ fn show(args: &ShowArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// A value as TOML writes it, as a value of JSON.
+/// A TOML value as a JSON value.
 fn json_of(value: &str) -> Result<serde_json::Value> {
     let table: toml::Table = format!("value = {value}").parse()?;
     Ok(serde_json::to_value(table.get("value"))?)

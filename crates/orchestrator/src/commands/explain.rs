@@ -18,7 +18,7 @@ pub struct ExplainArgs {
 /// Runs the command.
 ///
 /// # Errors
-/// A code that no message has.
+/// An unknown code.
 pub fn run(args: &ExplainArgs) -> Result<ExitCode> {
     let Some(code) = &args.code else {
         for (title, codes) in tables() {

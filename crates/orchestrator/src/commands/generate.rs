@@ -1,4 +1,4 @@
-//! `pb3dp generate`, which is hidden: the reference pages, the manual pages and the completion scripts, made from the source.
+//! `pb3dp generate` (hidden): reference pages, manual pages and completion scripts, made from the source.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -16,7 +16,7 @@ use pb3dp_wiring::message_codes::tables;
 /// Columns of help texts on a page.
 const COLUMNS: usize = 100;
 
-/// What every page begins with, below its heading.
+/// First paragraph of every page.
 const MADE_BY: &str = "This page is made from the source by `cargo xtask reference`; change the source, not the page.";
 
 /// Arguments of `pb3dp generate`.
@@ -30,7 +30,7 @@ pub struct GenerateArgs {
 /// Writes all files for `program`.
 ///
 /// # Errors
-/// A file that cannot be written.
+/// If a file cannot be written.
 pub fn run(args: &GenerateArgs, program: &Command) -> Result<ExitCode> {
     let folder = |name: &str| {
         let folder = args.out.join(name);
@@ -101,7 +101,7 @@ fn keys() -> String {
     page
 }
 
-/// Text that stays in its cell of a table.
+/// Escapes text for a cell of a table.
 fn cell(text: &str) -> String {
     text.replace('|', "\\|").replace('\n', " ")
 }

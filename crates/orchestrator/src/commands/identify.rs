@@ -1,4 +1,4 @@
-//! `pb3dp identify delay`: how long it takes from an exposure to the motion of the hand, measured on the rig itself.
+//! `pb3dp identify delay`: delays from an exposure to the motion of the hand, measured on the rig.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -27,7 +27,7 @@ use serde::Serialize;
 
 use crate::logging::last_words;
 
-/// An arm that follows its commands with dead time and lag leaves a smaller residual than this.
+/// Residual bound of an arm that responds with dead time and lag.
 const RESIDUAL_MAX_DEG: f64 = 0.01;
 
 /// Arguments of `pb3dp identify`.
@@ -39,8 +39,8 @@ pub struct IdentifyArgs {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Swing the hand by some millimetres before a target that rests, and measure the delays from exposure to motion; without --move
-    /// only say what would be done.
+    /// Move the hand by a few millimetres in front of a stationary target, and measure the delays from exposure to motion. Without
+    /// --move only print the plan.
     Delay(DelayArgs),
 }
 
@@ -50,16 +50,16 @@ struct DelayArgs {
     setup: SetupArgs,
     #[arg(long, value_name = "REGION", help = format!("The target in the first left image of real cameras: {REGION_HELP}"))]
     region: Option<RegionSpec>,
-    /// Move real arms by a calibration that says of itself that no cameras were measured (`calibration_quality`: none).
+    /// Move real arms with a calibration that states no measured cameras (`calibration_quality`: none).
     #[arg(long)]
     nominal_calibration: bool,
-    /// Move the arm; with real arms once the name vs-robot was typed. Without it nothing moves.
+    /// Move the arm; real arms need the typed name vs-robot as confirmation. Without it nothing moves.
     #[arg(long = "move")]
     moves: bool,
-    /// How far the hand swings, to its right and downwards, millimetres.
+    /// Amplitude of the motion, to the right and downwards, millimetres.
     #[arg(long, value_name = "MM", default_value_t = 10.0)]
     way: f64,
-    /// For how long.
+    /// Duration of the motion.
     #[arg(long, value_name = "SECONDS", default_value_t = 30.0)]
     seconds: f64,
     /// One JSON object on standard output instead of a table.
@@ -73,14 +73,14 @@ struct DelayArgs {
 /// Runs the command.
 ///
 /// # Errors
-/// A setup or a motion that is refused, a confirmation that does not come, a part that fails, or a record that tells nothing.
+/// A refused setup or motion, a missing confirmation, a failed part, or a record without the delay.
 pub fn run(args: &IdentifyArgs) -> Result<ExitCode> {
     let What::Delay(args) = &args.what;
     delay(args)
 }
 
 fn delay(args: &DelayArgs) -> Result<ExitCode> {
-    // Before any thread is started: a signal that ends the program would leave the arms to their gateways.
+    // Before any thread starts: a signal that ended the program would leave the arms to their gateways.
     let mut signals = StopSignals::take_over().context("the signals that end the program cannot be taken over")?;
     let region = args.region.as_ref().map(ToString::to_string);
     let mut setup = read_layers(&args.setup.clone().with("--region", "camera.region", region))?;
@@ -101,7 +101,7 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
         tracing::warn!("{plan}; both arms will be enabled: type vs-robot and Enter to go on");
         confirm::typed("vs-robot", &mut signals)?;
     }
-    // Before anything moves: what an arm says when it stops must find its place.
+    // Before anything moves: the flight recorder must exist when an arm stops.
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot be created", args.out.display()))?;
     let Wired { mut parts, monitors, .. } = wire_at_rest(&setup, swing::duration(&motion))?;
     let interrupt = Arc::clone(&parts.interrupt);
@@ -141,26 +141,26 @@ impl std::fmt::Display for Millis {
     }
 }
 
-/// What was measured, milliseconds.
+/// Results, milliseconds.
 #[derive(Clone, Copy, Debug, Serialize)]
 struct Delays {
-    /// From the stamp of a pair to the control step that used its estimate.
+    /// From the timestamp of a pair to the control step that used its estimate.
     stamp_to_use_p50: f64,
     stamp_to_use_p95: f64,
     stamp_to_use_max: f64,
-    /// How much later than stamped the pairs were exposed, on the clock of the joints.
+    /// Delay between the timestamps of pairs and their exposure, on the clock of the joints.
     stamp_to_exposure: Millis,
-    /// From a command to the beginning of the motion.
+    /// From a command to the start of the motion.
     arm_delay: Millis,
-    /// Time constant of the lag behind it.
+    /// Time constant of the lag after it.
     arm_lag: Millis,
-    /// Both.
+    /// Sum of both.
     command_to_motion: Millis,
     /// From exposure to motion.
     total: Millis,
-    /// What is left of the joint angles, degrees.
+    /// Residual of the joint angles, degrees.
     arm_residual_deg: f64,
-    /// Estimates used, and those that were not stood by.
+    /// Used estimates, and those without confidence.
     estimates: usize,
     untrusted: usize,
 }
@@ -223,7 +223,7 @@ impl Delays {
         text
     }
 
-    /// What to do with the figures.
+    /// Advice on the use of the results.
     fn advice(&self, setup: &Setup) -> String {
         let mut advice = format!(
             "[servo.arm_response]\ndelay_millis = {:.1}\nlag_millis = {:.1}\n",

@@ -4,10 +4,10 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 
-/// Makes the folder of `--overlay`.
+/// Creates the folder of `--overlay`.
 ///
 /// # Errors
-/// If it cannot be made.
+/// If it cannot be created.
 pub fn make_overlay_folder(folder: &Path) -> Result<()> {
     if folder.exists() && !folder.is_dir() {
         bail!("--overlay {}: is not a folder; name one, it is created if necessary", folder.display());

@@ -1,4 +1,4 @@
-//! What an earlier run left behind is kept.
+//! Keeps the results of an earlier run.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -8,18 +8,18 @@ use anyhow::{Context, Result};
 /// A file that every run writes.
 const OF_A_RUN: &str = "summary.json";
 
-/// Makes the folder of a run, if it is not there yet.
+/// Creates the folder of a run, if necessary.
 ///
 /// # Errors
-/// If it cannot be made.
+/// If it cannot be created.
 pub fn make(folder: &Path) -> Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot be created", folder.display()))
 }
 
-/// Moves the folder of an earlier run to the first of `DIR.1`, `DIR.2` and so on that is free, says so, and makes a new one.
+/// Moves the folder of an earlier run to the first free one of `DIR.1`, `DIR.2` and so on, logs that, and creates a new folder.
 ///
 /// # Errors
-/// If it cannot be moved, or the new one cannot be made.
+/// If the folder cannot be moved or created.
 pub fn keep(folder: &Path) -> Result<()> {
     if !folder.join(OF_A_RUN).is_file() {
         return Ok(());

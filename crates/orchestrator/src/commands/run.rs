@@ -1,4 +1,4 @@
-//! `pb3dp run`: the whole loop of one setup.
+//! `pb3dp run`: the complete loop of one setup.
 
 use std::io::{BufReader, IsTerminal};
 use std::process::ExitCode;
@@ -26,9 +26,9 @@ use crate::logging::last_words;
 /// Runs the command: experiment, then report.
 ///
 /// # Errors
-/// A configuration that is refused, an experiment that the arms cannot follow, or a part that fails.
+/// A refused configuration, an experiment that the arms cannot follow, or a failed part.
 pub fn run(args: &RunArgs) -> Result<ExitCode> {
-    // Before any thread is started: a signal that ends the program would leave the arms to their gateways.
+    // Before any thread starts: a signal that ended the program would leave the arms to their gateways.
     let signals = StopSignals::take_over().context("the signals that end the program cannot be taken over")?;
     let seed = args.seed.as_ref().map(ToString::to_string);
     let region = args.region.as_ref().map(ToString::to_string);
@@ -39,7 +39,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     if args.operator == OperatorName::Console && setup.pace == Pace::Fast {
         bail!("--operator console: at pace = \"fast\" nobody can speak in time; set pace to \"real-time\" or \"live\"");
     }
-    // What cannot be recorded is refused before an arm is enabled, and before the last report is lost.
+    // Checked before an arm is enabled, and before the previous report is moved.
     if let Some(folder) = &args.record {
         SequenceWriter::check_folder(folder).context("--record")?;
     }
@@ -55,7 +55,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let interrupt = Arc::clone(&parts.interrupt);
     let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
     let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
-    // Only now: a run that is refused leaves the earlier one where it is.
+    // Late, so that a refused run leaves the previous one in its place.
     previous_run::keep(&args.out)?;
     let Ended { outcome, how } = experiment::conduct(&setup, parts, args.stop_after, args.record.as_deref())?;
     if let Err(failure) = &how {

@@ -1,4 +1,4 @@
-//! Which cameras a command uses: those of a configuration, or those named on the command line.
+//! Selection of the cameras of a command: from a setup or from the command line.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -17,16 +17,17 @@ use pb3dp_setup::setup::{interval, read_cameras};
 
 use crate::commands::rig::numbers::{millis, number, size};
 
-/// Speed of the target for which messages tell what a skew costs, where no setup says another one, m/s.
+/// Default speed of the target for the effect of skew, m/s.
 const SPEED_M_PER_S: f64 = 0.1;
 
-/// What a setup says itself.
+/// Origin of the settings: the setup.
 const OF_NO_SETUP: [&str; 8] = ["left", "right", "calib", "format", "size", "rate", "exposure", "skew_max"];
 
-/// Where the cameras come from.
+/// The cameras of a command.
 #[derive(Debug, Args)]
 pub(super) struct CameraChoice {
-    /// The setup whose cameras these are: a file or a built-in setup, of several later ones win; with it nothing else of this is needed.
+    /// A setup with these cameras: a file or a built-in one; may be repeated, later ones override. Replaces all other camera
+    /// options.
     #[arg(long, value_name = "FILE|NAME", conflicts_with_all = OF_NO_SETUP)]
     config: Vec<PathBuf>,
     /// Set one key of the setup.
@@ -35,45 +36,45 @@ pub(super) struct CameraChoice {
     /// The left camera: bus:PLACE, serial:NUMBER (as `pb3dp cameras list` shows them) or /dev/videoN.
     #[arg(long, value_name = "NAME", requires = "right")]
     left: Option<CameraName>,
-    /// The right camera.
+    /// The right camera, in the same form.
     #[arg(long, value_name = "NAME", requires = "left")]
     right: Option<CameraName>,
-    /// Calibration of both, in any format that `pb3dp estimate` reads.
+    /// Calibration of both cameras, in any format that `pb3dp estimate` reads.
     #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',', requires = "left")]
     calib: Vec<PathBuf>,
-    /// Layout of the pixels: YUYV, MJPG, GREY, RGB3, BGR3, RGGB, GRBG, GBRG or BA81.
+    /// Pixel format: YUYV, MJPG, GREY, RGB3, BGR3, RGGB, GRBG, GBRG or BA81.
     #[arg(long, value_name = "FOURCC", default_value = "YUYV", requires = "left")]
     format: PixelFormat,
-    /// Size of the images; without it that of the calibration, or 640x480.
+    /// Image size; default: that of the calibration, or 640x480.
     #[arg(long, value_name = "WxH", value_parser = size, requires = "left")]
     size: Option<ImageSize>,
     /// Images per second.
     #[arg(long, value_name = "HZ", value_parser = number("images per second", 0.1..=1000.0), default_value = "30", requires = "left", allow_negative_numbers = true)]
     rate: f64,
-    /// Time of exposure, ms; without it as it is set in the cameras.
+    /// Exposure time, ms; default: unchanged.
     #[arg(long, value_name = "MS", value_parser = millis(0.05..=1000.0), requires = "left", allow_negative_numbers = true)]
     exposure: Option<f64>,
-    /// Refuse pairs whose exposures are further apart, ms.
+    /// Largest time between the two exposures of a pair, ms; other pairs are refused.
     #[arg(long, value_name = "MS", value_parser = millis(0.01..=1000.0), default_value = "5", requires = "left", allow_negative_numbers = true)]
     skew_max: f64,
 }
 
-/// What was chosen.
+/// The selected cameras.
 #[derive(Clone, Debug)]
 pub(super) struct Chosen {
     pub(super) config: StereoConfig,
     /// The calibration, if there is one.
     pub(super) rig: Option<StereoRig>,
-    /// What a setup says of the target.
+    /// Target settings of the setup.
     pub(super) target: ChosenTarget,
 }
 
-/// What a setup says of the target; nothing where there is no setup.
+/// Target settings of a setup; empty without a setup.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ChosenTarget {
-    /// In the first left image.
+    /// Region in the first left image.
     pub(super) region: Option<RegionSpec>,
-    /// Where it is searched.
+    /// Search range.
     pub(super) range: Option<SearchRange>,
 }
 
@@ -83,7 +84,7 @@ impl CameraChoice {
         (!setup.configs.is_empty()).then_some(setup)
     }
 
-    /// The cameras with all that is asked of them, and their calibration.
+    /// The cameras with all settings, and their calibration.
     ///
     /// # Errors
     /// If no cameras are named, or a file cannot be used.
@@ -135,7 +136,7 @@ impl CameraChoice {
     }
 }
 
-/// A calibration of another size than the images have is refused.
+/// Refuses a calibration for images of another size.
 ///
 /// # Errors
 /// See above.
@@ -154,10 +155,10 @@ pub(super) fn check_size(rig: &StereoRig, images: ImageSize) -> Result<()> {
 }
 
 impl CameraChoice {
-    /// The cameras without their calibration, which who only looks does not need.
+    /// The cameras without their calibration, for a command that only shows images.
     ///
     /// # Errors
-    /// As [`Self::chosen`], but for the calibration of a setup.
+    /// As [`Self::chosen`], except for the calibration of a setup.
     pub(super) fn cameras(&self) -> Result<StereoConfig> {
         match self.setup() {
             Some(setup) => Ok(read_cameras(&setup)?.0.stereo),

@@ -66,7 +66,7 @@ pub(super) fn system(change: impl Fn(usize, &mut EmulatedCamera)) -> (Arc<Emulat
     (Arc::new(EmulatedSystem::new(clock.clone(), cameras.collect())), clock)
 }
 
-/// Arguments of a command as a user types them, after the names and the exposure of these cameras.
+/// Command-line arguments with the names and the exposure of these cameras.
 pub(super) fn typed<A: clap::Args>(more: &[&str]) -> A {
     #[derive(Parser)]
     struct Line<A: clap::Args> {

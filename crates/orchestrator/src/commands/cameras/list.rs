@@ -1,4 +1,4 @@
-//! `pb3dp cameras list`: which cameras there are, and what they can do.
+//! `pb3dp cameras list`: connected cameras and their capabilities.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -14,7 +14,7 @@ use pb3dp_camera_v4l2::video::{ControlKind, IntervalEntry, SizeEntry, VideoSyste
 use pb3dp_cell::terminal::print_line;
 use serde::Serialize;
 
-/// What the exit code and `--json` say.
+/// Meaning of exit code and `--json`.
 const LIST_JSON: &str =
     "Exit code: 0 if each device can be used, 1 if there is none, or one cannot be asked (its `problem` says why).
 Lines of --json (one per device):
@@ -41,7 +41,7 @@ pub(super) struct ListArgs {
 /// Runs the command.
 ///
 /// # Errors
-/// If there is no camera, the system cannot be asked, or standard output is not to be written.
+/// If there is no camera, the system cannot be queried, or standard output cannot be written.
 pub(super) fn run(system: &dyn VideoSystem, args: &ListArgs) -> Result<ExitCode> {
     let devices = devices(system)?;
     if devices.is_empty() {
@@ -62,7 +62,7 @@ pub(super) fn run(system: &dyn VideoSystem, args: &ListArgs) -> Result<ExitCode>
     Ok(if is_whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// One device, as `--json` has it.
+/// One device in the form of `--json`.
 #[derive(Debug, Serialize)]
 struct Device {
     device: String,
@@ -110,7 +110,7 @@ pub(super) struct MenuLine {
     text: String,
 }
 
-/// All devices that take images, or could not be asked, sorted by path.
+/// All devices that capture images or cannot be queried, sorted by path.
 fn devices(system: &dyn VideoSystem) -> Result<Vec<Device>> {
     let listing = names::list(system).context("the cameras of this computer cannot be listed")?;
     let mut devices: Vec<(_, Device)> = Vec::new();
@@ -120,7 +120,7 @@ fn devices(system: &dyn VideoSystem) -> Result<Vec<Device>> {
     for (path, error) in listing.refused {
         devices.push((path.clone(), Device::refused(&path, &anyhow::Error::new(error))));
     }
-    // As the system sorts them: video2 before video10.
+    // Natural order: video2 before video10.
     let order = |path: &Path| {
         let name = path.display().to_string();
         (name.len(), name)
@@ -129,7 +129,7 @@ fn devices(system: &dyn VideoSystem) -> Result<Vec<Device>> {
     Ok(devices.into_iter().map(|(_, device)| device).collect())
 }
 
-/// A device with all that it says of itself; one that does not answer (any more) has a problem.
+/// A device with its properties; one that does not answer has a problem.
 fn asked(system: &dyn VideoSystem, found: &CaptureDevice) -> Device {
     let device = found.entry.path.display().to_string();
     let known = Device {
@@ -175,7 +175,7 @@ impl Device {
         Self { problem: Some(format!("{error:#}")), ..Self::named(&path.display().to_string()) }
     }
 
-    /// For people.
+    /// As text.
     fn text(&self) -> String {
         let mut text = self.device.clone();
         if let (Some(card), Some(driver)) = (&self.card, &self.driver) {

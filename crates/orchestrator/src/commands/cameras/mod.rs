@@ -1,4 +1,4 @@
-//! `pb3dp cameras`: the cameras of a rig, before anything moves by what they see (docs/rig.md).
+//! `pb3dp cameras`: checks of the cameras of a rig before anything moves (docs/rig.md).
 
 mod check;
 mod choice;
@@ -26,20 +26,20 @@ pub struct CamerasArgs {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Show which cameras there are: their names, formats, sizes, rates and controls.
+    /// List the cameras of this computer: names, formats, sizes, rates and controls.
     List(list::ListArgs),
-    /// Show both images, rate, skew, losses and controls live on a page of this computer; the controls can be changed there.
+    /// Show both images, rate, skew, losses and controls on a live web page of this computer, where the controls can be changed.
     View(Box<view::ViewArgs>),
-    /// Record pairs as a sequence folder at the full rate of the cameras, for `pb3dp track`.
+    /// Record pairs as a sequence folder for `pb3dp track`, at the full rate of the cameras.
     Record(Box<record::RecordArgs>),
-    /// Measure rate, jitter, skew, losses, exposure, sharpness and rows, each against a limit.
+    /// Measure rate, jitter, skew, losses, exposure, sharpness and vertical alignment, each against a limit.
     Check(Box<check::CheckArgs>),
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// If there is no camera, or standard output is not to be written.
+/// If there is no camera, or standard output cannot be written.
 pub fn run(args: &CamerasArgs) -> Result<ExitCode> {
     match &args.what {
         What::List(args) => list::run(&Linux, args),
@@ -49,7 +49,7 @@ pub fn run(args: &CamerasArgs) -> Result<ExitCode> {
     }
 }
 
-/// Whether a signal has come that asks to end; says what follows.
+/// Whether a signal requests the end; logs what follows.
 fn stop_requested(signals: &mut StopSignals, follows: &str) -> bool {
     match signals.try_take() {
         Ok(Some(signal)) => {

@@ -1,4 +1,4 @@
-//! Who this user is, and what he may open.
+//! User, groups and permissions.
 
 use super::finding::Finding;
 use super::system::{Node, System};
@@ -15,7 +15,7 @@ pub(super) struct Identity {
 }
 
 impl Identity {
-    /// From `/proc/self/status`; none if that is not to be read.
+    /// From `/proc/self/status`; `None` if it is unreadable.
     pub(super) fn of(system: &dyn System) -> Option<Self> {
         let text = system.text("/proc/self/status")?;
         let line = |key: &str| text.lines().find_map(|line| line.strip_prefix(key)).map(str::trim);
@@ -39,7 +39,7 @@ impl Identity {
         self.capabilities >> CAP_NET_RAW & 1 == 1
     }
 
-    /// Whether a file is to be read and written.
+    /// Whether a file is readable and writable.
     pub(super) fn may_use(&self, node: &Node) -> bool {
         const READ_AND_WRITE: u32 = 0o6;
         let shift = if node.uid == self.uid {
@@ -63,7 +63,7 @@ pub(super) fn groups(system: &dyn System) -> Vec<(String, u32)> {
     text.lines().filter_map(parse).collect()
 }
 
-/// Why a device is not to be used, and what to do; none if it is.
+/// Why a device is not accessible, and the remedy; `None` if it is accessible.
 pub(super) fn denied(system: &dyn System, who: &Identity, path: &str, node: &Node) -> Option<(String, String)> {
     if who.may_use(node) {
         return None;
@@ -83,7 +83,7 @@ pub(super) fn denied(system: &dyn System, who: &Identity, path: &str, node: &Nod
     Some((found, advice))
 }
 
-/// Whether the groups of the deployment files are there, and this user is in them.
+/// Whether the groups of the deployment files exist, and this user belongs to them.
 pub(super) fn check(system: &dyn System, wanted: &[&str]) -> Vec<Finding> {
     const CHECK: &str = "groups";
     let Some(who) = Identity::of(system) else {

@@ -1,4 +1,4 @@
-//! Cameras, and how they hang on the computer.
+//! Cameras and their connection to the computer.
 
 use super::access::{Identity, denied};
 use super::finding::{Finding, Verdict};
@@ -6,23 +6,23 @@ use super::needs::{Cameras, Needs};
 use super::system::System;
 use pb3dp_camera_settings::CameraName;
 
-/// Mbit/s of USB 2: what a camera has that reports this, or less.
+/// Mbit/s of USB 2: the speed of a camera that is connected with it.
 const USB2_MBIT_PER_S: f64 = 480.0;
 
-/// A camera, as the kernel lists it.
+/// A camera in the list of the kernel.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct ConnectedCamera {
     /// `/dev/video0`.
     path: String,
     name: String,
-    /// None if it is not at a USB bus.
+    /// `None` if it is not a USB device.
     usb: Option<UsbPlace>,
     /// Serial number of its USB device.
     serial: Option<String>,
 }
 
 impl ConnectedCamera {
-    /// Whether it is the one of that name.
+    /// Whether the camera has this name.
     fn has(&self, name: &CameraName) -> bool {
         match name {
             CameraName::Path(path) => path.as_os_str() == self.path.as_str(),
@@ -31,7 +31,7 @@ impl ConnectedCamera {
         }
     }
 
-    /// Its place as its driver tells it (`usb_make_path` of the kernel): `usb-0000:00:14.0-2.3`.
+    /// Its port as reported by the driver (`usb_make_path` of the kernel): `usb-0000:00:14.0-2.3`.
     fn bus(&self) -> Option<String> {
         let usb = self.usb.as_ref()?;
         let (_, sockets) = usb.port.split_once('-')?;
@@ -39,20 +39,20 @@ impl ConnectedCamera {
     }
 }
 
-/// Where at the USB a device is.
+/// USB location of a device.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct UsbPlace {
     /// The controller: `0000:00:14.0`.
     controller: String,
     /// The bus: `usb1`. A controller of USB 3 has two.
     bus: String,
-    /// Its sockets from the computer on: `1-2.3`.
+    /// Ports from the computer to the device: `1-2.3`.
     port: String,
     /// `480`, Mbit/s.
     speed: Option<String>,
 }
 
-/// All checks of this room.
+/// All checks of cameras.
 pub(super) fn check(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     const CHECK: &str = "cameras";
     if needs.cameras == Cameras::NotNeeded {
@@ -117,7 +117,7 @@ fn named(system: &dyn System, who: &Identity, cameras: &[ConnectedCamera], names
     findings
 }
 
-/// Whether the setup names a calibration of its cameras, according to the file itself.
+/// Whether the setup names a real calibration of its cameras, according to the file.
 fn calibration(needs: &Needs) -> Finding {
     const CHECK: &str = "calibration";
     match &needs.nominal_calibration {
@@ -130,12 +130,12 @@ fn calibration(needs: &Needs) -> Finding {
     }
 }
 
-/// Whether only the driver knows who has this name.
+/// Whether only the driver can resolve this name.
 fn is_of_driver(name: &CameraName) -> bool {
     matches!(name, CameraName::Bus { bus, .. } if !bus.starts_with("usb-"))
 }
 
-/// The nodes that give images: the first of each camera.
+/// The image nodes: the first one of each camera.
 fn found(system: &dyn System) -> Vec<ConnectedCamera> {
     let folder = "/sys/class/video4linux";
     let names = system.names(folder).into_iter().filter(|name| name.starts_with("video"));
@@ -152,7 +152,7 @@ fn found(system: &dyn System) -> Vec<ConnectedCamera> {
     names.filter(is_first).map(camera).collect()
 }
 
-/// Place and serial number, from `/sys/devices/pci0000:00/0000:00:14.0/usb1/1-2/1-2.3/1-2.3:1.0`.
+/// Port and serial number, from `/sys/devices/pci0000:00/0000:00:14.0/usb1/1-2/1-2.3/1-2.3:1.0`.
 fn usb_place(system: &dyn System, device: &str) -> Option<(UsbPlace, Option<String>)> {
     let target = system.target(device)?;
     let parts: Vec<&str> = target.split('/').collect();
@@ -186,7 +186,7 @@ fn usable(system: &dyn System, who: &Identity, camera: &ConnectedCamera) -> Find
     }
 }
 
-/// Two cameras that share what one of them fills.
+/// Two cameras that share a bus which one of them fills.
 fn topology(cameras: &[ConnectedCamera]) -> Vec<Finding> {
     const CHECK: &str = "USB topology";
     let at_usb: Vec<(&ConnectedCamera, &UsbPlace)> =

@@ -1,10 +1,10 @@
-//! Whether there is room for recordings.
+//! Disk space for recordings.
 
 use super::finding::Finding;
 use super::needs::Needs;
 use super::system::System;
 
-/// Less than this many minutes of recording do not serve; less than the second number is little.
+/// Minutes of recording: fewer than the first number fail, fewer than the second one cause a warning.
 const MINUTES_MIN: [f64; 2] = [1.0, 10.0];
 
 pub(super) fn check(system: &dyn System, needs: &Needs) -> Finding {

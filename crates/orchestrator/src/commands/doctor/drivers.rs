@@ -9,7 +9,7 @@ use super::system::System;
 const ARPHRD_ARCNET: &str = "7";
 const IFF_UP: u32 = 1;
 
-/// Modules that are needed, or could be.
+/// Required and optional modules.
 pub(super) fn modules(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     const CHECK: &str = "kernel modules";
     let mut wanted = Vec::new();
@@ -39,7 +39,7 @@ pub(super) fn modules(system: &dyn System, needs: &Needs) -> Vec<Finding> {
         .collect()
 }
 
-/// How a module is there: loaded, part of the kernel, or to be loaded.
+/// State of a module: loaded, built into the kernel, or loadable.
 fn module(system: &dyn System, name: &str) -> Option<&'static str> {
     if system.node(&format!("/sys/module/{name}")).is_some() {
         return Some("is loaded");
@@ -62,7 +62,7 @@ fn module(system: &dyn System, name: &str) -> Option<&'static str> {
     }
 }
 
-/// The ARCNET interfaces that are named, or there.
+/// The ARCNET interfaces that are named or exist.
 pub(super) fn arcnet(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     const CHECK: &str = "ARCNET";
     let folder = "/sys/class/net";

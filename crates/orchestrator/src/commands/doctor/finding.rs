@@ -1,18 +1,18 @@
-//! What a check has found, and what to do.
+//! Result of a check, with its remedy.
 
 use std::fmt::Write as _;
 
 use serde::Serialize;
 
-/// How bad it is.
+/// Severity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Verdict {
-    /// As it should be.
+    /// Passed.
     Pass,
-    /// It works, but not well, or not always.
+    /// Works, but not well or not always.
     Warning,
-    /// It does not work.
+    /// Does not work.
     Fail,
 }
 
@@ -25,7 +25,7 @@ impl Verdict {
         }
     }
 
-    /// Of the program.
+    /// Name in the output.
     pub(super) fn exit_code(self) -> u8 {
         match self {
             Self::Pass => 0,
@@ -38,12 +38,12 @@ impl Verdict {
 /// One finding.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Finding {
-    /// What was looked at.
+    /// Checked item.
     pub(super) check: &'static str,
     pub(super) verdict: Verdict,
-    /// What was found.
+    /// Result.
     pub(super) found: String,
-    /// What to do, unless it passes.
+    /// Remedy, unless the check passes.
     pub(super) advice: Option<String>,
 }
 
@@ -60,7 +60,7 @@ impl Finding {
         Self { check, verdict: Verdict::Fail, found: found.into(), advice: Some(advice.into()) }
     }
 
-    /// A warning, or a failure where a setup needs it.
+    /// A warning, or a failure if a setup needs the item.
     pub(super) fn missing(
         is_needed: bool,
         check: &'static str,
@@ -84,7 +84,7 @@ impl Report {
         Self { worst, findings }
     }
 
-    /// For people.
+    /// As text.
     pub(super) fn text(&self) -> String {
         let mut text = String::new();
         for Finding { check, verdict, found, advice } in &self.findings {

@@ -1,4 +1,4 @@
-//! `pb3dp doctor`: whether this machine can do what a rig asks of it, and what to do where it cannot (docs/rig.md).
+//! `pb3dp doctor`: checks whether this computer meets the needs of a rig, with the remedies (docs/rig.md).
 
 mod access;
 mod cameras;
@@ -26,7 +26,7 @@ use pb3dp_cell::terminal::print_line;
 
 use self::system::{Machine, System};
 
-/// What the exit code and `--json` say.
+/// Meaning of exit code and `--json`.
 const EXIT_CODES: &str = "Exit code: 0 if everything passes, 1 if there are warnings, 2 if something fails.
 Object of --json:
   worst     pass, warning or fail
@@ -36,13 +36,14 @@ Object of --json:
 #[derive(Debug, Args)]
 #[command(after_long_help = EXIT_CODES)]
 pub struct DoctorArgs {
-    /// What this setup or gateway needs: a file or a built-in setup, of several later ones win; without it what a rig may need.
+    /// Check the needs of this setup or gateway: a file or a built-in setup; may be repeated, later ones override. Default: the
+    /// needs of any rig.
     #[arg(long, value_name = "FILE|NAME")]
     config: Vec<PathBuf>,
     /// Set one key of the setup.
     #[arg(long, value_name = "KEY=VALUE", requires = "config")]
     set: Vec<String>,
-    /// Where recordings are to go.
+    /// Folder for recordings.
     #[arg(long, value_name = "DIR", default_value = "out")]
     recordings: PathBuf,
     /// One JSON object on standard output instead of text.
@@ -53,7 +54,7 @@ pub struct DoctorArgs {
 /// Runs the command.
 ///
 /// # Errors
-/// If standard output is not to be written.
+/// If standard output cannot be written.
 pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
     let needs = match args.config.as_slice() {
         [] => Ok(Needs::general(args.recordings.clone())),
@@ -74,7 +75,7 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
     Ok(ExitCode::from(report.worst.exit_code()))
 }
 
-/// Everything that is looked at, in the order of the output.
+/// All checks, in the order of the output.
 fn findings(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     let mut findings = realtime::check(system, needs);
     findings.extend(access::check(system, &needs.groups()));

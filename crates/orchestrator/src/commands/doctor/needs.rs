@@ -1,4 +1,4 @@
-//! What a machine has to have: in general, or for one configuration.
+//! Needs of a rig: in general, or of one configuration.
 
 use std::path::{Path, PathBuf};
 
@@ -10,35 +10,35 @@ use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::load::{ConfigError, FileKind, kind_of};
 use pb3dp_setup::setup::{ArmLink, GatewayWay, Pace, Setup, read_layers};
 
-/// What is needed.
+/// Needs.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Needs {
-    /// What for, as a sentence's end.
+    /// Purpose, as the end of a sentence.
     pub(super) source: String,
-    /// Highest priority of SCHED_FIFO that is asked for.
+    /// Highest requested SCHED_FIFO priority.
     pub(super) priority: u8,
-    /// Whether it does not work without.
+    /// Whether real-time scheduling is required.
     pub(super) needs_realtime: bool,
-    /// Serial ports by name; none if nothing says which, then all that are there are looked at.
+    /// Serial ports by name; `None`: all existing ports are checked.
     pub(super) serial: Option<Vec<String>>,
     /// ARCNET interfaces.
     pub(super) arcnet: Vec<String>,
-    /// Whether cameras of this machine are needed.
+    /// Needed cameras of this computer.
     pub(super) cameras: Cameras,
-    /// What their calibration says of itself if no cameras were measured for it.
+    /// Statement of the calibration, if no cameras were measured for it.
     pub(super) nominal_calibration: Option<String>,
-    /// Where recordings go; none if none are made.
+    /// Folder for recordings; `None` without recordings.
     pub(super) recordings: Option<PathBuf>,
-    /// What a recording writes at most, bytes per second.
+    /// Maximum data rate of a recording, bytes per second.
     pub(super) recording_bytes_per_s: f64,
 }
 
-/// Cameras of the machine.
+/// Cameras of this computer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Cameras {
-    /// None: they are simulated, or it is the computer of a gateway.
+    /// None: they are simulated, or this is the computer of a gateway.
     NotNeeded,
-    /// Nothing says whether; those that are there are looked at.
+    /// Unknown; all existing cameras are checked.
     Perhaps,
     /// These, left and right.
     These([CameraName; 2]),
@@ -48,7 +48,7 @@ pub(super) enum Cameras {
 const DEFAULT_BYTES_PER_S: f64 = 2.0 * 640.0 * 480.0 * 3.0 * 30.0;
 
 impl Needs {
-    /// Of a rig that nothing is known of.
+    /// Needs of an unknown rig.
     pub(super) fn general(recordings: PathBuf) -> Self {
         Self {
             source: "a rig (nothing is needed for sure without --config)".to_owned(),
@@ -63,10 +63,10 @@ impl Needs {
         }
     }
 
-    /// Of a configuration file: a setup, or a gateway.
+    /// Needs of a configuration file: a setup or a gateway.
     ///
     /// # Errors
-    /// As the configuration's own.
+    /// As for the configuration.
     pub(super) fn of_config(config: &SetupArgs, recordings: PathBuf) -> Result<Self, ConfigError> {
         let file = config.name();
         if file.is_file() && kind_of(file)? == Some(FileKind::Gateway) {
@@ -76,10 +76,10 @@ impl Needs {
         Ok(Self::of_setup(config, &setup, recordings))
     }
 
-    /// Groups of the deployment files that a user of this needs.
+    /// Groups of the deployment files that a user needs.
     pub(super) fn groups(&self) -> Vec<&'static str> {
         let is_wanted = |serial: &Vec<String>| !serial.is_empty();
-        // Nothing says what is needed where nothing says which ports.
+        // Without named ports no group is required.
         let perhaps = self.needs_realtime || self.serial.is_none();
         let mut groups: Vec<_> = perhaps.then_some("realtime").into_iter().collect();
         groups.extend((self.cameras != Cameras::NotNeeded).then_some("video"));

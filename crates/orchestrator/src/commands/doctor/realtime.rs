@@ -1,20 +1,20 @@
-//! Whether threads of this user keep their time on this machine.
+//! Real-time capabilities of this computer and user.
 
 use super::finding::Finding;
 use super::needs::Needs;
 use super::system::System;
 
-/// Clocks that a processor reads by itself.
+/// Clocks that a processor reads without a device access.
 const QUICK_CLOCKS: [&str; 4] = ["tsc", "arch_sys_counter", "kvm-clock", "riscv_clocksource"];
 
-/// Share of a second that threads of SCHED_FIFO may take at least, of the limit that the kernel has.
+/// Least share of a second that the kernel must leave to SCHED_FIFO threads.
 const SHARE_MIN: f64 = 0.9;
 
-/// How a user comes to both rights.
+/// How to get both permissions.
 const RIGHTS: &str =
     "install configs/deploy/90-pb3dp.conf in /etc/security/limits.d, then: usermod -aG realtime USER, and log in again";
 
-/// All checks of this room.
+/// All real-time checks.
 pub(super) fn check(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     vec![scheduling(system, needs), memory(system, needs), throttling(system, needs), clock(system), governor(system)]
 }

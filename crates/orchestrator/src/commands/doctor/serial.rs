@@ -7,13 +7,13 @@ use super::system::System;
 
 const CHECK: &str = "serial ports";
 
-/// Longest time for which an adapter may keep bytes back, ms.
+/// Longest acceptable latency timer of an adapter, ms.
 const TIMER_MAX_MS: u32 = 1;
 
-/// Names that the next connected device gets.
+/// Names that depend on the order of connection.
 const NUMBERED: [&str; 2] = ["/dev/ttyUSB", "/dev/ttyACM"];
 
-/// All checks of this room.
+/// All checks of serial ports.
 pub(super) fn check(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     let Some(who) = Identity::of(system) else { return Vec::new() };
     match &needs.serial {
@@ -66,7 +66,7 @@ fn port_findings(system: &dyn System, who: &Identity, port: &str, is_named: bool
     findings
 }
 
-/// How long an adapter keeps bytes back, if it has a timer.
+/// Latency timer of an adapter, if it has one.
 fn latency(system: &dyn System, port: &str) -> Option<Finding> {
     const CHECK: &str = "serial latency";
     let target = system.target(port)?;

@@ -1,4 +1,4 @@
-//! What a machine is asked by the checks: files below a root folder, and what has to be tried.
+//! Interface to the computer under test: files below a root folder, and trial operations.
 
 use std::fs;
 use std::os::unix::fs::{FileTypeExt, MetadataExt};
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use pb3dp_hal_platform::realtime::{Realtime, enter};
 use rustix::fs::{Access, access, statvfs};
 
-/// Rights and owner of a file, and whether it is a device.
+/// Permissions and owner of a file, and whether it is a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Node {
     /// The nine lowest bits: rwx of owner, group, others.
@@ -17,21 +17,21 @@ pub(super) struct Node {
     pub(super) is_device: bool,
 }
 
-/// A machine. Paths are absolute, as the machine has them.
+/// The computer. Paths are absolute on that computer.
 pub(super) trait System {
-    /// The text of a file without white space at its ends; none if it is not to be read.
+    /// Trimmed text of a file; `None` if it is unreadable.
     fn text(&self, path: &str) -> Option<String>;
-    /// Names in a folder, sorted; none of a folder that is not there.
+    /// Sorted names in a folder; empty if the folder does not exist.
     fn names(&self, folder: &str) -> Vec<String>;
-    /// Where a path leads once all links are followed; none if nothing is there.
+    /// Target of a path after all links; `None` if nothing exists there.
     fn target(&self, path: &str) -> Option<String>;
-    /// What stands at a path, links followed.
+    /// Metadata of a path, links followed.
     fn node(&self, path: &str) -> Option<Node>;
-    /// Runs a thread with SCHED_FIFO for a moment; what the system says against it, and what to do.
+    /// Runs a thread with SCHED_FIFO for a moment; returns the error of the system and the remedy.
     fn try_fifo(&self, priority: u8) -> Result<(), String>;
-    /// Keeps the memory of this program for a moment.
+    /// Locks the memory of this program for a moment.
     fn try_memory_lock(&self) -> Result<(), String>;
-    /// Bytes that this user may still write below a path, or below its nearest folder that is there.
+    /// Bytes that this user may still write below a path, or below its nearest existing folder.
     fn free_bytes(&self, path: &Path) -> Result<u64, String>;
 }
 
@@ -42,7 +42,7 @@ pub(super) struct Tree {
 }
 
 impl Tree {
-    /// Of a folder that stands for `/`.
+    /// For a folder that represents `/`.
     pub(super) fn new(root: &Path) -> Self {
         Self { root: root.canonicalize().unwrap_or_else(|_| root.to_path_buf()) }
     }
@@ -78,7 +78,7 @@ impl Tree {
     }
 }
 
-/// The machine that this program runs on.
+/// The computer that this program runs on.
 #[derive(Clone, Debug)]
 pub(super) struct Machine {
     tree: Tree,
@@ -121,30 +121,30 @@ impl System for Machine {
     }
 }
 
-/// The nearest folder of a path that is there.
+/// The nearest existing folder of a path.
 fn nearest(path: &Path) -> Result<PathBuf, String> {
     let whole = std::path::absolute(path).map_err(|error| error.to_string())?;
     Ok(whole.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new("/")).to_path_buf())
 }
 
-/// Whether this user may make files and folders below a path, or below its nearest folder that is there.
+/// Whether this user may create files and folders below a path, or below its nearest existing folder.
 fn may_write(path: &Path) -> Result<(), String> {
     let there = nearest(path)?;
     access(&there, Access::WRITE_OK | Access::EXEC_OK)
         .map_err(|error| format!("{}: this user may not write there: {error}", there.display()))
 }
 
-/// Bytes that this user may still write below a path, or below its nearest folder that is there.
+/// Bytes that this user may still write below a path, or below its nearest existing folder.
 ///
 /// # Errors
-/// What the system says against it.
+/// The error of the system.
 pub(in crate::commands) fn free_bytes(path: &Path) -> Result<u64, String> {
     let there = nearest(path)?;
     let found = statvfs(&there).map_err(|error| format!("{}: {error}", there.display()))?;
     Ok(found.f_bavail.saturating_mul(found.f_frsize))
 }
 
-/// Asks for it as the threads of an arm do, in a thread that ends at once.
+/// Requests it as the threads of an arm do, in a thread that ends at once.
 fn tried(wanted: Realtime) -> Result<(), String> {
     let thread = std::thread::Builder::new().name("doctor".to_owned()).spawn(move || enter(&wanted));
     let thread = thread.map_err(|error| error.to_string())?;
@@ -160,7 +160,7 @@ mod tests {
     fn a_folder_that_can_not_be_written_is_told_also_before_it_is_there() {
         let folder = tempfile::tempdir().unwrap();
         assert_eq!(may_write(&folder.path().join("recordings/of today")), Ok(()));
-        // A file is no folder, for any user.
+        // A file is not a folder, for any user.
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();
         let why = may_write(&file.join("recordings")).unwrap_err();

@@ -1,4 +1,4 @@
-//! What `pb3dp estimate` works on: cases of a dataset, or one stereo pair.
+//! Jobs of `pb3dp estimate`: cases of a dataset, or one stereo pair.
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +15,7 @@ use pb3dp_setup::region_spec::load_region;
 
 use crate::arguments::{EstimateArgs, MethodArgs};
 
-/// Everything that an estimate needs, in memory.
+/// Input of an estimate, in memory.
 pub struct Job {
     /// Name of the case, or of the left image.
     pub name: String,
@@ -25,28 +25,28 @@ pub struct Job {
     pub right: RgbImage,
     /// Calibration.
     pub rig: StereoRig,
-    /// The files that it was read from.
+    /// The files of the calibration.
     pub calibration_files: Vec<PathBuf>,
-    /// What the user should know about the calibration.
+    /// Warnings about the calibration.
     pub notes: Vec<String>,
     /// The object.
     pub region: Region,
-    /// Where depth is reported; the region's centroid if it is not said.
+    /// Image point at which the depth is reported; default: the region's centroid.
     pub centroid_px: Option<[f64; 2]>,
-    /// Where to search.
+    /// Search range.
     pub range: SearchRange,
-    /// The case with its truth, if this is one.
+    /// The case with its truth, if the job is a case.
     pub case: Option<Case>,
 }
 
-/// Tilts searched if nobody says anything, degrees.
+/// Default tilt range, degrees.
 const TILT_MAX_DEFAULT_DEG: f64 = 60.0;
 
 impl Job {
     /// Loads a case folder.
     ///
     /// # Errors
-    /// A file that is missing or damaged, or values that do not fit; by name.
+    /// A missing or damaged file, or inconsistent values; by name.
     pub fn from_case(folder: &Path, method: &MethodArgs) -> Result<Self> {
         let case = load_case(folder)?;
         let calibration = case.load_calibration()?;
@@ -67,10 +67,10 @@ impl Job {
         })
     }
 
-    /// Loads the pair that the command line names.
+    /// Loads the pair of the command line.
     ///
     /// # Errors
-    /// A file that is missing or damaged, or values that do not fit; by name.
+    /// A missing or damaged file, or inconsistent values; by name.
     pub fn from_files(args: &EstimateArgs) -> Result<Self> {
         let (Some(left_file), Some(right_file), Some(region)) = (&args.left, &args.right, &args.region) else {
             bail!("one pair needs --left, --right, --calib and --region");
@@ -96,12 +96,12 @@ impl Job {
     }
 }
 
-/// Name of a pair of image files: the left one's, without its ending.
+/// Name of a pair of image files: the left file name without its extension.
 pub fn pair_name(left_file: &Path) -> String {
     left_file.file_stem().map_or_else(|| "pair".into(), |stem| stem.to_string_lossy().into_owned())
 }
 
-/// Refuses an image that the calibration was not made for.
+/// Refuses an image of another size than the calibration.
 fn check_sizes(rig: &StereoRig, left: &RgbImage, file: &Path, source: &str) -> Result<()> {
     let (is, calibrated) = (size_of(left), rig.left().size());
     if is != calibrated {
@@ -133,12 +133,12 @@ fn default_range(rig: &StereoRig, is_used: bool, notes: &mut Vec<String>) -> Sea
     SearchRange { z_min_m, z_max_m, tilt_max_rad: TILT_MAX_DEFAULT_DEG.to_radians() }
 }
 
-/// The search range of a case or sequence, as the estimator takes it.
+/// Search range of a case or sequence, in the units of the estimator.
 pub fn range_of_dataset(range: &dataset::SearchRange) -> SearchRange {
     SearchRange { z_min_m: range.z_min_m, z_max_m: range.z_max_m, tilt_max_rad: range.tilt_max_rad }
 }
 
-/// What the command line says counts more than what a file says.
+/// The command line overrides the file.
 pub fn overridden(given: SearchRange, method: &MethodArgs) -> SearchRange {
     let mut range = given;
     if let Some(z) = method.z_range {

@@ -31,7 +31,7 @@ use super::overlay_folder::{make_overlay_folder, report_overlay_folder};
 use crate::arguments::{EstimateArgs, MethodArgs, UNSURE};
 use crate::progress::Progress;
 
-/// Runs the command. The exit code is a failure if a case could not be worked on; all others are worked on all the same.
+/// Runs the command. It processes all cases; the exit code is a failure if one of them failed.
 ///
 /// # Errors
 /// Bad arguments or configuration, or a folder without cases.
@@ -86,16 +86,16 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     })
 }
 
-/// Where a job comes from.
+/// Source of a job.
 enum Source {
     /// A case folder.
     Case(PathBuf),
-    /// The pair that the command line names, by its left image.
+    /// The pair of the command line, by its left image.
     Files(PathBuf),
 }
 
 impl Source {
-    /// Its name, which is the same whether the images can be used or not.
+    /// Its name, whether the images are usable or not.
     fn name(&self) -> String {
         match self {
             Self::Case(folder) => load_case(folder).map_or_else(
@@ -106,7 +106,7 @@ impl Source {
         }
     }
 
-    /// What messages call it: the folder of a case, or the left image.
+    /// Name in messages: the folder of a case, or the left image.
     fn label(&self) -> String {
         match self {
             Self::Case(folder) => folder.display().to_string(),
@@ -114,7 +114,7 @@ impl Source {
         }
     }
 
-    /// The entry of a refused case in the table of errors: it counts, without an answer.
+    /// Entry of a refused case in the table of errors: counted, without an answer.
     fn refused(&self) -> Option<EvaluatedCase> {
         let Self::Case(folder) = self else { return None };
         let case = load_case(folder).ok().filter(|case| case.truth.is_some())?;
@@ -129,7 +129,7 @@ impl Source {
     }
 }
 
-/// The method's parameters from the defaults, a file and the command line, in this order.
+/// Parameters of the method from the defaults, a file and the command line, in this order.
 ///
 /// # Errors
 /// If the file is refused.
@@ -189,7 +189,7 @@ fn work(
     Ok((line, evaluate(job, &estimate, z_m, millis)?))
 }
 
-/// The best of all chromosomes, apart from the estimate, so that its time is not counted.
+/// The best of all chromosomes; separate from the estimate, so that its time does not count.
 fn reference_optimum(job: &Job, method: Method, config: &EstimatorConfig) -> Result<Option<ReferenceOptimum>> {
     let mut config = config.clone();
     config.published.reference_optimum = true;
@@ -199,7 +199,7 @@ fn reference_optimum(job: &Job, method: Method, config: &EstimatorConfig) -> Res
         .reference_optimum)
 }
 
-/// What a click has taken: the user may have meant more, or less.
+/// Reports the region that a click has selected, which may be larger or smaller than intended.
 fn tell_click(job: &Job, regions: &RegionConfig) {
     if let Region::Click { .. } = job.region
         && let Ok(mask) = job.region.rasterize(&job.left, regions)
@@ -217,7 +217,7 @@ fn tell_click(job: &Job, regions: &RegionConfig) {
     }
 }
 
-/// Status, reason, warnings and a second surface to the log, and how far search and fitness are to blame.
+/// Logs status, reason, warnings, a second surface, and the contributions of search and fitness to the error.
 fn tell(name: &str, estimate: &PlaneEstimate) {
     match estimate.status {
         Status::Ok => tracing::info!("{name}: ok: {}", estimate.reason),
@@ -281,15 +281,15 @@ fn report_errors(evaluated: &[EvaluatedCase]) {
     }
     let text = table::text_table(&metrics::summarize(evaluated));
     let mut stderr = std::io::stderr().lock();
-    // Nobody can be told if standard error is closed.
+    // A closed standard error is ignored.
     let _ =
         std::io::Write::write_all(&mut stderr, format!("\nErrors against the truth of the cases:\n{text}").as_bytes());
 }
 
-/// The images of all cases.
+/// The overlay images of all cases.
 struct Overlays<'a> {
     folder: Option<&'a Path>,
-    /// File names that are taken.
+    /// Used file names.
     taken: HashSet<String>,
 }
 
@@ -301,7 +301,7 @@ impl<'a> Overlays<'a> {
         Ok(Self { folder, taken: HashSet::new() })
     }
 
-    /// Writes the image of a case, if images are wanted.
+    /// Writes the overlay image of a case, if requested.
     fn draw(&mut self, job: &Job, estimate: &PlaneEstimate, line: &EstimateLine, regions: &RegionConfig) -> Result<()> {
         let Some(folder) = self.folder else { return Ok(()) };
         let outline_px = outline(job, estimate, regions);
@@ -325,7 +325,7 @@ impl<'a> Overlays<'a> {
         }
     }
 
-    /// A file name for a case, inside the folder whatever the case is called, and unlike all before.
+    /// A unique file name for a case, inside the folder for any name of the case.
     fn file_name(&mut self, case: &str) -> String {
         let plain = |c: char| if c.is_alphanumeric() || "-_ ".contains(c) { c } else { '_' };
         let stem: String = case.chars().map(plain).collect();

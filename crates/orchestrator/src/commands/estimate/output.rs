@@ -1,4 +1,4 @@
-//! What `pb3dp estimate` prints: a line per case, and the errors by group where the truth is known.
+//! Output of `pb3dp estimate`: a line per case, and errors by group if the truth is known.
 
 use nalgebra::Vector2;
 use pb3dp_estimation_core::estimate::{PlaneEstimate, SecondPlane};
@@ -30,26 +30,26 @@ pub struct EstimateLine {
     pub ms: Option<f64>,
     /// The point of the raw left image on whose ray the depths are given, pixels.
     pub centroid_px: Option<[f64; 2]>,
-    /// The other surface of a region that straddles a depth edge.
+    /// The second surface of a region across a depth edge.
     pub second_plane: Option<SecondPlaneLine>,
-    /// Where the plane meets the ray of `centroid_px`, in `cam_left`, millimetres.
+    /// Intersection of the plane with the ray of `centroid_px`, in `cam_left`, millimetres.
     pub point_mm: Option<[f64; 3]>,
     /// The frame of the model, 16 numbers, row by row, millimetres.
     pub cam_left_from_model: Option<[f64; 16]>,
-    /// Its covariance, 36 numbers, row by row, as in the lines of `pb3dp track`.
+    /// Covariance of this frame, 36 numbers, row by row, as in the lines of `pb3dp track`.
     pub covariance: Option<Vec<f64>>,
     /// Row of the right image minus row of the left one, of the rectified pair, pixels.
     pub row_offset_px: Option<f64>,
-    /// What led to the status.
+    /// Reason for the status.
     pub reason: String,
-    /// What may make the answer worse than it looks.
+    /// Warnings: what may make the answer worse than its status.
     pub warnings: Vec<String>,
 }
 
-/// Another surface in the region.
+/// A second surface in the region.
 #[derive(Clone, Debug, Serialize)]
 pub struct SecondPlaneLine {
-    /// Depth on the ray of the region's centroid, millimetres; `None` if that ray does not meet the plane.
+    /// Depth on the ray of the region's centroid, millimetres; `None` if that ray does not intersect the plane.
     pub z_mm: Option<f64>,
     /// Unit normal in `cam_left`, towards the camera.
     pub normal: [f64; 3],
@@ -69,7 +69,7 @@ impl SecondPlaneLine {
 }
 
 impl EstimateLine {
-    /// A case that could not be worked on, and why.
+    /// A failed case with its reason.
     pub fn of_error(case: &str, method: &'static str, reason: String) -> Self {
         Self {
             case: case.to_owned(),
@@ -125,7 +125,7 @@ impl EstimateLine {
     pub const HEADING: &'static str =
         "case                      status              z mm    +-mm  normal (x, y, z)         +-deg  fitness       ms";
 
-    /// The line of the human table; behind "+-" stand standard deviations.
+    /// A line of the human table; standard deviations follow "+-".
     pub fn human(&self) -> String {
         let number = |value: Option<f64>, decimals: usize| value.map_or("-".into(), |x| format!("{x:.decimals$}"));
         let normal = self.normal.map_or("-".into(), |[x, y, z]| format!("{x:+.3} {y:+.3} {z:+.3}"));

@@ -1,4 +1,4 @@
-//! What is measured once per rig or scene and used for all of its cases.
+//! Measurements that are shared by all cases of a rig or scene.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -10,19 +10,19 @@ use pb3dp_record::plain_zero::plain_zero;
 
 use super::job::Job;
 
-/// What is known of the rigs so far, by their calibration files.
+/// Measured rigs, by their calibration files.
 #[derive(Default)]
 pub struct Rigs {
     rows: HashMap<Vec<PathBuf>, RowMeasurement>,
-    /// An estimator of the same method whose job is done: its memory serves the next.
+    /// A finished estimator of the same method, whose memory is used again.
     idle: Option<Estimator>,
 }
 
 impl Rigs {
-    /// An estimator for a job; the first job of a calibration pays for what is measured once. All jobs of a call have the same parameters.
+    /// An estimator for a job; the first job of a calibration measures the rig. All jobs of a call have the same parameters.
     ///
     /// # Errors
-    /// A parameter out of its range, or images that do not fit.
+    /// A parameter out of range, or images that do not match the calibration.
     pub fn estimator(&mut self, job: &Job, (method, config): (Method, &EstimatorConfig)) -> Result<Estimator> {
         let mut estimator = match self.idle.take().filter(|idle| idle.method() == method) {
             Some(mut idle) => {
@@ -61,13 +61,13 @@ impl Rigs {
         Ok(estimator)
     }
 
-    /// Takes an estimator back whose job is done.
+    /// Returns a finished estimator.
     pub fn give_back(&mut self, estimator: Estimator) {
         self.idle = Some(estimator);
     }
 }
 
-/// The same file by one name.
+/// Canonical path of a file.
 fn canonical(file: impl AsRef<Path>) -> PathBuf {
     let file = file.as_ref();
     file.canonicalize().unwrap_or_else(|_| file.to_path_buf())

@@ -1,4 +1,4 @@
-//! `pb3dp rig`: what a stereo head can give, before it is built (docs/rig.md).
+//! `pb3dp rig`: accuracy of a stereo rig before it is built (docs/rig.md).
 
 pub(super) mod numbers;
 mod report;
@@ -23,59 +23,60 @@ pub struct RigArgs {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// The errors of depth and tilt, the common view, motion blur and cost of skew that a baseline, a focal length and a distance give.
+    /// Errors of depth and tilt, common field of view, motion blur and effect of skew for a baseline, a focal length and a
+    /// distance.
     Plan(PlanArgs),
 }
 
 /// Arguments of `pb3dp rig plan`.
 #[derive(Debug, Args)]
 struct PlanArgs {
-    /// From one camera to the other, mm.
+    /// Baseline, mm.
     #[arg(long, value_name = "MM", value_parser = millimetres(5.0..=2000.0), allow_hyphen_values = true)]
     baseline: f64,
     /// Focal length of both cameras, pixels (see docs/rig.md for that of a lens).
     #[arg(long, value_name = "PX", value_parser = pixels(50.0..=20_000.0), allow_hyphen_values = true)]
     focal: f64,
-    /// From the cameras to the target, mm.
+    /// Distance from the cameras to the target, mm.
     #[arg(long, value_name = "MM", value_parser = distance(), allow_hyphen_values = true)]
     distance: f64,
-    /// The distances of the table, mm.
+    /// Range of distances of the table, mm.
     #[arg(long, value_name = "MIN,MAX", value_parser = span, default_value = "300,800", allow_hyphen_values = true)]
     range: Span,
-    /// Of the images, pixels.
+    /// Image size, pixels.
     #[arg(long, value_name = "WxH", value_parser = size, default_value = "640x480")]
     size: ImageSize,
     /// Side of a flat square target that faces the cameras, mm.
     #[arg(long, value_name = "MM", value_parser = millimetres(2.0..=2000.0), default_value = "100", allow_hyphen_values = true)]
     target: f64,
-    /// Standard deviation of a pixel, grey levels.
+    /// Standard deviation of the noise of a pixel, grey levels.
     #[arg(long, value_name = "GREY", value_parser = grey(0.05..=50.0), default_value = "3", allow_hyphen_values = true)]
     noise: f64,
-    /// How strong the target's texture is: rms of the gradient along rows, all three channels together, grey levels per pixel.
+    /// Texture of the target: rms of the gradient along rows, all three channels together, grey levels per pixel.
     #[arg(long, value_name = "GREY", value_parser = grey(0.1..=200.0), default_value = "8", allow_hyphen_values = true)]
     gradient: f64,
-    /// In place of --noise and --gradient: standard deviation of the disparity of one pixel, px.
+    /// Replaces --noise and --gradient: standard deviation of the disparity of one pixel, px.
     #[arg(long, value_name = "PX", value_parser = pixels(1e-3..=10.0), conflicts_with_all = ["noise", "gradient"], allow_hyphen_values = true)]
     disparity_noise: Option<f64>,
-    /// What calibration leaves, px of disparity: at the target's middle, and as much more at its borders.
+    /// Residual calibration error, px of disparity: at the target's middle, and the same additionally at its borders.
     #[arg(long, value_name = "PX", value_parser = pixels(0.0..=5.0), default_value = "0.1", allow_hyphen_values = true)]
     calibration: f64,
-    /// Of the target before the cameras, along the baseline, mm/s.
+    /// Speed of the target relative to the cameras, along the baseline, mm/s.
     #[arg(long, value_name = "MM/S", value_parser = number("mm/s", 0.0..=10_000.0), default_value = "100", allow_hyphen_values = true)]
     speed: f64,
-    /// For how long light is gathered, ms.
+    /// Exposure time, ms.
     #[arg(long, value_name = "MS", value_parser = millis(0.01..=1000.0), default_value = "5", allow_hyphen_values = true)]
     exposure: f64,
-    /// From the middle of one camera's exposure to that of the other, ms.
+    /// Time between the midpoints of the two exposures, ms.
     #[arg(long, value_name = "MS", value_parser = millis(0.0..=1000.0), default_value = "5", allow_hyphen_values = true)]
     skew: f64,
-    /// From pixel to pixel on the sensor, um: adds the lens to the answer.
+    /// Pixel pitch of the sensor, um: adds the lens to the result.
     #[arg(long, value_name = "UM", value_parser = micrometres(), allow_hyphen_values = true)]
     pixel: Option<f64>,
-    /// Aperture of the lens, as in f/4.
+    /// Aperture of the lens, N of f/N.
     #[arg(long, value_name = "N", value_parser = number("as in f/4", 0.7..=64.0), default_value = "4", requires = "pixel", allow_hyphen_values = true)]
     f_number: f64,
-    /// Where the lens is focused, mm; without it at --distance.
+    /// Focus distance of the lens, mm; default: --distance.
     #[arg(long, value_name = "MM", value_parser = distance(), requires = "pixel", allow_hyphen_values = true)]
     focused_at: Option<f64>,
     /// One JSON object on standard output instead of text.
@@ -86,7 +87,7 @@ struct PlanArgs {
 /// Runs the command.
 ///
 /// # Errors
-/// If standard output is not to be written.
+/// If standard output cannot be written.
 pub fn run(args: &RigArgs) -> Result<ExitCode> {
     let What::Plan(args) = &args.what;
     let plan = args.plan();

@@ -1,4 +1,4 @@
-//! Numbers on the command line of `pb3dp rig`: each with its unit and what is allowed.
+//! Numbers on the command line of `pb3dp rig`, each with its unit and range.
 
 use std::ops::RangeInclusive;
 
@@ -11,7 +11,7 @@ pub(super) struct Span {
     pub(super) max_mm: f64,
 }
 
-/// Distances that can be planned for, mm.
+/// Range of distances, mm.
 const DISTANCE_MM: RangeInclusive<f64> = 50.0..=10_000.0;
 
 /// Sides of an image, pixels.

@@ -1,4 +1,4 @@
-//! What `pb3dp rig plan` prints.
+//! Output of `pb3dp rig plan`.
 
 use std::fmt::Write as _;
 
@@ -9,19 +9,19 @@ use serde::Serialize;
 /// Rows of the table.
 const ROWS: u32 = 6;
 
-/// A target with sides shorter than this gives a depth, but no sure tilt (docs/getting-started.md).
+/// The tilt of a target with shorter sides is uncertain (docs/getting-started.md).
 const TARGET_MIN_PX: f64 = 80.0;
 
-/// More blur than this takes away texture that the estimate lives on.
+/// More blur removes texture that the estimate needs.
 const BLUR_MAX_PX: f64 = 1.0;
 
-/// The answer, in the units of the interface.
+/// The result, in the units of the interface.
 #[derive(Debug, Serialize)]
 pub(super) struct Plan {
     head: Head,
     conditions: Given,
     lens: Option<LensLine>,
-    /// At the distance that was asked for.
+    /// At the requested distance.
     at: Line,
     /// Over the range.
     table: Vec<Line>,
@@ -35,7 +35,7 @@ struct Head {
     width_px: u32,
     height_px: u32,
     view_deg: [f64; 2],
-    /// Nearest distance at which the target is wholly in both images.
+    /// Nearest distance at which the whole target is in both images.
     nearest_in_both_mm: f64,
 }
 
@@ -60,7 +60,7 @@ struct LensLine {
     focused_at_mm: f64,
 }
 
-/// One distance. Errors are standard deviations, null where the target is not wholly in both images.
+/// One distance. Errors are standard deviations, null if a part of the target is not in both images.
 #[derive(Debug, Serialize)]
 struct Line {
     distance_mm: f64,
@@ -108,7 +108,7 @@ impl Line {
         }
     }
 
-    /// As a row of the table.
+    /// A row of the table.
     fn row(&self) -> String {
         let error = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.3}"));
         let mut row = format!(
@@ -132,7 +132,7 @@ impl Line {
 }
 
 impl Plan {
-    /// The plan of a head at a distance, and over a range.
+    /// Plan of a rig at a distance, and over a range.
     pub(super) fn of(
         head: &StereoHead,
         conditions: &Conditions,
@@ -180,7 +180,7 @@ impl Plan {
         plan
     }
 
-    /// What argues against this stereo rig.
+    /// Warnings about this stereo rig.
     fn warned(&self) -> Vec<String> {
         let (at, head, given) = (&self.at, &self.head, &self.conditions);
         let mut warnings = Vec::new();
@@ -214,7 +214,7 @@ impl Plan {
         warnings
     }
 
-    /// For people; the table is Markdown.
+    /// As text; the table is Markdown.
     pub(super) fn text(&self) -> String {
         let mut text = self.text_of_given();
         let at = &self.at;

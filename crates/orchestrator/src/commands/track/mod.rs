@@ -23,15 +23,14 @@ use self::walk::Walk;
 use crate::arguments::{TrackArgs, UNSURE};
 use crate::progress::Progress;
 
-/// A replay does not wait for images, so this only bounds what cannot happen.
+/// A replay does not wait for images: this time-out should never expire.
 const PAIR_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Runs the command. The exit code is a failure if a frame could not be read or the region of one of several targets is
-/// refused; all others are worked on all the same.
+/// Runs the command. It processes all frames and targets; the exit code is a failure if a frame could not be read, or the region of
+/// one of several targets is refused.
 ///
 /// # Errors
-/// Bad arguments or configuration, a sequence that cannot be used at all, exchanged images, or regions that are all
-/// refused.
+/// Bad arguments or configuration, an unusable sequence, exchanged images, or only refused regions.
 pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     let method = args.method.method;
     if args.surface.is_some() && !method.recovers_surface() {
@@ -102,8 +101,8 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     })
 }
 
-/// The table of motion errors and what the method does not observe, on standard error. The truth of a sequence is that of its
-/// own region, the first target.
+/// Logs the table of motion errors, and the components that the method does not observe. The truth of a sequence belongs to its own
+/// region, the first target.
 fn report(sequence: &Sequence, walk: &Walk) {
     let mut text = String::new();
     if let (Some(truth), Some(target)) = (&sequence.cam_left_from_model, walk.targets().first()) {
@@ -118,6 +117,6 @@ fn report(sequence: &Sequence, walk: &Walk) {
         text +=
             "The rotation about the model's normal is not observed by this method: it is held at its first value.\n";
     }
-    // Nobody can be told if standard error is closed.
+    // A closed standard error is ignored.
     let _ = std::io::Write::write_all(&mut std::io::stderr().lock(), text.as_bytes());
 }

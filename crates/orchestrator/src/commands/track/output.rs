@@ -1,4 +1,4 @@
-//! What `pb3dp track` prints: a line per frame and target.
+//! Output of `pb3dp track`: a line per frame and target.
 
 use nalgebra::Matrix6;
 use pb3dp_estimation_core::estimate::TrackEstimate;
@@ -12,9 +12,9 @@ use super::walk::{Outcome, TargetResult};
 /// The result of one frame, in the units of the interface; the order of the fields is that of the JSON line.
 #[derive(Clone, Debug, Serialize)]
 pub struct TrackLine {
-    /// Counts from 0.
+    /// Frame number, from 0.
     pub frame: usize,
-    /// Which target, only if there are several: 0 is that of the sequence, then those of the command line in their order.
+    /// Target number, only for several targets: 0 is that of the sequence, followed by those of the command line.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub target: Option<usize>,
     /// Mid-exposure, seconds.
@@ -26,13 +26,13 @@ pub struct TrackLine {
     /// Covariance of the pose, row-major, of `xi` = translation (mm), then rotation (radians), along the axes of `model`:
     /// true pose = pose exp(xi).
     pub covariance: Option<Vec<f64>>,
-    /// How well the images agree, at most 1; eq. (10) for the published method.
+    /// Agreement of the images, at most 1; eq. (10) for the published method.
     pub fitness: Option<f64>,
     /// CPU time of one thread from images in memory to pose, milliseconds.
     pub ms: Option<f64>,
-    /// What led to the status.
+    /// Reason for the status.
     pub reason: String,
-    /// What may make the pose worse than it looks.
+    /// Warnings: what may make the pose worse than its status.
     pub warnings: Vec<String>,
 }
 
@@ -58,7 +58,7 @@ impl TrackLine {
         found.iter().map(line).collect()
     }
 
-    /// The lines of a frame that could not be read, and why.
+    /// The lines of a frame that could not be read, with the reason.
     pub fn all_of_error(frame: usize, t_s: f64, targets: usize, reason: &str) -> Vec<Self> {
         let number = |index: usize| (targets > 1).then_some(index);
         (0..targets).map(|index| Self { target: number(index), ..Self::of_error(frame, t_s, reason) }).collect()

@@ -1,4 +1,4 @@
-//! Images of every frame with what was found, and one animated image of all.
+//! Overlay images of every frame, and one animated image of all.
 
 use std::path::PathBuf;
 
@@ -14,16 +14,16 @@ use super::super::overlay_folder::{make_overlay_folder, report_overlay_folder};
 use super::walk::{Outcome, TargetResult};
 use crate::arguments::MethodArgs;
 
-/// Images per frame and one animated image of all, if they are wanted.
+/// Overlay images per frame and one animated image, if requested.
 pub struct Overlays {
     wanted: Option<(PathBuf, Animation)>,
 }
 
 impl Overlays {
-    /// Makes the folder.
+    /// Creates the folder.
     ///
     /// # Errors
-    /// If it cannot be made.
+    /// If it cannot be created.
     pub fn open(args: &MethodArgs) -> Result<Self> {
         let Some(folder) = &args.overlay else { return Ok(Self { wanted: None }) };
         make_overlay_folder(folder)?;

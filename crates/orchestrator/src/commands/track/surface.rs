@@ -9,10 +9,10 @@ use pb3dp_record::point_cloud::{SurfacePoint, write_ply};
 
 use super::walk::TrackedTarget;
 
-/// Makes the folder of `file`, and finds out before the work begins whether something can be written there.
+/// Creates the folder of `file`, and checks before the work starts that the file can be written.
 ///
 /// # Errors
-/// If not.
+/// If it cannot.
 pub fn check_writable(file: &Path) -> Result<()> {
     let refused = || format!("--surface {}: cannot be written", file.display());
     if file.is_dir() {
@@ -27,9 +27,8 @@ pub fn check_writable(file: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Writes the surface of each target into `file`, or, if there are several, into one file for each that is numbered before
-/// the ending: `crab.ply` becomes `crab-0.ply`, `crab-1.ply`. Positions and normals are in `model`, colours those of the
-/// first left image.
+/// Writes the surface of each target to `file`. Several targets get numbered files: `crab.ply` becomes `crab-0.ply`, `crab-1.ply`.
+/// Positions and normals are in `model`, colours are from the first left image.
 ///
 /// # Errors
 /// If a file cannot be written.

@@ -1,4 +1,4 @@
-//! The targets on their way through the frames.
+//! Tracks all targets through the frames.
 
 use anyhow::{Context, Result, bail};
 use image::RgbImage;
@@ -26,9 +26,9 @@ use crate::arguments::TrackArgs;
 pub struct Walk {
     rig: StereoRig,
     targets: Vec<TrackedTarget>,
-    /// The first frame that could be read.
+    /// The first readable frame.
     first: Option<usize>,
-    /// Time of the last frame that could be read.
+    /// Time of the last readable frame.
     last_t_s: Option<f64>,
     rotation_about_normal_observed: bool,
     /// CPU time for one target in one frame, milliseconds.
@@ -41,40 +41,40 @@ pub struct TrackedTarget {
     follower: Follower,
     last_status: Status,
     poses: Vec<Option<Pose<CamLeft, Model>>>,
-    /// Why the region cannot serve.
+    /// Why the region is unusable.
     refused: Option<String>,
 }
 
-/// How a target was marked.
+/// Origin of a region.
 enum Mark {
-    /// In the sequence's own file.
+    /// The file of the sequence.
     Polygon(Region),
-    /// On the command line.
+    /// The command line.
     Spec(RegionSpec),
 }
 
-/// What was found of one target in one frame.
+/// Result of one target in one frame.
 pub struct TargetResult {
     /// Its number, if there are several.
     pub target: Option<usize>,
-    /// What came of it.
+    /// The outcome.
     pub outcome: Outcome,
-    /// What does not fit between the images and their calibration; told once, with the first frame.
+    /// Mismatch between the images and their calibration; reported once, with the first frame.
     pub pair_warning: Option<String>,
 }
 
-/// What came of a target in a frame.
+/// Outcome of a target in a frame.
 pub enum Outcome {
-    /// It was looked for.
+    /// It was tracked.
     Estimate {
         /// The estimate.
         estimate: Box<TrackEstimate>,
         /// CPU time that it took, milliseconds.
         millis: f64,
     },
-    /// Its region cannot serve, so it is not looked for.
+    /// Its region is unusable, so it is not tracked.
     Refused {
-        /// Why.
+        /// The reason.
         reason: String,
     },
 }
@@ -100,7 +100,7 @@ impl TrackedTarget {
         self.follower.tracker()
     }
 
-    /// One frame; a target whose region is refused is not looked for again.
+    /// One frame; a target with a refused region is not tried again.
     fn look(&mut self, pair: &FramePair, prior: &FramePrior, deadline_millis: Option<f64>) -> Outcome {
         let outcome = match &self.refused {
             Some(reason) => Outcome::Refused { reason: reason.clone() },
@@ -140,7 +140,7 @@ impl TrackedTarget {
         Ok((estimate?, millis))
     }
 
-    /// Warnings, and the reason whenever the status changes.
+    /// Logs warnings, and the reason whenever the status changes.
     fn tell(&mut self, what: &str, estimate: &TrackEstimate) {
         for warning in &estimate.warnings {
             tracing::warn!("{what}: {warning}");
@@ -159,7 +159,7 @@ impl Walk {
     /// The region of the sequence, then those of the command line.
     ///
     /// # Errors
-    /// A configuration that is refused, or a method that does not track.
+    /// A refused configuration, or a method that does not track.
     pub fn new(method: Method, rig: &StereoRig, sequence: &Sequence, args: &TrackArgs) -> Result<Self> {
         let config = estimator_config(&args.method)?;
         let vertices_px = sequence.region_polygon_left_px.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
@@ -192,10 +192,10 @@ impl Walk {
         self.rotation_about_normal_observed
     }
 
-    /// What is found of each target in a frame. The region of one of several targets may be refused; the others go on.
+    /// Results of each target in a frame. If the region of one of several targets is refused, the others continue.
     ///
     /// # Errors
-    /// Exchanged images in the first frame, or regions that are all refused.
+    /// Exchanged images in the first frame, or only refused regions.
     pub fn step(&mut self, frame: usize, t_s: f64, pair: &FramePair) -> Result<Vec<TargetResult>> {
         let mut pair_warning = None;
         if self.first.is_none() {

@@ -1,27 +1,27 @@
-//! What a check has measured, against its limit.
+//! A measurement of a check, with its limit.
 
 use std::fmt::Write as _;
 
 use serde::Serialize;
 
-/// One measured thing.
+/// One measurement.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Finding {
-    /// What was measured.
+    /// Measured quantity.
     pub(super) check: String,
-    /// `None`: it could not be measured.
+    /// The value; `None`: it could not be measured.
     pub(super) passed: Option<bool>,
     pub(super) value: Option<f64>,
     pub(super) unit: &'static str,
     pub(super) limit_min: Option<f64>,
     pub(super) limit_max: Option<f64>,
-    /// What else there is to say.
+    /// Further details.
     pub(super) found: String,
-    /// What to do, unless it passes.
+    /// Remedy, unless the check passes.
     pub(super) advice: Option<String>,
 }
 
-/// What is allowed.
+/// The limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Limits {
     pub(super) min: Option<f64>,
@@ -37,7 +37,7 @@ impl Limits {
         Self { min: Some(min), max: Some(max) }
     }
 
-    /// A value that is no number keeps no limit.
+    /// NaN is outside every limit.
     fn holds(self, value: f64) -> bool {
         value.is_finite() && self.min.is_none_or(|min| value >= min) && self.max.is_none_or(|max| value <= max)
     }
@@ -53,7 +53,7 @@ impl Limits {
 }
 
 impl Finding {
-    /// A value that is judged by its limits.
+    /// A value with its limits.
     pub(super) fn judged(
         check: impl Into<String>,
         (value, unit): (f64, &'static str),
@@ -74,7 +74,7 @@ impl Finding {
         }
     }
 
-    /// Something that could not be measured; `passed` says whether that is a failure.
+    /// A quantity that could not be measured; `passed` says whether that is acceptable.
     pub(super) fn missing(
         check: impl Into<String>,
         passed: Option<bool>,
@@ -94,7 +94,7 @@ impl Finding {
     }
 }
 
-/// All findings.
+/// All measurements.
 #[derive(Debug, Serialize)]
 pub(super) struct Report {
     /// Whether nothing failed.
@@ -110,7 +110,7 @@ impl Report {
         Self { passed, cameras, pairs, findings }
     }
 
-    /// For people.
+    /// As text.
     pub(super) fn text(&self) -> String {
         let mut text = format!("{}: {} pairs\n", self.cameras, self.pairs);
         for finding in &self.findings {

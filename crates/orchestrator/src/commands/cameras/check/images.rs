@@ -1,4 +1,4 @@
-//! What images are like: exposure, sharpness, and whether the rows of both belong together.
+//! Properties of the images: exposure, sharpness, and vertical alignment.
 
 use image::RgbImage;
 use pb3dp_cell::image_quality::{
@@ -11,7 +11,7 @@ use pb3dp_hal_api::FramePair;
 
 use super::finding::{Finding, Limits};
 
-/// Share of such pixels, percent: a lamp or its reflection, a black background.
+/// Share of saturated or black pixels, percent: a lamp or its reflection, a black background.
 const BRIGHT_MAX_PERCENT: f64 = 2.0;
 const DARK_MAX_PERCENT: f64 = 20.0;
 /// Mean luminance, grey levels.
@@ -19,20 +19,21 @@ const MEAN_GREY: [f64; 2] = [30.0, 210.0];
 /// Difference of the mean luminances of both cameras, percent of the brighter one.
 const DIFFERENCE_MAX_PERCENT: f64 = 15.0;
 
-/// Blur of an edge, standard deviation in pixels; steps from pixel to pixel come out as 0.8.
+/// Blur of an edge, standard deviation in pixels; a step between two pixels measures 0.8.
 const BLUR_MAX_PX: f64 = 2.0;
-/// Blur that one camera has and the other one has not: the square root of the difference of both squares.
+/// Difference in blur between the cameras: the square root of the difference of squares.
 const FOCUS_MAX_PX: f64 = 1.0;
 
-/// Anywhere in the image. The method `direct` measures it and takes it out, but a calibration that is off by more is off elsewhere too.
+/// Vertical misalignment anywhere in the image. The method `direct` measures and removes it, but a calibration with a larger one
+/// has other errors too.
 const ROWS_MAX_PX: f64 = 1.0;
 
-/// Matches that may lie behind the cameras, percent: no scene is there, so these have gone wrong (`pair_check.rs`).
+/// Share of matches behind the cameras, percent: these matches are wrong (`pair_check.rs`).
 const BEHIND_MAX_PERCENT: f64 = 25.0;
 
 const NO_CALIBRATION: &str = "no calibration was given";
 
-/// All findings about images.
+/// All measurements of the images.
 pub(super) fn findings(samples: &[FramePair], rig: Option<&StereoRig>) -> Vec<Finding> {
     let cameras: [Vec<&RgbImage>; 2] =
         [samples.iter().map(|pair| &pair.left).collect(), samples.iter().map(|pair| &pair.right).collect()];
@@ -117,7 +118,7 @@ fn sharpness(blurs: [Option<f64>; 2]) -> Vec<Finding> {
     findings
 }
 
-/// Whether the left image is the one of the left camera: points that are found in both images are in front of the cameras then.
+/// Whether the left image is from the left camera: then points visible in both images are in front of the cameras.
 fn sides(samples: &[FramePair], rig: Option<&StereoRig>) -> Finding {
     const CHECK: &str = "sides";
     let Some(rig) = rig else {

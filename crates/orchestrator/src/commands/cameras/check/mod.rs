@@ -1,4 +1,4 @@
-//! `pb3dp cameras check`: whether what the cameras deliver will do, each thing with its limit and what to do.
+//! `pb3dp cameras check`: measures cameras against limits, with a remedy for each excess.
 
 mod finding;
 mod images;
@@ -21,13 +21,13 @@ use self::finding::{Finding, Report};
 use self::times::Moment;
 use super::choice::{CameraChoice, Chosen, check_size};
 
-/// Pairs that are looked into, spread over the measurement.
+/// Number of evaluated pairs, spread over the measurement.
 const SAMPLES: usize = 6;
 
-/// Cameras that deliver nothing for so long are given up.
+/// Time without images after which the cameras count as failed.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// What the exit code and `--json` say.
+/// Meaning of exit code and `--json`.
 const CHECK_JSON: &str = "Show both cameras a scene with texture and sharp edges at the distance at which they work, and let it rest.
 Exit code: 0 if nothing fails, 1 else.
 Object of --json:
@@ -54,26 +54,26 @@ pub(super) struct CheckArgs {
 /// Runs the command.
 ///
 /// # Errors
-/// If the cameras cannot be used at all, or standard output is not to be written.
+/// If the cameras cannot be used, or standard output cannot be written.
 pub(super) fn run(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &CheckArgs) -> Result<ExitCode> {
     let report = checked(system, clock, args)?;
     print_line(&if args.json { serde_json::to_string(&report)? } else { report.text() })?;
     Ok(if report.passed { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// What was taken from the cameras.
+/// Data from the cameras.
 struct CapturedPairs {
     moments: Vec<Moment>,
     samples: Vec<FramePair>,
     counters: StereoCounters,
-    /// Why it has ended before its time.
+    /// Why the measurement ended early.
     failure: Option<String>,
 }
 
 fn checked(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &CheckArgs) -> Result<Report> {
     let Chosen { mut config, rig, .. } = args.cameras.chosen()?;
     let skew_max = config.skew_max;
-    // All pairs are to come: their skew is measured here, and judged at the end.
+    // All pairs are accepted here: their skew is measured, and checked at the end.
     if let Some(period_s) = config.left.mode.interval.seconds() {
         config.skew_max = skew_max.max(Duration::from_secs_f64(period_s / 2.0));
     }
@@ -98,11 +98,11 @@ fn checked(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &CheckArgs
     Ok(Report::of(name, taken.moments.len() as u64, findings))
 }
 
-/// Takes pairs, and keeps the images of some.
+/// Captures pairs and keeps the images of some.
 fn take(camera: &mut V4l2StereoCamera, clock: &dyn Clock, pairs: usize) -> CapturedPairs {
     let size = camera.info().size;
     let mut pair = FramePair::black(size);
-    // Memory beforehand: taking it between two pairs would disturb what is measured.
+    // Allocated in advance: an allocation between two pairs would disturb the measurement.
     let mut free: Vec<FramePair> = (0..SAMPLES).map(|_| FramePair::black(size)).collect();
     let mut taken = CapturedPairs {
         moments: Vec::with_capacity(pairs),
@@ -122,7 +122,7 @@ fn take(camera: &mut V4l2StereoCamera, clock: &dyn Clock, pairs: usize) -> Captu
                     exposed_at_s: pair.exposed_at.as_secs_f64(),
                     skew_s: pair.skew_nanos as f64 * 1e-9,
                 });
-                // Not the first one: some cameras begin with a dark image.
+                // Not the first one: some cameras start with a dark image.
                 if number % every == every / 2
                     && let Some(next) = free.pop()
                 {

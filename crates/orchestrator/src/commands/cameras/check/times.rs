@@ -1,4 +1,4 @@
-//! When pairs come: rate, jitter, skew, gaps.
+//! Times of the pairs: rate, jitter, skew, gaps.
 
 use std::time::Duration;
 
@@ -6,16 +6,16 @@ use pb3dp_camera_v4l2::{StereoCounters, StreamCounters};
 
 use super::finding::{Finding, Limits};
 
-/// Pairs per second may be off by this share.
+/// Tolerance of the rate, as a share.
 const RATE_SHARE_MAX: f64 = 0.02;
 
 /// 0.2 mm at 100 mm/s.
 const JITTER_MAX_MS: f64 = 2.0;
 
-/// Pairs that may be missing, percent.
+/// Missing pairs, percent.
 const MISSING_MAX_PERCENT: f64 = 1.0;
 
-/// What is remembered of a pair.
+/// Times of a pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Moment {
     pub(super) sequence: u64,
@@ -23,7 +23,7 @@ pub(super) struct Moment {
     pub(super) skew_s: f64,
 }
 
-/// All findings about times.
+/// All measurements of the times.
 pub(super) fn findings(
     moments: &[Moment],
     period: Duration,
@@ -50,7 +50,7 @@ fn rate(moments: &[Moment], period: Duration) -> Finding {
     Finding::judged("rate", (hz, "pairs per second"), limits, format!("asked for {asked_hz:.2}"), advice)
 }
 
-/// Deviation of the times from an even beat, which is that of the pairs themselves.
+/// Deviation of the times from a uniform period, estimated from the pairs.
 fn jitter(moments: &[Moment]) -> Finding {
     let (seconds, periods) = span(moments);
     let beat_s = seconds / periods as f64;

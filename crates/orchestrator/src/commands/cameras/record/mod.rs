@@ -1,4 +1,4 @@
-//! `pb3dp cameras record`: pairs of the cameras as a sequence folder, at their full rate.
+//! `pb3dp cameras record`: records camera pairs as a sequence folder, at their full rate.
 
 mod recorder;
 #[cfg(test)]
@@ -30,7 +30,7 @@ use super::stop_requested;
 use crate::arguments::{ZRange, parse_tilt, parse_z_range};
 use crate::commands::doctor::free_bytes;
 
-/// What the exit code and `--json` say.
+/// Meaning of exit code and `--json`.
 const RECORD_JSON: &str =
     "Ctrl-C ends the recording in order. Exit code: 0 if every pair was kept, 1 if any is missing or something failed; what was written
 before that stays a whole sequence.
@@ -42,7 +42,7 @@ Object of --json:
   missing_cameras  pairs that the cameras did not deliver, or that were damaged or too far apart
   failure          why it ended before its time, or null";
 
-/// Where to search in what was recorded, unless it is said: depths in metres, and the largest tilt.
+/// Default search range of a recording: depths in metres, and the largest tilt.
 const Z_RANGE_M: [f64; 2] = [0.3, 0.8];
 const TILT_MAX_DEG: f64 = 60.0;
 
@@ -52,7 +52,7 @@ const TILT_MAX_DEG: f64 = 60.0;
 pub(super) struct RecordArgs {
     #[command(flatten)]
     cameras: CameraChoice,
-    /// The folder; it must not hold a sequence.
+    /// The output folder; it must not contain a sequence.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// End after this many seconds.
@@ -61,23 +61,23 @@ pub(super) struct RecordArgs {
     /// End after this many pairs.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pairs: Option<u64>,
-    /// The target in the left image of the first pair, for `pb3dp track`: rect:X,Y,WIDTH,HEIGHT or poly:X1,Y1;X2,Y2;X3,Y3; without it
+    /// The target in the left image of the first pair, for `pb3dp track`: rect:X,Y,WIDTH,HEIGHT or poly:X1,Y1;X2,Y2;X3,Y3; default:
     /// that of the setup, or the middle of the image.
     #[arg(long, value_name = "REGION")]
     region: Option<RegionSpec>,
-    /// Depths to search there, millimetres; without it those of the setup, or 300,800.
+    /// Depths to search, millimetres; default: those of the setup, or 300,800.
     #[arg(long, value_name = "MIN,MAX", value_parser = parse_z_range, allow_hyphen_values = true)]
     z_range: Option<ZRange>,
-    /// Largest tilt to search there, degrees; without it that of the setup, or 60.
+    /// Largest tilt to search, degrees; default: that of the setup, or 60.
     #[arg(long, value_name = "DEGREES", value_parser = parse_tilt, allow_hyphen_values = true)]
     tilt_max: Option<f64>,
-    /// Store images as JPEG of this quality, which is lossy; without it as PNG.
+    /// Store images as JPEG with this quality, which is lossy; default: PNG.
     #[arg(long, value_name = "1..100", value_parser = clap::value_parser!(u8).range(1..=100))]
     jpeg: Option<u8>,
-    /// Pairs that may wait in memory to be written.
+    /// Number of pairs that may wait in memory.
     #[arg(long, value_name = "N", default_value_t = 90, value_parser = clap::value_parser!(u16).range(2..=2000))]
     queue: u16,
-    /// Threads that compress and write; without it one less than there are processors.
+    /// Threads that compress and write; default: one less than the number of processors.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
     writers: Option<u8>,
     /// One JSON object on standard output instead of text.
@@ -90,7 +90,7 @@ pub(super) struct RecordArgs {
 /// # Errors
 /// If the cameras or the folder cannot be used.
 pub(super) fn run(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &RecordArgs) -> Result<ExitCode> {
-    // Before any other thread is there.
+    // Before any other thread starts.
     let mut signals = StopSignals::take_over().context("signals cannot be taken over")?;
     let mut is_over = || stop_requested(&mut signals, "the recording ends");
     let line = recorded(system, clock, args, &mut is_over)?;
@@ -101,7 +101,7 @@ pub(super) fn run(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &Re
     }
 }
 
-/// What a recording has come to, as `--json` has it.
+/// Result of a recording in the form of `--json`.
 #[derive(Debug, Serialize)]
 struct Recorded {
     file: Option<PathBuf>,
@@ -141,7 +141,7 @@ fn recorded(
     let mut identity_of = |side| camera.identity(side).map(identity);
     let identities = [identity_of(Side::Left)?, identity_of(Side::Right)?];
     let writer = SequenceWriter::create(&args.out, &rig, draft).context("--out")?;
-    // What is calibrated with these images says of which cameras it is.
+    // A calibration with these images states the cameras that it belongs to.
     save_cameras(&identities, &args.out.join("cameras.toml")).context("--out")?;
     tracing::info!("{}: recording into {}", camera.info().name, args.out.display());
     let outcome =
@@ -149,13 +149,13 @@ fn recorded(
     Ok(Recorded::of(outcome, &args.out))
 }
 
-/// As many threads as there are processors beside that of the cameras.
+/// One thread per processor, except the one that captures.
 fn writers() -> u8 {
     let processors = std::thread::available_parallelism().map_or(2, usize::from);
     u8::try_from(processors.saturating_sub(1).clamp(1, 8)).unwrap_or(1)
 }
 
-/// What the sequence says beside its pairs: what is typed goes before what the setup has.
+/// Description of the sequence: the command line overrides the setup.
 fn draft(args: &RecordArgs, target: &ChosenTarget, size: ImageSize) -> Result<SequenceDraft> {
     let [width, height] = [f64::from(size.width), f64::from(size.height)];
     let middle = RegionSpec::Rectangle([0.375 * width, 0.375 * height, 0.25 * width, 0.25 * height]);
@@ -213,7 +213,7 @@ impl Recorded {
         )
     }
 
-    /// What makes the command fail.
+    /// Why the command fails.
     fn wrong(&self) -> Option<String> {
         if self.failure.is_some() {
             return self.failure.clone();

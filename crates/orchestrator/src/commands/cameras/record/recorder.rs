@@ -1,8 +1,8 @@
-//! From a camera into a sequence folder at its full rate: who takes pairs never waits for who writes them.
+//! Records from a camera to a sequence folder at its full rate: capture never waits for the disk.
 //!
-//! The calling thread takes pairs into memory that was there before; a bounded queue hands them to threads that compress and write. A
-//! pair that finds no room is left out and counted. Frames are numbered as they are taken; when one cannot be written, the recording
-//! ends, and what was written before it stays as a whole sequence.
+//! The calling thread captures pairs into preallocated memory; a bounded queue passes them to threads that compress and write. A
+//! pair without space in the queue is dropped and counted. Frames are numbered in the order of capture. If a frame cannot be
+//! written, the recording ends, and the frames before it remain a valid sequence.
 
 use std::sync::Mutex;
 use std::sync::PoisonError;
@@ -13,51 +13,51 @@ use std::time::Duration;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera};
 use pb3dp_record::dataset::{DatasetError, FrameFiles, SequenceSummary, SequenceWriter, WrittenFrame};
 
-/// How long one call waits for a pair, so that a signal is heard.
+/// Timeout of one call for a pair, so that signals are handled.
 const PATIENCE_OF_A_CALL: Duration = Duration::from_millis(250);
 
-/// Cameras that deliver nothing for so long, or for so many periods if that is longer, are given up.
+/// Time without images, or number of periods if that is longer, after which the cameras count as failed.
 const PATIENCE: Duration = Duration::from_secs(3);
 const PATIENCE_PERIODS: u32 = 5;
 
-/// When a recording is over, and what it may take.
+/// End of a recording, and its resources.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Plan {
     pub(super) pairs_max: Option<u64>,
     pub(super) time_max: Option<Duration>,
-    /// Pairs that may wait to be written, in memory.
+    /// Capacity of the queue, pairs.
     pub(super) queue: usize,
-    /// Threads that write.
+    /// Writing threads.
     pub(super) writers: usize,
 }
 
-/// How a pair gets onto the disk.
+/// Storage of a pair.
 pub(super) type Save<'a> = dyn Fn(&FrameFiles, &FramePair) -> Result<(), DatasetError> + Sync + 'a;
 
-/// What a recording does not have.
+/// Losses of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Missing {
-    /// There was no room in the queue: the disk, or the processor, was too slow.
+    /// No space in the queue: the disk or the processor was too slow.
     pub(super) queue: u64,
-    /// The cameras did not deliver them, or they had to be refused.
+    /// The cameras did not deliver the pairs, or the pairs were refused.
     pub(super) cameras: u64,
 }
 
-/// What a recording has come to.
+/// Result of a recording.
 #[derive(Debug)]
 pub(super) struct Outcome {
-    /// What is on the disk; `None` if there is nothing, or it could not be completed.
+    /// The files; `None` if nothing was written, or the sequence could not be completed.
     pub(super) summary: Option<SequenceSummary>,
-    /// From the first to the last pair that was taken, seconds.
+    /// Time from the first to the last captured pair, seconds.
     pub(super) seconds: f64,
     pub(super) missing: Missing,
-    /// The last thing that the cameras complained of.
+    /// The last error of the cameras.
     pub(super) complaint: Option<String>,
-    /// Why it has ended before its time.
+    /// Why the recording ended early.
     pub(super) failure: Option<Failure>,
 }
 
-/// Why a recording has ended before its time.
+/// Why a recording ends early.
 #[derive(Debug)]
 pub(super) enum Failure {
     Camera(CameraError),
@@ -65,7 +65,7 @@ pub(super) enum Failure {
     Thread(std::io::Error),
 }
 
-/// A pair on its way to the disk.
+/// A captured pair that waits to be written.
 struct Slot {
     number: u64,
     files: Option<FrameFiles>,
@@ -75,7 +75,7 @@ struct Slot {
 /// The first frame that could not be written.
 #[derive(Default)]
 struct Broken {
-    /// Its number, for who only asks.
+    /// Its number, readable without the lock.
     number: AtomicU64,
     error: Mutex<Option<(u64, DatasetError)>>,
 }
@@ -102,7 +102,7 @@ impl Broken {
     }
 }
 
-/// Records until the plan is fulfilled, `is_over` says so, or something fails.
+/// Records until the plan is fulfilled, `is_over` returns true, or an error occurs.
 pub(super) fn record(
     camera: &mut dyn StereoCamera,
     clock: &dyn Clock,
@@ -112,7 +112,7 @@ pub(super) fn record(
     is_over: &mut dyn FnMut() -> bool,
 ) -> Outcome {
     let size = camera.info().size;
-    // One more than may wait: that which is being filled.
+    // One more than the queue holds: the one that is being filled.
     let (give_empty, empty) = sync_channel(plan.queue + 1);
     let (full, take_full) = sync_channel(plan.queue + 1);
     let (broken, take_full) = (Broken::new(), Mutex::new(take_full));
@@ -129,7 +129,7 @@ pub(super) fn record(
         complaint: None,
     };
     for _ in 0..plan.queue {
-        // There is room for all of them.
+        // There is space for all of them.
         let _ = give_empty.try_send(Box::new(Slot { number: 0, files: None, pair: FramePair::black(size) }));
     }
     let (failure, taken) = std::thread::scope(|scope| {
@@ -141,7 +141,7 @@ pub(super) fn record(
             }
         }
         let failure = taking.run(camera, &mut writer, is_over);
-        // The queue is closed with this end of it: the writers go on until it is empty.
+        // Dropping the sender closes the queue: the writers finish what is queued.
         (failure, taking.end())
     });
     let Taken { seconds, missing, complaint } = taken;
@@ -160,7 +160,7 @@ pub(super) fn record(
     Outcome { summary, seconds, missing, complaint, failure }
 }
 
-/// The thread that takes pairs.
+/// The capturing thread.
 struct Taking<'a> {
     clock: &'a dyn Clock,
     plan: &'a Plan,
@@ -168,14 +168,14 @@ struct Taking<'a> {
     empty: Receiver<Box<Slot>>,
     full: SyncSender<Box<Slot>>,
     current: Box<Slot>,
-    /// Seconds of the first and the last pair.
+    /// Times of the first and the last pair, seconds.
     times: Option<(f64, f64)>,
     last_sequence: Option<u64>,
     missing: Missing,
     complaint: Option<String>,
 }
 
-/// What the thread that takes pairs knows at its end.
+/// Result of the capturing thread.
 struct Taken {
     seconds: f64,
     missing: Missing,
@@ -220,7 +220,7 @@ impl Taking<'_> {
         None
     }
 
-    /// Puts the pair that was taken into the queue, if there is room.
+    /// Queues the captured pair, if there is space.
     fn hand_over(&mut self, writer: &mut SequenceWriter) -> Result<(), DatasetError> {
         let pair = &self.current.pair;
         let before = self.last_sequence.replace(pair.sequence);
@@ -242,7 +242,7 @@ impl Taking<'_> {
             skew_nanos: pair.skew_nanos,
             cam_left_from_model: None,
         })?);
-        // There is room for all slots that there are, and the writers stay until this end is gone.
+        // There is space for all slots, and the writers outlive this end.
         let _ = self.full.try_send(std::mem::replace(&mut self.current, empty));
         Ok(())
     }
@@ -253,7 +253,7 @@ impl Taking<'_> {
     }
 }
 
-/// A thread that writes, until the queue is closed and empty.
+/// A writing thread: runs until the queue is closed and empty.
 fn write_all(
     take_full: &Mutex<Receiver<Box<Slot>>>,
     give_empty: &SyncSender<Box<Slot>>,
@@ -268,7 +268,7 @@ fn write_all(
         {
             broken.note(slot.number, error);
         }
-        // Nobody takes it any more when the recording is over.
+        // After the end of the recording nobody uses the slot.
         let _ = give_empty.try_send(slot);
     }
 }

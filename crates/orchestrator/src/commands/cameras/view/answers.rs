@@ -1,4 +1,4 @@
-//! What the page's server answers: responses, and refusals that name what is wrong.
+//! HTTP responses of the page's server, and refusals with the reason.
 
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -9,7 +9,7 @@ use hyper::{Response, StatusCode};
 use serde::Serialize;
 use tokio::sync::mpsc;
 
-/// What follows the head of a response: all at once, or piece by piece as long as who reads it stays.
+/// Body of a response: at once, or in parts as long as the client is connected.
 #[derive(Debug)]
 pub(super) enum Content {
     Whole(Option<Bytes>),
@@ -51,7 +51,7 @@ impl Refusal {
         Self { status, error: error.into() }
     }
 
-    /// The response that says so.
+    /// The response for the refusal.
     pub(super) fn response(&self) -> Response<Content> {
         #[derive(Serialize)]
         struct Line<'a> {
@@ -66,17 +66,17 @@ impl Refusal {
     }
 }
 
-/// A response of one piece.
+/// A response with a complete body.
 pub(super) fn whole(kind: &'static str, bytes: impl Into<Bytes>) -> Response<Content> {
     of_kind(kind, Content::Whole(Some(bytes.into())))
 }
 
-/// A response that goes on.
+/// A response with a streamed body.
 pub(super) fn stream(kind: &'static str, pieces: mpsc::Receiver<Bytes>) -> Response<Content> {
     of_kind(kind, Content::Stream(pieces))
 }
 
-/// A JSON object; what cannot be written as one is a mistake of this program, and said as such.
+/// A JSON object; a failure to serialise it is reported as an error of this program.
 pub(super) fn json(value: &impl Serialize) -> Response<Content> {
     match serde_json::to_vec(value) {
         Ok(text) => whole("application/json", text),
@@ -92,7 +92,7 @@ fn of_kind(kind: &'static str, content: Content) -> Response<Content> {
     let mut response = Response::new(content);
     let headers = response.headers_mut();
     headers.insert(CONTENT_TYPE, HeaderValue::from_static(kind));
-    // Everything here is of this moment.
+    // Nothing may be cached.
     headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
     headers.insert("x-content-type-options", HeaderValue::from_static("nosniff"));
     response

@@ -1,4 +1,4 @@
-//! `pb3dp cameras view`: what the cameras see, live on a page of this computer.
+//! `pb3dp cameras view`: live camera images on a web page of this computer.
 
 mod answers;
 mod server;
@@ -30,21 +30,21 @@ use super::stop_requested;
 pub(super) struct ViewArgs {
     #[command(flatten)]
     cameras: CameraChoice,
-    /// Port of the page; 0 for any that is free.
+    /// Port of the page; 0 for any free port.
     #[arg(long, value_name = "PORT", default_value_t = 8040)]
     port: u16,
-    /// Address of this computer at which the page is offered. Others than 127.0.0.1 let everybody on that network see and change the
+    /// Address of the page on this computer. Any address other than 127.0.0.1 lets everybody on that network see and change the
     /// cameras.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
     bind: IpAddr,
 }
 
-/// Runs the command until a signal ends it.
+/// Runs until a signal ends the command.
 ///
 /// # Errors
-/// If the cameras cannot be used, or the port is taken.
+/// If the cameras cannot be used, or the port is in use.
 pub(super) fn run(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &ViewArgs) -> Result<ExitCode> {
-    // Before any other thread is there.
+    // Before any other thread starts.
     let mut signals = StopSignals::take_over().context("signals cannot be taken over")?;
     let mut is_over = || stop_requested(&mut signals, "the page closes");
     let config = args.cameras.cameras()?;
@@ -54,7 +54,7 @@ pub(super) fn run(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &Vi
     let (images, newest) = watch::channel(None);
     let (ask, asks) = sync_channel(ASKS_MAX);
     let sources = Sources { states, images: newest, ask };
-    // The page is gone when this is.
+    // Dropping the server closes the page.
     let server = Server::start(SocketAddr::new(args.bind, args.port), sources)?;
     if !args.bind.is_loopback() {
         tracing::warn!(

@@ -1,4 +1,4 @@
-//! The page's server: a few requests of HTTP, bounded in number, size and time.
+//! HTTP server of the page, with limits on number, size and time of requests.
 
 use std::future::poll_fn;
 use std::net::{IpAddr, SocketAddr};
@@ -27,25 +27,25 @@ use super::answers::{Content, Refusal, json, stream, whole};
 use super::show::{ControlRequest, Images, PendingRequest, State};
 use crate::commands::cameras::list::ControlLine;
 
-/// The page, with all that belongs to it.
+/// The page with its scripts and styles.
 const PAGE: &str = include_str!("page.html");
 
-/// Connections at a time; a browser has six.
+/// Maximum number of connections; a browser has six.
 const CONNECTIONS_MAX: usize = 32;
 
-/// Bytes of a request's head, and of what follows it.
+/// Maximum size of a request's head and body, bytes.
 const HEAD_MAX: usize = 16 * 1024;
 const BODY_MAX: usize = 4 * 1024;
 
-/// A client has so much time for the head of a request, or what follows it; the cameras for an answer.
+/// Time limits for a request's head and body, and for an answer of the cameras.
 const CLIENT_PATIENCE: Duration = Duration::from_secs(10);
 const CAMERA_PATIENCE: Duration = Duration::from_secs(3);
 
-/// Between the images of a stream.
+/// Time between the images of a stream.
 const BOUNDARY: &str = "pb3dp-next-image";
 const STREAM_KIND: &str = "multipart/x-mixed-replace; boundary=pb3dp-next-image";
 
-/// Where the server gets from what it tells.
+/// Source of the page's data.
 #[derive(Clone)]
 pub(super) struct Sources {
     pub(super) states: watch::Receiver<Arc<State>>,
@@ -53,7 +53,7 @@ pub(super) struct Sources {
     pub(super) ask: SyncSender<PendingRequest>,
 }
 
-/// A server that runs; it ends when this is dropped.
+/// A running server; dropping it ends the server.
 pub(super) struct Server {
     address: SocketAddr,
     over: Option<oneshot::Sender<()>>,
@@ -61,10 +61,10 @@ pub(super) struct Server {
 }
 
 impl Server {
-    /// Takes the address and begins.
+    /// Binds the address and starts.
     ///
     /// # Errors
-    /// If the address is taken or not of this computer, or the system gives no thread.
+    /// If the address is in use or not of this computer, or the system provides no thread.
     pub(super) fn start(address: SocketAddr, sources: Sources) -> Result<Self> {
         let runtime = Builder::new_current_thread().enable_all().build().context("no server can be made")?;
         let listener = runtime.block_on(TcpListener::bind(address)).with_context(|| {
@@ -78,7 +78,7 @@ impl Server {
         Ok(Self { address, over: Some(over), thread: Some(thread) })
     }
 
-    /// Where the page is.
+    /// Address of the page.
     pub(super) fn address(&self) -> SocketAddr {
         self.address
     }
@@ -88,13 +88,13 @@ impl Drop for Server {
     fn drop(&mut self) {
         drop(self.over.take());
         if let Some(thread) = self.thread.take() {
-            // A server that has panicked was told of already.
+            // A panic of the server was reported already.
             let _ = thread.join();
         }
     }
 }
 
-/// Serves until it is over; all connections end with the runtime.
+/// Serves until the end; all connections end with the runtime.
 fn serve(runtime: &Runtime, listener: &TcpListener, mut is_over: oneshot::Receiver<()>, sources: &Sources) {
     let connections = Arc::new(Semaphore::new(CONNECTIONS_MAX));
     runtime.block_on(async {

@@ -1,4 +1,4 @@
-//! The cameras behind the page: pairs are taken, turned into JPEGs beside that, and controls are set between two pairs.
+//! The cameras of the page: captures pairs, encodes them as JPEG in parallel, and sets controls between two pairs.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -16,48 +16,48 @@ use tokio::sync::{oneshot, watch};
 
 use super::super::list::ControlLine;
 
-/// Questions that may wait for the cameras.
+/// Capacity of the queue of requests to the cameras.
 pub(super) const ASKS_MAX: usize = 16;
 
-/// How long one call waits for a pair, so that questions and signals are heard; slow cameras have so many periods.
+/// Time-out of one call for a pair, so that requests and signals are handled; a number of periods for slow cameras.
 const PATIENCE_OF_A_CALL: Duration = Duration::from_millis(250);
 const PATIENCE_PERIODS: u32 = 3;
 
-/// How often cameras that were lost are looked for.
+/// Time between two attempts to open disconnected cameras.
 const REOPEN: Duration = Duration::from_millis(500);
 
-/// Pairs that the rate is measured over.
+/// Number of pairs for the measured rate.
 const WINDOW: usize = 60;
 
-/// Of the JPEGs of the page.
+/// Quality of the JPEGs of the page.
 const QUALITY: u8 = 80;
 
-/// What the page tells beside the images, and `/state`.
+/// State for the page and for `/state`.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct State {
     cameras: String,
     width_px: u32,
     height_px: u32,
-    /// What the cameras agreed to.
+    /// The agreed mode.
     asked_hz: Option<f64>,
-    /// Pairs since the page was opened.
+    /// Pairs since the start.
     pairs: u64,
     /// Over the last pairs.
     rate_hz: Option<f64>,
     skew_ms: Option<f64>,
     /// Over the last pairs.
     skew_worst_ms: Option<f64>,
-    /// Pairs that did not come.
+    /// Missing pairs.
     missing: u64,
     left: Losses,
     right: Losses,
-    /// How often controls were set or the cameras opened again, after which their values may be others.
+    /// Number of times that controls were set or the cameras opened again; control values may have changed.
     control_changes: u64,
-    /// What the cameras complain of now.
+    /// Present errors of the cameras.
     problem: Option<String>,
 }
 
-/// Images of one camera that were left out.
+/// Dropped images of one camera.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 struct Losses {
     lost: u64,
@@ -101,23 +101,23 @@ impl State {
     }
 }
 
-/// A pair as the page shows it.
+/// An encoded pair.
 #[derive(Debug)]
 pub(super) struct Images {
-    /// JPEGs of left and right.
+    /// JPEGs of the left and the right image.
     pub(super) jpegs: [Bytes; 2],
 }
 
-/// What is asked of the cameras.
+/// Requests to the cameras.
 #[derive(Debug)]
 pub(super) enum ControlRequest {
-    /// All controls of a camera.
+    /// Read all controls of a camera.
     Controls,
-    /// Another value of one, and all controls after that.
+    /// Set a control, then read all controls.
     Set { id: u32, value: i32 },
 }
 
-/// A question to the cameras, and where its answer goes.
+/// A request to the cameras with the receiver of its answer.
 #[derive(Debug)]
 pub(super) struct PendingRequest {
     pub(super) side: Side,
@@ -125,7 +125,7 @@ pub(super) struct PendingRequest {
     pub(super) answer: oneshot::Sender<Result<Vec<ControlLine>, String>>,
 }
 
-/// Everything between the cameras and the page.
+/// State shared by the cameras and the page.
 pub(super) struct Show<'a> {
     pub(super) clock: &'a dyn Clock,
     pub(super) state: watch::Sender<Arc<State>>,
@@ -133,14 +133,14 @@ pub(super) struct Show<'a> {
     pub(super) asks: Receiver<PendingRequest>,
 }
 
-/// How cameras that were lost are opened again.
+/// Opens disconnected cameras again.
 pub(super) type Open<'a> = dyn FnMut() -> Result<V4l2StereoCamera, CameraError> + 'a;
 
 impl Show<'_> {
-    /// Shows the cameras until it is over; those that are lost are looked for again and again.
+    /// Shows the cameras until the end; disconnected cameras are opened again as soon as possible.
     ///
     /// # Errors
-    /// If the system gives no thread.
+    /// If the system provides no thread.
     pub(super) fn run(
         self,
         camera: V4l2StereoCamera,
@@ -148,7 +148,7 @@ impl Show<'_> {
         is_over: &mut dyn FnMut() -> bool,
     ) -> Result<()> {
         let size = camera.info().size;
-        // One pair is taken, one is turned into JPEGs, and none waits: a page wants the newest one.
+        // One pair is captured while one is encoded, without a queue: a page wants the newest pair.
         let (give, take) = sync_channel::<Box<FramePair>>(1);
         let (give_back, back) = sync_channel::<Box<FramePair>>(1);
         let _ = give_back.try_send(Box::new(FramePair::black(size)));
@@ -189,7 +189,7 @@ impl Show<'_> {
             }
             for ask in asks.try_iter().take(ASKS_MAX) {
                 taking.state.control_changes += u64::from(matches!(ask.request, ControlRequest::Set { .. }));
-                // Who has asked may have gone.
+                // The client may have gone.
                 let _ = ask.answer.send(answered(camera.as_mut(), ask.side, &ask.request));
             }
         }
@@ -210,7 +210,7 @@ fn answered(
     Ok(camera.controls(side).map_err(text)?.iter().map(ControlLine::of).collect())
 }
 
-/// What takes pairs.
+/// The capturing part.
 struct Taking<'a> {
     sender: &'a watch::Sender<Arc<State>>,
     state: State,
@@ -223,7 +223,7 @@ struct Taking<'a> {
 }
 
 impl Taking<'_> {
-    /// Takes a pair; returns whether the cameras are still there.
+    /// Captures a pair; returns whether the cameras are still connected.
     fn step(&mut self, camera: &mut V4l2StereoCamera) -> bool {
         let patience =
             camera.info().period.map_or(PATIENCE_OF_A_CALL, |period| PATIENCE_OF_A_CALL.max(period * PATIENCE_PERIODS));
@@ -234,7 +234,7 @@ impl Taking<'_> {
             Ok(()) => {
                 self.note();
                 self.state.problem = None;
-                // A page that is behind gets a later pair.
+                // A slow page skips pairs.
                 if let Ok(empty) = self.back.try_recv() {
                     let _ = self.give.try_send(std::mem::replace(&mut self.pair, empty));
                 }
@@ -267,7 +267,7 @@ impl Taking<'_> {
         self.state.rate_hz = (seconds > 0.0).then(|| (self.recent.len() - 1) as f64 / seconds);
     }
 
-    /// Looks for cameras that were lost.
+    /// Searches for disconnected cameras.
     fn reopen(&mut self, open: &mut Open<'_>) -> Option<V4l2StereoCamera> {
         match open() {
             Ok(camera) => {
