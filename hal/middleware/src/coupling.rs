@@ -1,4 +1,4 @@
-//! Two arms in one cell: what stops one stops the other, and neither gets a command that leads to a collision.
+//! Two arms in one workcell: a stop of one stops the other, and neither gets a command that leads to a collision.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -14,56 +14,56 @@ use crate::power::close_brakes;
 use crate::shaping::SetPoint;
 use crate::stopping::DriveLimits;
 
-/// One of two arms that stand in reach of each other.
+/// One of two arms within reach of each other.
 #[derive(Clone, Debug)]
 pub struct CoupledArmConfig {
     /// Kinematics.
     pub chain: Chain,
-    /// Shape, with all that is mounted.
+    /// Shape with the tool.
     pub shape: ArmShape,
-    /// Where it stands.
+    /// Base pose.
     pub world_from_base: Pose<World, Base>,
-    /// Its limits: with their accelerations and jerks its drives brake.
+    /// Limits: its drives decelerate with these accelerations and jerks.
     pub limits: EffectiveLimits,
-    /// Time from a sample to the effect of the next command on it.
+    /// Time from a sample until the next command takes effect.
     pub reaction_time: Duration,
-    /// The arm comes to rest by itself if no command follows for longer than this.
+    /// The arm stops without a new command for this time.
     pub command_timeout: Duration,
-    /// How the arm fades a command that no other follows; none if it goes on until the time-out.
+    /// Fading of a command without a successor; `None` if it is valid until the time-out.
     pub fade: Option<CommandFade>,
 }
 
 /// Why two arms cannot be coupled.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum CoupledError {
-    /// The least room is none.
+    /// The minimum clearance is invalid.
     #[error("least room between the arms {0} m is not a positive, finite number")]
     LeastRoom(f64),
 }
 
-/// How close two coupled arms came so far.
+/// Smallest clearance of two coupled arms so far.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoupledStatistics {
-    /// Least room that any set-point left, braking counted, metres; infinite before the first one.
+    /// Smallest clearance of any set-point, braking distance included, metres; infinite before the first one.
     pub least_room_m: f64,
-    /// Set-points that were refused because they left too little.
+    /// Set-points that were refused because of the clearance.
     pub refused: u64,
 }
 
-/// A partner's joints that move less than this are at rest, rad.
+/// A partner whose joints move by less than this is stationary, rad.
 const AT_REST_RAD: f64 = 1e-3;
 
-/// Where there is too little room an arm may move away with so short a way to rest, half of it, rad.
+/// Below the minimum clearance an arm may move away if half of its stopping motion is at most this, rad.
 const SHORT_WAY_RAD: f64 = 0.02;
 
-/// One of two coupled arms; [`couple`] makes both.
+/// One of two coupled arms; [`couple`] creates both.
 ///
-/// * A set-point is `Rejected`, and the arm holds, if one of the arms could come nearer to the other than allowed before both
-///   are at rest. Where they are nearer already, and the other one rests, an arm may move away.
-/// * If one arm has a fault, an emergency stop or no link any more, the other one holds from its next exchange on and is
-///   latched in `Fault`. The one that failed is to be reset first.
+/// * A set-point is `Rejected`, and the arm holds, if the arms could come closer than allowed before both are stationary. If they
+/// are closer already and the other one is stationary, an arm may move away.
+/// * If one arm has a fault, an emergency stop or a lost link, the other one holds from its next exchange on and is latched in
+/// `Fault`. The arm that failed must be reset first.
 ///
-/// Belongs inside of the [`Limiter`](crate::Limiter), so that it sees what is really sent.
+/// Use it inside the [`Limiter`](crate::Limiter), so that it sees the commands that are really sent.
 pub struct Coupled<A> {
     arm: A,
     side: usize,
@@ -84,11 +84,11 @@ struct Side {
     drives: DriveLimits,
     newest: Option<JointState>,
     last: LastCommand,
-    /// Where its joints may be until it rests.
+    /// Range of its joints until it is stationary.
     sweep: Option<Sweep>,
-    /// What stopped this arm.
+    /// Cause of this arm's stop.
     stopped: Option<String>,
-    /// What stopped the other one.
+    /// Cause of the other arm's stop.
     latched: Option<String>,
 }
 
@@ -99,10 +99,10 @@ struct Sweep {
     reach_rad: JointVector,
 }
 
-/// Couples two arms whose samples are stamped by `clock`; surfaces are kept `least_room_m` apart.
+/// Couples two arms whose samples have timestamps of `clock`; their surfaces keep `least_room_m` of clearance.
 ///
 /// # Errors
-/// If the least room is not a positive number.
+/// If the minimum clearance is not a positive number.
 pub fn couple<A: Arm, B: Arm>(
     (first, first_config): (A, CoupledArmConfig),
     (second, second_config): (B, CoupledArmConfig),
@@ -139,7 +139,7 @@ impl Side {
         }
     }
 
-    /// Where the joints may be until they rest, told to move like this and then nothing more.
+    /// Range of the joints until they stop, with this command and none after it.
     fn sweep(&mut self, set_point: &SetPoint, now: MonotonicTime) -> Option<Sweep> {
         let sample = self.newest?;
         let age = now.saturating_since(sample.at);
@@ -151,7 +151,7 @@ impl Side {
         for (side, upwards) in [(0, -1.0), (1, 1.0)] {
             for i in 0..DOF {
                 let (speed, change) = (upwards * velocity[i], upwards * set_point.acceleration[i]);
-                // No shorter than the ramp of the arm's own, which knows no jerk.
+                // Not shorter than the arm's own ramp, which has no jerk limit.
                 let braking = self.drives.of(i).way_to_rest(speed, change);
                 ways[side][i] = meanwhile_s * peaks[side][i].max(speed).max(0.0) + braking;
             }
@@ -160,7 +160,7 @@ impl Side {
         Some(Sweep { centre_rad: sample.position_rad + (up - down) * 0.5, reach_rad: (up + down) * 0.5 })
     }
 
-    /// The set-point that a velocity makes now.
+    /// The set-point of a velocity at this moment.
     fn set_point(&self, velocity: &JointVector, now: MonotonicTime) -> SetPoint {
         let (before, dt) = self.last.at(now, self.cycle, self.newest.as_ref());
         let dt_s = dt.as_secs_f64();
@@ -177,7 +177,7 @@ impl Side {
 }
 
 impl Cell {
-    /// The room between two sweeps, one of each side, and which parts are nearest.
+    /// Clearance between two sweeps, one of each arm, and the nearest parts.
     fn room(&self, side: usize, own: &Sweep, other: &Sweep) -> (f64, String) {
         let sides = [&self.sides[side], &self.sides[1 - side]];
         let [own_frames, other_frames] = [(0, own), (1, other)]
@@ -194,7 +194,7 @@ impl Cell {
         (room.distance_m, format!("its {} and the {} of arm {}", room.first, room.second, sides[1].name))
     }
 
-    /// Why a set-point may not be sent, if it may not.
+    /// Why a set-point must not be sent, if so.
     fn refusal(&mut self, side: usize, set_point: &SetPoint, now: MonotonicTime) -> Option<String> {
         let is_rest = set_point.velocity == JointVector::zeros();
         let own = self.sides[side].sweep(set_point, now);
@@ -207,7 +207,7 @@ impl Cell {
         let may_meet = is_off(Safeguard::CouplingRoom);
         if room_m >= self.least_m || is_rest || may_meet || self.leads_away(side, &own, &other) {
             self.statistics.least_room_m = self.statistics.least_room_m.min(room_m);
-            // From here on the other arm has to count with it.
+            // From here on the other arm must take it into account.
             self.sides[side].sweep = Some(own);
             return None;
         }
@@ -219,7 +219,7 @@ impl Cell {
         ))
     }
 
-    /// Whether all of a short way to rest leads away from the other arm, which rests.
+    /// Whether every part of a short stopping motion leads away from the other, stationary arm.
     fn leads_away(&self, side: usize, own: &Sweep, other: &Sweep) -> bool {
         let Some(here) = self.sides[side].resting() else { return false };
         if other.reach_rad.amax() > AT_REST_RAD || own.reach_rad.amax() > SHORT_WAY_RAD {
@@ -237,7 +237,7 @@ impl Cell {
         true
     }
 
-    /// Notes that this arm stopped, and stops the other one.
+    /// Records the stop of this arm, and stops the other one.
     fn stop_both(&mut self, side: usize, reason: &str) {
         if self.sides[side].stopped.is_none() {
             self.sides[side].stopped = Some(reason.to_owned());
@@ -248,12 +248,12 @@ impl Cell {
 }
 
 impl<A> Coupled<A> {
-    /// The arm, to look at.
+    /// The wrapped arm, read-only.
     pub fn arm(&self) -> &A {
         &self.arm
     }
 
-    /// How close both arms came so far.
+    /// Smallest clearance of both arms so far.
     pub fn statistics(&self) -> CoupledStatistics {
         self.cell().statistics
     }
@@ -280,17 +280,17 @@ impl<A: Arm + ArmPower> Coupled<A> {
         self.latched().map_or(Ok(()), |reason| Err(self.stopped_error(&reason)))
     }
 
-    /// Where it may be until it rests was known before, and stays so until the next sample.
+    /// Its range until it stops was known before, and is valid until the next sample.
     fn note_stop(&self) {
         let now = self.clock.now();
         self.cell().sides[self.side].last.note_hold(now);
     }
 
-    /// Passes a command on, and looks at what the arm makes of it.
+    /// Forwards a command and evaluates the result.
     fn forward(&mut self, command: JointCommand, now: MonotonicTime) -> Result<JointState, ArmError> {
         let answer = self.arm.exchange(command);
         let state = self.arm.state();
-        // Arms may stop each other by themselves, and quicker than this: only the one that failed has to be reset first.
+        // Arms may stop each other by themselves, and faster than this: only the one that failed must be reset first.
         let by_other = self.arm.is_stopped_by_other();
         let mut cell = self.cell();
         let side = &mut cell.sides[self.side];
@@ -339,7 +339,7 @@ impl<A: Arm + ArmPower> Arm for Coupled<A> {
             return Err(self.stopped_error(&reason));
         }
         if self.cell().sides[self.side].newest.is_none() {
-            // Nobody has looked yet where it is.
+            // Its position has not been measured yet.
             self.forward(JointCommand::Hold, now)?;
         }
         let refusal = {

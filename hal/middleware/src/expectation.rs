@@ -1,35 +1,35 @@
-//! Where joints should be after the commands that they got.
+//! Expected joint positions after the commands.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
 use pb3dp_kinematics::{DOF, JointVector};
 
-/// Differences fade while a joint moves this far, rad: drives that are a hundredth too slow or too fast must not add up over
-/// minutes. One that does not move forgets nothing, however slow its command is.
+/// Differences decay while a joint moves by this distance, rad: drives with a speed error of one per cent must not accumulate over
+/// minutes. A joint that does not move keeps its difference, however slow its command is.
 const MEMORY_RAD: f64 = 1.0;
 
-/// Speeds that differ by less never add up, rad/s: commands are rounded to 2e-4 rad/s, and drives drift and stick a little.
+/// Speed differences below this are ignored, rad/s: commands are rounded to 2e-4 rad/s, and drives drift and stick slightly.
 const DRIFT_RAD_PER_S: f64 = 0.002;
 
 /// The model is advanced in steps of at most this, seconds.
 const STEP_S: f64 = 1e-3;
 
-/// No more steps than this at once: after a longer silence the model is at rest with its command anyhow.
+/// Maximum number of steps at once: after a longer silence the model is stationary with its command anyway.
 const STEPS_MAX: usize = 1000;
 
-/// Commands that are on their way at most; more would come within a delay only if cycles were shorter than any arm's.
+/// Maximum number of commands in the dead time; more would need shorter cycles than any arm has.
 const PENDING_MAX: usize = 256;
 
-/// Drives that follow a velocity after a delay, with a lag of first order and a limited acceleration, and how far the measured joints have
-/// moved away from what these would have done.
+/// Model of drives that follow a velocity after a dead time, with a first-order lag and an acceleration limit; and the difference
+/// between the measured joints and this model.
 pub(crate) struct Expectation {
     acceleration_max_rad_per_s2: JointVector,
     delay_s: f64,
     lag_s: f64,
     /// Since the first sample, seconds.
     now_s: f64,
-    /// Commands that have not arrived yet, and when they do.
+    /// Commands within the dead time, and when they take effect.
     pending: VecDeque<(f64, JointVector)>,
     commanded_rad_per_s: JointVector,
     velocity_rad_per_s: JointVector,
@@ -51,7 +51,7 @@ impl Expectation {
         }
     }
 
-    /// From now on, the time of the last sample, the joints are commanded to move like this, rad/s.
+    /// From the time of the last sample on, the joints are commanded these velocities, rad/s.
     pub(crate) fn command(&mut self, velocity_rad_per_s: &JointVector) {
         if self.pending.len() == PENDING_MAX {
             self.arrive();
@@ -65,14 +65,14 @@ impl Expectation {
         }
     }
 
-    /// At rest, and where it should be.
+    /// Stationary at the expected position.
     pub(crate) fn forget(&mut self) {
         let zeros = JointVector::zeros();
         self.pending.clear();
         (self.commanded_rad_per_s, self.velocity_rad_per_s, self.error_rad) = (zeros, zeros, zeros);
     }
 
-    /// How far the joints are from where their commands lead, rad, after they have moved by `moved_rad` within `dt`.
+    /// Difference between the joints and their model, rad, after a motion by `moved_rad` within `dt`.
     pub(crate) fn error_after(&mut self, moved_rad: &JointVector, dt: Duration) -> JointVector {
         let dt_s = dt.as_secs_f64();
         let steps = ((dt_s / STEP_S).ceil() as usize).clamp(1, STEPS_MAX);
@@ -92,7 +92,7 @@ impl Expectation {
             }
         }
         self.now_s += dt_s;
-        // What is left of a silence that is longer than the steps.
+        // Remainder of a silence that is longer than the steps.
         expected_rad += self.velocity_rad_per_s * (dt_s - step_s * steps as f64).max(0.0);
         for joint in 0..DOF {
             let kept = self.error_rad[joint] * (-moved_rad[joint].abs() / MEMORY_RAD).exp();

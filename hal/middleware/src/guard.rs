@@ -1,4 +1,4 @@
-//! The guard: what an arm does is compared with what it was told, and with what an arm can do at all.
+//! The guard: compares the motion of an arm with its commands and with the abilities of the arm.
 
 use std::time::Duration;
 
@@ -12,20 +12,20 @@ use crate::power::close_brakes;
 /// Mechanical range of a PA-10 to both sides, degrees, base to tip (INRIA's model of the PA10-7CE).
 pub const PA10_MECHANICAL_RANGE_DEG: [f64; DOF] = [180.0, 97.0, 180.0, 143.0, 270.0, 180.0, 270.0];
 
-/// What the guard takes for right, besides the arm's limits.
+/// Expected properties of the arm besides its limits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GuardConfig {
-    /// Where the arm's own stops are, rad: no joint can be beyond, so an angle that is belongs to a wrong encoder or zero.
+    /// Mechanical stops, rad: an angle beyond them is a wrong encoder or zero.
     pub mechanical_min_rad: JointVector,
     /// Upper ends of that range, rad.
     pub mechanical_max_rad: JointVector,
-    /// By how much a joint may be measured faster than its largest speed, rad/s: geared drives do not turn evenly when they are slow.
+    /// By how much a measured speed may exceed the limit, rad/s: geared drives have speed ripple.
     pub ripple_rad_per_s: f64,
-    /// Time from a command to the moment at which the drives begin to follow it.
+    /// Dead time from a command to the response of the drives.
     pub delay: Duration,
     /// First-order lag of the drives.
     pub lag: Duration,
-    /// How far a joint may be from where its commands lead, rad ...
+    /// Largest tracking error of a joint, rad ...
     pub tracking_error_max_rad: f64,
     /// ... for this long.
     pub tracking_error_for: Duration,
@@ -38,68 +38,68 @@ impl GuardConfig {
     pub const TRACKING_ERROR_FOR: Duration = Duration::from_millis(100);
 }
 
-/// Why numbers cannot configure a guard.
+/// Why a configuration of a guard is refused.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum GuardError {
-    /// The servo limits are not within the mechanical range.
+    /// The servo limits are not inside the mechanical range.
     #[error("the servo limits do not lie within the mechanical range")]
     MechanicalRange(#[source] JointLimitsError),
-    /// The ripple of the speed is none.
+    /// The speed ripple is invalid.
     #[error("ripple of the speed {0} rad/s is not a finite number of 0 or more")]
     Ripple(f64),
-    /// The tolerance of tracking is none.
+    /// The tracking tolerance is invalid.
     #[error("largest tracking error {0} rad is not a positive, finite number")]
     TrackingError(f64),
 }
 
-/// A joint that is faster than allowed by this factor ...
+/// A joint that exceeds its speed limit by this factor ...
 const OVER_SPEED: f64 = 1.1;
-/// ... in this many samples in a row is out of control.
+/// ... in this many consecutive samples is out of control.
 const OVER_SPEED_SAMPLES: u32 = 2;
-/// Between two samples a joint moves at most by this many times its largest speed allows ...
+/// Between two samples a joint moves at most by this multiple of its speed limit ...
 const JUMP_FACTOR: f64 = 1.5;
-/// ... and by this much more, rad; what is beyond is a wrong sample.
+/// ... plus this, rad; a larger step is a wrong sample.
 const JUMP_MARGIN_RAD: f64 = 0.002;
-/// Samples that are farther apart, in cycles, are no sequence while an arm is being enabled: nobody measures it with its brakes on,
-/// and three that are lost stop it.
+/// Samples further apart, in cycles, are not consecutive while an arm is being enabled: nobody measures it with closed brakes, and
+/// three lost samples stop it.
 const OLD_CYCLES: u32 = 5;
-/// So many wrong samples in a row are a fault and not a disturbance of the link.
+/// This number of consecutive wrong samples is a fault and not a disturbance of the link.
 const JUMPS_TO_FAULT: u32 = 2;
-/// Angles may be beyond a hard limit by this much without being a fault: rounding of the description and of the encoder, rad.
+/// Tolerance of a hard limit: rounding of the description and of the encoder, rad.
 pub(crate) const LIMIT_ROUNDING_RAD: f64 = 1e-4;
-/// A joint that was found beyond a limit may swing by this much on its way back, rad.
+/// Allowed oscillation of a joint on its way back from beyond a limit, rad.
 const RETURN_SWING_RAD: f64 = 2e-3;
 
-/// An arm whose answers are watched: it stops and stays stopped when a joint is where none can be, is faster than it may be,
-/// or does not follow its command. Only [`ArmPower::reset`] ends that, and only an operator's action calls it.
+/// Monitors the answers of an arm. The arm is stopped and latched if a joint has an impossible position, exceeds its speed limit,
+/// or does not follow its command. Only [`ArmPower::reset`], called by an operator's action, ends the latch.
 ///
-/// A joint that is beyond its servo limits when the guard first sees it after power-up, enabling or a reset may come back, and
-/// is stopped if it goes further out.
+/// A joint that is beyond its servo limits when the guard first sees it after power-up, enabling or a reset may come back. It is
+/// stopped if it moves further out.
 ///
-/// A single sample that jumps is thrown away and the arm told to hold; two in a row are a fault. Belongs inside of the
-/// [`Limiter`](crate::Limiter), so that it sees what is really sent.
+/// A single sample that jumps is discarded and the arm holds; two in a row are a fault. Use it inside the
+/// [`Limiter`](crate::Limiter), so that it sees the commands that are really sent.
 pub struct Guard<A> {
     arm: A,
     limits: EffectiveLimits,
     config: GuardConfig,
     mechanical: JointLimits,
     newest: Option<JointState>,
-    /// How far beyond their servo limits joints were when the guard first saw them, rad: they may come back.
+    /// Initial excess of joints beyond their servo limits, rad: they may come back.
     found_beyond_rad: JointVector,
     expectation: Expectation,
     too_fast: [u32; DOF],
     off_track_for: [Duration; DOF],
     jumps: u32,
-    /// The arm is being enabled: it may begin with what was measured of it long ago.
+    /// The arm is being enabled: the first comparison may be with an old measurement.
     is_switching_on: bool,
-    /// Why the arm was stopped.
+    /// Cause of the stop.
     latched: Option<String>,
     on_stop: Option<Box<dyn FnMut() + Send>>,
 }
 
 impl<A: Arm> Guard<A> {
-    /// Watches an arm that has these limits: a joint that comes beyond its servo limits, or is faster than it may be, is stopped.
-    /// The drives accelerate and brake with the accelerations of the limits.
+    /// Monitors an arm with these limits: a joint beyond its servo limits or its speed limit is stopped. The drives accelerate and
+    /// decelerate with the accelerations of the limits.
     ///
     /// # Errors
     /// If a number of the configuration is out of range; the error names it.
@@ -123,25 +123,25 @@ impl<A: Arm> Guard<A> {
         })
     }
 
-    /// The arm, to look at.
+    /// The wrapped arm, read-only.
     pub fn arm(&self) -> &A {
         &self.arm
     }
 
-    /// Why the guard has stopped the arm, if it has.
+    /// Cause for which the guard has stopped the arm, if any.
     pub fn latched(&self) -> Option<&str> {
         self.latched.as_deref()
     }
 
-    /// What is also done, once and at once, when the guard stops the arm. A joint that does not follow its drive goes on although
-    /// the arm holds, until its brake closes: a backend with brakes is to be told here (`TripHandle::trip` of a PA-10).
+    /// Additional action, once and at once, when the guard stops the arm. A joint that does not follow its drive may move although
+    /// the arm holds, until its brake closes: for a backend with brakes this action closes them (`TripHandle::trip` of a PA-10).
     #[must_use]
     pub fn on_stop(mut self, stop: impl FnMut() + Send + 'static) -> Self {
         self.on_stop = Some(Box::new(stop));
         self
     }
 
-    /// Stops at once. What the arm answers to that is of no use any more.
+    /// Stops at once; the answer of the arm does not matter any more.
     fn stop_for(&mut self, (joint, reason): (usize, String)) -> ArmError {
         if let Some(stop) = &mut self.on_stop {
             stop();
@@ -154,7 +154,7 @@ impl<A: Arm> Guard<A> {
         error
     }
 
-    /// Takes a sample that jumps out of the account: the arm holds, and the next one is compared with the last good one.
+    /// Discards a sample that jumps: the arm holds, and the next sample is compared with the last good one.
     fn refuse_jump(&mut self, joint: usize, moved_rad: f64, dt: Duration) -> ArmError {
         self.jumps += 1;
         let moved_deg = moved_rad.to_degrees();
@@ -252,14 +252,14 @@ impl<A: Arm> Guard<A> {
         reason
     }
 
-    /// Judges a sample; it becomes the newest unless it jumps.
+    /// Checks a sample; it becomes the newest unless it jumps.
     fn judge(&mut self, sample: JointState) -> Result<JointState, ArmError> {
         let old = self.arm.info().cycle * OLD_CYCLES;
         if self.is_switching_on && self.newest.is_some_and(|last| sample.at.saturating_since(last.at) > old) {
             self.forget();
         }
         if let Some(reason) = self.beyond_limit(&sample).filter(|_| !is_off(Safeguard::GuardRange)) {
-            // A wrong sample may well be out of every limit.
+            // A wrong sample may exceed any limit.
             if self.newest.is_none_or(|last| self.jump(&sample, &last, sample.at.saturating_since(last.at)).is_none()) {
                 return Err(self.stop_for(reason));
             }
@@ -284,7 +284,7 @@ impl<A: Arm> Guard<A> {
         Ok(sample)
     }
 
-    /// Nothing of before counts any more.
+    /// Forgets all earlier samples.
     fn forget(&mut self) {
         self.newest = None;
         self.found_beyond_rad = JointVector::zeros();
@@ -294,7 +294,7 @@ impl<A: Arm> Guard<A> {
         self.jumps = 0;
     }
 
-    /// What comes before the arm is enabled: a new beginning, unless the arm is stopped.
+    /// Prepares for enabling, unless the arm is stopped.
     fn prepare(&mut self) -> Result<(), ArmError> {
         self.check_latched()?;
         self.is_switching_on = false;
@@ -329,7 +329,7 @@ impl<A: Arm> Arm for Guard<A> {
             };
         }
         let sample = self.arm.exchange(command);
-        // What is measured now came about by the command before this one.
+        // The present measurement results from the command before this one.
         let judged = sample.and_then(|sample| self.judge(sample));
         self.expectation.command(&match (&judged, command) {
             (Ok(_), JointCommand::Velocity(velocity)) => velocity,

@@ -1,4 +1,4 @@
-//! What an arm was told last, and what it makes of that by itself.
+//! The last command to an arm, and how the arm continues it without a successor.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -8,20 +8,20 @@ use pb3dp_kinematics::{DOF, JointState, JointVector};
 
 use crate::shaping::SetPoint;
 
-/// Set-points that are remembered at most. Were there more within the reaction time, the oldest two become one.
+/// Capacity for set-points; with more within the reaction time, the oldest two are merged.
 const REMEMBERED_MAX: usize = 128;
 
-/// How an arm fades a velocity by itself that no other command follows: all joints by the same part.
+/// Fading of a velocity without a successor: all joints by the same factor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CommandFade {
-    /// Age of the command from which on it is slowed down.
+    /// Age of the command at which fading begins.
     pub begins_after: Duration,
-    /// Age at which nothing is left of it.
+    /// Age at which the velocity is zero.
     pub ends_after: Duration,
 }
 
 impl CommandFade {
-    /// What is left of a set-point of this age. Its fall is the watchdog's, and none to go on with.
+    /// Remaining part of a set-point of this age. Its decrease is that of the watchdog and not an acceleration to continue with.
     fn of(&self, set_point: &SetPoint, age: Duration) -> SetPoint {
         let left_s = self.ends_after.saturating_sub(age).as_secs_f64();
         let all_s = self.ends_after.saturating_sub(self.begins_after).as_secs_f64();
@@ -30,13 +30,13 @@ impl CommandFade {
     }
 }
 
-/// The last command, and the set-points that may not be in the measured angles yet.
+/// The last command, and the set-points that the measured angles may not show yet.
 pub(crate) struct LastCommand {
     acceleration_max_rad_per_s2: JointVector,
     command_timeout: Duration,
     fade: Option<CommandFade>,
     kind: Kind,
-    /// When something was sent last.
+    /// Time of the last sent command.
     at: MonotonicTime,
     recent: VecDeque<InForce>,
 }
@@ -45,21 +45,21 @@ pub(crate) struct LastCommand {
 enum Kind {
     Rest,
     Velocity(SetPoint),
-    /// The arm's own ramp from this velocity on: each joint by itself.
+    /// The arm's own ramp from this velocity on: each joint separately.
     Hold {
         since: MonotonicTime,
         from_rad_per_s: JointVector,
     },
 }
 
-/// Speeds downwards and upwards that were in force from a moment on, rad/s, 0 or more.
+/// Largest speeds downwards and upwards since a time, rad/s, 0 or more.
 struct InForce {
     from: MonotonicTime,
     speeds: [JointVector; 2],
 }
 
 impl LastCommand {
-    /// Nothing was sent yet to drives that ramp like this and come to rest by themselves after so long, fading before if they do.
+    /// Starts without a command, for drives with these ramps that stop after this time-out, and fade before it if they do.
     pub(crate) fn new(
         acceleration_max_rad_per_s2: JointVector,
         command_timeout: Duration,
@@ -75,9 +75,9 @@ impl LastCommand {
         }
     }
 
-    /// The set-point that is in force, and for how long it was: at most the time-out of commands. `first` if nothing is.
+    /// The present set-point and its age: at most the command time-out. `first` without a command.
     ///
-    /// `measured` tells where the arm is on a ramp of its own.
+    /// `measured` shows the position on a ramp of the arm's own.
     pub(crate) fn at(
         &self,
         now: MonotonicTime,
@@ -98,7 +98,7 @@ impl LastCommand {
         }
     }
 
-    /// A velocity that the arm follows until the time-out, and then comes to rest.
+    /// A velocity that the arm follows until the time-out, and then stops.
     fn followed(
         &self,
         set_point: SetPoint,
@@ -108,13 +108,12 @@ impl LastCommand {
         if since <= self.command_timeout {
             return (set_point, since);
         }
-        // Nobody has told it anything for so long that it came to rest by itself.
+        // No command for so long that the arm has stopped by itself.
         (self.ramp(&set_point.velocity, since - self.command_timeout, measured), first)
     }
 
-    /// A ramp of the arm's own, so long after its beginning. Some arms bring each joint to rest by itself, some all at the same
-    /// time: between these two the measured speed is
-    /// believed; without any, the slower ramp.
+    /// State of the arm's own ramp after this time. Some arms stop each joint separately, some all at the same time: between these
+    /// two the measured speed is used; without a measurement, the slower ramp.
     fn ramp(&self, from_rad_per_s: &JointVector, elapsed: Duration, measured: Option<&JointState>) -> SetPoint {
         let elapsed_s = elapsed.as_secs_f64();
         let most = &self.acceleration_max_rad_per_s2;
@@ -137,7 +136,7 @@ impl LastCommand {
         ramp
     }
 
-    /// The largest speeds downwards and upwards that were in force since a moment, rad/s, 0 or more.
+    /// Largest speeds downwards and upwards since a time, rad/s, 0 or more.
     pub(crate) fn peaks_since(&mut self, since: MonotonicTime) -> [JointVector; 2] {
         while self.recent.get(1).is_some_and(|next| next.from <= since) {
             self.recent.pop_front();
@@ -157,7 +156,7 @@ impl LastCommand {
         self.remember(now, &set_point.velocity);
     }
 
-    /// It holds: because it was told to, or because of an error.
+    /// The arm holds, by command or after an error.
     pub(crate) fn note_hold(&mut self, now: MonotonicTime) {
         let (in_force, _) = self.at(now, Duration::ZERO, None);
         match self.kind {
@@ -169,7 +168,7 @@ impl LastCommand {
         self.remember(now, &in_force.velocity);
     }
 
-    /// Drives off, or at rest for certain.
+    /// The drives are disabled, or the arm is certainly stationary.
     pub(crate) fn note_rest(&mut self) {
         self.kind = Kind::Rest;
         self.recent.clear();

@@ -1,10 +1,10 @@
 //! Wrappers around hardware backends; each implements the trait that it wraps.
 //!
-//! [`Limiter`] stands between every controller and every arm: no velocity reaches the arm that is not finite, too fast, too
-//! sudden, or too fast for the way that is left to a joint's limit (docs/arm-limits.md). [`Guard`] stands behind it and watches what the arm makes
-//! of it: a joint that jumps, is too fast or does not follow its command stops the arm until an operator resets it. [`Coupled`] arms
-//! stop with each other, and get no command that could bring them too near to each other. [`Recorded`] stands around the arm
-//! itself and keeps the last exchanges.
+//! [`Limiter`] is between every controller and every arm. No velocity reaches the arm that is not finite, exceeds a speed,
+//! acceleration or jerk limit, or is too high for the remaining distance to a joint limit (docs/arm-limits.md). [`Guard`] comes
+//! after it and monitors the motion of the arm: a joint that jumps, is too fast or does not follow its command stops the arm until
+//! an operator resets it. [`Coupled`] arms stop together, and get no command that could bring them too close. [`Recorded`] wraps
+//! the arm itself and keeps the last exchanges.
 
 mod coupling;
 mod expectation;

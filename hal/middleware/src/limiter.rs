@@ -13,47 +13,47 @@ use crate::last_command::{CommandFade, LastCommand};
 use crate::shaping::{self, Caps, Room, SetPoint, Step};
 use crate::stopping::DriveLimits;
 
-/// Close to a limit the speed cap is distance / T: a control loop of gain 1/T, closed over the reaction time. Such a loop
-/// overshoots unless its gain is at most 1 / (e x delay), so T is e times the reaction time.
+/// Near a limit the speed cap is distance / T: a control loop of gain 1/T, closed over the reaction time. Such a loop overshoots
+/// unless its gain is at most 1 / (e x delay), so T is e times the reaction time.
 const NO_OVERSHOOT: f64 = std::f64::consts::E;
 
-/// In place of a limit that a test has disabled: more than any joint can do, in whatever unit.
+/// Replaces a limit that a test has disabled: more than any joint can do, in any unit.
 const UNLIMITED: f64 = 1e3;
 
-/// How the arm behaves that a limiter is before, besides its limits.
+/// Properties of the arm besides its limits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LimiterConfig {
-    /// Time from a sample to the effect of the next command on it: cycle, delay of the link, lag of the drives.
+    /// Time from a sample until the next command takes effect: cycle, delay of the link, lag of the drives.
     pub reaction_time: Duration,
-    /// The arm comes to rest by itself if no command follows for longer than this.
+    /// The arm stops without a new command for this time.
     pub command_timeout: Duration,
-    /// How the arm fades a command that no other follows; none if it goes on until the time-out.
+    /// Fading of a command without a successor; `None` if it is valid until the time-out.
     pub fade: Option<CommandFade>,
-    /// Without a sample younger than this, the arm gets the command to hold.
+    /// Without a sample younger than this, the arm holds.
     pub stale_after: Duration,
-    /// Where the arm has to be when it is first told to move after it was enabled.
+    /// Required pose at the first motion after enabling.
     pub start: StartPose,
 }
 
-/// Where an arm has to be when it is first told to move after it was enabled.
+/// Required pose at the first motion after enabling.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StartPose {
-    /// Anywhere: for motions that begin with the measured joints, such as the one that brings the arm to its start.
+    /// Any pose: for motions that start from the measured joints, such as the one to the start pose.
     Anywhere,
-    /// At these angles, rad: for motions that were planned from there.
+    /// These angles, rad: for motions that were planned from there.
     Near {
         /// The planned angles, rad.
         position_rad: JointVector,
-        /// How far each joint may be from them, rad; [`StartPose::TOLERANCE_RAD`] for a PA-10.
+        /// Tolerance of each joint, rad; [`StartPose::TOLERANCE_RAD`] for a PA-10.
         tolerance_rad: f64,
     },
 }
 
 impl StartPose {
-    /// How far a joint may be from its planned start, rad.
+    /// Tolerance of a joint around its planned start, rad.
     pub const TOLERANCE_RAD: f64 = 0.01;
 
-    /// The first joint that is not where it has to be, with the difference, rad.
+    /// The first joint outside the tolerance, with the difference, rad.
     fn missed_by(&self, measured_rad: &JointVector) -> Option<(usize, f64)> {
         let Self::Near { position_rad, tolerance_rad } = self else { return None };
         let difference_rad = measured_rad - position_rad;
@@ -64,10 +64,10 @@ impl StartPose {
     }
 }
 
-/// Why numbers cannot configure a limiter.
+/// Why a configuration of a limiter is refused.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum LimiterError {
-    /// The tolerance of the start is none.
+    /// The tolerance of the start is invalid.
     #[error("tolerance of the start pose {0} rad is not a positive, finite number")]
     StartTolerance(f64),
     /// A time is zero.
@@ -75,42 +75,41 @@ pub enum LimiterError {
     ZeroTime(&'static str),
 }
 
-/// How often the limiter stepped in.
+/// Counters of the limiter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LimiterStatistics {
-    /// Velocity commands that came in.
+    /// Velocity commands received.
     pub velocity_commands: u64,
-    /// Velocity commands that the arm was told otherwise than they came in, for whichever of the reasons below.
+    /// Velocity commands that were changed for any of the reasons below.
     pub changed: u64,
-    /// Velocity commands that were refused, by the limiter or by what stands behind it.
+    /// Velocity commands that were refused by the limiter or by a wrapped layer.
     pub refused: u64,
     /// Commands refused because a number was not finite.
     pub refused_not_finite: u64,
-    /// Commands refused because the arm was not where it has to start.
+    /// Commands refused because the arm was not at its start pose.
     pub refused_start: u64,
-    /// Commands refused because they lead a joint further out that is beyond its servo limit.
+    /// Commands refused because they move a joint further beyond its servo limit.
     pub refused_outwards: u64,
-    /// Commands replaced by rest because the newest sample was too old, or there was none.
+    /// Commands replaced by a hold because the newest sample was too old or missing.
     pub held_stale: u64,
-    /// Commands scaled down because a joint would have been too fast.
+    /// Commands scaled down because of a speed limit.
     pub speed_limited: u64,
-    /// Commands scaled down because a joint came near the end of its range.
+    /// Commands scaled down because a joint came near its limit.
     pub position_limited: u64,
-    /// Commands that the arm approaches as quickly as acceleration and jerk allow.
+    /// Commands that are approached with limited acceleration and jerk.
     pub acceleration_limited: u64,
-    /// Replies thrown away because a number was not finite.
+    /// Replies discarded because a number was not finite.
     pub samples_not_finite: u64,
 }
 
-/// An arm that no command can drive beyond its limits. It owns the arm: there is no way round it.
+/// An arm that no command can drive beyond its limits. The limiter owns the arm, so it cannot be bypassed.
 ///
-/// A velocity is `Rejected`, and the arm told to hold, if it is not finite, if it leads a joint further out that is beyond
-/// its servo limits, and if it is the first one since the arm was enabled and the arm is not where it has to start.
-/// Everything else is shaped: speeds and the way that
-/// is left to the ends of the operating range scale the whole vector, so that the hand keeps its direction; what is sent
-/// changes within the limits of acceleration and jerk, and always so that from there every joint can be brought to rest
-/// within its operating range. Without a fresh sample each joint is brought to rest. Outside its operating range a joint can
-/// only return. `Hold` is the arm's own ramp, and passes as it is.
+/// A velocity is `Rejected`, and the arm holds, if it is not finite, if it moves a joint further beyond its servo limits, or if it
+/// is the first one after enabling and the arm is not at its start pose. All other velocities are shaped. Speed limits and the
+/// remaining distance to the operating limits scale the whole vector, so the hand keeps its direction. The sent velocity changes
+/// within the limits of acceleration and jerk, and always so that every joint can still stop inside its operating range. Without a
+/// fresh sample each joint decelerates to a stop. Outside its operating range a joint can only return. `Hold` is the arm's own ramp
+/// and passes unchanged.
 pub struct Limiter<A> {
     arm: A,
     clock: Arc<dyn Clock>,
@@ -119,14 +118,14 @@ pub struct Limiter<A> {
     drives: DriveLimits,
     newest: Option<JointState>,
     last: LastCommand,
-    /// Whether the arm has been at its start since it was enabled.
+    /// Whether the arm has been at its start pose since it was enabled.
     started: bool,
     statistics: LimiterStatistics,
 }
 
 impl<A: Arm> Limiter<A> {
-    /// Wraps an arm that has these limits and whose samples are stamped by `clock`. The drives can brake with the accelerations
-    /// of the limits; the limiter brakes ahead of the ends of the operating range.
+    /// Wraps an arm with these limits, whose samples have timestamps of `clock`. The drives can decelerate with the accelerations
+    /// of the limits; the limiter decelerates before the operating limits.
     ///
     /// # Errors
     /// If a number of the configuration is out of range; the error names it.
@@ -152,13 +151,13 @@ impl<A: Arm> Limiter<A> {
         })
     }
 
-    /// How often the limiter stepped in so far.
+    /// Counters so far.
     pub fn statistics(&self) -> LimiterStatistics {
         self.statistics
     }
 
-    /// As [`ArmPower::enable`]; where the arm has been at its start before, it may go on from where it is now: after a stop, say;
-    /// also when this is refused at first.
+    /// As [`ArmPower::enable`]; an arm that has been at its start pose before may start from its present pose, for example after a
+    /// stop. This remains valid if enabling fails at first.
     ///
     /// # Errors
     /// As [`ArmPower::enable`].
@@ -172,7 +171,7 @@ impl<A: Arm> Limiter<A> {
         enabled
     }
 
-    /// As [`Self::enable_here`], begun as [`ArmPower::begin_enable`] does.
+    /// As [`Self::enable_here`], with [`ArmPower::begin_enable`].
     ///
     /// # Errors
     /// As [`ArmPower::enable`].
@@ -186,24 +185,24 @@ impl<A: Arm> Limiter<A> {
         begun
     }
 
-    /// Nothing of before counts any more.
+    /// Forgets all earlier samples and commands.
     fn forget(&mut self) {
         self.last.note_rest();
         self.newest = None;
         self.started = false;
     }
 
-    /// What this limiter lets pass.
+    /// The limits of this limiter.
     pub fn config(&self) -> &LimiterConfig {
         &self.config
     }
 
-    /// The arm, to look at.
+    /// The wrapped arm, read-only.
     pub fn arm(&self) -> &A {
         &self.arm
     }
 
-    /// Hands a command on and remembers what came back. The arm rests after anything but an accepted velocity.
+    /// Forwards a command and stores the result. The arm holds after anything but an accepted velocity.
     fn forward(&mut self, command: JointCommand, now: MonotonicTime) -> Result<JointState, ArmError> {
         let sample = self.arm.exchange(command).inspect_err(|_| self.last.note_hold(now))?;
         let mut numbers = sample.position_rad.iter().chain(sample.velocity_rad_per_s.iter());
@@ -221,7 +220,7 @@ impl<A: Arm> Limiter<A> {
         Ok(sample)
     }
 
-    /// Why a velocity may not be sent at all, if it may not.
+    /// Why a velocity must not be sent at all, if so.
     fn refusal(&mut self, desired: &JointVector) -> Option<(usize, String)> {
         if let Some(joint) = (0..DOF).find(|&joint| !desired[joint].is_finite()) {
             self.statistics.refused_not_finite += 1;
@@ -260,7 +259,7 @@ impl<A: Arm> Limiter<A> {
         None
     }
 
-    /// A joint beyond its servo limits that would be led further out.
+    /// A joint beyond its servo limits that would move further out.
     fn leads_out(&self, desired: &JointVector, measured_rad: &JointVector) -> Option<usize> {
         let limits = self.limits.servo();
         (0..DOF).find(|&joint| {
@@ -275,7 +274,7 @@ impl<A: Arm> Limiter<A> {
         Err(self.error(ArmErrorKind::Rejected, &format!("{reason}; the arm holds")).of_joint(joint))
     }
 
-    /// What to send in place of `desired`.
+    /// The velocity to send in place of `desired`.
     fn limit(&mut self, desired: &JointVector, now: MonotonicTime) -> SetPoint {
         let config = &self.config;
         let fresh = self.newest.map(|sample| (now.saturating_since(sample.at), sample));
@@ -298,7 +297,7 @@ impl<A: Arm> Limiter<A> {
         let mut room = Room {
             to_ends: [position - operating.position_min_rad(), operating.position_max_rad() - position],
             peaks: self.last.peaks_since(now - reaction),
-            // A command that is the last one for a while.
+            // A command that may be the last one for a while.
             reaction_s: (reaction + config.command_timeout).as_secs_f64(),
         };
         if is_off(Safeguard::LimiterRange) {

@@ -1,9 +1,9 @@
-//! Switching an arm off before its stop is forgiven.
+//! Disables an arm before its latch is cleared.
 
 use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmPower};
 
-/// The brakes close before anything is forgiven. An arm whose link is gone cannot be told: its gateway has closed them, and the
-/// reset that follows finds the link again or fails.
+/// The brakes close before a latch is cleared. An arm with a lost link cannot be commanded: its gateway has closed the brakes, and
+/// the following reset restores the link or fails.
 pub(crate) fn close_brakes(arm: &mut impl ArmPower) -> Result<(), ArmError> {
     match arm.stop() {
         Err(error) if error.kind() == ArmErrorKind::Disconnected => Ok(()),

@@ -1,4 +1,4 @@
-//! The flight recorder: the last exchanges with an arm, kept in memory until somebody asks for them.
+//! The flight recorder: the last exchanges with an arm, kept in memory until they are requested.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -6,54 +6,54 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 
-/// One exchange, or one switching of drives and brakes.
+/// One exchange, or one operation of drives and brakes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FlightEntry {
-    /// When it began.
+    /// Start time.
     pub at: MonotonicTime,
-    /// When it was over.
+    /// End time.
     pub done: MonotonicTime,
-    /// What was asked.
+    /// The request.
     pub asked: RecordedRequest,
-    /// What came of it: the measured joints of an exchange, or the kind of the error.
+    /// The result: measured joints of an exchange, or the kind of the error.
     pub answer: Result<Option<JointState>, ArmErrorKind>,
     /// State of drives and brakes afterwards.
     pub state: ArmState,
 }
 
-/// What an arm was asked.
+/// A request to an arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RecordedRequest {
     /// An exchange with this command.
     Exchange(JointCommand),
-    /// Drives on.
+    /// Enable.
     Enable,
-    /// To rest, drives off.
+    /// Stop and disable.
     Stop,
-    /// The latched state cleared.
+    /// Reset.
     Reset,
 }
 
-/// The last entries of an arm. Copies of it see the same entries.
+/// The last entries of an arm. Clones share the same entries.
 #[derive(Clone)]
 pub struct FlightLog {
     ring: Arc<Mutex<VecDeque<FlightEntry>>>,
     capacity: usize,
 }
 
-/// An arm whose exchanges are recorded: as many of the last ones as the log holds. Nothing is allocated after construction.
+/// Records the exchanges with an arm, as many as the log holds. Nothing is allocated after construction.
 ///
-/// Belongs directly around a backend, so that it sees what every wrapper makes of a command.
+/// Use it directly around a backend, so that it sees the commands after every wrapper.
 pub struct Recorded<A> {
     arm: A,
     clock: Arc<dyn Clock>,
     log: FlightLog,
-    /// Since when it is being enabled.
+    /// Time since which the arm is being enabled.
     enabling_since: Option<MonotonicTime>,
 }
 
 impl FlightLog {
-    /// An empty log for so many entries, at least 1.
+    /// An empty log for this number of entries, at least 1.
     pub fn with_capacity(entries: usize) -> Self {
         let capacity = entries.max(1);
         Self { ring: Arc::new(Mutex::new(VecDeque::with_capacity(capacity))), capacity }
@@ -78,12 +78,12 @@ impl FlightLog {
 }
 
 impl<A> Recorded<A> {
-    /// Records what is exchanged with `arm` in `log`, with the times of `clock`.
+    /// Records the exchanges with `arm` in `log`, with the times of `clock`.
     pub fn new(arm: A, clock: Arc<dyn Clock>, log: FlightLog) -> Self {
         Self { arm, clock, log, enabling_since: None }
     }
 
-    /// The arm, to look at.
+    /// The wrapped arm, read-only.
     pub fn arm(&self) -> &A {
         &self.arm
     }
@@ -106,7 +106,7 @@ impl<A: Arm + ArmPower> Recorded<A> {
         self.log.push(FlightEntry { at, done: self.clock.now(), asked, answer, state: self.arm.state() });
     }
 
-    /// Switching on is one entry, when it has come to its end, since it was begun.
+    /// Enabling is one entry, from its start to its end.
     fn note_enabling<T>(&mut self, result: Result<T, ArmError>, is_done: impl Fn(&T) -> bool) -> Result<T, ArmError> {
         if result.as_ref().map_or(true, is_done)
             && let Some(since) = self.enabling_since.take()

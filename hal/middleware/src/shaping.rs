@@ -1,19 +1,19 @@
-//! From a desired joint velocity to one that keeps every limit. Pure functions; rad, rad/s, rad/s^2, rad/s^3, s.
+//! Shapes a desired joint velocity so that it keeps every limit. Pure functions; rad, rad/s, rad/s^2, rad/s^3, s.
 
 use pb3dp_kinematics::{DOF, JointLimits, JointVector};
 
 use crate::stopping::{DriveLimit, DriveLimits, braking_speed};
 
-/// The velocities that are allowed at a place, and why.
+/// Allowed velocities at a position, with the reason.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Caps {
     pub lower: JointVector,
     pub upper: JointVector,
-    /// Whether the way to a limit, and not the joint's speed, is what limits: downwards and upwards.
+    /// Whether the distance to a limit, and not the joint's speed limit, decides: downwards and upwards.
     pub by_position: [[bool; 2]; DOF],
 }
 
-/// Command of an arm: a velocity, and how it changes until it is reached.
+/// Set-point of an arm: a velocity, and its rate of change until it is reached.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct SetPoint {
     pub velocity: JointVector,
@@ -26,18 +26,18 @@ impl SetPoint {
     }
 }
 
-/// The room that is left, and what of it is used up already.
+/// Remaining range, and the part of it that earlier set-points use.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Room {
-    /// From the measured angles down and up to the ends of the range, rad; negative outside.
+    /// Distance from the measured angles down and up to the limits, rad; negative outside.
     pub to_ends: [JointVector; 2],
-    /// Largest speeds downwards and upwards of the set-points that may not be in the measured angles yet, rad/s.
+    /// Largest speeds downwards and upwards of set-points that the measured angles may not show yet, rad/s.
     pub peaks: [JointVector; 2],
-    /// For how long joints may still move like that, s.
+    /// Time for which joints may still move with these speeds, s.
     pub reaction_s: f64,
 }
 
-/// What became of a desired velocity.
+/// Result for a desired velocity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Shaped {
     pub set_point: SetPoint,
@@ -46,17 +46,17 @@ pub(crate) struct Shaped {
     pub acceleration_limited: bool,
 }
 
-/// How velocities may change until the next set-point.
+/// Allowed changes of velocity until the next set-point.
 pub(crate) struct Step<'a> {
     pub previous: &'a SetPoint,
     pub dt_s: f64,
     pub drives: &'a DriveLimits,
-    /// Largest speeds, rad/s.
+    /// Speed limits, rad/s.
     pub speeds: &'a JointVector,
 }
 
-/// Allowed velocities for joints at `position`: within the range of `limits`, up to `speeds`, rad/s. `reaction_s` is without the time
-/// that the jerk takes.
+/// Allowed velocities for joints at `position`: inside the range of `limits`, up to `speeds`, rad/s. `reaction_s` excludes the time
+/// for the jerk.
 pub(crate) fn caps(
     position: &JointVector,
     limits: &JointLimits,
@@ -77,12 +77,12 @@ pub(crate) fn caps(
     caps
 }
 
-/// The set-point nearest to `desired` that keeps the caps where that is possible, and in any case the speeds, accelerations and
-/// jerks of `step` and, if there is any, the room: brought to rest afterwards, no joint leaves it.
+/// The set-point nearest to `desired` that keeps the caps if possible, and always the speeds, accelerations and jerks of `step`
+/// and, if given, the range: each joint can stop inside it afterwards.
 ///
 /// Too fast: the whole vector is scaled, so that the hand keeps its direction. Too sudden: the whole vector is scaled as much as
-/// that helps; where no multiple of it can be reached at once (the direction changes), each joint goes up to its limit.
-/// Without room nothing is known of the arm: each joint comes to rest as quickly as it may.
+/// that helps; if no multiple of it can be reached at once (the direction changes), each joint changes up to its limit. Without a
+/// range the state of the arm is unknown: each joint stops as quickly as allowed.
 pub(crate) fn shape(desired: &JointVector, caps: &Caps, step: &Step<'_>, room: Option<&Room>) -> Shaped {
     let (target, mut shaped) = scaled_to_caps(desired, caps);
     let wanted = if room.is_some() { target } else { JointVector::zeros() };
@@ -100,7 +100,7 @@ pub(crate) fn shape(desired: &JointVector, caps: &Caps, step: &Step<'_>, room: O
     }
     let along = match room {
         Some(_) if target != JointVector::zeros() => nearest_multiple(&target, 1.0, &intervals),
-        // On the way to rest the hand keeps the direction that it has.
+        // During deceleration the hand keeps its direction.
         Some(_) => nearest_multiple(&step.previous.velocity, 0.0, &intervals),
         None => None,
     };
@@ -112,7 +112,7 @@ pub(crate) fn shape(desired: &JointVector, caps: &Caps, step: &Step<'_>, room: O
         let joint = step.joint(i);
         let (least, most) = joint.accelerations();
         let change = shaped.set_point.velocity[i] - joint.velocity;
-        // Commands at one moment leave no time for a change.
+        // Two commands at the same time allow no change.
         let acceleration = if step.dt_s > 0.0 { change / step.dt_s } else { joint.acceleration };
         shaped.set_point.acceleration[i] = acceleration.clamp(least, most);
     }
@@ -120,7 +120,7 @@ pub(crate) fn shape(desired: &JointVector, caps: &Caps, step: &Step<'_>, room: O
     shaped
 }
 
-/// Whether velocities differ by more than rounding.
+/// Whether two velocities differ by more than rounding.
 pub(crate) fn differ(one: &JointVector, other: &JointVector) -> bool {
     (one - other).amax() > 1e-12
 }
@@ -147,7 +147,7 @@ fn scaled_to_caps(desired: &JointVector, caps: &Caps) -> (JointVector, Shaped) {
     (desired * scale, shaped)
 }
 
-/// The multiple of `direction` that is within all intervals and nearest to `wanted` times it, if there is one.
+/// The multiple of `direction` inside all intervals that is nearest to `wanted` times it, if there is one.
 fn nearest_multiple(direction: &JointVector, wanted: f64, intervals: &[(f64, f64); DOF]) -> Option<JointVector> {
     let (mut least, mut most) = (0.0f64, f64::INFINITY);
     for (i, &(lower, upper)) in intervals.iter().enumerate() {
@@ -186,13 +186,13 @@ impl Step<'_> {
 }
 
 impl JointStep {
-    /// Accelerations that jerk and acceleration allow.
+    /// Accelerations within the limits of jerk and acceleration.
     fn accelerations(&self) -> (f64, f64) {
         let (most, change) = (self.drive.acceleration, self.drive.jerk * self.dt_s);
         ((self.acceleration - change).clamp(-most, most), (self.acceleration + change).clamp(-most, most))
     }
 
-    /// The velocities that can be reached, none of which leads beyond the joint's speed later on.
+    /// The reachable velocities, none of which leads beyond the joint's speed limit later.
     fn reachable(&self) -> (f64, f64) {
         let (least, most) = self.accelerations();
         let lowest = self.drive.towards(-self.speed - self.velocity, self.dt_s).clamp(least, most);
@@ -200,14 +200,15 @@ impl JointStep {
         (self.velocity + lowest * self.dt_s, self.velocity + highest * self.dt_s)
     }
 
-    /// The velocity on the quickest way to `wanted` that does not pass it.
+    /// The velocity on the quickest path to `wanted` that does not pass it.
     fn towards(&self, wanted: f64, (lowest, highest): (f64, f64)) -> f64 {
         let (least, most) = self.accelerations();
         let acceleration = self.drive.towards(wanted - self.velocity, self.dt_s).clamp(least, most);
         (self.velocity + acceleration * self.dt_s).clamp(lowest, highest)
     }
 
-    /// The part of an interval of velocities that leaves room to come to rest. Where none does, what comes to rest soonest.
+    /// The part of an interval of velocities from which the joint can stop in range; if there is none, the velocity that stops
+    /// soonest.
     fn within(&self, room: &Room, i: usize, (lowest, highest): (f64, f64)) -> (f64, f64) {
         let to_rest = self.towards(0.0, (lowest, highest));
         let lower = -self.farthest(-to_rest, -lowest, |velocity| self.has_room(room, i, 0, velocity));
@@ -215,7 +216,7 @@ impl JointStep {
         (lower, upper)
     }
 
-    /// The farthest number between `near` and `far` for which `is_good` holds; `near` if it holds for none.
+    /// The farthest number between `near` and `far` for which `is_good` holds; `near` if there is none.
     fn farthest(&self, near: f64, far: f64, is_good: impl Fn(f64) -> bool) -> f64 {
         const HALVINGS: u32 = 24;
         if is_good(far) {
@@ -233,8 +234,8 @@ impl JointStep {
         good
     }
 
-    /// Whether the joint, told to move with this speed to `side` (0 downwards, 1 upwards) and then to come to rest, stays
-    /// within its room. Outside it may only come back.
+    /// Whether the joint stays in its range if it moves with this speed to `side` (0 downwards, 1 upwards) and then stops. Outside
+    /// the range it may only come back.
     fn has_room(&self, room: &Room, i: usize, side: usize, speed: f64) -> bool {
         let upwards = [-1.0, 1.0][side];
         let acceleration = match self.dt_s > 0.0 {

@@ -1,13 +1,13 @@
-//! How far a joint still goes, and how fast it may therefore be. Pure functions of one joint; rad, rad/s, rad/s^2, rad/s^3, s.
+//! Stopping distance of a joint, and the speed that it allows. Pure functions of one joint; rad, rad/s, rad/s^2, rad/s^3, s.
 
 use pb3dp_kinematics::{EffectiveLimits, JointVector};
 
-/// How hard velocities may change.
+/// Limits on changes of velocity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct DriveLimits {
     /// Largest acceleration of each joint, rad/s^2.
     pub acceleration: JointVector,
-    /// Largest change of it, rad/s^3.
+    /// Largest jerk of each joint, rad/s^3.
     pub jerk: JointVector,
 }
 
@@ -27,33 +27,33 @@ impl DriveLimits {
         DriveLimit { acceleration: self.acceleration[joint], jerk: self.jerk[joint] }
     }
 
-    /// So many times as hard.
+    /// Multiplies both limits.
     pub(crate) fn scaled(&self, times: f64) -> Self {
         Self { acceleration: self.acceleration * times, jerk: self.jerk * times }
     }
 }
 
 impl DriveLimit {
-    /// Time by which a ramp of velocity takes longer than without a limit of jerk: half at its beginning, half at its end.
+    /// Additional time of a velocity ramp because of the jerk limit: half at its beginning, half at its end.
     pub(crate) fn rounding_s(&self) -> f64 {
         self.acceleration / (2.0 * self.jerk)
     }
 
-    /// The acceleration to go on with for `dt` towards a velocity that is `difference` away, so that afterwards, with the
-    /// acceleration going back to 0 as the jerk allows, the velocity is met and not passed: a dt + a^2 / (2 j) = |difference|.
-    /// Later steps may be of any length: a sum over steps of a falling acceleration is less than its integral.
+    /// Acceleration for the next `dt` towards a velocity that is `difference` away. If the acceleration then returns to 0 with the
+    /// allowed jerk, the velocity is reached without overshoot: a dt + a^2 / (2 j) = |difference|. Later steps may have any length:
+    /// a sum over steps of a falling acceleration is less than its integral.
     pub(crate) fn towards(&self, difference: f64, dt: f64) -> f64 {
         let size = difference.abs();
         let acceleration = 2.0 * size / (dt + (dt * dt + 2.0 * size / self.jerk).sqrt());
         if size > 0.0 { acceleration.min(self.acceleration).copysign(difference) } else { 0.0 }
     }
 
-    /// Farthest that a joint with this velocity and acceleration comes upwards (0 or more) if from now on it is brought to rest
-    /// as acceleration and jerk allow. An upper bound, and exact where the acceleration does not lead through rest.
+    /// Farthest upward excursion (0 or more) of a joint with this velocity and acceleration that stops within the limits of
+    /// acceleration and jerk. An upper bound, and exact if the acceleration does not change the sign of the velocity.
     pub(crate) fn way_to_rest(&self, velocity: f64, acceleration: f64) -> f64 {
         let (most, jerk) = (self.acceleration, self.jerk);
         if acceleration > 0.0 {
-            // First the acceleration has to go: for a / j.
+            // First the acceleration returns to 0: this takes a / j.
             let peak = velocity + acceleration * acceleration / (2.0 * jerk);
             let meanwhile = velocity.max(0.0) * acceleration / jerk + acceleration.powi(3) / (3.0 * jerk * jerk);
             return if peak > 0.0 { meanwhile + self.way_from_steady(peak) } else { 0.0 };
@@ -64,16 +64,16 @@ impl DriveLimit {
         let braking = (-acceleration).min(most);
         let taken_by_fading = braking * braking / (2.0 * jerk);
         if velocity < taken_by_fading {
-            // Braking harder than is needed any more: it fades so as to end at rest.
+            // Deceleration that is stronger than necessary: it fades so that the joint ends at standstill.
             return velocity * (2.0 * velocity / jerk).sqrt() / 3.0;
         }
-        // As if it had braked for braking / j already, less the way of that time.
+        // Equals a deceleration that began braking / j earlier, minus the distance of that time.
         let began_with = velocity + taken_by_fading;
         let before = braking / jerk * (began_with - braking * braking / (6.0 * jerk));
         (self.way_from_steady(began_with) - before).max(0.0)
     }
 
-    /// Way to rest from a velocity that does not change: jerk, acceleration at its limit, jerk; or without the middle part.
+    /// Stopping distance from a constant velocity: jerk, limited acceleration, jerk; or without the middle part.
     fn way_from_steady(&self, velocity: f64) -> f64 {
         let (most, jerk) = (self.acceleration, self.jerk);
         if velocity >= most * most / jerk {
@@ -84,7 +84,7 @@ impl DriveLimit {
     }
 }
 
-/// Largest speed towards a limit from which a joint, after going on for the reaction time, still stops within `distance`:
+/// Largest speed towards a limit from which a joint, after the reaction time, still stops within `distance`:
 /// the solution v = a (-T + sqrt(T^2 + 2 d / a)) of v T + v^2 / (2 a) = d, in a form without cancellation.
 pub(crate) fn braking_speed(distance: f64, acceleration: f64, reaction_s: f64) -> f64 {
     if distance <= 0.0 {

@@ -1,4 +1,4 @@
-//! CPU time of the calling thread: what a computation cost, whatever else the machine was doing.
+//! CPU time of the calling thread: the cost of a computation, independent of other programs.
 
 use rustix::time::{ClockId, clock_gettime};
 
@@ -15,8 +15,8 @@ pub fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
     (result, thread_cpu_millis() - start)
 }
 
-/// A question for methods that may be cut short: yes, until `limit_millis` of CPU time of this thread are used from now on.
-/// Without a limit always yes.
+/// A check for methods that may be cut short: true until this thread has used another `limit_millis` of CPU time.
+/// Always true without a limit.
 pub fn within(limit_millis: Option<f64>) -> impl FnMut() -> bool {
     let end = limit_millis.map(|limit| thread_cpu_millis() + limit);
     move || end.is_none_or(|end| thread_cpu_millis() < end)

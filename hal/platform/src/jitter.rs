@@ -1,28 +1,28 @@
-//! How late cycles begin, and how late answers come.
+//! Lateness of cycles and of answers.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-/// Parts into which each doubling of the lateness is divided: figures are exact to an eighth.
+/// Bins per doubling of the lateness: figures are accurate to an eighth.
 const PARTS: usize = 8;
 
-/// Enough for lateness of up to a minute.
+/// Covers a lateness of up to a minute.
 const BUCKETS: usize = PARTS * 24;
 
-/// How late something came.
+/// Lateness statistics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Jitter {
-    /// Cycles that were counted.
+    /// Number of cycles.
     pub cycles: u64,
-    /// Half of them were at most this late.
+    /// Median.
     pub p50: Duration,
-    /// 99 of 100 were at most this late.
+    /// 99th percentile.
     pub p99: Duration,
-    /// The latest one.
+    /// Maximum.
     pub max: Duration,
 }
 
-/// Counts how late something comes. Written by one thread and read by any, without waiting.
+/// Histogram of lateness. Written by one thread and read by any, without blocking.
 #[derive(Debug)]
 pub struct JitterMeter {
     buckets: [AtomicU64; BUCKETS],
@@ -36,20 +36,20 @@ impl Default for JitterMeter {
 }
 
 impl JitterMeter {
-    /// Something came so late.
+    /// Adds a lateness.
     pub fn record(&self, late: Duration) {
         let nanos = u64::try_from(late.as_nanos()).unwrap_or(u64::MAX);
         self.buckets[bucket(nanos / 1000)].fetch_add(1, Ordering::Relaxed);
         self.max_nanos.fetch_max(nanos, Ordering::Relaxed);
     }
 
-    /// How many were later than this; those of the eighth in which it lies do not count.
+    /// Number of values above this one; those in the same bin do not count.
     pub fn later_than(&self, limit: Duration) -> u64 {
         let last = bucket(u64::try_from(limit.as_micros()).unwrap_or(u64::MAX));
         self.buckets[last + 1..].iter().map(|count| count.load(Ordering::Relaxed)).sum()
     }
 
-    /// The figures so far; the percentiles are exact to an eighth, upwards.
+    /// The figures so far; the percentiles are accurate to an eighth, rounded up.
     pub fn summary(&self) -> Jitter {
         let counts = self.buckets.each_ref().map(|count| count.load(Ordering::Relaxed));
         let cycles: u64 = counts.iter().sum();

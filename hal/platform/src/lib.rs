@@ -1,9 +1,9 @@
 //! Operating-system services for backends. Waiting is Linux only: `ppoll`, `eventfd`.
 //!
-//! * [`transport`]: what all byte links have in common, and a pair of them in one process; [`tcp`] and [`pty`] are two.
-//! * [`realtime`], [`signals`]: what the thread of a cycle needs, and how it is asked to end.
-//! * [`jitter`], [`witness`]: how late a cycle is, and how late the machine itself.
-//! * [`cpu_time`]: what a computation cost a thread.
+//! * [`transport`]: interface of all byte links, and a pair of them in one process; [`tcp`] and [`pty`] implement it.
+//! * [`realtime`], [`signals`]: real-time scheduling and termination signals for a cycle thread.
+//! * [`jitter`], [`witness`]: lateness of a cycle, and of the computer itself.
+//! * [`cpu_time`]: CPU time of a computation in one thread.
 
 pub mod cpu_time;
 pub mod jitter;

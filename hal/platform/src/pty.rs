@@ -1,4 +1,4 @@
-//! A pseudo-terminal: a serial line without hardware, whose far end is this process.
+//! A pseudo-terminal: a serial line without hardware whose other end is in this process.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -11,24 +11,24 @@ use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 
 use super::transport::{ByteLink, Unplugged, judge};
 
-/// The far end of a pseudo-terminal. Who opens [`Self::path`] as a serial port talks with the owner of this.
+/// The master end of a pseudo-terminal. A program that opens [`Self::path`] as a serial port is connected to it.
 ///
-/// The line is raw from the start, so bytes that come before anybody has opened it are kept and not echoed. It stays there when the
-/// other side closes and opens again, as a cable does; dropping this unplugs it.
+/// The line is raw from the start, so bytes that arrive before a program opens it are kept and not echoed. The line survives when
+/// the other side closes and opens it again, as a cable does; dropping this end unplugs it.
 #[derive(Debug)]
 pub struct Pty {
     master: File,
-    /// Kept open, so that the line lives while nobody else has it open.
+    /// Keeps the line alive while no other program has it open.
     _line: OwnedFd,
     path: PathBuf,
     name: String,
 }
 
 impl Pty {
-    /// A new pseudo-terminal.
+    /// Creates a pseudo-terminal.
     ///
     /// # Errors
-    /// If the operating system gives none.
+    /// If the operating system provides none.
     pub fn open() -> std::io::Result<Self> {
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
         grantpt(&master)?;
@@ -44,7 +44,7 @@ impl Pty {
         Ok(Self { master: File::from(master), _line: line, path, name })
     }
 
-    /// What the other side opens.
+    /// Device path for the other side.
     pub fn path(&self) -> &Path {
         &self.path
     }

@@ -1,4 +1,4 @@
-//! What a thread needs that must act every 2 ms: the clock, a sleep to a moment, a policy that goes before others, memory that stays.
+//! Real-time services for a thread with a cycle of 2 ms: clock, precise sleep, scheduling policy, locked memory.
 
 use pb3dp_geometry::MonotonicTime;
 use rustix::io::Errno;
@@ -7,7 +7,7 @@ use rustix::process::{Resource, geteuid, getrlimit};
 use rustix::thread::{ClockId, CpuSet, Timespec, clock_nanosleep_absolute, sched_setaffinity};
 use rustix::time::clock_gettime;
 
-/// Monotonic time of the machine, from its start on: the clock of [`sleep_until`].
+/// Monotonic time since the start of the computer: the clock of [`sleep_until`].
 pub fn now() -> MonotonicTime {
     let time = clock_gettime(ClockId::Monotonic);
     // Neither part is negative on this clock.
@@ -15,7 +15,7 @@ pub fn now() -> MonotonicTime {
     MonotonicTime::from_nanos(seconds.saturating_mul(1_000_000_000).saturating_add(nanos))
 }
 
-/// Sleeps to a moment, if it has not passed. A signal may end it early.
+/// Sleeps until a time, if it has not passed. A signal may end the sleep early.
 pub fn sleep_until(at: MonotonicTime) {
     let nanos = at.as_nanos();
     let request = Timespec {
@@ -26,52 +26,52 @@ pub fn sleep_until(at: MonotonicTime) {
     let _ = clock_nanosleep_absolute(ClockId::Monotonic, &request);
 }
 
-/// What a thread asks for.
+/// Real-time request of a thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Realtime {
-    /// Of the policy SCHED_FIFO, 1 to 99; none to stay among all the others.
+    /// Priority of SCHED_FIFO, 1 to 99; `None` for normal scheduling.
     pub priority: Option<u8>,
-    /// Whether all memory of the program stays where it is.
+    /// Whether all memory of the program is locked.
     pub locks_memory: bool,
-    /// The processor to run on; none for any.
+    /// Processor of the thread; `None` for any.
     pub cpu: Option<usize>,
 }
 
-/// What was asked for and is not to be had, and what to do.
+/// A request that was refused, with the remedy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Shortfall {
-    /// The policy is not to be had.
+    /// The scheduling policy is not available.
     #[error(
         "SCHED_FIFO with priority {priority} is not to be had ({error}): other programs will delay the cycle. Run as root, give the \
          program CAP_SYS_NICE (setcap cap_sys_nice+ep PROGRAM), or let the user have it: `@realtime - rtprio 99` in \
          /etc/security/limits.conf"
     )]
     Policy {
-        /// The priority asked for.
+        /// The requested priority.
         priority: u8,
-        /// What the system says.
+        /// Error of the system.
         error: Errno,
     },
-    /// The memory is not to be locked.
+    /// The memory cannot be locked.
     #[error(
         "memory cannot be locked ({error}): a page that was taken away will delay the cycle. Run as root, give the program \
          CAP_IPC_LOCK, or let the user have it: `@realtime - memlock unlimited` in /etc/security/limits.conf"
     )]
     Memory {
-        /// What the system says.
+        /// Error of the system.
         error: Errno,
     },
-    /// The processor is not to be had.
+    /// The processor is not available.
     #[error("processor {cpu} is not to be had ({error}); choose one that /proc/cpuinfo lists and this program may use")]
     Processor {
-        /// The one asked for.
+        /// The requested processor.
         cpu: usize,
-        /// What the system says.
+        /// Error of the system.
         error: Errno,
     },
 }
 
-/// Asks for all of it, for the thread that calls. What is not to be had comes back; the thread goes on without.
+/// Applies the request to the calling thread. Returns what was refused; the thread continues without it.
 pub fn enter(wanted: &Realtime) -> Vec<Shortfall> {
     let policy = wanted
         .priority
@@ -84,7 +84,7 @@ pub fn enter(wanted: &Realtime) -> Vec<Shortfall> {
 
 fn lock_memory() -> Result<(), Errno> {
     let all = MlockAllFlags::CURRENT | MlockAllFlags::FUTURE;
-    // With a limit on locked memory everything that is allocated later would have to fit into it.
+    // With a limit on locked memory all later allocations would have to fit into it.
     let is_limited = getrlimit(Resource::Memlock).current.is_some() && !geteuid().is_root();
     mlockall(if is_limited { MlockAllFlags::CURRENT } else { all })
 }

@@ -1,17 +1,17 @@
-//! Signals that ask a program to end, as something to wait for.
+//! Termination signals as events to wait for.
 
 use std::os::fd::{AsFd, BorrowedFd, FromRawFd, OwnedFd};
 
 use rustix::io::Errno;
 
-/// SIGINT, SIGTERM and SIGHUP do not end the program any more: they are waited for here.
+/// SIGINT, SIGTERM and SIGHUP do not end the program; a thread waits for them here.
 #[derive(Debug)]
 pub struct StopSignals {
     fd: OwnedFd,
 }
 
-/// Threads that `start` starts are left alone by these signals, which so keep their meaning for the rest of the program: for threads
-/// that are there before [`StopSignals::take_over`].
+/// Blocks these signals in threads that `start` creates. Use it for threads that exist before [`StopSignals::take_over`], so that
+/// the signals keep their default action for the rest of the program.
 ///
 /// # Errors
 /// If the operating system refuses.
@@ -23,7 +23,7 @@ pub fn shielded<T>(start: impl FnOnce() -> T) -> std::io::Result<T> {
 }
 
 fn stop_signals() -> libc::sigset_t {
-    // SAFETY: all zeros are storage for a set, which the next calls make an empty one with three members.
+    // SAFETY: all zeros are valid storage for a set, which the next calls initialise with three members.
     unsafe {
         let mut set: libc::sigset_t = std::mem::zeroed();
         libc::sigemptyset(&raw mut set);
@@ -34,9 +34,9 @@ fn stop_signals() -> libc::sigset_t {
     }
 }
 
-/// Changes which signals this thread takes: those that it did not take before.
+/// Changes the signal mask of this thread.
 fn mask(how: libc::c_int, set: &libc::sigset_t) -> std::io::Result<libc::sigset_t> {
-    // SAFETY: both sets are ones, and the call only writes the second.
+    // SAFETY: both sets are initialised, and the call writes only the second one.
     unsafe {
         let mut before: libc::sigset_t = std::mem::zeroed();
         match libc::pthread_sigmask(how, &raw const *set, &raw mut before) {
@@ -46,31 +46,31 @@ fn mask(how: libc::c_int, set: &libc::sigset_t) -> std::io::Result<libc::sigset_
     }
 }
 
-/// A signal that asks to end.
+/// A received termination signal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StopSignal(u32);
 
 impl StopSignals {
-    /// Takes the signals over, for this thread and all that it starts from now on: call it before any other thread is started.
+    /// Takes over the signals for this thread and all threads that it creates later: call it before any other thread starts.
     ///
     /// # Errors
     /// If the operating system refuses.
     pub fn take_over() -> std::io::Result<Self> {
         let set = stop_signals();
         mask(libc::SIG_BLOCK, &set)?;
-        // SAFETY: the set is one.
+        // SAFETY: the set is initialised.
         let fd = unsafe { libc::signalfd(-1, &raw const set, libc::SFD_NONBLOCK | libc::SFD_CLOEXEC) };
         if fd < 0 {
             return Err(std::io::Error::last_os_error());
         }
-        // SAFETY: the descriptor is new and nobody else has it.
+        // SAFETY: the descriptor is new and has no other owner.
         Ok(Self { fd: unsafe { OwnedFd::from_raw_fd(fd) } })
     }
 
-    /// A signal that has come.
+    /// A received signal, if there is one.
     ///
     /// # Errors
-    /// If the operating system does not tell.
+    /// If the operating system returns an error.
     pub fn try_take(&mut self) -> std::io::Result<Option<StopSignal>> {
         let mut record = [0; size_of::<libc::signalfd_siginfo>()];
         match rustix::io::read(&self.fd, &mut record) {

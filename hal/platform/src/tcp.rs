@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use super::transport::{ByteLink, ConnectError, Connector, Unplugged, judge};
 
-/// How long a gateway may take to accept.
+/// Time limit for a gateway to accept.
 const CONNECT_TIMEOUT: Duration = Duration::from_millis(500);
 
-/// Where a gateway listens. A number and no name: looking up a name may take as long as it likes.
+/// Address of a gateway. A number and no name: a name lookup has no time limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TcpConfig {
     /// Address and port.
@@ -26,12 +26,12 @@ pub struct TcpError {
     source: std::io::Error,
 }
 
-/// A TCP connection that sends what it is given at once.
+/// A TCP connection without send delay.
 #[derive(Debug)]
 pub struct TcpLink {
     stream: TcpStream,
     name: String,
-    /// A connection whose other side has closed takes bytes for a while.
+    /// A connection that the other side has closed still accepts bytes for a while.
     gone: Option<Unplugged>,
 }
 
@@ -46,10 +46,10 @@ impl TcpLink {
         connected.map_err(|source| TcpError { address, source })
     }
 
-    /// A connection that was made or accepted already.
+    /// Wraps an existing connection.
     ///
     /// # Errors
-    /// If it is gone already.
+    /// If it is closed already.
     pub fn from_stream(stream: TcpStream) -> std::io::Result<Self> {
         stream.set_nodelay(true)?;
         stream.set_nonblocking(true)?;

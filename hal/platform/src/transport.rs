@@ -1,4 +1,4 @@
-//! Byte links: what serial lines, TCP connections and pseudo-terminals have in common.
+//! Interface of byte links: serial lines, TCP connections and pseudo-terminals.
 
 use std::io::{ErrorKind, Read, Write};
 use std::os::fd::{AsFd, BorrowedFd};
@@ -10,81 +10,81 @@ use rustix::io::Errno;
 
 use super::realtime::now;
 
-/// A byte link to one peer. Nothing here blocks; [`wait`] does, with a bound.
+/// A byte link to one peer. Only [`wait`] blocks, for a limited time.
 ///
 /// # For backend authors
-/// * A link that is gone tells so with every call from then on, whatever the symptom: the end of the stream, `EIO`, `EPIPE`,
-///   `ENODEV`. It never comes back; another one is opened instead.
-/// * Bytes are delivered in order, in pieces of any size. What was taken may still get lost on the way.
-/// * The file descriptor becomes readable when there are bytes, and when the link breaks.
+/// * A lost link returns an error from every later call, for any symptom: the end of the stream, `EIO`, `EPIPE`, `ENODEV`. It never
+/// recovers; open another one instead.
+/// * Bytes are delivered in order, in pieces of any size. Accepted bytes may still get lost.
+/// * The file descriptor becomes readable when bytes arrive, and when the link breaks.
 pub trait ByteLink: Send {
-    /// For messages: `/dev/ttyUSB0`, `tcp 10.0.0.2:4534`.
+    /// Name for messages: `/dev/ttyUSB0`, `tcp 10.0.0.2:4534`.
     fn name(&self) -> &str;
 
-    /// The bytes that are there, as many as fit; 0 if there are none.
+    /// Reads the available bytes, as many as fit; 0 if there are none.
     ///
     /// # Errors
-    /// If the link is gone.
+    /// If the link is lost.
     fn try_read(&mut self, buffer: &mut [u8]) -> Result<usize, Unplugged>;
 
-    /// Hands over as many bytes as there is room for; 0 if there is none.
+    /// Writes as many bytes as the link accepts; 0 if it accepts none.
     ///
     /// # Errors
-    /// If the link is gone.
+    /// If the link is lost.
     fn try_write(&mut self, bytes: &[u8]) -> Result<usize, Unplugged>;
 
-    /// What [`wait`] waits for; nothing if nobody can wait for it, as time is simulated.
+    /// File descriptor for [`wait`]; `None` for simulated time.
     fn fd(&self) -> Option<BorrowedFd<'_>>;
 
-    /// What the operator should know about this link, found when it was opened.
+    /// Warnings about this link, found when it was opened.
     fn warning(&self) -> Option<String> {
         None
     }
 }
 
-/// Opens a link, and opens it again when an operator has plugged it in again.
+/// Opens a link, also again after it was unplugged.
 pub trait Connector: Send {
-    /// Opens the link, in bounded time.
+    /// Opens the link in limited time.
     ///
     /// # Errors
-    /// Why it cannot be opened, and what to do.
+    /// Why the link cannot be opened, and the remedy.
     fn connect(&mut self) -> Result<Box<dyn ByteLink>, ConnectError>;
 
-    /// For messages: where it leads.
+    /// Name of the other end, for messages.
     fn target(&self) -> String;
 }
 
 /// Why a link cannot be opened.
 pub type ConnectError = Box<dyn std::error::Error + Send + Sync>;
 
-/// The link is gone: unplugged, closed by the other side, or broken. The symptom is for the log.
+/// The link is lost: unplugged, closed by the other side, or broken. The symptom is for the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the link is gone ({symptom}); connect it again, then reset the arm")]
 pub struct Unplugged {
-    /// How it showed.
+    /// The symptom.
     pub symptom: Symptom,
 }
 
-/// How it showed that a link is gone.
+/// Symptom of a lost link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Symptom {
-    /// Reading met the end of the stream.
+    /// A read returned the end of the stream.
     #[error("end of the stream")]
     EndOfStream,
     /// An error of the operating system.
     #[error("{0}")]
     Os(Errno),
-    /// An error without a number.
+    /// An error without an error number.
     #[error("{0}")]
     Other(ErrorKind),
 }
 
-/// What a call of [`std::io`] on a link that does not block says about the link.
+/// Interprets the result of a non-blocking call of [`std::io`].
 ///
 /// `end_is_gone`: reading 0 bytes is the end of the stream.
 ///
 /// # Errors
-/// If the link is gone. "Nothing there", "no room" and "interrupted" are 0 bytes and no error.
+/// If the link is lost. "Would block" and "interrupted" are 0 bytes and no error.
 pub fn judge(result: std::io::Result<usize>, end_is_gone: bool) -> Result<usize, Unplugged> {
     match result {
         Ok(0) if end_is_gone => Err(Unplugged { symptom: Symptom::EndOfStream }),
@@ -97,25 +97,25 @@ pub fn judge(result: std::io::Result<usize>, end_is_gone: bool) -> Result<usize,
     }
 }
 
-/// What [`wait`] found.
+/// Result of [`wait`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Ready {
-    /// The link has bytes, or is gone.
+    /// The link is readable or lost.
     pub readable: bool,
-    /// The link has room, or is gone. Only where it was asked for.
+    /// The link is writable or lost. Only on request.
     pub writable: bool,
-    /// The other file descriptor has something.
+    /// The other file descriptor is readable.
     pub woken: bool,
 }
 
-/// Waits until the link has bytes, or room if `for_room`, or is gone, or `waker` is readable, or `timeout` has passed.
+/// Waits until the link is readable, or writable if `for_room`, or lost, or `waker` is readable, or `timeout` has passed.
 ///
 /// A signal ends the wait early, with nothing ready.
 pub fn wait(link: Option<&dyn ByteLink>, for_room: bool, waker: Option<BorrowedFd<'_>>, timeout: Duration) -> Ready {
     wait_for(link.and_then(ByteLink::fd), for_room, waker, timeout)
 }
 
-/// The same for whatever has a file descriptor.
+/// The same for any file descriptor.
 pub fn wait_for(
     link: Option<BorrowedFd<'_>>,
     for_room: bool,
@@ -149,12 +149,12 @@ pub fn wait_for(
     }
 }
 
-/// Waits until the kernel has taken a terminal away, or `timeout` has passed.
+/// Waits until the kernel has removed a terminal, or `timeout` has passed.
 pub fn wait_for_hangup(terminal: BorrowedFd<'_>, timeout: Duration) {
     let end = now() + timeout;
     loop {
         let left = end.saturating_since(now());
-        // Of this the kernel tells unasked.
+        // The kernel reports this without a request.
         let mut fds = [PollFd::from_borrowed_fd(terminal, PollFlags::empty())];
         let timeout = Timespec {
             tv_sec: i64::try_from(left.as_secs()).unwrap_or(i64::MAX),
@@ -167,7 +167,7 @@ pub fn wait_for_hangup(terminal: BorrowedFd<'_>, timeout: Duration) {
     }
 }
 
-/// What each of these has; nothing if the time passes first.
+/// Events of each file descriptor; none after the time-out.
 fn poll_all<const N: usize>(mut fds: [PollFd<'_>; N], timeout: &Timespec) -> [PollFlags; N] {
     match poll(&mut fds, Some(timeout)) {
         Ok(1..) => fds.map(|fd| fd.revents()),
@@ -182,7 +182,7 @@ pub struct PairLink {
     name: String,
 }
 
-/// Two links that are each other's peer; dropping one unplugs the other.
+/// Creates two links that are each other's peer; dropping one unplugs the other.
 ///
 /// # Errors
 /// If the operating system has no more file descriptors.

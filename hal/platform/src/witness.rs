@@ -1,4 +1,4 @@
-//! How late the machine itself is: threads that do nothing but sleep, before all others, on every processor.
+//! Scheduling latency of the computer itself: high-priority threads that only sleep, one on each processor.
 
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,14 +9,14 @@ use std::time::Duration;
 use super::realtime::{Realtime, enter, now, sleep_until};
 use crate::jitter::{Jitter, JitterMeter};
 
-/// Above every thread of an arm: only the system and the machine below it hold these threads up, where the priority is to be had.
+/// Above every thread of an arm: only the kernel and the hypervisor delay these threads, if the priority is available.
 const PRIORITY: u8 = 90;
-/// Time from one waking to the next.
+/// Period of the threads.
 pub const PERIOD: Duration = Duration::from_millis(1);
-/// A machine that is later than this by itself does not keep the cycles of an arm.
+/// Latency above which a computer cannot keep the cycles of an arm.
 pub const TOO_LATE: Duration = Duration::from_millis(5);
 
-/// Threads that see how late they wake.
+/// Threads that measure their own latency.
 #[derive(Debug)]
 pub struct Witness {
     is_over: Arc<AtomicBool>,
@@ -24,10 +24,10 @@ pub struct Witness {
 }
 
 impl Witness {
-    /// One thread on each processor; all of them run when this returns, and ask the heap for nothing until they end.
+    /// Starts one thread on each processor. All of them run when this returns, and allocate nothing until they end.
     ///
     /// # Errors
-    /// If the system gives no thread.
+    /// If the system provides no thread.
     pub fn start() -> io::Result<Self> {
         let mut witness = Self { is_over: Arc::default(), threads: Vec::new() };
         witness.on_each_processor(PRIORITY)?;
@@ -52,7 +52,7 @@ impl Witness {
         Ok(())
     }
 
-    /// What the thread saw that was held up longest.
+    /// Largest latency of all threads.
     pub fn end(mut self) -> Jitter {
         self.is_over.store(true, Ordering::Relaxed);
         let seen = self.threads.drain(..).filter_map(|thread| thread.join().ok());
@@ -67,7 +67,7 @@ impl Drop for Witness {
 }
 
 fn watch(place: &Realtime, begun: &Barrier, is_over: &AtomicBool) -> Jitter {
-    // What is not to be had makes it see more: other programs, too.
+    // Without the priority the latency includes other programs.
     let _ = enter(place);
     let meter = JitterMeter::default();
     begun.wait();

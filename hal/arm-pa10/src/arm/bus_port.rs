@@ -1,4 +1,4 @@
-//! The link to the servo controller itself, over the bus of a computer that holds the ARCNET card.
+//! The link to the servo controller over an ARCNET card of this computer.
 
 use std::os::fd::BorrowedFd;
 use std::time::Duration;
@@ -16,14 +16,14 @@ use crate::bus::{self, BusDown, BusPort, FRAME_ROOM};
 use crate::driver::{Activity, Driver, Transmit};
 use crate::link::BusLink;
 
-/// Frames of one turn; what is left is read in the next one.
+/// Maximum number of frames per turn; the rest is read in the next one.
 const FRAMES_MAX: usize = 16;
 
 /// A link to a controller.
 pub(super) struct ControllerPort {
     link: BusLink,
     target: BusTarget,
-    /// Nothing once it is down.
+    /// `None` after it went down.
     bus: Option<Box<dyn BusPort>>,
     gone: Option<Unplugged>,
     pending: Option<Frame>,
@@ -87,7 +87,7 @@ impl HostPort for ControllerPort {
         self.frames_unsent
     }
 
-    /// A controller is greeted by looking at the arm.
+    /// A controller is greeted by a look at the state of the arm.
     fn greet(&mut self, _now: MonotonicTime) {}
 
     fn greet_again(&mut self, _now: MonotonicTime) {}
@@ -104,7 +104,7 @@ impl HostPort for ControllerPort {
                 Ok(None) => break,
                 Ok(Some(length)) => {
                     self.tracer.record(now, Direction::In, &buffer[..length]);
-                    // Why a frame is none the driver has counted.
+                    // The driver counts undecodable frames.
                     let _ = self.link.handle_frame(now, &buffer[..length], driver);
                 }
                 Err(down) => return self.lose(down),
@@ -114,11 +114,11 @@ impl HostPort for ControllerPort {
     }
 
     fn send(&mut self, _now: MonotonicTime, transmit: &Transmit, _activity: Activity) {
-        // What cannot be expressed gets no answer, which the driver counts.
+        // A message that cannot be encoded gets no answer, which the driver counts.
         self.pending = self.link.send(transmit).ok();
     }
 
-    /// As on a bus: a frame without room is lost.
+    /// As on a bus: a frame without space is lost.
     fn flush(&mut self, now: MonotonicTime) -> Result<(), Unplugged> {
         let (Some(frame), Some(bus)) = (self.pending.take(), &mut self.bus) else { return Ok(()) };
         match bus.try_send(&frame) {
@@ -131,7 +131,7 @@ impl HostPort for ControllerPort {
         }
     }
 
-    /// A controller says nothing by itself.
+    /// A controller sends nothing without a request.
     fn silence(&self, _now: MonotonicTime) -> Option<u32> {
         None
     }

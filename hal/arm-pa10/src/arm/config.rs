@@ -1,4 +1,4 @@
-//! Settings of an arm, and why there may be none.
+//! Settings of an arm, and errors at its creation.
 
 use std::time::Duration;
 
@@ -16,106 +16,106 @@ pub const REALTIME: Realtime = Realtime { priority: Some(50), locks_memory: true
 /// Settings of an arm behind a gateway.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pa10ArmConfig {
-    /// For messages: `vs-robot`.
+    /// Name for messages: `vs-robot`.
     pub name: String,
-    /// Of the driver.
+    /// Settings of the driver.
     pub driver: DriverConfig,
-    /// Of the link.
+    /// Settings of the link.
     pub link: GatewayLinkConfig,
-    /// What the thread asks the system for. Without it other programs delay its cycles.
+    /// Requested real-time scheduling of the thread. Without it other programs delay its cycles.
     pub realtime: Realtime,
 }
 
-/// Settings of an arm whose ARCNET card is in this computer. Nothing but the servo controller stands between program and arm then:
-/// where its time-out is not known, a gateway is the safer way.
+/// Settings of an arm whose ARCNET card is in this computer. Then only the servo controller is between the program and the arm: if
+/// its time-out is unknown, a gateway is safer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BusArmConfig {
-    /// For messages: `vs-robot`.
+    /// Name for messages: `vs-robot`.
     pub name: String,
-    /// Which arm it is, to the others of its cell.
+    /// Number of the arm in its workcell.
     pub arm: ArmId,
-    /// Of the driver, with the cycle of the bus: 2 ms.
+    /// Settings of the driver, with the cycle of the bus: 2 ms.
     pub driver: DriverConfig,
-    /// Time between two exchanges of the control loop: from the cycle of the bus to half of what the watchdog allows.
+    /// Time between two exchanges of the control loop: from the cycle of the bus to half of the watchdog's limit.
     pub exchange_cycle: Duration,
-    /// How the controller speaks.
+    /// Wire format of the controller.
     pub format: WireFormat,
-    /// How it counts messages.
+    /// Sequence numbers of the controller.
     pub modulus: SequenceModulus,
-    /// Where the bus is.
+    /// Port of the bus.
     pub target: BusTarget,
-    /// What the thread asks the system for. Without it other programs delay its cycles.
+    /// Requested real-time scheduling of the thread. Without it other programs delay its cycles.
     pub realtime: Realtime,
 }
 
 impl Pa10ArmConfig {
-    /// An arm with this name; its thread asks for real time.
+    /// Settings of an arm with this name; its thread requests real-time scheduling.
     pub fn new(name: &str, driver: DriverConfig, link: GatewayLinkConfig) -> Self {
         Self { name: name.to_owned(), driver, link, realtime: REALTIME }
     }
 }
 
-/// Why there is no arm.
+/// Why an arm cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum ArmOpenError {
     /// The configuration contradicts itself.
     #[error("arm {arm}")]
     Config {
-        /// Its name.
+        /// Name of the arm.
         arm: String,
-        /// How.
+        /// The contradiction.
         #[source]
         source: DriverConfigError,
     },
     /// Driver and link have different cycles.
     #[error("arm {arm}: a cycle of {driver:?} in the driver and of {link:?} in the link: give one to both")]
     Cycles {
-        /// Its name.
+        /// Name of the arm.
         arm: String,
-        /// Of the driver.
+        /// Cycle of the driver.
         driver: Duration,
-        /// Of the link.
+        /// Cycle of the link.
         link: Duration,
     },
-    /// The control loop would be quicker than the bus, or too slow for its watchdog.
+    /// The control loop would be faster than the bus, or too slow for its watchdog.
     #[error(
         "arm {arm}: {got:?} between two exchanges: give at least the cycle of the bus ({bus:?}) and at most half of the time after \
          which commands fade"
     )]
     ExchangeCycle {
-        /// Its name.
+        /// Name of the arm.
         arm: String,
-        /// The time given.
+        /// The configured time.
         got: Duration,
-        /// Of the bus.
+        /// Cycle of the bus.
         bus: Duration,
     },
     /// The link cannot be opened.
     #[error("arm {arm}: {target} cannot be opened")]
     Open {
-        /// Its name.
+        /// Name of the arm.
         arm: String,
-        /// Where it leads.
+        /// Name of the other end.
         target: String,
-        /// Why not.
+        /// The reason.
         #[source]
         source: ConnectError,
     },
-    /// The operating system gives no thread.
+    /// The operating system provides no thread.
     #[error("arm {arm}: no thread for it")]
     Thread {
-        /// Its name.
+        /// Name of the arm.
         arm: String,
-        /// Why not.
+        /// The reason.
         #[source]
         source: std::io::Error,
     },
-    /// There is no arm at the end of the link.
+    /// There is no arm at the other end of the link.
     #[error("arm {arm}")]
     Connect {
-        /// Its name.
+        /// Name of the arm.
         arm: String,
-        /// Why not.
+        /// The reason.
         #[source]
         source: WishError,
     },

@@ -1,4 +1,4 @@
-//! The link to a gateway with the bytes under it.
+//! The link to a gateway with its byte transport.
 
 use std::os::fd::BorrowedFd;
 use std::time::Duration;
@@ -14,13 +14,13 @@ use super::trace::{Direction, Tracer};
 use crate::driver::{Activity, Driver, Sample, Transmit};
 use crate::link::{GatewayLink, HEARTBEAT_INTERVAL, HELLO_TIMEOUT};
 
-/// HELLO is said again after this long: one may get lost.
+/// HELLO is sent again after this time, in case it was lost.
 const HELLO_AGAIN: Duration = Duration::from_millis(200);
 
-/// A gateway that answers no heartbeat for this long is gone.
+/// A gateway without an answer to heartbeats for this time is lost.
 const SILENCE_MAX: Duration = HEARTBEAT_INTERVAL.saturating_mul(4);
 
-/// Reads of one turn; what is left is read in the next one, so a flood of bytes holds nothing else up.
+/// Maximum number of reads per turn; the rest is read in the next one, so that a flood of bytes delays nothing else.
 const READS_MAX: usize = 8;
 
 /// A link to a gateway.
@@ -28,10 +28,10 @@ pub(super) struct GatewayPort {
     link: GatewayLink,
     connector: Box<dyn Connector>,
     closer: Closer,
-    /// Nothing once it is gone: who keeps a port open keeps others from it, and himself.
+    /// `None` after it was lost: an open port would block other programs, and this one.
     bytes: Option<Box<dyn ByteLink>>,
     gone: Option<Unplugged>,
-    /// A frame that is on its way, and how much of it has gone.
+    /// A frame that is partly written, and the number of written bytes.
     pending: FrameBytes,
     written: usize,
     frames_unsent: u64,
@@ -41,7 +41,7 @@ pub(super) struct GatewayPort {
     tracer: Tracer,
 }
 
-/// HELLO was said.
+/// HELLO was sent.
 #[derive(Clone, Copy)]
 struct Greeting {
     since: MonotonicTime,
@@ -49,10 +49,10 @@ struct Greeting {
 }
 
 impl GatewayPort {
-    /// Opens the bytes.
+    /// Opens the transport.
     ///
     /// # Errors
-    /// If they cannot be opened.
+    /// If it cannot be opened.
     pub fn open(
         config: GatewayLinkConfig,
         mut connector: Box<dyn Connector>,
@@ -175,11 +175,11 @@ impl HostPort for GatewayPort {
     }
 
     fn send(&mut self, now: MonotonicTime, transmit: &Transmit, activity: Activity) {
-        // What cannot be sent gets no answer, which the driver counts.
+        // A message that cannot be sent gets no answer, which the driver counts.
         let _ = self.link.send(now, transmit, activity);
     }
 
-    /// A frame of which no byte was written yet gives way to a newer one.
+    /// A frame without a written byte is replaced by a newer one.
     fn flush(&mut self, now: MonotonicTime) -> Result<(), Unplugged> {
         loop {
             if self.written == 0

@@ -1,8 +1,9 @@
-//! A real PA-10, behind a gateway or on a bus of this computer: the arm traits over a thread of its own.
+//! A real PA-10, behind a gateway or on a bus of this computer: the arm traits on top of a separate thread.
 //!
-//! The thread owns the driver, the link and the bytes. It cycles by absolute time, notices what happens on the line at once, keeps the
-//! gateway informed while nothing moves, and stops the arm when its owner stays away. [`Pa10Arm`] hands commands to it and takes
-//! samples from it; [`ArmMonitor`] looks on; [`TripHandle`] stops it; a [`trip_line`] makes the arms of a cell stop each other.
+//! The thread owns the driver, the link and the transport. It cycles at absolute times, reacts to the line at once, keeps the
+//! gateway informed while nothing moves, and stops the arm when its owner sends no commands. [`Pa10Arm`] passes commands to the
+//! thread and receives samples; [`ArmMonitor`] observes it; [`TripHandle`] stops it; a [`trip_line`] makes the arms of a workcell
+//! stop each other.
 
 mod bus_port;
 mod closer;
@@ -47,35 +48,34 @@ pub use trace::{Direction, RawBytes};
 pub use trip_line::{TripHandle, TripSeat, trip_line, virtual_trip_line};
 pub use virtual_time::{VirtualFarEnd, VirtualTime};
 
-/// A measurement that came so long ago, in cycles, or less, is the newest one that there can be: a little later than expected the
-/// next one is still no reason to wait.
+/// A measurement of at most this age, in cycles, is the newest possible one: a slightly late successor is no reason to wait.
 const FRESH_CYCLES: f64 = 1.5;
 
-/// Activities in a row that a request may take at most.
+/// Maximum number of consecutive activities of a request.
 const ACTIVITIES_MAX: u32 = 3;
 
-/// Who lets go of an arm that nobody hears waits for so long for a terminal.
+/// Longest wait for a terminal when an arm is released that does not answer.
 const LAST_WORDS_MAX: Duration = Duration::from_millis(300);
 
-/// What did not come about.
+/// Failure to open an arm.
 const NOT_ENABLED: &str = "it is not enabled";
 
-/// Opening and greeting a link, at most.
+/// Time limit to open and greet a link.
 const OPEN_MAX: Duration = Duration::from_secs(2);
 
 /// A real PA-10.
 ///
-/// `exchange` returns at once, and holds no loop up that keeps the pace of the arm. Where answers got lost it waits for the next
-/// measurement, for at most one cycle: two in a row are a `Timeout` at most, as they are counted and borne. In a state in which
-/// nothing is measured `Hold` returns the last measurement with the time at which it was made.
+/// `exchange` returns at once, and does not delay a loop with the pace of the arm. After lost answers it waits for the next
+/// measurement, for at most one cycle: two in a row return `Timeout` at most, because lost answers are counted and tolerated. In a
+/// state without measurements `Hold` returns the last measurement with its time.
 ///
-/// Switching on takes seconds. A caller that has another arm with open brakes begins it ([`ArmPower::begin_enable`]) and goes on exchanging
-/// with both in each cycle: the thread looks after the line, and whether a joint goes where it should is for those to see who exchange.
+/// Enabling takes seconds. A caller with another arm whose brakes are open starts it with [`ArmPower::begin_enable`] and continues
+/// to exchange with both arms in each cycle: the thread monitors the line, while the caller monitors the joints.
 ///
-/// Who enables an arm goes on exchanging with it: a velocity fades after 20 ms and stops the arm after 50 ms, and one that only holds
-/// is stopped, latched, after 5 s in which nobody asked for anything.
+/// After enabling, the caller must exchange in each cycle: a velocity fades after 20 ms and stops the arm after 50 ms. An arm that
+/// only holds is stopped and latched after 5 s without a request.
 ///
-/// Dropping it stops the arm: it is at rest within its emergency ramp, and the brakes get the order to close within 100 ms.
+/// Dropping it stops the arm: it stops within its emergency ramp, and the brakes get the order to close within 100 ms.
 pub struct Pa10Arm {
     driver: DriverConfig,
     info: ArmInfo,
@@ -87,25 +87,25 @@ pub struct Pa10Arm {
     ends: Receiver<WishEnd>,
     work: Work,
     warnings: Vec<String>,
-    /// The request to enable the arm that is being carried out: its number, and when its end has to be known.
+    /// The current request to enable the arm: its number, and the deadline of its result.
     enabling: Option<(u64, MonotonicTime)>,
 }
 
-/// Who does the work of an arm.
+/// Executor of an arm's work.
 enum Work {
-    /// A thread of its own, until it has ended.
+    /// A separate thread, until it has ended.
     Thread(Option<JoinHandle<()>>),
     /// The callers that wait in virtual time.
     Virtual(Arc<VirtualTime>),
 }
 
-/// Where the work of an arm is to be done.
+/// Where the work of an arm is executed.
 enum Place {
     Thread(Realtime),
     Virtual(Arc<VirtualTime>, Box<dyn VirtualFarEnd>),
 }
 
-/// What is the same for every way to an arm.
+/// Settings that all links share.
 struct Start {
     name: String,
     arm: ArmId,
@@ -116,13 +116,13 @@ struct Start {
 }
 
 impl Pa10Arm {
-    /// Opens the link, greets the gateway and looks at the arm, which stays as it is: brakes on.
+    /// Opens the link, greets the gateway and reads the state of the arm, which keeps its brakes closed.
     ///
-    /// An arm that is stopped by a fault or an emergency stop is opened, too, so that an operator can reset it: its state tells.
-    /// `clock` is a real clock. Each arm of a cell has one place of the same [`trip_line`].
+    /// An arm that is stopped by a fault or an emergency stop is opened too, so that an operator can reset it: its state reports
+    /// the stop. `clock` is a real clock. Each arm of a workcell has one place of the same [`trip_line`].
     ///
     /// # Errors
-    /// If the link cannot be opened, nobody answers, or it is not the gateway of the configuration.
+    /// If the link cannot be opened, nobody answers, or the gateway is not the configured one.
     pub fn open(
         config: Pa10ArmConfig,
         connector: Box<dyn Connector>,
@@ -139,8 +139,8 @@ impl Pa10Arm {
         Self::start(start, open, clock, seat)
     }
 
-    /// The same for an arm that is emulated in virtual time, with a seat of a [`virtual_trip_line`]; what is asked of a thread does
-    /// not count.
+    /// The same for an arm that is emulated in virtual time, with a place of a [`virtual_trip_line`]; the real-time request is
+    /// ignored.
     ///
     /// # Errors
     /// As [`Self::open`].
@@ -165,7 +165,7 @@ impl Pa10Arm {
     /// The same for an arm whose ARCNET card is in this computer.
     ///
     /// # Errors
-    /// If the bus cannot be opened. An arm whose controller does not answer is opened and stopped by that fault.
+    /// If the bus cannot be opened. An arm whose controller does not answer is opened, and stopped by that fault.
     pub fn open_on_bus(config: BusArmConfig, clock: Arc<dyn Clock>, seat: TripSeat) -> Result<Self, ArmOpenError> {
         let BusArmConfig { name, arm, driver, exchange_cycle, format, modulus, target, realtime } = config;
         if exchange_cycle < driver.cycle || exchange_cycle * 2 > driver.watchdog.ramp_after() {
@@ -225,40 +225,40 @@ impl Pa10Arm {
         Ok(opened)
     }
 
-    /// What the operator should know: of the link, and of what the system did not give to the thread.
+    /// Warnings of the link, and real-time requests that the system refused.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
 
-    /// Looks at an arm that is connected once more, as when it was opened: the brakes stay on.
+    /// Reads the state of a connected arm again, as at opening; the brakes stay closed.
     ///
     /// # Errors
-    /// If it is not only connected, or what is seen stops it.
+    /// If the arm is not merely connected, or the state stops it.
     pub fn look(&mut self) -> Result<(), ArmError> {
         self.fulfil(PowerRequest::Look).map_err(|error| self.wish_error("looking at it", error))
     }
 
-    /// Looks on.
+    /// Observes the arm.
     pub fn monitor(&self) -> ArmMonitor {
         ArmMonitor { shared: Arc::clone(&self.shared) }
     }
 
-    /// Stops this arm from anywhere.
+    /// A handle that stops this arm from any thread.
     pub fn trip_handle(&self) -> TripHandle {
         self.trip.clone()
     }
 
-    /// Has the thread begin with a request, which takes the place of any other one: its number, and when its end has to be known.
+    /// Starts a request in the thread, which replaces any other one. Returns its number and the deadline of its result.
     fn begin(&mut self, request: PowerRequest) -> (u64, MonotonicTime) {
         self.enabling = None;
         let number = self.shared.put_wish(request);
         self.trip.wake();
-        // The thread ends each request in bounded time; this is for a thread that does not run.
+        // The thread ends each request in limited time; this covers a thread that does not run.
         let patience = OPEN_MAX + self.driver.activity_timeout * ACTIVITIES_MAX;
         (number, self.clock.now() + patience)
     }
 
-    /// Has a request fulfilled, and waits for its end.
+    /// Executes a request and waits for its end.
     fn fulfil(&mut self, request: PowerRequest) -> Result<(), WishError> {
         let (number, deadline) = self.begin(request);
         loop {
@@ -285,14 +285,14 @@ impl Pa10Arm {
         }
     }
 
-    /// How the request of this number has ended, if it has.
+    /// The result of the request with this number, if it has ended.
     fn ended(&self, number: u64, deadline: MonotonicTime) -> Option<Result<(), WishError>> {
         let ended = self.ends.try_iter().find(|(ended, _)| *ended == number);
         let is_late = self.clock.now() > deadline;
         ended.map(|(_, end)| end).or_else(|| is_late.then_some(Err(WishError::NoThread)))
     }
 
-    /// Waits until the arm is as wanted or this time is over; what is known then.
+    /// Waits until the arm is in the wanted state or the time is over; returns the last snapshot.
     fn wait_for(&self, timeout: Duration, wanted: impl Fn(&ArmSnapshot) -> bool) -> ArmSnapshot {
         let Work::Virtual(time) = &self.work else { return self.shared.wait_for(timeout, wanted) };
         let deadline = self.clock.now() + timeout;
@@ -304,7 +304,7 @@ impl Pa10Arm {
         }
     }
 
-    /// The error of a request that was not fulfilled.
+    /// The error of a failed request.
     fn wish_error(&self, what: &str, error: WishError) -> ArmError {
         let kind = match &error {
             WishError::Refused(_) | WishError::WarmUp(_) | WishError::StillStopping(_) => ArmErrorKind::Rejected,
@@ -329,7 +329,7 @@ impl Pa10Arm {
         ArmError::new(kind, format!("arm {}: {text}", self.info.name))
     }
 
-    /// Why no command reaches the arm, where it is stopped or its link is gone.
+    /// Why no command reaches the arm, if it is stopped or its link is lost.
     fn stopped(&self, now: &ArmSnapshot) -> ArmError {
         if now.failed {
             return self.error(ArmErrorKind::Fault, crate::driver::FaultCause::Program);
@@ -354,7 +354,7 @@ impl Pa10Arm {
         })
     }
 
-    /// The newest measurement: of an arm that is being measured one that is fresh, waited for if there is none.
+    /// The newest measurement: for an arm in control mode a fresh one, after a wait if necessary.
     fn newest(&self, command: &JointCommand) -> Result<JointState, ArmError> {
         let fresh = self.info.cycle.mul_f64(FRESH_CYCLES);
         let is_fresh =
@@ -381,11 +381,11 @@ fn check_cycles(arm: &str, driver: &DriverConfig, link: &GatewayLinkConfig) -> R
     Err(ArmOpenError::Cycles { arm: arm.to_owned(), driver: driver.cycle, link: link.cycle })
 }
 
-/// The thread of an arm, and what the system did not give to it.
+/// The thread of an arm, and the real-time requests that the system refused.
 fn spawn(name: &str, worker: Worker, realtime: Realtime) -> Result<(JoinHandle<()>, Vec<Shortfall>), ArmOpenError> {
     let (shortfalls_out, shortfalls) = channel();
     let serve = move || {
-        // Nobody can be gone who waits for it.
+        // The receiver exists until the thread has started.
         let _ = shortfalls_out.send(enter(&realtime));
         worker::run(worker);
     };
@@ -394,7 +394,7 @@ fn spawn(name: &str, worker: Worker, realtime: Realtime) -> Result<(JoinHandle<(
     Ok((thread, shortfalls.recv_timeout(OPEN_MAX).unwrap_or_default()))
 }
 
-/// The same error with joint and alarm code of what stopped the arm.
+/// Adds joint and alarm code of the cause of the stop to an error.
 fn about(error: ArmError, trip: Option<Trip>) -> ArmError {
     let (axis, code) = (trip.and_then(|trip| trip.axis()), trip.and_then(|trip| trip.code()));
     let error = if let Some(axis) = axis { error.of_joint(axis.index()) } else { error };
@@ -483,7 +483,7 @@ impl Drop for Pa10Arm {
             }
         };
         let Some(thread) = thread else { return };
-        // The program may end right after this: the thread gets its time. It needs no more than this, unless it does not run.
+        // The program may end after this: the thread gets the time that it needs, unless it does not run.
         let told_us = self.shared.snapshot().gateway.map_or(0, |hello| hello.brake_release_us);
         let brakes = self.driver.brake_time.max(Duration::from_micros(told_us.into()));
         let deadline = self.clock.now() + LET_GO_MAX + brakes + Duration::from_millis(500);
@@ -499,8 +499,8 @@ impl Drop for Pa10Arm {
     }
 }
 
-/// Nobody is left who tells this arm to stop: the operator has to. Told where it can be read, but a terminal that takes nothing more
-/// does not hold up the other arms, which are released after this one.
+/// No program can stop this arm any more: the operator has to. The message goes to standard error, but a blocked terminal must not
+/// delay the other arms, which are released after this one.
 fn last_words(name: &str) {
     let words = format!(
         "\nEMERGENCY STOP: press it at arm {name}. The program lets go of it, its controller has not answered the stop order, and it \

@@ -1,4 +1,4 @@
-//! What the thread of an arm needs of a link: to a gateway, or to the servo controller itself.
+//! Interface of the thread of an arm to its link: a gateway, or the servo controller itself.
 
 use std::os::fd::BorrowedFd;
 use std::time::Duration;
@@ -10,11 +10,11 @@ use pb3dp_hal_platform::transport::{ConnectError, Unplugged};
 use crate::driver::{Activity, Driver, Sample, Transmit};
 use crate::link::HelloError;
 
-/// How greeting the other side goes.
+/// State of a greeting.
 pub(super) enum Greeted {
-    /// It has not answered yet.
+    /// No answer yet.
     Waiting,
-    /// It is the one of the configuration, or none that would answer.
+    /// It is the configured one, or one that cannot answer.
     Done,
     /// It is another one.
     Refused(HelloError),
@@ -22,67 +22,67 @@ pub(super) enum Greeted {
     Silent,
 }
 
-/// A link with what it goes over. Nothing but [`Self::wait`] and [`Self::reopen`] takes time.
+/// A link with its transport. Only [`Self::wait`] and [`Self::reopen`] block.
 pub(super) trait HostPort: Send {
-    /// Opens it again, after it was gone.
+    /// Opens it again after a loss.
     ///
     /// # Errors
     /// If it cannot be opened.
     fn reopen(&mut self) -> Result<(), ConnectError>;
 
-    /// What the operator should know of it.
+    /// Warnings of the link.
     fn warning(&self) -> Option<String>;
 
-    /// Why it is gone, if it is.
+    /// Cause of the loss, if it is lost.
     fn gone(&self) -> Option<Unplugged>;
 
-    /// What the gateway said of itself, if there is one.
+    /// Identification of the gateway, if there is one.
     fn hello(&self) -> Option<&HelloReply>;
 
-    /// What it said first when it was greeted, before anybody waited for it.
+    /// First state that the gateway reported at the greeting.
     fn found(&self) -> Option<&HelloReply>;
 
-    /// The last measurement of an arm that its gateway had stopped before it was greeted, if it shows it.
+    /// Last measurement of an arm that its gateway had stopped before the greeting, if available.
     fn shown(&self) -> Option<&Sample> {
         None
     }
 
-    /// What happened to bytes.
+    /// Counters of the bytes.
     fn line(&self) -> ParserCounters;
 
-    /// Frames that the line did not take.
+    /// Frames that the line did not accept.
     fn frames_unsent(&self) -> u64;
 
     /// Greets the other side.
     fn greet(&mut self, now: MonotonicTime);
 
-    /// Greets one that needed time.
+    /// Greets a busy gateway again.
     fn greet_again(&mut self, now: MonotonicTime);
 
-    /// Whether it has answered; greets it again where it has not.
+    /// State of the greeting; greets again if there is no answer.
     fn greeted(&mut self, now: MonotonicTime) -> Greeted;
 
-    /// Hands what has come to the driver.
+    /// Passes received messages to the driver.
     ///
     /// # Errors
-    /// If the link is gone: told once.
+    /// If the link is lost: reported once.
     fn receive(&mut self, now: MonotonicTime, driver: &mut Driver) -> Result<(), Unplugged>;
 
-    /// Takes a message of the driver. One that cannot be sent gets no answer, which the driver counts.
+    /// Sends a message of the driver. One that cannot be sent gets no answer, which the driver counts.
     fn send(&mut self, now: MonotonicTime, transmit: &Transmit, activity: Activity);
 
     /// Writes the pending bytes that the line accepts.
     ///
     /// # Errors
-    /// If the link is gone: told once.
+    /// If the link is lost: reported once.
     fn flush(&mut self, now: MonotonicTime) -> Result<(), Unplugged>;
 
-    /// How many signs of life are missing of a peer that gives them by itself, if these are too many.
+    /// Number of missing signs of life of a peer that sends them without a request, if there are too many.
     fn silence(&self, now: MonotonicTime) -> Option<u32>;
 
-    /// When this wants to be asked again.
+    /// Time of the next required call.
     fn next_deadline(&self) -> Option<MonotonicTime>;
 
-    /// Waits for something from the line, for room if something waits for it, for the waker, or for this long.
+    /// Waits for input, for output space if something is pending, for the waker, or for this time.
     fn wait(&self, waker: Option<BorrowedFd<'_>>, timeout: Duration);
 }

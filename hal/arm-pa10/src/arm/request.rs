@@ -1,4 +1,4 @@
-//! What an operator wants, step by step: each request takes several activities of the driver.
+//! Requests of an operator, step by step: each takes several activities of the driver.
 
 use std::time::Duration;
 
@@ -14,25 +14,25 @@ use crate::driver::{
 };
 use crate::link::HelloError;
 
-/// Cycles by which the host waits longer for the brakes than the gateway, which counts from a later moment.
+/// Additional cycles by which the host waits for the brakes: the gateway starts its time later.
 const BRAKE_MARGIN_CYCLES: u32 = 3;
 
-/// After a gateway that still stops its arm was asked, this passes before it is asked again.
+/// Time between two requests to a gateway that still stops its arm.
 const ASK_AGAIN: Duration = Duration::from_millis(50);
 
-/// A gateway has brought its arm to rest after the time of the brakes and this.
+/// A gateway has stopped its arm after the brake time and this.
 const STOP_MAX: Duration = Duration::from_secs(1);
 
-/// Why a request was not fulfilled.
+/// Why a request failed.
 #[derive(Debug, thiserror::Error)]
 pub enum WishError {
-    /// Not possible now.
+    /// Not possible in this state.
     #[error(transparent)]
     Refused(#[from] Refusal),
     /// The arm is stopped.
     #[error("{}", .0.trip)]
     Stopped(Latched),
-    /// The link is not good enough for open brakes.
+    /// The link is not reliable enough for open brakes.
     #[error("the brakes stay closed: {0}")]
     WarmUp(WarmUpFailure),
     /// The gateway does not answer.
@@ -41,10 +41,10 @@ pub enum WishError {
          has the line"
     )]
     NoGateway,
-    /// The gateway is not that of the configuration.
+    /// The gateway is not the configured one.
     #[error(transparent)]
     Gateway(HelloError),
-    /// The gateway goes through its stop order for longer than that takes.
+    /// The stop order of the gateway takes too long.
     #[error(
         "the gateway still brings the arm to rest after {0:?}: try again in a second, and look at the gateway's log"
     )]
@@ -58,7 +58,7 @@ pub enum WishError {
     /// The link cannot be opened again.
     #[error("the link cannot be opened")]
     Connect(#[source] ConnectError),
-    /// The link is gone.
+    /// The link is lost.
     #[error(transparent)]
     Unplugged(#[from] Unplugged),
     /// The thread of the arm does not answer.
@@ -66,39 +66,39 @@ pub enum WishError {
         "the thread that watches the arm does not answer: a mistake of the program; report it, and start the program again"
     )]
     NoThread,
-    /// The driver did nothing of what it was asked for.
+    /// The driver did not execute the request.
     #[error("the driver stays {0}: a mistake of the program; report it")]
     Stuck(DriverState),
 }
 
-/// Where a request stands.
+/// Progress of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
-    /// Nothing was done for it.
+    /// Not started.
     New,
-    /// HELLO was said.
+    /// HELLO was sent.
     Greeting,
-    /// The driver was asked for this request's activity.
+    /// The driver executes the activity of this request.
     Asked,
-    /// The gateway still stops the arm: it is asked again at this time.
+    /// The gateway still stops the arm: the next request is at this time.
     Pausing(MonotonicTime),
 }
 
-/// A request that is being fulfilled.
+/// A request in progress.
 #[derive(Debug)]
 pub(super) struct Running {
     pub number: u64,
     request: PowerRequest,
     stage: Stage,
-    /// Since when the gateway was found stopping.
+    /// Time since which the gateway has been stopping the arm.
     stopping: Option<MonotonicTime>,
 }
 
-/// What a request may use.
+/// Resources of a request.
 pub(super) struct Means<'a> {
     pub driver: &'a mut Driver,
     pub port: &'a mut dyn HostPort,
-    /// Of the host.
+    /// Clock of the host.
     pub cycle: Duration,
 }
 
@@ -107,7 +107,7 @@ impl Running {
         Self { number, request, stage: Stage::New, stopping: None }
     }
 
-    /// Does what can be done now. `Some` when the request is fulfilled or cannot be.
+    /// Does the next step. `Some` when the request has succeeded or failed.
     pub fn advance(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Option<Result<(), WishError>> {
         let done = match self.request {
             PowerRequest::Connect => self.connect(now, means),
@@ -119,14 +119,14 @@ impl Running {
         done.transpose()
     }
 
-    /// `Ok(Some(()))` when done, `Ok(None)` when it goes on.
+    /// `Ok(Some(()))` when done, `Ok(None)` if it continues.
     fn connect(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
         match self.stage {
             Stage::New => {
                 means.port.greet(now);
                 self.stage = Stage::Greeting;
             }
-            // Another arm has answered, or another one of the cell has stopped.
+            // Another arm has answered, or another arm of the workcell has stopped.
             Stage::Greeting if is_stopped_from_elsewhere(means.driver) => return Err(stopped(means.driver)),
             Stage::Pausing(until) => self.ask_again(now, until, means),
             Stage::Greeting => {
@@ -136,10 +136,10 @@ impl Running {
                         return Ok(None);
                     }
                     if let Some(trip) = means.port.hello().and_then(|hello| stopped_before(hello, means.port.shown())) {
-                        // The operator has to see it, and to reset it.
+                        // The operator has to see and reset it.
                         means.driver.handle_trip(now, trip);
                     }
-                    // It may also have told so by itself, meanwhile.
+                    // The gateway may also have reported the change without a request.
                     if means.driver.state().is_latched() {
                         return Ok(Some(()));
                     }
@@ -154,7 +154,7 @@ impl Running {
         Ok(None)
     }
 
-    /// Connects anew an arm that is connected.
+    /// Connects a connected arm again.
     fn look(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
         if self.stage == Stage::New {
             if means.driver.activity() != Activity::None {
@@ -164,7 +164,7 @@ impl Running {
             match means.driver.state() {
                 DriverState::Fault | DriverState::EStop => return Err(stopped(means.driver)),
                 DriverState::Disconnected => {}
-                // Refused by the driver, with its reason, where the control mode is on.
+                // The driver refuses with its reason if the control mode is on.
                 _ => means.driver.handle_request(now, Request::Disconnect)?,
             }
         }
@@ -178,7 +178,7 @@ impl Running {
         }
         let request = match (driver.state(), self.stage) {
             (DriverState::Holding | DriverState::Moving, Stage::Asked) => return Ok(Some(())),
-            // Refused by the driver, with its reason.
+            // The driver refuses with its reason.
             (DriverState::Holding | DriverState::Moving, _) => Request::Enable,
             (DriverState::Fault | DriverState::EStop, _) => return Err(stopped(driver)),
             (DriverState::Disconnected, _) => Request::Connect,
@@ -217,12 +217,12 @@ impl Running {
 
     fn reset(&mut self, now: MonotonicTime, means: &mut Means<'_>) -> Result<Option<()>, WishError> {
         if means.driver.activity() != Activity::None {
-            // It comes to rest, or is being cleared.
+            // It is stopping, or being cleared.
             return Ok(None);
         }
         match self.stage {
             Stage::New if !means.driver.state().is_latched() => {
-                // Refused by the driver, with its reason.
+                // The driver refuses with its reason.
                 means.driver.handle_request(now, Request::Reset)?;
                 return Ok(Some(()));
             }
@@ -240,7 +240,7 @@ impl Running {
                     self.stage = Stage::Asked;
                 }
             }
-            // After a host that died the gateway needs its time, and refuses until then.
+            // After a dead host the gateway needs time, and refuses until then.
             Stage::Asked if is_refused_while_stopping(means.driver) => self.pause(now, means)?,
             Stage::Asked if means.driver.state().is_latched() => return Err(stopped(means.driver)),
             Stage::Asked => return Ok(Some(())),
@@ -251,7 +251,7 @@ impl Running {
 }
 
 impl Running {
-    /// Lets the gateway come to its end with the arm, but not for ever.
+    /// Waits for the end of the gateway's stop order, for a limited time.
     fn pause(&mut self, now: MonotonicTime, means: &Means<'_>) -> Result<(), WishError> {
         let brakes =
             means.port.hello().map_or(Duration::ZERO, |hello| Duration::from_micros(hello.brake_release_us.into()));
@@ -271,7 +271,7 @@ impl Running {
     }
 }
 
-/// Whether something else than the gateway at the other end has stopped the arm.
+/// Whether another cause than the gateway has stopped the arm.
 fn is_stopped_from_elsewhere(driver: &Driver) -> bool {
     let by_gateway = |latched: &Latched| {
         matches!(
@@ -285,12 +285,12 @@ fn is_stopped_from_elsewhere(driver: &Driver) -> bool {
     driver.latched().is_some_and(|latched| !by_gateway(latched))
 }
 
-/// Whether a gateway stops its arm, or will as soon as it misses the host that was there before.
+/// Whether a gateway stops its arm, or will as soon as it detects the loss of the previous host.
 fn comes_to_rest(state: GatewayState) -> bool {
     matches!(state, GatewayState::Holding | GatewayState::Moving | GatewayState::Stopping)
 }
 
-/// Whether a reset failed because the gateway was not there yet.
+/// Whether a reset failed because the gateway was not reachable yet.
 fn is_refused_while_stopping(driver: &Driver) -> bool {
     let refused = Trip::Fault(FaultCause::Rejected(RejectReason::WrongState));
     driver.state().is_latched() && driver.latched().is_some_and(|latched| latched.trip == refused)
@@ -315,9 +315,9 @@ fn greeted(now: MonotonicTime, means: &mut Means<'_>) -> Result<bool, WishError>
     }
 }
 
-/// Why the gateway has stopped the arm before this host came, if it has: after a host that died, for one.
+/// Why the gateway stopped the arm before this host connected, if it did: for example after a dead host.
 fn stopped_before(hello: &HelloReply, shown: Option<&Sample>) -> Option<Trip> {
-    // Status words name switch, axis and alarm; bits of switches are the gateway's to judge.
+    // Status words name switch, axis and alarm; the gateway interprets the bits of switches.
     let named = shown.and_then(|sample| sample.condition.trip(0));
     match (hello.state, hello.cause) {
         (GatewayState::EmergencyStop, _) | (_, StopCause::EmergencyStop) => {

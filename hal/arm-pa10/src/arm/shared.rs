@@ -1,7 +1,7 @@
-//! What the thread of an arm and its owner share.
+//! State shared by the thread of an arm and its owner.
 //!
-//! The thread never waits for a lock: where the owner holds one, the thread goes on and comes back to it. The owner waits for the
-//! thread's short copies only. Nothing else uses these locks.
+//! The thread never waits for a lock: if the owner holds one, the thread continues and tries again later. The owner only waits for
+//! the thread's short copies. No other code uses these locks.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -18,56 +18,56 @@ use pb3dp_kinematics::JointState;
 use super::trace::{RawBytes, Trace};
 use crate::driver::{Activity, AxisLimits, DriverState, Latched, LinkCounters, Sample};
 
-/// What is known of an arm at one time.
+/// Snapshot of an arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmSnapshot {
-    /// Where the driver is.
+    /// State of the driver.
     pub state: DriverState,
-    /// What is going on besides.
+    /// Current activity.
     pub activity: Activity,
-    /// Why the arm is stopped, if it is.
+    /// Cause of the stop, if it is stopped.
     pub latched: Option<Latched>,
-    /// Why the link is gone, if it is.
+    /// Cause of the loss of the link, if it is lost.
     pub unplugged: Option<Unplugged>,
-    /// The thread of the arm has ended by a mistake of the program.
+    /// The thread of the arm has ended with a panic.
     pub failed: bool,
     /// The newest joints.
     pub joints: Option<JointState>,
-    /// When they came.
+    /// Time of their arrival.
     pub sample_at: Option<MonotonicTime>,
-    /// Counts the joints that were measured.
+    /// Number of measurements.
     pub samples: u64,
     /// The newest measurement with its status words.
     pub sample: Option<Sample>,
-    /// The last measurement of an arm that its gateway had stopped before it was reached, if it shows it.
+    /// Last measurement of an arm that its gateway had stopped before the connection, if available.
     pub shown: Option<Sample>,
-    /// Limits as the controller keeps them, where they were read.
+    /// Limits in the controller, if they were read.
     pub limits: [Option<AxisLimits>; Axis::COUNT],
-    /// What the gateway said of itself.
+    /// Identification of the gateway.
     pub gateway: Option<HelloReply>,
-    /// What it said first of the last time that it was connected to or reset: one that was still busy was waited for.
+    /// First state after the last connection or reset: a busy gateway was waited for.
     pub gateway_found: Option<HelloReply>,
-    /// What happened to messages.
+    /// Counters of messages.
     pub counters: LinkCounters,
-    /// What happened to the bytes of the line.
+    /// Counters of bytes on the line.
     pub line: ParserCounters,
-    /// Frames that could not be handed over because the line took nothing more.
+    /// Frames that were dropped because the line accepted no more.
     pub frames_unsent: u64,
-    /// On a bus: the controller has not answered the stop order. The arm may move; the thread goes on telling it to stop.
+    /// On a bus: the controller has not answered the stop order. The arm may move; the thread repeats the order.
     pub unheard: bool,
 }
 
-/// What the control loop wants.
+/// Command of the control loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Command {
-    /// Counts commands: each is taken once.
+    /// Number of the command: each is executed once.
     pub ticket: u64,
-    /// When the control loop gave it.
+    /// Time at which the control loop gave it.
     pub at: MonotonicTime,
     pub command: JointCommand,
 }
 
-/// What an operator wants; each takes a while.
+/// Requests of an operator; each takes a while.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PowerRequest {
     Connect = 1,
@@ -130,25 +130,25 @@ impl Shared {
         }
     }
 
-    /// The control loop's side: replaces the command, whether or not it was taken.
+    /// The control loop's side: replaces the command, whether or not it was executed.
     pub fn put_command(&self, at: MonotonicTime, command: JointCommand) {
         let mut slot = self.command.lock().unwrap_or_else(PoisonError::into_inner);
         *slot = Command { ticket: slot.ticket + 1, at, command };
     }
 
-    /// The thread's side: the command, if it can be had without waiting.
+    /// The thread's side: the command, if it is available without blocking.
     pub fn command(&self) -> Option<Command> {
         self.command.try_lock().ok().map(|slot| *slot)
     }
 
-    /// The thread's side: whether the snapshot could be replaced without waiting.
+    /// The thread's side: whether the snapshot could be replaced without blocking.
     pub fn publish(&self, snapshot: &ArmSnapshot) -> bool {
         let Ok(slot) = self.snapshot.try_lock() else { return false };
         self.replace(slot, snapshot);
         true
     }
 
-    /// As [`Self::publish`], but waits: for what the owner must not miss, while nothing moves.
+    /// As [`Self::publish`], but blocks: for results that the owner must not miss, while nothing moves.
     pub fn publish_waiting(&self, snapshot: &ArmSnapshot) {
         self.replace(self.lock_snapshot(), snapshot);
     }
@@ -162,12 +162,12 @@ impl Shared {
         }
     }
 
-    /// What is known now.
+    /// The present snapshot.
     pub fn snapshot(&self) -> ArmSnapshot {
         *self.lock_snapshot()
     }
 
-    /// Waits until the snapshot is as wanted or this time is over, and returns the last one.
+    /// Waits until the snapshot meets a condition or this time is over, and returns the last one.
     pub fn wait_for(&self, timeout: std::time::Duration, wanted: impl Fn(&ArmSnapshot) -> bool) -> ArmSnapshot {
         let guard = self.lock_snapshot();
         let waited = self.changed.wait_timeout_while(guard, timeout, |snapshot| !wanted(snapshot));
@@ -178,7 +178,7 @@ impl Shared {
         self.snapshot.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The owner's side: the number of the request, by which its end will be told.
+    /// The owner's side: the number of the request, which identifies its result.
     pub fn put_wish(&self, request: PowerRequest) -> u64 {
         let number = self.request.load(Ordering::Relaxed) / 8 + 1;
         self.request.store(number * 8 + request as u64, Ordering::Release);
@@ -201,46 +201,46 @@ impl Shared {
     }
 }
 
-/// Shows an arm to observers: panels, logs, tests. It disturbs nothing.
+/// Read-only access to an arm for observers: panels, logs, tests.
 #[derive(Clone, Debug)]
 pub struct ArmMonitor {
     pub(super) shared: std::sync::Arc<Shared>,
 }
 
 impl ArmMonitor {
-    /// What is known now.
+    /// The present snapshot.
     pub fn snapshot(&self) -> ArmSnapshot {
         self.shared.snapshot()
     }
 
-    /// How late the cycles of this arm's thread began.
+    /// Lateness of the cycles of this arm's thread.
     pub fn jitter(&self) -> Jitter {
         self.shared.jitter.summary()
     }
 
-    /// How many cycles of this arm's thread began later than this, exact to an eighth.
+    /// Number of cycles of this arm's thread that began later than this, accurate to an eighth.
     pub fn cycles_later_than(&self, limit: Duration) -> u64 {
         self.shared.jitter.later_than(limit)
     }
 
-    /// The raw bytes of the last seconds, oldest first: for the record of a fault.
+    /// Raw bytes of the last seconds, oldest first: for the record of a fault.
     pub fn raw_bytes(&self) -> Vec<RawBytes> {
         self.shared.trace.entries()
     }
 
-    /// How long answers to cyclic commands took, of those that were answered in time.
+    /// Response times of cyclic commands that were answered in time.
     pub fn round_trips(&self) -> Jitter {
         self.shared.round_trips.summary()
     }
 
-    /// The same for all other messages: those that look at the arm, and those that begin and end its control mode.
+    /// The same for all other messages: state requests, and start and end of the control mode.
     pub fn control_trips(&self) -> Jitter {
         self.shared.control_trips.summary()
     }
 }
 
 impl ArmSnapshot {
-    /// The state as the trait of all arms has it.
+    /// The state in terms of the trait of all arms.
     pub fn arm_state(&self) -> ArmState {
         match self.state {
             DriverState::EStop => ArmState::EStop,

@@ -1,4 +1,4 @@
-//! The raw bytes of the last seconds, for a look at what led to a fault.
+//! Raw bytes of the last seconds, to analyse a fault.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,28 +9,28 @@ use pb3dp_geometry::MonotonicTime;
 /// Bytes of one entry; longer pieces take several. A frame of the gateway's protocol fits.
 const PIECE: usize = 160;
 
-/// Entries that are kept: two seconds of commands and answers at 500 per second.
+/// Number of entries: two seconds of commands and answers at 500 per second.
 const ENTRIES: usize = 2000;
 
-/// Entries that wait while somebody reads.
+/// Capacity for entries while a reader holds the lock.
 const WAITING_MAX: usize = 32;
 
-/// Bytes that went over the line at one time.
+/// Bytes on the line at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RawBytes {
-    /// When they were handed over, or read.
+    /// Time at which they were sent or received.
     pub at: MonotonicTime,
-    /// Which way they went.
+    /// Direction.
     pub way: Direction,
     bytes: ByteBuffer<PIECE>,
 }
 
-/// Which way bytes went.
+/// Direction of bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
     /// To gateway or controller.
     Out,
-    /// From there.
+    /// From gateway or controller.
     In,
 }
 
@@ -41,13 +41,13 @@ impl RawBytes {
     }
 }
 
-/// What was kept; copies see the same.
+/// The record; clones share it.
 #[derive(Clone, Debug)]
 pub(super) struct Trace {
     ring: Arc<Mutex<VecDeque<RawBytes>>>,
 }
 
-/// The thread's side: it never waits. While somebody reads, a few entries wait, and more are not kept.
+/// The thread's side: never blocks. While a reader holds the lock, a few entries are buffered, and more are dropped.
 #[derive(Debug)]
 pub(super) struct Tracer {
     trace: Trace,
@@ -61,7 +61,7 @@ impl Trace {
 
     /// Oldest first.
     pub fn entries(&self) -> Vec<RawBytes> {
-        // What is allocated is not allocated while the thread of the arm could want the lock.
+        // Allocates before taking the lock, so that the thread of the arm never waits for an allocation.
         let mut entries = Vec::with_capacity(ENTRIES);
         entries.extend(self.ring.lock().unwrap_or_else(PoisonError::into_inner).iter().copied());
         entries
@@ -125,7 +125,7 @@ mod tests {
         drop(reading);
         assert_eq!(trace.entries(), []);
         tracer.record(at(9999), Direction::In, &[2]);
-        // The reader was there for longer than entries could wait.
+        // The reader held the lock for longer than the buffer lasts.
         assert_eq!(trace.entries().len(), WAITING_MAX);
         tracer.record(at(10_000), Direction::In, &[3]);
         assert_eq!(trace.entries().last().unwrap().bytes(), [3]);

@@ -1,4 +1,4 @@
-//! How the arms of a cell stop each other.
+//! The arms of a workcell stop each other.
 
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::sync::Arc;
@@ -10,16 +10,16 @@ use rustix::event::{EventfdFlags, eventfd};
 
 use crate::driver::{FaultCause, Trip};
 
-/// Nobody has tripped.
+/// No arm has tripped.
 const NOBODY: u32 = 0;
-/// Not an arm has tripped, but the program.
+/// The program has tripped.
 const SUPERVISOR: u32 = 1;
-/// Plus the number of the arm that has tripped.
+/// Plus the number of the tripped arm.
 const ARM: u32 = 0x100;
 
-/// The line along which the arms of a cell stop each other: an arm that stops by a fault or an emergency stop stops all others.
+/// Connection of the arms of a workcell: an arm that stops by a fault or an emergency stop stops all others.
 ///
-/// Tripping is two calls that never wait; the thread of each arm that is tripped wakes up at once.
+/// Tripping takes two non-blocking calls; the thread of each tripped arm wakes up at once.
 #[derive(Debug)]
 struct Member {
     tripped_by: AtomicU32,
@@ -29,27 +29,27 @@ struct Member {
 /// Wakes the thread of an arm.
 #[derive(Debug)]
 enum Waker {
-    /// Its thread waits for this.
+    /// File descriptor that its thread waits for.
     Event(OwnedFd),
-    /// Who simulates its time looks at this.
+    /// Flag for arms in simulated time.
     Flag(AtomicBool),
 }
 
-/// The place of one arm on its line.
+/// Place of one arm on its line.
 #[derive(Debug)]
 pub struct TripSeat {
     members: Arc<[Member]>,
     index: usize,
 }
 
-/// Stops one arm from anywhere.
+/// Stops one arm from any thread.
 #[derive(Clone, Debug)]
 pub struct TripHandle {
     members: Arc<[Member]>,
     index: usize,
 }
 
-/// A line with a place for each of so many arms.
+/// Creates a line with this number of places.
 ///
 /// # Errors
 /// If the operating system has no more file descriptors.
@@ -61,7 +61,7 @@ pub fn trip_line(arms: usize) -> std::io::Result<Vec<TripSeat>> {
     Ok(seats((0..arms).map(member).collect::<Result<_, _>>()?))
 }
 
-/// The same for arms in [virtual time](super::VirtualTime), whose threads are none.
+/// The same for arms in [virtual time](super::VirtualTime), which have no threads.
 pub fn virtual_trip_line(arms: usize) -> Vec<TripSeat> {
     let member = |_| Member { tripped_by: AtomicU32::new(NOBODY), waker: Waker::Flag(AtomicBool::new(false)) };
     seats((0..arms).map(member).collect())
@@ -74,26 +74,26 @@ fn seats(members: Arc<[Member]>) -> Vec<TripSeat> {
 impl Member {
     fn wake(&self) {
         match &self.waker {
-            // It fails only if the count is full: then the arm is awake.
+            // The write fails only if the counter is full: then the arm is awake.
             Waker::Event(event) => drop(rustix::io::write(event, &1u64.to_ne_bytes())),
             Waker::Flag(flag) => flag.store(true, Ordering::Release),
         }
     }
 
     fn trip(&self, by: u32) {
-        // The first one counts, until the arm has seen it.
+        // The first one counts, until the arm has handled it.
         let _ = self.tripped_by.compare_exchange(NOBODY, by, Ordering::Release, Ordering::Relaxed);
         self.wake();
     }
 }
 
 impl TripSeat {
-    /// Stops this arm from anywhere.
+    /// A handle that stops this arm.
     pub fn handle(&self) -> TripHandle {
         TripHandle { members: Arc::clone(&self.members), index: self.index }
     }
 
-    /// Stops all arms but this one, which has this number.
+    /// Stops all arms except this one, which has this number.
     pub(super) fn trip_others(&self, this: ArmId) {
         for (index, member) in self.members.iter().enumerate() {
             if index != self.index && !is_off(Safeguard::TripLine) {
@@ -102,7 +102,7 @@ impl TripSeat {
         }
     }
 
-    /// Why this arm is to stop, if it is: told once.
+    /// Why this arm must stop, if so: reported once.
     pub(super) fn take(&self) -> Option<Trip> {
         let by = self.members[self.index].tripped_by.swap(NOBODY, Ordering::Acquire);
         match by {
@@ -113,7 +113,7 @@ impl TripSeat {
         }
     }
 
-    /// Readable after something woke this arm; nothing in virtual time.
+    /// Readable after a wake-up of this arm; `None` in virtual time.
     pub(super) fn waker(&self) -> Option<BorrowedFd<'_>> {
         match &self.members[self.index].waker {
             Waker::Event(event) => Some(event.as_fd()),
@@ -121,12 +121,12 @@ impl TripSeat {
         }
     }
 
-    /// Whether something woke this arm in virtual time.
+    /// Whether this arm was woken in virtual time.
     pub(super) fn is_woken(&self) -> bool {
         matches!(&self.members[self.index].waker, Waker::Flag(flag) if flag.load(Ordering::Acquire))
     }
 
-    /// Makes [`Self::waker`] wait for the next waking.
+    /// Clears [`Self::waker`] for the next wake-up.
     pub(super) fn forget_wakings(&self) {
         match &self.members[self.index].waker {
             Waker::Event(event) => drop(rustix::io::read(event, &mut [0u8; 8])),
@@ -136,13 +136,13 @@ impl TripSeat {
 }
 
 impl TripHandle {
-    /// Stops the arm, as a fault: it ramps down within its emergency ramp, closes its brakes and stays stopped until an operator
-    /// resets it. Never waits, and may be called from anywhere.
+    /// Stops the arm with a fault: it decelerates within its emergency ramp, closes its brakes and stays stopped until an operator
+    /// resets it. Never blocks, and may be called from any thread.
     pub fn trip(&self) {
         self.members[self.index].trip(SUPERVISOR);
     }
 
-    /// Makes the thread of the arm look around.
+    /// Wakes the thread of the arm.
     pub(super) fn wake(&self) {
         self.members[self.index].wake();
     }

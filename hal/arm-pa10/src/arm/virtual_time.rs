@@ -1,8 +1,8 @@
-//! Arms in virtual time: what their threads, lines, gateways and servo controllers do happens when somebody sleeps, in the order of its
-//! times and in one thread.
+//! Arms in virtual time: the work of their threads, lines, gateways and servo controllers is executed while somebody sleeps,
+//! ordered by time, in one thread.
 //!
-//! [`VirtualTime`] stands in the place of the clock. A wait until a time lets everything happen that is due before it; the work
-//! of an arm's thread is that of the real one, turn for turn. The same commands at the same times give the same bytes.
+//! [`VirtualTime`] replaces the clock. A wait until a time executes everything that is due before it; the work of an arm's thread
+//! is the real one, turn by turn. The same commands at the same times give the same bytes.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -14,7 +14,7 @@ use pb3dp_hal_platform::transport::Connector;
 use super::shared::Shared;
 use super::worker::Worker;
 
-/// Time that passes only when somebody sleeps, and the arms that live in it.
+/// Time that only passes while somebody sleeps, and its arms.
 pub struct VirtualTime {
     clock: Arc<dyn Clock>,
     arms: Mutex<Vec<Stepped>>,
@@ -24,34 +24,34 @@ pub struct VirtualTime {
 struct Stepped {
     worker: Worker,
     end: Box<dyn VirtualFarEnd>,
-    /// When there was something to do last: time goes on after it.
+    /// Time of the last work: later work is after it.
     worked_at: MonotonicTime,
-    /// When the worker looks around by itself.
+    /// Time of the next turn of the worker.
     turn_at: MonotonicTime,
 }
 
-/// The far end of the line of an arm in virtual time: what answers there, and the line itself.
+/// The other end of the line of an arm in virtual time: the peer and the line.
 pub trait VirtualFarEnd: Send + Sync {
-    /// The host's way to it.
+    /// The host's end.
     fn connector(&self, clock: Arc<dyn Clock>) -> Box<dyn Connector>;
 
-    /// Whether something was done that the host has not seen.
+    /// Whether something happened that the host has not seen.
     fn is_touched(&self) -> bool;
 
-    /// When something happens next by itself, here or on the line; `None`: nothing does.
+    /// Time of the next event here or on the line; `None` without any.
     fn next_deadline(&self, now: MonotonicTime) -> Option<MonotonicTime>;
 
-    /// Does everything that is due. Whether the host has to see to its line: bytes have come, or something was done.
+    /// Executes everything that is due. Returns whether the host must read its line.
     fn work(&self, now: MonotonicTime) -> bool;
 }
 
 impl VirtualTime {
-    /// Over a clock that shows simulated time, and passes when somebody sleeps.
+    /// Creates virtual time on a clock of simulated time.
     pub fn over(clock: Arc<dyn Clock>) -> Self {
         Self { clock, arms: Mutex::default() }
     }
 
-    /// Whether no arm lives in it.
+    /// Whether there is no arm.
     pub fn is_empty(&self) -> bool {
         lock(&self.arms).is_empty()
     }
@@ -62,14 +62,14 @@ impl VirtualTime {
         lock(&self.arms).push(Stepped { worker, end, worked_at: now, turn_at: now });
     }
 
-    /// An arm whose owner is gone is stopped, at most until then.
+    /// An arm whose owner is gone is stopped, by this time at the latest.
     pub(super) fn let_go(&self, shared: &Arc<Shared>, deadline: MonotonicTime) {
         let lives = || lock(&self.arms).iter().any(|arm| Arc::ptr_eq(&arm.worker.shared, shared));
         while lives() && self.step(deadline) {}
         lock(&self.arms).retain(|arm| !Arc::ptr_eq(&arm.worker.shared, shared));
     }
 
-    /// Lets the next thing happen, if it happens until then; else time goes on to then, and `false` comes back.
+    /// Executes the next event, if it is due by this time; else advances the time and returns `false`.
     pub(super) fn step(&self, until: MonotonicTime) -> bool {
         let mut arms = lock(&self.arms);
         let now = self.clock.now();

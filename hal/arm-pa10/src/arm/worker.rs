@@ -1,4 +1,4 @@
-//! The thread of an arm: it owns driver, link and bytes, and nothing holds it up.
+//! The thread of an arm: it owns driver, link and transport, and never blocks on anything else.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -16,19 +16,19 @@ use super::shared::{ArmSnapshot, Shared};
 use super::trip_line::TripSeat;
 use crate::driver::{Activity, Driver, FaultCause, Request, Trip};
 
-/// The thread looks around at least this often.
+/// Longest time between two turns.
 const IDLE: Duration = Duration::from_millis(50);
 
-/// It comes back this soon to a lock that the owner held, or to a time that has passed already.
+/// Shortest time between two turns: after a lock that the owner held, or a time that has passed already.
 const SOON: Duration = Duration::from_micros(200);
 
-/// A bus that is gone while the arm may still be driven is opened again this often.
+/// Time between two attempts to open a lost bus while the arm may still be driven.
 const OPEN_AGAIN: Duration = Duration::from_millis(200);
 
-/// When the program lets go of an arm, the thread stops it within this time and that of the brakes, or ends without.
+/// Time limit, besides the brake time, to stop an arm that the program has released.
 pub(super) const LET_GO_MAX: Duration = Duration::from_millis(1300);
 
-/// How a request ended: its number, and why it was not fulfilled.
+/// Result of a request: its number, and why it failed.
 pub(super) type WishEnd = (u64, Result<(), WishError>);
 
 pub(super) struct Worker {
@@ -43,7 +43,7 @@ pub(super) struct Worker {
     pub progress: Progress,
 }
 
-/// What the thread has done so far.
+/// State of the thread.
 #[derive(Default)]
 pub(super) struct Progress {
     command: u64,
@@ -51,24 +51,24 @@ pub(super) struct Progress {
     running: Option<Running>,
     /// Result of the last request, until the owner reads it.
     ended: Option<WishEnd>,
-    /// The others were told that this arm has stopped.
+    /// The other arms know that this arm has stopped.
     others_told: bool,
     samples: u64,
     last_sample: MonotonicTime,
     sample_at: Option<MonotonicTime>,
-    /// The owner held a lock: its command is not yet taken, or its snapshot is old.
+    /// The owner held a lock: its command is not yet executed, or its snapshot is old.
     come_back: bool,
-    /// When the last message was sent, how many answers there were before, and whether it was a cyclic command.
+    /// Time of the last message, number of answers before it, and whether it was a cyclic command.
     asked: Option<(MonotonicTime, u64, bool)>,
     letting_go: Option<MonotonicTime>,
-    /// When a bus that is gone was last opened again, or tried to.
+    /// Time of the last attempt to open a lost bus.
     opened: Option<MonotonicTime>,
     failed: bool,
 }
 
-/// What the thread does from its start to its end.
+/// Body of the thread.
 pub(super) fn run(mut worker: Worker) {
-    // A mistake of ours must not leave the arm moving: what is still sound stops it.
+    // After a panic the arm must not go on moving: the sound parts stop it.
     if catch_unwind(AssertUnwindSafe(|| worker.serve())).is_err() {
         worker.progress.failed = true;
         worker.seat.trip_others(worker.arm);
@@ -78,7 +78,7 @@ pub(super) fn run(mut worker: Worker) {
 }
 
 impl Worker {
-    /// Until the owner lets go and the arm is stopped.
+    /// Runs until the owner releases the arm and it is stopped.
     fn serve(&mut self) {
         loop {
             self.turn();
@@ -89,7 +89,7 @@ impl Worker {
         }
     }
 
-    /// Everything that is due now.
+    /// Does everything that is due.
     pub(super) fn turn(&mut self) {
         let now = self.clock.now();
         self.take_trip(now);
@@ -137,17 +137,17 @@ impl Worker {
             return;
         }
         self.progress.command = slot.ticket;
-        // What has run out runs out before a new velocity could hide it. Its age counts from when it was given.
+        // Expired commands expire before a new velocity could hide it. Their age counts from the time at which they were given.
         self.driver.handle_timeout(now);
         let (at, request) = match slot.command {
             JointCommand::Hold => (now, Request::Hold),
             JointCommand::Velocity(velocity) => (slot.at, Request::Move(velocity)),
         };
-        // Refused where the arm cannot move now: its owner sees the state.
+        // Refused in a state without motion: its owner sees the state.
         let _ = self.driver.handle_request(at, request);
     }
 
-    /// The owner is gone: stop, as quickly as a fault does where the arm could move.
+    /// The owner is gone: stop as quickly as after a fault if the arm could move.
     fn let_go(&mut self, now: MonotonicTime) {
         if !self.shared.is_let_go() || self.progress.letting_go.is_some() {
             return;
@@ -161,14 +161,15 @@ impl Worker {
         }
     }
 
-    /// Nobody has heard of the stop order, and nobody will over a bus that is gone. Only a bus: a gateway stops its arm by itself.
+    /// The controller has not received the stop order, and cannot over a lost bus. Only for a bus: a gateway stops its arm by
+    /// itself.
     fn open_again(&mut self, now: MonotonicTime) {
         if !self.driver.is_unheard() || self.port.gone().is_none() {
             return;
         }
         if self.progress.opened.is_none_or(|last| now.saturating_since(last) >= OPEN_AGAIN) {
             self.progress.opened = Some(now);
-            // It may not be there yet.
+            // The bus may not be back yet.
             let _ = self.port.reopen();
         }
     }
@@ -210,7 +211,7 @@ impl Worker {
         }
     }
 
-    /// An arm that stops stops the others, unless it was them who stopped it.
+    /// A stopped arm stops the others, unless they stopped it.
     fn tell_others(&mut self) {
         let Some(latched) = self.driver.latched() else {
             self.progress.others_told = false;
@@ -225,9 +226,9 @@ impl Worker {
     fn publish(&mut self) {
         let published = self.shared.publish(&self.snapshot());
         self.progress.come_back |= !published;
-        // Only now, so that the owner finds the state that the request has led to.
+        // Only now, so that the owner finds the state after the request.
         if published && let Some(ended) = self.progress.ended.take() {
-            // An owner that does not wait any more does not want to know.
+            // An owner that does not wait needs no result.
             let _ = self.ends.send(ended);
         }
     }
@@ -255,7 +256,7 @@ impl Worker {
         }
     }
 
-    /// Whether the owner has let go, and nothing is left to do for the arm.
+    /// Whether the owner has released the arm and nothing is left to do for it.
     pub(super) fn is_over(&self) -> bool {
         let Some(since) = self.progress.letting_go else { return false };
         let at_rest = self.driver.activity() == Activity::None || self.port.gone().is_some();
@@ -268,7 +269,7 @@ impl Worker {
         self.port.wait(self.seat.waker(), left);
     }
 
-    /// For how long there is nothing to do, unless something comes.
+    /// Time without work, unless something arrives.
     pub(super) fn idle_for(&self, now: MonotonicTime) -> Duration {
         let soon = self.progress.come_back.then(|| now + SOON);
         let deadlines = [self.driver.next_deadline(), self.port.next_deadline(), soon];

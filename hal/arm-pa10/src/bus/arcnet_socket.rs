@@ -1,7 +1,7 @@
-//! Frames through an ARCNET card of this machine.
+//! Frames through an ARCNET card of this computer.
 //!
-//! Linux gives an ARCNET interface to programs as a packet socket of the protocol `ETH_P_ARCNET`. What goes through it is a whole
-//! frame, as [`pb3dp_arm_pa10_protocol::arcnet`] makes it.
+//! Linux provides an ARCNET interface as a packet socket of the protocol `ETH_P_ARCNET`, which carries complete frames of
+//! [`pb3dp_arm_pa10_protocol::arcnet`].
 
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
 
@@ -35,7 +35,7 @@ pub enum ArcnetError {
     OtherKind {
         /// Its name.
         name: String,
-        /// What the system says of its type.
+        /// The type reported by the system.
         got: u16,
     },
     /// The interface is down.
@@ -44,7 +44,7 @@ pub enum ArcnetError {
         /// Its name.
         name: String,
     },
-    /// Somebody has it.
+    /// Another program uses it.
     #[error("network interface {name} is in use by another program or arm; end that one, or correct the name")]
     InUse {
         /// Its name.
@@ -61,7 +61,7 @@ pub enum ArcnetError {
     Os {
         /// Its name.
         name: String,
-        /// What the system says.
+        /// Error of the system.
         error: Errno,
     },
 }
@@ -71,15 +71,16 @@ pub enum ArcnetError {
 pub struct ArcnetSocket {
     socket: OwnedFd,
     name: String,
-    /// Keeps other programs of ours away from this bus.
+    /// Lock against other programs of ours on this bus.
     _claim: OwnedFd,
 }
 
 impl ArcnetSocket {
-    /// Opens an interface by its name.
+    /// Opens an interface by name.
     ///
     /// # Errors
-    /// If there is none of that name, it is no ARCNET interface, it is down, another owner has it, or this user may not.
+    /// If there is no such interface, it is no ARCNET interface, it is down, another program uses it, or the user lacks the
+    /// permission.
     pub fn open(interface: &str) -> Result<Self, ArcnetError> {
         let name = || interface.to_owned();
         let os = |error| ArcnetError::Os { name: name(), error };
@@ -131,8 +132,8 @@ impl BusPort for ArcnetSocket {
     }
 }
 
-/// Takes an interface for this program alone: by a name that only one socket can have, that is as private to a network namespace as
-/// interfaces are, and that vanishes with the program.
+/// Locks an interface for this program: with an abstract socket name, which only one socket can have. The name is as private to a
+/// network namespace as interfaces are, and vanishes with the program.
 fn claim(interface: &str) -> Result<OwnedFd, Errno> {
     let claim = socket_with(AddressFamily::UNIX, SocketType::DGRAM, SocketFlags::CLOEXEC, None)?;
     let name = format!("pb3dp owner of ARCNET interface {interface}");
@@ -140,7 +141,7 @@ fn claim(interface: &str) -> Result<OwnedFd, Errno> {
     Ok(claim)
 }
 
-/// What the kernel says of an interface.
+/// Properties of an interface from the kernel.
 struct About {
     index: u32,
     /// ARPHRD_ of `linux/if_arp.h`.
@@ -153,14 +154,14 @@ impl About {
         let socket = socket_with(AddressFamily::INET, SocketType::DGRAM, SocketFlags::CLOEXEC, None)?;
         let hardware = query(&socket, libc::SIOCGIFHWADDR, interface)?;
         let flags = query(&socket, libc::SIOCGIFFLAGS, interface)?;
-        // SAFETY: these calls fill in these parts, and any bits are valid numbers.
+        // SAFETY: these calls initialise these parts, and any bits are valid numbers.
         let (kind, flags) = unsafe { (hardware.ifr_ifru.ifru_hwaddr.sa_family, flags.ifr_ifru.ifru_flags) };
         let is_up = libc::c_int::from(flags) & libc::IFF_UP != 0;
         Ok(Self { index: name_to_index(&socket, interface)?, kind, is_up })
     }
 }
 
-/// Asks the kernel for something about an interface.
+/// Queries the kernel about an interface.
 fn query(socket: &OwnedFd, call: libc::Ioctl, interface: &str) -> Result<libc::ifreq, Errno> {
     // SAFETY: all zeros are a valid request.
     let mut request: libc::ifreq = unsafe { std::mem::zeroed() };
@@ -171,12 +172,12 @@ fn query(socket: &OwnedFd, call: libc::Ioctl, interface: &str) -> Result<libc::i
     for (place, byte) in request.ifr_name.iter_mut().zip(interface.bytes()) {
         *place = byte as libc::c_char;
     }
-    // SAFETY: the socket is open, and the request is whole and lives through the call, which writes into it alone.
+    // SAFETY: the socket is open, and the request is initialised and lives through the call, which only writes to it.
     let result = unsafe { libc::ioctl(socket.as_raw_fd(), call, &raw mut request) };
     if result == 0 { Ok(request) } else { Err(last_error()) }
 }
 
-/// Binds a packet socket to an interface, by which frames that are sent find it.
+/// Binds a packet socket to an interface, so that sent frames use it.
 fn bind(socket: &OwnedFd, index: u32) -> Result<(), Errno> {
     let address = libc::sockaddr_ll {
         sll_family: libc::AF_PACKET as libc::c_ushort,
@@ -188,7 +189,7 @@ fn bind(socket: &OwnedFd, index: u32) -> Result<(), Errno> {
         sll_addr: [0; 8],
     };
     let length = size_of::<libc::sockaddr_ll>() as libc::socklen_t;
-    // SAFETY: the address is a whole sockaddr_ll of that length and lives through the call; the socket is open.
+    // SAFETY: the address is a complete sockaddr_ll of this length and lives through the call; the socket is open.
     let result = unsafe { libc::bind(socket.as_raw_fd(), (&raw const address).cast(), length) };
     if result == 0 { Ok(()) } else { Err(last_error()) }
 }

@@ -1,4 +1,4 @@
-//! Frames through a Unix socket (`SOCK_SEQPACKET`), in the place of a bus: one frame out is one frame in.
+//! Frames through a Unix socket (`SOCK_SEQPACKET`) in place of a bus: one frame out is one frame in.
 
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::{Path, PathBuf};
@@ -12,16 +12,16 @@ use rustix::net::{
 
 use super::{BusDown, BusPort, FRAME_ROOM, judge};
 
-/// Why there is no such socket.
+/// Why a socket cannot be opened.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FrameSocketError {
-    /// Nobody listens there.
+    /// Nobody listens at the path.
     #[error("nobody listens at the socket {path}; start the emulated controller first (`pb3dp mock-arm`), or correct the path", path = path.display())]
     Nobody {
         /// Its path.
         path: PathBuf,
     },
-    /// Somebody listens there already.
+    /// Another program listens at the path.
     #[error("somebody listens at the socket {path} already; end that program, or choose another path", path = path.display())]
     InUse {
         /// Its path.
@@ -32,7 +32,7 @@ pub enum FrameSocketError {
     Os {
         /// Its path.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the system.
         error: Errno,
     },
 }
@@ -44,7 +44,7 @@ pub struct FrameSocket {
     name: String,
 }
 
-/// Where connections come in. The path vanishes with it.
+/// A listener. The path vanishes with it.
 #[derive(Debug)]
 pub struct FrameListener {
     socket: OwnedFd,
@@ -55,7 +55,7 @@ impl FrameSocket {
     /// Connects to an emulated controller.
     ///
     /// # Errors
-    /// If nobody listens there.
+    /// If nobody listens at the path.
     pub fn connect(path: &Path) -> Result<Self, FrameSocketError> {
         let os = |error| match error {
             Errno::NOENT | Errno::CONNREFUSED => FrameSocketError::Nobody { path: path.to_path_buf() },
@@ -67,7 +67,7 @@ impl FrameSocket {
         Ok(Self { socket, name: format!("socket {}", path.display()) })
     }
 
-    /// Two ends in one process.
+    /// Two connected ends in one process.
     ///
     /// # Errors
     /// If the operating system has no more file descriptors.
@@ -80,10 +80,10 @@ impl FrameSocket {
 }
 
 impl FrameListener {
-    /// Listens at a path. A socket that nobody listens at any more is replaced.
+    /// Listens at a path. A stale socket is replaced.
     ///
     /// # Errors
-    /// If somebody listens there, or the path cannot be made.
+    /// If another program listens there, or the path cannot be created.
     pub fn bind(path: &Path) -> Result<Self, FrameSocketError> {
         let os = |error| FrameSocketError::Os { path: path.to_path_buf(), error };
         let address = SocketAddrUnix::new(path).map_err(os)?;
@@ -100,10 +100,10 @@ impl FrameListener {
         Ok(Self { socket, path: path.to_path_buf() })
     }
 
-    /// A connection, if somebody has come.
+    /// A new connection, if there is one.
     ///
     /// # Errors
-    /// If the operating system gives none.
+    /// If the operating system returns an error.
     pub fn try_accept(&self) -> Result<Option<FrameSocket>, FrameSocketError> {
         match accept_with(&self.socket, SocketFlags::NONBLOCK | SocketFlags::CLOEXEC) {
             Ok(socket) => Ok(Some(FrameSocket { socket, name: format!("socket {}", self.path.display()) })),
@@ -136,7 +136,7 @@ impl BusPort for FrameSocket {
 
     fn try_receive(&mut self, buffer: &mut [u8; FRAME_ROOM]) -> Result<Option<usize>, BusDown> {
         match judge(recv(&self.socket, &mut buffer[..], RecvFlags::empty()).map(|(count, _)| count))? {
-            // Frames have bytes.
+            // A frame is never empty.
             Some(0) => Err(BusDown { symptom: Symptom::EndOfStream }),
             other => Ok(other),
         }

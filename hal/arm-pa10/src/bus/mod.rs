@@ -1,7 +1,7 @@
-//! The bus of an arm as a gateway sees it: ARCNET frames out and in.
+//! The bus of an arm on the gateway's side: ARCNET frames out and in.
 //!
 //! * [`ArcnetSocket`]: an ARCNET card, through the kernel.
-//! * [`FrameSocket`]: a Unix socket that keeps frames apart, to an emulated controller; [`FrameListener`] is its other end.
+//! * [`FrameSocket`]: a Unix socket with frames, to an emulated controller; [`FrameListener`] is its other end.
 
 mod arcnet_socket;
 mod frame_socket;
@@ -20,7 +20,7 @@ pub use frame_socket::{FrameListener, FrameSocket, FrameSocketError};
 /// Opens a bus.
 ///
 /// # Errors
-/// If there is none, or it may not be used.
+/// If there is none, or the user lacks the permission.
 pub fn open(target: &BusTarget) -> Result<Box<dyn BusPort>, ConnectError> {
     Ok(match target {
         BusTarget::Arcnet(interface) => Box::new(ArcnetSocket::open(interface)?),
@@ -28,33 +28,33 @@ pub fn open(target: &BusTarget) -> Result<Box<dyn BusPort>, ConnectError> {
     })
 }
 
-/// Room for a frame of the bus, and for one that is longer than allowed.
+/// Size for a frame of the bus, and for one that is longer than allowed.
 pub const FRAME_ROOM: usize = pb3dp_arm_pa10_protocol::arcnet::FRAME_LENGTH_MAX + 16;
 
-/// The bus of one arm. Nothing here blocks or allocates.
+/// The bus of one arm. No call blocks or allocates.
 ///
 /// # For backend authors
-/// * A frame goes out whole or not at all. Without room it is lost, as on a bus: the receiver asks for what it misses.
-/// * Frames come in order, one at a time. A frame that is longer than the buffer is cut: its reader refuses it.
-/// * A bus that is down tells so; it may come back, and is asked again.
+/// * A frame is sent completely or not at all. Without space it is lost, as on a bus: the receiver requests missing data again.
+/// * Frames arrive in order, one at a time. A frame longer than the buffer is truncated, and its reader refuses it.
+/// * A bus that is down returns an error; it may come back, and is tried again.
 /// * The file descriptor is readable when there is a frame, and when the bus goes down.
 pub trait BusPort: Send {
-    /// For messages: `ARCNET interface arc0`.
+    /// Name for messages: `ARCNET interface arc0`.
     fn name(&self) -> &str;
 
-    /// Hands over a frame; whether there was room for it.
+    /// Sends a frame; returns whether there was space for it.
     ///
     /// # Errors
     /// If the bus is down.
     fn try_send(&mut self, frame: &[u8]) -> Result<bool, BusDown>;
 
-    /// The next frame that is there: its length in the buffer.
+    /// Reads the next frame: its length in the buffer.
     ///
     /// # Errors
     /// If the bus is down.
     fn try_receive(&mut self, buffer: &mut [u8; FRAME_ROOM]) -> Result<Option<usize>, BusDown>;
 
-    /// What is waited for.
+    /// File descriptor to wait for.
     fn fd(&self) -> BorrowedFd<'_>;
 }
 
@@ -62,11 +62,11 @@ pub trait BusPort: Send {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the bus is down ({symptom}); check the card, its interface and the cable to the controller")]
 pub struct BusDown {
-    /// How it showed.
+    /// The symptom.
     pub symptom: Symptom,
 }
 
-/// Waits until the bus has a frame or is down, or `timeout` has passed; whether it has. A signal ends the wait early.
+/// Waits until the bus has a frame or is down, or `timeout` has passed; returns whether it has. A signal ends the wait early.
 pub fn wait(bus: &dyn BusPort, timeout: Duration) -> bool {
     let timeout = Timespec {
         tv_sec: i64::try_from(timeout.as_secs()).unwrap_or(i64::MAX),
@@ -75,7 +75,7 @@ pub fn wait(bus: &dyn BusPort, timeout: Duration) -> bool {
     matches!(poll(&mut [PollFd::from_borrowed_fd(bus.fd(), PollFlags::IN)], Some(&timeout)), Ok(1..))
 }
 
-/// What a call to send or receive says of the bus; `None` if it could do nothing now.
+/// Interprets the result of a send or receive call; `None` if it would block.
 fn judge(result: Result<usize, Errno>) -> Result<Option<usize>, BusDown> {
     match result {
         Ok(count) => Ok(Some(count)),
