@@ -1,7 +1,7 @@
-//! What is at the far end of the line to an emulated arm, without I/O and clock: a servo controller, and the gateway before it.
+//! Far end of the line to an emulated arm, without I/O and clock: a servo controller, optionally behind a gateway.
 //!
-//! The owner hands in the bytes of the host, lets it go on to a time, and takes what is for the host: a thread that keeps the
-//! machine's time (`io::mock_server`), or a simulation that keeps its own (`io::arm::VirtualTime`).
+//! The owner passes the bytes of the host, advances the time, and takes the bytes for the host: a thread in real time
+//! (`io::mock_server`), or a simulation (`io::arm::VirtualTime`).
 
 use std::time::Duration;
 
@@ -11,28 +11,28 @@ use pb3dp_geometry::MonotonicTime;
 
 use crate::mock_controller::MockController;
 
-/// An emulated servo controller, and the gateway before it if there is one.
+/// An emulated servo controller, optionally behind a gateway.
 #[derive(Debug)]
 pub struct FarEnd {
     /// The controller with its arm.
     pub controller: MockController,
-    /// What hosts talk with; without one they are on the bus themselves.
+    /// The gateway; without one the host is on the bus itself.
     pub gateway: Option<Gateway>,
     now: MonotonicTime,
 }
 
 impl FarEnd {
-    /// Both begin at `now`.
+    /// Starts both at `now`.
     pub fn new(controller: MockController, gateway: Option<Gateway>, now: MonotonicTime) -> Self {
         Self { controller, gateway, now }
     }
 
-    /// How far both are.
+    /// Time that both have reached.
     pub fn now(&self) -> MonotonicTime {
         self.now
     }
 
-    /// Lets both go on to a time, each event at its own. Without a gateway `bus` gets the frames for the host.
+    /// Advances both to a time, each event at its own time. Without a gateway `bus` gets the frames for the host.
     pub fn advance(&mut self, to: MonotonicTime, mut bus: impl FnMut(&[u8])) {
         loop {
             self.exchange(&mut bus);
@@ -45,7 +45,7 @@ impl FarEnd {
         self.controller.advance(self.now);
     }
 
-    /// What is due on the bus now.
+    /// Handles the due events of the bus.
     pub fn exchange(&mut self, bus: &mut impl FnMut(&[u8])) {
         while let Some(frame) = self.controller.poll_frame(self.now) {
             match &mut self.gateway {
@@ -58,13 +58,13 @@ impl FarEnd {
         }
     }
 
-    /// Bytes of the host for the gateway.
+    /// Passes bytes of the host to the gateway.
     pub fn hear(&mut self, now: MonotonicTime, bytes: &[u8]) {
         let Self { controller, gateway: Some(gateway), .. } = self else { return };
         controller.hear_on_line(now, bytes, |bytes| gateway.handle_host_bytes(now, bytes));
     }
 
-    /// Answers of the gateway go on the line; `host` gets those that have come to its end.
+    /// Puts answers of the gateway on the line; `host` gets those that have arrived.
     pub fn answer(&mut self, now: MonotonicTime, mut host: impl FnMut(&Frame)) {
         while let Some(bytes) = self.gateway.as_mut().and_then(|gateway| gateway.poll_host_output(now)) {
             self.controller.send_on_line(now, &bytes);
@@ -74,7 +74,7 @@ impl FarEnd {
         }
     }
 
-    /// The line is gone, and what was on it.
+    /// Breaks the line and drops its content.
     pub fn hang_up(&mut self) {
         self.controller.clear_line();
         if let Some(gateway) = &mut self.gateway {
@@ -82,7 +82,7 @@ impl FarEnd {
         }
     }
 
-    /// When something is due by itself.
+    /// Time of the next event.
     pub fn next_deadline(&self) -> Option<MonotonicTime> {
         let wanted = self.gateway.as_ref().map(Gateway::next_deadline);
         [wanted, self.controller.next_deadline(), self.controller.next_on_line()].into_iter().flatten().min()

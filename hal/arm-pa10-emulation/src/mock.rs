@@ -1,7 +1,7 @@
 //! An arm without hardware: simulated joints behind the state machine of a real arm, with faults on request.
 //!
-//! The joints are a [`JointPlant`] that is shared, so that a simulated camera sees the same arm; time comes from an injected
-//! clock. A caller may advance the shared plant to the clock's present, never beyond.
+//! The joints are a shared [`JointPlant`], so that a simulated camera sees the same arm; time comes from an injected clock. A
+//! caller may advance the shared plant to the present time of the clock, not beyond.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -11,20 +11,20 @@ use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Cl
 use pb3dp_kinematics::{DOF, JointState, JointVector};
 use pb3dp_sim::joint_dynamics::JointPlant;
 
-/// Slower than this in every joint is at rest, rad/s: the brakes close, the drives can be enabled.
+/// An arm whose joints are all slower than this stands still, rad/s: the brakes close, the drives can be enabled.
 const AT_REST_RAD_PER_S: f64 = 1e-3;
 
-/// An arm that has not come to rest after this long never will.
+/// An arm that still moves after this time never stops.
 const STOP_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// What the mock arm claims to be.
+/// Identity of the mock arm.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MockArmConfig {
-    /// For messages: `vs-robot`.
+    /// Name for messages: `vs-robot`.
     pub name: String,
-    /// Time between two exchanges that the arm expects; also how long a lost reply is waited for.
+    /// Expected time between two exchanges; also the time-out of a lost reply.
     pub cycle: Duration,
-    /// The arm stops and latches a fault if a velocity is not followed by another command for longer than this.
+    /// The arm stops and latches a fault if a velocity has no successor for longer than this.
     pub command_timeout: Duration,
 }
 
@@ -34,7 +34,7 @@ pub struct MockArm {
     shared: Arc<Shared>,
 }
 
-/// Makes a [`MockArm`] fail, from anywhere: what the arm's environment and an operator at the emergency stop can do.
+/// Injects faults into a [`MockArm`] from any thread: events of its environment, and an operator at the emergency stop.
 #[derive(Clone)]
 pub struct MockArmFaults {
     shared: Arc<Shared>,
@@ -49,16 +49,16 @@ struct Shared {
 
 struct Control {
     state: ArmState,
-    /// Why the arm is in `Fault`, for messages.
+    /// Cause of the state `Fault`, for messages.
     reason: String,
-    /// A fault whose cause is still there cannot be reset.
+    /// A fault with a present cause cannot be reset.
     fault_persists: bool,
     e_stop_pressed: bool,
     replies_to_drop: u32,
-    /// The link is gone, until a reset finds it plugged in again.
+    /// The link is lost, until a reset finds it connected again.
     unplugged: bool,
     plugged_in: bool,
-    /// When the last velocity was accepted, if nothing was since.
+    /// Time of the last accepted velocity without a successor.
     moving_since: Option<MonotonicTime>,
 }
 
@@ -79,19 +79,19 @@ impl MockArm {
         Self { info, shared: Arc::new(Shared { config, plant, clock, control: Mutex::new(control) }) }
     }
 
-    /// A handle that makes this arm fail.
+    /// A handle that injects faults into this arm.
     pub fn faults(&self) -> MockArmFaults {
         MockArmFaults { shared: Arc::clone(&self.shared) }
     }
 
-    /// The joints, to be shared with what else sees this arm.
+    /// The joints, to share with other observers of this arm.
     pub fn plant(&self) -> Arc<Mutex<JointPlant>> {
         Arc::clone(&self.shared.plant)
     }
 }
 
 impl MockArmFaults {
-    /// Presses the emergency stop: the arm comes to rest and latches. It stays pressed until [`Self::release_e_stop`].
+    /// Presses the emergency stop: the arm stops and latches. It stays pressed until [`Self::release_e_stop`].
     pub fn press_e_stop(&self) {
         let mut control = self.shared.control();
         control.e_stop_pressed = true;
@@ -103,8 +103,7 @@ impl MockArmFaults {
         self.shared.control().e_stop_pressed = false;
     }
 
-    /// A fault of the arm, such as an overcurrent: it comes to rest and latches. The cause stays until
-    /// [`Self::remove_fault_cause`].
+    /// A fault of the arm, such as an overcurrent: the arm stops and latches. The cause stays until [`Self::remove_fault_cause`].
     pub fn raise_fault(&self, reason: &str) {
         let mut control = self.shared.control();
         control.fault_persists = true;
@@ -116,19 +115,19 @@ impl MockArmFaults {
         self.shared.control().fault_persists = false;
     }
 
-    /// The next `count` replies get lost.
+    /// Loses the next `count` replies.
     pub fn drop_replies(&self, count: u32) {
         self.shared.control().replies_to_drop = count;
     }
 
-    /// The link breaks; the arm comes to rest by itself.
+    /// Breaks the link; the arm stops by itself.
     pub fn unplug(&self) {
         let mut control = self.shared.control();
         (control.unplugged, control.plugged_in) = (true, false);
         self.shared.latch(&mut control, ArmState::Fault, "the link broke");
     }
 
-    /// The cable is plugged in again; the link comes back by a reset.
+    /// Connects the cable again; a reset restores the link.
     pub fn plug(&self) {
         self.shared.control().plugged_in = true;
     }
@@ -139,7 +138,7 @@ impl Shared {
         self.control.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Always taken after `control`, never before it.
+    /// Always locked after `control`, never before it.
     fn plant(&self) -> MutexGuard<'_, JointPlant> {
         self.plant.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -148,7 +147,7 @@ impl Shared {
         ArmError::new(kind, format!("arm {} (pa10 mock): {text}", self.config.name))
     }
 
-    /// Stops at once and latches; an emergency stop is not replaced by a fault.
+    /// Stops at once and latches; a fault does not replace an emergency stop.
     fn latch(&self, control: &mut Control, state: ArmState, reason: &str) {
         if control.state != ArmState::EStop {
             control.state = state;
@@ -170,7 +169,7 @@ impl Shared {
         Ok(())
     }
 
-    /// The drives notice by themselves that commands stay away; here it is noted at the next call.
+    /// The drives detect missing commands by themselves; here it is recorded at the next call.
     fn check_watchdog(&self, control: &mut Control, now: MonotonicTime) {
         let Some(last) = control.moving_since else { return };
         let silent = now.saturating_since(last);
@@ -180,7 +179,7 @@ impl Shared {
         }
     }
 
-    /// The velocity that the drives are to follow, if the arm takes the command in its state.
+    /// The velocity for the drives, if the state of the arm accepts the command.
     fn accept(&self, control: &Control, command: JointCommand) -> Result<JointVector, ArmError> {
         let JointCommand::Velocity(velocity) = command else { return Ok(JointVector::zeros()) };
         let limits = *self.plant().config().limits.velocity_max_rad_per_s();

@@ -1,8 +1,8 @@
-//! An emulated arm in real time: on a pseudo-terminal or a TCP port behind a gateway, or as frames on a socket in the place of a bus.
+//! An emulated arm in real time: on a pseudo-terminal or a TCP port behind a gateway, or as frames on a socket in place of a bus.
 //!
-//! [`MockServer`] runs [`MockController`] and, where a host is to talk with a gateway, [`Gateway`] in a thread of its own. Both are
-//! worked on at the times at which they want it, whenever the thread gets to it: a machine that is too busy makes the arm answer
-//! late, but no fault of the arm's own; how late the thread was is counted ([`MockReport`]).
+//! [`MockServer`] runs [`MockController`] and, if the host needs one, [`Gateway`] in a separate thread. Both are executed at their
+//! requested times, or as soon as the thread runs: on a busy computer the arm answers late, without a fault of the arm. The
+//! lateness of the thread is counted ([`MockReport`]).
 
 pub use std::net::SocketAddr;
 use std::net::TcpListener;
@@ -30,39 +30,39 @@ use crate::mock_controller::{LineError, MockController, MockControllerConfig, Mo
 mod report;
 pub use report::MockReport;
 
-/// The thread looks whether it is to end at least this often, and whether somebody wants to connect.
+/// Longest time between two checks for the end and for new connections.
 const WAIT_MAX: Duration = Duration::from_millis(5);
 
-/// Waking up later than this after the time that was planned counts as late.
+/// A wake-up later than this counts as late.
 const LATE: Duration = Duration::from_millis(1);
 
-/// Answers that a host does not read are kept up to so many bytes; what comes then is lost.
+/// Capacity for unread answers, bytes; later answers are dropped.
 const UNREAD_MAX: usize = 4096;
 
-/// Where hosts find the arm.
+/// Where hosts connect.
 pub enum MockFace {
     /// Behind a gateway on a new pseudo-terminal.
     Pty(GatewayConfig),
     /// Behind a gateway on a TCP port of this address; port 0 takes a free one.
     Tcp(GatewayConfig, SocketAddr),
-    /// Behind a gateway on a link that is there already.
+    /// Behind a gateway on an existing link.
     Link(GatewayConfig, Box<dyn ByteLink>),
-    /// The controller alone, by frames on a socket at this path.
+    /// The controller alone, as frames on a socket at this path.
     BusSocket(PathBuf),
-    /// The controller alone, on a bus that is there already.
+    /// The controller alone, on an existing bus.
     Bus(Box<dyn BusPort>),
 }
 
-/// What an emulated arm is and does.
+/// Settings of an emulated arm.
 #[derive(Clone, Debug)]
 pub struct MockServerConfig {
     /// The controller.
     pub controller: MockControllerConfig,
-    /// Of everything that is random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Faults that come by themselves.
+    /// Spontaneous faults.
     pub script: Script,
-    /// What the thread asks the system for. Without it other programs make the arm answer late.
+    /// Requested real-time scheduling of the thread. Without it other programs make the arm answer late.
     pub realtime: Realtime,
 }
 
@@ -78,12 +78,12 @@ pub enum MockServerError {
     /// No pseudo-terminal.
     #[error("no pseudo-terminal is to be had; is /dev/pts mounted, and is there room (/proc/sys/kernel/pty/max)?")]
     Pty(#[source] std::io::Error),
-    /// The TCP port.
+    /// The TCP port cannot be opened.
     #[error("nobody can listen at {address}; is the port taken, and is the address one of this machine?")]
     Tcp {
-        /// Where.
+        /// Address.
         address: SocketAddr,
-        /// What the system says.
+        /// Error of the system.
         #[source]
         source: std::io::Error,
     },
@@ -95,7 +95,7 @@ pub enum MockServerError {
     Thread(#[source] std::io::Error),
 }
 
-/// An emulated arm in real time. Dropping it ends it.
+/// An emulated arm in real time. Dropping it ends the emulation.
 #[derive(Debug)]
 pub struct MockServer {
     shared: Arc<Shared>,
@@ -111,7 +111,7 @@ struct Shared {
     is_plugged: AtomicBool,
 }
 
-/// The arm and its gateway, and how far they are.
+/// The arm with its gateway, and the time that they have reached.
 #[derive(Debug)]
 struct Core {
     far: FarEnd,
@@ -130,10 +130,10 @@ impl std::fmt::Debug for SharedClock {
 }
 
 impl MockServer {
-    /// Starts an emulated arm with these joints, which others may share; `clock` is that of the joints.
+    /// Starts an emulated arm with these joints, which may be shared; `clock` is that of the joints.
     ///
     /// # Errors
-    /// If a configuration is none, or the place where hosts are to find it is not to be had.
+    /// If a configuration is invalid, or the address is not available.
     pub fn start(
         config: MockServerConfig,
         face: MockFace,
@@ -160,28 +160,28 @@ impl MockServer {
         Ok(Self { shared, thread: Some(thread.map_err(MockServerError::Thread)?) })
     }
 
-    /// Where hosts find the arm: the path of a terminal or socket, or address and port. Another one after [`Self::plug`].
+    /// Address for hosts: the path of a terminal or socket, or address and port. It changes with [`Self::plug`].
     pub fn address(&self) -> String {
         lock(&self.shared.address).clone()
     }
 
-    /// A way to the terminal of this arm, wherever it is after [`Self::plug`]; the path of `config` does not count.
+    /// Opens the terminal of this arm, also after [`Self::plug`]; the path of `config` is ignored.
     pub fn port(&self, config: SerialConfig) -> MockPort {
         MockPort { shared: Arc::clone(&self.shared), config: SerialConfig { path: self.address(), ..config } }
     }
 
-    /// Lets something go wrong, or end going wrong: a line as in a script.
+    /// Starts or ends a fault, by a line as in a script.
     ///
     /// # Errors
-    /// Names the word that is wrong and what to write instead; nothing happens then.
+    /// Names the wrong word and the allowed ones; nothing happens then.
     pub fn command_line(&self, line: &str) -> Result<(), LineError> {
         let mut core = lock(&self.shared.core);
-        // Not later than the gateway has come: the controller would miss what is still to be said to it.
+        // Not before the gateway has reached this time: the controller would miss pending messages.
         let now = core.far.now();
         core.far.controller.command_line(now, line)
     }
 
-    /// Pulls the cable: a terminal vanishes, a connection ends, and nobody can connect.
+    /// Unplugs the cable: a terminal vanishes, a connection ends, and nobody can connect.
     pub fn unplug(&self) {
         self.shared.is_plugged.store(false, Ordering::SeqCst);
     }
@@ -191,13 +191,12 @@ impl MockServer {
         self.shared.is_plugged.store(true, Ordering::SeqCst);
     }
 
-    /// How often its thread woke up later than this after the time that was planned (exact to an eighth): what it answers is late
-    /// then, and no fault of the arm's own.
+    /// Number of wake-ups later than this (accurate to an eighth): the answers are late then, without a fault of the arm.
     pub fn wakes_later_than(&self, limit: Duration) -> u64 {
         self.shared.lateness.later_than(limit)
     }
 
-    /// How the arm is.
+    /// State of the arm.
     pub fn report(&self) -> MockReport {
         let core = lock(&self.shared.core);
         let (position_rad, velocity_rad_per_s) = core.far.controller.true_joints();
@@ -218,7 +217,7 @@ impl MockServer {
     }
 }
 
-/// A way to the terminal of an emulated arm, as a name that stays with an adapter is to a real one.
+/// Opens the terminal of an emulated arm, as a persistent name opens a real adapter.
 #[derive(Debug)]
 pub struct MockPort {
     shared: Arc<Shared>,
@@ -256,7 +255,7 @@ impl MockFace {
 }
 
 impl Core {
-    /// Answers that have come to the host, as many as there is room for.
+    /// Writes answers to the host, as many as the line accepts.
     fn collect(&mut self, now: MonotonicTime, output: &mut Vec<u8>) {
         let unread = &mut self.unread;
         self.far.answer(now, |bytes| {
@@ -269,7 +268,7 @@ impl Core {
     }
 }
 
-/// The way to the host.
+/// Connection to the host.
 enum Line {
     /// A terminal, until it is unplugged.
     Pty(Option<Pty>),
@@ -335,7 +334,7 @@ impl Line {
         }
     }
 
-    /// Lets somebody connect, if anybody wants to.
+    /// Accepts a connection, if there is one.
     fn accept(&mut self) {
         match self {
             Self::Pty(pty) => *pty = Pty::open().ok(),
@@ -350,11 +349,11 @@ impl Line {
     }
 }
 
-/// What the thread owns.
+/// State of the thread.
 struct Worker {
     shared: Arc<Shared>,
     line: Line,
-    /// Bytes that the line had no room for.
+    /// Bytes that the line did not accept yet.
     output: Vec<u8>,
 }
 
@@ -368,7 +367,7 @@ impl Worker {
         }
     }
 
-    /// Makes the line what the operator wants it to be.
+    /// Plugs or unplugs the line as requested.
     fn keep_plugged(&mut self) {
         match (self.shared.is_plugged.load(Ordering::SeqCst), self.line.is_connected()) {
             (false, true) => self.hang_up(),
@@ -389,7 +388,7 @@ impl Worker {
         core.far.hang_up();
     }
 
-    /// Everything that is due; when something is due next.
+    /// Handles everything that is due; returns the time of the next event.
     fn work(&mut self) -> MonotonicTime {
         let shared = Arc::clone(&self.shared);
         let mut core = lock(&shared.core);
@@ -436,7 +435,7 @@ impl Worker {
         let core = lock(&self.shared.core);
         let clock = core.clock.clone();
         let now = clock.0.now();
-        // What it does not read must not wake it.
+        // Unread input must not wake the thread.
         let reads = core.far.controller.readable_on_line(now) > 0;
         let again = core.far.controller.reads_line_again().filter(|_| !reads);
         drop(core);
@@ -451,7 +450,7 @@ impl Worker {
             clock.0.sleep_until(planned);
         }
         let late = clock.0.now().saturating_since(planned);
-        // What comes wakes it before its time.
+        // Input wakes it before its time.
         if late > Duration::ZERO {
             self.shared.lateness.record(late);
         }

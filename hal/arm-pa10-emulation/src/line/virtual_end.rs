@@ -1,4 +1,4 @@
-//! The far end of an arm's line in virtual time: gateway and servo controller, and the cable to them.
+//! The far end of an arm's line in virtual time: gateway, servo controller and cable.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -12,17 +12,17 @@ use super::virtual_line::{SharedLine, VirtualLine, VirtualPort, lock};
 use crate::far_end::FarEnd;
 use crate::mock_controller::LineError;
 
-/// The far end of the line of an arm in virtual time: what an operator and a test can do there.
+/// The far end of the line of an arm in virtual time, for operators and tests.
 #[derive(Clone, Debug)]
 pub struct VirtualEnd {
     far: Arc<Mutex<FarEnd>>,
     line: SharedLine,
-    /// Something was done that the host has not seen.
+    /// Something happened that the host has not seen.
     touched: Arc<AtomicBool>,
 }
 
 impl VirtualEnd {
-    /// The far end of a line of so many bits per second.
+    /// The far end of a line with this bit rate.
     pub fn new(far: FarEnd, baud: u32) -> Self {
         Self {
             far: Arc::new(Mutex::new(far)),
@@ -31,27 +31,27 @@ impl VirtualEnd {
         }
     }
 
-    /// Looks at gateway and controller.
+    /// Read access to gateway and controller.
     pub fn look<T>(&self, look: impl FnOnce(&FarEnd) -> T) -> T {
         look(&lock(&self.far))
     }
 
-    /// Lets something go wrong, or end going wrong: a line as in a script.
+    /// Starts or ends a fault, by a line as in a script.
     ///
     /// # Errors
-    /// Names the word that is wrong and what to write instead; nothing happens then.
+    /// Names the wrong word and the allowed ones; nothing happens then.
     pub fn command_line(&self, line: &str) -> Result<(), LineError> {
         let mut far = lock(&self.far);
         let now = far.now();
         far.controller.command_line(now, line)
     }
 
-    /// Pulls the cable: both sides notice.
+    /// Unplugs the cable: both sides detect it.
     pub fn unplug(&self) {
         self.set_plugged(false);
     }
 
-    /// Plugs the cable in again. The arm is had again by a reset.
+    /// Plugs the cable in again. A reset restores the arm.
     pub fn plug(&self) {
         self.set_plugged(true);
     }

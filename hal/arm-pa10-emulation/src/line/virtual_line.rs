@@ -1,4 +1,4 @@
-//! The line between a host and an emulated arm where time is simulated: bytes that need their time, and a cable that can be pulled.
+//! The line between a host and an emulated arm in simulated time: transmission delays, and a cable that can be unplugged.
 
 use std::collections::VecDeque;
 use std::os::fd::BorrowedFd;
@@ -12,12 +12,12 @@ use pb3dp_hal_platform::transport::{ByteLink, ConnectError, Connector, Symptom, 
 /// Bits of a byte on a serial line: start, eight of data, stop.
 const BITS_PER_BYTE: u64 = 10;
 
-/// A line with a rate, both ways.
+/// A line with a bit rate, in both directions.
 #[derive(Debug)]
 pub(super) struct VirtualLine {
     nanos_per_byte: u64,
     is_plugged: bool,
-    /// How often it was plugged in: who has opened it before that has it no more.
+    /// Number of connections: a link that was opened before the last one is lost.
     plugged_in: u64,
     pub to_gateway: OneWay,
     pub to_host: OneWay,
@@ -27,14 +27,14 @@ pub(super) struct VirtualLine {
 #[derive(Debug, Default)]
 pub(super) struct OneWay {
     bytes: VecDeque<u8>,
-    /// When so many of the bytes have come.
+    /// Arrival time of this number of bytes.
     pieces: VecDeque<(MonotonicTime, usize)>,
 }
 
-/// What both ends share.
+/// State shared by both ends.
 pub(super) type SharedLine = Arc<Mutex<VirtualLine>>;
 
-/// The line could not be opened.
+/// The line cannot be opened.
 #[derive(Debug, thiserror::Error)]
 #[error("the cable of the emulated arm is unplugged; plug it in again")]
 struct NotPlugged;
@@ -51,7 +51,7 @@ impl VirtualLine {
         }
     }
 
-    /// For which time bytes are on the line.
+    /// Transmission time of bytes.
     pub fn time_of(&self, count: usize) -> Duration {
         Duration::from_nanos(self.nanos_per_byte * count as u64)
     }
@@ -60,14 +60,14 @@ impl VirtualLine {
         self.is_plugged
     }
 
-    /// Pulls the cable, or plugs it in again; what was on the line is gone.
+    /// Unplugs the cable, or plugs it in again; the content of the line is lost.
     pub fn set_plugged(&mut self, is_plugged: bool) {
         self.plugged_in += u64::from(is_plugged && !self.is_plugged);
         self.is_plugged = is_plugged;
         (self.to_gateway, self.to_host) = (OneWay::default(), OneWay::default());
     }
 
-    /// An answer for the host that leaves the gateway now.
+    /// An answer of the gateway that is sent now.
     pub fn answer(&mut self, now: MonotonicTime, bytes: &[u8]) {
         let time = self.time_of(bytes.len());
         self.to_host.send(now, bytes, time);
@@ -81,12 +81,12 @@ impl OneWay {
         self.pieces.push_back((free + takes, bytes.len()));
     }
 
-    /// When the next bytes have come.
+    /// Arrival time of the next bytes.
     pub fn next_arrival(&self) -> Option<MonotonicTime> {
         self.pieces.front().map(|(at, _)| *at)
     }
 
-    /// Takes bytes that have come, as many as fit.
+    /// Reads arrived bytes, as many as fit.
     pub fn take(&mut self, now: MonotonicTime, buffer: &mut [u8]) -> usize {
         let mut taken = 0;
         while let Some((_, left)) = self.pieces.front_mut().filter(|(at, _)| *at <= now) {
@@ -110,7 +110,7 @@ struct VirtualLink {
     plugged_in: u64,
 }
 
-/// The way to an emulated arm, as often as it is plugged in.
+/// Opens the host's end, each time that the cable is plugged in.
 pub(super) struct VirtualPort {
     pub line: SharedLine,
     pub clock: Arc<dyn Clock>,

@@ -5,7 +5,7 @@ use std::time::Duration;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_sim::joint_dynamics::AxisMode;
 
-/// A brake takes its time.
+/// State of a brake, which takes time to change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Brake {
     /// It holds.
@@ -23,18 +23,18 @@ pub(super) enum Brake {
 pub(super) struct AxisDrive {
     pub brake: Brake,
     pub servo_on: bool,
-    /// The servo goes off by itself as soon as the brake holds.
+    /// The servo switches off as soon as the brake holds.
     servo_off_when_held: bool,
     /// Command of the servo, rad/s.
     pub velocity_rad_per_s: f64,
-    /// It does not move, whatever drives it.
+    /// The joint is blocked.
     pub stuck: bool,
     /// Velocity that replaces the command, rad/s.
     pub runaway_rad_per_s: Option<f64>,
 }
 
 impl AxisDrive {
-    /// As after power-up.
+    /// State after power-up.
     pub const AT_REST: Self = Self {
         brake: Brake::Closed,
         servo_on: false,
@@ -44,7 +44,7 @@ impl AxisDrive {
         runaway_rad_per_s: None,
     };
 
-    /// Does what a command says.
+    /// Executes a command.
     pub fn command(
         &mut self,
         now: MonotonicTime,
@@ -59,7 +59,7 @@ impl AxisDrive {
         if brake_on { self.close(now, times) } else { self.open(now, times) }
     }
 
-    /// Comes to rest with its servo, which goes off when the brake holds.
+    /// Stops with its servo, which switches off when the brake holds.
     pub fn stop(&mut self, now: MonotonicTime, times: BrakeTimes) {
         self.velocity_rad_per_s = 0.0;
         self.servo_off_when_held = true;
@@ -67,7 +67,7 @@ impl AxisDrive {
         self.settle();
     }
 
-    /// Loses its power: the servo is off at once, and the brake closes.
+    /// Power loss: the servo is off at once, and the brake closes.
     pub fn cut(&mut self, now: MonotonicTime, times: BrakeTimes) {
         self.command(now, times, true, false, 0.0);
     }
@@ -88,7 +88,7 @@ impl AxisDrive {
         };
     }
 
-    /// When the brake has finished what it does.
+    /// Time at which the brake has finished its motion.
     pub fn next_change(&self) -> Option<MonotonicTime> {
         match self.brake {
             Brake::Opening { until } | Brake::Closing { until } => Some(until),
@@ -96,7 +96,7 @@ impl AxisDrive {
         }
     }
 
-    /// Time has passed.
+    /// Advances the time.
     pub fn advance(&mut self, now: MonotonicTime) {
         self.brake = match self.brake {
             Brake::Opening { until } if now >= until => Brake::Open,
@@ -112,7 +112,7 @@ impl AxisDrive {
         }
     }
 
-    /// What holds or moves the joint.
+    /// Brake or servo that holds the joint.
     pub fn mode(&self) -> AxisMode {
         let held = matches!(self.brake, Brake::Closed | Brake::Opening { .. });
         match self.runaway_rad_per_s {

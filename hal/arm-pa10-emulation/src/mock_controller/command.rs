@@ -1,4 +1,4 @@
-//! Commands as they come, sound or not: a driver that sends nonsense must be seen to do so.
+//! Commands as received, valid or not: invalid commands of a driver must be detectable.
 
 use pb3dp_arm_pa10_protocol::codec::{Axis, WireFormat};
 
@@ -53,7 +53,7 @@ impl RawCommand {
         (data.len() == format.command_length()).then_some(command)
     }
 
-    /// Something that no sound driver sends: torque mode, a torque where none is in use, bits without meaning.
+    /// Commands that no correct driver sends: torque mode, an unused torque, undefined bits.
     pub fn is_odd(&self) -> bool {
         self.axes.iter().any(|axis| axis.torque_mode || axis.torque_counts != 0 || axis.has_unknown_bits)
     }

@@ -10,17 +10,17 @@ use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 /// Limits of a PA10-7C(E) by MHI's model data and two drivers: +-177, 91, 174, 137, 255, 165, 255 degrees; S2 by OpenRAVE, others give 94.
 const SERVO_LIMITS_DEG: [f64; Axis::COUNT] = [177.0, 91.0, 174.0, 137.0, 255.0, 165.0, 255.0];
 
-/// Where joints meet their end stops, degrees (INRIA, for a PA10-7CE).
+/// Mechanical stops, degrees (INRIA, for a PA10-7CE).
 const END_STOPS_DEG: [f64; Axis::COUNT] = [180.0, 97.0, 180.0, 143.0, 270.0, 180.0, 270.0];
 
-/// How fast joints can be, rad/s (INRIA; E2 is slower by another source).
+/// Maximum joint speeds, rad/s (INRIA; E2 is slower by another source).
 const SPEED_MAX_RAD_PER_S: [f64; Axis::COUNT] = [1.0, 1.0, 2.0, 2.0, TAU, TAU, TAU];
 
-/// Joints of a PA10-7C(E) for an emulated arm. No source tells their accelerations and lags: drives here are as quick as a stop
+/// Joints of a PA10-7C(E) for an emulated arm. No source states their accelerations and lags: these drives are as fast as a stop
 /// within a tenth of a second needs.
 ///
 /// # Errors
-/// Never, as these limits are in order.
+/// Never, because these limits are valid.
 pub fn pa10_joints() -> Result<JointPlantConfig, JointLimitsError> {
     let stops = JointVector::from(END_STOPS_DEG.map(f64::to_radians));
     Ok(JointPlantConfig {
@@ -36,16 +36,16 @@ pub fn pa10_joints() -> Result<JointPlantConfig, JointLimitsError> {
 /// Settings of an emulated controller.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MockControllerConfig {
-    /// How it speaks.
+    /// Wire format.
     pub format: WireFormat,
-    /// How long it goes without a message in control mode before it stops by itself: sources say 6, 10 or 400 ms. `None`: it goes on
-    /// with the last velocities, which one source reports, too.
+    /// Time without a message in control mode after which it stops: sources state 6, 10 or 400 ms. `None`: it continues with the
+    /// last velocities, which one source also reports.
     pub watchdog: Option<Duration>,
     /// From a message to its reply, on the bus and in the controller.
     pub reply_delay: Duration,
-    /// How long a brake takes to open: until then it holds.
+    /// Time that a brake takes to open: until then it holds.
     pub brake_open: Duration,
-    /// How long a brake takes to close: until then it does not hold.
+    /// Time that a brake takes to close: until then it does not hold.
     pub brake_close: Duration,
     /// Lower software limits in the EEPROM, rad.
     pub lower_limit_rad: JointVector,
@@ -58,10 +58,10 @@ pub struct MockControllerConfig {
 /// Why a controller cannot be emulated.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum MockControllerError {
-    /// A time-out of zero.
+    /// The time-out is zero.
     #[error("a watchdog of 0 s would stop the arm between two commands: give 6 ms or more, or none")]
     Watchdog,
-    /// Limits that are no range around zero.
+    /// The limits do not include zero.
     #[error("{axis}: limits of {lower_rad} to {upper_rad} rad are no range around 0 within two turns; correct them")]
     Limits {
         /// Which axis.
@@ -74,7 +74,7 @@ pub enum MockControllerError {
 }
 
 impl MockControllerConfig {
-    /// A controller with this format and its time-out at 6 ms; the rest as the sources suggest it.
+    /// A controller with this format and a time-out of 6 ms; the other values are those of the sources.
     pub fn new(format: WireFormat) -> Self {
         let limits = JointVector::from(SERVO_LIMITS_DEG.map(f64::to_radians));
         Self {
@@ -89,7 +89,7 @@ impl MockControllerConfig {
         }
     }
 
-    /// Lower and upper limit of an axis as the EEPROM keeps them.
+    /// Lower and upper limit of an axis in the counts of the EEPROM.
     pub(super) fn limits(&self, axis: Axis) -> Result<[AngleCounts; 2], MockControllerError> {
         let (lower_rad, upper_rad) = (self.lower_limit_rad[axis.index()], self.upper_limit_rad[axis.index()]);
         let wrong = MockControllerError::Limits { axis, lower_rad, upper_rad };

@@ -20,35 +20,35 @@ use super::schedule::Schedule;
 use super::script::{Script, ScriptLine};
 use super::words::LineError;
 
-/// What the controller is doing.
+/// Mode of the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ControlMode {
     /// Brakes on, servos off: after power-up, E or a time-out.
     Adjustment,
-    /// Between S and E: commands are followed.
+    /// Between S and E: commands are executed.
     Control,
     /// Between T and E: brakes open, servos off; the arm falls.
     BrakeRelease,
 }
 
-/// What happened to an emulated controller since it was made.
+/// Counters of an emulated controller.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MockCounters {
-    /// Frames that came for it.
+    /// Received frames.
     pub frames: u64,
     /// Messages that were answered.
     pub answered: u64,
-    /// Letters that must never come, refused: M, W, P, and T without the feature.
+    /// Letters that must never be sent, refused: M, W, P, and T without the feature.
     pub forbidden: u64,
-    /// Frames that are no message: a wrong length, an unknown letter, an axis that is none.
+    /// Frames without a message: a wrong length, an unknown letter, an invalid axis.
     pub malformed: u64,
-    /// Commands that no sound driver sends: torques, bits without meaning.
+    /// Commands that no correct driver sends: torques, undefined bits.
     pub odd: u64,
-    /// Axes that were told to have neither brake nor servo.
+    /// Axes that were commanded to have neither brake nor servo.
     pub let_go: u64,
-    /// How often it stopped by itself because no message came.
+    /// Number of stops because no message came.
     pub watchdog_trips: u64,
-    /// Faults that came, by their name in scripts.
+    /// Faults, by their name in scripts.
     pub faults: BTreeMap<&'static str, u64>,
 }
 
@@ -62,7 +62,7 @@ pub struct MockController {
     pub(super) panel: Panel,
     pub(super) mode: ControlMode,
     powered: bool,
-    /// In control mode: when the last message came.
+    /// In control mode: time of the last message.
     pub(super) last_message: MonotonicTime,
     pub(super) watches_dead_man: bool,
     pub(super) angle_offset_rad: JointVector,
@@ -77,7 +77,7 @@ pub struct MockController {
 }
 
 impl MockController {
-    /// A controller that was just powered on, with these joints.
+    /// A controller after power-up, with these joints.
     ///
     /// # Errors
     /// If a number of the configuration is out of range.
@@ -118,12 +118,12 @@ impl MockController {
         Ok(controller)
     }
 
-    /// The joints, to be shared with what else sees this arm.
+    /// The joints, to share with other observers of this arm.
     pub fn plant(&self) -> Arc<Mutex<JointPlant>> {
         Arc::clone(&self.plant)
     }
 
-    /// What the controller is doing.
+    /// Mode of the controller.
     pub fn mode(&self) -> ControlMode {
         self.mode
     }
@@ -133,7 +133,7 @@ impl MockController {
         self.powered
     }
 
-    /// What happened so far.
+    /// Counters so far.
     pub fn counters(&self) -> &MockCounters {
         &self.counters
     }
@@ -143,7 +143,7 @@ impl MockController {
         self.axes.iter().all(|axis| axis.brake == Brake::Closed)
     }
 
-    /// What holds or moves each joint.
+    /// Brake or servo that holds each joint.
     pub fn axis_modes(&self) -> [AxisMode; Axis::COUNT] {
         self.axes.map(|axis| axis.mode())
     }
@@ -160,7 +160,7 @@ impl MockController {
         JointVector::from(self.axes.map(|axis| axis.velocity_rad_per_s))
     }
 
-    /// A frame from the bus. Frames for other nodes are left alone.
+    /// Receives a frame from the bus. Frames for other nodes are ignored.
     pub fn handle_frame(&mut self, now: MonotonicTime, frame: &[u8]) {
         self.advance(now);
         let Ok(packet) = arcnet::decode(Route::TO_CONTROLLER, frame) else {
@@ -187,20 +187,20 @@ impl MockController {
         self.move_joints(now);
     }
 
-    /// A reply that has arrived at the host by now.
+    /// A reply that has arrived at the host.
     pub fn poll_frame(&mut self, now: MonotonicTime) -> Option<Frame> {
         self.advance(now);
         self.outbox.poll(now)
     }
 
-    /// When something happens by itself: a reply arrives, a brake has moved, the watchdog runs out, a fault comes.
+    /// Time of the next event: a reply arrives, a brake has moved, the watchdog expires, a fault comes.
     pub fn next_deadline(&self) -> Option<MonotonicTime> {
         [self.next_event(), self.outbox.next_arrival()].into_iter().flatten().min()
     }
 
     fn next_event(&self) -> Option<MonotonicTime> {
         let mut next = [self.watchdog_deadline(), self.schedule.next()].into_iter().flatten().min();
-        // Asked for several times in each cycle, in which mostly no brake moves.
+        // Called several times in each cycle, mostly without a moving brake.
         for at in self.axes.iter().filter_map(AxisDrive::next_change) {
             next = Some(next.map_or(at, |next| next.min(at)));
         }
@@ -212,7 +212,7 @@ impl MockController {
         self.config.watchdog.filter(|_| watches).map(|time| self.last_message + time)
     }
 
-    /// Lets time pass: everything happens at its own time and in its order. A time in the past does nothing.
+    /// Advances the time; all events happen at their own times and in order. A past time does nothing.
     pub fn advance(&mut self, now: MonotonicTime) {
         while let Some(at) = self.next_event().filter(|at| *at <= now) {
             let at = at.max(self.now);
@@ -231,15 +231,15 @@ impl MockController {
         self.joints().advance_to(self.now);
     }
 
-    /// Lets the lines of a script happen at their times, counted from the moment at which the controller was made.
+    /// Schedules the lines of a script, relative to the creation of the controller.
     pub fn play(&mut self, now: MonotonicTime, script: &Script) {
         script.lines.iter().for_each(|line| self.schedule.add(now, line));
     }
 
-    /// Does what one line says, as a script has it.
+    /// Executes one line of a script.
     ///
     /// # Errors
-    /// Names the word that is wrong and what to write instead; nothing happens then.
+    /// Names the wrong word and the allowed ones; nothing happens then.
     pub fn command_line(&mut self, now: MonotonicTime, line: &str) -> Result<(), LineError> {
         if let Some(line) = ScriptLine::parse(line)? {
             self.schedule.add(now, &line);
@@ -248,7 +248,7 @@ impl MockController {
         Ok(())
     }
 
-    /// Lets something go wrong at once, or end going wrong.
+    /// Starts or ends a fault at once.
     pub fn inject(&mut self, now: MonotonicTime, fault: Fault) {
         *self.counters.faults.entry(fault.name()).or_default() += 1;
         let times = self.brake_times();
@@ -319,7 +319,7 @@ impl MockController {
         BrakeTimes { open: self.config.brake_open, close: self.config.brake_close }
     }
 
-    /// Comes to rest, closes the brakes, leaves the control mode.
+    /// Stops, closes the brakes, leaves the control mode.
     pub(super) fn stop(&mut self, now: MonotonicTime) {
         self.mode = ControlMode::Adjustment;
         let times = self.brake_times();
@@ -348,7 +348,7 @@ impl MockController {
         self.powered = on;
     }
 
-    /// Stops if the dead-man switch is let go while commands ask to watch it.
+    /// Stops if the dead-man switch is released while commands request its supervision.
     pub(super) fn watch_dead_man(&mut self, now: MonotonicTime) {
         let let_go = self.watches_dead_man && self.mode == ControlMode::Control && !self.panel.dead_man_held;
         let cause = let_go.then_some((ServoAlarm::DeadManOff, CommAlarm::DeadManOff));
@@ -362,7 +362,7 @@ impl MockController {
         self.plant.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Lets the joints do what brakes and servos say.
+    /// Applies brakes and servos to the joints.
     fn move_joints(&mut self, now: MonotonicTime) {
         let (modes, velocity) = (self.axis_modes(), self.commanded_rad_per_s());
         let mut plant = self.joints();

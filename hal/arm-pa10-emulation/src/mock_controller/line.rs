@@ -1,4 +1,4 @@
-//! The line between host and gateway: what happens to frames there.
+//! The line between host and gateway, with faults of frames.
 
 use std::time::Duration;
 
@@ -10,10 +10,10 @@ use super::fault::{LineFault, Side};
 use super::outbox::Outbox;
 use super::random::Random;
 
-/// Where a frame names its arm.
+/// Offset of the arm number in a frame.
 const ARM_AT: usize = 3;
 
-/// A reader that takes so many bytes per second takes at once what comes to it in this time.
+/// A slow reader accepts at once what arrives in this time.
 const READ_AT_ONCE: Duration = Duration::from_millis(10);
 
 /// The line between host and gateway.
@@ -23,7 +23,7 @@ pub(super) struct Line {
     wrong_arm: u32,
     is_deaf: bool,
     reader: Option<SlowReader>,
-    /// How far the clocks are off, µs.
+    /// Clock offset, µs.
     host_clock_us: i64,
     gateway_clock_us: i64,
     /// Finds the frames of the host, to change their times.
@@ -64,17 +64,17 @@ impl Line {
         }
     }
 
-    /// How many bytes of the host the gateway takes now, at most.
+    /// Number of bytes of the host that the gateway accepts now, at most.
     pub fn readable(&self, now: MonotonicTime) -> usize {
         self.reader.map_or(usize::MAX, |reader| reader.readable(now))
     }
 
-    /// When it takes bytes again, if it takes none now and ever will.
+    /// Time at which it accepts bytes again, if it accepts none now.
     pub fn reads_again(&self) -> Option<MonotonicTime> {
         self.reader.filter(|reader| reader.rate > 0).map(|reader| reader.next)
     }
 
-    /// Bytes of the host, and what of them comes to the gateway.
+    /// Bytes of the host, and the part that reaches the gateway.
     pub fn hear(&mut self, now: MonotonicTime, bytes: &[u8], mut gateway: impl FnMut(&[u8])) {
         if let Some(reader) = &mut self.reader {
             reader.take(now, bytes.len());
@@ -108,7 +108,7 @@ impl Line {
         }
     }
 
-    /// Bytes that have come to the host.
+    /// Bytes that have arrived at the host.
     pub fn poll(&mut self, now: MonotonicTime) -> Option<arcnet::Frame> {
         self.outbox.poll(now)
     }
@@ -117,14 +117,14 @@ impl Line {
         self.outbox.next_arrival()
     }
 
-    /// What was under way is gone.
+    /// Drops the content of the line.
     pub fn clear(&mut self) {
         self.outbox.clear();
         self.parser.restart();
     }
 }
 
-/// Somebody who does not take what comes as quickly as it comes.
+/// A slow reader.
 #[derive(Clone, Copy, Debug)]
 struct SlowReader {
     /// Bytes per second.
@@ -134,7 +134,7 @@ struct SlowReader {
 }
 
 impl SlowReader {
-    /// Time that was not used for reading is lost.
+    /// Unused reading time is lost.
     fn next(&self, now: MonotonicTime) -> MonotonicTime {
         self.next.max(now - READ_AT_ONCE)
     }
@@ -154,17 +154,17 @@ impl SlowReader {
     }
 }
 
-/// The same frame, sent at another time.
+/// The same frame with another time.
 fn postdated(frame: &Frame, by_us: i64) -> Frame {
     Frame { timestamp_us: frame.timestamp_us.wrapping_add_signed(by_us), ..*frame }
 }
 
-/// The same frame of another arm, sound.
+/// The same frame with another arm number and a valid checksum.
 fn readdressed(bytes: Vec<u8>) -> Vec<u8> {
     changed(bytes, |frame| Frame { arm: ArmId(frame.arm.0.wrapping_add(1)), ..frame })
 }
 
-/// A frame with something in it changed, sound.
+/// A frame with changed content and a valid checksum.
 fn changed(bytes: Vec<u8>, change: impl FnOnce(Frame) -> Frame) -> Vec<u8> {
     let Some(arm) = bytes.get(ARM_AT).copied() else { return bytes };
     let mut found = None;
@@ -176,37 +176,37 @@ fn changed(bytes: Vec<u8>, change: impl FnOnce(Frame) -> Frame) -> Vec<u8> {
 }
 
 impl super::MockController {
-    /// Gives a frame of the gateway to the line to the host, where faults of the line happen to it.
+    /// Sends a frame of the gateway over the line, with its faults.
     pub fn send_on_line(&mut self, now: MonotonicTime, frame: &[u8]) {
         self.line.send(now, frame);
     }
 
-    /// Bytes that have come to the host by now.
+    /// Bytes that have arrived at the host by now.
     pub fn poll_line(&mut self, now: MonotonicTime) -> Option<arcnet::Frame> {
         self.line.poll(now)
     }
 
-    /// When the next bytes come to the host.
+    /// Time of the next arrival at the host.
     pub fn next_on_line(&self) -> Option<MonotonicTime> {
         self.line.next_arrival()
     }
 
-    /// How many bytes of the host the gateway takes from the line now, at most.
+    /// Number of bytes of the host that the gateway accepts from the line now, at most.
     pub fn readable_on_line(&self, now: MonotonicTime) -> usize {
         self.line.readable(now)
     }
 
-    /// When it takes bytes again, if it is slow and takes any.
+    /// Time at which it accepts bytes again, if it is slow.
     pub fn reads_line_again(&self) -> Option<MonotonicTime> {
         self.line.reads_again()
     }
 
-    /// Gives bytes of the host to the line, and to the gateway what of them comes through now.
+    /// Sends bytes of the host over the line; returns those that arrive at the gateway now.
     pub fn hear_on_line(&mut self, now: MonotonicTime, bytes: &[u8], gateway: impl FnMut(&[u8])) {
         self.line.hear(now, bytes, gateway);
     }
 
-    /// The line was cut: what was under way is gone.
+    /// The line was cut: drops its content.
     pub fn clear_line(&mut self) {
         self.line.clear();
     }

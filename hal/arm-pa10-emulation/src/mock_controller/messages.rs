@@ -1,4 +1,4 @@
-//! What the controller does with each letter, and what it answers.
+//! Reaction of the controller to each letter, with the reply.
 
 use pb3dp_arm_pa10_protocol::arcnet::{self, Route};
 use pb3dp_arm_pa10_protocol::codec::{
@@ -76,7 +76,7 @@ impl MockController {
         ReplyMessage::Done(Letter::ReleaseBrakes)
     }
 
-    /// The alarm of an axis goes if its cause is gone, and with it that of the controller.
+    /// Clears the alarm of an axis if its cause is gone, and with it that of the controller.
     fn clear_alarm(&mut self, data: &[u8]) -> Option<ReplyMessage> {
         let axis = Axis::from_number(u16::from_be_bytes(data.try_into().ok()?)).ok()?;
         self.panel.servo[axis.index()].clear();
@@ -94,7 +94,7 @@ impl MockController {
 
     fn cyclic(&mut self, now: MonotonicTime, data: &[u8]) -> Option<ReplyMessage> {
         let Some(command) = RawCommand::decode(self.config.format, data) else {
-            // The length of the reply tells the format; sources do not tell whether a controller answers such a command.
+            // The length of the reply shows the format; the sources do not state whether a controller answers such a command.
             let is_of_other = WireFormat::ALL.into_iter().any(|format| format.command_length() == data.len());
             self.counters.malformed += u64::from(is_of_other);
             return is_of_other.then(|| ReplyMessage::Cyclic(self.measure()));
@@ -121,14 +121,14 @@ impl MockController {
                 continue;
             }
             self.counters.let_go += u64::from(!told.brake_on && (!told.servo_on || told.torque_mode));
-            // Torques are not emulated: an axis under torque control is one that nobody holds.
+            // Torques are not emulated: nothing holds an axis under torque control.
             let servo_on = told.servo_on && !told.torque_mode;
             let velocity = self.within_limits(axis, measured.axes[index].angle, told.velocity_rad_per_s);
             self.axes[index].command(now, times, told.brake_on, servo_on, velocity);
         }
     }
 
-    /// The velocity, or 0 if it leads further out of the limits.
+    /// The velocity, or 0 if it leads further beyond the limits.
     fn within_limits(&self, axis: Axis, angle: AngleCounts, velocity_rad_per_s: f64) -> f64 {
         let [at_lower, at_upper] = self.at_limits(axis, angle);
         let outwards = (at_upper && velocity_rad_per_s > 0.0) || (at_lower && velocity_rad_per_s < 0.0);
@@ -146,7 +146,7 @@ impl MockController {
         counted.unwrap_or(AngleCounts(i32::MAX))
     }
 
-    /// What the controller measures now.
+    /// The present measurement.
     pub(super) fn measure(&self) -> ArmReply {
         let (position, velocity) = self.true_joints();
         let format = self.config.format;
@@ -156,7 +156,7 @@ impl MockController {
             let [at_lower, at_upper] = self.at_limits(axis, angle);
             let word = self.panel.servo_word(axis, at_upper, at_lower);
             let torque = scale.from_joint_n_m(axis, self.torque_n_m[axis.index()]);
-            // The field ends where 16 bits end.
+            // The field is limited to 16 bits.
             let counts = (velocity[axis.index()] * 5000.0).round().clamp(f64::from(i16::MIN), f64::from(i16::MAX));
             let (status, speed) = match format {
                 WireFormat::LittleEndian5x8 => (AxisStatus::Undocumented(word.0), None),

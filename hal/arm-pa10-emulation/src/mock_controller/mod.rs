@@ -1,20 +1,20 @@
-//! The servo controller of a PA-10 with its arm, emulated byte by byte at the far end of the ARCNET bus. No I/O, told the time.
+//! The servo controller of a PA-10 with its arm, emulated byte by byte at the far end of the ARCNET bus. Without I/O and clock.
 //!
-//! [`MockController`] takes frames ([`pb3dp_arm_pa10_protocol::arcnet`]) and gives the replies when they are due. It knows:
+//! [`MockController`] takes frames ([`pb3dp_arm_pa10_protocol::arcnet`]) and returns the replies when they are due. It emulates:
 //! * both wire formats, the letters S, C, E, A and R, and T in builds that have it; M, W and P are refused and counted;
 //! * power-up in the adjustment mode with brakes on, the control mode between S and E, its own watchdog, power off and on;
 //! * brakes and servos of each axis with their times, joints that fall when neither holds them, software limits;
 //! * alarms, switches and status words.
 //!
-//! The joints are a [`pb3dp_sim::joint_dynamics::JointPlant`] that may be shared with simulated cameras; it may be advanced by
-//! anybody, up to the present.
+//! The joints are a [`pb3dp_sim::joint_dynamics::JointPlant`] that may be shared with simulated cameras; any owner may advance it
+//! up to the present.
 //!
 //! [`Fault`]s come from a [`Script`], by chance, or from a line that an operator types; `docs/mock-arm.md` lists them.
 //!
-//! What no source tells is chosen like this: the watchdog, an alarm of the controller and the letter E bring the arm to rest with
-//! its servos before these go off; the emergency stop and lost power switch servos off at once; an axis that raises an alarm loses
-//! its own servo, and the others go on unless commands ask otherwise; in format A status words hold the bits of format B, which
-//! nobody may rely on.
+//! Behaviour that no source states is chosen as follows. The watchdog, an alarm of the controller and the letter E stop the arm
+//! with its servos before these switch off. The emergency stop and a power loss switch the servos off at once. An axis that raises
+//! an alarm loses its own servo, and the others continue unless commands request otherwise. In format A the status words have the
+//! bits of format B, on which no program may rely.
 
 mod axis;
 mod command;

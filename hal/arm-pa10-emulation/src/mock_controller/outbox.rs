@@ -1,4 +1,4 @@
-//! Replies on their way to the host, and what happens to them there.
+//! Replies on their way to the host, with faults.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -51,13 +51,13 @@ impl Outbox {
         self.delayed = (count, by);
     }
 
-    /// What was under way is gone.
+    /// Drops all pending replies.
     pub fn clear(&mut self) {
         self.under_way.clear();
         self.held_back = None;
     }
 
-    /// Whether the next reply suffers this; counts it.
+    /// Whether this fault applies to the next reply; counts it.
     pub fn suffers(&mut self, kind: ReplyFault) -> bool {
         match self.pending.get_mut(&kind) {
             Some(count) if *count > 0 => {

@@ -14,7 +14,7 @@ const EMERGENCY_STOP_OPEN: u16 = 0x0008;
 const TEACHING: u16 = 0x1000;
 const LIMIT_SWITCH_OPEN: u16 = 0x2000;
 
-/// What an alarm comes from, the strongest first.
+/// Source of an alarm, the strongest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Cause {
     /// The emergency stop.
@@ -29,19 +29,19 @@ impl Cause {
     const COUNT: usize = 3;
 }
 
-/// An alarm stays until it is cleared, and cannot be cleared while its cause is there.
+/// An alarm latches, and cannot be cleared while its cause is present.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct AlarmMemory<A> {
     shown: Option<A>,
     causes: [Option<A>; Cause::COUNT],
-    /// The axis, or the arm, goes on all the same.
+    /// The axis or the arm continues.
     only_reported: bool,
 }
 
 impl<A: Copy> AlarmMemory<A> {
     const NONE: Self = Self { shown: None, causes: [None; Cause::COUNT], only_reported: false };
 
-    /// Something happened; its cause is over. The first alarm stays.
+    /// An event whose cause is over. The first alarm stays.
     pub fn raise(&mut self, alarm: A) {
         self.shown = self.shown.or(Some(alarm));
         self.only_reported = false;
@@ -54,12 +54,12 @@ impl<A: Copy> AlarmMemory<A> {
         self.only_reported = harmless;
     }
 
-    /// Whether an alarm keeps the axis from moving.
+    /// Whether an alarm blocks the axis.
     pub fn is_tripped(&self) -> bool {
         self.shown.is_some() && !self.only_reported
     }
 
-    /// A cause has come, or gone.
+    /// A cause appears or disappears.
     pub fn set_cause(&mut self, cause: Cause, alarm: Option<A>) {
         self.causes[cause as usize] = alarm;
         self.shown = alarm.or(self.shown);
@@ -108,7 +108,7 @@ impl Panel {
         self.comm.set_cause(Cause::EmergencyStop, comm);
     }
 
-    /// The same alarm on every axis, and one on the controller, for what is over as soon as it has happened.
+    /// The same alarm on every axis, and one on the controller, for an event that is over at once.
     pub fn raise_everywhere(&mut self, servo: ServoAlarm, comm: CommAlarm) {
         self.servo.iter_mut().for_each(|memory| memory.raise(servo));
         self.comm.raise(comm);

@@ -1,4 +1,4 @@
-//! Faults that are still to come.
+//! Pending faults.
 
 use pb3dp_geometry::MonotonicTime;
 
@@ -6,7 +6,7 @@ use super::fault::Fault;
 use super::random::Random;
 use super::script::{ScriptLine, When};
 
-/// Faults that are still to come, by time or by chance.
+/// Pending faults, by time or by probability.
 #[derive(Clone, Debug)]
 pub(super) struct Schedule {
     start: MonotonicTime,
@@ -53,7 +53,7 @@ impl Schedule {
         due.then(|| self.timed.remove(0).1)
     }
 
-    /// The faults that chance brings at a message that is answered.
+    /// Random faults at an answered message.
     pub fn roll(&mut self) -> Vec<Fault> {
         let mut faults = Vec::new();
         for chance in &mut self.chances {

@@ -1,33 +1,33 @@
-//! When faults come: at a time, or by chance.
+//! Times of faults: absolute, relative or random.
 
 use std::time::Duration;
 
 use super::fault::Fault;
 use super::words::{LineError, Words};
 
-/// One line: a fault, and when it comes.
+/// One line: a fault and its time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScriptLine {
-    /// When.
+    /// Time of the fault.
     pub when: When,
-    /// What.
+    /// The fault.
     pub fault: Fault,
 }
 
-/// When a fault comes.
+/// Time of a fault.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum When {
     /// At once.
     Now,
-    /// This long after the line was given.
+    /// This time after the line was given.
     In(Duration),
-    /// This long after the controller was made.
+    /// This time after the controller was created.
     At(Duration),
     /// At each message that is answered, with this probability.
     Chance {
         /// 0 to 1.
         probability: f64,
-        /// At most at so many messages in a row.
+        /// Maximum number of consecutive messages.
         at_most_in_a_row: Option<u32>,
     },
 }
@@ -39,21 +39,21 @@ pub struct Script {
     pub lines: Vec<ScriptLine>,
 }
 
-/// Which line of a script says nothing that can be done, and why.
+/// Which line of a script is invalid, and why.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}: {error}")]
 pub struct ScriptError {
     /// Number of the line, from 1.
     pub line: usize,
-    /// What is wrong with it.
+    /// The error.
     pub error: LineError,
 }
 
 impl ScriptLine {
-    /// What a line says: `None` if it is empty or a comment.
+    /// The content of a line: `None` if it is empty or a comment.
     ///
     /// # Errors
-    /// Names the word that is wrong and what to write instead.
+    /// Names the wrong word and the allowed ones.
     pub fn parse(text: &str) -> Result<Option<Self>, LineError> {
         let mut words = Words::new(text);
         let Some(first) = words.peek() else { return Ok(None) };
@@ -85,7 +85,7 @@ impl Script {
     /// A script from its text: one fault per line, `#` begins a comment.
     ///
     /// # Errors
-    /// Names the first line that is wrong.
+    /// Names the first invalid line.
     pub fn parse(text: &str) -> Result<Self, ScriptError> {
         let mut lines = Vec::new();
         for (index, line) in text.lines().enumerate() {

@@ -1,4 +1,4 @@
-//! From the words of a line to a fault.
+//! Parses the words of a line to a fault.
 
 use std::time::Duration;
 
@@ -16,34 +16,34 @@ const TIME_UNITS: [(&str, f64); 5] = [("ns", 1e-9), ("us", 1e-6), ("µs", 1e-6),
 /// Three years: more than any clock runs, and exact as a number of microseconds.
 const CLOCK_JUMP_MAX: Duration = Duration::from_secs(100_000_000);
 
-/// Why a line says nothing that can be done.
+/// Why a line is invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LineError {
-    /// No such fault.
+    /// Unknown fault.
     #[error("`{got}` is no fault; the faults are {}", names())]
     Unknown {
         /// The word found.
         got: String,
     },
-    /// The line ends too early.
+    /// The line is incomplete.
     #[error("{what} is missing; write {form}")]
     Missing {
-        /// What is missing.
+        /// The missing item.
         what: &'static str,
-        /// What is allowed there.
+        /// The allowed values.
         form: &'static str,
     },
-    /// A word is not what belongs there.
+    /// A word is invalid.
     #[error("{what} is `{got}`; write {form}")]
     Bad {
-        /// What the word should have been.
+        /// The expected item.
         what: &'static str,
         /// The word found.
         got: String,
-        /// What is allowed there.
+        /// The allowed values.
         form: &'static str,
     },
-    /// There is more than belongs there.
+    /// The line has extra words.
     #[error("`{got}` is one word too many; remove it")]
     Surplus {
         /// The word found.
@@ -57,7 +57,7 @@ fn names() -> String {
     names.join(", ")
 }
 
-/// The words of a line, one after the other.
+/// The words of a line, one after another.
 pub(super) struct Words<'a> {
     words: std::str::SplitWhitespace<'a>,
 }
@@ -76,7 +76,7 @@ impl<'a> Words<'a> {
         self.words.next();
     }
 
-    /// The next word, understood.
+    /// The next word, parsed.
     pub fn take<T>(
         &mut self,
         what: &'static str,
@@ -98,7 +98,7 @@ impl<'a> Words<'a> {
         self.take(what, "a time such as 1.5s, 20ms or 300us", parse_time)
     }
 
-    /// By how much a clock jumps, µs.
+    /// Clock step, µs.
     fn jump_us(&mut self) -> Result<i64, LineError> {
         let most = CLOCK_JUMP_MAX.as_secs_f64();
         let understand = |word: &str| number_with_unit(word, &TIME_UNITS).filter(|seconds| seconds.abs() <= most);
@@ -243,7 +243,7 @@ impl<'a> Words<'a> {
     }
 }
 
-/// A time as scripts write it: `1.5s`, `20ms`, `300us`; `None` if the text is none.
+/// A time in the notation of scripts: `1.5s`, `20ms`, `300us`; `None` if the text is not a time.
 pub fn parse_time(text: &str) -> Option<Duration> {
     Duration::try_from_secs_f64(number_with_unit(text, &TIME_UNITS)?).ok()
 }

@@ -1,4 +1,4 @@
-//! Codes of what stops a PA-10.
+//! Codes of the causes that stop a PA-10.
 
 use pb3dp_message_codes::codes;
 

@@ -8,26 +8,26 @@ use pb3dp_kinematics::{DOF, JointVector};
 
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 
-/// Fewest exchanges before brakes open.
+/// Minimum number of exchanges before the brakes open.
 const WARM_UP_MIN: u32 = 100;
 
-/// Fewest cycles at speed 0 before the brakes close.
+/// Minimum number of cycles at speed 0 before the brakes close.
 const REST_CYCLES_MIN: u32 = 5;
 
-/// Largest torques at the joints, N m, base to tip: of two sources (INRIA for the PA10-7CE: 158, 158, 68, 68, 17, 17, 17; Orca
-/// and the University of Florida: 232, 232, 100, 100, 14.5, 14.5, 14.5) the lower ones.
+/// Maximum torques at the joints, N m, base to tip: the lower values of two sources (INRIA for the PA10-7CE: 158, 158, 68, 68, 17,
+/// 17, 17; Orca and the University of Florida: 232, 232, 100, 100, 14.5, 14.5, 14.5).
 pub const PA10_TORQUE_MAX_N_M: [f64; DOF] = [158.0, 158.0, 68.0, 68.0, 14.5, 14.5, 14.5];
 
-/// Largest speeds of the joints, rad/s, base to tip: about 57, 115 and 360 degrees/s by the data sheet.
+/// Maximum speeds of the joints, rad/s, base to tip: about 57, 115 and 360 degrees/s by the data sheet.
 pub const PA10_SPEED_MAX_RAD_PER_S: [f64; DOF] = [1.0, 1.0, 2.0, 2.0, TAU, TAU, TAU];
 
-/// An owner that stays away for longer holds no arm any more.
+/// Upper bound of the time without a request of the owner.
 const OWNER_TIMEOUT_MAX: Duration = Duration::from_secs(10);
 
-/// The part of the largest torques that a joint may carry for long.
+/// Share of the maximum torques that is allowed permanently.
 const TORQUE_PART: f64 = 0.8;
 
-/// The longest that a joint may carry more.
+/// Upper bound of the time above the permanent torque.
 const TORQUE_FOR_MAX: Duration = Duration::from_millis(200);
 
 /// Settings of a driver: its arm and its link.
@@ -35,77 +35,77 @@ const TORQUE_FOR_MAX: Duration = Duration::from_millis(200);
 pub struct DriverConfig {
     /// Time between two cyclic commands: 10 ms to a gateway, 2 ms on the bus.
     pub cycle: Duration,
-    /// How long the reply to a cyclic command is waited for: at most one cycle.
+    /// Time-out of the reply to a cyclic command: at most one cycle.
     pub reply_timeout: Duration,
-    /// How long the reply to any other message is waited for.
+    /// Time-out of the reply to any other message.
     pub control_timeout: Duration,
-    /// When a velocity whose successor stays away fades and stops.
+    /// When a velocity without a successor fades and stops.
     pub watchdog: CommandWatchdog,
-    /// How long an arm that holds with open brakes does so without any request of its owner: at most 10 s.
+    /// Longest time for which an arm holds with open brakes without a request of its owner: at most 10 s.
     pub owner_timeout: Duration,
-    /// Exchanges with brakes on that prove the link before they may open: at least 100.
+    /// Exchanges with closed brakes that test the link before the brakes may open: at least 100.
     pub warm_up_exchanges: u32,
-    /// How long brakes take to open, and to close.
+    /// Time that brakes take to open, and to close.
     pub brake_time: Duration,
     /// Cycles at speed 0 before the brakes close: at least 5.
     pub rest_cycles: u32,
-    /// How quickly joints come to rest on `Hold` and `Stop`, rad/s^2: each joint by itself.
+    /// Deceleration of the joints on `Hold` and `Stop`, rad/s^2: each joint separately.
     pub deceleration_rad_per_s2: JointVector,
-    /// How quickly joints come to rest on a fault.
+    /// Deceleration of the joints on a fault.
     pub emergency_ramp: Duration,
-    /// What a joint may carry, N m: with more than this in every measurement for [`Self::torque_for`], while the brakes are
+    /// Permanent torque limit of the joints, N m: with more in every measurement for [`Self::torque_for`], while the brakes are
     /// open, the arm is stopped.
     pub torque_max_n_m: JointVector,
-    /// How long it may carry more.
+    /// Allowed time above the permanent torque.
     pub torque_for: Duration,
-    /// How long an activity may take: then it is a fault.
+    /// Time limit of an activity; exceeding it is a fault.
     pub activity_timeout: Duration,
-    /// What to do about the limits in the EEPROM.
+    /// Use of the limits in the EEPROM.
     pub limits: LimitsCheck,
-    /// What the controller itself is to watch (format B).
+    /// Supervision by the controller itself (format B).
     pub supervision: Supervision,
-    /// Bits of the controller's status word (format B) that mean an emergency stop when they are set. Sources do not tell the
-    /// polarity of the switches: none until the rig has shown it. Alarms count in any case.
+    /// Bits of the controller's status word (format B) that mean an emergency stop when they are set. The sources do not state the
+    /// polarity of the switches: none until it is measured on the rig. Alarms always count.
     pub emergency_stop_bits: u16,
 }
 
-/// What to do about the limits that the controller keeps in its EEPROM.
+/// Use of the limits in the controller's EEPROM.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LimitsCheck {
-    /// Nothing: for arms that do not answer, and for a gateway that speaks for them.
+    /// None: for arms that do not answer, and for a gateway that answers for them.
     Skip,
     /// Read them before the arm counts as connected.
     Read,
-    /// Read them, and stop at an axis that differs from these.
+    /// Read them, and stop if an axis differs from these.
     Compare {
         /// Lower limits, rad.
         lower_rad: JointVector,
         /// Upper limits, rad.
         upper_rad: JointVector,
-        /// By how much they may differ, rad.
+        /// Tolerance, rad.
         tolerance_rad: f64,
     },
 }
 
-/// Why a configuration is none.
+/// Why a configuration is refused.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum DriverConfigError {
-    /// The cycle is zero or so long that the watchdog would trip by itself.
+    /// The cycle is zero, or so long that the watchdog would trip.
     #[error(
         "a cycle of {cycle:?} with a watchdog that slows down after {ramp_after:?}: give a cycle above 0 and at most half of that"
     )]
     Cycle {
-        /// The cycle given.
+        /// The configured cycle.
         cycle: Duration,
-        /// Of the watchdog given.
+        /// Time-out of the watchdog.
         ramp_after: Duration,
     },
-    /// Replies may take no time, or longer than a cycle.
+    /// The reply time-out is zero or longer than a cycle.
     #[error("a reply time-out of {reply_timeout:?} in a cycle of {cycle:?}: give more than 0 and at most the cycle")]
     ReplyTimeout {
-        /// The time-out given.
+        /// The configured time-out.
         reply_timeout: Duration,
-        /// The cycle given.
+        /// The configured cycle.
         cycle: Duration,
     },
     /// Too few exchanges or cycles.
@@ -113,9 +113,9 @@ pub enum DriverConfigError {
     TooFew {
         /// Name of the field.
         what: &'static str,
-        /// The number given.
+        /// The configured number.
         got: u32,
-        /// The least one.
+        /// The minimum.
         least: u32,
     },
     /// A deceleration is not a positive number.
@@ -123,40 +123,40 @@ pub enum DriverConfigError {
     Deceleration {
         /// Index from the base, 0 to 6.
         joint: usize,
-        /// The number given, rad/s^2.
+        /// The configured number, rad/s^2.
         got: f64,
     },
-    /// A largest torque is none, or more than the arm has.
+    /// A torque limit is invalid, or larger than that of the arm.
     #[error("axis {}: a largest torque of {got} N m; above 0 to {most} N m is possible", joint + 1)]
     Torque {
         /// Index from the base, 0 to 6.
         joint: usize,
-        /// The number given, N m.
+        /// The configured number, N m.
         got: f64,
-        /// What the sources say, N m.
+        /// The value of the sources, N m.
         most: f64,
     },
-    /// Too much torque may last too long.
+    /// The time above the permanent torque is too long.
     #[error("more torque than allowed for {got:?}: at most {most:?} is possible")]
     TorqueFor {
-        /// The time given.
+        /// The configured time.
         got: Duration,
-        /// The longest one.
+        /// The maximum.
         most: Duration,
     },
-    /// An owner may stay away for a shorter time than a velocity lasts, or for too long.
+    /// The time without requests is shorter than that of a velocity, or too long.
     #[error(
         "an owner that may stay away for {got:?} while the arm holds: more than {least:?} and at most {most:?} are possible"
     )]
     OwnerTimeout {
-        /// The time given.
+        /// The configured time.
         got: Duration,
-        /// After which a velocity stops the arm.
+        /// Time after which a velocity stops the arm.
         least: Duration,
-        /// The longest one.
+        /// The maximum.
         most: Duration,
     },
-    /// A stop takes longer than an activity may.
+    /// A stop takes longer than an activity is allowed to.
     #[error(
         "axis {}: a stop from its largest speed takes {needed_s:.1} s with {deceleration} rad/s^2, an activity may take \
          {got:?}: give more deceleration",
@@ -165,25 +165,25 @@ pub enum DriverConfigError {
     StopTimeout {
         /// Index from the base, 0 to 6.
         joint: usize,
-        /// The deceleration given, rad/s^2.
+        /// The configured deceleration, rad/s^2.
         deceleration: f64,
-        /// How long it takes with brakes and messages, s.
+        /// Duration with brakes and messages, s.
         needed_s: f64,
-        /// How long an activity may take.
+        /// Time limit of an activity.
         got: Duration,
     },
-    /// An activity has less time than it needs.
+    /// The time limit of an activity is too short.
     #[error("{got:?} for an activity: enabling and opening the brakes need {least:?}")]
     ActivityTimeout {
-        /// The time given.
+        /// The configured time.
         got: Duration,
-        /// What is needed.
+        /// The minimum.
         least: Duration,
     },
 }
 
 impl DriverConfig {
-    /// A link with this cycle; the rest as the sources suggest it.
+    /// A configuration for a link with this cycle; the other values are those of the sources.
     pub fn with_cycle(cycle: Duration) -> Self {
         Self {
             cycle,
@@ -241,7 +241,7 @@ impl DriverConfig {
         let least = self.cycle * self.warm_up_exchanges * 2 + self.brake_time * 2;
         for (joint, &speed) in PA10_SPEED_MAX_RAD_PER_S.iter().enumerate() {
             let deceleration = self.deceleration_rad_per_s2[joint];
-            // Both as numbers: a quotient may be more than a duration can hold.
+            // As numbers: a quotient may exceed the range of a duration.
             let needed_s = speed / deceleration + (self.cycle * (self.rest_cycles + 3) + self.brake_time).as_secs_f64();
             if needed_s > self.activity_timeout.as_secs_f64() {
                 return Err(DriverConfigError::StopTimeout {

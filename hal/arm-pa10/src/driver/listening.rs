@@ -1,8 +1,8 @@
-//! On a bus, what nobody has heard is not done.
+//! On a bus: an order that the controller has not received is repeated.
 //!
-//! A gateway does this by itself, beside the arm. A driver that speaks to the controller does it here: an order to stop that was not
-//! answered goes on with the step that closes the brakes, for as long as the program lives; and as nobody knows who drove the arm
-//! before, looking at it begins with that step, too. Whatever is heard, the time of the brakes counts from there.
+//! A gateway does this by itself, beside the arm. A driver without a gateway does it here: an unanswered stop order is repeated
+//! from the step that closes the brakes, for as long as the program runs. Because the previous user of the arm is unknown,
+//! connecting begins with this step too. The brake time counts from the first answer.
 
 use pb3dp_arm_pa10_protocol::codec::{ArmCommand, AxisCommand, ControlMessage, Supervision};
 use pb3dp_geometry::MonotonicTime;
@@ -12,33 +12,33 @@ use super::phase::{FirstAnswer, LookStep, Phase, StopStep};
 use super::table::Activity;
 use super::{FaultCause, Sample, Trip};
 
-/// Messages in a row without an answer that say that there is none: more than a bus loses, or a held-up computer.
+/// This number of unanswered messages in a row means that there is no answer: more than a bus or a delayed computer loses.
 const CHECKS: u32 = 10;
 
-/// An axis that shows more than this is driven, rad/s: half of the slowest motion that an operator asks for.
+/// An axis with more speed than this is driven, rad/s: half of the slowest motion that an operator requests.
 const SPEED_AT_REST_MAX_RAD_PER_S: f64 = 0.01;
 
-/// An axis that shows angles farther apart than this has moved, rad: ten counts.
+/// An axis whose angles differ by more than this has moved, rad: ten counts.
 const ANGLE_AT_REST_MAX_RAD: f64 = 77e-6;
 
 impl Driver {
-    /// Whether the controller has not answered the stop order: the driver goes on with it for as long as it is asked what to send. The
-    /// arm may move. Never behind a gateway, which does the same by itself.
+    /// Whether the controller has not answered the stop order: the driver repeats it in every poll. The arm may move. Never with a
+    /// gateway, which does the same by itself.
     pub fn is_unheard(&self) -> bool {
         self.doubt
     }
 
-    /// Whether nothing is going on but that.
+    /// Whether the driver only repeats the stop order.
     pub(super) fn is_listening(&self) -> bool {
         self.doubt && self.state.is_latched() && self.phase == Phase::Steady
     }
 
-    /// Brakes on, servos on: it opens no brake, and an arm at rest does that anyway.
+    /// Brakes on, servos on: opens no brake, and matches an arm at rest.
     pub(super) fn closing(&self) -> ControlMessage {
         ControlMessage::Cyclic(ArmCommand::uniform(AxisCommand::Braked, Supervision::default()))
     }
 
-    /// Looking at the arm, from its first step on.
+    /// Connecting, from its first step on.
     pub(super) fn begin_look(&mut self, activity: Activity) -> Phase {
         self.doubt |= activity == Activity::Connecting && !self.has_gateway;
         let step = match activity {
@@ -52,7 +52,7 @@ impl Driver {
         Phase::Looking { step, activity }
     }
 
-    /// Goes on with the look where time has passed.
+    /// Continues the connecting steps when time has passed.
     pub(super) fn advance_look(&mut self, now: MonotonicTime) {
         if let Phase::Looking { step: LookStep::Close { until: Some(until), heard }, activity } = self.phase
             && now >= until
@@ -61,7 +61,7 @@ impl Driver {
         }
     }
 
-    /// Counts what the look has sent.
+    /// Counts the messages of connecting.
     pub(super) fn note_look_sent(&mut self, now: MonotonicTime) {
         let Phase::Looking { step, .. } = &mut self.phase else { return };
         match step {
@@ -72,10 +72,10 @@ impl Driver {
         }
     }
 
-    /// E was answered before anything else was asked.
+    /// E was answered before any other request.
     pub(super) fn after_first_end(&mut self, now: MonotonicTime, heard: FirstAnswer, activity: Activity) -> LookStep {
         if heard == FirstAnswer::Nothing {
-            // The first that was heard: the brakes close since now, and all else has its time from now on.
+            // The first answer: the brakes close from now on, and all time limits start now.
             self.phase_since = now;
             return LookStep::Close { until: Some(now + self.config.brake_time), heard: FirstAnswer::End };
         }
@@ -87,7 +87,7 @@ impl Driver {
         }
     }
 
-    /// A cyclic command was answered: what it says of brakes was heard. Whether that is all that the answer is good for.
+    /// A cyclic command was answered, so the controller has received its brake order. Returns whether the answer has no other use.
     pub(super) fn note_heard(&mut self, now: MonotonicTime, sample: &Sample) -> bool {
         let closed = now + self.config.brake_time;
         match self.phase {
@@ -118,7 +118,7 @@ impl Driver {
         }
     }
 
-    /// A message was not answered. Whether that is nothing to worry about.
+    /// A message was not answered. Returns whether that is normal.
     pub(super) fn note_unheard(&mut self, now: MonotonicTime) -> bool {
         match self.phase {
             Phase::Looking { step: LookStep::Close { .. }, .. } => {
@@ -128,7 +128,8 @@ impl Driver {
             Phase::Looking { step: LookStep::Check { left }, .. } => {
                 self.link.forget_misses();
                 if left == 0 {
-                    // It answers C in its control mode only, and has answered it before E: somebody had begun that.
+                    // It answers C in its control mode only, and has answered it before E: another program had started the control
+                    // mode.
                     self.trip(now, Trip::Fault(FaultCause::FoundDriven));
                 }
                 true
@@ -137,7 +138,7 @@ impl Driver {
         }
     }
 
-    /// The brakes had their time, and nobody has heard of it: servos that let go now could let the arm fall.
+    /// The brake time has passed without an answer: servos switched off now could let the arm fall.
     pub(super) fn give_up_stop(&mut self, now: MonotonicTime) {
         if !self.state.is_latched() {
             self.trip(now, Trip::Fault(FaultCause::LinkLost { misses: self.link.misses() }));
@@ -145,7 +146,7 @@ impl Driver {
         self.finish_stop(now, false);
     }
 
-    /// An arm that moves before anybody has asked it to was driven by somebody who died.
+    /// An arm that moves before any request was driven by a program that died.
     fn judge_found(&mut self, now: MonotonicTime, sample: &Sample, activity: Activity) {
         let first = *self.found_rad.get_or_insert(sample.position_rad);
         let moved = (sample.position_rad - first).amax() > ANGLE_AT_REST_MAX_RAD;

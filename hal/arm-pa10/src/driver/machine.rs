@@ -1,4 +1,4 @@
-//! The driver: what it knows, what it is asked, what it sends.
+//! The driver: its state, its requests, its messages.
 
 use std::time::Duration;
 
@@ -21,16 +21,16 @@ use super::{
 /// A link to a gateway sends its RESET before a START while the driver is clearing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Transmit {
-    /// Counts messages from 0: the link makes its sequence number of it.
+    /// Number of the message from 0: the link derives its sequence number from it.
     pub exchange: u64,
     /// The message.
     pub message: ControlMessage,
-    /// It belongs to the stop order after a fault or an emergency stop of an arm that was driven: a link to a gateway sends its
-    /// ABORT before, so that the next program, too, has to wait for a reset.
+    /// It belongs to the stop order after a fault or an emergency stop of a driven arm: a link to a gateway sends its ABORT before,
+    /// so that the next program needs a reset too.
     pub latches: bool,
 }
 
-/// The reply to the last message. The link has checked that it answers that message and no earlier one.
+/// Reply to the last message. The link has checked that it answers this message and no earlier one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[allow(clippy::large_enum_variant, reason = "used at once and never stored; a box would allocate in each cycle")]
 pub enum Reply {
@@ -42,11 +42,11 @@ pub enum Reply {
     Done,
     /// The gateway refused the message.
     Rejected(RejectReason),
-    /// The gateway refused a reset, because this is still there.
+    /// The gateway refused a reset, because this cause is still present.
     StillThere(StopCause),
 }
 
-/// Limits of an axis as the controller keeps them.
+/// Limits of an axis in the controller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AxisLimits {
     /// Which axis.
@@ -57,14 +57,14 @@ pub struct AxisLimits {
     pub upper_rad: f64,
 }
 
-/// Why and since when the driver is latched.
+/// Cause and time of a latch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Latched {
-    /// Why. After a reset that failed: why it failed.
+    /// The cause. After a failed reset: the cause of the failure.
     pub trip: Trip,
-    /// Since when.
+    /// Time.
     pub at: MonotonicTime,
-    /// The state before.
+    /// Previous state.
     pub state_before: DriverState,
 }
 
@@ -76,7 +76,7 @@ pub struct Driver {
     pub(super) phase: Phase,
     pub(super) phase_since: MonotonicTime,
     pub(super) latched: Option<Latched>,
-    /// What latched it is for the gateway to keep, too.
+    /// The gateway has to latch the cause too.
     pub(super) outlasts: bool,
     pub(super) motion: Motion,
     pub(super) link: LinkMonitor,
@@ -85,12 +85,12 @@ pub struct Driver {
     pub(super) joints: Option<JointState>,
     pub(super) torques: TorqueMonitor,
     pub(super) limits: [Option<AxisLimits>; Axis::COUNT],
-    /// The shorter of this watchdog and the gateway's.
+    /// The shorter time-out of this watchdog and the gateway's.
     pub(super) stops_after: Duration,
-    /// When the owner asked for something, or the brakes were open at last.
+    /// Time of the last request, or of the last cycle with open brakes.
     pub(super) heard: MonotonicTime,
     pub(super) outstanding: Option<Outstanding>,
-    /// The message before, if its answer was waited for in vain.
+    /// The previous message, if its answer did not come.
     given_up: Option<Letter>,
     next_transmit: MonotonicTime,
     exchange: u64,
@@ -98,15 +98,15 @@ pub struct Driver {
     pub(super) control_started: bool,
     /// The last cyclic command opened the brakes.
     pub(super) brakes_open: bool,
-    /// A gateway is between the driver and the controller, and does what nobody hears by itself.
+    /// A gateway is between the driver and the controller, and repeats unanswered orders by itself.
     pub(super) has_gateway: bool,
-    /// On a bus: the arm may be driven, and no E was answered that says otherwise.
+    /// On a bus: the arm may be driven, because no E was answered.
     pub(super) doubt: bool,
-    /// Where the arm was found when it was looked for.
+    /// Positions at the beginning of the connection.
     pub(super) found_rad: Option<JointVector>,
 }
 
-/// A message whose reply is waited for.
+/// An outstanding message.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Outstanding {
     pub letter: Letter,
@@ -114,7 +114,7 @@ pub(super) struct Outstanding {
     pub deadline: MonotonicTime,
 }
 
-/// Whether a reply may be one to a message with this letter.
+/// Whether a reply may answer a message with this letter.
 fn fits(letter: Letter, reply: &Reply) -> bool {
     match reply {
         Reply::Sample(_) => letter == Letter::Cyclic,
@@ -128,7 +128,7 @@ impl Driver {
     /// A disconnected driver.
     ///
     /// # Errors
-    /// If the configuration contradicts itself or leaves less than the requirements allow.
+    /// If the configuration contradicts itself or violates the requirements.
     pub fn new(config: DriverConfig) -> Result<Self, DriverConfigError> {
         config.check()?;
         Ok(Self {
@@ -159,17 +159,17 @@ impl Driver {
         })
     }
 
-    /// Where the driver is.
+    /// State of the driver.
     pub fn state(&self) -> DriverState {
         self.state
     }
 
-    /// What is going on besides.
+    /// Current activity.
     pub fn activity(&self) -> Activity {
         self.phase.activity()
     }
 
-    /// Why the driver is latched, if it is.
+    /// Cause of the latch, if there is one.
     pub fn latched(&self) -> Option<&Latched> {
         self.latched.as_ref()
     }
@@ -184,27 +184,27 @@ impl Driver {
         self.sample.as_ref()
     }
 
-    /// The newest joints. Where the arm does not measure speeds they are differences of angles, 0 at first.
+    /// The newest joints. If the arm does not measure speeds, they are differences of angles, 0 at first.
     pub fn joints(&self) -> Option<&JointState> {
         self.joints.as_ref()
     }
 
-    /// The limits that were read from the controller since it was connected, if they were.
+    /// The limits that were read from the controller since the connection, if any.
     pub fn limits(&self) -> &[Option<AxisLimits>; Axis::COUNT] {
         &self.limits
     }
 
-    /// What happened on the link.
+    /// Counters of the link.
     pub fn counters(&self) -> &LinkCounters {
         &self.link.counters
     }
 
-    /// What operator or control loop want.
+    /// Executes a request of the operator or the control loop.
     ///
     /// # Errors
-    /// If it is not possible now: nothing is sent for it. After a refused velocity the arm holds.
+    /// If it is not possible now: nothing is sent. After a refused velocity the arm holds.
     pub fn handle_request(&mut self, now: MonotonicTime, request: Request) -> Result<(), Refusal> {
-        // What has run out runs out before a new velocity could hide it.
+        // Expired commands expire before a new velocity could hide it.
         self.handle_timeout(now);
         self.heard = now;
         let event = request.event();
@@ -214,7 +214,7 @@ impl Driver {
             return Err(Refusal::NotInState { request: event, state: self.state });
         }
         if activity != Activity::None && event != Event::Stop {
-            // Coming to rest is what every activity does anyway.
+            // Every activity includes a stop.
             return if event == Event::Hold { Ok(()) } else { Err(Refusal::Busy { request: event, activity }) };
         }
         if let Request::Move(velocity_rad_per_s) = request {
@@ -233,7 +233,7 @@ impl Driver {
     /// A reply to the last message.
     pub fn handle_reply(&mut self, now: MonotonicTime, reply: &Reply) {
         let Some(outstanding) = self.outstanding else {
-            // A sound answer to what is not waited for any more says that the link is slow, not that it is damaged.
+            // A valid answer to a message that is no longer outstanding means a slow link, not a damaged one.
             let was_given_up = self.given_up.take().is_some_and(|letter| fits(letter, reply));
             self.link.handle_bad(if was_given_up { BadReply::Late } else { BadReply::Mismatched });
             return;
@@ -243,7 +243,7 @@ impl Driver {
             return;
         }
         if now > outstanding.deadline {
-            // Nobody may have looked at the link for a while: what it tells is old all the same.
+            // The link may not have been polled for a while: its data is old then.
             self.link.handle_bad(BadReply::Late);
             self.handle_timeout(now);
             return;
@@ -265,27 +265,27 @@ impl Driver {
         }
     }
 
-    /// Bytes came that are no reply to the last message. It is still waited for.
+    /// The received bytes are no reply to the last message, which is still outstanding.
     pub fn handle_bad_reply(&mut self, bad: BadReply) {
         self.link.handle_bad(bad);
     }
 
-    /// The link is gone.
+    /// The link is lost.
     pub fn handle_unplugged(&mut self, now: MonotonicTime) {
         self.trip(now, Trip::Fault(FaultCause::Unplugged));
     }
 
-    /// A sound frame of another arm came.
+    /// A valid frame of another arm came.
     pub fn handle_wrong_arm(&mut self, now: MonotonicTime, got: u8) {
         self.trip(now, Trip::Fault(FaultCause::WrongArm { got }));
     }
 
-    /// Something else found that the arm must stop: a limit, a monitor, the other arm.
+    /// Another part has a reason to stop the arm: a limit, a monitor, the other arm.
     pub fn handle_trip(&mut self, now: MonotonicTime, trip: Trip) {
         self.trip(now, trip);
     }
 
-    /// Time has passed: what waited for too long is lost. [`Self::poll_transmit`] does this by itself.
+    /// Handles time-outs. [`Self::poll_transmit`] calls this by itself.
     pub fn handle_timeout(&mut self, now: MonotonicTime) {
         if let Some(outstanding) = self.outstanding.filter(|outstanding| now >= outstanding.deadline) {
             self.end_waiting(now, outstanding);
@@ -304,7 +304,7 @@ impl Driver {
         }
         let allowed = self.config.activity_timeout;
         if self.phase != Phase::Steady && now.saturating_since(self.phase_since) > allowed {
-            // A stop is given up only once the emergency order, which a fault begins anew, had its time, too.
+            // A stop is given up only after the time of the emergency order, which a fault starts again.
             let is_last = self.activity() == Activity::Stopping && self.state.is_latched();
             self.trip(now, Trip::Fault(FaultCause::ActivityTimeout { activity: self.activity(), allowed }));
             if is_last {
@@ -313,7 +313,7 @@ impl Driver {
         }
     }
 
-    /// The message that is due at this time, if one is. It counts as sent.
+    /// The message that is due now, if any. It counts as sent.
     pub fn poll_transmit(&mut self, now: MonotonicTime) -> Option<Transmit> {
         self.handle_timeout(now);
         if self.outstanding.is_some() || now < self.next_transmit {
@@ -329,7 +329,7 @@ impl Driver {
         Some(Transmit { exchange, message, latches })
     }
 
-    /// When the driver wants to be asked again, if it waits for anything but a request.
+    /// Time of the next required poll, if the driver waits for anything but a request.
     pub fn next_deadline(&self) -> Option<MonotonicTime> {
         let sends = self.phase != Phase::Steady || self.is_cycling() || self.is_listening();
         let transmit = (sends && self.outstanding.is_none()).then_some(self.next_transmit);
@@ -341,30 +341,30 @@ impl Driver {
         [transmit, reply, command].into_iter().flatten().min()
     }
 
-    /// When the next message may be sent: cycles keep their times.
+    /// Time of the next message: cycles keep their grid.
     pub fn transmit_due(&self) -> MonotonicTime {
         self.next_transmit
     }
 
-    /// The gateway tells that brakes take so long to open: waits at least for that.
+    /// Brake time reported by the gateway: the driver waits at least for it.
     pub fn raise_brake_time(&mut self, least: Duration) {
         self.config.activity_timeout += least.saturating_sub(self.config.brake_time);
         self.config.brake_time = self.config.brake_time.max(least);
     }
 
-    /// How long brakes are waited for.
+    /// Brake time.
     pub fn brake_time(&self) -> Duration {
         self.config.brake_time
     }
 
-    /// A gateway answers, and stops the arm so long after the last command: the warm-up shows a link that is quick enough for both
-    /// sides. Without one the driver speaks to the controller itself.
+    /// The gateway's command time-out: the warm-up must show a link that is fast enough for both sides. Without a gateway the
+    /// driver speaks to the controller itself.
     pub fn note_watchdog(&mut self, stop_after: Duration) {
         self.has_gateway = true;
         self.stops_after = stop_after.min(self.config.watchdog.stop_after());
     }
 
-    /// No reply is waited for any more. Cycles that passed while a slow message was under way were not missed.
+    /// No reply is expected any more. Cycles that passed during a slow message do not count as missed.
     fn end_waiting(&mut self, now: MonotonicTime, outstanding: Outstanding) {
         self.outstanding = None;
         if outstanding.letter != Letter::Cyclic {
@@ -372,7 +372,7 @@ impl Driver {
         }
     }
 
-    /// Takes a velocity, or holds if it cannot be sent.
+    /// Accepts a velocity, or holds if it cannot be sent.
     fn follow(&mut self, now: MonotonicTime, velocity_rad_per_s: JointVector) -> Result<(), CodecError> {
         match ArmCommand::velocities(&velocity_rad_per_s, self.config.supervision) {
             Ok(_) => {
@@ -428,7 +428,7 @@ impl Driver {
         self.motion.velocity_rad_per_s(now, &self.config.watchdog)
     }
 
-    /// Whether the state alone demands cyclic commands.
+    /// Whether the state requires cyclic commands.
     fn is_cycling(&self) -> bool {
         matches!(self.state, DriverState::Enabled | DriverState::Holding | DriverState::Moving)
     }
@@ -470,7 +470,7 @@ impl Driver {
 
     fn velocity_message(&self, now: MonotonicTime) -> ControlMessage {
         let velocity = self.velocity_rad_per_s(now);
-        // Parts of a velocity that was checked when it came can be sent, too.
+        // A scaled velocity is valid if the velocity was valid.
         let command = ArmCommand::velocities(&velocity, self.config.supervision);
         command.map_or_else(|_| self.uniform(AxisCommand::Braked), ControlMessage::Cyclic)
     }
@@ -490,7 +490,7 @@ impl Driver {
         }
         self.note_look_sent(now);
         self.note_stop_sent(now);
-        // Cycles keep their times; those that were missed are left out and counted.
+        // Cycles keep their grid; missed ones are skipped and counted.
         self.next_transmit = self.next_transmit + self.config.cycle;
         if self.next_transmit <= now {
             self.link.counters.overruns += u64::from(letter == Letter::Cyclic);

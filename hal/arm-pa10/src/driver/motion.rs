@@ -1,4 +1,4 @@
-//! The velocity that is sent in a cycle.
+//! The commanded velocity of a cycle.
 
 use std::time::Duration;
 
@@ -8,20 +8,20 @@ use pb3dp_safeguards::{Safeguard, is_off};
 
 use pb3dp_arm_pa10_protocol::watchdog::{CommandWatchdog, Staleness};
 
-/// Where the velocity comes from.
+/// Source of the velocity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Motion {
     /// None.
     Rest,
-    /// Followed since this time, and fading if no other comes.
+    /// Commanded at this time, and fading without a successor.
     Follow { velocity_rad_per_s: JointVector, since: MonotonicTime },
-    /// On the way from this velocity to rest, each joint within its own time, s.
+    /// Deceleration from this velocity to standstill, each joint within its own time, s.
     Ramp { from_rad_per_s: JointVector, since: MonotonicTime, durations_s: JointVector },
 }
 
 impl Motion {
-    /// From a velocity to rest, each joint with its own deceleration: no joint moves for longer because another one is faster, so
-    /// the room that the limiter left it is enough. The hand may leave its way a little.
+    /// From a velocity to standstill, each joint with its own deceleration: no joint moves for longer because another one is
+    /// faster, so the range that the limiter reserved is sufficient. The hand may deviate slightly from its path.
     pub fn decelerate(
         from_rad_per_s: JointVector,
         deceleration_rad_per_s2: &JointVector,
@@ -31,7 +31,7 @@ impl Motion {
         Self::Ramp { from_rad_per_s, since, durations_s }
     }
 
-    /// From a velocity to rest within this time: all joints by the same part.
+    /// From a velocity to standstill within this time: all joints by the same factor.
     pub fn stop_within(from_rad_per_s: JointVector, duration: Duration, since: MonotonicTime) -> Self {
         Self::Ramp { from_rad_per_s, since, durations_s: JointVector::repeat(duration.as_secs_f64()) }
     }
@@ -55,7 +55,7 @@ impl Motion {
         }
     }
 
-    /// Whether a ramp, if there is one, has come to its end.
+    /// Whether a ramp, if there is one, has ended.
     pub fn is_at_rest(&self, now: MonotonicTime) -> bool {
         match self {
             Self::Rest => true,
@@ -64,7 +64,7 @@ impl Motion {
         }
     }
 
-    /// Age of a velocity that is older than the watchdog allows.
+    /// Age of a velocity beyond the watchdog's limit.
     pub fn expired(&self, now: MonotonicTime, watchdog: &CommandWatchdog) -> Option<Duration> {
         let Self::Follow { since, .. } = self else { return None };
         let age = now.saturating_since(*since);

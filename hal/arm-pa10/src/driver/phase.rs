@@ -1,47 +1,47 @@
-//! How far an activity has come, and what it sends next.
+//! Progress of an activity, and its next message.
 
 use pb3dp_geometry::MonotonicTime;
 
 use super::Activity;
 
-/// How far an activity has come.
+/// Progress of an activity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Phase {
-    /// No activity: the state alone says what is sent.
+    /// No activity: the state alone determines the messages.
     Steady,
     /// Connecting, or the second half of clearing.
     Looking { step: LookStep, activity: Activity },
-    /// Enabling: first S, then cycles with brakes on.
+    /// Enabling: first S, then cycles with closed brakes.
     Enabling { started: bool },
-    /// Opening the brakes, since the first answer to a command that opens them.
+    /// Opening the brakes, since the first answer to the opening command.
     Releasing { since: Option<MonotonicTime> },
-    /// Going through the stop order.
+    /// Executing the stop order.
     Stopping(StopStep),
 }
 
-/// What a controller answered first, when it was told to close its brakes.
+/// First answer of a controller to the order that closes its brakes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FirstAnswer {
-    /// Nothing yet.
+    /// None yet.
     Nothing,
-    /// E: it may have no use for C.
+    /// E: the controller may not answer C.
     End,
     /// C.
     Cyclic,
 }
 
-/// Steps of looking at the arm.
+/// Steps of connecting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LookStep {
-    /// On a bus, brakes on with servos on, until this time: nobody knows who drove the arm before.
+    /// On a bus, brakes on with servos on, until this time: the previous user of the arm is unknown.
     Close { until: Option<MonotonicTime>, heard: FirstAnswer },
-    /// E, tried so often, before anything else is asked.
+    /// E, with the number of attempts, before any other message.
     FirstEnd { tries: u32, heard: FirstAnswer },
-    /// C once more: does this controller answer C out of its control mode, too?
+    /// C once more: does this controller answer C outside its control mode too?
     Check { left: u32 },
     /// Clear the alarm of this axis, 0 to 6 (clearing only).
     Clear(usize),
-    /// Read the limits of this axis, 0 to 6 (where the configuration wants it).
+    /// Read the limits of this axis, 0 to 6 (if configured).
     Limits(usize),
     /// S.
     Start,
@@ -54,15 +54,15 @@ pub(super) enum LookStep {
 /// Steps of the stop order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum StopStep {
-    /// Down to speed 0.
+    /// Ramp to speed 0.
     Ramp,
-    /// Speed 0 for so many more cycles.
+    /// Speed 0 for this number of further cycles.
     Rest { left: u32 },
     /// Brakes on, servos on, until this time (from the first command on).
     Brake { until: Option<MonotonicTime>, heard: bool },
     /// Brakes on, servos off, once.
     Off,
-    /// E, tried so often.
+    /// E, with the number of attempts.
     End { tries: u32 },
 }
 

@@ -1,4 +1,4 @@
-//! How activities go on: by replies, by time, and by what was found.
+//! Progress of activities: by replies, by time, and by detected faults.
 
 use std::time::Duration;
 
@@ -16,10 +16,10 @@ use super::table::{Activity, DriverState, Event, Outcome, outcome};
 use super::torque::TorqueMonitor;
 use super::{FaultCause, Sample, Trip, WarmUpFailure};
 
-/// How often E is sent without an answer.
+/// Number of E messages without an answer.
 const END_TRIES_MAX: u32 = 3;
 
-/// By how much later than the look begins the brakes may begin to close.
+/// Longest delay between the start of connecting and the start of closing the brakes.
 const BRAKES_LATER_MAX: Duration = Duration::from_millis(500);
 
 impl Driver {
@@ -41,7 +41,7 @@ impl Driver {
         let measured = now - sample.age;
         let overloaded = match self.brakes_open {
             true => self.torques.judge(measured, &sample.torque_n_m, &self.config).map(Trip::Fault),
-            // What brakes carry is not the drives' concern.
+            // The drives are not responsible for a load that the brakes carry.
             false => {
                 self.torques = TorqueMonitor::default();
                 None
@@ -60,7 +60,7 @@ impl Driver {
                 self.phase = Phase::Looking { step: LookStep::End, activity };
             }
             Phase::Enabling { started: true } => self.judge_warm_up(now, sample),
-            // From the first answer on: a gateway counts from the command that it got, not from the one that was lost.
+            // From the first answer on: a gateway counts from the received command, not from a lost one.
             Phase::Releasing { since: None } if self.brakes_open => {
                 self.phase = Phase::Releasing { since: Some(now) };
             }
@@ -75,7 +75,7 @@ impl Driver {
         match self.phase {
             Phase::Looking { step, activity } => {
                 let next = match step {
-                    // They are answered by samples.
+                    // These are answered by samples.
                     LookStep::Close { .. } | LookStep::Check { .. } => return,
                     LookStep::FirstEnd { heard, .. } => self.after_first_end(now, heard, activity),
                     LookStep::Clear(index) if index + 1 < Axis::COUNT => LookStep::Clear(index + 1),
@@ -101,7 +101,7 @@ impl Driver {
         }
     }
 
-    /// Limits that were read: those of the axis that was asked for, and as the configuration has them.
+    /// Received limits: of the requested axis, and equal to the configuration.
     pub(super) fn handle_limits(&mut self, now: MonotonicTime, found: &AxisLimits) {
         self.limits[found.axis.index()] = Some(*found);
         if let LimitsCheck::Compare { lower_rad, upper_rad, tolerance_rad } = &self.config.limits {
@@ -109,7 +109,7 @@ impl Driver {
             for (found_rad, expected_rad) in [(found.lower_rad, lower_rad[joint]), (found.upper_rad, upper_rad[joint])]
             {
                 let near = (found_rad - expected_rad).abs() <= *tolerance_rad;
-                // What is no number is not near.
+                // NaN is not near.
                 if !near {
                     let (found_deg, expected_deg) = (found_rad.to_degrees(), expected_rad.to_degrees());
                     self.trip(now, Trip::Fault(FaultCause::LimitsDiffer { axis: found.axis, found_deg, expected_deg }));
@@ -120,7 +120,7 @@ impl Driver {
         self.handle_done(now);
     }
 
-    /// What looking at the arm begins with.
+    /// First step of connecting.
     pub(super) fn first_look(&self) -> LookStep {
         if self.config.limits == LimitsCheck::Skip { LookStep::Start } else { LookStep::Limits(0) }
     }
@@ -149,17 +149,18 @@ impl Driver {
 
     pub(super) fn handle_rejection(&mut self, now: MonotonicTime, reason: RejectReason, fault: FaultCause) {
         match self.phase {
-            // It may have stopped the arm by itself before, or its brakes may have begun to close later than was counted here.
+            // The gateway may have stopped the arm by itself before, or its brakes may have started to close later than counted
+            // here.
             Phase::Stopping(StopStep::End { tries }) if tries >= END_TRIES_MAX => self.finish_stop(now, false),
             Phase::Stopping(StopStep::End { .. }) => {}
-            // The gateway may have stopped the arm by itself before: the order goes on by count and time.
+            // The gateway may have stopped the arm by itself before: the order continues by count and time.
             Phase::Stopping(_) if self.state.is_latched() => {}
             Phase::Looking { step: LookStep::Clear(_), .. } => self.handle_done(now),
-            // A gateway that has just heard of its controller gives the brakes their time before it ends the control mode.
+            // A gateway that has just received an answer of its controller waits for the brakes before it ends the control mode.
             Phase::Looking { step: LookStep::End, .. }
                 if reason == RejectReason::WrongState
                     && now.saturating_since(self.phase_since) < self.config.brake_time + BRAKES_LATER_MAX => {}
-            // What the arm has told of itself says more than that it is still so.
+            // A status of the arm says more than that the cause is still present.
             Phase::Looking { activity: Activity::Clearing, .. }
                 if reason == RejectReason::CausePresent && self.is_stopped_by_arm() =>
             {
@@ -169,7 +170,7 @@ impl Driver {
         }
     }
 
-    /// Stops the arm and latches, unless a reason at least as strong has done so before.
+    /// Stops the arm and latches, unless an equally strong cause has latched it before.
     pub(super) fn trip(&mut self, now: MonotonicTime, trip: Trip) {
         let event = match trip {
             Trip::Fault(_) => Event::FaultFound,
@@ -178,8 +179,8 @@ impl Driver {
         let clearing = self.activity() == Activity::Clearing;
         match outcome(self.state, event) {
             Outcome::To(next) => {
-                // Who only looks at an arm leaves no trace for the next one, who can look as well; and a gateway that was told to
-                // stop, by its owner, knows.
+                // Connecting alone leaves no latch for the next program, which can connect too; and a gateway that its owner has
+                // told to stop knows the cause.
                 let is_told = matches!(trip, Trip::Fault(FaultCause::GatewayStopped { .. }));
                 self.outlasts = match self.state.is_latched() {
                     true => self.outlasts,
@@ -188,7 +189,7 @@ impl Driver {
                 self.latched = Some(Latched { trip, at: now, state_before: self.state });
                 self.state = next;
             }
-            // A reset that found the cause still there, or another one.
+            // A reset with the cause still present, or with another one.
             _ if clearing => {
                 if let Some(latched) = &mut self.latched {
                     latched.trip = trip;
@@ -199,16 +200,17 @@ impl Driver {
         self.begin_stop(now, true);
     }
 
-    /// Begins the stop order where it has to begin; harmless when repeated.
+    /// Starts the stop order at the required step; repeating it is harmless.
     pub(super) fn begin_stop(&mut self, now: MonotonicTime, emergency: bool) {
-        // After an emergency stop the arm stands already: nothing is ramped.
+        // After an emergency stop the arm stands already: there is no ramp.
         let first = match self.state {
             DriverState::EStop => StopStep::Rest { left: self.config.rest_cycles },
             _ => StopStep::Ramp,
         };
         if let Phase::Stopping(step) = self.phase {
             if emergency {
-                // What is left of the order has all its time: at most twice, as a fault or an emergency stop comes only once.
+                // The rest of the order gets its full time: at most twice, because a fault and an emergency stop occur at most once
+                // each.
                 self.phase_since = now;
                 if step == StopStep::Ramp {
                     self.motion = self.stopping_motion(now, emergency);
@@ -231,7 +233,7 @@ impl Driver {
         }
     }
 
-    /// Goes to the next step of the stop order where the present one is over.
+    /// Goes to the next step of the stop order when the present one has ended.
     pub(super) fn advance_stop(&mut self, now: MonotonicTime) {
         let Phase::Stopping(step) = self.phase else { return };
         let next = match step {
@@ -248,7 +250,7 @@ impl Driver {
         self.phase = Phase::Stopping(next);
     }
 
-    /// Counts what the stop order has sent.
+    /// Counts the messages of the stop order.
     pub(super) fn note_stop_sent(&mut self, now: MonotonicTime) {
         let Phase::Stopping(step) = self.phase else { return };
         let next = match step {
@@ -263,7 +265,7 @@ impl Driver {
         self.phase = Phase::Stopping(next);
     }
 
-    /// The stop order is done, or is given up for now: whether E was answered tells.
+    /// The stop order is complete or given up for now, depending on an answer to E.
     pub(super) fn finish_stop(&mut self, now: MonotonicTime, answered: bool) {
         let may_be_driven = self.control_started || self.brakes_open || self.doubt;
         self.doubt = may_be_driven && !answered && !self.has_gateway;
@@ -273,7 +275,7 @@ impl Driver {
         self.complete(now, Event::Stopped);
     }
 
-    /// An activity is done.
+    /// An activity is complete.
     fn complete(&mut self, now: MonotonicTime, event: Event) {
         self.phase = Phase::Steady;
         match outcome(self.state, event) {
@@ -296,7 +298,7 @@ impl Driver {
         let verdict = self.link.warm_up(self.config.warm_up_exchanges);
         let verdict = match verdict {
             Some(Ok(())) if sample.condition.is_power_too_warm() => Some(Err(WarmUpFailure::PowerTooWarm)),
-            // The servos are on, as the brakes are about to open: an axis that shows that it cannot hold would fall.
+            // The servos are on and the brakes are about to open: an axis that cannot hold would fall.
             Some(Ok(())) => Some(sample.condition.uncontrollable().map_or(Ok(()), |lost| Err(lost.into()))),
             other => other,
         };
@@ -318,7 +320,7 @@ impl Driver {
             _ => JointVector::zeros(),
         };
         let velocity_rad_per_s = sample.velocity_rad_per_s.unwrap_or_else(differences);
-        // Samples never go back in time.
+        // The times of samples never decrease.
         if self.joints.as_ref().is_none_or(|before| at > before.at) {
             self.joints = Some(JointState { at, position_rad, velocity_rad_per_s });
         }
@@ -336,12 +338,12 @@ impl Driver {
         }
     }
 
-    /// A stop does not wait for the answer to a slow message; the link takes that answer for a late one.
+    /// A stop does not wait for the answer to a slow message; the link counts that answer as late.
     fn cancel_waiting(&mut self) {
         self.outstanding = self.outstanding.filter(|outstanding| outstanding.letter == Letter::Cyclic);
     }
 
-    /// Latched by something that the arm told: an alarm or an emergency stop.
+    /// Latched by a report of the arm: an alarm or an emergency stop.
     fn is_stopped_by_arm(&self) -> bool {
         let by_arm = |latched: &Latched| matches!(latched.trip, Trip::EStop(_)) || latched.trip.code().is_some();
         self.latched.as_ref().is_some_and(by_arm)

@@ -1,17 +1,17 @@
-//! Which event leads where: the whole state machine on one page.
+//! The complete table of states and events.
 
-/// Where the driver is.
+/// State of the driver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum DriverState {
-    /// Nothing is known of the arm.
+    /// The state of the arm is unknown.
     Disconnected,
     /// The controller answers and shows no fault; control mode off, brakes on.
     Connected,
-    /// Control mode on, servos on, brakes on; the link is proven.
+    /// Control mode on, servos on, brakes on; the link is tested.
     Enabled,
-    /// Brakes open, coming to rest or at rest.
+    /// Brakes open, decelerating or stationary.
     Holding,
-    /// Brakes open, velocities are followed.
+    /// Brakes open, velocities are executed.
     Moving,
     /// Stopped by a fault, latched.
     Fault,
@@ -19,68 +19,68 @@ pub enum DriverState {
     EStop,
 }
 
-/// What takes several exchanges.
+/// Activities that take several exchanges.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Activity {
-    /// None: the state alone says what is sent.
+    /// None: the state alone determines the messages.
     None,
-    /// Looks at the arm: starts and ends the control mode with brakes on.
+    /// Connecting: starts and ends the control mode with closed brakes.
     Connecting,
-    /// Starts the control mode and proves the link.
+    /// Starts the control mode and tests the link.
     Enabling,
     /// Opens the brakes at speed 0.
     Releasing,
-    /// Goes through the stop order.
+    /// Executes the stop order.
     Stopping,
-    /// Clears alarms and looks whether the cause is gone.
+    /// Clears alarms and checks whether the cause is gone.
     Clearing,
 }
 
-/// What can happen.
+/// Events: requests, results, detected faults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Event {
-    /// Asked for: look at the arm.
+    /// Request: connect.
     Connect,
-    /// Asked for: servos on.
+    /// Request: servos on.
     Enable,
-    /// Asked for: brakes open.
+    /// Request: open the brakes.
     ReleaseBrakes,
-    /// Asked for: a velocity.
+    /// Request: a velocity.
     Move,
-    /// Asked for: come to rest with open brakes.
+    /// Request: stop with open brakes.
     Hold,
-    /// Asked for: come to rest, brakes on, control mode off.
+    /// Request: stop, brakes on, control mode off.
     Stop,
-    /// Asked for by an operator: clear the latched state.
+    /// Request of an operator: clear the latched state.
     Reset,
-    /// Requested: release the arm.
+    /// Request: release the arm.
     Disconnect,
-    /// Done: connecting.
+    /// Connecting is complete.
     Seen,
-    /// Done: enabling.
+    /// Enabling is complete.
     Warmed,
-    /// Done: releasing.
+    /// The brakes are open.
     Released,
-    /// Done: stopping.
+    /// Stopping is complete.
     Stopped,
-    /// Done: clearing, and the cause is gone.
+    /// Clearing is complete, and the cause is gone.
     Cleared,
-    /// Found: a fault.
+    /// A fault was detected.
     FaultFound,
-    /// Found: an emergency stop.
+    /// An emergency stop was detected.
     EStopFound,
 }
 
-/// What an event does in a state.
+/// Effect of an event in a state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// Another state.
     To(DriverState),
-    /// The state stays until this activity is done.
+    /// The state stays until this activity is complete.
     Begin(Activity),
-    /// Allowed, and changes nothing.
+    /// Accepted without effect.
     Stay,
-    /// Not in this state.
+    /// Refused in this state.
     Refuse,
 }
 
@@ -89,7 +89,7 @@ impl DriverState {
     pub const ALL: [Self; 7] =
         [Self::Disconnected, Self::Connected, Self::Enabled, Self::Holding, Self::Moving, Self::Fault, Self::EStop];
 
-    /// Whether only a reset leads on.
+    /// Whether only a reset leaves the state.
     pub fn is_latched(self) -> bool {
         matches!(self, Self::Fault | Self::EStop)
     }
@@ -121,7 +121,7 @@ impl Event {
     ];
 }
 
-/// What an event does in a state. Faults and emergency stops also begin [`Activity::Stopping`] where the control mode is on.
+/// Effect of an event in a state. Faults and emergency stops also start [`Activity::Stopping`] if the control mode is on.
 #[rustfmt::skip]
 pub fn outcome(state: DriverState, event: Event) -> Outcome {
     use DriverState::{Connected, Disconnected, EStop, Enabled, Fault, Holding, Moving};

@@ -1,4 +1,4 @@
-//! How long joints carry more than they may.
+//! Monitor of the permanent torque of the joints.
 
 use pb3dp_arm_pa10_protocol::codec::Axis;
 use pb3dp_geometry::MonotonicTime;
@@ -6,19 +6,19 @@ use pb3dp_kinematics::JointVector;
 
 use super::{DriverConfig, FaultCause};
 
-/// Since when each joint carries more than it may.
+/// Time since which each joint is above its limit.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct TorqueMonitor {
     since: [Option<MonotonicTime>; Axis::COUNT],
 }
 
 impl TorqueMonitor {
-    /// Takes a measurement; the first axis that has carried too much for too long, if there is one.
+    /// Evaluates a measurement; returns the first axis that was above its limit for too long, if any.
     pub fn judge(&mut self, at: MonotonicTime, torque_n_m: &JointVector, config: &DriverConfig) -> Option<FaultCause> {
         let mut found = None;
         for axis in Axis::ALL {
             let (torque_n_m, allowed_n_m) = (torque_n_m[axis.index()], config.torque_max_n_m[axis.index()]);
-            // What is no number is no torque that is allowed.
+            // NaN is not an allowed torque.
             let is_allowed = torque_n_m.abs() <= allowed_n_m;
             let since = &mut self.since[axis.index()];
             *since = if is_allowed { None } else { since.or(Some(at)) };

@@ -1,4 +1,4 @@
-//! The link to the servo controller itself.
+//! The link to the servo controller over the bus.
 
 use pb3dp_arm_pa10_protocol::arcnet::{self, Frame, FrameError, Route};
 use pb3dp_arm_pa10_protocol::codec::{CodecError, ControlPacket, ReplyPacket, SequenceModulus, WireFormat};
@@ -6,7 +6,7 @@ use pb3dp_geometry::MonotonicTime;
 
 use crate::driver::{BadReply, Driver, FaultCause, Transmit, Trip};
 
-/// Puts messages into ARCNET frames, and takes replies out of them.
+/// Encodes messages into ARCNET frames, and decodes replies.
 #[derive(Clone, Copy, Debug)]
 pub struct BusLink {
     format: WireFormat,
@@ -15,12 +15,12 @@ pub struct BusLink {
 }
 
 impl BusLink {
-    /// A link to a controller with this wire format, which counts messages like this.
+    /// Creates a link to a controller with this wire format and these sequence numbers.
     pub fn new(format: WireFormat, modulus: SequenceModulus) -> Self {
         Self { format, modulus, last: None }
     }
 
-    /// The frame of a message.
+    /// Encodes a message.
     ///
     /// # Errors
     /// If the wire format cannot express it: supervision by the controller in format A.
@@ -31,10 +31,10 @@ impl BusLink {
         Ok(frame)
     }
 
-    /// Hands a frame from the bus to the driver. Frames of other nodes are left alone.
+    /// Passes a frame from the bus to the driver. Frames of other nodes are ignored.
     ///
     /// # Errors
-    /// Why the frame is no reply to the last message, for the log; the driver has counted it.
+    /// Why the frame is not a reply to the last message, for the log; the driver has counted it.
     pub fn handle_frame(&mut self, now: MonotonicTime, frame: &[u8], driver: &mut Driver) -> Result<(), BusFrameError> {
         let packet = match arcnet::decode(Route::TO_HOST, frame) {
             Ok(packet) => packet,
@@ -68,13 +68,13 @@ impl BusLink {
     }
 }
 
-/// Why a frame is no reply to the last message.
+/// Why a frame is not a reply to the last message.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum BusFrameError {
-    /// No frame with a packet.
+    /// A frame without a packet.
     #[error(transparent)]
     Frame(#[from] FrameError),
-    /// No packet that answers the last message.
+    /// A packet that does not answer the last message.
     #[error(transparent)]
     Packet(#[from] CodecError),
 }

@@ -18,53 +18,53 @@ use crate::driver::{
 };
 use pb3dp_arm_pa10_protocol::watchdog::{CommandWatchdog, WatchdogError};
 
-/// Without an answer to HELLO for this long there is no gateway.
+/// Without an answer to HELLO within this time there is no gateway.
 pub const HELLO_TIMEOUT: Duration = Duration::from_millis(500);
 
-/// A line that is silent for this long completes no frame.
+/// A partial frame is discarded after this silence.
 pub const SILENCE: Duration = Duration::from_millis(20);
 
-/// A host that has nothing to say shows this often that it is there.
+/// Period of the heartbeat of an idle host.
 pub const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(250);
 
 /// Why a gateway is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum HelloError {
-    /// It goes on in another dialect.
+    /// It uses another dialect.
     #[error("the gateway speaks {got}, the configuration says {configured}; choose a dialect that it has")]
     Dialect {
-        /// Of the gateway.
+        /// Dialect of the gateway.
         got: Dialect,
-        /// Of the configuration.
+        /// Dialect of the configuration.
         configured: Dialect,
     },
-    /// It has seen another wire format.
+    /// It has detected another wire format.
     #[error("the arm at the gateway answers in {got}, the configuration says {configured}; find out which arm it is")]
     Format {
-        /// Of the gateway.
+        /// Format of the gateway.
         got: WireFormat,
-        /// Of the configuration.
+        /// Format of the configuration.
         configured: WireFormat,
     },
-    /// It stands at an arm of another geometry.
+    /// Its arm has another geometry.
     #[error(
         "the gateway is set to a {got} arm, the configuration to {configured}; measure the arm and correct one of them"
     )]
     Geometry {
-        /// Of the gateway.
+        /// Geometry of the gateway.
         got: Geometry,
-        /// Of the configuration.
+        /// Geometry of the configuration.
         configured: Geometry,
     },
-    /// Its watchdog is none.
+    /// Its watchdog is disabled.
     #[error("the gateway tells of {0}; correct its configuration")]
     Watchdog(WatchdogError),
-    /// Its brakes take so long that no arm has them.
+    /// Its brake time is implausible.
     #[error(
         "the gateway tells of brakes that take {got:?} to open, at most {most:?} are possible; correct its configuration"
     )]
     BrakeTime {
-        /// Of the gateway.
+        /// Brake time of the gateway.
         got: Duration,
         /// [`BRAKE_TIME_MAX`].
         most: Duration,
@@ -74,44 +74,44 @@ pub enum HelloError {
     Rejected(RejectReason),
 }
 
-/// Why something cannot be sent.
+/// Why a message cannot be sent.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum LinkError {
     /// No gateway has answered.
     #[error("the gateway has not answered HELLO; open the link first")]
     NotOpen,
-    /// The message cannot be expressed.
+    /// The message cannot be encoded.
     #[error("the message cannot be expressed")]
     Codec(#[from] CodecError),
-    /// The dialect has no field for commands of single axes.
+    /// The dialect has no field for single-axis commands.
     #[error("the dialect gateway-v1 gives one mode for all axes; give the axes one mode, or speak transparent")]
     MixedModes,
 }
 
-/// What is being waited for.
+/// Expected answer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Waiting {
     Nothing,
     Hello,
-    /// What a gateway shows that has stopped its arm, after this answer to HELLO.
+    /// State of a gateway that has stopped its arm, after this answer to HELLO.
     Shown(HelloReply),
-    /// An operation of the gateway itself before this message: RESET before the S that begins a control mode after a fault, ABORT
-    /// before what stops an arm because of one.
+    /// An operation of the gateway before this message: RESET before the S that starts a control mode after a fault, ABORT before
+    /// the stop that follows a fault.
     Before(ArmOperation, ControlMessage),
     Message(ControlMessage),
 }
 
-/// Puts messages into frames of the gateway's protocol, and takes answers out of a stream of bytes.
+/// Encodes messages into frames of the gateway protocol, and decodes answers from a stream of bytes.
 #[derive(Clone, Debug)]
 pub struct GatewayLink {
     config: GatewayLinkConfig,
     parser: FrameParser,
     delay: DelayMeter,
     sequence: u16,
-    /// Sequence of the frame whose answer is waited for.
+    /// Sequence number of the outstanding frame.
     asked: u16,
     waiting: Waiting,
-    /// The gateway has heard of the fault for which the driver stops the arm.
+    /// The gateway has received the fault for which the driver stops the arm.
     aborted: bool,
     hello: Option<HelloReply>,
     hello_error: Option<HelloError>,
@@ -120,7 +120,7 @@ pub struct GatewayLink {
     heartbeat: Option<u16>,
     last_sent: MonotonicTime,
     last_received: MonotonicTime,
-    /// Damaged frames that the driver knows of.
+    /// Damaged frames that the driver has counted.
     damaged_told: u64,
 }
 
@@ -146,7 +146,7 @@ impl GatewayLink {
         }
     }
 
-    /// Says HELLO; also after the link was closed or broken. Without an answer within [`HELLO_TIMEOUT`] there is no gateway.
+    /// Sends HELLO; also after the link was closed or broken. Without an answer within [`HELLO_TIMEOUT`] there is no gateway.
     pub fn open(&mut self, now: MonotonicTime) {
         self.hello = None;
         self.hello_error = None;
@@ -154,7 +154,7 @@ impl GatewayLink {
         self.heartbeat = None;
         self.aborted = false;
         self.parser.restart();
-        // The gateway may have been started anew, and its clock with it.
+        // The gateway may have been restarted, and its clock with it.
         self.delay = DelayMeter::default();
         let cycle_us = u32::try_from(self.config.cycle.as_micros()).unwrap_or(u32::MAX);
         let hello = HostMessage::Hello(Hello { dialect: self.config.dialect, cycle_us });
@@ -167,18 +167,18 @@ impl GatewayLink {
         self.hello_error.as_ref()
     }
 
-    /// What the gateway is and can, once it has answered.
+    /// Identification and abilities of the gateway, after its answer.
     pub fn hello(&self) -> Option<&HelloReply> {
         self.hello.as_ref()
     }
 
-    /// What a gateway that had stopped its arm before it was greeted has shown of it: the last measurement. Only in the dialect
-    /// `gateway-v1`, and only if anything was measured.
+    /// Last measurement of an arm that its gateway had stopped before the greeting. Only in the dialect `gateway-v1`, and only if
+    /// there is a measurement.
     pub fn shown(&self) -> Option<&Sample> {
         self.shown.as_ref()
     }
 
-    /// How much of the stream was damaged.
+    /// Statistics of the stream.
     pub fn counters(&self) -> &ParserCounters {
         self.parser.counters()
     }
@@ -186,7 +186,7 @@ impl GatewayLink {
     /// Sends a message of a driver with this activity.
     ///
     /// # Errors
-    /// If the link is not open, or the message cannot be expressed: nothing is sent.
+    /// If the link is not open, or the message cannot be encoded: nothing is sent.
     pub fn send(&mut self, now: MonotonicTime, transmit: &Transmit, activity: Activity) -> Result<(), LinkError> {
         if self.hello.is_none() {
             return Err(LinkError::NotOpen);
@@ -194,10 +194,10 @@ impl GatewayLink {
         let Transmit { message, latches, .. } = *transmit;
         self.aborted &= latches;
         let before = if latches && !self.aborted {
-            // The gateway has a latch of its own. It has to outlive this program.
+            // The gateway has its own latch, which must outlive this program.
             ArmOperation::Abort
         } else if activity == Activity::Clearing && message == ControlMessage::Start {
-            // It looks at the arm itself before it lets go of it.
+            // The gateway checks the arm by itself before it releases it.
             ArmOperation::Reset
         } else {
             return self.say(now, message);
@@ -207,7 +207,7 @@ impl GatewayLink {
         Ok(())
     }
 
-    /// The bytes that are to be written now: ask again until there are none.
+    /// The bytes to write now: call again until there are none.
     pub fn poll_output(&mut self, now: MonotonicTime) -> Option<FrameBytes> {
         if let Some(bytes) = self.output.take() {
             return Some(bytes);
@@ -219,19 +219,19 @@ impl GatewayLink {
         self.output.take()
     }
 
-    /// Bytes from the line, in pieces of any size.
+    /// Processes bytes from the line, in pieces of any size.
     pub fn handle_bytes(&mut self, now: MonotonicTime, bytes: &[u8], driver: &mut Driver) {
         if !bytes.is_empty() {
             self.last_received = now;
         }
-        // The parser is taken out so that its frames can change the rest of the link.
+        // The parser is moved out, so that its frames can change the rest of the link.
         let mut parser = self.parser.clone();
         parser.feed(bytes, |received| self.handle_received(now, &received, driver));
         self.parser = parser;
         self.tell_damage(driver);
     }
 
-    /// Time has passed: a frame whose rest stayed away is given up.
+    /// Handles time: a frame without its rest is discarded.
     pub fn handle_timeout(&mut self, now: MonotonicTime, driver: &mut Driver) {
         if !self.parser.is_within_frame() || now.saturating_since(self.last_received) < SILENCE {
             return;
@@ -242,7 +242,7 @@ impl GatewayLink {
         self.tell_damage(driver);
     }
 
-    /// When the link wants to be asked again: for a heartbeat, or because the line fell silent within a frame.
+    /// Time of the next required call: for a heartbeat, or because the line fell silent within a frame.
     pub fn next_deadline(&self) -> Option<MonotonicTime> {
         let heartbeat = self.hello.is_some().then(|| self.last_sent + HEARTBEAT_INTERVAL);
         let silence = self.parser.is_within_frame().then(|| self.last_received + SILENCE);
@@ -321,7 +321,7 @@ impl GatewayLink {
                     let sample = Sample::from_state(state);
                     self.shown = Some(Sample { age: sample.age + late, ..sample });
                 }
-                // One that has measured nothing refuses.
+                // A gateway without a measurement refuses.
                 self.hello = Some(hello);
             }
             (Waiting::Before(operation, message), GatewayMessage::ControlReply(reply))
@@ -330,14 +330,14 @@ impl GatewayLink {
                 self.aborted |= operation == ArmOperation::Abort;
                 self.go_on(now, message, driver);
             }
-            // A gateway that does not know the operation: the order itself has to be enough.
+            // A gateway without this operation: the order itself has to suffice.
             (Waiting::Before(ArmOperation::Abort, message), GatewayMessage::Reject(reject)) if is_final(reject) => {
                 self.aborted = true;
                 self.go_on(now, message, driver);
             }
             (Waiting::Before(..) | Waiting::Message(_), GatewayMessage::Reject(Reject { reason, detail, .. })) => {
                 if *reason == RejectReason::NotConnected {
-                    // It was restarted: it has to be greeted anew.
+                    // It was restarted: greet it again.
                     self.hello = None;
                 }
                 driver.handle_reply(now, &refusal(*reason, *detail));
@@ -350,14 +350,14 @@ impl GatewayLink {
         }
     }
 
-    /// Says what had to wait for an operation of the gateway.
+    /// Sends the message that had to wait for an operation of the gateway.
     fn go_on(&mut self, now: MonotonicTime, message: ControlMessage, driver: &mut Driver) {
         if self.say(now, message).is_err() {
             driver.handle_bad_reply(BadReply::Mismatched);
         }
     }
 
-    /// A gateway that has stopped its arm answers a command with what it measured last, and does nothing of it.
+    /// A gateway that has stopped its arm answers a command with its last measurement, and does not execute the command.
     fn greeted(&mut self, now: MonotonicTime, hello: &HelloReply) {
         let is_stopped = matches!(hello.state, GatewayState::Fault | GatewayState::EmergencyStop);
         if is_stopped && hello.dialect == Dialect::GatewayV1 {
@@ -368,7 +368,7 @@ impl GatewayLink {
         }
     }
 
-    /// Whether this is the gateway of the configuration.
+    /// Whether this is the configured gateway.
     fn judge(&self, hello: &HelloReply) -> Result<CommandWatchdog, HelloError> {
         let GatewayLinkConfig { dialect, format, geometry, .. } = self.config;
         if hello.dialect != dialect {
@@ -417,7 +417,7 @@ impl GatewayLink {
     }
 }
 
-/// The refusal for a driver, with the finding of the gateway if there is one.
+/// The refusal for a driver, with the cause reported by the gateway if there is one.
 fn refusal(reason: RejectReason, detail: u32) -> Reply {
     let found = u8::try_from(detail).ok().and_then(StopCause::from_code);
     match (reason, found) {
@@ -426,7 +426,7 @@ fn refusal(reason: RejectReason, detail: u32) -> Reply {
     }
 }
 
-/// Whether asking once more would be refused once more.
+/// Whether a repeated request would be refused again.
 fn is_final(reject: &Reject) -> bool {
     use RejectReason::{NoAnswer, NotConnected, Stale};
     !matches!(reject.reason, NotConnected | Stale | NoAnswer)
@@ -474,7 +474,7 @@ fn gateway_v1(message: &ControlMessage) -> Result<HostMessage, LinkError> {
     }))
 }
 
-/// Why the gateway stopped the arm, as exactly as its report tells.
+/// Why the gateway stopped the arm, as precisely as its report states.
 fn trip(report: &FaultReport) -> Trip {
     let servo = |axis: Axis| ServoWord(report.word).alarm().map(|alarm: ServoAlarm| (axis, alarm));
     let controller = || pb3dp_arm_pa10_protocol::codec::CommWord(report.word).alarm();

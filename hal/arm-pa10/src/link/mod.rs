@@ -1,7 +1,7 @@
-//! Between the driver and the bytes of a link, without I/O: messages become frames, frames become replies.
+//! Protocol layers between the driver and the bytes of a link, without I/O: messages become frames, frames become replies.
 //!
-//! [`BusLink`] speaks to the servo controller itself, [`GatewayLink`] to a gateway in either dialect. A transport (socket, serial
-//! port, pseudo-terminal) moves the bytes and tells the time.
+//! [`BusLink`] connects to the servo controller, [`GatewayLink`] to a gateway in either dialect. A transport (socket, serial port,
+//! pseudo-terminal) moves the bytes and provides the time.
 
 mod bus;
 mod gateway;
@@ -13,7 +13,7 @@ use pb3dp_arm_pa10_protocol::codec::{ReplyMessage, TorqueScale, WireFormat};
 
 use crate::driver::{AxisLimits, Reply, Sample};
 
-/// What a reply of the servo controller tells the driver, with torques as its wire format has them.
+/// Content of a reply of the servo controller for the driver, with torques in the scale of its wire format.
 fn reply_of(message: &ReplyMessage, format: WireFormat) -> Reply {
     match message {
         ReplyMessage::Cyclic(arm) => Reply::Sample(Sample::from_reply(arm, &TorqueScale::of_format(format))),

@@ -1,53 +1,53 @@
-//! Which serial ports there are.
+//! List of serial ports.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 
 use serialport::{SerialPortType, available_ports};
 
-/// Where Linux lists terminals of all kinds.
+/// Folder of all terminals in Linux.
 const TERMINALS: &str = "/sys/class/tty";
 
-/// Where names stand that stay with an adapter.
+/// Folder of names that stay with an adapter.
 const STABLE_NAMES: &str = "/dev/serial/by-id";
 
-/// A serial port and what is known of it.
+/// A serial port with its properties.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PortDescription {
-    /// `/dev/ttyUSB0`: may be another adapter after the next start.
+    /// `/dev/ttyUSB0`: may be another adapter after a restart.
     pub path: String,
-    /// A name that stays with the adapter, where the system keeps one: for configurations.
+    /// A name that stays with the adapter, if the system has one: for configurations.
     pub stable_path: Option<PathBuf>,
-    /// What it is.
+    /// Its kind.
     pub kind: PortKind,
 }
 
-/// What a port is.
+/// Kind of a port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PortKind {
-    /// An adapter at USB.
+    /// A USB adapter.
     Usb {
-        /// Number of the maker.
+        /// Vendor ID.
         vendor_id: u16,
-        /// Number of the product.
+        /// Product ID.
         product_id: u16,
-        /// Name of the product, as it gives it.
+        /// Product name.
         product: Option<String>,
-        /// Its own number.
+        /// Serial number.
         serial_number: Option<String>,
     },
     /// Built in.
     BuiltIn,
-    /// Without a cable.
+    /// Bluetooth.
     Bluetooth,
-    /// Not known.
+    /// Unknown.
     Unknown,
 }
 
-/// The serial ports of this machine, sorted by path. Pseudo-terminals are not among them.
+/// The serial ports of this computer, sorted by path, without pseudo-terminals.
 ///
 /// # Errors
-/// If the system does not tell.
+/// If the system returns an error.
 pub fn ports() -> Result<Vec<PortDescription>, serialport::Error> {
     if !Path::new(TERMINALS).is_dir() {
         // serialport panics here.
@@ -64,7 +64,7 @@ pub fn ports() -> Result<Vec<PortDescription>, serialport::Error> {
     Ok(ports)
 }
 
-/// For messages: which ports there are.
+/// List of ports for messages.
 pub(super) fn names() -> String {
     match ports() {
         Ok(ports) if ports.is_empty() => "there are no serial ports".to_owned(),

@@ -1,21 +1,21 @@
-//! How long an adapter keeps bytes back.
+//! Latency timer of serial adapters.
 
 use std::os::fd::BorrowedFd;
 use std::path::{Path, PathBuf};
 
 use rustix::ioctl::{Getter, Opcode, Setter, ioctl};
 
-/// Of Linux's `asm-generic/ioctls.h`.
+/// From Linux's `asm-generic/ioctls.h`.
 const TIOCGSERIAL: Opcode = 0x541E;
 const TIOCSSERIAL: Opcode = 0x541F;
 
-/// Of Linux's `linux/tty_flags.h`: hand bytes on at once.
+/// From Linux's `linux/tty_flags.h`: pass bytes on at once.
 const ASYNC_LOW_LATENCY: i32 = 1 << 13;
 
-/// Timers of adapters that can be set are set to this, ms.
+/// Value for adjustable timers, ms.
 const TIMER_MS: u32 = 1;
 
-/// `struct serial_struct` of Linux's `linux/serial.h`.
+/// `struct serial_struct` from Linux's `linux/serial.h`.
 #[repr(C)]
 #[derive(Clone, Copy)]
 struct SerialStruct {
@@ -39,24 +39,24 @@ struct SerialStruct {
     iomap_base: usize,
 }
 
-/// Whether a port hands bytes on at once.
+/// Whether a port passes bytes on at once.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Latency {
-    /// The driver was told to.
+    /// The low-latency flag is set.
     Low,
-    /// The adapter keeps bytes back for this long, ms.
+    /// The adapter buffers bytes for this time, ms.
     Timer {
-        /// As read back.
+        /// Value read back.
         millis: u32,
     },
-    /// No adapter: nothing keeps bytes back.
+    /// Not an adapter: nothing buffers bytes.
     NotUsb,
-    /// An adapter that cannot be asked.
+    /// An adapter whose timer is unknown.
     Unknown,
 }
 
 impl Latency {
-    /// What to tell the operator, if it matters.
+    /// Advice for the operator, if necessary.
     pub(super) fn warning(&self, port: &str) -> Option<String> {
         match self {
             Self::Low | Self::NotUsb => None,
@@ -73,13 +73,13 @@ impl Latency {
     }
 }
 
-/// Makes the port hand on bytes at once, if that is possible.
+/// Makes the port pass on bytes at once, if possible.
 pub(super) fn lower(fd: BorrowedFd<'_>, path: &str) -> Latency {
     if set_low_latency(fd) {
         return Latency::Low;
     }
     let timer = timer(path);
-    // Whether it worked is read back.
+    // The value is read back.
     let _ = std::fs::write(&timer, TIMER_MS.to_string());
     let millis = std::fs::read_to_string(&timer).ok().and_then(|text| text.trim().parse().ok());
     match millis {
@@ -89,7 +89,7 @@ pub(super) fn lower(fd: BorrowedFd<'_>, path: &str) -> Latency {
     }
 }
 
-/// Sets the flag, and reads it back. Pseudo-terminals and some drivers do not know it.
+/// Sets the flag and reads it back. Pseudo-terminals and some drivers do not know it.
 fn set_low_latency(fd: BorrowedFd<'_>) -> bool {
     // SAFETY: TIOCGSERIAL fills a `serial_struct`, whose fields are plain numbers.
     let get = || unsafe { ioctl(fd, Getter::<TIOCGSERIAL, SerialStruct>::new()) };
@@ -102,14 +102,14 @@ fn set_low_latency(fd: BorrowedFd<'_>) -> bool {
     get().is_ok_and(|settings| settings.flags & ASYNC_LOW_LATENCY != 0)
 }
 
-/// Where the timer of an adapter stands, if it has one.
+/// Value of the adapter's timer, if it has one.
 fn timer(path: &str) -> PathBuf {
     Path::new("/sys/bus/usb-serial/devices").join(device(path)).join("latency_timer")
 }
 
 fn is_usb(path: &str) -> bool {
     let device = Path::new("/sys/class/tty").join(device(path)).join("device");
-    // The folder is a link into the tree of devices, which names its buses.
+    // The folder is a link into the device tree, which names its buses.
     device.canonicalize().is_ok_and(|target| target.to_string_lossy().contains("/usb"))
 }
 

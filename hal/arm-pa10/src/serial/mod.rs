@@ -1,7 +1,7 @@
 //! Serial ports.
 //!
-//! The port is tokio-serial's, because its writes never wait: the plain port of serialport waits in the kernel until a full buffer
-//! has room, whatever its time-out says. Waiting is done by [`wait`](pb3dp_hal_platform::transport::wait), because tokio's timers count whole
+//! The port is tokio-serial's, because its writes never block: the plain port of serialport waits in the kernel until a full buffer
+//! has space, for any time-out. [`wait`](pb3dp_hal_platform::transport::wait) does the waiting, because tokio's timers count whole
 //! milliseconds.
 
 mod discovery;
@@ -22,20 +22,20 @@ use tokio_serial::{ClearBuffer, DataBits, FlowControl, Parity, SerialPort, Seria
 pub use discovery::{PortDescription, PortKind, ports};
 pub use latency::Latency;
 
-/// By how much the rate of a port may differ from the one asked for, parts of it: what receivers with 10 bits per byte bear.
+/// Tolerance of the baud rate, as a share: receivers with 10 bits per byte accept it.
 const BAUD_TOLERANCE: f64 = 0.02;
 
-/// The kernel takes a port that is gone from its users within milliseconds, unless one of them keeps it from that.
+/// The kernel removes a disconnected port within milliseconds, unless a user keeps it open.
 const HANGUP_MAX: Duration = Duration::from_secs(1);
 
-/// Which port, how quick, and for what.
+/// Path, speed and purpose of a port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SerialConfig {
-    /// `/dev/ttyUSB0`; better a name below `/dev/serial/by-id`, which stays with the adapter.
+    /// `/dev/ttyUSB0`; better a name in `/dev/serial/by-id`, which stays with the adapter.
     pub path: String,
     /// Bits per second.
     pub baud: u32,
-    /// What is spoken: decides with the format whether the line is quick enough.
+    /// Dialect: decides with the wire format whether the line is fast enough.
     pub dialect: Dialect,
     /// Wire format of the arm.
     pub format: WireFormat,
@@ -53,27 +53,27 @@ impl SerialConfig {
 /// Why a port cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SerialError {
-    /// The line does not carry a command and its answer.
+    /// The line is too slow for a command and its answer.
     #[error("serial port {port}")]
     TooSlow {
         /// Its path.
         port: String,
-        /// How slow.
+        /// Configured rate.
         #[source]
         source: LineTooSlow,
     },
-    /// Somebody has it.
+    /// Another program uses it.
     #[error("serial port {port} is in use by another program or arm; end that one, or correct the path")]
     InUse {
         /// Its path.
         port: String,
     },
-    /// There is none.
+    /// It does not exist.
     #[error("serial port {port} does not exist; plug it in, or correct the path ({present})")]
     Missing {
         /// Its path.
         port: String,
-        /// Which ports there are.
+        /// Existing ports.
         present: String,
     },
     /// Not permitted.
@@ -87,44 +87,44 @@ pub enum SerialError {
     Open {
         /// Its path.
         port: String,
-        /// The rate asked for.
+        /// The requested rate.
         baud: u32,
-        /// What the system says.
+        /// Error of the system.
         #[source]
         source: Box<dyn std::error::Error + Send + Sync>,
     },
-    /// The port runs at another rate than it was told.
+    /// The port runs at another rate than requested.
     #[error(
         "serial port {port} was told {asked} baud and runs at {got}; choose a rate that it has, or another adapter"
     )]
     Baud {
         /// Its path.
         port: String,
-        /// Told.
+        /// Requested rate.
         asked: u32,
-        /// Read back.
+        /// Actual rate.
         got: u32,
     },
 }
 
-/// An open serial port, 8N1, without flow control, for this program alone.
+/// An open serial port, 8N1, without flow control, locked for this program.
 #[derive(Debug)]
 pub struct SerialLink {
-    // Before the runtime, which must outlive it.
+    // Dropped before the runtime, which must outlive it.
     stream: SerialStream,
     _runtime: tokio::runtime::Runtime,
     path: String,
     baud: u32,
     latency: Latency,
-    /// Reading or writing has failed.
+    /// A read or write has failed.
     is_gone: bool,
 }
 
 impl SerialLink {
-    /// Opens a port. What it received before is forgotten.
+    /// Opens a port and discards earlier input.
     ///
     /// # Errors
-    /// If it cannot be had alone, is too slow for the cycle, or runs at another rate than it was told.
+    /// If another program uses it, it is too slow for the cycle, or it runs at another rate than requested.
     pub fn open(config: &SerialConfig) -> Result<Self, SerialError> {
         let SerialConfig { path, baud, dialect, format, cycle } = config;
         let port = || path.clone();
@@ -142,7 +142,7 @@ impl SerialLink {
             let _guard = runtime.enter();
             SerialStream::open(&builder).map_err(|error| other(error.into()))?
         };
-        // Only now, so that the port is never without a user: some adapters reset what hangs on them when it is.
+        // Closed last, so that the port is never without a user: some adapters reset the connected device otherwise.
         drop(probe);
         let got = stream.baud_rate().map_err(|error| other(error.into()))?;
         judge_baud(path, *baud, got)?;
@@ -153,12 +153,12 @@ impl SerialLink {
         Ok(link)
     }
 
-    /// The rate that the port says it has, bits per second.
+    /// The actual rate, bits per second.
     pub fn baud(&self) -> u32 {
         self.baud
     }
 
-    /// Whether the adapter hands bytes on at once.
+    /// Whether the adapter passes bytes on at once.
     pub fn latency(&self) -> &Latency {
         &self.latency
     }
@@ -177,7 +177,7 @@ impl ByteLink for SerialLink {
     }
 
     fn try_read(&mut self, buffer: &mut [u8]) -> Result<usize, Unplugged> {
-        // A port that is unplugged reads 0 bytes as often as it fails.
+        // A disconnected port returns 0 bytes or an error.
         let read = judge(self.stream.read(buffer), !buffer.is_empty());
         self.is_gone |= read.is_err();
         read
@@ -201,11 +201,11 @@ impl ByteLink for SerialLink {
 impl Drop for SerialLink {
     fn drop(&mut self) {
         if self.is_gone {
-            // Writing fails earlier than the kernel takes a port away. Closed in between, it would wait for up to 30 s for bytes that
-            // cannot leave any more, and keep the kernel from taking it away: plugged in again, it would not come back before that.
+            // A write fails before the kernel removes the port. Closed in between, the port would wait up to 30 s for bytes that
+            // cannot be sent, and block its removal: it would not come back earlier when it is connected again.
             wait_for_hangup(self.descriptor(), HANGUP_MAX);
         }
-        // Else closing waits for up to 30 s until bytes that nobody takes are gone.
+        // Otherwise closing waits up to 30 s for bytes that nobody reads.
         let _ = self.stream.clear(ClearBuffer::Output);
     }
 }
@@ -220,10 +220,10 @@ impl Connector for SerialConfig {
     }
 }
 
-/// Finds out whether somebody has the port, without touching what he has.
+/// Checks whether another program uses the port, without disturbing it.
 ///
-/// Opening it by serialport would, where root does it: the refused port takes the kernel's own mark of exclusive use away when it is
-/// closed, and a third program gets in.
+/// Opening it by serialport as root would disturb it: closing the refused port clears the kernel's flag of exclusive use, and a
+/// third program could open it.
 fn probe(path: &str) -> Result<OwnedFd, SerialError> {
     let port = || path.to_owned();
     let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
@@ -239,7 +239,7 @@ fn probe(path: &str) -> Result<OwnedFd, SerialError> {
     Ok(probe)
 }
 
-/// Drivers round the rate to what their chip has, and some take any rate and keep their own.
+/// Drivers round the rate to what their chip provides, and some accept any rate and keep their own.
 fn judge_baud(port: &str, asked: u32, got: u32) -> Result<(), SerialError> {
     let difference = (f64::from(got) - f64::from(asked)).abs();
     if difference <= BAUD_TOLERANCE * f64::from(asked) {

@@ -1,4 +1,4 @@
-//! How an emulated arm is, for an operator.
+//! State of an emulated arm, for an operator.
 
 use std::time::Duration;
 
@@ -10,32 +10,32 @@ use pb3dp_sim::joint_dynamics::AxisMode;
 
 use crate::mock_controller::{ControlMode, MockCounters};
 
-/// How an emulated arm is.
+/// State of an emulated arm.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MockReport {
-    /// What the controller is doing.
+    /// Mode of the controller.
     pub mode: ControlMode,
     /// Whether it has power.
     pub is_powered: bool,
     /// Whether all brakes are closed.
     pub is_braked: bool,
-    /// What holds or moves each joint.
+    /// Brake or servo that holds each joint.
     pub axes: [AxisMode; Axis::COUNT],
     /// True angles, rad.
     pub position_rad: JointVector,
     /// True speeds, rad/s.
     pub velocity_rad_per_s: JointVector,
-    /// What happened to the controller.
+    /// Counters of the controller.
     pub counters: MockCounters,
-    /// The gateway before it, if there is one.
+    /// The gateway, if there is one.
     pub gateway: Option<GatewayStatus>,
-    /// How often the thread woke up more than 1 ms late.
+    /// Number of wake-ups of the thread more than 1 ms late.
     pub late: u64,
-    /// How late it was at most.
+    /// Largest lateness.
     pub latest: Duration,
     /// Answers that were lost because the host did not read.
     pub unread: u64,
-    /// What the thread asked the system for and did not get.
+    /// Real-time requests that the system refused.
     pub shortfalls: Vec<Shortfall>,
 }
 
