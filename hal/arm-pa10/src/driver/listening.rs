@@ -138,7 +138,7 @@ impl Driver {
         }
     }
 
-    /// The brake time has passed without an answer: servos switched off now could let the arm fall.
+    /// The brake time has passed without an answer: servos disabled now could let the arm fall.
     pub(super) fn give_up_stop(&mut self, now: MonotonicTime) {
         if !self.state.is_latched() {
             self.trip(now, Trip::Fault(FaultCause::LinkLost { misses: self.link.misses() }));
