@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use crate::layers::{Layers, built_in};
+use crate::layers::Layers;
+use crate::layers::built_in_keys::{Values, all_keys, texts};
 use crate::load::{nearest, unit_of};
 use crate::setup::refusals_of;
 
@@ -19,11 +20,6 @@ pub struct Explanation {
     pub allowed: Option<String>,
     /// Values in the built-in setups: name and value.
     pub values: Vec<(&'static str, String)>,
-}
-
-/// All built-in texts: name, text.
-fn texts() -> impl Iterator<Item = (&'static str, &'static str)> {
-    built_in::SETUPS.iter().map(|setup| (setup.name, setup.text)).chain([("rig example", built_in::RIG_EXAMPLE)])
 }
 
 /// Explains a key, all keys of a table, or all keys with a word in their name or else in their comment. Any name of an arm is accepted.
@@ -92,26 +88,6 @@ fn as_sample(key: &str) -> String {
 #[must_use]
 pub fn is_within(key: &str, table: &str) -> bool {
     key == table || key.strip_prefix(table).is_some_and(|rest| rest.starts_with('.'))
-}
-
-/// Values of one key: name of the setup and value.
-type Values = Vec<(&'static str, String)>;
-
-/// Every key of the built-in setups.
-pub(crate) fn known_keys() -> Vec<String> {
-    all_keys().into_keys().collect()
-}
-
-/// Every key of the built-in setups with its values.
-fn all_keys() -> BTreeMap<String, Values> {
-    let mut found: BTreeMap<String, Values> = BTreeMap::new();
-    for (name, text) in texts() {
-        let layers = Layers::of_text(name, text).unwrap_or_default();
-        for setting in layers.effective() {
-            found.entry(setting.key).or_default().push((name, setting.value));
-        }
-    }
-    found
 }
 
 /// The allowed values, from the refusal of an absurd value.

@@ -4,6 +4,7 @@
 //! records the origin of each value.
 
 pub mod built_in;
+pub(crate) mod built_in_keys;
 mod layer;
 mod position;
 #[cfg(test)]

@@ -3,9 +3,9 @@
 use std::ffi::OsString;
 use std::path::PathBuf;
 
+use super::built_in_keys::all_keys;
 use super::{Layer, Origin};
 use crate::error::ConfigError;
-use crate::explain::known_keys;
 
 const PREFIX: &str = "PB3DP_";
 /// Between a table and its key. A name without it sets no key.
@@ -42,7 +42,7 @@ fn refused(name: &str, why: &str) -> ConfigError {
 /// The key that a name with one underscore in place of two means.
 fn meant_by(name: &str) -> Option<String> {
     let name = name.to_lowercase();
-    known_keys().into_iter().find(|key| key.replace('.', "_") == name)
+    all_keys().into_keys().find(|key| key.replace('.', "_") == name)
 }
 
 fn layer(name: &str, value: &str) -> Result<Layer, ConfigError> {
