@@ -1,4 +1,4 @@
-//! The entry point: joints and observations in, a command with its reason out.
+//! The entry point: computes the command, with its reason, from joints and observations.
 
 mod driving;
 
@@ -63,8 +63,8 @@ pub enum HoldReason {
     },
     /// A measured joint angle or speed is not finite.
     JointsNotFinite,
-    /// Time ran backwards, or the joints have a future time. The target is dropped, and only newer observations than before the
-    /// step are used.
+    /// The clock stepped back, or the joints have a future time. The target is dropped, and only observations newer than those
+    /// before the step are used.
     ClockStepped,
     /// A joint is at its limit and would have to exceed it.
     JointRange {
@@ -83,12 +83,12 @@ impl fmt::Display for Mode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Idle => write!(f, "idle: no target observed yet"),
-            Self::Locking => write!(f, "locking: waiting for observations that agree"),
+            Self::Locking => write!(f, "locking: waiting for consistent observations"),
             Self::Approaching => write!(f, "approaching"),
             Self::Tracking => write!(f, "tracking"),
             Self::Holding(reason) => write!(f, "holding: {reason}"),
             Self::Lost => write!(f, "lost: the target was not observed for too long"),
-            Self::Searching => write!(f, "searching: the hand looks for the target about the place where it was lost"),
+            Self::Searching => write!(f, "searching: the hand searches around the pose at which the target was lost"),
         }
     }
 }
@@ -97,7 +97,7 @@ impl fmt::Display for HoldReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::ObservationStale { age_s } => write!(f, "the last accepted observation is {age_s:.3} s old"),
-            Self::JointsStale { age_s } => write!(f, "the joints were measured {age_s:.3} s ago"),
+            Self::JointsStale { age_s } => write!(f, "the newest joint sample is {age_s:.3} s old"),
             Self::JointsNotFinite => write!(f, "a measured joint angle or speed is not a finite number"),
             Self::ClockStepped => write!(f, "the time of the joints or of the controller is not monotonic"),
             Self::JointRange { joint } => write!(f, "axis {} is at the end of its range", joint + 1),
@@ -105,7 +105,7 @@ impl fmt::Display for HoldReason {
                 write!(f, "the elbow is nearly stretched: the target is at the end of the arm's reach")
             }
             Self::TargetNotBeforeCamera => write!(f, "the target is not in front of the camera"),
-            Self::CommandNotFinite => write!(f, "the control law gave a number that is not finite"),
+            Self::CommandNotFinite => write!(f, "the control law returned a number that is not finite"),
         }
     }
 }
@@ -133,7 +133,7 @@ pub struct ControlStep {
     pub orientation_error_rad: Option<f64>,
     /// Smallest singular value of the hand's Jacobian, metres and radians.
     pub smallest_singular_value: Option<f64>,
-    /// What makes the hand slower than the law requests.
+    /// The limit that makes the hand slower than the law requests.
     pub limited_by: Option<Limitation>,
 }
 
@@ -149,7 +149,7 @@ pub struct Controller {
     history: JointHistory,
     given: GivenCommands,
     target: KnownTarget,
-    /// Exposure time of the newest observation seen so far: none is used twice, and no older one.
+    /// Exposure time of the newest handled observation; observations that are not newer are ignored.
     handled_at: Option<MonotonicTime>,
     stepped_at: Option<MonotonicTime>,
     /// Time since the previous step, seconds; 0 after a long gap.
@@ -161,8 +161,8 @@ pub struct Controller {
 }
 
 impl Controller {
-    /// A controller at rest without a target, for an arm with these limits. Large errors are corrected only as fast as its joints
-    /// can brake.
+    /// A controller without a target, in a hold, for an arm with these limits. Large errors are corrected only as fast as its
+    /// joints can decelerate.
     ///
     /// # Errors
     /// The first setting that is out of range.
@@ -203,8 +203,8 @@ impl Controller {
         self.search.permit(is_permitted);
     }
 
-    /// Reports what the arm was really commanded. After a hold the hand starts softly again, and the predicted motion of the joints
-    /// follows from the real commands.
+    /// Stores the command that the arm actually received. After a hold the hand starts softly again, and the joint motion is
+    /// predicted from the actual commands.
     pub fn note_told(&mut self, told: Command) {
         let velocity_rad_per_s = match told {
             Command::Velocity(velocity) => velocity,
@@ -295,7 +295,7 @@ impl Controller {
         Ok(())
     }
 
-    /// Handles an observation that is newer than all before.
+    /// Handles an observation that is newer than all earlier ones.
     fn take_observation(&mut self, newest: Option<&TargetObservation>, now: MonotonicTime) -> ObservationVerdict {
         let Some(observation) = newest else { return ObservationVerdict::NoneNew };
         if self.handled_at.is_some_and(|handled| observation.at <= handled) {
@@ -356,7 +356,7 @@ impl Controller {
         if self.approached_at.is_some() { Mode::Tracking } else { Mode::Approaching }
     }
 
-    /// An initialised target becomes lost; another one is only dropped.
+    /// An initialised target becomes lost; a target that is not yet initialised is only dropped.
     fn lose(&mut self) {
         self.lost |= self.target.is_locked();
         self.forget();

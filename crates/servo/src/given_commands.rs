@@ -38,13 +38,13 @@ impl GivenCommands {
         self.given.push_back(Given { at, velocity_rad_per_s });
     }
 
-    /// Forgets all commands: the arm stands still.
+    /// Removes all commands: the arm is stationary.
     pub fn clear(&mut self) {
         self.given.clear();
     }
 
-    /// Angles (rad) at which the joints come to rest if the last command ends at `now`: measured angles, the rest of the lagged
-    /// velocity, and commands that are not yet executed.
+    /// Angles (rad) at which the joints come to rest if the last command ends at `now`: measured angles, plus the travel from the
+    /// lagged velocity and from commands that are not yet executed.
     pub fn rest_position(&self, measured: &JointState, arm: &ArmResponse, now: MonotonicTime) -> JointVector {
         let window_s = now.seconds_since(measured.at) + arm.delay_s;
         let mut position_rad = measured.position_rad + measured.velocity_rad_per_s * arm.lag_s;
@@ -101,7 +101,7 @@ mod tests {
                 };
                 foretold = Some(state);
             }
-            // From now on: rest.
+            // From now on the command is zero.
             let told = if micros - delay_micros < now { command_at(micros - delay_micros) } else { 0.0 };
             let dt = dt_micros as f64 * 1e-6;
             let next = told + (velocity - told) * (-dt / ARM.lag_s).exp();
@@ -128,7 +128,7 @@ mod tests {
         (0..100).for_each(|i| given.push(at(1000 * i), joints(0.1)));
         assert_eq!((given.given.len(), given.given.capacity()), (4, capacity));
         given.push(at(97_500), joints(0.3));
-        assert_eq!(given.given.len(), 3, "those of 98 and 99 ms are void");
+        assert_eq!(given.given.len(), 3, "the commands of 98 and 99 ms are dropped");
         given.clear();
         assert!(given.given.is_empty());
     }

@@ -1,7 +1,7 @@
 //! Identification of delays, from a record of the hand moving a few millimetres in front of a stationary target.
 //!
 //! * [`exposure_offset`]: delay between the timestamps of images and their exposure, on the clock of the joints. The pose of a
-//! stationary target must not depend on the velocity of the hand; if it does, the joints were taken at the wrong time.
+//! stationary target must not depend on the velocity of the hand; if it does, the joints are those of another time.
 //! * [`arm_response`]: dead time and first-order lag from a commanded velocity to the motion.
 //! * [`Excitation`]: the motion that makes both observable.
 //!
@@ -61,14 +61,14 @@ pub enum NotIdentified {
         needed: usize,
     },
     /// The motion does not make the delay observable, or there is no motion.
-    #[error("{what} is not told by this record: the hand must move, and in more than one way while it does")]
+    #[error("{what} cannot be identified from this record: the hand must move, with varying velocity")]
     NotExcited {
         /// The requested delay.
         what: &'static str,
     },
     /// The best solution is at the end of the search range.
     #[error(
-        "{what} is {value_s:.3} s or beyond: more than {most_s} s is not looked for; check the clock that stamps the images and \
+        "{what} is out of the search range: {value_s:.3} s, limit {most_s} s; check the clock that stamps the images and \
          the link of the arm"
     )]
     TooLong {

@@ -60,7 +60,7 @@ impl JointHistory {
     /// extrapolated with the measured velocity.
     ///
     /// # Errors
-    /// If there are no samples near enough.
+    /// If no sample is close enough in time.
     pub fn position_at(&self, at: MonotonicTime) -> Result<JointVector, NotInHistory> {
         let behind = self.samples.partition_point(|sample| sample.at < at);
         match (behind.checked_sub(1).and_then(|before| self.samples.get(before)), self.samples.get(behind)) {

@@ -156,7 +156,7 @@ fn with_rotation_about_normal_of(predicted: &Pose<Base, Model>, observed: &Pose<
     let normal = |pose: &Pose<Base, Model>| pose.transform_vector(&Vector3::z());
     match UnitQuaternion::rotation_between(&normal(predicted), &normal(observed)) {
         Some(turn) => Pose::from_parts(observed.translation_m(), turn * predicted.rotation()),
-        // Seen from behind: contradicts the state and is ignored.
+        // The normal points the other way: the observation contradicts the state and is ignored.
         None => *observed,
     }
 }

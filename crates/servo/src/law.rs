@@ -8,7 +8,7 @@ pub mod pose_based;
 use pb3dp_geometry::frames::{Base, CamLeft, Hand};
 use pb3dp_geometry::{Pose, Twist};
 
-/// A point is in front of the camera beyond this depth, metres.
+/// Minimum depth of a point in front of the camera, metres.
 const DEPTH_MIN_M: f64 = 1e-3;
 
 /// Velocity of the hand's origin and its angular velocity, in `base`, for this twist of the camera on the hand.
@@ -30,7 +30,7 @@ mod tests {
 
     use super::*;
 
-    /// Hand and camera are one body: a small motion of the one is that of the other.
+    /// Hand and camera are one rigid body: a small motion of the camera moves the hand with it.
     #[test]
     fn the_hand_moves_as_the_camera_on_it() {
         let turned = |x, y, z| UnitQuaternion::from_scaled_axis(Vector3::new(x, y, z));

@@ -4,7 +4,7 @@
 //! * [`Controller::step`] is the entry point: it returns a [`Command`] and the [`Mode`], with the reason if the arm holds.
 //! * [`TargetObservation`] is the output of the estimator: pose of the model and time of exposure.
 //! * [`supervisor::Supervisor::step`] permits or inhibits the motion, with the reason and the remedy.
-//! * [`ControllerConfig`] holds all parameters; [`Controller::new`] refuses bad ones by key, value and allowed range.
+//! * [`ControllerConfig`] holds all parameters; [`Controller::new`] rejects bad ones with key, value and allowed range.
 //!
 //! Data flow: the [`joint_history`] gives the pose of the hand at the time of exposure. With it the observation is transformed to
 //! `base`, gated, and fused into a predictable state ([`target_state`]) or smoothed ([`target_filter`]). The [`law`] turns the

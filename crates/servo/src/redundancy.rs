@@ -18,13 +18,13 @@ use crate::config::RedundancyConfig;
 /// Step of the central difference of the cost, rad: the third derivative of the cost is of the order of 10, so truncation is below
 /// 1e-6.
 const DIFFERENCE_RAD: f64 = 5e-4;
-/// The barrier of a joint is constant nearer to its limit than this share of half the range.
+/// Beyond this share of half the range the barrier of a joint is constant.
 const BARRIER_UP_TO: f64 = 0.99;
 
 /// The joint motion that keeps the hand in place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NullMotion {
-    /// Direction in joint space, of length 1; zero where the Jacobian has lost a rank.
+    /// Direction in joint space, of length 1; zero where the Jacobian is rank-deficient.
     pub direction: JointVector,
     /// Manipulability sqrt(det(J J^T)).
     pub manipulability: f64,
@@ -158,12 +158,12 @@ mod tests {
                 "the product of singular values"
             );
         }
-        // Stretched out: one rank is lost, and with it the meaning of a direction.
+        // Stretched arm: the Jacobian is rank-deficient, and the direction is undefined.
         let stretched = NullMotion::of(&chain.jacobian(&JointVector::from([0.3, 0.5, 0.1, 0.0, 0.2, 0.6, 0.0])));
         assert!(stretched.manipulability < 1e-12, "{stretched:?}");
     }
 
-    /// Followed without end the motion stops at a place from which the cost rises to both sides, and the hand has not moved.
+    /// The null motion ends at a minimum of the cost along the null space, and the hand has not moved.
     #[test]
     fn the_elbow_goes_where_the_cost_is_least_and_the_hand_stays() {
         let (chain, start) = (chain(), JointVector::from([0.9, 0.75, -0.9, 1.6, 0.5, -0.9, 2.0]));
@@ -204,7 +204,7 @@ mod tests {
         }
     }
 
-    /// Near q2 = q6 = 0 the elbow is turned so that the smallest singular value grows.
+    /// Near q2 = q6 = 0 the elbow moves so that the smallest singular value increases.
     #[test]
     fn near_a_singular_pose_the_arm_is_led_away_from_it() {
         let chain = chain();

@@ -9,7 +9,7 @@ use pb3dp_kinematics::{Chain, DOF, Damping, Jacobian, JointFrames, JointLimits, 
 
 use crate::config::CartesianSpeed;
 
-/// What makes the hand slower than the law requests; the strongest limit is named.
+/// The strongest limit that makes the hand slower than the law requests.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Limitation {
     /// Speed limit of the hand.
@@ -97,7 +97,7 @@ pub struct JointBounds<'a> {
 }
 
 impl JointBounds<'_> {
-    /// Speed limits (rad/s) of a joint at this angle in the direction of `velocity`: of the joint, and for the remaining range.
+    /// Speed limits (rad/s) of a joint at this angle in the direction of `velocity`: for the joint, and for its remaining range.
     fn most(&self, joint: usize, velocity: f64, position_rad: f64) -> [(f64, Limitation); 2] {
         let limits = self.limits;
         let speed = limits.velocity_max_rad_per_s()[joint];
@@ -132,7 +132,7 @@ impl JointBounds<'_> {
         LimitedVelocity { velocity_rad_per_s: velocity_rad_per_s * share, share, limited_by }
     }
 
-    /// Share, 0 to 1, of a secondary velocity that costs no primary speed: it brings no joint beyond bounds that it keeps without.
+    /// Share, 0 to 1, of a secondary velocity that leaves the primary speed unchanged: no joint exceeds a bound because of it.
     pub fn share_beside(&self, primary: &JointVector, secondary: &JointVector, position_rad: &JointVector) -> f64 {
         let mut share: f64 = 1.0;
         for joint in 0..DOF {
@@ -240,12 +240,12 @@ mod tests {
             |primary: [f64; 7], secondary: [f64; 7]| bounds.share_beside(&primary.into(), &secondary.into(), &position);
         let still = [0.0; 7];
         assert_eq!(share(still, [0.2, -0.1, 0.0, 0.1, 0.0, 0.0, 0.0]), 1.0);
-        // Joint 1 has 0.5 rad/s: 0.1 are left, half of the secondary velocity.
+        // The limit of joint 1 is 0.5 rad/s: 0.1 rad/s remain, half of the secondary velocity.
         assert!((share([0.4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.2, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]) - 0.5).abs() < 1e-12);
         assert_eq!(share([0.6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 0.0);
-        // Against the primary velocity there is more room.
+        // In the direction opposite to the primary velocity the margin is larger.
         assert_eq!(share([0.6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [-0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 1.0);
-        // 0.1 rad from the end of its range joint 4 has 0.2 rad/s outwards.
+        // At 0.1 rad from the end of its range the limit of joint 4 is 0.2 rad/s outwards.
         assert!(
             (share([0.0, 0.0, 0.0, -0.1, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, -0.4, 0.0, 0.0, 0.0]) - 0.25).abs() < 1e-12
         );

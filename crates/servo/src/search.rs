@@ -32,16 +32,16 @@ pub struct SearchConfig {
 const CORRECTION_PER_S: f64 = 2.0;
 /// Speed limit of the orientation correction, rad/s.
 const TURN_MAX_RAD_PER_S: f64 = 0.1;
-/// Largest acceleration along the pattern, m/s^2, of speed and direction: in a sharp corner the joints, each within its own limits,
-/// would leave the path and make the hand faster before and after it.
+/// Largest tangential and centripetal acceleration along the pattern, m/s^2. In a sharp corner the limits of the single joints
+/// would make the hand leave the path, and move faster before and after the corner.
 const ACCELERATION_MAX_M_PER_S2: f64 = 0.05;
 /// Share of the speed at corners.
 const CORNER_SHARE: f64 = 0.1;
-/// Share and length (metres) by which the hand may exceed the extent of the pattern; beyond it the hand does not follow its
+/// Share and length (metres) by which the hand may exceed the extent of the pattern. A hand further away does not follow its
 /// commands, and the search ends.
 const BEYOND_SHARE: f64 = 1.2;
 const BEYOND_M: f64 = 0.005;
-/// The search has returned at this distance from its start, metres.
+/// Distance from its start within which the search has returned, metres.
 const RETURNED_WITHIN_M: f64 = 1e-3;
 
 impl SearchConfig {
@@ -63,7 +63,7 @@ impl SearchConfig {
         self.radius_m / (TAU * self.turns)
     }
 
-    /// Length of the spiral up to an angle, radians; metres.
+    /// Length (metres) of the spiral up to an angle (radians).
     fn spiral_m(&self, angle: f64) -> f64 {
         0.5 * self.per_rad_m() * (angle * (1.0 + angle * angle).sqrt() + angle.asinh())
     }
@@ -125,7 +125,7 @@ pub(crate) enum Search {
 }
 
 impl Search {
-    /// Takes the permission of the supervisor; one search per permission.
+    /// Applies the permission of the supervisor: one search per permission.
     pub(crate) fn permit(&mut self, is_permitted: bool) {
         *self = match (is_permitted, *self) {
             (false, _) => Self::Off,
@@ -216,7 +216,7 @@ mod tests {
         MonotonicTime::from_secs_f64(100.0 + seconds)
     }
 
-    /// A hand that follows its commands: how long it moved, how far it was, where it ends.
+    /// Search of a hand that follows its commands: duration, largest distance from the start, final pose.
     fn searched(config: &SearchConfig) -> (f64, f64, Pose<Base, Hand>) {
         let (mut search, mut hand, mut farthest_m, mut t_s) = (Search::Off, begin(), 0.0f64, 0.0);
         search.permit(true);
@@ -226,10 +226,10 @@ mod tests {
             hand = Pose::from_parts(hand.translation_m() + twist.linear_m_per_s * 0.01, hand.rotation());
             farthest_m = farthest_m.max((hand.translation_m() - begin().translation_m()).norm());
             t_s += 0.01;
-            assert!(t_s < 100.0, "it ends");
+            assert!(t_s < 100.0, "the search does not end");
         }
         search.permit(true);
-        assert_eq!(search, Search::Over, "once");
+        assert_eq!(search, Search::Over, "one search per permission");
         (t_s, farthest_m, hand)
     }
 
@@ -237,7 +237,7 @@ mod tests {
     fn it_goes_back_and_round_and_returns() {
         let (took_s, farthest_m, hand) = searched(&CONFIG);
         assert!((0.95 * CONFIG.reach_m()..=1.01 * CONFIG.reach_m()).contains(&farthest_m), "{farthest_m}");
-        // 40 mm back, a spiral of about 3 turns of half the radius, and home.
+        // 40 mm back, a spiral of about 3 turns with half the radius on average, and the return path.
         assert!((14.0..25.0).contains(&took_s), "{took_s}");
         assert!((hand.translation_m() - begin().translation_m()).norm() < 1.5e-3);
     }
@@ -258,7 +258,7 @@ mod tests {
         assert!(CONFIG.place(1.0).is_none());
     }
 
-    /// Not at its beginning, nor at the corner between the way back and the spiral, within the spiral's first turn, or at its end.
+    /// Critical points: the start, the corner between backward path and spiral, the first turn of the spiral, and the end.
     #[test]
     fn its_velocity_never_changes_suddenly() {
         for config in [CONFIG, SearchConfig { back_m: 0.05, radius_m: 0.05, turns: 2.0, speed_m_per_s: 0.03, ..CONFIG }]
@@ -284,7 +284,7 @@ mod tests {
         assert!(search.step(&CONFIG, &begin(), at(0.0)).is_some());
         search.permit(false);
         assert!(search.step(&CONFIG, &begin(), at(0.1)).is_none());
-        // Permitted anew, it begins anew (the supervisor permits one for each loss); a clock that steps ends it.
+        // A new permission starts a new search (the supervisor permits one per loss). A clock step ends it.
         search.permit(true);
         assert!(search.step(&CONFIG, &begin(), at(0.2)).is_some());
         assert!(search.step(&CONFIG, &begin(), at(-5.0)).is_none());
@@ -305,7 +305,7 @@ mod tests {
         assert!(search.step(&CONFIG, &begin(), at(0.3)).is_none());
     }
 
-    /// A hand that is turned is turned back, whichever way.
+    /// The search corrects a rotation of the hand about any axis.
     #[test]
     fn the_orientation_of_the_beginning_is_kept() {
         let mut search = Search::Off;

@@ -4,7 +4,7 @@
 //! against its [`Policies`], takes the operator's command, and returns a [`Decision`]. Its only memory is the state of the
 //! [`table`](mod@table) and timers. Only the operator's reset leaves a latched state, and it leads to [`State::Idle`].
 //!
-//! Motion always starts from measurements: with each hold, stop, fault, reset and selection [`Decision::rearm`] makes the
+//! Motion always starts from new measurements: at each hold, stop, fault, reset and selection, [`Decision::rearm`] makes the
 //! controller drop its set-points, and motion is inhibited until new ones exist.
 
 mod codes;
@@ -61,9 +61,10 @@ pub struct Decision {
     pub rearm: bool,
     /// The controller may search for the lost target ([`crate::Controller::permit_search`]).
     pub search: bool,
-    /// Active conditions that have lasted for their time, during motion or a hold.
+    /// Conditions that have been active for the `for_s` of their policy, during motion or a hold.
     pub found: ConditionSet,
-    /// No arm may move, including the one that carries the target: joints, drives, clock or operator do not allow it in any state.
+    /// No arm may move, including the one that carries the target: the state is latched, or joints, drives, clock or operator
+    /// inhibit motion in any state.
     pub no_arm_may_move: bool,
     /// Whether `start` (after a hold `resume`) would be accepted now.
     pub is_ready: bool,
@@ -91,7 +92,7 @@ pub struct Supervisor {
     held_by_operator: bool,
     /// A condition since the last motion needs the operator's `resume`.
     needs_word: bool,
-    /// The same, for conditions other than a lost target.
+    /// The same, for conditions that a lost target does not cause.
     needs_word_for_more: bool,
     /// State of the search for the target since the last motion.
     search: SearchRight,
@@ -129,12 +130,12 @@ impl Supervisor {
     /// One control cycle: never blocks, never allocates. The state changes at most once per step.
     ///
     /// Detected conditions take precedence over operator commands, except `stop` and `hold`, which are always obeyed. `start` and
-    /// `resume` are refused while a condition inhibits motion, even if it has not lasted for its time, and until it has been gone
+    /// `resume` are refused while a condition inhibits motion, even before its `for_s` has passed, and until it has been inactive
     /// for [`SupervisorConfig::go_after_s`]. `reset` is refused while an arm reports a fault or an emergency stop. Every command is
     /// refused if it is too old or older than the state.
     pub fn step(&mut self, inputs: &Inputs, now: MonotonicTime) -> Decision {
         self.findings.look(inputs, &self.config.policies, now);
-        // After a backward step of the clock, commands must not be refused until the clock has caught up.
+        // After the clock stepped back, new commands must not be refused as older than the state.
         self.entered_at = self.entered_at.map(|entered| entered.min(now));
         let blocking = self.findings.first_at_least(&self.config.policies, Action::Hold);
         self.clear_since = match (blocking, self.clear_since) {
@@ -152,7 +153,7 @@ impl Supervisor {
             self.findings.rearm();
             self.clear_since = None;
             if self.state == State::Selecting {
-                // Times that were measured for another target, or before this selection, do not count.
+                // Measurements of another target, or from before this selection, do not count.
                 self.findings.look(inputs, &self.config.policies, now);
                 blocking = self.findings.first_at_least(&self.config.policies, Action::Hold);
             }
@@ -242,12 +243,12 @@ impl Supervisor {
         until.seconds_since(since).max(0.0)
     }
 
-    /// Whether this time is long enough for a command: a cause that comes and goes from image to image must not count as gone.
+    /// Whether this time is long enough for a command: an intermittent cause must not count as gone between two images.
     fn is_clear(&self) -> bool {
         self.clear_since.is_some() && (self.clear_for_s() >= self.config.go_after_s || is_off(Safeguard::ClearForWords))
     }
 
-    /// Transitions without a command.
+    /// Automatic transitions.
     fn by_itself(&self, inputs: &Inputs) -> Option<Event> {
         let may_resume = !self.held_by_operator && !self.needs_word && self.clear_for_s() >= self.config.resume_after_s;
         match (self.state, inputs.controller) {
@@ -281,13 +282,13 @@ impl Supervisor {
         self.log.push(transition);
     }
 
-    /// Whether a reset is passed on to the arms. It must leave a latched state as soon as no arm has a fault or an emergency stop,
-    /// and must be neither too old nor older than the state.
+    /// Whether a reset is passed on to the arms: the state is latched, and the command neither too old nor older than the state.
+    /// A fault or an emergency stop of an arm does not prevent it.
     pub fn would_reset(&self, said: OperatorRequest, now: MonotonicTime) -> bool {
         said.word == OperatorCommand::Reset && self.state.is_latched() && self.untimely(said, now).is_none()
     }
 
-    /// Active conditions; remembers whether one of them needs the operator's `resume`.
+    /// Returns the active conditions, and stores whether one of them needs the operator's `resume`.
     fn note(&mut self, now: MonotonicTime) -> ConditionSet {
         let mut found = ConditionSet::default();
         if !(self.state.is_moving() || self.state.is_resting()) {
@@ -307,7 +308,7 @@ impl Supervisor {
         self.findings.lasting(&self.config.policies, now).any(|(cause, _)| cause.condition.rule().holds_every_arm)
     }
 
-    /// Reason to refuse a command, apart from the table.
+    /// Reason to refuse a command, other than the table of states.
     fn refusal(&self, said: OperatorRequest, blocking: Option<Cause>, now: MonotonicTime) -> Option<RefusedFor> {
         if matches!(said.word, OperatorCommand::Stop | OperatorCommand::Hold) {
             return None;
@@ -327,7 +328,7 @@ impl Supervisor {
         }
     }
 
-    /// The cause is gone, but not for long enough.
+    /// Refusal because the cause has not been gone for long enough.
     fn not_clear(&self) -> Option<RefusedFor> {
         let (clear_s, wanted_s) = (self.clear_for_s(), self.config.go_after_s);
         (!self.is_clear()).then_some(RefusedFor::NotClear { cause: self.spoke, clear_s, wanted_s })
@@ -343,7 +344,7 @@ impl Supervisor {
         if !(-age_max_s..=age_max_s).contains(&age_s) {
             return Some(RefusedFor::Age { age_s, age_max_s });
         }
-        // After a backward step of the clock, commands must not be refused until the clock has caught up.
+        // After the clock stepped back, new commands must not be refused as older than the state.
         let is_before = self.entered_at.is_some_and(|entered| said.at < entered.min(now));
         if is_before {
             return Some(RefusedFor::OlderThanState(self.state));
@@ -369,8 +370,8 @@ impl Supervisor {
         Some(Refusal { word, because })
     }
 
-    /// Whether the hand may search for the target: it is lost for not too long, the operator has not commanded a hold, only the
-    /// loss needs a `resume`, and no condition is active except those that a loss causes.
+    /// Whether the hand may search for the target: the loss is younger than `search_max_s`, the operator has commanded no hold,
+    /// only the loss needs a `resume`, and no condition is active except those that a loss causes.
     fn may_search(&self, now: MonotonicTime) -> bool {
         let since_s = self.entered_at.map_or(f64::INFINITY, |entered| now.seconds_since(entered));
         let of_loss = |cause: Cause| comes_with_loss(cause.condition);
@@ -381,8 +382,8 @@ impl Supervisor {
             && self.findings.all_at_least(&self.config.policies, Action::Slow(1.0)).all(of_loss)
     }
 
-    /// The same, once per loss: an aborted search does not start again. After a clock step no search starts, because the time since
-    /// the loss is unknown.
+    /// The same, once per loss: an aborted search does not start again. No search starts after a clock step, because the time
+    /// since the loss is unknown.
     fn permits_search(&mut self, now: MonotonicTime) -> bool {
         let has_stepped = self.state == State::Lost && self.findings.cause(Condition::ClockStepped).is_some();
         self.search = match (self.search, self.may_search(now)) {
@@ -457,7 +458,7 @@ enum SearchRight {
     Over,
 }
 
-/// Whether this condition is a consequence of an invisible target.
+/// Whether a loss of the target causes this condition.
 fn comes_with_loss(condition: Condition) -> bool {
     matches!(
         condition,

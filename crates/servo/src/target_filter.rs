@@ -102,7 +102,7 @@ impl TargetTrack {
         Twist::new(self.twist.linear_m_per_s + angular.cross(&lever), angular)
     }
 
-    /// Adds an observation that passes the gate. A jump before the target is initialised starts again.
+    /// Adds an observation that passes the gate. A jump before the target is initialised restarts the initialisation.
     pub fn update(
         &mut self,
         config: &TargetFilterConfig,

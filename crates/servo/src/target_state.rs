@@ -55,16 +55,16 @@ pub enum MeasurementVerdict {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum NotPredictable {
     /// There is no measurement yet.
-    #[error("no pose of the target was measured yet")]
+    #[error("no measurement of the target yet")]
     NoTarget,
     /// The time is before the history.
-    #[error("the time lies {behind_s:.3} s before the oldest measurement that is kept")]
+    #[error("the time is {behind_s:.3} s before the oldest stored measurement")]
     TooOld {
         /// Time before the oldest measurement, seconds.
         behind_s: f64,
     },
     /// The time is too far after the newest measurement.
-    #[error("the time lies {ahead_s:.3} s after the newest measurement, the horizon is {horizon_s:.3} s")]
+    #[error("the time is {ahead_s:.3} s after the newest measurement, the horizon is {horizon_s:.3} s")]
     TooFar {
         /// Time after the newest measurement, seconds.
         ahead_s: f64,

@@ -1,5 +1,5 @@
-//! The loop closed around joints and a camera in pure maths: it converges as fast as the gains say, lags as much as the
-//! theory says, and keeps its limits.
+//! Closed loop with joints and camera, without images: the convergence matches the gains, the lag matches theory, and the limits
+//! are kept.
 
 use crate::common;
 use crate::common::{Cell, IDEAL, Plant, config, published, rotation, with_filter};
@@ -35,8 +35,8 @@ fn the_hand_goes_exactly_to_its_place_with_the_rates_of_the_gains() {
         let expected_angle = 4.0 * ((0.25 * angle0).tan() * (-3.0 * t).exp()).atan();
         if t < 1.0 {
             let (e, angle) = (now.position_error_m.unwrap(), now.orientation_error_rad.unwrap());
-            assert!((e / expected - 1.0).abs() < 0.02, "{e} instead of {expected} m at {t} s");
-            assert!((angle / expected_angle - 1.0).abs() < 0.02, "{angle} instead of {expected_angle} rad at {t} s");
+            assert!((e / expected - 1.0).abs() < 0.02, "{e} m, not {expected} m at {t} s");
+            assert!((angle / expected_angle - 1.0).abs() < 0.02, "{angle} rad, not {expected_angle} rad at {t} s");
         }
     }
     let hand_from_model = cell.base_from_hand().inverse() * target;
@@ -45,7 +45,7 @@ fn the_hand_goes_exactly_to_its_place_with_the_rates_of_the_gains() {
     assert!(hand_from_model.rotation().angle_to(&wanted.rotation()) < 1e-5, "{hand_from_model:?}");
 }
 
-/// Largest share of the initial error by which the hand goes too far, after a step of the target.
+/// Largest overshoot of the hand after a step of the target, as a share of the initial error.
 fn overshoot(position_per_s: f64, plant: Plant, latency_s: f64) -> f64 {
     let gains = Gains { position_per_s, velocity: 0.0, orientation_per_s: 2.0 * position_per_s, angular_velocity: 0.0 };
     let law = LawConfig::Published(published(gains));
@@ -74,7 +74,7 @@ fn no_overshoot_up_to_the_bound_with_lag_and_delay_and_much_beyond_it() {
 
 #[test]
 fn the_delay_of_the_camera_is_outside_the_loop() {
-    // 20 1/s at 150 ms would be unstable (beyond pi/2) if the observation were taken with the present joints.
+    // 20 1/s at 150 ms would be unstable (above pi/2) if the observation were transformed with the current joints.
     assert!(overshoot(20.0, IDEAL, 0.15) < 0.005);
 }
 
@@ -97,13 +97,13 @@ fn a_target_of_constant_speed_is_trailed_by_the_inverse_gain_plus_the_age_of_the
                 count += 1;
             }
         }
-        // A frame is 66 to 99 ms old while it is used: 83 ms in the mean.
+        // A frame is 66 to 99 ms old while it is used: 83 ms on average.
         let lag_s = sum / f64::from(count);
         assert!((lag_s - (0.25 + 0.083)).abs() < 0.006, "K_V {velocity}: lag {lag_s} s");
     }
 }
 
-/// The target at its place for the hand's start, shifted.
+/// Target pose for the start pose of the hand, shifted by `by`.
 fn target_moved(cell: &Cell, by: Vector3<f64>) -> Pose<Base, Model> {
     let hand = cell.chain.forward(&common::START_RAD.into()) * cell.config.flange_from_hand;
     let model = hand * cell.config.model_from_hand_desired.inverse();
@@ -124,7 +124,7 @@ fn smoothing_quiets_the_hand_before_a_target_that_is_seen_with_jitter() {
         let (mut random, mut sum) = (SplitMix64::new(1), 0.0);
         let mut noise = move || random.between(-0.05, 0.05);
         for step in 0..8500 {
-            // Uniform, 1.7 degrees rms, about the target's own x and y: what the published method is unsure of.
+            // Uniform, 1.7 degrees rms, about x and y of the target, where the published method is least accurate.
             let turned = target.rotation() * rotation(noise(), noise(), 0.0);
             cell.step(&Pose::from_parts(target.translation_m(), turned));
             if step >= 500 {
@@ -134,12 +134,12 @@ fn smoothing_quiets_the_hand_before_a_target_that_is_seen_with_jitter() {
         (sum / 8000.0f64).sqrt()
     };
     let (raw, smooth) = (wander(0.0), wander(0.5));
-    // White jitter of sigma at an interval h through a low-pass of T has sigma sqrt(h / 2 T); through a second one of tau it
-    // becomes smaller by sqrt(T / (T + tau)). Here sigma is 0.1/sqrt(12) rad about two axes at a lever of 0.5 m; T = 1/3 s.
+    // White jitter of sigma at an interval h after a low-pass of T has sigma sqrt(h / 2 T); a second low-pass of tau reduces it
+    // by sqrt(T / (T + tau)). Here sigma is 0.1/sqrt(12) rad about two axes at a lever of 0.5 m; T = 1/3 s.
     let expected = 0.1 / 6f64.sqrt() * 0.5 * (1.0f64 / 30.0 / (2.0 / 3.0)).sqrt();
-    assert!((raw / expected - 1.0).abs() < 0.15, "{raw} instead of {expected}");
+    assert!((raw / expected - 1.0).abs() < 0.15, "{raw}, expected {expected}");
     let quieter = (0.333f64 / 0.833).sqrt();
-    assert!((smooth / raw / quieter - 1.0).abs() < 0.15, "{smooth} against {raw}");
+    assert!((smooth / raw / quieter - 1.0).abs() < 0.15, "{smooth} smoothed, {raw} raw");
 }
 
 #[test]
@@ -168,7 +168,7 @@ fn the_start_is_soft_and_the_approach_slower_than_tracking() {
         }
     }
     assert!(reached && fastest > 0.0195, "{fastest}");
-    // Once it has arrived, the tracking speed counts.
+    // After the arrival the speed limit of tracking applies.
     let target = cell.target_for_hand_moved(Vector3::new(0.0, -0.05, 0.05), rotation(0.0, 0.0, 0.0));
     let before = cell.base_from_hand().translation_m();
     (0..100).for_each(|_| assert_eq!(cell.step(&target).mode, Mode::Tracking));
@@ -178,7 +178,7 @@ fn the_start_is_soft_and_the_approach_slower_than_tracking() {
 #[test]
 fn at_the_end_of_a_joint_the_hand_rests_with_the_reason() {
     let mut cell = Cell::new(config(), IDEAL, 0.0);
-    // Far down and outwards: the shoulder would have to go beyond its range.
+    // Far down and outwards: the shoulder would have to exceed its range.
     let target = cell.target_for_hand_moved(Vector3::new(0.1, 0.0, -0.45), rotation(0.0, 0.0, 0.0));
     let mut last = cell.step(&target);
     for _ in 0..5000 {
@@ -216,7 +216,7 @@ proptest! {
     }
 }
 
-/// The laws that look at the image, without smoothing.
+/// The image-based laws, without smoothing.
 fn image_laws() -> [LawConfig; 2] {
     let target_filter: TargetFilterConfig = published(Gains::default()).target_filter;
     [
@@ -239,7 +239,7 @@ fn the_laws_that_look_at_the_image_lead_the_hand_to_its_place() {
     }
 }
 
-/// A model that lies behind the camera is no way to lead a hand by.
+/// With the model behind the camera an image-based law has no velocity.
 #[test]
 fn a_target_behind_the_camera_is_said_and_the_hand_rests() {
     for law in image_laws() {

@@ -1,5 +1,5 @@
-//! The experiment of Fig. 7 in pure maths: each axis out and back by 100 mm and 20 degrees, seen with the noise of the direct
-//! method on a colourful card at 500 mm, by an arm with delay and lag.
+//! The experiment of Fig. 7 without images: each axis out and back by 100 mm and 20 degrees, observed with the noise of the
+//! direct method on a colourful card at 500 mm, with an arm that has delay and lag.
 #![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
 
 use crate::common::{Cell, Plant, feed_forward, feed_forward_config};
@@ -12,7 +12,7 @@ const ARM: ArmResponse = ArmResponse { delay_s: 0.01, lag_s: 0.03 };
 const LEAD_IN_S: f64 = 3.0;
 const MOVE_S: f64 = 2.0;
 const HOLD_S: f64 = 3.0;
-/// Standard deviations of what is seen, model axes: metres and radians. Tilt is what a stereo pair knows least.
+/// Standard deviations of the observations, model axes: metres and radians. A stereo pair measures tilt least accurately.
 const SIGMA: [f64; 6] = [1.5e-5, 1.5e-5, 4e-5, 1e-3, 1e-3, 4e-4];
 
 /// 0 to 1 with zero speed and acceleration at both ends (minimum jerk).
@@ -21,7 +21,7 @@ fn smooth(share: f64) -> f64 {
     x * x * x * (10.0 + x * (6.0 * x - 15.0))
 }
 
-/// The target `t_s` after the beginning: x, y, z, then turns about its own axes, each out and back.
+/// The target `t_s` after the start: x, y, z, then rotations about its own axes, each out and back.
 fn target_at(home: &Pose<Base, Model>, t_s: f64) -> Pose<Base, Model> {
     let mut way = [0.0; 6];
     for (channel, way) in way.iter_mut().enumerate() {
@@ -49,14 +49,14 @@ impl Noise {
     }
 }
 
-/// Root mean squares of the hand's error: mm and degrees.
+/// RMS errors of the hand: mm and degrees.
 #[derive(Debug, Default)]
 struct Figures {
     moving_mm: f64,
     moving_deg: f64,
     hold_mm: f64,
     hold_deg: f64,
-    /// By how much the hand is late, s: error along the velocity of the desired hand over that velocity.
+    /// Lag of the hand, s: error along the velocity of the desired hand, divided by this velocity.
     late_s: f64,
 }
 
@@ -98,7 +98,7 @@ fn run(law: FeedForwardConfig, latency_s: f64) -> Figures {
             let xi = Vector6::from_fn(|i, _| SIGMA[i] * noise.normal());
             seen.cam_left_from_model = seen.cam_left_from_model.perturbed_in_from(&xi);
             let sigma = Vector6::from(SIGMA);
-            // The estimators are a little optimistic.
+            // The estimators report slightly too small covariances.
             seen.covariance = Some(Matrix6::from_diagonal(&sigma.component_mul(&sigma)) / 2.5);
             in_flight.push_back(seen);
         }
@@ -118,7 +118,7 @@ fn run(law: FeedForwardConfig, latency_s: f64) -> Figures {
     }
 }
 
-/// 26 ms and 60 ms from exposure to arrival are 66 and 100 ms to the motion.
+/// 26 ms and 60 ms from exposure to arrival correspond to 66 and 100 ms from exposure to motion.
 #[test]
 fn the_hand_keeps_its_place_to_a_millimetre_while_the_target_moves() {
     let law = FeedForwardConfig { target: TargetStateConfig::default(), ..feed_forward(ARM) };
@@ -132,7 +132,8 @@ fn the_hand_keeps_its_place_to_a_millimetre_while_the_target_moves() {
     assert!(figures.late_s.abs() < 0.01, "{figures:?}");
 }
 
-/// The table of gains in docs/servo.md: `cargo test -p pb3dp-servo --test integration experiment -- --nocapture`. A larger gain follows better.
+/// Table of gains in docs/servo.md: `cargo test -p pb3dp-servo --test integration experiment -- --nocapture`.
+/// A larger gain follows better.
 #[test]
 fn a_larger_gain_makes_good_sooner_what_the_prediction_missed() {
     let gains_per_s = [7.0, 9.2, 15.0, 20.0, 30.0];

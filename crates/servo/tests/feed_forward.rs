@@ -1,5 +1,5 @@
-//! The law with feed-forward in a loop of pure maths: no lag behind a moving target, no overshoot, and a hand that neither starts
-//! nor stops with a step.
+//! The law with feed-forward in a closed loop without images: no lag behind a moving target, no overshoot, and no velocity step
+//! at start and stop.
 #![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
 
 use std::f64::consts::TAU;
@@ -18,15 +18,15 @@ use pb3dp_servo::{
 /// 20 ms of dead time and 30 ms of lag, in steps of 2 ms.
 const PLANT: Plant = Plant { delay_steps: 10, lag_s: 0.03 };
 const ARM: ArmResponse = ArmResponse { delay_s: 0.02, lag_s: 0.03 };
-/// From exposure to arrival.
+/// Time from exposure to arrival.
 const LATENCY_S: f64 = 0.05;
 
-/// The place of the target for the hand where it starts.
+/// Target pose for the start pose of the hand.
 fn home(cell: &Cell) -> Pose<Base, Model> {
     cell.target_for_hand_moved(Vector3::zeros(), rotation(0.0, 0.0, 0.0))
 }
 
-/// A target that swings by 60 mm and 0.15 rad with a period of 4 s, after a second of rest, softly begun.
+/// A target that swings by 60 mm and 0.15 rad with a period of 4 s, with a soft start after 1 s at rest.
 fn swinging(home: &Pose<Base, Model>, elapsed_s: f64) -> Pose<Base, Model> {
     let t = (elapsed_s - 1.0).max(0.0);
     let size = (1.0 - (-t).exp()) * (TAU * t / 4.0).sin();
@@ -34,14 +34,14 @@ fn swinging(home: &Pose<Base, Model>, elapsed_s: f64) -> Pose<Base, Model> {
     Pose::from_parts(position, rotation(0.1 * size, -0.08 * size, 0.07 * size) * home.rotation())
 }
 
-/// Distance (m) and angle (rad) of the hand from where it should be now.
+/// Position error (m) and orientation error (rad) of the hand.
 fn off(cell: &Cell, target: &Pose<Base, Model>) -> (f64, f64) {
     let desired = *target * cell.config.model_from_hand_desired;
     let hand = cell.base_from_hand();
     ((desired.translation_m() - hand.translation_m()).norm(), desired.rotation().angle_to(&hand.rotation()))
 }
 
-/// Largest errors between two times of a run before the swinging target.
+/// Largest errors between two times of a run with the swinging target.
 fn errors_before_the_swing(config: ControllerConfig, from_s: f64, to_s: f64) -> (f64, f64) {
     let mut cell = Cell::new(config, PLANT, LATENCY_S);
     let home = home(&cell);
@@ -57,7 +57,7 @@ fn errors_before_the_swing(config: ControllerConfig, from_s: f64, to_s: f64) -> 
     worst
 }
 
-/// The published law with the gain that is right for this arm and this camera trails by 0.27 s, that is by 23 mm at 85 mm/s.
+/// The published law, with the gain for this arm and camera, lags by 0.27 s, which is 23 mm at 85 mm/s.
 #[test]
 fn a_moving_target_is_followed_without_lag() {
     let (position, angle) = errors_before_the_swing(feed_forward_config(feed_forward(ARM)), 5.0, 13.0);
@@ -67,11 +67,11 @@ fn a_moving_target_is_followed_without_lag() {
     assert!(published > 0.015, "{published} m");
 }
 
-/// Without knowledge of the arm the hand is late by delay and lag, and without inverting the lag by the lag.
+/// Without a model of the arm the hand lags by delay and lag, and without the inversion of the lag by the lag.
 #[test]
 fn what_is_told_of_the_arm_is_what_removes_the_lag() {
     let error = |arm: ArmResponse| {
-        // A small gain leaves the errors of the feed-forward to be seen.
+        // A small gain makes the errors of the feed-forward visible.
         let gains = FeedForwardGains { position_per_s: 4.0, orientation_per_s: 4.0, ..FeedForwardGains::of(&ARM) };
         let law = FeedForwardConfig { arm, gains, ..feed_forward(ARM) };
         errors_before_the_swing(feed_forward_config(law), 5.0, 13.0).0
@@ -82,12 +82,12 @@ fn what_is_told_of_the_arm_is_what_removes_the_lag() {
     assert!(no_delay > 1.2 * right && nothing > 1.7 * right, "{right} {no_delay} {nothing}");
 }
 
-/// Largest share of the initial error by which the hand goes too far.
+/// Largest overshoot of the hand, as a share of the initial error.
 fn overshoot(arm: ArmResponse, gain_per_s: f64) -> f64 {
     let mut law = feed_forward(arm);
     law.gains.position_per_s = gain_per_s;
     law.gains.orientation_per_s = gain_per_s;
-    // Seen without doubt and told nothing of motion: what goes too far is the loop, not the prediction.
+    // Accurate observations, and almost no initial velocity in the filter: the loop overshoots, not the prediction.
     law.target.linear.start_velocity_sigma_per_s = 1e-4;
     law.target.angular.start_velocity_sigma_per_s = 1e-4;
     let mut cell = Cell::new(feed_forward_config(law), PLANT, LATENCY_S);
@@ -105,7 +105,7 @@ fn overshoot(arm: ArmResponse, gain_per_s: f64) -> f64 {
 
 #[test]
 fn delay_and_lag_are_compensated_and_the_default_gain_bears_half_of_them_unknown() {
-    // Five times the gain that is free of overshoot without compensation (7.4), and beyond pi / (2 T) = 31.
+    // Five times the largest gain without overshoot and without compensation (7.4), and above pi / (2 T) = 31.
     let known = overshoot(ARM, 40.0);
     assert!(known < 0.01, "{known}");
     let nothing = ArmResponse { delay_s: 0.0, lag_s: 0.0 };
@@ -114,7 +114,7 @@ fn delay_and_lag_are_compensated_and_the_default_gain_bears_half_of_them_unknown
     let slow = Gains::without_overshoot(ARM.delay_s + ARM.lag_s).position_per_s;
     let unknown = overshoot(nothing, slow);
     assert!(unknown < 0.01, "{unknown}");
-    // Half or one and a half of what it is.
+    // A model with 0.5 and 1.5 times the true delay and lag.
     for factor in [0.5, 1.5] {
         let arm = ArmResponse { delay_s: factor * ARM.delay_s, lag_s: factor * ARM.lag_s };
         let wrong = overshoot(arm, ARM.gain_without_overshoot());
@@ -142,7 +142,7 @@ impl Changes {
     }
 }
 
-/// The target moves already when it is seen first: the hand comes up to its speed softly, arrives, and follows, without a step.
+/// The target already moves at the first observation: the hand accelerates softly, arrives, and follows, without a step.
 #[test]
 fn lock_start_and_arrival_make_no_step() {
     let mut config = feed_forward_config(feed_forward(ARM));
@@ -198,9 +198,9 @@ fn a_target_that_is_not_seen_any_more_is_followed_ever_slower_until_the_hand_res
     };
     assert!(matches!(last, HoldReason::ObservationStale { age_s } if (0.3..0.305).contains(&age_s)), "{last:?}");
     assert!((70..=76).contains(&fading), "slower from 0.15 to 0.3 s: {fading} steps of 2 ms");
-    assert!(changes.largest < 0.01, "no step, not even at the end: {} rad/s", changes.largest);
+    assert!(changes.largest < 0.01, "step of {} rad/s", changes.largest);
     assert!(cell.now().seconds_since(observed_at) > 0.3);
-    // Seen again while it had slowed down: it speeds up softly.
+    // Observed again during the deceleration: the hand accelerates softly.
     let mut cell = Cell::new(config, PLANT, LATENCY_S);
     let mut changes = Changes::default();
     while cell.time_s < 14.0 {
@@ -215,7 +215,7 @@ fn a_target_that_is_not_seen_any_more_is_followed_ever_slower_until_the_hand_res
     assert!(changes.largest < 0.05, "{} rad/s", changes.largest);
 }
 
-/// An estimator that does not measure the rotation about the normal holds it in the image: in `base` it turns with the hand.
+/// An estimator that does not measure the rotation about the normal holds it in the image: in `base` it follows the hand.
 #[test]
 fn a_rotation_that_is_not_observed_does_not_lead_the_hand() {
     let mut cell = Cell::new(feed_forward_config(feed_forward(ARM)), PLANT, LATENCY_S);
@@ -233,7 +233,7 @@ fn a_rotation_that_is_not_observed_does_not_lead_the_hand() {
         if cell.time_s - 5.0 + 1e-9 >= f64::from(exposures) / 30.0 {
             exposures += 1;
             let mut seen = cell.observe(&target);
-            // What is held: the rotation of the first image, and on top of it some noise.
+            // The rotation of the first image is kept, with some noise.
             let turned = about_normal(&cell, &target) + random.between(-0.01, 0.01);
             let about = rotation(0.0, 0.0, turned);
             seen.cam_left_from_model =
@@ -259,7 +259,7 @@ fn a_rotation_that_is_not_observed_does_not_lead_the_hand() {
             worst = worst.max((desired.translation_m() - cell.base_from_hand().translation_m()).norm());
         }
     }
-    // The target itself turns by 0.07 rad about the normal and more about axes near it, which is not seen.
+    // The target itself rotates by 0.07 rad about the normal, and more about nearby axes, which is not observed.
     assert!(farthest < 0.25, "turned away by {farthest} rad");
     assert!(worst < 0.05, "{worst} m");
 }

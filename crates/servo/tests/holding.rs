@@ -1,4 +1,4 @@
-//! When the hand rests, why, and what makes it move again.
+//! Holds of the controller: cause, reported reason, and resuming.
 #![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
 
 use crate::common::{Cell, IDEAL, config, rotation, with_filter};
@@ -8,7 +8,7 @@ use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::JointVector;
 use pb3dp_servo::{Command, ControlStep, ControllerConfig, HoldReason, Mode, NotInHistory, ObservationVerdict};
 
-/// A hand that has followed for half a second, and the target it follows.
+/// A cell whose hand has followed for half a second, and its target.
 fn following(config: ControllerConfig) -> (Cell, Pose<Base, Model>) {
     let mut cell = Cell::new(config, IDEAL, 0.04);
     let target = cell.target_for_hand_moved(Vector3::new(0.05, -0.1, 0.08), rotation(0.1, 0.0, -0.2));
@@ -24,7 +24,7 @@ fn moves(step: &ControlStep) -> bool {
     matches!(step.command, Command::Velocity(velocity) if velocity.amax() > 1e-3)
 }
 
-/// Steps without new images for this long; returns the last step.
+/// Steps for this time without new images; returns the last step.
 fn blind_for(cell: &mut Cell, seconds: f64) -> ControlStep {
     let steps = (seconds / cell.step_s) as usize;
     (0..steps).map(|_| cell.step_controller()).last().unwrap()
@@ -36,16 +36,16 @@ fn without_new_images_the_hand_rests_then_the_target_is_lost() {
     let observed_at = cell.newest.unwrap().at;
     let age = |cell: &Cell| cell.now().seconds_since(observed_at);
     while age(&cell) <= 0.3 {
-        assert!(moves(&cell.step_controller()), "still moves at {} s", age(&cell));
+        assert!(moves(&cell.step_controller()), "no motion at {} s", age(&cell));
     }
     let step = cell.step_controller();
     assert!(matches!(step.mode, Mode::Holding(HoldReason::ObservationStale { age_s }) if age_s > 0.3), "{step:?}");
     assert_eq!((step.command, step.observation), (Command::Hold, ObservationVerdict::NoneNew));
-    assert!(step.position_error_m.is_some(), "errors stay known while it holds");
+    assert!(step.position_error_m.is_some(), "the errors are reported during a hold");
     assert!(step.mode.to_string().starts_with("holding: the last accepted observation is 0.30"), "{}", step.mode);
     let step = blind_for(&mut cell, 0.75);
     assert_eq!((step.mode, step.command, step.base_from_model), (Mode::Lost, Command::Hold, None));
-    // Whether the arm may go on is for the supervisor to say; what was seen before the operator's word does not count behind it.
+    // The supervisor decides whether motion resumes; observations from before the operator's command do not count after it.
     cell.newest = Some(cell.observe(&target));
     assert_eq!(cell.step_controller().observation, ObservationVerdict::Accepted);
     cell.controller.acquire();
@@ -111,7 +111,7 @@ fn observations_that_can_not_be_used_are_refused_one_by_one() {
 fn an_observation_is_placed_with_the_joints_at_its_exposure() {
     let mut cell = Cell::new(config(), IDEAL, 0.0);
     let target = cell.target_for_hand_moved(Vector3::new(0.0, 0.05, 0.0), rotation(0.0, 0.0, 0.0));
-    // The joints run freely; one image, taken in their midst and between two samples, arrives 50 ms later.
+    // The joints move freely; one image, exposed during the motion between two joint samples, arrives 50 ms later.
     let mut seen = None;
     for i in 0..60 {
         if i == 30 {
@@ -172,8 +172,8 @@ fn a_clock_that_steps_back_loses_the_target() {
         let step = cell.controller.step(&cell.joints, cell.newest.as_ref(), cell.now());
         assert_eq!((step.mode, step.command), (Mode::Holding(HoldReason::ClockStepped), Command::Hold));
         cell.joints.at = cell.now();
-        assert_eq!(cell.step_controller().mode, Mode::Lost, "what was seen before does not count");
-        // It is locked on to anew, from what comes after the step.
+        assert_eq!(cell.step_controller().mode, Mode::Lost, "earlier observations do not count");
+        // The target is initialised again from observations after the clock step.
         assert!((0..50).any(|_| moves(&cell.step(&target))));
     }
 }
@@ -193,7 +193,7 @@ fn the_hand_does_not_move_before_enough_observations_agree() {
         }
         assert_eq!((step.mode, step.command), (Mode::Locking, Command::Hold));
     }
-    // A target that was never locked is forgotten, not lost.
+    // A target that was never initialised is dropped, not lost.
     let mut cell = Cell::new(config, IDEAL, 0.0);
     cell.step(&target);
     assert_eq!(blind_for(&mut cell, 1.2).mode, Mode::Idle);

@@ -1,4 +1,4 @@
-//! Delays that were put in are found again, as often inside the interval as it says.
+//! Known delays are identified, and the confidence interval contains them as often as stated.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -14,7 +14,7 @@ use pb3dp_servo::identification::{
 
 const CYCLE_S: f64 = 0.01;
 const FRAME_S: f64 = 1.0 / 30.0;
-/// Steps in which the arm is computed, an independent way to the closed form: Euler.
+/// Euler steps per cycle in the model of the arm, independent of the closed form.
 const FINE: usize = 100;
 
 fn flange_from_hand() -> Pose<Flange, Hand> {
@@ -32,7 +32,7 @@ fn base_from_hand(chain: &Chain, position_rad: &JointVector) -> Pose<Base, Hand>
 struct Rig {
     delay_s: f64,
     lag_s: f64,
-    /// Images are exposed later than their stamps say by this.
+    /// Exposure minus timestamp of the images.
     offset_s: f64,
     position_sigma_m: f64,
     seed: u64,
@@ -53,7 +53,7 @@ fn shifted(at: MonotonicTime, by_s: f64) -> MonotonicTime {
 }
 
 impl Rig {
-    /// The hand swings as [`Excitation`] says, before a target at rest.
+    /// The hand executes the [`Excitation`] in front of a stationary target.
     fn record(&self, motion: &Excitation) -> Recorded {
         let chain = chain();
         let damping = Damping::new(0.04, 0.04).unwrap();
@@ -71,7 +71,7 @@ impl Rig {
         let steps = ((motion.duration_s() + 0.5) / CYCLE_S) as usize;
         for step in 0..steps {
             let t_s = step as f64 * CYCLE_S;
-            // Angles as a resolver shows them.
+            // Angles with the quantisation of a resolver.
             let quantised = position.map(|angle| (angle / 7.67e-6).round() * 7.67e-6);
             recorded.joints.push(JointState { at: at(t_s), position_rad: quantised, velocity_rad_per_s: velocity });
             let twist: Twist<Base> = motion.twist_at(t_s).expressed_in(&begin);
@@ -119,7 +119,7 @@ fn what_was_put_in_is_found() {
         let shifted: Vec<_> =
             recorded.seen.iter().map(|(at, pose)| (shifted(*at, offset_s.max(0.0) - offset_s), *pose)).collect();
         let found = offset(&Recorded { seen: shifted, ..recorded }).unwrap();
-        assert!((found.value - offset_s).abs() < 1.5e-3, "{found:?}, {offset_s} is right");
+        assert!((found.value - offset_s).abs() < 1.5e-3, "{found:?}, expected {offset_s}");
         assert!(found.half_width_95 < 3e-3, "{found:?}");
     }
     let recorded = rig(7).record(&motion);
@@ -134,11 +134,11 @@ fn what_was_put_in_is_found() {
 fn the_interval_holds_the_truth_as_often_as_it_says() {
     let motion = Excitation::new(0.01, 15.0).unwrap();
     let inside = (1..=40).filter(|seed| offset(&rig(*seed * 977).record(&motion)).unwrap().contains(0.012)).count();
-    // 38 of 40 are expected; fewer than 34 come once in a hundred times.
+    // 38 of 40 are expected; fewer than 34 occur in 1 % of the tests.
     assert!(inside >= 34, "{inside} of 40");
 }
 
-/// A mounting that is wrong by a degree, and a scale by a hundredth, must not look like a delay.
+/// A mounting error of 1 degree and a scale error of 1 % must not appear as a delay.
 #[test]
 fn a_wrong_mounting_is_no_delay() {
     let motion = Excitation::new(0.01, 15.0).unwrap();

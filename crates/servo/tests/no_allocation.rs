@@ -1,4 +1,4 @@
-//! A control cycle does not touch the heap.
+//! A control cycle never allocates.
 #![allow(clippy::unwrap_used)] // In helpers of tests.
 
 use crate::common::{Cell, IDEAL, config, feed_forward, feed_forward_config, rotation};
@@ -27,5 +27,5 @@ fn steps_without_allocation(config: ControllerConfig) {
     assert_eq!(calls, 0);
     let probe = requests();
     drop(std::hint::black_box(Box::new([0u8; 64])));
-    assert!(requests() > probe, "the counter counts");
+    assert!(requests() > probe, "the allocation counter works");
 }

@@ -62,7 +62,7 @@ fn each_number_has_its_range() {
     ];
     for (key, change, bad) in cases {
         for &value in bad {
-            let message = refused(change, value).unwrap_or_else(|| panic!("{key} = {value} was taken"));
+            let message = refused(change, value).unwrap_or_else(|| panic!("{key} = {value} was accepted"));
             assert!(message.contains(&format!("setting {key} is {value}: allowed is ")), "{message}");
         }
     }
@@ -119,7 +119,7 @@ fn each_number_of_the_law_with_feed_forward_has_its_range() {
         ("feed_forward.redundancy.gain_rad_per_s", |c, v| c.redundancy.gain_rad_per_s = v, &[-0.1, 11.0]),
         ("feed_forward.redundancy.speed_max_rad_per_s", |c, v| c.redundancy.speed_max_rad_per_s = v, &[-0.1, 1.1]),
         ("target_state.gate_nis", |c, v| c.target.gate_nis = v, &[5.0, 2e4]),
-        // The hand moves for 0.3 s on what it saw last.
+        // The hand moves for up to 0.3 s without a new observation.
         ("target_state.horizon_s", |c, v| c.target.horizon_s = v, &[0.299]),
     ];
     let refusal = |change: LawChange, value: f64| {
@@ -133,7 +133,7 @@ fn each_number_of_the_law_with_feed_forward_has_its_range() {
             if value.is_nan() && key.ends_with("to_lock") {
                 continue;
             }
-            let message = refusal(change, value).unwrap_or_else(|| panic!("{key} = {value} was taken"));
+            let message = refusal(change, value).unwrap_or_else(|| panic!("{key} = {value} was accepted"));
             assert!(message.contains(&format!("setting {key} is {value}: allowed is ")), "{message}");
         }
     }

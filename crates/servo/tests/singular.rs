@@ -1,5 +1,5 @@
-//! Through and along singular poses (S-R-S arms: q2 = q6 = 0, and a stretched elbow): the hand neither halts there nor shakes, and
-//! an arm that was pulled straight comes back.
+//! Through and along singular poses (S-R-S arms: q2 = q6 = 0, and a stretched elbow): the hand neither stops nor shakes there,
+//! and a stretched arm returns.
 #![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
 
 use crate::common::{Cell, Plant, feed_forward, feed_forward_config};
@@ -34,7 +34,7 @@ fn smooth(share: f64) -> f64 {
     x * x * x * (10.0 + x * (6.0 * x - 15.0))
 }
 
-/// Shoulder and wrist pass zero at the same moment, exactly or nearly, with the elbow bent; each way takes 4 s.
+/// Shoulder and wrist pass zero simultaneously, exactly or nearly, with the elbow bent; each path takes 4 s.
 #[test]
 fn a_motion_that_crosses_a_singular_pose_neither_halts_nor_shakes() {
     for (aside, sideways_m) in [(0.0, 0.0), (0.01, 0.0), (0.05, 0.0), (0.0, 0.03)] {
@@ -55,7 +55,7 @@ fn a_motion_that_crosses_a_singular_pose_neither_halts_nor_shakes() {
                 let step = cell.step(&target);
                 let case = format!("{aside} {sideways_m} {redundancy:?} at {} s: {step:?}", cell.time_s - 5.0);
                 if cell.time_s > 5.5 {
-                    let Command::Velocity(velocity) = step.command else { panic!("halted, {case}") };
+                    let Command::Velocity(velocity) = step.command else { panic!("stopped, {case}") };
                     let change = velocity - last;
                     assert!(change.amax() < 0.3, "jumps by {}, {case}", change.amax());
                     turns += (0..7).filter(|&i| velocity[i] * last[i] < 0.0 && change[i].abs() > 0.01).count();
@@ -71,16 +71,16 @@ fn a_motion_that_crosses_a_singular_pose_neither_halts_nor_shakes() {
                 worst = worst.max(end.0);
             }
             let case = format!("{aside} {sideways_m} {redundancy:?}");
-            assert!(least < 0.03, "{case}: it was at a singular pose: {least}");
+            assert!(least < 0.03, "{case}: no singular pose was passed: {least}");
             assert!(turns < 30, "{case}: {turns} changes of direction");
-            // What the lost direction takes is made good behind it.
+            // The error in the singular direction is corrected after the singular pose.
             let most = if sideways_m > 0.0 { 0.12 } else { 0.04 };
-            assert!(worst < most && end.0 < 1e-3 && end.1 < 3e-3, "{case}: at most {worst} m off, in the end {end:?}");
+            assert!(worst < most && end.0 < 1e-3 && end.1 < 3e-3, "{case}: at most {worst} m, final error {end:?}");
         }
     }
 }
 
-/// A target that goes 150 mm beyond the reach of the arm and comes back after a while.
+/// A target that moves 150 mm beyond the reach of the arm and returns.
 #[test]
 fn an_arm_that_was_pulled_straight_stops_with_the_reason_and_comes_back_at_once() {
     for bent in [0.8, -0.8] {
@@ -96,13 +96,13 @@ fn an_arm_that_was_pulled_straight_stops_with_the_reason_and_comes_back_at_once(
             let target = Pose::from_parts(home.translation_m() + outwards * by, home.rotation());
             let step = cell.step(&target);
             straightest = straightest.min(cell.joints.position_rad[3].abs());
-            assert!(cell.joints.position_rad[3] * bent > 0.0, "the elbow keeps its side");
+            assert!(cell.joints.position_rad[3] * bent > 0.0, "the elbow changed its side");
             assert!(cell.joints.velocity_rad_per_s.amax() < 2.0, "{step:?}");
             elbow_limited |= step.limited_by == Some(Limitation::ElbowStretched)
                 || step.mode == Mode::Holding(HoldReason::ElbowStretched);
             if (4.5..6.9).contains(&t) {
                 let speed = cell.joints.velocity_rad_per_s.amax();
-                assert!(speed < 0.05, "rests while the target is out of reach: {speed} at {t}");
+                assert!(speed < 0.05, "the arm moves while the target is out of reach: {speed} at {t}");
                 assert!(step.position_error_m.is_some_and(|error| error > 0.02), "{step:?}");
                 stopped_at.get_or_insert(t);
             }
@@ -113,13 +113,13 @@ fn an_arm_that_was_pulled_straight_stops_with_the_reason_and_comes_back_at_once(
             }
         }
         assert!(elbow_limited && stopped_at.is_some());
-        assert!(straightest > 0.08, "the elbow is kept bent by 5 degrees: {straightest}");
-        let (at_s, by_m) = back_at.expect("it came back");
-        assert!(by_m > 0.02 && at_s < 10.8, "behind the target again before that is home: {at_s} s, {by_m} m");
+        assert!(straightest > 0.08, "the elbow is closer to straight than 5 degrees: {straightest}");
+        let (at_s, by_m) = back_at.expect("the hand did not return");
+        assert!(by_m > 0.02 && at_s < 10.8, "the hand reaches the target too late: {at_s} s, {by_m} m");
     }
 }
 
-/// The seventh joint is used without a trace in the hand: the elbow goes where it is better, the hand stays within 0.1 mm.
+/// Null motion with the seventh joint: the elbow moves to a better pose, and the hand stays within 0.1 mm.
 #[test]
 fn the_elbow_moves_and_the_hand_stays() {
     let mut cell = cell([0.9, 0.75, -0.9, 1.6, 0.5, -0.9, 2.0], RedundancyConfig::default());

@@ -1,4 +1,4 @@
-//! A step of the supervisor does not touch the heap, whatever happens in it.
+//! A step of the supervisor never allocates.
 
 use crate::supervisor::bench::{Bench, config};
 use pb3dp_allocation_count::requests;
@@ -29,6 +29,6 @@ fn steps_do_not_allocate() {
     assert_eq!(requests() - before, 0);
     let probe = requests();
     drop(std::hint::black_box(Box::new([0u8; 64])));
-    assert!(requests() > probe, "the counter counts");
+    assert!(requests() > probe, "the allocation counter works");
     assert!(std::mem::size_of::<Supervisor>() < 32_768, "small enough for any stack");
 }

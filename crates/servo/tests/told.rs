@@ -1,4 +1,4 @@
-//! Commands that somebody behind the controller did not let pass.
+//! Commands of the controller that did not reach the arm.
 #![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
 
 use crate::common::{Cell, IDEAL, config, rotation};
@@ -10,7 +10,7 @@ fn speed(step: &ControlStep) -> f64 {
     velocity.amax()
 }
 
-/// The controller does not count the time in which it wanted to move as time in which the hand got up to speed.
+/// The time in which no command reached the arm does not count for the soft start.
 #[test]
 fn a_hand_that_was_kept_at_rest_starts_softly() {
     let mut config = config();
@@ -24,7 +24,7 @@ fn a_hand_that_was_kept_at_rest_starts_softly() {
         cell.joints = pb3dp_kinematics::JointState { at: cell.now(), ..resting };
     }
     let first = cell.step(&target);
-    assert!(speed(&first) < 1e-9, "{} rad/s at once", speed(&first));
+    assert!(speed(&first) < 1e-9, "{} rad/s in the first step", speed(&first));
     for _ in 0..250 {
         cell.step(&target);
     }

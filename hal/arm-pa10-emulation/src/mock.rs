@@ -164,7 +164,7 @@ impl Shared {
 
     fn check_link(&self, control: &Control) -> Result<(), ArmError> {
         if control.unplugged {
-            return Err(self.error(ArmErrorKind::Disconnected, "the link is gone; check the cable and connect anew"));
+            return Err(self.error(ArmErrorKind::Disconnected, "the link is gone; check the cable and connect again"));
         }
         Ok(())
     }
@@ -174,7 +174,7 @@ impl Shared {
         let Some(last) = control.moving_since else { return };
         let silent = now.saturating_since(last);
         if silent > self.config.command_timeout {
-            let reason = format!("no command for {silent:?}, {:?} are allowed", self.config.command_timeout);
+            let reason = format!("no command for {silent:?}, the limit is {:?}", self.config.command_timeout);
             self.latch(control, ArmState::Fault, &reason);
         }
     }
@@ -312,7 +312,7 @@ impl ArmPower for MockArm {
             );
         }
         if control.fault_persists {
-            let text = format!("the fault is still there ({}); remove its cause, then reset", control.reason);
+            let text = format!("the fault is still present ({}); remove its cause, then reset", control.reason);
             return Err(shared.error(ArmErrorKind::Fault, text));
         }
         if matches!(control.state, ArmState::Fault | ArmState::EStop) {

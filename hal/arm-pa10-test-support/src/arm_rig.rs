@@ -1,4 +1,4 @@
-//! A real arm over a pseudo-terminal with a gateway that answers and does not move.
+//! A real arm over a pseudo-terminal, with a gateway that answers and does not move.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -71,7 +71,7 @@ pub fn velocity() -> JointCommand {
 }
 
 impl Rig {
-    /// The same command for some cycles. On a loaded machine answers may be late.
+    /// Repeats a command for some cycles. On a loaded machine answers may be late.
     pub fn exchange(&mut self, command: JointCommand, cycles: u32) {
         for _ in 0..cycles {
             std::thread::sleep(CYCLE);
@@ -82,7 +82,7 @@ impl Rig {
         }
     }
 
-    /// On a loaded machine the link may need more than one try to show that it is quick enough.
+    /// On a loaded machine the link may pass the warm-up only after several tries.
     pub fn enable(&mut self) {
         for _ in 0..20 {
             match self.arm.enable() {
@@ -104,7 +104,7 @@ impl Rig {
         self.arm.monitor()
     }
 
-    /// Until the arm is stopped; how long it took.
+    /// Waits until the arm is stopped; returns how long it took.
     pub fn wait_until_stopped(&mut self) -> Duration {
         let begin = Instant::now();
         while !self.monitor().snapshot().state.is_latched() {

@@ -1,4 +1,4 @@
-//! A driver on the bus of an emulated controller, in virtual time that goes from event to event.
+//! A driver on the bus of an emulated controller, in event-driven virtual time.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -14,13 +14,13 @@ use pb3dp_sim::joint_dynamics::{AxisMode, JointPlant};
 
 pub use crate::plant_config::plant_config;
 
-/// Of the bus.
+/// Cycle of the bus.
 pub const BUS_CYCLE: Duration = Duration::from_millis(2);
 
-/// How often the host gives a velocity.
+/// Period of the host's velocity commands.
 pub const HOST_CYCLE: Duration = Duration::from_millis(10);
 
-/// Slower than this in every joint is at rest, rad/s.
+/// Below this speed a joint is stationary, rad/s.
 pub const AT_REST_RAD_PER_S: f64 = 1e-3;
 
 pub const START: MonotonicTime = MonotonicTime::from_nanos(3_000_000_000);
@@ -39,12 +39,12 @@ pub struct BusBench {
     pub controller: MockController,
     pub plant: Arc<Mutex<JointPlant>>,
     pub now: MonotonicTime,
-    /// What the host asks for in each of its cycles.
+    /// Velocity that the host commands in each of its cycles.
     pub wanted: Option<JointVector>,
     pub next_host_cycle: MonotonicTime,
-    /// The controller answers C in its control mode only.
+    /// The controller answers C only in its control mode.
     pub only_in_control: bool,
-    /// Letters of what was sent.
+    /// Letters of the sent messages.
     pub letters: String,
 }
 
@@ -53,7 +53,7 @@ pub fn letter(frame: &[u8]) -> char {
     char::from(arcnet::decode(Route::TO_CONTROLLER, frame).unwrap()[1])
 }
 
-/// No joint is left to itself: each one is held by its servo, or by a brake that has closed.
+/// Every joint is held by its servo, or by a closed brake.
 pub fn assert_held(controller: &MockController, place: &str) {
     let modes = controller.axis_modes();
     assert!(!modes.contains(&AxisMode::Free), "{place}: nobody holds {modes:?}");
@@ -74,7 +74,7 @@ impl BusBench {
         Self { driver, link, controller, plant, now: START, wanted, next_host_cycle, only_in_control, letters }
     }
 
-    /// Moving with this velocity, by the way that leads there.
+    /// Moving at this velocity, after the normal sequence.
     pub fn moving(mut self, velocity_rad_per_s: JointVector) -> Self {
         for request in [Request::Connect, Request::Enable, Request::ReleaseBrakes] {
             self.request(request);
@@ -107,7 +107,7 @@ impl BusBench {
         self.run_until(end, |_| false);
     }
 
-    /// Runs until a time or something; whether it happened.
+    /// Runs for a time or until a condition; returns whether the condition occurred.
     pub fn run_until(&mut self, end: MonotonicTime, mut happened: impl FnMut(&Self) -> bool) -> bool {
         loop {
             self.work();
@@ -124,7 +124,7 @@ impl BusBench {
         false
     }
 
-    /// Everything that is due now.
+    /// Processes everything that is due now.
     fn work(&mut self) {
         if self.wanted.is_some() && self.now >= self.next_host_cycle {
             self.next_host_cycle = self.next_host_cycle + HOST_CYCLE;

@@ -1,4 +1,4 @@
-//! A controller that is spoken to in bytes.
+//! A controller with a byte interface.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -8,7 +8,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::JointPlant;
 
-/// A controller that is spoken to in bytes.
+/// A controller with a byte interface.
 pub struct Bus {
     pub controller: MockController,
     pub now: MonotonicTime,
@@ -20,7 +20,7 @@ impl Bus {
         Self { controller: MockController::new(config, Arc::new(Mutex::new(plant)), 7, now).unwrap(), now }
     }
 
-    /// Sends a packet in a frame, and gives the packet that comes back within 1 ms.
+    /// Sends a packet in a frame, and returns the packet that is received within 1 ms.
     pub fn exchange(&mut self, packet: &[u8]) -> Option<Vec<u8>> {
         let mut frame = vec![0xFF, 0xFE, u8::try_from(256 - packet.len()).unwrap(), 0x00];
         frame.extend(packet);
@@ -38,7 +38,7 @@ impl Bus {
         self.controller.advance(self.now);
     }
 
-    /// The same for every axis, and what comes after the axes.
+    /// Sends the same data for every axis, and `tail` after the axes.
     pub fn cyclic(&mut self, sequence: u8, axis: &[u8], tail: &[u8]) -> Vec<u8> {
         let mut packet = vec![sequence, b'C'];
         packet.extend(axis.repeat(7));

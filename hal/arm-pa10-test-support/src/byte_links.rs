@@ -1,4 +1,4 @@
-//! What tests of byte links share.
+//! Helpers for tests of byte links.
 
 use std::time::Duration;
 
@@ -6,7 +6,7 @@ use pb3dp_hal_platform::transport::{ByteLink, wait};
 
 pub const LONG: Duration = Duration::from_secs(5);
 
-/// Reads so many bytes, in the pieces in which they come.
+/// Reads this number of bytes, in the pieces in which they arrive.
 pub fn read_exactly(link: &mut dyn ByteLink, count: usize) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut buffer = [0; 64];

@@ -1,4 +1,4 @@
-//! The far end of a real line: the gateway of the project before an emulated servo controller, in a thread of their own.
+//! The far end of a real line: the project's gateway and an emulated servo controller, in their own thread.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -17,23 +17,23 @@ use pb3dp_sim::joint_dynamics::JointPlant;
 
 pub use crate::plant_config::plant_config;
 
-/// A thread that was held up for longer than this loses the rest of the time: gateway and arm stand still with it, as neither is what
-/// the machine that runs the tests is measured by.
+/// A thread that was delayed for longer than this skips the rest of the time: gateway and arm stand still with the thread,
+/// because the tests do not measure the machine that runs them.
 const CATCH_UP_MAX: Duration = Duration::from_millis(15);
 
 /// Gateway and controller.
 pub struct Cell {
     pub gateway: Gateway,
     pub controller: MockController,
-    /// Bytes for the host get lost while this is set.
+    /// Bytes for the host are lost while this is set.
     pub answers_lost: u32,
     /// The line is neither read nor written.
     pub stalled: bool,
-    /// The time of both.
+    /// The time of gateway and controller.
     pub now: MonotonicTime,
 }
 
-/// They and their thread.
+/// Gateway and controller with their thread.
 pub struct CellEnd {
     cell: Arc<Mutex<Cell>>,
     closed: Arc<AtomicBool>,
@@ -44,13 +44,13 @@ impl Cell {
     pub fn new(arm: ArmId, format: WireFormat, home: JointVector) -> Self {
         let now = MonotonicTime::from_nanos(1_000_000_000);
         let plant = Arc::new(Mutex::new(JointPlant::new(plant_config(), home, now).unwrap()));
-        // The emulated brakes and the watchdog are those of the sources, and the gateway knows of the slower brake.
+        // Emulated brakes and watchdog have the published values, and the gateway is configured for the slower brake.
         let controller = MockController::new(MockControllerConfig::new(format), plant, 7, now).unwrap();
         let config = GatewayConfig::new(arm, format, Firmware::new("test cell 1").unwrap());
         Self { gateway: Gateway::new(config, now).unwrap(), controller, answers_lost: 0, stalled: false, now }
     }
 
-    /// Everything that is due until then, each thing at its time.
+    /// Processes everything that is due until then, in order of time.
     fn advance(&mut self, until: MonotonicTime) {
         loop {
             let next = self
@@ -102,7 +102,7 @@ impl CellEnd {
         let closed = Arc::new(AtomicBool::new(false));
         let (of_thread, closed_of_thread) = (Arc::clone(&cell), Arc::clone(&closed));
         let thread = std::thread::spawn(move || {
-            // Where the machine gives it: this stands for a device of its own.
+            // Real-time where permitted: this thread stands for a separate device.
             enter(&Realtime { priority: Some(40), locks_memory: false, cpu: None });
             pump(bytes, &of_thread, &closed_of_thread)
         });
@@ -113,7 +113,7 @@ impl CellEnd {
         self.cell.lock().unwrap()
     }
 
-    /// As a line of a script.
+    /// Injects a line of a fault script.
     pub fn inject(&self, line: &str) {
         let mut cell = self.cell();
         let now = cell.now;
@@ -128,7 +128,7 @@ impl CellEnd {
         self.status().state
     }
 
-    /// Unplugs the line. When it was done.
+    /// Unplugs the line; returns the time.
     pub fn unplug(&mut self) -> Instant {
         self.closed.store(true, Ordering::SeqCst);
         self.thread.take().unwrap().join().unwrap()
@@ -172,7 +172,7 @@ fn pump(bytes: Box<dyn ByteLink>, cell: &Mutex<Cell>, closed: &AtomicBool) -> In
                 let written = bytes.try_write(&output).unwrap_or(0);
                 output.drain(..written);
             } else if cell.gateway.is_at_rest() {
-                // The gateway has done what it does on a line that is gone.
+                // The gateway has completed its reaction to a lost line.
                 return unplugged;
             }
         }

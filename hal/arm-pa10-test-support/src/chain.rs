@@ -19,17 +19,17 @@ use crate::bus_bench::{AT_REST_RAD_PER_S, HOST_CYCLE, START, letter};
 
 pub const ARM: ArmId = ArmId(2);
 
-/// Of the line, one way: frames of 100 bytes at 921600 baud.
+/// Delay of the line in one direction: frames of 100 bytes at 921600 baud.
 const LINE_DELAY: Duration = Duration::from_micros(1200);
 
-/// Whose bytes.
+/// Direction of bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Way {
     ToGateway,
     ToHost,
 }
 
-/// What becomes of the bytes of one frame, and after how long.
+/// Turns the bytes of one frame into the delivered bytes, each with its delay.
 pub type Spoil = Box<dyn FnMut(Way, Vec<u8>) -> Vec<(Duration, Vec<u8>)>>;
 
 pub struct Chain {
@@ -41,15 +41,15 @@ pub struct Chain {
     pub now: MonotonicTime,
     pub wanted: Option<JointVector>,
     pub next_host_cycle: MonotonicTime,
-    /// The host's process stands still.
+    /// The host process is frozen.
     pub frozen: bool,
     pub spoil: Option<Spoil>,
-    /// The controller answers C in its control mode only.
+    /// The controller answers C only in its control mode.
     pub only_in_control: bool,
-    /// Letters of what the gateway sent.
+    /// Letters of the messages that the gateway sent.
     pub letters: String,
     line: Vec<(MonotonicTime, Way, Vec<u8>)>,
-    /// Bytes of the host that the gateway has not taken yet.
+    /// Bytes of the host that the gateway has not read yet.
     pub unread: VecDeque<u8>,
 }
 
@@ -75,7 +75,7 @@ impl Chain {
             line: Vec::new(),
             unread: VecDeque::new(),
         };
-        // The stop order with which a gateway begins.
+        // The stop order at the start of a gateway.
         chain.run(Duration::from_millis(250));
         chain.open();
         chain.request(Request::Connect);
@@ -126,7 +126,7 @@ impl Chain {
         self.controller.advance(end);
     }
 
-    /// Everything that is due now.
+    /// Processes everything that is due now.
     fn work(&mut self) {
         let now = self.now;
         for (_, way, bytes) in self.line.extract_if(.., |(at, ..)| *at <= now).collect::<Vec<_>>() {

@@ -1,4 +1,4 @@
-//! What must hold for any bytes: shared by the fuzz targets in `tests/fuzz` and a run over random bytes in the tests.
+//! Properties that hold for any bytes: shared by the fuzz targets in `tests/fuzz` and the test with random bytes.
 
 #![allow(clippy::unwrap_used, reason = "what fails here is found by it")]
 
@@ -44,7 +44,7 @@ pub fn codecs_survive(bytes: &[u8]) {
     }
 }
 
-/// A stream in which the bytes say what comes: garbage, sound frames and damaged ones.
+/// A stream as the bytes describe it: garbage, valid frames and damaged ones.
 pub fn gateway_stream_survives(bytes: &[u8]) {
     let mut stream = Vec::new();
     let mut sent = Vec::new();
@@ -81,7 +81,7 @@ pub fn gateway_stream_survives(bytes: &[u8]) {
     });
     let in_frames: usize = frames.clone().map(|frame| OVERHEAD + frame.payload.len()).sum();
     assert_eq!(in_frames + parser.counters().skipped_bytes as usize, stream.len());
-    // Sound frames come out in their order, unless the garbage holds a sound frame of its own that swallows some.
+    // Valid frames are found in their order, unless the garbage contains a valid frame that swallows some.
     let foreign = frames.clone().any(|frame| !sent.contains(frame));
     let mut expected = sent.iter();
     let mut next = expected.next();

@@ -14,21 +14,21 @@ use pb3dp_kinematics::JointVector;
 
 pub const CYCLE: Duration = Duration::from_millis(10);
 
-/// Time goes on in steps of this.
+/// Step of the virtual time.
 const TICK: Duration = Duration::from_micros(500);
 
-/// A speed within all limits of the wire, different on each axis.
+/// A velocity within all limits of the wire format, different on each axis.
 pub fn velocity() -> JointVector {
     JointVector::from([0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 0.7])
 }
 
-/// The arm at the other end: it answers each message after a while, or not.
+/// The arm at the other end: it answers each message after a delay, or not.
 #[derive(Clone, Debug)]
 pub struct Peer {
     pub answers: bool,
     pub knows_clear_alarm: bool,
     pub delay: Duration,
-    /// The next so many messages get no answer.
+    /// This many of the next messages get no answer.
     pub drop_next: u32,
     pub servo: [ServoWord; 7],
     pub comm: CommWord,
@@ -49,7 +49,7 @@ pub struct Bench {
     pending: Option<(MonotonicTime, Reply)>,
 }
 
-/// What kind of message: for comparing sequences.
+/// Kind of message, for comparing sequences.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     Start,
@@ -154,7 +154,7 @@ impl Bench {
         }
     }
 
-    /// In this state, by the way that leads there.
+    /// In this state, after the normal sequence.
     pub fn in_state(state: DriverState) -> Self {
         let mut bench = Self::new();
         bench.lead_to(state);
@@ -185,7 +185,7 @@ impl Bench {
         assert_eq!((self.driver.state(), self.driver.activity()), (state, Activity::None));
     }
 
-    /// An alarm comes, stops the arm and goes.
+    /// An alarm is raised, stops the arm and disappears.
     fn alarm(&mut self, word: u16) {
         self.peer.servo[3] = ServoWord(word);
         self.run(CYCLE * 2);
@@ -197,7 +197,7 @@ impl Bench {
         self.driver.handle_request(self.now, request).unwrap();
     }
 
-    /// Runs until no activity is left.
+    /// Runs until no activity is in progress.
     pub fn settle(&mut self) {
         for _ in 0..40_000 {
             if self.driver.activity() == Activity::None {
@@ -215,7 +215,7 @@ impl Bench {
         }
     }
 
-    /// Runs with a velocity asked for in every cycle.
+    /// Runs with a velocity command in every cycle.
     pub fn run_moving(&mut self, time: Duration) {
         let end = self.now + time;
         let moves = |driver: &Driver| (driver.state(), driver.activity()) == (DriverState::Moving, Activity::None);
@@ -236,13 +236,13 @@ impl Bench {
         }
         if let Some(Transmit { message, .. }) = self.driver.poll_transmit(self.now) {
             self.sent.push((self.now, message));
-            // Like a link that checks sequence numbers: an answer to an earlier message is none.
+            // Like a link that checks sequence numbers: an answer to an earlier message does not count.
             self.pending = self.peer.reply(&message).map(|reply| (self.now + self.peer.delay, reply));
         }
         self.now = self.now + TICK;
     }
 
-    /// What was sent from an index on, runs of the same kind as one.
+    /// Sent messages from an index on, with runs of the same kind combined.
     pub fn kinds_since(&self, from: usize) -> Vec<(Kind, usize)> {
         let mut runs: Vec<(Kind, usize)> = Vec::new();
         for (_, message) in &self.sent[from..] {
@@ -260,7 +260,7 @@ impl Bench {
     }
 }
 
-/// Format B, at rest, without an alarm.
+/// Format B, stationary, without an alarm.
 pub fn arm_reply() -> ArmReply {
     let axis = AxisReply {
         status: AxisStatus::Servo(ServoWord(0)),

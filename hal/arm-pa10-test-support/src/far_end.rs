@@ -1,4 +1,4 @@
-//! A gateway at the far end of a real line, in a thread of its own, with a line that can be made bad.
+//! A gateway at the far end of a real line, in its own thread, with injectable line faults.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
@@ -10,14 +10,14 @@ use pb3dp_hal_platform::transport::{ByteLink, wait};
 
 use crate::gateway::FakeGateway;
 
-/// What can be done to the far end while it works.
+/// Injectable faults of the line.
 #[derive(Default)]
 pub struct Line {
-    /// The next so many pieces of answers get lost.
+    /// This many of the next pieces of answers are lost.
     pub drop_answers: AtomicU32,
     /// Sent before the next answer.
     pub noise: Mutex<Vec<u8>>,
-    /// Nobody reads, and nobody answers.
+    /// The far end neither reads nor answers.
     pub stalled: AtomicBool,
     pub closed: AtomicBool,
 }
@@ -34,21 +34,21 @@ impl FarEnd {
         Self::serve_after(bytes, gateway, || {})
     }
 
-    /// The same, after something that the thread does first.
+    /// As [`Self::serve`], after an action of the new thread.
     pub fn serve_after(bytes: Box<dyn ByteLink>, gateway: FakeGateway, begin: fn()) -> Self {
         let gateway = Arc::new(Mutex::new(gateway));
         let line = Arc::new(Line::default());
         let (of_thread, line_of_thread) = (Arc::clone(&gateway), Arc::clone(&line));
         let thread = std::thread::spawn(move || {
             begin();
-            // Where the machine gives it: this stands for a device of its own.
+            // Real-time where permitted: this thread stands for a separate device.
             enter(&Realtime { priority: Some(40), locks_memory: false, cpu: None });
             pump(bytes, &of_thread, &line_of_thread)
         });
         Self { gateway, line, thread: Some(thread) }
     }
 
-    /// Unplugs the line. When it was done.
+    /// Unplugs the line; returns the time.
     pub fn unplug(&mut self) -> Instant {
         self.line.closed.store(true, Ordering::SeqCst);
         self.thread.take().unwrap().join().unwrap()
@@ -70,7 +70,7 @@ fn pump(mut bytes: Box<dyn ByteLink>, gateway: &Mutex<FakeGateway>, line: &Line)
             continue;
         }
         wait(Some(bytes.as_ref()), false, None, Duration::from_millis(2));
-        // The other side may be gone, and come back.
+        // The other side may disconnect and return.
         let Ok(count) = bytes.try_read(&mut buffer) else { break };
         let mut answer = std::mem::take(&mut *line.noise.lock().unwrap());
         {

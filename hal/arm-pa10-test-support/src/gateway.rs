@@ -1,4 +1,4 @@
-//! A gateway as docs/arm-protocol.md describes it, without a watchdog: it answers, and keeps to its table.
+//! A gateway as docs/arm-protocol.md describes it, without a watchdog: it answers according to its state table.
 
 use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord, ControlMessage, EepromAxis,
@@ -17,19 +17,19 @@ pub struct FakeGateway {
     pub format: WireFormat,
     pub state: GatewayState,
     pub cause: StopCause,
-    /// After which age it slows down and stops, µs, as it says.
+    /// Reported command ages at which it slows down and stops, µs.
     pub watchdog_us: [u32; 2],
     pub brake_us: u32,
-    /// What keeps a reset from succeeding.
+    /// Whether the cause of the stop is present, which prevents a reset.
     pub cause_present: bool,
-    /// What it then says that it has found.
+    /// The cause that it reports in this case.
     pub found: Option<StopCause>,
-    /// Whether it knows ABORT.
+    /// Whether it supports ABORT.
     pub knows_abort: bool,
-    /// E is refused so often, as the brakes have not had their time.
+    /// E is refused this many times, because the brakes have not closed yet.
     pub refuse_end: u32,
     pub servo: [ServoWord; 7],
-    /// The last speeds that were accepted, rad/s.
+    /// The last accepted speeds, rad/s.
     pub speeds: JointVector,
     pub heard: Vec<HostMessage>,
     pub rejected: Vec<RejectReason>,
@@ -252,7 +252,7 @@ impl FakeGateway {
     }
 }
 
-/// What the memory of an arm may say of an axis.
+/// Plausible EEPROM data of an axis.
 pub fn plausible_eeprom(axis: Axis) -> EepromAxis {
     EepromAxis {
         axis,

@@ -1,7 +1,7 @@
-//! What must hold for a gateway whatever host, controller and time do: shared by a fuzz target in `tests/fuzz` and a run over random
-//! bytes in the tests.
+//! Properties of a gateway for any behaviour of host, controller and time: shared by a fuzz target in `tests/fuzz` and the test
+//! with random bytes.
 //!
-//! Bytes are a play: each says what happens next. The checks stand in `World::take_frame` and `World::fall_silent`.
+//! The bytes are a scenario: each byte selects the next event. The checks are in `World::take_frame` and `World::fall_silent`.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "what fails here is found by it")]
 
@@ -24,43 +24,43 @@ use crate::gateway::plausible_eeprom;
 
 const ARM: ArmId = ArmId(1);
 
-/// Quicker than real ones, so that a play is short.
+/// Quicker than real brakes, so that a scenario is short.
 const BRAKE_TIME: Duration = Duration::from_millis(20);
 
-/// The slowest way to rest: a silent host in `started`, the stop order, and letters that nobody answers.
+/// The longest time until the arm is stopped: a silent host in `started`, the stop order, and letters without an answer.
 const REST_MAX: Duration = Duration::from_millis(1500);
 
-/// How often it is looked whether the arm is at rest.
+/// Interval of the checks whether the arm is stopped.
 const REST_PIECE: Duration = Duration::from_millis(20);
 
-/// Things that happen in a play.
+/// Maximum events in a scenario.
 const STEPS_MAX: usize = 200;
 
-/// Answers that a gateway may have for its host at one time.
+/// Maximum answers that a gateway may have pending for its host.
 const ANSWERS_MAX: usize = 64;
 
 struct World {
     gateway: Gateway,
     config: GatewayConfig,
     now: MonotonicTime,
-    /// What the controller does.
+    /// Behaviour of the controller.
     answers: bool,
     servo: u16,
     comm: u16,
     asked: Option<ControlPacket>,
-    /// What the host says next.
+    /// Sequence number of the host's next message.
     sequence: u16,
-    /// Hears what the host says, as the gateway does.
+    /// Parses the host's bytes, as the gateway does.
     host_ear: FrameParser,
     own_ear: FrameParser,
     heard_host: MonotonicTime,
-    /// The largest speed that was ever asked for, on each axis.
+    /// The highest speed requested so far, on each axis.
     speed_max: [u16; Axis::COUNT],
-    /// Since when each brake is commanded on.
+    /// Time since when each brake is commanded closed.
     closed_since: [Option<MonotonicTime>; Axis::COUNT],
 }
 
-/// A play of random bytes.
+/// Runs a scenario of random bytes.
 pub fn gateway_core_survives(bytes: &[u8]) {
     let [choice, rest @ ..] = bytes else { return };
     let mut world = World::new(*choice);
@@ -72,7 +72,7 @@ pub fn gateway_core_survives(bytes: &[u8]) {
     world.fall_silent();
 }
 
-/// The next so many bytes, and what is left.
+/// Splits off this many bytes; returns them and the rest.
 fn split(bytes: &[u8], most: usize) -> (&[u8], &[u8]) {
     bytes.split_at(bytes.len().min(most))
 }
@@ -104,7 +104,7 @@ impl World {
         }
     }
 
-    /// What the first byte says, with what it needs of the others; the rest comes back.
+    /// Executes the event of the first byte, which takes its parameters from the other bytes; returns the rest.
     fn act<'a>(&mut self, what: u8, bytes: &'a [u8]) -> &'a [u8] {
         let (first, rest) = match bytes {
             [first, rest @ ..] => (*first, rest),
@@ -156,7 +156,7 @@ impl World {
                 _ => self.now = self.now + Duration::from_millis(u64::from(first)),
             },
             _ => {
-                // Commands in the host's pace.
+                // Commands at the host's rate.
                 for _ in 0..first % 16 {
                     self.command(what.wrapping_mul(first), rest);
                     self.run(Duration::from_millis(10));
@@ -272,8 +272,8 @@ impl World {
         ArmReply { axes, comm }
     }
 
-    /// Nothing but sound messages, no letter but S, C, E, A and R, no speed beyond what was asked for, none that outlives its
-    /// command, and no servo off behind a brake that does not hold yet.
+    /// Checks a message: it is valid, its letter is S, C, E, A or R, no speed exceeds the requested one or outlives its command,
+    /// and no servo is off before its brake holds.
     fn take_frame(&mut self, frame: &[u8]) {
         let packet = arcnet::decode(Route::TO_CONTROLLER, frame).unwrap();
         assert!(b"SCEAR".contains(&packet[1]), "letter {}", packet[1]);
@@ -301,7 +301,7 @@ impl World {
         }
     }
 
-    /// Takes what the gateway says, which is sound, and not without end.
+    /// Reads the output of the gateway, which is valid and bounded.
     fn listen(&mut self) {
         let mut count = 0;
         while let Some(bytes) = self.gateway.poll_host_output(self.now) {
@@ -322,8 +322,8 @@ impl World {
         }
     }
 
-    /// Nobody says anything any more: the arm comes to rest behind closed brakes, and stays there. A controller that does not answer
-    /// gets the order again until it does.
+    /// Nobody sends anything any more: the arm stops with closed brakes and stays stopped. A controller that does not answer gets
+    /// the stop order again until it answers.
     fn fall_silent(&mut self) {
         self.run_to_rest();
         if !self.answers && !self.gateway.is_at_rest() {
@@ -358,7 +358,7 @@ fn control(choice: u8) -> Control {
     }
 }
 
-/// The speeds of a command of the host, whether or not the gateway will take it.
+/// Records the speeds of a host command, whether or not the gateway accepts it.
 fn note_speeds(speed_max: &mut [u16; Axis::COUNT], format: WireFormat, frame: &Frame) {
     let counts = match HostMessage::decode(frame) {
         Ok(HostMessage::Command(command)) => {

@@ -21,7 +21,7 @@ use crate::gateway::plausible_eeprom;
 pub const ARM: ArmId = ArmId(2);
 pub const CYCLE: Duration = Duration::from_millis(2);
 pub const HOST_CYCLE: Duration = Duration::from_millis(10);
-/// Time goes on in steps of this.
+/// Step of the virtual time.
 pub const TICK: Duration = Duration::from_micros(500);
 
 pub const fn ms(ms: u64) -> Duration {
@@ -41,17 +41,17 @@ pub fn config(format: WireFormat) -> GatewayConfig {
 pub struct Controller {
     pub format: WireFormat,
     pub answers: bool,
-    /// Letters that it does not know.
+    /// Letters that it does not support.
     pub deaf_to: Vec<Letter>,
-    /// So many messages get no answer.
+    /// This many messages get no answer.
     pub drop_next: u32,
     pub delay: Duration,
-    /// Added to the numbers of replies.
+    /// Added to the sequence numbers of replies.
     pub sequence_error: u8,
     pub servo: [ServoWord; 7],
     pub comm: CommWord,
     pub angle: AngleCounts,
-    /// Replies of the other format.
+    /// Replies in the other format.
     pub lies_about_format: bool,
 }
 
@@ -61,7 +61,7 @@ pub struct Sent {
     pub at: MonotonicTime,
     pub sequence: u8,
     pub message: ControlMessage,
-    /// What the gateway was doing after it.
+    /// State of the gateway after the message.
     pub state: GatewayState,
 }
 
@@ -71,7 +71,7 @@ pub struct Bench {
     pub controller: Controller,
     pub now: MonotonicTime,
     pub sent: Vec<Sent>,
-    /// What the gateway said, in order.
+    /// Messages from the gateway, in order.
     pub heard: Vec<(Frame, GatewayMessage)>,
     pub sequence: u16,
     /// The host's clock minus the gateway's, µs.
@@ -138,7 +138,7 @@ impl Controller {
 }
 
 impl Bench {
-    /// Nobody has said anything, and the stop order of the start is done.
+    /// No host has sent anything, and the stop order at the start is complete.
     pub fn silent(config: GatewayConfig) -> Self {
         let now = MonotonicTime::from_nanos(3_000_000_000);
         let mut bench = Self {
@@ -158,7 +158,7 @@ impl Bench {
         bench
     }
 
-    /// The host has said HELLO.
+    /// The host has sent HELLO.
     pub fn greeted(config: GatewayConfig, dialect: Dialect) -> Self {
         let mut bench = Self::silent(config);
         assert!(matches!(bench.ask(hello(dialect)), GatewayMessage::HelloReply(_)));
@@ -170,7 +170,7 @@ impl Bench {
         Self::greeted(config(WireFormat::BigEndian6x10), Dialect::GatewayV1)
     }
 
-    /// In this state, by the way that leads there.
+    /// In this state, after the normal sequence.
     pub fn lead_to(&mut self, state: GatewayState) {
         use GatewayState::{EmergencyStop, Fault, Holding, Idle, Moving, Stopping};
         if state != Idle {
@@ -220,7 +220,7 @@ impl Bench {
         self.gateway.status().cause
     }
 
-    /// The same command again and again, for a while.
+    /// Repeats a command for a while.
     pub fn command_for(&mut self, mode: DriveMode, velocity: JointVector, time: Duration) {
         let end = self.now + time;
         while self.now < end {
@@ -233,7 +233,7 @@ impl Bench {
         }
     }
 
-    /// A command in the dialect in force.
+    /// A command in the current dialect.
     pub fn command(&self, mode: DriveMode, velocity: JointVector) -> HostMessage {
         if self.gateway.status().host == Some(Dialect::Transparent) {
             let supervision = Supervision::default();
@@ -276,7 +276,7 @@ impl Bench {
         self.now = now + TICK;
     }
 
-    /// Bytes of the host, and what is said at once.
+    /// Sends bytes as the host, and reads the immediate answers.
     pub fn bytes(&mut self, bytes: &[u8]) {
         self.gateway.handle_host_bytes(self.now, bytes);
         self.listen();
@@ -287,14 +287,14 @@ impl Bench {
         message.frame(ARM, self.sequence, self.now.as_nanos() / 1000 + self.host_clock_us)
     }
 
-    /// Says something, and does not wait for the answer.
+    /// Sends a message, and does not wait for the answer.
     pub fn tell(&mut self, message: HostMessage) -> u16 {
         let frame = self.frame_of(&message);
         self.bytes(&frame.encode());
         frame.sequence
     }
 
-    /// Says something, and waits for its answer: at most 60 ms.
+    /// Sends a message, and waits for its answer: at most 60 ms.
     pub fn ask(&mut self, message: HostMessage) -> GatewayMessage {
         let frame = self.frame_of(&message);
         self.ask_frame(&frame)

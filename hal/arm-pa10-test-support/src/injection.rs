@@ -1,4 +1,4 @@
-//! Random motions, alarms, and how long joints may take to come to rest.
+//! Random motions, alarms, and the permitted times until joints are stationary.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -13,7 +13,7 @@ use pb3dp_sim::noise::{hash, unit};
 
 use crate::bus_bench::{AT_REST_RAD_PER_S, BUS_CYCLE, START, home, plant_config};
 
-/// Random numbers of a test: its name and seed say them again.
+/// Random numbers of a test, reproducible by its name and seed.
 pub struct Dice {
     pub seed: u32,
     pub count: u32,
@@ -33,7 +33,7 @@ impl Dice {
         of[self.below(of.len())]
     }
 
-    /// A velocity of a tenth to all of what the joints can, that leads back where a joint is far out.
+    /// A random velocity at 0.1 to 1.0 of the joints' limits, directed back where a joint is far out.
     pub fn velocity(&mut self, position_rad: &JointVector) -> JointVector {
         let limits = plant_config().limits;
         let scale = 0.1 + 0.9 * self.unit();
@@ -44,12 +44,12 @@ impl Dice {
     }
 }
 
-/// How the arm comes to rest.
+/// How the arm brakes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Braking {
-    /// All axes by their servos.
+    /// All axes with their servos.
     Servos,
-    /// At least one axis by its brake, after the time that it takes to close.
+    /// At least one axis with its brake, after the closing time.
     Brakes,
 }
 
@@ -72,7 +72,7 @@ pub fn joints() -> JointPlant {
     JointPlant::new(plant_config(), home() * 0.3, START).unwrap().with_mechanics(mechanics()).unwrap()
 }
 
-/// How long the joints need from these speeds.
+/// Time in which the joints brake from these speeds.
 pub fn braking_time(braking: Braking, velocity: &JointVector) -> Duration {
     let config = plant_config();
     let lag = config.velocity_time_constant.as_secs_f64();
@@ -80,7 +80,7 @@ pub fn braking_time(braking: Braking, velocity: &JointVector) -> Duration {
     let mut longest = 0.0f64;
     for joint in 0..7 {
         let (speed, deceleration) = (velocity[joint].abs(), config.acceleration_max_rad_per_s2[joint]);
-        // Down on the ramp of the driver or as hard as the drive can, then the rest of the lag.
+        // The ramp of the driver or the maximum deceleration of the drive, then the rest of the lag.
         let behind = speed.min(deceleration * lag);
         let settle = lag * (behind / AT_REST_RAD_PER_S).max(1.0).ln();
         longest = longest.max((speed / deceleration).max(ramp) + settle);
@@ -93,7 +93,7 @@ pub fn braking_time(braking: Braking, velocity: &JointVector) -> Duration {
     Duration::from_secs_f64(longest)
 }
 
-/// When the joints were last seen moving since a time, in steps of 0.25 ms.
+/// Time of the last motion of the joints since `since`, in steps of 0.25 ms.
 pub fn last_motion(plant: &Arc<Mutex<JointPlant>>, since: MonotonicTime) -> MonotonicTime {
     let plant = plant.lock().unwrap();
     let (mut at, mut last) = (since, since);
@@ -106,13 +106,13 @@ pub fn last_motion(plant: &Arc<Mutex<JointPlant>>, since: MonotonicTime) -> Mono
     last
 }
 
-/// What one injection took from the fault to the last motion, and what was allowed.
+/// Time from the fault to the last motion, and the permitted time.
 pub struct Stop {
     pub took: Duration,
     pub allowed: Duration,
 }
 
-/// A line of a table of times to rest: kind, count, median, 99th percentile, slowest and the least that was to spare, ms.
+/// A line of a table of braking times: kind, count, median, 99th percentile, slowest and smallest margin, ms.
 pub fn table_line(kind: &str, stops: &[Stop]) -> String {
     let mut times: Vec<f64> = stops.iter().map(|stop| 1e3 * stop.took.as_secs_f64()).collect();
     times.sort_by(f64::total_cmp);

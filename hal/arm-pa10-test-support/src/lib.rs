@@ -1,8 +1,8 @@
-//! Benches with which tests drive the PA-10 driver, its link and its gateway. For tests only.
+//! Test benches for the PA-10 driver, its link and its gateway. For tests only.
 //!
 //! * In virtual time: [`driver_bench`], [`link_rig`], [`bus_bench`], [`chain`], [`gateway_bench`], [`byte_bus`].
-//! * In real time: [`far_end`] and [`cell_end`] serve the other end of a line, [`arm_rig`] is an arm with such an end, [`world`] an
-//!   emulated controller with a host.
+//! * In real time: [`far_end`] and [`cell_end`] serve the other end of a line, [`arm_rig`] is an arm with such an end, [`world`]
+//! an emulated controller with a host.
 //! * Bodies of the fuzz targets: [`codec_abuse`], [`gateway_abuse`].
 
 #![allow(missing_docs, clippy::new_without_default, clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]

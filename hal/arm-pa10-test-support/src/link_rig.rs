@@ -1,4 +1,4 @@
-//! Driver, link and gateway in virtual time, with a line between them that can be made bad.
+//! Driver, link and gateway in virtual time, with injectable faults of the line between them.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use pb3dp_kinematics::JointVector;
 pub use crate::gateway::FakeGateway;
 
 pub const CYCLE: Duration = Duration::from_millis(10);
-/// Time goes on in steps of this.
+/// Step of the virtual time.
 pub const TICK: Duration = Duration::from_micros(500);
 
 pub const ARM: ArmId = ArmId(2);
@@ -30,24 +30,25 @@ pub fn link_config(dialect: Dialect, format: WireFormat) -> GatewayLinkConfig {
     GatewayLinkConfig { arm: ARM, dialect, format, geometry: Geometry::SecondGeneration, cycle: CYCLE }
 }
 
-/// All axes of the arms here have limits of 3 rad.
+/// The arms here have limits of 3 rad on all axes.
 pub fn driver_config() -> DriverConfig {
     let limit = JointVector::repeat(3.0);
     let limits = LimitsCheck::Compare { lower_rad: -limit, upper_rad: limit, tolerance_rad: 1e-4 };
     DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) }
 }
 
-/// What becomes of the bytes of one direction, and after how long. Both ways together take 2 ms where nothing is wrong.
+/// Turns the bytes of one direction into the delivered bytes, each with its delay. Both directions of a good line take 2 ms
+/// together.
 pub type Line = Box<dyn FnMut(Way, Vec<u8>) -> Vec<(Duration, Vec<u8>)>>;
 
-/// Whose bytes.
+/// Direction of bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Way {
     ToGateway,
     ToHost,
 }
 
-/// Nothing is wrong.
+/// A line without faults.
 pub fn good_line() -> Line {
     Box::new(|way, bytes| vec![(if way == Way::ToHost { ms(2) } else { Duration::ZERO }, bytes)])
 }
@@ -58,10 +59,10 @@ pub struct Rig {
     pub link: GatewayLink,
     pub gateway: FakeGateway,
     pub now: MonotonicTime,
-    /// Put before the next bytes from the gateway.
+    /// Inserted before the next bytes from the gateway.
     pub noise: Vec<u8>,
     pub line: Line,
-    /// By how much the gateway's clock is behind.
+    /// Lag of the gateway's clock.
     pub gateway_behind: Duration,
     under_way: Vec<(MonotonicTime, Vec<u8>)>,
 }
@@ -111,7 +112,7 @@ impl Rig {
         }
         self.gateway.clock_us = (now - self.gateway_behind).as_nanos() / 1000;
         while let Some(bytes) = self.link.poll_output(now) {
-            // What is late on the way there is late on the way back as well.
+            // A delayed request delays its answer as well.
             for (delay, bytes) in (self.line)(Way::ToGateway, bytes.as_slice().to_vec()) {
                 let mut answer = std::mem::take(&mut self.noise);
                 answer.extend(self.gateway.answer(&bytes));
@@ -143,7 +144,7 @@ impl Rig {
         self.lead_on_to_moving();
     }
 
-    /// From connected on.
+    /// From the state connected on.
     pub fn lead_on_to_moving(&mut self) {
         for request in [Request::Enable, Request::ReleaseBrakes] {
             self.request(request);

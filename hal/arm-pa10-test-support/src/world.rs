@@ -1,4 +1,4 @@
-//! In real time: an emulated controller on a thread, and a host of driver and link on a byte link.
+//! In real time: an emulated controller on a thread, and a host (driver and link) on a byte link.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -24,10 +24,10 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 pub const ARM: ArmId = ArmId(2);
 pub const FORMAT: WireFormat = WireFormat::BigEndian6x10;
 
-/// Without something for this long a test fails.
+/// A test fails after this time without progress.
 pub const LONG: Duration = Duration::from_secs(20);
 
-/// Of the host. All times are some times those of a rig, as the machine may be loaded.
+/// Cycle of the host. All times are several times those of a rig, because the machine may be loaded.
 pub const CYCLE: Duration = Duration::from_millis(20);
 
 pub const fn ms(ms: u64) -> Duration {
@@ -68,12 +68,12 @@ fn plant() -> JointPlant {
     JointPlant::new(config, home(), realtime::now()).unwrap()
 }
 
-/// For threads on which an arm depends, where it is permitted.
+/// Real-time priority where permitted, for threads on which an arm depends.
 pub fn hurry() {
     realtime::enter(&Realtime { priority: Some(15), locks_memory: false, cpu: None });
 }
 
-/// What is seen of an emulated controller.
+/// Observed state of an emulated controller.
 #[derive(Clone, Debug)]
 pub struct Seen {
     pub counters: MockCounters,
@@ -83,11 +83,11 @@ pub struct Seen {
     pub commanded_rad_per_s: JointVector,
 }
 
-/// An emulated controller on a thread of its own.
+/// An emulated controller on its own thread.
 pub struct Emulation {
     end: Arc<AtomicBool>,
     seen: Arc<Mutex<Option<Seen>>>,
-    /// What is to go wrong, in the words of docs/mock-arm.md.
+    /// Faults to inject, in the syntax of docs/mock-arm.md.
     lines: Arc<Mutex<Vec<String>>>,
     thread: Option<JoinHandle<MockController>>,
 }
@@ -99,13 +99,13 @@ impl Emulation {
         Self::carry_on(port, MockController::new(config, plant, 7, realtime::now()).unwrap())
     }
 
-    /// Takes the controller from its bus, and the arm with it as it is: to be connected again.
+    /// Disconnects the controller from its bus, with the arm in its current state, for a later reconnection.
     pub fn unplug(mut self) -> MockController {
         self.end.store(true, Ordering::SeqCst);
         self.thread.take().unwrap().join().unwrap()
     }
 
-    /// The same controller at another bus.
+    /// The same controller on another bus.
     pub fn carry_on(mut port: Box<dyn BusPort>, mut mock: MockController) -> Self {
         let end = Arc::new(AtomicBool::new(false));
         let seen = Arc::new(Mutex::new(None));
@@ -125,7 +125,7 @@ impl Emulation {
                     mock.command_line(now, &line).unwrap();
                 }
                 while let Some(frame) = mock.poll_frame(now) {
-                    // The gateway may have gone.
+                    // The gateway may have disconnected.
                     let _ = port.try_send(&frame);
                 }
                 let position_rad = plant.lock().unwrap().position_at(now).unwrap_or_else(home);
@@ -199,7 +199,7 @@ impl Host {
             dialect,
             format: FORMAT,
             geometry: Geometry::Unknown,
-            // The setting of a gateway is at most 10 ms.
+            // A gateway may be configured with at most 10 ms.
             cycle: ms(10),
         };
         hurry();
@@ -207,7 +207,7 @@ impl Host {
         Self { driver, link, line, is_gone: false, velocity: None }
     }
 
-    /// HELLO, until it is answered: a gateway may just be coming up, and first closes the brakes.
+    /// Sends HELLO until it is answered: a gateway that starts first closes the brakes.
     pub fn open(&mut self) {
         let since = Instant::now();
         while self.link.hello().is_none_or(|hello| hello.state == GatewayState::Stopping) {
@@ -221,7 +221,7 @@ impl Host {
         self.driver.handle_request(realtime::now(), request).unwrap();
     }
 
-    /// Asks for something and waits for the end of it.
+    /// Sends a request and waits until its activity has ended.
     pub fn do_it(&mut self, request: Request) {
         self.velocity = None;
         self.request(request);
@@ -249,7 +249,7 @@ impl Host {
         self.must_be(DriverState::Moving);
     }
 
-    /// Runs for a while, or until something; whether it happened.
+    /// Runs for a time or until a condition; returns whether the condition occurred.
     pub fn run_for(&mut self, time: Duration, is: impl Fn(&Self) -> bool) -> bool {
         let since = Instant::now();
         while since.elapsed() < time {

@@ -8,7 +8,7 @@ use pb3dp_arm_pa10_emulation::mock_controller::ControlMode;
 use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, WireFormat};
 use pb3dp_arm_pa10_test_support::bus_bench::BusBench;
 
-/// R17, R19: it is named, at once, and its brakes stay on.
+/// R17, R19: the message names the format at once, and the brakes stay closed.
 #[test]
 fn a_controller_of_the_other_format_is_named() {
     let [a, b] = WireFormat::ALL;
@@ -25,7 +25,7 @@ fn a_controller_of_the_other_format_is_named() {
         assert!(bench.driver.counters().mismatched > 0);
         assert!(bench.controller.is_braked());
         assert_eq!(bench.controller.mode(), ControlMode::Adjustment);
-        // And still, when somebody resets it.
+        // The same after a reset.
         bench.request(Request::Reset);
         bench.settle();
         let again = bench.driver.latched().unwrap().trip;

@@ -1,4 +1,4 @@
-//! Faults at random times, through the gateway: host, line, bus and arm fail, and the true joints come to rest in time.
+//! Faults at random times, through the gateway: host, line, bus and arm fail, and the true joints stop in time.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -12,12 +12,12 @@ use pb3dp_arm_pa10_test_support::injection::{
     Braking, Dice, Stop, braking_time, controller_alarm, joints, last_motion, servo_alarm, table_line,
 };
 
-/// Who finds the fault, and how long the rules give it until the arm begins to brake.
+/// Which part detects the fault, and the permitted time until the arm begins to brake.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Finder {
     /// The gateway on the bus: three cycles, or a status word.
     Gateway,
-    /// The gateway's host watchdog: at 50 ms the arm stands.
+    /// The host watchdog of the gateway: at 50 ms the arm is stationary.
     HostWatchdog,
     /// The host: three answers of 10 ms.
     Host,
@@ -34,17 +34,17 @@ impl Finder {
     }
 }
 
-/// How a fault begins and ends.
+/// Beginning and end of a fault.
 enum Fault {
     /// At the controller.
     Arm(fn(&mut Dice) -> String, &'static str),
-    /// The controller hears nothing for up to a second, and has no time-out: at rest in time after that.
+    /// The controller receives nothing for up to a second, and has no time-out: the arm stops in time after that.
     DeafForAWhile,
     /// On the line between host and gateway.
     Line(fn(u32) -> Spoil),
-    /// The link breaks, and both sides notice.
+    /// The link is lost, and both sides detect it.
     Unplugged,
-    /// The host's process stands still.
+    /// The host process is frozen.
     Frozen,
 }
 
@@ -135,7 +135,7 @@ fn one_way(way: Way, change: Change) -> Spoil {
     Box::new(move |of, bytes| if of == way { change(&mut dice, bytes) } else { vec![(Duration::ZERO, bytes)] })
 }
 
-/// A sound frame with another arm's number.
+/// A valid frame with the number of another arm.
 fn readdressed(bytes: &[u8]) -> Vec<u8> {
     let mut found = None;
     FrameParser::new(ARM).feed(bytes, |received| found = Some(received));
@@ -154,7 +154,7 @@ fn move_about(chain: &mut Chain, dice: &mut Dice, time: Duration) {
     }
 }
 
-/// One injection: how long it took to rest, and what was allowed.
+/// One injection: the time until the arm is stationary, and the permitted time.
 fn inject(chain: &mut Chain, kind: &Kind, dice: &mut Dice) -> [Duration; 2] {
     chain.prepare();
     let moving_for = Duration::from_micros(50_000 + dice.below(250_000) as u64);
@@ -219,7 +219,7 @@ fn whatever_fails_between_host_and_arm_the_arm_comes_to_rest_in_time() {
         let mut stops = Vec::new();
         for (variant, dialect) in [Dialect::Transparent, Dialect::GatewayV1].into_iter().enumerate() {
             let mut dice = Dice { seed: 5000 + 10 * index as u32 + variant as u32, count: 0 };
-            // Where messages do not arrive, nobody but the controller can stop the arm; else it need not help.
+            // If messages do not arrive, only the controller can stop the arm; otherwise its watchdog is not needed.
             let watchdog = (kind.name == "bus: deaf").then(|| Duration::from_millis(6));
             let mut chain = Chain::new(dialect, WireFormat::BigEndian6x10, watchdog, joints());
             for injection in 0..INJECTIONS_PER_KIND / 2 {
@@ -233,7 +233,7 @@ fn whatever_fails_between_host_and_arm_the_arm_comes_to_rest_in_time() {
     }
 }
 
-/// Without a controller that watches, and with one that a cycle of 2 ms keeps content.
+/// With a controller without a watchdog, and with one whose watchdog permits a cycle of 2 ms.
 #[test]
 fn a_gateway_moves_the_emulated_arm() {
     for (dialect, format, watchdog) in [

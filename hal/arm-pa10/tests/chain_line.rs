@@ -1,4 +1,4 @@
-//! A gateway that reads slowly, and clocks that jump: nothing moves on stale commands, and what stops says why.
+//! A gateway that reads slowly, and clocks that jump: nothing moves on stale commands, and a stop names its cause.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -11,10 +11,10 @@ use pb3dp_arm_pa10_test_support::chain::Chain;
 use pb3dp_arm_pa10_test_support::injection::{Braking, Dice, braking_time, joints, last_motion};
 use pb3dp_kinematics::JointVector;
 
-/// A host notices three answers of 10 ms, a gateway a command of 50 ms.
+/// Detection times: three answers of 10 ms by the host, a command of 50 ms by the gateway.
 const NOTICED: Duration = Duration::from_millis(50);
 
-/// How long the driver sends its stop order, at most, and the brakes close.
+/// Maximum duration of the driver's stop order and of the closing of the brakes.
 const STOPPED: Duration = Duration::from_millis(800);
 
 fn wanted() -> JointVector {
@@ -22,9 +22,9 @@ fn wanted() -> JointVector {
 }
 
 fn moving(dialect: Dialect) -> Chain {
-    // No watchdog of the controller helps.
+    // The controller has no watchdog.
     let mut chain = Chain::new(dialect, WireFormat::BigEndian6x10, None, joints());
-    // So that a jump back by hours does not fall below zero.
+    // The clocks start late, so that a jump back by hours does not fall below zero.
     chain.inject("line host-clock 200000s");
     chain.inject("line gateway-clock 200000s");
     chain.prepare();
@@ -35,10 +35,10 @@ fn moving(dialect: Dialect) -> Chain {
     chain
 }
 
-/// Bytes per second that host and gateway need of each other are some 5000.
+/// Host and gateway exchange about 5000 bytes per second.
 const RATES: [u32; 10] = [0, 1, 50, 500, 2000, 4000, 4500, 4700, 4800, 100_000];
 
-/// The host asks for another velocity and then for none: what the arm does then shows how old the commands are that it obeys.
+/// The host commands another velocity and then zero: the motion of the arm shows the age of the commands that it follows.
 #[test]
 fn a_gateway_that_reads_slowly_moves_nothing_on_stale_commands() {
     let mut stopped = 0;
@@ -49,7 +49,7 @@ fn a_gateway_that_reads_slowly_moves_nothing_on_stale_commands() {
             chain.inject(&format!("line slow-reader {rate}B/s"));
             let took = time_to_rest(&mut chain);
             if chain.driver.state() == DriverState::Moving {
-                // It keeps up: what it obeys is new.
+                // The gateway reads fast enough: it follows new commands.
                 assert!(rate > 4000, "{place}");
                 chain.wanted = Some(JointVector::zeros());
                 let at = chain.now;
@@ -60,12 +60,12 @@ fn a_gateway_that_reads_slowly_moves_nothing_on_stale_commands() {
                 continue;
             }
             stopped += 1;
-            // A rate that is a little too low takes its time until it shows.
+            // A rate that is slightly too low is detected later.
             let allowed = Duration::from_millis(if rate <= 500 { 120 } else { 700 });
             assert!(took <= allowed, "{place}: {took:?} to rest, {allowed:?} allowed");
             assert!(chain.driver.state().is_latched() && chain.driver.latched().is_some(), "{place}");
             assert!(chain.is_at_rest() && chain.controller.is_braked(), "{place}: {:?}", chain.gateway.status());
-            // It reads what waited, and does nothing on it.
+            // The gateway reads the waiting bytes, and does not act on them.
             let before = chain.plant.lock().unwrap().state().position_rad;
             chain.inject("line slow-reader off");
             chain.run(Duration::from_millis(500));
@@ -82,7 +82,7 @@ fn a_gateway_that_reads_slowly_moves_nothing_on_stale_commands() {
     assert!(stopped >= 12, "{stopped}");
 }
 
-/// Runs for 3 s: when the joints were last seen moving.
+/// Runs for 3 s; returns the time of the last motion of the joints.
 fn time_to_rest(chain: &mut Chain) -> Duration {
     let (begin, step) = (chain.now, Duration::from_millis(10));
     let mut last = begin;
@@ -95,7 +95,7 @@ fn time_to_rest(chain: &mut Chain) -> Duration {
     last.saturating_since(begin)
 }
 
-/// From a jump on: the arm follows its commands within the watchdog's time, or stands, latched, with a cause.
+/// After a jump the arm follows its commands within the watchdog's time, or is stopped and latched with a cause.
 fn judge(chain: &mut Chain, place: &str) -> bool {
     for turn in 0..40 {
         let velocity = if turn % 2 == 0 { -wanted() } else { wanted() };
@@ -103,7 +103,7 @@ fn judge(chain: &mut Chain, place: &str) -> bool {
         chain.run(Duration::from_millis(300));
         let told = chain.controller.commanded_rad_per_s();
         match chain.driver.state() {
-            // Follows what was asked for 0.3 s ago, not before.
+            // The measured velocity is compared with the command of 0.3 s ago.
             DriverState::Moving => assert!((told - velocity).amax() < 0.02, "{place}: {told:?}"),
             state => {
                 assert!(state.is_latched() && chain.driver.latched().is_some(), "{place}: {state:?}");
@@ -133,7 +133,7 @@ const JUMPS: [&str; 14] = [
     "-1e8s",
 ];
 
-/// Forwards and backwards, by milliseconds to more than the clock shows: then it goes round.
+/// Forwards and backwards, by milliseconds up to more than the range of the clock, which then wraps around.
 #[test]
 fn a_clock_that_jumps_moves_nothing_on_stale_commands() {
     for side in ["host-clock", "gateway-clock"] {
@@ -156,7 +156,7 @@ fn a_clock_that_jumps_moves_nothing_on_stale_commands() {
     }
 }
 
-/// A command that is older than the clock says is refused by the gateway, and the arm stops as with a host that is gone.
+/// The gateway refuses a command whose timestamp is too old, and the arm stops as after a lost host.
 #[test]
 fn a_host_whose_clock_jumps_back_is_not_followed() {
     let mut chain = moving(Dialect::GatewayV1);
@@ -165,7 +165,7 @@ fn a_host_whose_clock_jumps_back_is_not_followed() {
     chain.inject("line host-clock -2s");
     chain.run(Duration::from_millis(700));
     let status = chain.gateway.status();
-    // The host, whose commands are refused, may say so before the gateway misses them.
+    // The host, whose commands are refused, may report the fault before the gateway detects silence.
     assert!(matches!(status.cause, StopCause::HostSilent | StopCause::HostFault), "{status:?}");
     assert_eq!(status.state, GatewayState::Fault);
     let took = last_motion(&chain.plant, at).saturating_since(at);
@@ -174,7 +174,7 @@ fn a_host_whose_clock_jumps_back_is_not_followed() {
     assert!(chain.driver.state().is_latched());
 }
 
-/// Clocks that jump again and again, by chance.
+/// Clocks that jump repeatedly at random times.
 #[test]
 fn clocks_that_jump_by_chance_never_let_an_arm_run_away() {
     let mut stopped = 0;

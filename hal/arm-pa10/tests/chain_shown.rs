@@ -1,4 +1,4 @@
-//! What a host finds at a gateway that has stopped its arm before: where it stands, and which switch or alarm it was.
+//! What a host reads from a gateway that has stopped its arm: the joint angles, and the switch or alarm.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -11,7 +11,7 @@ use pb3dp_arm_pa10_test_support::chain::Chain;
 use pb3dp_arm_pa10_test_support::injection::joints;
 use pb3dp_kinematics::JointVector;
 
-/// An arm that stops in motion, and a host that comes later.
+/// An arm that is stopped in motion, and a host that connects later.
 fn found(dialect: Dialect, line: &str) -> Chain {
     let mut chain = Chain::new(dialect, WireFormat::BigEndian6x10, None, joints());
     chain.prepare();
@@ -22,7 +22,7 @@ fn found(dialect: Dialect, line: &str) -> Chain {
     chain.run(Duration::from_millis(800));
     assert!(chain.driver.state().is_latched() && chain.controller.is_braked(), "{line}: {:?}", chain.driver.state());
     chain.wanted = None;
-    // It goes, and comes later.
+    // The host disconnects, and connects again later.
     chain.gateway.handle_host_gone(chain.now);
     chain.run(Duration::from_secs(5));
     chain.open();
@@ -40,7 +40,7 @@ fn a_stopped_arm_is_shown_with_what_stopped_it() {
         (
             "limit-switch open",
             GatewayState::EmergencyStop,
-            "alarm 0x13 (limit switch); lead the arm away from the limit switch, then reset",
+            "alarm 0x13 (limit switch); move the arm away from the limit switch, then reset",
         ),
         (
             "alarm 3 0x12 reported",
@@ -65,7 +65,7 @@ fn a_stopped_arm_is_shown_with_what_stopped_it() {
     }
 }
 
-/// Nothing is obeyed for it, and a reset leads on as before.
+/// The controller receives no message, and a reset works as before.
 #[test]
 fn looking_at_a_stopped_arm_changes_nothing() {
     for dialect in [Dialect::GatewayV1, Dialect::Transparent] {

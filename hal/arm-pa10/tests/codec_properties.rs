@@ -1,4 +1,4 @@
-//! What holds for all messages and all bytes.
+//! Properties of all messages and all bytes.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -21,7 +21,7 @@ fn axis_commands() -> impl Strategy<Value = AxisCommand> {
     ]
 }
 
-/// A message with a format that can express it.
+/// A message and a wire format that can encode it.
 fn messages() -> impl Strategy<Value = (WireFormat, ControlMessage)> {
     let axis = proptest::sample::select(Axis::ALL.to_vec());
     let command = (prop::array::uniform7(axis_commands()), any::<bool>(), any::<bool>());

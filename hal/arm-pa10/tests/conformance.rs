@@ -1,4 +1,4 @@
-//! The mock arm keeps the contract of the arm traits, and fails as scripted.
+//! The mock arm fulfils the contract of the arm traits, and fails as scripted.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -14,7 +14,7 @@ use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig, PA10_ANGLE_QUANTUM
 
 const CYCLE: Duration = Duration::from_millis(10);
 
-/// An arm whose E2 is about to turn beyond half a turn: wrapped angles would show.
+/// An arm whose E2 soon exceeds half a turn, so that wrapped angles would be detected.
 fn arm(clock: &Arc<VirtualClock>) -> MockArm {
     let urdf = include_str!("../../../configs/robots/pa10_gen2.urdf");
     let limits = *Chain::from_urdf_str(urdf, "base_link", "flange").unwrap().limits();
@@ -133,7 +133,7 @@ fn an_emergency_stop_needs_no_exchange() {
     exchange_for(&mut arm, &clock, velocity(0.2), 50);
     arm.exchange(velocity(0.2)).unwrap();
     arm.faults().press_e_stop();
-    // Sooner than the watchdog would see to it; S1 brakes at 2 rad/s^2 first, then with the lag.
+    // Sooner than the watchdog would act; S1 brakes at 2 rad/s^2 first, then with the lag.
     clock.sleep_until(clock.now() + Duration::from_millis(45));
     let plant = arm.plant();
     let mut plant = plant.lock().unwrap();
@@ -168,12 +168,12 @@ fn a_fault_does_not_replace_an_emergency_stop() {
     faults.raise_fault("overcurrent in E1");
     assert_eq!(arm.state(), ArmState::EStop);
     faults.release_e_stop();
-    assert!(arm.reset().unwrap_err().to_string().contains("the fault is still there"), "its cause is, too");
+    assert!(arm.reset().unwrap_err().to_string().contains("the fault is still present"), "its cause is, too");
     faults.remove_fault_cause();
     arm.reset().unwrap();
 }
 
-/// A camera that looks at the same joints sees the arm where it was at the time of exposure.
+/// A camera that observes the same joints sees the pose of the arm at the time of exposure.
 #[test]
 fn shared_joints_answer_for_the_past() {
     let clock = Arc::new(VirtualClock::new());

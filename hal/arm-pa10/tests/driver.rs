@@ -1,4 +1,4 @@
-//! What the driver sends and when, with a scripted arm.
+//! Messages of the driver and their times, with a scripted arm.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -22,7 +22,7 @@ fn trip(bench: &Bench) -> Trip {
     bench.driver.latched().unwrap().trip
 }
 
-/// Speeds sent from an index on, as the largest part of the velocity asked for.
+/// Commanded speeds from an index on, as a fraction of the requested velocity (largest joint).
 fn parts_since(bench: &Bench, from: usize) -> Vec<f64> {
     parts_of_joint_since(bench, from, 6)
 }
@@ -69,7 +69,7 @@ fn the_way_up_sends_what_the_sources_ask_for() {
     assert_eq!(bench.driver.counters().overruns, 0);
 }
 
-/// A gateway counts the time of the brakes from the first command that opens them, which it gets later than the driver is asked.
+/// A gateway counts the brake time from the first command that opens the brakes, which arrives later than the driver's request.
 #[test]
 fn brakes_have_their_time_from_the_first_answered_command_on() {
     for wait_us in [0, 500, 3_000, 3_500, 6_000, 9_500] {
@@ -112,7 +112,7 @@ fn a_stop_has_its_order() {
         let runs = bench.kinds_since(from);
         match state {
             DriverState::Moving => {
-                // The quickest joint against its deceleration: 0.4 rad/s by 2 rad/s^2 is 200 ms.
+                // The joint with the longest braking time: 0.4 rad/s at 2 rad/s^2 is 200 ms.
                 assert_eq!(runs[0], (Kind::Motion, 20), "{runs:?}");
                 assert_eq!(runs[1..], [(Kind::Rest, 5), (Kind::Braked, 20), (Kind::Off, 1), (Kind::End, 1)]);
                 let parts = parts_since(&bench, from);
@@ -235,7 +235,7 @@ fn an_activity_that_drags_on_is_a_fault() {
     let mut bench = Bench::new();
     bench.request(Request::Connect);
     bench.run(ms(1));
-    // The driver was not asked for longer than an activity may take.
+    // The driver was not polled for longer than the time limit of an activity.
     bench.now = bench.now + ms(10_001);
     bench.settle();
     let Trip::Fault(FaultCause::ActivityTimeout { activity, allowed }) = trip(&bench) else {
@@ -313,7 +313,7 @@ fn an_axis_without_power_is_a_fault_once_the_brakes_are_open() {
     );
 }
 
-/// R15: more than 0.8 of the lower of two sources' torques (68 N m at E1, 14.5 N m at W2) for 50 ms, not for less.
+/// R15: more than 0.8 of the lower of two published torques (68 N m at E1, 14.5 N m at W2) for 50 ms, not for less.
 #[test]
 fn a_joint_that_carries_too_much_for_too_long_stops_the_arm() {
     for (axis, torque_n_m, lasts_ms, is_stopped) in [
@@ -344,7 +344,7 @@ fn a_joint_that_carries_too_much_for_too_long_stops_the_arm() {
     }
 }
 
-/// Brakes hold an arm that leans on them.
+/// The brakes hold the load.
 #[test]
 fn what_the_brakes_carry_is_no_fault() {
     let mut bench = Bench::new();
@@ -354,7 +354,7 @@ fn what_the_brakes_carry_is_no_fault() {
     assert_eq!(bench.driver.state(), DriverState::Enabled);
 }
 
-/// R7: latched until a reset finds the cause gone, and then connected and no further.
+/// R7: latched until a reset finds the cause removed; the reset leads to connected and no further.
 #[test]
 fn a_reset_succeeds_only_when_the_cause_is_gone() {
     let mut bench = Bench::in_state(DriverState::Moving);
@@ -419,7 +419,7 @@ fn an_emergency_stop_ends_motion_without_a_ramp() {
     assert_eq!(runs[1..], [(Kind::Rest, 5), (Kind::Braked, 20), (Kind::Off, 1), (Kind::End, 1)], "{runs:?}");
 }
 
-/// R2: a velocity without a successor fades from 20 ms on and is gone at 50 ms.
+/// R2: a velocity without a successor fades from 20 ms on and is zero at 50 ms.
 #[test]
 fn a_velocity_whose_successor_stays_away_fades_and_stops() {
     let mut bench = Bench::in_state(DriverState::Holding);
@@ -438,7 +438,7 @@ fn a_velocity_whose_successor_stays_away_fades_and_stops() {
     }
 }
 
-/// SIGSTOP and the like: a control loop that wakes up after its watchdog does not just go on.
+/// SIGSTOP and the like: a control loop that wakes up after its watchdog time does not simply continue.
 #[test]
 fn a_control_loop_that_stood_still_does_not_go_on() {
     let mut bench = Bench::in_state(DriverState::Moving);
@@ -457,7 +457,7 @@ fn an_answer_to_what_was_given_up_is_late_and_not_damage() {
     let before = *bench.driver.counters();
     bench.now = bench.now + CYCLE;
     bench.driver.handle_timeout(bench.now);
-    // Before the next message is sent, and once only.
+    // Before the next message is sent, and only once.
     let sample = Reply::Sample(bench.peer.sample());
     for (late, mismatched) in [(1, 0), (1, 1)] {
         bench.driver.handle_reply(bench.now, &sample);
@@ -543,7 +543,7 @@ fn a_gateway_that_refuses_is_a_fault_with_its_reason() {
     assert_eq!(trip(&waited), Trip::Fault(FaultCause::Rejected(RejectReason::WrongState)));
 }
 
-/// R8: whatever happens, the brakes get the order to close within 100 ms.
+/// R8: after any fault, the brakes are commanded to close within 100 ms.
 #[test]
 fn after_a_fault_the_brakes_are_told_to_close_within_100_ms() {
     for word in [0x00E0, 0x0110] {

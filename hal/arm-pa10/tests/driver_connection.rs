@@ -1,4 +1,4 @@
-//! What the driver looks at before it lets an arm move, and what it makes of measurements.
+//! Checks of the driver before the arm may move, and its processing of measurements.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -21,7 +21,7 @@ fn trip(bench: &Bench) -> Trip {
     bench.driver.latched().unwrap().trip
 }
 
-/// R19: the limits that the controller keeps are compared before the arm counts as connected.
+/// R19: the limits in the controller are compared before the arm counts as connected.
 #[test]
 fn an_arm_with_other_limits_is_not_connected() {
     let mut config = DriverConfig::with_cycle(CYCLE);
@@ -54,7 +54,7 @@ fn an_arm_with_other_limits_is_not_connected() {
     }
 }
 
-/// R5: brakes stay on unless 100 exchanges show a sound and quick link.
+/// R5: the brakes stay closed unless 100 exchanges show a good and fast link.
 #[test]
 fn a_bad_link_is_refused_before_the_brakes_open() {
     let mut bench = Bench::in_state(DriverState::Connected);
@@ -115,7 +115,7 @@ fn a_configuration_that_is_unsafe_is_refused() {
     assert!(matches!(refused(|c| c.torque_for = ms(201)), DriverConfigError::TorqueFor { .. }));
     assert!(matches!(refused(|c| c.owner_timeout = ms(50)), DriverConfigError::OwnerTimeout { .. }));
     assert!(matches!(refused(|c| c.owner_timeout = ms(10_001)), DriverConfigError::OwnerTimeout { .. }));
-    // 2 rad/s to rest by 0.2 rad/s^2 takes as long as an activity may, without the brakes.
+    // 2 rad/s at 0.2 rad/s^2 take as long as the time limit of an activity, without the brakes.
     assert!(matches!(refused(|c| c.deceleration_rad_per_s2[2] = 0.2), DriverConfigError::StopTimeout { joint: 2, .. }));
     let error = refused(|c| c.deceleration_rad_per_s2[6] = 1e-300);
     assert!(matches!(error, DriverConfigError::StopTimeout { joint: 6, .. }), "{error}");
@@ -192,7 +192,7 @@ fn an_arm_whose_control_mode_is_off_is_sent_nothing_on_a_fault() {
     }
 }
 
-/// The brakes of a gateway may have begun to close later than the driver counts: E is refused then, and said again.
+/// A gateway may have closed its brakes later than the driver assumes: it refuses E, and the driver sends E again.
 #[test]
 fn an_end_that_is_refused_is_said_again() {
     for refusals in 1..=5 {

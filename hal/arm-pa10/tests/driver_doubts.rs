@@ -1,5 +1,5 @@
-//! What the driver does where the arm or the gateway says less than it should: an order that drags on, an axis that would not
-//! hold, a gateway that stopped without a cause.
+//! The driver with too little information from the arm or the gateway: a stop that takes too long, an axis that its servo would
+//! not hold, a gateway that stopped without a cause.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -25,7 +25,8 @@ fn trip(bench: &Bench) -> Trip {
     bench.driver.latched().unwrap().trip
 }
 
-/// A stop that was told too late is not given up while the arm moves: it becomes an emergency order, which goes to its end.
+/// A stop that exceeds its time limit is not abandoned while the arm moves: it becomes an emergency stop order, which is
+/// completed.
 #[test]
 fn a_stop_that_drags_on_is_ended_as_after_a_fault() {
     let config = DriverConfig { activity_timeout: ms(4000), ..DriverConfig::with_cycle(CYCLE) };
@@ -35,14 +36,14 @@ fn a_stop_that_drags_on_is_ended_as_after_a_fault() {
     let from = bench.sent.len();
     bench.request(Request::Stop);
     bench.run(ms(3000));
-    // Late in the stop, so that little of its time was left.
+    // Late in the stop, when little of its time is left.
     bench.now = bench.now + ms(100);
     bench.driver.handle_trip(bench.now, Trip::Fault(FaultCause::Supervisor));
     bench.now = bench.now + ms(950);
     bench.settle();
     let kinds = bench.only_kinds_since(from);
     assert_eq!(kinds, [Kind::Motion, Kind::Rest, Kind::Braked, Kind::Off, Kind::End]);
-    // And one that nobody asked for too long.
+    // A stop whose driver was not polled for too long.
     let mut bench = Bench::with_config(config);
     bench.lead_to(DriverState::Moving);
     let from = bench.sent.len();
@@ -57,7 +58,7 @@ fn a_stop_that_drags_on_is_ended_as_after_a_fault() {
     assert_eq!(kinds, [Kind::Motion, Kind::Rest, Kind::Braked, Kind::Off, Kind::End]);
 }
 
-/// An arm that says so itself would fall as soon as its brakes open.
+/// An arm that reports this itself would fall as soon as its brakes open.
 #[test]
 fn brakes_do_not_open_on_an_arm_that_says_that_it_does_not_follow() {
     let one = FaultCause::AxisUncontrollable { axis: Axis::ALL[3], word: 0x8000 };
@@ -77,7 +78,7 @@ fn brakes_do_not_open_on_an_arm_that_says_that_it_does_not_follow() {
         bench.settle();
         assert_eq!((bench.driver.state(), bench.driver.warm_up_failure()), (DriverState::Connected, Some(&failure)));
         assert_eq!(bench.only_kinds_since(0).iter().filter(|kind| **kind == Kind::Rest).count(), 0);
-        // While the brakes open, while the arm holds.
+        // During the opening of the brakes, and while the arm holds.
         for (state, request) in [(DriverState::Enabled, Some(Request::ReleaseBrakes)), (DriverState::Holding, None)] {
             let mut bench = Bench::in_state(state);
             request.into_iter().for_each(|request| bench.request(request));
@@ -90,7 +91,7 @@ fn brakes_do_not_open_on_an_arm_that_says_that_it_does_not_follow() {
     }
 }
 
-/// R5: replies take less than half of the shorter watchdog, which may be the gateway's.
+/// R5: replies take less than half of the shorter watchdog time, which may be that of the gateway.
 #[test]
 fn the_warm_up_counts_with_the_watchdog_of_the_gateway() {
     let config =
@@ -107,7 +108,7 @@ fn the_warm_up_counts_with_the_watchdog_of_the_gateway() {
     }
 }
 
-/// R2, R4: a gateway that somebody else has stopped does not move the arm, and says so only by its state.
+/// R2, R4: a gateway that another program has stopped does not move the arm, and shows this only in its state.
 #[test]
 fn a_gateway_that_stopped_by_itself_is_a_fault_whatever_the_cause() {
     let axis = AxisReply {
@@ -135,7 +136,7 @@ fn a_gateway_that_stopped_by_itself_is_a_fault_whatever_the_cause() {
             told(&mut bench, gateway);
             assert_eq!(trip(&bench), Trip::Fault(FaultCause::GatewayStopped { gateway }), "{state}");
         }
-        // A stop that the host itself has asked for is none.
+        // A stop that the host itself requested is not a fault.
         let mut bench = Bench::in_state(state);
         bench.request(Request::Stop);
         told(&mut bench, GatewayState::Stopping);

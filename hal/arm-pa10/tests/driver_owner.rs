@@ -1,4 +1,4 @@
-//! An owner that stays away while an arm holds with open brakes.
+//! A program that sends no requests while its arm holds with open brakes.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -11,7 +11,7 @@ const fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
-/// A control loop that hangs does not leave the brakes open for ever; one that asks now and then does.
+/// A control loop that hangs does not leave the brakes open for ever; one that sends a request now and then does.
 #[test]
 fn an_arm_that_holds_for_nobody_stops() {
     let mut bench = Bench::in_state(DriverState::Holding);
@@ -31,11 +31,11 @@ fn an_arm_that_holds_for_nobody_stops() {
     assert_eq!(latched.state_before, DriverState::Holding);
     let runs = bench.kinds_since(from);
     assert_eq!(runs[runs.len() - 3..], [(Kind::Braked, 20), (Kind::Off, 1), (Kind::End, 1)], "{runs:?}");
-    // And a host that comes back does not take it up again.
+    // A host that returns cannot continue.
     assert!(bench.driver.handle_request(bench.now, Request::Hold).is_err());
 }
 
-/// The time begins with the hold after a velocity, or when the brakes are open.
+/// The time starts with the hold after a velocity, or when the brakes are open.
 #[test]
 fn the_time_of_an_owner_begins_with_its_last_request() {
     for (before, last) in [(DriverState::Moving, Request::Hold), (DriverState::Enabled, Request::ReleaseBrakes)] {
@@ -49,7 +49,7 @@ fn the_time_of_an_owner_begins_with_its_last_request() {
     }
 }
 
-/// With brakes on nobody has to ask for anything.
+/// With closed brakes no requests are necessary.
 #[test]
 fn behind_closed_brakes_an_owner_may_stay_away() {
     for state in [DriverState::Connected, DriverState::Enabled] {

@@ -1,4 +1,4 @@
-//! What the driver never does, whatever comes.
+//! Invariants of the driver for any sequence of events.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -9,7 +9,7 @@ use pb3dp_arm_pa10_protocol::codec::{CommAlarm, CommWord, ServoAlarm, ServoWord}
 use pb3dp_arm_pa10_test_support::driver_bench::{Bench, CYCLE, Kind, kind, velocity};
 use proptest::prelude::*;
 
-/// Something that happens to a driver.
+/// An event for the driver.
 #[derive(Clone, Copy, Debug)]
 enum Happening {
     Request(Request),
@@ -146,7 +146,7 @@ proptest! {
         } else {
             prop_assert_eq!(bench.sent.len(), sent, "something is sent after the stop");
         }
-        // The silent side is heard now.
+        // The controller answers again.
         bench.peer.answers = true;
         bench.peer.drop_next = 0;
         bench.run(Duration::from_secs(1));

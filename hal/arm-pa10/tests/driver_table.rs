@@ -1,4 +1,4 @@
-//! The table of the state machine, all states by all events, written a second time from the requirements.
+//! The table of the state machine, all states by all events, written again from the requirements.
 
 use std::time::Duration;
 
@@ -6,13 +6,13 @@ use pb3dp_arm_pa10::driver::table::outcome;
 use pb3dp_arm_pa10::driver::{Activity, DriverState, Event, Outcome, Refusal, Request};
 use pb3dp_arm_pa10_test_support::driver_bench::{Bench, velocity};
 
-/// What is allowed; all that is not listed is refused.
+/// The permitted transitions; all others are refused.
 fn expected(state: DriverState, event: Event) -> Outcome {
     use DriverState as S;
     use Event as E;
     use Outcome::{Begin, Refuse, Stay, To};
     match (state, event) {
-        // The way up, one step at a time: connected, enabled, brakes open, moving.
+        // The start sequence, one step at a time: connected, enabled, brakes open, moving.
         (S::Disconnected, E::Connect) => Begin(Activity::Connecting),
         (S::Disconnected, E::Seen) => To(S::Connected),
         (S::Connected, E::Enable) => Begin(Activity::Enabling),
@@ -21,21 +21,21 @@ fn expected(state: DriverState, event: Event) -> Outcome {
         (S::Enabled, E::Released) => To(S::Holding),
         (S::Holding, E::Move) => To(S::Moving),
         (S::Moving, E::Move) => Stay,
-        // Holding is harmless wherever the arm is known and well.
+        // Holding is permitted in every state with a connected arm without fault.
         (S::Moving, E::Hold) => To(S::Holding),
         (S::Connected | S::Enabled | S::Holding, E::Hold) => Stay,
-        // The way down is one step from everywhere, and ends with the brakes on.
+        // Stopping is one step from every state, and ends with closed brakes.
         (S::Enabled | S::Holding | S::Moving, E::Stop) => Begin(Activity::Stopping),
         (S::Enabled | S::Holding | S::Moving, E::Stopped) => To(S::Connected),
         (S::Disconnected | S::Connected | S::Fault | S::EStop, E::Stop | E::Stopped) => Stay,
         (S::Connected, E::Disconnect) => To(S::Disconnected),
         (S::Disconnected, E::Disconnect) => Stay,
-        // Faults and emergency stops come from everywhere; a fault does not hide an emergency stop.
+        // Faults and emergency stops may occur in every state; a fault does not replace an emergency stop.
         (S::Fault | S::EStop, E::FaultFound) => Stay,
         (_, E::FaultFound) => To(S::Fault),
         (S::EStop, E::EStopFound) => Stay,
         (_, E::EStopFound) => To(S::EStop),
-        // Out of them leads a reset alone, and no further than to connected.
+        // Only a reset leaves these states, and it leads to connected.
         (S::Fault | S::EStop, E::Reset) => Begin(Activity::Clearing),
         (S::Fault | S::EStop, E::Cleared) => To(S::Connected),
         _ => Refuse,

@@ -1,4 +1,4 @@
-//! The parser finds frames whatever stands between them.
+//! The parser finds frames between any other bytes.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -20,13 +20,13 @@ fn frames() -> impl Strategy<Value = Frame> {
     })
 }
 
-/// Bytes that look like the beginning of a frame more often than chance would have it.
+/// Bytes that contain the beginning of a frame more often than random bytes do.
 fn garbage(length: usize) -> impl Strategy<Value = Vec<u8>> {
     let byte = prop_oneof![3 => any::<u8>(), 1 => Just(0xA5), 1 => Just(0x5A), 1 => Just(0x01)];
     prop::collection::vec(byte, 0..length)
 }
 
-/// All frames in these bytes, fed in pieces of a given size; then the line falls silent.
+/// All frames in these bytes, fed in pieces of the given size, followed by silence.
 fn parse(bytes: &[u8], piece: usize) -> (Vec<Frame>, FrameParser) {
     let mut parser = FrameParser::new(ARM);
     let mut found = Vec::new();
@@ -49,9 +49,9 @@ fn stream(frames: &[Frame]) -> Vec<u8> {
     frames.iter().flat_map(|frame| frame.encode().as_slice().to_vec()).collect()
 }
 
-/// Whether a frame that nobody sent stands at the head of these bytes, sound to the bit.
+/// Whether the bytes begin with a valid frame that was not sent.
 ///
-/// The CRC has 16 bits: one damaged frame in 65 536 passes, with bytes of the frame behind it at its end. No parser can tell.
+/// The CRC has 16 bits: one damaged frame in 65 536 passes, with bytes of the next frame at its end. No parser can detect this.
 fn is_sound_by_chance(found: &Frame, sent: &[Frame], damaged: &[u8]) -> bool {
     !sent.contains(found) && damaged.starts_with(found.encode().as_slice())
 }
@@ -77,7 +77,7 @@ proptest! {
         prop_assert!(found.contains(&sent), "{found:?}");
     }
 
-    /// Without silence, too: at the latest when one more longest frame's worth of bytes has come.
+    /// Also without silence: at the latest after further bytes of the length of the longest frame.
     #[test]
     fn a_frame_behind_any_garbage_is_not_kept_back(garbage in garbage(400), sent in frames(), rest in frames()) {
         let mut parser = FrameParser::new(ARM);
@@ -101,7 +101,7 @@ proptest! {
         bytes.extend(&damaged);
         bytes.extend(stream(&[after]));
         let (found, parser) = parse(&bytes, piece);
-        // One wrong byte is at most 8 wrong bits in a row: both checks find all of these, wherever they are.
+        // One wrong byte is at most 8 wrong bits in a row: both checks detect all of these, anywhere.
         prop_assert_eq!(found, [before, after]);
         prop_assert!(parser.counters().resyncs == 1, "{:?}", parser.counters());
     }
@@ -116,7 +116,7 @@ proptest! {
         let damaged = [&whole[..keep], &stream(&after)].concat();
         let (found, _) = parse(&[stream(&[before]), damaged.clone()].concat(), piece);
         let without_hit: Vec<Frame> = [before].into_iter().chain(after.iter().copied()).collect();
-        // Where the missing end is the same as the beginning of the next frame, it is that one whose beginning is missing.
+        // If the missing end equals the beginning of the next frame, the next frame loses its beginning instead.
         let without_next: Vec<Frame> = [before, hit].into_iter().chain(after[1..].iter().copied()).collect();
         let chance = found.get(1).is_some_and(|frame| is_sound_by_chance(frame, &without_next, &damaged));
         prop_assert!(found == without_hit || found == without_next || chance, "{found:?}");
@@ -209,7 +209,7 @@ fn a_frame_that_is_sound_by_chance_costs_the_frames_that_it_reaches_into() {
 
 #[test]
 fn a_damaged_length_does_not_keep_the_next_frame_waiting() {
-    // The length claims 128 bytes more than there are: without a check of the header, frames would wait for them.
+    // The damaged length is 128 bytes too large: without a header check, the next frames would have to wait.
     let mut bytes = frame(&[]).encode().as_slice().to_vec();
     bytes[5] ^= 0x80;
     let next = frame(&[4]);

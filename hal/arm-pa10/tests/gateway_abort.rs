@@ -1,4 +1,4 @@
-//! ABORT of a host that has found a fault: the stop order, and a latch, whatever the gateway is doing.
+//! ABORT of a host that has detected a fault: the stop order and a latch, in every state of the gateway.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -47,7 +47,7 @@ fn it_stops_and_latches_in_every_state_and_keeps_the_first_cause() {
         let ends = bench.letters().matches('E').count();
         let latched = matches!(state, GatewayState::Fault | GatewayState::EmergencyStop);
         assert_eq!(ends, usize::from(!latched), "{state}: {}", bench.letters());
-        // The side that said it needs no report.
+        // The sender of ABORT needs no report.
         let told = bench.heard.iter().filter(|(_, message)| matches!(message, GatewayMessage::Fault(_)));
         assert_eq!(told.count(), 0, "{state}");
         let started = bench.ask(control(ArmOperation::Start));
@@ -78,7 +78,7 @@ fn it_cuts_short_what_a_host_has_asked_for() {
     }
 }
 
-/// A reset that is under way does not release an arm that a host has stopped meanwhile.
+/// A reset in progress does not release an arm that a host has aborted meanwhile.
 #[test]
 fn it_ends_a_reset_that_is_under_way() {
     for step in 0..6 {
@@ -98,7 +98,7 @@ fn it_ends_a_reset_that_is_under_way() {
     }
 }
 
-/// A gateway that has just been started knows nothing of its arm; its host may know better.
+/// A gateway that has just started has no information about its arm; its host may have some.
 #[test]
 fn it_latches_a_gateway_that_begins() {
     let mut bench = Bench::new();
@@ -111,7 +111,7 @@ fn it_latches_a_gateway_that_begins() {
     assert!(bench.gateway.is_at_rest());
 }
 
-/// A controller that says nothing changes neither cause nor end.
+/// A silent controller changes neither the cause nor the result.
 #[test]
 fn it_latches_without_a_controller() {
     for state in [GatewayState::Idle, GatewayState::Started, GatewayState::Moving] {
@@ -121,7 +121,7 @@ fn it_latches_without_a_controller() {
         abort(&mut bench);
         bench.run(ms(600));
         assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::HostFault), "{state}");
-        // What keeps a host from resetting is the controller, as ever.
+        // The reset is still refused because of the controller.
         assert_eq!(rejected(bench.ask(control(ArmOperation::Reset))).0, RejectReason::NoAnswer, "{state}");
         let said = || bench.sent.iter().rev().take(50);
         assert!(!said().any(|sent| sent.message.letter() == Letter::Start), "{state}");
@@ -131,7 +131,7 @@ fn it_latches_without_a_controller() {
     }
 }
 
-/// What is found afterwards does not take its place, and a reset looks at it all the same.
+/// A cause that is detected later does not replace the first one, but the reset checks it.
 #[test]
 fn what_the_arm_shows_afterwards_is_looked_at_by_the_reset() {
     let mut bench = Bench::new();

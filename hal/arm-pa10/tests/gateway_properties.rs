@@ -1,4 +1,4 @@
-//! What a gateway never does, whatever host, controller and clock do.
+//! Invariants of a gateway for any behaviour of host, controller and clock.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -19,7 +19,7 @@ use proptest::prelude::*;
 const BRAKE_TIME: Duration = Duration::from_millis(200);
 const STOP_AFTER: Duration = Duration::from_millis(50);
 
-/// What can happen to a gateway.
+/// An event for a gateway.
 #[derive(Clone, Debug)]
 enum Happening {
     Wait(u64),
@@ -28,16 +28,16 @@ enum Happening {
     Control(ArmOperation),
     ClearAlarm(usize),
     ReadLimits(usize),
-    /// Of this kind, so often, every 10 ms.
+    /// Commands of this mode and speed, this many, every 10 ms.
     Commands(DriveMode, i8, u32),
-    /// Of each axis its own mode and speed.
+    /// A mode and a speed for each axis.
     Mixed(Vec<(u8, i16)>),
     Raw(u8, Vec<u8>),
     Bytes(Vec<u8>),
-    /// A frame on the bus with these bytes; from the controller, with a sound header, if so.
+    /// A frame on the bus with these bytes; if `true`, with a valid header of the controller.
     BusFrame(Vec<u8>, bool),
     HostGone,
-    /// The way to motion.
+    /// The sequence to motion.
     Up,
     DropReplies(u32),
     Deaf(bool),
@@ -47,7 +47,7 @@ enum Happening {
     OtherFormat(bool),
     WrongNumbers(u8),
     SlowReplies(u64),
-    /// Nobody asks the gateway for so long.
+    /// The gateway is not polled for this time, ms.
     Stall(u64),
     Stop,
 }
@@ -87,10 +87,10 @@ fn happening() -> impl Strategy<Value = Happening> {
     ]
 }
 
-/// A bench with what has to be remembered of its past.
+/// A bench with the history that the checks need.
 struct Watched {
     bench: Bench,
-    /// When the last command was said, whether or not it was accepted.
+    /// Time of the last command, whether or not it was accepted.
     commanded: MonotonicTime,
     /// Frames that must get one answer each.
     told: Vec<u16>,
@@ -99,7 +99,7 @@ struct Watched {
     last: Option<Sent>,
     opened: [Option<MonotonicTime>; 7],
     latched: bool,
-    /// Commands with open brakes since then.
+    /// Commands with open brakes since the latch.
     open_since_latch: u32,
 }
 
@@ -171,7 +171,7 @@ impl Watched {
             }
             Happening::HostGone => {
                 self.bench.gateway.handle_host_gone(self.bench.now);
-                // What was asked for is answered to nobody.
+                // Pending answers have no receiver.
                 self.told.clear();
             }
             Happening::Up => self.go_up(),
@@ -189,7 +189,7 @@ impl Watched {
         self.check();
     }
 
-    /// With a controller that answers: HELLO, reset, start, brakes open, motion.
+    /// With a controller that answers: HELLO, reset, start, open brakes, motion.
     fn go_up(&mut self) {
         self.heal();
         self.run(ms(450));
@@ -208,7 +208,7 @@ impl Watched {
         self.bench.controller = healthy;
     }
 
-    /// Everything that must be true of what was sent since the last look.
+    /// Checks all messages since the last call.
     fn check(&mut self) {
         while let Some(sent) = self.bench.sent.get(self.checked).copied() {
             self.checked += 1;
@@ -237,7 +237,7 @@ impl Watched {
         let ControlMessage::Cyclic(command) = &sent.message else { return };
         if self.latched && command.axes.iter().any(|axis| matches!(axis, AxisCommand::Speed(_))) {
             self.open_since_latch += 1;
-            // 30 ms of ramp and five cycles at rest; a stall makes none of it more.
+            // 30 ms of ramp and five cycles at speed 0; a stall adds none.
             assert!(self.open_since_latch <= 15 + 5 + 1, "brakes stay open after the latch: {sent:?}");
         }
         for (index, axis) in command.axes.iter().enumerate() {
@@ -265,7 +265,7 @@ impl Watched {
         self.last = Some(*sent);
     }
 
-    /// A silent host, whatever was before: brakes on, control mode off, everything answered once.
+    /// Ends with a silent host: brakes closed, control mode off, every frame answered once.
     fn finish(&mut self) {
         self.heal();
         self.run(ms(1600));
@@ -314,7 +314,7 @@ proptest! {
         watched.finish();
     }
 
-    /// A gateway in motion that hears random bytes, damaged frames and repetitions of good ones, and nothing else, stops.
+    /// A moving gateway that receives only random bytes, damaged frames and repetitions of good ones, stops.
     #[test]
     fn noise_in_the_place_of_commands_stops_the_arm(
         noise in prop::collection::vec((prop::collection::vec(any::<u8>(), 0..200), any::<bool>()), 1..30),
@@ -346,7 +346,7 @@ proptest! {
 
 #[test]
 fn the_properties_are_tried_on_arms_that_move() {
-    // The happenings above reach motion: without that they would prove nothing.
+    // The events above reach motion: otherwise the properties would prove nothing.
     let mut watched = Watched::new(WireFormat::BigEndian6x10);
     watched.happen(&Happening::Up);
     assert_eq!(watched.bench.state(), GatewayState::Moving);

@@ -1,4 +1,4 @@
-//! The protocol of the gateway against its specification in docs/arm-protocol.md: example frames and numbers are read from there.
+//! The gateway protocol against its specification: example frames and numbers are read from docs/arm-protocol.md.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 

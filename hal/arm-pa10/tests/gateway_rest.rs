@@ -1,4 +1,4 @@
-//! A line of speeds ends where it is to end, however often the host repeats itself.
+//! The interpolation of speeds ends at the commanded speed, however often the host repeats its command.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -7,7 +7,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{DriveMode, GatewayMessage, Gatew
 use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, HOST_CYCLE, TICK, ms};
 use pb3dp_kinematics::JointVector;
 
-/// What was sent on the bus last.
+/// The last message on the bus.
 fn sent(bench: &Bench) -> ArmCommand {
     match bench.sent.last().unwrap().message {
         ControlMessage::Cyclic(command) => command,
@@ -15,8 +15,8 @@ fn sent(bench: &Bench) -> ArmCommand {
     }
 }
 
-/// Each command came a little before the last cycle of the line before it, so a rest of the speed was left each time, and the
-/// brakes were refused although the host had asked for speed 0 five times.
+/// Each command arrived a little before the last cycle of the interpolation, so a small speed remained each time, and closing the
+/// brakes was refused although the host had commanded speed 0 five times.
 #[test]
 fn brakes_may_close_after_the_host_has_asked_for_rest_for_five_cycles() {
     for phase in 0..4 {
@@ -31,7 +31,7 @@ fn brakes_may_close_after_the_host_has_asked_for_rest_for_five_cycles() {
     }
 }
 
-/// One cycle of the host after a command its speeds are sent, exactly.
+/// One host cycle after a command, exactly its speeds are sent.
 #[test]
 fn a_speed_that_is_repeated_is_reached_within_one_cycle_of_the_host() {
     let mut bench = Bench::new();
@@ -42,7 +42,7 @@ fn a_speed_that_is_repeated_is_reached_within_one_cycle_of_the_host() {
     assert_eq!(sent(&bench).velocity_rad_per_s(), fast);
 }
 
-/// After a gap in which the watchdog has slowed the arm down the speed comes back on a line, and not at once.
+/// After a gap in which the watchdog has reduced the speed, the speed is interpolated and does not jump.
 #[test]
 fn a_speed_that_has_faded_comes_back_on_a_line() {
     let mut bench = Bench::new();

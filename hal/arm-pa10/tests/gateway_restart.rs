@@ -1,4 +1,4 @@
-//! A gateway that begins knows nothing of its arm: the one before it may have died while the arm moved.
+//! A gateway that starts has no information about its arm: the previous gateway may have died during motion.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -17,8 +17,8 @@ fn uniform(command: AxisCommand) -> ControlMessage {
     ControlMessage::Cyclic(ArmCommand::uniform(command, Supervision::default()))
 }
 
-/// Speed 0 with brakes on and servos on for as long as brakes take, then servos off where that was heard, then E; and C again: once to
-/// see who answers that, or brakes on for as long as nobody does.
+/// Speed 0 with closed brakes and servos on for the brake time, then servos off if there were answers, then E; then C again: once
+/// to see whether the controller answers, or with closed brakes while there is no answer.
 #[test]
 fn brakes_have_their_time_to_close_before_e() {
     for (answers, alarm) in [(true, 0), (false, 0), (true, 0x00E0), (true, 0x0110)] {
@@ -47,7 +47,7 @@ fn brakes_have_their_time_to_close_before_e() {
     }
 }
 
-/// A controller without a time-out goes on with the last speeds until somebody says something else.
+/// A controller without a time-out continues with the last speeds until it receives another message.
 #[test]
 fn an_arm_that_goes_on_moving_is_stopped_by_the_next_gateway() {
     for format in WireFormat::ALL {
@@ -61,7 +61,7 @@ fn an_arm_that_goes_on_moving_is_stopped_by_the_next_gateway() {
         assert_eq!(chain.driver.state(), DriverState::Moving);
         let (_, speed) = chain.controller.true_joints();
         assert!(speed.amax() > 0.25, "{speed}");
-        // The gateway is killed, the host with it, and started again.
+        // Gateway and host are killed, and the gateway is started again.
         chain.frozen = true;
         let config = GatewayConfig::new(ARM, format, Firmware::new("test gateway 2").unwrap());
         chain.gateway = Gateway::new(config, chain.now).unwrap();
@@ -79,7 +79,7 @@ fn an_arm_that_goes_on_moving_is_stopped_by_the_next_gateway() {
         let (after, speed) = chain.controller.true_joints();
         let way_deg = (after - before).amax().to_degrees();
         assert!(speed.amax() == 0.0 && way_deg < 3.0, "{format}: {way_deg} degrees");
-        // The next user of the gateway must know that.
+        // The next user of the gateway must see this.
         let status = chain.gateway.status();
         assert_eq!((status.state, status.cause), (GatewayState::Fault, StopCause::HostSilent));
     }

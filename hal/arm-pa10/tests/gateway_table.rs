@@ -1,4 +1,4 @@
-//! The gateway, all states by all messages: what is expected is read from the tables of docs/arm-protocol.md.
+//! The gateway, all states by all messages: the expectations are read from the tables of docs/arm-protocol.md.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -23,14 +23,14 @@ const STATES: [GatewayState; 7] = [
     GatewayState::EmergencyStop,
 ];
 
-/// What the text of a cell means.
+/// The meaning of a table cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Expected {
     /// Refused as `wrong-state`, and nothing is sent.
     WrongState,
-    /// Answered as done, in the state named; these letters go over the bus besides those of the cycle.
+    /// Answered as done, in this state; these letters are sent on the bus in addition to those of the cycle.
     Done(GatewayState, &'static str),
-    /// A command is followed, in the state named.
+    /// A command is followed, in this state.
     Follow(GatewayState),
     /// STATE without a change.
     Show,
@@ -48,7 +48,7 @@ fn row(state: GatewayState) -> Vec<String> {
     cells[2..9].to_vec()
 }
 
-/// What the cell of an operation says of a gateway whose brakes and stop order had their time.
+/// The expectation in the cell of an operation, for a gateway whose brakes and stop order had their time.
 fn of_operation(cell: &str, state: GatewayState, letter: &'static str) -> Expected {
     use GatewayState::{Fault, Idle, Started, Stopping};
     match cell {
@@ -66,7 +66,7 @@ fn of_operation(cell: &str, state: GatewayState, letter: &'static str) -> Expect
     }
 }
 
-/// What the cell of COMMAND says of four commands: off, braked, follow with speeds 0, follow with a speed.
+/// The expectations in the cell of COMMAND for four commands: off, braked, follow with speeds 0, follow with a speed.
 fn of_commands(cell: &str) -> [Expected; 4] {
     use Expected::{Follow, Show, WrongState};
     use GatewayState::{Holding, Moving, Started};
@@ -95,7 +95,7 @@ fn commands() -> [(DriveMode, JointVector); 4] {
 fn bench(dialect: Dialect, format: WireFormat, state: GatewayState) -> Bench {
     let mut bench = Bench::greeted(config(format), dialect);
     if format == WireFormat::LittleEndian5x8 && matches!(state, GatewayState::Fault | GatewayState::EmergencyStop) {
-        // Format A tells no alarms.
+        // Format A has no alarms.
         bench.lead_to(GatewayState::Moving);
         bench.run(ms(400));
     } else {
@@ -105,7 +105,7 @@ fn bench(dialect: Dialect, format: WireFormat, state: GatewayState) -> Bench {
     bench
 }
 
-/// Both dialects, and both formats in the one that shows them.
+/// Both dialects, and both formats in the dialect that shows them.
 const KINDS: [(Dialect, WireFormat); 3] = [
     (Dialect::GatewayV1, WireFormat::BigEndian6x10),
     (Dialect::Transparent, WireFormat::BigEndian6x10),
@@ -125,7 +125,7 @@ fn every_command_in_every_state_is_answered_as_the_document_says() {
                 let what = format!("{dialect}, {format}, {state}, {mode} {}: {answer:?}", speeds[0]);
                 let transparent = dialect == Dialect::Transparent;
                 match expected {
-                    // What is only shown has no answer in the data of the controller.
+                    // In RAW a message that is only shown is refused.
                     Expected::Show if transparent => {
                         assert_eq!(rejected(answer), (RejectReason::WrongState, before.code().into()), "{what}");
                     }
@@ -197,7 +197,7 @@ fn every_operation_in_every_state_is_answered_as_the_document_says() {
     }
 }
 
-/// The same by the letters of the dialect `transparent`.
+/// The same with the letters of the dialect `transparent`.
 #[test]
 fn every_letter_in_every_state_is_answered_as_the_document_says() {
     let axis = Axis::ALL[4];
@@ -268,7 +268,7 @@ fn stop_reset_and_abort_exist_in_both_dialects_and_the_rest_in_its_own() {
     }
 }
 
-/// The rows of the document once more, as the gateway's own table has them.
+/// The rows of the document again, against the table in the code.
 #[test]
 fn the_table_of_the_code_is_that_of_the_document() {
     for state in STATES {
@@ -310,7 +310,7 @@ fn hello_and_heartbeat_are_answered_in_every_state_and_change_none() {
         assert_eq!((health.state, health.cause), (state, bench.cause()));
         let GatewayMessage::HelloReply(reply) = bench.ask(hello(Dialect::GatewayV1)) else { panic!("{state}") };
         assert_eq!((reply.state, reply.cause, reply.dialect), (state, bench.cause(), Dialect::GatewayV1));
-        // Replies to the stop order of the start have shown it.
+        // Detected from the replies to the stop order at the start.
         assert_eq!(reply.wire_format, Some(WireFormat::BigEndian6x10), "{state}");
         assert_eq!(bench.state(), state);
         let answer = bench.ask(hello(Dialect::Transparent));
@@ -360,7 +360,7 @@ fn every_kind_of_bad_frame_is_refused_with_its_reason_and_detail_and_changes_not
             (with(0x03, &[1, 1]), (RejectReason::BadValue, 0)),
             (with(0x03, &[3, 0]), (RejectReason::BadValue, 0)),
             (with(0x02, &[3; 29]), (RejectReason::BadValue, 0)),
-            // A speed against the brakes, and one beyond what the controller can be told.
+            // A speed with closed brakes, and one out of the range of the controller.
             (with(0x02, &command), (RejectReason::BadValue, 0)),
             (with(0x02, &fast), (RejectReason::BadValue, 0)),
             (with(0x01, &[3, 0, 0, 0, 0]), (RejectReason::BadValue, 0)),

@@ -1,4 +1,4 @@
-//! The watchdogs and the stop order of the gateway, in virtual time, as docs/arm-protocol.md gives them.
+//! The watchdogs and the stop order of the gateway, in virtual time, as docs/arm-protocol.md specifies them.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -17,7 +17,7 @@ use pb3dp_arm_pa10_test_support::gateway_bench::{
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
 
-/// In motion, with the given speeds.
+/// Moving at the given speeds.
 fn moving() -> Bench {
     let plain = GatewayConfig { interpolates: false, ..config(WireFormat::BigEndian6x10) };
     let mut bench = Bench::greeted(plain, Dialect::GatewayV1);
@@ -25,7 +25,7 @@ fn moving() -> Bench {
     bench
 }
 
-/// What a cyclic message is: off, braked, rest or motion.
+/// Kind of a cyclic message: off, braked, rest or motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Off,
@@ -46,7 +46,7 @@ fn kind(sent: &Sent) -> Kind {
     }
 }
 
-/// What was sent, in runs of the same kind.
+/// Sent messages, with runs of the same kind combined.
 fn runs(sent: &[Sent]) -> Vec<(Kind, usize)> {
     let mut runs: Vec<(Kind, usize)> = Vec::new();
     for kind in sent.iter().map(kind) {
@@ -129,7 +129,7 @@ fn started_lasts_as_long_as_the_host_shows_that_it_is_there() {
         bench.run(ms(250));
     }
     assert_eq!(bench.state(), GatewayState::Started);
-    // Damage and repetitions are no sign of life, a refusal of something understood is one.
+    // Damaged and repeated frames do not show that the host is alive, a refused valid message does.
     let repeated = HostMessage::Heartbeat.frame(bench::ARM, bench.sequence, 0);
     bench.run(ms(500));
     assert_eq!(rejected(bench.ask_frame(&repeated)).0, RejectReason::Stale);
@@ -170,7 +170,7 @@ fn two_lost_replies_are_tolerated_and_the_third_stops_the_arm() {
         let after = bench.now.saturating_since(first) - TICK;
         assert_eq!(after, CYCLE * 3, "{state}");
         assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::ControllerSilent));
-        // The order goes on by time until the brakes are on: servos off and E are for a controller that has heard that.
+        // The order advances by time until the brakes are closed: servos off and E need a controller that has received this.
         bench.run(ms(500));
         let count = |wanted: Kind| bench.sent.iter().filter(|sent| kind(sent) == wanted).count();
         let heard_of_brakes = lost_from == GatewayState::Started;
@@ -178,7 +178,7 @@ fn two_lost_replies_are_tolerated_and_the_third_stops_the_arm() {
         assert_eq!(count(Kind::Off) > 0, heard_of_brakes);
         assert_eq!(kind(bench.sent.last().unwrap()), Kind::Braked);
         assert!(!bench.gateway.is_at_rest() && bench.gateway.status().is_unheard);
-        // The order is repeated until it does, and the time of the brakes counts from there.
+        // The order is repeated until the controller answers, and the brake time counts from there.
         bench.sent.clear();
         bench.run(ms(5000));
         assert!(bench.sent.len() >= 2499 && bench.sent.iter().all(|sent| kind(sent) == Kind::Braked));
@@ -223,12 +223,12 @@ fn a_cycle_that_begins_one_cycle_late_stops_the_arm() {
             assert!(status.cycle.worst >= Duration::from_micros(late_us));
         }
     }
-    // Nothing is late where nothing is sent.
+    // Without a cycle nothing is late.
     let mut bench = Bench::new();
     bench.now = bench.now + ms(300);
     bench.tick();
     assert_eq!(bench.state(), GatewayState::Idle);
-    // And a machine that is not fit may be told to tolerate more.
+    // A machine without real time may be configured with a higher tolerance.
     let tolerant = GatewayConfig { lateness_allowed: ms(40), ..config(WireFormat::BigEndian6x10) };
     let mut bench = Bench::greeted(tolerant, Dialect::GatewayV1);
     bench.lead_to(GatewayState::Moving);
@@ -245,7 +245,7 @@ fn the_stop_order_ramps_rests_brakes_and_ends() {
     assert!(matches!(answer, GatewayMessage::ControlReply(reply) if reply.state == GatewayState::Stopping));
     let said = bench.now;
     bench.run(ms(10));
-    // A second one changes nothing.
+    // A second stop order changes nothing.
     assert!(matches!(bench.ask(control(ArmOperation::Stop)), GatewayMessage::ControlReply(_)));
     bench.run(ms(390));
     for sent in bench.sent.iter().filter(|sent| sent.message.letter() == Letter::Cyclic) {
@@ -263,14 +263,14 @@ fn the_stop_order_ramps_rests_brakes_and_ends() {
 
 #[test]
 fn the_stop_order_begins_where_the_arm_is_and_never_opens_a_brake() {
-    // Brakes on for long.
+    // Brakes that have been closed for long.
     let mut bench = Bench::new();
     bench.start();
     bench.sent.clear();
     bench.tell(control(ArmOperation::Stop));
     bench.run(ms(50));
     assert_eq!(runs(&bench.sent), [(Kind::Off, 1), (Kind::Letter(Letter::End), 1)]);
-    // Brakes that were told to close a moment ago.
+    // Brakes that were commanded to close a moment ago.
     let mut bench = Bench::new();
     bench.lead_to(GatewayState::Holding);
     bench.command_for(DriveMode::Braked, JointVector::zeros(), ms(20));
@@ -286,7 +286,7 @@ fn the_stop_order_begins_where_the_arm_is_and_never_opens_a_brake() {
 #[test]
 fn no_speed_of_a_stop_order_outlives_its_command() {
     let mut bench = moving();
-    // The command is old when the stop comes.
+    // The command is old when the stop begins.
     bench.run(ms(34));
     bench.sent.clear();
     bench.tell(control(ArmOperation::Stop));
@@ -304,7 +304,7 @@ fn servos_do_not_let_go_before_the_brakes_hold() {
     let runs = runs(&bench.sent);
     assert_eq!((runs[0].0, runs[1].0, runs.len()), (Kind::Braked, Kind::Off, 2), "{runs:?}");
     assert!((99..=102).contains(&runs[0].1), "{runs:?}");
-    // Nor by E.
+    // The same for E.
     let mut bench = Bench::new();
     bench.lead_to(GatewayState::Holding);
     bench.command_for(DriveMode::Off, JointVector::zeros(), ms(150));
@@ -369,7 +369,7 @@ fn a_host_that_is_gone_is_silent_at_once() {
         let ramps = usize::from(state == GatewayState::Moving);
         assert_eq!(runs.len(), 4 + ramps, "{runs:?}");
         assert_eq!(runs[ramps], (Kind::Rest, 5));
-        // Nobody was there to hear of it, and the next host hears nothing but answers.
+        // No host received the fault, and the next host receives only answers.
         assert_eq!(faults(&bench), []);
         assert_eq!(rejected(bench.ask(control(ArmOperation::Reset))), (RejectReason::NotConnected, 0));
         let GatewayMessage::HelloReply(reply) = bench.ask(hello(Dialect::Transparent)) else { panic!() };
@@ -381,7 +381,7 @@ fn a_host_that_is_gone_is_silent_at_once() {
     bench.gateway.handle_host_gone(bench.now);
     bench.run(ms(20));
     assert_eq!((bench.state(), bench.letters().as_str()), (GatewayState::Idle, "E"));
-    // While S is under way.
+    // While S is in progress.
     let mut bench = Bench::new();
     bench.controller.delay = ms(3);
     bench.tell(control(ArmOperation::Start));
@@ -392,10 +392,10 @@ fn a_host_that_is_gone_is_silent_at_once() {
     assert!(bench.gateway.is_at_rest());
 }
 
-/// A servo that E switches off before its brake holds lets the axis fall.
+/// An axis falls if E disables its servo before its brake holds.
 #[test]
 fn a_host_that_goes_while_the_brakes_close_does_not_end_the_control_mode_before_they_hold() {
-    // The line is gone, with the time to close that every gateway counts; and silence, with brakes slower than that.
+    // The line is lost, with the closing time that every gateway assumes; and silence, with slower brakes.
     for (brake_time, is_gone) in [(ms(200), true), (ms(1500), false)] {
         let mut bench =
             Bench::greeted(GatewayConfig { brake_time, ..config(WireFormat::BigEndian6x10) }, Dialect::GatewayV1);
@@ -436,7 +436,7 @@ fn a_configuration_that_leaves_less_than_required_is_refused_by_name() {
     assert_eq!(refused(GatewayConfig { supervision, ..good }), GatewayConfigError::Supervision);
     let expected = GatewayConfigError::EmergencyStopBits { got: 8 };
     assert_eq!(refused(GatewayConfig { emergency_stop_bits: 8, ..good }), expected);
-    assert!(expected.to_string().contains("0x0008 of a controller with format A"));
+    assert!(expected.to_string().contains("0x0008 cannot be used: the status words of format A"));
 }
 
 #[test]
@@ -469,14 +469,14 @@ fn a_controller_that_is_off_is_no_fault_at_the_start() {
     bench.run(ms(60));
     assert_eq!(bench.letters().trim_matches('C'), "EEE");
     assert_eq!((bench.state(), bench.cause()), (GatewayState::Idle, StopCause::None));
-    // A start is answered in time all the same, and nothing is started.
+    // A start is still answered in time, and nothing is started.
     let asked = bench.now;
     bench.sent.clear();
     assert_eq!(rejected(bench.ask(control(ArmOperation::Start))), (RejectReason::NoAnswer, 0));
     assert!(bench.now.saturating_since(asked) <= ms(50));
     assert_eq!(bench.letters().trim_matches('C'), "E");
     assert!(bench.gateway.status().is_unheard);
-    // It is enabled.
+    // The controller is powered on.
     bench.controller.answers = true;
     bench.run(ms(10));
     assert_eq!(bench.state(), GatewayState::Stopping);

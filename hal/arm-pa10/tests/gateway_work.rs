@@ -1,4 +1,4 @@
-//! What the gateway does between host and controller: faults of the arm, resets, operations, measurements, counts.
+//! The gateway between host and controller: faults of the arm, resets, operations, measurements, counters.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -130,7 +130,7 @@ fn an_axis_without_power_stops_the_arm_where_brakes_are_open() {
     }
 }
 
-/// The servo would not hold what the brake lets go of; and the controller may say so of the whole arm.
+/// The servo would not hold the axis when the brake opens; the controller may also report this of the whole arm.
 #[test]
 fn brakes_do_not_open_on_an_arm_that_is_uncontrollable() {
     for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
@@ -157,7 +157,7 @@ fn brakes_do_not_open_on_an_arm_that_is_uncontrollable() {
     }
 }
 
-/// In the dialect `transparent` S is answered before anything was measured.
+/// In the dialect `transparent` S is answered before the first measurement.
 #[test]
 fn brakes_do_not_open_on_an_arm_that_was_never_measured() {
     for format in WireFormat::ALL {
@@ -167,7 +167,7 @@ fn brakes_do_not_open_on_an_arm_that_was_never_measured() {
         assert!(matches!(started, GatewayMessage::RawReply(_)), "{started:?}");
         let open = bench.command(DriveMode::Follow, JointVector::zeros());
         assert_eq!(rejected(bench.ask(open)), (RejectReason::NoAnswer, 0));
-        // What was measured before another S does not count either.
+        // A measurement from before another S does not count either.
         bench.controller.servo[3] = ServoWord(0);
         bench.run(ms(6));
         bench.ask(open);
@@ -206,7 +206,7 @@ fn a_reply_that_makes_no_sense_stops_the_arm() {
     let GatewayMessage::HelloReply(reply) = bench.ask(hello(Dialect::GatewayV1)) else { panic!() };
     assert_eq!(reply.wire_format, Some(WireFormat::LittleEndian5x8));
 
-    // Two turns are possible, by name at least; one count more is not. The seventh axis has seven times the first one's angle.
+    // Two turns are accepted, one count more is not. The angle of the seventh axis is seven times that of the first.
     for (counts, expected) in [(2 * COUNTS_PER_TURN / 7, StopCause::None), (i32::MIN, StopCause::ReplyUnusable)] {
         let mut bench = Bench::new();
         bench.start();
@@ -222,7 +222,7 @@ fn a_reset_needs_a_controller_that_shows_that_the_cause_is_gone() {
         let mut bench = Bench::new();
         bench.lead_to(state);
         let cause = bench.cause();
-        // Still there, or something else is.
+        // The same cause or another one is present.
         for (servo, comm, found) in [
             (0x00E0, 0, StopCause::ServoAlarm),
             (0, 0x0110, StopCause::EmergencyStop),
@@ -235,7 +235,7 @@ fn a_reset_needs_a_controller_that_shows_that_the_cause_is_gone() {
             assert_eq!((bench.state(), bench.cause(), bench.letters().as_str()), (state, cause, "SCE"));
         }
         (bench.controller.servo[0], bench.controller.comm) = (ServoWord(0), CommWord(0));
-        // A controller that does not answer one of the three, and one of another kind.
+        // A controller that does not answer one of the three letters, and one with another format.
         for letter in [Letter::Start, Letter::Cyclic, Letter::End] {
             bench.controller.deaf_to = vec![letter];
             let asked = bench.now;
@@ -246,7 +246,7 @@ fn a_reset_needs_a_controller_that_shows_that_the_cause_is_gone() {
             bench.run(ms(60));
             let rest = bench.letters().trim_start_matches('E').to_owned();
             assert_eq!(rest.is_empty(), letter != Letter::End, "E is sent whatever failed: {rest}");
-            // An E that was not answered was perhaps not heard.
+            // An E without an answer may not have arrived.
             assert!(bench.sent.iter().all(|sent| match sent.message {
                 ControlMessage::Cyclic(command) => command.axes == [AxisCommand::Braked; 7],
                 message => message == ControlMessage::End,
@@ -282,7 +282,7 @@ fn before_the_stop_order_is_done_nothing_is_reset_or_read() {
 
 #[test]
 fn a_stop_cuts_short_what_is_under_way() {
-    // While S is under way.
+    // While S is in progress.
     let mut bench = Bench::new();
     bench.controller.delay = ms(4);
     let start = bench.tell(control(ArmOperation::Start));
@@ -294,7 +294,7 @@ fn a_stop_cuts_short_what_is_under_way() {
     let answers = answers.collect::<Vec<_>>();
     assert_eq!((answers[1].0, answers[0].0), (start, stop));
     assert_eq!(rejected(answers[1].1), (RejectReason::WrongState, GatewayState::Stopping.code().into()));
-    // While a reset looks at the arm.
+    // While a reset checks the arm.
     let mut bench = Bench::new();
     bench.lead_to(GatewayState::Fault);
     bench.sent.clear();
@@ -315,12 +315,12 @@ fn a_start_that_nobody_answers_is_ended() {
     bench.run(ms(10));
     assert_eq!((bench.state(), bench.letters().as_str()), (GatewayState::Idle, "SE"));
     assert!(bench.gateway.is_at_rest());
-    // A letter that the controller does not know is no fault.
+    // A letter that the controller does not support is not a fault.
     bench.controller.deaf_to = vec![Letter::ClearAlarm];
     let asked = bench.ask(HostMessage::Control(Control::ClearAlarm(Axis::ALL[1])));
     assert_eq!(rejected(asked), (RejectReason::NoAnswer, 0));
     assert_eq!((bench.state(), bench.cause()), (GatewayState::Idle, StopCause::None));
-    // An end that is not answered is a controller that fell silent.
+    // An end without an answer means that the controller is silent.
     bench.start();
     bench.controller.deaf_to = vec![Letter::End];
     assert_eq!(rejected(bench.ask(control(ArmOperation::End))), (RejectReason::NoAnswer, 0));
@@ -377,7 +377,7 @@ fn a_state_carries_what_was_measured_and_when() {
     // -3 counts of 50 * 4.64 / 4096 N m.
     assert_eq!(state.axes[0].torque_mn_m, -170);
     assert!((500..=1500).contains(&state.sample_age_us), "{}", state.sample_age_us);
-    // What waits to be written grows older.
+    // The age grows while the message waits in the output.
     let frame = bench.frame_of(&bench.command(DriveMode::Off, JointVector::zeros()));
     bench.gateway.handle_host_bytes(bench.now, &frame.encode());
     bench.now = bench.now + ms(7);
@@ -401,7 +401,7 @@ fn speeds_go_on_a_straight_line_within_one_cycle_of_the_host() {
         let part = (sent.at.saturating_since(said).as_secs_f64() / 0.010).min(1.0);
         assert!((command.velocity_rad_per_s() - velocity() * part).amax() <= 1.01e-4, "{sent:?}");
     }
-    // In the dialect that passes the data on they are passed on.
+    // In the dialect that forwards data, the speeds are forwarded.
     let mut bench = transparent(WireFormat::BigEndian6x10);
     bench.lead_to(GatewayState::Holding);
     bench.sent.clear();
@@ -456,7 +456,7 @@ fn raw_data_goes_through_unchanged_with_the_modes_of_each_axis() {
     }
     assert_eq!(bench.state(), GatewayState::Holding);
     let wrong = (RejectReason::WrongState, 2);
-    // An axis whose brake has just been told to open may not move.
+    // An axis whose brake was just commanded to open may not move.
     assert_eq!(rejected(say(&mut bench, with(speed(5), speed(5)))), wrong);
     assert!(matches!(say(&mut bench, with(speed(5), AxisCommand::Braked)), GatewayMessage::RawReply(_)));
     assert_eq!(bench.state(), GatewayState::Moving);
@@ -464,7 +464,7 @@ fn raw_data_goes_through_unchanged_with_the_modes_of_each_axis() {
     let wrong = (RejectReason::WrongState, 3);
     assert_eq!(rejected(say(&mut bench, with(speed(5), speed(0)))), wrong);
     assert_eq!(rejected(say(&mut bench, with(AxisCommand::Braked, AxisCommand::Braked))), wrong);
-    // The stop order opens none either.
+    // The stop order opens no brake either.
     bench.sent.clear();
     bench.tell(control(ArmOperation::Stop));
     bench.run(ms(400));
@@ -490,7 +490,7 @@ fn raw_commands_within_one_cycle_share_its_reply() {
         matches!(answer, GatewayMessage::RawReply(_))
     });
     assert_eq!(answers.collect::<Vec<_>>(), [false, false, true, true, true, true]);
-    // And one that the controller does not answer.
+    // A command that the controller does not answer.
     bench.controller.drop_next = 1;
     assert_eq!(rejected(bench.ask(command)), (RejectReason::NoAnswer, 0));
     assert!(matches!(bench.ask(command), GatewayMessage::RawReply(_)));
@@ -537,7 +537,7 @@ fn health_counts_what_happened() {
     };
     assert_eq!(health, expected);
     assert!(u64::from(health.exchanges) >= 100 && u64::from(health.exchanges) == bench.gateway.status().bus.exchanges);
-    // The longest cycle is that since the last HEALTH.
+    // The longest cycle since the last HEALTH.
     bench.command_for(DriveMode::Follow, velocity(), ms(10));
     let GatewayMessage::Health(health) = bench.ask(HostMessage::Heartbeat) else { panic!() };
     assert_eq!((health.worst_cycle_us, health.overruns), (2000, 1));

@@ -1,4 +1,4 @@
-//! A fault that the host has found outlives its program: the gateway latches, and the next program waits for a reset.
+//! A fault that the host has detected outlives its program: the gateway latches, and the next program needs a reset.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -25,7 +25,7 @@ const fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
-/// What a host finds by itself, without the gateway.
+/// Faults that a host detects by itself, without the gateway.
 fn trips() -> Vec<Trip> {
     let torque =
         FaultCause::TorqueTooHigh { axis: Axis::ALL[1], torque_n_m: 150.0, allowed_n_m: 126.4, lasted: ms(50) };
@@ -63,7 +63,7 @@ fn found(chain: &Chain) -> (GatewayState, StopCause) {
     (status.state, status.cause)
 }
 
-/// Another program, which wants to move.
+/// Another program that wants to move the arm.
 fn next_program(chain: &mut Chain) {
     chain.wanted = None;
     chain.driver = Driver::new(DriverConfig::with_cycle(HOST_CYCLE)).unwrap();
@@ -72,7 +72,7 @@ fn next_program(chain: &mut Chain) {
     chain.settle();
 }
 
-/// The next one cannot move until an operator resets, and can then.
+/// The next program cannot move the arm until an operator resets it.
 fn wants_a_reset(chain: &mut Chain, what: &str) {
     next_program(chain);
     let refused = Some(Trip::Fault(FaultCause::Rejected(RejectReason::WrongState)));
@@ -85,7 +85,7 @@ fn wants_a_reset(chain: &mut Chain, what: &str) {
     chain.prepare();
 }
 
-/// How often ABORT is in these bytes.
+/// Number of ABORT messages in these bytes.
 fn aborts(bytes: &[u8]) -> usize {
     let mut count = 0;
     FrameParser::new(ARM).feed(bytes, |received| {
@@ -104,11 +104,11 @@ fn the_next_program_waits_for_a_reset_whatever_this_one_has_found() {
             let mut chain = moving(dialect, format);
             chain.driver.handle_trip(chain.now, trip);
             chain.wanted = None;
-            // 30 ms of ramp, the lag of the drives, and the way of the message.
+            // 30 ms of ramp, the lag of the drives, and the delay of the message.
             chain.run(ms(150));
             assert!(chain.is_at_rest(), "{what}");
             chain.settle();
-            // What it has found itself says more than that the gateway knows of it.
+            // The host's own fault is more specific than the gateway's report of it.
             assert_eq!(chain.driver.latched().map(|latched| latched.trip), Some(trip), "{what}");
             assert_eq!(found(&chain), (GatewayState::Fault, StopCause::HostFault), "{what}");
             assert!(chain.controller.is_braked(), "{what}");
@@ -128,7 +128,7 @@ fn the_program_that_has_found_it_resets_both() {
         chain.settle();
         assert_eq!((chain.driver.state(), found(&chain).0), (DriverState::Connected, GatewayState::Idle));
         chain.prepare();
-        // And once more, as what was told before does not count for what comes after.
+        // Again, because an earlier report does not count for a later fault.
         chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::LetGo));
         chain.settle();
         assert_eq!(found(&chain), (GatewayState::Fault, StopCause::HostFault));
@@ -157,7 +157,7 @@ fn what_ends_in_order_latches_nothing() {
     }
 }
 
-/// Who only looks at an arm finds what is there, and leaves it to the next one to look as well.
+/// A program that only inspects an arm reports its faults, and leaves the gateway unchanged.
 #[test]
 fn what_is_found_while_looking_latches_nothing() {
     for (dialect, format) in KINDS {
@@ -179,7 +179,7 @@ fn what_is_found_while_looking_latches_nothing() {
     }
 }
 
-/// The owner of the gateway has stopped it: nothing is wrong with the arm, and the program that drove it is stopped as well.
+/// The owner of the gateway has stopped it: the arm has no fault, and the program that drove it stops as well.
 #[test]
 fn a_gateway_that_its_owner_stops_latches_nothing() {
     let mut chain = moving(Dialect::GatewayV1, WireFormat::BigEndian6x10);
@@ -191,7 +191,7 @@ fn a_gateway_that_its_owner_stops_latches_nothing() {
     assert_eq!(found(&chain), (GatewayState::Idle, StopCause::None));
 }
 
-/// With brakes on as well: the program wanted to move.
+/// Also with closed brakes: the program wanted to move.
 #[test]
 fn what_is_found_before_the_brakes_open_latches_too() {
     for (dialect, format) in KINDS {
@@ -206,7 +206,7 @@ fn what_is_found_before_the_brakes_open_latches_too() {
     }
 }
 
-/// A fault during an ordered stop counts as well.
+/// A fault during a requested stop counts as well.
 #[test]
 fn what_is_found_while_an_ordered_stop_is_under_way_latches() {
     for (dialect, format) in KINDS {
@@ -235,7 +235,7 @@ fn a_message_that_is_lost_is_said_again_and_a_line_that_is_dead_latches_by_itsel
         ] {
             let what = format!("{dialect}, {format}, {way:?} {lost}");
             let mut chain = moving(dialect, format);
-            // What is under way arrives, so that the next frame is the first of the stop.
+            // Messages in transit arrive first, so that the next frame is the first of the stop.
             chain.wanted = None;
             chain.run(ms(7));
             let mut left = lost;
@@ -258,7 +258,7 @@ fn a_message_that_is_lost_is_said_again_and_a_line_that_is_dead_latches_by_itsel
     }
 }
 
-/// The report comes once, not in each cycle.
+/// The report is sent once, not in each cycle.
 #[test]
 fn a_gateway_that_has_heard_of_it_is_told_nothing_more() {
     use std::sync::atomic::{AtomicUsize, Ordering};
@@ -277,7 +277,7 @@ fn a_gateway_that_has_heard_of_it_is_told_nothing_more() {
     assert_eq!(count.load(Ordering::SeqCst), 1);
 }
 
-/// The gateway saw the button as well: it is not to be forgotten over what the host says.
+/// The gateway has detected the button as well: the host's report must not replace it.
 #[test]
 fn an_emergency_stop_stays_one() {
     for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
@@ -285,14 +285,14 @@ fn an_emergency_stop_stays_one() {
         chain.inject("e-stop press");
         chain.run(ms(5));
         assert_eq!(found(&chain), (GatewayState::EmergencyStop, StopCause::EmergencyStop), "{dialect}");
-        // The other arm of the cell, for one.
+        // For example the other arm of the cell.
         chain.driver.handle_trip(chain.now, Trip::Fault(FaultCause::OtherArm { arm: 9 }));
         chain.settle();
         assert_eq!(found(&chain), (GatewayState::EmergencyStop, StopCause::EmergencyStop), "{dialect}");
         if dialect == Dialect::GatewayV1 {
             assert_eq!(chain.driver.state(), DriverState::EStop);
         }
-        // And the other way round: what the host knows of it stays with the host.
+        // The reverse: the host keeps the emergency stop that it detected.
         let mut chain = moving(dialect, WireFormat::BigEndian6x10);
         let pressed = Trip::EStop(EmergencyStopCause::Switch { word: 0x0008 });
         chain.driver.handle_trip(chain.now, pressed);

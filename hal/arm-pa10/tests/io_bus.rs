@@ -1,4 +1,4 @@
-//! The bus through the kernel: a packet socket on an ARCNET interface whose other end is a tunnel, and a socket in its place.
+//! The bus through the kernel: a packet socket on an ARCNET interface whose other end is a TUN device, and a socket in its place.
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
@@ -16,7 +16,7 @@ use pb3dp_hal_platform::transport::Symptom;
 use pb3dp_test_support::not_checked;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
-/// Without something for this long a test fails.
+/// A test fails after this time without progress.
 const LONG: Timespec = Timespec { tv_sec: 5, tv_nsec: 0 };
 
 fn frame(format: WireFormat) -> arcnet::Frame {
@@ -36,7 +36,7 @@ fn receive(port: &mut dyn BusPort) -> Vec<u8> {
     }
 }
 
-/// A tunnel that the kernel takes for an ARCNET card: frames that are sent on the interface can be read here, and the reverse.
+/// A TUN device that the kernel treats as an ARCNET card: frames sent on the interface can be read here, and the reverse.
 struct Tunnel {
     file: File,
     control: std::os::fd::OwnedFd,
@@ -44,9 +44,9 @@ struct Tunnel {
 }
 
 impl Tunnel {
-    /// In a network of its own, so that nothing of the machine is touched; for the thread that calls.
+    /// In its own network namespace, so that the machine is not affected; for the calling thread.
     fn open(name: &str, kind: u16) -> Result<Self, String> {
-        // SAFETY: no arguments that live in memory; the thread alone changes its network.
+        // SAFETY: no pointers are passed; only this thread changes its network namespace.
         if unsafe { libc::unshare(libc::CLONE_NEWNET) } != 0 {
             return Err(format!("no network of its own: {}", std::io::Error::last_os_error()));
         }
@@ -59,7 +59,7 @@ impl Tunnel {
         }
         request.ifr_ifru.ifru_flags = libc::IFF_TUN as libc::c_short;
         let tunnel = |call: libc::c_ulong, argument: *const libc::c_void| {
-            // SAFETY: the tunnel is open and the argument is what the call takes: a request, or a number.
+            // SAFETY: the tunnel is open and the argument has the type of this call: a request, or a number.
             let result = unsafe { libc::ioctl(file.as_raw_fd(), call as _, argument) };
             if result == 0 { Ok(()) } else { Err(format!("{call:x}: {}", std::io::Error::last_os_error())) }
         };
@@ -72,7 +72,7 @@ impl Tunnel {
 
     fn switch(&mut self, on: bool) {
         self.request.ifr_ifru.ifru_flags = if on { (libc::IFF_UP | libc::IFF_RUNNING) as libc::c_short } else { 0 };
-        // SAFETY: the socket is open and the request is whole.
+        // SAFETY: the socket is open and the request is initialised.
         let result = unsafe { libc::ioctl(self.control.as_raw_fd(), libc::SIOCSIFFLAGS as _, &raw const self.request) };
         assert_eq!(result, 0, "{}", std::io::Error::last_os_error());
     }
@@ -95,7 +95,7 @@ fn frames_go_through_an_arcnet_interface_whole() {
         assert_eq!(port.try_send(&frame), Ok(true));
         let mut got = [0; 600];
         let count = tunnel.file.read(&mut got).unwrap();
-        // The tunnel puts flags and protocol before each frame.
+        // The TUN device puts flags and protocol before each frame.
         let envelope = [0, 0, 0, 0x1A];
         assert_eq!(&got[..count], [&envelope, frame.as_slice()].concat());
         tunnel.file.write_all(&[&envelope, frame.as_slice()].concat()).unwrap();
@@ -105,11 +105,11 @@ fn frames_go_through_an_arcnet_interface_whole() {
     tunnel.switch(false);
     let down = port.try_send(&frame(WireFormat::ALL[0])).unwrap_err();
     assert!(down.to_string().contains("the bus is down"), "{down}");
-    // Up again it is the same bus, after the kernel has told once more that it was down.
+    // Up again the same bus works, after the kernel has reported once more that it was down.
     tunnel.switch(true);
     assert_eq!(port.try_send(&frame(WireFormat::ALL[0])), Err(down));
     assert_eq!(port.try_send(&frame(WireFormat::ALL[0])), Ok(true));
-    // An interface that is taken away is gone for good.
+    // A removed interface is gone for good.
     drop(tunnel);
     let gone = port.try_send(&frame(WireFormat::ALL[0])).unwrap_err();
     assert!(gone.to_string().contains("the bus is down"), "{gone}");
@@ -147,7 +147,7 @@ fn a_socket_in_the_place_of_the_bus_keeps_frames_apart() {
     assert_eq!(controller.try_send(&[7, 8]), Ok(true));
     assert_eq!(receive(&mut gateway), [7, 8]);
     assert_eq!(gateway.try_receive(&mut [0; FRAME_ROOM]), Ok(None));
-    // A controller that does not read: frames are lost, and nothing waits.
+    // A controller that does not read: frames are lost, and nothing blocks.
     let mut sent = 0;
     while gateway.try_send(&[0; 40]).unwrap() {
         sent += 1;
@@ -159,7 +159,7 @@ fn a_socket_in_the_place_of_the_bus_keeps_frames_apart() {
     assert!(gateway.try_send(&[1]).is_err());
     drop(listener);
     assert!(!path.exists());
-    // What is left of a program that was killed is replaced; what is no socket is left alone.
+    // The socket of a killed program is replaced; a file that is not a socket is left alone.
     drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
     drop(FrameListener::bind(&path).unwrap());
     std::fs::write(&path, "notes").unwrap();
@@ -177,7 +177,7 @@ fn sleeping_to_a_moment_ends_after_it_and_soon() {
     });
     for shortfall in shortfalls.join().unwrap() {
         let text = shortfall.to_string();
-        assert!(text.contains("is not to be had"), "{text}");
+        assert!(text.contains("is not available"), "{text}");
     }
     let never = Realtime { priority: Some(0), locks_memory: false, cpu: Some(1 << 20) };
     let texts = enter(&never).iter().map(ToString::to_string).collect::<Vec<_>>();

@@ -1,4 +1,4 @@
-//! Byte links: bytes go through, a peer that is gone is one error, and nothing blocks.
+//! Byte links: bytes are transferred, a lost peer is one error, and nothing blocks.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -25,7 +25,7 @@ fn bytes_go_through_a_pair_both_ways() {
 #[test]
 fn a_pseudo_terminal_is_raw_from_the_start() {
     let mut pty = Pty::open().unwrap();
-    // Bytes with a meaning to a terminal: end of file, interrupt, return, xoff. They come before anybody has opened the line.
+    // Bytes with a special meaning in a terminal: end of file, interrupt, return, xoff. They arrive before the line is opened.
     let bytes = [4, 3, 13, 10, 0x13, 0x11, 0xFF, 0, 0x7F];
     assert_eq!(pty.try_write(&bytes), Ok(bytes.len()));
     let mut line = File::options().read(true).write(true).open(pty.path()).unwrap();
@@ -34,7 +34,7 @@ fn a_pseudo_terminal_is_raw_from_the_start() {
     assert_eq!(got, bytes);
     line.write_all(&bytes).unwrap();
     assert_eq!(read_exactly(&mut pty, bytes.len()), bytes);
-    // No echo, and a line that is closed can be opened again.
+    // No echo, and a closed line can be opened again.
     assert_eq!(pty.try_read(&mut got), Ok(0));
     drop(line);
     assert_eq!(pty.try_read(&mut got), Ok(0));
@@ -73,7 +73,7 @@ fn a_peer_that_does_not_read_blocks_nobody() {
     for mut link in links {
         let begin = Instant::now();
         let mut taken = 0;
-        // Far more than any buffer holds.
+        // Far more than any buffer can store.
         for _ in 0..100_000 {
             taken += link.try_write(&[0x55; 128]).unwrap();
         }

@@ -62,7 +62,7 @@ fn what_came_before_the_port_was_opened_is_forgotten() {
     assert_eq!(read_exactly(&mut port, 1), [1]);
 }
 
-/// The kernel's mark of exclusive use.
+/// The kernel's flag of exclusive use.
 fn is_exclusive(pty: &Pty) -> bool {
     const TIOCGEXCL: u32 = 0x8004_5440;
     let line = rustix::fs::open(pty.path(), rustix::fs::OFlags::NOCTTY, rustix::fs::Mode::empty());
@@ -104,7 +104,7 @@ fn a_port_that_can_not_be_used_is_refused_by_name() {
     let slow = SerialLink::open(&SerialConfig { baud: 115_200, ..config(pty.name()) }).unwrap_err();
     let SerialError::TooSlow { source, .. } = &slow else { panic!("{slow:?}") };
     assert!(source.to_string().contains("115200 baud take 15.19"), "{source}");
-    // A slow line is refused before anything is opened.
+    // A rate that is too slow is refused before the port is opened.
     assert!(matches!(
         SerialLink::open(&SerialConfig { baud: 115_200, ..config("/dev/no-such-port") }),
         Err(SerialError::TooSlow { .. })

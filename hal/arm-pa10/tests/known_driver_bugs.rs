@@ -1,4 +1,4 @@
-//! Mistakes that were made in public PA-10 drivers, each with a test that finds it here. Named after what goes wrong.
+//! Bugs of public PA-10 drivers, each with a test that would detect it here. Named after the failure.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -34,7 +34,7 @@ fn the_end_message_is_well_formed() {
     }
 }
 
-/// RobWork: the torque of the second axis was never set, and went out with whatever the memory held.
+/// RobWork: the torque of the second axis was not initialised, and arbitrary memory was sent.
 #[test]
 fn no_axis_carries_a_left_over_torque() {
     let message = moving([1.0, -1.0, 2.0, -2.0, 6.0, -6.0, 0.5]);
@@ -61,7 +61,7 @@ fn negative_speeds_keep_their_sign() {
     }
 }
 
-/// RobWork: every message had sequence number 0, so an old reply could not be told from a new one.
+/// RobWork: every message had sequence number 0, so an old reply could not be distinguished from a new one.
 #[test]
 fn a_stale_reply_is_noticed() {
     for modulus in [SequenceModulus::Modulo128, SequenceModulus::Modulo256] {
@@ -76,7 +76,7 @@ fn a_stale_reply_is_noticed() {
     }
 }
 
-/// Orca: alarm codes were tested as bit masks, which takes one alarm for another.
+/// Orca: alarm codes were tested as bit masks, which confuses alarms.
 #[test]
 fn alarms_are_codes_and_not_masks() {
     for &raised in ServoAlarm::LISTED {
@@ -86,16 +86,16 @@ fn alarms_are_codes_and_not_masks() {
             word.at_positive_limit() && word.at_negative_limit() && word.is_uncontrollable() && word.is_power_off()
         );
     }
-    // Over-current has all bits of the velocity deviation, a communication time-out those of every alarm.
+    // Over-current contains all bits of velocity deviation, a communication time-out those of every alarm.
     assert_eq!(ServoWord(0x00E0).alarm(), Some(ServoAlarm::OverCurrent));
     assert_eq!(ServoWord(0x0060).alarm(), Some(ServoAlarm::VelocityDeviation));
     assert_eq!(ServoWord(0x0FF0).alarm(), Some(ServoAlarm::CommunicationTimeout));
     assert_eq!(ServoWord(0xF00F).alarm(), None);
-    // And a code that nobody lists is an alarm all the same.
+    // An unlisted code is an alarm as well.
     assert_eq!(ServoWord(0x0420).alarm(), Some(ServoAlarm::Unlisted(0x42)));
 }
 
-/// Orca: the test program cleared the alarms of axes 0 to 6, the controller counts 1 to 7.
+/// Orca: the test program cleared the alarms of axes 0 to 6; the controller counts 1 to 7.
 #[test]
 fn alarms_are_cleared_on_axes_one_to_seven() {
     let numbers =
@@ -108,7 +108,7 @@ fn alarms_are_cleared_on_axes_one_to_seven() {
     assert_eq!(decoded, Err(CodecError::AxisNumber { got: 0 }));
 }
 
-/// SDU: measured torques were put together as unsigned numbers and never were negative.
+/// SDU: measured torques were decoded as unsigned numbers and never were negative.
 #[test]
 fn torques_are_signed() {
     let a = WireFormat::LittleEndian5x8;
@@ -123,7 +123,7 @@ fn torques_are_signed() {
     }
 }
 
-/// NTUA: differences of angles were wrapped to half a turn, although E2 and W2 turn by 255 degrees both ways.
+/// NTUA: angle differences were wrapped to half a turn, although E2 and W2 turn by 255 degrees in both directions.
 #[test]
 fn angles_beyond_half_a_turn_are_not_wrapped() {
     for degrees in [181.0f64, 254.9, -254.9, 539.0] {
@@ -132,7 +132,7 @@ fn angles_beyond_half_a_turn_are_not_wrapped() {
     }
 }
 
-/// Orca put the same number into the torque and the speed field.
+/// Orca wrote the same number into the torque and the speed field.
 #[test]
 fn a_command_with_an_unused_field_in_use_is_refused() {
     let format = WireFormat::BigEndian6x10;
@@ -142,7 +142,7 @@ fn a_command_with_an_unused_field_in_use_is_refused() {
     assert_eq!(error, CodecError::NotZero { axis: Axis::ALL[4], field: "torque", value: 500 });
 }
 
-/// A speed that the field cannot hold was clamped, wrapped or undefined elsewhere: here it is refused, and named.
+/// A speed out of the range of its field was clamped, wrapped or undefined in other drivers: here it is refused by name.
 #[test]
 fn impossible_speeds_are_refused() {
     for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 6.5536, -6.5538, 1e300] {
@@ -154,7 +154,7 @@ fn impossible_speeds_are_refused() {
     }
 }
 
-/// An axis with neither brake nor servo falls; torque control and bits whose meaning is disputed are not in use.
+/// An axis with neither brake nor servo falls; torque control and bits with a disputed meaning are not used.
 #[test]
 fn modes_that_let_an_axis_fall_are_refused() {
     let a = WireFormat::LittleEndian5x8;
@@ -171,7 +171,7 @@ fn modes_that_let_an_axis_fall_are_refused() {
     assert_eq!(error, CodecError::NotZero { axis: Axis::ALL[0], field: "speed against the brake", value: 1 });
 }
 
-/// Letters that change what the controller keeps (M, W, P) do not exist, and T only in a build that asks for it.
+/// Letters that change the controller's memory (M, W, P) do not exist, and T only in a build with its feature.
 #[test]
 fn dangerous_letters_do_not_exist() {
     let allowed: &[u8] = if cfg!(feature = "brake-release") { b"SCEART" } else { b"SCEAR" };
@@ -185,7 +185,7 @@ fn dangerous_letters_do_not_exist() {
     assert_eq!(error, CodecError::Letter { got: b'M' });
 }
 
-/// RobWork: waits for a reply for ever.
+/// RobWork: waited for a reply for ever.
 #[test]
 fn a_reply_that_never_comes_is_not_waited_for_for_ever() {
     let mut bench = Bench::new();

@@ -81,7 +81,7 @@ fn a_gateway_of_another_arm_or_format_is_refused_by_name() {
     assert!(expected.to_string().contains("set to a second-generation arm"), "{expected}");
 }
 
-/// A gateway whose watchdog is none, or longer than the document allows, stops nothing in time.
+/// A gateway without a watchdog, or with one longer than the specification allows, does not stop the arm in time.
 #[test]
 fn a_gateway_without_a_watchdog_is_refused() {
     for (watchdog_us, is_refused) in [
@@ -105,7 +105,7 @@ fn a_gateway_without_a_watchdog_is_refused() {
     }
 }
 
-/// A host that believed it would wait for its brakes for an hour, with each stop.
+/// Otherwise a host would wait an hour for the brakes, with each stop.
 #[test]
 fn a_gateway_with_brakes_that_nobody_has_is_refused() {
     for (brake_us, is_refused) in [(0, false), (5_000_000, false), (5_000_001, true), (4_000_000_000, true)] {
@@ -151,7 +151,7 @@ fn a_gateway_that_stopped_the_arm_before_wants_a_reset() {
         rig.request(Request::Reset);
         rig.settle();
         assert_eq!(rig.trip(), Trip::Fault(FaultCause::StillThere(StopCause::ServoAlarm)));
-        assert!(rig.trip().to_string().contains("because of an alarm of an axis, which is still there"));
+        assert!(rig.trip().to_string().contains("an alarm of an axis is still present"));
         rig.gateway.cause_present = false;
         rig.gateway.heard.clear();
         rig.request(Request::Reset);
@@ -172,8 +172,8 @@ fn a_gateway_that_latches_during_motion_stops_the_driver_with_its_cause() {
     rig.settle();
 }
 
-/// The other arm stopped, or a monitor found something: the gateway gets one report, latches, and refuses nothing but the E of an
-/// order that it has gone through by itself.
+/// The other arm stopped, or a monitor detected a fault: the gateway gets one report, latches, and refuses only the E of a stop
+/// order that it has completed by itself.
 #[test]
 fn a_fault_that_the_host_found_latches_the_gateway() {
     for mut rig in rigs() {
@@ -206,7 +206,7 @@ fn a_fault_that_the_host_found_latches_the_gateway() {
     }
 }
 
-/// A gateway of somebody else's that does not know ABORT is still led to rest by the order itself.
+/// A third-party gateway without ABORT still stops the arm by the stop order.
 #[test]
 fn a_gateway_that_does_not_know_abort_gets_the_stop_order() {
     for mut rig in rigs() {
@@ -325,7 +325,7 @@ fn noise_on_the_line_is_survived_and_counted_and_keeps_the_brakes_on() {
     assert!(matches!(rig.driver.warm_up_failure(), Some(WarmUpFailure::Damaged { bad: 1, .. })));
 }
 
-/// The servo controller on the bus, as a driver sees it.
+/// The servo controller on the bus, as the driver sees it.
 fn controller_reply(format: WireFormat, asked: &ControlPacket) -> Packet {
     let axis = AxisReply {
         status: AxisStatus::Undocumented(0),

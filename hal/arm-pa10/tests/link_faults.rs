@@ -1,4 +1,4 @@
-//! Everything that a line can do wrong, in virtual time: what is tolerated is counted, what is not stops the arm in time.
+//! All faults of a line, in virtual time: tolerated faults are counted, others stop the arm in time.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -15,7 +15,7 @@ fn rig() -> Rig {
     Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10)
 }
 
-/// Follows for so long, as long as it is possible.
+/// Follows commands for this time, or until the driver refuses them.
 fn follow(rig: &mut Rig, time: Duration) {
     let end = rig.now + time;
     while rig.now < end && (rig.driver.state(), rig.driver.activity()) == (DriverState::Moving, Activity::None) {
@@ -26,7 +26,7 @@ fn follow(rig: &mut Rig, time: Duration) {
     }
 }
 
-/// What is done to a frame.
+/// Fault of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Harm {
     Drop,
@@ -51,7 +51,7 @@ const HARMS: [Harm; 8] = [
 ];
 
 impl Harm {
-    /// Whether the frame is of no use afterwards.
+    /// Whether the frame is lost.
     fn costs_the_frame(self) -> bool {
         !matches!(self, Self::Duplicate | Self::Garbage)
     }
@@ -76,8 +76,8 @@ fn changed(mut bytes: Vec<u8>, at: usize) -> Vec<u8> {
     bytes
 }
 
-/// With checks that are right again: a frame that is sound and wrong. The checks are computed bit by bit, as the specification
-/// of the protocol describes them.
+/// With recomputed checksums: a valid frame with wrong content. The checksums are computed bit by bit, as the specification of
+/// the protocol describes them.
 fn signed(mut bytes: Vec<u8>) -> Vec<u8> {
     let crc = |data: &[u8], width: u32, polynomial: u32, initial: u32| {
         let top = 1u32 << (width - 1);
@@ -95,7 +95,7 @@ fn signed(mut bytes: Vec<u8>) -> Vec<u8> {
     bytes
 }
 
-/// Harms so many answers in a row, then none.
+/// Applies the fault to this number of answers in a row, then to none.
 fn harm_answers(harm: Harm, count: u32) -> Line {
     let mut left = count;
     let mut good = good_line();
@@ -130,7 +130,7 @@ fn three_harmed_answers_in_a_row_stop_the_arm_within_30_ms() {
     for harm in HARMS.into_iter().filter(|harm| harm.costs_the_frame()) {
         let mut rig = rig();
         rig.lead_to_moving();
-        // The next exchange begins one cycle after the one that is seen here.
+        // The next exchange begins one cycle after this one.
         let sent = rig.driver.counters().sent;
         while rig.driver.counters().sent == sent {
             rig.run(TICK);
@@ -163,11 +163,12 @@ fn an_answer_that_took_longer_holds_an_older_measurement() {
         rig.run(TICK);
         least = least.min(rig.now.saturating_since(rig.driver.joints().unwrap().at));
     }
-    // 6 ms more than the quickest answers, which the link cannot tell from the difference of the clocks, and 0.1 ms at the gateway.
+    // 6 ms more than the quickest answers, because the link cannot distinguish their delay from the clock offset, and 0.1 ms at
+    // the gateway.
     assert!(least >= Duration::from_micros(6_100) && least <= ms(7), "{least:?}");
 }
 
-/// The gateway answers as done what is done already, so every message can be said again.
+/// The gateway reports a completed operation as done, so every message can be repeated.
 #[test]
 fn one_lost_answer_anywhere_on_the_way_up_and_down_is_tolerated() {
     for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
@@ -215,8 +216,8 @@ fn one_lost_exchange_in_a_hundred_is_no_fault() {
     }
 }
 
-/// Any mixture of harm in both directions: nothing panics, the gateway never hears what its table refuses but for what the harm
-/// itself made it miss, and a stop ends it all.
+/// Any combination of faults in both directions: no panic, the gateway receives a message that its table refuses only if a fault
+/// caused it, and a stop ends the sequence.
 #[test]
 fn any_mixture_of_harm_ends_in_a_stop() {
     let harms = prop::collection::vec((0usize..16, any::<bool>()), 1..200);

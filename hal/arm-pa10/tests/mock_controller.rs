@@ -1,4 +1,4 @@
-//! The emulated controller, byte by byte. Bytes are those of the sources (docs of each wire format), written by hand.
+//! The emulated controller, byte by byte. The bytes are those of the published formats, written by hand.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -55,7 +55,7 @@ fn cyclic_replies_have_the_bytes_of_their_format() {
         for (axis, bytes) in golden.into_iter().enumerate() {
             assert_eq!(reply[2 + axis * size + 2..][..4], bytes, "{format}");
         }
-        // Dead-man switch held, 100 V on.
+        // Dead-man switch pressed, 100 V on.
         assert_eq!(reply[reply.len() - 2..], if format == A { [5, 0] } else { [0, 5] });
     }
 }
@@ -95,7 +95,7 @@ fn what_must_never_come_is_refused_and_counted() {
     assert_eq!(bus.controller.is_braked(), !cfg!(feature = "brake-release"));
 }
 
-/// Brakes hold until they had their time to open, and do not hold until they had their time to close.
+/// Brakes hold until their opening time has passed, and do not hold until their closing time has passed.
 #[test]
 fn an_axis_without_brake_and_servo_falls() {
     let mut bus = bus(MockControllerConfig { watchdog: None, ..MockControllerConfig::new(A) });
@@ -122,7 +122,7 @@ fn an_axis_without_brake_and_servo_falls() {
     assert_eq!(bus.position(), held);
 }
 
-/// Commands before S move nothing; the watchdog ends the control mode, and alarms say so until they are cleared.
+/// Commands before S move nothing; the watchdog ends the control mode, and its alarms stay until they are cleared.
 #[test]
 fn silence_ends_the_control_mode_where_there_is_a_watchdog() {
     for watchdog in [Some(6), Some(10), Some(400), None] {
@@ -156,7 +156,7 @@ fn silence_ends_the_control_mode_where_there_is_a_watchdog() {
     }
 }
 
-/// Alarms keep the axis from moving until they are cleared, which they cannot be while their cause is there.
+/// An alarm keeps its axis from moving until it is cleared, which is impossible while the cause is present.
 #[test]
 fn alarms_stay_until_their_cause_is_gone_and_they_are_cleared() {
     let mut bus = bus(MockControllerConfig { watchdog: None, ..MockControllerConfig::new(B) });

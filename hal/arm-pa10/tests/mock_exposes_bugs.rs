@@ -1,5 +1,5 @@
-//! Mistakes of public PA-10 drivers, made on purpose in bytes: the emulated controller must show each. That our driver does not make
-//! them is tested beside it (`known_driver_bugs.rs`).
+//! Bugs of public PA-10 drivers, reproduced in bytes: the emulated controller must show each. The tests that our driver does not
+//! have them are in `known_driver_bugs.rs`.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -41,7 +41,7 @@ fn travel(bus: &mut Bus, time: Duration) -> JointVector {
     bus.position() - before
 }
 
-/// SDU: the pointer of E was never set, so what went out was no E, and the arm went on.
+/// SDU: the pointer of E was never set, so the controller received no E, and the arm continued.
 #[test]
 fn an_end_that_is_malformed_does_not_stop_the_arm() {
     for (frame, refused) in [(&[0xFF, 0xFE, 0, 254, 5, b'E'][..], true), (&[0xFF, 0xFE, 254, 0, 5, b'E'], false)] {
@@ -56,7 +56,7 @@ fn an_end_that_is_malformed_does_not_stop_the_arm() {
     }
 }
 
-/// RobWork left a torque uninitialised, Orca put the same number into the torque and the speed field.
+/// RobWork left a torque uninitialised, Orca wrote the same number into the torque and the speed field.
 #[test]
 fn a_left_over_torque_is_counted() {
     let mut bus = moving(B);
@@ -68,7 +68,7 @@ fn a_left_over_torque_is_counted() {
     assert_eq!(bus.controller.counters().odd, 1);
 }
 
-/// RobWork cast negative speeds to an unsigned number; SDU put measured torques together as unsigned ones.
+/// RobWork cast negative speeds to an unsigned number; SDU decoded measured torques as unsigned numbers.
 #[test]
 fn signs_are_those_of_the_joints() {
     for format in WireFormat::ALL {
@@ -86,7 +86,7 @@ fn signs_are_those_of_the_joints() {
     }
 }
 
-/// RobWork: with the number 0 in every message a reply that comes late looks like the newest.
+/// RobWork: with sequence number 0 in every message, a late reply looks like the newest.
 #[test]
 fn a_late_reply_can_only_be_told_by_its_number() {
     for (numbers, can_be_told) in [([0u8, 0], false), ([6, 7], true)] {
@@ -106,7 +106,7 @@ fn a_late_reply_can_only_be_told_by_its_number() {
     }
 }
 
-/// Orca looked at alarm codes as bit masks, and at warnings twice but at faults never.
+/// Orca tested alarm codes as bit masks, and warnings twice but faults never.
 #[test]
 fn every_alarm_stops_the_driver_by_its_own_name() {
     for &alarm in ServoAlarm::LISTED {
@@ -138,7 +138,7 @@ fn every_alarm_stops_the_driver_by_its_own_name() {
     }
 }
 
-/// Orca: its test program cleared axes 0 to 6. Axis 0 is none, and axis 7 keeps its alarm.
+/// Orca: its test program cleared axes 0 to 6. Axis 0 does not exist, and axis 7 keeps its alarm.
 #[test]
 fn clearing_axes_from_zero_leaves_the_last_one_out() {
     let mut bus = moving(B);
@@ -152,7 +152,7 @@ fn clearing_axes_from_zero_leaves_the_last_one_out() {
     assert_eq!(word(&command(&mut bus, B, 0)), [0, 0]);
 }
 
-/// Orca's destructor and NTUA's bridge end without a stop: the arm goes on until the watchdog, if there is one.
+/// Orca's destructor and NTUA's bridge end without a stop: the arm continues until the watchdog acts, if there is one.
 #[test]
 fn an_end_without_a_stop_leaves_the_arm_moving() {
     let mut bus = moving(B);
@@ -160,7 +160,7 @@ fn an_end_without_a_stop_leaves_the_arm_moving() {
     assert!((travelled - JointVector::repeat(0.1)).amax() < 1e-3, "{travelled}");
 }
 
-/// PA10ros sent E and S before every command: the brakes never have the time to open.
+/// PA10ros sent E and S before every command: the brakes never have enough time to open.
 #[test]
 fn a_control_mode_that_starts_anew_with_each_command_moves_nothing() {
     let mut bus = Bus::new(MockControllerConfig::new(A), plant());
@@ -173,7 +173,7 @@ fn a_control_mode_that_starts_anew_with_each_command_moves_nothing() {
     assert_eq!(bus.position(), home());
 }
 
-/// NTUA wrapped differences of angles to half a turn: E2 and W2 go further, and the counts with them.
+/// NTUA wrapped angle differences to half a turn: E2 and W2 turn further, and so do their counts.
 #[test]
 fn counts_go_on_beyond_half_a_turn() {
     let mut at = home();
@@ -186,7 +186,7 @@ fn counts_go_on_beyond_half_a_turn() {
     assert_eq!([counts(4), counts(6)], [455_111, -568_889]);
 }
 
-/// RobWork's virtual arm moved by 10 ms per command, whatever time it was.
+/// RobWork's virtual arm moved by 10 ms per command, whatever the time.
 #[test]
 fn the_arm_moves_by_time_and_not_by_commands() {
     let mut bus = moving(A);
@@ -199,7 +199,7 @@ fn the_arm_moves_by_time_and_not_by_commands() {
     assert!((travelled - JointVector::repeat(0.1)).amax() < 1e-3, "1 s at 0.1 rad/s: {travelled}");
 }
 
-/// A stop of ours, seen from the arm: it comes to rest with its servos, then the brakes close, and nothing falls.
+/// Our stop sequence, seen from the arm: the servos stop it, then the brakes close, and no axis falls.
 #[test]
 fn a_sound_stop_does_not_let_the_arm_fall() {
     for format in WireFormat::ALL {

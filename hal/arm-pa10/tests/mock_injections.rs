@@ -1,5 +1,5 @@
-//! Every kind of fault, at random times of random motions: the arm comes to rest in time, stays there, and only a reset with the
-//! cause gone leads on. Driver, link to the bus and emulated controller in virtual time; rest is that of the true joints.
+//! Every kind of fault, at random times of random motions: the arm stops in time and stays stopped, and only a reset after the
+//! cause is removed leads on. Driver, bus link and emulated controller in virtual time; the true joints are checked.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -109,7 +109,7 @@ fn inject(bench: &mut BusBench, kind: &Kind, dice: &mut Dice) -> Stop {
     assert_eq!(bench.driver.state(), DriverState::Moving, "{}: before it", kind.name);
     let (at, line) = (bench.now, (kind.begin)(dice));
     let velocity = bench.plant.lock().unwrap().state().velocity_rad_per_s.abs();
-    // Motion of the joints, their commands, and their next commands.
+    // Velocities of the joints, of their current commands, and of their next commands.
     let fastest = velocity.sup(&bench.wanted.unwrap().abs()).sup(&bench.controller.commanded_rad_per_s().abs());
     bench.inject(&line);
     bench.run(Duration::from_millis(600));
@@ -120,7 +120,7 @@ fn inject(bench: &mut BusBench, kind: &Kind, dice: &mut Dice) -> Stop {
     assert_eq!(bench.driver.latched().unwrap().state_before, DriverState::Moving, "{place}");
     let took = last_motion(&bench.plant, at).saturating_since(at);
     assert!(bench.controller.is_braked(), "{place}: brakes are open");
-    // Where no reply arrives the brakes are on, and E waits for one.
+    // If no reply arrives, the brakes are closed and E waits for a reply.
     assert!(bench.controller.mode() == ControlMode::Adjustment || bench.driver.is_unheard(), "{place}");
     bench.wanted = None;
     if kind.keeps_cause {
@@ -150,7 +150,7 @@ fn after_every_fault_the_arm_is_at_rest_in_time_and_stays_there() {
     let mut all = 0;
     for (index, kind) in kinds().iter().enumerate() {
         let mut dice = Dice { seed: 1000 + index as u32, count: 0 };
-        // Where messages do not arrive, nobody but the controller can stop the arm; else it need not help.
+        // If messages do not arrive, only the controller can stop the arm; otherwise its watchdog is not needed.
         let watchdog = (kind.name == "deaf").then(|| Duration::from_millis(dice.pick(&[6, 10])));
         let mut bench = bench(watchdog, 5);
         bench.request(Request::Connect);
@@ -173,7 +173,7 @@ fn after_every_fault_the_arm_is_at_rest_in_time_and_stays_there() {
     assert!(all >= 2000, "{all}");
 }
 
-/// What is tolerated: at most two lost replies in a row, late ones within the cycle, and what switches only show.
+/// Tolerated: at most two lost replies in a row, late replies within the cycle, and switches that are only shown.
 #[test]
 fn what_is_tolerated_leads_to_no_fault() {
     for line in [
@@ -208,8 +208,8 @@ fn what_is_tolerated_leads_to_no_fault() {
     }
 }
 
-/// Without a watchdog of the controller a half-open link is stopped by the host, and a cut cable by nobody until it is mended: that is
-/// why a gateway stands beside the arm. The mock must show the difference.
+/// Without a watchdog of the controller the host stops a half-open link, but nothing stops the arm after a cut cable until it is
+/// repaired: this is why a gateway is next to the arm. The mock must show the difference.
 #[test]
 fn a_cut_cable_is_what_only_the_controller_can_stop() {
     let end_after = |line: &str, watchdog| {
@@ -236,7 +236,7 @@ fn a_cut_cable_is_what_only_the_controller_can_stop() {
     }
     let (at_rest, travelled) = end_after("deaf 1000000", None);
     assert!(!at_rest && travelled > 0.09, "nothing stops it: {travelled}");
-    // Until it is mended: what nobody heard is said again.
+    // Until the cable is repaired: unanswered messages are repeated.
     let (at_rest, travelled) = end_after("deaf 400", None);
     assert!(at_rest && (0.075..0.095).contains(&travelled), "mended after 0.8 s: {travelled}");
 }
@@ -284,7 +284,7 @@ fn three_lost_replies_in_a_row_are_a_fault_within_30_ms() {
         assert!(bench.run_until(first + Duration::from_millis(100), latched), "no fault");
         let took = bench.now.saturating_since(first);
         assert!(took <= Duration::from_millis(30), "{took:?}");
-        // Three in vain, and the first of the stop order.
+        // Three without an answer, and the first of the stop order.
         assert_eq!(bench.controller.counters().answered, answered + 4);
     }
 }

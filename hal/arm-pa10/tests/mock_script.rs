@@ -1,4 +1,4 @@
-//! Scripts of faults: what they say, and how they are refused.
+//! Fault scripts: how they are parsed, and how they are refused.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -55,7 +55,7 @@ fn a_script_is_read_line_by_line() {
 #[test]
 fn a_line_that_is_wrong_is_named_with_its_word() {
     for (line, expected) in [
-        ("estop press", "`estop` is no fault; the faults are drop, duplicate,"),
+        ("estop press", "`estop` is not a fault; the faults are drop, duplicate,"),
         ("e-stop", "the emergency stop is missing; write press or release"),
         ("e-stop pres", "the emergency stop is `pres`; write press or release"),
         ("drop three", "the number of replies is `three`; write a whole number such as 3"),
@@ -163,7 +163,7 @@ proptest! {
     }
 }
 
-/// docs/mock-arm.md: its examples can be typed as they stand, and it leaves no fault out.
+/// docs/mock-arm.md: its examples can be typed unchanged, and it lists every fault.
 #[test]
 fn the_documentation_says_what_the_parser_reads() {
     let page = include_str!("../../../docs/mock-arm.md");
@@ -204,7 +204,7 @@ fn the_documentation_says_what_the_parser_reads() {
     assert!(read > 30, "{read}");
 }
 
-/// docs/mock-arm.md: the tests that it names are there.
+/// docs/mock-arm.md: the named tests exist.
 #[test]
 fn the_documentation_names_tests_that_exist() {
     let page = include_str!("../../../docs/mock-arm.md");
@@ -219,7 +219,7 @@ fn the_documentation_names_tests_that_exist() {
         found += 1;
     }
     assert!(found > 30, "{found}");
-    // Each fault of the requirements has its line.
+    // The list contains each fault of the requirements.
     for fault in [
         "drop",
         "delay",

@@ -1,4 +1,4 @@
-//! The cycle of driver, codec and link does not touch the heap.
+//! The cycle of driver, codec and link does not allocate on the heap.
 #![allow(clippy::unwrap_used)] // In helpers of tests.
 
 use pb3dp_allocation_count::requests;
@@ -37,7 +37,7 @@ fn cycles_do_not_allocate() {
         bench.driver.handle_reply(bench.now, &Reply::Sample(sample));
     }
     assert_eq!(requests(), before);
-    // The last frames wait in the parser for a few bytes more.
+    // The parser still waits for a few bytes after the last frames.
     assert!(frames >= 999, "{frames}");
     let probe = requests();
     drop(std::hint::black_box(Box::new([0u8; 64])));
@@ -77,6 +77,6 @@ fn cycles_of_a_gateway_do_not_allocate() {
         }
     }
     assert_eq!(requests(), before);
-    // All that was said, and FAULT of the silence at the end.
+    // All answers, and the FAULT of the silence at the end.
     assert_eq!((answers, gateway.status().state), (3 * 800 + 1, GatewayState::Fault));
 }

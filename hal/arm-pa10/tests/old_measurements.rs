@@ -1,4 +1,4 @@
-//! A gateway that answers in time with measurements that get older and older, in virtual time.
+//! A gateway that answers in time with older and older measurements, in virtual time.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -26,7 +26,7 @@ fn moving() -> Chain {
     chain
 }
 
-/// Has the host read what `change` makes of each STATE; the time is that of the gateway, µs.
+/// Changes each STATE for the host; the time is that of the gateway, µs.
 fn spoil_states(chain: &mut Chain, mut change: impl FnMut(State, u64) -> State + 'static) {
     chain.spoil = Some(Box::new(move |way, bytes| {
         let mut heard = None;
@@ -47,7 +47,7 @@ fn spoil_states(chain: &mut Chain, mut change: impl FnMut(State, u64) -> State +
     }));
 }
 
-/// R4: who is not told anything new is as blind as one who gets no answer.
+/// R4: old measurements are as bad as no answer.
 #[test]
 fn a_measurement_that_gets_no_newer_stops_the_arm() {
     let mut chain = moving();
@@ -62,17 +62,17 @@ fn a_measurement_that_gets_no_newer_stops_the_arm() {
         chain.run(ms(1));
     }
     let latched = *chain.driver.latched().unwrap();
-    // The bound, the next answer, and the way of one.
+    // The limit, the next answer, and its delay.
     assert!(latched.at <= begin + ms(45), "{:?}", latched.at.saturating_since(begin));
     let Trip::Fault(FaultCause::MeasurementTooOld { age, allowed }) = latched.trip else { panic!("{}", latched.trip) };
     assert!(allowed == MEASUREMENT_AGE_MAX && age > allowed && age <= ms(45), "{age:?}");
-    for part in ["the newest measurement is", "30ms are allowed", "look at its log"] {
+    for part in ["the newest measurement is", "the limit is 30ms", "check the gateway's log"] {
         assert!(latched.trip.to_string().contains(part), "{}", latched.trip);
     }
     chain.run(ms(500));
     assert!(chain.is_at_rest() && chain.controller.is_braked());
     assert_eq!(chain.driver.activity(), Activity::None);
-    // As it goes on, there is no reset; once the measurement is new again, there is.
+    // While this persists, a reset is refused; with new measurements it succeeds.
     chain.request(Request::Reset);
     chain.settle();
     assert!(matches!(chain.driver.latched().unwrap().trip, Trip::Fault(FaultCause::MeasurementTooOld { .. })));
@@ -82,7 +82,7 @@ fn a_measurement_that_gets_no_newer_stops_the_arm() {
     assert_eq!(chain.driver.state(), DriverState::Connected);
 }
 
-/// What the bus may lose makes a measurement a little older, and nothing more.
+/// Lost replies on the bus only make a measurement slightly older.
 #[test]
 fn a_measurement_within_the_bound_is_followed() {
     let mut chain = moving();
@@ -91,7 +91,7 @@ fn a_measurement_within_the_bound_is_followed() {
     assert_eq!(chain.driver.state(), DriverState::Moving, "{:?}", chain.driver.latched());
 }
 
-/// Why the gateway has stopped says more than that it measures nothing any more.
+/// The cause of the gateway's stop is more specific than the age of its measurement.
 #[test]
 fn a_gateway_that_stopped_is_named_before_the_age() {
     let mut chain = moving();

@@ -11,7 +11,7 @@ use pb3dp_test_support::sweep;
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed, TestRunner};
 
-/// Chosen: any value serves, but the same value gives the same inputs in every run. `PROPTEST_RNG_SEED` replaces it.
+/// Chosen: any value works; a fixed value gives the same inputs in every run. `PROPTEST_RNG_SEED` replaces it.
 const SEED: u64 = 20_260;
 
 /// Cases per check.
@@ -19,7 +19,7 @@ fn cases() -> u32 {
     sweep(2_000, 20_000)
 }
 
-/// Plays of a gateway take longer.
+/// Scenarios of a gateway take longer.
 fn plays() -> u32 {
     sweep(200, 2_000)
 }

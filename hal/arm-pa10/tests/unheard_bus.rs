@@ -1,4 +1,4 @@
-//! A driver on the bus of a controller without a time-out: what nobody has heard is said again until somebody has.
+//! A driver on the bus of a controller without a time-out: unanswered messages are repeated until they are answered.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -47,7 +47,7 @@ fn is_link_lost(bench: &BusBench) -> bool {
     matches!(trip(bench), Some(Trip::Fault(FaultCause::LinkLost { .. })))
 }
 
-/// At rest, brakes on, the control mode off, E answered.
+/// Stationary, brakes closed, control mode off, E answered.
 fn assert_ended(bench: &BusBench, place: &str) {
     assert!(bench.is_at_rest() && bench.controller.is_braked(), "{place}: it moves with {} rad/s", bench.speed());
     assert_eq!(bench.controller.mode(), ControlMode::Adjustment, "{place}");
@@ -62,7 +62,7 @@ fn reset(bench: &mut BusBench, place: &str) {
     assert_ended(bench, place);
 }
 
-/// A program that is killed: nothing is said any more, and another one comes.
+/// A program is killed and sends nothing more, and another one starts.
 fn killed(bench: &mut BusBench) {
     bench.wanted = None;
     bench.driver = Driver::new(DriverConfig::with_cycle(BUS_CYCLE)).unwrap();
@@ -107,14 +107,14 @@ fn an_outage_within_the_order_that_is_heard_is_no_end_of_it() {
     }
 }
 
-/// It was powered off and on, has no use for C until S, and answers E.
+/// The controller was powered off and on, ignores C until S, and answers E.
 #[test]
 fn a_controller_that_was_switched_off_and_on_is_reset() {
     for format in WireFormat::ALL {
         for only_in_control in [false, true] {
             let place = format!("{format}, {only_in_control}");
             let mut bench = moving(format);
-            // The brakes of an arm without power close by themselves: nobody holds it until then.
+            // The brakes of an arm without power close by themselves; until then nothing holds the arm.
             bench.inject("power off");
             bench.run(ms(1000));
             bench.only_in_control = only_in_control;
@@ -127,7 +127,7 @@ fn a_controller_that_was_switched_off_and_on_is_reset() {
     }
 }
 
-/// Nothing that opens a brake or switches a servo off is said to an arm of which nothing is heard.
+/// A silent arm receives no message that opens a brake or disables a servo.
 #[test]
 fn nobody_is_reset_or_connected_to_who_is_not_heard() {
     for format in WireFormat::ALL {
@@ -157,7 +157,7 @@ fn nobody_is_reset_or_connected_to_who_is_not_heard() {
     }
 }
 
-/// The bus comes back at any time of a reset, or of a look at an arm that moves: with whatever is heard first.
+/// The bus recovers at any time of a reset, or of the check of a moving arm: any message may be the first to arrive.
 #[test]
 fn whatever_is_heard_first_lets_no_joint_go() {
     for format in WireFormat::ALL {
@@ -190,7 +190,7 @@ fn whatever_is_heard_first_lets_no_joint_go() {
 #[test]
 fn an_arm_whose_program_was_killed_in_motion_is_stopped_and_latched_by_the_next_one() {
     for format in WireFormat::ALL {
-        // The slowest motion that an operator asks for, and a quick one.
+        // The slowest motion that an operator would command, and a fast one.
         for velocity in [JointVector::repeat(0.02), JointVector::from([0.1, -0.2, 0.1, 0.2, 0.3, 0.2, 0.3])] {
             let mut bench = bench(format).moving(velocity);
             bench.run(ms(400));
@@ -211,7 +211,7 @@ fn an_arm_whose_program_was_killed_in_motion_is_stopped_and_latched_by_the_next_
     }
 }
 
-/// Where C is answered in the control mode only, an arm that was left with open brakes is found, too.
+/// If C is answered only in the control mode, an arm that was left with open brakes is detected, too.
 #[test]
 fn an_arm_that_was_left_holding_is_latched_where_the_controller_shows_it() {
     for format in WireFormat::ALL {
@@ -224,7 +224,7 @@ fn an_arm_that_was_left_holding_is_latched_where_the_controller_shows_it() {
             assert_ended(&bench, "holding");
             let found = Some(Trip::Fault(FaultCause::FoundDriven));
             assert_eq!(trip(&bench), found.filter(|_| only_in_control), "{format}");
-            // And an arm that was left as it should be is not.
+            // An arm that was left in order is not latched.
             if only_in_control {
                 reset(&mut bench, "holding");
             }
@@ -237,7 +237,7 @@ fn an_arm_that_was_left_holding_is_latched_where_the_controller_shows_it() {
     }
 }
 
-/// Two lost replies in a row are borne at any time of connecting and stopping, and delay nothing for long.
+/// Two lost replies in a row are tolerated at any time of connecting and stopping, and cause no long delay.
 #[test]
 fn lost_replies_are_borne_while_an_arm_is_looked_for() {
     for format in WireFormat::ALL {

@@ -1,4 +1,4 @@
-//! A gateway at a controller without a time-out: what nobody has heard is said again until somebody has.
+//! A gateway at a controller without a time-out: unanswered messages are repeated until they are answered.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -45,7 +45,7 @@ fn run_held(chain: &mut Chain, time: Duration, place: &str) {
     }
 }
 
-/// At rest, brakes on, the control mode off, E answered.
+/// Stationary, brakes closed, control mode off, E answered.
 fn assert_ended(chain: &Chain, place: &str) {
     let (_, speed) = chain.controller.true_joints();
     assert!(chain.is_at_rest() && chain.controller.is_braked(), "{place}: it moves with {}", speed.amax());
@@ -59,7 +59,7 @@ fn latched(chain: &Chain) -> (GatewayState, StopCause) {
 
 const SILENT: (GatewayState, StopCause) = (GatewayState::Fault, StopCause::ControllerSilent);
 
-/// As an operator does: once more where the gateway needs its time.
+/// As an operator would: repeated if the gateway needs its time.
 fn reset(chain: &mut Chain, place: &str) {
     chain.wanted = None;
     for _ in 0..3 {
@@ -76,7 +76,7 @@ fn reset(chain: &mut Chain, place: &str) {
     assert_ended(chain, place);
 }
 
-/// The gateway is killed, the host with it, and both are started again.
+/// Gateway and host are killed, and both are started again.
 fn restart(chain: &mut Chain, format: WireFormat) {
     chain.wanted = None;
     let config = GatewayConfig::new(ARM, format, Firmware::new("test gateway 2").unwrap());
@@ -123,7 +123,7 @@ fn an_outage_within_the_order_that_is_heard_is_no_end_of_it() {
     }
 }
 
-/// It was powered off and on, has no use for C until S, and answers E.
+/// The controller was powered off and on, ignores C until S, and answers E.
 #[test]
 fn a_controller_that_was_switched_off_and_on_is_reset() {
     for (dialect, format) in EVERY {
@@ -142,7 +142,7 @@ fn a_controller_that_was_switched_off_and_on_is_reset() {
     }
 }
 
-/// Nothing that opens a brake or switches a servo off is said to an arm of which nothing is heard.
+/// A silent arm receives no message that opens a brake or disables a servo.
 #[test]
 fn nobody_is_reset_who_is_not_heard() {
     for (dialect, format) in EVERY {
@@ -166,7 +166,7 @@ fn nobody_is_reset_who_is_not_heard() {
     }
 }
 
-/// The bus comes back at any time of a reset, with whatever is heard first.
+/// The bus recovers at any time of a reset: any message may be the first to arrive.
 #[test]
 fn a_bus_that_comes_back_during_a_reset_lets_no_joint_go() {
     for (dialect, format) in EVERY {
@@ -188,7 +188,7 @@ fn a_bus_that_comes_back_during_a_reset_lets_no_joint_go() {
     }
 }
 
-/// A gateway that begins at a dead bus, whose arm moves all the same.
+/// A gateway that starts at a dead bus whose arm moves.
 #[test]
 fn an_arm_that_is_heard_late_and_moves_is_stopped_and_latched() {
     for (dialect, format) in EVERY {
@@ -204,7 +204,7 @@ fn an_arm_that_is_heard_late_and_moves_is_stopped_and_latched() {
             chain.inject("deaf 0");
             run_held(&mut chain, ms(600), &place);
             assert_ended(&chain, &place);
-            // E is said by time once: one that is heard first stops the arm before anybody sees it move.
+            // E is sent once at a fixed time: if it arrives first, it stops the arm before the gateway detects motion.
             let heard_e_first = (200..=222).contains(&after_ms);
             if !heard_e_first {
                 assert_eq!(latched(&chain), (GatewayState::Fault, StopCause::HostSilent), "{place}");
@@ -213,7 +213,7 @@ fn an_arm_that_is_heard_late_and_moves_is_stopped_and_latched() {
     }
 }
 
-/// A host asks for the control mode just as the bus of a moving arm comes back.
+/// A host requests the control mode when the bus of a moving arm recovers.
 #[test]
 fn a_start_at_an_arm_of_which_nothing_is_heard_lets_no_joint_go() {
     for (dialect, format) in EVERY {
@@ -236,7 +236,7 @@ fn a_start_at_an_arm_of_which_nothing_is_heard_lets_no_joint_go() {
     }
 }
 
-/// One that is powered on after its gateway, and has no use for C until S.
+/// A controller that is powered on after its gateway, and ignores C until S.
 #[test]
 fn a_controller_that_is_switched_on_later_is_started_at_once() {
     for (dialect, format) in EVERY {
@@ -256,7 +256,7 @@ fn a_controller_that_is_switched_on_later_is_started_at_once() {
     }
 }
 
-/// Where C is answered in the control mode only, an arm that was left with open brakes is found, too.
+/// If C is answered only in the control mode, an arm that was left with open brakes is detected, too.
 #[test]
 fn an_arm_that_was_left_holding_is_latched_where_the_controller_shows_it() {
     for (dialect, format) in EVERY {
@@ -269,7 +269,7 @@ fn an_arm_that_was_left_holding_is_latched_where_the_controller_shows_it() {
             assert_ended(&chain, "holding");
             let found = if only_in_control { (GatewayState::Fault, StopCause::HostSilent) } else { latched(&chain) };
             assert_eq!(latched(&chain), found, "{format}");
-            // And an arm that was left as it should be is not.
+            // An arm that was left in order is not latched.
             restart(&mut chain, format);
             run_held(&mut chain, ms(400), "left in order");
             assert_ended(&chain, "left in order");
@@ -278,7 +278,7 @@ fn an_arm_that_was_left_holding_is_latched_where_the_controller_shows_it() {
     }
 }
 
-/// A host that leaves in `started`, on a bus that is dead just then.
+/// A host disconnects in `started`, while the bus is dead.
 #[test]
 fn an_e_that_nobody_heard_is_asked_for_again() {
     for (dialect, format) in EVERY {

@@ -1,4 +1,4 @@
-//! Arms in virtual time: the contract of the arm traits, arms that stop each other, a cable that is pulled, and the same bytes again.
+//! Arms in virtual time: the contract of the arm traits, arms that stop each other, an unplugged cable, and reproducible bytes.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -32,7 +32,7 @@ fn time() -> Arc<VirtualTime> {
 }
 
 fn open(arm: u8, time: &Arc<VirtualTime>, seat: TripSeat) -> (Pa10Arm, VirtualEnd) {
-    // E2 is about to turn beyond half a turn: wrapped angles would show.
+    // E2 soon exceeds half a turn, so that wrapped angles would be detected.
     let home = JointVector::from([0.2, -0.5, 0.3, 1.1, std::f64::consts::PI - 0.02, 0.9, 0.1]);
     let now = time.now();
     let plant = Arc::new(Mutex::new(JointPlant::new(plant_config(), home, now).unwrap()));
@@ -55,7 +55,7 @@ fn pass(time: &VirtualTime, millis: u64) {
     time.sleep_until(time.now() + Duration::from_millis(millis));
 }
 
-/// Does the same for the far end that stands behind the arm just now, and waits until it shows.
+/// Injects the fault at the current far end of the arm, and waits for its effect.
 fn with(
     end: &Rc<RefCell<Option<VirtualEnd>>>,
     time: &Arc<VirtualTime>,
@@ -185,7 +185,7 @@ fn who_lets_go_of_a_moving_arm_has_it_stopped() {
     }
 }
 
-/// What two arms say on their lines in two seconds with faults by chance.
+/// Bytes on the lines of two arms in two seconds with random faults.
 fn said() -> Vec<RawBytes> {
     let mut cell = moving();
     for end in &cell.ends {

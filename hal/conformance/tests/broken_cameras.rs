@@ -72,7 +72,7 @@ impl Camera {
         image.pixels_mut().for_each(|pixel| *pixel = colour);
     }
 
-    /// Any result except a pair now.
+    /// The error to return instead of a pair, if any.
     fn instead_of_a_pair(&mut self) -> Option<CameraErrorKind> {
         let end = match self.defect {
             Defect::EndsEarly => PAIRS - 1,

@@ -37,7 +37,7 @@ pub struct CoupledArmConfig {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum CoupledError {
     /// The minimum clearance is invalid.
-    #[error("least room between the arms {0} m is not a positive, finite number")]
+    #[error("minimum clearance between the arms {0} m is not a positive, finite number")]
     LeastRoom(f64),
 }
 
@@ -201,7 +201,7 @@ impl Cell {
         let (Some(own), Some(other)) = (own, self.sides[1 - side].sweep) else {
             let unknown = if own.is_none() { side } else { 1 - side };
             let name = &self.sides[unknown].name;
-            return (!is_rest).then(|| format!("nothing is known of where arm {name} is; exchange with it first"));
+            return (!is_rest).then(|| format!("the pose of arm {name} is unknown; exchange with it first"));
         };
         let (room_m, which) = self.room(side, &own, &other);
         let may_meet = is_off(Safeguard::CouplingRoom);
@@ -213,7 +213,7 @@ impl Cell {
         }
         self.statistics.refused += 1;
         Some(format!(
-            "{which} could come to {:.0} mm of each other before both arms rest, at least {:.0} mm are to be left",
+            "{which} could come within {:.0} mm of each other before both arms stop, the minimum clearance is {:.0} mm",
             room_m * 1e3,
             self.least_m * 1e3
         ))

@@ -111,8 +111,8 @@ mod tests {
         Expectation::new(JointVector::repeat(2.0), Duration::ZERO, Duration::from_millis(30))
     }
 
-    /// By hand: told to move at 1 rad/s, a joint that stays where it is falls behind by 10 rad in 10 s, less 0.25 rad of the ramp,
-    /// 0.015 rad of the lag and 0.02 rad that drives may drift.
+    /// By hand: at a command of 1 rad/s, a stationary joint falls behind by 10 rad in 10 s, less 0.25 rad of the ramp, 0.015 rad
+    /// of the lag and 0.02 rad of permitted drift.
     #[test]
     fn a_joint_that_does_not_move_falls_behind() {
         let mut expectation = expectation();
@@ -147,7 +147,7 @@ mod tests {
         }
     }
 
-    /// Ramps take seconds: a delay that is taken for a lag makes drives seem to be ahead all the while.
+    /// Ramps take seconds: a delay that is modelled as a lag makes drives appear to be ahead for the whole ramp.
     #[test]
     fn a_delay_is_not_a_lag() {
         let drives = |delay_ms: u64, lag_ms: u64| {
@@ -157,7 +157,7 @@ mod tests {
             let mut expectation = drives(delay_ms, lag_ms);
             let (mut velocity, mut largest) = (0.0_f64, 0.0_f64);
             for k in 0..600 {
-                // Full speed there and back again; what the drives hear is 15 ms old.
+                // Full speed in both directions; the drives receive commands 15 ms late.
                 let command_at = |ms: i64| if (ms.max(0) / 2000) % 2 == 0 { 6.0 } else { -6.0 };
                 expectation.command(&JointVector::repeat(command_at(10 * k)));
                 let mut moved = 0.0;
@@ -184,7 +184,7 @@ mod tests {
         }
         assert!(error.amax() < 0.025, "{error}");
     }
-    /// At the speed of a jog, 0.02 rad/s: blocked it is 0.05 rad behind after 3 s, whatever the step.
+    /// At the speed of a jog, 0.02 rad/s: a blocked joint is 0.05 rad behind after 3 s, with any step.
     #[test]
     fn a_joint_that_is_blocked_at_the_speed_of_a_jog_falls_behind() {
         for step_ms in [2, 10, 40] {

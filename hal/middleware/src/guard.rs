@@ -48,7 +48,7 @@ pub enum GuardError {
     #[error("ripple of the speed {0} rad/s is not a finite number of 0 or more")]
     Ripple(f64),
     /// The tracking tolerance is invalid.
-    #[error("largest tracking error {0} rad is not a positive, finite number")]
+    #[error("maximum tracking error {0} rad is not a positive, finite number")]
     TrackingError(f64),
 }
 
@@ -60,8 +60,8 @@ const OVER_SPEED_SAMPLES: u32 = 2;
 const JUMP_FACTOR: f64 = 1.5;
 /// ... plus this, rad; a larger step is a wrong sample.
 const JUMP_MARGIN_RAD: f64 = 0.002;
-/// Samples further apart, in cycles, are not consecutive while an arm is being enabled: nobody measures it with closed brakes, and
-/// three lost samples stop it.
+/// Samples further apart, in cycles, are not consecutive while an arm is being enabled: with closed brakes it is not measured,
+/// and three lost samples stop it.
 const OLD_CYCLES: u32 = 5;
 /// This number of consecutive wrong samples is a fault and not a disturbance of the link.
 const JUMPS_TO_FAULT: u32 = 2;
@@ -141,14 +141,14 @@ impl<A: Arm> Guard<A> {
         self
     }
 
-    /// Stops at once; the answer of the arm does not matter any more.
+    /// Stops at once; the answer of the arm no longer matters.
     fn stop_for(&mut self, (joint, reason): (usize, String)) -> ArmError {
         if let Some(stop) = &mut self.on_stop {
             stop();
         }
         let told = self.arm.exchange(JointCommand::Hold);
         self.expectation.command(&JointVector::zeros());
-        let link = told.err().map_or(String::new(), |error| format!(" (and it could not be told to hold: {error})"));
+        let link = told.err().map_or(String::new(), |error| format!(" (and the hold command failed: {error})"));
         let error = self.error(ArmErrorKind::Fault, &format!("{reason}; the arm holds{link}")).of_joint(joint);
         self.latched = Some(reason);
         error
@@ -158,8 +158,10 @@ impl<A: Arm> Guard<A> {
     fn refuse_jump(&mut self, joint: usize, moved_rad: f64, dt: Duration) -> ArmError {
         self.jumps += 1;
         let moved_deg = moved_rad.to_degrees();
-        let text =
-            format!("axis {} seems to have moved by {moved_deg:+.2} degrees within {dt:?}, which it cannot", joint + 1);
+        let text = format!(
+            "axis {} seems to have moved by {moved_deg:+.2} degrees within {dt:?}, an impossible speed",
+            joint + 1
+        );
         if self.jumps >= JUMPS_TO_FAULT {
             let reason = format!("{text}, {} times in a row: check its encoder and the link", self.jumps);
             return self.stop_for((joint, reason));
@@ -167,7 +169,7 @@ impl<A: Arm> Guard<A> {
         match self.arm.exchange(JointCommand::Hold) {
             Ok(_) => {
                 self.expectation.command(&JointVector::zeros());
-                self.error(ArmErrorKind::Timeout, &format!("{text}; the sample is thrown away and the arm holds"))
+                self.error(ArmErrorKind::Timeout, &format!("{text}; the sample is discarded and the arm holds"))
             }
             Err(error) => error,
         }
@@ -187,7 +189,7 @@ impl<A: Arm> Guard<A> {
         if let Some(wrong) = self.mechanical.violation(&sample.position_rad) {
             let (joint, angle) = (wrong.joint, wrong.position_rad);
             let reason = format!(
-                "axis {} is at {:.2} degrees, where none can be (its stops are at {:.2} and {:.2} degrees): check its encoder and \
+                "axis {} is at {:.2} degrees, beyond its mechanical stops at {:.2} and {:.2} degrees: check its encoder and \
                  its zero point",
                 joint + 1,
                 angle.to_degrees(),
@@ -226,7 +228,7 @@ impl<A: Arm> Guard<A> {
             let is_slow = speed.abs() <= OVER_SPEED * allowed;
             self.too_fast[joint] = if is_slow { 0 } else { self.too_fast[joint] + 1 };
             if self.too_fast[joint] >= OVER_SPEED_SAMPLES && reason.is_none() {
-                let text = format!("axis {} moves at {speed:+.3} rad/s, {allowed:.3} rad/s are allowed", joint + 1);
+                let text = format!("axis {} moves at {speed:+.3} rad/s, the limit is {allowed:.3} rad/s", joint + 1);
                 reason = Some((joint, text));
             }
         }
@@ -241,7 +243,7 @@ impl<A: Arm> Guard<A> {
             self.off_track_for[joint] = if is_on_track { Duration::ZERO } else { self.off_track_for[joint] + dt };
             if self.off_track_for[joint] >= self.config.tracking_error_for && reason.is_none() {
                 let text = format!(
-                    "axis {} is {:+.2} degrees from where its commands lead, for {:?}: it is blocked, pushed or not driven",
+                    "axis {} is {:+.2} degrees from its commanded position, for {:?}: it is blocked, pushed or not driven",
                     joint + 1,
                     error_rad[joint].to_degrees(),
                     self.off_track_for[joint]

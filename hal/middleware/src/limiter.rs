@@ -71,7 +71,7 @@ pub enum LimiterError {
     #[error("tolerance of the start pose {0} rad is not a positive, finite number")]
     StartTolerance(f64),
     /// A time is zero.
-    #[error("{0} is zero; give the time that it takes")]
+    #[error("{0} is zero; give a time above 0")]
     ZeroTime(&'static str),
 }
 
@@ -210,7 +210,7 @@ impl<A: Arm> Limiter<A> {
             self.statistics.samples_not_finite += 1;
             self.last.note_hold(now);
             self.arm.exchange(JointCommand::Hold)?;
-            let text = "the reply holds joints that are not finite and is thrown away; the arm holds";
+            let text = "the reply contains joint values that are not finite, and is discarded; the arm holds";
             return Err(self.error(ArmErrorKind::Timeout, text));
         }
         self.newest = Some(sample);
@@ -231,8 +231,8 @@ impl<A: Arm> Limiter<A> {
             self.statistics.refused_outwards += 1;
             let limits = self.limits.servo();
             let reason = format!(
-                "axis {} is at {:.2} degrees, beyond its servo limits {:.2} to {:.2} degrees, and {:+.4} rad/s leads further out: \
-                 only the way back is open",
+                "axis {} is at {:.2} degrees, beyond its servo limits {:.2} to {:.2} degrees, and {:+.4} rad/s leads further \
+                 out: only motion back into the range is allowed",
                 joint + 1,
                 measured_rad[joint].to_degrees(),
                 limits.position_min_rad()[joint].to_degrees(),
@@ -247,8 +247,8 @@ impl<A: Arm> Limiter<A> {
         if let Some((joint, difference_rad)) = self.config.start.missed_by(&measured_rad) {
             self.statistics.refused_start += 1;
             let reason = format!(
-                "axis {} is at {:.2} degrees, {:+.2} degrees from where the motion is to start: bring the arm to its start pose \
-                 first (home it, at low speed), or correct the start pose in the configuration",
+                "axis {} is at {:.2} degrees, {:+.2} degrees from the start pose: move the arm to its start pose first (home \
+                 it, at low speed), or correct the start pose in the configuration",
                 joint + 1,
                 measured_rad[joint].to_degrees(),
                 difference_rad.to_degrees()

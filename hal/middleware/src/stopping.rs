@@ -112,19 +112,19 @@ mod tests {
         assert!((close / 1e-8 - 1.0).abs() < 1e-6, "d/T close to the limit: {close}");
     }
 
-    /// By hand: from 0.6 rad/s with 2 rad/s^2 and 20 rad/s^3 it takes 0.1 s to brake fully, 0.2 s at full braking, 0.1 s to
-    /// let go: 0.36/4 + 0.6 x 0.05 = 0.12 rad. From 0.1 rad/s full braking is not reached: 0.1 sqrt(0.1/20).
+    /// By hand: from 0.6 rad/s with 2 rad/s^2 and 20 rad/s^3 it takes 0.1 s to build up full braking, 0.2 s at full braking, 0.1
+    /// s to fade it out: 0.36/4 + 0.6 x 0.05 = 0.12 rad. From 0.1 rad/s full braking is not reached: 0.1 sqrt(0.1/20).
     #[test]
     fn ways_to_rest_by_hand() {
         assert!((LIMIT.way_to_rest(0.6, 0.0) - 0.12).abs() < 1e-15);
         assert!((LIMIT.way_to_rest(0.1, 0.0) - 0.1 * 0.005f64.sqrt()).abs() < 1e-15);
-        // Half a tenth into that braking: v = 0.6 - 20 x 0.05^2 / 2, a = -1, and 0.6 x 0.05 - 20 x 0.05^3 / 6 done.
+        // 0.05 s after the start of this braking: v = 0.6 - 20 x 0.05^2 / 2, a = -1, distance 0.6 x 0.05 - 20 x 0.05^3 / 6.
         let done = 0.6 * 0.05 - 20.0 * 0.05f64.powi(3) / 6.0;
         assert!((LIMIT.way_to_rest(0.575, -1.0) - (0.12 - done)).abs() < 1e-15);
-        // Letting go at full acceleration takes 0.1 s and 0.1 rad/s.
+        // Fading out full acceleration takes 0.1 s and adds 0.1 rad/s.
         let meanwhile = 0.5 * 0.1 + 2.0 * 0.01 / 2.0 - 20.0 * 0.001 / 6.0;
         assert!((LIMIT.way_to_rest(0.5, 2.0) - (meanwhile + 0.12)).abs() < 1e-15);
-        // Braking that fades to nothing in T ends at rest if v = j T^2 / 2, after j T^3 / 6.
+        // Braking that fades out in T ends at standstill if v = j T^2 / 2, after j T^3 / 6.
         let fading_s = (2.0f64 * 0.05 / 20.0).sqrt();
         assert!((LIMIT.way_to_rest(0.05, -2.0) - 20.0 * fading_s.powi(3) / 6.0).abs() < 1e-15);
         assert_eq!(LIMIT.way_to_rest(-0.6, 0.0), 0.0);
@@ -135,7 +135,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(500) })]
 
-        /// Steps of any length towards rest keep the limits of acceleration and jerk, never pass rest, and end within the way.
+        /// Steps of any length towards standstill keep the limits of acceleration and jerk, never overshoot, and end within the
+        /// distance.
         #[test]
         fn steps_to_rest_end_within_the_way(
             velocity in 0.0..6.0f64, part in -1.0..1.0f64, steps in prop::collection::vec(0.002..0.02f64, 3000),

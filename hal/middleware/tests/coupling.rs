@@ -1,4 +1,4 @@
-//! Two mock arms that stand in reach of each other.
+//! Two mock arms within reach of each other.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -41,7 +41,7 @@ fn shape() -> ArmShape {
     ArmShape::new(parts).unwrap()
 }
 
-/// The first arm looks along x, the second one stands so far away and looks back.
+/// The first arm faces along x; the second one is at this distance and faces back.
 fn places(distance_m: f64) -> [Pose<World, Base>; 2] {
     let back = UnitQuaternion::from_euler_angles(0.0, 0.0, std::f64::consts::PI);
     [
@@ -64,7 +64,7 @@ fn coupled_config(world_from_base: Pose<World, Base>) -> CoupledArmConfig {
 
 type Driven = Limiter<Coupled<Guard<MockArm>>>;
 
-/// Two enabled arms in one cell.
+/// Two enabled arms in one workcell.
 struct Bench {
     arms: [Driven; 2],
     clock: Arc<VirtualClock>,
@@ -94,7 +94,7 @@ impl Bench {
         self.arms[i].arm().arm().arm()
     }
 
-    /// One cycle; the kinds of the errors, if there are any.
+    /// One cycle; returns the kinds of the errors, if any.
     fn cycle(&mut self, commands: [JointCommand; 2]) -> [Option<(ArmErrorKind, String)>; 2] {
         self.clock.sleep_until(self.clock.now() + CYCLE);
         let mut answers = [None, None];
@@ -104,7 +104,7 @@ impl Bench {
         answers
     }
 
-    /// The least true room since the beginning, metres.
+    /// The smallest true clearance so far, metres.
     fn least_room_m(&self) -> f64 {
         let (chain, shape) = (chain(), shape());
         let (mut least_m, mut at) = (f64::INFINITY, MonotonicTime::ZERO);
@@ -127,7 +127,7 @@ impl Bench {
     }
 }
 
-/// Both bow towards each other.
+/// Leans an arm towards the other one.
 fn bowed(by_rad: f64) -> JointVector {
     JointVector::from([0.0, by_rad, 0.0, 0.6, 0.0, 0.3, 0.0])
 }
@@ -144,7 +144,7 @@ fn arms_that_move_towards_each_other_stop_before_they_are_too_near() {
         }
         let (kind, text) = refused.unwrap_or_else(|| panic!("{speeds:?}: nothing was refused"));
         assert_eq!(kind, ArmErrorKind::Rejected);
-        assert!(text.contains("could come to") && text.contains("at least 50 mm are to be left"), "{text}");
+        assert!(text.contains("could come within") && text.contains("the minimum clearance is 50 mm"), "{text}");
         assert!(bench.speed(0) < 0.1 && bench.speed(1) < 0.1, "{speeds:?}");
         let least_m = bench.least_room_m();
         assert!((LEAST_M..0.15).contains(&least_m), "{speeds:?}: {least_m} m");
@@ -186,7 +186,7 @@ fn what_stops_one_arm_stops_the_other_within_a_cycle_until_both_are_reset() {
             assert_eq!(bench.cycle([velocity(0, 0.2), velocity(0, -0.2)]), [None, None]);
         }
         raise(bench.mock(failing));
-        // The one that failed may have its turn after the other one: then it is the turn after.
+        // The arm that failed may exchange after the other one: then the stop takes effect one cycle later.
         let first = bench.cycle([velocity(0, 0.2), velocity(0, -0.2)]);
         let second = bench.cycle([velocity(0, 0.2), velocity(0, -0.2)]);
         assert!(first[failing].is_some(), "{first:?}");
@@ -238,7 +238,7 @@ fn an_arm_whose_place_is_not_known_holds_the_other_one() {
     one.exchange(JointCommand::Hold).unwrap();
     let error = one.exchange(velocity(0, 0.01)).unwrap_err();
     assert_eq!(error.kind(), ArmErrorKind::Rejected);
-    assert!(error.to_string().contains("nothing is known of where arm vs-robot"), "{error}");
+    assert!(error.to_string().contains("the pose of arm vs-robot is unknown"), "{error}");
     two.exchange(JointCommand::Hold).unwrap();
     one.exchange(velocity(0, 0.01)).unwrap();
     for least in [0.0, -1.0, f64::NAN, f64::INFINITY] {
@@ -263,7 +263,7 @@ fn coupled_mock_arm_keeps_the_contract() {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(60) })]
 
-    /// Both arms keep their distance, for any commands: tested against where the simulated joints really were.
+    /// Both arms keep their clearance, for any commands: tested with the true simulated joints.
     #[test]
     fn no_commands_bring_the_arms_too_near(
         desired in prop::collection::vec((prop::array::uniform14(-1.0..1.0f64), 5..120usize), 1..15),
@@ -285,7 +285,7 @@ proptest! {
     }
 }
 
-/// A cable that was pulled while both arms were stopped anyway must not keep them from being reset when it is plugged in again.
+/// A cable that was unplugged while both arms were stopped must not prevent their reset after it is plugged in again.
 #[test]
 fn an_arm_whose_link_was_gone_can_be_reset() {
     let mut bench = Bench::new(2.0, [JointVector::zeros(), JointVector::zeros()]);

@@ -1,5 +1,5 @@
-//! Limiter and guard against the emulated controller of a PA-10, with the driver that a real arm has, the bus and the joints, in
-//! virtual time: faults that only a look at the joints finds, and where the driver's own ramp brings the joints.
+//! Limiter and guard with the emulated controller of a PA-10, the driver of a real arm, the bus and the joints, in virtual time:
+//! faults that only the joint angles reveal, and the effect of the driver's own ramp on the joints.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -21,7 +21,7 @@ use crate::common;
 
 const SPEED_SCALE: f64 = 0.3;
 
-/// The arm traits over a driver in virtual time: each exchange takes one cycle of the host.
+/// The arm traits on a driver in virtual time: each exchange takes one cycle of the host.
 struct VirtualArm {
     bench: Arc<Mutex<BusBench>>,
     info: ArmInfo,
@@ -100,7 +100,7 @@ impl ArmPower for VirtualArm {
     }
 }
 
-/// An enabled arm at these joints, watched by a guard.
+/// An enabled arm at these joint angles, monitored by a guard.
 fn guarded(
     format: WireFormat,
     start_rad: JointVector,
@@ -126,7 +126,7 @@ fn guarded(
     (guard, bench)
 }
 
-/// For drives that brake far harder than any command asks them to.
+/// For drives with far higher decelerations than any command demands.
 fn wide_guard_config() -> (EffectiveLimits, GuardConfig) {
     let joints = plant_config();
     let mechanical_max_rad = common::mechanical_range_rad();
@@ -149,20 +149,20 @@ fn wide_guard_config() -> (EffectiveLimits, GuardConfig) {
     (stated.effective().unwrap(), config)
 }
 
-/// To and fro, with up to 0.8 of what is allowed.
+/// Alternating motion with up to 0.8 of the speed limit.
 fn velocity(at: MonotonicTime) -> JointCommand {
     let part = 0.8 * SPEED_SCALE * (std::f64::consts::TAU * at.as_secs_f64() / 2.0).sin();
     JointCommand::Velocity(plant_config().limits.velocity_max_rad_per_s() * part)
 }
 
-/// What one fault led to.
+/// Result of one fault.
 struct Outcome {
     found_after: Duration,
     at_rest_after: Duration,
     reason: String,
 }
 
-/// Moves, and lets a fault come, until the guard or the driver itself has found it.
+/// Moves the arm and injects a fault, until the guard or the driver detects it.
 fn outcome(format: WireFormat, phase: u32, line: &str) -> Option<Outcome> {
     let (mut guard, bench) = guarded(format, bus_bench::home(), wide_guard_config());
     let step = |guard: &mut Guard<VirtualArm>| {
@@ -193,12 +193,13 @@ fn outcome(format: WireFormat, phase: u32, line: &str) -> Option<Outcome> {
     Some(Outcome { found_after, at_rest_after: last.saturating_since(begin), reason: reason.to_string() })
 }
 
-/// By what a joint comes to rest.
+/// How a joint is stopped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Braking {
     /// Its servo: the ramp of the driver, and the lag of the drive.
     Servo,
-    /// Its brake, as it does not obey its servo: after the ramp and the cycles at rest of the others, and the time to close.
+    /// Its brake, because its servo does not obey: after the ramp and the cycles at speed 0 of the other joints, and the closing
+    /// time.
     Brake,
 }
 
@@ -217,16 +218,16 @@ impl Braking {
     }
 }
 
-/// Faults, how soon they are to be found by what their size allows, what is said then, and how the arm comes to rest.
+/// Faults, the maximum detection time for their size, the expected message, and how the arm stops.
 ///
-/// Status words report the last four in format B. In format A nobody knows these words, and only the joints tell.
+/// In format B status words report the last four. In format A the words are undocumented, and only the joint angles reveal them.
 const FAULTS: [(&str, u64, &str, Braking); 11] = [
     ("runaway 2 0.9rad/s", 50, "axis 2 moves at +", Braking::Brake),
     ("runaway 6 -4rad/s", 130, "axis 6 moves at -", Braking::Brake),
     ("runaway 2 0.25rad/s", 1300, "axis 2 is", Braking::Brake),
     ("stuck 4 on", 800, "axis 4 is", Braking::Servo),
     ("jump 3 0.3rad", 50, "axis 3 seems to have moved by +1", Braking::Servo),
-    ("stale 1000000", 800, "from where its commands lead", Braking::Servo),
+    ("stale 1000000", 800, "from its commanded position", Braking::Servo),
     ("corrupt 1000000", 700, "", Braking::Servo),
     ("e-stop press", 900, "", Braking::Brake),
     ("time-out", 900, "", Braking::Servo),
@@ -234,8 +235,8 @@ const FAULTS: [(&str, u64, &str, Braking); 11] = [
     ("alarm 4 0x0e", 900, "", Braking::Brake),
 ];
 
-/// How soon depends on how far a joint has to be off before it can be told from one that is well; what is promised is that it is
-/// told, and that the arm is at rest within its braking time plus 20 ms from then on.
+/// The detection time depends on the smallest detectable error of a joint. Required: the fault is detected, and the arm stops
+/// within its braking time plus 20 ms from then on.
 #[test]
 fn what_only_the_joints_show_stops_the_arm() {
     for format in WireFormat::ALL {
@@ -255,7 +256,7 @@ fn what_only_the_joints_show_stops_the_arm() {
     }
 }
 
-/// The time of a bench.
+/// The clock of a bench.
 struct BenchClock(Arc<Mutex<BusBench>>);
 
 impl Clock for BenchClock {
@@ -268,7 +269,7 @@ impl Clock for BenchClock {
     }
 }
 
-/// All that stands between a controller of the hand and a real arm, with the accelerations that the driver brakes with.
+/// All layers between a controller of the hand and a real arm, with the decelerations of the driver.
 struct Chained {
     limiter: Limiter<Guard<VirtualArm>>,
     bench: Arc<Mutex<BusBench>>,
@@ -286,7 +287,7 @@ impl Chained {
         };
         let limits = stated.effective().unwrap();
         let guard = GuardConfig {
-            // A sample comes at the end of the cycle whose command is noted with it.
+            // A sample is measured at the end of the cycle in which its command is recorded.
             delay: Duration::ZERO,
             lag,
             ..common::guard_config()
@@ -307,7 +308,7 @@ impl Chained {
         Self { limiter, bench, begin }
     }
 
-    /// How far any joint was beyond its operating range, rad; negative if none was.
+    /// Largest excess of a joint beyond its operating range, rad; negative if none was outside.
     fn farthest_beyond_rad(&self) -> f64 {
         let operating_rad = common::operating_range_rad();
         let bench = self.bench.lock().unwrap();
@@ -321,7 +322,7 @@ impl Chained {
     }
 }
 
-/// S2 comes near its end slowly while S3 is fast and needs a second to brake: S2 must not go on for as long.
+/// S2 approaches its limit slowly while S3 is fast and needs a second to brake: S2 must not move for as long as S3.
 #[test]
 fn a_hold_leads_no_joint_out_while_another_one_needs_longer_to_brake() {
     let end_rad = common::operating_range_rad()[1];
@@ -344,7 +345,8 @@ fn a_hold_leads_no_joint_out_while_another_one_needs_longer_to_brake() {
     assert!(beyond_rad < 1e-5, "beyond the operating range by {beyond_rad} rad");
 }
 
-/// A control loop that stalls for 15 to 35 ms more than its cycle: the driver has faded the velocity, and goes on from there.
+/// A control loop that stalls for 15 to 35 ms more than its cycle: the driver has faded the velocity, and continues from the
+/// faded one.
 #[test]
 fn after_a_stall_the_velocity_goes_on_from_what_the_driver_left_of_it() {
     let most = DriverConfig::with_cycle(BUS_CYCLE).deceleration_rad_per_s2[2] * HOST_CYCLE.as_secs_f64();
@@ -361,7 +363,7 @@ fn after_a_stall_the_velocity_goes_on_from_what_the_driver_left_of_it() {
         assert!(before < 1.4, "{stall_ms} ms: {before}");
         arm.limiter.exchange(JointCommand::Velocity(desired)).unwrap();
         let after = told(&arm);
-        // The driver's last cycle is up to one bus cycle old.
+        // The last cycle of the driver is up to one bus cycle old.
         assert!(after <= before + most + 1e-9 && after > 0.0, "{stall_ms} ms: from {before} to {after} rad/s");
     }
 }
@@ -369,8 +371,8 @@ fn after_a_stall_the_velocity_goes_on_from_what_the_driver_left_of_it() {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(60) })]
 
-    /// Whatever is wished, and whenever the arm gets the command to hold: no joint leaves its operating range, and the guard, which expects
-    /// each joint to brake by itself, finds nothing wrong.
+    /// For any command, and any time of a hold: no joint leaves its operating range, and the guard, which expects each joint to
+    /// brake separately, detects no fault.
     #[test]
     fn the_drivers_own_ramp_leaves_no_range(
         start in prop::array::uniform7(-0.98..0.98f64),

@@ -1,4 +1,4 @@
-//! The guard around a mock arm whose answers are tampered with.
+//! The guard around a mock arm with modified answers.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -17,7 +17,7 @@ use proptest::prelude::*;
 
 const START: [f64; DOF] = [0.2, -0.5, 0.3, 1.1, -0.7, 0.9, 0.1];
 
-/// A guarded arm that is enabled, and the handles to disturb it.
+/// An enabled, guarded arm, and the handles to disturb it.
 struct Bench {
     guard: Guard<Tampered>,
     clock: Arc<VirtualClock>,
@@ -45,7 +45,7 @@ impl Bench {
         self.guard.exchange(command)
     }
 
-    /// Commands the velocity until it is refused; time until then.
+    /// Commands the velocity until it is refused; returns the time.
     fn until_refused(&mut self, command: JointCommand, at_most: Duration) -> Option<(Duration, ArmError)> {
         let begin = self.clock.now();
         while self.clock.now() < begin + at_most {
@@ -60,8 +60,8 @@ impl Bench {
         *self.told.lock().unwrap().last().unwrap()
     }
 
-    /// Stopped for good: velocities are refused and do not reach the arm, holding works, only a reset helps, and not further
-    /// than to `Disabled`.
+    /// Latched: velocities are refused and do not reach the arm, hold works, and only a reset ends the latch and leads to
+    /// `Disabled`.
     fn assert_latched_until_reset(&mut self) {
         assert_eq!(self.last_told(), JointCommand::Hold);
         assert_eq!(self.guard.state(), ArmState::Fault);
@@ -88,26 +88,26 @@ fn a_joint_that_does_not_go_where_it_is_told_stops_the_arm() {
         sample.position_rad[3] = stuck_at;
         sample.velocity_rad_per_s[3] = 0.0;
     });
-    // At 0.5 rad/s, after a ramp of a quarter of a second, 0.05 rad are missing after 0.05 / 0.5 + 0.125 s and the lag, and
-    // that is held against the joint 0.1 s later.
+    // At 0.5 rad/s, after a ramp of a quarter of a second, the error reaches 0.05 rad after 0.05 / 0.5 + 0.125 s and the lag, and
+    // is a fault 0.1 s later.
     let (after, error) = bench.until_refused(velocity(3, 0.5), Duration::from_secs(2)).unwrap();
     assert_eq!(error.kind(), ArmErrorKind::Fault);
-    assert!(error.to_string().contains("axis 4 is -") && error.to_string().contains("commands lead"), "{error}");
+    assert!(error.to_string().contains("axis 4 is -") && error.to_string().contains("commanded position"), "{error}");
     assert_eq!((error.joint(), error.code()), (Some(3), None));
     let expected = Duration::from_millis(100 + 125 + 45 + 100);
     assert!(after > expected - Duration::from_millis(60) && after < expected + Duration::from_millis(60), "{after:?}");
     bench.assert_latched_until_reset();
 }
 
-/// While an arm is being enabled, it is measured anew, perhaps long after the last time; from then on a joint that goes by itself is found
-/// before anybody moves the arm.
+/// While an arm is being enabled, it is measured again, perhaps after a long pause; from then on a joint that moves by itself is
+/// detected before any motion is commanded.
 #[test]
 fn an_arm_that_is_being_switched_on_is_watched_from_its_first_fresh_sample_on() {
     let mut bench = Bench::new(START, 0.6);
     bench.guard.stop().unwrap();
     bench.guard.begin_enable().unwrap();
     bench.step(JointCommand::Hold).unwrap();
-    // Somebody had turned it by hand, behind its brakes.
+    // A person turned the joint by hand, with closed brakes.
     bench.tamper(|sample| sample.position_rad[2] += 0.4);
     bench.clock.sleep_until(bench.clock.now() + Duration::from_secs(3));
     assert!(bench.until_refused(JointCommand::Hold, Duration::from_secs(1)).is_none());
@@ -118,13 +118,13 @@ fn an_arm_that_is_being_switched_on_is_watched_from_its_first_fresh_sample_on() 
         sample.velocity_rad_per_s[2] = 0.5;
     });
     let (after, error) = bench.until_refused(JointCommand::Hold, Duration::from_secs(1)).unwrap();
-    assert!(error.to_string().contains("axis 3 is +") && error.to_string().contains("commands lead"), "{error}");
+    assert!(error.to_string().contains("axis 3 is +") && error.to_string().contains("commanded position"), "{error}");
     assert!(after < Duration::from_millis(250), "{after:?}");
     assert_eq!(bench.guard.poll_enable().unwrap_err().kind(), ArmErrorKind::Fault);
     assert_eq!(bench.guard.state(), ArmState::Fault);
 }
 
-/// An arm that is on is watched across a gap in its samples: a place that it cannot have come to meanwhile is no place.
+/// An enabled arm is monitored across a gap in its samples: an unreachable position is a wrong sample.
 #[test]
 fn an_arm_that_is_on_is_not_measured_anew() {
     let mut bench = Bench::new(START, 0.6);
@@ -137,14 +137,14 @@ fn an_arm_that_is_on_is_not_measured_anew() {
     assert!(bench.step(JointCommand::Hold).is_err());
 }
 
-/// Of a jog, at 0.02 rad/s: 0.05 rad are missing after 2.8 s, as 0.002 rad/s may be drift.
+/// At the speed of a jog, 0.02 rad/s: the error reaches 0.05 rad after 2.8 s, because 0.002 rad/s may be drift.
 #[test]
 fn a_joint_that_is_blocked_in_a_jog_stops_the_arm() {
     let mut bench = Bench::new(START, 0.1);
     bench.step(JointCommand::Hold).unwrap();
     bench.tamper(|sample| (sample.position_rad[6], sample.velocity_rad_per_s[6]) = (START[6], 0.0));
     let (after, error) = bench.until_refused(velocity(6, 0.02), Duration::from_secs(8)).unwrap();
-    assert!(error.to_string().contains("axis 7 is -2.") && error.to_string().contains("commands lead"), "{error}");
+    assert!(error.to_string().contains("axis 7 is -2.") && error.to_string().contains("commanded position"), "{error}");
     assert!(after > Duration::from_millis(2700) && after < Duration::from_millis(3100), "{after:?}");
     bench.assert_latched_until_reset();
 }
@@ -183,7 +183,7 @@ fn one_sample_that_jumps_is_thrown_away_and_two_stop_the_arm() {
     assert_eq!(bench.last_told(), JointCommand::Hold);
     bench.step(velocity(6, 0.3)).unwrap();
     assert_eq!(bench.guard.latched(), None);
-    // The guard asks the arm to hold after each of them, and that answer is bad as well.
+    // The guard commands a hold after each wrong sample, and the answer to the hold is wrong as well.
     bench.tamper(bad(3));
     assert_eq!(bench.step(velocity(6, 0.3)).unwrap_err().kind(), ArmErrorKind::Timeout);
     assert_eq!(bench.step(velocity(6, 0.3)).unwrap_err().kind(), ArmErrorKind::Fault);
@@ -212,7 +212,7 @@ fn a_sample_that_is_no_number_is_no_sample() {
 fn a_joint_that_is_too_fast_twice_stops_the_arm() {
     let mut bench = Bench::new(START, 0.1);
     bench.step(JointCommand::Hold).unwrap();
-    // 0.1 x 2 rad/s are allowed for joint 2, and 1.1 times that for a moment.
+    // Allowed for joint 2 are 0.1 x 2 rad/s, and 1.1 times this speed for a short time.
     for (speed, samples, is_stopped) in [(0.219, 50, false), (0.3, 1, false), (0.221, 2, true)] {
         let mut left = samples;
         bench.tamper(move |sample| {
@@ -225,7 +225,7 @@ fn a_joint_that_is_too_fast_twice_stops_the_arm() {
         assert_eq!(refused.is_some(), is_stopped, "{speed} rad/s in {samples} samples: {refused:?}");
         if let Some((_, error)) = refused {
             let text = error.to_string();
-            assert!(text.contains("axis 3 moves at -0.221 rad/s, 0.200 rad/s are allowed"), "{text}");
+            assert!(text.contains("axis 3 moves at -0.221 rad/s, the limit is 0.200 rad/s"), "{text}");
         }
     }
     bench.assert_latched_until_reset();
@@ -244,7 +244,7 @@ fn a_joint_beyond_its_limits_stops_the_arm() {
     bench.assert_latched_until_reset();
 }
 
-/// S2 is 0.03 rad beyond its servo limit when the arm is enabled: it may come back, and not go further out, nor out again.
+/// S2 is 0.03 rad beyond its servo limit when the arm is enabled: it may move back, but not further out, and not out again.
 #[test]
 fn a_joint_that_is_found_beyond_its_limits_may_come_back() {
     let limit = servo_limits().position_max_rad()[1];
@@ -270,7 +270,7 @@ fn a_joint_where_none_can_be_has_a_wrong_encoder() {
     bench.tamper(|sample| sample.position_rad[3] = -143.1_f64.to_radians());
     let error = bench.step(JointCommand::Hold).unwrap_err();
     assert_eq!(error.kind(), ArmErrorKind::Fault);
-    assert!(error.to_string().contains("axis 4 is at -143.10 degrees, where none can be"), "{error}");
+    assert!(error.to_string().contains("axis 4 is at -143.10 degrees, beyond its mechanical stops"), "{error}");
     bench.assert_latched_until_reset();
 }
 
@@ -311,7 +311,7 @@ fn guarded_mock_arm_keeps_the_contract() {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(300) })]
 
-    /// Behind the limiter, an arm that follows its commands is never stopped, whatever they are.
+    /// Behind the limiter, an arm that follows its commands is never stopped, for any commands.
     #[test]
     fn an_arm_that_follows_is_left_alone(
         start in prop::array::uniform7(-1.2..1.2f64),
@@ -336,7 +336,8 @@ proptest! {
     }
 }
 
-/// A joint that runs away from its drive goes on although the arm holds: the side that can close brakes gets one report at once.
+/// A joint that no longer follows its drive moves although the arm holds: the part that can close the brakes gets one report at
+/// once.
 #[test]
 fn who_can_brake_is_told_when_the_guard_stops_the_arm() {
     let clock = Arc::new(VirtualClock::new());
@@ -349,7 +350,7 @@ fn who_can_brake_is_told_when_the_guard_stops_the_arm() {
     guard.enable().unwrap();
     for cycle in 0..50 {
         clock.sleep_until(clock.now() + CYCLE);
-        // Ten times what is allowed.
+        // Ten times the allowed speed.
         let stopped = guard.exchange(velocity(0, 1.0)).is_err();
         assert_eq!(*told.lock().unwrap(), u32::from(guard.latched().is_some()), "cycle {cycle}, {stopped}");
     }

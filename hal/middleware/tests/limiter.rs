@@ -27,7 +27,7 @@ fn sample(at: MonotonicTime) -> JointState {
     JointState { at, position_rad, velocity_rad_per_s: JointVector::zeros() }
 }
 
-/// An arm of which the expectations of `script` are all that may be asked.
+/// An arm that permits only the calls that `script` expects.
 fn scripted(script: impl FnOnce(&mut MockScriptedArm)) -> (Limiter<MockScriptedArm>, Arc<VirtualClock>) {
     let clock = Arc::new(VirtualClock::new());
     let mut arm = MockScriptedArm::new();
@@ -36,7 +36,7 @@ fn scripted(script: impl FnOnce(&mut MockScriptedArm)) -> (Limiter<MockScriptedA
     (Limiter::new(arm, limits(0.6), limiter_config(), Arc::clone(&clock) as Arc<dyn Clock>).unwrap(), clock)
 }
 
-/// An enabled mock arm whose commands are noted.
+/// An enabled mock arm whose commands are recorded.
 fn noted() -> (Limiter<Tampered>, Arc<VirtualClock>, Arc<Mutex<Vec<JointCommand>>>) {
     let clock = Arc::new(VirtualClock::new());
     let mut arm = mock_arm(&clock, JointVector::zeros());
@@ -46,7 +46,7 @@ fn noted() -> (Limiter<Tampered>, Arc<VirtualClock>, Arc<Mutex<Vec<JointCommand>
     (Limiter::new(arm, limits(1.0), limiter_config(), Arc::clone(&clock) as Arc<dyn Clock>).unwrap(), clock, told)
 }
 
-/// Expects exactly these commands, and answers each with a sample of that moment.
+/// Expects exactly these commands, and answers each with a current sample.
 fn expect_commands(arm: &mut MockScriptedArm, commands: &[(JointCommand, u64)]) {
     let mut in_order = mockall::Sequence::new();
     for &(command, at_ms) in commands {
@@ -70,11 +70,11 @@ fn a_number_that_is_not_finite_reaches_no_arm() {
 #[test]
 fn without_a_fresh_sample_the_arm_rests() {
     let (mut limiter, clock) = scripted(|arm| {
-        // 40 rad/s^3 for 10 ms give 0.4 rad/s^2, and these 0.004 rad/s after 10 ms; then nothing for 90 ms, after 60 of which
-        // the arm begins to rest by itself.
+        // 40 rad/s^3 for 10 ms give 0.4 rad/s^2, which give 0.004 rad/s after 10 ms; then no command for 90 ms, and after 60 ms
+        // of them the arm starts to stop by itself.
         expect_commands(arm, &[(rest(), 0), (velocity(0, 0.004), 0), (rest(), 100)]);
     });
-    // Nothing is known yet; then a sample of this moment; then one that has become too old.
+    // First no sample; then a current sample; then a sample that is too old.
     limiter.exchange(velocity(0, 0.1)).unwrap();
     clock.sleep_until(clock.now() + CYCLE);
     limiter.exchange(velocity(0, 0.1)).unwrap();
@@ -85,7 +85,7 @@ fn without_a_fresh_sample_the_arm_rests() {
     assert_eq!((limiter.statistics().changed, limiter.statistics().refused), (3, 0));
 }
 
-/// A command that is too fast and too sudden is one that was changed, and what the arm refuses is refused.
+/// A command that is both too fast and too sudden counts as one changed command, and one that the arm refuses as refused.
 #[test]
 fn each_command_is_counted_once() {
     let (mut limiter, clock) = scripted(|arm| {
@@ -109,7 +109,7 @@ fn each_command_is_counted_once() {
 fn hold_passes_as_it_is_and_the_next_start_is_from_rest() {
     let step = |value| velocity(0, value);
     let (mut limiter, clock) = scripted(|arm| {
-        // In 10 ms 40 rad/s^3 come to 0.4 rad/s^2, and these to 0.004 rad/s. The arm's own ramp ends after 6 ms.
+        // In 10 ms, 40 rad/s^3 give 0.4 rad/s^2, which give 0.004 rad/s. The arm's own ramp ends after 6 ms.
         expect_commands(
             arm,
             &[
@@ -128,7 +128,7 @@ fn hold_passes_as_it_is_and_the_next_start_is_from_rest() {
     assert_eq!(limiter.statistics().acceleration_limited, 3);
 }
 
-/// 10 ms after a hold at 0.5 rad/s the arm's own ramp is at 0.48 rad/s: what follows starts there and not at rest.
+/// 10 ms after a hold at 0.5 rad/s the arm's own ramp is at 0.48 rad/s: the next velocity starts there and not at standstill.
 #[test]
 fn a_velocity_right_after_a_hold_goes_on_from_the_ramp() {
     let (mut limiter, clock, passed) = noted();
@@ -140,11 +140,11 @@ fn a_velocity_right_after_a_hold_goes_on_from_the_ramp() {
     tell(JointCommand::Hold);
     tell(rest());
     let Some(&JointCommand::Velocity(last)) = passed.lock().unwrap().last() else { panic!("no velocity") };
-    // 0.48 rad/s, and 10 ms of at least 1.6 and at most 2 rad/s^2 less.
+    // 0.48 rad/s, minus 10 ms at 1.6 to 2 rad/s^2.
     assert!(last[0] > 0.46 - 1e-12 && last[0] < 0.464 + 1e-12, "{last}");
 }
 
-/// Where `sample` is, with one joint elsewhere.
+/// The position of `sample`, with an offset of one joint.
 fn start_with(joint: usize, offset_rad: f64) -> StartPose {
     let mut position_rad = sample(MonotonicTime::ZERO).position_rad;
     position_rad[joint] -= offset_rad;
@@ -169,12 +169,12 @@ fn the_first_velocity_is_refused_away_from_the_start() {
         if let Err((kind, text)) = first {
             assert_eq!(kind, ArmErrorKind::Rejected);
             let named = format!("axis {} is at ", joint + 1);
-            assert!(text.contains(&named) && text.contains("bring the arm to its start pose"), "{text}");
+            assert!(text.contains(&named) && text.contains("move the arm to its start pose"), "{text}");
             assert!(cycle(velocity(1, 0.2)).is_err(), "it stays refused");
             assert_eq!(limiter.statistics().refused_start, 2);
             continue;
         }
-        // Once on its way it may be anywhere, until it is enabled anew.
+        // After its start the arm may have any position, until it is enabled again.
         assert!((0..50).all(|_| cycle(velocity(1, 0.2)).is_ok()));
         limiter.stop().unwrap();
         limiter.enable().unwrap();
@@ -183,7 +183,7 @@ fn the_first_velocity_is_refused_away_from_the_start() {
     }
 }
 
-/// An arm that had begun at its start may go on from elsewhere, also where it was not enabled at the first try.
+/// An arm that has started at its start pose may continue from another position, also if the first try to enable it failed.
 #[test]
 fn an_arm_that_is_switched_on_where_it_is_at_the_second_try_goes_on() {
     let clock = Arc::new(VirtualClock::new());
@@ -228,7 +228,7 @@ fn beyond_a_servo_limit_only_the_way_back_is_open() {
     }
 }
 
-/// E2 and W2 go to 249 degrees: an angle beyond half a turn is one, and no smaller angle the other way round.
+/// E2 and W2 turn to 249 degrees: an angle beyond half a turn is not wrapped to a smaller one.
 #[test]
 fn joints_turn_beyond_half_a_turn() {
     let clock = Arc::new(VirtualClock::new());
@@ -249,8 +249,8 @@ fn joints_turn_beyond_half_a_turn() {
     }
 }
 
-/// The mock arm brings each joint to rest by itself: 0.4 s after a hold at 1.6 rad/s the elbow with its 2 rad/s^2 still moves, as
-/// a ramp of all joints together would have it, and the wrist with its 5 rad/s^2 rests, where that ramp would be at 0.8 rad/s.
+/// The mock arm stops each joint separately: 0.4 s after a hold at 1.6 rad/s the elbow with 2 rad/s^2 still moves, as on a common
+/// ramp of all joints, but the wrist with 5 rad/s^2 is stationary, where a common ramp would be at 0.8 rad/s.
 #[test]
 fn a_velocity_after_a_hold_goes_on_from_where_each_joint_really_is() {
     let (mut limiter, clock, passed) = noted();
@@ -288,7 +288,7 @@ fn a_reply_that_is_not_finite_is_thrown_away() {
         arm.expect_exchange().returning(move |_| Ok(broken));
     });
     assert_eq!(limiter.exchange(velocity(0, 0.1)).unwrap_err().kind(), ArmErrorKind::Timeout);
-    // It was not taken as a sample: the next command has none to go by.
+    // The reply is discarded: the next command has no sample to use.
     assert_eq!(limiter.exchange(velocity(0, 0.1)).unwrap_err().kind(), ArmErrorKind::Timeout);
     assert_eq!((limiter.statistics().samples_not_finite, limiter.statistics().held_stale), (2, 2));
 }
@@ -361,17 +361,17 @@ fn limited_mock_arm_keeps_the_contract() {
     assert_contract(&clock, make, |limiter| limiter.arm());
 }
 
-/// What a caller, or the link behind the limiter, does for some cycles.
+/// Behaviour of a caller, or of the link behind the limiter, for some cycles.
 #[derive(Clone, Debug)]
 enum Action {
     Request([f64; DOF]),
     Reverse,
     NotFinite(usize, f64),
     Hold,
-    /// Replies show the same sample again and again.
+    /// Replies repeat the same sample.
     Freeze,
     LoseReply,
-    /// Nobody calls for so many milliseconds.
+    /// No calls for this number of milliseconds.
     Silence(u64),
 }
 
@@ -389,7 +389,7 @@ fn any_deed() -> impl Strategy<Value = Action> {
     ]
 }
 
-/// One action after the other, each for some cycles of up to 20 ms.
+/// A sequence of actions, each for some cycles of up to 20 ms.
 fn any_drive() -> impl Strategy<Value = Vec<(Action, Vec<u64>)>> {
     prop::collection::vec((any_deed(), prop::collection::vec(0..20u64, 1..100)), 1..25)
 }
@@ -399,14 +399,14 @@ fn within_operating_range() -> impl Strategy<Value = JointVector> {
     prop::array::uniform7(-0.999..0.999f64).prop_map(move |part| max.component_mul(&JointVector::from(part)))
 }
 
-/// A limited arm under test, and what its set-points must keep to.
+/// A limited arm under test, and the limits of its set-points.
 struct Wild {
     limiter: Limiter<Tampered>,
     clock: Arc<VirtualClock>,
     passed: Arc<Mutex<Vec<JointCommand>>>,
     frozen: Arc<Mutex<Option<Tamper>>>,
     speeds: JointVector,
-    /// The last set-point, and its acceleration if it followed on another one; none after anything else.
+    /// The last set-point, and its acceleration if the set-point before was consecutive; otherwise none.
     before: Option<(JointVector, Option<JointVector>)>,
     last_exchange: MonotonicTime,
 }
@@ -484,7 +484,7 @@ impl Wild {
     fn after_hold(&self, velocity: &JointVector) -> Result<(), TestCaseError> {
         let sample = self.limiter.arm().arm.plant().lock().unwrap().state();
         let far = (velocity - sample.velocity_rad_per_s).abs().component_div(&acceleration()).max();
-        // The drives lag by less than a tenth of a second of braking.
+        // The lag of the drives is less than the motion of a tenth of a second.
         let moving = sample.velocity_rad_per_s;
         prop_assert!(far < 0.1 + COMMAND_TIMEOUT.as_secs_f64(), "{velocity} at {moving}");
         Ok(())
@@ -522,7 +522,8 @@ impl Wild {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(300) })]
 
-    /// Whatever is wished, lost, late or no number: set-points keep speed, acceleration and jerk, and joints their range.
+    /// For any requested, lost, late or non-finite values: set-points keep speed, acceleration and jerk limits, and joints their
+    /// range.
     #[test]
     fn nothing_drives_the_arm_beyond_its_limits(
         start in within_operating_range(), drive in any_drive(), scale in prop::sample::select(vec![0.1, 0.6, 1.0]),

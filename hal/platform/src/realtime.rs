@@ -42,9 +42,9 @@ pub struct Realtime {
 pub enum Shortfall {
     /// The scheduling policy is not available.
     #[error(
-        "SCHED_FIFO with priority {priority} is not to be had ({error}): other programs will delay the cycle. Run as root, give the \
-         program CAP_SYS_NICE (setcap cap_sys_nice+ep PROGRAM), or let the user have it: `@realtime - rtprio 99` in \
-         /etc/security/limits.conf"
+        "SCHED_FIFO with priority {priority} is not available ({error}): other programs will delay the cycle. Run as root, \
+         give the program CAP_SYS_NICE (setcap cap_sys_nice+ep PROGRAM), or permit it to the user: `@realtime - rtprio 99` \
+         in /etc/security/limits.conf"
     )]
     Policy {
         /// The requested priority.
@@ -54,15 +54,15 @@ pub enum Shortfall {
     },
     /// The memory cannot be locked.
     #[error(
-        "memory cannot be locked ({error}): a page that was taken away will delay the cycle. Run as root, give the program \
-         CAP_IPC_LOCK, or let the user have it: `@realtime - memlock unlimited` in /etc/security/limits.conf"
+        "memory cannot be locked ({error}): page faults will delay the cycle. Run as root, give the program CAP_IPC_LOCK, or \
+         permit it to the user: `@realtime - memlock unlimited` in /etc/security/limits.conf"
     )]
     Memory {
         /// Error of the system.
         error: Errno,
     },
     /// The processor is not available.
-    #[error("processor {cpu} is not to be had ({error}); choose one that /proc/cpuinfo lists and this program may use")]
+    #[error("processor {cpu} is not available ({error}); choose one that /proc/cpuinfo lists and this program may use")]
     Processor {
         /// The requested processor.
         cpu: usize,

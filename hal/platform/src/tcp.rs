@@ -19,7 +19,9 @@ pub struct TcpConfig {
 
 /// Why there is no connection.
 #[derive(Debug, thiserror::Error)]
-#[error("nobody accepts at {address} within {CONNECT_TIMEOUT:?}; is the gateway on, and is this its address?")]
+#[error(
+    "no connection to {address} within {CONNECT_TIMEOUT:?}; check that the gateway runs and that this is its address"
+)]
 pub struct TcpError {
     address: SocketAddr,
     #[source]

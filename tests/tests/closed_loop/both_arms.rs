@@ -92,7 +92,7 @@ fn a_fault_leaves_the_flight_of_both_arms() {
         assert_eq!((&head["arm"], &head["kind"]), (&(*name).into(), &"fault".into()));
         assert!(head["joint"].as_u64().unwrap() < 7 && head["code"].is_null(), "{head}");
         let cause = head["cause"].as_str().unwrap();
-        assert!(cause.contains("tc-robot") && cause.contains("commands lead"), "{cause}");
+        assert!(cause.contains("tc-robot") && cause.contains("commanded position"), "{cause}");
         let fault = &head["fault"];
         assert_eq!(
             (&fault["joint"], &fault["code"], &fault["state_before"]),

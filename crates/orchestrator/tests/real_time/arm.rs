@@ -246,7 +246,7 @@ fn a_joint_that_is_blocked_ends_its_jog() {
     programs_in_real_time_beside_others(|| {
         let mut cell = Cell::start(&["--pose-deg", START_DEG, "--fault", "at 0s stuck 7 on"]);
         let jog = cell.pb3dp(&["jog", "--axis", "7", "--by", "8", "--move"], Some("vs-robot"));
-        jog.assert_refused(&["axis 7 is -", "from where its commands lead"]);
+        jog.assert_refused(&["axis 7 is -", "from its commanded position"]);
         assert!(cell.joints().1, "all brakes are closed");
         cell.arm.quit();
     });
@@ -258,7 +258,7 @@ fn a_joint_that_is_too_fast_for_a_jog_ends_it() {
     programs_in_real_time_beside_others(|| {
         let mut cell = Cell::start(&["--pose-deg", START_DEG, "--fault", "at 0s runaway 7 0.1rad/s"]);
         let jog = cell.pb3dp(&["jog", "--axis", "7", "--by", "8", "--move"], Some("vs-robot"));
-        jog.assert_refused(&["axis 7 moves at +0.", "0.040 rad/s are allowed"]);
+        jog.assert_refused(&["axis 7 moves at +0.", "the limit is 0.040 rad/s"]);
         assert!(cell.joints().1, "all brakes are closed");
         cell.arm.quit();
     });

@@ -273,7 +273,7 @@ fn fails(step: &str, cell: &mut Cell, acts: impl FnOnce(&mut Rehearsal, &mut Cel
     assert_eq!((code, &report["result"], &failed["result"]), (Some(1), &"failed".into(), &"failed".into()), "{text}");
     let reasons = failed["reasons"].to_string();
     assert!(reasons.contains(complaint), "{complaint:?} is missing in:\n{failed}\n{text}");
-    assert!(!reasons.contains("held the control loop up"), "the program itself was slow to stop it: {reasons}");
+    assert!(!reasons.contains("delayed the control loop"), "the program itself was slow to stop it: {reasons}");
     assert!(page.contains(&format!("## {step}: failed")), "{page}");
     let after = &report["steps"][4];
     assert!(after["result"] == "skipped" && after["reasons"].to_string().contains("did not pass"), "{after}");

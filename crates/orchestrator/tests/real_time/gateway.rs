@@ -258,12 +258,12 @@ fn what_can_not_be_had_is_refused_with_what_to_do() {
         let text = String::from_utf8_lossy(&out.stderr).into_owned();
         assert!(!out.status.success() && text.contains(expected), "{expected} not in {text}");
     };
-    failed(&[], "nobody listens at the socket");
+    failed(&[], "no program listens at the socket");
     failed(&["--bus", "arcnet:nix0"], "there is no network interface nix0");
     failed(&["--bus", "arcnet:lo"], "is of type 772, not ARCNET (7)");
     failed(&["--bus", "usb"], "write arcnet:INTERFACE or socket:PATH");
     failed(&["--host", "tcp:here:1"], "use serial:DEVICE or tcp:ADDRESS:PORT");
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let host = format!("tcp:{}", taken.local_addr().unwrap());
-    failed(&["--host", &host], "is another program using that port?");
+    failed(&["--host", &host], "check whether another program uses this port");
 }

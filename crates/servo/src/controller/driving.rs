@@ -67,7 +67,7 @@ struct LawOutput {
     jacobian: HandJacobian,
     /// Null motion of the joints, rad/s.
     secondary_rad_per_s: JointVector,
-    /// Share of the motion that is used now, and why it is less than 1.
+    /// Share of the motion that is used now, and the reason if it is less than 1.
     share: f64,
     slowed_by: Limitation,
 }
@@ -205,7 +205,7 @@ impl Controller {
         }
     }
 
-    /// `None` if the target cannot be predicted that far.
+    /// Request of the law with feed-forward; `None` if the target cannot be predicted to the time of the motion.
     fn feed_forward_wish(
         &mut self,
         law: &FeedForwardConfig,
@@ -254,7 +254,7 @@ impl Controller {
         }
     }
 
-    /// How far translation and rotation must end together: 1 during the approach, then falling to 0.
+    /// Degree to which translation and rotation end together: 1 during the approach, then falling to 0.
     fn share_together(&self, now: MonotonicTime) -> f64 {
         let since_s = self.approached_at.map_or(0.0, |at| now.seconds_since(at));
         (1.0 - since_s / TOGETHER_FADES_S).clamp(0.0, 1.0)

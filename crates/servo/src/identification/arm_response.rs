@@ -46,7 +46,7 @@ const STEPS_MAX: usize = 30;
 const ARRIVED_S: f64 = 1e-7;
 
 /// Identifies dead time and lag from commanded velocities (`given`) and measured joints (`joints`), both ordered by time, by least
-/// squares over the angles of all joints. Before the first velocity the arm stands still.
+/// squares over the angles of all joints. Before the first velocity the arm is stationary.
 ///
 /// Everything between the caller and the arm, such as a limiter, is part of the result.
 ///
@@ -93,7 +93,7 @@ struct Record {
     joints: Vec<(f64, JointVector)>,
 }
 
-/// Residuals of the angles and their derivatives by delay and lag; the caller sums them and removes the offsets.
+/// Residuals of the angles and their derivatives by delay and lag; [`Self::step`] sums them and removes the offsets.
 struct Linearised {
     at_s: Vec<f64>,
     residuals: Vec<JointVector>,
@@ -118,7 +118,7 @@ impl Record {
         Ok(Self { given, joints })
     }
 
-    /// Predicted joint angles at the times of the samples, from the first ones, for this dead time and lag.
+    /// Predicted joint motion from the first velocity to the time of each sample, for this dead time and lag.
     fn predicted(&self, delay_and_lag_s: &Vector2<f64>) -> Vec<JointVector> {
         let (delay_s, lag_s) = (delay_and_lag_s.x, delay_and_lag_s.y);
         let mut state = Motion { at_s: 0.0, way_rad: JointVector::zeros(), velocity: JointVector::zeros() };

@@ -12,9 +12,9 @@ use super::BATCHES;
 const PERIODS_RIGHT: f64 = 2.0;
 /// Periods of the motion downwards: another number, so that both can be distinguished.
 const PERIODS_DOWN: f64 = 3.0;
-/// A larger motion changes the image too much, metres.
+/// Largest motion from end to end, metres; a larger one changes the image too much.
 const WAY_MAX_M: f64 = 0.03;
-/// A faster motion may reach the limiter, and blurs the images, m/s.
+/// Largest speed, m/s; a faster motion may reach the limiter, and blurs the images.
 const SPEED_MAX_M_PER_S: f64 = 0.06;
 
 /// The hand moves to its right and downwards and back, equally in each piece of the record. The path is the fourth power of a sine:
@@ -66,7 +66,7 @@ impl Excitation {
 
     /// Largest speed of the hand, m/s.
     pub fn speed_max_m_per_s(&self) -> f64 {
-        // 4 sin^3 cos has its maximum at a third of the half turn.
+        // 4 sin^3 cos has its maximum at 60 degrees.
         let steepest = 0.75 * 3f64.sqrt();
         self.way_m * steepest * PI / self.piece_s * PERIODS_RIGHT.hypot(PERIODS_DOWN)
     }

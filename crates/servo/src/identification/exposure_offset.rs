@@ -8,7 +8,7 @@ use pb3dp_kinematics::{Chain, JointState};
 use super::{BATCHES, Interval, NotIdentified, batch_of};
 use crate::joint_history::JointHistory;
 
-const WHAT: &str = "the time between stamp and exposure";
+const WHAT: &str = "the time between timestamp and exposure";
 
 /// Search range, seconds.
 const OFFSET_MAX_S: f64 = 0.2;
@@ -47,9 +47,9 @@ struct Row {
 
 /// Offset between the timestamps and the joints, seconds, for which a stationary target is stationary in `base`.
 ///
-/// `seen` are timestamps and poses of the model in the left camera while the target stands still and the hand moves; `joints` are
-/// ordered by time. A part of the observed position that is proportional to the path of the hand and not to its velocity (errors of
-/// mounting and scale) is estimated too and does not affect the result.
+/// `seen` are timestamps and poses of the model in the left camera while the target is stationary and the hand moves; `joints`
+/// are ordered by time. A part of the observed position that is proportional to the path of the hand and not to its velocity
+/// (errors of mounting and scale) is estimated too and does not affect the result.
 ///
 /// # Errors
 /// If the record is too short, or the hand did not move.
@@ -87,8 +87,7 @@ pub fn exposure_offset(
 }
 
 fn check_count(count: usize) -> Result<(), NotIdentified> {
-    let too_few =
-        NotIdentified::TooFew { what: "observations with joints beside them", count, needed: OBSERVATIONS_MIN };
+    let too_few = NotIdentified::TooFew { what: "observations with joint samples", count, needed: OBSERVATIONS_MIN };
     if count >= OBSERVATIONS_MIN { Ok(()) } else { Err(too_few) }
 }
 

@@ -91,7 +91,7 @@ impl Aim {
     }
 
     /// Speeds of the corrections at which translation and rotation end together: the shorter one takes as long as the longer one. A
-    /// hand that rotated first and moved slowly would lose the target from its view.
+    /// hand that rotated first and translated slowly would lose sight of the target.
     pub fn together(
         &self,
         gains: &FeedForwardGains,
@@ -115,7 +115,7 @@ impl Aim {
         }
     }
 
-    /// The gains that need no more acceleration than the joints have to decelerate from a correction of this error.
+    /// Gains for which the deceleration from a correction of this error stays within the joint accelerations.
     /// `joint_velocity` maps a velocity of the hand to joint velocities (rad/s).
     pub fn gains_within(
         &self,
@@ -125,7 +125,7 @@ impl Aim {
         joint_velocity: impl Fn(&Twist<Base>) -> JointVector,
     ) -> FeedForwardGains {
         let (position, rotation) = self.error(base_from_hand_at_rest);
-        // Direction of the deceleration, and the share of the joints that the other correction needs: less for a smaller error.
+        // Deceleration vector, and its weight in the joint limit of the other correction: below 1 for a small error.
         let braked = |error: &Vector3<f64>, gain_per_s: f64, acceleration: f64| {
             let size = error.norm();
             let direction = if size > 0.0 { error * (acceleration / size) } else { Vector3::zeros() };
@@ -198,7 +198,7 @@ mod tests {
         UnitQuaternion::from_scaled_axis(Vector3::new(x, y, z))
     }
 
-    /// An arm that needs 4 rad/s^2 of its second joint for every m/s^2 along y brakes with what that joint has.
+    /// The arm needs 4 rad/s^2 of its second joint for every m/s^2 along y: this joint limits the deceleration.
     #[test]
     fn braking_takes_no_more_than_the_joints_have() {
         let hand = Pose::from_parts(Vector3::new(0.6, -0.1, 0.4), rotation(0.3, -1.1, 0.7));
@@ -217,10 +217,10 @@ mod tests {
         let along_y = within(Vector3::new(0.0, 0.3, 0.0));
         assert!((along_y.linear_m_per_s2 - 0.7 * 2.0 / 4.0).abs() < 1e-12, "{along_y:?}");
         assert!((along_y.angular_rad_per_s2 / GAINS.angular_rad_per_s2 - along_y.linear_m_per_s2 / 0.64).abs() < 1e-12);
-        // The nearer the place, the less of that braking is left to share the joint with: 0.75 of it at 0.75 x a / K^2.
+        // Close to the desired position the linear deceleration takes a smaller share of the joint: 0.75 at 0.75 x a / K^2.
         let near = within(Vector3::new(0.0, 0.0075, 0.0));
         assert!((near.angular_rad_per_s2 - 2.0 * 1.4 / (0.75 * 4.0 * 0.64)).abs() < 1e-12, "{near:?}");
-        // Near its place it is corrected as with all accelerations: K e.
+        // Close to the desired position the speed does not depend on the acceleration: K e.
         let speed_m_per_s = |y_m: f64| {
             let by = Vector3::new(0.0, y_m, 0.0);
             let found = hand_twist(&within(by), &aim(by), &hand, &WIDE).linear_m_per_s;
@@ -228,7 +228,7 @@ mod tests {
             found.y
         };
         assert!((speed_m_per_s(0.005) - 8.0 * 0.005).abs() < 1e-12);
-        // The nearer, the slower, without a jump, and braked with no more than there is.
+        // The speed decreases with the error, without a jump, and with no more than the available deceleration.
         let step_m = 1e-4;
         let speeds: Vec<f64> = (1..3000).map(|i| speed_m_per_s(f64::from(i) * step_m)).collect();
         for pair in speeds.windows(2) {
@@ -237,7 +237,7 @@ mod tests {
         }
     }
 
-    /// A hand that is in its place and only turned the wrong way has no direction to brake along, and brakes its turn all the same.
+    /// A hand with an orientation error only has no linear deceleration; the angular deceleration is limited all the same.
     #[test]
     fn a_turn_in_place_is_braked_with_what_the_joints_have() {
         let hand = Pose::from_parts(Vector3::new(0.6, -0.1, 0.4), rotation(0.3, -1.1, 0.7));
@@ -249,11 +249,11 @@ mod tests {
             joints
         };
         let within = aim.gains_within(&GAINS, &hand, &JointVector::from_element(2.0), joints);
-        // 2 rad/s^2 ask for 6 of the 1.4 that the joint may be braked with.
+        // 2 rad/s^2 need 6 rad/s^2 of the joint; corrections may use 1.4 rad/s^2.
         assert!((within.angular_rad_per_s2 - 2.0 * 1.4 / 6.0).abs() < 1e-12, "{within:?}");
     }
 
-    /// 400 mm at 100 mm/s take 4 s: 0.4 rad, which could be done in 1 s, take as long.
+    /// 400 mm at 100 mm/s take 4 s: 0.4 rad, which are possible in 1 s, take as long.
     #[test]
     fn on_the_way_to_a_target_way_and_turn_end_together() {
         let hand = Pose::from_parts(Vector3::new(0.6, -0.1, 0.4), rotation(0.3, -1.1, 0.7));
@@ -269,7 +269,7 @@ mod tests {
         assert!(there.linear_m_per_s <= 0.1 && there.angular_rad_per_s <= 0.4, "{there:?}");
     }
 
-    /// A hand that is where it should be, as fast as it should be, and lags, gets the command that inverts the lag, and no correction.
+    /// A lagging hand with the desired pose and velocity receives the command that inverts the lag, and no correction.
     #[test]
     fn a_hand_that_is_right_is_told_what_inverts_its_lag() {
         let arm = ArmResponse { delay_s: 0.02, lag_s: 0.04 };
@@ -282,14 +282,14 @@ mod tests {
             acceleration: Acceleration::new(push, twirl),
         };
         let aim = Aim::new(&desired, &arm, 0.0);
-        // With v' = -v / T from now on it goes on by T v and turns by T w.
+        // With v' = -v / T from now on the hand still moves by T v and rotates by T w.
         let rests_at =
             Pose::from_parts(hand.translation_m() + velocity * 0.04, rotation(0.012, 0.004, -0.016) * hand.rotation());
         let told = hand_twist(&GAINS, &aim, &rests_at, &WIDE);
-        // v' = (u - v) / T is to be the acceleration.
+        // The acceleration must be v' = (u - v) / T.
         assert!(((told.linear_m_per_s - velocity) / 0.04 - push).norm() < 1e-9, "{told:?}");
         assert!(((told.angular_rad_per_s - turning) / 0.04 - twirl).norm() < 1e-7, "{told:?}");
-        // Half a period later the velocity is that much further on.
+        // Half a period later the velocity has changed by the acceleration times this time.
         let held = Aim::new(&desired, &arm, 0.01);
         assert!((held.feed_forward.linear_m_per_s - aim.feed_forward.linear_m_per_s - push * 0.005).norm() < 1e-12);
         assert!(
@@ -309,7 +309,7 @@ mod tests {
         let told = hand_twist(&GAINS, &aim, &hand, &WIDE);
         assert!((told.linear_m_per_s - (by * 8.0 + Vector3::x() * 0.1)).norm() < 1e-12, "{told:?}");
         assert!((told.angular_rad_per_s - (turn * 5.0 + Vector3::y() * 0.2)).norm() < 1e-9, "{told:?}");
-        // 200 degrees about an axis are 160 degrees the other way round; the other quaternion is the same rotation.
+        // 200 degrees about an axis are 160 degrees about the opposite axis; the negated quaternion is the same rotation.
         let axis = Vector3::new(1.0, -2.0, 2.0) / 3.0;
         let long = UnitQuaternion::from_scaled_axis(axis * 200f64.to_radians()) * hand.rotation();
         for rotation in [long, UnitQuaternion::new_unchecked(-long.into_inner())] {
@@ -324,7 +324,7 @@ mod tests {
 
     #[test]
     fn corrections_can_be_braked_away_and_have_a_largest_speed() {
-        // By hand: a / K^2 = 0.01 m; below it K e, at 0.055 m sqrt(2 x 0.64 x 0.05).
+        // Calculated by hand: a / K^2 = 0.01 m; below it K e, at 0.055 m sqrt(2 x 0.64 x 0.05).
         assert!((correction_speed(0.008, 8.0, 0.64) - 0.064).abs() < 1e-15);
         assert!((correction_speed(0.055, 8.0, 0.64) - 0.064f64.sqrt()).abs() < 1e-15);
         let mut error: f64 = 0.4;
@@ -332,7 +332,7 @@ mod tests {
         while error > 1e-4 {
             let speed = correction_speed(error, 8.0, 0.64);
             let next = correction_speed(error - speed * dt, 8.0, 0.64);
-            assert!((speed - next) / dt < 0.64 * 1.001, "brakes with {} at {error}", (speed - next) / dt);
+            assert!((speed - next) / dt < 0.64 * 1.001, "deceleration {} at {error}", (speed - next) / dt);
             error -= speed * dt;
         }
         let hand = Pose::<Base, Hand>::from_parts(Vector3::new(0.3, -0.2, 0.9), rotation(0.4, 1.1, -0.3));

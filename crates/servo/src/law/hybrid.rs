@@ -62,7 +62,7 @@ mod tests {
     use super::super::image_based::tests::{moved, pose};
     use super::*;
 
-    /// Place and depth of the point and the turn fall by the same share in the same time, from far away and turned by 100 degrees.
+    /// Image position, depth and rotation converge at the same rate, also from a large distance and a rotation of 100 degrees.
     #[test]
     fn all_errors_fall_exponentially() {
         let desired = pose([0.05, -0.02, 0.5], [0.1, 0.0, -0.2]);
@@ -81,7 +81,7 @@ mod tests {
         }
     }
 
-    /// What image-based servoing backs away for is only a turn here.
+    /// Here the rotation that makes image-based servoing retreat causes a pure rotation.
     #[test]
     fn a_turn_about_the_optical_axis_leaves_the_camera_where_it_is() {
         let desired = pose([0.0, 0.0, 0.5], [0.0; 3]);

@@ -18,8 +18,8 @@
 //! ```
 //!
 //! so that e decreases exponentially if the points allow it. The path of the hand is not controlled: for a large rotation
-//! about the optical axis the points move straight through the middle of the image, and the camera backs away ("Chaumette's
-//! conundrum", Part II, 2007), without end for half a turn.
+//! about the optical axis the points move straight through the middle of the image, and the camera retreats ("Chaumette's
+//! conundrum", Part II, 2007), to infinity for 180 degrees.
 
 use nalgebra::{Matrix6, Point3, SMatrix, SVector, Vector6};
 use pb3dp_geometry::frames::{CamLeft, Model};
@@ -100,7 +100,7 @@ pub(super) mod tests {
         Pose::from_parts(translation.into(), UnitQuaternion::from_scaled_axis(Vector3::from(rotation_vector)))
     }
 
-    /// The camera moves by a small step of the twist: points in its axes move the other way.
+    /// Pose of the model after the camera has moved by a small step of the twist.
     pub(in crate::law) fn moved(
         seen: &Pose<CamLeft, Model>,
         twist: &Twist<CamLeft>,
@@ -148,10 +148,10 @@ pub(super) mod tests {
             aside = aside.max(off.abs() / way_x.hypot(way_y));
         }
         assert!((seen.inverse() * desired).log().norm() < 1e-6, "{seen:?}");
-        assert!(aside < 0.02, "beside the straight line by {aside}");
+        assert!(aside < 0.02, "{aside} from the straight line");
     }
 
-    /// Chaumette's conundrum: a pure turn about the optical axis is answered by backing away, the more the larger it is.
+    /// Chaumette's conundrum: a pure rotation about the optical axis makes the camera retreat, faster for a larger angle.
     #[test]
     fn before_a_large_turn_about_the_optical_axis_the_camera_backs_away() {
         let desired = pose([0.0, 0.0, 0.5], [0.0; 3]);
@@ -159,7 +159,7 @@ pub(super) mod tests {
             let twist = camera_twist(1.0, 0.06, &pose([0.0, 0.0, 0.5], [0.0, 0.0, angle]), &desired).unwrap();
             -twist.linear_m_per_s.z
         };
-        // With sine and cosine of the angle: 1 - cos of the depth.
+        // Speed of the retreat at a gain of 1/s: (1 - cos(angle)) times the depth.
         assert!((back(1.5) - 0.5 * (1.0 - 1.5_f64.cos())).abs() < 1e-9 && back(0.3) > 0.0);
     }
 

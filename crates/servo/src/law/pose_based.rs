@@ -7,8 +7,8 @@
 //! The publication leaves some symbols open. Here they mean:
 //! * `r`: from the hand's origin to the desired one, in `base`; `r'`: its rate, the velocity of the desired hand (from the
 //!   smoothed observations) minus the measured velocity of the hand (from the joints);
-//! * `de`: vector part of the quaternion `hand_from_hand_desired`, of the two quaternions of one rotation that with the
-//!   non-negative scalar part (so the shorter way is taken); `R`: `base_from_hand`, so that `R de` is in `base`; its length is
+//! * `de`: vector part of the quaternion `hand_from_hand_desired` with its sign chosen for a non-negative scalar part (so the
+//!   shorter rotation is taken); `R`: `base_from_hand`, so that `R de` is in `base`; its length is
 //!   sin(angle/2), not the angle;
 //! * `w`: the rate of the orientation error, angular velocity of the desired hand minus that of the hand.
 //!
@@ -84,7 +84,7 @@ mod tests {
     #[test]
     fn both_quaternions_of_a_rotation_give_the_same_shorter_way() {
         let hand = pose([0.0; 3], [0.2, -0.7, 0.4]);
-        // 200 degrees about an axis are 160 degrees the other way round.
+        // 200 degrees about an axis are 160 degrees about the opposite axis.
         let axis = Vector3::new(1.0, -2.0, 2.0) / 3.0;
         let long = UnitQuaternion::from_scaled_axis(axis * 200f64.to_radians());
         let desired = long * hand.rotation();

@@ -50,26 +50,26 @@ pub enum Detail {
     NoPose,
 }
 
-/// Evaluates the inputs and stores what later steps need.
+/// Evaluates the inputs, and keeps the data for later steps.
 #[derive(Clone, Debug)]
 pub(super) struct Findings {
     stepped_at: Option<MonotonicTime>,
     frame: Option<FrameInput>,
     disorder: Option<Detail>,
     estimate: Option<EstimateInput>,
-    /// The newest estimate with a pose: its covariance counts until the next pose.
+    /// The newest estimate with a pose: its covariance is used until the next pose.
     posed: Option<EstimateInput>,
     /// Exposure of the newest confident estimate.
     confident_at: Option<MonotonicTime>,
     /// Time at which this estimate arrived.
     pub(super) confirmed_at: Option<MonotonicTime>,
-    /// Older images do not show the selected target.
+    /// Estimates from earlier exposures are ignored: they were made before the selection.
     not_before: MonotonicTime,
     innovation: Innovation,
     started_target: Option<u64>,
     /// Target number of the newest pose; an estimate without a pose has none.
     followed_target: Option<u64>,
-    /// Since when.
+    /// Time since which this target is followed.
     followed_since: Option<MonotonicTime>,
     found: [Option<Cause>; Condition::COUNT],
     since: [Option<MonotonicTime>; Condition::COUNT],
@@ -95,14 +95,14 @@ impl Findings {
         }
     }
 
-    /// A target is selected: earlier estimates do not count.
+    /// Handles a selection: earlier estimates no longer count.
     pub(super) fn begin(&mut self, now: MonotonicTime) {
         self.forget_target();
         self.started_target = None;
         self.not_before = now;
     }
 
-    /// The currently observed target is the started one.
+    /// Handles a start: stores the followed target as the started one.
     pub(super) fn start(&mut self) {
         self.started_target = self.followed_target;
     }
@@ -161,7 +161,7 @@ impl Findings {
         }
     }
 
-    /// The clock step that is too long or negative; as a negative value also how far a measurement lies in the future.
+    /// The clock step, seconds, if it is negative or too long. A measurement too far in the future counts as a negative step.
     fn clock_step_s(&mut self, inputs: &Inputs, step_max_s: f64, now: MonotonicTime) -> Option<f64> {
         let step_s = self.stepped_at.replace(now).map(|before| now.seconds_since(before));
         if let Some(step_s) = step_s.filter(|step_s| !(0.0..=step_max_s).contains(step_s)) {
@@ -242,12 +242,12 @@ impl Findings {
         }
     }
 
-    /// The first condition with at least this action, whether or not it has lasted for its time.
+    /// The first condition with at least this action, even before its `for_s` has passed.
     pub(super) fn first_at_least(&self, policies: &Policies, action: Action) -> Option<Cause> {
         self.all_at_least(policies, action).next()
     }
 
-    /// All conditions with at least this action, whether or not they have lasted for their time.
+    /// All conditions with at least this action, even before their `for_s` has passed.
     pub(super) fn all_at_least<'a>(
         &'a self,
         policies: &'a Policies,
@@ -256,7 +256,7 @@ impl Findings {
         self.found.iter().flatten().filter(move |cause| policies.get(cause.condition).action >= action).copied()
     }
 
-    /// The conditions that have lasted for the time of their policy.
+    /// The conditions that have been active for the `for_s` of their policy.
     pub(super) fn lasting<'a>(
         &'a self,
         policies: &'a Policies,
@@ -269,7 +269,7 @@ impl Findings {
         })
     }
 
-    /// Since when the followed target is the current one; `None` without a target.
+    /// Time since which the current target is followed; `None` without a target.
     pub(super) fn followed_since(&self) -> Option<MonotonicTime> {
         self.followed_since
     }
@@ -280,7 +280,7 @@ impl Findings {
     }
 }
 
-/// The name of the safeguard, for tests, if the condition can do more than a note or a slower motion.
+/// The safeguard of the condition, for tests; `None` for conditions that are only reported or slow the motion.
 const fn safeguard(condition: Condition) -> Option<Safeguard> {
     Some(match condition {
         Condition::EmergencyStop => Safeguard::EmergencyStop,

@@ -19,7 +19,7 @@ pub struct Transition {
     pub to: State,
     /// The event.
     pub event: Event,
-    /// The condition with value and threshold; `None` after a command or an arrival.
+    /// The condition with value and threshold; `None` if no condition caused the event.
     pub cause: Option<Cause>,
 }
 

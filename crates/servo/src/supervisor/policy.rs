@@ -100,11 +100,11 @@ pub struct Policies([Policy; Condition::COUNT]);
 pub struct SupervisorConfig {
     /// The policy of each condition.
     pub policies: Policies,
-    /// The arm resumes automatically only after this time without an active inhibit, up to the newest confident estimate. Seconds,
-    /// 0.05 to 60.
+    /// The arm resumes automatically only after this time without an active inhibit, counted up to the newest confident estimate.
+    /// Seconds, 0.05 to 60.
     pub resume_after_s: f64,
-    /// `start` and `resume` are accepted only after this time without an active inhibit: a condition of single images is not gone
-    /// between two of them. Seconds, 0.05 to [`Self::resume_after_s`].
+    /// `start` and `resume` are accepted only after this time without an active inhibit, so that a condition of single images is
+    /// not gone between two images. Seconds, 0.05 to [`Self::resume_after_s`].
     pub go_after_s: f64,
     /// Older commands (except stop and hold) are refused, seconds, 0.05 to 5.
     pub word_age_max_s: f64,

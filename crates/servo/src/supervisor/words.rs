@@ -79,7 +79,7 @@ pub enum Why {
         state: State,
         /// The condition.
         cause: Cause,
-        /// Whether the condition is still active.
+        /// Whether the condition is no longer active.
         is_gone: bool,
     },
 }
@@ -241,18 +241,18 @@ impl Refusal {
     }
 }
 
-/// Commands that are possible in a state instead.
+/// Remedy for a command that is not possible in this state.
 fn instead(state: State) -> &'static str {
     match state {
         State::Idle => "; use select first",
         State::Selecting => "; use start first",
-        State::Approaching | State::Tracking => ", the hand follows already; use hold or stop",
+        State::Approaching | State::Tracking => ", the hand already follows the target; use hold or stop",
         State::Holding | State::Lost => "; use resume",
         State::Stopped | State::Fault => "; use reset first",
     }
 }
 
-/// Message for a cause that is gone.
+/// Message for a cleared cause.
 struct Gone<'a>(&'a Option<Cause>);
 
 impl fmt::Display for Gone<'_> {
@@ -264,7 +264,7 @@ impl fmt::Display for Gone<'_> {
     }
 }
 
-/// Age of the newest item of a kind, or that there is none yet.
+/// Message for the age of the newest item of a kind, or for a missing item.
 struct Age {
     age_s: f64,
     /// For example "frame pair".
@@ -345,7 +345,7 @@ impl fmt::Display for Cause {
     }
 }
 
-/// The arm of a detail, or a general name.
+/// The name of the arm in a detail, or a general name.
 struct ArmOf {
     detail: Detail,
     of: &'static str,
@@ -400,7 +400,7 @@ fn remedy(cause: &Cause) -> &'static str {
         Condition::OperatorSilent => "check the panel and its connection",
         Condition::JointsStale => "check the link to the arm",
         Condition::TargetChanged => "select the target again",
-        // In a healthy run the first image is on its way.
+        // At the start of a normal run the first image has not arrived yet.
         Condition::FrameStale if cause.value.is_infinite() => "wait for the cameras",
         Condition::FrameStale => "check the cameras",
         Condition::FrameOrder => "check whether the cameras were restarted or send old images",
@@ -414,6 +414,6 @@ fn remedy(cause: &Cause) -> &'static str {
         Condition::CameraSkew => "check the camera trigger",
         Condition::LimitNear => "move the target towards the middle of the arm's range",
         Condition::Singularity => "move the target to where the arm is not stretched",
-        Condition::ControllerRests => "wait, or resolve that reason",
+        Condition::ControllerRests => "wait, or remove the cause",
     }
 }

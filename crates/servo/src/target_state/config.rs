@@ -16,8 +16,8 @@ pub struct TargetStateConfig {
     /// Gate: a measurement with a larger squared Mahalanobis distance (6 degrees of freedom) is an outlier, 6 to 10000. For
     /// Gaussian measurements a gate of 16.8 rejects 1 %, 22.5 0.1 %, 27.9 0.01 %, 38.3 one in a million.
     pub gate_nis: f64,
-    /// Number of stored measurements, for late ones, 2 to 1000. Each takes about 12 kB. A measurement may arrive after this many
-    /// others, less two.
+    /// Number of stored measurements, for late ones, 2 to 1000. Each takes about 12 kB. A measurement may be late by
+    /// up to this number of measurements, less two.
     pub history_measurements: usize,
     /// Longest prediction beyond the newest measurement, seconds, 0.01 to 5.
     pub horizon_s: f64,
@@ -63,7 +63,7 @@ pub struct RestConfig {
 pub struct SurpriseConfig {
     /// Weight of the newest measurement in the smoothed surprise, 0.01 to 1.
     pub newest_share: f64,
-    /// Surprise without effect, 1 to 100; 1 is expected for a target that moves as modelled.
+    /// Largest surprise without effect, 1 to 100; 1 is expected for a target that moves as modelled.
     pub from: f64,
     /// Exponent of surprise over threshold by which variances grow, 0 to 8; 0 disables the adaptation.
     pub exponent: f64,

@@ -100,7 +100,7 @@ impl Gaussian {
     }
 
     /// Distribution of the noise of a part over the directions: uniform while the direction of motion is unknown, then mostly along
-    /// it. Second moment of the velocity, estimate and uncertainty, in units of its largest eigenvalue.
+    /// it. Computed from the second moment of the velocity (estimate and uncertainty), in units of its largest eigenvalue.
     fn spread(&self, part: usize, step: &AxisStep) -> Matrix3<f64> {
         let velocity = self.state.rate.fixed_rows::<3>(part).into_owned();
         let uncertainty = self.covariance.fixed_view::<3, 3>(RATE + part, RATE + part).into_owned();
@@ -125,7 +125,7 @@ impl Gaussian {
         (state, (covariance + covariance.transpose()) * 0.5)
     }
 
-    /// Innovation of a measurement against this prediction. `None`: the covariances are not positive definite.
+    /// Innovation of a measurement against this prediction. `None` if the covariances are not positive definite.
     pub(super) fn innovation(&self, measured: &BaseMeasurement) -> Option<Innovation> {
         let residual = pose_difference(&measured.base_from_model, &self.state.base_from_model);
         // Noise rotates the measured pose, while the residual is a logarithm at the predicted one: the inverse Jacobian maps
@@ -149,7 +149,7 @@ impl Gaussian {
         let columns = half.fixed_columns::<6>(0).into_owned();
         let covariance = half - columns * gain.transpose() + gain * innovation.noise * gain.transpose();
         let state = self.state.plus(&error);
-        // The remaining error is one about the new rotation.
+        // The remaining error refers to the new rotation.
         let jacobian = so3::left_jacobian(&error.fixed_rows::<3>(ROTATION).into_owned());
         let mut covariance = symmetric(&covariance);
         let rows = jacobian * covariance.fixed_rows::<3>(ROTATION);

@@ -15,9 +15,8 @@ pub struct PoseMeasurement {
     pub base_from_model: Pose<Base, Model>,
     /// Covariance of `xi = [rho; phi]` (metres, radians; axes of `model`) in `true = measured * exp(xi)`.
     ///
-    /// An unobserved direction has a large, finite variance. Standard deviations above 1e5 times the configured minimum count as
-    /// that.
-    /// the configuration count as that.
+    /// An unobserved direction has a large, finite variance. A direction with a standard deviation above 1e5 times the configured
+    /// minimum counts as unobserved.
     pub covariance: Matrix6<f64>,
 }
 
@@ -38,7 +37,7 @@ const ROUNDING: f64 = 1e-6;
 const SWEEPS: usize = 200;
 
 impl BaseMeasurement {
-    /// Scales the covariance, bounds it from below and above, and transforms it to `base`. `None`: it is not a covariance.
+    /// Scales the covariance, bounds it from below and above, and transforms it to `base`. `None` if it is not a covariance.
     pub(super) fn new(config: &MeasurementConfig, measurement: &PoseMeasurement) -> Option<Self> {
         let covariance = bounded(config, &measurement.covariance)?;
         let rotation = measurement.base_from_model.rotation_matrix();
@@ -88,7 +87,7 @@ mod tests {
         PoseMeasurement { at: MonotonicTime::from_nanos(5), base_from_model, covariance }
     }
 
-    /// A covariance with all correlations, well above the least one.
+    /// A covariance with all correlations, well above the minimum.
     fn correlated() -> Matrix6<f64> {
         let root = Matrix6::from_fn(|i, j| ((i * 7 + j * 3) as f64).sin() * if i < 3 { 5e-4 } else { 6e-3 });
         root * root.transpose() + Matrix6::from_diagonal(&Vector6::new(3e-7, 3e-7, 3e-7, 3e-5, 3e-5, 3e-5))

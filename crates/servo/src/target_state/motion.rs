@@ -53,8 +53,8 @@ impl AxisStep {
         }
     }
 
-    /// Rest: the position is a random walk, velocity and acceleration have no effect. They are drawn anew at each step with the
-    /// values of an onset, so that the motion mode can start from them.
+    /// Rest: the position is a random walk, velocity and acceleration have no effect. They are drawn again at each step with the
+    /// standard deviations of an onset of motion, so that the motion mode can start from them.
     fn rest(config: &MotionConfig, rest: &RestConfig, dt_s: f64) -> Self {
         let sigma = Vector3::new(
             rest.drift_sigma_per_sqrt_s * dt_s.sqrt(),
@@ -222,7 +222,7 @@ mod tests {
             mean_rest_s: 3.0,
             mean_motion_s: 0.8,
         };
-        // A short step leaves with the rate; two steps are one; a long one forgets where it began.
+        // After a short step: the transition rate. Two steps equal one. After a long step: the stationary probability.
         assert!((switching(&rest, Mode::Rest, Mode::Motion, 1e-6) / (1e-6 / 3.0) - 1.0).abs() < 1e-5);
         assert!((switching(&rest, Mode::Motion, Mode::Rest, 1e-6) / (1e-6 / 0.8) - 1.0).abs() < 1e-5);
         let through = |via| switching(&rest, Mode::Rest, via, 0.1) * switching(&rest, via, Mode::Motion, 0.25);

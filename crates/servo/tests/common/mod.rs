@@ -1,5 +1,5 @@
-//! A hand with a camera before a target, in pure maths: joints with a command delay and a first-order lag, exact images at
-//! 30 per second that arrive late.
+//! A hand with a camera in front of a target, without images: joints with a command delay and a first-order lag, and exact
+//! observations at 30 Hz that arrive late.
 #![allow(dead_code, clippy::unwrap_used, clippy::panic)] // Each test file uses a part.
 
 use std::collections::VecDeque;
@@ -15,14 +15,14 @@ use pb3dp_servo::{
     TargetFilterConfig, TargetObservation, TargetStateConfig, Timeouts, UnstatedCovariance,
 };
 
-/// Well inside the workspace, every joint off zero.
+/// Well inside the workspace, no joint at zero.
 pub const START_RAD: [f64; 7] = [0.15, 0.75, -0.2, 1.6, 0.1, -0.9, 0.25];
 
 pub fn chain() -> Chain {
     Chain::from_urdf_str(include_str!("../../../../configs/robots/pa10_gen2.urdf"), "base_link", "flange").unwrap()
 }
 
-/// With drives that are stronger than any law asks for.
+/// Limits with accelerations and jerks above the demand of any law.
 pub fn limits(speed_scale: f64) -> EffectiveLimits {
     let max = JointVector::from([170.0, 88.0, 168.0, 131.0, 249.0, 159.0, 249.0]).map(f64::to_radians);
     let stated = StatedLimits {
@@ -52,14 +52,14 @@ pub fn published(gains: Gains) -> PublishedConfig {
     PublishedConfig { gains, target_filter }
 }
 
-/// The same with its observations changed.
+/// The configuration with a changed target filter.
 pub fn with_filter(config: ControllerConfig, change: impl FnOnce(&mut TargetFilterConfig)) -> ControllerConfig {
     let LawConfig::Published(mut law) = config.law else { panic!("no published law") };
     change(&mut law.target_filter);
     ControllerConfig { law: LawConfig::Published(law), ..config }
 }
 
-/// A filter that believes what it sees and knows no rest: what shows in the hand is the law.
+/// A filter with small measurement noise and without a rest model: the motion of the hand shows the law.
 fn trusting() -> TargetStateConfig {
     let mut target = TargetStateConfig::default();
     (target.linear.rest, target.angular.rest) = (None, None);
@@ -68,7 +68,7 @@ fn trusting() -> TargetStateConfig {
     target
 }
 
-/// The law with feed-forward for an arm, before a target seen without noise.
+/// The law with feed-forward for an arm, with noise-free observations of the target.
 pub fn feed_forward(arm: ArmResponse) -> FeedForwardConfig {
     FeedForwardConfig {
         arm,
@@ -85,7 +85,7 @@ pub fn feed_forward_config(law: FeedForwardConfig) -> ControllerConfig {
     ControllerConfig { law: LawConfig::FeedForward(law), ..config() }
 }
 
-/// The published law, no smoothing, no soft start, wide limits; every transform off identity in all parts.
+/// The published law, no smoothing, no soft start, wide limits; all components of every transform differ from identity.
 pub fn config() -> ControllerConfig {
     let wide = CartesianSpeed { linear_m_per_s: 2.0, angular_rad_per_s: 6.0 };
     ControllerConfig {
@@ -107,13 +107,13 @@ pub fn config() -> ControllerConfig {
     }
 }
 
-/// The covariance of an observation without noise that is nearly believed: 0.02 mm, 0.2 mrad.
+/// Covariance of a noise-free observation, with a high weight: 0.02 mm, 0.2 mrad.
 pub fn sharp() -> Matrix6<f64> {
     let sigma = Vector6::new(2e-5, 2e-5, 2e-5, 2e-4, 2e-4, 2e-4);
     Matrix6::from_diagonal(&sigma.component_mul(&sigma))
 }
 
-/// How the joints answer.
+/// Response of the joints.
 #[derive(Clone, Copy)]
 pub struct Plant {
     pub delay_steps: usize,
@@ -122,7 +122,7 @@ pub struct Plant {
 
 pub const IDEAL: Plant = Plant { delay_steps: 0, lag_s: 0.0 };
 
-/// The cell: everything but the controller.
+/// The cell: controller, arm, camera and clock.
 pub struct Cell {
     pub controller: Controller,
     pub config: ControllerConfig,
@@ -173,7 +173,7 @@ impl Cell {
         self.chain.forward(&self.joints.position_rad) * self.config.flange_from_hand
     }
 
-    /// The model that is seen as `cam_left_from_model` now.
+    /// Observation of a model at this pose now.
     pub fn observe(&self, base_from_model: &Pose<Base, Model>) -> TargetObservation {
         let cam_from_base: Pose<CamLeft, Base> = (self.base_from_hand() * self.config.hand_from_cam_left).inverse();
         TargetObservation {
@@ -185,7 +185,7 @@ impl Cell {
         }
     }
 
-    /// Where the target is if the hand, moved by this (metres, rotation vector, in `base`), would be right.
+    /// Target pose for which the hand, moved by this (metres, rotation; in `base`), is at its desired pose.
     pub fn target_for_hand_moved(&self, by: Vector3<f64>, turn: UnitQuaternion<f64>) -> Pose<Base, Model> {
         let hand = self.base_from_hand();
         let desired = Pose::<Base, Hand>::from_parts(hand.translation_m() + by, turn * hand.rotation());
@@ -206,7 +206,7 @@ impl Cell {
         self.step_controller()
     }
 
-    /// As [`Self::step`] with what was delivered last.
+    /// As [`Self::step`], with the last delivered observation.
     pub fn step_controller(&mut self) -> ControlStep {
         let step = self.controller.step(&self.joints, self.newest.as_ref(), self.now());
         self.commands.push_back(match step.command {

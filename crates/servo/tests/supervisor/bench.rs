@@ -1,5 +1,5 @@
-//! A supervisor with all its inputs: a camera at 33 pairs per second, an estimator that is sure, a controller that
-//! locks on after 50 ms and is at its place after 300 ms, two arms, and an operator who is there. Each input can be changed.
+//! A supervisor with all its inputs: a camera at 33 pairs per second, a confident estimator, a controller that initialises the
+//! target after 50 ms and arrives after 300 ms, two arms, and an operator with signs of life. Each input can be changed.
 
 use nalgebra::Matrix6;
 use pb3dp_geometry::MonotonicTime;
@@ -53,7 +53,7 @@ fn policy(condition: Condition) -> Policy {
     Policy { threshold, for_s, action, resume }
 }
 
-/// A policy changed.
+/// [`config`] with one changed policy.
 pub fn with(condition: Condition, change: impl FnOnce(&mut Policy)) -> SupervisorConfig {
     let mut config = config();
     change(config.policies.get_mut(condition));
@@ -64,7 +64,7 @@ pub fn at(seconds: f64) -> MonotonicTime {
     MonotonicTime::from_secs_f64(seconds)
 }
 
-/// Everything is well.
+/// Inputs without any condition.
 pub fn good(now_s: f64) -> Inputs {
     let arm = ArmInput { state: ArmCondition::Enabled, measured_at: Some(at(now_s - 0.005)) };
     let exposed_at = at(now_s - LATENCY_S);
@@ -88,10 +88,10 @@ pub fn good(now_s: f64) -> Inputs {
 pub struct Bench {
     pub supervisor: Supervisor,
     pub now_s: f64,
-    /// What is changed in the inputs of every step.
+    /// Change of the inputs in every step.
     pub lie: Box<dyn Fn(&mut Inputs)>,
     pub last: Option<Decision>,
-    /// Steps in which each condition was found.
+    /// Number of steps in which each condition was found.
     pub steps_found: [u64; Condition::COUNT],
     seen: (Option<EstimateInput>, Option<FrameInput>),
     said: Option<OperatorRequest>,
@@ -114,14 +114,14 @@ impl Bench {
         }
     }
 
-    /// A bench whose hand follows.
+    /// A bench in the state tracking.
     pub fn following(config: SupervisorConfig) -> Self {
         let mut bench = Self::new(config);
         bench.begin();
         bench
     }
 
-    /// Selects and starts, and waits until the hand follows.
+    /// Selects and starts, and waits for the state tracking.
     pub fn begin(&mut self) {
         self.say(OperatorCommand::Select);
         self.run(0.5);
@@ -144,7 +144,7 @@ impl Bench {
         self.decision().why.to_string()
     }
 
-    /// From now on this input differs from the truth.
+    /// Changes the inputs from now on.
     pub fn lie(&mut self, lie: impl Fn(&mut Inputs) + 'static) {
         self.lie = Box::new(lie);
     }
@@ -157,7 +157,7 @@ impl Bench {
         self.say_at(word, self.now_s + STEP_S)
     }
 
-    /// Hands a word over in the next step that was said at this time.
+    /// Passes a command with this time to the next step.
     pub fn say_at(&mut self, word: OperatorCommand, said_s: f64) -> Decision {
         self.said = Some(OperatorRequest { word, at: at(said_s) });
         self.step()
@@ -196,7 +196,7 @@ impl Bench {
         decision
     }
 
-    /// Steps for this time; whether anything was permitted to move in it.
+    /// Steps for this time; whether motion was permitted in any step.
     pub fn run(&mut self, seconds: f64) -> bool {
         let mut moved = false;
         for _ in 0..(seconds / STEP_S).round() as usize {

@@ -1,4 +1,4 @@
-//! Each condition by itself: when it is found, what follows, and how it goes on.
+//! Each condition alone: detection, action, and how motion resumes.
 
 use nalgebra::Matrix6;
 use pb3dp_servo::supervisor::{
@@ -9,12 +9,12 @@ use pb3dp_servo::{HoldReason, Mode};
 
 use super::bench::{Bench, STEP_S, at, config, with};
 
-/// The input that differs from the truth.
+/// A change of the inputs.
 type Lie = Box<dyn Fn(&mut Inputs)>;
-/// How a condition is brought about from this time on.
+/// The change of the inputs that causes a condition from this time on.
 type Trouble = fn(f64) -> Lie;
 
-/// The inputs for each condition when it is active, and its value then, if it does not grow with time.
+/// Each condition, the inputs that cause it, and its value unless the value grows with time.
 fn troubles() -> Vec<(Condition, Trouble, Option<f64>)> {
     vec![
         (Condition::EmergencyStop, |_| Box::new(|i| i.arms[1].state = ArmCondition::EmergencyStop), Some(0.0)),
@@ -66,7 +66,7 @@ fn troubles() -> Vec<(Condition, Trouble, Option<f64>)> {
     ]
 }
 
-/// Three components of the pose, from the first one on, with these standard deviations.
+/// Covariance with these standard deviations for three components of the pose, from index `first`.
 fn deviating(first: usize, sigmas: [f64; 3]) -> Lie {
     let mut covariance = Matrix6::zeros();
     for (index, sigma) in sigmas.into_iter().enumerate() {
@@ -75,7 +75,7 @@ fn deviating(first: usize, sigmas: [f64; 3]) -> Lie {
     Box::new(move |i| i.estimate.as_mut().unwrap().covariance = Some(covariance))
 }
 
-/// All but the loss, which is found only behind a stale estimate.
+/// All conditions except the loss, which is detected only after a stale estimate.
 #[test]
 fn each_condition_does_what_its_policy_says_when_it_has_lasted() {
     let troubles = troubles();
@@ -88,7 +88,7 @@ fn each_condition_does_what_its_policy_says_when_it_has_lasted() {
         bench.lie = trouble(bench.now_s);
         let mut moved_steps: u32 = 0;
         while bench.steps_found[condition as usize] == found_before && !bench.state().is_latched() {
-            assert!(bench.now_s - begun_s < 1.5, "{name} is not found");
+            assert!(bench.now_s - begun_s < 1.5, "{name} is not detected");
             moved_steps += 1;
             let decision = bench.step();
             let is_effective = decision.permission != Permission::Move { share: 1.0 };
@@ -105,7 +105,7 @@ fn each_condition_does_what_its_policy_says_when_it_has_lasted() {
             Action::Stop => assert_eq!((decision.permission, decision.state), (Permission::Stop, State::Stopped)),
             Action::Fault => assert_eq!((decision.permission, decision.state), (Permission::Stop, State::Fault)),
         }
-        assert_eq!(decision.rearm, policy.action.is_rest(), "{name}: set-points are dropped with the rest");
+        assert_eq!(decision.rearm, policy.action.is_rest(), "{name}: each hold or stop drops the set-points");
         let Some(transition) = decision.transition else {
             assert!(!policy.action.is_rest(), "{name}");
             continue;
@@ -122,7 +122,7 @@ fn each_condition_does_what_its_policy_says_when_it_has_lasted() {
     }
 }
 
-/// After the cause: those that may go on by themselves do, the others do not.
+/// After the cause is gone, motion resumes automatically only if the policy allows it.
 #[test]
 fn each_rest_ends_as_its_policy_says() {
     for (condition, trouble, _) in troubles() {
@@ -204,7 +204,7 @@ fn the_most_severe_action_counts_and_the_smallest_share() {
     assert_eq!(decision.transition.unwrap().cause.unwrap().condition, Condition::ArmFault);
 }
 
-/// Both arms are stopped then, and one of them can tell why.
+/// Both arms are stopped, but only one of them reports the fault.
 #[test]
 fn the_arm_that_failed_is_named_and_not_the_one_that_stopped_with_it() {
     for failed in 0..2 {
@@ -218,7 +218,7 @@ fn the_arm_that_failed_is_named_and_not_the_one_that_stopped_with_it() {
     }
     let mut bench = Bench::following(config());
     bench.lie(|i| i.arms[1].state = ArmCondition::StoppedByOther);
-    assert_eq!(bench.step().state, State::Fault, "whatever the other one says");
+    assert_eq!(bench.step().state, State::Fault, "whatever the other arm reports");
 }
 
 #[test]
@@ -256,7 +256,7 @@ fn numbers_that_are_none_count_as_the_worst() {
     }
 }
 
-/// A target that goes out of sight is no surer for that: the hand went on for as long as its last pose was fresh enough.
+/// An occluded target does not make its last pose more accurate. Regression: the hand kept moving until this pose was stale.
 #[test]
 fn a_pose_that_is_too_uncertain_stays_so_until_there_is_another_one() {
     for first in [0, 3] {
@@ -280,7 +280,7 @@ fn deviating_by(first: usize, sigma: f64) -> Matrix6<f64> {
     covariance
 }
 
-/// Without a covariance the method cannot say, and other conditions have to do.
+/// A method without a covariance reports no uncertainty: only the other conditions apply.
 #[test]
 fn a_method_without_covariance_is_not_held_for_it() {
     let mut bench = Bench::new(config());

@@ -1,4 +1,4 @@
-//! The supervisor: what it permits, and what it says.
+//! The supervisor: permissions and messages.
 #![allow(clippy::unwrap_used, clippy::panic)] // In helpers of tests.
 
 pub mod bench;

@@ -1,4 +1,4 @@
-//! Policies that are out of range, or weaker than allowed, are refused with key, value and what is allowed.
+//! Policies that are out of range, or weaker than allowed, are refused with key, value and allowed values.
 
 use pb3dp_servo::supervisor::{Action, Condition, Policy, Resume, Supervisor, SupervisorConfig};
 
@@ -50,7 +50,7 @@ fn faults_of_arms_and_emergency_stops_are_always_faults_and_stale_data_is_at_lea
     ];
     for condition in at_least_hold {
         assert_eq!(condition.rule().least, Action::Hold, "{}", condition.key());
-        assert_eq!(condition.rule().for_max_s, 0.0, "{}: no time is added to its own", condition.key());
+        assert_eq!(condition.rule().for_max_s, 0.0, "{}: no additional `for_s`", condition.key());
     }
 }
 
@@ -115,7 +115,7 @@ fn each_number_has_its_range() {
         assert_eq!(text, format!("supervisor setting word_age_max_s is {bad}: allowed is 0.05 to 5"));
     }
     let text = refused(Condition::TargetLost, |policy| policy.threshold = 0.29);
-    assert_eq!(text, "supervisor setting target_lost.age_s is 0.29: allowed is 0.3 to 10", "not before it is stale");
+    assert_eq!(text, "supervisor setting target_lost.age_s is 0.29: allowed is 0.3 to 10", "stale before lost");
     assert_eq!(refusal(config()), None);
 }
 

@@ -1,4 +1,4 @@
-//! Random inputs and commands: independent code judges what the supervisor permits.
+//! Random inputs and commands: an independent oracle checks the permissions of the supervisor.
 
 use std::cell::Cell;
 
@@ -14,7 +14,7 @@ use pb3dp_servo::supervisor::{
 
 use super::bench::{at, config};
 
-/// One step: what is wrong in it, if anything.
+/// Inputs of one step, with its faults.
 #[derive(Clone, Debug)]
 struct Step {
     dt_s: f64,
@@ -107,7 +107,7 @@ fn step() -> impl Strategy<Value = Step> {
         })
 }
 
-/// What was told, kept from step to step.
+/// Newest inputs, kept from step to step.
 #[derive(Default)]
 struct Told {
     now_s: f64,
@@ -155,28 +155,28 @@ impl Told {
     }
 }
 
-/// Controllers rest and targets jump for the last time so long before a word leads on, seconds.
+/// A command is accepted only this long after the last jump of the target or hold of the controller, seconds.
 const GO_AFTER_S: f64 = 0.05;
 
-/// What the operator has a right to: told from inputs and decisions alone.
+/// Oracle: checks each permission with the inputs and decisions only.
 #[derive(Default)]
 struct Judge {
     now_s: f64,
-    /// Exposure of the newest estimate that was sure, seconds.
+    /// Exposure of the newest confident estimate, seconds.
     sure_s: Option<f64>,
-    /// Exposure of the newest pose, and its target: an estimate without a pose follows nothing.
+    /// Exposure of the newest pose, and its target; an estimate without a pose has no target.
     newest: Option<(f64, u64)>,
     selected_s: Option<f64>,
     started: bool,
     started_target: Option<u64>,
     must_rest_until_word: bool,
-    /// When the controller last gave no velocity, or the target last jumped, seconds.
+    /// Last time at which the controller output no velocity or the target jumped, seconds.
     doubted_s: f64,
     motions: u64,
 }
 
 impl Judge {
-    /// Of the target are images that were taken since it was selected, and not such from the future.
+    /// Stores the estimate if its exposure is after the selection and not in the future.
     fn take(&mut self, estimate: &EstimateInput) {
         let exposed_s = estimate.at.as_secs_f64();
         let is_of_target = self.selected_s.is_some_and(|selected_s| exposed_s >= selected_s - 1e-9);
@@ -197,7 +197,7 @@ impl Judge {
         let dangerous =
             inputs.arms.iter().any(|arm| !matches!(arm.state, ArmCondition::Enabled | ArmCondition::Disabled));
         if now_s < self.now_s {
-            // Stamps of before tell nothing any more.
+            // Earlier timestamps are not comparable any more.
             (self.sure_s, self.newest) = (None, None);
             self.selected_s = self.selected_s.map(|selected_s| selected_s.min(now_s));
         }
@@ -215,7 +215,7 @@ impl Judge {
             self.doubted_s = now_s;
         }
         if decision.transition.is_some_and(|to| matches!(to.event, Event::Start | Event::Resume)) {
-            assert!(now_s - self.doubted_s >= GO_AFTER_S - 1e-6, "in doubt until {} s", self.doubted_s);
+            assert!(now_s - self.doubted_s >= GO_AFTER_S - 1e-6, "jump or hold until {} s", self.doubted_s);
         }
         if word == Some(OperatorCommand::Start) && decision.state == State::Approaching && decision.transition.is_some()
         {
@@ -238,16 +238,16 @@ impl Judge {
             self.motions += 1;
             assert!(share > 0.0 && share <= 1.0);
             assert!(self.started, "not started since the last latch");
-            assert!(!self.must_rest_until_word, "the operator said hold");
+            assert!(!self.must_rest_until_word, "the operator commanded a hold");
             assert!(inputs.arms.iter().all(|arm| arm.state == ArmCondition::Enabled));
             for arm in inputs.arms {
                 let age_s = now_s - arm.measured_at.unwrap().as_secs_f64();
-                assert!((-0.2 - 1e-6..=0.05 + 1e-6).contains(&age_s), "joints of {age_s} s");
+                assert!((-0.2 - 1e-6..=0.05 + 1e-6).contains(&age_s), "joints are {age_s} s old");
             }
             let sure_age_s = now_s - self.sure_s.unwrap();
-            assert!((-0.2 - 1e-6..=0.3 + 1e-6).contains(&sure_age_s), "an estimate of {sure_age_s} s");
+            assert!((-0.2 - 1e-6..=0.3 + 1e-6).contains(&sure_age_s), "the estimate is {sure_age_s} s old");
             let frame_age_s = now_s - inputs.frame.unwrap().at.as_secs_f64();
-            assert!(frame_age_s <= 0.25 + 1e-6, "images of {frame_age_s} s");
+            assert!(frame_age_s <= 0.25 + 1e-6, "the images are {frame_age_s} s old");
             assert!(now_s - inputs.operator.heard_at.unwrap().as_secs_f64() <= 1.0 + 1e-6);
             assert!(matches!(inputs.controller, Mode::Approaching | Mode::Tracking));
         } else {
@@ -256,14 +256,14 @@ impl Judge {
     }
 }
 
-/// In 1000 random histories of 300 steps nothing is permitted that the operator has no right to.
+/// 1000 random histories of 300 steps: the oracle agrees with every permission.
 #[test]
 fn no_history_permits_motion_without_fresh_confident_data_enabled_arms_and_the_operators_start() {
     let motions = Cell::new(0_u64);
     let mut runner = TestRunner::new(Config { cases: 1000, failure_persistence: None, ..Config::default() });
     let histories = prop::collection::vec(step(), 300);
     let outcome = runner.run(&histories, |history| {
-        // So much happens here that hardly anything is gone for long.
+        // A short time: with this many faults, conditions are rarely gone for long.
         let mut supervisor = Supervisor::new(SupervisorConfig { go_after_s: GO_AFTER_S, ..config() }).unwrap();
         let (mut told, mut judge) = (Told { now_s: 100.0, heard_s: 100.0, ..Told::default() }, Judge::default());
         let mut before = State::Idle;
@@ -279,7 +279,7 @@ fn no_history_permits_motion_without_fresh_confident_data_enabled_arms_and_the_o
             }
             let begins = !before.is_moving() && decision.state.is_moving();
             if let (true, Some((_, shown))) = (begins, judge.newest) {
-                prop_assert_eq!(Some(shown), judge.started_target, "another target than was started");
+                prop_assert_eq!(Some(shown), judge.started_target, "not the target that was started");
             }
             before = decision.state;
         }
@@ -287,5 +287,5 @@ fn no_history_permits_motion_without_fresh_confident_data_enabled_arms_and_the_o
         Ok(())
     });
     outcome.unwrap();
-    assert!(motions.get() > 20_000, "only {} steps of 300000 moved: that proves little", motions.get());
+    assert!(motions.get() > 20_000, "only {} of 300000 steps moved: too few for a test", motions.get());
 }

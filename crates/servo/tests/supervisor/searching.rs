@@ -1,4 +1,4 @@
-//! The search for a lost target: permitted in one state only, for a time, and while nothing else is wrong.
+//! The search for a lost target: permitted only in the state lost, for a limited time, and without any other condition.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use pb3dp_servo::supervisor::{
 
 use super::bench::{Bench, config, with};
 
-/// The target is gone, images come on, and the hand would look for it.
+/// The target is lost, images still arrive, and the controller searches.
 fn blind(inputs: &mut Inputs) {
     if let Some(estimate) = &mut inputs.estimate {
         estimate.confidence = Confidence::NoPose;
@@ -30,7 +30,7 @@ fn lost(search_max_s: f64) -> Bench {
 fn a_hand_that_searches_unasked_does_not_move() {
     let mut bench = lost(0.0);
     assert!(!bench.decision().search && !bench.run(3.0));
-    // Not in any other state either, whatever the policy.
+    // No search in any other state, whatever the policy.
     let mut bench = Bench::following(SupervisorConfig { search_max_s: 30.0, ..config() });
     bench.lie(|inputs| inputs.controller = Mode::Searching);
     bench.run(0.1);
@@ -64,7 +64,7 @@ fn the_operator_and_everything_else_that_is_wrong_end_a_search() {
         bench.run(0.5);
         assert!(!bench.run(1.0), "{}", bench.why());
     }
-    // What has ended it is gone: it stays ended as long as this target is lost.
+    // An aborted search does not start again for the same loss, even if the cause is gone.
     for wrong in wrong.into_iter().take(3) {
         let mut bench = lost(30.0);
         bench.lie(move |inputs| {
@@ -78,14 +78,14 @@ fn the_operator_and_everything_else_that_is_wrong_end_a_search() {
         bench.run(2.0);
         assert_eq!(bench.state(), State::Tracking, "{}", bench.why());
         bench.lie(blind);
-        assert!(bench.run(2.0) && bench.decision().search, "the next loss has a search of its own");
+        assert!(bench.run(2.0) && bench.decision().search, "the next loss permits a new search");
     }
     let mut bench = lost(30.0);
     bench.say(OperatorCommand::Hold);
     assert!(!bench.decision().search && !bench.run(1.0), "{}", bench.why());
 }
 
-/// A target that has jumped, and then is not seen any more: what waits for a word goes on waiting.
+/// A target that jumps and is then lost: a hold that needs `resume` still needs it, and no search starts.
 #[test]
 fn what_waits_for_the_operators_word_does_not_search() {
     let wrong: [fn(&mut Inputs); 4] = [
@@ -103,7 +103,7 @@ fn what_waits_for_the_operators_word_does_not_search() {
         assert!(!bench.run(3.0) && !bench.decision().search, "{}", bench.why());
         assert_eq!(bench.state(), State::Lost, "{}", bench.why());
     }
-    // The loss itself may wait for one: the hand looks for it, and stays where it finds it.
+    // If only the loss needs `resume`, the hand searches, and holds where it finds the target.
     let mut config = with(Condition::TargetLost, |policy| policy.resume = Resume::ByOperator);
     config.search_max_s = 30.0;
     let mut bench = Bench::following(config);
@@ -113,7 +113,7 @@ fn what_waits_for_the_operators_word_does_not_search() {
     assert!(!bench.run(2.0) && bench.state() == State::Lost, "{}", bench.why());
 }
 
-/// A clock that is set back does not lengthen the time.
+/// A clock that is set back does not extend the search.
 #[test]
 fn a_clock_that_steps_ends_a_search_for_good() {
     for step_s in [-3.0, 3.0] {

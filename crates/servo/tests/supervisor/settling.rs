@@ -1,4 +1,4 @@
-//! What comes and goes from image to image: a word that falls between two of them leads on to nothing.
+//! Intermittent conditions of single images: a command between two of these images is refused.
 
 use pb3dp_servo::supervisor::{
     Condition, Confidence, Innovation, Inputs, OperatorCommand, RefusedFor, State, SupervisorConfig,
@@ -6,7 +6,7 @@ use pb3dp_servo::supervisor::{
 
 use super::bench::{Bench, FRAME_EVERY, STEP_S, at, config};
 
-/// One image in three shows the target where its motion does not lead to expect it.
+/// One image in three is an outlier.
 fn outliers(inputs: &mut Inputs) {
     let is_one = inputs.frame.is_some_and(|frame| (frame.sequence / 30).is_multiple_of(3));
     if inputs.innovation == Innovation::Agrees && is_one {
@@ -14,7 +14,7 @@ fn outliers(inputs: &mut Inputs) {
     }
 }
 
-/// Says the word in every step for a second: nothing may move. How often nothing spoke against it but that time was too short.
+/// Gives the command in every step for 1 s: no motion may start. Counts the refusals for too short a time without an inhibit.
 fn is_refused(bench: &mut Bench, word: OperatorCommand) -> usize {
     let mut too_short = 0;
     for _ in 0..100 {
@@ -71,7 +71,7 @@ fn resume_after_a_hold_is_obeyed_as_soon_as_the_controller_has_been_at_it_for_th
         while !bench.decision().is_ready {
             bench.step();
         }
-        // It locks on in 50 ms, and each image that says so comes at its time.
+        // The controller initialises the target in 50 ms; the confirming image arrives with the frame period.
         let (waited_s, image_s) = (bench.now_s - held_s - go_after_s, FRAME_EVERY as f64 * STEP_S);
         assert!((0.05..=0.05 + image_s + 2.0 * STEP_S + 1e-9).contains(&waited_s), "{waited_s}");
         assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching);
@@ -93,7 +93,7 @@ fn start_that_was_said_before_another_target_was_followed() {
     assert_eq!(bench.say(OperatorCommand::Start).state, State::Approaching);
 }
 
-/// Of poses that scatter one agrees, by chance, and then none comes: the time without any speaks for nothing.
+/// One of several scattered poses agrees by chance, and no pose follows: the time without a pose does not count.
 #[test]
 fn one_image_that_agrees_and_none_behind_it() {
     let mut bench = Bench::following(config());
@@ -106,7 +106,7 @@ fn one_image_that_agrees_and_none_behind_it() {
     assert_eq!(bench.state(), State::Holding);
     let last = bench.now_s;
     bench.lie(move |inputs| {
-        // The first image of those to come is the last one with a pose.
+        // Only the next image still has a pose.
         if inputs.estimate.is_some_and(|estimate| estimate.at > at(last + 0.03)) {
             let estimate = inputs.estimate.as_mut().unwrap();
             estimate.confidence = Confidence::NoPose;

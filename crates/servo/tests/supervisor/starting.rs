@@ -1,5 +1,5 @@
-//! Wrong starts and resumes that the supervisor can detect: each is a test. What every one of them shows is that
-//! nothing is permitted to move, or that nothing moves by itself.
+//! Wrong starts and resumes that the supervisor can detect, one test each. Each test shows that no motion is permitted, or that
+//! no motion starts without a command.
 
 use pb3dp_servo::supervisor::{
     ArmCondition, Condition, Confidence, Event, OperatorCommand, OperatorRequest, Permission, RefusedFor, State, Why,
@@ -17,7 +17,7 @@ fn selected() -> Bench {
     bench
 }
 
-/// Says start, which must be refused for this condition, and nothing moves afterwards.
+/// Commands `start`: it must be refused because of this condition, and no motion follows.
 fn start_is_refused_for(bench: &mut Bench, condition: Condition) {
     let decision = bench.say(OperatorCommand::Start);
     let because = decision.refused.unwrap().because;
@@ -26,10 +26,10 @@ fn start_is_refused_for(bench: &mut Bench, condition: Condition) {
 }
 
 fn stays_at_rest(bench: &mut Bench) {
-    assert!(!bench.run(2.0), "it moves: {}", bench.why());
+    assert!(!bench.run(2.0), "motion is permitted: {}", bench.why());
 }
 
-/// A fault is found, and gone again.
+/// A bench in the state fault, after the cause is gone.
 fn faulted() -> Bench {
     let mut bench = Bench::following(config());
     bench.lie(|i| i.arms[0].state = ArmCondition::Fault);
@@ -68,7 +68,7 @@ fn start_before_the_target_was_seen() {
     bench.say(OperatorCommand::Select);
     bench.run(0.5);
     start_is_refused_for(&mut bench, Condition::TargetLost);
-    // And it does not begin when the target comes into view.
+    // No motion starts when the target comes into view.
     bench.truth();
     stays_at_rest(&mut bench);
 }
@@ -158,7 +158,7 @@ fn start_with_an_arm_that_is_off() {
         let mut bench = selected();
         bench.lie(move |i| i.arms[arm].state = ArmCondition::Disabled);
         start_is_refused_for(&mut bench, Condition::ArmDisabled);
-        // Nor when it is enabled.
+        // No motion starts when the arm is enabled.
         bench.truth();
         stays_at_rest(&mut bench);
     }
@@ -234,7 +234,7 @@ fn another_target_selected_in_motion() {
     let mut bench = Bench::following(config());
     let decision = bench.say(OperatorCommand::Select);
     assert_eq!(decision.refused.unwrap().because, RefusedFor::State(State::Tracking));
-    assert_eq!(decision.permission, Permission::Move { share: 1.0 }, "it follows the one that was started");
+    assert_eq!(decision.permission, Permission::Move { share: 1.0 }, "the hand follows the started target");
 }
 
 #[test]
@@ -294,7 +294,7 @@ fn reset_in_the_step_in_which_a_fault_is_found() {
 fn resume_after_an_emergency_stop_with_the_old_set_points() {
     let mut bench = Bench::following(config());
     bench.lie(|i| i.arms[0].state = ArmCondition::EmergencyStop);
-    assert!(bench.step().rearm, "the set-points are dropped with the stop");
+    assert!(bench.step().rearm, "the stop drops the set-points");
     bench.truth();
     bench.run(0.2);
     let decision = bench.say(OperatorCommand::Reset);
@@ -303,9 +303,9 @@ fn resume_after_an_emergency_stop_with_the_old_set_points() {
         assert_eq!(bench.say(word).refused.unwrap().because, RefusedFor::State(State::Idle));
         stays_at_rest(&mut bench);
     }
-    // The whole way is to be gone: the target selected, seen anew, and started.
+    // The whole sequence is required: the target is selected, observed again, and started.
     assert!(bench.say(OperatorCommand::Select).rearm);
-    assert!(bench.say(OperatorCommand::Start).refused.is_some(), "not with what was seen before");
+    assert!(bench.say(OperatorCommand::Start).refused.is_some(), "not with earlier observations");
     bench.run(0.5);
     assert_eq!(bench.say(OperatorCommand::Start).state, State::Approaching);
 }
@@ -332,12 +332,12 @@ fn reset_of_what_is_not_latched_changes_nothing() {
     stays_at_rest(&mut bench);
 }
 
-/// What is latched in an arm is cleared only by a word that the supervisor would obey.
+/// The latched state of an arm is cleared only by a command that the supervisor would accept.
 #[test]
 fn a_reset_reaches_the_arms_only_in_a_latched_state_and_in_time() {
     let said = |word, said_s| OperatorRequest { word, at: at(said_s) };
     let mut bench = Bench::following(config());
-    assert!(!bench.supervisor.would_reset(said(OperatorCommand::Reset, bench.now_s), at(bench.now_s)), "it follows");
+    assert!(!bench.supervisor.would_reset(said(OperatorCommand::Reset, bench.now_s), at(bench.now_s)), "tracking");
     let before_s = bench.now_s;
     bench.lie(|i| i.arms[0].state = ArmCondition::EmergencyStop);
     bench.run(0.1);
@@ -345,11 +345,11 @@ fn a_reset_reaches_the_arms_only_in_a_latched_state_and_in_time() {
     let now_s = bench.now_s;
     let would = |word, said_s| bench.supervisor.would_reset(said(word, said_s), at(now_s));
     assert!(would(OperatorCommand::Reset, now_s), "also while the emergency stop is latched in the arm");
-    assert!(!would(OperatorCommand::Reset, before_s), "it was said before the fault");
-    assert!(!would(OperatorCommand::Reset, now_s + 1.0), "it will be said");
+    assert!(!would(OperatorCommand::Reset, before_s), "the command is from before the fault");
+    assert!(!would(OperatorCommand::Reset, now_s + 1.0), "the command has a future time");
     assert!(!would(OperatorCommand::Select, now_s));
     let later = |said_s| bench.supervisor.would_reset(said(OperatorCommand::Reset, said_s), at(now_s + 1.0));
-    assert!(!later(now_s) && later(now_s + 0.6), "no older than 0.5 s");
+    assert!(!later(now_s) && later(now_s + 0.6), "at most 0.5 s old");
     bench.truth();
     bench.run(0.1);
     assert_eq!(bench.say(OperatorCommand::Reset).state, State::Idle);
@@ -373,7 +373,7 @@ fn the_operators_stop_ends_every_state_and_stays() {
     }
     let mut bench = selected();
     assert_eq!(bench.say(OperatorCommand::Stop).state, State::Stopped);
-    // However old the word is.
+    // Regardless of the age of the command.
     let mut bench = Bench::following(config());
     assert_eq!(bench.say_at(OperatorCommand::Stop, bench.now_s - 30.0).state, State::Stopped);
     let mut bench = Bench::following(config());
@@ -389,7 +389,7 @@ fn lease_lost_and_regained() {
     assert_eq!(bench.state(), State::Stopped);
     bench.truth();
     stays_at_rest(&mut bench);
-    // A policy that holds is no way round it.
+    // A policy with the action hold also waits for the operator.
     let mut bench = Bench::following(with(Condition::OperatorSilent, |policy| {
         policy.action = pb3dp_servo::supervisor::Action::Hold;
     }));
@@ -423,7 +423,7 @@ fn clock_stepped_back() {
     let cause = decision.transition.unwrap().cause.unwrap();
     assert_eq!((decision.state, cause.condition), (State::Lost, Condition::ClockStepped));
     assert!((cause.value + 39.99).abs() < 1e-6, "{cause:?}");
-    // What was measured before the step lies ahead and proves nothing.
+    // Measurements from before the step have future times and do not count.
     bench.lie(move |i| i.estimate = good(fresh).estimate);
     bench.run(0.5);
     assert!(bench.say(OperatorCommand::Resume).refused.is_some());
@@ -432,7 +432,7 @@ fn clock_stepped_back() {
     assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching);
 }
 
-/// A clock that is set back keeps no words out, of which `reset` would be missed most.
+/// After the clock is set back, commands are still accepted, above all `reset`.
 #[test]
 fn words_after_the_clock_stepped_back() {
     let mut bench = faulted();
@@ -457,7 +457,7 @@ fn estimator_restarted_with_another_target() {
     let because = bench.say(OperatorCommand::Resume).refused.unwrap().because;
     assert!(matches!(because, RefusedFor::Cause(cause) if cause.condition == Condition::TargetChanged));
     stays_at_rest(&mut bench);
-    // It has to be selected by the operator.
+    // The operator must select the new target.
     bench.say(OperatorCommand::Select);
     bench.run(0.3);
     assert_eq!(bench.say(OperatorCommand::Start).state, State::Approaching);
@@ -514,7 +514,7 @@ fn a_hold_of_the_operator_is_ended_by_nobody_else() {
     let mut bench = Bench::following(config());
     bench.say(OperatorCommand::Hold);
     stays_at_rest(&mut bench);
-    // Nor is it by a loss that would end by itself.
+    // A loss of the target that ends does not end the hold either.
     bench.lie(|i| i.estimate = None);
     bench.run(1.5);
     assert_eq!(bench.state(), State::Lost);
@@ -556,7 +556,7 @@ fn a_cause_that_flickers_keeps_the_arm_at_rest() {
         bench.truth();
         assert!(!bench.run(0.19));
     }
-    assert!(bench.run(0.1), "0.2 s without it are enough");
+    assert!(bench.run(0.1), "0.2 s without the cause are enough");
 }
 
 #[test]
@@ -575,14 +575,14 @@ fn a_rest_does_not_end_before_the_controller_has_locked_on_anew() {
 
 #[test]
 fn an_arm_that_was_moved_meanwhile_goes_on_from_where_it_is() {
-    // Homed: its drives were off in between, and the set-points of before are gone.
+    // For example homed: its drives were disabled meanwhile, and the old set-points are dropped.
     let mut bench = Bench::following(config());
     bench.lie(|i| i.arms[0].state = ArmCondition::Disabled);
     assert!(bench.step().rearm);
     bench.run(3.0);
     bench.truth();
     stays_at_rest(&mut bench);
-    assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching, "with the speed of an approach");
+    assert_eq!(bench.say(OperatorCommand::Resume).state, State::Approaching, "at the speed of the approach");
 }
 
 #[test]

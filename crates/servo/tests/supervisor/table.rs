@@ -1,8 +1,8 @@
-//! All states by all events.
+//! All states and all events.
 
 use pb3dp_servo::supervisor::table::{Event, Order, Outcome, State, outcome};
 
-/// What the table has to be, told by groups instead of rows.
+/// The expected table, written by groups instead of rows.
 fn expected(state: State, event: Event) -> Outcome {
     use Event::*;
     use Outcome::{Refuse, Stay, To};
@@ -52,7 +52,7 @@ fn only_the_operators_reset_leads_out_of_a_latched_state_and_only_to_idle() {
                     assert_eq!((to, order), (State::Idle, Order::Rearm));
                     out += 1;
                 }
-                // A fault that is found in a stopped cell is latched as well.
+                // A fault that is detected in the state stopped is latched as well.
                 Outcome::To(to, _) => assert!(to.is_latched(), "{state}, {event} leads to {to}"),
                 Outcome::Stay | Outcome::Refuse => {}
             }
@@ -70,7 +70,7 @@ fn motion_begins_by_start_resume_or_what_a_policy_lets_go_on_and_by_nothing_else
                 let begins = [Event::Start, Event::Resume, Event::CauseGone, Event::TargetFound];
                 assert!(begins.contains(&event), "{event}");
                 assert!(matches!(state, State::Selecting | State::Holding | State::Lost), "{state}");
-                assert_eq!(to, State::Approaching, "not at once with the speed of tracking");
+                assert_eq!(to, State::Approaching, "not immediately at the speed of tracking");
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Everything that keeps an arm from moving has one line of its own that says what is wrong and what to do.
+//! Each reason that inhibits motion has its own one-line message, with the fault and the remedy.
 
 use std::collections::BTreeSet;
 
@@ -9,7 +9,7 @@ use pb3dp_servo::{HoldReason, Mode};
 
 use super::bench::{Bench, config};
 
-/// A cause of each condition, with every detail that it can have, and what its line has to name.
+/// Causes of each condition with all their details, and the texts that the message must contain.
 fn causes() -> Vec<(Cause, Vec<String>)> {
     let of = |condition: Condition| -> (f64, f64, Vec<Detail>, [&'static str; 2]) {
         let arms = vec![Detail::Arm(0), Detail::Arm(1)];
@@ -69,9 +69,9 @@ fn every_state_and_every_condition_has_a_line_of_its_own() {
         for part in parts {
             assert!(line.contains(part), "{part:?} is not in {line:?}");
         }
-        assert!(line.contains(to_do), "what to do ({to_do}) is not in {line:?}");
+        assert!(line.contains(to_do), "the remedy ({to_do}) is not in {line:?}");
         assert!(!line.contains('\n') && line.len() < 300 && !line.contains("  "), "{line:?}");
-        assert!(lines.insert(line.clone()), "twice: {line:?}");
+        assert!(lines.insert(line.clone()), "duplicate: {line:?}");
     };
     add(Why::Idle, &["idle: ".into()], "use select");
     add(Why::Ready, &["selecting: ".into()], "use start");
@@ -149,7 +149,7 @@ fn every_refusal_has_words_of_its_own() {
         for because in reasons {
             let line = Refusal { word, because }.to_string();
             assert!(line.starts_with(&format!("{} refused: ", word.name())) && !line.contains('\n'), "{line}");
-            assert!(lines.insert(line.clone()), "twice: {line}");
+            assert!(lines.insert(line.clone()), "duplicate: {line}");
         }
     }
     let age =
@@ -160,7 +160,7 @@ fn every_refusal_has_words_of_its_own() {
     assert!(age.contains("0.700 s") && age.contains("0.500 s") && age.contains("repeat it"), "{age}");
 }
 
-/// As an operator would meet them, one after the other.
+/// Messages in the order in which an operator sees them.
 #[test]
 fn an_arm_that_does_not_move_says_why_in_each_step() {
     let mut bench = Bench::new(config());

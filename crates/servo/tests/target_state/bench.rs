@@ -22,7 +22,7 @@ impl Noise {
         Vector3::from_fn(|_, _| self.normal())
     }
 
-    /// With this covariance.
+    /// Gaussian noise with this covariance.
     pub fn with_covariance(&mut self, covariance: &Matrix6<f64>) -> Vector6<f64> {
         covariance.cholesky().unwrap().l() * Vector6::from_fn(|_, _| self.normal())
     }
@@ -47,17 +47,17 @@ pub fn diagonal(lateral_m: f64, depth_m: f64, tilt_rad: f64, roll_rad: f64) -> M
     Matrix6::from_diagonal(&sigma.component_mul(&sigma))
 }
 
-/// What the issue assumes.
+/// Assumed accuracy of the estimator.
 pub fn coarse() -> Matrix6<f64> {
     diagonal(1e-4, 3e-4, 0.1f64.to_radians(), 0.03f64.to_radians())
 }
 
-/// What the direct tracker reaches on the crab-like card (docs/benchmarks/accuracy.md).
+/// Accuracy of the direct tracker on the crab-like card (docs/benchmarks/accuracy.md).
 pub fn fine() -> Matrix6<f64> {
     diagonal(5e-6, 1.6e-5, 0.045f64.to_radians(), 0.01f64.to_radians())
 }
 
-/// A measurement of a pose with noise of this covariance, which it also reports.
+/// A measurement of a pose, with noise of this covariance; the measurement reports the same covariance.
 pub fn measured(
     noise: &mut Noise,
     at: MonotonicTime,
@@ -69,7 +69,7 @@ pub fn measured(
     PoseMeasurement { at, base_from_model: truth.perturbed_in_from(&-error), covariance: *covariance }
 }
 
-/// The target at a time: from the start pose, moved along and turned about axes of the model at the start.
+/// Motion of the target over time: translation and rotation vector from the start pose, in axes of the model at the start.
 pub type Motion = dyn Fn(f64) -> (Vector3<f64>, Vector3<f64>);
 
 pub fn pose_of(moved: (Vector3<f64>, Vector3<f64>)) -> Pose<Base, Model> {
@@ -79,10 +79,10 @@ pub fn pose_of(moved: (Vector3<f64>, Vector3<f64>)) -> Pose<Base, Model> {
 
 pub const MOVE_S: f64 = 2.0;
 pub const HOLD_S: f64 = 3.0;
-/// Duration of the steps of Fig. 7 with a rest before.
+/// Duration of the steps of Fig. 7 and of the rest before them.
 pub const FIG7_S: f64 = HOLD_S + 12.0 * (MOVE_S + HOLD_S);
 
-/// The experiment of Fig. 7: along and about x, y, z, there and back, minimum-jerk moves.
+/// The experiment of Fig. 7: minimum-jerk moves along and about x, y, z, out and back.
 pub fn fig7(t_s: f64) -> (Vector3<f64>, Vector3<f64>) {
     let since = t_s - HOLD_S;
     let event = (since / (MOVE_S + HOLD_S)).floor();
@@ -96,7 +96,7 @@ pub fn fig7(t_s: f64) -> (Vector3<f64>, Vector3<f64>) {
     if event < 6.0 { (axis * 0.1, Vector3::zeros()) } else { (Vector3::zeros(), axis * 20f64.to_radians()) }
 }
 
-/// Whether the target of [`fig7`] moves, and whether it rests for 1 s and more.
+/// Whether the target of [`fig7`] moves, and whether it has rested for at least 1 s.
 pub fn fig7_phase(t_s: f64) -> (bool, bool) {
     let since = t_s - HOLD_S;
     if since < 0.0 {
@@ -106,7 +106,7 @@ pub fn fig7_phase(t_s: f64) -> (bool, bool) {
     (in_event < MOVE_S, in_event > MOVE_S + 1.0)
 }
 
-/// Sums of squares of the errors of the desired hand, and their roots of means.
+/// RMS errors of the desired hand, stored as sums of squares.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Rms {
     position: f64,
@@ -137,7 +137,7 @@ impl Rms {
         1e3 * (self.position / self.count).sqrt()
     }
 
-    /// Time by which the found positions trail, as it explains the errors best, seconds.
+    /// Lag of the estimated positions, seconds, by least squares.
     pub fn lag_s(&self) -> f64 {
         self.along / self.speed
     }
@@ -147,7 +147,7 @@ impl Rms {
     }
 }
 
-/// Errors in motion and in hold of the hand that is predicted over a delay, at 100 Hz, from images at 30 Hz.
+/// Errors, in motion and in hold, of the hand predicted over a delay, at 100 Hz, from images at 30 Hz.
 pub fn follow(
     config: &TargetStateConfig,
     covariance: &Matrix6<f64>,
@@ -166,7 +166,7 @@ pub fn follow(
         while f64::from(frame) / 30.0 + delay_s <= now_s {
             let exposed_s = f64::from(frame) / 30.0;
             let mut seen = measured(&mut noise, at_s(exposed_s), &pose_of(motion(exposed_s)), covariance);
-            // The tracker is optimistic, and the configuration knows by how much.
+            // The tracker reports too small a covariance; `covariance_factor` corrects it.
             seen.covariance /= config.measurement.covariance_factor;
             filter.observe(&seen);
             frame += 1;

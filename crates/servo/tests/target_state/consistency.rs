@@ -1,4 +1,4 @@
-//! Covariances that are true: chi-square tests over Monte Carlo, symmetry, and long runs.
+//! Consistency of the covariances: Monte Carlo chi-square tests, symmetry, and long runs.
 
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use pb3dp_geometry::frames::{Base, Model};
@@ -10,7 +10,7 @@ use pb3dp_servo::{
 
 use super::bench::{Noise, askew, at_s, diagonal, fine, measured};
 
-/// Only Singer's model, the covariance believed as it is.
+/// Only Singer's model, with the reported covariance unchanged.
 fn singer() -> TargetStateConfig {
     TargetStateConfig {
         linear: MotionConfig {
@@ -38,7 +38,7 @@ fn singer() -> TargetStateConfig {
     }
 }
 
-/// A target that moves as Singer's model says, integrated in steps of 1 ms.
+/// A target that moves according to Singer's model, integrated in steps of 1 ms.
 struct Wanderer {
     base_from_model: Pose<Base, Model>,
     velocity: [Vector3<f64>; 2],
@@ -91,7 +91,7 @@ fn nees(found: &Pose<Base, Model>, covariance: &Matrix6<f64>, truth: &Pose<Base,
     error.dot(&covariance.cholesky().unwrap().solve(&error))
 }
 
-/// Whether the mean of `count` chi-square deviates of 6 degrees of freedom may be `mean`: within 4 standard deviations.
+/// Whether `mean` is within 4 standard deviations of the mean of `count` chi-square deviates with 6 degrees of freedom.
 fn is_chi_square(mean: f64, count: usize) -> bool {
     (mean - 6.0).abs() < 4.0 * (12.0 / count as f64).sqrt()
 }
@@ -131,7 +131,7 @@ fn errors_and_innovations_are_as_large_as_the_covariances_say() {
 
 #[test]
 fn a_covariance_that_is_too_small_shows() {
-    // The test above can fail: noise twice as large as reported.
+    // Shows that the test above can fail: the noise is twice as large as reported.
     let config = singer();
     let mut noise = Noise::new(3);
     let mut filter = TargetState::new(config).unwrap();
@@ -148,7 +148,7 @@ fn a_covariance_that_is_too_small_shows() {
 
 #[test]
 fn from_a_wrong_start_the_state_converges_to_a_steady_motion() {
-    // A screw about an oblique axis, noise-free: position, velocity and turn are found, also beyond half a turn.
+    // A noise-free screw motion about an oblique axis: pose and velocity converge, also beyond 180 degrees.
     let config = TargetStateConfig { gate_nis: 1e4, ..TargetStateConfig::default() };
     let mut filter = TargetState::new(config).unwrap();
     let (speed, spin) = (Vector3::new(0.05, -0.08, 0.03), Vector3::new(0.5, 0.9, -0.7));

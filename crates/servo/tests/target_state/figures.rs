@@ -12,7 +12,7 @@ fn with_both(change: impl Fn(&mut MotionConfig)) -> TargetStateConfig {
     config
 }
 
-/// What each part of the model is good for, over the moves of Fig. 7 and seeds on which nothing was chosen.
+/// Effect of each part of the model over the motion of Fig. 7, with a seed that was not used to choose parameters.
 #[test]
 fn each_part_of_the_model_makes_the_hand_quieter() {
     let same = with_both(|part| part.across_share = 1.0);

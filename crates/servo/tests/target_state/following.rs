@@ -1,4 +1,4 @@
-//! The motions of the experiments: quiet at rest, without lag in motion.
+//! The motions of the experiments: low noise at rest, no lag in motion.
 
 use std::f64::consts::TAU;
 
@@ -10,7 +10,7 @@ use super::bench::{FIG7_S, Noise, at_s, coarse, fig7, fig7_phase, fine, follow, 
 /// An oblique axis of the model.
 const AXIS: [f64; 3] = [0.6, 0.64, 0.48];
 
-/// There and back by 100 mm or 20 degrees, as a sinusoid.
+/// Sinusoidal motion with an amplitude of 100 mm or 20 degrees.
 fn sinusoid(period_s: f64, turns: bool) -> impl Fn(f64) -> (Vector3<f64>, Vector3<f64>) {
     move |t_s| {
         let share = Vector3::from(AXIS) * (TAU * t_s / period_s).sin();
@@ -18,7 +18,7 @@ fn sinusoid(period_s: f64, turns: bool) -> impl Fn(f64) -> (Vector3<f64>, Vector
     }
 }
 
-/// Largest rms of the desired hand's position (mm) and orientation (degrees) in motion and in hold.
+/// Limits of the rms error of the desired hand: position (mm) and orientation (degrees), in motion and in hold.
 type Limits = [f64; 4];
 
 fn check(name: &str, covariance: &Matrix6<f64>, delay_s: f64, limits: &Limits) {
@@ -27,7 +27,7 @@ fn check(name: &str, covariance: &Matrix6<f64>, delay_s: f64, limits: &Limits) {
     let found = [moving.position_mm(), moving.orientation_deg(), still.position_mm(), still.orientation_deg()];
     println!("{name}, {delay_s} s: {found:.3?}");
     for (found, limit) in found.iter().zip(limits) {
-        assert!(found <= limit, "{name}, {delay_s} s: {found} beyond {limit}");
+        assert!(found <= limit, "{name}, {delay_s} s: {found}, limit {limit}");
     }
 }
 
@@ -79,7 +79,7 @@ fn sinusoids_are_followed_without_lag() {
 
 #[test]
 fn a_motion_beyond_the_configured_acceleration_is_not_lost() {
-    // 20 degrees to both sides within 1.5 s, as a sinusoid: 6.1 rad/s^2 where 0.3 are configured.
+    // A sinusoid of 20 degrees to both sides within 1.5 s: 6.1 rad/s^2, where 0.3 rad/s^2 are configured.
     let motion = sinusoid(1.5, true);
     let follow = |config: &TargetStateConfig| {
         let (moving, _) = follow(config, &fine(), 0.066, 12.0, &motion, &|t| (t > 2.0, false), 1);
@@ -88,10 +88,10 @@ fn a_motion_beyond_the_configured_acceleration_is_not_lost() {
     let default = TargetStateConfig::default();
     assert!(follow(&default) < 25.0, "{}", follow(&default));
     let rigid = TargetStateConfig { surprise: SurpriseConfig { exponent: 0.0, ..default.surprise }, ..default };
-    assert!(follow(&rigid) > 75.0, "the gate shuts it out: {}", follow(&rigid));
+    assert!(follow(&rigid) > 75.0, "the gate rejects the motion: {}", follow(&rigid));
 }
 
-/// Outliers after a jump of the target at rest, and frames until its hand is found to 1.5 mm.
+/// Number of outliers after a jump of the target at rest, and of frames until the hand error is below 1.5 mm.
 fn after_jump(shift_m: f64, turn_rad: f64) -> (u32, u32) {
     let config = TargetStateConfig::default();
     let mut filter = TargetState::new(config).unwrap();
@@ -118,14 +118,14 @@ fn a_jump_is_an_outlier_first_and_believed_when_it_stays() {
     assert!((2..=6).contains(&outliers) && settled <= 10, "{outliers} {settled}");
     let (outliers, settled) = after_jump(0.0, 0.26);
     assert!((3..=9).contains(&outliers) && settled <= 12, "{outliers} {settled}");
-    // What no target can do takes longer: the controller has time to hold.
+    // An impossible jump takes longer to accept: the controller has time to hold.
     let (outliers, _) = after_jump(0.5, 1.0);
     assert!(outliers >= 10, "{outliers}");
 }
 
 #[test]
 fn correlation_between_position_and_tilt_is_used() {
-    // The tracker errs by a turn about a point 100 mm behind the model: position goes with tilt.
+    // The tracker error is a rotation about a point 100 mm behind the model: position correlates with tilt.
     let mut covariance = coarse();
     for (position, angle, sign) in [(0, 4, 1.0), (1, 3, -1.0)] {
         let both = sign * 0.1 * covariance[(angle, angle)];
@@ -158,7 +158,7 @@ fn correlation_between_position_and_tilt_is_used() {
 
 #[test]
 fn slow_errors_of_the_tilt_do_not_shake_the_hand_at_rest() {
-    // Besides white noise a tilt error of 0.02 degrees that fades within 1 s.
+    // White noise, plus a tilt error of 0.02 degrees with a correlation time of 1 s.
     let config = TargetStateConfig::default();
     let mut filter = TargetState::new(config).unwrap();
     let mut noise = Noise::new(13);

@@ -1,4 +1,4 @@
-//! Late, missing, repeated, wrong and useless measurements.
+//! Late, missing, repeated, wrong and invalid measurements.
 
 use nalgebra::{Matrix6, Vector3, Vector6};
 use pb3dp_allocation_count::requests;
@@ -15,7 +15,7 @@ fn config() -> TargetStateConfig {
     TargetStateConfig { history_measurements: CONFIG_HISTORY, ..TargetStateConfig::default() }
 }
 
-/// Measurements of a target that begins to move, the 20th of them far off.
+/// Measurements of a target that starts to move; the one of frame 20 is an outlier.
 fn sequence(frames: u32) -> Vec<PoseMeasurement> {
     let mut noise = Noise::new(7);
     let mut all = Vec::new();
@@ -46,7 +46,7 @@ fn ahead(filter: &TargetState) -> Prediction {
 fn late_measurements_give_the_state_of_measurements_in_order() {
     let all = sequence(40);
     let in_order = fed(&all);
-    // Pairs swapped, one held back for 8 frames, and the outlier held back for 3.
+    // Two measurements swapped, one delayed by 8 frames, and the outlier delayed by 3.
     let mut late = all.clone();
     late.swap(10, 11);
     let held = late.remove(25);
@@ -81,7 +81,7 @@ proptest! {
         let mut filter = TargetState::new(config()).unwrap();
         let mut nanos = 0;
         for (step, motion, size, scales) in frames {
-            // Mostly forwards, a third of the steps back; poses from micrometres to far away, variances from 1e-18 to 1e18.
+            // Mostly forwards, a third of the steps back; poses from micrometres to very far away, variances from 1e-18 to 1e18.
             nanos = if step % 3 == 0 { nanos / 8 * 7 } else { nanos + step };
             let base_from_model = askew().perturbed_in_from(&(Vector6::from(motion) * 10f64.powf(size)));
             let root = Matrix6::from_fn(|i, j| ((3 * i + 5 * j) as f64).cos() * 10f64.powf(scales[i]));
@@ -116,7 +116,7 @@ fn what_is_older_than_the_history_or_there_already_is_not_used() {
     let mut filter = fed(all.iter().filter(|seen| seen.at != all[26].at));
     let before = ahead(&filter);
     assert_eq!(filter.observe(&all[10]), MeasurementVerdict::TooOld);
-    assert_eq!(filter.observe(&all[26]), MeasurementVerdict::TooOld, "only the oldest one lies before it");
+    assert_eq!(filter.observe(&all[26]), MeasurementVerdict::TooOld, "only the oldest stored one is before it");
     assert_eq!(filter.observe(&all[33]), MeasurementVerdict::Duplicate);
     assert_eq!(ahead(&filter), before);
 }
@@ -143,7 +143,7 @@ fn outliers_are_counted_and_change_nothing() {
         let verdict = filter.observe(&jumped);
         assert!(matches!(verdict, MeasurementVerdict::Outlier { nis } if nis > 80.0), "{verdict:?}");
         let after = filter.at(at).unwrap().base_from_model;
-        // Weights of the hypotheses go on, measurements do not enter.
+        // The weights of the hypotheses still change; the measurements are not used.
         assert!((before.inverse() * after).log().norm() < 2e-4);
         assert_eq!((filter.consecutive_outliers(), filter.newest_accepted_at()), (wrong, Some(all[19].at)));
     }
@@ -169,12 +169,12 @@ fn bad_numbers_are_named_and_change_nothing() {
     assert_eq!(ahead(&filter), before);
     let mut first = TargetState::new(config()).unwrap();
     assert_eq!(first.observe(&PoseMeasurement { covariance: Matrix6::zeros(), ..next }), MeasurementVerdict::Began);
-    assert!(ahead(&first).covariance.cholesky().is_some(), "the least deviations stand in");
+    assert!(ahead(&first).covariance.cholesky().is_some(), "the minimum standard deviations are used");
 }
 
 #[test]
 fn a_direction_that_is_not_observed_does_no_harm() {
-    // Rotation about the normal unobserved and wrong, in every measurement: the rest is found all the same.
+    // The rotation about the normal is unobserved and wrong in every measurement; the other components are correct.
     let mut covariance = coarse();
     covariance[(5, 5)] = 1e8;
     let (mut blind, mut seeing) = (TargetState::new(config()).unwrap(), TargetState::new(config()).unwrap());
@@ -207,8 +207,8 @@ fn there_is_no_prediction_without_a_target_or_beyond_the_horizon() {
     assert!(filter.at(at_s(newest + 0.4999)).is_ok());
     let error = filter.at(at_s(newest + 0.5001)).unwrap_err();
     assert_eq!(filter.base_from_model_at(at_s(newest + 0.5001)), Err(error));
-    assert!(error.to_string().starts_with("the time lies 0.500 s after the newest measurement"), "{error}");
-    // The stored past, without what came later.
+    assert!(error.to_string().starts_with("the time is 0.500 s after the newest measurement"), "{error}");
+    // A stored past state, without later measurements.
     let past = filter.at(all[35].at).unwrap();
     assert_eq!(past, fed(&all[..36]).at(all[35].at).unwrap());
     assert!(matches!(filter.at(all[20].at), Err(NotPredictable::TooOld { behind_s }) if behind_s > 0.1));
@@ -245,7 +245,7 @@ fn time_in_milliseconds_serves_as_well() {
 fn twist_and_acceleration_are_derivatives_of_the_prediction() {
     let model_from_hand =
         Pose::<Model, Hand>::from_parts(Vector3::new(0.03, -0.05, -0.5), so3::exp(&Vector3::new(0.2, -0.1, 0.4)));
-    // Ends in the middle of a turn about x.
+    // Ends in the middle of a rotation about x.
     let mut filter = TargetState::new(config()).unwrap();
     let mut noise = Noise::new(1);
     for frame in 0..30 {
@@ -292,7 +292,7 @@ fn the_covariance_of_the_hand_is_that_of_sampled_poses() {
             assert!((sum[(i, j)] - expected[(i, j)]).abs() < 0.05 * scale, "{i} {j}: {sum} {expected}");
         }
     }
-    // The lever of 500 mm: tilt makes most of what is not known across the motion, which goes along x.
+    // With the lever of 500 mm, tilt causes most of the uncertainty across the motion, which is along x.
     assert!(expected[(1, 1)] > 2.0 * prediction.covariance[(1, 1)], "{expected} {}", prediction.covariance);
 }
 
@@ -302,7 +302,7 @@ fn measurements_and_predictions_leave_the_heap_alone() {
     let mut filter = TargetState::new(config()).unwrap();
     let before = requests();
     for (i, seen) in all.iter().enumerate() {
-        // Every third one comes two frames late.
+        // Every third measurement arrives two frames late.
         let late = if i % 3 == 2 { all.get(i + 2) } else { None };
         filter.observe(late.unwrap_or(seen));
         filter.observe(seen);
@@ -311,5 +311,5 @@ fn measurements_and_predictions_leave_the_heap_alone() {
     assert_eq!(requests(), before);
     let probe: Pose<Base, Hand> = filter.at(all[59].at).unwrap().base_from_model * model_from_hand();
     drop(std::hint::black_box(Box::new(probe)));
-    assert!(requests() > before, "the counter counts");
+    assert!(requests() > before, "the allocation counter works");
 }

@@ -1,5 +1,5 @@
-//! The state of the target: consistent with its own model, quiet at rest, without lag in motion, and the same whatever the
-//! order of the measurements.
+//! The state of the target: consistent with its own model, low noise at rest, no lag in motion, and independent of the order of
+//! the measurements.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)] // In helpers of tests.
 
 mod bench;

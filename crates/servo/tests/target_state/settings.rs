@@ -60,7 +60,7 @@ fn each_number_has_its_range() {
     ];
     for (key, change, bad) in cases {
         for &value in bad {
-            let message = refused(change, value).unwrap_or_else(|| panic!("{key} = {value} was taken"));
+            let message = refused(change, value).unwrap_or_else(|| panic!("{key} = {value} was accepted"));
             assert!(message.contains(&format!("setting target_state.{key} is {value}: allowed is ")), "{message}");
         }
     }

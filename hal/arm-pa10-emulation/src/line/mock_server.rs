@@ -70,16 +70,20 @@ pub struct MockServerConfig {
 #[derive(Debug, thiserror::Error)]
 pub enum MockServerError {
     /// The controller.
-    #[error("the emulated controller cannot be made")]
+    #[error("cannot create the emulated controller")]
     Controller(#[from] MockControllerError),
     /// The gateway.
-    #[error("the gateway before the emulated controller cannot be made")]
+    #[error("cannot create the gateway of the emulated controller")]
     Gateway(#[from] GatewayConfigError),
     /// No pseudo-terminal.
-    #[error("no pseudo-terminal is to be had; is /dev/pts mounted, and is there room (/proc/sys/kernel/pty/max)?")]
+    #[error(
+        "no pseudo-terminal is available; check that /dev/pts is mounted, and the limit in /proc/sys/kernel/pty/max"
+    )]
     Pty(#[source] std::io::Error),
     /// The TCP port cannot be opened.
-    #[error("nobody can listen at {address}; is the port taken, and is the address one of this machine?")]
+    #[error(
+        "cannot listen at {address}; check that no other program uses the port, and that this machine has the address"
+    )]
     Tcp {
         /// Address.
         address: SocketAddr,
@@ -91,7 +95,7 @@ pub enum MockServerError {
     #[error(transparent)]
     Socket(#[from] FrameSocketError),
     /// No thread.
-    #[error("the thread of the emulated arm does not start")]
+    #[error("cannot start the thread of the emulated arm")]
     Thread(#[source] std::io::Error),
 }
 
@@ -239,7 +243,7 @@ impl Drop for MockServer {
     fn drop(&mut self) {
         self.shared.is_running.store(false, Ordering::SeqCst);
         if let Some(thread) = self.thread.take() {
-            // It looks every few milliseconds.
+            // The thread checks every few milliseconds.
             thread.join().ok();
         }
     }

@@ -40,7 +40,7 @@ pub(super) type SharedLine = Arc<Mutex<VirtualLine>>;
 struct NotPlugged;
 
 impl VirtualLine {
-    /// A line of so many bits per second.
+    /// A line with this bit rate.
     pub fn new(baud: u32) -> Self {
         Self {
             nanos_per_byte: 1_000_000_000 * BITS_PER_BYTE / u64::from(baud.max(1)),

@@ -62,7 +62,7 @@ pub enum MockControllerError {
     #[error("a watchdog of 0 s would stop the arm between two commands: give 6 ms or more, or none")]
     Watchdog,
     /// The limits do not include zero.
-    #[error("{axis}: limits of {lower_rad} to {upper_rad} rad are no range around 0 within two turns; correct them")]
+    #[error("{axis}: limits of {lower_rad} to {upper_rad} rad are not a range around 0 within two turns; correct them")]
     Limits {
         /// Which axis.
         axis: Axis,

@@ -1,95 +1,95 @@
-//! What an emulated controller can be made to suffer.
+//! Faults of an emulated controller.
 
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::codec::{Axis, CommAlarm, ServoAlarm};
 
-/// What is done to replies on their way to the host.
+/// Fault of a reply to the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum ReplyFault {
-    /// It gets lost.
+    /// Lost.
     Drop,
-    /// It comes twice.
+    /// Sent twice.
     Duplicate,
-    /// It comes after its successor.
+    /// Sent after its successor.
     Reorder,
-    /// One of its bits is wrong, anywhere.
+    /// One bit is wrong, anywhere.
     Corrupt,
-    /// Its end is missing.
+    /// The end is missing.
     Truncate,
-    /// It has another sequence number.
+    /// Another sequence number.
     WrongSequence,
-    /// It has another letter.
+    /// Another letter.
     WrongLetter,
-    /// It comes from another node of the bus.
+    /// Sent from another node of the bus.
     WrongNode,
-    /// It has the right number and shows the joints and alarms of the moment at which this was asked for.
+    /// The right sequence number, with the joints and alarms of the moment at which the fault began.
     Stale,
 }
 
-/// Something that goes wrong, or ends going wrong.
+/// The beginning or the end of a fault.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Fault {
-    /// The next `count` replies suffer this.
+    /// The next `count` replies have this fault.
     Reply {
-        /// What is done to them.
+        /// The fault.
         kind: ReplyFault,
-        /// How many; 0 ends it.
+        /// Number of replies; 0 ends the fault.
         count: u32,
     },
-    /// The next `count` replies come later by this.
+    /// The next `count` replies are delayed by this time.
     Delay {
-        /// How many; 0 ends it.
+        /// Number of replies; 0 ends the fault.
         count: u32,
-        /// By how much.
+        /// The delay.
         by: Duration,
     },
     /// The next `count` messages do not arrive: they are not obeyed, not answered, and do not feed the watchdog.
     Deaf {
-        /// How many; 0 ends it.
+        /// Number of messages; 0 ends the fault.
         count: u32,
     },
-    /// A half-open link: messages are obeyed, no reply comes.
+    /// A half-open link: messages are obeyed, no reply is sent.
     Silence(bool),
-    /// Every reply comes later by this.
+    /// Every reply is delayed by this time.
     Slow(Duration),
-    /// An alarm of an axis comes, or its cause goes; the alarm stays until it is cleared.
+    /// An alarm of an axis is raised, or its cause is removed; the alarm stays until it is cleared.
     ServoAlarm {
         /// Which axis.
         axis: Axis,
-        /// Which alarm; `None`: its cause is gone.
+        /// Which alarm; `None`: the cause is removed.
         alarm: Option<ServoAlarm>,
-        /// The axis goes on as if there were none.
+        /// The axis continues as without an alarm.
         only_reported: bool,
     },
     /// The same for the controller.
     ControllerAlarm {
-        /// Which alarm; `None`: its cause is gone.
+        /// Which alarm; `None`: the cause is removed.
         alarm: Option<CommAlarm>,
-        /// The arm goes on as if there were none.
+        /// The arm continues as without an alarm.
         only_reported: bool,
     },
-    /// The emergency stop: pressed, it takes the power from the servos and closes the brakes.
+    /// The emergency stop: if pressed, the servos lose power and the brakes close.
     EmergencyStop {
         /// Pressed or released.
         pressed: bool,
     },
-    /// The dead-man switch: let go, it stops the arm if commands ask to watch it (format B).
+    /// The dead-man switch: if released, it stops the arm if commands request its supervision (format B).
     DeadMan {
-        /// Held or let go.
+        /// Held or released.
         held: bool,
     },
-    /// A limit switch: open, it stops the arm.
+    /// A limit switch: if open, it stops the arm.
     LimitSwitch {
         /// Open or closed.
         open: bool,
     },
-    /// The teaching switch: shown, nothing else.
+    /// The teaching switch: only shown in the status.
     TeachingSwitch {
         /// Set or not.
         on: bool,
     },
-    /// The power supply gets too warm: shown, nothing else.
+    /// The power supply is too warm: only shown in the status.
     PowerTemperature {
         /// Too warm or not.
         high: bool,
@@ -99,7 +99,7 @@ pub enum Fault {
         /// On or off.
         on: bool,
     },
-    /// The controller stops as if its watchdog had run out.
+    /// The controller stops as after a time-out of its watchdog.
     TimeOut,
     /// A joint does not move.
     Stuck {
@@ -108,18 +108,18 @@ pub enum Fault {
         /// Stuck or free again.
         on: bool,
     },
-    /// A joint follows this velocity and no command, while its servo is on and its brake open.
+    /// A joint moves at this velocity and ignores commands, while its servo is on and its brake open.
     Runaway {
         /// Which axis.
         axis: Axis,
         /// The velocity, rad/s; `None`: it follows commands again.
         velocity_rad_per_s: Option<f64>,
     },
-    /// The measured angle of a joint is wrong by so much more from now on.
+    /// The measured angle of a joint is shifted by this additional angle from now on.
     Jump {
         /// Which axis.
         axis: Axis,
-        /// By how much, rad.
+        /// The shift, rad.
         by_rad: f64,
     },
     /// The measured torque of a joint.
@@ -129,48 +129,48 @@ pub enum Fault {
         /// The torque at the joint, N m.
         torque_n_m: f64,
     },
-    /// On the line between host and gateway, where there is one.
+    /// On the line between host and gateway, if there is one.
     Line(LineFault),
 }
 
-/// What goes wrong on the line between host and gateway, frame by frame.
+/// Fault of the line between host and gateway, frame by frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LineFault {
-    /// The next `count` frames to the host suffer this. Not `wrong-sequence`, `wrong-letter`, `wrong-node` and `stale`.
+    /// The next `count` frames to the host have this fault. Not `wrong-sequence`, `wrong-letter`, `wrong-node` and `stale`.
     Answers {
-        /// What is done to them.
+        /// The fault.
         kind: ReplyFault,
-        /// How many; 0 ends it.
+        /// Number of frames; 0 ends the fault.
         count: u32,
     },
-    /// The next `count` frames to the host are sound ones of another arm.
+    /// The next `count` frames to the host are valid frames of another arm.
     WrongArm {
-        /// How many; 0 ends it.
+        /// Number of frames; 0 ends the fault.
         count: u32,
     },
-    /// The next `count` frames to the host come later by this.
+    /// The next `count` frames to the host are delayed by this time.
     Delay {
-        /// How many; 0 ends it.
+        /// Number of frames; 0 ends the fault.
         count: u32,
-        /// By how much.
+        /// The delay.
         by: Duration,
     },
-    /// Every frame to the host comes later by this.
+    /// Every frame to the host is delayed by this time.
     Slow(Duration),
-    /// No frame comes to the host.
+    /// No frame reaches the host.
     Silence(bool),
-    /// Nothing comes from the host.
+    /// Nothing from the host reaches the gateway.
     Deaf(bool),
-    /// The gateway takes so many bytes of the host per second, and the others wait on the line; `None`: all at once.
+    /// The gateway reads this many bytes of the host per second, the others wait on the line; `None`: all at once.
     SlowReader {
-        /// 0: none at all.
+        /// 0: none.
         bytes_per_second: Option<u32>,
     },
-    /// The clock of one side jumps: the timestamps of its frames are off by so much more from now on.
+    /// The clock of one side jumps: the timestamps of its frames are shifted by this additional time from now on.
     ClockJump {
         /// Whose clock.
         side: Side,
-        /// By how much, µs. A clock that would fall below zero goes round, as unsigned numbers do.
+        /// The shift, µs. A clock below zero wraps around, as unsigned numbers do.
         by_us: i64,
     },
 }
@@ -185,7 +185,7 @@ pub enum Side {
 }
 
 impl ReplyFault {
-    /// All of them with their names in scripts.
+    /// All faults with their names in scripts.
     pub const ALL: [(Self, &'static str); 9] = [
         (Self::Drop, "drop"),
         (Self::Duplicate, "duplicate"),
@@ -232,7 +232,7 @@ impl Fault {
 }
 
 impl ReplyFault {
-    /// Whether it can happen to any frame, and not to replies of a controller alone.
+    /// Whether the fault can affect any frame, not only replies of a controller.
     pub(super) fn is_of_any_frame(self) -> bool {
         matches!(self, Self::Drop | Self::Duplicate | Self::Reorder | Self::Corrupt | Self::Truncate)
     }
@@ -293,7 +293,7 @@ impl std::fmt::Display for Fault {
     }
 }
 
-/// The code of an alarm, or that there is none.
+/// The code of an alarm, or `off`.
 struct Code(Option<u8>);
 
 impl std::fmt::Display for Code {

@@ -39,7 +39,7 @@ impl Line {
             reader: None,
             host_clock_us: 0,
             gateway_clock_us: 0,
-            // Frames of any arm are handed on.
+            // Frames of any arm are forwarded.
             parser: FrameParser::new(ArmId(0)),
         }
     }
@@ -267,7 +267,7 @@ mod tests {
         times
     }
 
-    /// Again and again by so much more, round at zero, and in pieces of any size.
+    /// Repeated jumps, with wrap-around at zero, and in pieces of any size.
     #[test]
     fn a_clock_that_jumps_shows_in_every_frame_of_its_side() {
         let jump = |side, by_us| LineFault::ClockJump { side, by_us };
@@ -303,7 +303,7 @@ mod tests {
         };
         assert_eq!([read(None), read(Some(0))], [100_000, 0]);
         for rate in [1, 30, 600, 5000, 20_000] {
-            // In 2 s, and what it takes at once.
+            // The bytes of 2 s, plus those accepted at once.
             let expected = 2 * rate as usize;
             assert!((expected..=expected + 1 + rate as usize / 100 + 50).contains(&read(Some(rate))), "{rate}");
         }

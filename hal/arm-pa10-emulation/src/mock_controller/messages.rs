@@ -11,7 +11,7 @@ use super::command::RawCommand;
 use super::controller::{ControlMode, MockController};
 use super::fault::ReplyFault;
 
-/// As a resolver of a PA-10 has them; nobody reads it here.
+/// As a resolver of a PA-10 has; not used by the emulation.
 const RESOLVER_POLES: u16 = 8;
 
 impl MockController {
@@ -46,7 +46,7 @@ impl MockController {
         self.last_message = now;
         self.counters.answered += 1;
         let reply = ReplyPacket { sequence, message }.encode(self.config.format);
-        // What is answered here can be expressed in the format that it was made for.
+        // Replies are created for this format, so they can be encoded.
         if let Ok(frame) = reply.and_then(|packet| arcnet::encode(Route::TO_HOST, &packet)) {
             self.outbox.send(now + self.config.reply_delay, &frame);
         }

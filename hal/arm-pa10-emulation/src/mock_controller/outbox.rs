@@ -14,7 +14,7 @@ const SENDER_AT: usize = 0;
 const SEQUENCE_AT: usize = 4;
 const LETTER_AT: usize = 5;
 
-/// A frame that comes twice comes again after this.
+/// Delay between the copies of a duplicated frame.
 const SECOND_COPY_AFTER: Duration = Duration::from_micros(50);
 
 /// Replies on their way.
@@ -22,7 +22,7 @@ const SECOND_COPY_AFTER: Duration = Duration::from_micros(50);
 pub(super) struct Outbox {
     random: Random,
     under_way: Vec<(MonotonicTime, Frame)>,
-    /// Comes after its successor.
+    /// Sent after its successor.
     held_back: Option<Frame>,
     pending: BTreeMap<ReplyFault, u32>,
     delayed: (u32, Duration),
@@ -102,7 +102,7 @@ impl Outbox {
             if self.suffers(kind)
                 && let Some(byte) = bytes.get_mut(at)
             {
-                // Any other value, all alike.
+                // Any other value, with equal probability.
                 *byte = byte.wrapping_add(1 + self.random.below(255) as u8);
             }
         }
@@ -119,14 +119,14 @@ impl Outbox {
         Frame::from_slice(&bytes).unwrap_or(*frame)
     }
 
-    /// When the next frame arrives.
+    /// Arrival time of the next frame.
     pub fn next_arrival(&self) -> Option<MonotonicTime> {
         self.under_way.iter().map(|(due, _)| *due).min()
     }
 
     /// A frame that has arrived, the earliest first.
     pub fn poll(&mut self, now: MonotonicTime) -> Option<Frame> {
-        // Of frames due at one moment the one that was sent first is found first.
+        // Of frames that are due at the same time, the first one sent is returned first.
         let index = (0..self.under_way.len()).min_by_key(|&index| self.under_way[index].0)?;
         (self.under_way[index].0 <= now).then(|| self.under_way.remove(index).1)
     }

@@ -26,7 +26,7 @@ impl Random {
         unit(self.next())
     }
 
-    /// From 0 to below `count`, 0 if there is no such number.
+    /// From 0 to below `count`; 0 if `count` is 0.
     pub fn below(&mut self, count: usize) -> usize {
         ((self.unit() * count as f64) as usize).min(count.saturating_sub(1))
     }

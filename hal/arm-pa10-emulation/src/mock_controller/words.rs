@@ -6,7 +6,7 @@ use pb3dp_arm_pa10_protocol::codec::{Axis, CommAlarm, ServoAlarm};
 
 use super::fault::{Fault, LineFault, ReplyFault, Side};
 
-/// The faults that are not done to replies, for messages.
+/// The faults other than those of replies, for messages.
 const OTHER_NAMES: &str = "delay, deaf, silence, slow, alarm, controller-alarm, e-stop, dead-man, limit-switch, teaching-switch, \
                            power-temperature, power, time-out, stuck, runaway, jump, torque, line";
 
@@ -20,7 +20,7 @@ const CLOCK_JUMP_MAX: Duration = Duration::from_secs(100_000_000);
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LineError {
     /// Unknown fault.
-    #[error("`{got}` is no fault; the faults are {}", names())]
+    #[error("`{got}` is not a fault; the faults are {}", names())]
     Unknown {
         /// The word found.
         got: String,
@@ -248,7 +248,7 @@ pub fn parse_time(text: &str) -> Option<Duration> {
     Duration::try_from_secs_f64(number_with_unit(text, &TIME_UNITS)?).ok()
 }
 
-/// A number with one of these units, times what the unit stands for.
+/// A number with one of these units, in base units.
 fn number_with_unit(word: &str, units: &[(&str, f64)]) -> Option<f64> {
     let split = |(unit, factor): &(&str, f64)| {
         // "1e5s" is a number with a unit, "infs" is none.

@@ -1,4 +1,5 @@
-//! The bus through the kernel's own ARCNET driver: what is refused and why, frames out and in, a bus that takes nothing.
+//! The bus through the kernel's own ARCNET driver: refusals and their reasons, frames in both directions, a bus that accepts
+//! nothing.
 
 use std::error::Error;
 use std::fs;
@@ -15,14 +16,14 @@ use crate::system::{User, as_user, load, wait_for};
 
 const NAME: &str = "arc0";
 
-/// The driver of the card, which is loaded here.
+/// The driver of the card, which this program loads.
 const DRIVER: &str = "arc_rimi";
 
-/// ARPHRD_ARCNET and the length of an address, as the driver has to tell them.
+/// ARPHRD_ARCNET and the length of an address, as the driver must report them.
 const KIND: &str = "7";
 const ADDRESS_LENGTH: &str = "1";
 
-/// More frames than the kernel keeps for a card.
+/// More frames than the kernel queues for a card.
 const TAKEN_MAX: u32 = 100_000;
 
 pub fn check(report: &mut Report) {
@@ -52,11 +53,11 @@ fn about(what: &str) -> Result<String, Box<dyn Error>> {
     Ok(text.trim().to_owned())
 }
 
-/// Down again it cannot go: without a function of its own for that, arc_rimi lets the kernel (6.1) call address 0.
+/// The interface is never set down again: without its own function for that, arc_rimi makes the kernel (6.1) call address 0.
 fn switch_on() -> Result<(), Box<dyn Error>> {
     let flags = u32::from_str_radix(about("flags")?.trim_start_matches("0x"), 16)?;
     fs::write(format!("/sys/class/net/{NAME}/flags"), format!("{:#x}", flags | libc::IFF_UP as u32))?;
-    // The driver says so after a second without a new token.
+    // The driver reports the carrier after a second without a new token.
     wait_for("the bus is there", || about("carrier").is_ok_and(|carrier| carrier == "1").then_some(()))
 }
 
@@ -83,11 +84,11 @@ fn opens() -> Outcome {
     Ok(in_use.to_string())
 }
 
-/// Node numbers by the sources on the controller (SDU, Orca, RobWork).
+/// Node numbers of the published drivers for the controller (SDU, Orca, RobWork).
 const HOST: u8 = 0xFF;
 const CONTROLLER: u8 = 0xFE;
 
-/// A packet as long as a command or a reply, with bytes of all kinds.
+/// A packet as long as a command or a reply, with many different byte values.
 fn packet(length: usize) -> Result<Packet, Box<dyn Error>> {
     let bytes: Vec<u8> = (0..length).map(|number| (number * 37 + 11) as u8).collect();
     Packet::from_slice(&bytes).ok_or_else(|| "a packet that is too long".into())
@@ -108,11 +109,11 @@ fn frames_out() -> Outcome {
         let sent = arcnet::encode(Route::TO_CONTROLLER, &packet)?;
         ensure(port.try_send(&sent)?, || "there is no room for a frame".into())?;
         let found = wait_for("a frame is in the card", || card.frames().ok()?.into_iter().next())?;
-        // The sender is not to be seen where the first byte is the status; a real card fills it in itself.
+        // The sender is not visible, because its byte is the status register; a real card sets the sender itself.
         ensure(found.receiver == CONTROLLER && found.data == *packet, || {
             format!("sent {:02x?} to {CONTROLLER:#x}, in the card is {found:02x?}", packet.as_slice())
         })?;
-        // The driver computes the pointer once more.
+        // The driver computes the pointer again.
         ensure(sent.get(2) == Some(&found.pointer), || format!("sent {:02x?}, in the card is {found:02x?}", &*sent))?;
         card.has_sent()?;
         figures.push(format!("{} bytes, pointer {}", found.data.len(), found.pointer));
@@ -132,7 +133,7 @@ fn frames_in() -> Outcome {
             card.has_received().ok()?;
             let mut buffer = [0; FRAME_ROOM];
             while let Some(count) = port.try_receive(&mut buffer).ok()? {
-                // The first buffer, whose header the registers are, has a frame of no use.
+                // The first buffer, whose header is the registers, has an invalid frame.
                 if let Ok(packet) = arcnet::decode(Route::TO_HOST, &buffer[..count]) {
                     return Some(packet.to_vec());
                 }
@@ -140,14 +141,14 @@ fn frames_in() -> Outcome {
             None
         })?;
         ensure(got == *sent, || format!("in the card {:02x?}, received {got:02x?}", sent.as_slice()))?;
-        // The same frame was in other buffers as well.
+        // Other buffers contained the same frame.
         while port.try_receive(&mut [0; FRAME_ROOM])?.is_some() {}
         figures.push(format!("{} bytes", got.len()));
     }
     Ok(figures.join("; "))
 }
 
-/// As on a bus whose other nodes are off: the card never says that it has sent.
+/// As on a bus whose other nodes are off: the card never reports that it has sent.
 fn full() -> Outcome {
     let card = Card::open()?;
     let mut port = ArcnetSocket::open(NAME)?;
@@ -170,7 +171,7 @@ fn full() -> Outcome {
     Ok(format!("{taken} frames are taken, then none without an error; a call takes {longest:?} at most"))
 }
 
-/// Says what becomes of opening an interface.
+/// Prints the result of opening an interface.
 pub fn try_to_open(interface: &str) {
     match ArcnetSocket::open(interface) {
         Ok(_) => println!("opened"),

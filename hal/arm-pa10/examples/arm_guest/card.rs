@@ -1,9 +1,9 @@
-//! An ARCNET card of plain memory: the kernel's driver arc_rimi takes a part of the memory for one, which this program reads and writes
-//! as the bus would.
+//! An ARCNET card of plain memory: the kernel's driver arc_rimi uses a memory range as the card, which this program reads and
+//! writes as the bus would.
 //!
-//! Layout (Linux, drivers/net/arcnet/arc-rimi.c and com9026.h): from 0x800 on four buffers of 512 bytes; the first two bytes are also the
-//! registers of status and command. A short frame is sender, receiver, a pointer and a byte not in use, and its data at the end of the
-//! first 256 bytes, where the pointer says. Its interrupt is that of a serial port that nobody uses.
+//! Layout (Linux, drivers/net/arcnet/arc-rimi.c and com9026.h): from 0x800 four buffers of 512 bytes; the first two bytes are
+//! also the registers of status and command. A short frame is sender, receiver, a pointer and an unused byte; its data end at
+//! byte 256 and begin at the pointer. The interrupt is that of an unused serial port.
 
 use std::error::Error;
 use std::fs::{File, OpenOptions};
@@ -24,7 +24,7 @@ const SHORT_END: usize = 256;
 /// The second serial port (16550), and its interrupt.
 const BELL: u64 = 0x2F8;
 const BELL_LINE: u32 = 3;
-/// Registers of a 16550: which interrupts are wanted, and which one there is.
+/// Registers of a 16550: interrupt enable and interrupt identification.
 const INTERRUPTS_WANTED: u64 = BELL + 1;
 const INTERRUPT_IS: u64 = BELL + 2;
 const WHEN_EMPTY: u8 = 2;
@@ -34,30 +34,30 @@ const RECEIVED: u8 = 0x80;
 const SENT: u8 = 0x01;
 const ACKNOWLEDGED: u8 = 0x02;
 
-/// Settings of the driver.
+/// Parameters of the driver.
 pub fn module_parameters(interface: &str) -> String {
     format!("io={MEMORY:#x} irq={BELL_LINE} node=0x42 device={interface}")
 }
 
-/// A short frame as it lies in a buffer.
+/// A short frame in a buffer.
 #[derive(Debug)]
 pub struct Frame {
     pub sender: u8,
     pub receiver: u8,
-    /// Where the data begin.
+    /// Offset of the data.
     pub pointer: u8,
     pub data: Vec<u8>,
 }
 
 impl Frame {
-    /// With the pointer that the length of the data demands.
+    /// The pointer follows from the length of the data.
     pub fn new(sender: u8, receiver: u8, data: &[u8]) -> Self {
         let pointer = (SHORT_END - data.len()) as u8;
         Self { sender, receiver, pointer, data: data.to_vec() }
     }
 }
 
-/// The card from its other side.
+/// The card, seen from the bus.
 pub struct Card {
     memory: File,
     ports: File,
@@ -72,7 +72,7 @@ impl Card {
         Ok(Self { memory: open("/dev/mem")?, ports: open("/dev/port")? })
     }
 
-    /// Short frames that lie in the buffers: those with a pointer.
+    /// Short frames in the buffers: those with a pointer.
     pub fn frames(&self) -> Result<Vec<Frame>, Box<dyn Error>> {
         let mut frames = Vec::new();
         for index in 0..BUFFER_COUNT {
@@ -87,7 +87,7 @@ impl Card {
         Ok(frames)
     }
 
-    /// Empties the buffers, but for the registers.
+    /// Clears the buffers except for the registers.
     pub fn clear(&self) -> Result<(), Box<dyn Error>> {
         for index in 0..BUFFER_COUNT {
             self.memory.write_all_at(&[0; BUFFER_LENGTH - 2], address(index) + 2)?;
@@ -95,7 +95,7 @@ impl Card {
         Ok(())
     }
 
-    /// Puts a frame into each buffer but the first, whose header the registers are.
+    /// Puts a frame into each buffer except the first, whose header is the registers.
     pub fn put(&self, frame: &Frame) -> Result<(), Box<dyn Error>> {
         let Frame { sender, receiver, pointer, data } = frame;
         for index in 1..BUFFER_COUNT {
@@ -105,12 +105,12 @@ impl Card {
         Ok(())
     }
 
-    /// The card says that it has sent, and that it was acknowledged.
+    /// The card reports that a frame was sent and acknowledged.
     pub fn has_sent(&self) -> Result<(), Box<dyn Error>> {
         self.interrupt(SENT | ACKNOWLEDGED)
     }
 
-    /// The card says that it has received.
+    /// The card reports that a frame was received.
     pub fn has_received(&self) -> Result<(), Box<dyn Error>> {
         self.interrupt(RECEIVED)
     }
@@ -118,7 +118,7 @@ impl Card {
     fn interrupt(&self, status: u8) -> Result<(), Box<dyn Error>> {
         self.memory.write_all_at(&[status], BUFFERS)?;
         self.ports.write_all_at(&[WHEN_EMPTY], INTERRUPTS_WANTED)?;
-        // It has come before the next call ends, or never does.
+        // The interrupt occurs before the next call ends, or never.
         sleep_until(now() + Duration::from_millis(2));
         self.ports.read_exact_at(&mut [0], INTERRUPT_IS)?;
         self.ports.write_all_at(&[0], INTERRUPTS_WANTED)?;

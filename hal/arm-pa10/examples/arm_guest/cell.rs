@@ -30,25 +30,25 @@ const FORMAT: WireFormat = WireFormat::BigEndian6x10;
 pub const BAUD: u32 = 921_600;
 pub const CYCLE: Duration = Duration::from_millis(10);
 
-/// Between two messages on the bus. A rig has 2 ms, which take an emulated processor half of its time.
+/// Period of messages on the bus. A rig has 2 ms, which would take half of the time of an emulated processor.
 const BUS_CYCLE: Duration = Duration::from_millis(4);
 
-/// The gateway's thread may be late by this much before its cycle counts as missed: a kernel without real time lets no thread run while
-/// it takes a device away. A rig has 2 ms.
+/// Allowed lateness of a cycle of the gateway's thread: a kernel without real time runs no thread while it removes a device. A
+/// rig has 2 ms.
 const LATENESS_ALLOWED: Duration = Duration::from_millis(10);
 
-/// The longest that a source tells of a controller. The gateway stops the arm before.
+/// The longest published watchdog time of a controller. The gateway stops the arm earlier.
 const CONTROLLER_WATCHDOG: Duration = Duration::from_millis(400);
 
-/// Slower joints are at rest.
+/// Below this speed a joint is stationary.
 const AT_REST_RAD_PER_S: f64 = 1e-3;
 
-/// In the place of a bus.
+/// Socket in place of a bus.
 fn socket() -> PathBuf {
     std::env::temp_dir().join("bus")
 }
 
-/// The machine's clock, the same for all that take times here.
+/// The machine's clock, the same for all time measurements here.
 struct MachineClock;
 
 impl Clock for MachineClock {
@@ -81,7 +81,7 @@ fn velocity() -> JointVector {
 }
 
 impl Cell {
-    /// With the brakes closed.
+    /// With closed brakes.
     pub fn start(host_path: &str, gateway_path: &str) -> Result<Self, Box<dyn Error>> {
         let clock: Arc<dyn Clock> = Arc::new(MachineClock);
         let plant = Arc::new(Mutex::new(JointPlant::new(pa10_joints()?, home(), now())?));
@@ -114,7 +114,7 @@ impl Cell {
         Ok(Self { arm, mock, gateway, joints: watcher, next: now() })
     }
 
-    /// Leads the arm to motion from whatever it is in.
+    /// Brings the arm to motion from any state.
     pub fn make_move(&mut self) -> Result<(), ArmError> {
         self.arm.reset()?;
         if self.arm.state() == ArmState::Disabled {
@@ -127,7 +127,7 @@ impl Cell {
         Ok(())
     }
 
-    /// One cycle of motion. A late answer is none yet.
+    /// One cycle of motion. A late answer is no error.
     pub fn exchange(&mut self) -> Result<(), ArmError> {
         self.next = (self.next + CYCLE).max(now());
         MachineClock.sleep_until(self.next);
@@ -137,13 +137,13 @@ impl Cell {
         }
     }
 
-    /// Whether the brakes are closed and nothing has moved for a while.
+    /// Whether the brakes are closed and the joints have been stationary for a while.
     pub fn is_at_rest(&self) -> bool {
         let report = self.mock.report();
         report.is_braked && now().saturating_since(self.joints.last_motion()) > Duration::from_millis(100)
     }
 
-    /// When a joint moved last.
+    /// Time of the last motion of a joint.
     pub fn last_motion(&self) -> MonotonicTime {
         self.joints.last_motion()
     }
@@ -152,7 +152,7 @@ impl Cell {
         self.mock.report().position_rad
     }
 
-    /// Why the gateway stopped the arm since this was asked last, and when.
+    /// Stops by the gateway since the last call: times and causes.
     pub fn gateway_stops(&self) -> Vec<(MonotonicTime, StopCause)> {
         let events = std::iter::from_fn(|| self.gateway.try_event());
         let stop = |at, what| match what {
@@ -162,13 +162,13 @@ impl Cell {
         events.filter_map(|event| stop(event.at, event.what)).collect()
     }
 
-    /// What the gateway says of its line.
+    /// Messages of the gateway about its line.
     pub fn gateway_messages(&self) -> Vec<String> {
         std::iter::from_fn(|| self.gateway.try_message()).collect()
     }
 }
 
-/// Looks at the true joints every millisecond.
+/// Observes the true joints every millisecond.
 struct Watcher {
     last_motion: Arc<AtomicU64>,
     is_over: Arc<AtomicBool>,

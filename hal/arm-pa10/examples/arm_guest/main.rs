@@ -1,8 +1,7 @@
-//! What `cargo xtask vm` runs in an emulated computer: this crate's I/O, tested with the real drivers of a real kernel.
+//! Runs in the emulated computer of `cargo xtask vm`: tests the I/O of this crate with the real drivers of a real kernel.
 //!
-//! It is the first program of that computer, which has no other. What it finds out it says on the console, in the words of
-//! `report.rs`; it also asks there for cables to be pulled. Some of it is done by this program once more, in a process of its own and
-//! as another user.
+//! It is the first and only program of that computer. It prints its results on the console, in the format of `report.rs`, and
+//! requests there that cables be unplugged. For some tests it starts itself again, as a separate process and as another user.
 
 #![allow(clippy::print_stdout, reason = "a program for the console")]
 
@@ -24,7 +23,7 @@ use std::process::ExitCode;
 
 use report::Report;
 
-/// Process number of the first program.
+/// Process ID of the first program.
 const FIRST: u32 = 1;
 
 fn main() -> ExitCode {

@@ -1,5 +1,5 @@
-//! A USB adapter whose driver tells nothing of its timer (cdc_acm): what many microcontrollers are. Both its ends are in this computer:
-//! dummy_hcd is a USB port that leads to itself.
+//! A USB adapter whose driver does not report its latency timer (cdc_acm), as many microcontrollers are. Both its ends are in
+//! this computer: dummy_hcd is a USB port that is connected to itself.
 
 use std::error::Error;
 use std::fs;
@@ -16,7 +16,7 @@ use crate::report::{Outcome, ensure};
 use crate::serial::{SLOW_CYCLE, carry, config};
 use crate::system::wait_for;
 
-/// Numbers that are not given out to anybody.
+/// Numbers that are not assigned to any vendor.
 const VENDOR: u16 = 0x1209;
 const PRODUCT: u16 = 0x0001;
 const BAUD: u32 = 921_600;
@@ -24,14 +24,14 @@ const BAUD: u32 = 921_600;
 const CONFIGFS: &str = "/sys/kernel/config";
 const FAR_END: &str = "/dev/ttyGS0";
 
-/// The far end has no line, and keeps the rate that it says it has: no other is taken for it.
+/// The far end has no line, and keeps the rate that it reports: it cannot be set to another one.
 const FAR_BAUD: u32 = 9600;
 const FAR_CYCLE: Duration = Duration::from_secs(1);
 
-/// From the pulled cable to the error.
+/// Maximum time from the unplugging to the error.
 const NOTICED_IN: Duration = Duration::from_millis(500);
 
-/// Makes the device and plugs it in.
+/// Creates the device and plugs it in.
 fn plug() -> Result<(), Box<dyn Error>> {
     mount("configfs", CONFIGFS, "configfs", MountFlags::empty(), None)?;
     let gadget = Path::new(CONFIGFS).join("usb_gadget/modem");
@@ -58,7 +58,7 @@ fn unplug() -> std::io::Result<()> {
     fs::write(Path::new(CONFIGFS).join("usb_gadget/modem/UDC"), "\n")
 }
 
-/// Found, warned of, used, and pulled out.
+/// Is found, causes a warning, is used, and is unplugged.
 pub fn check() -> Outcome {
     plug()?;
     let is_it = |kind: &PortKind| {

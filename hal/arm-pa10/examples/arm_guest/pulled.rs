@@ -1,4 +1,4 @@
-//! A USB adapter that is pulled out while an arm moves through it: ten times the host's, once the gateway's.
+//! A USB adapter that is unplugged during motion: ten times the host's, once the gateway's.
 
 use std::error::Error;
 use std::path::Path;
@@ -18,18 +18,18 @@ use crate::report::{Outcome, Report, ensure, plug, unplug};
 use crate::serial::{GATEWAY, HOST, adapter, config};
 use crate::system::{KernelLog, LONG, wait_for};
 
-/// How often the host's adapter is pulled, and from the kernel's notice to the stop: the median and the longest. After the longest
-/// the joints are at rest.
+/// Number of times that the host's adapter is unplugged; maximum times from the kernel's message to the stop (median and
+/// longest), and until the joints are stationary.
 const PULLS: usize = 10;
 const NOTICED_IN_MEDIAN: Duration = Duration::from_millis(20);
 const NOTICED_IN: Duration = Duration::from_millis(100);
 const AT_REST_IN: Duration = Duration::from_millis(100);
 
-/// How often a port is lost while bytes go out, and how long closing it may take: 30 s are what the kernel grants bytes.
+/// Number of times that a port is lost during output, and maximum time to close it: the kernel waits up to 30 s for unsent bytes.
 const ROUNDS: u32 = 3;
 const CLOSED_IN: Duration = Duration::from_millis(1500);
 
-/// Cycles in which an arm that is plugged in again gets motion commands, and must not move.
+/// Cycles in which an arm that is plugged in again receives motion commands, and must not move.
 const CYCLES_WITHOUT_RESET: u32 = 30;
 
 /// Whose cable is pulled.
@@ -39,7 +39,7 @@ enum End {
     Gateway,
 }
 
-/// Of the loop that commands the arm: below the thread of the arm, above all that is no part of it.
+/// Priority of the control loop: below the thread of the arm, above everything else.
 const LOOP: Realtime = Realtime { priority: Some(45), locks_memory: false, cpu: None };
 
 pub fn check(report: &mut Report) {
@@ -66,17 +66,17 @@ pub fn check(report: &mut Report) {
     report.check("the gateway's adapter is pulled out", || Ok(pull(&mut cell, End::Gateway)?.to_string()));
 }
 
-/// Since the kernel's notice.
+/// Times since the kernel's message.
 struct Times {
     /// The host has stopped the arm.
     stopped: Duration,
-    /// Its loop has its error.
+    /// The control loop has its error.
     told: Duration,
     /// The gateway has stopped the arm.
     gateway: Duration,
-    /// Nothing has moved any more.
+    /// The joints are stationary.
     rest: Duration,
-    /// It moves again, since it was reset.
+    /// The arm moves again; time since its reset.
     again: Duration,
 }
 
@@ -92,7 +92,7 @@ impl std::fmt::Display for Times {
     }
 }
 
-/// Of an arm that moves, before and afterwards.
+/// Unplugs the adapter of a moving arm; the arm moves again afterwards.
 fn pull(cell: &mut Cell, end: End) -> Result<Times, Box<dyn Error>> {
     let (device, name) = match end {
         End::Host => ("host", HOST),
@@ -138,12 +138,12 @@ fn pull(cell: &mut Cell, end: End) -> Result<Times, Box<dyn Error>> {
     Ok(Times { again: now().saturating_since(reset), ..times })
 }
 
-/// A port whose loss shows by a write that fails, before the kernel has taken the port away from its users: what was not sent must not
-/// hold up who closes it, nor the kernel.
+/// The loss of the port appears as a failed write, before the kernel has removed the port: unsent bytes must not delay the
+/// program that closes the port, nor the kernel.
 fn close_a_lost_port() -> Outcome {
     let far = SerialLink::open(&config(&adapter(GATEWAY)?, BAUD, CYCLE))?;
     let (over, is_over) = channel();
-    // What is written has to be read, or the emulated cable gets full and stops the computer.
+    // The output must be read, because a full emulated cable stops the computer.
     let reader = std::thread::spawn(move || drain(far, &is_over));
     let (mut longest, mut symptoms) = (Duration::ZERO, Vec::new());
     for _ in 0..ROUNDS {
@@ -190,7 +190,7 @@ fn move_until_stopped(cell: &mut Cell, since: MonotonicTime) -> Result<ArmError,
     }
 }
 
-/// How quickly who noticed what.
+/// Checks the times and causes of the stop.
 fn judge_stop(
     cell: &mut Cell,
     end: End,

@@ -1,4 +1,4 @@
-//! The calls that a cycle of 2 ms needs: as root, and as a user who may not have them.
+//! The system calls that a cycle of 2 ms needs: as root, and as a user without the rights.
 
 use std::fs;
 use std::time::Duration;
@@ -66,7 +66,7 @@ fn as_nobody() -> Outcome {
     Ok(format!("{} for policy and memory; the clock works", causes[..2].join(" and ")))
 }
 
-/// Says what this user does not get, and does without.
+/// Prints the refused requests of this user, and continues without them.
 pub fn try_to_enter() {
     for shortfall in enter(&REALTIME) {
         let error = match shortfall {

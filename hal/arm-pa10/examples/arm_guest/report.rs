@@ -1,11 +1,11 @@
-//! What is said on the console; the same words stand in xtask's `vm/console.rs`.
+//! Output on the console; xtask's `vm/console.rs` parses the same words.
 
 use std::error::Error;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use crate::system;
 
-/// Figures for the reader, or why a check failed.
+/// Measured values for the reader, or why a check failed.
 pub type Outcome = Result<String, Box<dyn Error>>;
 
 /// Counts checks.
@@ -15,7 +15,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// Does a check. One that panics has failed.
+    /// Runs a check. A panic is a failure.
     pub fn check(&mut self, name: &str, check: impl FnOnce() -> Outcome) {
         self.checks += 1;
         match catch_unwind(AssertUnwindSafe(check)) {
@@ -26,7 +26,7 @@ impl Report {
         }
     }
 
-    /// Nothing comes after this.
+    /// Ends the report.
     pub fn end(self) {
         println!("vm: end {}", self.checks);
     }
@@ -39,17 +39,17 @@ fn failed(name: &str, why: &str) {
     }
 }
 
-/// Something for the reader.
+/// A note for the reader.
 pub fn note(text: &str) {
     println!("vm: note {text}");
 }
 
-/// Has a device pulled out. When that has happened the kernel says it.
+/// Requests that a device be unplugged. The kernel reports when this has happened.
 pub fn unplug(device: &str) {
     println!("vm: unplug {device}");
 }
 
-/// Has it plugged in again.
+/// Requests that the device be plugged in again.
 pub fn plug(device: &str) {
     println!("vm: plug {device}");
 }
@@ -66,7 +66,7 @@ pub fn chain(error: &dyn Error) -> String {
     text
 }
 
-/// An error unless this holds.
+/// An error unless the condition holds.
 pub fn ensure(holds: bool, otherwise: impl FnOnce() -> String) -> Result<(), Box<dyn Error>> {
     if holds { Ok(()) } else { Err(otherwise().into()) }
 }

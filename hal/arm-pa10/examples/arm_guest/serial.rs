@@ -17,21 +17,21 @@ use crate::modem;
 use crate::report::{Outcome, Report, ensure};
 use crate::system::{LONG, User, as_user, wait_for};
 
-/// The rates of docs/arm-protocol.md that carry a cycle, and those between them that adapters have.
+/// The rates of docs/arm-protocol.md that are fast enough for a cycle, and the rates of adapters between them.
 const BAUDS: [u32; 6] = [460_800, 500_000, 921_600, 1_000_000, 2_000_000, 3_000_000];
 
-/// What the chip of the adapters does not have.
+/// A rate that the chip of the adapters does not support.
 const TOO_QUICK: u32 = 4_000_000;
 
-/// The port that says yes to every rate, what it is asked for, and what it has.
+/// A port that accepts every rate; the requested and the actual rate.
 const LIAR: &str = "/dev/ttyS1";
 const LIAR_ASKED: u32 = 1_000_000;
 const LIAR_HAS: u32 = 115_200;
 
-/// A cycle that every rate carries: rates are not refused for its sake.
+/// A cycle for which every rate is fast enough, so that no rate is refused as too slow.
 pub const SLOW_CYCLE: Duration = Duration::from_millis(100);
 
-/// Numbers and names by which the adapters are found.
+/// Serial numbers and USB IDs of the adapters.
 pub const HOST: &str = "HOST";
 pub const GATEWAY: &str = "GATEWAY";
 const FTDI: [u16; 2] = [0x0403, 0x6001];
@@ -52,7 +52,7 @@ pub fn check(report: &mut Report) {
     report.check("16550: a second program is refused, for any user", || exclusive(LIAR));
 }
 
-/// The path of the adapter with this number of its own.
+/// The path of the adapter with this serial number.
 pub fn adapter(serial_number: &str) -> Result<String, Box<dyn Error>> {
     let wanted = |port: &PortDescription| matches!(&port.kind, PortKind::Usb { serial_number: Some(number), .. } if number == serial_number);
     wait_for(&format!("the adapter {serial_number} is found"), || {
@@ -85,7 +85,7 @@ fn rates() -> Outcome {
         let (mut host, mut gateway) = (open(HOST)?, open(GATEWAY)?);
         for link in [&host, &gateway] {
             ensure(link.baud() == baud, || format!("{}: asked for {baud}, {} read back", link.name(), link.baud()))?;
-            // Once more, by another way than the library's.
+            // Checked once more, without the library.
             let settings = tcgetattr(link.fd().ok_or("a port without a descriptor")?)?;
             let read = [settings.input_speed(), settings.output_speed()];
             ensure(read == [baud; 2], || format!("{}: the kernel says {read:?} at {baud}", link.name()))?;
@@ -97,7 +97,7 @@ fn rates() -> Outcome {
     Ok(format!("2 x 512 bytes at {}", figures.join(", ")))
 }
 
-/// Sends bytes of every value through the cable; how long it took.
+/// Sends bytes of every value through the cable; returns the time.
 pub fn carry(from: &mut SerialLink, to: &mut SerialLink) -> Result<Duration, Box<dyn Error>> {
     let sent: Vec<u8> = (0..512u32).map(|number| (number * 7 % 256) as u8).collect();
     let (mut left, mut got) = (sent.as_slice(), Vec::new());
@@ -119,11 +119,11 @@ fn too_quick() -> Outcome {
 }
 
 fn liar() -> Outcome {
-    // At the rate that it has it is a good port.
+    // At its actual rate the port works.
     let link = SerialLink::open(&config(LIAR, LIAR_HAS, SLOW_CYCLE))?;
     ensure(link.baud() == LIAR_HAS, || format!("{} baud read back", link.baud()))?;
     drop(link);
-    // It keeps the rate that it had.
+    // The port keeps its rate.
     refused_rate(LIAR, LIAR_ASKED, Some(LIAR_HAS))
 }
 
@@ -141,13 +141,13 @@ fn refused_rate(path: &str, asked: u32, has: Option<u32>) -> Outcome {
     }
 }
 
-/// Before anybody has opened the ports: they keep the bytes that arrive.
+/// Must run before the first opening of the ports, while the adapters still delay bytes.
 fn latency() -> Outcome {
     let [host, gateway] = [adapter(HOST)?, adapter(GATEWAY)?];
     let file = |path: &str| format!("/sys/bus/usb-serial/devices/{}/latency_timer", path.trim_start_matches("/dev/"));
     let timer = |path: &str| Ok::<u32, Box<dyn Error>>(fs::read_to_string(file(path))?.trim().parse()?);
     for path in [&host, &gateway] {
-        // As a real adapter has it when it is plugged in.
+        // The default of a real adapter when it is plugged in.
         fs::write(file(path), "16")?;
     }
     let before = [timer(&host)?, timer(&gateway)?];
@@ -179,7 +179,7 @@ fn exclusive(path: &str) -> Outcome {
         let said = as_user(user, &words)?;
         ensure(said == format!("refused: {refusal}"), || format!("{user:?}: {said}"))?;
     }
-    // Programs that ask nobody are held off by the kernel, and who was refused must not have changed that.
+    // Programs without a lock are refused by the kernel, and a refused program must not have changed that.
     let said = as_user(User::Nobody, &["read", path])?;
     ensure(said == "ResourceBusy", || format!("another kind of program: {said}"))?;
     drop(first);
@@ -188,7 +188,7 @@ fn exclusive(path: &str) -> Outcome {
     Ok(refusal)
 }
 
-/// Says what becomes of opening a file, as any program does it.
+/// Prints the result of opening a file, as any program opens it.
 pub fn try_to_read(path: &str) {
     match fs::File::open(path) {
         Ok(_) => println!("opened"),
@@ -196,7 +196,7 @@ pub fn try_to_read(path: &str) {
     }
 }
 
-/// Says what becomes of opening a port.
+/// Prints the result of opening a port.
 pub fn try_to_open(path: &str, baud: &str) {
     let opened = SerialLink::open(&config(path, baud.parse().unwrap_or_default(), SLOW_CYCLE));
     match opened {

@@ -1,6 +1,6 @@
-//! The emulated computer: its file systems, modules, users, and what its kernel says.
+//! The emulated computer: file systems, modules, users, and kernel messages.
 //!
-//! Part of every program for that computer, as `report.rs` is; each has a `clock` of its own.
+//! Used by every program for that computer, like `report.rs`; each program has its own `clock`.
 
 use std::error::Error;
 use std::ffi::CString;
@@ -19,13 +19,13 @@ use rustix::system::{RebootCommand, finit_module, reboot, uname};
 use crate::clock::{now, sleep_until};
 use crate::report::Outcome;
 
-/// User and group without any rights.
+/// User and group without rights.
 const NOBODY: u32 = 65_534;
 
-/// Things that a driver does take less than this.
+/// Actions of a driver take less than this.
 pub const LONG: Duration = Duration::from_secs(20);
 
-/// File systems and modules.
+/// Mounts the file systems and loads the modules.
 pub fn prepare() -> Outcome {
     for (what, place) in [("proc", "/proc"), ("sysfs", "/sys"), ("devtmpfs", "/dev"), ("tmpfs", "/tmp")] {
         mount(what, place, what, MountFlags::empty(), None).map_err(|error| format!("{place}: {error}"))?;
@@ -34,7 +34,7 @@ pub fn prepare() -> Outcome {
     for name in order.lines() {
         load(name, "")?;
     }
-    // Users without rights may lock no memory: the kernel would let them have 8 MB.
+    // Users without rights may lock no memory: the kernel's default is 8 MB.
     let none = Rlimit { current: Some(0), maximum: Some(0) };
     setrlimit(Resource::Memlock, none)?;
     let up = fs::read_to_string("/proc/uptime")?;
@@ -42,35 +42,35 @@ pub fn prepare() -> Outcome {
     Ok(format!("Linux {}, after {seconds} s", uname().release().to_string_lossy()))
 }
 
-/// Loads a module that was packed.
+/// Loads a packed module.
 pub fn load(name: &str, parameters: &str) -> Result<(), Box<dyn Error>> {
     let file = File::open(format!("/modules/{name}.ko")).map_err(|error| format!("module {name}: {error}"))?;
     let loaded = finit_module(&file, &CString::new(parameters)?, 0);
     loaded.map_err(|error| format!("module {name} is not taken: {error}").into())
 }
 
-/// Ends everything.
+/// Powers the computer off.
 pub fn switch_off() {
-    // What the console has not shown yet would be lost.
+    // Otherwise output that the console has not shown yet would be lost.
     std::thread::sleep(Duration::from_millis(100));
     if let Err(error) = reboot(RebootCommand::PowerOff) {
         println!("the computer does not switch off: {error}");
     }
 }
 
-/// Who does something.
+/// The user that runs a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum User {
     Root,
     Nobody,
 }
 
-/// What this program says if it is started once more with these words.
+/// Starts this program again with these arguments; returns its output.
 pub fn as_user(user: User, words: &[&str]) -> Result<String, Box<dyn Error>> {
     let mut command = Command::new("/proc/self/exe");
     command.args(words);
     if user == User::Nobody {
-        // The groups of root go with it.
+        // This also drops the groups of root.
         command.uid(NOBODY).gid(NOBODY);
     }
     let output = command.output()?;
@@ -82,7 +82,7 @@ pub fn as_user(user: User, words: &[&str]) -> Result<String, Box<dyn Error>> {
     }
 }
 
-/// Waits until something is so; for what.
+/// Waits until a condition holds; `what` names the condition in the error.
 pub fn wait_for<T>(what: &str, mut is_so: impl FnMut() -> Option<T>) -> Result<T, Box<dyn Error>> {
     let end = now() + LONG;
     loop {
@@ -96,15 +96,15 @@ pub fn wait_for<T>(what: &str, mut is_so: impl FnMut() -> Option<T>) -> Result<T
     }
 }
 
-/// What the kernel says, from a moment on, with its time on the clock of programs.
+/// Kernel messages from a moment on, with their time on the monotonic clock of programs.
 pub struct KernelLog {
     file: File,
-    /// Time on the clock of programs less time of the kernel's log, ns.
+    /// Monotonic time minus time of the kernel's log, ns.
     offset_ns: i128,
 }
 
 impl KernelLog {
-    /// From now on. The two clocks are compared by a message of our own.
+    /// From now on. A message of this program relates the two clocks.
     pub fn open() -> Result<Self, Box<dyn Error>> {
         const NONBLOCK: i32 = 0o4000;
         let file = OpenOptions::new().read(true).write(true).custom_flags(NONBLOCK).open("/dev/kmsg")?;
@@ -112,17 +112,17 @@ impl KernelLog {
         while log.next()?.is_some() {}
         let before = now();
         let mark = format!("pb3dp: the time is {} ns", before.as_nanos());
-        // Without the end of the line the kernel keeps it back.
+        // The kernel delays a message without a line end.
         log.file.write_all(format!("{mark}\n").as_bytes())?;
         let (at, _) = wait_for("our own message in the kernel's log", || {
             log.next().ok().flatten().filter(|(_, text)| *text == mark)
         })?;
-        // The message was taken at once: the time before is nearer to it than the one after, when it was printed.
+        // The kernel takes the message at once, so `before` is nearer to its time than the time after it was printed.
         log.offset_ns = i128::from(before.as_nanos()) - i128::from(at.as_nanos());
         Ok(log)
     }
 
-    /// When the kernel says something with this word in it.
+    /// Waits for a kernel message that contains this word; returns its time.
     pub fn wait_for(&mut self, word: &str) -> Result<MonotonicTime, Box<dyn Error>> {
         let what = format!("the kernel says `{word}`");
         wait_for(&what, || self.next().ok().flatten().filter(|(_, text)| text.contains(word)).map(|(at, _)| at))
@@ -134,7 +134,7 @@ impl KernelLog {
         let count = match self.file.read(&mut buffer) {
             Ok(count) => count,
             Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(None),
-            // Old messages gave way to new ones.
+            // Newer messages have overwritten older ones.
             Err(error) if error.kind() == ErrorKind::BrokenPipe => return self.next(),
             Err(error) => return Err(error.into()),
         };
@@ -147,7 +147,7 @@ impl KernelLog {
     }
 }
 
-/// For the reader of a failure.
+/// For the report of a failure.
 pub fn last_kernel_messages(count: usize) -> Vec<String> {
     const NONBLOCK: i32 = 0o4000;
     let Ok(file) = OpenOptions::new().read(true).custom_flags(NONBLOCK).open("/dev/kmsg") else { return Vec::new() };

@@ -87,7 +87,7 @@ impl HostPort for ControllerPort {
         self.frames_unsent
     }
 
-    /// A controller is greeted by a look at the state of the arm.
+    /// A controller is greeted by reading the state of the arm.
     fn greet(&mut self, _now: MonotonicTime) {}
 
     fn greet_again(&mut self, _now: MonotonicTime) {}

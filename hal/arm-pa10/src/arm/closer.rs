@@ -28,7 +28,7 @@ struct Closing {
 
 /// The system has not closed the lost link.
 #[derive(Debug, thiserror::Error)]
-#[error("the system is still closing the link that is gone; try again")]
+#[error("the operating system is still closing the lost link; try again")]
 struct StillClosing;
 
 impl Closer {

@@ -68,7 +68,7 @@ pub enum ArmOpenError {
         source: DriverConfigError,
     },
     /// Driver and link have different cycles.
-    #[error("arm {arm}: a cycle of {driver:?} in the driver and of {link:?} in the link: give one to both")]
+    #[error("arm {arm}: the driver has a cycle of {driver:?}, the link one of {link:?}: give both the same cycle")]
     Cycles {
         /// Name of the arm.
         arm: String,
@@ -79,8 +79,8 @@ pub enum ArmOpenError {
     },
     /// The control loop would be faster than the bus, or too slow for its watchdog.
     #[error(
-        "arm {arm}: {got:?} between two exchanges: give at least the cycle of the bus ({bus:?}) and at most half of the time after \
-         which commands fade"
+        "arm {arm}: {got:?} between two exchanges is out of range: give at least the cycle of the bus ({bus:?}) and at most \
+         half of the time after which commands fade"
     )]
     ExchangeCycle {
         /// Name of the arm.
@@ -102,7 +102,7 @@ pub enum ArmOpenError {
         source: ConnectError,
     },
     /// The operating system provides no thread.
-    #[error("arm {arm}: no thread for it")]
+    #[error("arm {arm}: cannot start its thread")]
     Thread {
         /// Name of the arm.
         arm: String,

@@ -54,7 +54,7 @@ const FRESH_CYCLES: f64 = 1.5;
 /// Maximum number of consecutive activities of a request.
 const ACTIVITIES_MAX: u32 = 3;
 
-/// Longest wait for a terminal when an arm is released that does not answer.
+/// Longest wait for a terminal when an arm without answers is released.
 const LAST_WORDS_MAX: Duration = Duration::from_millis(300);
 
 /// Failure to open an arm.
@@ -348,7 +348,7 @@ impl Pa10Arm {
         let JointCommand::Velocity(velocity) = command else { return Ok(()) };
         let sendable = ArmCommand::velocities(velocity, self.driver.supervision);
         sendable.map(|_| ()).map_err(|error| {
-            let message = format!("arm {}: the velocity is refused as a whole: {error}", self.info.name);
+            let message = format!("arm {}: velocity refused, no axis was commanded: {error}", self.info.name);
             let refused = ArmError::caused_by(ArmErrorKind::Rejected, message, error);
             if let CodecError::SpeedRange { axis, .. } = error { refused.of_joint(axis.index()) } else { refused }
         })
@@ -503,8 +503,8 @@ impl Drop for Pa10Arm {
 /// delay the other arms, which are released after this one.
 fn last_words(name: &str) {
     let words = format!(
-        "\nEMERGENCY STOP: press it at arm {name}. The program lets go of it, its controller has not answered the stop order, and it \
-         may still move.\n"
+        "\nEMERGENCY STOP: press it at arm {name}. The program releases the arm, its controller has not answered the stop \
+         order, and the arm may still move.\n"
     );
     let (told, is_told) = channel();
     let tell = move || {

@@ -37,17 +37,15 @@ pub enum WishError {
     WarmUp(WarmUpFailure),
     /// The gateway does not answer.
     #[error(
-        "no gateway answers within 0.5 s; check its power, the cable, the rate and the number of the arm, and that no other program \
-         has the line"
+        "no gateway answers within 0.5 s; check its power, the cable, the rate and the number of the arm, and that no other \
+         program uses the line"
     )]
     NoGateway,
     /// The gateway is not the configured one.
     #[error(transparent)]
     Gateway(HelloError),
     /// The stop order of the gateway takes too long.
-    #[error(
-        "the gateway still brings the arm to rest after {0:?}: try again in a second, and look at the gateway's log"
-    )]
+    #[error("the gateway is still stopping the arm after {0:?}; try again in a second, and check the gateway's log")]
     StillStopping(Duration),
     /// On a bus: the controller has not answered the stop order.
     #[error(
@@ -63,11 +61,12 @@ pub enum WishError {
     Unplugged(#[from] Unplugged),
     /// The thread of the arm does not answer.
     #[error(
-        "the thread that watches the arm does not answer: a mistake of the program; report it, and start the program again"
+        "the thread that monitors the arm does not answer: a defect of pb3dp; report it with the log, and start the program \
+         again"
     )]
     NoThread,
     /// The driver did not execute the request.
-    #[error("the driver stays {0}: a mistake of the program; report it")]
+    #[error("the driver stays {0}: a defect of pb3dp; report it with the log")]
     Stuck(DriverState),
 }
 

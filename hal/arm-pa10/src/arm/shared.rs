@@ -45,7 +45,7 @@ pub struct ArmSnapshot {
     pub limits: [Option<AxisLimits>; Axis::COUNT],
     /// Identification of the gateway.
     pub gateway: Option<HelloReply>,
-    /// First state after the last connection or reset: a busy gateway was waited for.
+    /// First state reported after the last connection or reset, before any wait for a busy gateway.
     pub gateway_found: Option<HelloReply>,
     /// Counters of messages.
     pub counters: LinkCounters,

@@ -21,8 +21,8 @@ const ETH_P_ARCNET: u16 = 0x001A;
 pub enum ArcnetError {
     /// There is no such interface.
     #[error(
-        "there is no network interface {name}; load the driver of the card (com20020_pci for most) and arc_rawmode, and look for \
-         its name with `ip link`"
+        "there is no network interface {name}; load the card's driver (usually com20020_pci) and arc_rawmode, and find the \
+         name with `ip link`"
     )]
     Missing {
         /// Its name.
@@ -39,7 +39,7 @@ pub enum ArcnetError {
         got: u16,
     },
     /// The interface is down.
-    #[error("network interface {name} is down; switch it on: ip link set {name} up")]
+    #[error("network interface {name} is down; bring it up: ip link set {name} up")]
     Down {
         /// Its name.
         name: String,
@@ -52,8 +52,8 @@ pub enum ArcnetError {
     },
     /// Not permitted.
     #[error(
-        "packet sockets are not permitted to this user; run as root, or give the program the right: \
-         setcap cap_net_raw,cap_sys_nice,cap_ipc_lock+ep PROGRAM"
+        "this user may not open packet sockets; run as root, or grant the capabilities: setcap \
+         cap_net_raw,cap_sys_nice,cap_ipc_lock+ep PROGRAM"
     )]
     Permission,
     /// Another error of the operating system.

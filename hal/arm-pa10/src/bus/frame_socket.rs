@@ -16,13 +16,19 @@ use super::{BusDown, BusPort, FRAME_ROOM, judge};
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FrameSocketError {
     /// Nobody listens at the path.
-    #[error("nobody listens at the socket {path}; start the emulated controller first (`pb3dp mock-arm`), or correct the path", path = path.display())]
+    #[error(
+        "no program listens at the socket {path}; start the emulated controller first (`pb3dp mock-arm`), or correct the path",
+        path = path.display()
+    )]
     Nobody {
         /// Its path.
         path: PathBuf,
     },
     /// Another program listens at the path.
-    #[error("somebody listens at the socket {path} already; end that program, or choose another path", path = path.display())]
+    #[error(
+        "another program already listens at the socket {path}; end that program, or choose another path",
+        path = path.display()
+    )]
     InUse {
         /// Its path.
         path: PathBuf,

@@ -92,7 +92,8 @@ pub enum LimitsCheck {
 pub enum DriverConfigError {
     /// The cycle is zero, or so long that the watchdog would trip.
     #[error(
-        "a cycle of {cycle:?} with a watchdog that slows down after {ramp_after:?}: give a cycle above 0 and at most half of that"
+        "a cycle of {cycle:?} is out of range: give more than 0 and at most half of the time after which commands fade \
+         ({ramp_after:?})"
     )]
     Cycle {
         /// The configured cycle.
@@ -101,7 +102,9 @@ pub enum DriverConfigError {
         ramp_after: Duration,
     },
     /// The reply time-out is zero or longer than a cycle.
-    #[error("a reply time-out of {reply_timeout:?} in a cycle of {cycle:?}: give more than 0 and at most the cycle")]
+    #[error(
+        "a reply time-out of {reply_timeout:?} is out of range: give more than 0 and at most the cycle ({cycle:?})"
+    )]
     ReplyTimeout {
         /// The configured time-out.
         reply_timeout: Duration,
@@ -127,7 +130,10 @@ pub enum DriverConfigError {
         got: f64,
     },
     /// A torque limit is invalid, or larger than that of the arm.
-    #[error("axis {}: a largest torque of {got} N m; above 0 to {most} N m is possible", joint + 1)]
+    #[error(
+        "axis {}: a maximum torque of {got} N m is out of range: give more than 0 and at most {most} N m",
+        joint + 1
+    )]
     Torque {
         /// Index from the base, 0 to 6.
         joint: usize,
@@ -137,7 +143,7 @@ pub enum DriverConfigError {
         most: f64,
     },
     /// The time above the permanent torque is too long.
-    #[error("more torque than allowed for {got:?}: at most {most:?} is possible")]
+    #[error("a torque above the limit for {got:?} is too long: give at most {most:?}")]
     TorqueFor {
         /// The configured time.
         got: Duration,
@@ -146,7 +152,7 @@ pub enum DriverConfigError {
     },
     /// The time without requests is shorter than that of a velocity, or too long.
     #[error(
-        "an owner that may stay away for {got:?} while the arm holds: more than {least:?} and at most {most:?} are possible"
+        "{got:?} without a request while the arm holds is out of range: give more than {least:?} and at most {most:?}"
     )]
     OwnerTimeout {
         /// The configured time.
@@ -158,8 +164,8 @@ pub enum DriverConfigError {
     },
     /// A stop takes longer than an activity is allowed to.
     #[error(
-        "axis {}: a stop from its largest speed takes {needed_s:.1} s with {deceleration} rad/s^2, an activity may take \
-         {got:?}: give more deceleration",
+        "axis {}: a stop from maximum speed takes {needed_s:.1} s at {deceleration} rad/s^2, an activity may take {got:?}: \
+         increase the deceleration",
         joint + 1
     )]
     StopTimeout {
@@ -173,7 +179,7 @@ pub enum DriverConfigError {
         got: Duration,
     },
     /// The time limit of an activity is too short.
-    #[error("{got:?} for an activity: enabling and opening the brakes need {least:?}")]
+    #[error("a time limit of {got:?} for an activity is too short: enabling and opening the brakes need {least:?}")]
     ActivityTimeout {
         /// The configured time.
         got: Duration,

@@ -180,7 +180,7 @@ impl Driver {
         match outcome(self.state, event) {
             Outcome::To(next) => {
                 // Connecting alone leaves no latch for the next program, which can connect too; and a gateway that its owner has
-                // told to stop knows the cause.
+                // stopped knows the cause.
                 let is_told = matches!(trip, Trip::Fault(FaultCause::GatewayStopped { .. }));
                 self.outlasts = match self.state.is_latched() {
                     true => self.outlasts,
@@ -202,7 +202,7 @@ impl Driver {
 
     /// Starts the stop order at the required step; repeating it is harmless.
     pub(super) fn begin_stop(&mut self, now: MonotonicTime, emergency: bool) {
-        // After an emergency stop the arm stands already: there is no ramp.
+        // After an emergency stop the arm is already stationary: there is no ramp.
         let first = match self.state {
             DriverState::EStop => StopStep::Rest { left: self.config.rest_cycles },
             _ => StopStep::Ramp,

@@ -31,7 +31,9 @@ pub const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(250);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum HelloError {
     /// It uses another dialect.
-    #[error("the gateway speaks {got}, the configuration says {configured}; choose a dialect that it has")]
+    #[error(
+        "the gateway uses dialect {got}, the configuration says {configured}; configure the dialect of the gateway"
+    )]
     Dialect {
         /// Dialect of the gateway.
         got: Dialect,
@@ -39,7 +41,9 @@ pub enum HelloError {
         configured: Dialect,
     },
     /// It has detected another wire format.
-    #[error("the arm at the gateway answers in {got}, the configuration says {configured}; find out which arm it is")]
+    #[error(
+        "the arm at the gateway answers in {got}, the configuration says {configured}; find out which generation the arm is"
+    )]
     Format {
         /// Format of the gateway.
         got: WireFormat,
@@ -57,12 +61,10 @@ pub enum HelloError {
         configured: Geometry,
     },
     /// Its watchdog is disabled.
-    #[error("the gateway tells of {0}; correct its configuration")]
+    #[error("the gateway reports {0}; correct its configuration")]
     Watchdog(WatchdogError),
     /// Its brake time is implausible.
-    #[error(
-        "the gateway tells of brakes that take {got:?} to open, at most {most:?} are possible; correct its configuration"
-    )]
+    #[error("the gateway reports a brake time of {got:?}, at most {most:?} is allowed; correct its configuration")]
     BrakeTime {
         /// Brake time of the gateway.
         got: Duration,
@@ -81,10 +83,10 @@ pub enum LinkError {
     #[error("the gateway has not answered HELLO; open the link first")]
     NotOpen,
     /// The message cannot be encoded.
-    #[error("the message cannot be expressed")]
+    #[error("the message cannot be encoded")]
     Codec(#[from] CodecError),
     /// The dialect has no field for single-axis commands.
-    #[error("the dialect gateway-v1 gives one mode for all axes; give the axes one mode, or speak transparent")]
+    #[error("the dialect gateway-v1 has one mode for all axes; use one mode, or the dialect transparent")]
     MixedModes,
 }
 

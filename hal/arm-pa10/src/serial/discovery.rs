@@ -143,7 +143,7 @@ mod tests {
 
     #[test]
     fn ports_can_be_listed() {
-        // Which ones there are depends on the machine; that the list is sorted and without pseudo-terminals does not.
+        // The ports depend on the machine; the order and the absence of pseudo-terminals do not.
         if let Ok(ports) = ports() {
             assert!(ports.is_sorted_by(|one, other| one.path < other.path), "{ports:?}");
             assert!(ports.iter().all(|port| !port.path.starts_with("/dev/pts/")), "{ports:?}");

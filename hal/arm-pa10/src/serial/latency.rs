@@ -62,12 +62,12 @@ impl Latency {
             Self::Low | Self::NotUsb => None,
             Self::Timer { millis } if *millis <= TIMER_MS => None,
             Self::Timer { millis } => Some(format!(
-                "serial port {port}: its adapter keeps bytes back for {millis} ms, and this user may not change that; as root: echo \
-                 {TIMER_MS} > {}",
+                "serial port {port}: its adapter delays bytes by {millis} ms, and this user may not change the latency \
+                 timer; as root: echo {TIMER_MS} > {}",
                 timer(port).display()
             )),
             Self::Unknown => Some(format!(
-                "serial port {port}: it cannot be found out how long its adapter keeps bytes back; the warm-up measures it"
+                "serial port {port}: the latency timer of its adapter is unknown; the warm-up measures the delay"
             )),
         }
     }
@@ -95,7 +95,7 @@ fn set_low_latency(fd: BorrowedFd<'_>) -> bool {
     let get = || unsafe { ioctl(fd, Getter::<TIOCGSERIAL, SerialStruct>::new()) };
     let Ok(mut settings) = get() else { return false };
     settings.flags |= ASYNC_LOW_LATENCY;
-    // SAFETY: TIOCSSERIAL reads a `serial_struct`; this one is as the driver gave it, but for one flag.
+    // SAFETY: TIOCSSERIAL reads a `serial_struct`; this one differs from that of the driver in one flag.
     if unsafe { ioctl(fd, Setter::<TIOCSSERIAL, SerialStruct>::new(settings)) }.is_err() {
         return false;
     }

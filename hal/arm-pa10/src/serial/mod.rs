@@ -77,13 +77,13 @@ pub enum SerialError {
         present: String,
     },
     /// Not permitted.
-    #[error("serial port {port} may not be opened by this user; on most systems the group dialout may")]
+    #[error("this user may not open serial port {port}; on most systems members of the group dialout may")]
     Permission {
         /// Its path.
         port: String,
     },
     /// Opening failed for another reason.
-    #[error("serial port {port} cannot be opened with {baud} baud; is it a serial port?")]
+    #[error("serial port {port} cannot be opened with {baud} baud; check that it is a serial port")]
     Open {
         /// Its path.
         port: String,
@@ -95,7 +95,7 @@ pub enum SerialError {
     },
     /// The port runs at another rate than requested.
     #[error(
-        "serial port {port} was told {asked} baud and runs at {got}; choose a rate that it has, or another adapter"
+        "serial port {port} was set to {asked} baud but runs at {got}; choose a supported rate, or another adapter"
     )]
     Baud {
         /// Its path.
@@ -256,7 +256,7 @@ mod tests {
     fn a_port_that_keeps_its_own_rate_is_refused() {
         // As measured on a 16550: 1 Mbaud is accepted and 115200 read back.
         let error = judge_baud("/dev/ttyS0", 1_000_000, 115_200).unwrap_err();
-        assert!(error.to_string().contains("told 1000000 baud and runs at 115200"), "{error}");
+        assert!(error.to_string().contains("set to 1000000 baud but runs at 115200"), "{error}");
         for got in [921_600, 923_076, 909_091] {
             assert!(judge_baud("/dev/ttyUSB0", 921_600, got).is_ok(), "{got}");
         }

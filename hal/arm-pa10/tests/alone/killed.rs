@@ -1,7 +1,7 @@
-//! A host program that is killed, frozen or ended by its own mistake while its arm moves: the arm is stopped, and does not move
-//! again before a reset.
+//! A host program that is killed, frozen or panics while its arm moves: the arm is stopped, and does not move again before a
+//! reset.
 //!
-//! The host is this program once more, in a process of its own: `alone host PTY`, with a further word for a mistake.
+//! The host is this program in a separate process: `alone host PTY`, with a further argument for a panic.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
@@ -25,7 +25,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 const CYCLE: Duration = Duration::from_millis(10);
 const LONG: Duration = Duration::from_secs(30);
-/// A hundred times what the gateway needs to brake an arm whose host is silent: a test waits no longer.
+/// A hundred times the time in which the gateway brakes an arm with a silent host; a test waits no longer.
 const BRAKED_WITHIN: Duration = Duration::from_secs(5);
 
 fn velocity() -> JointCommand {
@@ -42,10 +42,10 @@ fn open(path: &str) -> Pa10Arm {
     arm.unwrap_or_else(|error| panic!("{error}: {:?}", std::error::Error::source(&error)))
 }
 
-/// What stops an arm on a machine that is late.
+/// Causes of a stop on a machine that is late.
 const LATE: [&str; 2] = ["in a row without a usable reply", "the newest measurement is"];
 
-/// On a loaded machine the link may need more than one try to show that it is quick enough.
+/// On a loaded machine the link may pass the warm-up only after several tries.
 fn enable(arm: &mut Pa10Arm) {
     for _ in 0..20 {
         match arm.enable() {
@@ -58,7 +58,8 @@ fn enable(arm: &mut Pa10Arm) {
     panic!("the machine is too loaded to enable an arm");
 }
 
-/// The host: moves until it cannot, says so, and tries to go on without a reset; or makes a mistake in the loop that moves the arm.
+/// The host: moves until the arm is stopped, prints the reason, and tries to continue without a reset; or panics in the control
+/// loop.
 pub fn host(path: &str, panics: bool) {
     let mut arm = open(path);
     enable(&mut arm);
@@ -83,7 +84,7 @@ pub fn host(path: &str, panics: bool) {
     println!("state: {:?}", arm.state());
 }
 
-/// A host in a process of its own, what it says, and its arm.
+/// A host in its own process, its output, and its arm.
 struct Scene {
     host: Child,
     lines: Receiver<String>,
@@ -92,7 +93,7 @@ struct Scene {
 }
 
 impl Scene {
-    /// With an arm that moves.
+    /// With a moving arm.
     fn new() -> Self {
         Self::of(&["host"])
     }
@@ -123,7 +124,7 @@ impl Scene {
     }
 
     fn line(&self) -> String {
-        // Why it ended stands above.
+        // The reason of its end is in the output above.
         self.lines
             .recv_timeout(LONG)
             .unwrap_or_else(|error| panic!("the host is gone ({error}): is the machine too loaded?"))
@@ -134,7 +135,7 @@ impl Scene {
         Instant::now()
     }
 
-    /// Until the brakes are closed and the stop order is over, without the host.
+    /// Waits until the brakes are closed and the stop order is complete, without the host.
     fn wait_until_braked(&self, cause: StopCause) {
         let begin = Instant::now();
         while !(self.end.cell().controller.is_braked() && self.end.state() == GatewayState::Fault) {
@@ -144,7 +145,7 @@ impl Scene {
         assert_eq!(self.end.status().cause, cause);
     }
 
-    /// The next program is refused until it resets; then the arm moves. Returns its message.
+    /// The next program is refused until it sends a reset; then the arm moves. Returns the message of the refusal.
     fn check_next_start(&self) -> String {
         self.check_still(Duration::from_millis(100));
         let mut arm = open(&self.path);
@@ -163,7 +164,7 @@ impl Scene {
         error.to_string()
     }
 
-    /// The true joints stand.
+    /// The true joints are stationary.
     fn check_still(&self, time: Duration) {
         let before = self.end.cell().position();
         std::thread::sleep(time);
@@ -179,7 +180,7 @@ impl Drop for Scene {
     }
 }
 
-/// By kill -9: nothing of the host's own is left to stop the arm.
+/// With kill -9: no code of the host runs any more that could stop the arm.
 pub fn killed() {
     let mut scene = Scene::new();
     let before = scene.end.cell().position();
@@ -188,25 +189,28 @@ pub fn killed() {
     scene.wait_until_braked(StopCause::HostSilent);
     println!("killed: braked after {:?}", killed.elapsed());
     let moved = (scene.end.cell().position() - before).amax();
-    // 50 ms at the full speed of 0.3 rad/s and the way of the brakes, with room for a loaded machine.
+    // 50 ms at the full speed of 0.3 rad/s and the braking distance, with a margin for a loaded machine.
     assert!(moved < 0.1, "{moved} rad");
     let told = scene.check_next_start();
-    assert!(told.contains("the gateway stopped the arm: host-silent; the program that drove it ended, hung"), "{told}");
+    assert!(
+        told.contains("the gateway stopped the arm: host-silent; the program that drove the arm ended, hung"),
+        "{told}"
+    );
 }
 
-/// A mistake of the program, with a sound line: its arm is stopped on the way out, and the gateway keeps that.
+/// A panic of the program on a good line: it stops its arm while it ends, and the gateway records this.
 pub fn panicked() {
     let mut scene = Scene::of(&["host", "panic"]);
     assert!(!scene.host.wait().unwrap().success());
     scene.wait_until_braked(StopCause::HostFault);
     let told = scene.check_next_start();
     assert!(
-        told.contains("the gateway stopped the arm: host-fault; the program that drove it found a fault"),
+        told.contains("the gateway stopped the arm: host-fault; the program that drove the arm found a fault"),
         "{told}"
     );
 }
 
-/// A host that connects right after the killed one waits until the gateway has stopped the arm.
+/// A host that connects at once after the killed one waits until the gateway has stopped the arm.
 pub fn killed_and_reset_at_once() {
     let mut scene = Scene::new();
     scene.signal(Signal::KILL);
@@ -221,7 +225,7 @@ pub fn killed_and_reset_at_once() {
     arm.stop().unwrap();
 }
 
-/// By SIGSTOP: afterwards it finds an arm that was stopped, and cannot go on by itself.
+/// With SIGSTOP: afterwards the host finds a stopped arm, and cannot continue without a reset.
 pub fn frozen() {
     let scene = Scene::new();
     let frozen = scene.signal(Signal::STOP);

@@ -1,4 +1,4 @@
-//! Tests that need a process to themselves, one after the other: a host program that is killed, and the heap of all threads.
+//! Tests that need their own process, one after the other: a host program that is killed, and heap allocations of all threads.
 //!
 //! With the argument `host` the program is the host of [`killed`].
 

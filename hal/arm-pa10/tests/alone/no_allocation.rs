@@ -1,4 +1,4 @@
-//! Neither the exchange of a real arm nor its thread touches the heap once it moves.
+//! Neither the exchange of a moving arm nor its thread allocates on the heap.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -33,7 +33,7 @@ pub fn exchanges() {
         panic!("{error}: {:?}", std::error::Error::source(&error));
     });
     let monitor = arm.monitor();
-    // On a loaded machine the link may need more than one try to show that it is quick enough.
+    // On a loaded machine the link may pass the warm-up only after several tries.
     assert!((0..20).any(|_| arm.enable().is_ok()));
     let velocity = JointCommand::Velocity(JointVector::from([0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 0.7]));
     let exchange = |arm: &mut Pa10Arm, cycle: i32| {
@@ -51,8 +51,8 @@ pub fn exchanges() {
     let (mut quiet, mut late) = (0, 0);
     for cycle in 0..300 {
         if cycle % 50 == 30 {
-            // An exchange that waits for its measurement keeps step with the arm from then on, and the two that are lost are over
-            // before it misses them: aside of it, it is late. How far aside, hangs on the machine.
+            // An exchange that waits for its measurement stays in step with the arm afterwards, and two lost answers do not make
+            // it late. Out of step it is late. The necessary offset depends on the machine.
             std::thread::sleep(CYCLE.mul_f64(ASIDE[cycle as usize / 50]));
             far.line.drop_answers.store(2, Ordering::SeqCst);
         }

@@ -1,4 +1,4 @@
-//! A real arm: motion, stops, and what the program does wrong.
+//! A real arm: motion, stops, and errors of the program.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
 
@@ -83,7 +83,7 @@ fn a_loop_that_keeps_the_pace_is_not_held_up() {
         while monitor.snapshot().samples == before && begin.elapsed() < Duration::from_secs(1) {
             std::thread::sleep(Duration::from_micros(100));
         }
-        // Each of these comes long before the next measurement.
+        // Each of these exchanges is long before the next measurement.
         std::thread::sleep(Duration::from_millis(2));
         let (clock, cycle) = (SystemClock::new(), rig.arm.info().cycle);
         let (mut due, mut held_up) = (clock.now(), 0);
@@ -99,7 +99,7 @@ fn a_loop_that_keeps_the_pace_is_not_held_up() {
     });
 }
 
-/// Each frame out and its answer in, as they went over the line.
+/// Each sent frame and its answer, as on the line.
 fn check_raw_bytes(rig: &Rig) {
     let kept = rig.monitor().raw_bytes();
     let stream =
@@ -149,7 +149,7 @@ fn a_control_loop_that_stays_away_stops_the_arm() {
         let error = rig.arm.exchange(velocity()).unwrap_err();
         assert_eq!(error.kind(), ArmErrorKind::Fault);
         assert!(error.to_string().contains("no velocity for"), "{error}");
-        // It may be looked at, and reset.
+        // The arm can be measured and reset.
         rig.arm.exchange(JointCommand::Hold).unwrap();
         rig.arm.reset().unwrap();
         rig.enable_and_move();
@@ -167,7 +167,7 @@ fn a_held_arm_may_be_left_alone() {
     });
 }
 
-/// Whether the gateway was led through the stop order: no speed, brakes, servos off, end.
+/// Whether the gateway went through the stop order: speed 0, brakes, servos off, end.
 fn was_stopped_in_order(heard: &[HostMessage]) -> bool {
     let find = |from: usize, wanted: &dyn Fn(&HostMessage) -> bool| {
         heard[from..].iter().position(wanted).map(|index| from + index)
@@ -200,7 +200,7 @@ fn a_panic_in_the_control_thread_stops_the_arm_and_latches() {
     });
 }
 
-/// A clock that breaks the arm's own thread once.
+/// A clock that makes the arm's thread panic once.
 struct BreakingClock {
     clock: SystemClock,
     breaks: AtomicBool,
@@ -230,7 +230,7 @@ fn a_panic_in_the_arm_s_own_thread_stops_the_arm_and_latches() {
         rig.enable_and_move();
         clock.breaks.store(true, Ordering::SeqCst);
         let error = rig.exchange_until_stopped();
-        assert!(error.to_string().contains("the thread that watches the arm failed"), "{error}");
+        assert!(error.to_string().contains("the thread that monitors the arm failed"), "{error}");
         assert_eq!(rig.arm.state(), ArmState::Fault);
         for result in [rig.arm.enable(), rig.arm.reset(), rig.arm.stop()] {
             assert_eq!(result.unwrap_err().kind(), ArmErrorKind::Fault);
@@ -280,8 +280,8 @@ fn an_arm_stops_the_other_one_of_its_cell() {
         let told = second.monitor().snapshot().latched.unwrap().at;
         let after = told.saturating_since(stopped.at);
         println!("the other arm was stopped {after:?} later");
-        // Its thread looks at the trip line once in a cycle; a thread that wakes up late by more than half of one is the machine's, if
-        // a witness was as late in the same moment.
+        // The thread checks the trip line once per cycle; a delay of more than half a cycle is caused by the machine, if a
+        // witness was equally late at the same time.
         let cycle = second.arm.info().cycle;
         if after > cycle {
             let ago = clock.now().saturating_since(told);
@@ -289,7 +289,7 @@ fn an_arm_stops_the_other_one_of_its_cell() {
         }
         assert!(after < cycle * 3 / 2, "{after:?} in cycles of {cycle:?}");
         assert!(second.arm.exchange(velocity()).unwrap_err().to_string().contains("arm 4 of the same cell stopped"));
-        // Each is reset by itself, and only where its cause is gone.
+        // Each arm is reset separately, and only after its cause is removed.
         second.arm.reset().unwrap();
         assert_eq!((first.arm.state(), second.arm.state()), (ArmState::Fault, ArmState::Disabled));
         assert!(first.arm.reset().is_err());
@@ -337,12 +337,12 @@ fn configurations_that_contradict_themselves_are_refused() {
         let mut other = config(2);
         other.link.cycle = Duration::from_millis(5);
         let error = Pa10Arm::open(other, Box::new(serial(&pty)), Arc::new(SystemClock::new()), seat()).err().unwrap();
-        assert!(error.to_string().contains("a cycle of 10ms in the driver and of 5ms in the link"), "{error}");
+        assert!(error.to_string().contains("the driver has a cycle of 10ms, the link one of 5ms"), "{error}");
         let mut none = config(2);
         none.driver.warm_up_exchanges = 0;
         let error = Pa10Arm::open(none, Box::new(serial(&pty)), Arc::new(SystemClock::new()), seat()).err().unwrap();
         assert!(matches!(error, ArmOpenError::Config { .. }), "{error:?}");
-        // Nobody answers.
+        // No gateway answers.
         let error = open_at(&pty, 2, seat()).err().unwrap();
         assert!(matches!(error, ArmOpenError::Connect { source: WishError::NoGateway, .. }), "{error:?}");
     });

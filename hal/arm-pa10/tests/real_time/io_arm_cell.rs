@@ -1,4 +1,4 @@
-//! What the joints do: a real arm over a pseudo-terminal, with the project's gateway before an emulated servo controller.
+//! Motion of the joints: a real arm over a pseudo-terminal, with the project's gateway and an emulated servo controller.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
 
@@ -43,7 +43,7 @@ fn config(arm: u8, dialect: Dialect, format: WireFormat) -> Pa10ArmConfig {
     Pa10ArmConfig::new(&format!("arm-{arm}"), driver, link)
 }
 
-/// Opens the arm of a configuration where this cell is.
+/// Opens an arm with this cell at the far end.
 fn open(
     config: Pa10ArmConfig,
     cell: Cell,
@@ -57,7 +57,7 @@ fn open(
     (Pa10Arm::open(config, Box::new(serial), Arc::clone(clock) as Arc<_>, seat), end)
 }
 
-/// Opens one that is refused, or opened and stopped.
+/// Opens an arm that is refused, or opened and stopped.
 fn open_one(config: Pa10ArmConfig, cell: Cell) -> (Result<Pa10Arm, ArmOpenError>, CellEnd) {
     open(config, cell, trip_line(1).unwrap().remove(0), &Arc::new(SystemClock::new()))
 }
@@ -80,14 +80,14 @@ impl Rig {
         Self::new(2, Dialect::GatewayV1, B, seat, &Arc::new(SystemClock::new()))
     }
 
-    /// On a loaded machine the link may need more than one try to show that it is quick enough.
+    /// On a loaded machine the link may pass the warm-up only after several tries.
     fn enable(&mut self) {
         let mut reset = Ok(());
         for _ in 0..20 {
             match self.arm.enable() {
                 Ok(()) => return,
                 Err(error) if error.to_string().contains("the brakes stay closed") => {}
-                // The reset, too, may be too late: the next one is not.
+                // The reset may be late as well; the next one is not.
                 Err(error) if error.to_string().contains("in a row without a usable reply") => reset = self.arm.reset(),
                 Err(error) => panic!("{error}"),
             }
@@ -124,7 +124,7 @@ impl Rig {
         }
     }
 
-    /// Commands motion until the arm refuses it for good.
+    /// Commands motion until the arm is latched.
     fn exchange_until_stopped(&mut self) -> ArmError {
         let begin = Instant::now();
         loop {
@@ -137,7 +137,7 @@ impl Rig {
     }
 }
 
-/// The brakes have closed, and the true joints stand.
+/// The brakes are closed, and the true joints are stationary.
 fn is_at_rest(end: &CellEnd) -> bool {
     let (before, braked) = {
         let cell = end.cell();
@@ -162,7 +162,7 @@ fn joints_go_where_they_are_told_in_every_dialect_and_format() {
             rig.exchange(JointCommand::Velocity(velocity()), 50);
             let (to, end) = (rig.end.cell().position(), rig.clock.now());
             let moved = (to - from) / end.seconds_since(begin);
-            // What a loaded machine loses of the time is lost to all joints alike.
+            // Time that a loaded machine loses affects all joints equally.
             let part = moved.dot(&velocity()) / velocity().norm_squared();
             assert!((moved - velocity() * part).amax() < 0.01, "{dialect:?}: {moved}");
             assert!((0.3..1.1).contains(&part), "{dialect:?}: {part}");
@@ -190,7 +190,7 @@ fn unplugging_in_motion_stops_the_joints() {
         rig.enable_and_move();
         let unplugged = rig.end.unplug();
         let stopped = unplugged.elapsed();
-        // The gateway has gone through its stop order before its thread ends.
+        // The gateway has completed its stop order before its thread ends.
         assert!(is_at_rest(&rig.end));
         assert_eq!(rig.end.status().cause, StopCause::HostSilent);
         rig.wait_until("unplugged", |rig| rig.arm.state() == ArmState::Fault);
@@ -220,7 +220,7 @@ fn a_control_loop_that_stays_away_has_the_joints_stopped() {
         rig.wait_until("stopped", |rig| rig.arm.state() == ArmState::Fault);
         rig.wait_until("at rest", |rig| is_at_rest(&rig.end));
         assert!(matches!(rig.trip(), Trip::Fault(FaultCause::CommandTimeout { .. })), "{:?}", rig.trip());
-        // The gateway received it, and keeps it for the next host.
+        // The gateway received the report, and keeps it for the next host.
         assert_eq!((rig.end.state(), rig.end.status().cause), (GatewayState::Fault, StopCause::HostFault));
     });
 }
@@ -286,7 +286,7 @@ fn a_line_that_takes_no_more_bytes_has_the_joints_stopped_by_both_sides() {
         rig.wait_until("at rest", |rig| is_at_rest(&rig.end));
         assert_eq!(rig.end.status().cause, StopCause::HostSilent);
         rig.end.cell().stalled = false;
-        // What waited in the line is old, and moves nothing.
+        // Bytes that waited in the line are old, and move nothing.
         std::thread::sleep(Duration::from_millis(100));
         assert!(is_at_rest(&rig.end));
         rig.arm.reset().unwrap();
@@ -300,7 +300,7 @@ fn the_link_of_the_other_arm_is_refused_by_its_number() {
         let (refused, _end) = open_one(config(1, Dialect::GatewayV1, B), Cell::new(ArmId(2), B, home()));
         let error = refused.err().unwrap();
         let source = std::error::Error::source(&error).unwrap().to_string();
-        assert!(source.contains("a reply came from arm 2: the configuration has another number"), "{source}");
+        assert!(source.contains("a reply came from arm 2: the configuration has another arm number"), "{source}");
     });
 }
 
@@ -309,7 +309,7 @@ fn a_gateway_before_an_arm_of_another_format_does_not_move_it() {
     in_real_time_beside_others(|| {
         let config = config(2, Dialect::Transparent, WireFormat::LittleEndian5x8);
         let (opened, _end) = open_one(config, Cell::new(ArmId(2), B, home()));
-        // The replies to the stop order of its start have shown the gateway what the controller speaks.
+        // From the replies to the stop order at its start the gateway knows the format of the controller.
         let error = opened.err().unwrap();
         let source = std::error::Error::source(&error).unwrap().to_string();
         assert!(

@@ -1,4 +1,4 @@
-//! A real arm keeps the contract of the arm traits: over a pseudo-terminal, in real time, with the project's gateway before an
+//! A real arm fulfils the contract of the arm traits: over a pseudo-terminal, in real time, with the project's gateway and an
 //! emulated servo controller.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
@@ -34,10 +34,10 @@ fn limits() -> JointVector {
 fn open(dialect: Dialect, format: WireFormat, clock: &Arc<SystemClock>) -> (Pa10Arm, CellEnd) {
     let pty = Pty::open().unwrap();
     let serial = SerialConfig { path: pty.name().to_owned(), baud: 460_800, dialect, format, cycle: CYCLE };
-    // E2 is about to turn beyond half a turn: wrapped angles would show.
+    // E2 soon exceeds half a turn, so that wrapped angles would be detected.
     let home = JointVector::from([0.2, -0.5, 0.3, 1.1, std::f64::consts::PI - 0.02, 0.9, 0.1]);
     let cell = CellEnd::serve(Box::new(pty), Cell::new(ArmId(1), format, home));
-    // In the dialect transparent limits are read by the letter R as well.
+    // In the dialect transparent the limits are also read, with the letter R.
     let limits = LimitsCheck::Compare { lower_rad: -limits(), upper_rad: limits(), tolerance_rad: 0.5f64.to_radians() };
     let driver = DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) };
     let geometry = Geometry::SecondGeneration;
@@ -59,7 +59,7 @@ fn wait_for_state(arm: &Pa10Arm, state: ArmState) {
     }
 }
 
-/// Does the same for the cell that stands behind the arm just now.
+/// Injects the fault into the current cell of the arm.
 fn with(
     cell: &Rc<RefCell<Option<CellEnd>>>,
     line: &'static str,
@@ -85,7 +85,7 @@ fn suite(dialect: Dialect, format: WireFormat) -> Report {
     let lose_reply = {
         let cell = Rc::clone(&cell);
         move |arm: &mut Pa10Arm| {
-            // Just behind a measurement: of the next ones so many get lost as an arm bears.
+            // Directly after a measurement: as many of the next ones are lost as the arm tolerates.
             let monitor = arm.monitor();
             let before = monitor.snapshot().samples;
             let begin = Instant::now();
@@ -93,7 +93,7 @@ fn suite(dialect: Dialect, format: WireFormat) -> Report {
                 std::thread::sleep(Duration::from_micros(200));
             }
             cell.borrow().as_ref().unwrap().cell().answers_lost = 2;
-            // Until the last one is old.
+            // Until the last measurement is old.
             std::thread::sleep(CYCLE.mul_f64(1.6));
         }
     };
@@ -109,9 +109,9 @@ fn suite(dialect: Dialect, format: WireFormat) -> Report {
 }
 
 fn keeps_the_contract(dialect: Dialect, format: WireFormat) {
-    // Where the machine gives it; the arm's own thread asks for it by itself.
+    // Real-time where permitted; the arm's own thread requests it by itself.
     enter(&Realtime { priority: Some(30), locks_memory: false, cpu: None });
-    // What an arm does on a machine that does not let its threads run in time is tested in virtual time.
+    // The behaviour on a machine that delays threads is tested in virtual time.
     in_real_time_beside_others(|| suite(dialect, format).assert_passed());
 }
 

@@ -1,4 +1,4 @@
-//! A real arm and its line: unplugged, plugged in again, swapped, damaged, stalled, and wanted by two.
+//! A real arm and its line: unplugged, plugged in again, swapped, damaged, stalled, and opened twice.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
 
@@ -24,7 +24,7 @@ use pb3dp_hal_platform::transport::{ByteLink, ConnectError, Connector, Symptom, 
 use pb3dp_test_support::in_real_time_beside_others;
 use rustix::io::Errno;
 
-/// 20 ms are demanded; a loaded machine may hold this test itself up, but not most times.
+/// The limit is 20 ms; a loaded machine may delay the test itself, but not most of the times.
 #[test]
 fn unplugging_in_motion_is_noticed_within_20_ms_and_needs_a_reset() {
     in_real_time_beside_others(|| {
@@ -35,7 +35,7 @@ fn unplugging_in_motion_is_noticed_within_20_ms_and_needs_a_reset() {
     });
 }
 
-/// How long it took to be noticed.
+/// Time until the lost link was detected.
 fn unplugged_in_motion() -> Duration {
     let mut rig = rig();
     rig.enable_and_move();
@@ -56,7 +56,7 @@ fn unplugged_in_motion() -> Duration {
 #[test]
 fn a_line_that_is_plugged_in_again_works_after_a_reset() {
     in_real_time_beside_others(|| {
-        // A listener stays where a pseudo-terminal does not.
+        // A listener survives a lost connection, a pseudo-terminal does not.
         let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();
         let serve = move || {
@@ -83,7 +83,7 @@ fn a_line_that_is_plugged_in_again_works_after_a_reset() {
     });
 }
 
-/// A port with an error that passes: it stays where it is.
+/// A port with a transient error: the device does not disappear.
 struct Flaky {
     port: SerialConfig,
     breaks: Arc<AtomicBool>,
@@ -138,14 +138,14 @@ fn a_port_that_failed_once_is_let_go_of_and_had_again_by_a_reset() {
         breaks.store(true, Ordering::SeqCst);
         rig.wait_until_stopped();
         assert_eq!(rig.trip(), Trip::Fault(FaultCause::Unplugged));
-        // What stood between host and arm has stopped it.
+        // The gateway has stopped the arm meanwhile.
         rig.far.gateway.lock().unwrap().latch(StopCause::HostSilent);
         rig.arm.reset().unwrap();
         rig.enable_and_move();
     });
 }
 
-/// A port whose closing the kernel holds up, as it does for 30 s where bytes cannot leave any more.
+/// A port that the kernel closes slowly, as it does for 30 s if bytes cannot be sent any more.
 struct SlowToClose(Box<dyn ByteLink>);
 
 const CLOSING: Duration = Duration::from_secs(3);
@@ -281,7 +281,7 @@ fn a_peer_that_stalls_holds_nothing_up() {
         let begin = Instant::now();
         rig.exchange_until_stopped();
         assert!(matches!(rig.trip(), Trip::Fault(FaultCause::LinkLost { misses: 3 })), "{:?}", rig.trip());
-        // The stop order ends by time, and a reset fails in bounded time.
+        // The stop order advances by time, and a reset fails in bounded time.
         let error = rig.arm.reset().unwrap_err();
         assert!(error.to_string().contains("no gateway answers"), "{error}");
         assert!(begin.elapsed() < Duration::from_secs(10), "{:?}", begin.elapsed());

@@ -1,4 +1,4 @@
-//! An arm whose bus ends in this computer: a socket in the place of the ARCNET card, an emulated servo controller behind it.
+//! An arm whose bus ends in this computer: a socket in place of the ARCNET card, with an emulated servo controller.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
 
@@ -32,7 +32,7 @@ fn velocity() -> JointCommand {
     JointCommand::Velocity(JointVector::from([0.1, -0.2, 0.3, -0.15, 0.25, -0.1, 0.2]))
 }
 
-/// A controller at the end of a socket, in a thread of its own.
+/// A controller at the end of a socket, in its own thread.
 struct Far {
     controller: Arc<Mutex<MockController>>,
     closed: Arc<AtomicBool>,
@@ -41,7 +41,7 @@ struct Far {
     clock: FarClock,
 }
 
-/// The time of a controller.
+/// The time of the controller.
 #[derive(Clone, Copy)]
 struct FarClock {
     start: MonotonicTime,
@@ -56,7 +56,7 @@ impl FarClock {
 
 impl Far {
     fn new(name: &str, format: WireFormat) -> Self {
-        // Threads of tests are not always run in time: 6 ms would be an arm that stops by itself now and then.
+        // Threads of tests may be late: with 6 ms the controller would sometimes stop the arm by itself.
         Self::with(name, format, Some(Duration::from_millis(400)))
     }
 
@@ -74,7 +74,7 @@ impl Far {
         far
     }
 
-    /// Opens the bus, again with the same arm behind it.
+    /// Opens the bus again, with the same arm.
     fn open(&mut self) {
         let listener = FrameListener::bind(&self.path).unwrap();
         self.closed.store(false, Ordering::SeqCst);
@@ -197,7 +197,7 @@ fn enable_and_move(arm: &mut Pa10Arm) {
         if arm.enable().is_ok() && (0..30).all(|_| paced_exchange(arm).is_ok()) {
             return;
         }
-        // What came in between must be the machine's fault.
+        // Any other stop must be caused by the load of the machine.
         let latched = arm.monitor().snapshot().latched;
         let by_load = latched.is_none_or(|latched| matches!(latched.trip, Trip::Fault(FaultCause::LinkLost { .. })));
         assert!(by_load, "{latched:?}");
@@ -225,7 +225,7 @@ fn an_arm_on_the_bus_itself_goes_up_moves_and_comes_down() {
     });
 }
 
-/// R8: brakes that close slowly are waited for; without E the controller would have to stop by itself.
+/// R8: the program waits for brakes that close slowly; without E the controller would have to stop by itself.
 #[test]
 fn who_lets_go_of_an_arm_with_slow_brakes_still_ends_its_control_mode() {
     in_real_time_beside_others(|| {
@@ -247,7 +247,7 @@ fn who_lets_go_of_an_arm_with_slow_brakes_still_ends_its_control_mode() {
 fn a_bus_that_goes_down_is_told_as_unplugged_and_its_arm_is_stopped_when_it_is_back() {
     in_real_time_beside_others(|| {
         let format = WireFormat::BigEndian6x10;
-        // The controller goes on with the last velocities.
+        // The controller continues with the last velocities.
         let mut far = Far::with("down", format, None);
         let mut arm = open(&far, format);
         enable_and_move(&mut arm);
@@ -261,7 +261,7 @@ fn a_bus_that_goes_down_is_told_as_unplugged_and_its_arm_is_stopped_when_it_is_b
         assert_eq!(arm.reset().unwrap_err().kind(), ArmErrorKind::Disconnected);
         assert!(far.speed() > 0.2, "nobody has stopped it");
         far.open();
-        // By itself, and it stays stopped.
+        // The arm stops without a request, and stays stopped.
         let begin = Instant::now();
         while !(far.speed() < 1e-3 && far.mode() == ControlMode::Adjustment && far.is_at_rest()) {
             assert!(begin.elapsed() < LONG, "{} rad/s, {:?}", far.speed(), arm.monitor().snapshot());
@@ -280,7 +280,7 @@ fn a_bus_that_goes_down_is_told_as_unplugged_and_its_arm_is_stopped_when_it_is_b
     });
 }
 
-/// What a program says that ends while nobody has heard its stop order, and how long it takes for that.
+/// The output of a program that ends while its stop order is unanswered, and the time that it takes.
 #[test]
 fn a_program_that_lets_go_of_an_arm_that_does_not_hear_it_says_so() {
     const CHILD: &str = "PB3DP_TEST_LETS_GO_OF_A_DEAF_ARM";

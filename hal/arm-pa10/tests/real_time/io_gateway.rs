@@ -1,4 +1,4 @@
-//! A gateway that runs, between an emulated controller and a host, through the kernel and in real time.
+//! A gateway between an emulated controller and a host, through the kernel and in real time.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
 
@@ -24,7 +24,7 @@ use pb3dp_hal_platform::tcp::{TcpConfig, TcpLink};
 use pb3dp_test_support::in_real_time_beside_others;
 use pb3dp_test_support::real_time::note_lateness_at;
 
-/// Real-time where it is permitted: the tests run without as well.
+/// Real-time where permitted; the tests also run without it.
 const REALTIME: Realtime = Realtime { priority: Some(20), locks_memory: false, cpu: None };
 
 fn server(host: HostSide) -> (GatewayServer, Emulation) {
@@ -33,7 +33,7 @@ fn server(host: HostSide) -> (GatewayServer, Emulation) {
     (start(once(gateway), host), emulation)
 }
 
-/// Opens what is open already, and nothing more.
+/// Opens a port that is already open, once.
 fn once(port: FrameSocket) -> BusOpener {
     let mut port = Some(port);
     Box::new(move || Ok(Box::new(port.take().ok_or("it was opened before")?) as Box<dyn BusPort>))
@@ -69,7 +69,7 @@ fn events(server: &GatewayServer) -> Vec<Happened> {
     std::iter::from_fn(|| server.try_event()).map(|GatewayEvent { what, .. }| what).collect()
 }
 
-/// What happened up to a state.
+/// Events up to a state.
 fn events_until(server: &GatewayServer, wanted: GatewayState) -> Vec<Happened> {
     let (mut happened, since) = (Vec::new(), Instant::now());
     while !matches!(happened.last(), Some(Happened::State { to, .. }) if *to == wanted) {
@@ -83,7 +83,7 @@ fn events_until(server: &GatewayServer, wanted: GatewayState) -> Vec<Happened> {
     happened
 }
 
-/// Shows what happened to a gateway if the test fails, and notes how late it was.
+/// Prints the events of a gateway if the test fails, and records its lateness.
 struct Witness<'a>(&'a GatewayServer);
 
 impl Drop for Witness<'_> {
@@ -91,11 +91,11 @@ impl Drop for Witness<'_> {
         if !std::thread::panicking() {
             return;
         }
-        // A thread that is late tells of it when it runs again.
+        // A late thread reports this when it runs again.
         std::thread::sleep(ms(1000));
         while let Some(GatewayEvent { at, what }) = self.0.try_event() {
             if let Happened::Overrun { late } = what {
-                // It is read a second later: witnesses of the machine are asked about the cycle that began late.
+                // The event is read a second later: the witnesses of the machine are asked about the cycle that began late.
                 let ended = Instant::now().checked_sub(realtime::now().saturating_since(at));
                 note_lateness_at(ended.unwrap(), late);
             }
@@ -115,7 +115,7 @@ fn messages_until(server: &GatewayServer, word: &str) {
     }
 }
 
-/// From HELLO to motion to a stop.
+/// From HELLO through motion to a stop.
 fn go_up_and_down(host: &mut Host, emulation: &Emulation) {
     host.open();
     host.lead_to_moving();
@@ -162,7 +162,7 @@ fn up_and_down_over_a_pseudo_terminal() {
         assert_eq!(states.last(), Some(&Idle), "{states:?}");
         let status = server.end().unwrap();
         assert_eq!((status.cause, status.answers_dropped), (StopCause::None, 0));
-        // The line is gone with its owner.
+        // The line ends with its owner.
         assert!(!host.run_for(ms(5), |host| host.is_gone));
     }
 }
@@ -174,7 +174,7 @@ fn a_line_that_is_unplugged_in_motion_stops_the_arm_and_is_tried_again() {
 
 fn unplugged_in_motion() {
     let pty = Pty::open().unwrap();
-    // The number of the terminal may soon be another test's: what is tried again is a name of its own.
+    // Another test may get the number of the terminal: the gateway therefore opens a unique name.
     let folder = tempfile::tempdir().unwrap();
     let line = folder.path().join("line");
     std::os::unix::fs::symlink(pty.path(), &line).unwrap();
@@ -208,12 +208,12 @@ fn connection_ends_in_motion() {
     let mut host = connect(address, Dialect::GatewayV1);
     host.open();
     host.lead_to_moving();
-    // While it is there nobody else comes in.
+    // While this host is connected, others are refused.
     let mut second = connect(address, Dialect::GatewayV1);
     messages_until(&server, "was turned away");
     assert!(second.run_for(LONG, |host| host.is_gone));
     host.must_be(DriverState::Moving);
-    // As kill -9 of the host ends it.
+    // As after kill -9 of the host.
     drop(host);
     emulation.wait_for("braked", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
     let mut next = connect(address, Dialect::GatewayV1);
@@ -227,7 +227,7 @@ fn connection_ends_in_motion() {
     drop(witness);
     let happened = events(&server);
     assert!(happened.iter().any(|what| matches!(what, Happened::HostGone(_))), "{happened:?}");
-    // The owner ends the gateway in motion: through the stop order.
+    // The owner ends the gateway during motion, which executes the stop order.
     let status = server.end().unwrap();
     assert_eq!((status.state, status.cause), (GatewayState::Idle, StopCause::None));
     let seen = emulation.seen();
@@ -241,7 +241,7 @@ fn connection_ends_in_motion() {
 fn a_connection_that_has_been_silent_for_a_second_gives_way() {
     let (side, address) = tcp();
     let (server, _emulation) = server(side);
-    // Half-open: nothing is ever said, and the end is never told.
+    // Half-open: the host sends nothing, and its end is never reported.
     let silent = connect(address, Dialect::GatewayV1);
     messages_until(&server, "a host connected");
     std::thread::sleep(ms(1200));
@@ -283,13 +283,13 @@ fn bus_goes_down() {
     host.lead_to_moving();
     let mut controller = emulation.unplug();
     assert!(host.run_for(LONG, |host| host.driver.state() == DriverState::Fault));
-    // Long after the stop order was said to nobody the arm moves on.
+    // The arm still moves long after the stop order was sent in vain.
     host.run_for(ms(700), |_| false);
     controller.advance(realtime::now());
     let (_, speed) = controller.true_joints();
     assert!((speed - velocity()).amax() < 1e-3, "{speed}");
     let emulation = Emulation::carry_on(accept(), controller);
-    // It is stopped by what is said again, by nobody's order.
+    // The repeated stop order stops it, without a request.
     emulation.wait_for("stopped", |seen| seen.is_braked && seen.mode == ControlMode::Adjustment);
     let resting = emulation.seen().position_rad;
     assert!(host.run_for(LONG, |host| host.driver.activity() == pb3dp_arm_pa10::driver::Activity::None));
@@ -306,7 +306,7 @@ fn bus_goes_down() {
     std::fs::remove_dir_all(&folder).unwrap();
 }
 
-/// A bus whose code has a mistake: from a moment on receiving panics, once or always.
+/// A bus with a bug: from a moment on, receiving panics once or always.
 struct Mistaken {
     port: FrameSocket,
     is_wrong: Arc<AtomicBool>,
@@ -332,7 +332,7 @@ impl BusPort for Mistaken {
     }
 }
 
-/// R8: a mistake of the program does not leave the arm moving.
+/// R8: a panic of the program does not leave the arm moving.
 #[test]
 fn a_thread_that_panics_in_motion_stops_the_arm() {
     in_real_time_beside_others(panics_in_motion);

@@ -1,5 +1,5 @@
-//! The emulated arm in real time, over real lines, with a real arm's driver at the other end. Times are asserted loosely: they are
-//! those of the machine that runs the tests.
+//! The emulated arm in real time, over real lines, with the driver of a real arm at the other end. The limits of times are loose,
+//! because they depend on the machine that runs the tests.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
 
@@ -31,10 +31,10 @@ use pb3dp_test_support::in_real_time_beside_others;
 const CYCLE: Duration = Duration::from_millis(10);
 const FORMAT: WireFormat = WireFormat::BigEndian6x10;
 
-/// Where it is to be had: other tests want their turns, too.
+/// Used where permitted; the priority is low because other tests run as well.
 const REALTIME: Realtime = Realtime { priority: Some(5), locks_memory: false, cpu: None };
 
-/// A machine that is busy with other tests must not make the arms of this one fail.
+/// Load by other tests must not make this test fail.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 struct Rig {
@@ -68,7 +68,7 @@ impl Rig {
         Box::new(SerialConfig { path, baud: 921_600, dialect: Dialect::GatewayV1, format: FORMAT, cycle: CYCLE })
     }
 
-    /// An arm that patiently bears the delays of a busy machine, enabled.
+    /// An enabled arm that tolerates the delays of a loaded machine.
     fn enabled(&self, connector: Box<dyn Connector>) -> Pa10Arm {
         let limit = JointVector::from([177.0f64, 91.0, 174.0, 137.0, 255.0, 165.0, 255.0].map(f64::to_radians));
         let limits = LimitsCheck::Compare { lower_rad: -limit, upper_rad: limit, tolerance_rad: 0.5f64.to_radians() };
@@ -81,7 +81,7 @@ impl Rig {
         let mut arm = Pa10Arm::open(config, connector, clock, seat).map_err(|error| error.to_string()).unwrap();
         let until = Instant::now() + PATIENCE;
         while let Err(error) = arm.enable() {
-            // The link was too slow for a moment, or a fault came of it.
+            // The link was too slow for a moment, or this caused a fault.
             assert!(Instant::now() < until, "{error}");
             arm.reset().ok();
         }
@@ -98,7 +98,7 @@ impl Rig {
         self.server.report().position_rad[0]
     }
 
-    /// When the joints were last seen moving since a time.
+    /// Time of the last motion of the joints since `since`.
     fn last_motion(&self, since: MonotonicTime) -> Duration {
         let plant = self.plant.lock().unwrap();
         let (mut at, mut last) = (since, since);
@@ -112,7 +112,7 @@ impl Rig {
     }
 }
 
-/// Moves until the arm or the time ends, at the arm's own pace.
+/// Commands motion until the arm stops or the time ends, at the arm's own rate.
 fn move_for(arm: &mut Pa10Arm, time: Duration) {
     let until = Instant::now() + time;
     while Instant::now() < until && arm.state() == ArmState::Enabled {
@@ -123,7 +123,7 @@ fn move_for(arm: &mut Pa10Arm, time: Duration) {
     }
 }
 
-/// Moves, anew where a busy machine has brought the arm to a stop.
+/// Moves the arm, again after each stop that a loaded machine causes.
 fn moved_by(rig: &Rig, arm: &mut Pa10Arm, angle_rad: f64) -> f64 {
     let (begin, until) = (rig.angle(), Instant::now() + PATIENCE);
     while rig.angle() - begin < angle_rad && Instant::now() < until {
@@ -170,10 +170,10 @@ fn an_arm_moves_over_a_pseudo_terminal() {
     });
 }
 
-/// A fault as it is typed, its end, the state to which it leads, and whether a reset is refused until it has ended.
+/// A fault as it is typed, its end, the resulting state, and whether a reset is refused until the fault has ended.
 type Typed = (&'static str, &'static str, ArmState, bool);
 
-/// The faults of the test set, shared out to the arms that suffer them.
+/// The faults of the test set, distributed over the arms.
 const TYPED: [&[Typed]; 4] = [
     &[
         ("e-stop press", "e-stop release", ArmState::EStop, true),
@@ -206,7 +206,7 @@ const TYPED: [&[Typed]; 4] = [
     ],
 ];
 
-/// Typed while the arm moves: it stops, stays stopped, and a reset without the cause leads on. Four arms at a time.
+/// Typed while the arm moves: the arm stops, stays stopped, and can be reset after the cause is removed. Four arms at a time.
 #[test]
 fn faults_are_typed_while_the_arm_moves() {
     in_real_time_beside_others(|| {
@@ -224,7 +224,7 @@ fn suffer(typed: &[Typed]) {
         while arm.state() == ArmState::Enabled && Instant::now() < until {
             arm.exchange(JointCommand::Velocity(JointVector::repeat(0.1))).ok();
         }
-        // A machine that is too busy may have brought the arm to a stop by itself just before.
+        // A loaded machine may have stopped the arm just before.
         assert!(wait_for(|| arm.state() == *state), "{line}: {:?}", arm.state());
         std::thread::sleep(Duration::from_millis(400));
         let took = rig.last_motion(at);
@@ -244,8 +244,8 @@ fn suffer(typed: &[Typed]) {
     assert!(error.contains("`pres`"), "{error}");
 }
 
-/// Clocks of host and gateway jump by hours, to and fro: the arm follows its commands as before, or stands and says why, and can be
-/// reset.
+/// Clocks of host and gateway jump by hours in both directions: the arm follows its commands as before, or is stopped with a
+/// cause and can be reset.
 #[test]
 fn clocks_that_jump_never_leave_an_arm_moving_by_itself() {
     in_real_time_beside_others(|| {
@@ -258,7 +258,7 @@ fn clocks_that_jump_never_leave_an_arm_moving_by_itself() {
             move_for(&mut arm, Duration::from_millis(500));
             let state = arm.state();
             if state == ArmState::Enabled {
-                // It goes on: then it also stops on request, or because the machine is busy.
+                // The arm continues: then it also stops on request, or because of a loaded machine.
                 arm.stop().ok();
             } else {
                 let cause = arm.monitor().snapshot().latched;
@@ -274,7 +274,7 @@ fn clocks_that_jump_never_leave_an_arm_moving_by_itself() {
     });
 }
 
-/// A link that is there once.
+/// A link that can be opened once.
 struct Once(Option<Box<dyn ByteLink>>);
 
 impl Connector for Once {
@@ -287,8 +287,7 @@ impl Connector for Once {
     }
 }
 
-/// A gateway that reads nothing, and a line with room for few frames: what the host says finds none soon, and nothing of the host
-/// waits for it.
+/// A gateway that reads nothing, and a line with room for few frames: the line is soon full, and the host does not block.
 #[test]
 fn a_line_that_is_full_holds_no_host_up() {
     in_real_time_beside_others(|| {
@@ -302,7 +301,7 @@ fn a_line_that_is_full_holds_no_host_up() {
         assert_eq!(arm.state(), ArmState::Fault);
         assert!(wait_for(|| rig.server.report().is_braked));
         assert!(rig.last_motion(at) < Duration::from_millis(400), "{:?}", rig.last_motion(at));
-        // Each try says some more, until there is no room for it.
+        // Each try sends more, until the line is full.
         let full = wait_for(|| {
             let begin = Instant::now();
             assert!(arm.reset().is_err());
@@ -320,7 +319,7 @@ fn a_line_that_is_full_holds_no_host_up() {
     });
 }
 
-/// Pulled: the host notices, the gateway brakes the arm by itself; plugged in again there is another terminal.
+/// After unplugging, the host detects the loss and the gateway brakes the arm by itself; the next terminal has another path.
 #[test]
 fn a_pulled_cable_stops_the_arm() {
     in_real_time_beside_others(|| {
@@ -344,7 +343,7 @@ fn a_pulled_cable_stops_the_arm() {
     });
 }
 
-/// Its terminal has another path when the cable is plugged in again, as somebody else has taken the old one.
+/// The terminal has another path when the cable is plugged in again, because another program uses the old one.
 #[test]
 fn an_arm_is_found_again_wherever_its_terminal_is() {
     in_real_time_beside_others(|| {
@@ -367,7 +366,7 @@ fn an_arm_is_found_again_wherever_its_terminal_is() {
     });
 }
 
-/// A host that ends without a word: the next one finds a stopped arm.
+/// A host that ends without a message: the next one finds a stopped arm.
 #[test]
 fn an_arm_moves_over_tcp_and_stops_with_its_connection() {
     in_real_time_beside_others(|| {
@@ -376,7 +375,7 @@ fn an_arm_moves_over_tcp_and_stops_with_its_connection() {
         let mut arm = rig.enabled(Box::new(TcpConfig { address }));
         assert!(moved_by(&rig, &mut arm, 0.02) >= 0.02);
         let taken = start(MockFace::Tcp(gateway(), address), "").err().unwrap().to_string();
-        assert!(taken.contains(&format!("nobody can listen at {address}")), "{taken}");
+        assert!(taken.contains(&format!("cannot listen at {address}")), "{taken}");
         drop(arm);
         assert!(wait_for(|| rig.server.report().is_braked));
         let again = rig.enabled(Box::new(TcpConfig { address }));
@@ -384,7 +383,7 @@ fn an_arm_moves_over_tcp_and_stops_with_its_connection() {
     });
 }
 
-/// The controller alone: one frame in, one frame out, and the time-out of a controller that is left alone.
+/// The controller alone: one frame in, one frame out, and the time-out of a controller without commands.
 #[test]
 fn a_socket_stands_in_the_place_of_the_bus() {
     in_real_time_beside_others(|| {
@@ -403,7 +402,7 @@ fn a_socket_stands_in_the_place_of_the_bus() {
         let report = rig.server.report();
         assert_eq!((report.mode, report.gateway), (ControlMode::Adjustment, None));
         assert_eq!(report.counters.faults["jump"], 1);
-        // Another host may come when this one is gone.
+        // Another host may connect after this one.
         drop(bus);
         assert!(wait_for(|| {
             let mut bus = FrameSocket::connect(&folder).unwrap();
@@ -416,7 +415,7 @@ fn a_socket_stands_in_the_place_of_the_bus() {
     });
 }
 
-/// A host that writes and never reads: the arm goes on living, and memory does not grow.
+/// A host that writes and never reads: the arm continues, and memory does not grow.
 #[test]
 fn answers_that_nobody_reads_are_dropped() {
     in_real_time_beside_others(|| {

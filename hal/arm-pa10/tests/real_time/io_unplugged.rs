@@ -1,4 +1,4 @@
-//! How soon a link is noticed that is unplugged.
+//! Time until the loss of a link is detected.
 
 use std::time::{Duration, Instant};
 

@@ -1,4 +1,4 @@
-//! Tests whose threads must run in time: through `in_real_time_beside_others`.
+//! Tests whose threads must run in time, through `in_real_time_beside_others`.
 
 mod io_arm;
 mod io_arm_cell;

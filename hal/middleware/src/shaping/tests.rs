@@ -49,8 +49,8 @@ impl Bench {
     }
 }
 
-/// At the moment of the set-point itself the joint has the acceleration of the set-point: 2 rad/s^2 upwards, which take 0.1 s and
-/// 0.0567 rad to reduce the velocity to zero, and another 0.12 rad to come to rest from 0.6 rad/s.
+/// At the time of the set-point the joint has the acceleration of the set-point: 2 rad/s^2 upwards, which takes 0.1 s and 0.0567
+/// rad to become zero, and another 0.12 rad to stop from 0.6 rad/s.
 #[test]
 fn a_joint_that_is_gaining_speed_needs_room_for_it() {
     let drive = DriveLimit { acceleration: 2.0, jerk: 20.0 };
@@ -75,7 +75,7 @@ fn outside_its_range_a_joint_may_only_return() {
     assert_eq!(caps.by_position[1], [false, true]);
 }
 
-/// 0.2 rad from its end, with T = 0.05 + 2 / (2 x 40) = 0.075 s: 2 (-0.075 + sqrt(0.075^2 + 0.2)).
+/// 0.2 rad before its limit, with T = 0.05 + 2 / (2 x 40) = 0.075 s: 2 (-0.075 + sqrt(0.075^2 + 0.2)).
 #[test]
 fn the_cap_counts_the_time_that_jerk_takes() {
     let mut position = JointVector::zeros();
@@ -105,7 +105,7 @@ fn a_joint_at_its_limit_holds_the_whole_arm() {
     assert!((away.set_point.velocity - JointVector::repeat(-0.01)).amax() < 1e-3, "{away:?}");
 }
 
-/// The first step has 0.01 s x jerk as its acceleration: S1 gets the command 0.5, 0.01 s x 40 x 0.01 s of that are possible.
+/// The acceleration of the first step is 0.01 s x jerk: of the command 0.5, S1 gets the possible 0.01 s x 40 x 0.01 s.
 #[test]
 fn a_start_keeps_its_direction() {
     let desired = JointVector::from([0.5, -0.25, 0.0, 0.1, 0.2, 0.0, 1.0]);
@@ -160,7 +160,7 @@ fn any_vector(size: f64) -> impl Strategy<Value = JointVector> {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(1000) })]
 
-    /// From any set-point that an earlier step may have left, and with any room, every step keeps speeds, accelerations and jerks.
+    /// From any set-point of an earlier step, and with any remaining range, every step keeps speed, acceleration and jerk limits.
     #[test]
     fn limits_of_change_always_hold(
         requests in prop::collection::vec((any_vector(20.0), any_vector(3.0), 0.0..0.05f64, any::<bool>()), 1..60),

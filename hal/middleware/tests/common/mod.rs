@@ -1,4 +1,4 @@
-//! A mock PA-10 as the tests of the wrappers use it.
+//! A mock PA-10 for the tests of the wrappers.
 
 #![allow(dead_code, reason = "not every test needs everything")]
 
@@ -19,12 +19,12 @@ fn radians(range_deg: [f64; DOF]) -> JointVector {
     JointVector::from(range_deg).map(f64::to_radians)
 }
 
-/// The operating range of a PA-10 to both sides, as configs/sim.toml has it: 3 to 7 degrees within the servo limits.
+/// Operating range of a PA-10 in both directions, as in configs/sim.toml: 3 to 7 degrees inside the servo limits.
 pub fn operating_range_rad() -> JointVector {
     radians([170.0, 88.0, 168.0, 131.0, 249.0, 159.0, 249.0])
 }
 
-/// The mechanical range of a PA-10 to both sides.
+/// Mechanical range of a PA-10 in both directions.
 pub fn mechanical_range_rad() -> JointVector {
     radians(PA10_MECHANICAL_RANGE_DEG)
 }
@@ -38,15 +38,15 @@ pub fn acceleration() -> JointVector {
     JointVector::from([2.0, 2.0, 2.0, 2.0, 5.0, 5.0, 5.0])
 }
 
-/// A twentieth of a second to the largest acceleration.
+/// Reaches the maximum acceleration in a twentieth of a second.
 pub fn jerk() -> JointVector {
     acceleration() * 20.0
 }
 
-/// The mock arm rests when it hears nothing for so long.
+/// The mock arm stops after this time without a command.
 pub const COMMAND_TIMEOUT: Duration = Duration::from_millis(60);
 
-/// Of an arm at this share of its speeds.
+/// Limits of an arm at this share of its speeds.
 pub fn stated(speed_scale: f64) -> StatedLimits {
     StatedLimits {
         servo: servo_limits(),
@@ -62,7 +62,7 @@ pub fn limits(speed_scale: f64) -> EffectiveLimits {
     stated(speed_scale).effective().unwrap()
 }
 
-/// For an arm in cycles of up to 20 ms, with 15 ms of delay and 30 ms of lag.
+/// For an arm with cycles of up to 20 ms, 15 ms of delay and 30 ms of lag.
 pub fn limiter_config() -> LimiterConfig {
     LimiterConfig {
         reaction_time: Duration::from_millis(65),
@@ -91,7 +91,7 @@ pub fn velocity(joint: usize, value: f64) -> JointCommand {
     JointCommand::Velocity(velocity)
 }
 
-/// The drives are as strong as the wrappers take them to be.
+/// The drives have the accelerations that the wrappers assume.
 pub fn mock_arm(clock: &Arc<VirtualClock>, start: JointVector) -> MockArm {
     let config = JointPlantConfig {
         limits: servo_limits(),
@@ -106,7 +106,7 @@ pub fn mock_arm(clock: &Arc<VirtualClock>, start: JointVector) -> MockArm {
     MockArm::new(config, plant, Arc::clone(clock) as Arc<dyn Clock>)
 }
 
-/// A mock arm in a wrapper keeps the contract of every arm; `arm` is the one in the wrapper.
+/// A mock arm in a wrapper fulfils the contract of every arm; `arm` is the wrapped one.
 pub fn assert_contract<A: Arm + ArmPower + 'static>(
     clock: &VirtualClock,
     make: impl Fn() -> A,

@@ -1,3 +1,3 @@
-//! Tests whose threads must run in time: through `in_real_time`.
+//! Tests whose threads must run in time, through `in_real_time`.
 
 mod real_arms;

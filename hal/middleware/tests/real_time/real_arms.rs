@@ -1,4 +1,4 @@
-//! Two real arms over pseudo-terminals, which stop each other by themselves, behind their coupling.
+//! Two real arms over pseudo-terminals, which stop each other by themselves, with their coupling.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -71,7 +71,7 @@ fn coupled_config(y_m: f64) -> CoupledArmConfig {
     }
 }
 
-/// On a loaded machine the link may need more than one try to show that it is quick enough.
+/// On a loaded machine the link may pass the warm-up only after several tries.
 fn enable(arms: &mut [CellArm; 2]) {
     let begin = Instant::now();
     loop {
@@ -98,7 +98,7 @@ fn both_are(arms: &mut [CellArm; 2], state: ArmState) {
     }
 }
 
-/// The trip line stops the other arm quicker than the coupling hears of the fault, which must not take it for a second failure.
+/// The trip line stops the other arm before the coupling detects the fault; the coupling must not treat this as a second failure.
 #[test]
 fn the_arm_that_failed_is_reset_first_and_at_the_first_try() {
     in_real_time_beside_others(|| {
@@ -117,7 +117,7 @@ fn the_arm_that_failed_is_reset_first_and_at_the_first_try() {
             enable(&mut arms);
             servers[failed].command_line("alarm 4 0x0e").unwrap();
             both_are(&mut arms, ArmState::Fault);
-            // Both have heard of it, the one that waits first.
+            // Both arms have detected the stop, the waiting one first.
             for which in [other, failed, other] {
                 assert_eq!(arms[which].exchange(velocity(0, 0.01)).unwrap_err().kind(), ArmErrorKind::Fault);
             }

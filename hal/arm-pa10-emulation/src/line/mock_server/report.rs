@@ -67,8 +67,8 @@ impl std::fmt::Display for MockReport {
         let MockCounters { frames, answered, forbidden, malformed, odd, let_go, watchdog_trips, .. } = &self.counters;
         writeln!(
             f,
-            "messages: {frames} heard, {answered} answered, {malformed} malformed, {forbidden} forbidden, {odd} odd, {let_go} \
-             axes let go, {watchdog_trips} time-outs"
+            "messages: {frames} received, {answered} answered, {malformed} malformed, {forbidden} forbidden, {odd} odd, \
+             {let_go} axes released, {watchdog_trips} time-outs"
         )?;
         let faults: Vec<String> = self.counters.faults.iter().map(|(name, count)| format!("{name} {count}")).collect();
         let faults = if faults.is_empty() { "none".to_owned() } else { faults.join(", ") };
