@@ -15,6 +15,8 @@ use pb3dp_setup::setup::{ArmLink, GatewayWay, Pace, Setup, read_layers};
 pub(super) struct Needs {
     /// Purpose, as the end of a sentence.
     pub(super) source: String,
+    /// Whether this is the computer of a gateway.
+    pub(super) is_gateway: bool,
     /// Highest requested SCHED_FIFO priority.
     pub(super) priority: u8,
     /// Whether real-time scheduling is required.
@@ -51,7 +53,8 @@ impl Needs {
     /// Needs of an unknown rig.
     pub(super) fn general(recordings: PathBuf) -> Self {
         Self {
-            source: "a rig (nothing is needed for sure without --config)".to_owned(),
+            source: "a rig in general (--config checks a setup)".to_owned(),
+            is_gateway: false,
             priority: REALTIME.priority.unwrap_or(1),
             needs_realtime: false,
             serial: None,
@@ -122,6 +125,7 @@ impl Needs {
         let general = Self::general(recordings);
         Ok(Self {
             source: format!("{} (pb3dp gateway)", file.display()),
+            is_gateway: true,
             priority: gateway.realtime.priority.unwrap_or(general.priority),
             needs_realtime: true,
             serial: Some(serial),
