@@ -115,7 +115,7 @@ fn regions_that_can_not_serve_are_refused_with_what_to_do() {
         ("poly:-90,-90;-20,-90;-20,-20", &["outside the left image"]),
         ("rect:400,200,2,2", &["4 px", "larger area"]),
         ("rect:400,200,-20,20", &["must be positive"]),
-        ("rect:1,2,3", &["expected 4 numbers, found 3"]),
+        ("rect:1,2,3", &["has 3 numbers, expected 4"]),
         ("rect:0,0,999999,999999", &["999999 x 999999", "out of range"]),
         ("poly:0,0;1e300,0;0,1e300", &["vertex 1", "within 100000 px"]),
         ("poly:100,100;100,100;100,100", &["1 px", "larger area"]),
