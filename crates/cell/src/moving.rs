@@ -166,7 +166,7 @@ impl<'a> Moving<'a> {
         heard
     }
 
-    /// After a refused command the hand holds as after the command `hold`; only `stop` takes precedence. The refusal is shown until the
+    /// After a refused command both arms hold as after the command `hold`; only `stop` takes precedence. The refusal is shown until the
     /// operator resumes.
     fn held_if_refused(&mut self, heard: OperatorInput, now: MonotonicTime) -> OperatorInput {
         let word = heard.said.map(|said| said.word);
@@ -193,7 +193,7 @@ impl<'a> Moving<'a> {
             return Err(failure);
         }
         if self.refusal == Refusal::None {
-            tracing::warn!("the hand holds because a command was refused: {failure:#}");
+            tracing::warn!("both arms hold because a command was refused: {failure:#}");
         }
         self.operator.tell(Some(format!("{failure:#}")));
         self.refusal = Refusal::InStepBefore;

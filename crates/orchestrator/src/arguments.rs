@@ -38,9 +38,13 @@ pub struct RunArgs {
     /// Move real arms with a calibration that states no measured cameras (`calibration_quality`: none).
     #[arg(long)]
     pub nominal_calibration: bool,
-    /// The operator of the run.
+    /// The operator of the run. Arms that are not emulated need `console`, or --move.
     #[arg(long, value_enum, default_value_t = OperatorName::Command)]
     pub operator: OperatorName,
+    /// Move arms that are not emulated without a console, after their names are typed. Then press Enter at least every
+    /// supervisor.operator_key_within_s while they move.
+    #[arg(long = "move")]
+    pub moves: bool,
     /// End with exit code 3 if the hand followed the target for less than 90 % of the time.
     #[arg(long)]
     pub strict: bool,

@@ -26,7 +26,7 @@ const TURNED_MAX_DEG: f64 = 2.0;
 const TRACKED: Duration = Duration::from_millis(500);
 
 /// Status line while the operator holds the hand.
-const HOLDING: &str = "holding: held by the operator";
+const HOLDING: &str = "holding: both arms held by the operator";
 
 /// The camera that is disconnected.
 const PULLED: usize = 1;

@@ -64,6 +64,24 @@ impl Cell {
     }
 }
 
+/// Settings of a setup like `hil` that arms which are not emulated need before they were commissioned.
+pub const FIRST_RUN: [&str; 14] = [
+    "--set",
+    "arms.first_run=true",
+    "--set",
+    "arms.speed_scale=0.25",
+    "--set",
+    "experiment.move_s=4.0",
+    "--set",
+    "supervisor.policies.target_lost.resume=by-operator",
+    "--set",
+    "supervisor.policies.position_jump.resume=by-operator",
+    "--set",
+    "supervisor.policies.orientation_jump.resume=by-operator",
+    "--set",
+    "supervisor.policies.outlier.resume=by-operator",
+];
+
 pub fn setup_at(address: &str) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     write_setup(&folder, |vs| {
@@ -454,8 +472,10 @@ fn a_run_that_an_alarm_ends_says_when_and_where() {
         let mut cell = Cell::start(&["--pose-deg", START_DEG]);
         let out = cell.folder.path().join("out");
         let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));
-        command.arg("run").arg("--config").arg(cell.config()).arg("--out").arg(&out);
-        let mut run = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        command.arg("run").arg("--config").arg(cell.config()).arg("--out").arg(&out).args(FIRST_RUN).arg("--move");
+        let mut run = command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut typed = run.stdin.take().unwrap();
+        writeln!(typed, "vs-robot").unwrap();
         let begin = Instant::now();
         while cell.joints().1 {
             if begin.elapsed() > Duration::from_secs(60) || run.try_wait().unwrap().is_some() {
@@ -466,6 +486,7 @@ fn a_run_that_an_alarm_ends_says_when_and_where() {
         }
         // Until both arms are led.
         std::thread::sleep(Duration::from_secs(5));
+        writeln!(typed).unwrap();
         cell.arm.say("alarm 4 0x0e");
         let output = run.wait_with_output().unwrap();
         assert!(!output.status.success());

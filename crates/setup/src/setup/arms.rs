@@ -1,7 +1,7 @@
 //! The table `[arms]`: base poses, robot descriptions, limits, and the response of simulated drives.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
@@ -48,6 +48,8 @@ pub struct ArmSetup {
     pub command_timeout: Duration,
     /// Seed of the random faults of an emulated arm.
     pub emulation_seed: u64,
+    /// File with the passed steps of `pb3dp arm test`, if the setup states one.
+    pub commissioning_record: Option<PathBuf>,
 }
 
 impl ArmSetup {
@@ -82,7 +84,7 @@ pub(super) struct ArmsSection {
     #[serde(default = "rig_speed_scale")]
     pub(super) speed_scale: f64,
     #[serde(default = "yes")]
-    first_run: bool,
+    pub(super) first_run: bool,
     pub(super) stale_after_millis: f64,
     tracking_error_max_deg: f64,
     tracking_error_millis: f64,
@@ -108,7 +110,7 @@ fn rig_speed_scale() -> f64 {
 }
 
 /// Largest share on the first run.
-const FIRST_RUN_SPEED_SCALE: f64 = 0.25;
+pub(super) const FIRST_RUN_SPEED_SCALE: f64 = 0.25;
 
 /// Default: the arms have not been run yet.
 fn yes() -> bool {
@@ -134,6 +136,7 @@ pub(super) struct ArmSection {
     velocity_time_constant_millis: f64,
     command_delay_millis: f64,
     command_timeout_millis: f64,
+    commissioning_record: Option<PathBuf>,
 }
 
 /// Joint history of the simulation, for the arm poses at the times of exposures.
@@ -292,6 +295,7 @@ impl ArmSection {
             },
             command_timeout: millis(timeout),
             emulation_seed: 0, // Each run seeds it: `Setup::reseed`.
+            commissioning_record: self.commissioning_record.clone(),
             chain,
         })
     }

@@ -169,7 +169,7 @@ impl ArmBackend {
 
 impl ArmLink {
     /// The arm number on the link, if there is one, and the table that states it.
-    pub(super) fn number(&self) -> Option<(ArmId, &'static str)> {
+    pub fn number(&self) -> Option<(ArmId, &'static str)> {
         match self {
             Self::InProcess => None,
             Self::Gateway(link, _) => Some((link.arm, "gateway")),

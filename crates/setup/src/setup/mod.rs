@@ -4,6 +4,7 @@ mod arms;
 mod calibration;
 mod camera;
 mod camera_faults;
+mod commissioning;
 mod drift;
 mod experiment;
 mod geometric;
@@ -92,6 +93,8 @@ pub struct Setup {
     pub controller: ControllerConfig,
     /// Settings of the supervisor.
     pub supervisor: SupervisorConfig,
+    /// Longest time without a key at the console of arms that are not emulated.
+    pub operator_key_within: Duration,
     /// Motion of the target.
     pub experiment: Experiment,
     /// All values with their origin.
@@ -118,6 +121,10 @@ pub struct Rig {
     pub tc: ArmSetup,
     /// Minimum clearance between both arms, metres.
     pub least_room_m: f64,
+    /// Whether the arms were not run yet.
+    pub first_run: bool,
+    /// Share of the joints' speed limits, which the limits of the arms contain already.
+    pub speed_scale: f64,
     /// Mounting of the target on the second arm.
     pub flange_from_target: Pose<Flange, Target>,
 }
@@ -261,6 +268,11 @@ impl PoseEntry {
 }
 
 impl Setup {
+    /// Whether both arms are simulated or emulated in this program, so that nothing outside it moves.
+    pub fn is_emulated(&self) -> bool {
+        self.rig.vs.link.is_toy() && self.rig.tc.link.is_toy()
+    }
+
     /// The simulated world, if there is one.
     pub fn world(&self) -> Option<&SimulatedWorld> {
         match &self.rig.cameras {
@@ -419,6 +431,8 @@ impl SetupFile {
                 vs,
                 tc,
                 least_room_m: all_arms.least_room_mm * 1e-3,
+                first_run: all_arms.first_run,
+                speed_scale: all_arms.speed_scale,
                 flange_from_target: mounts.flange_from_target,
             },
             drift,
@@ -429,6 +443,7 @@ impl SetupFile {
             range,
             controller,
             supervisor,
+            operator_key_within: Duration::from_secs_f64(self.supervisor.key_within_s()),
             experiment: experiment?,
             layers: Layers::default(),
         })

@@ -14,6 +14,7 @@ pub(super) struct SupervisorSection {
     resume_after_s: f64,
     go_after_s: f64,
     word_age_max_s: f64,
+    operator_key_within_s: f64,
     search_max_s: Option<f64>,
     policies: PoliciesSection,
 }
@@ -120,12 +121,21 @@ impl Threshold {
     }
 }
 
+/// Longest time without a key that a setup may allow, seconds: at 60 s an unattended arm moves for a minute.
+const KEY_WITHIN_S: RangeInclusive<f64> = 5.0..=60.0;
+
 impl SupervisorSection {
+    /// Longest time without a key at the console of arms that are not emulated, seconds; checked by [`Self::build`].
+    pub(super) fn key_within_s(&self) -> f64 {
+        within(self.operator_key_within_s, *KEY_WITHIN_S.start(), *KEY_WITHIN_S.end())
+    }
+
     /// The supervisor's settings for images with the period `frame_period`.
     pub(super) fn build(&self, frame_period: Duration, check: &mut Checker) -> SupervisorConfig {
         check.number("supervisor.resume_after_s", self.resume_after_s, 0.05..=60.0);
         check.number("supervisor.go_after_s", self.go_after_s, 0.05..=within(self.resume_after_s, 0.05, 60.0));
         check.number("supervisor.word_age_max_s", self.word_age_max_s, 0.05..=5.0);
+        check.number("supervisor.operator_key_within_s", self.operator_key_within_s, KEY_WITHIN_S);
         // Without the key there is no search.
         if let Some(search_max_s) = self.search_max_s {
             check.number("supervisor.search_max_s", search_max_s, 0.1..=60.0);
