@@ -61,7 +61,7 @@ use self::truth::TruthSection;
 use super::direct::DirectSection;
 use super::estimator::PublishedSection;
 use super::layers::{Layers, SetupArgs};
-use super::load::{Checker, ConfigError, ConfigFile, FileKind, within};
+use super::load::{Checker, ConfigError, ConfigFile, FileKind};
 
 /// A checked setup.
 #[derive(Clone, Debug)]
@@ -242,7 +242,7 @@ struct PoseEntry {
 }
 
 /// Largest distance between two frames on one arm, or between hand and target: the controller's bound.
-const ON_THE_ARM_MM: f64 = 5000.0;
+const ON_THE_ARM_MM: f64 = 1e3 * ControllerConfig::LENGTH_MAX_M;
 /// Largest distance of a base from the origin of the world.
 const IN_THE_CELL_MM: f64 = 20_000.0;
 
@@ -371,7 +371,8 @@ impl SetupFile {
         check: &mut Checker,
     ) -> Option<Setup> {
         let period_max_millis = if all_arms.has_link(arm_tables) { GATEWAY_CYCLE_MAX_MILLIS } else { 20.0 };
-        check.number("run.control_period_millis", self.run.control_period_millis, 2.0..=period_max_millis);
+        let control_period_millis =
+            check.limited("run.control_period_millis", self.run.control_period_millis, 2.0..=period_max_millis);
         check.number("run.estimate_latency_millis", self.run.estimate_latency_millis, 0.0..=500.0);
         let (method, compared, estimator, range) = self.estimator.build(self.run.seed, check);
         let geometric = self.estimator.geometric.map(|section| section.build(&range, check));
@@ -382,7 +383,6 @@ impl SetupFile {
         let size = sight.as_ref().map(|sight| sight.rig.left().size());
         let truth = self.truth.as_ref().map(|truth| truth.build(size, check)).unwrap_or_default();
         let drift = self.drift.map(|section| section.build(check));
-        let control_period_millis = within(self.run.control_period_millis, 2.0, period_max_millis);
         let arms = all_arms.build(arm_tables, control_period_millis, check);
         let mounts = self.mounts.build(check);
         let controller = self.servo.build(&mounts, check);
