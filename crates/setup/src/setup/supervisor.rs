@@ -82,6 +82,9 @@ enum ResumeName {
     ByOperator,
 }
 
+/// A range in SI units.
+type SiRange = RangeInclusive<f64>;
+
 /// A threshold in the units of the file.
 struct Threshold {
     key: &'static str,
@@ -93,8 +96,7 @@ struct Threshold {
 impl Threshold {
     fn of(condition: Condition) -> Option<Self> {
         let ThresholdRule { min, max, .. } = condition.rule().threshold?;
-        let (key, in_file, to_si): (_, fn(RangeInclusive<f64>) -> RangeInclusive<f64>, fn(f64) -> f64) = match condition
-        {
+        let (key, in_file, to_si): (_, fn(SiRange) -> RangeInclusive<f64>, fn(f64) -> f64) = match condition {
             Condition::OperatorSilent
             | Condition::JointsStale
             | Condition::FrameStale
