@@ -105,7 +105,7 @@ mod tests {
         let text = std::fs::read_to_string(configs.join("sim.toml")).unwrap();
         let file = folder.path().join("sim.toml");
         std::fs::write(&file, text.replace("[camera.left]", &format!("{faults}\n[camera.left]"))).unwrap();
-        read_setup(&file).map(|setup| setup.world().unwrap().faults.clone()).map_err(|error| error.to_string())
+        read_setup(&file).map(|setup| setup.world.as_ref().unwrap().faults.clone()).map_err(|error| error.to_string())
     }
 
     #[test]

@@ -38,8 +38,8 @@ use pb3dp_sim::sensor::SensorConfig;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
-pub use self::arms::ArmSetup;
 use self::arms::{ArmSection, ArmTables, ArmsSection};
+pub use self::arms::{ArmSetup, Arms};
 pub use self::calibration::{AGE, CAMERAS, CalibrationInUse, rounded};
 use self::camera::SceneSection;
 pub use self::drift::DriftConfig;
@@ -76,6 +76,8 @@ pub struct Setup {
     pub estimate_latency: Duration,
     /// Cameras, arms and their poses.
     pub rig: Rig,
+    /// Everything that only a simulation has; `None` with real cameras.
+    pub world: Option<SimulatedWorld>,
     /// Limits of the camera drift, if the setup has them.
     pub drift: Option<DriftConfig>,
     /// Estimator of the control loop.
@@ -98,24 +100,23 @@ pub struct Setup {
     pub layers: Layers,
 }
 
-/// Cameras, arms and mounts of a workcell. [`SimulatedWorld`] has everything that only a simulation has.
+/// Cameras, arms, mounts and limits of a workcell, as its owner knows them. [`SimulatedWorld`] has everything that only a
+/// simulation has.
 #[derive(Clone, Debug)]
 pub struct Rig {
     /// The stereo pair, as calibrated.
     pub stereo: StereoRig,
     /// Times of its exposures.
     pub frames: FrameTiming,
-    /// Its cameras: real, or simulated with their world.
-    pub cameras: Cameras,
+    /// The cameras of this computer; `None` if the cameras are those of a [`SimulatedWorld`].
+    pub real_cameras: Option<RealCameras>,
     /// Statement of the calibration, if no cameras were measured for it (for example a drawing); no real arm moves with such a
     /// calibration.
     pub nominal_calibration: Option<String>,
     /// Calibration files in use: of the cameras, and of their mounting on the arm.
     pub calibrations: Vec<CalibrationInUse>,
-    /// The arm that carries the cameras.
-    pub vs: ArmSetup,
-    /// The arm that carries the target.
-    pub tc: ArmSetup,
+    /// The arms.
+    pub arms: Arms,
     /// Minimum clearance between both arms, metres.
     pub least_room_m: f64,
     /// Mounting of the target on the second arm.
@@ -129,15 +130,6 @@ pub struct FrameTiming {
     pub period: Duration,
     /// Exposure time.
     pub exposure: Duration,
-}
-
-/// Cameras of a setup.
-#[derive(Clone, Debug)]
-pub enum Cameras {
-    /// Cameras of this computer.
-    Real(Box<RealCameras>),
-    /// Simulated cameras and their world.
-    Simulated(Box<SimulatedWorld>),
 }
 
 /// Everything that only a simulation has.
@@ -261,41 +253,9 @@ impl PoseEntry {
 }
 
 impl Setup {
-    /// The simulated world, if there is one.
-    pub fn world(&self) -> Option<&SimulatedWorld> {
-        match &self.rig.cameras {
-            Cameras::Real(_) => None,
-            Cameras::Simulated(world) => Some(world),
-        }
-    }
-
-    /// Mutable access to the simulated world.
-    pub fn world_mut(&mut self) -> Option<&mut SimulatedWorld> {
-        match &mut self.rig.cameras {
-            Cameras::Real(_) => None,
-            Cameras::Simulated(world) => Some(world),
-        }
-    }
-
-    /// The cameras of this computer, if they are not simulated.
-    pub fn real_cameras(&self) -> Option<&RealCameras> {
-        match &self.rig.cameras {
-            Cameras::Real(cameras) => Some(cameras),
-            Cameras::Simulated(_) => None,
-        }
-    }
-
-    /// Mutable access to the cameras of this computer.
-    pub fn real_cameras_mut(&mut self) -> Option<&mut RealCameras> {
-        match &mut self.rig.cameras {
-            Cameras::Real(cameras) => Some(cameras),
-            Cameras::Simulated(_) => None,
-        }
-    }
-
     /// The rendered cameras: those of the setup, unless the truth differs.
     pub fn true_rig(&self) -> &StereoRig {
-        self.world().and_then(|world| world.truth.rig.as_ref()).unwrap_or(&self.rig.stereo)
+        self.world.as_ref().and_then(|world| world.truth.rig.as_ref()).unwrap_or(&self.rig.stereo)
     }
 }
 
@@ -341,7 +301,7 @@ fn read_tables(config: &ConfigFile, check: &mut Checker) -> Option<Setup> {
 }
 
 /// Two arms with the same number: swapped cables of their gateways would not be detected.
-fn refuse_equal_numbers(vs: &ArmSetup, tc: &ArmSetup, check: &mut Checker) {
+fn refuse_equal_numbers(Arms { vs, tc, .. }: &Arms, check: &mut Checker) {
     if let (Some((number, vs_table)), Some((same, tc_table))) = (vs.link.number(), tc.link.number())
         && number == same
     {
@@ -353,7 +313,7 @@ fn refuse_equal_numbers(vs: &ArmSetup, tc: &ArmSetup, check: &mut Checker) {
 }
 
 /// Two arms on one line: a line has one arm.
-fn refuse_one_place(vs: &ArmSetup, tc: &ArmSetup, check: &mut Checker) {
+fn refuse_one_place(Arms { vs, tc, .. }: &Arms, check: &mut Checker) {
     if let (Some((_, place)), Some((key, same))) = (vs.link.place(), tc.link.place())
         && place == same
     {
@@ -391,20 +351,17 @@ impl SetupFile {
         if self.servo.searches() && supervisor.search_max_s <= 0.0 {
             check.refuse("servo.search: no search is permitted without supervisor.search_max_s; set it to the seconds that one may take".to_owned());
         }
-        let (vs, tc) = arms?;
-        self.check_pace([&vs, &tc], check);
+        let arms = arms?;
+        self.check_pace([&arms.vs, &arms.tc], check);
         if camera.is_real() {
             self.refuse_simulation(experiment.as_ref(), check);
         }
-        refuse_equal_numbers(&vs, &tc, check);
-        refuse_one_place(&vs, &tc, check);
+        refuse_equal_numbers(&arms, check);
+        refuse_one_place(&arms, check);
         if !check.is_clean() {
             return None;
         }
-        let Sight { rig, frames, mut cameras, nominal_calibration, calibration } = sight?;
-        if let Cameras::Simulated(world) = &mut cameras {
-            world.truth = truth;
-        }
+        let Sight { rig, frames, real_cameras, world, nominal_calibration, calibration } = sight?;
         Some(Setup {
             seed: self.run.seed,
             pace: self.run.pace,
@@ -413,14 +370,14 @@ impl SetupFile {
             rig: Rig {
                 stereo: rig,
                 frames,
-                cameras,
+                real_cameras,
                 nominal_calibration,
                 calibrations: calibration.into_iter().chain(mounts.calibration).collect(),
-                vs,
-                tc,
+                arms,
                 least_room_m: all_arms.least_room_mm * 1e-3,
                 flange_from_target: mounts.flange_from_target,
             },
+            world: world.map(|world| SimulatedWorld { truth, ..world }),
             drift,
             leader: leader?,
             geometric,
