@@ -263,7 +263,7 @@ impl Seen {
             let joints = before.filter_map(|(.., measured)| *measured).next().unwrap();
             let speed = joints.velocity_rad_per_s.amax();
             assert!(speed > MOVING_RAD_PER_S, "{} has {speed} rad/s at {stopped_s} s", NAMES[arm]);
-            let setup = [&self.setup.rig.vs, &self.setup.rig.tc][arm];
+            let setup = [&self.setup.rig.arms.vs, &self.setup.rig.arms.tc][arm];
             let lag_s = setup.plant.velocity_time_constant.as_secs_f64();
             // Constant deceleration, then the lag of the drive.
             let most = setup.limits.acceleration_max_rad_per_s2();
@@ -309,7 +309,7 @@ impl Seen {
             assert!(speed < AT_REST_RAD_PER_S, "{name} starts from standstill: {speed} rad/s");
             let jump_rad = (begun.position_rad - before.position_rad).amax();
             assert!(jump_rad < AT_REST_RAD_PER_S, "{name} has not moved: {jump_rad} rad");
-            let most = [&self.setup.rig.vs, &self.setup.rig.tc][arm].limits.acceleration_max_rad_per_s2()
+            let most = [&self.setup.rig.arms.vs, &self.setup.rig.arms.tc][arm].limits.acceleration_max_rad_per_s2()
                 * (self.setup.control_period.as_secs_f64() * 1.001);
             for pair in exchanges[first - 1..].windows(2).take(50) {
                 let change = (sent(pair[1].1) - sent(pair[0].1)).abs();

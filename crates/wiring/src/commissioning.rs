@@ -132,7 +132,7 @@ const RIPPLE_RAD_PER_S: f64 = 0.02;
 /// If the speed is not valid.
 pub fn slow_setup(setup: &Setup, choice: ArmChoice, joint_max_rad_per_s: f64) -> Result<Setup> {
     let mut slow = setup.clone();
-    for arm in [&mut slow.rig.vs, &mut slow.rig.tc] {
+    for arm in [&mut slow.rig.arms.vs, &mut slow.rig.arms.tc] {
         arm.limits = arm.limits.slowed(f64::MAX, SPEED_SCALE_MAX)?;
     }
     let arm = choice.of_mut(&mut slow);

@@ -37,7 +37,7 @@ pub fn check(report: &mut Report) -> Option<World> {
         images::prepare()?;
         setup::write()?;
         let setup = read_setup(Path::new(HERE))?;
-        Ok(format!("{}, {}", name_port(&setup.rig.vs, "ARM1")?, name_port(&setup.rig.tc, "ARM2")?))
+        Ok(format!("{}, {}", name_port(&setup.rig.arms.vs, "ARM1")?, name_port(&setup.rig.arms.tc, "ARM2")?))
     });
     let mut rig = None;
     report.check("the program starts with cameras and arms", || {

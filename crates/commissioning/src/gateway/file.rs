@@ -1,10 +1,10 @@
 //! Configuration file of `pb3dp gateway`.
 
-use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
+use pb3dp_arm_pa10_gateway::gateway::{CYCLE_RANGE, GatewayConfig, RAMP_AFTER_MIN};
 use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Supervision, TorqueScale, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Firmware};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Firmware};
 use pb3dp_arm_pa10_protocol::places::BusTarget;
-use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
+use pb3dp_arm_pa10_protocol::watchdog::{CommandWatchdog, STOP_AFTER_MAX};
 use pb3dp_hal_platform::realtime::Realtime;
 use pb3dp_hal_platform::tcp::TcpConfig;
 use serde::Deserialize;
@@ -146,15 +146,17 @@ impl GatewayFile {
     }
 
     fn check_ranges(&self, check: &mut Checker) {
+        let cycle_millis = in_millis(*CYCLE_RANGE.start())..=in_millis(*CYCLE_RANGE.end());
+        let (ramp_min_millis, stop_max_millis) = (in_millis(RAMP_AFTER_MIN), in_millis(STOP_AFTER_MAX));
         check.count("arm.number", self.arm.number, 0..=255);
-        check.number("arm.brake_millis", self.arm.brake_millis, 1.0..=5000.0);
+        check.number("arm.brake_millis", self.arm.brake_millis, 1.0..=in_millis(BRAKE_TIME_MAX));
         check.count("arm.emergency_stop_bits", self.arm.emergency_stop_bits, 0..=0xFFFF);
-        check.number("bus.cycle_millis", self.bus.cycle_millis, 1.0..=10.0);
-        check.number("bus.lateness_allowed_millis", self.bus.lateness_allowed_millis, 1.0..=200.0);
+        check.number("bus.cycle_millis", self.bus.cycle_millis, cycle_millis);
+        check.number("bus.lateness_allowed_millis", self.bus.lateness_allowed_millis, 1.0..=stop_max_millis);
         check.number("bus.controller_time_out_millis", self.bus.controller_time_out_millis, 0.0..=60_000.0);
         check.count("host.baud", self.host.baud, 1200..=12_000_000);
-        check.number("host.ramp_after_millis", self.host.ramp_after_millis, 20.0..=200.0);
-        check.number("host.stop_after_millis", self.host.stop_after_millis, 20.0..=200.0);
+        check.number("host.ramp_after_millis", self.host.ramp_after_millis, ramp_min_millis..=stop_max_millis);
+        check.number("host.stop_after_millis", self.host.stop_after_millis, ramp_min_millis..=stop_max_millis);
         check.count("realtime.priority", self.realtime.priority, 0..=99);
         check.count("realtime.processor", self.realtime.processor, -1..=1023);
     }
@@ -185,6 +187,10 @@ impl GatewayFile {
 }
 
 /// Milliseconds already checked to be between 0 and some minutes.
+fn in_millis(time: Duration) -> f64 {
+    time.as_secs_f64() * 1e3
+}
+
 fn millis(checked: f64) -> Duration {
     Duration::from_secs_f64(checked * 1e-3)
 }

@@ -210,7 +210,11 @@ fn setups_are_refused_with_file_key_and_what_is_allowed() {
             &["estimator.compare = [published, published]", "once"],
         ),
         ("method = \"direct\"", "method = \"geometric\"", &["estimator.compare = [published]", "nobody can look on"]),
-        ("turned_max_deg = 70.0 ", "turned_max_deg = 90.0 ", &["estimator.geometric.turned_max_deg = 90", "6 to 85"]),
+        (
+            "turned_max_deg = 70.0 ",
+            "turned_max_deg = 90.0 ",
+            &["estimator.geometric.turned_max_deg = 90", "5.73 to 85.94"],
+        ),
         ("compare = [\"published\"]", "compare = [\"publish\"]", &["estimator.compare", "publish", "known methods"]),
         ("target = \"crab\"", "target = \"lobster\"", &["scene.target", "lobster", "crab"]),
         ("channels = [\"x\"", "channels = [\"u\"", &["experiment.channels", "\"u\"", "rz"]),

@@ -52,6 +52,17 @@ pub struct ArmSetup {
     pub commissioning_record: Option<PathBuf>,
 }
 
+/// The arms of a rig. Each has a table of the setup; two of them take part in a run.
+#[derive(Clone, Debug)]
+pub struct Arms {
+    /// The arm that carries the cameras.
+    pub vs: ArmSetup,
+    /// The arm that carries the target.
+    pub tc: ArmSetup,
+    /// The arms that take no part, by the names of their tables.
+    pub others: BTreeMap<String, ArmSetup>,
+}
+
 impl ArmSetup {
     /// Name of a joint in messages, 0 at the base: `axis 2 (S2)`, with its name in the robot description.
     pub fn axis_name(&self, joint: usize) -> String {
@@ -175,15 +186,8 @@ impl ArmsSection {
         arms.any(|arm| arm.gateway.is_some() || arm.bus.is_some())
     }
 
-    /// The arm with the cameras and the one with the target; `None` if a file cannot be read or a limit is refused. All other arms
-    /// are checked too.
-    /// checked, too.
-    pub(super) fn build(
-        &self,
-        tables: &ArmTables,
-        control_period_millis: f64,
-        check: &mut Checker,
-    ) -> Option<(ArmSetup, ArmSetup)> {
+    /// All arms; `None` if a file cannot be read or a limit is refused.
+    pub(super) fn build(&self, tables: &ArmTables, control_period_millis: f64, check: &mut Checker) -> Option<Arms> {
         check.number("arms.speed_scale", self.speed_scale, 0.01..=1.0);
         if self.first_run && self.speed_scale > FIRST_RUN_SPEED_SCALE && self.speed_scale <= 1.0 {
             check.refuse(format!(
@@ -198,10 +202,10 @@ impl ArmsSection {
         check.number("arms.least_room_mm", self.least_room_mm, 1.0..=1000.0);
         let tracking_error_millis = control_period_millis..=GuardConfig::TRACKING_ERROR_FOR.as_secs_f64() * 1e3;
         check.number("arms.tracking_error_millis", self.tracking_error_millis, tracking_error_millis);
-        let mut arms: BTreeMap<&str, Option<ArmSetup>> = tables
+        let mut arms: BTreeMap<String, Option<ArmSetup>> = tables
             .iter()
             .map(|(name, table)| {
-                (name.as_str(), table.build(&format!("arms.{name}"), self, control_period_millis, check))
+                (name.clone(), table.build(&format!("arms.{name}"), self, control_period_millis, check))
             })
             .collect();
         if self.carries_cameras == self.carries_target {
@@ -223,7 +227,8 @@ impl ArmsSection {
         };
         let vs = take("arms.carries_cameras", &self.carries_cameras);
         let tc = take("arms.carries_target", &self.carries_target);
-        vs.zip(tc)
+        let others = arms.into_iter().filter_map(|(name, arm)| Some((name, arm?))).collect();
+        Some(Arms { vs: vs?, tc: tc?, others })
     }
 }
 

@@ -7,7 +7,10 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Firmware,
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 
 /// Allowed cycle on the bus: the controller expects 2 ms, or a slower cycle (its ROM holds the period).
-const CYCLE_RANGE: std::ops::RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_millis(10);
+pub const CYCLE_RANGE: std::ops::RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_millis(10);
+
+/// Least age of a command at which the arm fades it: a host may send only one command per 10 ms.
+pub const RAMP_AFTER_MIN: Duration = Duration::from_millis(20);
 
 /// Settings of a gateway: its arm, its bus and its host.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -123,7 +126,7 @@ impl GatewayConfig {
         if lateness_allowed < cycle || lateness_allowed >= stop_after {
             return Err(GatewayConfigError::Lateness { got: lateness_allowed, cycle, stop_after });
         }
-        if watchdog.ramp_after() < Duration::from_millis(20) {
+        if watchdog.ramp_after() < RAMP_AFTER_MIN {
             return Err(GatewayConfigError::Watchdog { got: watchdog.ramp_after() });
         }
         if self.brake_time.is_zero() || self.brake_time > BRAKE_TIME_MAX {

@@ -33,7 +33,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{
 use pb3dp_geometry::MonotonicTime;
 
 pub use bus::BusCounters;
-pub use config::{GatewayConfig, GatewayConfigError};
+pub use config::{CYCLE_RANGE, GatewayConfig, GatewayConfigError, RAMP_AFTER_MIN};
 pub use machine::CycleCounters;
 
 /// The gateway of one arm.

@@ -92,7 +92,7 @@ impl Needs {
 
     fn of_setup(config: &SetupArgs, setup: &Setup, recordings: PathBuf) -> Self {
         let (mut serial, mut arcnet) = (Vec::new(), Vec::new());
-        for link in [&setup.rig.vs.link, &setup.rig.tc.link] {
+        for link in [&setup.rig.arms.vs.link, &setup.rig.arms.tc.link] {
             match link {
                 ArmLink::Gateway(_, GatewayWay::Serial { path, .. }) => serial.push(path.clone()),
                 ArmLink::Bus(config) => arcnet.extend(interface(&config.target)),
@@ -103,10 +103,11 @@ impl Needs {
         let pixels = f64::from(size.width) * f64::from(size.height);
         Self {
             source: format!("{config} (pb3dp run)"),
-            needs_realtime: setup.pace == Pace::Live && !(setup.rig.vs.link.is_toy() && setup.rig.tc.link.is_toy()),
+            needs_realtime: setup.pace == Pace::Live
+                && !(setup.rig.arms.vs.link.is_toy() && setup.rig.arms.tc.link.is_toy()),
             serial: Some(serial),
             arcnet,
-            cameras: setup.real_cameras().map_or(Cameras::NotNeeded, |cameras| {
+            cameras: setup.rig.real_cameras.as_ref().map_or(Cameras::NotNeeded, |cameras| {
                 let cameras = [&cameras.stereo.left, &cameras.stereo.right];
                 Cameras::These(cameras.map(|side| side.name.clone()))
             }),
