@@ -102,7 +102,7 @@ pub fn complete_hil() -> String {
     [
         ("pace = \"fast\"", "pace = \"live\"".to_owned()),
         ("compare = [\"published\"]", "compare = []".to_owned()),
-        ("delay_millis = 10.0               # dead", "delay_millis = 17.0               # dead".to_owned()),
+        ("\ndelay_millis = 10.0 ", "\ndelay_millis = 17.0 ".to_owned()),
         ("[arms.tc]", gateway("vs", 1) + "[arms.tc]"),
         ("[mounts]", gateway("tc", 2) + "[mounts]"),
     ]

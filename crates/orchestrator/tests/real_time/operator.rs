@@ -75,7 +75,7 @@ impl Drop for Led {
 #[test]
 fn a_terminal_at_which_nobody_types_holds_both_arms() {
     programs_in_real_time_beside_others(|| {
-        let mut cell = Cell::start(&["--pose-deg", START_DEG]);
+        let cell = Cell::start(&["--pose-deg", START_DEG]);
         let settings =
             ["--set", "supervisor.operator_key_within_s=5", "--set", "supervisor.policies.operator_silent.action=hold"];
         let mut run = Led::start(&cell, &settings);

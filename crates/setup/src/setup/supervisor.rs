@@ -145,6 +145,7 @@ impl SupervisorSection {
     /// The supervisor's settings for images with the period `frame_period`.
     pub(super) fn build(&self, frame_period: Duration, check: &mut Checker) -> SupervisorConfig {
         check.number("supervisor.operator_key_within_s", self.operator_key_within_s, KEY_WITHIN_S);
+        self.policies.check_ages(frame_period, check);
         let search_max_s = self.search_max_s.unwrap_or(0.0);
         let config = SupervisorConfig {
             policies: Policies::of(|condition| self.policies.of(condition).build(condition, check)),
@@ -160,19 +161,6 @@ impl SupervisorSection {
         if self.search_max_s.is_some() {
             check.number("supervisor.search_max_s", search_max_s, SupervisorConfig::SEARCH_MAX_S);
         }
-        let stale_s = self.policies.estimate_stale.age_s.unwrap_or(0.0);
-        let lost_s = self.policies.target_lost.age_s.unwrap_or(f64::NAN);
-        if Threshold::of(Condition::TargetLost).is_some_and(|lost| lost.allowed.contains(&lost_s)) {
-            check.number("supervisor.policies.target_lost.age_s", lost_s, SupervisorConfig::lost_s_allowed(stale_s));
-        }
-        // Two periods are the minimum for detecting a missing image; with less the hand would hold between any two images.
-        let frame_stale_s = self.policies.frame_stale.age_s.unwrap_or(f64::NAN);
-        if let Some(stale) = Threshold::of(Condition::FrameStale).filter(|stale| stale.allowed.contains(&frame_stale_s))
-        {
-            let (min_s, max_s) = stale.allowed.into_inner();
-            let two_periods_s = within(2.0 * frame_period.as_secs_f64(), min_s, 0.99 * max_s);
-            check.number("supervisor.policies.frame_stale.age_s", frame_stale_s, two_periods_s..=max_s);
-        }
         if let (true, Err(error)) = (check.is_clean(), config.validate()) {
             check.refuse(format!("supervisor.policies.{} = {}: allowed is {}", error.key, error.value, error.allowed));
         }
@@ -181,6 +169,24 @@ impl SupervisorSection {
 }
 
 impl PoliciesSection {
+    /// Checks ages whose lower bound depends on another setting; smaller ones are refused with the range of their condition.
+    fn check_ages(&self, frame_period: Duration, check: &mut Checker) {
+        let own_range = |condition, age_s: Option<f64>| {
+            let (age_s, range) = (age_s?, Threshold::of(condition)?.allowed);
+            (age_s >= *range.start()).then_some((age_s, range))
+        };
+        if let Some((lost_s, _)) = own_range(Condition::TargetLost, self.target_lost.age_s) {
+            let allowed = SupervisorConfig::lost_s_allowed(self.estimate_stale.age_s.unwrap_or(0.0));
+            check.number("supervisor.policies.target_lost.age_s", lost_s, allowed);
+        }
+        // Two periods are the minimum for detecting a missing image; with less the hand would hold between any two images.
+        if let Some((stale_s, range)) = own_range(Condition::FrameStale, self.frame_stale.age_s) {
+            let (min_s, max_s) = range.into_inner();
+            let two_periods_s = within(2.0 * frame_period.as_secs_f64(), min_s, 0.99 * max_s);
+            check.number("supervisor.policies.frame_stale.age_s", stale_s, two_periods_s..=max_s);
+        }
+    }
+
     fn of(&self, condition: Condition) -> &PolicySection {
         match condition {
             Condition::EmergencyStop => &self.emergency_stop,
