@@ -247,6 +247,6 @@ mod tests {
         assert!(parse_tilt("85").is_ok_and(|deg| search(deg).is_ok()) && search(85.01).is_err());
         let message = "must be between 0 and 85 degrees";
         assert!(parse_tilt("85.01").is_err_and(|error| error.contains(message)));
-        assert!(search(85.01).is_err_and(|error| error.to_string().contains(message)));
+        assert!(search(85.01).is_err_and(|error| error.to_string().contains("tilt_max_rad")));
     }
 }

@@ -193,7 +193,7 @@ fn a_console_with_keys_falls_silent_when_nobody_types_and_asks_before() {
     let begin = MonotonicTime::from_nanos(1_000_000_000);
     let after = |seconds| begin + Duration::from_secs(seconds);
     let moving = Decision { state: State::Tracking, ..decision() };
-    let mut heard = |console: &mut Console, seconds| {
+    let heard = |console: &mut Console, seconds| {
         let heard = console.listen(Some(&moving), after(seconds));
         assert_eq!(heard.silent_after, Some(within));
         heard.heard_at
