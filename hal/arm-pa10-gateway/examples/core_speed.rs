@@ -101,7 +101,7 @@ fn reply() -> ArmReply {
     let axis = AxisReply {
         status: AxisStatus::Servo(ServoWord(0)),
         angle: AngleCounts(1000),
-        speed: Some(SpeedCounts(500)),
+        speed: Some(SpeedCounts(0)),
         torque: TorqueCounts(0),
     };
     ArmReply { axes: [axis; 7], comm: CommStatus::Comm(CommWord(1)) }
