@@ -366,7 +366,10 @@ fn emulated_parts(
         ..MockControllerConfig::new(link.format)
     };
     let firmware = Firmware::new(EMULATION).context("a name for the gateway")?;
-    let gateway = GatewayConfig { geometry: link.geometry, ..GatewayConfig::new(link.arm, link.format, firmware) };
+    let gateway = GatewayConfig {
+        geometry: link.geometry,
+        ..GatewayConfig::new(link.arm, link.format, firmware, link.limits.allowed)
+    };
     Ok((controller, gateway, plant))
 }
 

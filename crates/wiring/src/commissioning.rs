@@ -134,10 +134,13 @@ pub fn slow_setup(setup: &Setup, choice: ArmChoice, joint_max_rad_per_s: f64) ->
     let mut slow = setup.clone();
     for arm in [&mut slow.rig.arms.vs, &mut slow.rig.arms.tc] {
         arm.limits = arm.limits.slowed(f64::MAX, SPEED_SCALE_MAX)?;
+        // A gateway keeps these speeds, too.
+        arm.link = arm.link.clone().limited(&arm.limits)?;
     }
     let arm = choice.of_mut(&mut slow);
     arm.limiter.start = StartPose::Anywhere;
     arm.limits = arm.limits.slowed(joint_max_rad_per_s, SPEED_SCALE_MAX)?;
+    arm.link = arm.link.clone().limited(&arm.limits)?;
     arm.guard.ripple_rad_per_s = RIPPLE_RAD_PER_S;
     Ok(slow)
 }

@@ -265,7 +265,7 @@ impl ArmSection {
         let start_rad = per_joint(&self.start_deg, 0.0).map(f64::to_radians);
         let mechanical_max_rad = range_rad(&self.mechanical_range_deg);
         let limits = self.limits((key, all.speed_scale), &chain, check)?;
-        let link = link?;
+        let link = link?.limited(&limits).map_err(|error| check.refuse(format!("{key}: {error}"))).ok()?;
         let fade = fade(&link);
         Some(ArmSetup {
             key: key.to_owned(),

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Supervision, TorqueScale, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Firmware, Geometry};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Firmware, Geometry, MotionLimits};
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 
 /// Allowed cycle on the bus: the controller expects 2 ms, or a slower cycle (its ROM holds the period).
@@ -44,6 +44,8 @@ pub struct GatewayConfig {
     pub torque_scale: TorqueScale,
     /// Name and version, for hosts.
     pub firmware: Firmware,
+    /// Motion limits: a command outside them stops the arm.
+    pub limits: MotionLimits,
 }
 
 /// Why a configuration is refused.
@@ -92,8 +94,8 @@ pub enum GatewayConfigError {
 }
 
 impl GatewayConfig {
-    /// A configuration for an arm with this number and wire format; the other values are those of the sources.
-    pub fn new(arm: ArmId, format: WireFormat, firmware: Firmware) -> Self {
+    /// A configuration for an arm with this number, wire format and motion limits; the other values are those of the sources.
+    pub fn new(arm: ArmId, format: WireFormat, firmware: Firmware, limits: MotionLimits) -> Self {
         let cycle = Duration::from_millis(2);
         Self {
             arm,
@@ -110,6 +112,7 @@ impl GatewayConfig {
             emergency_stop_bits: 0,
             torque_scale: TorqueScale::of_format(format),
             firmware,
+            limits,
         }
     }
 
