@@ -288,7 +288,7 @@ mod tests {
             ("interpolate = true", "", "host.interpolate: missing"),
             ("[realtime]", "[realtime]\nnice = 3", "realtime.nice: unknown key"),
             ("s2 = {", "s9 = {", "limits.s2: missing"),
-            ("speed_max_rad_per_s = 1.5708", "", "limits.w1.speed_max_rad_per_s: missing"),
+            ("speed_max_rad_per_s = 1.5708, ", "", "limits.w1.speed_max_rad_per_s: missing"),
             (
                 "speed_max_rad_per_s = 0.25",
                 "speed_max_rad_per_s = 1.01",

@@ -186,9 +186,9 @@ fn a_probe_tells_what_an_arm_is_and_that_it_fits() {
 #[test]
 fn a_probe_says_what_does_not_fit_and_what_to_do() {
     programs_in_real_time_beside_others(|| {
-        let cell = Cell::start(&["--limits-deg", "177,94,174,137,255,165,255", "--pose-deg", "171,30,0,60,0,45,0"]);
+        let cell = Cell::start(&["--limits-deg", "177,90,174,137,255,165,255", "--pose-deg", "171,30,0,60,0,45,0"]);
         let limits = cell.pb3dp(&["probe"], None);
-        assert_problem(&limits, &["axis 2 (S2): the controller's limits differ by -3.000 and +3.000", "arms.vs.robot"]);
+        assert_problem(&limits, &["axis 2 (S2): the controller's limits differ by +1.000 and -1.000", "arms.vs.robot"]);
         assert_problem(&limits, &["axis 1 (S1): 171.000 degrees is outside the operating range", "jog it back"]);
         cell.arm.quit();
         let cell = Cell::start(&["--fault", "at 0s alarm 4 0x0e"]);

@@ -86,7 +86,7 @@ pub const PROOFS: &[Proof] = &[
         vec![(0.1, 3.5, Kind::of_arm(0, "arm: runaway joint", "runaway 3 0.15rad/s", Some("runaway 3 off")))]
     }),
     among(GuardJump, &[GuardTracking, GuardSpeed], CARRIED, JUMP),
-    among(GuardRange, &[GuardJump, GuardTracking, GuardSpeed], CARRIED, FAR_JUMP),
+    among(GuardRange, &[GuardJump, GuardTracking, GuardSpeed, GatewayLimits], CARRIED, FAR_JUMP),
     // The hand has no pose and holds, and the other arm brings the target.
     alone(CouplingRoom, |_| there_and_back(Arm, Channel::Z, -0.6, 3.0), |_| vec![(-1.8, 5.0, Kind::NoPose)]),
     among(LimiterStale, &[DriverLink, JointsStale, JointsAge], CARRIED, LINES_SILENT),
