@@ -1,9 +1,8 @@
-//! Sources of operator commands: the command line itself, alone or with a person beside the arms, or a console (`console.rs`).
+//! Sources of operator commands: the command line itself, alone or with a person beside the arms (`attended.rs`), or a console
+//! (`console.rs`).
 
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_servo::supervisor::{Decision, OperatorCommand, OperatorInput, OperatorRequest, State};
-
-use super::console::Console;
 
 /// Source of operator commands. The thread that moves the arms calls it: no method may wait.
 pub trait Operator: Send {
@@ -30,7 +29,7 @@ pub struct ByCommand;
 
 impl ByCommand {
     /// The command that leads on from the last decision.
-    fn next(last: Option<&Decision>) -> Option<OperatorCommand> {
+    pub(crate) fn next(last: Option<&Decision>) -> Option<OperatorCommand> {
         match last {
             None => Some(OperatorCommand::Select),
             Some(decision) if decision.state == State::Selecting && decision.is_ready => Some(OperatorCommand::Start),
@@ -55,32 +54,5 @@ impl Operator for ByCommand {
 
     fn can_fall_silent(&self) -> bool {
         false
-    }
-}
-
-/// [`ByCommand`] beside arms that are not emulated: the keys of a console are the sign of life, and its commands are obeyed.
-pub struct AttendedCommand(pub Console);
-
-impl Operator for AttendedCommand {
-    fn listen(&mut self, last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
-        let heard = self.0.listen(last, now);
-        let said = heard.said.or_else(|| ByCommand::next(last).map(|word| OperatorRequest { word, at: now }));
-        OperatorInput { said, ..heard }
-    }
-
-    fn show(&mut self, decision: &Decision) {
-        self.0.show(decision);
-    }
-
-    fn tell(&mut self, trouble: Option<String>) {
-        self.0.tell(trouble);
-    }
-
-    fn is_person(&self) -> bool {
-        false
-    }
-
-    fn can_fall_silent(&self) -> bool {
-        self.0.can_fall_silent()
     }
 }

@@ -7,12 +7,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result, bail};
+use pb3dp_cell::attended::AttendedCommand;
 use pb3dp_cell::channels::Plan;
 use pb3dp_cell::console::Console;
 use pb3dp_cell::experiment::{self, Ended};
 use pb3dp_cell::flight::Moment;
 use pb3dp_cell::interruption::{INTERRUPTED, watch};
-use pb3dp_cell::operator::{AttendedCommand, ByCommand, Operator};
+use pb3dp_cell::operator::{ByCommand, Operator};
 use pb3dp_cell::report::{self, Following, Made};
 use pb3dp_cell::summary::summarize;
 use pb3dp_cell::terminal::{TypedInput, print_line};
