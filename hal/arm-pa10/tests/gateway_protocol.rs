@@ -63,6 +63,7 @@ fn hello_reply() -> HelloReply {
 
 /// A quarter of the drives' speeds, and the servo range of a PA-10.
 fn limits() -> MotionLimits {
+    #[expect(clippy::approx_constant, reason = "the decimal number of configs/gateway.toml")]
     let speeds = [0.25, 0.25, 0.5, 0.5, 0.5, 1.5708, 1.5708];
     let ends_deg = [177.0f64, 91.0, 174.0, 137.0, 255.0, 165.0, 255.0];
     let motions = std::array::from_fn(|axis| AxisMotion {

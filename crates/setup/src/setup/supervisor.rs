@@ -97,7 +97,7 @@ struct Threshold {
 impl Threshold {
     fn of(condition: Condition) -> Option<Self> {
         let ThresholdRule { min, max, .. } = condition.rule().threshold?;
-        let (key, in_file, to_si): (_, fn(SiRange) -> RangeInclusive<f64>, fn(f64) -> f64) = match condition {
+        let (key, in_file, to_si): (_, InFile, ToSi) = match condition {
             Condition::OperatorSilent
             | Condition::JointsStale
             | Condition::FrameStale
@@ -123,6 +123,11 @@ impl Threshold {
         Some(Self { key, allowed: in_file(min..=max), to_si })
     }
 }
+
+/// A range in the unit of the file.
+type InFile = fn(SiRange) -> RangeInclusive<f64>;
+/// A value of the file in SI units.
+type ToSi = fn(f64) -> f64;
 
 /// Longest time without a key that a setup may allow, seconds: at 60 s an unattended arm moves for a minute.
 const KEY_WITHIN_S: RangeInclusive<f64> = 5.0..=60.0;
