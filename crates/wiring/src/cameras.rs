@@ -8,7 +8,8 @@ use pb3dp_camera_settings::StereoConfig;
 use pb3dp_camera_v4l2::pairing::Drift;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_camera_v4l2::{ReopeningCamera, Side};
-use pb3dp_cell::pair::check_images;
+use pb3dp_cell::pair::{check_images, check_reopened};
+use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 use pb3dp_record::calibration_files::CameraIdentity;
 use pb3dp_setup::setup::{CAMERAS, CalibrationInUse, RealCameras, Setup, Synchronisation};
@@ -45,7 +46,7 @@ pub(super) fn wire_real(
 ) -> Result<WiredCameras> {
     let camera = ReopeningCamera::open(system, Arc::clone(&clock), real.stereo.clone(), real.reopen_for);
     let camera = camera.context("table [camera]")?;
-    let mut camera = WatchedCamera { camera, cameras: real.clone(), pairs: 0, is_drift_told: false };
+    let mut camera = WatchedCamera::new(camera, real.clone(), setup.rig.stereo);
     let first = first_pair(&mut camera, &*clock)?;
     let mut identity_of = |side| camera.camera.identity(side).map(identity).context("table [camera]");
     let identities = [identity_of(Side::Left)?, identity_of(Side::Right)?];
@@ -115,15 +116,37 @@ fn first_pair(camera: &mut WatchedCamera, clock: &dyn Clock) -> Result<FramePair
     }
 }
 
-/// Real cameras that warn when their exposures drift apart and log their counts at the end.
+/// Real cameras that warn when their exposures drift apart, deliver nothing after a loss until left and right are as before, and
+/// log their counts at the end.
 struct WatchedCamera {
     camera: ReopeningCamera,
     cameras: RealCameras,
+    rig: StereoRig,
     pairs: u64,
     is_drift_told: bool,
+    /// How often the cameras were reopened before the images were checked last.
+    checked: u64,
 }
 
 impl WatchedCamera {
+    fn new(camera: ReopeningCamera, cameras: RealCameras, rig: StereoRig) -> Self {
+        Self { camera, cameras, rig, pairs: 0, is_drift_told: false, checked: 0 }
+    }
+
+    /// Checks the images of reopened cameras, until one pair shows that left and right are as before.
+    fn check_order(&mut self, pair: &FramePair) -> Result<(), CameraError> {
+        let reopened = self.camera.reopened();
+        if reopened != self.checked {
+            let are_told_apart = self.camera.are_told_apart();
+            check_reopened(&self.rig, &pair.left, &pair.right, are_told_apart).map_err(|error| {
+                let message = format!("{}: after reopening {error}; no pairs until then", self.info().name);
+                CameraError::new(CameraErrorKind::BadPair, message)
+            })?;
+            self.checked = reopened;
+        }
+        Ok(())
+    }
+
     /// A warning about skew drift; each one only once until the cause is gone.
     fn look_at_drift(&mut self) -> Option<String> {
         let what = self.trouble(&self.camera.counters().drift?);
@@ -159,6 +182,7 @@ impl StereoCamera for WatchedCamera {
 
     fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
         self.camera.next_pair_into(pair, timeout)?;
+        self.check_order(pair)?;
         self.pairs += 1;
         if self.pairs.is_multiple_of(DRIFT_EVERY)
             && let Some(what) = self.look_at_drift()
@@ -189,21 +213,24 @@ mod tests {
     use std::path::Path;
 
     use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
-    use pb3dp_geometry::ImageSize;
+    use pb3dp_geometry::{Camera, ImageSize, Pinhole};
     use pb3dp_hal_clock::VirtualClock;
     use pb3dp_setup::layers::SetupArgs;
-    use pb3dp_setup::setup::read_cameras;
+    use pb3dp_setup::setup::{read_cameras, read_setup};
 
     use super::*;
     use crate::calibration::tests::{camera, cameras as both, in_use};
 
+    /// Cameras and calibration of `configs/rig.toml`.
+    fn of_the_rig() -> (RealCameras, StereoRig) {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/rig.toml");
+        (read_cameras(&SetupArgs::of_file(&file)).unwrap().0, read_setup(&file).unwrap().rig.stereo)
+    }
+
     /// Drift warnings of two cameras, the right one slower by `slowness`, with the pair number of each warning.
     fn told(synchronisation: Synchronisation, slowness: f64, pairs: u64) -> Vec<(u64, String)> {
         let clock: Arc<dyn Clock> = Arc::new(VirtualClock::default());
-        let mut cameras =
-            read_cameras(&SetupArgs::of_file(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/rig.toml")))
-                .unwrap()
-                .0;
+        let (mut cameras, rig) = of_the_rig();
         cameras.synchronisation = synchronisation;
         for (number, side) in [&mut cameras.stereo.left, &mut cameras.stereo.right].into_iter().enumerate() {
             side.name = format!("bus:usb-emulated-{number}").parse().unwrap();
@@ -215,7 +242,7 @@ mod tests {
         });
         let system = Arc::new(EmulatedSystem::new(clock.clone(), emulated.collect()));
         let camera = ReopeningCamera::open(system, clock, cameras.stereo.clone(), cameras.reopen_for).unwrap();
-        let mut camera = WatchedCamera { camera, cameras, pairs: 0, is_drift_told: false };
+        let mut camera = WatchedCamera::new(camera, cameras, rig);
         let mut pair = FramePair::black(camera.info().size);
         let mut told = Vec::new();
         for number in 1..=pairs {
@@ -245,6 +272,85 @@ mod tests {
             "{apart:?}"
         );
         assert_eq!(told(Synchronisation::HardwareTrigger, 0.0, 1400), []);
+    }
+
+    /// A plane at 500 mm: 370 px times 100 mm over 500 mm.
+    const DISPARITY_PX: usize = 74;
+
+    /// Blocks of 5 pixels, from a column on.
+    fn scene(from: usize, memory: &mut [u8]) {
+        for (v, row) in memory.chunks_exact_mut(2 * 320).enumerate() {
+            for (u, pixel) in row.chunks_exact_mut(2).enumerate() {
+                let mixed = ((from + u) / 5).wrapping_mul(0x9E37_79B1).wrapping_add((v / 5).wrapping_mul(0x85EB_CA77));
+                let brightness = 60 + (mixed ^ (mixed >> 13)).wrapping_mul(0xC2B2_AE35) / 65_536 % 130;
+                pixel.copy_from_slice(&[brightness as u8, 128]);
+            }
+        }
+    }
+
+    /// What came after both plugs were pulled, and plugged in again with these paintings: pairs in a second, and the last message.
+    fn after_reopening(serials: [Option<&str>; 2], paints: [fn(u64, &mut [u8]); 2]) -> (u32, String) {
+        let clock: Arc<dyn Clock> = Arc::new(VirtualClock::default());
+        let (mut cameras, whole) = of_the_rig();
+        let size = ImageSize { width: 320, height: 240 };
+        for (number, side) in [&mut cameras.stereo.left, &mut cameras.stereo.right].into_iter().enumerate() {
+            side.name = format!("bus:usb-emulated-{number}").parse().unwrap();
+            side.mode.size = size;
+        }
+        let straight: [fn(u64, &mut [u8]); 2] = [|_, memory| scene(0, memory), |_, memory| scene(DISPARITY_PX, memory)];
+        let emulated = (0..2).map(|number| {
+            let mut camera = EmulatedCamera::usual(number as u32);
+            camera.entry.serial = serials[number].map(str::to_owned);
+            camera.formats[0].1[0].0 = size;
+            camera.paint = straight[number];
+            camera
+        });
+        let system = EmulatedSystem::new(Arc::clone(&clock), emulated.collect());
+        let pinhole = Pinhole { fx: 370.0, fy: 370.0, cx: 159.5, cy: 119.5 };
+        let camera = Camera::new(size, pinhole, *whole.left().distortion()).unwrap();
+        let rig = StereoRig::new(camera, camera, *whole.cam_right_from_cam_left()).unwrap();
+        let video = Arc::new(system.clone());
+        let camera =
+            ReopeningCamera::open(video, Arc::clone(&clock), cameras.stereo.clone(), cameras.reopen_for).unwrap();
+        let mut camera = WatchedCamera::new(camera, cameras, rig);
+        let mut pair = FramePair::black(size);
+        camera.next_pair_into(&mut pair, Duration::from_secs(1)).unwrap();
+        for (number, paint) in paints.into_iter().enumerate() {
+            system.with(number, |camera| camera.faults.is_unplugged = true).unwrap();
+            assert!(camera.next_pair_into(&mut pair, Duration::from_millis(60)).is_err());
+            system.with(number, |camera| (camera.faults.is_unplugged, camera.paint) = (false, paint)).unwrap();
+        }
+        let (end, mut came, mut said) = (clock.now() + Duration::from_secs(2), 0, String::new());
+        while clock.now() < end {
+            match camera.next_pair_into(&mut pair, Duration::from_millis(66)) {
+                Ok(()) => came += 1,
+                Err(error) => said = error.to_string(),
+            }
+        }
+        assert!(camera.camera.reopened() > 0);
+        (came, said)
+    }
+
+    /// Without serial numbers the ports are the names, and only the images show which camera is in which port.
+    #[test]
+    fn exchanged_cables_are_noticed_by_the_images() {
+        let [left, right]: [fn(u64, &mut [u8]); 2] =
+            [|_, memory| scene(0, memory), |_, memory| scene(DISPARITY_PX, memory)];
+        let grey: fn(u64, &mut [u8]) = |number, memory| memory.fill(100 + (number % 2) as u8);
+        let numbered = [Some("A"), Some("B")];
+        for (serials, paints, expected) in [
+            ([None, None], [left, right], None),
+            ([None, None], [right, left], Some("left and right look exchanged")),
+            ([None, None], [grey, grey], Some("too little texture to tell left from right")),
+            (numbered, [grey, grey], None),
+            (numbered, [right, left], Some("left and right look exchanged")),
+        ] {
+            let (came, said) = after_reopening(serials, paints);
+            match expected {
+                None => assert!(came > 20, "{came} came: {said}"),
+                Some(text) => assert!(came == 0 && said.contains(text), "{came} came: {said}"),
+            }
+        }
     }
 
     #[test]

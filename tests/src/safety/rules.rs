@@ -50,6 +50,10 @@ pub struct Rules {
     pub arms: [ArmRules; 2],
     /// Period of the host's commands, seconds.
     pub cycle_s: f64,
+    /// An arm whose command is older than this may be slowed down by its watchdog, seconds.
+    pub fades_after_s: f64,
+    /// The watchdog takes this time from any speed to standstill, seconds.
+    pub fade_s: f64,
     /// Longest time between two steps of the record, seconds.
     pub step_max_s: f64,
     /// Speed below which an arm is stationary, rad/s.
@@ -93,6 +97,8 @@ impl Rules {
     /// * Mechanical ranges and speeds: INRIA's `modele.sci` of the PA10-7CE; E2 is slower by NTUA's driver.
     /// * Accelerations: the requirements for this arm; no source states them.
     /// * `pose_age_max_s`: `[servo.timeouts] observation_s` and the policy `estimate_stale`, plus a cycle.
+    /// * `fades_after_s`, `fade_s`: requirement R2 of this arm, whose watchdog slows an arm down from a command age of 20 ms on, and
+    ///   has stopped it at 50 ms.
     /// * `power_off_s`: brakes of the emulated arm close in 50 ms, gravity accelerates a joint to 0.6 rad/s in that time, and
     ///   brakes decelerate at 50 rad/s^2.
     /// * `target_apart_m`: the smallest depth of the search, 350 mm, minus 50 mm between the camera's front and its pupil. A
@@ -127,6 +133,8 @@ impl Rules {
         Self {
             arms: [arm(left, vec![camera]), arm(right, vec![panel(0.075), panel(-0.075)])],
             cycle_s: 0.010,
+            fades_after_s: 0.020,
+            fade_s: 0.030,
             step_max_s: 0.002,
             rest_rad_per_s: 0.002,
             creep_rad: 0.003,

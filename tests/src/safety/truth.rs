@@ -90,6 +90,8 @@ pub struct Step {
     pub arms: [ArmTruth; 2],
     /// True pose of the target.
     pub world_from_target: Placement,
+    /// Time since the last control step, which commanded both arms, seconds.
+    pub command_age_s: f64,
     /// Time since the exposure of the newest delivered estimate that is confident and of a new image, seconds; infinite
     /// before the first one.
     pub pose_age_s: f64,

@@ -192,6 +192,40 @@ fn holds_rests_and_goes_on() {
 }
 
 #[test]
+fn a_hand_does_not_go_on_with_exchanged_cameras() {
+    programs_in_real_time(rests_with_exchanged_cameras);
+}
+
+/// Both cables are pulled and plugged in exchanged: cameras with serial numbers differ from the calibrated ones, and without numbers
+/// their images do.
+fn rests_with_exchanged_cameras() {
+    for has_numbers in [true, false] {
+        let (setup, system) = rig();
+        let numbers = |number: usize| has_numbers.then(|| format!("SN{number}"));
+        (0..2).for_each(|number| system.with(number, |camera| camera.entry.serial = numbers(number)).unwrap());
+        let Ended { outcome, how } = run(&setup, &system, 8.0, || {
+            sleep(Duration::from_secs(4));
+            (0..2).for_each(|number| plug(&system, number, false));
+            sleep(Duration::from_millis(300));
+            (0..2).for_each(|number| {
+                let port = format!("usb-emulated-{}", 1 - number);
+                system.with(number, |camera| camera.capability.bus = port).unwrap();
+                plug(&system, number, true);
+            });
+        });
+        how.unwrap();
+        let plan =
+            Plan { motion: setup.experiment.motion.clone(), world_from_axes: nalgebra::UnitQuaternion::identity() };
+        let summary = summarize(&outcome.log, &plan);
+        let steps: Vec<_> = summary.supervisor.transitions.iter().map(|step| step.to).collect();
+        let moved = steps.iter().rposition(|to| ["approaching", "tracking"].contains(to));
+        let rests = steps.iter().rposition(|to| *to == "holding");
+        assert!(moved.is_some() && rests > moved, "{steps:?}");
+        assert!(summary.pairs_lost > 20, "{} pairs lost", summary.pairs_lost);
+    }
+}
+
+#[test]
 fn a_camera_that_is_not_waited_for_ends_the_run_with_both_arms_stopped() {
     programs_in_real_time(ends_with_its_camera);
 }

@@ -94,11 +94,20 @@ impl Figures {
 
     /// Share of their limits that the joints used, while they obeyed.
     fn margins_of(&mut self, truth: &Truth, rules: &Rules, seed: u64) {
-        const WINDOW: usize = 2;
+        /// 20 ms.
+        const WINDOW: usize = 10;
+        /// Time for which drives follow a fade after a late command, seconds.
+        const FADED_S: f64 = 0.2;
+        let fades_after_s = rules.fades_after_s;
         for (arm, rules) in rules.arms.iter().enumerate() {
+            let mut late_s = f64::NEG_INFINITY;
             let (mut range, mut speed, mut acceleration) = (0.0f64, 0.0f64, 0.0f64);
             for (index, step) in truth.steps.iter().enumerate() {
                 let now = &step.arms[arm];
+                let is_free = !now.obeys || !now.servo_on || now.brakes_closed;
+                if step.command_age_s > fades_after_s || is_free {
+                    late_s = step.t_s;
+                }
                 if !now.obeys || !now.servo_on {
                     continue;
                 }
@@ -108,7 +117,7 @@ impl Figures {
                     if let Some(before) = index.checked_sub(WINDOW).map(|before| &truth.steps[before]) {
                         let then = &before.arms[arm];
                         let changed = (now.velocity_rad_per_s[joint] - then.velocity_rad_per_s[joint]).abs();
-                        if then.obeys && then.servo_on && now.latched_since_s.is_none() {
+                        if step.t_s > late_s + FADED_S && now.latched_since_s.is_none() {
                             let per_s2 = changed / (step.t_s - before.t_s);
                             acceleration = acceleration.max(per_s2 / rules.acceleration_rad_per_s2[joint]);
                         }

@@ -175,8 +175,8 @@ fn write(page: &mut String, figures: &Figures, rendered: &Figures, (seed, origin
     writeln!(page, "\n## Margins\n")?;
     writeln!(
         page,
-        "The largest share of a limit that an obeying joint used; accelerations of stops by the arm itself are excluded.\n\
-         An acceleration is the change of speed within 20 ms; 2.5 times the limit is allowed ([safety.md](../safety.md)).\n"
+        "The largest share of a limit that an obeying joint used; accelerations of stops by the arm itself and behind late commands are excluded.\n\
+         An acceleration is the change of speed within 20 ms; twice the limit is allowed ([safety.md](../safety.md)).\n"
     )?;
     writeln!(page, "| limit | share | seed |\n|---|---|---|")?;
     for (name, margin) in &figures.margins {

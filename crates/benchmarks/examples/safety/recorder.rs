@@ -68,6 +68,8 @@ pub struct Recorder {
     arms: [(ArmMonitor, VirtualEnd); 2],
     begin: Option<MonotonicTime>,
     next: MonotonicTime,
+    /// Last control step.
+    stepped_at: MonotonicTime,
     /// By target: exposure time of the newest confident estimate of a new image that was delivered.
     exposed: BTreeMap<u64, MonotonicTime>,
     /// Number and exposure time of the newest delivered image.
@@ -122,6 +124,7 @@ impl Recorder {
             arms,
             begin: None,
             next: MonotonicTime::ZERO,
+            stepped_at: MonotonicTime::ZERO,
             exposed: BTreeMap::new(),
             newest: None,
             followed: Vec::new(),
@@ -155,7 +158,7 @@ impl Recorder {
 
     /// Control steps begin now.
     pub fn begin_at(&mut self, begin: MonotonicTime) {
-        (self.begin, self.next) = (Some(begin), begin);
+        (self.begin, self.next, self.stepped_at) = (Some(begin), begin, begin);
         self.may_go[TARGET_ARM] = !self.scenario.has_person;
         self.counted = self.count();
     }
@@ -279,6 +282,7 @@ impl Recorder {
             self.found[condition as usize] = is_found;
         }
         self.catch_up(now);
+        self.stepped_at = now;
     }
 
     /// Updates which arm may move after a change of state.
@@ -463,6 +467,7 @@ impl Recorder {
             t_s,
             arms: [arm(HAND_ARM), arm(TARGET_ARM)],
             world_from_target: placement(&self.cell, at),
+            command_age_s: at.seconds_since(self.stepped_at),
             pose_age_s: self.exposed_at().map_or(f64::INFINITY, |exposed| at.seconds_since(exposed)),
             may_search: self.may_search(at),
             resets: self.resets,

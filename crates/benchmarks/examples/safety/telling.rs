@@ -147,6 +147,7 @@ mod tests {
                 t_s,
                 arms: [arm; 2],
                 world_from_target,
+                command_age_s: 0.0,
                 pose_age_s: 0.0,
                 may_search: false,
                 resets: 0,

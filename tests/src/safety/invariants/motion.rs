@@ -1,7 +1,7 @@
 //! Ranges, speeds and accelerations of joints, and joints that move by themselves.
 
 use super::super::rules::{ArmRules, Rules};
-use super::super::truth::{ArmTruth, Step};
+use super::super::truth::{ArmTruth, Joints, Step};
 use super::{Found, Invariant, Place};
 
 /// Windows for changes of speed, seconds: one shows a jump, the other acceleration.
@@ -89,15 +89,17 @@ fn speed(
 }
 
 /// Within a window a joint's speed changes by at most its acceleration limit times the window and [`CYCLES_MORE`]. An arm
-/// that was not stopped by commands has other limits: those of its brakes.
+/// that was not stopped by commands has other limits: those of its brakes, and those of its watchdog ([`Fade`]).
 ///
 /// There is no invariant on jerk. Jerk acts within 25 ms (2 rad/s^2 at 80 rad/s^3), less than the lag of the drive, and a
 /// lost command causes a step of true acceleration that is larger than the jerk limit allows: the true motion does not show
 /// it. The limiter's own tests check its commands (`hal/middleware/tests/limiter.rs`).
 fn acceleration(rules: &Rules, (arm, steps): (usize, &[Step]), window_s: f64, found: &mut Found) {
     let (mut from, mut commanded_since) = (0, 0);
+    let mut fade = Fade::default();
     for (index, step) in steps.iter().enumerate() {
         let truth = &step.arms[arm];
+        fade.look((rules, &rules.arms[arm]), step, &truth.velocity_rad_per_s);
         if !truth.servo_on || truth.brakes_closed || truth.latched_since_s.is_some() || !truth.obeys {
             commanded_since = index + 1;
         }
@@ -112,12 +114,51 @@ fn acceleration(rules: &Rules, (arm, steps): (usize, &[Step]), window_s: f64, fo
             let before = steps[from].arms[arm].velocity_rad_per_s[joint];
             let value = (truth.velocity_rad_per_s[joint] - before).abs();
             let limit = rules.arms[arm].acceleration_rad_per_s2[joint] * over_s + 2.0 * SPEED_MORE_RAD_PER_S;
+            let loses_speed = truth.velocity_rad_per_s[joint].abs() < before.abs();
+            let limit = if loses_speed { limit + fade.loss_rad_per_s(joint, window_s / rules.fade_s) } else { limit };
             if value > limit {
                 let t_s = step.t_s;
                 let place = Place { invariant: Invariant::Acceleration, arm: Some(arm), joint: Some(joint), t_s };
                 found.push(place, (value, limit), format!("within {:.0} ms", window_s * 1e3));
             }
         }
+    }
+}
+
+/// An arm that its watchdog slows down, because the control loop is late.
+///
+/// The watchdog takes the same time from any speed, so its deceleration grows with the speed: at 0.6 rad/s it is ten times the
+/// limit of S1. The drives are a linear filter of the commanded speeds with a gain of 1 and a positive impulse response, so the true
+/// speed loses no more within a window than the commanded one: its share of the time of the fade, times the speed before it.
+#[derive(Default)]
+struct Fade {
+    /// The drives may still follow the fade until this time.
+    until_s: f64,
+    /// Speeds before it.
+    speeds_rad_per_s: Joints,
+}
+
+impl Fade {
+    fn look(&mut self, (rules, arm): (&Rules, &ArmRules), step: &Step, velocity_rad_per_s: &Joints) {
+        /// Time constants of a drive after which less than 1 % of a change is left.
+        const LAGS: f64 = 5.0;
+        let is_late = step.command_age_s > rules.fades_after_s;
+        if step.t_s > self.until_s {
+            self.speeds_rad_per_s = [0.0; 7];
+        }
+        if is_late {
+            self.until_s = step.t_s + arm.reaction_s + LAGS * arm.lag_s;
+        }
+        if is_late || step.t_s <= self.until_s {
+            for (speed, now) in self.speeds_rad_per_s.iter_mut().zip(velocity_rad_per_s) {
+                *speed = speed.max(now.abs());
+            }
+        }
+    }
+
+    /// Speed that a joint may lose by the fade within this share of its time, rad/s.
+    fn loss_rad_per_s(&self, joint: usize, share: f64) -> f64 {
+        self.speeds_rad_per_s[joint] * share.min(1.0)
     }
 }
 
