@@ -66,12 +66,13 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     let now = clock.now();
     let looking = Looking::new(setup, (camera, cell.clone(), marking), (strip, &clock), record)?;
     let mut moving = Moving::new(setup, (vs, tc), &*experiment, now)?.with_operator(operator);
-    let journal = Journal::new(setup, cell.clone(), (now, duration_s), log);
+    let ends_s = stop_after_s.map_or(duration_s, |s| s.clamp(0.0, duration_s));
+    let journal = Journal::new(setup, cell.clone(), (now, ends_s), log);
     let mut watching = Watching { looking, journal, cell };
     let course = Course {
         setup,
         clock: &clock,
-        duration: Duration::from_secs_f64(stop_after_s.map_or(duration_s, |s| s.clamp(0.0, duration_s))),
+        duration: Duration::from_secs_f64(ends_s),
         interrupt: &interrupt,
     };
     let (how, punctuality) = course.run(&mut watching, &mut moving);

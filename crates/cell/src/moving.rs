@@ -37,6 +37,8 @@ pub struct Moving<'a> {
     controller: Controller,
     permitting: Permitting,
     operator: Box<dyn Operator>,
+    /// A rest that only a person could end was reported.
+    is_rest_told: bool,
     /// Both arms are stopped and wait for the operator's reset and selection.
     is_stopped: bool,
     /// Cause of the stop, as reported by the arms.
@@ -95,6 +97,7 @@ impl<'a> Moving<'a> {
             controller: Controller::new(setup.controller, setup.rig.arms.vs.chain.clone(), setup.rig.arms.vs.limits)?,
             permitting: Permitting::new(&setup.supervisor, *setup.rig.arms.vs.limits.operating())?,
             operator: Box::new(ByCommand),
+            is_rest_told: false,
             is_stopped: false,
             why_stopped: None,
             refusal: Refusal::None,
@@ -130,6 +133,7 @@ impl<'a> Moving<'a> {
         let arms = [&self.arms.vs, &self.arms.tc].map(|arm| (arm.condition(), arm.joints()));
         let decision = self.permitting.step(heard, &control, self.newest.as_ref(), arms, now);
         self.operator.show(&decision);
+        self.warn_of_a_rest_without_end(&decision);
         let told = match (decision.permission, control.command) {
             (Permission::Move { share }, Command::Velocity(velocity)) => Command::Velocity(velocity * share),
             _ => Command::Hold,
@@ -139,6 +143,14 @@ impl<'a> Moving<'a> {
             self.controller.acquire();
         }
         (control, decision, told)
+    }
+
+    /// Warns once of a rest that only a person could end, where there is none.
+    fn warn_of_a_rest_without_end(&mut self, decision: &Decision) {
+        if decision.why.waits_for_resume() && !self.operator.is_person() && !self.is_rest_told {
+            self.is_rest_told = true;
+            tracing::warn!("the arms rest until the run ends: without a console nobody can use resume; use --operator console");
+        }
     }
 
     /// Reads the operator input. A reset that the supervisor would accept also clears the faults latched in the arms; while a fault
@@ -253,8 +265,9 @@ impl<'a> Moving<'a> {
             tracing::error!("{trouble:#}");
         }
         self.why_stopped = why.and(stopped).err().map(|trouble| format!("{trouble:#}"));
-        if self.why_stopped.is_some() {
-            self.operator.tell(self.why_stopped.clone());
+        if let Some(why) = &self.why_stopped {
+            tracing::error!("{why}");
+            self.operator.tell(Some(why.clone()));
         }
     }
 

@@ -39,6 +39,16 @@ pub fn check_paths(
     Ok(vec![vs, ("tc-robot", checked.map_err(|refusal| refused("tc-robot", key, refusal))?)])
 }
 
+/// As [`check_paths`], from the start poses of the setup.
+///
+/// # Errors
+/// As [`check_paths`].
+pub fn check_stated_paths(setup: &Setup) -> Result<Vec<(&'static str, PathReport)>> {
+    let tc = &setup.rig.arms.tc;
+    let start = tc.world_from_base * tc.chain.forward(&tc.start_rad) * setup.rig.flange_from_target;
+    check_paths(setup, &*setup.experiment.motion.begin_at(start)?, start)
+}
+
 /// The same motion with a duration for each step move, so that its poses can be checked for reach.
 fn without_jumps(motion: &MotionConfig) -> MotionConfig {
     /// Substitute duration of a step move, seconds: slow enough for every supported arm.
@@ -100,10 +110,7 @@ mod tests {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
         let mut setup = read_setup(std::path::Path::new(file)).unwrap();
         change(&mut setup);
-        let world_from_flange =
-            setup.rig.arms.tc.world_from_base * setup.rig.arms.tc.chain.forward(&setup.rig.arms.tc.start_rad);
-        let start = world_from_flange * setup.rig.flange_from_target;
-        check_paths(&setup, &*setup.experiment.motion.begin_at(start).unwrap(), start)
+        check_stated_paths(&setup)
     }
 
     fn refusal(change: impl FnOnce(&mut Setup)) -> (PathRefusal, String) {

@@ -92,7 +92,7 @@ fn write_all(
     let page = page(outcome, summary, world_from_axes).heading("Provenance").table(&origin);
     page.folded("All settings and their origin", &settings).write(&folder.join("report.html"))?;
     print_line(&plain_zero(&text_table(summary)))?;
-    let following = summary.share_following();
+    let following = summary.supervisor.share_following;
     print_line(&format!("report: {}", folder.join("report.html").display()))?;
     Ok(if following < FOLLOWING_EXPECTED { Following::TooLittle { share: following } } else { Following::Well })
 }

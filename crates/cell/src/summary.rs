@@ -160,13 +160,6 @@ fn shares<'a>(words: impl Iterator<Item = &'a str>) -> BTreeMap<String, f64> {
     counts
 }
 
-impl RunSummary {
-    /// Share of the time in which the hand followed or approached, 0 to 1.
-    pub fn share_following(&self) -> f64 {
-        self.supervisor.share_following()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use nalgebra::{Matrix6, UnitQuaternion, Vector6};

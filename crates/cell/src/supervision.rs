@@ -6,6 +6,9 @@ use pb3dp_record::report::Table;
 use pb3dp_servo::supervisor::{Condition, Decision, State};
 use serde::Serialize;
 
+/// Time in which a target is initialised, seconds: until then a hand that has not followed yet does not count as one that should.
+const INITIALISING_S: f64 = 1.0;
+
 /// Number of transitions shown in the report; `summary.json` has all.
 const SHOWN: usize = 40;
 
@@ -18,6 +21,9 @@ pub struct Supervision {
     pub steps_found: BTreeMap<&'static str, u64>,
     /// Changes of state.
     pub transitions: Vec<TransitionNote>,
+    /// Share of the steps in which the hand followed or approached, 0 to 1; the first second counts from the first such step on.
+    #[serde(skip)]
+    pub share_following: f64,
 }
 
 /// A change of state.
@@ -41,12 +47,16 @@ pub struct SupervisionLog {
     steps_by_state: [u64; State::ALL.len()],
     steps_found: [u64; Condition::COUNT],
     transitions: Vec<TransitionNote>,
+    steps_initialising: u64,
 }
 
 impl SupervisionLog {
     /// Records a step; returns the state change, if there is one.
     pub fn note(&mut self, t_s: f64, decision: &Decision) -> Option<&TransitionNote> {
         self.steps_by_state[decision.state as usize] += 1;
+        if t_s < INITIALISING_S && self.steps_following() == 0 {
+            self.steps_initialising += 1;
+        }
         for condition in decision.found.iter() {
             self.steps_found[condition as usize] += 1;
         }
@@ -61,6 +71,10 @@ impl SupervisionLog {
         self.transitions.last()
     }
 
+    fn steps_following(&self) -> u64 {
+        State::ALL.into_iter().filter(|state| state.is_moving()).map(|state| self.steps_by_state[state as usize]).sum()
+    }
+
     /// The figures.
     pub fn summary(&self) -> Supervision {
         let steps: u64 = self.steps_by_state.iter().sum();
@@ -71,18 +85,12 @@ impl SupervisionLog {
             share_by_state: visited.map(|state| (state.name(), share(state))).collect(),
             steps_found: found.map(|condition| (condition.key(), self.steps_found[condition as usize])).collect(),
             transitions: self.transitions.clone(),
+            share_following: self.steps_following() as f64 / (steps - self.steps_initialising).max(1) as f64,
         }
     }
 }
 
 impl Supervision {
-    /// Share of the steps in which the hand was allowed to follow or approach, 0 to 1.
-    pub fn share_following(&self) -> f64 {
-        let moving = State::ALL.into_iter().filter(|state| state.is_moving());
-        // The sum over nothing would be -0.
-        moving.filter_map(|state| self.share_by_state.get(state.name())).fold(0.0, |sum, share| sum + share)
-    }
-
     /// Shares and findings as terminal lines.
     pub fn text_lines(&self) -> String {
         let shares: Vec<String> =
@@ -111,5 +119,31 @@ impl Supervision {
             0 => shown,
             more => shown.row([format!("and {more} more"), String::new(), String::new(), String::new()]),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::console::tests::decision;
+
+    /// Share of the steps of 10 ms in which the hand followed: `follows` from this time on.
+    fn share(duration_s: f64, follows: impl Fn(f64) -> bool) -> f64 {
+        let (mut log, resting) = (SupervisionLog::default(), decision());
+        for step in 0..(duration_s * 100.0) as u64 {
+            let t_s = step as f64 / 100.0;
+            let state = if follows(t_s) { State::Tracking } else { State::Selecting };
+            log.note(t_s, &Decision { state, transition: None, ..resting });
+        }
+        log.summary().share_following
+    }
+
+    #[test]
+    fn the_time_of_initialising_is_no_time_without_following() {
+        assert_eq!(share(2.0, |t_s| t_s >= 0.305), 1.0);
+        assert_eq!(share(2.0, |t_s| (0.305..1.0).contains(&t_s)), 69.0 / 169.0);
+        // Only the first second is for initialising.
+        assert_eq!(share(2.0, |t_s| t_s >= 1.5), 0.5);
+        assert_eq!(share(0.5, |_| false), 0.0);
     }
 }

@@ -50,7 +50,7 @@ fn wait_until(what: impl Fn() -> bool) {
     }
 }
 
-fn decision() -> Decision {
+pub fn decision() -> Decision {
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
     let config = read_setup(Path::new(file)).unwrap().supervisor;
     let inputs = Inputs {

@@ -6,10 +6,11 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand, ValueEnum};
+use pb3dp_cell::paths::check_stated_paths;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_setup::explain::{explain, is_within};
 use pb3dp_setup::layers::{Effective, Layers, SetupArgs, built_in, toml_of};
-use pb3dp_setup::setup::read_layers;
+use pb3dp_setup::setup::{is_for_cameras_only, read_cameras, read_layers};
 
 use crate::arguments::UNSURE;
 
@@ -139,8 +140,27 @@ fn json_of(value: &str) -> Result<serde_json::Value> {
 }
 
 fn check(args: &CheckArgs) -> Result<ExitCode> {
+    if is_for_cameras_only(&args.setup)? {
+        return check_cameras(&args.setup);
+    }
     let setup = read_layers(&args.setup)?;
+    check_stated_paths(&setup).context("`pb3dp run` would refuse this setup")?;
     print_line(&format!("{}: {} values, accepted", args.setup, setup.layers.effective().len()))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Checks a setup without arms. A calibration that does not exist yet is no fault.
+fn check_cameras(setup: &SetupArgs) -> Result<ExitCode> {
+    let (cameras, _) = read_cameras(setup)?;
+    let missing: Vec<String> =
+        cameras.calibration_files.iter().filter(|file| !file.exists()).map(|file| file.display().to_string()).collect();
+    if missing.is_empty() {
+        cameras.calibration()?;
+    }
+    print_line(&format!("{setup}: accepted for `pb3dp cameras`; `pb3dp run` also needs the tables [mounts] and [arms.NAME]"))?;
+    if !missing.is_empty() {
+        print_line(&format!("{}: does not exist yet; `pb3dp calibrate stereo` writes it", missing.join(", ")))?;
+    }
     Ok(ExitCode::SUCCESS)
 }
 

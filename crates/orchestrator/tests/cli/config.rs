@@ -42,10 +42,26 @@ fn a_setup_that_is_begun_is_accepted_or_says_what_is_missing() {
         let checked = config(&["check", "--config", file.to_str().unwrap()]);
         assert_eq!(checked.code, Some(0), "{kind}: {checked:?}");
     }
+    let cameras = folder.path().join("cameras.toml");
+    fs::write(&cameras, config(&["init", "cameras"]).stdout).unwrap();
+    let checked = config(&["check", "--config", cameras.to_str().unwrap()]);
+    assert_eq!(checked.code, Some(0), "{checked:?}");
+    for said in ["accepted for `pb3dp cameras`", "calibration.toml: does not exist yet; `pb3dp calibrate stereo`"] {
+        assert!(checked.stdout.contains(said), "{checked:?}");
+    }
     let missing = config(&["check", "--config", "rig"]);
     assert_eq!(missing.code, Some(1));
     for key in ["mounts", "camera.left.device", "camera.calibration", "arms.vs", "arms.tc"] {
         assert!(missing.stderr.contains(&format!("  {key}: missing")), "{key}: {}", missing.stderr);
+    }
+}
+
+#[test]
+fn an_experiment_that_a_run_refuses_is_refused_before() {
+    let checked = config(&["check", "--config", "sim", "--set", "arms.tc.start_deg=[0,0,0,0,0,0,0]"]);
+    assert_eq!(checked.code, Some(1), "{checked:?}");
+    for part in ["`pb3dp run` would refuse this setup", "cannot follow the experiment"] {
+        assert!(checked.stderr.contains(part), "{checked:?}");
     }
 }
 

@@ -139,6 +139,16 @@ pub enum RefusedFor {
 }
 
 impl Why {
+    /// Whether motion continues only after the command `resume`.
+    pub fn waits_for_resume(&self) -> bool {
+        matches!(
+            self,
+            Self::Resting { then: Then::Resume, .. }
+                | Self::CauseGone { then: Then::Resume, .. }
+                | Self::HeldByOperator { .. }
+        )
+    }
+
     /// The code of the condition that inhibits motion or has latched the arms.
     pub fn code(&self) -> Option<&'static MessageCode> {
         match self {

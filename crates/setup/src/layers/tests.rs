@@ -66,6 +66,16 @@ fn a_file_over_another_does_not_bring_its_base_again() {
 }
 
 #[test]
+fn a_stricter_action_takes_the_resume_of_the_base_away() {
+    for action in ["stop", "fault"] {
+        let setup = args(&[Path::new("sim")], &[&format!("supervisor.policies.target_lost.action={action}")]);
+        assert!(read_layers(&setup).is_ok(), "{action}: {:?}", read_layers(&setup).err());
+    }
+    let stated = ["supervisor.policies.target_lost.action=stop", "supervisor.policies.target_lost.resume=by-itself"];
+    assert!(refusal(&[Path::new("sim")], &stated).contains("target_lost.resume"));
+}
+
+#[test]
 fn a_kind_takes_the_tables_of_other_kinds_away() {
     let folder = tempfile::tempdir().unwrap();
     let file = write(

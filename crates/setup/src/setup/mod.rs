@@ -52,7 +52,7 @@ use self::link::GATEWAY_CYCLE_MAX_MILLIS;
 pub use self::link::{ArmLink, BusLinkConfig, GatewayWay};
 use self::mounts::MountsSection;
 use self::range::search_range;
-pub use self::real_cameras::{RealCameras, Synchronisation, interval, read_cameras};
+pub use self::real_cameras::{RealCameras, Synchronisation, interval, is_for_cameras_only, read_cameras};
 use self::seeds::Stream;
 use self::servo::ServoSection;
 use self::sight::{CameraEntry, CameraTable, Sight};

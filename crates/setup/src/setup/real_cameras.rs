@@ -13,7 +13,7 @@ use pb3dp_geometry::ImageSize;
 use pb3dp_record::calibration_files::{Judgement, StereoCalibration};
 use serde::Deserialize;
 
-use super::super::layers::SetupArgs;
+use super::super::layers::{Layers, SetupArgs};
 use super::super::load::{Checker, ConfigError, ConfigFile, whole};
 use super::calibration::{CalibrationInUse, load_files};
 use super::millis;
@@ -74,7 +74,7 @@ impl RealCameras {
 
     /// Reads the calibration.
     ///
-    /// Unusable files, or a calibration for images of another size.
+    /// # Errors
     /// Files that cannot be used, or that are for images of another size.
     pub fn calibration(&self) -> Result<StereoCalibration> {
         load_calibration(&self.calibration_files, self.size())
@@ -113,6 +113,18 @@ pub fn read_cameras(args: &SetupArgs) -> Result<(RealCameras, SearchRange), Conf
     config.finish(check)?;
     let lines = "  camera: not complete".to_owned();
     found.ok_or_else(|| ConfigError::Values { file: args.name().to_path_buf(), lines })
+}
+
+/// Whether a setup names cameras of this computer but neither arms nor mounts: `pb3dp cameras` needs no more.
+///
+/// # Errors
+/// As [`Layers::read`].
+pub fn is_for_cameras_only(args: &SetupArgs) -> Result<bool, ConfigError> {
+    let stated = Layers::read(args)?.effective();
+    let is_of_an_arm = |key: &str| key.strip_prefix("arms.").is_some_and(|key| key.contains('.'));
+    let is_for_more = |key: &str| key.starts_with("mounts.") || is_of_an_arm(key);
+    Ok(stated.iter().any(|setting| setting.key == "camera.left.device")
+        && !stated.iter().any(|setting| is_for_more(&setting.key)))
 }
 
 fn cameras_of(config: &ConfigFile, check: &mut Checker) -> Option<(RealCameras, SearchRange)> {

@@ -1,14 +1,16 @@
 //! Needs of a rig: in general, or of one configuration.
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use pb3dp_arm_pa10::arm::REALTIME;
 use pb3dp_arm_pa10_protocol::places::BusTarget;
 use pb3dp_camera_settings::CameraName;
 use pb3dp_commissioning::gateway::file::{HostPlace, read_gateway};
+use pb3dp_geometry::ImageSize;
 use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::load::{ConfigError, FileKind, kind_of};
-use pb3dp_setup::setup::{ArmLink, GatewayWay, Pace, Setup, read_layers};
+use pb3dp_setup::setup::{ArmLink, GatewayWay, Pace, RealCameras, Setup, is_for_cameras_only, read_cameras, read_layers};
 
 /// Needs.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,6 +48,17 @@ pub(super) enum Cameras {
     These([CameraName; 2]),
 }
 
+impl Cameras {
+    fn of(cameras: &RealCameras) -> Self {
+        Self::These([&cameras.stereo.left, &cameras.stereo.right].map(|side| side.name.clone()))
+    }
+}
+
+/// Data rate of pairs with three bytes per pixel.
+fn bytes_per_s(size: ImageSize, period: Duration) -> f64 {
+    2.0 * 3.0 * f64::from(size.width) * f64::from(size.height) / period.as_secs_f64().max(1e-3)
+}
+
 /// Two images of 640 x 480 pixels, three bytes each, 30 times per second.
 const DEFAULT_BYTES_PER_S: f64 = 2.0 * 640.0 * 480.0 * 3.0 * 30.0;
 
@@ -75,6 +88,10 @@ impl Needs {
         if file.is_file() && kind_of(file)? == Some(FileKind::Gateway) {
             return Self::of_gateway(file, recordings);
         }
+        if is_for_cameras_only(config)? {
+            let (cameras, _) = read_cameras(config)?;
+            return Ok(Self::of_cameras(config, &cameras, recordings));
+        }
         let setup = read_layers(config)?;
         Ok(Self::of_setup(config, &setup, recordings))
     }
@@ -90,6 +107,17 @@ impl Needs {
         groups
     }
 
+    /// Needs of cameras without arms.
+    fn of_cameras(config: &SetupArgs, cameras: &RealCameras, recordings: PathBuf) -> Self {
+        Self {
+            source: format!("{config} (pb3dp cameras)"),
+            serial: Some(Vec::new()),
+            cameras: Cameras::of(cameras),
+            recording_bytes_per_s: bytes_per_s(cameras.size(), cameras.period()),
+            ..Self::general(recordings)
+        }
+    }
+
     fn of_setup(config: &SetupArgs, setup: &Setup, recordings: PathBuf) -> Self {
         let (mut serial, mut arcnet) = (Vec::new(), Vec::new());
         for link in [&setup.rig.arms.vs.link, &setup.rig.arms.tc.link] {
@@ -99,20 +127,15 @@ impl Needs {
                 ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated | GatewayWay::Tcp(_)) => {}
             }
         }
-        let size = setup.rig.stereo.left().size();
-        let pixels = f64::from(size.width) * f64::from(size.height);
         Self {
             source: format!("{config} (pb3dp run)"),
             needs_realtime: setup.pace == Pace::Live
                 && !(setup.rig.arms.vs.link.is_toy() && setup.rig.arms.tc.link.is_toy()),
             serial: Some(serial),
             arcnet,
-            cameras: setup.rig.real_cameras.as_ref().map_or(Cameras::NotNeeded, |cameras| {
-                let cameras = [&cameras.stereo.left, &cameras.stereo.right];
-                Cameras::These(cameras.map(|side| side.name.clone()))
-            }),
+            cameras: setup.rig.real_cameras.as_ref().map_or(Cameras::NotNeeded, Cameras::of),
             nominal_calibration: setup.rig.nominal_calibration.clone(),
-            recording_bytes_per_s: 2.0 * 3.0 * pixels / setup.rig.frames.period.as_secs_f64().max(1e-3),
+            recording_bytes_per_s: bytes_per_s(setup.rig.stereo.left().size(), setup.rig.frames.period),
             ..Self::general(recordings)
         }
     }

@@ -415,6 +415,9 @@ fn needs_come_from_the_configuration() {
             && emulated.nominal_calibration.is_none()
     );
     assert!(rig.serial.as_ref().unwrap().len() == 2 && rig.groups() == ["realtime", "video", "dialout"]);
+    let cameras = of("../crates/orchestrator/src/commands/config/cameras.toml");
+    assert!(!cameras.needs_realtime && matches!(cameras.cameras, Cameras::These(_)), "{cameras:?}");
+    assert_eq!((&cameras.serial, cameras.groups()), (&Some(Vec::new()), vec!["video"]));
     assert!(of("sim.toml").groups().is_empty() && emulated.groups().is_empty());
     assert_eq!(Needs::general(PathBuf::from("out")).groups(), ["realtime", "video", "dialout"]);
     let missing = Needs::of_config(&SetupArgs::of_file(&root.join("no such file.toml")), PathBuf::from("out"));
