@@ -3,12 +3,10 @@
 
 use std::sync::{Arc, Mutex};
 
-use pb3dp_cell::channels::Plan;
 use pb3dp_cell::experiment::{Ended, conduct};
 use pb3dp_cell::operator::Operator;
 use pb3dp_cell::parts::{DrivenArm, Parts};
 use pb3dp_cell::report::{self, Made};
-use pb3dp_cell::summary::summarize;
 use pb3dp_cell::supervision::TransitionNote;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
@@ -550,7 +548,6 @@ fn a_command_that_an_arm_refuses_is_a_hold_until_resume() {
 fn a_fault_that_ends_a_run_is_on_top_of_its_report() {
     let setup = setup();
     let parts = wire(&setup).unwrap();
-    let plan = Plan::of(&setup.experiment.motion, &*parts.experiment);
     let vs = Stoppable::new(parts.vs, &parts.clock, &[(3.0, 9.0)]);
     let Ended { outcome, how } = conduct(&setup, Parts { vs: Box::new(vs), ..parts }, None, None).unwrap();
     let failure = how.unwrap_err();
@@ -558,8 +555,7 @@ fn a_fault_that_ends_a_run_is_on_top_of_its_report() {
     assert!(text.contains("vs-robot") && text.contains("the emergency stop of the test"), "{text}");
     assert!(outcome.log.control.len() > 290, "{} steps", outcome.log.control.len());
     let folder = tempfile::tempdir().unwrap();
-    let summary = summarize(&outcome.log, &plan);
-    let failed = report::tell(folder.path(), &setup, &Made::default(), (&outcome, summary, &plan), Err(failure));
+    let failed = report::tell(folder.path(), &setup, &Made::default(), &outcome, Err(failure));
     assert_eq!(format!("{:#}", failed.unwrap_err()), text);
     let page = std::fs::read_to_string(folder.path().join("report.html")).unwrap();
     let place = |text: &str| page.find(text).unwrap_or_else(|| panic!("{text} is not in the report"));

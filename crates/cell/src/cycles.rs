@@ -90,10 +90,10 @@ impl CycleSummary {
         Self { missed, dropped, ..Self::new(name, period, &beat.lateness.summary()) }
     }
 
-    /// Timing of an arm's link with this period.
-    pub fn of_link(name: &str, period: Duration, monitor: &dyn LinkMonitor) -> Self {
+    /// Timing of an arm's link.
+    pub fn of_link(name: &str, monitor: &dyn LinkMonitor) -> Self {
         let LinkCounts { missed, replies_lost } = monitor.counts();
-        Self { missed, replies_lost, ..Self::new(name, period, &monitor.lateness()) }
+        Self { missed, replies_lost, ..Self::new(name, monitor.period(), &monitor.lateness()) }
     }
 }
 

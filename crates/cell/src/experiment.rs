@@ -9,6 +9,7 @@ use pb3dp_setup::setup::Setup;
 
 use super::capturing::Captured;
 use super::cell::SimulatedCell;
+use super::channels::Plan;
 use super::cycles::CycleSummary;
 use super::halves::{Capture, Course, Estimate, Parted, Record, first_failure};
 use super::journal::{Journal, Outcome};
@@ -67,25 +68,21 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     let looking = Looking::new(setup, (camera, cell.clone(), marking), (strip, &clock), record)?;
     let mut moving = Moving::new(setup, (vs, tc), &*experiment, now)?.with_operator(operator);
     let ends_s = stop_after_s.map_or(duration_s, |s| s.clamp(0.0, duration_s));
-    let journal = Journal::new(setup, cell.clone(), (now, ends_s), log);
+    let plan = Plan::of(&setup.experiment.motion, &*experiment);
+    let journal = Journal::new(setup, cell.clone(), (now, ends_s), (log, plan));
     let mut watching = Watching { looking, journal, cell };
-    let course = Course {
-        setup,
-        clock: &clock,
-        duration: Duration::from_secs_f64(ends_s),
-        interrupt: &interrupt,
-    };
+    let course = Course { setup, clock: &clock, duration: Duration::from_secs_f64(ends_s), interrupt: &interrupt };
     let (how, punctuality) = course.run(&mut watching, &mut moving);
     let recorded = watching.looking.noting.finish_recording();
     let how = first_failure([how, recorded]);
     let steps_untrue = watching.journal.steps_untrue();
-    let mut outcome = watching.journal.finish(setup, watching.looking.finish(), moving.arms().commands());
+    let mut outcome = watching.journal.finish(watching.looking.finish(), moving.arms().commands());
     let replies_missed = moving.arms().replies_missed();
     if let Some(mut punctuality) = punctuality {
         punctuality.recording.dropped += steps_untrue;
         outcome.log.cycles.extend(punctuality.summaries(setup, replies_missed));
     }
-    let links = links.iter().map(|(name, monitor)| CycleSummary::of_link(name, setup.control_period, &**monitor));
+    let links = links.iter().map(|(name, monitor)| CycleSummary::of_link(name, &**monitor));
     outcome.log.cycles.extend(links);
     // The arms are dropped before the emulators at the other end of their links.
     drop(moving);

@@ -1,13 +1,14 @@
 //! Records the control steps of a run together with the true poses.
 
 use nalgebra::Vector6;
-use pb3dp_geometry::frames::{CamLeft, Model, Target};
+use pb3dp_geometry::frames::{CamLeft, Hand, Model, Target};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, smallest_singular_value};
 use pb3dp_servo::supervisor::{Event, State};
 use pb3dp_setup::setup::Setup;
 
 use super::cell::SimulatedCell;
+use super::channels::Plan;
 use super::commands::CommandSummary;
 use super::log::{ControlSample, Lock, MethodLog, RunLog};
 use super::moving::Moved;
@@ -21,6 +22,8 @@ const PROGRESS_EVERY_S: f64 = 5.0;
 pub struct Outcome {
     /// Everything recorded.
     pub log: RunLog,
+    /// Parameters of the experiment, for its figures.
+    pub plan: Plan,
     /// Annotated images from moments of interest.
     pub strip: Strip,
 }
@@ -34,11 +37,18 @@ pub struct Journal {
     next_progress_s: f64,
     steps_untrue: u64,
     log: RunLog,
+    plan: Plan,
+    model_from_hand_desired: Pose<Model, Hand>,
 }
 
 impl Journal {
     /// An empty journal of an experiment with this duration that begins at `begin`.
-    pub fn new(setup: &Setup, cell: SimulatedCell, (begin, duration_s): (MonotonicTime, f64), log: RunLog) -> Self {
+    pub fn new(
+        setup: &Setup,
+        cell: SimulatedCell,
+        (begin, duration_s): (MonotonicTime, f64),
+        (log, plan): (RunLog, Plan),
+    ) -> Self {
         Self {
             cell,
             chain: setup.rig.arms.vs.chain.clone(),
@@ -46,7 +56,9 @@ impl Journal {
             duration_s,
             next_progress_s: 0.0,
             steps_untrue: 0,
-            log,
+            log: RunLog { without_images: !setup.leader.needs_images(), without_truth: setup.world.is_none(), ..log },
+            plan,
+            model_from_hand_desired: setup.controller.model_from_hand_desired,
         }
     }
 
@@ -99,7 +111,7 @@ impl Journal {
 
     /// The result of the run. The model pose on the target is only known after the first estimate, so the desired hand poses are filled in
     /// now.
-    pub fn finish(mut self, setup: &Setup, looked: EstimateRecords, commands: [CommandSummary; 2]) -> Outcome {
+    pub fn finish(mut self, looked: EstimateRecords, commands: [CommandSummary; 2]) -> Outcome {
         let EstimateRecords { leading, compared, pairs_lost, strip, lock, drift } = looked;
         let until_s = self.log.marks.first().map_or(f64::INFINITY, |mark| mark.at_s);
         let lock = lock.map(|lock| Lock {
@@ -108,24 +120,12 @@ impl Journal {
         });
         let places = lock.map(|lock| (lock.target_from_model, lock.target_from_model_found));
         let (wanted, locked) = places.unwrap_or_else(|| (Pose::coincident(), Pose::coincident()));
-        let model_from_hand = setup.controller.model_from_hand_desired;
         for sample in &mut self.log.control {
-            sample.world_from_hand_wanted = sample.world_from_target * wanted * model_from_hand;
-            sample.world_from_hand_locked = sample.world_from_target * locked * model_from_hand;
+            sample.world_from_hand_wanted = sample.world_from_target * wanted * self.model_from_hand_desired;
+            sample.world_from_hand_locked = sample.world_from_target * locked * self.model_from_hand_desired;
         }
-        let (without_images, without_truth) = (!setup.leader.needs_images(), setup.world.is_none());
-        let log = RunLog {
-            without_images,
-            without_truth,
-            leading,
-            compared,
-            pairs_lost,
-            drift,
-            lock,
-            commands: commands.into(),
-            ..self.log
-        };
-        Outcome { log, strip }
+        let log = RunLog { leading, compared, pairs_lost, drift, lock, commands: commands.into(), ..self.log };
+        Outcome { log, plan: self.plan, strip }
     }
 }
 

@@ -37,7 +37,6 @@ pub mod moving;
 pub mod noting;
 pub mod operator;
 pub mod paced_clock;
-pub mod pair;
 pub mod parts;
 pub mod paths;
 pub mod percept;

@@ -149,7 +149,9 @@ impl<'a> Moving<'a> {
     fn warn_of_a_rest_without_end(&mut self, decision: &Decision) {
         if decision.why.waits_for_resume() && !self.operator.is_person() && !self.is_rest_told {
             self.is_rest_told = true;
-            tracing::warn!("the arms rest until the run ends: without a console nobody can use resume; use --operator console");
+            tracing::warn!(
+                "the arms rest until the run ends: without a console nobody can use resume; use --operator console"
+            );
         }
     }
 

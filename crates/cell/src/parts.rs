@@ -52,6 +52,9 @@ impl<A: Arm + ArmPower> DrivenArm for Limiter<A> {
 
 /// Timing and completeness of the exchanges on an arm's link.
 pub trait LinkMonitor: Send {
+    /// Period of the link cycles.
+    fn period(&self) -> Duration;
+
     /// Lateness of the link cycles.
     fn lateness(&self) -> Jitter;
 

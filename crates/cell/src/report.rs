@@ -12,11 +12,11 @@ use pb3dp_record::report::{LinePlot, Report, ReportImage, Series, SeriesColor, T
 use pb3dp_setup::layers::toml_of;
 use pb3dp_setup::setup::{CalibrationInUse, Setup};
 
-use super::channels::{ChannelSummary, Plan};
+use super::channels::ChannelSummary;
 use super::journal::Outcome;
 use super::log::{ControlSample, MethodLog, RunLog};
 use super::machine::machine;
-use super::summary::RunSummary;
+use super::summary::{RunSummary, summarize};
 use super::terminal::print_line;
 use super::{commands, cycles, drift, methods};
 use crate::figures::{MedianP95, RmsMax, TrackingError};
@@ -40,15 +40,10 @@ pub struct Made {
 ///
 /// # Errors
 /// The failure that ended the run early (`how`), and failures to write the report.
-pub fn tell(
-    folder: &Path,
-    setup: &Setup,
-    made: &Made,
-    (outcome, summary, plan): (&Outcome, RunSummary, &Plan),
-    how: Result<()>,
-) -> Result<Following> {
-    let summary = RunSummary { ended_by: how.as_ref().err().map(|failure| format!("{failure:#}")), ..summary };
-    both(how, write_all(folder, setup, made, (outcome, &summary, &plan.world_from_axes)))
+pub fn tell(folder: &Path, setup: &Setup, made: &Made, outcome: &Outcome, how: Result<()>) -> Result<Following> {
+    let ended_by = how.as_ref().err().map(|failure| format!("{failure:#}"));
+    let summary = RunSummary { ended_by, ..summarize(&outcome.log, &outcome.plan) };
+    both(how, write_all(folder, setup, made, (outcome, &summary)))
 }
 
 /// Combines the end of the run with the outcome of its report.
@@ -67,7 +62,7 @@ fn write_all(
     folder: &Path,
     setup: &Setup,
     made: &Made,
-    (outcome, summary, world_from_axes): (&Outcome, &RunSummary, &UnitQuaternion<f64>),
+    (outcome, summary): (&Outcome, &RunSummary),
 ) -> Result<Following> {
     let provenance = provenance(made, setup, summary.duration_s);
     let json = serde_json::json!({
@@ -89,7 +84,7 @@ fn write_all(
     let settings = settings.iter().fold(Table::new(["key", "value", "origin"]), |table, setting| {
         table.row([setting.key.clone(), setting.value.clone(), setting.origin.clone()])
     });
-    let page = page(outcome, summary, world_from_axes).heading("Provenance").table(&origin);
+    let page = page(outcome, summary, &outcome.plan.world_from_axes).heading("Provenance").table(&origin);
     page.folded("All settings and their origin", &settings).write(&folder.join("report.html"))?;
     print_line(&plain_zero(&text_table(summary)))?;
     let following = summary.supervisor.share_following;

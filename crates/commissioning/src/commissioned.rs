@@ -2,7 +2,7 @@
 //! that are not emulated move faster, or resume with less care, than on their first run.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result, bail};
@@ -55,14 +55,14 @@ impl Fingerprint {
     ///
     /// # Errors
     /// What the arm has not reported.
-    pub fn of(arm: &ArmSetup, seen: &ArmSnapshot) -> Result<Self> {
+    pub fn of(arm_number: u8, seen: &ArmSnapshot) -> Result<Self> {
         let gateway = seen.gateway.as_ref().context("the arm has no gateway that identifies it")?;
         let limits = seen.limits.iter().map(|limits| {
             let limits = limits.as_ref().context("the limits in the EEPROM of the controller were not read")?;
             Ok([limits.lower_rad, limits.upper_rad].map(|rad| (rad.to_degrees() * 1e4).round() / 1e4))
         });
         Ok(Self {
-            arm_number: arm.link.number().map_or(0, |(number, _)| number.0),
+            arm_number,
             gateway: gateway.firmware.as_str().to_owned(),
             geometry: gateway.geometry.to_string(),
             eeprom_deg: limits.collect::<Result<_>>()?,
@@ -156,22 +156,6 @@ impl CommissioningRecord {
             }
         })
     }
-
-    /// Checks that this is the record of the connected arm.
-    ///
-    /// # Errors
-    /// The first difference.
-    pub fn check_arm(&self, path: &Path, arm: &ArmSetup, seen: &ArmSnapshot) -> Result<()> {
-        if let Some(difference) = self.fingerprint.difference(&Fingerprint::of(arm, seen)?) {
-            bail!(
-                "{} may not move: {} is the record of another arm: {difference}; run `pb3dp arm test --move` again, or correct {}.commissioning_record",
-                self.arm,
-                path.display(),
-                arm.key
-            );
-        }
-        Ok(())
-    }
 }
 
 /// The arms of a setup that are not emulated.
@@ -183,58 +167,75 @@ pub fn real_arms(setup: &Setup) -> Vec<ArmChoice> {
 ///
 /// # Errors
 /// The settings that need a record, and the arm that has no valid one.
-pub fn needed_records(setup: &Setup, now: SystemTime) -> Result<Vec<(ArmChoice, CommissioningRecord)>> {
+pub fn needed_records(setup: &Setup, now: SystemTime) -> Result<Vec<NeededRecord>> {
     let (real, settings) = (real_arms(setup), setup.settings_that_need_commissioning());
     if settings.is_empty() {
         return Ok(Vec::new());
     }
-    let load = |choice: ArmChoice| {
-        let arm = choice.of(setup);
-        let record = record_of(arm, choice, real.len() > 1, now).with_context(|| {
+    let read = |choice: &ArmChoice| {
+        NeededRecord::read(choice.of(setup), *choice, real.len() > 1, now).with_context(|| {
             let name = choice.name();
             format!(
                 "{name} is not emulated and may not move with {}: it has no valid commissioning record",
                 settings.join(", ")
             )
-        })?;
-        Ok((choice, record))
+        })
     };
-    real.iter().map(|choice| load(*choice)).collect()
+    real.iter().map(read).collect()
 }
 
-fn record_of(arm: &ArmSetup, choice: ArmChoice, has_interlock: bool, now: SystemTime) -> Result<CommissioningRecord> {
-    let key = format!("{}.commissioning_record", arm.key);
-    let word = if choice == ArmChoice::Vs { "vs" } else { "tc" };
-    let remedy = format!("run `pb3dp arm test --arm {word} --move`, or use the values that need no record");
-    if matches!(arm.link, ArmLink::Bus(_)) {
-        bail!("an arm on a bus has no gateway that `pb3dp arm test` could check; use the values that need no record");
-    }
-    let Some(path) = &arm.commissioning_record else {
-        bail!("{key} is not set; name a file there, then {remedy}");
-    };
-    let record = CommissioningRecord::load(path).with_context(|| format!("{key} = {path:?}; {remedy}"))?;
-    match record.doubt(choice.name(), has_interlock, now) {
-        Some(doubt) => bail!("{key} = {path:?}: {doubt}; {remedy}"),
-        None => Ok(record),
-    }
+/// Number of an arm on its link; 0 without a link.
+pub fn arm_number(arm: &ArmSetup) -> u8 {
+    arm.link.number().map_or(0, |(number, _)| number.0)
 }
 
-/// Checks that the records are those of the connected arms; their brakes are still closed.
-///
-/// # Errors
-/// The first difference.
-pub fn check_arms(
-    setup: &Setup,
-    records: &[(ArmChoice, CommissioningRecord)],
-    monitors: &[(&'static str, ArmMonitor)],
-) -> Result<()> {
-    for (choice, record) in records {
-        let monitor = monitors.iter().find(|(name, _)| *name == choice.name());
-        let (_, monitor) = monitor.with_context(|| format!("{} has no link", choice.name()))?;
-        let arm = choice.of(setup);
-        record.check_arm(arm.commissioning_record.as_deref().unwrap_or(Path::new("")), arm, &monitor.snapshot())?;
+/// A valid record, and the arm of the setup that needs it.
+#[derive(Clone, Debug)]
+pub struct NeededRecord {
+    arm: &'static str,
+    arm_number: u8,
+    key: String,
+    path: PathBuf,
+    record: CommissioningRecord,
+}
+
+impl NeededRecord {
+    fn read(arm: &ArmSetup, choice: ArmChoice, has_interlock: bool, now: SystemTime) -> Result<Self> {
+        let key = format!("{}.commissioning_record", arm.key);
+        let word = if choice == ArmChoice::Vs { "vs" } else { "tc" };
+        let remedy = format!("run `pb3dp arm test --arm {word} --move`, or use the values that need no record");
+        if matches!(arm.link, ArmLink::Bus(_)) {
+            bail!(
+                "an arm on a bus has no gateway that `pb3dp arm test` could check; use the values that need no record"
+            );
+        }
+        let Some(path) = &arm.commissioning_record else {
+            bail!("{key} is not set; name a file there, then {remedy}");
+        };
+        let record = CommissioningRecord::load(path).with_context(|| format!("{key} = {path:?}; {remedy}"))?;
+        match record.doubt(choice.name(), has_interlock, now) {
+            Some(doubt) => bail!("{key} = {path:?}: {doubt}; {remedy}"),
+            None => Ok(Self { arm: choice.name(), arm_number: arm_number(arm), key, path: path.clone(), record }),
+        }
     }
-    Ok(())
+
+    /// Checks that this is the record of the connected arm; its brakes are still closed.
+    ///
+    /// # Errors
+    /// The first difference.
+    pub fn check(&self, monitors: &[(&'static str, ArmMonitor)]) -> Result<()> {
+        let Self { arm, key, path, record, .. } = self;
+        let monitor = monitors.iter().find(|(name, _)| name == arm);
+        let (_, monitor) = monitor.with_context(|| format!("{arm} has no link"))?;
+        let found = Fingerprint::of(self.arm_number, &monitor.snapshot())?;
+        if let Some(difference) = record.fingerprint.difference(&found) {
+            bail!(
+                "{arm} may not move: {} is the record of another arm: {difference}; run `pb3dp arm test --move` again, or correct {key}",
+                path.display()
+            );
+        }
+        Ok(())
+    }
 }
 
 #[cfg(test)]

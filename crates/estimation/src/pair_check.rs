@@ -64,6 +64,21 @@ pub enum PairVerdict {
     Unknown,
 }
 
+/// Left and right images that are exchanged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "left and right look exchanged: {behind} of {agreeing} patches match only behind the cameras, and once exchanged {fitting_exchanged} \
+     match in front"
+)]
+pub struct Exchanged {
+    /// As in [`PairCheck`].
+    pub agreeing: usize,
+    /// As in [`PairCheck`].
+    pub behind: usize,
+    /// As in [`PairCheck`].
+    pub fitting_exchanged: usize,
+}
+
 /// The verdict and the numbers behind it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PairCheck {
@@ -90,6 +105,43 @@ impl PairCheck {
     /// Share of the agreeing matches in front of the cameras; `None` without matches.
     pub fn share_in_front(&self) -> Option<f64> {
         (self.agreeing > 0).then(|| 1.0 - self.behind as f64 / self.agreeing as f64)
+    }
+
+    /// The pair may be used; returns why the calibration may not belong to it, if the match is doubtful.
+    ///
+    /// # Errors
+    /// Left and right are exchanged: all estimates from them would be wrong.
+    pub fn accepted(&self) -> Result<Option<String>, Exchanged> {
+        let Self { agreeing, behind, fitting_exchanged, .. } = *self;
+        match self.verdict {
+            PairVerdict::Swapped => Err(Exchanged { agreeing, behind, fitting_exchanged }),
+            _ => Ok(self.doubt()),
+        }
+    }
+
+    /// Why the calibration may not belong to the images.
+    fn doubt(&self) -> Option<String> {
+        let Self { patches, matches, agreeing, behind, .. } = self;
+        Some(match self.verdict {
+            PairVerdict::Consistent | PairVerdict::Unknown | PairVerdict::Swapped => return None,
+            PairVerdict::BehindCameras => format!(
+                "{behind} of {agreeing} patches match only behind the cameras, and swapping the images would not help: the \
+                 calibration does not belong to them; give the right file or calibrate again"
+            ),
+            PairVerdict::RowsDisagree { offset_px } => format!(
+                "{agreeing} of {matches} matching patches lie {:.1} px {} the row or line that the calibration predicts (spread \
+                 {:.1} px): it does not belong to these images, or the cameras have moved; give the right file or calibrate \
+                 again",
+                offset_px.abs(),
+                if offset_px > 0.0 { "below" } else { "above" },
+                self.row_spread_px.unwrap_or_default()
+            ),
+            PairVerdict::Unrelated => format!(
+                "only {agreeing} of {patches} textured patches of the left image are found in the right one where the \
+                 calibration predicts them: the images do not show the same scene at the same moment, or the calibration does \
+                 not belong to them; check the files, or calibrate again"
+            ),
+        })
     }
 
     fn unknown() -> Self {

@@ -275,7 +275,8 @@ impl Layers {
         // A rest without a return from it has no `resume`.
         let policies = value_at(&layer.stated, &["supervisor", "policies"]).and_then(Value::as_dict);
         for (name, policy) in policies.into_iter().flatten() {
-            if policy.as_dict().and_then(|policy| policy.get("action")?.as_str()).is_some_and(|action| action != "hold") {
+            if policy.as_dict().and_then(|policy| policy.get("action")?.as_str()).is_some_and(|action| action != "hold")
+            {
                 self.remove(&format!("supervisor.policies.{name}.resume"));
             }
         }

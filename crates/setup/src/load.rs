@@ -13,7 +13,7 @@ use serde::de::DeserializeOwned;
 
 use crate::error::text_of;
 pub use crate::error::{ConfigError, FileKind};
-use crate::layers::{Layers, SetupArgs, built_in};
+use crate::layers::{Layers, built_in};
 
 /// Kind of a file by its tables; `None` if it has no table of any kind.
 ///
@@ -45,12 +45,9 @@ impl ConfigFile {
         Ok(Self::of(file.to_path_buf(), wanted, Layers::one_file(file)?))
     }
 
-    /// Reads all layers of a setup.
-    ///
-    /// # Errors
-    /// As [`Layers::read`].
-    pub fn setup(args: &SetupArgs) -> Result<Self, ConfigError> {
-        Ok(Self::of(args.name().to_path_buf(), FileKind::Setup, Layers::read(args)?))
+    /// A setup of these layers.
+    pub fn setup(name: &Path, layers: Layers) -> Self {
+        Self::of(name.to_path_buf(), FileKind::Setup, layers)
     }
 
     pub(crate) fn of(name: PathBuf, wanted: FileKind, layers: Layers) -> Self {

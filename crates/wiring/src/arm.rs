@@ -82,15 +82,22 @@ impl StopOrder for BusStop {
 }
 
 /// The link of a real or emulated arm.
-pub(super) struct MonitoredLink(pub ArmMonitor);
+pub(super) struct MonitoredLink {
+    pub monitor: ArmMonitor,
+    pub period: Duration,
+}
 
 impl LinkMonitor for MonitoredLink {
+    fn period(&self) -> Duration {
+        self.period
+    }
+
     fn lateness(&self) -> Jitter {
-        self.0.jitter()
+        self.monitor.jitter()
     }
 
     fn counts(&self) -> LinkCounts {
-        let counters = self.0.snapshot().counters;
+        let counters = self.monitor.snapshot().counters;
         LinkCounts { missed: counters.overruns, replies_lost: counters.lost }
     }
 }

@@ -8,7 +8,7 @@ use pb3dp_camera_settings::StereoConfig;
 use pb3dp_camera_v4l2::pairing::Drift;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_camera_v4l2::{ReopeningCamera, Side};
-use pb3dp_cell::pair::{check_images, check_reopened};
+use pb3dp_estimation::pair_check::{PairCheck, PairVerdict, check_pair};
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 use pb3dp_record::calibration_files::CameraIdentity;
@@ -51,8 +51,10 @@ pub(super) fn wire_real(
     let mut identity_of = |side| camera.camera.identity(side).map(identity).context("table [camera]");
     let identities = [identity_of(Side::Left)?, identity_of(Side::Right)?];
     look_at_cameras(&setup.rig.calibrations, &identities)?;
-    check_images("cameras", &setup.rig.stereo, &first.left, &first.right)
-        .context("table [camera]: exchange left.device and right.device if the cameras are exchanged")?;
+    let check = check_pair(&setup.rig.stereo, &first.left, &first.right);
+    if let Some(doubt) = check.accepted().context("table [camera]: exchange left.device and right.device")? {
+        tracing::warn!("cameras: {doubt}");
+    }
     Ok(WiredCameras { camera: Box::new(camera), identities })
 }
 
@@ -116,6 +118,26 @@ fn first_pair(camera: &mut WatchedCamera, clock: &dyn Clock) -> Result<FramePair
     }
 }
 
+/// Accepts the first pairs of cameras that were disconnected: their cables may be exchanged. `are_told_apart`: serial numbers have shown
+/// that they are not, and images with too little texture for a verdict are accepted.
+///
+/// # Errors
+/// Unless the images show, or the serial numbers do, that left and right are as before.
+fn check_reopened(check: &PairCheck, are_told_apart: bool) -> Result<()> {
+    match check.accepted().context("connect each camera to its previous port")? {
+        Some(doubt) if are_told_apart => tracing::warn!("cameras: {doubt}"),
+        Some(doubt) => bail!("the cameras may be exchanged: {doubt}"),
+        None if are_told_apart || check.verdict == PairVerdict::Consistent => {}
+        None => bail!(
+            "too little texture to tell left from right: {} patches, {} of them match; turn the cameras to a textured scene, or use \
+             cameras with serial numbers",
+            check.patches,
+            check.agreeing
+        ),
+    }
+    Ok(())
+}
+
 /// Real cameras that warn when their exposures drift apart, deliver nothing after a loss until left and right are as before, and
 /// log their counts at the end.
 struct WatchedCamera {
@@ -138,8 +160,8 @@ impl WatchedCamera {
         let reopened = self.camera.reopened();
         if reopened != self.checked {
             let are_told_apart = self.camera.are_told_apart();
-            check_reopened(&self.rig, &pair.left, &pair.right, are_told_apart).map_err(|error| {
-                let message = format!("{}: after reopening {error}; no pairs until then", self.info().name);
+            check_reopened(&check_pair(&self.rig, &pair.left, &pair.right), are_told_apart).map_err(|error| {
+                let message = format!("{}: after reopening: {error:#}; no pairs until then", self.info().name);
                 CameraError::new(CameraErrorKind::BadPair, message)
             })?;
             self.checked = reopened;

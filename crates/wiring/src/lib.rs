@@ -188,16 +188,17 @@ fn wire_cell_with(
         experiment,
         flights,
         marking,
-        links: monitors
-            .iter()
-            .map(|(name, monitor)| (*name, Box::new(MonitoredLink(monitor.clone())) as Box<dyn LinkMonitor>))
-            .collect(),
+        links: monitors.iter().map(|(name, monitor)| (*name, link_of(monitor, setup.control_period))).collect(),
         emulated: emulated.into_iter().map(|server| Box::new(EmulatedServer(server)) as Box<dyn EmulatedArm>).collect(),
         on_bus,
         operator: Box::new(ByCommand),
         interrupt: Arc::default(),
     };
     Ok(Wired { parts, monitors, virtual_ends })
+}
+
+fn link_of(monitor: &ArmMonitor, period: Duration) -> Box<dyn LinkMonitor> {
+    Box::new(MonitoredLink { monitor: monitor.clone(), period })
 }
 
 /// Refuses real cameras without a marked target.

@@ -5,7 +5,6 @@
 use std::fmt::Write as _;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_cell::channels::Plan;
 use pb3dp_cell::cycles::CycleSummary;
 use pb3dp_cell::experiment;
 use pb3dp_cell::figures::RmsMax;
@@ -45,13 +44,12 @@ fn main() -> Result<()> {
 
 fn run(setup: &Setup, stop_after_s: Option<f64>) -> Result<RunSummary> {
     let parts = wire(setup)?;
-    let plan = Plan::of(&setup.experiment.motion, &*parts.experiment);
     // In simulated time no thread can be late.
     let witness = (setup.pace == Pace::Live).then(Witness::start).transpose()?;
     let outcome = experiment::run(setup, parts, stop_after_s, None);
     let machine = witness.map(|witness| CycleSummary::new("the machine", PERIOD, &witness.end()));
     let outcome = outcome.with_context(|| machine.as_ref().map_or(String::new(), doubt))?;
-    let mut summary = summarize(&outcome.log, &plan);
+    let mut summary = summarize(&outcome.log, &outcome.plan);
     summary.cycles.extend(machine);
     Ok(summary)
 }

@@ -42,9 +42,8 @@ fn trusting(mut setup: Setup) -> Setup {
 }
 
 fn summary(setup: &Setup) -> RunSummary {
-    let parts = wire(setup).unwrap();
-    let plan = Plan::of(&setup.experiment.motion, &*parts.experiment);
-    summarize(&run(setup, None).log, &plan)
+    let outcome = run(setup, None);
+    summarize(&outcome.log, &outcome.plan)
 }
 
 #[test]

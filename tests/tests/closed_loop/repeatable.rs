@@ -1,9 +1,6 @@
 //! The same seed gives the same run to the last bit; another seed gives another run.
 
-use nalgebra::UnitQuaternion;
-use pb3dp_cell::channels::Plan;
 use pb3dp_cell::report::{self, Made};
-use pb3dp_cell::summary::summarize;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_setup::setup::Setup;
 use pb3dp_sim::trajectory::Channel;
@@ -20,9 +17,7 @@ fn traces(setup: &Setup) -> (String, String) {
         frame.latency_millis = 0.0;
     }
     let dir = tempfile::tempdir().unwrap();
-    let plan = Plan { motion: setup.experiment.motion.clone(), world_from_axes: UnitQuaternion::identity() };
-    let summary = summarize(&outcome.log, &plan);
-    report::tell(dir.path(), setup, &Made::default(), (&outcome, summary, &plan), Ok(())).unwrap();
+    report::tell(dir.path(), setup, &Made::default(), &outcome, Ok(())).unwrap();
     assert!(dir.path().join("report.html").exists() && dir.path().join("summary.json").exists());
     let series = std::fs::read_to_string(dir.path().join("timeseries.csv")).unwrap();
     assert_eq!(series.lines().count(), 1 + outcome.log.control.len());

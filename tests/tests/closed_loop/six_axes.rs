@@ -1,6 +1,5 @@
 //! An arm with six axes, selected by one line of the setup, carries the cameras through the experiment of Fig. 7.
 
-use pb3dp_cell::channels::Plan;
 use pb3dp_cell::summary::{RunSummary, summarize};
 use pb3dp_hal_api::{ArmErrorKind, JointCommand};
 use pb3dp_kinematics::{DOF, JointVector};
@@ -23,9 +22,8 @@ fn six_axes() -> Setup {
 
 fn summary(setup: Setup) -> RunSummary {
     let setup = Setup { leader: Leader::Geometric(NOISY), compared: Vec::new(), ..setup };
-    let parts = wire(&setup).unwrap();
-    let plan = Plan::of(&setup.experiment.motion, &*parts.experiment);
-    summarize(&run(&setup, None).log, &plan)
+    let outcome = run(&setup, None);
+    summarize(&outcome.log, &outcome.plan)
 }
 
 #[test]

@@ -8,7 +8,6 @@ use std::time::Duration;
 
 use pb3dp_camera_settings::Interval;
 use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
-use pb3dp_cell::channels::Plan;
 use pb3dp_cell::experiment::{Ended, conduct};
 use pb3dp_cell::summary::summarize;
 use pb3dp_cell::swing;
@@ -168,8 +167,7 @@ fn holds_rests_and_goes_on() {
         plug(&system, 1, true);
     });
     how.unwrap();
-    let plan = Plan { motion: setup.experiment.motion.clone(), world_from_axes: nalgebra::UnitQuaternion::identity() };
-    let summary = summarize(&outcome.log, &plan);
+    let summary = summarize(&outcome.log, &outcome.plan);
     let steps: Vec<(&str, &str)> = summary.supervisor.transitions.iter().map(|step| (step.from, step.to)).collect();
     let told = format!("{steps:?}, {:?}, {:?}", summary.frames_by_status, summary.supervisor.transitions);
     let moving = |state: &str| ["approaching", "tracking"].contains(&state);
@@ -214,9 +212,7 @@ fn rests_with_exchanged_cameras() {
             });
         });
         how.unwrap();
-        let plan =
-            Plan { motion: setup.experiment.motion.clone(), world_from_axes: nalgebra::UnitQuaternion::identity() };
-        let summary = summarize(&outcome.log, &plan);
+        let summary = summarize(&outcome.log, &outcome.plan);
         let steps: Vec<_> = summary.supervisor.transitions.iter().map(|step| step.to).collect();
         let moved = steps.iter().rposition(|to| ["approaching", "tracking"].contains(to));
         let rests = steps.iter().rposition(|to| *to == "holding");

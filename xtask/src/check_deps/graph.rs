@@ -131,6 +131,7 @@ const ALLOWED: [(&str, &[&str]); 37] = [
             "message-codes",
             "geometry",
             "kinematics",
+            "estimation",
             "record",
             "sim",
             "hal-api",

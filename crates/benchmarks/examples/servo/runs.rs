@@ -3,8 +3,9 @@
 use std::time::Instant;
 
 use anyhow::{Context, Result};
-use pb3dp_cell::channels::{ChannelSummary, Plan};
+use pb3dp_cell::channels::ChannelSummary;
 use pb3dp_cell::experiment;
+use pb3dp_cell::journal::Outcome;
 use pb3dp_cell::log::RunLog;
 use pb3dp_cell::summary::{RunSummary, summarize};
 use pb3dp_setup::setup::Setup;
@@ -37,8 +38,7 @@ pub struct Ran {
 pub fn run(setup: &Setup, stop_after_s: Option<f64>) -> Result<Ran> {
     let started = Instant::now();
     let parts = wire(setup)?;
-    let plan = Plan::of(&setup.experiment.motion, &*parts.experiment);
-    let log = experiment::run(setup, parts, stop_after_s, None)?.log;
+    let Outcome { log, plan, .. } = experiment::run(setup, parts, stop_after_s, None)?;
     let wall_s = started.elapsed().as_secs_f64();
     let summary = summarize(&log, &plan);
     Ok(Ran { times_real_time: summary.duration_s / wall_s, log, summary })

@@ -157,7 +157,9 @@ fn check_cameras(setup: &SetupArgs) -> Result<ExitCode> {
     if missing.is_empty() {
         cameras.calibration()?;
     }
-    print_line(&format!("{setup}: accepted for `pb3dp cameras`; `pb3dp run` also needs the tables [mounts] and [arms.NAME]"))?;
+    print_line(&format!(
+        "{setup}: accepted for `pb3dp cameras`; `pb3dp run` also needs the tables [mounts] and [arms.NAME]"
+    ))?;
     if !missing.is_empty() {
         print_line(&format!("{}: does not exist yet; `pb3dp calibrate stereo` writes it", missing.join(", ")))?;
     }

@@ -1,5 +1,6 @@
 //! The subcommands, one file each: arguments in, exit code out.
 
+pub mod attendance;
 pub mod cameras;
 pub mod completions;
 pub mod config;
@@ -9,6 +10,7 @@ pub mod explain;
 pub mod generate;
 pub mod identify;
 pub mod overlay_folder;
+pub mod pair;
 pub mod previous_run;
 pub mod rig;
 pub mod run;

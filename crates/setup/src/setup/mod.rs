@@ -284,7 +284,8 @@ pub fn read_setup(file: &Path) -> Result<Setup, ConfigError> {
 /// # Errors
 /// An unreadable file, unknown or missing keys, values out of range; the error names file, line, key and allowed values.
 pub fn read_layers(args: &SetupArgs) -> Result<Setup, ConfigError> {
-    let config = ConfigFile::setup(args)?;
+    let layers = Layers::read(args)?;
+    let config = ConfigFile::setup(args.name(), layers);
     let mut check = Checker::default();
     let setup = read_tables(&config, &mut check).map(Setup::seeded);
     config.finish(check)?;

@@ -107,7 +107,7 @@ pub(super) fn load_calibration(files: &[PathBuf], size: ImageSize) -> Result<Ste
 /// # Errors
 /// An unreadable file, simulated cameras, unknown or missing keys, values out of range.
 pub fn read_cameras(args: &SetupArgs) -> Result<(RealCameras, SearchRange), ConfigError> {
-    let config = ConfigFile::setup(args)?;
+    let config = ConfigFile::setup(args.name(), Layers::read(args)?);
     let mut check = Checker::default();
     let found = cameras_of(&config, &mut check);
     config.finish(check)?;

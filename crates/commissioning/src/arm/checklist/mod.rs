@@ -45,7 +45,7 @@ use super::flights::{folder_of, utc};
 use super::motion::{JOG_RAD_PER_S, show_room};
 use super::probe_report::GatewayFacts;
 use super::{Company, Place, parse_jog};
-use crate::commissioned::{CommissioningRecord, Fingerprint, VALID_DAYS};
+use crate::commissioned::{CommissioningRecord, Fingerprint, VALID_DAYS, arm_number};
 
 /// Version of the report format.
 const REPORT_FORMAT: u32 = 1;
@@ -207,7 +207,7 @@ fn begin<'a>(
     if out.join("report.json").exists() {
         bail!("{}: there is a report already; use another --out", out.display());
     }
-    let fingerprint = Fingerprint::of(choice.of(&setup), &snapshot)?;
+    let fingerprint = Fingerprint::of(arm_number(choice.of(&setup)), &snapshot)?;
     let session = Session {
         place: &args.place,
         setup,

@@ -10,7 +10,9 @@ use pb3dp_commissioning::gateway::file::{HostPlace, read_gateway};
 use pb3dp_geometry::ImageSize;
 use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::load::{ConfigError, FileKind, kind_of};
-use pb3dp_setup::setup::{ArmLink, GatewayWay, Pace, RealCameras, Setup, is_for_cameras_only, read_cameras, read_layers};
+use pb3dp_setup::setup::{
+    ArmLink, GatewayWay, Pace, RealCameras, Setup, is_for_cameras_only, read_cameras, read_layers,
+};
 
 /// Needs.
 #[derive(Clone, Debug, PartialEq)]

@@ -11,9 +11,9 @@ use std::process::ExitCode;
 use anyhow::{Result, bail};
 use nalgebra::Vector2;
 use pb3dp_cell::annotation::{Annotation, annotate, polygon_px};
-use pb3dp_cell::pair::check_images;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
+use pb3dp_estimation::pair_check::check_pair;
 use pb3dp_estimation_core::estimate::{PlaneEstimate, ReferenceOptimum, SecondPlane};
 use pb3dp_estimation_core::method::EstimateRequest;
 use pb3dp_estimation_core::region::{Region, RegionConfig};
@@ -29,6 +29,7 @@ use self::output::EstimateLine;
 use self::rigs::Rigs;
 use super::overlay_folder::{make_overlay_folder, report_overlay_folder};
 use crate::arguments::{EstimateArgs, MethodArgs, UNSURE};
+use crate::commands::pair::usable;
 use crate::progress::Progress;
 
 /// Runs the command. It processes all cases; the exit code is a failure if one of them failed.
@@ -162,7 +163,7 @@ fn work(
             case.other_keys.join(", ")
         );
     }
-    let pair_warning = check_images(&job.name, &job.rig, &job.left, &job.right)?;
+    let pair_warning = usable(&job.name, &check_pair(&job.rig, &job.left, &job.right))?;
     tell_click(job, &config.published.region);
     let mut estimator = rigs.estimator(job, (method, config))?;
     let (estimate, millis) = timed(|| {

@@ -4,8 +4,8 @@ use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_cell::follower::Follower;
-use pb3dp_cell::pair::check_images;
 use pb3dp_estimation::estimator::{FramePrior, Method, Tracker};
+use pb3dp_estimation::pair_check::check_pair;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
@@ -21,6 +21,7 @@ use pb3dp_setup::region_spec::{RegionSpec, load_region};
 use super::super::estimate::estimator_config;
 use super::super::estimate::job::{overridden, range_of_dataset};
 use crate::arguments::TrackArgs;
+use crate::commands::pair::usable;
 
 /// All targets of a sequence.
 pub struct Walk {
@@ -200,7 +201,7 @@ impl Walk {
         let mut pair_warning = None;
         if self.first.is_none() {
             let what = format!("frame {frame}");
-            pair_warning = check_images(&what, &self.rig, &pair.left, &pair.right).context(what)?;
+            pair_warning = usable(&what, &check_pair(&self.rig, &pair.left, &pair.right)).context(what)?;
             if frame > 0 {
                 tracing::warn!("the regions belong to frame 0, which cannot be read; they are used in frame {frame}");
             }
