@@ -1,5 +1,8 @@
 //! Errors of the estimators.
 
+use image::RgbImage;
+use pb3dp_geometry::StereoRig;
+
 /// Why an estimation request was rejected. A pose that cannot be determined is not an error but a [`crate::status::Status`].
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -87,4 +90,24 @@ pub fn check_range(
     } else {
         Err(EstimationError::Parameter { name, value, expected })
     }
+}
+
+/// Rejects raw images with a size other than the calibration's.
+///
+/// # Errors
+/// [`EstimationError::ImageSize`] with the camera and both sizes.
+pub fn check_image_sizes(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Result<(), EstimationError> {
+    for (side, image, camera) in [("left", left, rig.left()), ("right", right, rig.right())] {
+        let expected = camera.size();
+        if image.width() != expected.width || image.height() != expected.height {
+            return Err(EstimationError::ImageSize {
+                side,
+                width: image.width() as usize,
+                height: image.height() as usize,
+                expected_width: expected.width as usize,
+                expected_height: expected.height as usize,
+            });
+        }
+    }
+    Ok(())
 }

@@ -63,7 +63,8 @@ impl Beyond {
         front_end: &StereoFrontEnd,
         source: &PyramidSource<'_>,
         answer: &DisparityPlane,
-        (search, patches): (&PlaneSearchConfig, &PatchConfig),
+        search: &PlaneSearchConfig,
+        patches: &PatchConfig,
         allowed: impl Fn(&DisparityPlane) -> bool,
         kernels: Kernels,
     ) -> Option<BeyondRange> {

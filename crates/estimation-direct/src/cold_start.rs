@@ -15,7 +15,7 @@ use super::front_end::StereoFrontEnd;
 use super::patches::{PatchConfig, PatchOutcome, SUPPORTS, SlantedPatches};
 use super::photometric::{PlaneRefiner, RefineConfig, RefinedPlane};
 use super::region_pyramid::{PyramidSource, RegionPyramid};
-use super::repetition::Repetition;
+use super::repetition::{PeriodSearch, Repetition};
 use super::search::{PlaneSearch, PlaneSearchConfig};
 use super::surroundings::{self, Surroundings};
 use crate::outcome::{ColdStartOutcome, Rival, Surface, WidestPlane, support_of, surface_score};
@@ -251,8 +251,15 @@ impl ColdStart {
         if !is_doubtful(outcome) {
             return None;
         }
-        let configs = (&self.config.search, &self.config.patches);
-        self.beyond.best(front_end, source, &outcome.first.plane, configs, is_tilt_allowed, self.kernels)
+        self.beyond.best(
+            front_end,
+            source,
+            &outcome.first.plane,
+            &self.config.search,
+            &self.config.patches,
+            is_tilt_allowed,
+            self.kernels,
+        )
     }
 
     /// Refines the plane of a small region together with its agreeing surroundings, if this is more accurate; see
@@ -321,8 +328,12 @@ impl ColdStart {
         // At closer range the right image does not show the middle of the region.
         let nearest_px = searched_px.highest.min(self.pyramid.centroid_px().x);
         let leaves_px = (own_px - searched_px.lowest).min(nearest_px - own_px).max(0.0);
-        let places = (own_px / scale, infinity_px / scale);
-        Some(scale * self.repetition.period_px(level, &level.level_plane(plane), places, leaves_px / scale)?)
+        let sought = PeriodSearch {
+            middle_px: own_px / scale,
+            infinity_px: infinity_px / scale,
+            shortest_px: leaves_px / scale,
+        };
+        Some(scale * self.repetition.period_px(level, &level.level_plane(plane), sought)?)
     }
 
     /// Evaluates the patches for a plane.

@@ -259,7 +259,7 @@ impl EstimationMethod for DirectEstimator {
             && deadline.may_continue()
             && let Some(outcome) = &self.outcome
             && let Some(reason) =
-                objection(&mut self.cold_start, outcome, (&self.front_end, &source), allowed, (&view, limit))
+                objection(&mut self.cold_start, outcome, &self.front_end, &source, allowed, &view, limit)
         {
             (estimate.status, estimate.reason) = (Status::Ambiguous, reason);
         }
@@ -299,9 +299,11 @@ fn is_same_image(left: &RgbImage, right: &RgbImage) -> bool {
 fn objection(
     cold_start: &mut ColdStart,
     outcome: &ColdStartOutcome,
-    (front_end, source): (&StereoFrontEnd, &PyramidSource<'_>),
+    front_end: &StereoFrontEnd,
+    source: &PyramidSource<'_>,
     allowed: impl Fn(&DisparityPlane) -> bool,
-    (view, score_max): (&RawView, f64),
+    view: &RawView,
+    score_max: f64,
 ) -> Option<String> {
     let centre_px = cold_start.pyramid().centroid_px();
     // From this disparity on, the middle of the region is outside the right image.

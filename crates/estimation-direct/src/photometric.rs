@@ -19,7 +19,7 @@ use covariance::BlockPulls;
 use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, Thinning, Warp};
 use nalgebra::{Matrix3, Vector2, Vector4};
 use pb3dp_estimation_core::cpu::Kernels;
-use points::{RightRows, Rims, Selection};
+use points::{PointLimits, RightRows, Rims, Selection};
 use prepare::{CameraChannels, ChannelRequest, Pair, Preparation, inside, reach_px, rows_of};
 use sharpness::Sharpness;
 use solve::{Normal, bounded_step, reliability, tukey_limit, tukey_moments};
@@ -193,8 +193,10 @@ impl Progress {
 struct Made {
     scale: usize,
     rims: Rims,
-    /// The box of the marked pixels, and their number.
-    marked: (PixelWindow, usize),
+    /// The box of the marked pixels.
+    bounds: PixelWindow,
+    /// Number of marked pixels.
+    marked: usize,
     request: ChannelRequest,
     channels: usize,
 }
@@ -327,11 +329,11 @@ impl PlaneRefiner {
         let outer = rim(c.erosion_min_px, 0.5 * c.erosion_share_max);
         let rims = Rims { outer, inner: rim(c.erosion_max_px, c.erosion_share_max).max(outer) };
         let known = self.made.filter(|made| (made.scale, made.rims) == (level.scale, rims));
-        let (bounds, count) = match known {
-            Some(made) => made.marked,
+        let (bounds, marked) = match known {
+            Some(made) => (made.bounds, made.marked),
             None => self.selection.mark(level, rims)?,
         };
-        if count < POINTS_MIN {
+        if marked < POINTS_MIN {
             return None;
         }
         let (left_px, right_px) = progress.smoothings_px();
@@ -345,19 +347,19 @@ impl PlaneRefiner {
             Some(made) => made.channels,
             None => self.preparation.left(pair, level, &request, &mut self.left),
         };
-        self.made = Some(Made { scale: level.scale, rims, marked: (bounds, count), request, channels });
+        self.made = Some(Made { scale: level.scale, rims, bounds, marked, request, channels });
         let rows = rows_of(&bounds, level.left.window.y - level.right.window.y, &right_part);
         let request = ChannelRequest { part: right_part, rows, smoothing_px: right_px };
         let row_px = if progress.row_px.abs() > ROWS_MOVED_FROM_PX { progress.row_px } else { 0.0 };
-        self.preparation.right(pair, level, (&request, row_px), channels, &mut self.right);
+        self.preparation.right(pair, level, &request, row_px, channels, &mut self.right);
         let rows = RightRows {
             shift: level.left.window.y - level.right.window.y - right_part.y,
             width: right_part.width,
             height: right_part.height,
         };
         if known.is_none() {
-            let wanted = (count, self.config.points_max);
-            self.selection.collect(level, &self.left, channels, wanted, &rows, self.kernels);
+            let limits = PointLimits { marked, points_max: self.config.points_max };
+            self.selection.collect(level, &self.left, channels, limits, &rows, self.kernels);
         }
         self.points.place(&self.selection, level, &part, &rows);
         if known.is_none() {

@@ -244,11 +244,20 @@ impl RegionPyramid {
         let Self { levels, loaded, halved, regions, .. } = self;
         let level = &mut levels[0];
         level.scale = 1 << halvings;
-        load_side(front, (Side::Left, source.left), left, source.wanted, halvings, halved, &mut level.left);
+        load_side(
+            front,
+            CameraImage { side: Side::Left, raw: source.left },
+            left,
+            source.wanted,
+            halvings,
+            halved,
+            &mut level.left,
+        );
+        let right_image = CameraImage { side: Side::Right, raw: source.right };
         if source.rows.is_zero() {
-            load_side(front, (Side::Right, source.right), right, source.wanted, halvings, halved, &mut level.right);
+            load_side(front, right_image, right, source.wanted, halvings, halved, &mut level.right);
         } else {
-            load_side(front, (Side::Right, source.right), right, source.wanted, halvings, halved, loaded);
+            load_side(front, right_image, right, source.wanted, halvings, halved, loaded);
             shift_rows(loaded, &source.rows.at_scale(level.scale as f64), front.kernels(), &mut level.right);
         }
         let full = left.clipped(front.size(Side::Left).width, front.size(Side::Left).height);
@@ -268,10 +277,17 @@ impl RegionPyramid {
     }
 }
 
+/// A raw image and its camera.
+#[derive(Clone, Copy)]
+struct CameraImage<'a> {
+    side: Side,
+    raw: &'a RgbImage,
+}
+
 /// The channels of a window (full size) of an image, halved this many times.
 fn load_side(
     front: &StereoFrontEnd,
-    (side, raw): (Side, &RgbImage),
+    CameraImage { side, raw }: CameraImage<'_>,
     window: PixelWindow,
     wanted: Wanted,
     halvings: usize,

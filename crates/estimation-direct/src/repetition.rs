@@ -37,17 +37,22 @@ pub(super) struct Repetition {
     starts: Vec<usize>,
 }
 
+/// Where a period is sought, pixels of the level.
+#[derive(Clone, Copy, Debug)]
+pub struct PeriodSearch {
+    /// Disparity of the plane in the middle of the region.
+    pub middle_px: f64,
+    /// Added to disparities so that they are zero at infinity.
+    pub infinity_px: f64,
+    /// Shortest period of interest.
+    pub shortest_px: f64,
+}
+
 impl Repetition {
-    /// The shortest period of the region's texture along the rows, from `shortest_px` on, at the plane's disparity `middle_px`;
-    /// pixels of the level. `infinity_px` is added to disparities so that they are zero at infinity. `None` if the texture does
-    /// not repeat within half of the region's width.
-    pub fn period_px(
-        &mut self,
-        level: &RegionLevel,
-        plane: &LevelPlane,
-        (middle_px, infinity_px): (f64, f64),
-        shortest_px: f64,
-    ) -> Option<f64> {
+    /// The shortest period of the region's texture along the rows, pixels of the level. `None` if the texture does not repeat
+    /// within half of the region's width.
+    pub fn period_px(&mut self, level: &RegionLevel, plane: &LevelPlane, sought: PeriodSearch) -> Option<f64> {
+        let PeriodSearch { middle_px, infinity_px, shortest_px } = sought;
         let longest = self.take(level, plane, infinity_px) / 2;
         let all: f32 = self.own.iter().map(|own| own.1).sum();
         if shortest_px > longest as f64 || all.is_nan() || all < TEXTURED_MIN {
@@ -187,7 +192,7 @@ mod tests {
 
     fn period(level: &RegionLevel, slope: f64, shortest_px: f64) -> Option<f64> {
         let plane = LevelPlane { a: slope, b: 0.0, c: 60.0 - 45.0 * slope, row: 0 };
-        Repetition::default().period_px(level, &plane, (60.0, 20.0), shortest_px)
+        Repetition::default().period_px(level, &plane, PeriodSearch { middle_px: 60.0, infinity_px: 20.0, shortest_px })
     }
 
     #[test]

@@ -124,7 +124,7 @@ impl ObservabilityConfig {
 impl ObservabilityConfig {
     /// The status that follows from the spreads of depth (relative) and normal (radians) near the estimate, with its reason. It
     /// does not consider other peaks.
-    pub fn verdict_nearby(&self, (depth_spread, tilt_spread_rad): (f64, f64)) -> Verdict {
+    pub fn verdict_nearby(&self, depth_spread: f64, tilt_spread_rad: f64) -> Verdict {
         let (status, reason) = if depth_spread > self.depth_spread_sure {
             (Status::Ambiguous, depth_reason(depth_spread, self.depth_spread_sure))
         } else if tilt_spread_rad > self.tilt_spread_sure_rad {
@@ -201,7 +201,7 @@ impl Landscape {
         if near.min(far) < END_OF_RANGE_ROOM || near + far < 2.0 * config.depth_spread_max {
             return Verdict { status: Status::Ambiguous, reason: self.narrow_reason(config) };
         }
-        config.verdict_nearby((self.depth_spread, self.tilt_spread_rad))
+        config.verdict_nearby(self.depth_spread, self.tilt_spread_rad)
     }
 
     fn narrow_reason(&self, config: &ObservabilityConfig) -> String {

@@ -81,6 +81,16 @@ pub(super) enum StartLevel {
     Coarsest,
 }
 
+/// How an alignment proceeds.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct AlignmentPlan {
+    pub start: StartLevel,
+    /// Unknowns that are free at full resolution.
+    pub free: Free,
+    /// Largest number of steps per level.
+    pub steps_max: usize,
+}
+
 /// Knowledge from earlier frames.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Knowledge {
@@ -133,7 +143,7 @@ impl Aligner {
         problem: &mut Problem<'_>,
         estimate: &mut Estimate,
         levels: std::ops::RangeInclusive<usize>,
-        (start, free, steps_max): (StartLevel, Free, usize),
+        AlignmentPlan { start, free, steps_max }: AlignmentPlan,
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Option<Aligned> {
         let mut aligned = None;
@@ -156,7 +166,7 @@ impl Aligner {
                     return aligned;
                 }
                 let free = if level == 0 { free } else { free.without_shape() };
-                let last = self.step(problem, estimate, level, &mut photometry, (free, is_fresh))?;
+                let last = self.step(problem, estimate, level, &mut photometry, free, is_fresh)?;
                 is_fresh = false;
                 steps += 1;
                 let moved_px = problem.moved_px(estimate, &last.unknowns);
@@ -210,7 +220,8 @@ impl Aligner {
         estimate: &mut Estimate,
         level: usize,
         photometry: &mut Photometry,
-        (free, is_fresh): (Free, bool),
+        free: Free,
+        is_fresh: bool,
     ) -> Option<Step> {
         let mut sums = if is_fresh {
             self.weigh(problem, level, photometry)

@@ -220,7 +220,7 @@ impl Shape {
         let stiffness = plane_stiffness(&grid.plane, &frame.information, rows);
         // If rounding leaves no information about the plane, all information gets the weight of the relief.
         let beyond_relief = take_of_plane(plane_learnt, &stiffness, shares).unwrap_or_default();
-        weigh((&mut frame.information, &mut frame.pull), shares.relief, (&beyond_relief, &grid.plane, rows));
+        weigh(&mut frame.information, &mut frame.pull, shares.relief, &beyond_relief, &grid.plane, rows);
     }
 
     /// Reduces the information about the relief to [`INFORMATION_MAX`]. The information about the plane is kept: later frames
@@ -237,7 +237,7 @@ impl Shape {
         let of_plane: f64 =
             rows.chunks_exact(3).map(Vector3::from_column_slice).map(|row| row.dot(&(inverse * row))).sum();
         let kept = (INFORMATION_MAX * n as f64 / (known - of_plane)).min(1.0);
-        weigh((information, vector), kept, (&(inverse * (1.0 - kept)), &grid.plane, rows));
+        weigh(information, vector, kept, &(inverse * (1.0 - kept)), &grid.plane, rows);
     }
 
     /// Skips the information of the last frame read.
@@ -424,9 +424,12 @@ fn take_of_plane(learnt: &mut Matrix3<f64>, stiffness: &Matrix3<f64>, shares: &S
 
 /// Scales information and vector by a share, and adds `by_plane` for the component along the plane.
 fn weigh(
-    (information, vector): (&mut [f64], &mut [f64]),
+    information: &mut [f64],
+    vector: &mut [f64],
     share: f64,
-    (by_plane, planes, rows): (&Matrix3<f64>, &[Vector3<f64>], &[f64]),
+    by_plane: &Matrix3<f64>,
+    planes: &[Vector3<f64>],
+    rows: &[f64],
 ) {
     let n = planes.len();
     let along_plane: Vector3<f64> = planes.iter().zip(vector.iter()).map(|(plane, value)| plane * *value).sum();

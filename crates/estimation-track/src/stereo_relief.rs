@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use pb3dp_estimation_core::wide::LANES;
 
-use super::align::{Aligner, Estimate, Problem, StartLevel};
+use super::align::{Aligner, AlignmentPlan, Estimate, Problem, StartLevel};
 use super::kernels::SHAPE;
 use super::normal::Free;
 use super::relief::patches_of;
@@ -28,9 +28,13 @@ pub(super) fn find(aligner: &mut Aligner, problem: &mut Problem<'_>, estimate: &
         problem.surface.relief.hold_flat();
     }
     for _ in 0..ROUNDS {
-        let Some(aligned) =
-            aligner.align(problem, estimate, 0..=0, (StartLevel::Coarsest, Free::Surface, 1), &mut || true)
-        else {
+        let Some(aligned) = aligner.align(
+            problem,
+            estimate,
+            0..=0,
+            AlignmentPlan { start: StartLevel::Coarsest, free: Free::Surface, steps_max: 1 },
+            &mut || true,
+        ) else {
             return;
         };
         let step: Vector3<f64> = aligned.last.unknowns.fixed_rows::<3>(SHAPE).into_owned();

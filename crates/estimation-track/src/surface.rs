@@ -80,7 +80,8 @@ impl Surface {
         rig: &StereoRig,
         plane: Vector3<f64>,
         first_from_model: &Pose<CamLeft, Model>,
-        (points, relief_sigma_px): (usize, f64),
+        points: usize,
+        relief_sigma_px: f64,
     ) -> Self {
         let disparity_scale = 1.0 / (rig.left().pinhole().fx * rig.baseline_m());
         let (cells, mut relief) = {

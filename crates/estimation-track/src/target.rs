@@ -7,7 +7,7 @@ use pb3dp_estimation_direct::image_plane::PixelWindow;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Pose, StereoRig};
 
-use super::align::{Aligned, Aligner, Estimate, Knowledge, Problem, StartLevel};
+use super::align::{Aligned, Aligner, AlignmentPlan, Estimate, Knowledge, Problem, StartLevel};
 use super::config::DirectTrackerConfig;
 use super::distinct::independent_points;
 use super::export::surface_point;
@@ -184,7 +184,7 @@ impl Target {
             let (_, turned) = hypothesis(index, &own, &[]);
             for place in self.places_of(0, &turned, frame).into_iter().flatten() {
                 self.estimate = estimate;
-                let fits = self.look_into((place, true), frame, &mut || true).is_ok();
+                let fits = self.look_into(Candidate { place, with_depth: true }, frame, &mut || true).is_ok();
                 self.has_twin |= fits && self.fit.misfit(&limits).is_none() && self.sighting(&own).is_another();
             }
         }
@@ -211,7 +211,7 @@ impl Target {
         self.view = self.nearest_view(predicted, frame.config).0;
         let mut found = self.attempt(predicted, StartLevel::Resembling, frame, may_continue);
         if !found.as_ref().is_some_and(|_| self.fits_well()) && may_continue() {
-            found = self.or_better(found, (predicted, StartLevel::Coarsest), frame, may_continue);
+            found = self.or_better(found, predicted, StartLevel::Coarsest, frame, may_continue);
         }
         let found = self.or_mirrored(found, frame, may_continue);
         let Some(equations) = found else { return Ending::OutOfSight };
@@ -229,7 +229,8 @@ impl Target {
     fn or_better(
         &mut self,
         found: Option<NormalEquations>,
-        (from, start): (&Pose<CamLeft, Model>, StartLevel),
+        from: &Pose<CamLeft, Model>,
+        start: StartLevel,
         frame: &Frame<'_>,
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Option<NormalEquations> {
@@ -255,7 +256,7 @@ impl Target {
         if found.is_none() || self.fits_well() || !self.fit.images_disagree() || !may_continue() {
             return found;
         }
-        self.or_better(found, (&mirrored, StartLevel::Resembling), frame, may_continue)
+        self.or_better(found, &mirrored, StartLevel::Resembling, frame, may_continue)
     }
 
     /// One alignment from a pose, examined and evaluated by [`Self::fit`].
@@ -294,7 +295,7 @@ impl Target {
     ) -> Option<Aligned> {
         let steps_max = frame.config.steps_max;
         let (mut problem, aligner, estimate) = self.problem(frame);
-        aligner.align(&mut problem, estimate, 0..=LEVELS - 1, (start, free, steps_max), may_continue)
+        aligner.align(&mut problem, estimate, 0..=LEVELS - 1, AlignmentPlan { start, free, steps_max }, may_continue)
     }
 
     fn examine(&mut self, frame: &Frame<'_>, is_fresh: bool) -> Option<NormalEquations> {
@@ -418,8 +419,9 @@ impl Target {
         let before = self.estimate;
         let is_outside = in_sight(&self.outline_in_model, predicted, frame.rig) < VISIBLE_MIN;
         let mut ending = if is_outside { Ending::OutOfSight } else { Ending::NothingAlike };
-        let mut candidates: [Option<(Place, bool)>; CANDIDATES + 1] = [None; CANDIDATES + 1];
-        candidates[0] = Some((Place { cam_left_from_model: *predicted, correlation: 1.0 }, false));
+        let mut candidates: [Option<Candidate>; CANDIDATES + 1] = [None; CANDIDATES + 1];
+        candidates[0] =
+            Some(Candidate { place: Place { cam_left_from_model: *predicted, correlation: 1.0 }, with_depth: false });
         for place in self.places(frame).into_iter().flatten() {
             insert(&mut candidates, place);
         }
@@ -458,7 +460,7 @@ impl Target {
     /// Aligns at a candidate position, and evaluates the fit.
     fn look_into(
         &mut self,
-        (place, with_depth): (Place, bool),
+        Candidate { place, with_depth }: Candidate,
         frame: &Frame<'_>,
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Result<NormalEquations, Ending> {
@@ -500,8 +502,8 @@ impl Target {
     ) -> Option<Pose<CamLeft, Model>> {
         self.estimate.cam_left_from_model = *start;
         let (mut problem, aligner, estimate) = self.problem(frame);
-        let how = (StartLevel::Coarsest, Free::Motion, ROUGH_STEPS);
-        aligner.align(&mut problem, estimate, 1..=LEVELS - 1, how, may_continue)?;
+        let plan = AlignmentPlan { start: StartLevel::Coarsest, free: Free::Motion, steps_max: ROUGH_STEPS };
+        aligner.align(&mut problem, estimate, 1..=LEVELS - 1, plan, may_continue)?;
         aligner.look(&problem, estimate, 1, &estimate.photometry())?;
         (aligner.resemblance(&problem, 1) >= ROUGH_RESEMBLANCE_MIN).then_some(estimate.cam_left_from_model)
     }
@@ -558,20 +560,28 @@ fn nearest_of_several(alike: &[Option<Alike>]) -> Option<Alike> {
     is_clear.then_some(*nearest)
 }
 
+/// A position at which a lost target may be.
+#[derive(Clone, Copy)]
+struct Candidate {
+    place: Place,
+    /// Whether its depth is searched first.
+    with_depth: bool,
+}
+
 /// Inserts a position into the sorted list after the prediction; a position next to a better one is dropped.
-fn insert(candidates: &mut [Option<(Place, bool)>; CANDIDATES + 1], place: Place) {
+fn insert(candidates: &mut [Option<Candidate>; CANDIDATES + 1], place: Place) {
     let at = place.cam_left_from_model.translation_m();
     let near = |other: &Place| (other.cam_left_from_model.translation_m() - at).norm() < 0.02 * at.z.abs();
     let Some(index) =
-        (1..=CANDIDATES).find(|&i| candidates[i].is_none_or(|(other, _)| other.correlation < place.correlation))
+        (1..=CANDIDATES).find(|&i| candidates[i].is_none_or(|other| other.place.correlation < place.correlation))
     else {
         return;
     };
-    if (1..index).any(|i| candidates[i].is_some_and(|(other, _)| near(&other))) {
+    if (1..index).any(|i| candidates[i].is_some_and(|other| near(&other.place))) {
         return;
     }
     candidates[index..].rotate_right(1);
-    candidates[index] = Some((place, true));
+    candidates[index] = Some(Candidate { place, with_depth: true });
 }
 
 /// Box around the target in an image.

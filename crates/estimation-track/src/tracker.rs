@@ -5,7 +5,7 @@ use std::fmt::Write;
 use image::RgbImage;
 use nalgebra::{Matrix6, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_estimation_core::error::{EstimationError, check_image_sizes};
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, TrackEstimate};
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior, MarkedTarget, SurfacePoint};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -184,12 +184,12 @@ impl DirectTracker {
     ) -> Result<TrackEstimate, EstimationError> {
         self.target = None;
         self.was_started = true;
-        check_sizes(&self.rig, left, right)?;
+        check_image_sizes(&self.rig, left, right)?;
         let mask = region.rasterize(left, &self.region_config)?;
         let inner = mask.erode(self.config.erosion_px);
         let outline_px = region.outline_px(&mask);
         let q = plane.inverse_depth_plane;
-        let Some(mut target) = self.first_target((left, right), &outline_px, (&mask, &inner), q)? else {
+        let Some(mut target) = self.first_target(left, right, &outline_px, &mask, &inner, q)? else {
             let reason = "the region has too little texture to track once its border is excluded".to_owned();
             return Ok(TrackEstimate { reason, ..blank() });
         };
@@ -198,7 +198,7 @@ impl DirectTracker {
             let Some(part) = target.largest_part(round > 0) else { break };
             pixels = part.pixels(&target.surface.relief, &pixels, self.config.erosion_px / 2);
             let [own, inside] = &pixels;
-            let Some(next) = self.first_target((left, right), &outline_px, (own, inside), part.plane)? else {
+            let Some(next) = self.first_target(left, right, &outline_px, own, inside, part.plane)? else {
                 let reason =
                     "the region contains several surfaces, each with too little texture to track: mark one of them";
                 let reason = reason.to_owned();
@@ -218,12 +218,14 @@ impl DirectTracker {
     /// A target with points in the `inner` pixels of a region, near a plane; `None` if there are too few.
     fn first_target(
         &mut self,
-        (left, right): (&RgbImage, &RgbImage),
+        left: &RgbImage,
+        right: &RgbImage,
         outline_px: &[Vector2<f64>],
-        (mask, inner): (&RegionMask, &RegionMask),
+        mask: &RegionMask,
+        inner: &RegionMask,
         q: Vector3<f64>,
     ) -> Result<Option<Target>, EstimationError> {
-        let Some((surface, pose)) = self.first_surface(left, (mask, inner), q)? else { return Ok(None) };
+        let Some((surface, pose)) = self.first_surface(left, mask, inner, q)? else { return Ok(None) };
         let model_from_first = pose.inverse();
         let on_plane = |px: &Vector2<f64>| {
             let ray = self.rig.left().unproject(px).ok()?;
@@ -240,7 +242,8 @@ impl DirectTracker {
     fn first_surface(
         &mut self,
         left: &RgbImage,
-        (mask, inner): (&RegionMask, &RegionMask),
+        mask: &RegionMask,
+        inner: &RegionMask,
         q: Vector3<f64>,
     ) -> Result<Option<FirstSurface>, EstimationError> {
         let (Some(centroid_px), Some(bounds)) = (mask.centroid_px(), mask.bbox()) else { return Ok(None) };
@@ -258,7 +261,8 @@ impl DirectTracker {
             &self.rig,
             q,
             &pose,
-            (self.config.points, self.config.relief_sigma_px),
+            self.config.points,
+            self.config.relief_sigma_px,
         );
         Ok((surface.points() >= POINTS_MIN).then_some((surface, pose)))
     }
@@ -273,7 +277,7 @@ impl DirectTracker {
         estimate: &mut TrackEstimate,
     ) -> Result<(), EstimationError> {
         let EstimateRequest { left, right, prior, deadline, .. } = request;
-        check_sizes(&self.rig, left, right)?;
+        check_image_sizes(&self.rig, left, right)?;
         let Some(mut target) = self.target.take() else {
             if !self.was_started {
                 return Err(EstimationError::NotStarted);
@@ -479,22 +483,6 @@ type FirstSurface = (Surface, Pose<CamLeft, Model>);
 const PARTS_MAX: usize = 4;
 /// Smallest number of points of a target. Chosen; no sweep is on record.
 const POINTS_MIN: usize = 40;
-
-fn check_sizes(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Result<(), EstimationError> {
-    for (side, image, camera) in [("left", left, rig.left()), ("right", right, rig.right())] {
-        let expected = camera.size();
-        if image.width() != expected.width || image.height() != expected.height {
-            return Err(EstimationError::ImageSize {
-                side,
-                width: image.width() as usize,
-                height: image.height() as usize,
-                expected_width: expected.width as usize,
-                expected_height: expected.height as usize,
-            });
-        }
-    }
-    Ok(())
-}
 
 /// Warnings of the cold start, without the planarity warning: a tracked surface need not be planar.
 fn warnings_of(found: &PlaneEstimate) -> Vec<EstimateWarning> {

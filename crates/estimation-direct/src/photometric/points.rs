@@ -14,6 +14,15 @@ pub(super) const BLOCK: usize = 8;
 /// Number of pixels from which the gradient limit is determined. Chosen; no sweep is on record.
 const SAMPLE: usize = 1024;
 
+/// How many of the marked pixels become points.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PointLimits {
+    /// Number of marked pixels.
+    pub marked: usize,
+    /// Largest number of points.
+    pub points_max: usize,
+}
+
 /// Usable pixels and their order as points; keeps its buffers.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Selection {
@@ -68,14 +77,13 @@ impl Selection {
         bounds(&self.mask, width)
     }
 
-    /// Orders the marked pixels into points: all of them, or the `points_max` with the strongest gradients along rows; `marked`
-    /// is their number.
+    /// Orders the marked pixels into points: all of them, or those with the strongest gradients along rows.
     pub fn collect(
         &mut self,
         level: &RegionLevel,
         left: &CameraChannels,
         channels: usize,
-        (marked, points_max): (usize, usize),
+        PointLimits { marked, points_max }: PointLimits,
         rows: &RightRows,
         kernels: Kernels,
     ) {

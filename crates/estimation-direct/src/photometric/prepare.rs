@@ -183,7 +183,8 @@ impl Preparation {
         &mut self,
         pair: &Pair<'_>,
         level: &RegionLevel,
-        (request, row_px): (&ChannelRequest, f64),
+        request: &ChannelRequest,
+        row_px: f64,
         channels: usize,
         out: &mut CameraChannels,
     ) {
@@ -315,7 +316,7 @@ impl Preparation {
             match nearest {
                 None => [a, b, c].into_iter().for_each(|all| all.fill(1)),
                 Some(row) if job.front_end.resamples() => {
-                    mark_resampled(&self.loaded, ((row - read.0) as usize, columns), s, [a, b, c]);
+                    mark_resampled(&self.loaded, (row - read.0) as usize, columns, s, [a, b, c]);
                 }
                 Some(row) => mark_saturated(kernels, &job.bytes(row)[3 * columns.start..3 * columns.end], s, [a, b, c]),
             }
@@ -327,7 +328,8 @@ impl Preparation {
 /// Marks the unusable pixels of a part of a resampled row, square by square.
 fn mark_resampled(
     loaded: &ColourPlanes,
-    (y, columns): (usize, Range<usize>),
+    y: usize,
+    columns: Range<usize>,
     scale: usize,
     out: [&mut [u8]; CHANNELS_MAX],
 ) {

@@ -9,6 +9,7 @@ pub mod explain;
 pub mod generate;
 pub mod identify;
 pub mod overlay_folder;
+mod pose_output;
 pub mod previous_run;
 pub mod rig;
 pub mod run;
