@@ -11,7 +11,9 @@ use pb3dp_arm_pa10::link::{GatewayLink, LinkError};
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockController, MockControllerConfig, MockCounters};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
+    ArmId, AxisMotionLimits, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits,
+};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_hal_platform::realtime::{self, Realtime};
@@ -43,7 +45,7 @@ pub fn gateway_config() -> GatewayConfig {
         cycle: ms(10),
         lateness_allowed: ms(150),
         watchdog: watchdog(),
-        ..GatewayConfig::new(ARM, FORMAT, Firmware::new("pb3dp test").unwrap())
+        ..GatewayConfig::new(ARM, FORMAT, Firmware::new("pb3dp test").unwrap(), MotionLimits::WIDEST)
     }
 }
 
@@ -182,6 +184,12 @@ impl Drop for Emulation {
     }
 }
 
+/// Limits of a slow host, within those of the gateway's shipped file.
+fn asked_limits() -> MotionLimits {
+    let axis = AxisMotionLimits { speed: 1000, acceleration: 200, jerk: 400, lower: -7500, upper: 7500 };
+    MotionLimits { axes: [axis; 7] }
+}
+
 /// A host: driver and link on a byte link.
 pub struct Host {
     pub driver: Driver,
@@ -201,6 +209,7 @@ impl Host {
             geometry: Geometry::Unknown,
             // A gateway may be configured with at most 10 ms.
             cycle: ms(10),
+            limits: HostLimits { asked: asked_limits(), ..HostLimits::WIDEST },
         };
         hurry();
         let (driver, link) = (Driver::new(config).unwrap(), GatewayLink::new(link));

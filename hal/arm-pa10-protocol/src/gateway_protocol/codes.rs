@@ -89,6 +89,8 @@ codes! {
         Internal = 9, "internal";
         /// The host found a fault and said `abort`.
         HostFault = 10, "host-fault";
+        /// A command of the host was outside a motion limit of the gateway.
+        LimitExceeded = 11, "limit-exceeded";
     }
 }
 
@@ -117,6 +119,8 @@ codes! {
         NoAnswer = 10, "no-answer";
         /// The cause of the latched state is still there.
         CausePresent = 11, "cause-present";
+        /// The host asks for more than the motion limits of the gateway.
+        LimitsTooWide = 12, "limits-too-wide";
     }
 }
 

@@ -15,7 +15,9 @@ use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServ
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockControllerConfig, Script, pa10_joints};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry, StopCause};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
+    ArmId, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, StopCause,
+};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
@@ -44,7 +46,7 @@ struct Rig {
 }
 
 fn gateway() -> GatewayConfig {
-    GatewayConfig::new(ArmId(2), FORMAT, Firmware::new("mock 1").unwrap())
+    GatewayConfig::new(ArmId(2), FORMAT, Firmware::new("mock 1").unwrap(), MotionLimits::WIDEST)
 }
 
 fn start(face: MockFace, script: &str) -> Result<Rig, MockServerError> {
@@ -74,7 +76,14 @@ impl Rig {
         let limits = LimitsCheck::Compare { lower_rad: -limit, upper_rad: limit, tolerance_rad: 0.5f64.to_radians() };
         let driver = DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) };
         let (dialect, geometry) = (Dialect::GatewayV1, Geometry::Unknown);
-        let link = GatewayLinkConfig { arm: ArmId(2), dialect, format: FORMAT, geometry, cycle: CYCLE };
+        let link = GatewayLinkConfig {
+            arm: ArmId(2),
+            dialect,
+            format: FORMAT,
+            geometry,
+            cycle: CYCLE,
+            limits: HostLimits::WIDEST,
+        };
         let config = Pa10ArmConfig { realtime: REALTIME, ..Pa10ArmConfig::new("test", driver, link) };
         let clock = Arc::clone(&self.clock) as Arc<dyn Clock>;
         let seat = trip_line(1).unwrap().remove(0);
