@@ -209,11 +209,6 @@ impl PreparedFitness<'_> {
         20 * self.memory.inner.len() as i32 + self.memory.outer.len() as i32
     }
 
-    /// Number of inner and of outer points that vote.
-    pub fn point_counts(&self) -> (usize, usize) {
-        (self.memory.inner.len(), self.memory.outer.len())
-    }
-
     /// The votes of one hypothesis; `None` if it is rejected. For reports and tests: it allocates, unlike
     /// [`PlaneScore::score`].
     pub fn votes(&self, psi: &PlaneHypothesis) -> Option<Votes> {

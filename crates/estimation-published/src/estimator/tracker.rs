@@ -200,8 +200,8 @@ impl PublishedTracker {
         let range = *target.rmga.codec().range();
         let config = self.core.config().tracked_observability();
         let verdict = if target.is_assured {
-            let (depth_spread, tilt_spread_rad) = self.core.survey_nearby(found, &range)?;
-            config.verdict_nearby(depth_spread, tilt_spread_rad)
+            let spread = self.core.survey_nearby(found, &range)?;
+            config.verdict_nearby(spread.depth, spread.tilt_rad)
         } else {
             self.core.survey(found, &range)?.verdict(&config)
         };
