@@ -23,14 +23,15 @@ use super::repeated::{Remembered, stuck_camera};
 use super::surface::{Surface, model_frame};
 use super::target::{Ending, Frame, Target};
 
-/// Margin of the windows around the predicted target, pixels, if the velocity is known. Chosen; no sweep is on record.
+/// Margin of the windows around the predicted target, pixels, if the velocity is known. Chosen by hand, not varied: a
+/// larger jump needs a search; time grows with it.
 const MARGIN_PX: u32 = 24;
-/// The same if the velocity is unknown. Chosen; no sweep is on record.
-const MARGIN_UNSURE_PX: u32 = 48;
+/// The same if the velocity is unknown. Chosen by hand, not varied: twice [`MARGIN_PX`].
+const MARGIN_UNSURE_PX: u32 = 2 * MARGIN_PX;
 /// Time between frames if the caller does not give it, seconds: that of cameras with 30 frames per second.
 const USUAL_INTERVAL_S: f64 = 1.0 / 30.0;
-/// Margin at initialisation: the relief may extend beyond the plane's outline in the right image. Chosen; no sweep is on
-/// record.
+/// Margin at initialisation: the relief may extend beyond the plane's outline in the right image. Chosen by hand, not
+/// varied: reliefs that reach farther are cut off.
 const MARGIN_START_PX: u32 = 40;
 
 /// Tracks one target in six degrees of freedom.
@@ -479,9 +480,10 @@ impl EstimationMethod for DirectTracker {
 /// A surface and the pose of its frame.
 type FirstSurface = (Surface, Pose<CamLeft, Model>);
 
-/// Largest number of attempts to find one surface in the remainder of a region with several. Chosen; no sweep is on record.
+/// Largest number of attempts to find one surface in the remainder of a region with several. Chosen by hand, not varied:
+/// time of a start grows with it.
 const PARTS_MAX: usize = 4;
-/// Smallest number of points of a target. Chosen; no sweep is on record.
+/// Smallest number of points of a target. Chosen by hand, not varied: five for each of eight values of an alignment.
 const POINTS_MIN: usize = 40;
 
 /// Warnings of the cold start, without the planarity warning: a tracked surface need not be planar.

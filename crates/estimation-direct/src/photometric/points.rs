@@ -9,9 +9,11 @@ use super::super::search::ends_of;
 use super::kernel::{PointSet, SHARING, TOUCHED, UNUSABLE};
 use super::prepare::CameraChannels;
 
-/// Side of the blocks in which points are ordered, pixels of the level. Chosen; no sweep is on record.
+/// Side of the blocks in which points are ordered, pixels of the level. As in the prototype of ADR 7, not varied: the
+/// covariance sums scores over the same blocks.
 pub(super) const BLOCK: usize = 8;
-/// Number of pixels from which the gradient limit is determined. Chosen; no sweep is on record.
+/// Number of pixels from which the gradient limit is determined. Chosen by hand, not varied: the share of points above a
+/// quantile of 1024 values is accurate to 1.6 % (sqrt(0.25 / 1024)).
 const SAMPLE: usize = 1024;
 
 /// How many of the marked pixels become points.

@@ -23,8 +23,9 @@ use super::kernel::{CHANNELS_MAX, UNUSABLE};
 use super::level_rows::{Grid, ImageRows, average_bytes, average_colours, average_values};
 use pb3dp_estimation_core::row_offset::RowOffset;
 
-/// In a pixel with a saturated channel, channels from this value on are not used either, grey levels: interpolation may have
-/// reduced the brightness. Chosen; no sweep is on record.
+/// In a pixel with a saturated channel, channels from this value on are not used either, grey levels: interpolation may
+/// have reduced the brightness. Chosen by hand, not varied: with more, clipped values count; with less, bright pixels
+/// beside saturated ones are lost.
 const NEARLY_SATURATED_GREY: u8 = 240;
 
 /// The channels of one image of one level.
@@ -375,7 +376,7 @@ fn mark_saturated_kernel(rgb: &[u8], scale: usize, out: [&mut [u8]; CHANNELS_MAX
 }
 
 /// Number of values for the mean. The mean is subtracted from all values and only keeps sums small, so a sample is enough.
-/// Chosen.
+/// Chosen by hand, not varied.
 const MIDDLE_OF: usize = 2000;
 
 wide! {
