@@ -12,7 +12,7 @@ use crate::workspace::Workspace;
 ///
 /// * Dependencies between our packages go downwards only, as in the table of xtask/src/check_deps/graph.rs; every package
 ///   of the workspace has a row there.
-/// * No cycle between the modules that a package's lib.rs declares.
+/// * No cycle between modules of one parent: those that lib.rs declares, and those of each folder below.
 /// * A list of modules may name backends; backends do not name each other, the estimation or the servo.
 /// * The entry of the estimation has at most 120 public items, and no glob re-export.
 /// * Nothing enables the feature `disabled-guards`, with which tests disable safeguards, unless a build requests it by name.

@@ -3,6 +3,9 @@
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 
+use image::RgbImage;
+use pb3dp_geometry::StereoRig;
+
 /// Why an estimation request was rejected. A pose that cannot be determined is not an error but a [`crate::status::Status`].
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -102,4 +105,24 @@ macro_rules! ranges {
         #[doc = concat!("Allowed values of the parameter `", stringify!($name), "`.")]
         pub const $name: std::ops::RangeInclusive<$number> = $range;
     )*};
+}
+
+/// Rejects raw images with a size other than the calibration's.
+///
+/// # Errors
+/// [`EstimationError::ImageSize`] with the camera and both sizes.
+pub fn check_image_sizes(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Result<(), EstimationError> {
+    for (side, image, camera) in [("left", left, rig.left()), ("right", right, rig.right())] {
+        let expected = camera.size();
+        if image.width() != expected.width || image.height() != expected.height {
+            return Err(EstimationError::ImageSize {
+                side,
+                width: image.width() as usize,
+                height: image.height() as usize,
+                expected_width: expected.width as usize,
+                expected_height: expected.height as usize,
+            });
+        }
+    }
+    Ok(())
 }

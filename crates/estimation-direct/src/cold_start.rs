@@ -16,10 +16,10 @@ use super::front_end::StereoFrontEnd;
 use super::patches::{PatchConfig, PatchOutcome, SUPPORTS, SlantedPatches};
 use super::photometric::{PlaneRefiner, RefineConfig, RefinedPlane};
 use super::region_pyramid::{PyramidSource, RegionPyramid};
-use super::repetition::Repetition;
+use super::repetition::{PeriodSearch, Repetition};
 use super::search::{PlaneSearch, PlaneSearchConfig};
 use super::surroundings::{self, Surroundings};
-use crate::outcome::{ColdStartOutcome, Rival, Surface, WidestPlane, support_of, surface_score};
+use crate::outcome::{ColdStartOutcome, Rival, Surface, UnlimitedPlane, WidestPlane, support_of, surface_score};
 use crate::reach;
 
 /// Parameters of the cold start.
@@ -61,7 +61,7 @@ impl Default for ColdStartConfig {
                 blur_sigma_px2: BLUR_SIGMA_PX2,
                 ..RefineConfig::default()
             },
-            surroundings_px: 16,
+            surroundings_px: reach::REACH_MAX_PX,
         }
     }
 }
@@ -119,9 +119,9 @@ impl RefineConfig {
     }
 }
 
-/// Residual disparity error of the calibration of real rigs, pixels: on real pairs with ground truth, covariances without it
-/// are too small. If the calibration is exact, as on rendered pairs, set the value that is correct there. Chosen; no sweep is
-/// on record.
+/// Residual disparity error of the calibration of real rigs, pixels: on real pairs with ground truth, covariances without
+/// it are too small. If the calibration is exact, as on rendered pairs, set the value that is correct there. Chosen by
+/// hand, not varied: it is the lower bound of all standard deviations that are stated for real pairs.
 const CALIBRATION_SIGMA_PX: f64 = 0.03;
 /// Lenses, focus and the demosaicing of colours make edges of real pairs differ by this much, squared pixels. Chosen: with this
 /// and the slope of rows 22 of 116 confident rectangles of 30 to 50 px on chessboards have errors above 5 degrees, without 49
@@ -262,8 +262,15 @@ impl ColdStart {
         if !is_doubtful(outcome) {
             return None;
         }
-        let configs = (&self.config.search, &self.config.patches);
-        self.beyond.best(front_end, source, &outcome.first.plane, configs, is_tilt_allowed, self.kernels)
+        self.beyond.best(
+            front_end,
+            source,
+            &outcome.first.plane,
+            &self.config.search,
+            &self.config.patches,
+            is_tilt_allowed,
+            self.kernels,
+        )
     }
 
     /// Refines the plane of a small region together with its agreeing surroundings, if this is more accurate; see
@@ -316,12 +323,12 @@ impl ColdStart {
         self.box_corners().iter().any(apart).then_some(WidestPlane { plane, is_spread })
     }
 
-    /// The plane of any depth and tilt that explains the most clear disparities, with its share of the region.
-    fn unlimited(&mut self) -> Option<(DisparityPlane, f64)> {
+    fn unlimited(&mut self) -> Option<UnlimitedPlane> {
         let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[self.searched]);
         let (none, config) = (std::iter::empty(), &self.config.search);
         let found = self.search.widest(level, none, config, config.hypotheses.tolerance_px, |_| true, self.kernels)?;
-        Some((level.full_plane(&found.plane, centre), found.share * self.search.valid_share))
+        let (plane, share) = (level.full_plane(&found.plane, centre), found.share * self.search.valid_share);
+        Some(UnlimitedPlane { plane, share })
     }
 
     /// The period of the region's texture, if a plane shifted by one period would be outside the searched disparities.
@@ -332,8 +339,12 @@ impl ColdStart {
         // At closer range the right image does not show the middle of the region.
         let nearest_px = searched_px.highest.min(self.pyramid.centroid_px().x);
         let leaves_px = (own_px - searched_px.lowest).min(nearest_px - own_px).max(0.0);
-        let places = (own_px / scale, infinity_px / scale);
-        Some(scale * self.repetition.period_px(level, &level.level_plane(plane), places, leaves_px / scale)?)
+        let sought = PeriodSearch {
+            middle_px: own_px / scale,
+            infinity_px: infinity_px / scale,
+            shortest_px: leaves_px / scale,
+        };
+        Some(scale * self.repetition.period_px(level, &level.level_plane(plane), sought)?)
     }
 
     /// Evaluates the patches for a plane.
@@ -489,30 +500,36 @@ const WHOLE_SUPPORT_MIN: f64 = 0.7;
 /// With less support than this, the region may not be planar. Chosen: of 85 such regions 46 % of true disparities are met, 38 %
 /// without.
 const PLANE_SUPPORT_MIN: f64 = 0.5;
-/// If the pixels that agree with a plane correlate less than this, noise may be why the others do not agree. Chosen; no sweep
-/// is on record.
+/// If the pixels that agree with a plane correlate less than this, noise may be why the others do not agree. Chosen by
+/// hand, not varied: with less, noisy planes count as surfaces that are not planes; with more, such surfaces get a refined
+/// plane.
 const PLANE_CORRELATION_MIN: f64 = 0.8;
-/// Disparities this close to a plane are explained by it, pixels. Chosen: the criterion of the benchmark of real non-planar
-/// regions.
+/// Disparities this close to a plane are explained by it, pixels. The criterion of the benchmark of real non-planar regions
+/// (docs/benchmarks/real.md).
 const WIDEST_PX: f64 = 1.0;
-/// Lower bound of this distance, in pixels of the searched level. Chosen; no sweep is on record.
+/// Lower bound of this distance, in pixels of the searched level. Chosen by hand, not varied: the same as the default of
+/// `direct.search.tolerance_px`.
 const WIDEST_LEVEL_PX_MIN: f64 = 0.5;
-/// The plane replaces a refined plane that differs by more than this at a corner of the region's box, pixels. Chosen; no sweep
-/// is on record.
+/// The plane replaces a refined plane that differs by more than this at a corner of the region's box, pixels. Chosen by
+/// hand, not varied: with less, noise replaces refined planes.
 const WIDEST_APART_PX: f64 = 0.5;
 /// Clear disparities represent the region if this share of its pixels has one. With 0.5 one real case across a depth edge is
 /// lost.
 const WIDEST_VALID_MIN: f64 = 0.6;
 /// Disparities scatter around the plane if half of the tolerance contains less than this share of those within the full
-/// tolerance. Uniformly distributed disparities give one half, those of a plane nearly one. Chosen between these.
+/// tolerance. Uniformly distributed disparities give one half, those of a plane nearly one. Chosen by hand between these,
+/// not varied.
 const SPREAD_NEAR_MAX: f64 = 0.6;
-/// A rival that shares more than this of its pixels with the first surface is another explanation of the same surface. Chosen;
-/// no sweep is on record.
+/// A rival that shares more than this of its pixels with the first surface is another explanation of the same surface. More
+/// than half: most of its pixels are those of the first surface.
 const OVERLAP_OF_ALIAS: f64 = 0.5;
 /// A patch result is valid for another plane that differs by at most this at the corners of the region's box, pixels of the
-/// level: the peak of a correlation is flat. Chosen; no sweep is on record.
+/// level: the peak of a correlation is flat. Chosen by hand, not varied: with less, more patches are evaluated twice; the
+/// real cases passed as before when this rule came.
 const SETTLED_PX: f64 = 0.1;
-/// Candidates with at least this share of the best score are nearly as good. Chosen; no sweep is on record.
+/// Candidates with at least this share of the best score are nearly as good. Chosen by hand, not varied: each such
+/// candidate costs a second evaluation of its patches.
 const NEARLY_EQUAL: f64 = 0.9;
-/// Smallest share of the region that a second surface must have for itself. Chosen; no sweep is on record.
+/// Smallest share of the region that a second surface must have for itself. Chosen by hand, not varied: with less, chance
+/// matches are reported as second surfaces; with more, small surfaces are not reported.
 const OWN_SHARE_MIN: f64 = 0.08;

@@ -17,7 +17,8 @@ pub const OPPONENT_FROM_RGB: [[f32; 3]; 3] = [
     [0.0, std::f32::consts::FRAC_1_SQRT_2, -std::f32::consts::FRAC_1_SQRT_2],
 ];
 
-/// A pixel with a channel at or above this value may be saturated. Chosen, one below the end of the range.
+/// A pixel with a channel at or above this value may be saturated. Chosen by hand, not varied: one below the end of the
+/// range.
 pub const SATURATED_FROM: u8 = 254;
 
 /// Selection of the channels to compute.

@@ -22,7 +22,7 @@ use super::verdict::{
     DirectVerdictConfig, SAME_IMAGE, Searched, Steeper, UNSEEN_CORRELATION_MIN, is_no_plane, judge, lies_beyond,
     may_be_unseen, nothing_found,
 };
-use crate::outcome::{ColdStartOutcome, Rival};
+use crate::outcome::{ColdStartOutcome, Rival, UnlimitedPlane};
 use pb3dp_estimation_core::row_offset::{RowMeasurement, RowOffset};
 
 /// Parameters of the direct method.
@@ -259,7 +259,7 @@ impl EstimationMethod for DirectEstimator {
             && deadline.may_continue()
             && let Some(outcome) = &self.outcome
             && let Some(reason) =
-                objection(&mut self.cold_start, outcome, (&self.front_end, &source), allowed, (&view, limit))
+                objection(&mut self.cold_start, outcome, &self.front_end, &source, allowed, &view, limit)
         {
             (estimate.status, estimate.reason) = (Status::Ambiguous, reason);
         }
@@ -285,7 +285,8 @@ impl EstimationMethod for DirectEstimator {
     }
 }
 
-/// A vertical misalignment above this indicates an invalid calibration, pixels. Chosen: that of real rigs stays below 0.6.
+/// A vertical misalignment above this indicates an invalid calibration, pixels. Chosen by hand, not varied: that of real
+/// rigs stays below 0.6.
 const ROWS_OFF_MAX_PX: f64 = 1.5;
 
 /// Whether both images are identical. Two blank images of one colour may be equal and do not count.
@@ -299,9 +300,11 @@ fn is_same_image(left: &RgbImage, right: &RgbImage) -> bool {
 fn objection(
     cold_start: &mut ColdStart,
     outcome: &ColdStartOutcome,
-    (front_end, source): (&StereoFrontEnd, &PyramidSource<'_>),
+    front_end: &StereoFrontEnd,
+    source: &PyramidSource<'_>,
     allowed: impl Fn(&DisparityPlane) -> bool,
-    (view, score_max): (&RawView, f64),
+    view: &RawView,
+    score_max: f64,
 ) -> Option<String> {
     let centre_px = cold_start.pyramid().centroid_px();
     // From this disparity on, the middle of the region is outside the right image.
@@ -316,17 +319,18 @@ fn objection(
     (found.score_ratio > score_max).then(|| lies_beyond(z_m, found.score_ratio))
 }
 
-/// An estimate this close to an end of the range gets a warning, pixels: the search covers little beyond the end. Chosen; no
-/// sweep is on record.
+/// An estimate this close to an end of the range gets a warning, pixels: the search covers little beyond the end. Chosen by
+/// hand, not varied: half of the step between searched disparities at full size.
 const END_OF_RANGE_PX: f64 = 0.5;
 
-/// Patches agree with a plane as well as with their own if support times correlation is lower by at most this. Chosen; no sweep
-/// is on record.
+/// Patches agree with a plane as well as with their own if support times correlation is lower by at most this. Chosen by
+/// hand, not varied: with less, noise of the correlation alone moves the answer half-way to the patch plane.
 const AGREEMENT_TOLERANCE: f64 = 0.005;
-/// Patches cannot distinguish planes that differ by at most this at the region's border, pixels. Chosen; no sweep is on record.
+/// Patches cannot distinguish planes that differ by at most this at the region's border, pixels. Chosen by hand, not
+/// varied: between closer planes, [`PATCH_SIGMA_PX`] decides alone.
 const PATCH_PRECISION_PX: f64 = 0.25;
-/// Patches ignore row offsets: with larger row offsets than this they are wrong themselves, pixels. Chosen; no sweep is on
-/// record.
+/// Patches ignore row offsets: with larger row offsets than this they are wrong themselves, pixels. Chosen by hand, not
+/// varied: with more, patches of wrong rows move the answer.
 const PATCH_ROWS_PX: f64 = 0.2;
 
 /// If two planes have independent errors of equal size, each has half of the variance of their difference (the sum of both
@@ -337,7 +341,8 @@ const EQUAL_ERRORS: f64 = 0.5;
 /// refined plane. Fitted on rendered grey and crab targets: errors are 1.01 to 1.08 times those of the refined plane, with half
 /// of it 1.10 to 1.39; of real windows of 28 to 40 px half of it lets 243 of 288 pass, this 241.
 const PATCH_SIGMA_PX: f64 = 0.2;
-/// If patches correlate less than this, noise moves them further than the refinement. Chosen; no sweep is on record.
+/// If patches correlate less than this, noise moves them further than the refinement. Chosen by hand, not varied: with
+/// less, noise of the patches moves the answer; with more, fewer answers gain from them.
 const CLEAR_CORRELATION_MIN: f64 = 0.9;
 
 /// The final plane of an outcome with the covariance of `(d0, du, dv)`: a weighted mean of the refined plane and the patch
@@ -396,7 +401,7 @@ fn variance_between(share: f64) -> f64 {
 
 /// The plane that explains the most disparities, if its depth is within the range but its tilt is not.
 fn steeper(outcome: &ColdStartOutcome, view: &RawView, range: &SearchRange) -> Option<Steeper> {
-    let (plane, share) = outcome.unlimited?;
+    let UnlimitedPlane { plane, share } = outcome.unlimited?;
     let pose = view.pose(&plane)?;
     let q = &pose.inverse_depth_plane;
     let is_within = (range.z_min_m..=range.z_max_m).contains(&pose.z_m) && q.z > 0.0;
@@ -406,7 +411,8 @@ fn steeper(outcome: &ColdStartOutcome, view: &RawView, range: &SearchRange) -> O
         .then_some(Steeper { tilt_deg: tilt_rad.to_degrees(), share })
 }
 
-/// A steeper plane than allowed is reported if it explains this many times as many pixels. Chosen; no sweep is on record.
+/// A steeper plane than allowed is reported if it explains this many times as many pixels. Chosen by hand, not varied: only
+/// the stated reason depends on it.
 const STEEPER_GAIN_MIN: f64 = 1.5;
 
 /// Disparities of the two ends of a depth range on the centroid's ray, lowest first.
@@ -420,8 +426,7 @@ fn disparity_range(view: &RawView, range: &SearchRange) -> DisparityRange {
 /// upper bound of the uncertainty of a normal that faces the camera.
 const ANY_NORMAL_RAD: f64 = 1.0684;
 
-/// An estimate is tilted beyond the range if it exceeds the limit by this many standard deviations. Chosen: 95 % of normal
-/// errors.
+/// An estimate is tilted beyond the range if it exceeds the limit by this many standard deviations. 95 % of normal errors.
 const TILT_SIGMAS: f64 = 2.0;
 
 /// Uncertainty of a plane in `cam_left`.

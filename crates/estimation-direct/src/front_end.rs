@@ -8,7 +8,7 @@ use std::borrow::Cow;
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_estimation_core::error::{EstimationError, check_image_sizes};
 use pb3dp_estimation_core::region::RegionMask;
 use pb3dp_estimation_core::wide::wide;
 use pb3dp_geometry::frames::{CamLeft, CamLeftRect};
@@ -98,19 +98,7 @@ impl StereoFrontEnd {
     /// # Errors
     /// An error with the camera and both sizes.
     pub fn check(&self, left: &RgbImage, right: &RgbImage) -> Result<(), EstimationError> {
-        for (side, image, camera) in [("left", left, self.raw.left()), ("right", right, self.raw.right())] {
-            let expected = camera.size();
-            if image.width() != expected.width || image.height() != expected.height {
-                return Err(EstimationError::ImageSize {
-                    side,
-                    width: image.width() as usize,
-                    height: image.height() as usize,
-                    expected_width: expected.width as usize,
-                    expected_height: expected.height as usize,
-                });
-            }
-        }
-        Ok(())
+        check_image_sizes(&self.raw, left, right)
     }
 
     /// Maps a region of the raw left image to the rectified left image.

@@ -26,6 +26,15 @@ pub struct WidestPlane {
     pub is_spread: bool,
 }
 
+/// The plane of any depth and tilt that explains the most clear disparities.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UnlimitedPlane {
+    /// The plane in the rectified pair.
+    pub plane: DisparityPlane,
+    /// Share of the region's pixels that it explains.
+    pub share: f64,
+}
+
 /// Outcome of a cold start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ColdStartOutcome {
@@ -53,9 +62,8 @@ pub struct ColdStartOutcome {
     /// The plane that explains the most disparities within one pixel, if less than half of the region agrees with the refined
     /// plane.
     pub widest: Option<WidestPlane>,
-    /// The plane of any depth and tilt that explains the most, with its share of the region's pixels; set if the plane explains
-    /// little.
-    pub unlimited: Option<(DisparityPlane, f64)>,
+    /// The plane of any depth and tilt that explains the most; set if the plane explains little.
+    pub unlimited: Option<UnlimitedPlane>,
     /// The period along the rows of a repeating texture, if a disparity shifted by it is outside the searched range; set if the
     /// plane does not cover the whole region.
     pub repeats_px: Option<f64>,

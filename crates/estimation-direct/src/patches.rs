@@ -26,7 +26,8 @@ use super::search::volume::LevelBox;
 pub const RADIUS: usize = 7;
 /// Side of a patch.
 pub(super) const SIDE: usize = 2 * RADIUS + 1;
-/// Largest shift of a patch, columns. Chosen; no sweep is on record.
+/// Largest shift of a patch, columns. Chosen by hand, not varied: capacity for one more than the default of
+/// [`PatchConfig::reach`].
 pub const REACH_MAX: usize = 3;
 /// Number of pixels of a patch.
 pub(super) const PATCH_PX: f32 = (SIDE * SIDE) as f32;
@@ -39,6 +40,8 @@ pub const USABLE: u8 = 1;
 pub const SUPPORTS: u8 = 2;
 
 /// Parameters of the patches.
+///
+/// The lowest correlation is that of the prototype of ADR 7; the other defaults are chosen by hand, not varied.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PatchConfig {
     /// Shift of a patch to either side, columns, 1 to [`REACH_MAX`].

@@ -6,6 +6,7 @@
 //! with the rows moved and the sharper image smoothed, and the iteration continues. The covariance is a sandwich estimate from
 //! the scores of pixel blocks, not the inverse of the Gauss-Newton matrix.
 
+mod config;
 mod covariance;
 mod kernel;
 mod level_rows;
@@ -15,11 +16,12 @@ mod sharpness;
 mod solve;
 mod start;
 
+pub use config::RefineConfig;
 use covariance::BlockPulls;
 use kernel::{CHANNELS_MAX, ChannelState, PointSet, Shade, Sums, Thinning, Warp};
 use nalgebra::{Matrix3, Vector2, Vector4};
 use pb3dp_estimation_core::cpu::Kernels;
-use points::{RightRows, Rims, Selection};
+use points::{PointLimits, RightRows, Rims, Selection};
 use prepare::{CameraChannels, ChannelRequest, Pair, Preparation, inside, reach_px, rows_of};
 use sharpness::Sharpness;
 use solve::{Normal, bounded_step, reliability, tukey_limit, tukey_moments};
@@ -30,96 +32,57 @@ use super::front_end::StereoFrontEnd;
 use super::image_plane::PixelWindow;
 use super::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 
-/// Smallest number of points for a refinement. Chosen; no sweep is on record.
+/// Smallest number of points for a refinement. Chosen by hand, not varied: about seven for each of six fitted values; fewer
+/// points leave the patch plane and `weak-tilt`.
 const POINTS_MIN: usize = 40;
 /// Lower bound of Tukey's initial residual limit, grey levels. Chosen: in the prototype of ADR 7 a start at 4 failed with
 /// unequal gains.
 const START_LIMIT_GREY: f64 = 15.0;
-/// Step on the finest level at which the border is tested. Chosen; no sweep is on record.
+/// Step on the finest level at which the border is tested. Chosen by hand, not varied: before, the weights depend on the
+/// start; no refinement with a border ends earlier.
 const BORDER_JUDGED_AT: usize = 2;
-/// The border is tested if the border and the interior each have this many points. Chosen; no sweep is on record.
+/// The border is tested if the border and the interior each have this many points. Chosen by hand, not varied: mean squares
+/// of 200 points scatter by 10 % (sqrt(2 / 200)), less than half of what rejects a border.
 const BORDER_POINTS_MIN: f64 = 200.0;
-/// The border is rejected if its mean weight is below this share of the interior's. Chosen; no sweep is on record.
+/// The border is rejected if its mean weight is below this share of the interior's. Chosen by hand, not varied: with less,
+/// a blurred border tilts the plane; with more, good borders are lost.
 const BORDER_WEIGHT_MIN: f64 = 0.9;
-/// The border is rejected if its mean square is above this multiple of the interior's. Chosen; no sweep is on record.
+/// The border is rejected if its mean square is above this multiple of the interior's. Chosen by hand, not varied: with
+/// more, a blurred border tilts the plane; with less, good borders are lost.
 const BORDER_SQUARES_MAX: f64 = 1.25;
-/// The plane has converged if the last step moved no point of the region by more than this, pixels of the level. Chosen; no
-/// sweep is on record.
+/// The plane has converged if the last step moved no point of the region by more than this, pixels of the level. Chosen by
+/// hand, not varied: without convergence, the answer is the patch plane.
 const SETTLED_PX: f64 = 0.03;
 /// The first steps use every n-th group of points, as long as enough points remain. Chosen: the real cases pass as without.
 const THINNING_MAX: usize = 4;
 const THINNED_POINTS: usize = 1200;
-/// Thinning ends when a step moves no point of the region by more than this, pixels of the level. Chosen; no sweep is on record.
+/// Thinning ends when a step moves no point of the region by more than this, pixels of the level. Chosen by hand, not
+/// varied: only time depends on it, as the last steps use all points.
 const THINNED_TO_PX: f64 = 0.1;
 /// A step below this many standard deviations (by single-pixel noise) is small enough. Chosen: real cases pass as with steps of 0.006 px.
 const SIGMAS_LEFT: f64 = 0.1;
-/// Largest number of times that the channels are recomputed. Chosen; no sweep is on record.
+/// Largest number of times that the channels are recomputed. Chosen by hand, not varied: time grows with it.
 const PASSES_MAX: usize = 4;
-/// Rows are moved if their offset reaches this, pixels: a smaller offset is linear. Chosen; no sweep is on record.
+/// Rows are moved if their offset reaches this, pixels: a smaller offset is linear. Chosen by hand, not varied: with less,
+/// channels are computed again more often.
 const ROWS_MOVED_FROM_PX: f64 = 0.1;
-/// The sharper image is smoothed if the blur variances differ by this, squared pixels of the level. Chosen; no sweep is on record.
+/// The sharper image is smoothed if the blur variances differ by this, squared pixels of the level. Chosen by hand, not
+/// varied: a smaller difference is left to the covariance (`direct.refine.blur_sigma_px2`: 0.2).
 const BLUR_EVENED_FROM_PX2: f64 = 0.3;
-/// Largest ratio of noise to texture in the squared gradients; above it, both images are smoothed more. Chosen; no sweep is on record.
+/// Largest ratio of noise to texture in the squared gradients; above it, both images are smoothed more. Chosen by hand, not
+/// varied: with more, the step is less certain; with less, sharp texture is smoothed.
 const NOISE_SHARE_MAX: f64 = 0.5;
-/// Target value of this ratio for the smoothing. Chosen; no sweep is on record.
+/// Target value of this ratio for the smoothing. Chosen by hand, not varied: below [`NOISE_SHARE_MAX`], so that one
+/// smoothing is enough.
 const NOISE_SHARE: f64 = 0.3;
-/// Largest smoothing, pixels of the level. Chosen; no sweep is on record.
+/// Largest smoothing, pixels of the level. Chosen by hand, not varied: with more, kernels mix more background into small
+/// regions.
 const SMOOTHING_MAX_PX: f64 = 1.6;
-/// The background mixes into the border over this many standard deviations of the blur difference. Chosen; no sweep is on record.
+/// The background mixes into the border over this many standard deviations of the blur difference. Chosen by hand, not
+/// varied: there, an edge with Gaussian blur has 2 % of the background.
 const MIXED_SIGMAS: f64 = 2.0;
-/// Lower bound of the residuals' standard deviation, grey levels. Chosen; rounding alone leaves 1 / sqrt(12) = 0.29.
+/// Lower bound of the residuals' standard deviation, grey levels. Derived: rounding alone leaves 1 / sqrt(12) = 0.29.
 const SIGMA_MIN_GREY: f64 = 0.3;
-
-/// Parameters of the refinement.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RefineConfig {
-    /// Largest number of levels used, starting with the finest.
-    pub levels_max: usize,
-    /// The finest level is the first on which the region has at most this many pixels.
-    pub area_max_px: usize,
-    /// Largest number of points per level; those with the strongest gradients are used.
-    pub points_max: usize,
-    /// Largest number of steps on the finest level.
-    pub iterations_max: usize,
-    /// A plane that moves by more than this at the region's centroid has not converged, pixels.
-    pub jump_max_px: f64,
-    /// Width of the region's border that is always excluded, pixels; at most half of the share below.
-    pub erosion_min_px: f64,
-    /// Width of the border that is excluded if it agrees worse than the interior, pixels.
-    pub erosion_max_px: f64,
-    /// Largest excluded width at each side, as a share of the square root of the region's area.
-    pub erosion_share_max: f64,
-    /// Standard deviation of the smoothing, pixels of a level.
-    pub smoothing_px: f64,
-    /// Standard deviation of the sampling position of a pixel, pixels: gradient times this counts as noise.
-    pub place_sigma_px: f64,
-    /// Standard deviation of the row offset that remains after the pair's known offset, pixels; 0 keeps the rows fixed.
-    pub row_sigma_px: f64,
-    /// Standard deviation of the calibration's disparity error at the centroid and, as a slope, over half the region's side, pixels.
-    pub calibration_sigma_px: f64,
-    /// Standard deviation of the difference of both images' blur variances at an edge, squared pixels. Keeps blur from passing as a slope.
-    pub blur_sigma_px2: f64,
-}
-
-impl Default for RefineConfig {
-    fn default() -> Self {
-        Self {
-            levels_max: 2,
-            area_max_px: 24_000,
-            points_max: 5000,
-            iterations_max: 8,
-            jump_max_px: 1.5,
-            erosion_min_px: 2.0,
-            erosion_max_px: 6.0,
-            erosion_share_max: 0.06,
-            smoothing_px: 0.5,
-            place_sigma_px: 0.05,
-            row_sigma_px: 0.3,
-            calibration_sigma_px: 0.002,
-            blur_sigma_px2: 0.0,
-        }
-    }
-}
 
 /// A refined plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -193,8 +156,10 @@ impl Progress {
 struct Made {
     scale: usize,
     rims: Rims,
-    /// The box of the marked pixels, and their number.
-    marked: (PixelWindow, usize),
+    /// The box of the marked pixels.
+    bounds: PixelWindow,
+    /// Number of marked pixels.
+    marked: usize,
     request: ChannelRequest,
     channels: usize,
 }
@@ -327,11 +292,11 @@ impl PlaneRefiner {
         let outer = rim(c.erosion_min_px, 0.5 * c.erosion_share_max);
         let rims = Rims { outer, inner: rim(c.erosion_max_px, c.erosion_share_max).max(outer) };
         let known = self.made.filter(|made| (made.scale, made.rims) == (level.scale, rims));
-        let (bounds, count) = match known {
-            Some(made) => made.marked,
+        let (bounds, marked) = match known {
+            Some(made) => (made.bounds, made.marked),
             None => self.selection.mark(level, rims)?,
         };
-        if count < POINTS_MIN {
+        if marked < POINTS_MIN {
             return None;
         }
         let (left_px, right_px) = progress.smoothings_px();
@@ -345,19 +310,19 @@ impl PlaneRefiner {
             Some(made) => made.channels,
             None => self.preparation.left(pair, level, &request, &mut self.left),
         };
-        self.made = Some(Made { scale: level.scale, rims, marked: (bounds, count), request, channels });
+        self.made = Some(Made { scale: level.scale, rims, bounds, marked, request, channels });
         let rows = rows_of(&bounds, level.left.window.y - level.right.window.y, &right_part);
         let request = ChannelRequest { part: right_part, rows, smoothing_px: right_px };
         let row_px = if progress.row_px.abs() > ROWS_MOVED_FROM_PX { progress.row_px } else { 0.0 };
-        self.preparation.right(pair, level, (&request, row_px), channels, &mut self.right);
+        self.preparation.right(pair, level, &request, row_px, channels, &mut self.right);
         let rows = RightRows {
             shift: level.left.window.y - level.right.window.y - right_part.y,
             width: right_part.width,
             height: right_part.height,
         };
         if known.is_none() {
-            let wanted = (count, self.config.points_max);
-            self.selection.collect(level, &self.left, channels, wanted, &rows, self.kernels);
+            let limits = PointLimits { marked, points_max: self.config.points_max };
+            self.selection.collect(level, &self.left, channels, limits, &rows, self.kernels);
         }
         self.points.place(&self.selection, level, &part, &rows);
         if known.is_none() {

@@ -20,9 +20,11 @@ use super::row_shift::shift_rows;
 use crate::front_end::halve_planes;
 use pb3dp_estimation_core::row_offset::RowOffset;
 
-/// Largest number of levels. Chosen; no sweep is on record.
+/// Largest number of levels. Chosen by hand, not varied: on the sixth level, a region of 6 million pixels has
+/// `direct.search.quick_area_max_px` (6000).
 pub const LEVELS_MAX: usize = 6;
-/// A level is halved if its part of the region has more pixels than this. Chosen; no sweep is on record.
+/// A level is halved if its part of the region has more pixels than this. Chosen by hand, not varied: a halved level keeps
+/// more than 150 px of the region.
 const HALVED_FROM_PX: usize = 600;
 /// Margin of the windows around the region, pixels of the search level: half a patch, 7 px, and 3 px for a filter.
 const MARGIN_PX: u32 = 10;
@@ -244,11 +246,20 @@ impl RegionPyramid {
         let Self { levels, loaded, halved, regions, .. } = self;
         let level = &mut levels[0];
         level.scale = 1 << halvings;
-        load_side(front, (Side::Left, source.left), left, source.wanted, halvings, halved, &mut level.left);
+        load_side(
+            front,
+            CameraImage { side: Side::Left, raw: source.left },
+            left,
+            source.wanted,
+            halvings,
+            halved,
+            &mut level.left,
+        );
+        let right_image = CameraImage { side: Side::Right, raw: source.right };
         if source.rows.is_zero() {
-            load_side(front, (Side::Right, source.right), right, source.wanted, halvings, halved, &mut level.right);
+            load_side(front, right_image, right, source.wanted, halvings, halved, &mut level.right);
         } else {
-            load_side(front, (Side::Right, source.right), right, source.wanted, halvings, halved, loaded);
+            load_side(front, right_image, right, source.wanted, halvings, halved, loaded);
             shift_rows(loaded, &source.rows.at_scale(level.scale as f64), front.kernels(), &mut level.right);
         }
         let full = left.clipped(front.size(Side::Left).width, front.size(Side::Left).height);
@@ -268,10 +279,17 @@ impl RegionPyramid {
     }
 }
 
+/// A raw image and its camera.
+#[derive(Clone, Copy)]
+struct CameraImage<'a> {
+    side: Side,
+    raw: &'a RgbImage,
+}
+
 /// The channels of a window (full size) of an image, halved this many times.
 fn load_side(
     front: &StereoFrontEnd,
-    (side, raw): (Side, &RgbImage),
+    CameraImage { side, raw }: CameraImage<'_>,
     window: PixelWindow,
     wanted: Wanted,
     halvings: usize,

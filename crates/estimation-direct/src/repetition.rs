@@ -8,21 +8,23 @@
 //! disparity (plus the offset to infinity), which again gives a plane.
 
 use super::region_pyramid::{LevelPlane, RegionLevel, is_seen};
+use super::search::NOISE_GREY;
 
-/// Largest number of points compared. Chosen; no sweep is on record.
+/// Largest number of points compared. Chosen by hand, not varied: a mean of 400 correlations is accurate to 5 % (1 /
+/// sqrt(400)); time grows with the number.
 const POINTS_MAX: usize = 400;
-/// Noise term in the normalisation of neighbourhoods, luminance. The default of `direct.search.noise_grey`, which is chosen.
-const NOISE_GREY: f32 = 2.0;
-/// Smallest mean correlation of neighbourhoods with those one period away, relative to their correlation with themselves, for a
-/// repeating texture. Chosen; no sweep is on record. With the rule as a whole, 7 searches of 11 boards in two wrong ranges each
-/// were wrong and `ok`, without it 15.
+/// Smallest mean correlation of neighbourhoods with those one period away, relative to their correlation with themselves,
+/// for a repeating texture. Chosen by hand, not varied. With the rule as a whole, 7 searches of 11 boards in two wrong
+/// ranges each were wrong and `ok`, without it 15.
 const REPEATS_MIN: f32 = 0.35;
-/// Before the peak, the correlation must have fallen to this share of it: smooth texture is similar to itself nearby. Chosen;
-/// no sweep is on record.
+/// Before the peak, the correlation must have fallen to this share of it: smooth texture is similar to itself nearby.
+/// Chosen by hand, not varied: with more, smooth texture counts as repeating.
 const VALLEY_MAX: f32 = 0.5;
-/// Smallest share of the points with a partner in the region. Chosen; no sweep is on record.
+/// Smallest share of the points with a partner in the region. Chosen by hand, not varied: the longest shift, half of a
+/// rectangle, leaves half of the points a partner.
 const PARTNERS_MIN: f32 = 0.4;
-/// Smallest amount of textured points, in units of a neighbourhood with strong texture. Chosen; no sweep is on record.
+/// Smallest amount of textured points, in units of a neighbourhood with strong texture. Chosen by hand, not varied: with
+/// less, a few edges decide.
 const TEXTURED_MIN: f32 = 40.0;
 
 /// Finds periods; keeps its buffers.
@@ -37,17 +39,22 @@ pub(super) struct Repetition {
     starts: Vec<usize>,
 }
 
+/// Where a period is sought, pixels of the level.
+#[derive(Clone, Copy, Debug)]
+pub struct PeriodSearch {
+    /// Disparity of the plane in the middle of the region.
+    pub middle_px: f64,
+    /// Added to disparities so that they are zero at infinity.
+    pub infinity_px: f64,
+    /// Shortest period of interest.
+    pub shortest_px: f64,
+}
+
 impl Repetition {
-    /// The shortest period of the region's texture along the rows, from `shortest_px` on, at the plane's disparity `middle_px`;
-    /// pixels of the level. `infinity_px` is added to disparities so that they are zero at infinity. `None` if the texture does
-    /// not repeat within half of the region's width.
-    pub fn period_px(
-        &mut self,
-        level: &RegionLevel,
-        plane: &LevelPlane,
-        (middle_px, infinity_px): (f64, f64),
-        shortest_px: f64,
-    ) -> Option<f64> {
+    /// The shortest period of the region's texture along the rows, pixels of the level. `None` if the texture does not repeat
+    /// within half of the region's width.
+    pub fn period_px(&mut self, level: &RegionLevel, plane: &LevelPlane, sought: PeriodSearch) -> Option<f64> {
+        let PeriodSearch { middle_px, infinity_px, shortest_px } = sought;
         let longest = self.take(level, plane, infinity_px) / 2;
         let all: f32 = self.own.iter().map(|own| own.1).sum();
         if shortest_px > longest as f64 || all.is_nan() || all < TEXTURED_MIN {
@@ -187,7 +194,7 @@ mod tests {
 
     fn period(level: &RegionLevel, slope: f64, shortest_px: f64) -> Option<f64> {
         let plane = LevelPlane { a: slope, b: 0.0, c: 60.0 - 45.0 * slope, row: 0 };
-        Repetition::default().period_px(level, &plane, (60.0, 20.0), shortest_px)
+        Repetition::default().period_px(level, &plane, PeriodSearch { middle_px: 60.0, infinity_px: 20.0, shortest_px })
     }
 
     #[test]

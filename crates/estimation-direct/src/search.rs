@@ -20,13 +20,20 @@ use self::volume::{COST_NEUTRAL, CostVolume, LevelBox};
 use super::disparity_plane::DisparityRange;
 use super::region_pyramid::{LevelPlane, RegionLevel};
 
-/// Margin around the region's box that takes part in the aggregation, pixels. Chosen; no sweep is on record.
+/// Noise of a pixel in the normalisation of neighbourhoods, luminance: default of `direct.search.noise_grey`. Chosen by hand, not
+/// varied: with less, blank neighbourhoods agree by chance; with more, faint texture agrees with nothing.
+pub(super) const NOISE_GREY: f32 = 2.0;
+/// Margin around the region's box that takes part in the aggregation, pixels. Chosen by hand, not varied: paths begin
+/// outside the region; time grows with it.
 const MARGIN: usize = 2;
-/// A plane moved along the rows becomes a seed if the region agrees with it by this share of the best. Chosen; no sweep is on
-/// record.
+/// A plane moved along the rows becomes a seed if the region agrees with it by this share of the best. Chosen by hand, not
+/// varied: with more, aliases are missed; with less, more seeds take time.
 const ALIAS_SHARE: f64 = 0.5;
 
 /// Parameters of the search.
+///
+/// Penalties, tolerance, number kept and steps are those of the prototype of ADR 7, in which other penalties and more draws gave
+/// no improvement on 256 real regions. The other defaults are chosen by hand, not varied.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaneSearchConfig {
     /// Noise term of a pixel in the normalisation of neighbourhoods, luminance.
@@ -42,7 +49,7 @@ pub struct PlaneSearchConfig {
 impl Default for PlaneSearchConfig {
     fn default() -> Self {
         Self {
-            noise: 2.0,
+            noise: f64::from(NOISE_GREY),
             penalties: Penalties { small: 8, large: 40 },
             winner: WinnerRules { uniqueness: 0.05, left_right_max: 1 },
             hypotheses: HypothesisRules { draws: 300, tolerance_px: 0.5, distinct_px: 1.0, kept: 6, steps: 3 },

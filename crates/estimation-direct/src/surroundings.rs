@@ -19,32 +19,38 @@ use super::photometric::RefinedPlane;
 use super::region_pyramid::{LevelPlane, RegionLevel};
 use crate::reach::REACH_MAX_PX;
 
-/// A normal with a smaller standard deviation needs no surroundings, radians (1 degree). Chosen; no sweep is on record. With
-/// the surroundings as they are chosen here 116 of 128 and 124 of 160 real windows of 28 to 40 px pass, without 113 and 122.
+/// A normal with a smaller standard deviation needs no surroundings, radians (1 degree). Chosen by hand, not varied: with
+/// the rule as a whole, 116 of 128 and 124 of 160 real windows of 28 to 40 px pass, without it 113 and 122.
 const NORMAL_SIGMA_RAD: f64 = 0.0175;
-/// Side of a tile, pixels. Chosen; no sweep is on record.
+/// Side of a tile, pixels. Chosen by hand, not varied: 3 x 3 tiles are fitted together; smaller ones are noisier, larger
+/// ones cross more edges.
 const TILE: usize = 4;
-/// Smallest number of pixels for the fit of a tile. Chosen; no sweep is on record.
+/// Smallest number of pixels for the fit of a tile. Chosen by hand, not varied: three of the nine tiles that are fitted
+/// together.
 const TILE_PX_MIN: f64 = 48.0;
-/// Lowest correlation of an accepted tile. Chosen; no sweep is on record.
+/// Lowest correlation of an accepted tile. Chosen by hand, not varied: with less, other textures join; with more, noisy
+/// images gain nothing.
 const CORRELATION_MIN: f64 = 0.8;
-/// Largest shift of a tile, in standard deviations of the expected shift. Chosen: 95 % of normal errors.
+/// Largest shift of a tile, in standard deviations of the expected shift. 95 % of normal errors.
 const SIGMAS_MAX: f64 = 2.0;
-/// Largest shift of a tile, pixels. Chosen; no sweep is on record.
+/// Largest shift of a tile, pixels. Chosen by hand, not varied: with more, surfaces that bend away join the region.
 const SHIFT_MAX_PX: f64 = 0.3;
-/// Standard deviation of a tile's shift not due to pixel noise (interpolation, shading, relief), pixels. Chosen; no sweep is on
-/// record.
+/// Standard deviation of a tile's shift not due to pixel noise (interpolation, shading, relief), pixels. Chosen by hand,
+/// not varied: with less, tiles of real surfaces are rejected where the plane is accurate.
 const SYSTEMATIC_SIGMA_PX: f64 = 0.05;
-/// Tiles with a larger standard deviation of the shift are ignored, pixels. Chosen; no sweep is on record.
-const TILE_SIGMA_MAX_PX: f64 = 0.3;
-/// Lower bound of a tile's residual standard deviation, grey levels. Chosen; no sweep is on record.
+/// Tiles with a larger standard deviation of the shift are ignored, pixels. Derived: a shift this uncertain cannot be
+/// compared with its limit.
+const TILE_SIGMA_MAX_PX: f64 = SHIFT_MAX_PX;
+/// Lower bound of a tile's residual standard deviation, grey levels. Chosen by hand, not varied: with less, smooth tiles
+/// count as more accurate than rounding allows (0.4 for two images).
 const NOISE_MIN_GREY: f64 = 1.0;
 /// Parameters of a tile's fit: shift, gain, offset.
 const FITTED: f64 = 3.0;
 /// Largest squared distance of the new plane from the region's own, in standard deviations of the latter: 95 % of chi-squared
 /// of three.
 const DISTANCE_MAX: f64 = 7.81;
-/// Largest ratio of the slopes' variance with and without the surroundings. Chosen; no sweep is on record.
+/// Largest ratio of the slopes' variance with and without the surroundings. Chosen by hand, not varied: the standard
+/// deviation must fall by 16 % (1 - sqrt(0.7)).
 const SHRINKAGE_MAX: f64 = 0.7;
 
 /// Finds the surroundings that continue a region; keeps its buffers.

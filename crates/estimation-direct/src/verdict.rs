@@ -7,7 +7,7 @@ use pb3dp_estimation_core::status::{Status, Verdict};
 
 use crate::outcome::{ColdStartOutcome, support_of};
 
-/// Limits between the statuses. Chosen on real pairs.
+/// Limits between the statuses. Chosen by hand on real pairs, some of which are held out (ADR 7).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DirectVerdictConfig {
     /// Smallest share (0 to 1) of the region's pixels whose patch has texture and agrees with the plane; below:
@@ -97,7 +97,8 @@ pub(super) fn lies_beyond(z_m: Option<f64>, score_ratio: f64) -> String {
 }
 
 /// If the right image does not show some of the searched depths, the agreeing patches must have this correlation: a
-/// self-similar texture correlates less with another part of itself. Chosen; no sweep is on record.
+/// self-similar texture correlates less with another part of itself. Chosen by hand, not varied: with less, aliases at the
+/// border of the image are `ok`; with more, right answers become `ambiguous`.
 pub(super) const UNSEEN_CORRELATION_MIN: f64 = 0.75;
 
 /// Reason if the region may be nearer than `z_m`, where the right image does not show it.
@@ -124,7 +125,7 @@ fn cause(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdict
             range.tilt_max_rad.to_degrees()
         );
     }
-    if outcome.unlimited.is_none_or(|(_, share)| share < ANY_SHARE_MIN) {
+    if outcome.unlimited.is_none_or(|found| found.share < ANY_SHARE_MIN) {
         return format!(
             "no match in the right image at {:.0} to {:.0} mm: check the depth range (--z-range) and the calibration, and check the images for noise and blur",
             1e3 * range.z_min_m,
@@ -134,11 +135,12 @@ fn cause(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdict
     "the region is not flat or contains several surfaces: mark a flat part".to_owned()
 }
 
-/// If no plane explains this share of the region, the cause is the range, the calibration or the images. Chosen; no sweep is on
-/// record.
+/// If no plane explains this share of the region, the cause is the range, the calibration or the images. Chosen by hand,
+/// not varied: only the stated reason depends on it.
 const ANY_SHARE_MIN: f64 = 0.1;
 
-/// Smallest sufficient share of the region with texture. Chosen; no sweep is on record.
+/// Smallest sufficient share of the region with texture. Chosen by hand, not varied: with more, regions with few textured
+/// parts become `not-observable`; with less, blank ones `ambiguous`.
 const TEXTURED_MIN: f64 = 0.3;
 
 /// Verdict if too little of the region has texture or agrees with the plane.

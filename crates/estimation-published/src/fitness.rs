@@ -194,6 +194,11 @@ pub struct PreparedFitness<'a> {
 }
 
 impl PreparedFitness<'_> {
+    /// The first shift of the window, for rectified pairs.
+    fn first_shift(&self) -> Option<i32> {
+        self.window.as_ref().map(Window::first_shift)
+    }
+
     /// `F` of eq. (10) from a score; `None` for a rejected hypothesis.
     pub fn fitness(&self, score: i32) -> Option<f64> {
         (score != REFUSED).then(|| f64::from(score) / f64::from(self.score_max()))
@@ -204,16 +209,11 @@ impl PreparedFitness<'_> {
         20 * self.memory.inner.len() as i32 + self.memory.outer.len() as i32
     }
 
-    /// Number of inner and of outer points that vote.
-    pub fn point_counts(&self) -> (usize, usize) {
-        (self.memory.inner.len(), self.memory.outer.len())
-    }
-
     /// The votes of one hypothesis; `None` if it is rejected. For reports and tests: it allocates, unlike
     /// [`PlaneScore::score`].
     pub fn votes(&self, psi: &PlaneHypothesis) -> Option<Votes> {
         let (mut matches, mut seen) = (Counts::default(), Counts::default());
-        let batch = self.frame.batch(std::slice::from_ref(psi), self.window.as_ref());
+        let batch = self.frame.batch(std::slice::from_ref(psi), self.first_shift());
         if batch.refused[0] {
             return None;
         }
@@ -261,7 +261,7 @@ impl PlaneScore for PreparedFitness<'_> {
     fn score(&self, hypotheses: &[PlaneHypothesis], scores: &mut [i32]) {
         let (mut matches, mut seen) = (Counts::default(), Counts::default());
         for (hypotheses, scores) in hypotheses.chunks(BATCH).zip(scores.chunks_mut(BATCH)) {
-            let batch = self.frame.batch(hypotheses, self.window.as_ref());
+            let batch = self.frame.batch(hypotheses, self.first_shift());
             self.count(&batch, self.memory.config.tolerance_steps(), &self.memory.matches, &mut matches);
             let abstain = self.memory.config.unseen == Unseen::Abstain;
             if abstain {

@@ -139,7 +139,7 @@ impl ObservabilityConfig {
 impl ObservabilityConfig {
     /// The status that follows from the spreads of depth (relative) and normal (radians) near the estimate, with its reason. It
     /// does not consider other peaks.
-    pub fn verdict_nearby(&self, (depth_spread, tilt_spread_rad): (f64, f64)) -> Verdict {
+    pub fn verdict_nearby(&self, depth_spread: f64, tilt_spread_rad: f64) -> Verdict {
         let (status, reason) = if depth_spread > self.depth_spread_sure {
             (Status::Ambiguous, depth_reason(depth_spread, self.depth_spread_sure))
         } else if tilt_spread_rad > self.tilt_spread_sure_rad {
@@ -176,14 +176,34 @@ pub struct Landscape {
     pub fitness_highest: f64,
     /// Median fitness of the coarse grid.
     pub fitness_median: f64,
-    /// Best hypothesis whose depth differs from the estimate's by more than `depth_spread_max`, and its fitness.
-    pub runner_up: Option<(PlaneHypothesis, f64)>,
+    /// Best hypothesis whose depth differs from the estimate's by more than `depth_spread_max`.
+    pub runner_up: Option<RunnerUp>,
     /// Spread of the depth, as a share of the depth.
     pub depth_spread: f64,
     /// Spread of the normal, radians.
     pub tilt_spread_rad: f64,
-    /// Distance from the estimate to the near and to the far end of the search range, as shares of the depth.
-    pub range_room: (f64, f64),
+    /// Distance from the estimate to the near end of the search range, as a share of the depth.
+    pub room_near: f64,
+    /// The same to the far end.
+    pub room_far: f64,
+}
+
+/// The best hypothesis at another depth than the estimate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RunnerUp {
+    /// The hypothesis.
+    pub psi: PlaneHypothesis,
+    /// Its fitness.
+    pub fitness: f64,
+}
+
+/// Rms deviation of the resampled maxima from the estimate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spread {
+    /// Deviation of the depth, as a share of the depth.
+    pub depth: f64,
+    /// Deviation of the normal, radians.
+    pub tilt_rad: f64,
 }
 
 impl Landscape {
@@ -198,7 +218,7 @@ impl Landscape {
             return Verdict { status: Status::NotObservable, reason };
         }
         let rival_min = self.fitness_median + config.runner_up_max * height;
-        if let Some((psi, fitness)) = self.runner_up.filter(|(_, fitness)| *fitness >= rival_min) {
+        if let Some(RunnerUp { psi, fitness }) = self.runner_up.filter(|rival| rival.fitness >= rival_min) {
             let (z_mm, highest) = (1000.0 * psi.z_m, self.fitness_highest);
             let reason = format!("another depth, {z_mm:.1} mm, reaches fitness {fitness:.3} of {highest:.3}");
             return Verdict { status: Status::Ambiguous, reason };
@@ -212,15 +232,15 @@ impl Landscape {
             let reason = format!("too few points agree: fitness {found:.3} (limit {limit:.2})");
             return Verdict { status: Status::Ambiguous, reason };
         }
-        let (near, far) = self.range_room;
+        let (near, far) = (self.room_near, self.room_far);
         if near.min(far) < END_OF_RANGE_ROOM || near + far < 2.0 * config.depth_spread_max {
             return Verdict { status: Status::Ambiguous, reason: self.narrow_reason(config) };
         }
-        config.verdict_nearby((self.depth_spread, self.tilt_spread_rad))
+        config.verdict_nearby(self.depth_spread, self.tilt_spread_rad)
     }
 
     fn narrow_reason(&self, config: &ObservabilityConfig) -> String {
-        let (near, far) = self.range_room;
+        let (near, far) = (self.room_near, self.room_far);
         format!(
             "the search range extends only {:.1} % of the depth before and {:.1} % behind the estimate: the target may be outside it; widen the range (each side needs {:.1} %, both together {:.0} %)",
             100.0 * near,
@@ -301,21 +321,19 @@ impl LandscapeProbe {
             self.whole.push(score);
         }
         let highest = self.whole.iter().copied().max().unwrap_or(REFUSED);
-        let runner_up = rival.map(|(psi, score)| (psi, fitness(score)));
+        let runner_up = rival.map(|(psi, score)| RunnerUp { psi, fitness: fitness(score) });
         self.keep_candidates();
         self.measure_deviations(&target.answer);
-        let (depth_spread, tilt_spread_rad) = self.spreads(blocks);
+        let spread = self.spread(blocks);
         Landscape {
             hypotheses,
             fitness_highest: fitness(highest),
             fitness_median: fitness(median),
             runner_up,
-            depth_spread,
-            tilt_spread_rad,
-            range_room: (
-                1.0 - target.range.z_min_m / target.answer.z_m,
-                target.range.z_max_m / target.answer.z_m - 1.0,
-            ),
+            depth_spread: spread.depth,
+            tilt_spread_rad: spread.tilt_rad,
+            room_near: 1.0 - target.range.z_min_m / target.answer.z_m,
+            room_far: target.range.z_max_m / target.answer.z_m - 1.0,
         }
     }
 
@@ -325,13 +343,13 @@ impl LandscapeProbe {
         whole: &Scored<S>,
         blocks: &[Scored<S>],
         target: &ProbeTarget,
-    ) -> (f64, f64) {
+    ) -> Spread {
         self.hypotheses.clear();
         self.add_fine_grid(target, FINE_HALF_ALONE);
         self.score_whole(&whole.score, 0);
         self.keep_candidates();
         self.measure_deviations(&target.answer);
-        self.spreads(blocks)
+        self.spread(blocks)
     }
 
     /// Adds hypotheses with depths equidistant in disparity and tilts equidistant in angle.
@@ -486,11 +504,10 @@ impl LandscapeProbe {
         best
     }
 
-    /// Rms deviation of the resampled maxima from the estimate: relative depth, and angle of the normal in radians.
-    fn spreads<S: PlaneScore>(&mut self, blocks: &[Scored<S>]) -> (f64, f64) {
+    fn spread<S: PlaneScore>(&mut self, blocks: &[Scored<S>]) -> Spread {
         let n = self.hypotheses.len();
         if n == 0 || blocks.is_empty() {
-            return (f64::INFINITY, f64::INFINITY);
+            return Spread { depth: f64::INFINITY, tilt_rad: f64::INFINITY };
         }
         self.blocks.clear();
         self.blocks.resize(n * blocks.len(), REFUSED);
@@ -506,7 +523,7 @@ impl LandscapeProbe {
             angle += a;
         }
         let resamples = self.config.resamples as f64;
-        ((depth / resamples).sqrt(), (angle / resamples).sqrt())
+        Spread { depth: (depth / resamples).sqrt(), tilt_rad: (angle / resamples).sqrt() }
     }
 
     /// Draws blocks with replacement and adds their scores; returns the highest possible sum.

@@ -16,25 +16,30 @@ use super::view::View;
 use crate::kernels::Correlation;
 
 /// Initial variance of the residuals, squared grey levels: small initial values reject everything if the cameras differ in
-/// gain. Chosen, 40 squared; no sweep is on record.
+/// gain. Chosen by hand, not varied: 40 squared, as the prior of an offset.
 const VARIANCE_START: f32 = 1600.0;
-/// Smallest variance, squared grey levels: below it, quantisation dominates (1/12 for each of two images). Chosen; no sweep is
-/// on record.
+/// Smallest variance, squared grey levels: below it, quantisation dominates (1/12 for each of two images). Chosen by hand,
+/// not varied: three times the quantisation.
 const VARIANCE_MIN: f32 = 0.5;
-/// Factor by which the robust weights reduce the variance of normal residuals. Chosen; by chi-squared of three it is 1.18 at
-/// `kernels::TUKEY`.
+/// Factor by which the robust weights reduce the variance of normal residuals. Chosen by hand, not varied; for normal
+/// residuals in three channels it is 1.18 at `kernels::TUKEY`.
 const TUKEY_LOSS: f32 = 1.25;
-/// A level has converged when a step moves the points by less than this, pixels of that level. Chosen; no sweep is on record.
+/// A level has converged when a step moves the points by less than this, pixels of that level. Chosen by hand, not varied:
+/// smaller limits take more steps, larger ones leave a part of the motion as error.
 const STEP_DONE_PX: [f64; LEVELS] = [0.012, 0.05, 0.1, 0.15];
-/// Number of rounds in which weights and variances are updated alternately, in each step. Chosen; no sweep is on record.
+/// Number of rounds in which weights and variances are updated alternately, in each step. Chosen by hand, not varied: the
+/// time of a step grows with it.
 const SCALE_ROUNDS: usize = 3;
-/// Smallest correlation at which a view matches the images, by level. Chosen; no sweep is on record.
+/// Smallest correlation at which a view matches the images, by level. Chosen by hand, not varied: with less, alignments
+/// start too fine to converge; with more, they start coarser and take longer.
 const RESEMBLANCE_MIN: [f64; LEVELS] = [0.75, 0.7, 0.6, 0.0];
-/// Smallest number of visible points for an alignment. Chosen; no sweep is on record.
+/// Smallest number of visible points for an alignment. Chosen by hand, not varied: three for each of the eight values of an
+/// alignment (six of motion, gain and offset).
 const POINTS_MIN: f32 = 24.0;
-/// Prior standard deviations of the motion between frames: metres and radians. Larger motions are implausible. Chosen; no sweep
-/// is on record.
-const MOTION_SIGMA: (f64, f64) = (0.1, 0.7);
+/// Prior standard deviations of the motion between frames: metres and radians. Larger motions are implausible. Chosen by
+/// hand, not varied: weak beside a frame, it only holds motions that the images do not show.
+const MOTION_SIGMA_M: f64 = 0.1;
+const MOTION_SIGMA_RAD: f64 = 0.7;
 
 /// State carried from frame to frame.
 #[derive(Clone, Copy, Debug)]
@@ -79,6 +84,16 @@ pub(super) enum StartLevel {
     Resembling,
     /// The coarsest level.
     Coarsest,
+}
+
+/// How an alignment proceeds.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct AlignmentPlan {
+    pub start: StartLevel,
+    /// Unknowns that are free at full resolution.
+    pub free: Free,
+    /// Largest number of steps per level.
+    pub steps_max: usize,
 }
 
 /// Knowledge from earlier frames.
@@ -133,7 +148,7 @@ impl Aligner {
         problem: &mut Problem<'_>,
         estimate: &mut Estimate,
         levels: std::ops::RangeInclusive<usize>,
-        (start, free, steps_max): (StartLevel, Free, usize),
+        AlignmentPlan { start, free, steps_max }: AlignmentPlan,
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Option<Aligned> {
         let mut aligned = None;
@@ -156,7 +171,7 @@ impl Aligner {
                     return aligned;
                 }
                 let free = if level == 0 { free } else { free.without_shape() };
-                let last = self.step(problem, estimate, level, &mut photometry, (free, is_fresh))?;
+                let last = self.step(problem, estimate, level, &mut photometry, free, is_fresh)?;
                 is_fresh = false;
                 steps += 1;
                 let moved_px = problem.moved_px(estimate, &last.unknowns);
@@ -210,7 +225,8 @@ impl Aligner {
         estimate: &mut Estimate,
         level: usize,
         photometry: &mut Photometry,
-        (free, is_fresh): (Free, bool),
+        free: Free,
+        is_fresh: bool,
     ) -> Option<Step> {
         let mut sums = if is_fresh {
             self.weigh(problem, level, photometry)
@@ -425,7 +441,7 @@ impl Knowledge {
     pub(super) fn prior(&self, estimate: &Estimate) -> Prior {
         let mut information = UnknownsMatrix::zeros();
         for i in 0..6 {
-            let sigma = if i < 3 { MOTION_SIGMA.0 } else { MOTION_SIGMA.1 };
+            let sigma = if i < 3 { MOTION_SIGMA_M } else { MOTION_SIGMA_RAD };
             information[(i, i)] = 1.0 / (sigma * sigma);
         }
         information[(ROW, ROW)] = self.row_information;

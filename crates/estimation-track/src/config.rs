@@ -4,6 +4,9 @@ use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::ranges;
 
 /// Parameters of the direct tracker.
+///
+/// Points, border, turn between views and relief follow the prototype of ADR 7; the other defaults are chosen by hand, not
+/// varied.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DirectTrackerConfig {
     /// Number of points of the model at full resolution, 64 to 16384. Time grows in proportion to the number of points, and the

@@ -8,20 +8,23 @@ use super::distinct::beyond_chance;
 use super::kernels::{CHANNELS, ResidualGroup, SeenGroup, TERMS, ViewGroup};
 use crate::kernels::{Correlation, Moments};
 
-/// Smallest robust weight of an inlier. Chosen; no sweep is on record.
+/// Smallest robust weight of an inlier. Chosen by hand, not varied: the weight at 2 standard deviations is 0.31, (1 - (2 /
+/// `kernels::TUKEY`)^2)^2.
 pub(super) const FITS_FROM: f32 = 0.3;
 
-/// Inlier share of plane and relief required in the first pair if the plane search found no plane. Chosen; no sweep is on
-/// record.
+/// Inlier share of plane and relief required in the first pair if the plane search found no plane. Chosen by hand, not
+/// varied: with less, a relief bent to fit other texture is followed.
 const SURFACE_INLIERS_MIN: f64 = 0.7;
-/// Correlation required in this case. Chosen; no sweep is on record.
+/// Correlation required in this case. Chosen by hand, not varied: as for the inliers.
 const SURFACE_CORRELATION_MIN: f64 = 0.85;
-/// Share of the points that the right image must show in this case. Chosen; no sweep is on record.
+/// Share of the points that the right image must show in this case. Chosen by hand, not varied: as for the inliers.
 const SURFACE_VISIBLE_MIN: f64 = 0.8;
-/// Number of standard deviations by which the correlation must exceed chance in this case: each patch of the relief is tested
-/// at many disparities. Chosen: without such a limit 8 of 15 regions in pairs of unrelated soft images were tracked with `ok`.
+/// Number of standard deviations by which the correlation must exceed chance in this case: each patch of the relief is
+/// tested at many disparities. Chosen by hand: without such a limit 8 of 15 regions in pairs of unrelated soft images were
+/// tracked with `ok`.
 const SURFACE_BEYOND_CHANCE_MIN: f64 = 8.0;
-/// Images disagree if the smallest of the inlier shares is below this ratio of the largest. Chosen; no sweep is on record.
+/// Images disagree if the smallest of the inlier shares is below this ratio of the largest. Chosen by hand, not varied:
+/// with less, a mirrored tilt may stay; with more, the mirrored pose is tried more often, which takes time.
 const AGREEMENT_MIN: f64 = 0.85;
 
 /// Quality of the fit of a stored view to both images.

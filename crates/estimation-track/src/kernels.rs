@@ -275,10 +275,10 @@ fn dot(a: &[Lanes; 3], b: &[Lanes; 3]) -> Lanes {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Smallest ratio of a surface patch's area to its area in the first view; patches seen more edge-on are not used. Chosen; no
-/// sweep is on record.
+/// Smallest ratio of a surface patch's area to its area in the first view; patches seen more edge-on are not used. Chosen
+/// by hand, not varied: for a patch that faced the camera, 85 degrees.
 const EDGE_ON: f32 = 0.08;
-/// Largest share of saturated pixels in a usable sample. Chosen; no sweep is on record.
+/// Largest share of saturated pixels in a usable sample. Chosen by hand, not varied: with more, clipped values count.
 const SATURATED_MAX: f32 = 0.15;
 
 #[inline(always)]
@@ -311,8 +311,8 @@ pub(super) fn texel_at(images: &CameraImages, level: usize, pixel: [f32; 2]) -> 
     images.sample(level, x, y)
 }
 
-/// Residual limit in standard deviations (root mean square over the channels); larger residuals have no weight. Chosen; no
-/// sweep is on record.
+/// Residual limit in standard deviations (root mean square over the channels); larger residuals have no weight. Chosen by
+/// hand, not varied: 6 of a million normal residuals are larger (chi-squared of three above 27).
 const TUKEY: f32 = 3.0;
 
 #[inline(always)]

@@ -11,6 +11,8 @@
 //! Full resolution is read from the raw images. The lens model is linearised at the expected position of each point, so no
 //! image is undistorted or rectified.
 //!
+//! Constants state where their values come from, as in [`pb3dp_estimation_direct`].
+//!
 //! To track several targets, use several [`DirectTracker`]s on the same pair: they share nothing, and their costs add up.
 
 mod align;

@@ -15,10 +15,11 @@ pub(super) type UnknownsMatrix = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 pub(super) type AllMatrix = SMatrix<f64, ALL, ALL>;
 pub(super) type AllVector = SVector<f64, ALL>;
 
-/// Standard deviation of a gain from its last value, and of an offset in grey levels. Chosen; no sweep is on record.
+/// Standard deviation of a gain from its last value, and of an offset in grey levels. Chosen by hand, not varied: weak, so
+/// that a change of exposure is followed within a frame.
 const GAIN_SIGMA: f64 = 0.3;
 const OFFSET_SIGMA: f64 = 40.0;
-/// Largest inflation of a covariance. Chosen; no sweep is on record.
+/// Largest inflation of a covariance. Chosen by hand, not varied: a standard deviation grows by at most 5.
 const INFLATION_MAX: f64 = 25.0;
 /// Correction of the variance. Gradients come from the same noisy view as the residuals, and both are smoothed, as are the
 /// samples of neighbouring points; robust weights underrate fitting points. Fitted on rendered sequences (as `bench accuracy --

@@ -11,20 +11,24 @@ use super::relief::Relief;
 use super::shape::Shape;
 use super::surface::Surface;
 
-/// Smallest share of a patch's points that must fit the right image if the patch belongs to a surface. Chosen; no sweep is on
-/// record. With the rule as a whole about 1 % of the `ok` frames of rectangles across depth edges are wrong, without 463 of
+/// Smallest share of a patch's points that must fit the right image if the patch belongs to a surface. Chosen by hand, not
+/// varied. With the rule as a whole about 1 % of the `ok` frames of rectangles across depth edges are wrong, without 463 of
 /// 6830.
 const FITTING_MIN: f64 = 0.6;
-/// Largest ratio of a patch's squared residuals to those of the best-fitting quarter. Chosen; no sweep is on record.
+/// Largest ratio of a patch's squared residuals to those of the best-fitting quarter. Chosen by hand, not varied: with
+/// less, parts of one surface are left out; with more, parts of another stay.
 const NOISE_MAX: f64 = 3.0;
-/// Additional tolerance as a share of the patch's texture: a patch at another depth leaves twice the texture. Chosen; no sweep
-/// is on record.
+/// Additional tolerance as a share of the patch's texture: a patch at another depth leaves twice the texture. Chosen by
+/// hand, not varied: a tenth of that.
 const UNEXPLAINED_MAX: f64 = 0.2;
-/// Neighbours are one surface if the depth changes by at most this multiple of their lateral distance. Chosen, 63 degrees.
+/// Neighbours are one surface if the depth changes by at most this multiple of their lateral distance. Chosen by hand, not
+/// varied: 63 degrees.
 const STEEPEST: f64 = 2.0;
-/// If a smaller share of the points is off the surface, the robust weights handle them. Chosen; no sweep is on record.
+/// If a smaller share of the points is off the surface, the robust weights handle them. Chosen by hand, not varied: with
+/// less, whole targets start twice; with more, small parts of another surface stay.
 const BESIDE_MIN: f64 = 0.15;
-/// The same limit if a larger part was removed before, so that there are several surfaces. Chosen; no sweep is on record.
+/// The same limit if a larger part was removed before, so that there are several surfaces. Chosen by hand, not varied:
+/// smaller, because another surface is known.
 const BESIDE_SEVERAL_MIN: f64 = 0.05;
 
 /// A part of the surface.

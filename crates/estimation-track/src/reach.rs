@@ -7,22 +7,27 @@ use pb3dp_geometry::{Pose, StereoRig};
 use super::distinct::beyond_chance;
 use super::judge::Fit;
 
-/// Largest distance that a lost target may have moved, metres, and the increase per second. Chosen; no sweep is on record.
+/// Largest distance that a lost target may have moved, metres, and the increase per second. Chosen by hand, not varied:
+/// with more, other objects are accepted; with less, a target that accelerates stays lost.
 const REACH_M: f64 = 0.05;
 const SPEED_MAX_M_PER_S: f64 = 2.0;
-/// Largest angle that it may have rotated, radians (20 degrees), and the increase per second. Chosen; no sweep is on record.
+/// Largest angle that it may have rotated, radians (20 degrees), and the increase per second. Chosen by hand, not varied:
+/// as for the distance.
 const REACH_RAD: f64 = 0.35;
 const SPEED_MAX_RAD_PER_S: f64 = 6.0;
-/// Closer than this to the predicted pose, a candidate need not match better than noise allows. Chosen; no sweep is on record.
-const NEAR_M: f64 = 0.02;
-/// The same for the rotation. Chosen; no sweep is on record.
+/// Closer than this to the predicted pose, a candidate need not match better than noise allows. Chosen by hand, not varied:
+/// with more, background near the target is accepted; with less, a poor image loses a target that coasts.
+pub(super) const NEAR_M: f64 = 0.02;
+/// The same for the rotation. Chosen by hand, not varied: 9 degrees.
 const NEAR_RAD: f64 = 0.15;
-/// Farther away, both images must correlate with the view by at least this. Chosen; no sweep is on record.
+/// Farther away, both images must correlate with the view by at least this. Chosen by hand, not varied: with less, other
+/// texture is accepted; with more, a target in other light stays lost.
 const AFAR_CORRELATION_MIN: f64 = 0.75;
-/// Farther away, both images must show at least this share of its points as inliers. Chosen; no sweep is on record.
+/// Farther away, both images must show at least this share of its points as inliers. Chosen by hand, not varied: as for the
+/// correlation; a target that is a third hidden is still found.
 const AFAR_INLIERS_MIN: f64 = 0.65;
-/// Farther away, the correlation must also exceed chance by this many standard deviations. Chosen: a search tests some hundred
-/// thousand positions, and chance exceeds 5 once in 3.5 million.
+/// Farther away, the correlation must also exceed chance by this many standard deviations. Derived: a search tests some
+/// hundred thousand positions, and chance exceeds 5 once in 3.5 million.
 const BEYOND_CHANCE_MIN: f64 = 5.0;
 
 /// A candidate for a lost target.

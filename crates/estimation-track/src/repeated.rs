@@ -3,7 +3,8 @@
 use image::RgbImage;
 use pb3dp_estimation_direct::image_plane::PixelWindow;
 
-/// Mean absolute difference of a new image of the other camera, grey levels: in a real camera noise alone exceeds this. Chosen.
+/// Mean absolute difference of a new image of the other camera, grey levels: in a real camera noise alone exceeds this.
+/// Chosen by hand, not varied.
 const NEW_FROM_GREY: f64 = 0.5;
 
 /// The part of an image that contained the target.

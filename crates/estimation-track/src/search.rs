@@ -12,17 +12,21 @@ use super::kernels::{CHANNELS, SurfaceGroup, ViewGroup, texel_at};
 use super::view::View;
 use crate::kernels::{Correlation, MomentSums};
 
-/// Largest number of points of a template. Chosen; no sweep is on record.
+/// Largest number of points of a template. Chosen by hand, not varied: the time of a search grows with it.
 const POINTS_MAX: usize = 64;
-/// Smallest number of points of a template. Chosen; no sweep is on record.
+/// Smallest number of points of a template. Chosen by hand, not varied: with less, a template fits anywhere; with more,
+/// small targets are found only near their expected position.
 const POINTS_MIN: usize = 12;
-/// Number of positions kept from each search. Chosen; no sweep is on record.
+/// Number of positions kept from each search. Chosen by hand, not varied: with more, alignments take time.
 pub(super) const PLACES: usize = 3;
-/// Range of tested depths, as a factor on the template's depth. Chosen; no sweep is on record.
+/// Range of tested depths, as a factor on the template's depth. Chosen by hand, not varied: more than
+/// `direct.tracker.view_scale` (1.4), by which a target may differ from its nearest view.
 const DEPTH_REACH: f64 = 1.6;
-/// Largest number of tested depths. Chosen; no sweep is on record.
+/// Largest number of tested depths. Chosen by hand, not varied: enough for steps of 2 px and disparities of 328 px;
+/// farther, the steps are wider.
 const DEPTHS_MAX: usize = 160;
-/// Smallest share of a template inside the image. Chosen; no sweep is on record.
+/// Smallest share of a template inside the image. Chosen by hand, not varied: with less, templates at the border of the
+/// image fit by chance.
 const VISIBLE_MIN: f64 = 0.7;
 
 /// A position in the left image at which a template fits.
@@ -247,7 +251,8 @@ fn right_correlation(
     if correlation.count() < VISIBLE_MIN * tried { -1.0 } else { correlation.value() }
 }
 
-/// Tested rotations about the line of sight, radians (20 and 40 degrees). Chosen; no sweep is on record.
+/// Tested rotations about the line of sight, radians (20 and 40 degrees). Chosen by hand, not varied: the time to try all
+/// grows with their number.
 const ROLLS: [f64; 5] = [0.0, 0.35, -0.35, 0.7, -0.7];
 
 /// The `index`-th hypothesis of the viewing direction: that of the last pose, and that of each view, each also rolled.

@@ -13,16 +13,17 @@ use super::relief::Relief;
 use super::shape::Shape;
 use crate::cells::{Cell, Cells};
 
-/// Number of sub-cells along a cell's side: each contributes its sharpest pixel, and a cell is a group. Chosen; no sweep is on
-/// record.
+/// Number of sub-cells along a cell's side: each contributes its sharpest pixel, and a cell is a group. Derived: its square
+/// is [`LANES`].
 const SUB_CELLS: usize = 4;
+const _: () = assert!(SUB_CELLS * SUB_CELLS == LANES);
 /// Correlation of the noise of two points by the distance of their columns or rows, pixels. For white noise, sampled on a pixel
 /// with a cubic B-spline, (1, 4, 1) / 6: sums of products 18, 8 and 1 over 36.
 const SHARED_BY_DISTANCE: [f64; 3] = [1.0, 8.0 / 18.0, 1.0 / 18.0];
 /// Typical effect of this correlation for the sharpest thousand of ten thousand pixels, see [`Surface::noise_sharing`]; for
 /// uniformly random points it would be 1 + 0.1 (2^2 - 1) = 1.3. How it was measured is not on record.
 const SHARING_USUAL: f64 = 1.5;
-/// Smallest number of points of a cell. Chosen; no sweep is on record.
+/// Smallest number of points of a cell. Chosen by hand, not varied: a quarter of a full cell.
 const CELL_POINTS_MIN: usize = 4;
 
 /// Positions of a group's points in the first view.
@@ -80,7 +81,8 @@ impl Surface {
         rig: &StereoRig,
         plane: Vector3<f64>,
         first_from_model: &Pose<CamLeft, Model>,
-        (points, relief_sigma_px): (usize, f64),
+        points: usize,
+        relief_sigma_px: f64,
     ) -> Self {
         let disparity_scale = 1.0 / (rig.left().pinhole().fx * rig.baseline_m());
         let (cells, mut relief) = {

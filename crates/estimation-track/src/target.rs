@@ -1,5 +1,7 @@
 //! One target: its surface, its stored views, and its state.
 
+mod lost;
+
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector2};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::wide::LANES;
@@ -7,7 +9,7 @@ use pb3dp_estimation_direct::image_plane::PixelWindow;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{Camera, Pose, StereoRig};
 
-use super::align::{Aligned, Aligner, Estimate, Knowledge, Problem, StartLevel};
+use super::align::{Aligned, Aligner, AlignmentPlan, Estimate, Knowledge, Problem, StartLevel};
 use super::config::DirectTrackerConfig;
 use super::distinct::independent_points;
 use super::export::surface_point;
@@ -17,47 +19,44 @@ use super::kernels::{CHANNELS, ROW, TERMS};
 use super::normal::{Free, NormalEquations};
 use super::one_surface::{Part, largest_part};
 use super::predict::Motion;
-use super::reach::{Sighting, in_sight};
-use super::search::{PLACES, Place, Searcher, depth_by_stereo, hypotheses, hypothesis, mirrored};
+use super::reach::Sighting;
+use super::search::{Searcher, mirrored};
 use super::shape::Shares;
 use super::stereo_relief;
 use super::surface::Surface;
 use super::view::View;
 use pb3dp_estimation_core::method::{FramePrior, SurfacePoint};
 
-/// Weights of a frame's information about the surface. All frames share the noise of the stored view, which hardly affects the disparities
-/// that determine the relief. The view alone determines the plane's tilt: half of the variance is the view's own, so any number of frames
-/// gives no more information than two would without it (`plane_in_all`). The two other weights are chosen; no sweep is on record.
+/// Weights of a frame's information about the surface. All frames share the noise of the stored view, which hardly affects
+/// the disparities that determine the relief. The view alone determines the plane's tilt: half of the variance is the
+/// view's own, so any number of frames gives no more information than two would without it (`plane_in_all`). The two other
+/// weights are chosen by hand, not varied.
 const SHARES: Shares = Shares { relief: 0.5, plane: 0.15, plane_in_all: 2.0 };
-/// Weight of a frame's information about the row offset. Chosen; no sweep is on record.
+/// Weight of a frame's information about the row offset. Chosen by hand, not varied: 50 frames count as much as one that is
+/// independent.
 const ROW_SHARE: f64 = 0.02;
-/// Largest information about the row offset (0.01 px). Chosen; no sweep is on record.
+/// Largest information about the row offset (0.01 px). Chosen by hand, not varied: with more, a row offset that drifts is
+/// not followed.
 const ROW_INFORMATION_MAX: f64 = 1e4;
-/// Largest ratio of residual variances to those of fitting frames. Chosen; no sweep is on record.
+/// Largest ratio of residual variances to those of fitting frames. Chosen by hand, not varied: with more, a bad frame sets
+/// the noise of later ones.
 const VARIANCE_SLACK: f32 = 3.0;
-/// Rate at which the reference variances are updated. Chosen; no sweep is on record.
+/// Rate at which the reference variances are updated. Chosen by hand, not varied: 20 frames.
 const REFERENCE_RATE: f32 = 0.05;
-/// Smallest visible share of the model. Chosen; no sweep is on record.
+/// Smallest visible share of the model. Chosen by hand, not varied: with less, poses of a small part of the target are
+/// given.
 const VISIBLE_MIN: f64 = 0.35;
-/// A fit is as good as noise allows if it reaches these shares of the expected correlation and of inliers. Chosen; no sweep is on record.
+/// A fit is as good as noise allows if it reaches these shares of the expected correlation and of inliers. Chosen by hand,
+/// not varied: with more, more frames are aligned twice; with less, worse frames are learned from.
 const WELL_CORRELATED: f64 = 0.96;
 const WELL_FITTING: f64 = 0.88;
-/// Number of templates per frame while the target is lost. Chosen: with this and the next three a lost frame took less than 10 ms.
-const TEMPLATES_PER_FRAME: usize = 7;
-/// Number of candidate positions tested per lost frame. Chosen, see [`TEMPLATES_PER_FRAME`].
-const CANDIDATES: usize = 4;
-/// Steps per level in the rough alignment of a candidate. Chosen, see [`TEMPLATES_PER_FRAME`].
-const ROUGH_STEPS: usize = 6;
-/// Correlation that the rough alignment must reach. Chosen, see [`TEMPLATES_PER_FRAME`].
-const ROUGH_RESEMBLANCE_MIN: f64 = 0.5;
-/// Smallest distance between a target and its twin, metres, and the factor by which one must be nearer to the prediction than
-/// the other. Chosen; no sweep is on record.
-const APART_M: f64 = 0.02;
-const CLEARLY_NEARER: f64 = 2.0;
-/// Factor by which the limits are stricter for a target that is found again. Chosen; no sweep is on record.
+/// Factor by which the limits are stricter for a target that is found again. Chosen by hand, not varied: with less, other
+/// objects are accepted; with more, a hidden target stays lost longer.
 const FOUND_AGAIN_STRICTER: f64 = 1.25;
-/// Range of the shading's standard deviation, grey levels, and its update rate. Chosen; no sweep is on record.
-const PATCH_SIGMA: (f64, f64) = (0.5, 30.0);
+/// Range of the shading's standard deviation, grey levels, and its update rate. Chosen by hand, not varied: the update
+/// takes about five frames.
+const PATCH_SIGMA_MIN: f64 = 0.5;
+const PATCH_SIGMA_MAX: f64 = 30.0;
 const PATCH_SIGMA_RATE: f64 = 0.2;
 
 /// Input of a frame.
@@ -175,23 +174,6 @@ impl Target {
         largest_part(&self.surface, &self.views[0].levels[0], &self.aligner.residuals, of_several)
     }
 
-    /// Searches the whole first pair for similar objects.
-    pub(super) fn look_for_twins(&mut self, frame: &Frame<'_>) {
-        let (estimate, fit) = (self.estimate, self.fit);
-        let own = estimate.cam_left_from_model;
-        let limits = self.limits(frame.config).stricter(FOUND_AGAIN_STRICTER);
-        for index in 0..hypotheses(0) {
-            let (_, turned) = hypothesis(index, &own, &[]);
-            for place in self.places_of(0, &turned, frame).into_iter().flatten() {
-                self.estimate = estimate;
-                let fits = self.look_into((place, true), frame, &mut || true).is_ok();
-                self.has_twin |= fits && self.fit.misfit(&limits).is_none() && self.sighting(&own).is_another();
-            }
-        }
-        self.view = 0;
-        (self.estimate, self.fit) = (estimate, fit);
-    }
-
     /// The points of the surface, with their colours in the first view.
     pub(super) fn surface_points(&self) -> Vec<SurfacePoint> {
         let (groups, view) = (&self.surface.levels[0].groups, &self.views[0].levels[0]);
@@ -211,7 +193,7 @@ impl Target {
         self.view = self.nearest_view(predicted, frame.config).0;
         let mut found = self.attempt(predicted, StartLevel::Resembling, frame, may_continue);
         if !found.as_ref().is_some_and(|_| self.fits_well()) && may_continue() {
-            found = self.or_better(found, (predicted, StartLevel::Coarsest), frame, may_continue);
+            found = self.or_better(found, predicted, StartLevel::Coarsest, frame, may_continue);
         }
         let found = self.or_mirrored(found, frame, may_continue);
         let Some(equations) = found else { return Ending::OutOfSight };
@@ -229,7 +211,8 @@ impl Target {
     fn or_better(
         &mut self,
         found: Option<NormalEquations>,
-        (from, start): (&Pose<CamLeft, Model>, StartLevel),
+        from: &Pose<CamLeft, Model>,
+        start: StartLevel,
         frame: &Frame<'_>,
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Option<NormalEquations> {
@@ -255,7 +238,7 @@ impl Target {
         if found.is_none() || self.fits_well() || !self.fit.images_disagree() || !may_continue() {
             return found;
         }
-        self.or_better(found, (&mirrored, StartLevel::Resembling), frame, may_continue)
+        self.or_better(found, &mirrored, StartLevel::Resembling, frame, may_continue)
     }
 
     /// One alignment from a pose, examined and evaluated by [`Self::fit`].
@@ -294,7 +277,7 @@ impl Target {
     ) -> Option<Aligned> {
         let steps_max = frame.config.steps_max;
         let (mut problem, aligner, estimate) = self.problem(frame);
-        aligner.align(&mut problem, estimate, 0..=LEVELS - 1, (start, free, steps_max), may_continue)
+        aligner.align(&mut problem, estimate, 0..=LEVELS - 1, AlignmentPlan { start, free, steps_max }, may_continue)
     }
 
     fn examine(&mut self, frame: &Frame<'_>, is_fresh: bool) -> Option<NormalEquations> {
@@ -356,7 +339,7 @@ impl Target {
         for (old, new) in reference.iter_mut().flatten().zip(estimate.variance.iter().flatten()) {
             *old += REFERENCE_RATE * (new.min(VARIANCE_SLACK * *old) - *old);
         }
-        let spread = aligner.patch_spread().clamp(PATCH_SIGMA.0, PATCH_SIGMA.1);
+        let spread = aligner.patch_spread().clamp(PATCH_SIGMA_MIN, PATCH_SIGMA_MAX);
         estimate.patch_sigma += PATCH_SIGMA_RATE * (spread - estimate.patch_sigma);
     }
 
@@ -408,71 +391,6 @@ impl Target {
         self.views[index].last_used = self.frame;
     }
 
-    /// Searches for a lost target in whole images.
-    pub(super) fn search(
-        &mut self,
-        predicted: &Pose<CamLeft, Model>,
-        frame: &Frame<'_>,
-        may_continue: &mut dyn FnMut() -> bool,
-    ) -> Ending {
-        let before = self.estimate;
-        let is_outside = in_sight(&self.outline_in_model, predicted, frame.rig) < VISIBLE_MIN;
-        let mut ending = if is_outside { Ending::OutOfSight } else { Ending::NothingAlike };
-        let mut candidates: [Option<(Place, bool)>; CANDIDATES + 1] = [None; CANDIDATES + 1];
-        candidates[0] = Some((Place { cam_left_from_model: *predicted, correlation: 1.0 }, false));
-        for place in self.places(frame).into_iter().flatten() {
-            insert(&mut candidates, place);
-        }
-        let mut alike: [Option<Alike>; CANDIDATES + 1] = [None; CANDIDATES + 1];
-        for (candidate, alike) in candidates.into_iter().flatten().zip(&mut alike) {
-            if !may_continue() {
-                break;
-            }
-            self.estimate = before;
-            match self.look_into(candidate, frame, may_continue) {
-                Ok(equations) if self.sighting(predicted).can_be_the_target() => {
-                    self.conclude(&equations, false);
-                    return Ending::Found;
-                }
-                Ok(_) => {
-                    ending = Ending::OutOfReach;
-                    let sighting = self.sighting(predicted);
-                    let (view, way_m, estimate, fit) = (self.view, sighting.way_m, self.estimate, self.fit);
-                    *alike = sighting.is_one_of_two().then_some(Alike { view, way_m, estimate, fit });
-                }
-                Err(Ending::OutOfSight) => {}
-                Err(other) => ending = other,
-            }
-        }
-        if let Some(own) = nearest_of_several(&alike) {
-            (self.view, self.estimate, self.fit) = (own.view, own.estimate, own.fit);
-            if let Some(equations) = self.examine(frame, false) {
-                self.conclude(&equations, false);
-                return Ending::Found;
-            }
-        }
-        self.estimate = before;
-        ending
-    }
-
-    /// Aligns at a candidate position, and evaluates the fit.
-    fn look_into(
-        &mut self,
-        (place, with_depth): (Place, bool),
-        frame: &Frame<'_>,
-        may_continue: &mut dyn FnMut() -> bool,
-    ) -> Result<NormalEquations, Ending> {
-        let before = self.estimate;
-        let at = place.cam_left_from_model;
-        let start = if with_depth { self.with_depth(&at, frame) } else { Some(at) }.ok_or(Ending::OutOfSight)?;
-        self.view = self.nearest_view(&start, frame.config).0;
-        let rough = self.rough(&start, frame, may_continue).ok_or(Ending::OutOfSight)?;
-        self.estimate = before;
-        let found = self.attempt(&rough, StartLevel::Resembling, frame, may_continue);
-        let equations = self.or_mirrored(found, frame, may_continue).ok_or(Ending::OutOfSight)?;
-        self.fit.misfit(&self.limits(frame.config)).map_or(Ok(equations), |misfit| Err(Ending::Misfit(misfit)))
-    }
-
     /// Whether the first pair certainly shows one surface.
     pub(super) fn is_a_surface(&self) -> bool {
         self.fit.is_a_surface(self.independent_points)
@@ -490,88 +408,6 @@ impl Target {
             has_twin: self.has_twin,
         }
     }
-
-    /// Runs a few steps at coarse levels; a candidate that does not match afterwards is dropped.
-    fn rough(
-        &mut self,
-        start: &Pose<CamLeft, Model>,
-        frame: &Frame<'_>,
-        may_continue: &mut dyn FnMut() -> bool,
-    ) -> Option<Pose<CamLeft, Model>> {
-        self.estimate.cam_left_from_model = *start;
-        let (mut problem, aligner, estimate) = self.problem(frame);
-        let how = (StartLevel::Coarsest, Free::Motion, ROUGH_STEPS);
-        aligner.align(&mut problem, estimate, 1..=LEVELS - 1, how, may_continue)?;
-        aligner.look(&problem, estimate, 1, &estimate.photometry())?;
-        (aligner.resemblance(&problem, 1) >= ROUGH_RESEMBLANCE_MIN).then_some(estimate.cam_left_from_model)
-    }
-
-    fn with_depth(&self, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> Option<Pose<CamLeft, Model>> {
-        const LEVEL: usize = 2; // Chosen; no sweep is on record.
-        let view = self.nearest_view(pose, frame.config).0;
-        let (groups, view) = (&self.surface.levels[LEVEL].groups, &self.views[view].levels[LEVEL]);
-        depth_by_stereo(groups, view, LEVEL, pose, &frame.images[1], frame.rig)
-    }
-
-    /// Candidate positions from this frame's share of the templates.
-    fn places(&mut self, frame: &Frame<'_>) -> [Option<Place>; PLACES * TEMPLATES_PER_FRAME] {
-        let mut all = [None; PLACES * TEMPLATES_PER_FRAME];
-        let count = hypotheses(self.views.len());
-        let last = self.motion.cam_left_from_model;
-        let nearest = self.nearest_view(&last, frame.config).0;
-        for turn in 0..TEMPLATES_PER_FRAME.min(count) {
-            let others = (self.lost_frames as usize * (TEMPLATES_PER_FRAME - 1) + turn).saturating_sub(1);
-            let index = if turn == 0 { 0 } else { 1 + others % (count - 1) };
-            let (source, pose) = hypothesis(index, &last, &self.views);
-            let view = if source == 0 { nearest } else { source - 1 };
-            let found = self.places_of(view, &pose, frame);
-            all[turn * PLACES..(turn + 1) * PLACES].copy_from_slice(&found);
-        }
-        all
-    }
-
-    /// Positions in the left image that look like a view of the target from this pose.
-    fn places_of(&mut self, view: usize, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> [Option<Place>; PLACES] {
-        const LEVEL: usize = LEVELS - 1; // Chosen; no sweep is on record.
-        let (groups, view) = (&self.surface.levels[LEVEL].groups, &self.views[view].levels[LEVEL]);
-        self.searcher.places(groups, view, pose, &frame.images[0], frame.rig.left())
-    }
-}
-
-/// A candidate that looks like the target as much as its twin does.
-#[derive(Clone, Copy, Debug)]
-struct Alike {
-    view: usize,
-    /// Distance from the predicted pose, metres.
-    way_m: f64,
-    estimate: Estimate,
-    fit: Fit,
-}
-
-/// The target, if it and its twin are both visible and one is clearly nearer to the predicted pose. A single one may be either.
-fn nearest_of_several(alike: &[Option<Alike>]) -> Option<Alike> {
-    let all = || alike.iter().flatten();
-    let nearest = all().min_by(|a, b| a.way_m.total_cmp(&b.way_m))?;
-    let place = |alike: &Alike| alike.estimate.cam_left_from_model.translation_m();
-    let mut others = all().filter(|other| (place(other) - place(nearest)).norm() > APART_M).peekable();
-    let is_clear = others.peek().is_some() && others.all(|other| other.way_m > CLEARLY_NEARER * nearest.way_m);
-    is_clear.then_some(*nearest)
-}
-
-/// Inserts a position into the sorted list after the prediction; a position next to a better one is dropped.
-fn insert(candidates: &mut [Option<(Place, bool)>; CANDIDATES + 1], place: Place) {
-    let at = place.cam_left_from_model.translation_m();
-    let near = |other: &Place| (other.cam_left_from_model.translation_m() - at).norm() < 0.02 * at.z.abs();
-    let Some(index) =
-        (1..=CANDIDATES).find(|&i| candidates[i].is_none_or(|(other, _)| other.correlation < place.correlation))
-    else {
-        return;
-    };
-    if (1..index).any(|i| candidates[i].is_some_and(|(other, _)| near(&other))) {
-        return;
-    }
-    candidates[index..].rotate_right(1);
-    candidates[index] = Some((place, true));
 }
 
 /// Box around the target in an image.

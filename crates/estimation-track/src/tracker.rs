@@ -5,7 +5,7 @@ use std::fmt::Write;
 use image::RgbImage;
 use nalgebra::{Matrix6, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
-use pb3dp_estimation_core::error::EstimationError;
+use pb3dp_estimation_core::error::{EstimationError, check_image_sizes};
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, TrackEstimate};
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior, MarkedTarget, SurfacePoint};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -23,14 +23,15 @@ use super::repeated::{Remembered, stuck_camera};
 use super::surface::{Surface, model_frame};
 use super::target::{Ending, Frame, Target};
 
-/// Margin of the windows around the predicted target, pixels, if the velocity is known. Chosen; no sweep is on record.
+/// Margin of the windows around the predicted target, pixels, if the velocity is known. Chosen by hand, not varied: a
+/// larger jump needs a search; time grows with it.
 const MARGIN_PX: u32 = 24;
-/// The same if the velocity is unknown. Chosen; no sweep is on record.
-const MARGIN_UNSURE_PX: u32 = 48;
+/// The same if the velocity is unknown. Chosen by hand, not varied: twice [`MARGIN_PX`].
+const MARGIN_UNSURE_PX: u32 = 2 * MARGIN_PX;
 /// Time between frames if the caller does not give it, seconds: that of cameras with 30 frames per second.
 const USUAL_INTERVAL_S: f64 = 1.0 / 30.0;
-/// Margin at initialisation: the relief may extend beyond the plane's outline in the right image. Chosen; no sweep is on
-/// record.
+/// Margin at initialisation: the relief may extend beyond the plane's outline in the right image. Chosen by hand, not
+/// varied: reliefs that reach farther are cut off.
 const MARGIN_START_PX: u32 = 40;
 
 /// Tracks one target in six degrees of freedom.
@@ -184,12 +185,12 @@ impl DirectTracker {
     ) -> Result<TrackEstimate, EstimationError> {
         self.target = None;
         self.was_started = true;
-        check_sizes(&self.rig, left, right)?;
+        check_image_sizes(&self.rig, left, right)?;
         let mask = region.rasterize(left, &self.region_config)?;
         let inner = mask.erode(self.config.erosion_px);
         let outline_px = region.outline_px(&mask);
         let q = plane.inverse_depth_plane;
-        let Some(mut target) = self.first_target((left, right), &outline_px, (&mask, &inner), q)? else {
+        let Some(mut target) = self.first_target(left, right, &outline_px, &mask, &inner, q)? else {
             let reason = "the region has too little texture to track once its border is excluded".to_owned();
             return Ok(TrackEstimate { reason, ..blank() });
         };
@@ -198,7 +199,7 @@ impl DirectTracker {
             let Some(part) = target.largest_part(round > 0) else { break };
             pixels = part.pixels(&target.surface.relief, &pixels, self.config.erosion_px / 2);
             let [own, inside] = &pixels;
-            let Some(next) = self.first_target((left, right), &outline_px, (own, inside), part.plane)? else {
+            let Some(next) = self.first_target(left, right, &outline_px, own, inside, part.plane)? else {
                 let reason =
                     "the region contains several surfaces, each with too little texture to track: mark one of them";
                 let reason = reason.to_owned();
@@ -218,12 +219,14 @@ impl DirectTracker {
     /// A target with points in the `inner` pixels of a region, near a plane; `None` if there are too few.
     fn first_target(
         &mut self,
-        (left, right): (&RgbImage, &RgbImage),
+        left: &RgbImage,
+        right: &RgbImage,
         outline_px: &[Vector2<f64>],
-        (mask, inner): (&RegionMask, &RegionMask),
+        mask: &RegionMask,
+        inner: &RegionMask,
         q: Vector3<f64>,
     ) -> Result<Option<Target>, EstimationError> {
-        let Some((surface, pose)) = self.first_surface(left, (mask, inner), q)? else { return Ok(None) };
+        let Some((surface, pose)) = self.first_surface(left, mask, inner, q)? else { return Ok(None) };
         let model_from_first = pose.inverse();
         let on_plane = |px: &Vector2<f64>| {
             let ray = self.rig.left().unproject(px).ok()?;
@@ -240,7 +243,8 @@ impl DirectTracker {
     fn first_surface(
         &mut self,
         left: &RgbImage,
-        (mask, inner): (&RegionMask, &RegionMask),
+        mask: &RegionMask,
+        inner: &RegionMask,
         q: Vector3<f64>,
     ) -> Result<Option<FirstSurface>, EstimationError> {
         let (Some(centroid_px), Some(bounds)) = (mask.centroid_px(), mask.bbox()) else { return Ok(None) };
@@ -258,7 +262,8 @@ impl DirectTracker {
             &self.rig,
             q,
             &pose,
-            (self.config.points, self.config.relief_sigma_px),
+            self.config.points,
+            self.config.relief_sigma_px,
         );
         Ok((surface.points() >= POINTS_MIN).then_some((surface, pose)))
     }
@@ -273,7 +278,7 @@ impl DirectTracker {
         estimate: &mut TrackEstimate,
     ) -> Result<(), EstimationError> {
         let EstimateRequest { left, right, prior, deadline, .. } = request;
-        check_sizes(&self.rig, left, right)?;
+        check_image_sizes(&self.rig, left, right)?;
         let Some(mut target) = self.target.take() else {
             if !self.was_started {
                 return Err(EstimationError::NotStarted);
@@ -475,26 +480,11 @@ impl EstimationMethod for DirectTracker {
 /// A surface and the pose of its frame.
 type FirstSurface = (Surface, Pose<CamLeft, Model>);
 
-/// Largest number of attempts to find one surface in the remainder of a region with several. Chosen; no sweep is on record.
+/// Largest number of attempts to find one surface in the remainder of a region with several. Chosen by hand, not varied:
+/// time of a start grows with it.
 const PARTS_MAX: usize = 4;
-/// Smallest number of points of a target. Chosen; no sweep is on record.
+/// Smallest number of points of a target. Chosen by hand, not varied: five for each of eight values of an alignment.
 const POINTS_MIN: usize = 40;
-
-fn check_sizes(rig: &StereoRig, left: &RgbImage, right: &RgbImage) -> Result<(), EstimationError> {
-    for (side, image, camera) in [("left", left, rig.left()), ("right", right, rig.right())] {
-        let expected = camera.size();
-        if image.width() != expected.width || image.height() != expected.height {
-            return Err(EstimationError::ImageSize {
-                side,
-                width: image.width() as usize,
-                height: image.height() as usize,
-                expected_width: expected.width as usize,
-                expected_height: expected.height as usize,
-            });
-        }
-    }
-    Ok(())
-}
 
 /// Warnings of the cold start, without the planarity warning: a tracked surface need not be planar.
 fn warnings_of(found: &PlaneEstimate) -> Vec<EstimateWarning> {

@@ -1,4 +1,8 @@
-//! Cycles between the modules of a package. A module is what `lib.rs` declares, with everything below it.
+//! Cycles between the modules of one parent: those that `lib.rs` declares, and those of each folder below. A module counts with
+//! everything below it.
+//!
+//! A parent and its own children may use each other: a parent that hands requests to its children defines the types of these
+//! requests. Only moving each such type into a file of its own would avoid it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,8 +10,11 @@ use crate::rust_text::{code_only, paths, without_test_items};
 use crate::violation::Violation;
 use crate::workspace::SourceFile;
 
-/// Modules of one package that use names from each other: from, to, and a position of such a use.
+/// Modules of one parent that use names from each other: from, to, and a position of such a use.
 type Arrows<'a> = BTreeMap<(&'a str, &'a str), (&'a str, usize)>;
+
+/// The uses among the modules of each parent, by the parent's path below the package.
+type ByParent<'a> = BTreeMap<Vec<&'a str>, Arrows<'a>>;
 
 /// Checks all packages.
 pub fn check(files: &[SourceFile]) -> Vec<Violation> {
@@ -18,8 +25,11 @@ pub fn check(files: &[SourceFile]) -> Vec<Violation> {
         }
     }
     let of_package = |(package, files): (&&str, &Vec<(&str, &SourceFile)>)| {
-        let arrows = arrows(files);
-        circles(&arrows).iter().map(|circle| of_circle(package, circle, &arrows)).collect::<Vec<_>>()
+        let of_parent = |(parent, arrows): (&Vec<&str>, &Arrows<'_>)| {
+            let place = [&[*package], &parent[..]].concat().join("/");
+            circles(arrows).iter().map(|circle| of_circle(&place, circle, arrows)).collect::<Vec<_>>()
+        };
+        by_parent(files).iter().flat_map(of_parent).collect::<Vec<_>>()
     };
     packages.iter().flat_map(of_package).collect()
 }
@@ -41,35 +51,38 @@ fn module_of(inside: &str) -> Vec<&str> {
     parts
 }
 
-fn arrows<'a>(files: &[(&'a str, &'a SourceFile)]) -> Arrows<'a> {
-    let tops: BTreeSet<&str> = files.iter().filter_map(|(inside, _)| module_of(inside).first().copied()).collect();
-    let mut arrows = Arrows::new();
+fn by_parent<'a>(files: &[(&'a str, &'a SourceFile)]) -> ByParent<'a> {
+    let modules: BTreeSet<Vec<&str>> = files.iter().map(|(inside, _)| module_of(inside)).collect();
+    let mut found = ByParent::new();
     for (inside, file) in files {
         let module = module_of(inside);
-        let Some(&from) = module.first() else { continue };
         for (line, name) in paths(&without_test_items(&code_only(&file.text))) {
-            let Some(to) = top_of(&name, &module).and_then(|to| tops.get(to.as_str()).copied()) else { continue };
-            if to != from {
-                arrows.entry((from, to)).or_insert((&file.path, line));
+            let Some(used) = absolute(&name, &module) else { continue };
+            let shared = module.iter().zip(&used).take_while(|(from, to)| *from == *to).count();
+            let (Some(from), Some(to)) = (module.get(shared), used.get(shared)) else { continue };
+            let is_sibling = |known: &&Vec<&str>| known.starts_with(&module[..shared]) && known.get(shared) == Some(to);
+            if let Some(sibling) = modules.iter().find(is_sibling) {
+                let arrows = found.entry(module[..shared].to_vec()).or_default();
+                arrows.entry((*from, sibling[shared])).or_insert((&file.path, line));
             }
         }
     }
-    arrows
+    found
 }
 
-/// The topmost module of a path in `module`; `None` for other packages.
-fn top_of(path: &str, module: &[&str]) -> Option<String> {
-    let mut parts = path.split("::").map(str::trim);
-    let ups = match parts.next()? {
-        "crate" => module.len(),
-        "super" => 1 + parts.clone().take_while(|part| *part == "super").count(),
+/// The parts of a path used in `module`, from the root of the package; `None` for other packages and own children.
+fn absolute<'p>(path: &'p str, module: &[&'p str]) -> Option<Vec<&'p str>> {
+    let mut parts = path.split("::").map(str::trim).peekable();
+    let mut base = match parts.next()? {
+        "crate" => Vec::new(),
+        "super" => module[..module.len().checked_sub(1)?].to_vec(),
         _ => return None,
     };
-    let inner = module.get(..module.len().checked_sub(ups)?)?;
-    match inner.first() {
-        Some(top) => Some((*top).to_owned()),
-        None => path.split("::").map(str::trim).find(|part| !["crate", "super"].contains(part)).map(str::to_owned),
+    while parts.next_if_eq(&"super").is_some() {
+        base.pop()?;
     }
+    base.extend(parts);
+    Some(base)
 }
 
 /// Strongly connected sets of modules, sorted.
@@ -101,12 +114,12 @@ fn reachable<'a>(start: &str, arrows: &Arrows<'a>) -> BTreeSet<&'a str> {
     found
 }
 
-fn of_circle(package: &str, circle: &[&str], arrows: &Arrows<'_>) -> Violation {
+fn of_circle(place: &str, circle: &[&str], arrows: &Arrows<'_>) -> Violation {
     let within = arrows.iter().filter(|((from, to), _)| circle.contains(from) && circle.contains(to));
     let ties: Vec<String> =
         within.map(|((from, to), (file, line))| format!("{from} -> {to} ({file}:{line})")).collect();
     let message = format!("the modules {circle:?} form a cycle: {}; move common code below them", ties.join(", "));
-    Violation::of(package, "module-circle", message)
+    Violation::of(place, "module-circle", message)
 }
 
 #[cfg(test)]
@@ -140,5 +153,17 @@ mod tests {
             ("hal/a/src/two_tests.rs", "use crate::one::A;"),
         ]);
         assert_eq!(check(&sound), []);
+    }
+
+    #[test]
+    fn a_planted_circle_of_siblings_below_a_module_is_found() {
+        let planted = files(&[
+            ("crates/a/src/top.rs", "mod one;\nmod two;\npub struct Common;"),
+            ("crates/a/src/top/one.rs", "use super::two::B;"),
+            ("crates/a/src/top/two.rs", "use super::Common;\nuse crate::top::one::A;"),
+        ]);
+        let [violation] = &check(&planted)[..] else { panic!("one cycle") };
+        assert!(violation.to_string().contains("crates/a/top"), "{violation}");
+        assert!(violation.message.contains("two -> one (crates/a/src/top/two.rs:2)"), "{violation}");
     }
 }

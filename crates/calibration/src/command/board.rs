@@ -28,13 +28,23 @@ pub(super) enum BoardName {
     AprilGrid([u32; 2]),
 }
 
+/// `9x6`, `charuco:8x6:DICT_4X4_50` or `aprilgrid:6x6`.
+fn board_name(text: &str) -> Result<BoardName, String> {
+    match text.split(':').collect::<Vec<_>>()[..] {
+        [numbers] => Ok(BoardName::Chessboard(numbers::corners(numbers)?)),
+        ["charuco", squares, dictionary] => Ok(BoardName::Charuco(numbers::corners(squares)?, dictionary.to_owned())),
+        ["aprilgrid", tags] => Ok(BoardName::AprilGrid(numbers::corners(tags)?)),
+        _ => Err(format!("{text:?} is not a board; examples: 9x6, charuco:8x6:DICT_4X4_50, aprilgrid:6x6")),
+    }
+}
+
 /// Arguments that describe the board.
 #[derive(Clone, Debug, Args)]
 pub(super) struct BoardArgs {
     /// Board pattern. 9x6: chessboard by its inner corners (where four squares meet; one fewer than squares per side).
     /// charuco:8x6:DICT_4X4_50: ChArUco board by its squares and OpenCV dictionary name. aprilgrid:6x6: Kalibr AprilGrid by its
     /// tags.
-    #[arg(long, value_name = "BOARD", value_parser = numbers::board)]
+    #[arg(long, value_name = "BOARD", value_parser = board_name)]
     pub(super) board: BoardName,
     /// Side of a square of a chessboard or ChArUco board, mm. Measure ten squares and divide: images cannot reveal a wrong size.
     #[arg(long, value_name = "MM", value_parser = numbers::millimetres, allow_hyphen_values = true)]

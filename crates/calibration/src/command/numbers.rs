@@ -4,7 +4,6 @@ use crate::hand_eye::RobotSigma;
 use crate::lens::LensModel;
 
 use super::LensChoice;
-use super::board::BoardName;
 
 /// `9x6`.
 pub(super) fn corners(text: &str) -> Result<[u32; 2], String> {
@@ -12,16 +11,6 @@ pub(super) fn corners(text: &str) -> Result<[u32; 2], String> {
     let (columns, rows) = text.split_once(['x', 'X']).ok_or_else(wrong)?;
     let number = |text: &str| text.trim().parse::<u32>().map_err(|_| wrong());
     Ok([number(columns)?, number(rows)?])
-}
-
-/// `9x6`, `charuco:8x6:DICT_4X4_50` or `aprilgrid:6x6`.
-pub(super) fn board(text: &str) -> Result<BoardName, String> {
-    match text.split(':').collect::<Vec<_>>()[..] {
-        [numbers] => Ok(BoardName::Chessboard(corners(numbers)?)),
-        ["charuco", squares, dictionary] => Ok(BoardName::Charuco(corners(squares)?, dictionary.to_owned())),
-        ["aprilgrid", tags] => Ok(BoardName::AprilGrid(corners(tags)?)),
-        _ => Err(format!("{text:?} is not a board; examples: 9x6, charuco:8x6:DICT_4X4_50, aprilgrid:6x6")),
-    }
 }
 
 /// A length in millimetres.

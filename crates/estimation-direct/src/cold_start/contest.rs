@@ -8,8 +8,8 @@
 use super::{ColdStart, Descent, OVERLAP_OF_ALIAS, Surface};
 use crate::outcome::{Rival, surface_score};
 
-/// Candidates with this share of the best score, on the level where it is lower, are compared again. Chosen; no sweep is on
-/// record.
+/// Candidates with this share of the best score, on the level where it is lower, are compared again. Chosen by hand, not
+/// varied: each such candidate costs an evaluation on the finest level; with more, the right one may be left out.
 const NEAR_SCORE: f64 = 0.6;
 
 impl ColdStart {

@@ -68,7 +68,8 @@ impl PatchVotes {
     }
 }
 
-/// Number of re-weighting steps. Chosen; no sweep is on record.
+/// Number of re-weighting steps. Chosen by hand, not varied: time grows with it; outliers keep some weight in the first
+/// steps.
 const STEPS: usize = 4;
 
 /// Fits `offset = p0 + p1 x + p2 y` with Tukey's weights, whose width shrinks to `width_px`; `None` if the votes do not

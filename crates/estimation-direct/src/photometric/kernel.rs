@@ -23,13 +23,14 @@ pub(crate) use sums::{ProductSums, SharpnessSums, Sums, accumulate};
 
 /// Largest number of channels: red, green and blue.
 pub(crate) const CHANNELS_MAX: usize = 3;
-/// Number of points that share an offset: ordered by blocks of 8 x 8 pixels, these 128 are neighbours. Chosen; no sweep is on
-/// record.
+/// Number of points that share an offset: ordered by blocks of 8 x 8 pixels, these 128 are neighbours. Chosen by hand, not
+/// varied: with more points, shading inside a group tilts the plane; with fewer, offsets take information from the plane.
 pub(crate) const SHARING: usize = 8 * LANES;
 /// Value of unusable pixels in a channel; every point whose kernel touches one is excluded. Far above any interpolated grey
 /// level.
 pub(crate) const UNUSABLE: f32 = 1e6;
-/// Values from here on were touched: a weight of 1 % of an unusable pixel is enough, and grey levels stay far below. Chosen.
+/// Values from here on were touched: a weight of 1 % of an unusable pixel is enough. Chosen by hand: grey levels stay far
+/// below.
 pub(crate) const TOUCHED: f32 = 0.01 * UNUSABLE;
 
 /// Points of the left image, in groups of [`SHARING`]; the last group is padded with points of no weight.

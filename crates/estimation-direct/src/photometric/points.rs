@@ -9,10 +9,21 @@ use super::super::search::ends_of;
 use super::kernel::{PointSet, SHARING, TOUCHED, UNUSABLE};
 use super::prepare::CameraChannels;
 
-/// Side of the blocks in which points are ordered, pixels of the level. Chosen; no sweep is on record.
+/// Side of the blocks in which points are ordered, pixels of the level. As in the prototype of ADR 7, not varied: the
+/// covariance sums scores over the same blocks.
 pub(super) const BLOCK: usize = 8;
-/// Number of pixels from which the gradient limit is determined. Chosen; no sweep is on record.
+/// Number of pixels from which the gradient limit is determined. Chosen by hand, not varied: the share of points above a
+/// quantile of 1024 values is accurate to 1.6 % (sqrt(0.25 / 1024)).
 const SAMPLE: usize = 1024;
+
+/// How many of the marked pixels become points.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PointLimits {
+    /// Number of marked pixels.
+    pub marked: usize,
+    /// Largest number of points.
+    pub points_max: usize,
+}
 
 /// Usable pixels and their order as points; keeps its buffers.
 #[derive(Clone, Debug, Default)]
@@ -68,14 +79,13 @@ impl Selection {
         bounds(&self.mask, width)
     }
 
-    /// Orders the marked pixels into points: all of them, or the `points_max` with the strongest gradients along rows; `marked`
-    /// is their number.
+    /// Orders the marked pixels into points: all of them, or those with the strongest gradients along rows.
     pub fn collect(
         &mut self,
         level: &RegionLevel,
         left: &CameraChannels,
         channels: usize,
-        (marked, points_max): (usize, usize),
+        PointLimits { marked, points_max }: PointLimits,
         rows: &RightRows,
         kernels: Kernels,
     ) {

@@ -23,8 +23,9 @@ use super::kernel::{CHANNELS_MAX, UNUSABLE};
 use super::level_rows::{Grid, ImageRows, average_bytes, average_colours, average_values};
 use pb3dp_estimation_core::row_offset::RowOffset;
 
-/// In a pixel with a saturated channel, channels from this value on are not used either, grey levels: interpolation may have
-/// reduced the brightness. Chosen; no sweep is on record.
+/// In a pixel with a saturated channel, channels from this value on are not used either, grey levels: interpolation may
+/// have reduced the brightness. Chosen by hand, not varied: with more, clipped values count; with less, bright pixels
+/// beside saturated ones are lost.
 const NEARLY_SATURATED_GREY: u8 = 240;
 
 /// The channels of one image of one level.
@@ -183,7 +184,8 @@ impl Preparation {
         &mut self,
         pair: &Pair<'_>,
         level: &RegionLevel,
-        (request, row_px): (&ChannelRequest, f64),
+        request: &ChannelRequest,
+        row_px: f64,
         channels: usize,
         out: &mut CameraChannels,
     ) {
@@ -315,7 +317,7 @@ impl Preparation {
             match nearest {
                 None => [a, b, c].into_iter().for_each(|all| all.fill(1)),
                 Some(row) if job.front_end.resamples() => {
-                    mark_resampled(&self.loaded, ((row - read.0) as usize, columns), s, [a, b, c]);
+                    mark_resampled(&self.loaded, (row - read.0) as usize, columns, s, [a, b, c]);
                 }
                 Some(row) => mark_saturated(kernels, &job.bytes(row)[3 * columns.start..3 * columns.end], s, [a, b, c]),
             }
@@ -327,7 +329,8 @@ impl Preparation {
 /// Marks the unusable pixels of a part of a resampled row, square by square.
 fn mark_resampled(
     loaded: &ColourPlanes,
-    (y, columns): (usize, Range<usize>),
+    y: usize,
+    columns: Range<usize>,
     scale: usize,
     out: [&mut [u8]; CHANNELS_MAX],
 ) {
@@ -373,7 +376,7 @@ fn mark_saturated_kernel(rgb: &[u8], scale: usize, out: [&mut [u8]; CHANNELS_MAX
 }
 
 /// Number of values for the mean. The mean is subtracted from all values and only keeps sums small, so a sample is enough.
-/// Chosen.
+/// Chosen by hand, not varied.
 const MIDDLE_OF: usize = 2000;
 
 wide! {

@@ -10,9 +10,11 @@ use super::kernel::SharpnessSums;
 /// Ratio of second-order squared gradients in all directions to those along columns. In an isotropic texture the mean of cos^4
 /// is 3/8 and that of cos^2 sin^2 is 1/8, and (3/8 + 1/8) / (3/8) = 4/3.
 const ISOTROPY: f64 = 4.0 / 3.0;
-/// Smallest significant sum of second derivatives, in standard deviations of its noise. Chosen; no sweep is on record.
+/// Smallest significant sum of second derivatives, in standard deviations of its noise. Chosen by hand, not varied: noise
+/// alone makes a difference of [`BELIEVED_PX2`] in 1.2 % of the cases at this limit (normal errors).
 const SURE: f64 = 2.5;
-/// Largest change accepted at once, squared pixels. Chosen; no sweep is on record.
+/// Largest change accepted at once, squared pixels. Chosen by hand, not varied: a larger difference takes several passes;
+/// the estimate is linear.
 const CHANGE_MAX_PX2: f64 = 4.0;
 
 /// Standard deviations of the smoothing of both images, pixels.
@@ -43,7 +45,8 @@ impl Sharpness {
     }
 }
 
-/// The smallest difference that must exceed the noise, squared pixels. Chosen; no sweep is on record.
+/// The smallest difference that must exceed the noise, squared pixels. Chosen by hand, not varied: with more, weak textures
+/// are evened by noise; with less, few regions are evened at all.
 const BELIEVED_PX2: f64 = 0.5;
 
 #[cfg(test)]

@@ -5,14 +5,15 @@ use nalgebra::{Matrix4, Vector2, Vector4};
 
 use super::kernel::{CHANNELS_MAX, ChannelState, ProductSums, Projection, Sums};
 
-/// Prior standard deviation of the logarithm of the gain; it bounds channels without contrast. Chosen, about ln 2; no sweep is
-/// on record.
+/// Prior standard deviation of the logarithm of the gain; it bounds channels without contrast. Chosen by hand, not varied:
+/// about ln 2, a factor of two between the cameras.
 const LOG_GAIN_SIGMA: f64 = 0.7;
-/// Bounds of the square root of the gain. Chosen; no sweep is on record.
-const GAIN_ROOT: (f64, f64) = (0.5, 2.0);
-/// Bounds of the share of the squared gradients that is texture and not noise. The lower one is chosen, no sweep is on record;
-/// 1 is all.
-const RELIABILITY: (f64, f64) = (0.05, 1.0);
+/// Bounds of the square root of the gain. Chosen by hand, not varied: gains of 1/4 to 4.
+const GAIN_ROOT_MIN: f64 = 0.5;
+const GAIN_ROOT_MAX: f64 = 2.0;
+/// Smallest share of the squared gradients that counts as texture and not as noise. Chosen by hand, not varied: a channel of noise
+/// keeps 5 % of its information.
+const RELIABILITY_MIN: f64 = 0.05;
 
 /// The normal equations of `(d0, du, dv, row)` of one level.
 #[derive(Clone, Copy, Debug)]
@@ -49,7 +50,7 @@ struct OffsetPart {
 /// Share of the squared gradients of a channel that is texture: the gradients of both images agree, their noise does not.
 pub(super) fn reliability(sums: &ProductSums<f64>) -> f64 {
     let ratio = if sums.gg > 0.0 { sums.gs / sums.gg } else { 0.0 };
-    ratio.clamp(RELIABILITY.0, RELIABILITY.1)
+    ratio.clamp(RELIABILITY_MIN, 1.0)
 }
 
 impl Normal {
@@ -97,7 +98,7 @@ impl Normal {
             let offset = -(residuals + by_step.dot(step) + by_gain * log_gain) / weights;
             if log_gain.is_finite() && offset.is_finite() {
                 let root = state.gain_root * (0.5 * log_gain.clamp(-1.0, 1.0)).exp();
-                state.gain_root = root.clamp(GAIN_ROOT.0, GAIN_ROOT.1);
+                state.gain_root = root.clamp(GAIN_ROOT_MIN, GAIN_ROOT_MAX);
                 state.offset += offset;
             }
         }

@@ -4,7 +4,8 @@ use super::kernel::{ChannelState, PointSet, TOUCHED, UNUSABLE, Warp};
 
 /// Gain and offset from the spreads and medians of some points, variance from their residuals.
 pub(super) fn first_state(points: &PointSet, right: &[f32], warp: &Warp, channel: usize, lowest: f64) -> ChannelState {
-    /// Approximate number of sampled points. Chosen; no sweep is on record.
+    /// Approximate number of sampled points. Chosen by hand, not varied: a median of 256 values is accurate to 8 % of their
+    /// spread (1.25 / sqrt(256)); only the start depends on it.
     const COUNT: usize = 256;
     let (mut own, mut shown) = ([0.0_f32; COUNT], [0.0_f32; COUNT]);
     let step = (points.x.len() / COUNT).max(1);

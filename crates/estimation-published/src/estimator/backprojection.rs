@@ -20,6 +20,15 @@ const CLASSES: usize = HUE_CLASSES + 1;
 /// The mean shift ends when the window moves by less than this, pixels.
 const CONVERGED_PX: f64 = 0.02;
 
+/// Limits of a mean shift.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ShiftLimits {
+    /// Largest number of steps.
+    pub steps_max: usize,
+    /// Largest displacement in total, pixels.
+    pub shift_max_px: f64,
+}
+
 /// Weight of each hue bin for the target, 0 to 1.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Backprojection {
@@ -74,17 +83,17 @@ impl Backprojection {
     }
 
     /// Displacement of the target from the expected position, and the mass found there. `window` is the target's window at the
-    /// expected position. At most `iterations` steps, and at most `shift_max_px` in total.
+    /// expected position.
     pub(super) fn mean_shift(
         &self,
         hue: &HuePlane,
         window: &RegionMask,
         expected_px: &Vector2<f64>,
-        (iterations, shift_max_px): (usize, f64),
+        ShiftLimits { steps_max, shift_max_px }: ShiftLimits,
     ) -> Option<(Vector2<f64>, Mass)> {
         let mut shift_px = Vector2::zeros();
         let mut mass = self.mass(hue, window, &shift_px)?;
-        for _ in 0..iterations {
+        for _ in 0..steps_max {
             let next_px = limited(mass.centroid_px - expected_px, shift_max_px);
             let step_px = (next_px - shift_px).norm();
             shift_px = next_px;
@@ -175,9 +184,13 @@ mod tests {
         let moved = (64.0, 39.5);
         let window = disc((60.0, 45.0), 18.0).dilate(6);
         let expected = Vector2::new(60.0, 45.0) + offset;
-        let (shift, _) = colours.mean_shift(&scene(moved), &window, &expected, (8, 20.0)).expect("mass");
+        let (shift, _) = colours
+            .mean_shift(&scene(moved), &window, &expected, ShiftLimits { steps_max: 8, shift_max_px: 20.0 })
+            .expect("mass");
         assert!((shift - Vector2::new(4.0, -5.5)).norm() < 0.15, "{shift}");
-        let (limited, _) = colours.mean_shift(&scene(moved), &window, &expected, (8, 2.0)).expect("mass");
+        let (limited, _) = colours
+            .mean_shift(&scene(moved), &window, &expected, ShiftLimits { steps_max: 8, shift_max_px: 2.0 })
+            .expect("mass");
         assert!((limited.norm() - 2.0).abs() < 1e-9);
     }
 

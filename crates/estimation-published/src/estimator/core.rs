@@ -14,7 +14,7 @@ use super::PublishedConfig;
 use super::front_end::FrontEnd;
 use crate::fitness::{HueFitness, PreparedFitness};
 use crate::hue::HuePlane;
-use crate::observability::{Landscape, LandscapeProbe, ProbeTarget, Scored};
+use crate::observability::{Landscape, LandscapeProbe, ProbeTarget, Scored, Spread};
 use crate::photo_model::{ModelPoint, PhotoModel, PhotoModelScratch};
 use crate::search::chromosome::Codec;
 use crate::search::exhaustive::{self, Optimum};
@@ -156,12 +156,12 @@ impl Core {
         self.probe_with(range, |probe, whole, blocks| probe.survey(whole, blocks, &target))
     }
 
-    /// Spread of depth (relative) and of the normal (radians) near an estimate on the current frame.
+    /// Spread near an estimate on the current frame.
     pub(super) fn survey_nearby(
         &mut self,
         found: &BestHypothesis,
         range: &SearchRange,
-    ) -> Result<(f64, f64), EstimationError> {
+    ) -> Result<Spread, EstimationError> {
         let target = self.probe_target(found, range);
         self.probe_with(range, |probe, whole, blocks| probe.survey_nearby(whole, blocks, &target))
     }

@@ -12,7 +12,7 @@ use pb3dp_estimation_core::status::{Status, Verdict};
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_geometry::{ImageSize, Pinhole, Pose, StereoRig};
 
-use super::backprojection::Backprojection;
+use super::backprojection::{Backprojection, ShiftLimits};
 use super::core::{BestHypothesis, Core, LoadedRegion};
 use super::outline_fit::OutlineEdge;
 use super::target::{Appearance, Carried, Target, pixel_of};
@@ -67,7 +67,8 @@ impl PublishedTracker {
 
     fn take_target(
         &mut self,
-        (left, right): (&RgbImage, &RgbImage),
+        left: &RgbImage,
+        right: &RgbImage,
         MarkedTarget { region, range }: MarkedTarget<'_>,
         deadline: &mut Deadline<'_>,
     ) -> Result<TrackEstimate, EstimationError> {
@@ -92,7 +93,7 @@ impl PublishedTracker {
         (estimate.psi, estimate.fitness) = (Some(found.psi), Some(found.fitness));
         if status != Status::NotObservable {
             let rmga = RmGa::new(config.rmga, *range)?;
-            let target = self.first_target(&taken, &found, &landscape, (rmga, cold_rmga, population));
+            let target = self.first_target(&taken, &found, &landscape, rmga, cold_rmga, population);
             estimate.cam_left_from_model = target.as_ref().map(|target| target.cam_left_from_model);
             self.target = target;
         }
@@ -102,7 +103,8 @@ impl PublishedTracker {
     fn follow(
         &mut self,
         target: &mut Target,
-        (left, right): (&RgbImage, &RgbImage),
+        left: &RgbImage,
+        right: &RgbImage,
         motion: Option<&Pose<CamLeft, CamLeft>>,
         deadline: &mut Deadline<'_>,
     ) -> Result<TrackEstimate, EstimationError> {
@@ -184,8 +186,9 @@ impl PublishedTracker {
         let mask = self.mask.clone();
         let centroid_px = mask.centroid_px().unwrap_or_default();
         let taken = LoadedRegion { warnings: Vec::new(), centroid_px, mask, outline_px: carried.outline_px.clone() };
-        let search = (target.rmga.clone(), target.cold_rmga.clone(), target.population.clone());
-        if let Some(anew) = self.first_target(&taken, found, &landscape, search) {
+        let (rmga, cold_rmga) = (target.rmga.clone(), target.cold_rmga.clone());
+        let population = target.population.clone();
+        if let Some(anew) = self.first_target(&taken, found, &landscape, rmga, cold_rmga, population) {
             *target = anew;
         }
         Ok(())
@@ -197,7 +200,8 @@ impl PublishedTracker {
         let range = *target.rmga.codec().range();
         let config = self.core.config().tracked_observability();
         let verdict = if target.is_assured {
-            config.verdict_nearby(self.core.survey_nearby(found, &range)?)
+            let spread = self.core.survey_nearby(found, &range)?;
+            config.verdict_nearby(spread.depth, spread.tilt_rad)
         } else {
             self.core.survey(found, &range)?.verdict(&config)
         };
@@ -260,7 +264,7 @@ impl PublishedTracker {
         let area = covered_px as f64;
         let widening = f64::from(1_u32 << target.lost_frames.min(8));
         let shift_max_px = config.shift_max_share * area.sqrt() * widening;
-        let limits = (config.shift_steps_max, shift_max_px);
+        let limits = ShiftLimits { steps_max: config.shift_steps_max, shift_max_px };
         let hue = self.core.left_hue();
         let mut window = self.mask.dilate(config.window_margin_px);
         let mut start_px = Vector2::zeros();
@@ -295,7 +299,9 @@ impl PublishedTracker {
         taken: &LoadedRegion,
         found: &BestHypothesis,
         landscape: &Landscape,
-        (rmga, cold_rmga, population): (RmGa, RmGa, Population),
+        rmga: RmGa,
+        cold_rmga: RmGa,
+        population: Population,
     ) -> Option<Target> {
         let pair = *self.core.pair();
         let centre_px = self.core.model_centre_px();
@@ -371,7 +377,7 @@ impl EstimationMethod for PublishedTracker {
             marked.range.validate()?;
             self.unsure_frames = 0;
             self.start = Some(Start { region: marked.region.clone(), range: *marked.range });
-            return self.take_target((left, right), *marked, deadline);
+            return self.take_target(left, right, *marked, deadline);
         }
         let limit = self.core.config().tracker.assure_frames_max;
         if self.start.is_some() && self.unsure_frames >= limit {
@@ -382,10 +388,10 @@ impl EstimationMethod for PublishedTracker {
         let Some(mut target) = self.target.take() else {
             let Start { region, range } = self.start.clone().ok_or(EstimationError::NotStarted)?;
             self.unsure_frames += 1;
-            let again = self.take_target((left, right), MarkedTarget { region: &region, range: &range }, deadline)?;
+            let again = self.take_target(left, right, MarkedTarget { region: &region, range: &range }, deadline)?;
             return Ok(TrackEstimate { warnings: Vec::new(), ..again });
         };
-        let outcome = self.follow(&mut target, (left, right), prior.cam_left_prev_from_cam_left_now.as_ref(), deadline);
+        let outcome = self.follow(&mut target, left, right, prior.cam_left_prev_from_cam_left_now.as_ref(), deadline);
         self.target = Some(target);
         outcome
     }

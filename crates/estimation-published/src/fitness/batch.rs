@@ -3,11 +3,13 @@
 use nalgebra::{Matrix3, Vector3};
 use pb3dp_estimation_core::plane_hypothesis::{PinholePair, PlaneHypothesis, SearchRange};
 
-use super::rectified::{FRACTION_BITS, Window};
 use crate::photo_model::{ModelPoint, PhotoModel};
 
 /// Number of hypotheses scored together.
 pub(super) const BATCH: usize = 64;
+
+/// Number of fraction bits of fixed-point shifts: resolution 1/131072 of a pixel.
+pub(super) const FRACTION_BITS: u32 = 17;
 
 /// Largest shift that fixed-point addresses support in addition to a window of the largest image, pixels.
 const SHIFT_MAX_PX: f64 = 8000.0;
@@ -98,7 +100,7 @@ impl Frame {
     }
 
     /// Prepares up to [`BATCH`] hypotheses.
-    pub fn batch(&self, hypotheses: &[PlaneHypothesis], window: Option<&Window>) -> Batch {
+    pub fn batch(&self, hypotheses: &[PlaneHypothesis], first_shift: Option<i32>) -> Batch {
         let mut batch = Batch {
             len: hypotheses.len().min(BATCH),
             slope_u: [0; BATCH],
@@ -109,9 +111,9 @@ impl Frame {
         };
         for (lane, psi) in hypotheses.iter().take(BATCH).enumerate() {
             let Some(plane) = self.accepted_plane(psi) else { continue };
-            match window {
-                Some(window) => {
-                    let Some([slope_u, slope_v, offset]) = self.fixed_shift(&plane, window) else { continue };
+            match first_shift {
+                Some(first_shift) => {
+                    let Some([slope_u, slope_v, offset]) = self.fixed_shift(&plane, first_shift) else { continue };
                     batch.slope_u[lane] = slope_u;
                     batch.slope_v[lane] = slope_v;
                     batch.offset[lane] = offset;
@@ -148,7 +150,7 @@ impl Frame {
         (self.pair.right().cx - self.pair.left().cx, self.epipole.x)
     }
 
-    fn fixed_shift(&self, plane: &Vector3<f64>, window: &Window) -> Option<[i32; 3]> {
+    fn fixed_shift(&self, plane: &Vector3<f64>, first_shift: i32) -> Option<[i32; 3]> {
         let (constant_px, px_per_inverse_m) = self.shift_of_inverse_depth();
         let (u, v) = (plane.x * px_per_inverse_m, plane.y * px_per_inverse_m);
         let offset = plane.z * px_per_inverse_m + constant_px;
@@ -159,7 +161,7 @@ impl Frame {
         }
         let fixed = |value: f64| (value * f64::from(1 << FRACTION_BITS)).round() as i32;
         let half = 1 << (FRACTION_BITS - 1);
-        Some([fixed(u), fixed(v), fixed(offset - f64::from(window.first_shift())).wrapping_add(half)])
+        Some([fixed(u), fixed(v), fixed(offset - f64::from(first_shift)).wrapping_add(half)])
     }
 
     /// `A + b planeT`, divided by its lower right element; `None` if a point is behind the right camera.

@@ -3,26 +3,10 @@
 use pb3dp_estimation_core::cpu::Kernels;
 
 use super::batch::{Batch, Counts};
-use super::kernels::count_general;
+use super::kernels::{PlaneView, count_general};
 use super::points::PointSet;
 
 use crate::hue::{HuePlane, PAD};
-
-/// The right image as read by the kernels. Pixel (u, v) is element `base + v width + u`; element 0 has no hue and represents
-/// everything outside the image.
-#[derive(Clone, Copy)]
-pub(super) struct PlaneView<'a> {
-    pub data: &'a [u16],
-    pub base: i32,
-    pub width: i32,
-    pub height: i32,
-}
-
-impl<'a> PlaneView<'a> {
-    fn of(plane: &'a HuePlane) -> Self {
-        Self { data: plane.padded(), base: PAD as i32, width: plane.width() as i32, height: plane.height() as i32 }
-    }
-}
 
 /// Counts the matches of every hypothesis of a batch.
 pub(super) fn count(
@@ -33,7 +17,12 @@ pub(super) fn count(
     batch: &Batch,
     counts: &mut Counts,
 ) {
-    let view = PlaneView::of(right);
+    let view = PlaneView {
+        data: right.padded(),
+        base: PAD as i32,
+        width: right.width() as i32,
+        height: right.height() as i32,
+    };
     let [inner, outer] = sets;
     for lane in 0..batch.len {
         if batch.refused[lane] {

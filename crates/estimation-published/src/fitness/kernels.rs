@@ -3,16 +3,39 @@
 
 use pb3dp_estimation_core::wide::wide;
 
-use super::batch::{BATCH, Batch};
-use super::general::PlaneView;
+use super::batch::{BATCH, Batch, FRACTION_BITS};
 use super::points::{CHUNK, PointSet};
-use super::rectified::{BITS_PER_WORD, FRACTION_BITS, TableView};
 
 /// Number of point chunks whose positions and pixels are buffered.
 const BLOCK: usize = 16;
 
 /// Number of hypotheses that look up together.
 const LANES: usize = 16;
+
+/// Number of columns whose hues are compared in one step, one bit each.
+pub(super) const BITS_PER_WORD: usize = 32;
+
+/// The match bits of one kind of points.
+#[derive(Clone, Copy)]
+pub(super) struct TableView<'a> {
+    /// Number of usable bits per point; the next bit exists and is zero.
+    pub shifts: u32,
+    /// At least 8.
+    pub words_per_point: usize,
+    /// All points' words.
+    pub words: &'a [u32],
+    pub points: &'a PointSet,
+}
+
+/// The right image as read by the kernels. Pixel (u, v) is element `base + v width + u`; element 0 has no hue and represents
+/// everything outside the image.
+#[derive(Clone, Copy)]
+pub(super) struct PlaneView<'a> {
+    pub data: &'a [u16],
+    pub base: i32,
+    pub width: i32,
+    pub height: i32,
+}
 
 /// 1 if a stored pixel has a hue within `tolerance` of a valid stored hue, otherwise 0.
 #[inline(always)]

@@ -8,16 +8,10 @@ use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::trig;
 
 use super::batch::{Batch, Counts, Frame};
-use super::kernels::{compare, count_rectified};
+use super::kernels::{BITS_PER_WORD, TableView, compare, count_rectified};
 use super::points::PointSet;
 
 use crate::hue::{HuePlane, PAD};
-
-/// Number of fraction bits of fixed-point shifts: resolution 1/131072 of a pixel.
-pub(super) const FRACTION_BITS: u32 = 17;
-
-/// Number of columns whose hues are compared in one step, one bit each.
-pub(super) const BITS_PER_WORD: usize = 32;
 
 /// The shifts (right column minus left column, rounded) that hypotheses of the search range can have for points inside the
 /// right image.
@@ -111,18 +105,6 @@ impl MatchTable {
         let words = &self.words[start..start + points.len() * self.words_per_point];
         TableView { shifts: self.shifts, words_per_point: self.words_per_point, words, points }
     }
-}
-
-/// The match bits of one kind of points.
-#[derive(Clone, Copy)]
-pub(super) struct TableView<'a> {
-    /// Number of usable bits per point; the next bit exists and is zero.
-    pub shifts: u32,
-    /// At least 8.
-    pub words_per_point: usize,
-    /// All points' words.
-    pub words: &'a [u32],
-    pub points: &'a PointSet,
 }
 
 /// The bits of one point. Bit k belongs to column `u + first_shift + k`.

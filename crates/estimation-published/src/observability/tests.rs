@@ -78,7 +78,7 @@ fn a_second_peak_far_away_is_ambiguous() {
         let twin = PlaneHypothesis { z_m: psi.z_m - 0.1, ..*psi };
         peak(psi).max(peak(&twin) - 0.05)
     });
-    let (psi, fitness) = landscape.runner_up.expect("far hypotheses");
+    let RunnerUp { psi, fitness } = landscape.runner_up.expect("far hypotheses");
     assert!((psi.z_m - 0.6).abs() < 0.01 && fitness > 0.8, "{landscape:?}");
     check(&landscape, Status::Ambiguous);
 }
@@ -107,7 +107,7 @@ fn blocks_that_disagree_in_depth_make_the_answer_unsure() {
 fn refused_hypotheses_do_not_count() {
     let half: Shape = |psi| if psi.z_m > 0.55 { f64::NAN } else { peak(psi) };
     let (whole, cut) = (survey_of(peak), survey_of(half));
-    assert!(cut.hypotheses < whole.hypotheses && cut.runner_up.expect("far hypotheses").0.z_m <= 0.55);
+    assert!(cut.hypotheses < whole.hypotheses && cut.runner_up.expect("far hypotheses").psi.z_m <= 0.55);
     check(&cut, Status::Ok);
     let none = survey_of(|_| f64::NAN);
     assert_eq!(none.hypotheses, 0);

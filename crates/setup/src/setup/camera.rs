@@ -13,8 +13,8 @@ use super::super::load::{Checker, whole};
 use super::super::units::in_mm;
 use super::calibration::CalibrationInUse;
 use super::camera_faults::{self, FaultSection};
+use super::image_stream::{check_size, frame_rate_hz};
 use super::real_cameras::load_calibration;
-use super::sight::{check_size, frame_rate_hz};
 use super::{FrameTiming, millis};
 
 /// Suffix of keys of this table in messages.
@@ -108,7 +108,7 @@ impl CameraSection {
                 "camera.region = {region:?}: the cameras are simulated, and where the target is in their images is known"
             ));
         }
-        check_size((self.width_px, self.height_px), check);
+        check_size(self.width_px, self.height_px, check);
         check.number("camera.focal_px", self.focal_px, 50.0..=20_000.0);
         check.number("camera.baseline_mm", self.baseline_mm, 5.0..=2000.0);
         check.numbers("camera.distortion", &self.distortion, -10.0..=10.0);

@@ -9,6 +9,7 @@ mod drift;
 mod experiment;
 mod geometric;
 mod geometry;
+mod image_stream;
 mod law;
 mod link;
 mod mounts;

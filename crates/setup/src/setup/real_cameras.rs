@@ -16,10 +16,10 @@ use serde::Deserialize;
 use super::super::layers::{Layers, SetupArgs};
 use super::super::load::{Checker, ConfigError, ConfigFile, whole};
 use super::calibration::{CalibrationInUse, load_files};
+use super::image_stream::{check_size, frame_rate_hz};
 use super::millis;
 use super::range::read_search_range;
 use super::servo::linear_mm_per_s;
-use super::sight::{check_size, frame_rate_hz};
 use crate::region_spec::RegionSpec;
 
 /// Suffix of keys of this table in messages.
@@ -220,7 +220,7 @@ impl<T> ControlValue<T> {
 impl V4l2Section {
     /// The cameras; `speed_max_m_per_s` is the largest speed of the hand relative to the target.
     pub(super) fn build(&self, speed_max_m_per_s: f64, check: &mut Checker) -> Option<RealCameras> {
-        check_size((self.width_px, self.height_px), check);
+        check_size(self.width_px, self.height_px, check);
         let rate_hz = frame_rate_hz(self.frame_rate_hz, check);
         // A skew of one period cannot be distinguished from the next image.
         let skew_max_millis = self.skew_max_millis.unwrap_or(SKEW_MAX.as_secs_f64() * 1e3);

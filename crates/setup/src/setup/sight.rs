@@ -11,18 +11,6 @@ use super::camera::{self, CameraSection, SceneSection};
 use super::real_cameras::{self, RealCameras, V4l2Section};
 use super::{FrameTiming, SimulatedWorld, Truth};
 
-/// Checks the size of the images, which all backends have.
-pub(super) fn check_size((width_px, height_px): (i64, i64), check: &mut Checker) {
-    for (key, pixels) in [("camera.width_px", width_px), ("camera.height_px", height_px)] {
-        check.count(key, pixels, 64..=4096);
-    }
-}
-
-/// Checks the rate of the pairs, which all backends have; a refused one is limited to what is allowed.
-pub(super) fn frame_rate_hz(stated_hz: f64, check: &mut Checker) -> f64 {
-    check.limited("camera.frame_rate_hz", stated_hz, 1.0..=240.0)
-}
-
 /// The key that all backends have; the others depend on it.
 #[derive(Clone, Copy, Debug, Deserialize)]
 pub(super) struct CameraEntry {

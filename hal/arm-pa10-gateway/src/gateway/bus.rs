@@ -8,7 +8,6 @@ use pb3dp_arm_pa10_protocol::codec::{
 use pb3dp_geometry::MonotonicTime;
 
 use super::config::GatewayConfig;
-use super::host::Asker;
 
 /// A reply to one of this many newest messages counts as late, an older one as mismatched.
 const LATE_MESSAGES_MAX: u8 = 16;
@@ -30,6 +29,15 @@ pub struct BusCounters {
     pub late: u64,
     /// Replies with a wrong number, letter or length.
     pub mismatched: u64,
+}
+
+/// A frame of the host that waits for its answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Asker {
+    pub sequence: u16,
+    pub frame_type: u8,
+    /// Whether it came by RAW: then its answer is RAW_REPLY.
+    pub is_raw: bool,
 }
 
 /// Frames of the host that wait for the reply to a cyclic command.

@@ -8,19 +8,10 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{
 };
 use pb3dp_geometry::MonotonicTime;
 
-use super::bus::{count, micros};
+use super::bus::{Asker, count, micros};
 
 /// Answers that wait to be written. A frame of the host has at least 19 bytes, so 32 answers are enough for pieces of 600 bytes.
 const OUTBOX_MAX: usize = 32;
-
-/// A frame of the host that waits for its answer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Asker {
-    pub sequence: u16,
-    pub frame_type: u8,
-    /// Whether it came by RAW: then its answer is RAW_REPLY.
-    pub is_raw: bool,
-}
 
 /// Why a frame is refused, with the detail of that reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

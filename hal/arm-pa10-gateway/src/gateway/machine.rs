@@ -8,9 +8,9 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{FaultReport, GatewayState, Rejec
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_safeguards::{Safeguard, is_off};
 
-use super::bus::{Askers, Bus, Outstanding, count};
+use super::bus::{Asker, Askers, Bus, Outstanding, count};
 use super::config::GatewayConfig;
-use super::host::{Asker, Host, Refused};
+use super::host::{Host, Refused};
 use super::limits::{Exceeded, LimitMonitor};
 use super::motion::{self, Kind, Motion};
 

@@ -9,8 +9,8 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_safeguards::{Safeguard, is_off};
 
-use super::bus::{Arrived, Askers, RawReply};
-use super::host::{Asker, Refused};
+use super::bus::{Arrived, Asker, Askers, RawReply};
+use super::host::Refused;
 use super::machine::{Job, Machine, Measured, ResetStep, Task, Work};
 
 /// Micro-units per unit.

@@ -10,7 +10,8 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_safeguards::{Safeguard, is_off};
 
-use super::host::{Asker, Refused, is_in_both_dialects, refusal_of};
+use super::bus::Asker;
+use super::host::{Refused, is_in_both_dialects, refusal_of};
 use super::machine::{Job, Machine, ResetStep, StopStep, Task, Work, wrong_state};
 use super::motion::{self, Kind};
 use super::table::{GatewayAction, HostRequest, action};

@@ -3,7 +3,6 @@
 //! Four boards, two axes each; the table of an axis is 32 words. The reply repeats board and start and then holds words of 16
 //! bits, little-endian. How long the reply is on a given arm is not known: what is needed must be there.
 
-use super::packet::DATA_LENGTH_MAX;
 use super::{AngleCounts, Axis, ByteBuffer, CodecError};
 
 /// Words per axis.
@@ -45,7 +44,7 @@ pub(super) fn axis_at(board: u8, start: u8) -> Result<Axis, CodecError> {
 }
 
 impl EepromAxis {
-    pub(super) fn encode(&self, out: &mut ByteBuffer<DATA_LENGTH_MAX>) {
+    pub(super) fn encode<const LENGTH_MAX: usize>(&self, out: &mut ByteBuffer<LENGTH_MAX>) {
         let mut words = [0u16; TABLE_WORDS as usize];
         [words[POSITIVE_LIMIT], words[POSITIVE_LIMIT + 1]] = high_first(self.positive_limit.0);
         [words[NEGATIVE_LIMIT], words[NEGATIVE_LIMIT + 1]] = high_first(self.negative_limit.0);

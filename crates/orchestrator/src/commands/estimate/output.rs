@@ -5,7 +5,7 @@ use pb3dp_estimation_core::estimate::{PlaneEstimate, SecondPlane};
 use pb3dp_record::plain_zero::plain_zero;
 use serde::Serialize;
 
-use crate::commands::track::output::{covariance_mm, row_major_mm};
+use super::super::pose_output::{covariance_mm, row_major_mm};
 
 /// The result of one case, in the units of the interface; the order of the fields is that of the JSON line.
 #[derive(Clone, Debug, Serialize)]

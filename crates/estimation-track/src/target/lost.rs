@@ -1,0 +1,200 @@
+//! The search for a lost target in whole images.
+
+use pb3dp_geometry::Pose;
+use pb3dp_geometry::frames::{CamLeft, Model};
+
+use super::{Ending, FOUND_AGAIN_STRICTER, Frame, Target, VISIBLE_MIN};
+use crate::align::{AlignmentPlan, Estimate, StartLevel};
+use crate::images::LEVELS;
+use crate::judge::Fit;
+use crate::normal::{Free, NormalEquations};
+use crate::reach::{NEAR_M, in_sight};
+use crate::search::{PLACES, Place, depth_by_stereo, hypotheses, hypothesis};
+
+/// Number of templates per frame while the target is lost. Chosen by hand: with this and the next three a lost frame took
+/// less than 10 ms.
+const TEMPLATES_PER_FRAME: usize = 7;
+/// Number of candidate positions tested per lost frame. Chosen, see [`TEMPLATES_PER_FRAME`].
+const CANDIDATES: usize = 4;
+/// Steps per level in the rough alignment of a candidate. Chosen, see [`TEMPLATES_PER_FRAME`].
+const ROUGH_STEPS: usize = 6;
+/// Correlation that the rough alignment must reach. Chosen, see [`TEMPLATES_PER_FRAME`].
+const ROUGH_RESEMBLANCE_MIN: f64 = 0.5;
+/// Factor by which a target must be nearer to the prediction than its twin. Chosen by hand, not varied: with less, the twin is
+/// accepted after fast motion; with more, the target stays lost longer.
+const CLEARLY_NEARER: f64 = 2.0;
+
+impl Target {
+    /// Searches the whole first pair for similar objects.
+    pub(crate) fn look_for_twins(&mut self, frame: &Frame<'_>) {
+        let (estimate, fit) = (self.estimate, self.fit);
+        let own = estimate.cam_left_from_model;
+        let limits = self.limits(frame.config).stricter(FOUND_AGAIN_STRICTER);
+        for index in 0..hypotheses(0) {
+            let (_, turned) = hypothesis(index, &own, &[]);
+            for place in self.places_of(0, &turned, frame).into_iter().flatten() {
+                self.estimate = estimate;
+                let fits = self.look_into(Candidate { place, with_depth: true }, frame, &mut || true).is_ok();
+                self.has_twin |= fits && self.fit.misfit(&limits).is_none() && self.sighting(&own).is_another();
+            }
+        }
+        self.view = 0;
+        (self.estimate, self.fit) = (estimate, fit);
+    }
+
+    /// Searches for a lost target in whole images.
+    pub(crate) fn search(
+        &mut self,
+        predicted: &Pose<CamLeft, Model>,
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Ending {
+        let before = self.estimate;
+        let is_outside = in_sight(&self.outline_in_model, predicted, frame.rig) < VISIBLE_MIN;
+        let mut ending = if is_outside { Ending::OutOfSight } else { Ending::NothingAlike };
+        let mut candidates: [Option<Candidate>; CANDIDATES + 1] = [None; CANDIDATES + 1];
+        candidates[0] =
+            Some(Candidate { place: Place { cam_left_from_model: *predicted, correlation: 1.0 }, with_depth: false });
+        for place in self.places(frame).into_iter().flatten() {
+            insert(&mut candidates, place);
+        }
+        let mut alike: [Option<Alike>; CANDIDATES + 1] = [None; CANDIDATES + 1];
+        for (candidate, alike) in candidates.into_iter().flatten().zip(&mut alike) {
+            if !may_continue() {
+                break;
+            }
+            self.estimate = before;
+            match self.look_into(candidate, frame, may_continue) {
+                Ok(equations) if self.sighting(predicted).can_be_the_target() => {
+                    self.conclude(&equations, false);
+                    return Ending::Found;
+                }
+                Ok(_) => {
+                    ending = Ending::OutOfReach;
+                    let sighting = self.sighting(predicted);
+                    let (view, way_m, estimate, fit) = (self.view, sighting.way_m, self.estimate, self.fit);
+                    *alike = sighting.is_one_of_two().then_some(Alike { view, way_m, estimate, fit });
+                }
+                Err(Ending::OutOfSight) => {}
+                Err(other) => ending = other,
+            }
+        }
+        if let Some(own) = nearest_of_several(&alike) {
+            (self.view, self.estimate, self.fit) = (own.view, own.estimate, own.fit);
+            if let Some(equations) = self.examine(frame, false) {
+                self.conclude(&equations, false);
+                return Ending::Found;
+            }
+        }
+        self.estimate = before;
+        ending
+    }
+
+    /// Aligns at a candidate position, and evaluates the fit.
+    fn look_into(
+        &mut self,
+        Candidate { place, with_depth }: Candidate,
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Result<NormalEquations, Ending> {
+        let before = self.estimate;
+        let at = place.cam_left_from_model;
+        let start = if with_depth { self.with_depth(&at, frame) } else { Some(at) }.ok_or(Ending::OutOfSight)?;
+        self.view = self.nearest_view(&start, frame.config).0;
+        let rough = self.rough(&start, frame, may_continue).ok_or(Ending::OutOfSight)?;
+        self.estimate = before;
+        let found = self.attempt(&rough, StartLevel::Resembling, frame, may_continue);
+        let equations = self.or_mirrored(found, frame, may_continue).ok_or(Ending::OutOfSight)?;
+        self.fit.misfit(&self.limits(frame.config)).map_or(Ok(equations), |misfit| Err(Ending::Misfit(misfit)))
+    }
+
+    /// Runs a few steps at coarse levels; a candidate that does not match afterwards is dropped.
+    fn rough(
+        &mut self,
+        start: &Pose<CamLeft, Model>,
+        frame: &Frame<'_>,
+        may_continue: &mut dyn FnMut() -> bool,
+    ) -> Option<Pose<CamLeft, Model>> {
+        self.estimate.cam_left_from_model = *start;
+        let (mut problem, aligner, estimate) = self.problem(frame);
+        let plan = AlignmentPlan { start: StartLevel::Coarsest, free: Free::Motion, steps_max: ROUGH_STEPS };
+        aligner.align(&mut problem, estimate, 1..=LEVELS - 1, plan, may_continue)?;
+        aligner.look(&problem, estimate, 1, &estimate.photometry())?;
+        (aligner.resemblance(&problem, 1) >= ROUGH_RESEMBLANCE_MIN).then_some(estimate.cam_left_from_model)
+    }
+
+    fn with_depth(&self, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> Option<Pose<CamLeft, Model>> {
+        const LEVEL: usize = 2; // Chosen by hand, not varied: time grows on finer levels, steps of depth grow on coarser ones.
+        let view = self.nearest_view(pose, frame.config).0;
+        let (groups, view) = (&self.surface.levels[LEVEL].groups, &self.views[view].levels[LEVEL]);
+        depth_by_stereo(groups, view, LEVEL, pose, &frame.images[1], frame.rig)
+    }
+
+    /// Candidate positions from this frame's share of the templates.
+    fn places(&mut self, frame: &Frame<'_>) -> [Option<Place>; PLACES * TEMPLATES_PER_FRAME] {
+        let mut all = [None; PLACES * TEMPLATES_PER_FRAME];
+        let count = hypotheses(self.views.len());
+        let last = self.motion.cam_left_from_model;
+        let nearest = self.nearest_view(&last, frame.config).0;
+        for turn in 0..TEMPLATES_PER_FRAME.min(count) {
+            let others = (self.lost_frames as usize * (TEMPLATES_PER_FRAME - 1) + turn).saturating_sub(1);
+            let index = if turn == 0 { 0 } else { 1 + others % (count - 1) };
+            let (source, pose) = hypothesis(index, &last, &self.views);
+            let view = if source == 0 { nearest } else { source - 1 };
+            let found = self.places_of(view, &pose, frame);
+            all[turn * PLACES..(turn + 1) * PLACES].copy_from_slice(&found);
+        }
+        all
+    }
+
+    /// Positions in the left image that look like a view of the target from this pose.
+    fn places_of(&mut self, view: usize, pose: &Pose<CamLeft, Model>, frame: &Frame<'_>) -> [Option<Place>; PLACES] {
+        const LEVEL: usize = LEVELS - 1; // The level of the images that the searcher reads.
+        let (groups, view) = (&self.surface.levels[LEVEL].groups, &self.views[view].levels[LEVEL]);
+        self.searcher.places(groups, view, pose, &frame.images[0], frame.rig.left())
+    }
+}
+
+/// A candidate that looks like the target as much as its twin does.
+#[derive(Clone, Copy, Debug)]
+struct Alike {
+    view: usize,
+    /// Distance from the predicted pose, metres.
+    way_m: f64,
+    estimate: Estimate,
+    fit: Fit,
+}
+
+/// The target, if it and its twin are both visible and one is clearly nearer to the predicted pose. A single one may be either.
+fn nearest_of_several(alike: &[Option<Alike>]) -> Option<Alike> {
+    let all = || alike.iter().flatten();
+    let nearest = all().min_by(|a, b| a.way_m.total_cmp(&b.way_m))?;
+    let place = |alike: &Alike| alike.estimate.cam_left_from_model.translation_m();
+    let mut others = all().filter(|other| (place(other) - place(nearest)).norm() > NEAR_M).peekable();
+    let is_clear = others.peek().is_some() && others.all(|other| other.way_m > CLEARLY_NEARER * nearest.way_m);
+    is_clear.then_some(*nearest)
+}
+
+/// A position at which a lost target may be.
+#[derive(Clone, Copy)]
+struct Candidate {
+    place: Place,
+    /// Whether its depth is searched first.
+    with_depth: bool,
+}
+
+/// Inserts a position into the sorted list after the prediction; a position next to a better one is dropped.
+fn insert(candidates: &mut [Option<Candidate>; CANDIDATES + 1], place: Place) {
+    let at = place.cam_left_from_model.translation_m();
+    let near = |other: &Place| (other.cam_left_from_model.translation_m() - at).norm() < 0.02 * at.z.abs();
+    let Some(index) =
+        (1..=CANDIDATES).find(|&i| candidates[i].is_none_or(|other| other.place.correlation < place.correlation))
+    else {
+        return;
+    };
+    if (1..index).any(|i| candidates[i].is_some_and(|other| near(&other.place))) {
+        return;
+    }
+    candidates[index..].rotate_right(1);
+    candidates[index] = Some(Candidate { place, with_depth: true });
+}
