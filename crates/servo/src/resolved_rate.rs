@@ -1,13 +1,18 @@
 //! Resolved-rate control: from the velocity of the hand to joint velocities within the limits.
 //!
-//! All reductions scale the whole motion, so the direction of the hand is kept.
+//! All reductions but one scale the whole motion, so the direction of the hand is kept. A hand near the target loses only its speed
+//! towards it.
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use pb3dp_geometry::Twist;
 use pb3dp_geometry::frames::Base;
 use pb3dp_kinematics::{Chain, DOF, Damping, Jacobian, JointFrames, JointLimits, JointVector, SingularForm};
 
 use crate::config::CartesianSpeed;
+
+/// Time in which the hand may use up its distance to the nearest allowed place, seconds: four times the 60 ms by which a command acts late
+/// on a PA-10, so the distance does not swing.
+const CLOSING_S: f64 = 0.25;
 
 /// The strongest limit that makes the hand slower than the law requests.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,6 +33,8 @@ pub enum Limitation {
     ElbowStretched,
     /// Soft start after a hold.
     SoftStart,
+    /// The target is nearer than it should be: the hand comes no closer.
+    TargetNear,
     /// The target was not observed for a while: the hand slows down to a hold.
     Fading,
 }
@@ -83,6 +90,26 @@ pub fn limit_twist(twist: &Twist<Base>, most: &CartesianSpeed) -> (Twist<Base>, 
     let linear = share_of(twist.linear_m_per_s.norm(), most.linear_m_per_s);
     let share = linear.min(share_of(twist.angular_rad_per_s.norm(), most.angular_rad_per_s));
     (Twist::new(twist.linear_m_per_s * share, twist.angular_rad_per_s * share), share)
+}
+
+/// Takes away what brings the camera too fast towards the target. `target_m` is the target from the camera and `lever_m` the camera from the
+/// origin of the hand, metres in `base`; at the distance `least_m` no speed towards the target is left. Returns whether something was taken.
+///
+/// Of a target that turns faster than the hand can follow, the saturated law keeps the tangent and loses the radius: the hand drifts
+/// towards it.
+pub fn keep_apart(
+    twist: &Twist<Base>,
+    (target_m, lever_m): (&Vector3<f64>, &Vector3<f64>),
+    least_m: f64,
+) -> (Twist<Base>, bool) {
+    let distance_m = target_m.norm();
+    let towards = target_m / distance_m.max(f64::EPSILON);
+    let closing_m_per_s = (twist.linear_m_per_s + twist.angular_rad_per_s.cross(lever_m)).dot(&towards);
+    let excess_m_per_s = closing_m_per_s - ((distance_m - least_m) / CLOSING_S).max(0.0);
+    if excess_m_per_s <= 0.0 {
+        return (*twist, false);
+    }
+    (Twist::new(twist.linear_m_per_s - towards * excess_m_per_s, twist.angular_rad_per_s), true)
 }
 
 /// Limits of the joints.
@@ -171,6 +198,30 @@ mod tests {
     const HAND: CartesianSpeed = CartesianSpeed { linear_m_per_s: 0.5, angular_rad_per_s: 1.0 };
     const LIMIT_APPROACH_PER_S: f64 = 2.0;
     const ELBOW: usize = 3;
+
+    #[test]
+    fn only_the_speed_towards_a_near_target_is_taken_away() {
+        let (target_m, lever_m) = (Vector3::new(0.0, 0.36, 0.48), Vector3::new(0.1, 0.0, 0.0));
+        // Towards the target the camera moves with 0.6 y + 0.8 (z - 0.1 wy).
+        let twist = Twist::<Base>::new(Vector3::new(0.3, 0.1, 0.5), Vector3::new(0.2, -0.5, 0.1));
+        let closing = |twist: &Twist<Base>| {
+            (twist.linear_m_per_s + twist.angular_rad_per_s.cross(&lever_m)).dot(&Vector3::new(0.0, 0.6, 0.8))
+        };
+        assert!((closing(&twist) - (0.6 * (0.1 + 0.1 * 0.1) + 0.8 * (0.5 + 0.5 * 0.1))).abs() < 1e-12);
+        assert_eq!(
+            keep_apart(&twist, (&target_m, &lever_m), 0.4),
+            (twist, false),
+            "0.8 m/s are allowed 0.2 m before it"
+        );
+        let (kept, was_taken) = keep_apart(&twist, (&target_m, &lever_m), 0.55);
+        assert!(was_taken && (closing(&kept) - 0.05 / CLOSING_S).abs() < 1e-12, "{kept:?}");
+        assert_eq!((kept.linear_m_per_s.x, kept.angular_rad_per_s), (0.3, twist.angular_rad_per_s));
+        // Nearer than allowed: it does not come closer, and it may leave.
+        let (stays, _) = keep_apart(&twist, (&target_m, &lever_m), 0.7);
+        assert!(closing(&stays).abs() < 1e-12, "{stays:?}");
+        let leaves = Twist::new(-twist.linear_m_per_s, -twist.angular_rad_per_s);
+        assert_eq!(keep_apart(&leaves, (&target_m, &lever_m), 0.7), (leaves, false));
+    }
 
     #[test]
     fn a_twist_keeps_its_direction() {

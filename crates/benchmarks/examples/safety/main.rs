@@ -163,6 +163,12 @@ fn trace(judged: &Judged) {
         room_m(&one, &other)
     });
     println!("smallest distance between the arms: {:.0} mm", 1e3 * rooms.fold(f64::INFINITY, f64::min));
+    let to_target = ran.truth.steps.iter().step_by(100).map(|step| {
+        rules.arms[0].body.place(&step.arms[0].position_rad, &mut one);
+        let target: Vec<_> = rules.target.iter().map(|rod| rod.placed(&step.world_from_target)).collect();
+        format!("{:.0}", 1e3 * room_m(&one[3..], &target))
+    });
+    println!("distance of hand and target every 0.2 s, mm: {}", to_target.collect::<Vec<_>>().join(" "));
     println!("ended: {}", ran.ended.as_deref().unwrap_or("end of the run"));
     let broken = |invariant: Invariant| judged.violations.iter().any(|violation| violation.invariant == invariant);
     let [held, violated]: [Vec<&str>; 2] = [false, true].map(|wanted| {
@@ -281,12 +287,15 @@ fn disabled(_: &Args) -> Result<ExitCode> {
 mod tests {
     use super::*;
 
-    /// A control step that overran by 28 ms: the watchdog of the arm slowed a fast joint down by more than its acceleration limit.
+    /// 5551742: behind a control step that overran by 28 ms, the watchdog of the arm slowed a fast joint down by more than its acceleration
+    /// limit. The others: the hand drifted towards a target that turned faster than the hand could follow.
     #[test]
-    fn a_seed_that_broke_an_invariant_keeps_them_all() {
-        let words = ["--seed", "5551742", "--runs", "1"];
-        let told = all(&Args::read(words.map(str::to_owned).into_iter()).unwrap()).unwrap();
-        assert!(told.plain.violations.is_empty(), "{:?}", told.plain.violations);
+    fn seeds_that_broke_an_invariant_keep_them_all() {
+        for seed in ["5551742", "5551168", "5551340", "5551621"] {
+            let words = ["--seed", seed, "--runs", "1"];
+            let told = all(&Args::read(words.map(str::to_owned).into_iter()).unwrap()).unwrap();
+            assert!(told.plain.violations.is_empty(), "{seed}: {:?}", told.plain.violations);
+        }
     }
 
     /// Some runs, twice: no invariant is violated, and all numbers are identical.

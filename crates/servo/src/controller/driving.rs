@@ -13,13 +13,17 @@ use crate::law::feed_forward::{self, Aim, DesiredMotion};
 use crate::law::pose_based::{self, HandError};
 use crate::law::{hand_twist_of_camera, hybrid, image_based};
 use crate::redundancy::secondary_velocity;
-use crate::resolved_rate::{HandJacobian, JointBounds, Limitation, limit_twist};
+use crate::resolved_rate::{HandJacobian, JointBounds, Limitation, keep_apart, limit_twist};
 
 /// If a joint limit leaves no more than this share of the requested speed, the hand holds and reports the limit.
 const STANDSTILL_SHARE: f64 = 0.02;
 
 /// A search starts when no joint is faster than this, rad/s.
 const AT_REST_RAD_PER_S: f64 = 0.01;
+
+/// Least distance of camera and target that the hand seeks, as a share of the desired one. Chosen: at 500 mm it leaves 50 mm to the near
+/// end of the search of `configs/sim.toml`, beyond which the target is lost; a hand that follows comes no closer than some millimetres.
+const NEAREST_SHARE: f64 = 0.8;
 
 /// Time after the approach in which translation and rotation become independent, seconds.
 const TOGETHER_FADES_S: f64 = 1.0;
@@ -103,11 +107,15 @@ impl Controller {
             }
         };
         let (twist, hand_share) = limit_twist(&request.twist, &request.most);
+        let (twist, is_near) = self.kept_apart(&twist, step);
         let primary = request.jacobian.joint_velocity(&twist, &self.damping);
         let bounds = self.joint_bounds();
         let beside = bounds.share_beside(&primary, &request.secondary_rad_per_s, &request.position_rad);
         let limited = bounds.limit(&(primary + request.secondary_rad_per_s * beside), &request.position_rad);
-        step.limited_by = limited.limited_by.or((hand_share < 1.0).then_some(Limitation::HandSpeed));
+        step.limited_by = limited
+            .limited_by
+            .or(is_near.then_some(Limitation::TargetNear))
+            .or((hand_share < 1.0).then_some(Limitation::HandSpeed));
         if request.share < 1.0 {
             step.limited_by = Some(request.slowed_by);
         }
@@ -125,6 +133,19 @@ impl Controller {
             }
             _ => step.command = Command::Velocity(command),
         }
+    }
+
+    /// The twist without what brings the camera nearer to the target than [`NEAREST_SHARE`] of its desired distance.
+    fn kept_apart(&self, twist: &Twist<Base>, step: &ControlStep) -> (Twist<Base>, bool) {
+        let (Some(base_from_hand), Some(base_from_model)) = (step.base_from_hand, step.base_from_model) else {
+            return (*twist, false);
+        };
+        let (model_from_hand, mounting) = (&self.config.model_from_hand_desired, &self.config.hand_from_cam_left);
+        let camera_m = (base_from_hand * *mounting).translation_m();
+        let target_m = base_from_model.translation_m() - camera_m;
+        let lever_m = camera_m - base_from_hand.translation_m();
+        let least_m = NEAREST_SHARE * (*model_from_hand * *mounting).translation_m().norm();
+        keep_apart(twist, (&target_m, &lever_m), least_m)
     }
 
     fn joint_bounds(&self) -> JointBounds<'_> {
