@@ -434,6 +434,7 @@ impl Layers {
                 folder => built_in::path_of(path)
                     .unwrap_or_else(|| folder.clone().unwrap_or_default().join(path).display().to_string()),
             };
+            let beside = |path: &str| folder.clone().unwrap_or_default().join(path).display().to_string();
             for key in ["camera.calibration", "truth.calibration", "mounts.hand_eye"] {
                 change(&mut layer.stated, &position::parts(key), &resolved);
             }
@@ -441,6 +442,7 @@ impl Layers {
                 for arm in arms.values_mut() {
                     if let Value::Dict(_, arm) = arm {
                         change(arm, &["robot"], &resolved);
+                        change(arm, &["gateway", "key_file"], &beside);
                     }
                 }
             }

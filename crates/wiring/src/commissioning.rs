@@ -1,11 +1,13 @@
 //! Arms for commissioning: one to probe, one to move slowly, alone or together with the other arm.
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_arm_pa10::arm::{ArmMonitor, Pa10Arm};
+use pb3dp_arm_pa10::arm::{ArmMonitor, Pa10Arm, read_shared_key};
 use pb3dp_arm_pa10::driver::{FaultCause, LimitsCheck, Trip};
 use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, SocketAddr};
+use pb3dp_arm_pa10_gateway::service::Access;
 use pb3dp_arm_pa10_protocol::gateway_protocol::StopCause;
 use pb3dp_cell::parts::{ArmChoice, DrivenArm};
 use pb3dp_hal_api::Clock;
@@ -127,11 +129,16 @@ pub fn wire_slow(setup: &Setup, choice: ArmChoice, beside_other: bool, clock: &A
 }
 
 /// An arm with the backend `emulated`, at a local address that stays the same while its cable is pulled and plugged in, and that another
-/// process can reach. Pass the address to [`set_line`].
+/// process can reach with the key in this file. Pass both to [`set_line`].
 ///
 /// # Errors
 /// If the backend is another one: fault injection is for emulated arms only.
-pub fn emulate_at_address(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<MockServer> {
+pub fn emulate_at_address(
+    setup: &Setup,
+    choice: ArmChoice,
+    key_file: &Path,
+    clock: &Arc<dyn Clock>,
+) -> Result<MockServer> {
     let ArmLink::Gateway(link, GatewayWay::Emulated) = &choice.of(setup).link else {
         bail!(
             "{}.backend is not \"emulated\": the program cannot operate switches and cables of this arm",
@@ -139,13 +146,14 @@ pub fn emulate_at_address(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Cloc
         )
     };
     let address = "127.0.0.1:0".parse().context("a local address")?;
-    let face = |gateway| MockFace::Tcp(gateway, address);
+    let access = Access::from_this_computer(read_shared_key(key_file)?);
+    let face = |gateway| MockFace::Tcp(gateway, address, access);
     Ok(emulate(face, link, wanted(setup, choice, clock))?.0)
 }
 
-/// Makes a setup reach an arm by TCP at this address, overriding its file.
-pub fn set_line(setup: &mut Setup, choice: ArmChoice, address: SocketAddr) {
+/// Makes a setup reach an arm by TCP at this address with the key in this file, overriding its file.
+pub fn set_line(setup: &mut Setup, choice: ArmChoice, address: SocketAddr, key_file: PathBuf) {
     if let ArmLink::Gateway(_, way) = &mut choice.of_mut(setup).link {
-        *way = GatewayWay::Tcp(TcpConfig { address });
+        *way = GatewayWay::Tcp { tcp: TcpConfig { address }, key_file };
     }
 }

@@ -27,6 +27,7 @@ mod host_fault;
 mod io_bus;
 mod io_links;
 mod io_serial;
+mod keyed_records;
 mod known_driver_bugs;
 mod link;
 mod link_faults;

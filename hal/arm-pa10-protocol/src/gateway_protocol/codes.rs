@@ -117,6 +117,12 @@ codes! {
         NoAnswer = 10, "no-answer";
         /// The cause of the latched state is still there.
         CausePresent = 11, "cause-present";
+        /// The gateway's list of peers does not have this address.
+        PeerNotAllowed = 32, "peer-not-allowed";
+        /// Too many new connections.
+        TooManyPeers = 33, "too-many-peers";
+        /// The proof of the key is wrong.
+        KeyMismatch = 34, "key-mismatch";
     }
 }
 

@@ -93,7 +93,7 @@ impl Needs {
             match link {
                 ArmLink::Gateway(_, GatewayWay::Serial { path, .. }) => serial.push(path.clone()),
                 ArmLink::Bus(config) => arcnet.extend(interface(&config.target)),
-                ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated | GatewayWay::Tcp(_)) => {}
+                ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated | GatewayWay::Tcp { .. }) => {}
             }
         }
         let size = setup.rig.stereo.left().size();
