@@ -17,6 +17,7 @@ use pb3dp_arm_pa10_gateway::service::{
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, GatewayState, StopCause};
 use pb3dp_arm_pa10_protocol::places::BusTarget;
+use pb3dp_cell::terminal::typed_lines;
 use pb3dp_hal_platform::key_file::write_new_key;
 use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -39,6 +40,9 @@ pub struct GatewayArgs {
     /// Host line to use instead of the configured one: serial:DEVICE or tcp:ADDRESS:PORT.
     #[arg(long, value_name = "LINE")]
     pub host: Option<String>,
+    /// Start with the switch on local: no host moves the arm until `remote` is typed here.
+    #[arg(long)]
+    pub local: bool,
 }
 
 /// Tasks besides running the gateway.
@@ -85,10 +89,13 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
     let ending = server.ending();
     let watcher =
         std::thread::Builder::new().name("gateway-signals".into()).spawn(move || watch_signals(signals, &ending))?;
+    // The stop order of the start still runs: no host can have moved the arm.
+    server.switch(args.local);
     tell_start(&setup, &server);
-    let mut log = Log::default();
+    let (mut log, typed) = (Log::default(), typed_lines()?);
     while server.is_running() {
         log.write(&server);
+        typed.try_iter().flatten().for_each(|line| obey(&server, line.trim()));
         std::thread::sleep(LOOK);
     }
     log.write(&server);
@@ -108,6 +115,21 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
     };
     tell_end(arm, &status, dropped);
     Ok(ExitCode::SUCCESS)
+}
+
+/// Executes a typed line.
+fn obey(server: &GatewayServer, line: &str) {
+    match line {
+        "local" | "remote" => {
+            server.switch(line == "local");
+            tracing::warn!("switch on {line}");
+        }
+        "" => {}
+        _ => tracing::warn!(
+            "{line:?} is no command: type `local` (no host moves the arm) or `remote`; the switch stands on {}",
+            if server.is_local() { "local" } else { "remote" }
+        ),
+    }
 }
 
 /// Waits for a signal or the end of the gateway, then ends the gateway. It writes no log, because that may block.

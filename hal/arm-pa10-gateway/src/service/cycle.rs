@@ -126,6 +126,7 @@ impl Cycle {
 
     fn serve(&mut self) {
         while !self.is_over() {
+            self.core.set_local(now(), self.shared.is_local.load(Ordering::SeqCst));
             self.receive_from_bus();
             self.receive_from_host();
             self.begin_cycle();

@@ -221,6 +221,7 @@ mod tests {
         let shared = Arc::new(Shared {
             end: AtomicBool::new(false),
             has_host: AtomicBool::new(false),
+            is_local: AtomicBool::new(false),
             wants_bus: AtomicBool::new(false),
             heard: AtomicU64::new(0),
             waker: eventfd(0, EventfdFlags::NONBLOCK | EventfdFlags::CLOEXEC).unwrap(),

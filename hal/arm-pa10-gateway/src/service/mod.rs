@@ -79,6 +79,8 @@ struct Shared {
     end: AtomicBool,
     /// A host is connected.
     has_host: AtomicBool,
+    /// The switch stands on local.
+    is_local: AtomicBool,
     /// The bus has to be opened again.
     wants_bus: AtomicBool,
     /// Time of the last sound frame from the host, ns.
@@ -157,6 +159,7 @@ impl GatewayServer {
         let shared = Arc::new(Shared {
             end: AtomicBool::new(false),
             has_host: AtomicBool::new(false),
+            is_local: AtomicBool::new(false),
             wants_bus: AtomicBool::new(false),
             heard: AtomicU64::new(0),
             waker: eventfd(0, EventfdFlags::NONBLOCK | EventfdFlags::CLOEXEC).map_err(std::io::Error::from)?,
@@ -208,6 +211,17 @@ impl GatewayServer {
     /// Whether the cycle thread still runs.
     pub fn is_running(&self) -> bool {
         self.cycle.as_ref().is_some_and(|cycle| !cycle.is_finished())
+    }
+
+    /// Sets the switch: on local no host moves or enables the arm.
+    pub fn switch(&self, is_local: bool) {
+        self.shared.is_local.store(is_local, Ordering::SeqCst);
+        self.shared.wake();
+    }
+
+    /// Whether the switch stands on local.
+    pub fn is_local(&self) -> bool {
+        self.shared.is_local.load(Ordering::SeqCst)
     }
 
     /// Requests the stop order and the end; repeating it is harmless.

@@ -89,6 +89,8 @@ codes! {
         Internal = 9, "internal";
         /// The host found a fault and said `abort`.
         HostFault = 10, "host-fault";
+        /// The switch of the gateway stands on local.
+        LocalControl = 32, "local-control";
     }
 }
 

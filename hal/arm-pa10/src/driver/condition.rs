@@ -484,6 +484,9 @@ fn advice_on_stop(cause: StopCause) -> &'static str {
         StopCause::HostSilent => {
             "the program that drove the arm ended, hung or lost the line; find out why, remove the cause, then reset"
         }
+        StopCause::LocalControl => {
+            "the switch of the gateway stands on local: type `remote` at the gateway, then reset"
+        }
         _ => "remove the cause, then reset",
     }
 }
@@ -494,6 +497,7 @@ fn what_is_there(found: StopCause) -> String {
         StopCause::ServoAlarm => "an alarm of an axis".to_owned(),
         StopCause::ControllerAlarm => "an alarm of the controller".to_owned(),
         StopCause::EmergencyStop => "an emergency stop, dead-man switch or limit switch".to_owned(),
+        StopCause::LocalControl => "the switch of the gateway on local; type `remote` at the gateway".to_owned(),
         other => other.to_string(),
     }
 }
