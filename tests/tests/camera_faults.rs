@@ -50,7 +50,7 @@ fn setup() -> Setup {
     let pinhole = Pinhole { fx: 370.0, fy: 370.0, cx: 159.5, cy: 119.5 };
     let camera = Camera::new(ImageSize { width: 320, height: 240 }, pinhole, Distortion::None).unwrap();
     setup.rig.stereo = StereoRig::new(camera, camera, *setup.rig.stereo.cam_right_from_cam_left()).unwrap();
-    setup.world_mut().unwrap().scene.target = TargetConfig::card();
+    setup.world.as_mut().unwrap().scene.target = TargetConfig::card();
     setup
 }
 
@@ -84,10 +84,10 @@ impl Said {
 /// Tracks the target through 13 pairs.
 fn follow(kind: CameraFaultKind) -> Vec<Said> {
     let setup = setup();
-    let scene = Scene::build(&setup.world().unwrap().scene).unwrap();
+    let scene = Scene::build(&setup.world.as_ref().unwrap().scene).unwrap();
     let outline: Vec<Point3<f64>> = scene.target().outline_m.clone();
     let clock: Arc<dyn Clock> = Arc::new(VirtualClock::new());
-    let renderer = StereoRenderer::new(scene, setup.rig.stereo, &setup.world().unwrap().sensor, 7).unwrap();
+    let renderer = StereoRenderer::new(scene, setup.rig.stereo, &setup.world.as_ref().unwrap().sensor, 7).unwrap();
     let config = pb3dp_camera_sim::SimCameraConfig { period: PERIOD, ..pb3dp_camera_sim::SimCameraConfig::default() };
     let camera = SimStereoCamera::new(renderer, Box::new(Passing), clock.clone(), config).unwrap();
     let fault = CameraFault { kind, from: PERIOD * SUFFER.start, until: PERIOD * SUFFER.end };

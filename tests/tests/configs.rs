@@ -50,7 +50,7 @@ fn every_configuration_is_accepted_by_its_reader() {
         } else if let Some(name) = path.strip_prefix("arms/").and_then(|name| name.strip_suffix(".toml")) {
             let named = format!("carries_cameras = {name:?}");
             let setup = changed_setup(&[("# carries_cameras = \"ur5e\"", &named)]);
-            assert_eq!(setup.rig.vs.key, format!("arms.{name}"));
+            assert_eq!(setup.rig.arms.vs.key, format!("arms.{name}"));
         } else if path.starts_with("deploy/") {
             // Read by the operating system; `cargo xtask tidy` parses each of these, and rejects others.
         } else {
@@ -107,12 +107,15 @@ fn the_setups_differ_only_in_what_they_are_for() {
             "arms.first_run",
             "arms.speed_scale",
             "arms.tc.backend",
+            "arms.tc.commissioning_record",
             "arms.vs.backend",
+            "arms.vs.commissioning_record",
             "experiment.move_s",
             "servo.approach.angular_max_deg_per_s",
             "servo.approach.linear_max_mm_per_s",
             "servo.speed.angular_max_deg_per_s",
             "servo.speed.linear_max_mm_per_s",
+            "supervisor.policies.operator_silent.action",
             "supervisor.policies.orientation_jump.resume",
             "supervisor.policies.outlier.resume",
             "supervisor.policies.position_jump.resume",
@@ -127,7 +130,7 @@ fn the_cameras_of_the_rig_can_be_read_alone() {
     let file = repository().join("configs/rig.toml");
     let (cameras, range) = read_cameras(&SetupArgs::of_file(&file)).unwrap();
     let setup = read_setup(&file).unwrap();
-    assert_eq!((Some(&cameras), range), (setup.real_cameras(), setup.range));
+    assert_eq!((Some(&cameras), range), (setup.rig.real_cameras.as_ref(), setup.range));
     assert_eq!(cameras.size(), ImageSize { width: 640, height: 480 });
     assert_eq!(cameras.calibration().unwrap().rig.baseline_m(), 0.1);
     let refused = read_cameras(&SetupArgs::of_file(&repository().join("configs/hil.toml"))).unwrap_err().to_string();

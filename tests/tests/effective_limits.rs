@@ -127,7 +127,7 @@ fn share_of_the_controller(setup: &Setup, scale: f64) -> f64 {
     (config.speed.soft_start_s, config.approach.speed) = (0.0, config.speed.tracking);
     (config.speed.tracking.linear_m_per_s, config.speed.tracking.angular_rad_per_s) = (2.0, 6.0);
     config.approach.speed = config.speed.tracking;
-    let arm = &setup.rig.vs;
+    let arm = &setup.rig.arms.vs;
     let mut controller = Controller::new(config, arm.chain.clone(), arm.limits).unwrap();
     let clock = VirtualClock::new();
     let mut share: f64 = 0.0;
@@ -169,7 +169,7 @@ fn every_consumer_of_the_limits_keeps_to_the_same_speeds() {
     for scale in SCALES {
         let setup = setup(scale);
         let expected = allowed(scale);
-        for (name, arm) in [("vs", &setup.rig.vs), ("tc", &setup.rig.tc)] {
+        for (name, arm) in [("vs", &setup.rig.arms.vs), ("tc", &setup.rig.arms.tc)] {
             assert_equal(arm.limits.velocity_max_rad_per_s(), &expected, name);
             assert_equal(&fastest_behind_the_limiter(arm), &expected, &format!("limiter, {name}, {scale}"));
             for joint in 0..DOF {
@@ -180,7 +180,7 @@ fn every_consumer_of_the_limits_keeps_to_the_same_speeds() {
         }
         let share = share_of_the_controller(&setup, scale);
         assert!((0.99..=1.0 + 1e-9).contains(&share), "controller at {scale}: {share}");
-        let (joint, allowed_rad_per_s) = refused_by_the_planner(&setup.rig.tc, &setup);
+        let (joint, allowed_rad_per_s) = refused_by_the_planner(&setup.rig.arms.tc, &setup);
         assert!((allowed_rad_per_s - expected[joint]).abs() < 1e-3, "planner at {scale}, joint {joint}");
     }
 }

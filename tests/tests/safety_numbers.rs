@@ -48,7 +48,8 @@ fn two_ways_to_compute_room_between_arms_agree() {
     // Closer than in the workcell, so that some overlap.
     for (arm, x_m) in [-0.4, 0.4].into_iter().enumerate() {
         rules.arms[arm].body.base.translation_m[0] = x_m;
-        let base = if arm == 0 { &mut setup.rig.vs.world_from_base } else { &mut setup.rig.tc.world_from_base };
+        let base =
+            if arm == 0 { &mut setup.rig.arms.vs.world_from_base } else { &mut setup.rig.arms.tc.world_from_base };
         *base = Pose::from_parts(Vector3::new(x_m, 0.0, 0.7), base.rotation());
     }
     let (mut first, mut second) = (Vec::new(), Vec::new());
@@ -58,9 +59,9 @@ fn two_ways_to_compute_room_between_arms_agree() {
         rules.arms[0].body.place(&vs_rad, &mut first);
         rules.arms[1].body.place(&tc_rad, &mut second);
         let ours_m = room_m(&first, &second);
-        let frames = [(&setup.rig.vs, vs_rad), (&setup.rig.tc, tc_rad)]
+        let frames = [(&setup.rig.arms.vs, vs_rad), (&setup.rig.arms.tc, tc_rad)]
             .map(|(arm, q_rad)| arm.chain.joint_frames(&JointVector::from(q_rad)));
-        let placed = [&setup.rig.vs, &setup.rig.tc].map(|arm| (&arm.shape, &arm.world_from_base));
+        let placed = [&setup.rig.arms.vs, &setup.rig.arms.tc].map(|arm| (&arm.shape, &arm.world_from_base));
         let [vs, tc] =
             [0, 1].map(|i| PlacedArm { shape: placed[i].0, world_from_base: placed[i].1, frames: &frames[i] });
         let theirs_m = clearance(&vs, &tc).distance_m;
@@ -74,7 +75,8 @@ fn two_ways_to_compute_room_between_arms_agree() {
 #[test]
 fn the_setup_of_the_cell_keeps_to_the_rules() {
     let (setup, rules) = (setup(), Rules::of_the_rig());
-    for (name, arm, rules) in [("vs-robot", &setup.rig.vs, &rules.arms[0]), ("tc-robot", &setup.rig.tc, &rules.arms[1])]
+    for (name, arm, rules) in
+        [("vs-robot", &setup.rig.arms.vs, &rules.arms[0]), ("tc-robot", &setup.rig.arms.tc, &rules.arms[1])]
     {
         keeps_to(name, arm, rules);
     }

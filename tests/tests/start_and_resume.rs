@@ -54,7 +54,7 @@ impl Operator for Person {
         });
         let (from_s, until_s) = self.silent;
         let heard_s = if (from_s..until_s).contains(&now_s) { from_s } else { now_s };
-        OperatorInput { said, heard_at: Some(MonotonicTime::from_secs_f64(heard_s)) }
+        OperatorInput { said, heard_at: Some(MonotonicTime::from_secs_f64(heard_s)), silent_after: None }
     }
 
     fn show(&mut self, decision: &Decision) {
@@ -66,6 +66,10 @@ impl Operator for Person {
     }
 
     fn is_person(&self) -> bool {
+        true
+    }
+
+    fn can_fall_silent(&self) -> bool {
         true
     }
 }
@@ -259,7 +263,7 @@ impl Seen {
             let joints = before.filter_map(|(.., measured)| *measured).next().unwrap();
             let speed = joints.velocity_rad_per_s.amax();
             assert!(speed > MOVING_RAD_PER_S, "{} has {speed} rad/s at {stopped_s} s", NAMES[arm]);
-            let setup = [&self.setup.rig.vs, &self.setup.rig.tc][arm];
+            let setup = [&self.setup.rig.arms.vs, &self.setup.rig.arms.tc][arm];
             let lag_s = setup.plant.velocity_time_constant.as_secs_f64();
             // Constant deceleration, then the lag of the drive.
             let most = setup.limits.acceleration_max_rad_per_s2();
@@ -305,7 +309,7 @@ impl Seen {
             assert!(speed < AT_REST_RAD_PER_S, "{name} starts from standstill: {speed} rad/s");
             let jump_rad = (begun.position_rad - before.position_rad).amax();
             assert!(jump_rad < AT_REST_RAD_PER_S, "{name} has not moved: {jump_rad} rad");
-            let most = [&self.setup.rig.vs, &self.setup.rig.tc][arm].limits.acceleration_max_rad_per_s2()
+            let most = [&self.setup.rig.arms.vs, &self.setup.rig.arms.tc][arm].limits.acceleration_max_rad_per_s2()
                 * (self.setup.control_period.as_secs_f64() * 1.001);
             for pair in exchanges[first - 1..].windows(2).take(50) {
                 let change = (sent(pair[1].1) - sent(pair[0].1)).abs();
@@ -357,9 +361,21 @@ fn a_person_selects_starts_holds_and_resumes() {
     let names: Vec<&str> = transitions.iter().map(|note| note.event).filter(|event| *event != "left").collect();
     assert_eq!(names[..2], ["select", "start"]);
     assert!(names.contains(&"hold") && names.contains(&"resume"), "{names:?}");
-    assert!(seen.braking_s(3.0, &[0]) < 0.5, "the hand moves when `hold` is given");
-    seen.begins_where_it_is(4.9, &[0]);
+    seen.stops(3.0, 5.0);
+    seen.begins_where_it_is(4.9, &[0, 1]);
     seen.ends_following();
+}
+
+#[test]
+fn hold_hand_lets_the_arm_with_the_target_move_on() {
+    let seen = scene(&[(3.0, OperatorCommand::HoldHand)], &[]).run(4.0);
+    let rested_s = 3.0 + seen.braking_s(3.0, &[0]);
+    let [vs, tc] = [0, 1].map(|arm| seen.noted[arm].lock().unwrap());
+    assert!(vs.told.iter().filter(|(at_s, ..)| *at_s > rested_s).all(|(_, command, _)| *command == JointCommand::Hold));
+    let mut moving = tc.told.iter().filter(|(at_s, ..)| (2.2..3.9).contains(at_s));
+    assert!(moving.all(|(_, command, _)| matches!(command, JointCommand::Velocity(_))));
+    drop((vs, tc));
+    seen.ends_in("holding");
 }
 
 #[test]
@@ -510,7 +526,7 @@ fn a_stop_that_fails_is_tried_again_and_nothing_is_reset_before() {
     seen.ends_in("idle");
 }
 
-/// With either arm, the hand holds until the operator resumes, and the other arm exchanges data in each step.
+/// With either arm, both hold until the operator resumes, and both exchange data in each step.
 #[test]
 fn a_command_that_an_arm_refuses_is_a_hold_until_resume() {
     for refuse in [[(3.0, 3.02), (0.0, 0.0)], [(0.0, 0.0), (3.0, 3.02)]] {
@@ -522,8 +538,8 @@ fn a_command_that_an_arm_refuses_is_a_hold_until_resume() {
         assert!(resumed.len() == 1 && (4.99..5.02).contains(&resumed[0]), "{:?}", seen.transitions());
         let [vs, tc] = [0, 1].map(|arm| seen.noted[arm].lock().unwrap());
         assert_eq!(vs.told.len(), tc.told.len(), "both arms get a command in each step");
-        let held = vs.told.iter().filter(|(at_s, ..)| (3.03..4.99).contains(at_s));
-        assert!(held.clone().count() > 150 && held.clone().all(|(_, command, _)| *command == JointCommand::Hold));
+        let held = vs.told.iter().chain(&tc.told).filter(|(at_s, ..)| (3.03..4.99).contains(at_s));
+        assert!(held.clone().count() > 300 && held.clone().all(|(_, command, _)| *command == JointCommand::Hold));
         drop((vs, tc));
         seen.ends_in("tracking");
     }

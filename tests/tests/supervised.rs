@@ -418,7 +418,8 @@ fn a_joint_that_runs_away_while_both_arms_are_switched_on_stops_both() {
     let conditions = [moving.arms().vs.condition(), moving.arms().tc.condition()];
     assert_eq!(conditions, [ArmCondition::Fault, ArmCondition::StoppedByOther], "{failure}");
     moving.stop().unwrap();
-    let went_rad = cell.vs.joints.simulated().unwrap().lock().unwrap().state().position_rad - setup.rig.vs.start_rad;
+    let went_rad =
+        cell.vs.joints.simulated().unwrap().lock().unwrap().state().position_rad - setup.rig.arms.vs.start_rad;
     assert!((0.02..0.15).contains(&went_rad.amax()), "{went_rad}");
     assert!(virtual_ends.iter().all(|(_, end)| end.look(|far| far.controller.is_braked())));
 }

@@ -155,8 +155,8 @@ impl BothArms {
     /// Arms that are not enabled yet: the one with the cameras, the one with the target.
     pub fn new(setup: &Setup, (vs, tc): (Box<dyn DrivenArm>, Box<dyn DrivenArm>), now: MonotonicTime) -> Self {
         Self {
-            vs: LedArm::new("vs-robot", vs, setup.rig.vs.start_rad, now),
-            tc: LedArm::new("tc-robot", tc, setup.rig.tc.start_rad, now),
+            vs: LedArm::new("vs-robot", vs, setup.rig.arms.vs.start_rad, now),
+            tc: LedArm::new("tc-robot", tc, setup.rig.arms.tc.start_rad, now),
             is_switching_on: false,
         }
     }
@@ -312,14 +312,16 @@ mod tests {
             let config = MockArmConfig { name: name.to_owned(), cycle, command_timeout };
             MockArm::new(config, Arc::new(Mutex::new(plant)), Arc::clone(&clock))
         };
-        let (vs, tc) = (mock("vs-robot", &setup.rig.vs), mock("tc-robot", &setup.rig.tc));
+        let (vs, tc) = (mock("vs-robot", &setup.rig.arms.vs), mock("tc-robot", &setup.rig.arms.tc));
         let faults = [vs.faults(), tc.faults()];
-        let pair = ((vs, setup.rig.vs.coupled()), (tc, setup.rig.tc.coupled()));
+        let pair = ((vs, setup.rig.arms.vs.coupled()), (tc, setup.rig.arms.tc.coupled()));
         let (vs, tc) = couple(pair.0, pair.1, setup.rig.least_room_m, &clock).unwrap();
-        let vs =
-            Box::new(Limiter::new(vs, setup.rig.vs.limits, setup.rig.vs.limiter.clone(), Arc::clone(&clock)).unwrap());
-        let tc =
-            Box::new(Limiter::new(tc, setup.rig.tc.limits, setup.rig.tc.limiter.clone(), Arc::clone(&clock)).unwrap());
+        let vs = Box::new(
+            Limiter::new(vs, setup.rig.arms.vs.limits, setup.rig.arms.vs.limiter.clone(), Arc::clone(&clock)).unwrap(),
+        );
+        let tc = Box::new(
+            Limiter::new(tc, setup.rig.arms.tc.limits, setup.rig.arms.tc.limiter.clone(), Arc::clone(&clock)).unwrap(),
+        );
         let mut arms = BothArms::new(&setup, (vs, tc), clock.now());
         assert!(arms.enable(EnablePosition::Start).unwrap());
         (arms, faults)

@@ -60,13 +60,14 @@ impl Capturing {
                 before: Arc::new(FramePair::black(camera.info().size)),
                 pool: Vec::new(),
                 has_noise: setup
-                    .world()
+                    .world
+                    .as_ref()
                     .is_none_or(|world| world.sensor.read_noise_grey > 0.0 || world.sensor.shot_noise_grey > 0.0),
                 camera,
             }),
             Sight::Geometric(camera) => Camera::Geometric(camera),
         };
-        let (timeout, has_truth) = (setup.rig.frames.period * 2, setup.world().is_some());
+        let (timeout, has_truth) = (setup.rig.frames.period * 2, setup.world.is_some());
         Self { camera, cell, has_truth, timeout, pairs_lost: 0, losses: Losses::default() }
     }
 

@@ -15,7 +15,7 @@ use rtrb::{Consumer, Producer, RingBuffer};
 
 use super::operator::Operator;
 
-/// Commands that no control step has taken yet; `stop` and `hold` need no space in this queue.
+/// Commands that no control step has taken yet; `stop`, `hold` and `hold hand` need no space in this queue.
 const WORDS_MAX: usize = 16;
 /// Answers that are not written yet.
 const ANSWERS_MAX: usize = 64;
@@ -26,20 +26,27 @@ const READ_AGAIN: Duration = Duration::from_millis(10);
 /// Time between two checks for results of commands; an operator does not notice it.
 const RESULTS_EVERY: Duration = Duration::from_millis(50);
 
+/// A console asks for a key this long before the longest silence, or a third of it before: time to read the line and to press Enter.
+const ASKS_BEFORE: Duration = Duration::from_secs(10);
+
 /// Part of the answer to an unknown command.
-const WORDS: &str = "use select, start, hold, resume, stop, reset, status, help or quit";
+const WORDS: &str = "use select, start, hold, hold hand, resume, stop, reset, status, help or quit";
+
+/// Question to an operator who types nothing while an arm may move.
+const ASK: &str = "are you there? press Enter now, or the arms hold (operator_silent)";
 
 /// Answer to `help`.
 const HELP: &str = "\
-select   initialise the marked target
-start    follow the target with the hand
-hold     hold both arms; resume continues
-resume   continue after a hold
-stop     stop both arms and close the brakes; reset leaves this state
-reset    clear a stop or a fault after its cause is gone
-status   show the state and what inhibits motion
-quit     stop both arms, write the report, exit
-help     show this list";
+select     initialise the marked target
+start      follow the target with the hand
+hold       hold both arms; resume continues
+hold hand  hold the camera arm; the arm with the target continues
+resume     continue after a hold
+stop       stop both arms and close the brakes; reset leaves this state
+reset      clear a stop or a fault after its cause is gone
+status     show the state and what inhibits motion
+quit       stop both arms, write the report, exit
+help       show this list";
 
 /// Operator commands from a console, one on each line. The end of the input ends the run, as `quit` does.
 pub struct Console {
@@ -47,6 +54,10 @@ pub struct Console {
     words: Consumer<(u64, OperatorRequest)>,
     shared: Arc<Shared>,
     heard_at: Option<MonotonicTime>,
+    /// Longest time without a key; `None` if the open console is the sign of life.
+    key_within: Option<Duration>,
+    /// The sign of life after which a key was asked for.
+    asked_after: Option<MonotonicTime>,
     /// Time at which commands were first accepted; commands queued before are stamped with it.
     begun_at: Option<MonotonicTime>,
     /// Commands up to this number precede a `stop` or `hold` that was taken, and are dropped.
@@ -67,6 +78,11 @@ struct Shared {
     has_begun: AtomicBool,
     stop: Urgent,
     hold: Urgent,
+    hold_hand: Urgent,
+    /// Time of the last line, nanoseconds.
+    typed_nanos: AtomicU64,
+    /// The operator must press a key; the answering thread asks for it.
+    asks_for_key: AtomicBool,
     shown: Mutex<Shown>,
 }
 
@@ -114,7 +130,8 @@ impl Console {
         let (say, said) = sync_channel(ANSWERS_MAX);
         let (results, decided) = RingBuffer::new(WORDS_MAX);
         let shared = Arc::new(Shared::default());
-        let write = move || write_all(&said, decided, answers, prompt);
+        let shown = Arc::clone(&shared);
+        let write = move || write_all(&said, (decided, &shown), answers, prompt);
         Builder::new().name("answers".to_owned()).spawn(write).context("no thread for the answers of the console")?;
         let reading = Reading {
             clock,
@@ -126,11 +143,51 @@ impl Console {
         };
         let read = move || reading.read(lines);
         Builder::new().name("console".to_owned()).spawn(read).context("no thread for the console")?;
-        Ok(Self { words, shared, heard_at: None, begun_at: None, overtaken: 0, commanded: None, results, untold: None })
+        Ok(Self {
+            words,
+            shared,
+            heard_at: None,
+            key_within: None,
+            asked_after: None,
+            begun_at: None,
+            overtaken: 0,
+            commanded: None,
+            results,
+            untold: None,
+        })
+    }
+
+    /// The same, but a line at least this often is the sign of life, instead of the open console: for arms that are not emulated.
+    pub fn with_keys(self, key_within: Duration) -> Self {
+        Self { key_within: Some(key_within), ..self }
+    }
+
+    /// The last sign of life.
+    fn heard_at(&self, begun_at: MonotonicTime, now: MonotonicTime) -> Option<MonotonicTime> {
+        if self.key_within.is_some() {
+            let typed_at = MonotonicTime::from_nanos(self.shared.typed_nanos.load(Ordering::SeqCst));
+            return Some(typed_at.clamp(begun_at, now.max(begun_at)));
+        }
+        // An open console counts as a sign of life, even while the operator types nothing.
+        if self.shared.is_closed.load(Ordering::SeqCst) { self.heard_at } else { Some(now) }
+    }
+
+    /// Asks for a key in time, once after each sign of life, while an arm may move.
+    fn ask_for_key(&mut self, decision: &Decision, now: MonotonicTime) {
+        let (Some(key_within), Some(heard_at)) = (self.key_within, self.heard_at) else { return };
+        let may_move = decision.state.is_moving() || (decision.state.is_resting() && !decision.no_arm_may_move);
+        let left = key_within.saturating_sub(now.saturating_since(heard_at));
+        if may_move && left <= ASKS_BEFORE.min(key_within / 3) && self.asked_after != Some(heard_at) {
+            self.asked_after = Some(heard_at);
+            self.shared.asks_for_key.store(true, Ordering::SeqCst);
+        }
     }
 
     fn next_word(&mut self) -> Option<OperatorRequest> {
-        for (urgent, word) in [(&self.shared.stop, OperatorCommand::Stop), (&self.shared.hold, OperatorCommand::Hold)] {
+        let Shared { stop, hold, hold_hand, .. } = &*self.shared;
+        let urgent =
+            [(stop, OperatorCommand::Stop), (hold, OperatorCommand::Hold), (hold_hand, OperatorCommand::HoldHand)];
+        for (urgent, word) in urgent {
             if let Some((number, at)) = urgent.take() {
                 self.overtaken = self.overtaken.max(number);
                 return Some(OperatorRequest { word, at });
@@ -156,16 +213,16 @@ impl Console {
 }
 
 impl Operator for Console {
-    fn listen(&mut self, _last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
+    fn listen(&mut self, last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
         let begun_at = *self.begun_at.get_or_insert(now);
         self.shared.has_begun.store(true, Ordering::SeqCst);
-        // An open console counts as a sign of life, even while the operator types nothing.
-        if !self.shared.is_closed.load(Ordering::SeqCst) {
-            self.heard_at = Some(now);
+        self.heard_at = self.heard_at(begun_at, now);
+        if let Some(last) = last {
+            self.ask_for_key(last, now);
         }
         let said = self.next_word().map(|said| OperatorRequest { at: said.at.max(begun_at), ..said });
         self.commanded = said.map(|said| said.word);
-        OperatorInput { said, heard_at: self.heard_at }
+        OperatorInput { said, heard_at: self.heard_at, silent_after: self.key_within }
     }
 
     fn show(&mut self, decision: &Decision) {
@@ -194,6 +251,10 @@ impl Operator for Console {
     fn is_person(&self) -> bool {
         true
     }
+
+    fn can_fall_silent(&self) -> bool {
+        self.key_within.is_some()
+    }
 }
 
 /// The result of a command.
@@ -201,6 +262,9 @@ fn result_of(command: OperatorCommand, decision: &Decision) -> String {
     match (&decision.refused, &decision.transition) {
         (Some(refused), _) => refused.to_string(),
         (None, Some(transition)) => format!("{}: {}", command.name(), transition.to),
+        (None, None) if command == OperatorCommand::Hold && decision.no_arm_may_move => {
+            format!("hold: both arms hold, the state is {}", decision.state)
+        }
         (None, None) => format!("{}: no change, the state is {}", command.name(), decision.state),
     }
 }
@@ -208,7 +272,7 @@ fn result_of(command: OperatorCommand, decision: &Decision) -> String {
 /// Writes answers until all senders are dropped; write errors are ignored.
 fn write_all(
     said: &Receiver<String>,
-    mut results: Consumer<(OperatorCommand, Decision)>,
+    (mut results, shared): (Consumer<(OperatorCommand, Decision)>, &Shared),
     mut answers: impl Write,
     prompt: &str,
 ) {
@@ -224,6 +288,9 @@ fn write_all(
         }
         while let Ok((command, decision)) = results.pop() {
             answer(&result_of(command, &decision));
+        }
+        if shared.asks_for_key.swap(false, Ordering::SeqCst) {
+            answer(ASK);
         }
         if said == Err(RecvTimeoutError::Disconnected) {
             return;
@@ -268,13 +335,14 @@ impl Drop for Reading {
 }
 
 /// The command of a line. `stop` and `hold` are recognised by the first word in any case and with any punctuation, because an operator
-/// in a hurry types `STOP!`; a command that can cause motion must be exact.
+/// in a hurry types `STOP!`; a command that can cause motion must be exact, and so must `hold hand`, which lets one arm move on.
 fn command_of(line: &str) -> Option<OperatorCommand> {
     let first = line.split(|c: char| !c.is_alphabetic()).find(|word| !word.is_empty()).unwrap_or_default();
     let is_cautious = |command: &OperatorCommand| {
         matches!(command, OperatorCommand::Stop | OperatorCommand::Hold) && command.name().eq_ignore_ascii_case(first)
     };
-    OperatorCommand::ALL.into_iter().find(|command| command.name() == line || is_cautious(command))
+    let mut all = OperatorCommand::ALL.into_iter();
+    all.clone().find(|command| command.name() == line).or_else(|| all.find(is_cautious))
 }
 
 impl Reading {
@@ -285,7 +353,7 @@ impl Reading {
         loop {
             match lines.by_ref().take(LINE_MAX).read_until(b'\n', &mut line) {
                 Ok(0) => break,
-                Ok(_) => {}
+                Ok(_) => self.shared.typed_nanos.store(self.clock.now().as_nanos(), Ordering::SeqCst),
                 Err(error) if error.kind() == ErrorKind::WouldBlock => {
                     std::thread::sleep(READ_AGAIN);
                     continue;
@@ -340,7 +408,7 @@ impl Reading {
                 self.interrupt.store(true, Ordering::SeqCst);
                 Some("enabling aborted: stopping both arms, then writing the report".to_owned())
             }
-            OperatorCommand::Select | OperatorCommand::Hold => Some(
+            OperatorCommand::Select | OperatorCommand::Hold | OperatorCommand::HoldHand => Some(
                 self.give(word).unwrap_or_else(|| format!("{} is queued until both arms are enabled", word.name())),
             ),
             OperatorCommand::Start | OperatorCommand::Resume | OperatorCommand::Reset => Some(format!(
@@ -356,6 +424,7 @@ impl Reading {
         match word {
             OperatorCommand::Stop => self.shared.stop.say(self.words, said.at),
             OperatorCommand::Hold => self.shared.hold.say(self.words, said.at),
+            OperatorCommand::HoldHand => self.shared.hold_hand.say(self.words, said.at),
             _ if self.give.push((self.words, said)).is_err() => {
                 return Some(format!("{} refused: {WORDS_MAX} commands are waiting; repeat it", word.name()));
             }

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_setup::setup::Setup;
 
@@ -48,6 +48,11 @@ pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Optio
 /// # Errors
 /// Refusals before an arm is enabled.
 pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&Path>) -> Result<Ended> {
+    if !setup.is_emulated() && !parts.operator.can_fall_silent() {
+        bail!(
+            "arms that are not emulated need an operator whose silence is noticed: use --operator console, or --move"
+        );
+    }
     // Everything that can be refused is created before an arm is enabled.
     let Parts { clock, camera, vs, tc, cell, experiment, marking, links, emulated, .. } = parts;
     let (operator, interrupt) = (parts.operator, parts.interrupt);

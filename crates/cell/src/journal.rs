@@ -39,7 +39,15 @@ pub struct Journal {
 impl Journal {
     /// An empty journal of an experiment with this duration that begins at `begin`.
     pub fn new(setup: &Setup, cell: SimulatedCell, (begin, duration_s): (MonotonicTime, f64), log: RunLog) -> Self {
-        Self { cell, chain: setup.rig.vs.chain.clone(), begin, duration_s, next_progress_s: 0.0, steps_untrue: 0, log }
+        Self {
+            cell,
+            chain: setup.rig.arms.vs.chain.clone(),
+            begin,
+            duration_s,
+            next_progress_s: 0.0,
+            steps_untrue: 0,
+            log,
+        }
     }
 
     /// Sets the start time of the experiment.
@@ -105,7 +113,7 @@ impl Journal {
             sample.world_from_hand_wanted = sample.world_from_target * wanted * model_from_hand;
             sample.world_from_hand_locked = sample.world_from_target * locked * model_from_hand;
         }
-        let (without_images, without_truth) = (!setup.leader.needs_images(), setup.world().is_none());
+        let (without_images, without_truth) = (!setup.leader.needs_images(), setup.world.is_none());
         let log = RunLog {
             without_images,
             without_truth,

@@ -3,6 +3,7 @@
 //! Wiring supplies the devices as [`parts`]. This crate names no arm, and no camera but the simulated one that renders no images.
 
 pub mod annotation;
+pub mod attended;
 pub mod both_arms;
 pub mod capturing;
 pub mod carrier;

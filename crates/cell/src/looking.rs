@@ -130,7 +130,7 @@ impl<'a> Estimating<'a> {
         let position_rad = self.joints.position_at(at).ok()?;
         let controller = &self.setup.controller;
         Some(
-            self.setup.rig.vs.chain.forward(&position_rad)
+            self.setup.rig.arms.vs.chain.forward(&position_rad)
                 * controller.flange_from_hand
                 * controller.hand_from_cam_left,
         )

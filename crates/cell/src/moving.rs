@@ -92,8 +92,8 @@ impl<'a> Moving<'a> {
     ) -> Result<Self> {
         Ok(Self {
             arms: BothArms::new(setup, arms, begin),
-            controller: Controller::new(setup.controller, setup.rig.vs.chain.clone(), setup.rig.vs.limits)?,
-            permitting: Permitting::new(&setup.supervisor, *setup.rig.vs.limits.operating())?,
+            controller: Controller::new(setup.controller, setup.rig.arms.vs.chain.clone(), setup.rig.arms.vs.limits)?,
+            permitting: Permitting::new(&setup.supervisor, *setup.rig.arms.vs.limits.operating())?,
             operator: Box::new(ByCommand),
             is_stopped: false,
             why_stopped: None,
@@ -101,7 +101,7 @@ impl<'a> Moving<'a> {
             stop_again_at: None,
             damping: Damping::new(setup.controller.damping.threshold, setup.controller.damping.factor_max)?,
             path: (setup.experiment.carrier == Carrier::Arm).then(|| {
-                FlangePath::of_carrier(experiment, &setup.rig.tc.world_from_base, &setup.rig.flange_from_target)
+                FlangePath::of_carrier(experiment, &setup.rig.arms.tc.world_from_base, &setup.rig.flange_from_target)
             }),
             begin,
             stepped_at: None,
@@ -166,7 +166,7 @@ impl<'a> Moving<'a> {
         heard
     }
 
-    /// After a refused command the hand holds as after the command `hold`; only `stop` takes precedence. The refusal is shown until the
+    /// After a refused command both arms hold as after the command `hold`; only `stop` takes precedence. The refusal is shown until the
     /// operator resumes.
     fn held_if_refused(&mut self, heard: OperatorInput, now: MonotonicTime) -> OperatorInput {
         let word = heard.said.map(|said| said.word);
@@ -193,7 +193,7 @@ impl<'a> Moving<'a> {
             return Err(failure);
         }
         if self.refusal == Refusal::None {
-            tracing::warn!("the hand holds because a command was refused: {failure:#}");
+            tracing::warn!("both arms hold because a command was refused: {failure:#}");
         }
         self.operator.tell(Some(format!("{failure:#}")));
         self.refusal = Refusal::InStepBefore;
@@ -212,7 +212,7 @@ impl<'a> Moving<'a> {
         }
         let t_s = now.seconds_since(self.begin) - self.waited.as_secs_f64();
         let position_rad = &self.arms.tc.joints().position_rad;
-        let (off_m, off_rad) = off_by(&self.setup.rig.tc.chain, path, t_s, position_rad);
+        let (off_m, off_rad) = off_by(&self.setup.rig.arms.tc.chain, path, t_s, position_rad);
         let was_away =
             std::mem::replace(&mut self.is_away, self.operator.is_person() && (off_m > AWAY_M || off_rad > AWAY_RAD));
         if self.is_away {
@@ -225,7 +225,7 @@ impl<'a> Moving<'a> {
             }
             return JointCommand::Hold;
         }
-        JointCommand::Velocity(carry(&self.setup.rig.tc.chain, &self.damping, path, t_s, position_rad))
+        JointCommand::Velocity(carry(&self.setup.rig.arms.tc.chain, &self.damping, path, t_s, position_rad))
     }
 
     /// Keeps both arms stopped with closed brakes until the operator resets them. Without a console operator the run ends; the cause from a

@@ -145,7 +145,7 @@ impl<'a> EstimateRecorder<'a> {
 
 /// Camera drift measurement, if the setup requests it.
 fn watch(setup: &Setup) -> Result<Option<DriftWatch>, EstimationError> {
-    let real = setup.real_cameras();
+    let real = setup.rig.real_cameras.as_ref();
     let is_synchronous = real.is_none_or(|cameras| cameras.synchronisation == Synchronisation::HardwareTrigger);
     let of_head = setup.rig.calibrations.iter().find(|calibration| calibration.table == "camera");
     let judgement = of_head.and_then(|calibration| calibration.judgement.as_ref());

@@ -1,4 +1,5 @@
-//! Sources of operator commands: the command line itself, or a console (`console.rs`).
+//! Sources of operator commands: the command line itself, alone or with a person beside the arms (`attended.rs`), or a console
+//! (`console.rs`).
 
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_servo::supervisor::{Decision, OperatorCommand, OperatorInput, OperatorRequest, State};
@@ -16,21 +17,31 @@ pub trait Operator: Send {
 
     /// Whether a person commands: only then are latched faults reset, and the target waits for the command `start`.
     fn is_person(&self) -> bool;
+
+    /// Whether the sign of life ends when nobody is there. A run moves arms that are not emulated only with such an operator.
+    fn can_fall_silent(&self) -> bool;
 }
 
 /// Operator of a run without a console: selects the target once, starts as soon as possible, and never resets or resumes. Its sign of life
-/// is that the run continues.
+/// is that the run continues, so it is for emulated arms only.
 #[derive(Clone, Copy, Debug)]
 pub struct ByCommand;
 
-impl Operator for ByCommand {
-    fn listen(&mut self, last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
-        let word = match last {
+impl ByCommand {
+    /// The command that leads on from the last decision.
+    pub(crate) fn next(last: Option<&Decision>) -> Option<OperatorCommand> {
+        match last {
             None => Some(OperatorCommand::Select),
             Some(decision) if decision.state == State::Selecting && decision.is_ready => Some(OperatorCommand::Start),
             Some(_) => None,
-        };
-        OperatorInput { said: word.map(|word| OperatorRequest { word, at: now }), heard_at: Some(now) }
+        }
+    }
+}
+
+impl Operator for ByCommand {
+    fn listen(&mut self, last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
+        let said = Self::next(last).map(|word| OperatorRequest { word, at: now });
+        OperatorInput { said, heard_at: Some(now), silent_after: None }
     }
 
     fn show(&mut self, _decision: &Decision) {}
@@ -38,6 +49,10 @@ impl Operator for ByCommand {
     fn tell(&mut self, _trouble: Option<String>) {}
 
     fn is_person(&self) -> bool {
+        false
+    }
+
+    fn can_fall_silent(&self) -> bool {
         false
     }
 }

@@ -132,16 +132,16 @@ impl ArmChoice {
     /// Its part of a setup.
     pub fn of(self, setup: &Setup) -> &ArmSetup {
         match self {
-            Self::Vs => &setup.rig.vs,
-            Self::Tc => &setup.rig.tc,
+            Self::Vs => &setup.rig.arms.vs,
+            Self::Tc => &setup.rig.arms.tc,
         }
     }
 
     /// Its part of a setup, mutable.
     pub fn of_mut(self, setup: &mut Setup) -> &mut ArmSetup {
         match self {
-            Self::Vs => &mut setup.rig.vs,
-            Self::Tc => &mut setup.rig.tc,
+            Self::Vs => &mut setup.rig.arms.vs,
+            Self::Tc => &mut setup.rig.arms.tc,
         }
     }
 }

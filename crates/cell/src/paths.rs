@@ -33,7 +33,7 @@ pub fn check_paths(
     if !is_carried {
         return Ok(vec![vs]);
     }
-    let (tc, key) = (&setup.rig.tc, &setup.rig.tc.key);
+    let (tc, key) = (&setup.rig.arms.tc, &setup.rig.arms.tc.key);
     let carrier = FlangePath::of_carrier(experiment, &tc.world_from_base, &setup.rig.flange_from_target);
     let checked = check_experiment(&tc.chain, &tc.limits, &tc.start_rad, &carrier, &PathRequirements::OF_EXPERIMENT);
     Ok(vec![vs, ("tc-robot", checked.map_err(|refusal| refused("tc-robot", key, refusal))?)])
@@ -53,7 +53,7 @@ fn without_jumps(motion: &MotionConfig) -> MotionConfig {
 }
 
 fn check_follower(setup: &Setup, experiment: &dyn Trajectory) -> Result<PathReport> {
-    let (vs, key) = (&setup.rig.vs, &setup.rig.vs.key);
+    let (vs, key) = (&setup.rig.arms.vs, &setup.rig.arms.vs.key);
     let follower = FlangePath::of_follower(
         experiment,
         &vs.world_from_base,
@@ -100,7 +100,8 @@ mod tests {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
         let mut setup = read_setup(std::path::Path::new(file)).unwrap();
         change(&mut setup);
-        let world_from_flange = setup.rig.tc.world_from_base * setup.rig.tc.chain.forward(&setup.rig.tc.start_rad);
+        let world_from_flange =
+            setup.rig.arms.tc.world_from_base * setup.rig.arms.tc.chain.forward(&setup.rig.arms.tc.start_rad);
         let start = world_from_flange * setup.rig.flange_from_target;
         check_paths(&setup, &*setup.experiment.motion.begin_at(start).unwrap(), start)
     }
@@ -158,12 +159,12 @@ mod tests {
     fn moves_that_either_arms_drives_do_not_allow_are_refused_with_key_and_ratio() {
         let [(_, vs), (_, tc)] = <[_; 2]>::try_from(checked(|_| {}).unwrap()).unwrap();
         let needed = [vs.acceleration_max_rad_per_s2[1].value, tc.acceleration_max_rad_per_s2[3].value];
-        let (refused, text) = refusal(|setup| weaken(&mut setup.rig.vs, 1, needed[0] / 2.0));
+        let (refused, text) = refusal(|setup| weaken(&mut setup.rig.arms.vs, 1, needed[0] / 2.0));
         assert!(matches!(refused, PathRefusal::TooAbrupt { joint: 1, .. }), "{text}");
         for part in ["vs-robot", "arms.vs.acceleration_max_rad_per_s2[1]", "2.00 times too much"] {
             assert!(text.contains(part), "{part} is not in {text}");
         }
-        let (refused, text) = refusal(|setup| weaken(&mut setup.rig.tc, 3, needed[1] / 3.0));
+        let (refused, text) = refusal(|setup| weaken(&mut setup.rig.arms.tc, 3, needed[1] / 3.0));
         assert!(matches!(refused, PathRefusal::TooAbrupt { joint: 3, .. }), "{text}");
         for part in ["tc-robot", "arms.tc.acceleration_max_rad_per_s2[3]", "3.00 times too much"] {
             assert!(text.contains(part), "{part} is not in {text}");

@@ -82,7 +82,7 @@ impl Marking {
                     format!(
                         "the target is not in front of the camera at the start: at {}.start_deg the camera points elsewhere; \
                          correct it, {}.start_deg, or the base poses",
-                        setup.rig.vs.key, setup.rig.tc.key
+                        setup.rig.arms.vs.key, setup.rig.arms.tc.key
                     )
                 })?;
                 Ok(Region::Polygon { vertices_px })

@@ -197,8 +197,8 @@ mod tests {
     fn a_plan_begins_where_it_was_made_and_nowhere_else() {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
         let setup = read_setup(std::path::Path::new(file)).unwrap();
-        let from_rad = setup.rig.vs.start_rad;
-        let plan = Plan::new(&setup.rig.vs, from_rad, JointVector::repeat(0.05)).unwrap();
+        let from_rad = setup.rig.arms.vs.start_rad;
+        let plan = Plan::new(&setup.rig.arms.vs, from_rad, JointVector::repeat(0.05)).unwrap();
         let moved = |joint: usize, by_rad: f64| {
             let mut at_rad = from_rad;
             at_rad[joint] += by_rad;

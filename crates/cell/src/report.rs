@@ -79,7 +79,7 @@ fn write_all(
         fs::write(&file, text).with_context(|| format!("{}: cannot be written", file.display()))
     };
     write("summary.json", serde_json::to_string_pretty(&json)? + "\n")?;
-    let joints = [&setup.rig.vs, &setup.rig.tc].map(|arm| arm.chain.joints());
+    let joints = [&setup.rig.arms.vs, &setup.rig.arms.tc].map(|arm| arm.chain.joints());
     write("timeseries.csv", timeseries_csv(&outcome.log, joints))?;
     write("estimates.csv", estimates_csv(&outcome.log.leading))?;
     let settings = setup.layers.effective();
@@ -125,7 +125,7 @@ impl Following {
 fn provenance(made: &Made, setup: &Setup, simulated_s: f64) -> Vec<(String, String)> {
     let calibrations: Vec<String> = setup.rig.calibrations.iter().map(CalibrationInUse::text).collect();
     let compared: Vec<&str> = setup.compared.iter().map(|method| method.name()).collect();
-    let images = match setup.real_cameras() {
+    let images = match setup.rig.real_cameras.as_ref() {
         Some(cameras) => format!("{} and {}", cameras.stereo.left.name, cameras.stereo.right.name),
         None if setup.leader.needs_images() => "rendered".to_owned(),
         None => "none".to_owned(),

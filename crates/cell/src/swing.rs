@@ -168,7 +168,7 @@ impl<'a> Swinging<'a> {
 }
 
 fn base_from_hand(setup: &Setup, joints: &JointState) -> Pose<Base, Hand> {
-    setup.rig.vs.chain.forward(&joints.position_rad) * setup.controller.flange_from_hand
+    setup.rig.arms.vs.chain.forward(&joints.position_rad) * setup.controller.flange_from_hand
 }
 
 /// Adds an item if there is space; drops it otherwise.
@@ -218,7 +218,7 @@ impl Swinging<'_> {
     fn swing(&mut self, now: MonotonicTime) -> Result<JointState> {
         self.arms.tc.exchange(JointCommand::Hold)?;
         let twist = self.motion.twist_at(now.seconds_since(self.begin)).expressed_in(&self.base_from_hand_at_begin);
-        let (chain, joints) = (&self.setup.rig.vs.chain, self.arms.vs.joints());
+        let (chain, joints) = (&self.setup.rig.arms.vs.chain, self.arms.vs.joints());
         let frames = chain.joint_frames(&joints.position_rad);
         let jacobian = chain.jacobian_at(&frames, &base_from_hand(self.setup, joints).translation_m().into());
         let velocity_rad_per_s = damped_pseudo_inverse(&jacobian, &self.damping) * twist.to_vector();

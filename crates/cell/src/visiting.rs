@@ -101,7 +101,7 @@ pub fn run(setup: &Setup, parts: Parts, tour: &Tour, folder: &Path, date: String
         capturing: Looking {
             capturing: Capturing::new(setup, camera, cell),
             // In simulation, images that are not used are not rendered.
-            unless_under_way: setup.world().is_some().then_some(&progress),
+            unless_under_way: setup.world.is_some().then_some(&progress),
             pause: (setup.pace == Pace::Live).then_some((&*clock, setup.rig.frames.period)),
         },
         resting: Resting { exposure: setup.rig.frames.exposure, step: None, sums: Sums::default(), before: None },
@@ -444,7 +444,7 @@ impl<'a> Keeping<'a> {
             let folder = folder.join(side);
             std::fs::create_dir_all(&folder).with_context(|| format!("{}: cannot be created", folder.display()))?;
         }
-        let chains = [setup.rig.vs.chain.clone(), setup.rig.tc.chain.clone()];
+        let chains = [setup.rig.arms.vs.chain.clone(), setup.rig.arms.tc.chain.clone()];
         Ok(Self {
             folder: folder.to_path_buf(),
             stops: Stops { date, stops: Vec::new() },

@@ -1,6 +1,7 @@
 //! The commands of one arm: `pb3dp arm`, `pb3dp gateway`, `pb3dp mock-arm`.
 
 pub mod arm;
+pub mod commissioned;
 pub mod gateway;
 pub mod mock_arm;
 

@@ -23,6 +23,8 @@ use pb3dp_setup::names::{FormatName, GeometryName};
 use pb3dp_sim::joint_dynamics::JointPlant;
 use pb3dp_wiring::MOCK_ARM;
 
+use crate::gateway::file::read_gateway;
+
 /// Help for fault scripts, `--fault` and standard input.
 const LINES: &str =
     "Faults, one per line, in a script, in --fault or typed while the arm runs (docs/mock-arm.md has all of them):
@@ -69,6 +71,9 @@ pub struct MockArmArgs {
     /// Symmetric joint limits in the EEPROM, degrees, from the base; those of a PA10-7C unless given.
     #[arg(long, value_name = "L1,..,L7", value_parser = parse_pose, allow_hyphen_values = true)]
     pub limits_deg: Option<PoseDeg>,
+    /// File of `pb3dp gateway` whose motion limits the emulated gateway uses; those of the built-in setups unless given.
+    #[arg(long, value_name = "FILE")]
+    pub gateway_limits: Option<std::path::PathBuf>,
     /// A script of faults.
     #[arg(long, value_name = "FILE")]
     pub script: Option<std::path::PathBuf>,
@@ -133,10 +138,14 @@ fn start(args: &MockArmArgs) -> anyhow::Result<MockServer> {
 
 fn face(args: &MockArmArgs, controller: &MockControllerConfig) -> anyhow::Result<MockFace> {
     let firmware = Firmware::new(&format!("{MOCK_ARM} {}", env!("CARGO_PKG_VERSION"))).context("the firmware name")?;
+    let limits = match &args.gateway_limits {
+        Some(file) => read_gateway(file, None, None)?.gateway.limits,
+        None => controller.motion_limits().context("--limits-deg")?,
+    };
     let gateway = GatewayConfig {
         geometry: args.geometry.into(),
         controller_watchdog: controller.watchdog,
-        ..GatewayConfig::new(ArmId(args.arm), controller.format, firmware)
+        ..GatewayConfig::new(ArmId(args.arm), controller.format, firmware, limits)
     };
     Ok(match (&args.bus, args.tcp, &args.key) {
         (Some(path), ..) => MockFace::BusSocket(path.clone()),

@@ -1,4 +1,7 @@
-//! Errors of the estimators.
+//! Errors of the estimators, and the declaration of allowed values.
+
+use std::fmt::Display;
+use std::ops::RangeInclusive;
 
 /// Why an estimation request was rejected. A pose that cannot be determined is not an error but a [`crate::status::Status`].
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -10,9 +13,9 @@ pub enum EstimationError {
         /// Name of the parameter.
         name: &'static str,
         /// Its value.
-        value: f64,
+        value: String,
         /// The allowed range.
-        expected: &'static str,
+        expected: String,
     },
     /// The image size differs from the image size of the calibration.
     #[error(
@@ -75,16 +78,28 @@ pub enum EstimationError {
     },
 }
 
-/// Rejects a parameter that is not finite or outside `[min, max]`.
-pub fn check_range(
+/// Rejects a parameter out of range, or NaN.
+///
+/// # Errors
+/// The parameter with its value and range.
+pub fn check_range<T: PartialOrd + Display>(
     name: &'static str,
-    value: f64,
-    (min, max): (f64, f64),
-    expected: &'static str,
+    value: T,
+    allowed: RangeInclusive<T>,
 ) -> Result<(), EstimationError> {
-    if value.is_finite() && value >= min && value <= max {
-        Ok(())
-    } else {
-        Err(EstimationError::Parameter { name, value, expected })
+    if allowed.contains(&value) {
+        return Ok(());
     }
+    let expected = format!("must be between {} and {}", allowed.start(), allowed.end());
+    Err(EstimationError::Parameter { name, value: value.to_string(), expected })
+}
+
+/// Declares the allowed values of parameters, as constants of the type that has the parameters. This is the only statement of a
+/// range: the check of the type and the files of a setup refer to it.
+#[macro_export]
+macro_rules! ranges {
+    ($($name:ident: $number:ty = $range:expr;)*) => {$(
+        #[doc = concat!("Allowed values of the parameter `", stringify!($name), "`.")]
+        pub const $name: std::ops::RangeInclusive<$number> = $range;
+    )*};
 }

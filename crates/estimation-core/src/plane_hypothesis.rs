@@ -7,10 +7,13 @@
 //!
 //! The images must be free of distortion: undistort or rectify them first (see `pb3dp_geometry::maps`).
 
+use std::ops::RangeInclusive;
+
 use nalgebra::{Matrix3, Vector2, Vector3};
 use pb3dp_geometry::{Distortion, ImageSize, Pinhole, StereoRig};
 
 use crate::error::{EstimationError, check_range};
+use crate::ranges;
 use crate::trig;
 
 /// psi of the paper: depth of the model's origin and two tilts of the model's plane.
@@ -196,6 +199,14 @@ pub struct SearchRange {
 }
 
 impl SearchRange {
+    ranges! {
+        Z_M: f64 = 1e-3..=1e3;
+        TILT_MAX_RAD: f64 = 0.0..=85f64.to_radians();
+    }
+
+    /// Least depth of a range, metres: chosen, a range of one depth has nothing to search.
+    const LEAST_DEPTH_M: f64 = 1e-3;
+
     /// Creates a validated range.
     ///
     /// # Errors
@@ -206,24 +217,21 @@ impl SearchRange {
         Ok(range)
     }
 
+    /// Allowed values of `z_max_m`.
+    pub fn z_max_m_allowed(&self) -> RangeInclusive<f64> {
+        let (nearest_m, farthest_m) = Self::Z_M.into_inner();
+        // Of NaN and a number, `max` gives the number.
+        (self.z_min_m.max(nearest_m) + Self::LEAST_DEPTH_M).min(farthest_m)..=farthest_m
+    }
+
     /// Checks the limits, see [`SearchRange::new`].
     ///
     /// # Errors
     /// The parameter that is out of its range.
     pub fn validate(&self) -> Result<(), EstimationError> {
-        check_range("search range z_min_m", self.z_min_m, (1e-3, 1e3), "must be between 0.001 m and 1000 m")?;
-        check_range("search range z_max_m", self.z_max_m, (1e-3, 1e3), "must be between 0.001 m and 1000 m")?;
-        if self.z_max_m <= self.z_min_m {
-            let expected = "must be greater than z_min_m";
-            return Err(EstimationError::Parameter { name: "search range z_max_m", value: self.z_max_m, expected });
-        }
-        let tilt_limit = 85f64.to_radians();
-        check_range(
-            "search range tilt_max_rad",
-            self.tilt_max_rad,
-            (0.0, tilt_limit),
-            "must be between 0 and 85 degrees (1.4835 rad)",
-        )
+        check_range("search range z_min_m", self.z_min_m, Self::Z_M)?;
+        check_range("search range z_max_m", self.z_max_m, self.z_max_m_allowed())?;
+        check_range("search range tilt_max_rad", self.tilt_max_rad, Self::TILT_MAX_RAD)
     }
 
     /// Whether a hypothesis is in the range (with a tolerance of 1e-9 for rounding).

@@ -8,6 +8,7 @@ mod levels;
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::ranges;
 
 use super::beyond::{Beyond, BeyondRange, is_doubtful};
 use super::disparity_plane::{DisparityPlane, DisparityRange};
@@ -71,41 +72,51 @@ impl ColdStartConfig {
         self.patch_area_px.max(self.refine.area_max_px)
     }
 
+    ranges! {
+        QUICK_AREA_PX: usize = 200..=1_000_000;
+        QUICK_SHARE_MIN: f64 = 0.0..=1.0;
+        SEARCH_AREA_PX: usize = 200..=1_000_000;
+        PATCH_AREA_PX: usize = 200..=1_000_000;
+        SURROUNDINGS_PX: usize = 0..=reach::REACH_MAX_PX;
+    }
+
     /// Checks all ranges.
     ///
     /// # Errors
     /// The parameter that is out of its range.
     pub fn validate(&self) -> Result<(), EstimationError> {
-        let area =
-            |name, value: usize| check_range(name, value as f64, (200.0, 1e6), "must be between 200 and 1000000");
-        area("direct.search.area_max_px", self.search_area_px)?;
-        area("direct.search.quick_area_max_px", self.quick_area_px)?;
-        area("direct.patches.area_max_px", self.patch_area_px)?;
-        let share = self.quick_share_min;
-        check_range("direct.search.quick_share_min", share, (0.0, 1.0), "must be between 0 and 1")?;
-        let (reach, reach_max) = (self.surroundings_px as f64, reach::REACH_MAX_PX as f64);
-        check_range("direct.refine.surroundings_px", reach, (0.0, reach_max), "must be between 0 and 16 pixels")?;
+        check_range("direct.search.area_max_px", self.search_area_px, Self::SEARCH_AREA_PX)?;
+        check_range("direct.search.quick_area_max_px", self.quick_area_px, Self::QUICK_AREA_PX)?;
+        check_range("direct.patches.area_max_px", self.patch_area_px, Self::PATCH_AREA_PX)?;
+        check_range("direct.search.quick_share_min", self.quick_share_min, Self::QUICK_SHARE_MIN)?;
+        check_range("direct.refine.surroundings_px", self.surroundings_px, Self::SURROUNDINGS_PX)?;
         self.search.validate()?;
         self.patches.validate()?;
-        validate_refine(&self.refine)
+        self.refine.validate()
     }
 }
 
-/// Checks the ranges of the refinement parameters that can be configured.
-fn validate_refine(refine: &RefineConfig) -> Result<(), EstimationError> {
-    let area = refine.area_max_px as f64;
-    check_range("direct.refine.area_max_px", area, (200.0, 1e6), "must be between 200 and 1000000")?;
-    let points = refine.points_max as f64;
-    check_range("direct.refine.points_max", points, (100.0, 1e6), "must be between 100 and 1000000")?;
-    let steps = refine.iterations_max as f64;
-    check_range("direct.refine.iterations_max", steps, (1.0, 100.0), "must be between 1 and 100")?;
-    let place = refine.place_sigma_px;
-    check_range("direct.refine.place_sigma_px", place, (0.0, 2.0), "must be between 0 and 2 pixels")?;
-    let pixels = |name, value| check_range(name, value, (0.0, 5.0), "must be between 0 and 5 pixels");
-    pixels("direct.refine.row_sigma_px", refine.row_sigma_px)?;
-    pixels("direct.refine.calibration_sigma_px", refine.calibration_sigma_px)?;
-    let blur = refine.blur_sigma_px2;
-    check_range("direct.refine.blur_sigma_px2", blur, (0.0, 5.0), "must be between 0 and 5 squared pixels")
+impl RefineConfig {
+    ranges! {
+        AREA_MAX_PX: usize = 200..=1_000_000;
+        POINTS_MAX: usize = 100..=1_000_000;
+        ITERATIONS_MAX: usize = 1..=100;
+        PLACE_SIGMA_PX: f64 = 0.0..=2.0;
+        ROW_SIGMA_PX: f64 = 0.0..=5.0;
+        CALIBRATION_SIGMA_PX: f64 = 0.0..=5.0;
+        BLUR_SIGMA_PX2: f64 = 0.0..=5.0;
+    }
+
+    /// Checks the ranges of the parameters that can be configured.
+    fn validate(&self) -> Result<(), EstimationError> {
+        check_range("direct.refine.area_max_px", self.area_max_px, Self::AREA_MAX_PX)?;
+        check_range("direct.refine.points_max", self.points_max, Self::POINTS_MAX)?;
+        check_range("direct.refine.iterations_max", self.iterations_max, Self::ITERATIONS_MAX)?;
+        check_range("direct.refine.place_sigma_px", self.place_sigma_px, Self::PLACE_SIGMA_PX)?;
+        check_range("direct.refine.row_sigma_px", self.row_sigma_px, Self::ROW_SIGMA_PX)?;
+        check_range("direct.refine.calibration_sigma_px", self.calibration_sigma_px, Self::CALIBRATION_SIGMA_PX)?;
+        check_range("direct.refine.blur_sigma_px2", self.blur_sigma_px2, Self::BLUR_SIGMA_PX2)
+    }
 }
 
 /// Residual disparity error of the calibration of real rigs, pixels: on real pairs with ground truth, covariances without it

@@ -11,6 +11,7 @@ mod kernels;
 
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
 
 use self::closest::Sampled;
@@ -60,18 +61,24 @@ impl Default for PatchConfig {
 }
 
 impl PatchConfig {
+    ranges! {
+        REACH: usize = 1..=REACH_MAX;
+        SUPPORT_PX: f64 = 0.1..=2.0;
+        CORRELATION_MIN: f64 = 0.0..=1.0;
+        TEXTURE_MIN: f64 = 0.0..=100.0;
+        GRADIENT_HALF: f64 = 0.0..=100.0;
+    }
+
     /// Checks all ranges.
     ///
     /// # Errors
     /// The parameter that is out of its range.
     pub fn validate(&self) -> Result<(), EstimationError> {
-        let reach = (1.0, REACH_MAX as f64);
-        check_range("direct.patches.reach_px", self.reach as f64, reach, "must be between 1 and 3 pixels")?;
-        check_range("direct.patches.support_px", self.support_px, (0.1, 2.0), "must be between 0.1 and 2 pixels")?;
-        let correlation = self.correlation_min;
-        check_range("direct.patches.correlation_min", correlation, (0.0, 1.0), "must be between 0 and 1")?;
-        check_range("direct.patches.texture_min", self.texture_min, (0.0, 100.0), "must be between 0 and 100")?;
-        check_range("direct.patches.gradient_half", self.gradient_half, (0.0, 100.0), "must be between 0 and 100")
+        check_range("direct.patches.reach_px", self.reach, Self::REACH)?;
+        check_range("direct.patches.support_px", self.support_px, Self::SUPPORT_PX)?;
+        check_range("direct.patches.correlation_min", self.correlation_min, Self::CORRELATION_MIN)?;
+        check_range("direct.patches.texture_min", self.texture_min, Self::TEXTURE_MIN)?;
+        check_range("direct.patches.gradient_half", self.gradient_half, Self::GRADIENT_HALF)
     }
 }
 

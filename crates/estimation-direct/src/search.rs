@@ -9,6 +9,7 @@ use std::ops::RangeInclusive;
 use nalgebra::{Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::wide::wide;
 
 use self::aggregate::{Aggregation, Penalties, WinnerRules};
@@ -50,20 +51,29 @@ impl Default for PlaneSearchConfig {
 }
 
 impl PlaneSearchConfig {
+    ranges! {
+        NOISE: f64 = 0.1..=50.0;
+    }
+
     /// Checks all ranges.
     ///
     /// # Errors
     /// The parameter that is out of its range.
     pub fn validate(&self) -> Result<(), EstimationError> {
         let Penalties { small, large } = self.penalties;
-        check_range("direct.search.noise_grey", self.noise, (0.1, 50.0), "must be between 0.1 and 50 grey levels")?;
-        check_range("direct.search.penalty_large", large.into(), (1.0, 120.0), "must be between 1 and 120")?;
-        let limit = (0.0, large.into());
-        check_range("direct.search.penalty_small", small.into(), limit, "must be at most penalty_large")?;
-        let tolerance = self.hypotheses.tolerance_px;
-        check_range("direct.search.tolerance_px", tolerance, (0.1, 5.0), "must be between 0.1 and 5 pixels")?;
-        let draws = self.hypotheses.draws as f64;
-        check_range("direct.search.draws", draws, (1.0, 100_000.0), "must be between 1 and 100000")
+        check_range("direct.search.noise_grey", self.noise, Self::NOISE)?;
+        check_range("direct.search.penalty_large", large, 1..=120)?;
+        check_range("direct.search.penalty_small", small, 0..=large)?;
+        let HypothesisRules { draws, tolerance_px, .. } = self.hypotheses;
+        check_range("direct.search.tolerance_px", tolerance_px, HypothesisRules::TOLERANCE_PX)?;
+        check_range("direct.search.draws", draws, HypothesisRules::DRAWS)
+    }
+}
+
+impl HypothesisRules {
+    ranges! {
+        DRAWS: usize = 1..=100_000;
+        TOLERANCE_PX: f64 = 0.1..=5.0;
     }
 }
 

@@ -2,6 +2,7 @@
 
 use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::status::{Status, Verdict};
 
 use crate::outcome::{ColdStartOutcome, support_of};
@@ -37,18 +38,24 @@ impl Default for DirectVerdictConfig {
 }
 
 impl DirectVerdictConfig {
+    ranges! {
+        SUPPORT_MIN: f64 = 0.0..=1.0;
+        SUPPORT_SURE_MIN: f64 = 0.0..=1.0;
+        ALIAS_SCORE_MAX: f64 = 0.0..=1.0;
+        SECOND_SHARE_MAX: f64 = 0.0..=1.0;
+        NORMAL_SIGMA_MAX_DEG: f64 = 0.0..=90.0;
+    }
+
     /// Checks all ranges.
     ///
     /// # Errors
     /// The parameter that is out of its range.
     pub fn validate(&self) -> Result<(), EstimationError> {
-        let share = |name, value| check_range(name, value, (0.0, 1.0), "must be between 0 and 1");
-        share("direct.status.support_min", self.support_min)?;
-        share("direct.status.support_sure_min", self.support_sure_min)?;
-        share("direct.status.alias_score_max", self.alias_score_max)?;
-        share("direct.status.second_share_max", self.second_share_max)?;
-        let degrees = self.normal_sigma_max_deg;
-        check_range("direct.status.normal_sigma_max_deg", degrees, (0.0, 90.0), "must be between 0 and 90 degrees")
+        check_range("direct.status.support_min", self.support_min, Self::SUPPORT_MIN)?;
+        check_range("direct.status.support_sure_min", self.support_sure_min, Self::SUPPORT_SURE_MIN)?;
+        check_range("direct.status.alias_score_max", self.alias_score_max, Self::ALIAS_SCORE_MAX)?;
+        check_range("direct.status.second_share_max", self.second_share_max, Self::SECOND_SHARE_MAX)?;
+        check_range("direct.status.normal_sigma_max_deg", self.normal_sigma_max_deg, Self::NORMAL_SIGMA_MAX_DEG)
     }
 }
 

@@ -12,6 +12,7 @@ use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose};
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, MarkedTarget};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::region::RegionConfig;
 use pb3dp_estimation_core::status::{Status, Verdict};
 use pb3dp_geometry::StereoRig;
@@ -104,6 +105,18 @@ pub struct HueSupportConfig {
     pub points_min: usize,
 }
 
+impl HueSupportConfig {
+    ranges! {
+        COLOURED_SHARE_MIN: f64 = 0.0..=1.0;
+        POINTS_MIN: usize = 1..=20_000;
+    }
+
+    fn validate(&self) -> Result<(), EstimationError> {
+        check_range("hue support coloured_share_min", self.coloured_share_min, Self::COLOURED_SHARE_MIN)?;
+        check_range("hue support points_min", self.points_min, Self::POINTS_MIN)
+    }
+}
+
 impl Default for HueSupportConfig {
     fn default() -> Self {
         Self { coloured_share_min: 0.3, points_min: 40 }
@@ -123,8 +136,7 @@ impl PublishedConfig {
         self.cold_start_rmga().validate()?;
         self.observability.validate()?;
         self.tracker.validate()?;
-        let share = self.hue_support.coloured_share_min;
-        check_range("hue support coloured_share_min", share, (0.0, 1.0), "must be between 0 and 1")
+        self.hue_support.validate()
     }
 
     /// The limits for estimates whose depth is roughly known from the previous frame.

@@ -15,6 +15,7 @@
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::plane_hypothesis::{PinholePair, PlaneHypothesis, SearchRange};
+use pb3dp_estimation_core::ranges;
 
 use crate::hue::HuePlane;
 use crate::photo_model::PhotoModel;
@@ -61,13 +62,16 @@ impl Default for FitnessConfig {
 }
 
 impl FitnessConfig {
+    ranges! {
+        HUE_TOLERANCE_DEG: f64 = 0.0..=180.0;
+    }
+
     /// Checks the ranges.
     ///
     /// # Errors
     /// A tolerance outside 0 to 180 degrees.
     pub fn validate(&self) -> Result<(), EstimationError> {
-        let expected = "must be between 0 and 180 degrees";
-        check_range("fitness hue_tolerance_deg", self.hue_tolerance_deg, (0.0, 180.0), expected)
+        check_range("fitness hue_tolerance_deg", self.hue_tolerance_deg, Self::HUE_TOLERANCE_DEG)
     }
 
     /// The tolerance in steps of 1/65536 turn. Both hues are rounded to 1/32768 turn, so the tolerance includes one such step.
@@ -170,9 +174,11 @@ fn check_right_image(pair: &PinholePair, right: &HuePlane) -> Result<(), Estimat
             expected_height: expected.height as usize,
         });
     }
-    for (name, side) in [("right image width", expected.width), ("right image height", expected.height)] {
-        let range = (1.0, f64::from(IMAGE_SIDE_MAX_PX));
-        check_range(name, f64::from(side), range, "must be between 1 and 8192 pixels: scale the images down")?;
+    for (name, side) in [
+        ("right image width (px; scale larger images down)", expected.width),
+        ("right image height (px; scale larger images down)", expected.height),
+    ] {
+        check_range(name, side, 1..=IMAGE_SIDE_MAX_PX)?;
     }
     Ok(())
 }

@@ -6,6 +6,7 @@
 use image::RgbImage;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::wide::wide;
 
 /// Number of padding elements before and after the pixels, so that kernels may read a whole vector at either end.
@@ -33,13 +34,18 @@ impl Default for HueConfig {
 }
 
 impl HueConfig {
+    ranges! {
+        SATURATION_MIN: f64 = 0.0..=1.0;
+        VALUE_MIN: f64 = 0.0..=1.0;
+    }
+
     /// Checks the ranges.
     ///
     /// # Errors
     /// A gate outside 0 to 1.
     pub fn validate(&self) -> Result<(), EstimationError> {
-        check_range("hue saturation_min", self.saturation_min, (0.0, 1.0), "must be between 0 and 1")?;
-        check_range("hue value_min", self.value_min, (0.0, 1.0), "must be between 0 and 1")
+        check_range("hue saturation_min", self.saturation_min, Self::SATURATION_MIN)?;
+        check_range("hue value_min", self.value_min, Self::VALUE_MIN)
     }
 
     /// The gates as integers for the kernels; values out of range are clamped.

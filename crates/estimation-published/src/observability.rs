@@ -19,6 +19,7 @@
 use nalgebra::Vector3;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
+use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_estimation_core::status::{Status, Verdict};
 use pb3dp_estimation_core::trig;
@@ -96,28 +97,42 @@ impl Default for ObservabilityConfig {
 }
 
 impl ObservabilityConfig {
+    ranges! {
+        DISPARITY_STEP_PX: f64 = 0.1..=20.0;
+        DEPTH_NODES_MAX: usize = 8..=1024;
+        COARSE_TILT_STEP_RAD: f64 = 1f64.to_radians()..=45f64.to_radians();
+        FINE_TILT_STEP_RAD: f64 = 0.5f64.to_radians()..=45f64.to_radians();
+        BLOCKS_PER_SIDE: u32 = 2..=8;
+        RESAMPLES: usize = 4..=1000;
+        CANDIDATES_MAX: usize = 100..=100_000;
+        FITNESS_TOLERANCE: f64 = 0.0..=1.0;
+        HEIGHT_MIN: f64 = 0.0..=1.0;
+        DEPTH_SPREAD_MAX: f64 = 0.0..=1.0;
+        DEPTH_SPREAD_SURE: f64 = 0.0..=1.0;
+        RUNNER_UP_MAX: f64 = 0.0..=1.0;
+        FITNESS_SURE: f64 = 0.0..=1.0;
+        TILT_SPREAD_SURE_RAD: f64 = 0.3f64.to_radians()..=85f64.to_radians();
+    }
+
     /// Checks the ranges.
     ///
     /// # Errors
     /// The parameter that is out of its range.
     pub fn validate(&self) -> Result<(), EstimationError> {
-        let share = |name, value| check_range(name, value, (0.0, 10.0), "must be between 0 and 10");
-        let angle = |name, value| check_range(name, value, (0.005, 1.5), "must be between 0.005 and 1.5 rad");
-        check_range("probe disparity_step_px", self.disparity_step_px, (0.1, 20.0), "must be between 0.1 and 20")?;
-        check_range("probe depth_nodes_max", self.depth_nodes_max as f64, (8.0, 1024.0), "must be between 8 and 1024")?;
-        angle("probe coarse_tilt_step_rad", self.coarse_tilt_step_rad)?;
-        angle("probe fine_tilt_step_rad", self.fine_tilt_step_rad)?;
-        angle("probe tilt_spread_sure_rad", self.tilt_spread_sure_rad)?;
-        check_range("probe blocks_per_side", f64::from(self.blocks_per_side), (2.0, 8.0), "must be between 2 and 8")?;
-        check_range("probe resamples", self.resamples as f64, (4.0, 1000.0), "must be between 4 and 1000")?;
-        let candidates = self.candidates_max as f64;
-        check_range("probe candidates_max", candidates, (100.0, 1e5), "must be between 100 and 100000")?;
-        share("probe fitness_tolerance", self.fitness_tolerance)?;
-        share("probe height_min", self.height_min)?;
-        share("probe depth_spread_max", self.depth_spread_max)?;
-        share("probe depth_spread_sure", self.depth_spread_sure)?;
-        share("probe fitness_sure", self.fitness_sure)?;
-        share("probe runner_up_max", self.runner_up_max)
+        check_range("probe disparity_step_px", self.disparity_step_px, Self::DISPARITY_STEP_PX)?;
+        check_range("probe depth_nodes_max", self.depth_nodes_max, Self::DEPTH_NODES_MAX)?;
+        check_range("probe coarse_tilt_step_rad", self.coarse_tilt_step_rad, Self::COARSE_TILT_STEP_RAD)?;
+        check_range("probe fine_tilt_step_rad", self.fine_tilt_step_rad, Self::FINE_TILT_STEP_RAD)?;
+        check_range("probe tilt_spread_sure_rad", self.tilt_spread_sure_rad, Self::TILT_SPREAD_SURE_RAD)?;
+        check_range("probe blocks_per_side", self.blocks_per_side, Self::BLOCKS_PER_SIDE)?;
+        check_range("probe resamples", self.resamples, Self::RESAMPLES)?;
+        check_range("probe candidates_max", self.candidates_max, Self::CANDIDATES_MAX)?;
+        check_range("probe fitness_tolerance", self.fitness_tolerance, Self::FITNESS_TOLERANCE)?;
+        check_range("probe height_min", self.height_min, Self::HEIGHT_MIN)?;
+        check_range("probe depth_spread_max", self.depth_spread_max, Self::DEPTH_SPREAD_MAX)?;
+        check_range("probe depth_spread_sure", self.depth_spread_sure, Self::DEPTH_SPREAD_SURE)?;
+        check_range("probe fitness_sure", self.fitness_sure, Self::FITNESS_SURE)?;
+        check_range("probe runner_up_max", self.runner_up_max, Self::RUNNER_UP_MAX)
     }
 }
 

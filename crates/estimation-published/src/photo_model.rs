@@ -8,6 +8,7 @@
 
 use nalgebra::Vector2;
 use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::region::RegionMask;
 
 use crate::hue::{Hue, HuePlane};
@@ -35,17 +36,24 @@ impl Default for PhotoModelConfig {
 }
 
 impl PhotoModelConfig {
+    ranges! {
+        INNER_POINTS: u32 = 1..=20_000;
+        OUTER_POINTS: u32 = 0..=20_000;
+        SPACING_MIN_PX: u32 = 1..=100;
+        BAND_GAP_PX: u32 = 0..=200;
+        BAND_WIDTH_PX: u32 = 1..=200;
+    }
+
     /// Checks the ranges.
     ///
     /// # Errors
     /// The parameter that is out of its range.
     pub fn validate(&self) -> Result<(), EstimationError> {
-        let check = |name, value, range, expected| check_range(name, f64::from(value), range, expected);
-        check("photo model inner_points", self.inner_points, (1.0, 2e4), "must be between 1 and 20000")?;
-        check("photo model outer_points", self.outer_points, (0.0, 2e4), "must be between 0 and 20000")?;
-        check("photo model spacing_min_px", self.spacing_min_px, (1.0, 100.0), "must be between 1 and 100")?;
-        check("photo model band_gap_px", self.band_gap_px, (0.0, 200.0), "must be between 0 and 200")?;
-        check("photo model band_width_px", self.band_width_px, (1.0, 200.0), "must be between 1 and 200")
+        check_range("photo model inner_points", self.inner_points, Self::INNER_POINTS)?;
+        check_range("photo model outer_points", self.outer_points, Self::OUTER_POINTS)?;
+        check_range("photo model spacing_min_px", self.spacing_min_px, Self::SPACING_MIN_PX)?;
+        check_range("photo model band_gap_px", self.band_gap_px, Self::BAND_GAP_PX)?;
+        check_range("photo model band_width_px", self.band_width_px, Self::BAND_WIDTH_PX)
     }
 }
 

@@ -1,6 +1,7 @@
 //! Parameters of the tracker.
 
 use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::ranges;
 
 /// Parameters of the direct tracker.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,30 +49,33 @@ impl Default for DirectTrackerConfig {
 }
 
 impl DirectTrackerConfig {
+    ranges! {
+        POINTS: usize = 64..=16_384;
+        EROSION_PX: u32 = 0..=50;
+        STEPS_MAX: usize = 1..=50;
+        VIEWS_MAX: usize = 1..=100;
+        VIEW_TURN_DEG: f64 = 2.0..=60.0;
+        VIEW_SCALE: f64 = 1.05..=4.0;
+        RELIEF_SIGMA_PX: f64 = 0.0..=10.0;
+        INLIER_SHARE_MIN: f64 = 0.05..=0.95;
+        CORRELATION_MIN: f64 = 0.0..=1.0;
+        TILT_SIGMA_SURE_DEG: f64 = 0.01..=90.0;
+    }
+
     /// Checks all ranges.
     ///
     /// # Errors
     /// The parameter that is out of its range.
     pub fn validate(&self) -> Result<(), EstimationError> {
-        check_range("direct.tracker.points", self.points as f64, (64.0, 16_384.0), "must be between 64 and 16384")?;
-        check_range("direct.tracker.erosion_px", f64::from(self.erosion_px), (0.0, 50.0), "must be between 0 and 50")?;
-        check_range("direct.tracker.steps_max", self.steps_max as f64, (1.0, 50.0), "must be between 1 and 50")?;
-        check_range("direct.tracker.views_max", self.views_max as f64, (1.0, 100.0), "must be between 1 and 100")?;
-        check_range("direct.tracker.view_turn_deg", self.view_turn_deg, (2.0, 60.0), "must be between 2 and 60")?;
-        check_range("direct.tracker.view_scale", self.view_scale, (1.05, 4.0), "must be between 1.05 and 4")?;
-        check_range("direct.tracker.relief_sigma_px", self.relief_sigma_px, (0.0, 10.0), "must be between 0 and 10")?;
-        check_range(
-            "direct.tracker.inlier_share_min",
-            self.inlier_share_min,
-            (0.05, 0.95),
-            "must be between 0.05 and 0.95",
-        )?;
-        check_range("direct.tracker.correlation_min", self.correlation_min, (0.0, 1.0), "must be between 0 and 1")?;
-        check_range(
-            "direct.tracker.tilt_sigma_sure_deg",
-            self.tilt_sigma_sure_deg,
-            (0.01, 90.0),
-            "must be between 0.01 and 90",
-        )
+        check_range("direct.tracker.points", self.points, Self::POINTS)?;
+        check_range("direct.tracker.erosion_px", self.erosion_px, Self::EROSION_PX)?;
+        check_range("direct.tracker.steps_max", self.steps_max, Self::STEPS_MAX)?;
+        check_range("direct.tracker.views_max", self.views_max, Self::VIEWS_MAX)?;
+        check_range("direct.tracker.view_turn_deg", self.view_turn_deg, Self::VIEW_TURN_DEG)?;
+        check_range("direct.tracker.view_scale", self.view_scale, Self::VIEW_SCALE)?;
+        check_range("direct.tracker.relief_sigma_px", self.relief_sigma_px, Self::RELIEF_SIGMA_PX)?;
+        check_range("direct.tracker.inlier_share_min", self.inlier_share_min, Self::INLIER_SHARE_MIN)?;
+        check_range("direct.tracker.correlation_min", self.correlation_min, Self::CORRELATION_MIN)?;
+        check_range("direct.tracker.tilt_sigma_sure_deg", self.tilt_sigma_sure_deg, Self::TILT_SIGMA_SURE_DEG)
     }
 }

@@ -13,8 +13,8 @@
 //! Only distinctive matches count, and only those that agree in their distance from the curve. Repeated or missing texture
 //! therefore leads to [`PairVerdict::Unknown`] and not to a warning.
 
+mod images;
 mod matching;
-mod plane;
 
 #[cfg(test)]
 mod tests;

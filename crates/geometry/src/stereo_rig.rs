@@ -25,7 +25,10 @@ pub enum StereoRigError {
     },
     /// Left and right are swapped.
     #[error(
-        "the right camera's centre is {right_by_m} m to the right of the left camera's (at least half the baseline is needed): left and right are swapped, or the sign of the translation is wrong"
+        "the right camera is {:.1} mm to the {} of the left camera, but must be to the right of it by at least half the baseline: exchange \
+         left and right, or check the sign of the translation",
+        right_by_m.abs() * 1e3,
+        if *right_by_m < 0.0 { "left" } else { "right" }
     )]
     Swapped {
         /// x of the right camera's centre in `cam_left`, metres.

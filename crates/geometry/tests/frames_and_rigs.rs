@@ -110,7 +110,9 @@ fn rigs_with_an_impossible_baseline_or_swapped_cameras_are_refused() {
     assert!(matches!(rig([0.0; 3]), Err(StereoRigError::Baseline { .. })));
     assert!(matches!(rig([f64::NAN, 0.0, 0.0]), Err(StereoRigError::Baseline { .. })));
     match rig([0.1, 0.0, 0.0]) {
-        Err(error @ StereoRigError::Swapped { .. }) => assert!(error.to_string().contains("swapped"), "{error}"),
+        Err(error @ StereoRigError::Swapped { .. }) => {
+            assert!(error.to_string().contains("exchange left and right"), "{error}")
+        }
         other => panic!("{other:?}"),
     }
 }

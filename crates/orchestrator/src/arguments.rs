@@ -38,9 +38,13 @@ pub struct RunArgs {
     /// Move real arms with a calibration that states no measured cameras (`calibration_quality`: none).
     #[arg(long)]
     pub nominal_calibration: bool,
-    /// The operator of the run.
+    /// The operator of the run. Arms that are not emulated need `console`, or --move.
     #[arg(long, value_enum, default_value_t = OperatorName::Command)]
     pub operator: OperatorName,
+    /// Move arms that are not emulated without a console, after their names are typed. Then press Enter at least every
+    /// supervisor.operator_key_within_s while they move.
+    #[arg(long = "move")]
+    pub moves: bool,
     /// End with exit code 3 if the hand followed the target for less than 90 % of the time.
     #[arg(long)]
     pub strict: bool,
@@ -243,6 +247,6 @@ mod tests {
         assert!(parse_tilt("85").is_ok_and(|deg| search(deg).is_ok()) && search(85.01).is_err());
         let message = "must be between 0 and 85 degrees";
         assert!(parse_tilt("85.01").is_err_and(|error| error.contains(message)));
-        assert!(search(85.01).is_err_and(|error| error.to_string().contains(message)));
+        assert!(search(85.01).is_err_and(|error| error.to_string().contains("tilt_max_rad")));
     }
 }

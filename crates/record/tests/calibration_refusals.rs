@@ -58,7 +58,7 @@ fn ros_pairs() {
     in_left("image_width: 640", "image_width: 320", ["right.yaml: projection_matrix: ", "320x480"]);
     in_left("749.2912867", "700.2912867", ["right.yaml: projection_matrix: element [0][0]", "in the left file"]);
     in_right("749.2912867", "7492.912867", ["right.yaml: projection_matrix: its fx is 7492.9", "factor of 5"]);
-    in_right("-73.8398", "73.8398", ["right.yaml: projection_matrix: ", "swapped"]);
+    in_right("-73.8398", "73.8398", ["right.yaml: projection_matrix: ", "exchange left and right"]);
     in_right("-73.83989060364465", "0", ["right.yaml: projection_matrix: ", "calibrated one by one"]);
     in_right("-73.8398906", "-73839.8906", ["right.yaml: projection_matrix: the baseline is 98.5", "unit"]);
     in_right("0.99953007", "-0.99953007", ["right.yaml: rectification_matrix: is not a rotation", ""]);
@@ -107,7 +107,7 @@ cam1:
     check("[0.0, 0.0, 1.0, 0.002]", "[0.0, 0.0, 1.0]", ["camchain.yaml: cam1.T_cn_cnm1[2]: has 3 elements", ""]);
     check("[0.0, 0.0, 1.0, 0.002]", "[0.0, 0.0, -1.0, 0.002]", ["camchain.yaml: cam1.T_cn_cnm1: ", "reflection"]);
     check("0.0, 1.0]", "0.0, 2.0]", ["camchain.yaml: cam1.T_cn_cnm1: ", "last row"]);
-    check("-0.11", "0.11", ["camchain.yaml: cam1.T_cn_cnm1: ", "swapped"]);
+    check("-0.11", "0.11", ["camchain.yaml: cam1.T_cn_cnm1: ", "exchange left and right"]);
     check("-0.11", "-110", ["camchain.yaml: cam1.T_cn_cnm1: the baseline is 110", "unit of length"]);
     check("-0.11", "-0.11, 7", ["camchain.yaml: cam1.T_cn_cnm1[1]: has 4 elements", ""]);
     check("-0.11", "x", ["camchain.yaml: cam1.T_cn_cnm1[0][3]: \"x\" is not a finite number", ""]);
@@ -126,7 +126,7 @@ fn opencv_files() {
     check("-98.5, 1.25, 2.75", "-98.5, 1.25", ["stereo.yaml: T.data: has 2 elements", "3 x 1"]);
     check("-98.5", "-4.5", ["stereo.yaml: T: has length 5.", "add the key units"]);
     check("-98.5", "-98500", ["stereo.yaml: T: the baseline is 98.5", "between 0.001 and 10 m"]);
-    check("-98.5", "98.5", ["stereo.yaml: T: ", "swapped"]);
+    check("-98.5", "98.5", ["stereo.yaml: T: ", "exchange left and right"]);
     check("-98.5", ".Nan", ["stereo.yaml: T.data[0]: ", "not a finite number"]);
     check("image_width", "units: inch\nimage_width", ["stereo.yaml: units: unknown unit \"inch\"", "use mm"]);
     check("0.02, 0., 0.,", "0.02, 0., 1.,", ["stereo.yaml: D2: has a thin prism or tilt", "5 or 8"]);
@@ -145,7 +145,7 @@ fn case_calibrations() {
  "convention": "X_right = R X_left + t; x right, y down, z forward; pixel centres at integers"
 }"#;
     let check = |from: &str, to: &str, expected| check(&[("calib.json", text)], 0, from, to, expected);
-    check("-100", "100", ["calib.json: t_mm: ", "swapped"]);
+    check("-100", "100", ["calib.json: t_mm: ", "exchange left and right"]);
     check("[-100, 0, 0]", "[-100, 0]", ["calib.json: t_mm: has 1 x 2 elements, 3 x 1 are needed", ""]);
     check(
         "\"baseline_mm\": 100",

@@ -115,7 +115,7 @@ fn what_is_wrong_is_named() {
         ),
         ("\"left.fx\", ", "", "covariance.matrix"),
         ("corners = 1296.0", "corners = nan", "measured.corners"),
-        ("translation_m = [-0.09", "translation_m = [0.09", "swapped"),
+        ("translation_m = [-0.09", "translation_m = [0.09", "exchange left and right"),
         ("[left]", "[left", "line 6: not valid TOML"),
         ("date = ", "day = ", "date: is missing"),
     ] {

@@ -81,6 +81,7 @@ safeguards! {
     DriverTorque "driver: torque" "A joint torque that is too high for too long stops the arm"
     GatewayWatchdog "gateway: age of commands" "A silent host makes the arm fade and stop"
     GatewayBus "gateway: lost replies" "Three cycles without a reply of the controller stop the arm"
+    GatewayLimits "gateway: motion limits" "A command outside the gateway's own motion limits stops the arm"
     GatewayAlarms "gateway: alarms" "Alarms and switches of the arm stop it"
 }
 

@@ -2,11 +2,14 @@
 
 mod laws;
 
+use std::ops::RangeInclusive;
+
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Flange, Frame, Hand, Model};
 
-use crate::config_error::{ConfigError, check};
+use crate::config_error::{ConfigError, check, not_below, ranges};
 use crate::search::SearchConfig;
+use crate::target_state::TargetStateConfig;
 
 pub use laws::{
     ArmResponse, FeedForwardConfig, FeedForwardGains, Gains, HybridConfig, ImageBasedConfig, LawConfig,
@@ -114,6 +117,13 @@ pub struct Timeouts {
 }
 
 impl ControllerConfig {
+    /// Largest distance between two frames on the arm, and between hand and target, metres.
+    pub const LENGTH_MAX_M: f64 = 5.0;
+
+    ranges! {
+        JOINT_HISTORY_SAMPLES: usize = 8..=10_000;
+    }
+
     /// Checks every number.
     ///
     /// # Errors
@@ -123,53 +133,98 @@ impl ControllerConfig {
         check_pose("hand_from_cam_left", &self.hand_from_cam_left)?;
         check_pose("flange_from_hand", &self.flange_from_hand)?;
         self.law.validate()?;
-        check("damping.threshold", self.damping.threshold, 1e-3, 0.5, "0.001 to 0.5")?;
-        check("damping.factor_max", self.damping.factor_max, 1e-3, 0.5, "0.001 to 0.5")?;
-        check("damping.elbow_min_rad", self.damping.elbow_min_rad, 0.0, 0.5, "0 to 0.5 rad")?;
+        self.damping.validate()?;
         self.speed.validate()?;
         self.approach.validate()?;
         self.timeouts.validate()?;
         self.search.iter().try_for_each(SearchConfig::validate)?;
         if let LawConfig::FeedForward(law) = &self.law {
-            let (horizon_s, least_s) = (law.target.horizon_s, self.timeouts.observation_s);
-            check("target_state.horizon_s", horizon_s, least_s, f64::INFINITY, "timeouts.observation_s or more")?;
+            let allowed = TargetStateConfig::horizon_s_allowed(self.timeouts.observation_s);
+            check("target_state.horizon_s", law.target.horizon_s, allowed)?;
         }
-        check("joint_history_samples", self.joint_history_samples as f64, 8.0, 1e4, "8 to 10000")
+        check("joint_history_samples", self.joint_history_samples, Self::JOINT_HISTORY_SAMPLES)
+    }
+}
+
+impl DampingConfig {
+    ranges! {
+        THRESHOLD: f64 = 1e-3..=0.5;
+        FACTOR_MAX: f64 = 1e-3..=0.5;
+        ELBOW_MIN_RAD: f64 = 0.0..=0.5;
+    }
+
+    fn validate(&self) -> Result<(), ConfigError> {
+        check("damping.threshold", self.threshold, Self::THRESHOLD)?;
+        check("damping.factor_max", self.factor_max, Self::FACTOR_MAX)?;
+        check("damping.elbow_min_rad", self.elbow_min_rad, Self::ELBOW_MIN_RAD)
+    }
+}
+
+impl CartesianSpeed {
+    ranges! {
+        LINEAR_M_PER_S: f64 = ABOVE_ZERO..=2.0;
+        ANGULAR_RAD_PER_S: f64 = ABOVE_ZERO..=6.0;
+    }
+
+    fn validate(&self, [linear, angular]: [&'static str; 2]) -> Result<(), ConfigError> {
+        check(linear, self.linear_m_per_s, Self::LINEAR_M_PER_S)?;
+        check(angular, self.angular_rad_per_s, Self::ANGULAR_RAD_PER_S)
     }
 }
 
 impl SpeedConfig {
+    ranges! {
+        LIMIT_APPROACH_PER_S: f64 = 0.1..=20.0;
+        SOFT_START_S: f64 = 0.0..=10.0;
+    }
+
     fn validate(&self) -> Result<(), ConfigError> {
-        let CartesianSpeed { linear_m_per_s, angular_rad_per_s } = self.tracking;
-        check("speed.tracking.linear_m_per_s", linear_m_per_s, TINY, 2.0, "above 0 to 2 m/s")?;
-        check("speed.tracking.angular_rad_per_s", angular_rad_per_s, TINY, 6.0, "above 0 to 6 rad/s")?;
-        check("speed.limit_approach_per_s", self.limit_approach_per_s, 0.1, 20.0, "0.1 to 20 1/s")?;
-        check("speed.soft_start_s", self.soft_start_s, 0.0, 10.0, "0 to 10 s")
+        self.tracking.validate(["speed.tracking.linear_m_per_s", "speed.tracking.angular_rad_per_s"])?;
+        check("speed.limit_approach_per_s", self.limit_approach_per_s, Self::LIMIT_APPROACH_PER_S)?;
+        check("speed.soft_start_s", self.soft_start_s, Self::SOFT_START_S)
     }
 }
 
 impl ApproachConfig {
+    ranges! {
+        DONE_WITHIN_M: f64 = 1e-4..=1.0;
+        DONE_WITHIN_RAD: f64 = 1e-3..=1.0;
+    }
+
     fn validate(&self) -> Result<(), ConfigError> {
-        let CartesianSpeed { linear_m_per_s, angular_rad_per_s } = self.speed;
-        check("approach.speed.linear_m_per_s", linear_m_per_s, TINY, 2.0, "above 0 to 2 m/s")?;
-        check("approach.speed.angular_rad_per_s", angular_rad_per_s, TINY, 6.0, "above 0 to 6 rad/s")?;
-        check("approach.done_within_m", self.done_within_m, 1e-4, 1.0, "0.0001 to 1 m")?;
-        check("approach.done_within_rad", self.done_within_rad, 1e-3, 1.0, "0.001 to 1 rad")
+        self.speed.validate(["approach.speed.linear_m_per_s", "approach.speed.angular_rad_per_s"])?;
+        check("approach.done_within_m", self.done_within_m, Self::DONE_WITHIN_M)?;
+        check("approach.done_within_rad", self.done_within_rad, Self::DONE_WITHIN_RAD)
     }
 }
 
 impl Timeouts {
+    ranges! {
+        OBSERVATION_S: f64 = 0.02..=5.0;
+        JOINTS_S: f64 = 0.002..=0.5;
+    }
+
+    /// Allowed values of `lost_s`.
+    pub fn lost_s_allowed(&self) -> RangeInclusive<f64> {
+        not_below(self.observation_s, &Self::OBSERVATION_S).into_inner().0..=60.0
+    }
+
     fn validate(&self) -> Result<(), ConfigError> {
-        check("timeouts.observation_s", self.observation_s, 0.02, 5.0, "0.02 to 5 s")?;
-        check("timeouts.lost_s", self.lost_s, self.observation_s, 60.0, "observation_s to 60 s")?;
-        check("timeouts.joints_s", self.joints_s, 0.002, 0.5, "0.002 to 0.5 s")
+        check("timeouts.observation_s", self.observation_s, Self::OBSERVATION_S)?;
+        check("timeouts.lost_s", self.lost_s, self.lost_s_allowed())?;
+        check("timeouts.joints_s", self.joints_s, Self::JOINTS_S)
     }
 }
 
-const TINY: f64 = 1e-6;
+/// Least value of a setting that must be above 0.
+const ABOVE_ZERO: f64 = 1e-6;
 
 fn check_pose<A: Frame, B: Frame>(key: &'static str, pose: &Pose<A, B>) -> Result<(), ConfigError> {
-    let value = pose.translation_m().norm();
-    let allowed = "finite numbers, at most 5 m from origin to origin";
-    if pose.is_finite() && value <= 5.0 { Ok(()) } else { Err(ConfigError { key, value, allowed }) }
+    let length_m = pose.translation_m().norm();
+    let most_m = ControllerConfig::LENGTH_MAX_M;
+    if pose.is_finite() && length_m <= most_m {
+        return Ok(());
+    }
+    let allowed = format!("finite numbers, at most {most_m} m from origin to origin");
+    Err(ConfigError { key, value: length_m.to_string(), allowed })
 }

@@ -168,8 +168,12 @@ impl Controller {
     /// The first setting that is out of range.
     pub fn new(config: ControllerConfig, chain: Chain, limits: EffectiveLimits) -> Result<Self, ConfigError> {
         config.validate()?;
-        let damping = Damping::new(config.damping.threshold, config.damping.factor_max)
-            .map_err(|error| ConfigError { key: "damping", value: error.value, allowed: "positive, finite numbers" })?;
+        let damping =
+            Damping::new(config.damping.threshold, config.damping.factor_max).map_err(|error| ConfigError {
+                key: "damping",
+                value: error.value.to_string(),
+                allowed: "positive, finite numbers".to_owned(),
+            })?;
         let history = JointHistory::new(config.joint_history_samples, config.timeouts.joints_s);
         let elbow_min_rad = config.damping.elbow_min_rad;
         Ok(Self {

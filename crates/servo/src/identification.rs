@@ -1,7 +1,7 @@
 //! Identification of delays, from a record of the hand moving a few millimetres in front of a stationary target.
 //!
 //! * [`exposure_offset`]: delay between the timestamps of images and their exposure, on the clock of the joints. The pose of a
-//! stationary target must not depend on the velocity of the hand; if it does, the joints are those of another time.
+//!   stationary target must not depend on the velocity of the hand; if it does, the joints are those of another time.
 //! * [`arm_response`]: dead time and first-order lag from a commanded velocity to the motion.
 //! * [`Excitation`]: the motion that makes both observable.
 //!

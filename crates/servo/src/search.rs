@@ -11,7 +11,7 @@ use nalgebra::Vector3;
 use pb3dp_geometry::frames::{Base, Hand};
 use pb3dp_geometry::{MonotonicTime, Pose, Twist, so3};
 
-use crate::config_error::{ConfigError, check};
+use crate::config_error::{ConfigError, check, ranges};
 
 /// Pattern and bounds of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,12 +45,20 @@ const BEYOND_M: f64 = 0.005;
 const RETURNED_WITHIN_M: f64 = 1e-3;
 
 impl SearchConfig {
+    ranges! {
+        BACK_M: f64 = 0.0..=0.2;
+        RADIUS_M: f64 = 1e-3..=0.2;
+        TURNS: f64 = 1.0..=10.0;
+        SPEED_M_PER_S: f64 = 1e-3..=0.1;
+        TIME_S: f64 = 1.0..=60.0;
+    }
+
     pub(crate) fn validate(&self) -> Result<(), ConfigError> {
-        check("search.back_m", self.back_m, 0.0, 0.2, "0 to 0.2 m")?;
-        check("search.radius_m", self.radius_m, 1e-3, 0.2, "0.001 to 0.2 m")?;
-        check("search.turns", self.turns, 1.0, 10.0, "1 to 10")?;
-        check("search.speed_m_per_s", self.speed_m_per_s, 1e-3, 0.1, "0.001 to 0.1 m/s")?;
-        check("search.time_s", self.time_s, 1.0, 60.0, "1 to 60 s")
+        check("search.back_m", self.back_m, Self::BACK_M)?;
+        check("search.radius_m", self.radius_m, Self::RADIUS_M)?;
+        check("search.turns", self.turns, Self::TURNS)?;
+        check("search.speed_m_per_s", self.speed_m_per_s, Self::SPEED_M_PER_S)?;
+        check("search.time_s", self.time_s, Self::TIME_S)
     }
 
     /// Largest distance of the pattern from its start, metres.

@@ -63,8 +63,8 @@ pub struct Decision {
     pub search: bool,
     /// Conditions that have been active for the `for_s` of their policy, during motion or a hold.
     pub found: ConditionSet,
-    /// No arm may move, including the one that carries the target: the state is latched, or joints, drives, clock or operator
-    /// inhibit motion in any state.
+    /// No arm may move, including the one that carries the target: the state is latched, the operator holds both arms, or joints,
+    /// drives, clock or operator inhibit motion in any state.
     pub no_arm_may_move: bool,
     /// Whether `start` (after a hold `resume`) would be accepted now.
     pub is_ready: bool,
@@ -90,6 +90,9 @@ pub struct Supervisor {
     spoke: Option<Cause>,
     /// The operator has commanded a hold since the last motion.
     held_by_operator: bool,
+    /// The arm that carries the target also waits for `start` or `resume`: the operator has commanded `hold`, or a condition that holds
+    /// every arm needs the operator.
+    holds_every_arm: bool,
     /// A condition since the last motion needs the operator's `resume`.
     needs_word: bool,
     /// The same, for conditions that a lost target does not cause.
@@ -115,6 +118,7 @@ impl Supervisor {
             clear_since: None,
             spoke: None,
             held_by_operator: false,
+            holds_every_arm: false,
             needs_word: false,
             needs_word_for_more: false,
             search: SearchRight::Unused,
@@ -129,7 +133,7 @@ impl Supervisor {
 
     /// One control cycle: never blocks, never allocates. The state changes at most once per step.
     ///
-    /// Detected conditions take precedence over operator commands, except `stop` and `hold`, which are always obeyed. `start` and
+    /// Detected conditions take precedence over operator commands, except `stop`, `hold` and `hold hand`, which are always obeyed. `start` and
     /// `resume` are refused while a condition inhibits motion, even before its `for_s` has passed, and until it has been inactive
     /// for [`SupervisorConfig::go_after_s`]. `reset` is refused while an arm reports a fault or an emergency stop. Every command is
     /// refused if it is too old or older than the state.
@@ -168,7 +172,7 @@ impl Supervisor {
             rearm,
             search,
             found,
-            no_arm_may_move: self.state.is_latched() || self.holds_every_arm(now),
+            no_arm_may_move: self.state.is_latched() || self.holds_every_arm || self.inhibits_every_arm(now),
             is_ready: self.is_clear() && !rearm && (self.state == State::Selecting || self.state.is_resting()),
             transition: transition.and_then(|_| self.log.newest()),
             refused,
@@ -212,14 +216,16 @@ impl Supervisor {
             |wanted: Event| alarm.filter(|(event, _)| *event == wanted).map(|(event, cause)| (event, Some(cause)));
         let obeyed = word.filter(|(_, refused)| refused.is_none()).map(|(word, _)| word);
         let said = |wanted: OperatorCommand| (obeyed == Some(wanted)).then_some((event_of(wanted), None));
-        if obeyed == Some(OperatorCommand::Hold) {
+        if matches!(obeyed, Some(OperatorCommand::Hold | OperatorCommand::HoldHand)) {
             self.held_by_operator = true;
+            self.holds_every_arm |= obeyed == Some(OperatorCommand::Hold);
         }
         let candidates = [
             of_alarm(Event::FaultFound),
             said(OperatorCommand::Stop),
             of_alarm(Event::StopFound),
             said(OperatorCommand::Hold),
+            said(OperatorCommand::HoldHand),
             of_alarm(Event::LossFound),
             of_alarm(Event::HoldFound),
             said(OperatorCommand::Select),
@@ -268,6 +274,9 @@ impl Supervisor {
             self.needs_word_for_more = false;
             self.search = SearchRight::Unused;
         }
+        if matches!(event, Event::Start | Event::Resume) {
+            self.holds_every_arm = false;
+        }
         match event {
             Event::Select => {
                 self.findings.begin(at);
@@ -299,18 +308,20 @@ impl Supervisor {
             let resume = self.config.policies.get(cause.condition).resume;
             let needs_word = self.state.is_resting() && action.is_rest() && resume == Resume::ByOperator;
             self.needs_word |= needs_word;
+            self.holds_every_arm |= needs_word && cause.condition.rule().holds_every_arm;
             self.needs_word_for_more |= needs_word && !comes_with_loss(cause.condition);
         }
         found
     }
 
-    fn holds_every_arm(&self, now: MonotonicTime) -> bool {
+    /// Whether a condition inhibits every arm now.
+    fn inhibits_every_arm(&self, now: MonotonicTime) -> bool {
         self.findings.lasting(&self.config.policies, now).any(|(cause, _)| cause.condition.rule().holds_every_arm)
     }
 
     /// Reason to refuse a command, other than the table of states.
     fn refusal(&self, said: OperatorRequest, blocking: Option<Cause>, now: MonotonicTime) -> Option<RefusedFor> {
-        if matches!(said.word, OperatorCommand::Stop | OperatorCommand::Hold) {
+        if said.word.ends_motion() {
             return None;
         }
         if let Some(untimely) = self.untimely(said, now) {
@@ -362,7 +373,7 @@ impl Supervisor {
             (Some(because), _) => because,
             (None, Some(event)) if event == own => return None,
             // A fault fulfils `stop`, and every end of motion fulfils `hold`.
-            (None, Some(_)) if matches!(word, OperatorCommand::Stop | OperatorCommand::Hold) => return None,
+            (None, Some(_)) if word.ends_motion() => return None,
             (None, Some(_)) => RefusedFor::Overtaken(self.state),
             (None, None) if outcome(self.state, own) == Outcome::Refuse => RefusedFor::State(self.state),
             (None, None) => return None,
@@ -433,11 +444,13 @@ impl Supervisor {
                 Some((cause, share)) => Why::Slowed { state, cause, share },
                 None => Why::Moving { state },
             },
-            (State::Holding | State::Lost, cause) if self.held_by_operator => Why::HeldByOperator { state, cause },
+            (State::Holding | State::Lost, cause) if self.held_by_operator => {
+                Why::HeldByOperator { state, every_arm: self.holds_every_arm, cause }
+            }
             (State::Holding | State::Lost, Some(cause)) => Why::Resting { state, cause, then },
             (State::Holding | State::Lost, None) => match self.cause {
                 Some(cause) => Why::CauseGone { state, cause, then },
-                None => Why::HeldByOperator { state, cause: None },
+                None => Why::HeldByOperator { state, every_arm: self.holds_every_arm, cause: None },
             },
             (State::Stopped | State::Fault, _) => match self.cause {
                 Some(cause) => Why::Latched { state, cause, is_gone: self.findings.cause(cause.condition).is_none() },
@@ -470,7 +483,7 @@ fn event_of(word: OperatorCommand) -> Event {
     match word {
         OperatorCommand::Select => Event::Select,
         OperatorCommand::Start => Event::Start,
-        OperatorCommand::Hold => Event::Hold,
+        OperatorCommand::Hold | OperatorCommand::HoldHand => Event::Hold,
         OperatorCommand::Resume => Event::Resume,
         OperatorCommand::Stop => Event::Stop,
         OperatorCommand::Reset => Event::Reset,

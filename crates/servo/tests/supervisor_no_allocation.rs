@@ -11,6 +11,7 @@ fn steps_do_not_allocate() {
     bench.run(1.0);
     for word in [
         OperatorCommand::Hold,
+        OperatorCommand::HoldHand,
         OperatorCommand::Resume,
         OperatorCommand::Select,
         OperatorCommand::Start,

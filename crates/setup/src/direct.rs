@@ -121,12 +121,12 @@ impl DirectSection {
 
 impl SearchSection {
     fn build(&self, key: &str, defaults: PlaneSearchConfig, check: &mut Checker) -> PlaneSearchConfig {
-        check.count(&format!("{key}.quick_area_max_px"), self.quick_area_max_px, 200..=1_000_000);
-        check.number(&format!("{key}.quick_share_min"), self.quick_share_min, 0.0..=1.0);
-        check.count(&format!("{key}.area_max_px"), self.area_max_px, 200..=1_000_000);
-        check.number(&format!("{key}.noise_grey"), self.noise_grey, 0.1..=50.0);
-        check.count(&format!("{key}.draws"), self.draws, 1..=100_000);
-        check.number(&format!("{key}.tolerance_px"), self.tolerance_px, 0.1..=5.0);
+        check.count(&format!("{key}.quick_area_max_px"), self.quick_area_max_px, ColdStartConfig::QUICK_AREA_PX);
+        check.number(&format!("{key}.quick_share_min"), self.quick_share_min, ColdStartConfig::QUICK_SHARE_MIN);
+        check.count(&format!("{key}.area_max_px"), self.area_max_px, ColdStartConfig::SEARCH_AREA_PX);
+        check.number(&format!("{key}.noise_grey"), self.noise_grey, PlaneSearchConfig::NOISE);
+        check.count(&format!("{key}.draws"), self.draws, HypothesisRules::DRAWS);
+        check.number(&format!("{key}.tolerance_px"), self.tolerance_px, HypothesisRules::TOLERANCE_PX);
         PlaneSearchConfig {
             noise: self.noise_grey,
             hypotheses: HypothesisRules {
@@ -141,10 +141,10 @@ impl SearchSection {
 
 impl PatchesSection {
     fn build(&self, key: &str, defaults: PatchConfig, check: &mut Checker) -> PatchConfig {
-        check.count(&format!("{key}.area_max_px"), self.area_max_px, 200..=1_000_000);
-        check.number(&format!("{key}.support_px"), self.support_px, 0.1..=2.0);
-        check.number(&format!("{key}.correlation_min"), self.correlation_min, 0.0..=1.0);
-        check.number(&format!("{key}.texture_min"), self.texture_min, 0.0..=100.0);
+        check.count(&format!("{key}.area_max_px"), self.area_max_px, ColdStartConfig::PATCH_AREA_PX);
+        check.number(&format!("{key}.support_px"), self.support_px, PatchConfig::SUPPORT_PX);
+        check.number(&format!("{key}.correlation_min"), self.correlation_min, PatchConfig::CORRELATION_MIN);
+        check.number(&format!("{key}.texture_min"), self.texture_min, PatchConfig::TEXTURE_MIN);
         PatchConfig {
             support_px: self.support_px,
             correlation_min: self.correlation_min,
@@ -156,14 +156,18 @@ impl PatchesSection {
 
 impl RefineSection {
     fn build(&self, key: &str, defaults: RefineConfig, check: &mut Checker) -> RefineConfig {
-        check.count(&format!("{key}.area_max_px"), self.area_max_px, 200..=1_000_000);
-        check.count(&format!("{key}.points_max"), self.points_max, 100..=1_000_000);
-        check.count(&format!("{key}.iterations_max"), self.iterations_max, 1..=100);
-        check.number(&format!("{key}.place_sigma_px"), self.place_sigma_px, 0.0..=2.0);
-        check.number(&format!("{key}.row_sigma_px"), self.row_sigma_px, 0.0..=5.0);
-        check.number(&format!("{key}.calibration_sigma_px"), self.calibration_sigma_px, 0.0..=5.0);
-        check.number(&format!("{key}.blur_sigma_px2"), self.blur_sigma_px2, 0.0..=5.0);
-        check.count(&format!("{key}.surroundings_px"), self.surroundings_px, 0..=16);
+        check.count(&format!("{key}.area_max_px"), self.area_max_px, RefineConfig::AREA_MAX_PX);
+        check.count(&format!("{key}.points_max"), self.points_max, RefineConfig::POINTS_MAX);
+        check.count(&format!("{key}.iterations_max"), self.iterations_max, RefineConfig::ITERATIONS_MAX);
+        check.number(&format!("{key}.place_sigma_px"), self.place_sigma_px, RefineConfig::PLACE_SIGMA_PX);
+        check.number(&format!("{key}.row_sigma_px"), self.row_sigma_px, RefineConfig::ROW_SIGMA_PX);
+        check.number(
+            &format!("{key}.calibration_sigma_px"),
+            self.calibration_sigma_px,
+            RefineConfig::CALIBRATION_SIGMA_PX,
+        );
+        check.number(&format!("{key}.blur_sigma_px2"), self.blur_sigma_px2, RefineConfig::BLUR_SIGMA_PX2);
+        check.count(&format!("{key}.surroundings_px"), self.surroundings_px, ColdStartConfig::SURROUNDINGS_PX);
         RefineConfig {
             area_max_px: whole(self.area_max_px),
             points_max: whole(self.points_max),
@@ -179,11 +183,15 @@ impl RefineSection {
 
 impl StatusSection {
     fn build(&self, key: &str, check: &mut Checker) -> DirectVerdictConfig {
-        check.number(&format!("{key}.support_min"), self.support_min, 0.0..=1.0);
-        check.number(&format!("{key}.support_sure_min"), self.support_sure_min, 0.0..=1.0);
-        check.number(&format!("{key}.alias_score_max"), self.alias_score_max, 0.0..=1.0);
-        check.number(&format!("{key}.second_share_max"), self.second_share_max, 0.0..=1.0);
-        check.number(&format!("{key}.normal_sigma_max_deg"), self.normal_sigma_max_deg, 0.0..=90.0);
+        check.number(&format!("{key}.support_min"), self.support_min, DirectVerdictConfig::SUPPORT_MIN);
+        check.number(&format!("{key}.support_sure_min"), self.support_sure_min, DirectVerdictConfig::SUPPORT_SURE_MIN);
+        check.number(&format!("{key}.alias_score_max"), self.alias_score_max, DirectVerdictConfig::ALIAS_SCORE_MAX);
+        check.number(&format!("{key}.second_share_max"), self.second_share_max, DirectVerdictConfig::SECOND_SHARE_MAX);
+        check.number(
+            &format!("{key}.normal_sigma_max_deg"),
+            self.normal_sigma_max_deg,
+            DirectVerdictConfig::NORMAL_SIGMA_MAX_DEG,
+        );
         DirectVerdictConfig {
             support_min: self.support_min,
             support_sure_min: self.support_sure_min,
@@ -196,16 +204,20 @@ impl StatusSection {
 
 impl TrackerSection {
     fn build(&self, key: &str, check: &mut Checker) -> DirectTrackerConfig {
-        check.count(&format!("{key}.points"), self.points, 64..=16_384);
-        check.count(&format!("{key}.erosion_px"), self.erosion_px, 0..=50);
-        check.count(&format!("{key}.steps_max"), self.steps_max, 1..=50);
-        check.count(&format!("{key}.views_max"), self.views_max, 1..=100);
-        check.number(&format!("{key}.view_turn_deg"), self.view_turn_deg, 2.0..=60.0);
-        check.number(&format!("{key}.view_scale"), self.view_scale, 1.05..=4.0);
-        check.number(&format!("{key}.relief_sigma_px"), self.relief_sigma_px, 0.0..=10.0);
-        check.number(&format!("{key}.inlier_share_min"), self.inlier_share_min, 0.05..=0.95);
-        check.number(&format!("{key}.correlation_min"), self.correlation_min, 0.0..=1.0);
-        check.number(&format!("{key}.tilt_sigma_sure_deg"), self.tilt_sigma_sure_deg, 0.01..=90.0);
+        check.count(&format!("{key}.points"), self.points, DirectTrackerConfig::POINTS);
+        check.count(&format!("{key}.erosion_px"), self.erosion_px, DirectTrackerConfig::EROSION_PX);
+        check.count(&format!("{key}.steps_max"), self.steps_max, DirectTrackerConfig::STEPS_MAX);
+        check.count(&format!("{key}.views_max"), self.views_max, DirectTrackerConfig::VIEWS_MAX);
+        check.number(&format!("{key}.view_turn_deg"), self.view_turn_deg, DirectTrackerConfig::VIEW_TURN_DEG);
+        check.number(&format!("{key}.view_scale"), self.view_scale, DirectTrackerConfig::VIEW_SCALE);
+        check.number(&format!("{key}.relief_sigma_px"), self.relief_sigma_px, DirectTrackerConfig::RELIEF_SIGMA_PX);
+        check.number(&format!("{key}.inlier_share_min"), self.inlier_share_min, DirectTrackerConfig::INLIER_SHARE_MIN);
+        check.number(&format!("{key}.correlation_min"), self.correlation_min, DirectTrackerConfig::CORRELATION_MIN);
+        check.number(
+            &format!("{key}.tilt_sigma_sure_deg"),
+            self.tilt_sigma_sure_deg,
+            DirectTrackerConfig::TILT_SIGMA_SURE_DEG,
+        );
         DirectTrackerConfig {
             points: whole(self.points),
             erosion_px: whole(self.erosion_px),

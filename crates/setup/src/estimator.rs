@@ -15,6 +15,7 @@ use serde::Deserialize;
 
 use super::direct::DirectSection;
 use super::load::{Checker, ConfigError, ConfigFile, FileKind, whole};
+use super::units::in_deg;
 
 /// The whole file `configs/estimator.toml`.
 #[derive(Clone, Debug, Deserialize)]
@@ -166,7 +167,11 @@ impl PublishedSection {
     pub fn build(&self, key: &str, check: &mut Checker) -> PublishedConfig {
         self.hue.check(&format!("{key}.hue"), check);
         self.model.check(&format!("{key}.model"), check);
-        check.number(&format!("{key}.fitness.hue_tolerance_deg"), self.fitness.hue_tolerance_deg, 0.0..=180.0);
+        check.number(
+            &format!("{key}.fitness.hue_tolerance_deg"),
+            self.fitness.hue_tolerance_deg,
+            FitnessConfig::HUE_TOLERANCE_DEG,
+        );
         self.rmga.check(&format!("{key}.rmga"), check);
         self.region.check(&format!("{key}.region"), check);
         self.status.check(&format!("{key}.status"), check);
@@ -201,20 +206,24 @@ impl PublishedSection {
 
 impl HueSection {
     fn check(&self, key: &str, check: &mut Checker) {
-        check.number(&format!("{key}.saturation_min"), self.saturation_min, 0.0..=1.0);
-        check.number(&format!("{key}.value_min"), self.value_min, 0.0..=1.0);
-        check.number(&format!("{key}.coloured_share_min"), self.coloured_share_min, 0.0..=1.0);
-        check.count(&format!("{key}.coloured_points_min"), self.coloured_points_min, 1..=20_000);
+        check.number(&format!("{key}.saturation_min"), self.saturation_min, HueConfig::SATURATION_MIN);
+        check.number(&format!("{key}.value_min"), self.value_min, HueConfig::VALUE_MIN);
+        check.number(
+            &format!("{key}.coloured_share_min"),
+            self.coloured_share_min,
+            HueSupportConfig::COLOURED_SHARE_MIN,
+        );
+        check.count(&format!("{key}.coloured_points_min"), self.coloured_points_min, HueSupportConfig::POINTS_MIN);
     }
 }
 
 impl ModelSection {
     fn check(&self, key: &str, check: &mut Checker) {
-        check.count(&format!("{key}.inner_points"), self.inner_points, 1..=20_000);
-        check.count(&format!("{key}.outer_points"), self.outer_points, 0..=20_000);
-        check.count(&format!("{key}.spacing_min_px"), self.spacing_min_px, 1..=100);
-        check.count(&format!("{key}.band_gap_px"), self.band_gap_px, 0..=200);
-        check.count(&format!("{key}.band_width_px"), self.band_width_px, 1..=200);
+        check.count(&format!("{key}.inner_points"), self.inner_points, PhotoModelConfig::INNER_POINTS);
+        check.count(&format!("{key}.outer_points"), self.outer_points, PhotoModelConfig::OUTER_POINTS);
+        check.count(&format!("{key}.spacing_min_px"), self.spacing_min_px, PhotoModelConfig::SPACING_MIN_PX);
+        check.count(&format!("{key}.band_gap_px"), self.band_gap_px, PhotoModelConfig::BAND_GAP_PX);
+        check.count(&format!("{key}.band_width_px"), self.band_width_px, PhotoModelConfig::BAND_WIDTH_PX);
     }
 
     fn build(&self) -> PhotoModelConfig {
@@ -230,12 +239,14 @@ impl ModelSection {
 
 impl RmGaSection {
     fn check(&self, key: &str, check: &mut Checker) {
-        check.count(&format!("{key}.population"), self.population, 2..=10_000);
-        check.count(&format!("{key}.survivors"), self.survivors, 2..=self.population.max(2));
-        check.count(&format!("{key}.elite"), self.elite, 1..=self.survivors.max(1));
-        check.count(&format!("{key}.generations_per_frame"), self.generations_per_frame, 1..=100_000);
-        check.count(&format!("{key}.generations_cold_start"), self.generations_cold_start, 1..=100_000);
-        check.number(&format!("{key}.mutation_rate"), self.mutation_rate, 0.0..=1.0);
+        let config = self.build();
+        let (per_frame, cold_start) = (self.generations_per_frame, self.generations_cold_start);
+        check.count(&format!("{key}.population"), self.population, RmGaConfig::POPULATION);
+        check.count(&format!("{key}.survivors"), self.survivors, config.survivors_allowed());
+        check.count(&format!("{key}.elite"), self.elite, config.elite_allowed());
+        check.count(&format!("{key}.generations_per_frame"), per_frame, RmGaConfig::GENERATIONS);
+        check.count(&format!("{key}.generations_cold_start"), cold_start, RmGaConfig::GENERATIONS);
+        check.number(&format!("{key}.mutation_rate"), self.mutation_rate, RmGaConfig::MUTATION_RATE);
     }
 
     fn build(&self) -> RmGaConfig {
@@ -284,18 +295,18 @@ impl RegionSection {
 
 impl TrackerSection {
     fn check(&self, key: &str, check: &mut Checker) {
-        check.count(&format!("{key}.window_margin_px"), self.window_margin_px, 1..=200);
-        check.count(&format!("{key}.shift_steps_max"), self.shift_steps_max, 1..=100);
-        check.count(&format!("{key}.assure_frames_max"), self.assure_frames_max, 1..=10_000);
-        check.number(&format!("{key}.shift_max_share"), self.shift_max_share, 0.0..=2.0);
-        for (name, value) in [
-            ("contrast_min", self.contrast_min),
-            ("mass_share_min", self.mass_share_min),
-            ("visible_share_min", self.visible_share_min),
-            ("depth_spread_sure", self.depth_spread_sure),
-            ("height_share_min", self.height_share_min),
+        check.count(&format!("{key}.window_margin_px"), self.window_margin_px, TrackerConfig::WINDOW_MARGIN_PX);
+        check.count(&format!("{key}.shift_steps_max"), self.shift_steps_max, TrackerConfig::SHIFT_STEPS_MAX);
+        check.count(&format!("{key}.assure_frames_max"), self.assure_frames_max, TrackerConfig::ASSURE_FRAMES_MAX);
+        check.number(&format!("{key}.shift_max_share"), self.shift_max_share, TrackerConfig::SHIFT_MAX_SHARE);
+        for (name, value, allowed) in [
+            ("contrast_min", self.contrast_min, TrackerConfig::CONTRAST_MIN),
+            ("mass_share_min", self.mass_share_min, TrackerConfig::MASS_SHARE_MIN),
+            ("visible_share_min", self.visible_share_min, TrackerConfig::VISIBLE_SHARE_MIN),
+            ("depth_spread_sure", self.depth_spread_sure, TrackerConfig::DEPTH_SPREAD_SURE),
+            ("height_share_min", self.height_share_min, TrackerConfig::HEIGHT_SHARE_MIN),
         ] {
-            check.number(&format!("{key}.{name}"), value, 0.0..=1.0);
+            check.number(&format!("{key}.{name}"), value, allowed);
         }
     }
 
@@ -316,24 +327,25 @@ impl TrackerSection {
 
 impl StatusSection {
     fn check(&self, key: &str, check: &mut Checker) {
-        check.number(&format!("{key}.disparity_step_px"), self.disparity_step_px, 0.1..=20.0);
-        check.count(&format!("{key}.depth_nodes_max"), self.depth_nodes_max, 8..=1024);
-        check.number(&format!("{key}.coarse_tilt_step_deg"), self.coarse_tilt_step_deg, 1.0..=45.0);
-        check.number(&format!("{key}.fine_tilt_step_deg"), self.fine_tilt_step_deg, 0.5..=45.0);
-        check.count(&format!("{key}.blocks_per_side"), self.blocks_per_side, 2..=8);
-        check.count(&format!("{key}.resamples"), self.resamples, 4..=1000);
-        check.count(&format!("{key}.candidates_max"), self.candidates_max, 100..=100_000);
-        for (name, value) in [
-            ("fitness_tolerance", self.fitness_tolerance),
-            ("height_min", self.height_min),
-            ("depth_spread_max", self.depth_spread_max),
-            ("depth_spread_sure", self.depth_spread_sure),
-            ("runner_up_max", self.runner_up_max),
-            ("fitness_sure", self.fitness_sure),
+        use ObservabilityConfig as Probe;
+        check.count(&format!("{key}.depth_nodes_max"), self.depth_nodes_max, Probe::DEPTH_NODES_MAX);
+        check.count(&format!("{key}.blocks_per_side"), self.blocks_per_side, Probe::BLOCKS_PER_SIDE);
+        check.count(&format!("{key}.resamples"), self.resamples, Probe::RESAMPLES);
+        check.count(&format!("{key}.candidates_max"), self.candidates_max, Probe::CANDIDATES_MAX);
+        for (name, value, allowed) in [
+            ("disparity_step_px", self.disparity_step_px, Probe::DISPARITY_STEP_PX),
+            ("coarse_tilt_step_deg", self.coarse_tilt_step_deg, in_deg(Probe::COARSE_TILT_STEP_RAD)),
+            ("fine_tilt_step_deg", self.fine_tilt_step_deg, in_deg(Probe::FINE_TILT_STEP_RAD)),
+            ("fitness_tolerance", self.fitness_tolerance, Probe::FITNESS_TOLERANCE),
+            ("height_min", self.height_min, Probe::HEIGHT_MIN),
+            ("depth_spread_max", self.depth_spread_max, Probe::DEPTH_SPREAD_MAX),
+            ("depth_spread_sure", self.depth_spread_sure, Probe::DEPTH_SPREAD_SURE),
+            ("runner_up_max", self.runner_up_max, Probe::RUNNER_UP_MAX),
+            ("fitness_sure", self.fitness_sure, Probe::FITNESS_SURE),
+            ("tilt_spread_sure_deg", self.tilt_spread_sure_deg, in_deg(Probe::TILT_SPREAD_SURE_RAD)),
         ] {
-            check.number(&format!("{key}.{name}"), value, 0.0..=1.0);
+            check.number(&format!("{key}.{name}"), value, allowed);
         }
-        check.number(&format!("{key}.tilt_spread_sure_deg"), self.tilt_spread_sure_deg, 0.3..=85.0);
     }
 
     fn build(&self) -> ObservabilityConfig {

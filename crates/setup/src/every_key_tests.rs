@@ -516,3 +516,41 @@ fn frames_that_are_far_apart_are_refused_by_length() {
     assert!(text.contains("mounts.flange_from_hand.translation_mm (its length) = 6928.2"), "{text}");
     assert!(text.contains("allowed are 0 to 5000"), "{text}");
 }
+
+/// Tables whose parts declare the ranges, and the keys in them that no part checks.
+const TABLES_OF_PARTS: [(&str, &str, &[&str]); 10] = [
+    ("setup/servo.rs", include_str!("setup/servo.rs"), &[]),
+    ("setup/law.rs", include_str!("setup/law.rs"), &[]),
+    ("setup/target_state.rs", include_str!("setup/target_state.rs"), &[]),
+    ("setup/supervisor.rs", include_str!("setup/supervisor.rs"), &[]),
+    ("setup/range.rs", include_str!("setup/range.rs"), &[]),
+    ("setup/geometric.rs", include_str!("setup/geometric.rs"), &[]),
+    ("setup/camera.rs", include_str!("setup/camera.rs"), &["focal_px", "baseline_mm", "distortion", "exposure_millis"]),
+    ("setup/camera_faults.rs", include_str!("setup/camera_faults.rs"), &["stamped_millis", "{key}"]),
+    ("direct.rs", include_str!("direct.rs"), &[]),
+    (
+        "estimator.rs",
+        include_str!("estimator.rs"),
+        &[
+            "area_min_px",
+            "click_hue_tolerance_deg",
+            "click_luminance_tolerance",
+            "click_chroma_min",
+            "click_area_share_max",
+            "coloured_share_warn",
+            "luminance_deviation_warn",
+        ],
+    ),
+];
+
+/// A range that a part declares is not stated a second time in the table of the part.
+#[test]
+fn ranges_of_parts_are_stated_by_the_parts_only() {
+    for (file, text, own) in TABLES_OF_PARTS {
+        for line in text.lines().filter(|line| line.contains("..=") && line.contains("check.")) {
+            let states_a_number = line.split("..=").skip(1).any(|end| end.starts_with(|c: char| c.is_ascii_digit()));
+            let is_own = own.iter().any(|key| line.contains(&format!("{key}\"")));
+            assert!(!states_a_number || is_own, "{file} repeats a range of a part: {line}");
+        }
+    }
+}

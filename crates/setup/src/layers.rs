@@ -434,6 +434,7 @@ impl Layers {
                 folder => built_in::path_of(path)
                     .unwrap_or_else(|| folder.clone().unwrap_or_default().join(path).display().to_string()),
             };
+            // These files need not exist yet: `pb3dp gateway key` and `pb3dp arm test` write them.
             let beside = |path: &str| folder.clone().unwrap_or_default().join(path).display().to_string();
             for key in ["camera.calibration", "truth.calibration", "mounts.hand_eye"] {
                 change(&mut layer.stated, &position::parts(key), &resolved);
@@ -442,6 +443,7 @@ impl Layers {
                 for arm in arms.values_mut() {
                     if let Value::Dict(_, arm) = arm {
                         change(arm, &["robot"], &resolved);
+                        change(arm, &["commissioning_record"], &beside);
                         change(arm, &["gateway", "key_file"], &beside);
                     }
                 }

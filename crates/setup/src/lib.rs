@@ -12,6 +12,7 @@ pub mod load;
 pub mod names;
 pub mod region_spec;
 pub mod setup;
+mod units;
 
 pub use load::ConfigError;
 

@@ -319,6 +319,12 @@ impl Checker {
         }
     }
 
+    /// As [`Self::number`]; returns the value limited to `allowed` (its start for NaN), for bounds and times that depend on it.
+    pub fn limited(&mut self, key: &str, value: f64, allowed: RangeInclusive<f64>) -> f64 {
+        self.number(key, value, allowed.clone());
+        within(value, *allowed.start(), *allowed.end())
+    }
+
     fn refuse_range<T: std::fmt::Display>(&mut self, key: &str, value: T, allowed: RangeInclusive<T>) {
         let unit = unit_of(key).map(|unit| format!(" {unit}")).unwrap_or_default();
         self.lines.push(format!("{key} = {value}{ALLOWED}{} to {}{unit}", allowed.start(), allowed.end()));
@@ -333,7 +339,9 @@ impl Checker {
 
     /// Refuses a whole number that is not in `allowed`. Sections read whole numbers as `i64`, so that a refusal states the range
     /// and not a type; [`whole`] converts them.
-    pub fn count(&mut self, key: &str, value: i64, allowed: RangeInclusive<i64>) {
+    pub fn count<T: TryInto<i64>>(&mut self, key: &str, value: i64, allowed: RangeInclusive<T>) {
+        let (min, max) = allowed.into_inner();
+        let allowed = min.try_into().unwrap_or(i64::MAX)..=max.try_into().unwrap_or(i64::MAX);
         if !allowed.contains(&value) {
             self.refuse_range(key, value, allowed);
         }
@@ -357,7 +365,6 @@ impl Checker {
 
 /// `value` limited to `min` to `max` (at least `min`); `min` for NaN. For bounds that depend on another key: that key is refused
 /// separately, and the bound stays sensible.
-/// refused by itself, and the bound stays sensible.
 pub fn within(value: f64, min: f64, max: f64) -> f64 {
     if value.is_nan() { min } else { value.clamp(min, max) }
 }

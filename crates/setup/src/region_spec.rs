@@ -33,13 +33,13 @@ impl FromStr for RegionSpec {
         let (kind, rest) =
             text.split_once(':').ok_or_else(|| format!("region {text:?} has no kind; write one of: {REGION_HELP}"))?;
         match kind {
-            "rect" => Ok(Self::Rectangle(numbers(text, rest)?)),
-            "click" => Ok(Self::Click(numbers(text, rest)?)),
+            "rect" => Ok(Self::Rectangle(numbers("x,y,width,height", text, rest)?)),
+            "click" => Ok(Self::Click(numbers("x,y", text, rest)?)),
             "poly" => {
                 let vertices = rest
                     .split(';')
                     .filter(|p| !p.trim().is_empty())
-                    .map(|p| numbers(text, p))
+                    .map(|p| numbers("x,y of one corner, with `;` between corners", text, p))
                     .collect::<std::result::Result<Vec<_>, _>>()?;
                 if vertices.len() < 3 {
                     return Err(format!(
@@ -70,8 +70,8 @@ impl std::fmt::Display for RegionSpec {
     }
 }
 
-/// Exactly `N` finite numbers with commas between them.
-fn numbers<const N: usize>(whole: &str, text: &str) -> std::result::Result<[f64; N], String> {
+/// Exactly `N` finite numbers with commas between them; `names` tells them apart in the error.
+fn numbers<const N: usize>(names: &str, whole: &str, text: &str) -> std::result::Result<[f64; N], String> {
     let values = text
         .split(',')
         .map(|part| match part.trim().parse::<f64>() {
@@ -80,7 +80,7 @@ fn numbers<const N: usize>(whole: &str, text: &str) -> std::result::Result<[f64;
         })
         .collect::<std::result::Result<Vec<f64>, _>>()?;
     let count = values.len();
-    values.try_into().map_err(|_| format!("region {whole:?}: expected {N} numbers, found {count} in {text:?}"))
+    values.try_into().map_err(|_| format!("region {whole:?}: {text:?} has {count} numbers, expected {N}: {names}"))
 }
 
 impl RegionSpec {
@@ -187,9 +187,10 @@ mod tests {
     fn refusals_name_the_text() {
         for (text, part) in [
             ("10,20,30,40", "no kind"),
-            ("rect:1,2,3", "expected 4 numbers, found 3"),
+            ("rect:1,2,3", "has 3 numbers, expected 4: x,y,width,height"),
             ("rect:1,2,3,NaN", "\"NaN\" is not a number"),
             ("poly:1,2;3,4", "at least 3"),
+            ("poly:1,2,3,4,5,6", "expected 2: x,y of one corner, with `;` between corners"),
             ("circle:1,2,3", "not understood"),
             ("mask:", "not understood"),
         ] {

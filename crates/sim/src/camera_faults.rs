@@ -2,6 +2,7 @@
 //!
 //! Random choices follow from a seed and the number of the pair.
 
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 /// The camera or cameras affected by a fault.
@@ -92,6 +93,9 @@ pub enum CameraFaultKind {
     },
 }
 
+/// Allowed lateness of pairs: their number.
+pub const PAIRS_LATE: RangeInclusive<u32> = 1..=100;
+
 impl CameraFaultKind {
     /// The name in setups and logs.
     pub fn name(&self) -> &'static str {
@@ -110,22 +114,23 @@ impl CameraFaultKind {
         }
     }
 
-    fn numbers(&self) -> [Option<(&'static str, f64, f64, f64)>; 4] {
+    fn numbers(&self) -> [Option<(&'static str, f64, RangeInclusive<f64>)>; 4] {
         let one = |number| [Some(number), None, None, None];
+        let (pairs_min, pairs_max) = PAIRS_LATE.into_inner();
         match *self {
             Self::Dropped { share } | Self::Repeated { share, .. } | Self::Torn { share } => {
-                one(("share", share, 0.0, 1.0))
+                one(("share", share, 0.0..=1.0))
             }
-            Self::Late { pairs } => one(("pairs", f64::from(pairs), 1.0, 100.0)),
-            Self::Brightness { factor, .. } => one(("factor", factor, 0.0, 100.0)),
-            Self::Occluder { width_share, .. } => one(("width_share", width_share, 0.0, 1.0)),
+            Self::Late { pairs } => one(("pairs", f64::from(pairs), f64::from(pairs_min)..=f64::from(pairs_max))),
+            Self::Brightness { factor, .. } => one(("factor", factor, 0.0..=100.0)),
+            Self::Occluder { width_share, .. } => one(("width_share", width_share, 0.0..=1.0)),
             Self::Miscalibrated { columns_px, rows_px, roll_rad, scale } => [
-                Some(("columns_px", columns_px, -500.0, 500.0)),
-                Some(("rows_px", rows_px, -500.0, 500.0)),
-                Some(("roll_rad", roll_rad, -0.5, 0.5)),
-                Some(("scale", scale, 0.5, 2.0)),
+                Some(("columns_px", columns_px, -500.0..=500.0)),
+                Some(("rows_px", rows_px, -500.0..=500.0)),
+                Some(("roll_rad", roll_rad, -0.5..=0.5)),
+                Some(("scale", scale, 0.5..=2.0)),
             ],
-            Self::Skewed { .. } | Self::Frozen | Self::Black { .. } | Self::Saturated { .. } => [None; 4],
+            Self::Skewed { .. } | Self::Frozen | Self::Black { .. } | Self::Saturated { .. } => [const { None }; 4],
         }
     }
 }
@@ -171,9 +176,10 @@ impl CameraFaults {
                 ));
             }
             let numbers = fault.kind.numbers();
-            if let Some((key, value, min, max)) =
-                numbers.into_iter().flatten().find(|(_, value, min, max)| !(min..=max).contains(&value))
+            if let Some((key, value, allowed)) =
+                numbers.into_iter().flatten().find(|(_, value, allowed)| !allowed.contains(value))
             {
+                let (min, max) = allowed.into_inner();
                 return refuse(format!("camera fault {name}: {key} is {value}; set it between {min} and {max}"));
             }
         }

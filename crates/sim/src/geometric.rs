@@ -4,6 +4,7 @@
 //! the visibility limits are simulated; errors caused by the image content (relief, texture, light, occlusion) are not.
 
 use std::fmt;
+use std::ops::RangeInclusive;
 
 use nalgebra::{Matrix6, Point3, UnitQuaternion, Vector2, Vector3, Vector6};
 use pb3dp_geometry::frames::{CamLeft, Model, Target};
@@ -42,17 +43,16 @@ impl PoseSigma {
         Vector6::from_fn(|row, _| normal(hash(&[base, row as u32]))).component_mul(&self.of_xi())
     }
 
+    /// Allowed values of `lateral_m` and `depth_m`.
+    pub const POSITION_M: RangeInclusive<f64> = 0.0..=0.1;
+    /// Allowed values of `tilt_rad` and `about_normal_rad`.
+    pub const ANGLE_RAD: RangeInclusive<f64> = 0.0..=0.5;
+
     fn check(&self, keys: [&'static str; 4]) -> Result<(), GeometricError> {
-        let Self { lateral_m, depth_m, tilt_rad, about_normal_rad } = *self;
-        for (key, value, most) in [
-            (keys[0], lateral_m, 0.1),
-            (keys[1], depth_m, 0.1),
-            (keys[2], tilt_rad, 0.5),
-            (keys[3], about_normal_rad, 0.5),
-        ] {
-            in_range(key, value, (0.0, most))?;
-        }
-        Ok(())
+        in_range(keys[0], self.lateral_m, Self::POSITION_M)?;
+        in_range(keys[1], self.depth_m, Self::POSITION_M)?;
+        in_range(keys[2], self.tilt_rad, Self::ANGLE_RAD)?;
+        in_range(keys[3], self.about_normal_rad, Self::ANGLE_RAD)
     }
 }
 
@@ -94,18 +94,27 @@ pub struct GeometricError {
     pub max: f64,
 }
 
-fn in_range(key: &'static str, value: f64, (min, max): (f64, f64)) -> Result<(), GeometricError> {
-    if (min..=max).contains(&value) { Ok(()) } else { Err(GeometricError { key, value, min, max }) }
+fn in_range(key: &'static str, value: f64, allowed: RangeInclusive<f64>) -> Result<(), GeometricError> {
+    if allowed.contains(&value) {
+        return Ok(());
+    }
+    let (min, max) = allowed.into_inner();
+    Err(GeometricError { key, value, min, max })
 }
 
 impl GeometricConfig {
+    /// Allowed values of `in_view_share_min`.
+    pub const IN_VIEW_SHARE_MIN: RangeInclusive<f64> = 0.0..=1.0;
+    /// Allowed values of `turned_max_rad`.
+    pub const TURNED_MAX_RAD: RangeInclusive<f64> = 0.1..=1.5;
+
     fn validate(&self) -> Result<(), GeometricError> {
         self.noise.check(["noise.lateral_m", "noise.depth_m", "noise.tilt_rad", "noise.about_normal_rad"])?;
         self.lock.check(["lock.lateral_m", "lock.depth_m", "lock.tilt_rad", "lock.about_normal_rad"])?;
-        in_range("in_view_share_min", self.in_view_share_min, (0.0, 1.0))?;
-        in_range("turned_max_rad", self.turned_max_rad, (0.1, 1.5))?;
-        in_range("z_min_m", self.z_min_m, (1e-3, 1e3))?;
-        in_range("z_max_m", self.z_max_m, (self.z_min_m, 1e3))
+        in_range("in_view_share_min", self.in_view_share_min, Self::IN_VIEW_SHARE_MIN)?;
+        in_range("turned_max_rad", self.turned_max_rad, Self::TURNED_MAX_RAD)?;
+        in_range("z_min_m", self.z_min_m, 1e-3..=1e3)?;
+        in_range("z_max_m", self.z_max_m, self.z_min_m..=1e3)
     }
 }
 

@@ -131,11 +131,11 @@ impl Scene {
     /// A number out of its range.
     pub fn build(config: &SceneConfig) -> Result<Self, SceneError> {
         let lighting = &config.lighting;
-        check("lighting.ambient", lighting.ambient, 0.0, 4.0)?;
-        check("lighting.lamp", lighting.lamp, 0.0, 4.0)?;
+        check("lighting.ambient", lighting.ambient, 0.0..=4.0)?;
+        check("lighting.lamp", lighting.lamp, 0.0..=4.0)?;
         if let Some(highlight) = &lighting.highlight {
-            check("lighting.highlight.strength_grey", highlight.strength_grey, 0.0, 255.0)?;
-            check("lighting.highlight.exponent", f64::from(highlight.exponent), 1.0, 200.0)?;
+            check("lighting.highlight.strength_grey", highlight.strength_grey, 0.0..=255.0)?;
+            check("lighting.highlight.exponent", f64::from(highlight.exponent), 1.0..=200.0)?;
         }
         let (target, mut parts) = targets::build(&config.target, config.seed)?;
         if let Some(backdrop) = &config.backdrop {

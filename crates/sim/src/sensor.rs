@@ -2,6 +2,8 @@
 //!
 //! Grey levels are proportional to light (no gamma): a surface of texture colour 200 under light 1 gives grey level 200.
 
+use std::ops::RangeInclusive;
+
 use pb3dp_computing::wide;
 
 use crate::noise;
@@ -36,6 +38,9 @@ impl Default for SensorConfig {
     }
 }
 
+/// Allowed numbers of rendered moments of an exposure: 1 renders sharp images.
+pub const BLUR_MOMENTS: RangeInclusive<u32> = 1..=64;
+
 impl SensorConfig {
     /// A perfect sensor: no blur, no noise, equal responses; only quantisation remains.
     pub const IDEAL: Self = Self {
@@ -46,23 +51,32 @@ impl SensorConfig {
         right: CameraResponse::NEUTRAL,
     };
 
+    /// Allowed values of `lens_blur_px`.
+    pub const LENS_BLUR_PX: RangeInclusive<f64> = 0.0..=0.7;
+    /// Allowed values of `read_noise_grey`.
+    pub const READ_NOISE_GREY: RangeInclusive<f64> = 0.0..=50.0;
+    /// Allowed values of `shot_noise_grey`.
+    pub const SHOT_NOISE_GREY: RangeInclusive<f64> = 0.0..=10.0;
+
     /// Checks every number.
     ///
     /// # Errors
     /// The first number out of its range.
     pub fn validate(&self) -> Result<(), SensorError> {
         let mut checks = vec![
-            ("lens_blur_px", self.lens_blur_px, 0.0, 0.7),
-            ("read_noise_grey", self.read_noise_grey, 0.0, 50.0),
-            ("shot_noise_grey", self.shot_noise_grey, 0.0, 10.0),
+            ("lens_blur_px", self.lens_blur_px, Self::LENS_BLUR_PX),
+            ("read_noise_grey", self.read_noise_grey, Self::READ_NOISE_GREY),
+            ("shot_noise_grey", self.shot_noise_grey, Self::SHOT_NOISE_GREY),
         ];
         for side in [&self.left, &self.right] {
-            checks.push(("exposure", side.exposure, 0.01, 16.0));
-            checks.extend(side.gain.map(|gain| ("gain", gain, 0.01, 16.0)));
-            checks.extend(side.offset_grey.map(|offset| ("offset_grey", offset, -128.0, 128.0)));
+            checks.push(("exposure", side.exposure, CameraResponse::EXPOSURE));
+            checks.extend(side.gain.map(|gain| ("gain", gain, CameraResponse::GAIN)));
+            checks.extend(side.offset_grey.map(|offset| ("offset_grey", offset, CameraResponse::OFFSET_GREY)));
         }
-        match checks.into_iter().find(|(_, value, min, max)| !(min..=max).contains(&value)) {
-            Some((name, value, min, max)) => Err(SensorError { name, value, min, max }),
+        match checks.into_iter().find(|(_, value, allowed)| !allowed.contains(value)) {
+            Some((name, value, allowed)) => {
+                Err(SensorError { name, value, min: *allowed.start(), max: *allowed.end() })
+            }
             None => Ok(()),
         }
     }
@@ -80,6 +94,13 @@ pub struct CameraResponse {
 }
 
 impl CameraResponse {
+    /// Allowed values of `exposure`.
+    pub const EXPOSURE: RangeInclusive<f64> = 0.01..=16.0;
+    /// Allowed values of each `gain`.
+    pub const GAIN: RangeInclusive<f64> = 0.01..=16.0;
+    /// Allowed values of each `offset_grey`.
+    pub const OFFSET_GREY: RangeInclusive<f64> = -128.0..=128.0;
+
     /// Grey level equals light.
     pub const NEUTRAL: Self = Self { exposure: 1.0, gain: [1.0; 3], offset_grey: [0.0; 3] };
 }

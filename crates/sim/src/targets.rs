@@ -16,6 +16,7 @@ pub mod potato;
 pub mod room;
 pub mod texture;
 
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
@@ -61,6 +62,9 @@ pub enum TargetConfig {
 }
 
 impl TargetConfig {
+    /// Allowed reliefs, metres.
+    pub const RELIEF_M: RangeInclusive<f64> = 0.0..=0.04;
+
     /// The crab with a relief of the given height, metres.
     pub const fn crab(relief_m: f64) -> Self {
         Self::Crab { relief_m }
@@ -152,20 +156,20 @@ pub fn model(config: &TargetConfig, seed: u32) -> Result<TargetModel, SceneError
 fn check_config(config: &TargetConfig) -> Result<(), SceneError> {
     let sizes: &[f64] = match config {
         TargetConfig::Crab { relief_m } => {
-            check("target.relief_m", *relief_m, 0.0, 0.04)?;
+            check("target.relief_m", *relief_m, TargetConfig::RELIEF_M)?;
             &[]
         }
         TargetConfig::Card { size_m } => size_m,
         TargetConfig::GreyBox { size_m } | TargetConfig::Potato { size_m } => size_m,
         TargetConfig::Chessboard { corners, square_m } => {
             for count in corners {
-                check("target.corners", f64::from(*count), 3.0, 20.0)?;
+                check("target.corners", f64::from(*count), 3.0..=20.0)?;
             }
-            check("target.square_m", *square_m, 0.005, 0.05)?;
+            check("target.square_m", *square_m, 0.005..=0.05)?;
             &[]
         }
     };
-    sizes.iter().try_for_each(|&size| check("target.size_m", size, 0.02, 0.4))
+    sizes.iter().try_for_each(|&size| check("target.size_m", size, 0.02..=0.4))
 }
 
 /// Width and height of a chessboard with these inner corners, including the white border, metres.
@@ -179,7 +183,7 @@ pub fn board_size_m(corners: [u32; 2], square_m: f64) -> [f64; 2] {
 /// # Errors
 /// A relief out of its range.
 pub fn build_painted(paint: Paint, relief_m: f64, seed: u32) -> Result<(TargetModel, Vec<ScenePart>), SceneError> {
-    check("target.relief_m", relief_m, 0.0, 0.04)?;
+    check("target.relief_m", relief_m, TargetConfig::RELIEF_M)?;
     let texture = texture::painted_once((paint.name(), [u64::from(seed), 0, 0, 0]), || paint.texture(seed));
     Ok(finish(Draft { name: paint.name(), ..crab::build_with(relief_m, seed, texture) }))
 }

@@ -118,13 +118,15 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>, time: Option<&Arc<Virtua
     let mut seats = seats.into_iter();
     let mut seat = || seats.next().context("a seat on the trip line between the arms");
     let wanted = |name, arm| Wanted { name, arm, control_period: setup.control_period, clock, time };
-    let (vs_wanted, tc_wanted) = (wanted(vs_name, &setup.rig.vs), wanted(tc_name, &setup.rig.tc));
+    let (vs_wanted, tc_wanted) = (wanted(vs_name, &setup.rig.arms.vs), wanted(tc_name, &setup.rig.arms.tc));
     let (vs, tc) = (wire_backend(vs_wanted, seat()?)?, wire_backend(tc_wanted, seat()?)?);
-    let on_bus =
-        [(vs_name, &setup.rig.vs, &vs), (tc_name, &setup.rig.tc, &tc)].into_iter().filter_map(arm_on_bus).collect();
+    let on_bus = [(vs_name, &setup.rig.arms.vs, &vs), (tc_name, &setup.rig.arms.tc, &tc)]
+        .into_iter()
+        .filter_map(arm_on_bus)
+        .collect();
     let (vs_guarded, vs_flight) = guarded(vs_wanted, vs.backend, vs.trip)?;
     let (tc_guarded, tc_flight) = guarded(tc_wanted, tc.backend, tc.trip)?;
-    let pair = ((vs_guarded, setup.rig.vs.coupled()), (tc_guarded, setup.rig.tc.coupled()));
+    let pair = ((vs_guarded, setup.rig.arms.vs.coupled()), (tc_guarded, setup.rig.arms.tc.coupled()));
     let (vs_coupled, tc_coupled) = couple(pair.0, pair.1, setup.rig.least_room_m, clock).context("table [arms]")?;
     let monitors = [(vs_name, vs.monitor), (tc_name, tc.monitor)];
     Ok(WiredArms {
@@ -367,7 +369,10 @@ fn emulated_parts(
         ..MockControllerConfig::new(link.format)
     };
     let firmware = Firmware::new(EMULATION).context("a name for the gateway")?;
-    let gateway = GatewayConfig { geometry: link.geometry, ..GatewayConfig::new(link.arm, link.format, firmware) };
+    let gateway = GatewayConfig {
+        geometry: link.geometry,
+        ..GatewayConfig::new(link.arm, link.format, firmware, link.limits.allowed)
+    };
     Ok((controller, gateway, plant))
 }
 

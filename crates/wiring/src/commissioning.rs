@@ -4,15 +4,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_arm_pa10::arm::{ArmMonitor, Pa10Arm, read_shared_key};
+use pb3dp_arm_pa10::arm::{ArmMonitor, Pa10Arm, WishError, read_shared_key};
 use pb3dp_arm_pa10::driver::{FaultCause, LimitsCheck, Trip};
+use pb3dp_arm_pa10::serial::SerialError;
 use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, SocketAddr};
 use pb3dp_arm_pa10_gateway::service::Access;
-use pb3dp_arm_pa10_protocol::gateway_protocol::StopCause;
+use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, StopCause};
 use pb3dp_cell::parts::{ArmChoice, DrivenArm};
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_middleware::{FlightLog, StartPose};
-use pb3dp_hal_platform::tcp::TcpConfig;
+use pb3dp_hal_platform::tcp::{TcpConfig, TcpError};
 use pb3dp_setup::setup::{ArmLink, GatewayWay, Setup};
 
 use super::arm::{AloneArm, Wanted, WiredArms, alone, connect, emulate, line, wire_alone, wire_arms};
@@ -48,6 +49,51 @@ pub fn see(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<S
     let (target, emulated) = (line.target(), emulated.and_then(|(emulation, _)| emulation.into_server()));
     let arm = connect(line, (alone()?, LimitsCheck::Read), wanted)?;
     Ok(SeenArm { arm, target, emulated })
+}
+
+/// Checks with `--alone` that the other arm is disabled or disconnected: nobody else monitors it then.
+///
+/// # Errors
+/// If its drives are enabled, or if its link does not show whether they are.
+pub fn check_other_is_off(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<()> {
+    let other = choice.other();
+    if other.of(setup).link.is_toy() {
+        return Ok(());
+    }
+    let seen = match see(setup, other, clock) {
+        Ok(seen) => seen.arm.monitor().snapshot(),
+        Err(error) if is_absent(&error, &other.of(setup).link) => {
+            tracing::info!("--alone: {} is disconnected: {error:#}", other.name());
+            return Ok(());
+        }
+        Err(error) => {
+            return Err(error.context(format!(
+                "--alone: it is unknown whether {} is disabled; disconnect it, end the program that uses it, or leave --alone out",
+                other.name()
+            )));
+        }
+    };
+    let is_on =
+        |state: GatewayState| !matches!(state, GatewayState::Idle | GatewayState::Fault | GatewayState::EmergencyStop);
+    if let Some(found) = seen.gateway_found.filter(|found| is_on(found.state)) {
+        bail!(
+            "--alone: the gateway of {} is in the state {}: its drives may be enabled; stop it, or leave --alone out",
+            other.name(),
+            found.state
+        );
+    }
+    tracing::info!("--alone: {} is connected and disabled", other.name());
+    Ok(())
+}
+
+/// Whether the link has nobody at its other end: no adapter, no listener, or no answer on a serial line that no other program uses.
+fn is_absent(error: &anyhow::Error, link: &ArmLink) -> bool {
+    let is_serial = matches!(link, ArmLink::Gateway(_, GatewayWay::Serial { .. }));
+    error.chain().any(|cause| {
+        matches!(cause.downcast_ref(), Some(SerialError::Missing { .. }))
+            || (is_serial && matches!(cause.downcast_ref(), Some(WishError::NoGateway)))
+            || cause.is::<TcpError>()
+    })
 }
 
 /// Whether the controller's answers have another length than the configured wire format; the length identifies the format.
@@ -88,12 +134,15 @@ const RIPPLE_RAD_PER_S: f64 = 0.02;
 /// If the speed is not valid.
 pub fn slow_setup(setup: &Setup, choice: ArmChoice, joint_max_rad_per_s: f64) -> Result<Setup> {
     let mut slow = setup.clone();
-    for arm in [&mut slow.rig.vs, &mut slow.rig.tc] {
+    for arm in [&mut slow.rig.arms.vs, &mut slow.rig.arms.tc] {
         arm.limits = arm.limits.slowed(f64::MAX, SPEED_SCALE_MAX)?;
+        // A gateway keeps these speeds, too.
+        arm.link = arm.link.clone().limited(&arm.limits)?;
     }
     let arm = choice.of_mut(&mut slow);
     arm.limiter.start = StartPose::Anywhere;
     arm.limits = arm.limits.slowed(joint_max_rad_per_s, SPEED_SCALE_MAX)?;
+    arm.link = arm.link.clone().limited(&arm.limits)?;
     arm.guard.ripple_rad_per_s = RIPPLE_RAD_PER_S;
     Ok(slow)
 }
@@ -155,5 +204,40 @@ pub fn emulate_at_address(
 pub fn set_line(setup: &mut Setup, choice: ArmChoice, address: SocketAddr, key_file: PathBuf) {
     if let ArmLink::Gateway(_, way) = &mut choice.of_mut(setup).link {
         *way = GatewayWay::Tcp { tcp: TcpConfig { address }, key_file };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::TcpListener;
+
+    use pb3dp_hal_clock::SystemClock;
+    use pb3dp_hal_platform::key_file::write_new_key;
+    use pb3dp_setup::setup::read_setup;
+
+    use super::*;
+
+    /// Checks with the arm with the target at this address.
+    fn check_at(address: SocketAddr, key_file: &Path) -> Result<()> {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/hil.toml");
+        let mut setup = read_setup(&file).unwrap();
+        set_line(&mut setup, ArmChoice::Tc, address, key_file.to_owned());
+        let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+        check_other_is_off(&setup, ArmChoice::Vs, &clock)
+    }
+
+    #[test]
+    fn an_arm_that_nobody_serves_is_off_and_one_that_another_host_holds_is_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let key = folder.path().join("arm.key");
+        write_new_key(&key).unwrap();
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        // A gateway turns away the second host: it closes the connection.
+        let turning_away = std::thread::spawn(move || drop(listener.accept()));
+        let refusal = format!("{:#}", check_at(address, &key).unwrap_err());
+        assert!(refusal.starts_with("--alone: it is unknown whether tc-robot is disabled"), "{refusal}");
+        turning_away.join().unwrap();
+        check_at(address, &key).unwrap();
     }
 }

@@ -42,7 +42,7 @@ use pb3dp_cell::parts::{EmulatedArm, LinkMonitor, Parts};
 use pb3dp_cell::paths::check_paths;
 use pb3dp_cell::perception::{Marking, NOT_MARKED, Sight};
 use pb3dp_setup::region_spec::load_region;
-use pb3dp_setup::setup::{Cameras, Carrier, Pace, Setup};
+use pb3dp_setup::setup::{Carrier, Pace, Setup};
 
 /// Delivery times of recorded frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -162,8 +162,8 @@ fn wire_cell_with(
     let start = cell.world_from_target_at(clock.now());
     let experiment = begin(&mut cell, start)?;
     let mut cameras = None;
-    let (camera, marking) = match &setup.rig.cameras {
-        Cameras::Real(real) => {
+    let (camera, marking) = match (&setup.rig.real_cameras, &setup.world) {
+        (Some(real), _) => {
             if let Some(says) = &setup.rig.nominal_calibration {
                 nominal::look_at_arms(says, &monitors)?;
             }
@@ -172,10 +172,11 @@ fn wire_cell_with(
             let region = real.region.as_ref().map(|region| load_region(region, real.size())).transpose()?;
             (Sight::Images(wired.camera), region.map_or(Marking::Nobody, Marking::Region))
         }
-        Cameras::Simulated(world) => {
+        (None, Some(world)) => {
             let (camera, outline_m) = wire_sight(setup, world, &mut cell, &clock)?;
             (camera, Marking::Outline(outline_m))
         }
+        (None, None) => bail!("the setup has neither real cameras nor a simulated world"),
     };
     let parts = Parts {
         clock,
@@ -204,7 +205,7 @@ fn wire_cell_with(
 /// # Errors
 /// No target is marked.
 fn check_marked(setup: &Setup) -> Result<()> {
-    match setup.real_cameras() {
+    match setup.rig.real_cameras.as_ref() {
         Some(cameras) if cameras.region.is_none() => bail!("{NOT_MARKED}"),
         _ => Ok(()),
     }
@@ -238,7 +239,7 @@ mod tests {
         let mut setup = read_setup(std::path::Path::new(file)).unwrap();
         (setup.leader, setup.compared) = (Leader::Geometric(setup.geometric.unwrap()), Vec::new());
         let kind = CameraFaultKind::Dropped { share: 0.5 };
-        setup.world_mut().unwrap().faults.list =
+        setup.world.as_mut().unwrap().faults.list =
             vec![CameraFault { kind, from: Duration::ZERO, until: Duration::from_secs(3600) }];
         setup.reseed(seed);
         let Sight::Geometric(mut camera) = wire(&setup).unwrap().camera else { panic!("images are rendered") };

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use crate::codec::WireFormat;
-use crate::gateway_protocol::{ArmId, Dialect, Geometry};
+use crate::gateway_protocol::{ArmId, Dialect, Geometry, HostLimits};
 
 /// Where a bus is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -55,4 +55,6 @@ pub struct GatewayLinkConfig {
     pub geometry: Geometry,
     /// Time between two commands.
     pub cycle: Duration,
+    /// Motion limits of the host. A gateway that allows more is refused.
+    pub limits: HostLimits,
 }

@@ -7,7 +7,7 @@ use pb3dp_arm_pa10::arm::{ArmMonitor, ArmOpenError, Pa10Arm, Pa10ArmConfig, Trip
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, LimitsCheck, Trip};
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry, HostMessage};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry, HostLimits, HostMessage};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, JointCommand};
 use pb3dp_hal_clock::SystemClock;
@@ -31,6 +31,7 @@ pub fn config(arm: u8) -> Pa10ArmConfig {
         format: FORMAT,
         geometry: Geometry::SecondGeneration,
         cycle: CYCLE,
+        limits: HostLimits::WIDEST,
     };
     Pa10ArmConfig::new(&format!("arm-{arm}"), driver, link)
 }

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use pb3dp_arm_pa10_emulation::mock_controller::{MockController, MockControllerConfig};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig, GatewayStatus};
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Firmware, GatewayState};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Firmware, GatewayState, MotionLimits};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::realtime::{Realtime, enter};
 use pb3dp_hal_platform::transport::{ByteLink, wait};
@@ -46,7 +46,7 @@ impl Cell {
         let plant = Arc::new(Mutex::new(JointPlant::new(plant_config(), home, now).unwrap()));
         // Emulated brakes and watchdog have the published values, and the gateway is configured for the slower brake.
         let controller = MockController::new(MockControllerConfig::new(format), plant, 7, now).unwrap();
-        let config = GatewayConfig::new(arm, format, Firmware::new("test cell 1").unwrap());
+        let config = GatewayConfig::new(arm, format, Firmware::new("test cell 1").unwrap(), MotionLimits::WIDEST);
         Self { gateway: Gateway::new(config, now).unwrap(), controller, answers_lost: 0, stalled: false, now }
     }
 

@@ -9,7 +9,7 @@ use pb3dp_arm_pa10::link::{GatewayLink, LinkError};
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockController, MockControllerConfig};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, Geometry};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, Geometry, HostLimits, MotionLimits};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
@@ -58,11 +58,18 @@ impl Chain {
         let plant = Arc::new(Mutex::new(joints));
         let controller = MockControllerConfig { watchdog, ..MockControllerConfig::new(format) };
         let firmware = Firmware::new("test gateway 1").unwrap();
-        let link = GatewayLinkConfig { arm: ARM, dialect, format, geometry: Geometry::Unknown, cycle: HOST_CYCLE };
+        let link = GatewayLinkConfig {
+            arm: ARM,
+            dialect,
+            format,
+            geometry: Geometry::Unknown,
+            cycle: HOST_CYCLE,
+            limits: HostLimits::WIDEST,
+        };
         let mut chain = Self {
             driver: Driver::new(DriverConfig::with_cycle(HOST_CYCLE)).unwrap(),
             link: GatewayLink::new(link),
-            gateway: Gateway::new(GatewayConfig::new(ARM, format, firmware), START).unwrap(),
+            gateway: Gateway::new(GatewayConfig::new(ARM, format, firmware, MotionLimits::WIDEST), START).unwrap(),
             controller: MockController::new(controller, Arc::clone(&plant), 1, START).unwrap(),
             plant,
             now: START,

@@ -6,8 +6,8 @@ use pb3dp_arm_pa10_protocol::codec::{
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, Control, ControlReply, Dialect, DriveMode, EepromLimits, Firmware, Frame, FrameParser,
-    GatewayMessage, GatewayState, Geometry, Health, HelloReply, HostMessage, RawMessage, Received, Reject,
-    RejectReason, State, StopCause,
+    GatewayMessage, GatewayState, Geometry, Health, HelloReply, HostMessage, MotionLimits, RawMessage, Received,
+    Reject, RejectReason, State, StopCause,
 };
 use pb3dp_kinematics::JointVector;
 
@@ -20,6 +20,7 @@ pub struct FakeGateway {
     /// Reported command ages at which it slows down and stops, µs.
     pub watchdog_us: [u32; 2],
     pub brake_us: u32,
+    pub limits: MotionLimits,
     /// Whether the cause of the stop is present, which prevents a reset.
     pub cause_present: bool,
     /// The cause that it reports in this case.
@@ -48,6 +49,7 @@ impl FakeGateway {
             cause: StopCause::None,
             watchdog_us: [20_000, 50_000],
             brake_us: 200_000,
+            limits: MotionLimits::WIDEST,
             cause_present: false,
             found: None,
             knows_abort: true,
@@ -232,6 +234,7 @@ impl FakeGateway {
             controller_watchdog_us: 0,
             brake_release_us: self.brake_us,
             firmware: Firmware::new("fake").unwrap(),
+            limits: self.limits,
         }
     }
 

@@ -15,8 +15,8 @@ use pb3dp_arm_pa10_protocol::codec::{
     WireFormat,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, ArmOperation, Control, Dialect, DriveCommand, DriveMode, Firmware, Frame, FrameParser, GatewayMessage,
-    GatewayState, Hello, HostMessage, PAYLOAD_LENGTH_MAX, Payload, RawMessage, Received,
+    ArmId, ArmOperation, AxisMotionLimits, Control, Dialect, DriveCommand, DriveMode, Firmware, Frame, FrameParser,
+    GatewayMessage, GatewayState, Hello, HostMessage, MotionLimits, PAYLOAD_LENGTH_MAX, Payload, RawMessage, Received,
 };
 use pb3dp_geometry::MonotonicTime;
 
@@ -72,6 +72,12 @@ pub fn gateway_core_survives(bytes: &[u8]) {
     world.fall_silent();
 }
 
+/// Limits that most commands of a scenario exceed.
+fn tight_limits() -> MotionLimits {
+    let axis = AxisMotionLimits { speed: 500, acceleration: 2000, jerk: 5000, lower: -40, upper: 9000 };
+    MotionLimits { axes: [axis; Axis::COUNT] }
+}
+
 /// Splits off this many bytes; returns them and the rest.
 fn split(bytes: &[u8], most: usize) -> (&[u8], &[u8]) {
     bytes.split_at(bytes.len().min(most))
@@ -84,7 +90,12 @@ impl World {
         let config = GatewayConfig {
             brake_time: BRAKE_TIME,
             interpolates: choice & 2 == 0,
-            ..GatewayConfig::new(ARM, format, firmware)
+            ..GatewayConfig::new(
+                ARM,
+                format,
+                firmware,
+                if choice & 8 == 0 { MotionLimits::WIDEST } else { tight_limits() },
+            )
         };
         let now = MonotonicTime::from_nanos(5_000_000_000);
         Self {
@@ -115,6 +126,7 @@ impl World {
             2 => self.say(&HostMessage::Hello(Hello {
                 dialect: if first & 1 == 0 { Dialect::GatewayV1 } else { Dialect::Transparent },
                 cycle_us: 2000 + u32::from(first) * 30,
+                limits: if first & 2 == 0 { self.config.limits } else { MotionLimits::WIDEST },
             })),
             3 | 4 => return self.command(first, rest),
             5 => self.say(&HostMessage::Control(control(first))),
@@ -272,7 +284,7 @@ impl World {
         ArmReply { axes, comm }
     }
 
-    /// Checks a message: it is valid, its letter is S, C, E, A or R, no speed exceeds the requested one or outlives its command,
+    /// Checks a message: it is valid, its letter is S, C, E, A or R, no speed exceeds its limit or the requested one, or outlives its command,
     /// and no servo is off before its brake holds.
     fn take_frame(&mut self, frame: &[u8]) {
         let packet = arcnet::decode(Route::TO_CONTROLLER, frame).unwrap();
@@ -286,6 +298,7 @@ impl World {
                 for (axis, told) in command.axes.iter().enumerate() {
                     let speed = told.speed().0.unsigned_abs();
                     assert!(speed <= self.speed_max[axis], "axis {axis}: {speed}, {} asked for", self.speed_max[axis]);
+                    assert!(speed <= self.config.limits.axes[axis].speed, "axis {axis}: {speed} is beyond its limit");
                     assert!(
                         speed == 0 || silent_for <= self.config.watchdog.stop_after(),
                         "{speed} after {silent_for:?}"

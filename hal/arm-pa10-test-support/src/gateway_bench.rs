@@ -11,7 +11,7 @@ use pb3dp_arm_pa10_protocol::codec::{
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, Control, Dialect, DriveCommand, DriveMode, Firmware, Frame, FrameParser, GatewayMessage,
-    GatewayState, Hello, HostMessage, RawMessage, Received, Reject, RejectReason, StopCause,
+    GatewayState, Hello, HostMessage, MotionLimits, RawMessage, Received, Reject, RejectReason, StopCause,
 };
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
@@ -33,7 +33,7 @@ pub fn velocity() -> JointVector {
 }
 
 pub fn config(format: WireFormat) -> GatewayConfig {
-    GatewayConfig::new(ARM, format, Firmware::new("test gateway 1").unwrap())
+    GatewayConfig::new(ARM, format, Firmware::new("test gateway 1").unwrap(), MotionLimits::WIDEST)
 }
 
 /// The servo controller on the bus: it answers each request as scripted.
@@ -332,7 +332,7 @@ impl Bench {
 }
 
 pub fn hello(dialect: Dialect) -> HostMessage {
-    HostMessage::Hello(Hello { dialect, cycle_us: 10_000 })
+    HostMessage::Hello(Hello { dialect, cycle_us: 10_000, limits: MotionLimits::WIDEST })
 }
 
 pub fn control(operation: ArmOperation) -> HostMessage {

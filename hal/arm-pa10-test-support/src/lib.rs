@@ -2,7 +2,7 @@
 //!
 //! * In virtual time: [`driver_bench`], [`link_rig`], [`bus_bench`], [`chain`], [`gateway_bench`], [`byte_bus`].
 //! * In real time: [`far_end`] and [`cell_end`] serve the other end of a line, [`arm_rig`] is an arm with such an end, [`world`]
-//! an emulated controller with a host.
+//!   an emulated controller with a host.
 //! * Bodies of the fuzz targets: [`codec_abuse`], [`gateway_abuse`].
 
 #![allow(missing_docs, clippy::new_without_default, clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]

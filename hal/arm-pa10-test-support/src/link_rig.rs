@@ -5,7 +5,7 @@ use std::time::Duration;
 use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, LimitsCheck, Request, Trip};
 use pb3dp_arm_pa10::link::{GatewayLink, LinkError};
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry, HostLimits};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::JointVector;
@@ -27,7 +27,14 @@ pub fn velocity() -> JointVector {
 }
 
 pub fn link_config(dialect: Dialect, format: WireFormat) -> GatewayLinkConfig {
-    GatewayLinkConfig { arm: ARM, dialect, format, geometry: Geometry::SecondGeneration, cycle: CYCLE }
+    GatewayLinkConfig {
+        arm: ARM,
+        dialect,
+        format,
+        geometry: Geometry::SecondGeneration,
+        cycle: CYCLE,
+        limits: HostLimits::WIDEST,
+    }
 }
 
 /// The arms here have limits of 3 rad on all axes.

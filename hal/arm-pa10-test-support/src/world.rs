@@ -14,7 +14,9 @@ use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockController, Moc
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_gateway::service::{Access, HostSide};
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry, SharedKey};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
+    ArmId, AxisMotionLimits, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, SharedKey,
+};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_hal_platform::realtime::{self, Realtime};
@@ -47,7 +49,7 @@ pub fn gateway_config() -> GatewayConfig {
         cycle: ms(10),
         lateness_allowed: ms(150),
         watchdog: watchdog(),
-        ..GatewayConfig::new(ARM, FORMAT, Firmware::new("pb3dp test").unwrap())
+        ..GatewayConfig::new(ARM, FORMAT, Firmware::new("pb3dp test").unwrap(), MotionLimits::WIDEST)
     }
 }
 
@@ -203,6 +205,12 @@ pub fn keyed(address: SocketAddr) -> KeyedTcp {
     KeyedTcp { tcp: TcpConfig { address }, key: test_key(), arm: ARM }
 }
 
+/// Limits of a slow host, within those of the gateway's shipped file.
+pub fn asked_limits() -> MotionLimits {
+    let axis = AxisMotionLimits { speed: 1000, acceleration: 200, jerk: 400, lower: -7500, upper: 7500 };
+    MotionLimits { axes: [axis; 7] }
+}
+
 /// A host: driver and link on a byte link.
 pub struct Host {
     pub driver: Driver,
@@ -222,6 +230,7 @@ impl Host {
             geometry: Geometry::Unknown,
             // A gateway may be configured with at most 10 ms.
             cycle: ms(10),
+            limits: HostLimits { asked: asked_limits(), ..HostLimits::WIDEST },
         };
         hurry();
         let (driver, link) = (Driver::new(config).unwrap(), GatewayLink::new(link));

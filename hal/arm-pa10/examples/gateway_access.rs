@@ -15,7 +15,7 @@ use pb3dp_arm_pa10_gateway::service::{BusOpener, GatewayServer, GatewayServerCon
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     Agreement, ArmId, Dialect, Hello, HostMessage, OVERHEAD, SharedKey, Side,
 };
-use pb3dp_arm_pa10_test_support::world::{ARM, Emulation, gateway_config, keyed, ms, tcp_side};
+use pb3dp_arm_pa10_test_support::world::{ARM, Emulation, asked_limits, gateway_config, keyed, ms, tcp_side};
 use pb3dp_hal_platform::realtime::{Realtime, now};
 use pb3dp_hal_platform::transport::{ByteLink, Connector, wait};
 
@@ -45,7 +45,7 @@ fn seal_and_open_us(bytes: usize) -> (f64, f64) {
         let start = Instant::now();
         let record = sealer.seal(black_box(&frame));
         let sealed = Instant::now();
-        opener.feed(&record, |frame| drop(black_box(frame.len()))).unwrap();
+        opener.feed(&record, |frame| assert_eq!(black_box(frame.len()), bytes)).unwrap();
         sealing += sealed - start;
         opening += sealed.elapsed();
     }
@@ -74,7 +74,8 @@ fn latency() {
         GatewayServer::start(GatewayServerConfig { gateway: gateway_config(), realtime }, opener, side).unwrap();
     let mut owner = keyed(address).connect().unwrap();
     let mut sequence = 0;
-    ask(owner.as_mut(), &HostMessage::Hello(Hello { dialect: Dialect::GatewayV1, cycle_us: 10_000 }), &mut sequence);
+    let hello = Hello { dialect: Dialect::GatewayV1, cycle_us: 10_000, limits: asked_limits() };
+    ask(owner.as_mut(), &HostMessage::Hello(hello), &mut sequence);
     let (mut calm, mut attacked, mut connections) = (Vec::new(), Vec::new(), 0);
     for _ in 0..PARTS {
         answers(owner.as_mut(), &mut sequence, &mut calm);

@@ -9,10 +9,11 @@ use pb3dp_arm_pa10_protocol::codec::{
     TorqueCounts, TorqueScale, WireFormat,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    Agreement, ArmId, ArmOperation, AxisState, Control, ControlOperation, ControlReply, Dialect, DriveCommand,
-    DriveMode, EepromLimits, FRAME_BYTES_MAX, FaultReport, Firmware, Frame, FrameParser, GatewayMessage, GatewayState,
-    Geometry, Handshake, Health, Hello, HelloReply, Holder, HostMessage, MessageError, Payload, RawMessage, Received,
-    Reject, RejectReason, SharedKey, Side, State, StopCause, check_line, exchange_bytes, exchange_time,
+    Agreement, ArmId, ArmOperation, AxisMotion, AxisState, Control, ControlOperation, ControlReply, Dialect,
+    DriveCommand, DriveMode, EepromLimits, FRAME_BYTES_MAX, FaultReport, Firmware, Frame, FrameParser, GatewayMessage,
+    GatewayState, Geometry, Handshake, Health, Hello, HelloReply, Holder, HostMessage, MessageError, MotionLimits,
+    MotionQuantity, Payload, RawMessage, Received, Reject, RejectReason, SharedKey, Side, State, StopCause, check_line,
+    exchange_bytes, exchange_time,
 };
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_kinematics::JointVector;
@@ -57,7 +58,22 @@ fn hello_reply() -> HelloReply {
         controller_watchdog_us: 6000,
         brake_release_us: 200_000,
         firmware: Firmware::new("pa10-gateway 1.0.0").unwrap(),
+        limits: limits(),
     }
+}
+
+/// A quarter of the drives' speeds, and the servo range of a PA-10.
+fn limits() -> MotionLimits {
+    #[expect(clippy::approx_constant, reason = "the decimal number of configs/gateway.toml")]
+    let speeds = [0.25, 0.25, 0.5, 0.5, 0.5, 1.5708, 1.5708];
+    let ends_deg = [177.0f64, 91.0, 174.0, 137.0, 255.0, 165.0, 255.0];
+    let motions = std::array::from_fn(|axis| AxisMotion {
+        speed_max_rad_per_s: speeds[axis],
+        acceleration_max_rad_per_s2: if axis < 4 { 2.0 } else { 5.0 },
+        jerk_max_rad_per_s3: if axis < 4 { 80.0 } else { 200.0 },
+        range_rad: [-ends_deg[axis].to_radians(), ends_deg[axis].to_radians()],
+    });
+    MotionLimits::new(&motions).unwrap()
 }
 
 fn state() -> State {
@@ -104,7 +120,12 @@ fn health() -> Health {
 fn host_examples() -> Vec<(&'static str, HostMessage, u16, u64)> {
     let velocity = JointVector::from([0.1, -0.1, 0.0, 0.0, 0.0, 0.0, std::f64::consts::TAU]);
     vec![
-        ("hello", HostMessage::Hello(Hello { dialect: Dialect::GatewayV1, cycle_us: 10_000 }), 0, 1_500_000),
+        (
+            "hello",
+            HostMessage::Hello(Hello { dialect: Dialect::GatewayV1, cycle_us: 10_000, limits: limits() }),
+            0,
+            1_500_000,
+        ),
         ("start", control(Control::Arm(ArmOperation::Start)), 1, 1_510_000),
         ("command", HostMessage::Command(DriveCommand::follow(&velocity).unwrap()), 65535, 2_000_000),
         ("abort", control(Control::Arm(ArmOperation::Abort)), 6, 2_400_000),
@@ -205,6 +226,7 @@ fn the_numbers_of_the_specification_are_ours() {
     numbers.extend(ControlOperation::LISTED.iter().map(|code| (code.code(), code.to_string())));
     numbers.extend(GatewayState::LISTED.iter().map(|code| (code.code(), code.to_string())));
     numbers.extend(StopCause::LISTED.iter().map(|code| (code.code(), code.to_string())));
+    numbers.extend(MotionQuantity::LISTED.iter().map(|code| (code.code(), code.to_string())));
     numbers.extend(RejectReason::LISTED.iter().map(|code| (code.code(), code.to_string())));
     numbers.extend(Geometry::LISTED.iter().map(|code| (code.code(), code.to_string())));
     let (_, section) = SPECIFICATION.split_once("\n## Numbers\n").unwrap();
@@ -292,8 +314,22 @@ fn frames_that_mean_nothing_are_refused_by_name() {
     assert_eq!(host(0x06, &[]), MessageError::Type { got: 6 });
     assert_eq!(host(4, &[0]), MessageError::Length { frame_type: 4, got: 1, expected: 0 });
     assert_eq!(host(5, &[]), MessageError::Length { frame_type: 5, got: 0, expected: 1 });
-    assert_eq!(host(1, &[3, 0x10, 0x27, 0, 0]), value(1, "dialect", 3));
-    assert_eq!(host(1, &[2, 0x20, 0x4E, 0, 0]), value(1, "time between two commands", 20_000));
+    let hello = HostMessage::Hello(Hello { dialect: Dialect::GatewayV1, cycle_us: 10_000, limits: limits() });
+    let hello = |at: usize, bytes: &[u8]| {
+        let mut payload = hello.frame(ARM, 0, 0).payload.to_vec();
+        payload[at..at + bytes.len()].copy_from_slice(bytes);
+        host(1, &payload)
+    };
+    assert_eq!(hello(0, &[3]), value(1, "dialect", 3));
+    assert_eq!(hello(1, &[0x20, 0x4E]), value(1, "time between two commands", 20_000));
+    assert_eq!(hello(5, &[2]), value(1, "version of the limits", 2));
+    assert_eq!(hello(6, &[0, 0]), value(1, "speed limit", 0));
+    assert_eq!(hello(6, &[1, 0x80]), value(1, "speed limit", 32_769));
+    assert_eq!(hello(18, &[0, 0]), value(1, "acceleration limit", 0));
+    assert_eq!(hello(30, &[0, 0]), value(1, "jerk limit", 0));
+    assert_eq!(hello(12, &[0x56, 0x3C]), value(1, "lower end of the range", 15_446));
+    assert_eq!(hello(12, &[0, 0x80]), value(1, "lower end of the range", -32_768));
+    assert_eq!(host(1, &[2, 0x10, 0x27, 0, 0]), MessageError::Length { frame_type: 1, got: 5, expected: 76 });
     assert_eq!(host(3, &[1, 1]), value(3, "axis", 1));
     assert_eq!(host(3, &[3, 0]), value(3, "axis", 0));
     assert_eq!(host(3, &[4, 8]), value(3, "axis", 8));

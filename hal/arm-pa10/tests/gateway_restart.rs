@@ -6,7 +6,7 @@ use pb3dp_arm_pa10::driver::DriverState;
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, pa10_joints};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10_protocol::codec::{ArmCommand, AxisCommand, ControlMessage, ServoWord, Supervision, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, Firmware, GatewayState, StopCause};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, Firmware, GatewayState, MotionLimits, StopCause};
 use pb3dp_arm_pa10_test_support::chain::{ARM, Chain};
 use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, config, ms};
 use pb3dp_arm_pa10_test_support::{bus_bench, gateway_bench as bench};
@@ -63,7 +63,7 @@ fn an_arm_that_goes_on_moving_is_stopped_by_the_next_gateway() {
         assert!(speed.amax() > 0.25, "{speed}");
         // Gateway and host are killed, and the gateway is started again.
         chain.frozen = true;
-        let config = GatewayConfig::new(ARM, format, Firmware::new("test gateway 2").unwrap());
+        let config = GatewayConfig::new(ARM, format, Firmware::new("test gateway 2").unwrap(), MotionLimits::WIDEST);
         chain.gateway = Gateway::new(config, chain.now).unwrap();
         let (before, _) = chain.controller.true_joints();
         let (mut let_go, mut ended) = (false, None);

@@ -363,8 +363,9 @@ fn every_kind_of_bad_frame_is_refused_with_its_reason_and_detail_and_changes_not
             // A speed with closed brakes, and one out of the range of the controller.
             (with(0x02, &command), (RejectReason::BadValue, 0)),
             (with(0x02, &fast), (RejectReason::BadValue, 0)),
-            (with(0x01, &[3, 0, 0, 0, 0]), (RejectReason::BadValue, 0)),
-            (with(0x01, &[2, 1, 0, 0, 0]), (RejectReason::BadValue, 0)),
+            (with(0x01, &[2, 0x10, 0x27, 0, 0]), (RejectReason::WrongLength, 76)),
+            (with(0x01, &[3; 76]), (RejectReason::BadValue, 0)),
+            (with(0x01, &[2; 76]), (RejectReason::BadValue, 0)),
         ] {
             let sequence = bench.sequence.wrapping_add(1);
             if frame.arm == ARM && frame.frame_type != 0x01 {

@@ -15,7 +15,7 @@ use pb3dp_arm_pa10_protocol::codec::{
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, Control, Dialect, FaultReport, GatewayMessage, GatewayState, Geometry, HostMessage,
-    RejectReason, StopCause,
+    MotionQuantity, RejectReason, StopCause,
 };
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::link_rig::{ARM, CYCLE, FakeGateway, Rig, driver_config, link_config, ms, velocity};
@@ -277,6 +277,11 @@ fn a_fault_report_names_axis_and_alarm() {
             Trip::EStop(EmergencyStopCause::Axis { axis, alarm: ServoAlarm::DeadManOff }),
         ),
         (report(StopCause::EmergencyStop, None, 0), Trip::EStop(EmergencyStopCause::Gateway)),
+        (
+            report(StopCause::LimitExceeded, Some(axis), 1),
+            Trip::Fault(FaultCause::GatewayLimit { axis, quantity: MotionQuantity::Speed }),
+        ),
+        (report(StopCause::LimitExceeded, Some(axis), 9), Trip::Fault(FaultCause::Gateway(StopCause::LimitExceeded))),
         (report(StopCause::Internal, None, 0), Trip::Fault(FaultCause::Gateway(StopCause::Internal))),
     ] {
         let mut rig = Rig::new(Dialect::GatewayV1, WireFormat::BigEndian6x10);

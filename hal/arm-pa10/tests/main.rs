@@ -16,6 +16,7 @@ mod driver_properties;
 mod driver_table;
 mod frame_parser;
 mod gateway_abort;
+mod gateway_limits;
 mod gateway_local;
 mod gateway_properties;
 mod gateway_protocol;

@@ -8,7 +8,9 @@ use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, FaultC
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, pa10_joints};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, Firmware, GatewayState, RejectReason, StopCause};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
+    Dialect, Firmware, GatewayState, MotionLimits, RejectReason, StopCause,
+};
 use pb3dp_arm_pa10_test_support::bus_bench::{self, START, assert_held};
 use pb3dp_arm_pa10_test_support::chain::{ARM, Chain};
 use pb3dp_kinematics::JointVector;
@@ -79,7 +81,7 @@ fn reset(chain: &mut Chain, place: &str) {
 /// Gateway and host are killed, and both are started again.
 fn restart(chain: &mut Chain, format: WireFormat) {
     chain.wanted = None;
-    let config = GatewayConfig::new(ARM, format, Firmware::new("test gateway 2").unwrap());
+    let config = GatewayConfig::new(ARM, format, Firmware::new("test gateway 2").unwrap(), MotionLimits::WIDEST);
     chain.gateway = Gateway::new(config, chain.now).unwrap();
     chain.driver = Driver::new(DriverConfig::with_cycle(bus_bench::HOST_CYCLE)).unwrap();
     chain.letters.clear();

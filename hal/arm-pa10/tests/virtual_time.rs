@@ -14,7 +14,9 @@ use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_arm_pa10_emulation::mock_controller::{MockController, MockControllerConfig};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
+    ArmId, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits,
+};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::plant_config::plant_config;
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
@@ -37,12 +39,19 @@ fn open(arm: u8, time: &Arc<VirtualTime>, seat: TripSeat) -> (Pa10Arm, VirtualEn
     let now = time.now();
     let plant = Arc::new(Mutex::new(JointPlant::new(plant_config(), home, now).unwrap()));
     let controller = MockController::new(MockControllerConfig::new(FORMAT), plant, 7, now).unwrap();
-    let gateway = GatewayConfig::new(ArmId(arm), FORMAT, Firmware::new("test 1").unwrap());
+    let gateway = GatewayConfig::new(ArmId(arm), FORMAT, Firmware::new("test 1").unwrap(), MotionLimits::WIDEST);
     let end = VirtualEnd::new(FarEnd::new(controller, Some(Gateway::new(gateway, now).unwrap()), now), BAUD);
     let driver = DriverConfig { limits: LimitsCheck::Read, ..DriverConfig::with_cycle(CYCLE) };
     let geometry = Geometry::SecondGeneration;
     let dialect = Dialect::GatewayV1;
-    let link = GatewayLinkConfig { arm: ArmId(arm), dialect, format: FORMAT, geometry, cycle: CYCLE };
+    let link = GatewayLinkConfig {
+        arm: ArmId(arm),
+        dialect,
+        format: FORMAT,
+        geometry,
+        cycle: CYCLE,
+        limits: HostLimits::WIDEST,
+    };
     let config = Pa10ArmConfig::new(&format!("arm-{arm}"), driver, link);
     (Pa10Arm::open_virtual(config, Box::new(end.clone()), time, seat).unwrap(), end)
 }

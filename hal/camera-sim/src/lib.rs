@@ -16,13 +16,11 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{PoseSource, ScenePoses};
+use pb3dp_sim::sensor::BLUR_MOMENTS;
 
 pub use faults::FaultyCamera;
 pub use geometric::GeometricCamera;
 use schedule::ExposureSchedule;
-
-/// Maximum number of times rendered per exposure.
-const BLUR_MOMENTS_MAX: u32 = 64;
 
 /// Timing of the simulated camera.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -62,10 +60,12 @@ impl SimCameraConfig {
                 self.exposure, self.period
             ));
         }
-        if !(1..=BLUR_MOMENTS_MAX).contains(&self.blur_moments) {
+        if !BLUR_MOMENTS.contains(&self.blur_moments) {
             return refuse(format!(
-                "blur_moments of the simulated camera is {}; set 1 to {BLUR_MOMENTS_MAX}",
-                self.blur_moments
+                "blur_moments of the simulated camera is {}; set {} to {}",
+                self.blur_moments,
+                BLUR_MOMENTS.start(),
+                BLUR_MOMENTS.end()
             ));
         }
         Ok(())

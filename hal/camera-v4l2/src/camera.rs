@@ -206,6 +206,11 @@ impl V4l2StereoCamera {
         Ok(CameraIdentity { serial: entry.serial.clone(), place: capability.bus.clone(), focus })
     }
 
+    /// Left and right device, as they were found.
+    pub(crate) fn devices(&self) -> &[CaptureDevice; 2] {
+        &self.found
+    }
+
     /// Controls of a camera with their values.
     ///
     /// # Errors

@@ -8,6 +8,8 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 
 use crate::camera::{CameraIdentity, Side, StereoCounters, V4l2StereoCamera};
+use crate::error::unusable;
+use crate::names::CaptureDevice;
 use crate::video::VideoSystem;
 
 /// Time between two attempts to open lost cameras. An attempt queries every video device of the computer.
@@ -15,6 +17,7 @@ const AGAIN: Duration = Duration::from_millis(250);
 
 /// A [`V4l2StereoCamera`] that survives the loss of its devices. While they are missing each call is a `Timeout` with the reason.
 /// When they are available again, in the same mode and with the same controls, pairs continue with increasing numbers and times.
+/// Only the same cameras are used again: see [`Self::are_told_apart`].
 ///
 /// A call that opens cameras takes as long as the drivers need, which may be more than twice its `timeout`.
 pub struct ReopeningCamera {
@@ -22,6 +25,8 @@ pub struct ReopeningCamera {
     clock: Arc<dyn Clock>,
     config: StereoConfig,
     info: StereoCameraInfo,
+    /// Left and right device at the start.
+    first: [CaptureDevice; 2],
     reopen_for: Duration,
     state: State,
     /// Number and time of the newest delivered pair.
@@ -56,9 +61,9 @@ impl ReopeningCamera {
         reopen_for: Duration,
     ) -> Result<Self, CameraError> {
         let camera = V4l2StereoCamera::open(Arc::clone(&system), Arc::clone(&clock), &config)?;
-        let info = camera.info().clone();
+        let (info, first) = (camera.info().clone(), camera.devices().clone());
         let state = State::Open(Box::new(camera));
-        Ok(Self { system, clock, config, info, reopen_for, state, last: None, offset: None, reopened: 0 })
+        Ok(Self { system, clock, config, info, first, reopen_for, state, last: None, offset: None, reopened: 0 })
     }
 
     /// Counters of received and dropped images since the cameras were opened last.
@@ -86,6 +91,12 @@ impl ReopeningCamera {
     /// Number of times the cameras were reopened.
     pub fn reopened(&self) -> u64 {
         self.reopened
+    }
+
+    /// Whether different serial numbers tell left and right apart. Otherwise a reopened camera is identified by its port, and exchanged
+    /// cables only show in the images.
+    pub fn are_told_apart(&self) -> bool {
+        are_told_apart(&self.first)
     }
 
     /// Closes both devices; each call reports this until they are open again.
@@ -119,14 +130,15 @@ impl ReopeningCamera {
                 self.clock.sleep_until((*next_try).min(deadline));
                 continue;
             }
-            match V4l2StereoCamera::open(Arc::clone(&self.system), Arc::clone(&self.clock), &self.config) {
+            let opened = V4l2StereoCamera::open(Arc::clone(&self.system), Arc::clone(&self.clock), &self.config);
+            match opened.and_then(|camera| same_as(&self.first, camera)) {
                 Ok(camera) => {
                     self.state = State::Open(Box::new(camera));
                     self.reopened += 1;
                     return Ok(());
                 }
                 // All errors are retried: after reconnection a device is first missing, then not permitted, and then busy for a
-                // while.
+                // while, and exchanged cables can be exchanged again.
                 Err(error) => {
                     *why = error.to_string();
                     *next_try = self.clock.now() + AGAIN;
@@ -160,6 +172,29 @@ impl ReopeningCamera {
         self.last = Some((pair.sequence, pair.exposed_at));
         Ok(())
     }
+}
+
+/// Refuses other cameras than those of the start, and exchanged ones: the calibration belongs to those of the start.
+fn same_as(first: &[CaptureDevice; 2], camera: V4l2StereoCamera) -> Result<V4l2StereoCamera, CameraError> {
+    let by_port = !are_told_apart(first);
+    let mut sides = ["left", "right"].into_iter().zip(first.iter().zip(camera.devices()));
+    let other = sides.find_map(|(side, (was, is))| {
+        let differs =
+            |what: &str, was: &str, is: &str| (was != is).then(|| format!("{side} has {what} {is}, not {was}"));
+        let number = |device: &CaptureDevice| device.entry.serial.clone().unwrap_or_else(|| "(none)".to_owned());
+        let port = || differs("port", &was.capability.bus, &is.capability.bus).filter(|_| by_port);
+        differs("serial number", &number(was), &number(is)).or_else(port)
+    });
+    let Some(other) = other else { return Ok(camera) };
+    let what = format!(
+        "other cameras than at the start: {other}; connect each camera to its previous port, or end the run and use the calibration of \
+         these cameras"
+    );
+    Err(unusable(&camera.info().name, what))
+}
+
+fn are_told_apart([left, right]: &[CaptureDevice; 2]) -> bool {
+    left.entry.serial.is_some() && right.entry.serial.is_some() && left.entry.serial != right.entry.serial
 }
 
 impl StereoCamera for ReopeningCamera {

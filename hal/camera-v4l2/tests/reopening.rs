@@ -8,7 +8,7 @@ use std::time::Duration;
 use crate::support::{PERIOD_MILLIS, Rig, SECOND, SMALL, config, millis};
 use pb3dp_camera_settings::Setting;
 use pb3dp_camera_v4l2::controls::{Focus, id};
-use pb3dp_camera_v4l2::emulated::Call;
+use pb3dp_camera_v4l2::emulated::{Call, EmulatedCamera};
 use pb3dp_camera_v4l2::{ReopeningCamera, Side};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraErrorKind, Clock, FramePair, StereoCamera};
@@ -99,6 +99,73 @@ fn a_plug_that_has_no_rights_yet_is_tried_again() {
     assert!(came == 0 && said.contains("cannot be queried"), "{came} came: {said}");
     rig.faults(1, |faults| faults.calls.clear());
     assert!(take(&rig, &mut camera, SECOND, &mut last).0 > 20);
+}
+
+/// Pulls both plugs, and changes the cameras before they are plugged in again.
+fn plugged_in_again(
+    rig: &Rig,
+    camera: &mut ReopeningCamera,
+    change: impl Fn(usize, &mut EmulatedCamera),
+) -> (u32, String) {
+    let mut last = (0, MonotonicTime::ZERO);
+    assert!(take(rig, camera, SECOND, &mut last).0 > 20);
+    (0..2).for_each(|number| rig.faults(number, |faults| faults.is_unplugged = true));
+    assert_eq!(take(rig, camera, SECOND, &mut last).0, 0);
+    for number in 0..2 {
+        rig.system.with(number, |camera| change(number, camera)).unwrap();
+        rig.faults(number, |faults| faults.is_unplugged = false);
+    }
+    take(rig, camera, SECOND, &mut last)
+}
+
+fn in_port(port: usize) -> impl Fn(usize, &mut EmulatedCamera) {
+    move |number, camera| camera.capability.bus = format!("usb-emulated-{}", (number + port) % 2)
+}
+
+/// Cameras that are named by their ports, with these serial numbers.
+fn at_ports(numbers: [Option<&str>; 2]) -> (Rig, ReopeningCamera) {
+    let rig = Rig::with(|number, camera| camera.entry.serial = numbers[number].map(str::to_owned));
+    let mut config = config();
+    (config.left.name, config.right.name) =
+        ("bus:usb-emulated-0".parse().unwrap(), "bus:usb-emulated-1".parse().unwrap());
+    let camera = ReopeningCamera::open(Arc::new(rig.system.clone()), rig.clock.clone(), config, SECOND * 60).unwrap();
+    (rig, camera)
+}
+
+/// The calibration belongs to the cameras of the start: exchanged cables give no pair until they are exchanged again.
+#[test]
+fn exchanged_cables_are_noticed_by_the_serial_numbers() {
+    let (rig, mut camera) = at_ports([Some("A"), Some("B")]);
+    assert!(camera.are_told_apart());
+    let (came, said) = plugged_in_again(&rig, &mut camera, in_port(1));
+    assert!(came == 0 && said.contains("left has serial number B, not A"), "{came} came: {said}");
+    assert_eq!(camera.reopened(), 0);
+    (0..2).for_each(|number| rig.system.with(number, |camera| in_port(0)(number, camera)).unwrap());
+    assert!(take(&rig, &mut camera, SECOND, &mut (0, MonotonicTime::ZERO)).0 > 20);
+    assert_eq!(camera.reopened(), 1);
+}
+
+/// A camera with a number of its own may use another port; one without is its port.
+#[test]
+fn cameras_are_identified_by_number_or_by_port() {
+    let rig = Rig::new();
+    let mut camera = reopening(&rig, LOOKED_FOR);
+    assert!(plugged_in_again(&rig, &mut camera, |_, camera| camera.capability.bus += ".4").0 > 20);
+    for numbers in [[None, None], [Some("same"), Some("same")]] {
+        let rig = Rig::with(|number, camera| camera.entry.serial = numbers[number].map(str::to_owned));
+        let mut config = config();
+        (config.left.name, config.right.name) = ("/dev/video0".parse().unwrap(), "/dev/video1".parse().unwrap());
+        let system = Arc::new(rig.system.clone());
+        let mut camera = ReopeningCamera::open(system, rig.clock.clone(), config, LOOKED_FOR).unwrap();
+        assert!(!camera.are_told_apart());
+        let (came, said) = plugged_in_again(&rig, &mut camera, in_port(1));
+        assert!(came == 0 && said.contains("left has port usb-emulated-1, not usb-emulated-0"), "{came} came: {said}");
+    }
+    let (rig, mut camera) = at_ports([Some("A"), Some("B")]);
+    let (came, said) = plugged_in_again(&rig, &mut camera, |number, camera| {
+        camera.entry.serial = Some(["A", "C"][number].to_owned());
+    });
+    assert!(came == 0 && said.contains("right has serial number C, not B"), "{came} came: {said}");
 }
 
 #[test]

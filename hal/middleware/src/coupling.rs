@@ -59,9 +59,9 @@ const SHORT_WAY_RAD: f64 = 0.02;
 /// One of two coupled arms; [`couple`] creates both.
 ///
 /// * A set-point is `Rejected`, and the arm holds, if the arms could come closer than allowed before both are stationary. If they
-/// are closer already and the other one is stationary, an arm may move away.
+///   are closer already and the other one is stationary, an arm may move away.
 /// * If one arm has a fault, an emergency stop or a lost link, the other one holds from its next exchange on and is latched in
-/// `Fault`. The arm that failed must be reset first.
+///   `Fault`. The arm that failed must be reset first.
 ///
 /// Use it inside the [`Limiter`](crate::Limiter), so that it sees the commands that are really sent.
 pub struct Coupled<A> {

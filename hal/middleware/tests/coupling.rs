@@ -238,7 +238,7 @@ fn an_arm_whose_place_is_not_known_holds_the_other_one() {
     one.exchange(JointCommand::Hold).unwrap();
     let error = one.exchange(velocity(0, 0.01)).unwrap_err();
     assert_eq!(error.kind(), ArmErrorKind::Rejected);
-    assert!(error.to_string().contains("the pose of arm vs-robot is unknown"), "{error}");
+    assert!(error.to_string().contains("the pose of arm vs-robot (pa10 mock) is unknown"), "{error}");
     two.exchange(JointCommand::Hold).unwrap();
     one.exchange(velocity(0, 0.01)).unwrap();
     for least in [0.0, -1.0, f64::NAN, f64::INFINITY] {

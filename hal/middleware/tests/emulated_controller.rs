@@ -368,6 +368,41 @@ fn after_a_stall_the_velocity_goes_on_from_what_the_driver_left_of_it() {
     }
 }
 
+/// A control step that overruns by 28 ms, at any speed: the watchdog takes speed from the joint by more than the limit of acceleration
+/// allows, but by no more than it takes from the command, and the speed comes back within the limit (tests/src/safety).
+#[test]
+fn a_late_command_costs_no_more_speed_than_the_watchdog_takes() {
+    const WINDOW: Duration = Duration::from_millis(20);
+    const STEP: Duration = Duration::from_millis(2);
+    let driver = DriverConfig::with_cycle(BUS_CYCLE);
+    let (most, watchdog) = (driver.deceleration_rad_per_s2[0], driver.watchdog);
+    let fade_s = (watchdog.stop_after() - watchdog.ramp_after()).as_secs_f64();
+    let (window_s, cycle_s) = (WINDOW.as_secs_f64(), HOST_CYCLE.as_secs_f64());
+    for speed in [0.1, 0.2, 0.3, 0.6] {
+        let mut arm = Chained::new(JointVector::zeros(), 1.0);
+        let mut desired = JointVector::zeros();
+        desired[0] = speed;
+        for step in 0..100 {
+            if step == 80 {
+                arm.bench.lock().unwrap().run(Duration::from_millis(28));
+            }
+            arm.limiter.exchange(JointCommand::Velocity(desired)).unwrap();
+        }
+        let bench = arm.bench.lock().unwrap();
+        let plant = bench.plant.lock().unwrap();
+        let (mut lost, mut gained, mut at) = (0.0f64, 0.0f64, plant.now() - Duration::from_millis(400));
+        while at + WINDOW <= plant.now() {
+            let [before, after] = [at, at + WINDOW].map(|at| plant.motion_at(at).unwrap().1[0]);
+            (lost, gained) = (lost.max(before - after), gained.max(after - before));
+            at = at + STEP;
+        }
+        println!("{speed} rad/s: lost {lost:.3}, gained {gained:.3} rad/s within 20 ms");
+        assert!(lost <= speed * window_s / fade_s + 1e-6, "{speed}: lost {lost} rad/s");
+        assert!(lost > most * window_s || speed < 0.2, "{speed}: lost {lost} rad/s, less than the limit allows");
+        assert!(gained <= most * (window_s + cycle_s), "{speed}: gained {gained} rad/s");
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(60) })]
 

@@ -14,7 +14,7 @@ use super::realtime::now;
 ///
 /// # For backend authors
 /// * A lost link returns an error from every later call, for any symptom: the end of the stream, `EIO`, `EPIPE`, `ENODEV`. It never
-/// recovers; open another one instead.
+///   recovers; open another one instead.
 /// * Bytes are delivered in order, in pieces of any size. Accepted bytes may still get lost.
 /// * The file descriptor becomes readable when bytes arrive, and when the link breaks.
 pub trait ByteLink: Send {

@@ -22,7 +22,7 @@ fn main() -> Result<()> {
     let options = Options::parse(std::env::args().skip(1))?;
     let hil = read_setup(&repository().join("configs/hil.toml"))?;
     let mut in_process = hil.clone();
-    (in_process.rig.vs.link, in_process.rig.tc.link) = (ArmLink::InProcess, ArmLink::InProcess);
+    (in_process.rig.arms.vs.link, in_process.rig.arms.tc.link) = (ArmLink::InProcess, ArmLink::InProcess);
     let mut simulated = in_process.clone();
     simulated.pace = Pace::Fast;
     let mut runs = Vec::new();

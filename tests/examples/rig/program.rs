@@ -74,7 +74,8 @@ impl Running {
                         return Ok(line.clone());
                     }
                 }
-                Err(RecvTimeoutError::Timeout) => word.map_or(Ok(()), |word| self.say(word))?,
+                // Without a command only Enter: somebody is there.
+                Err(RecvTimeoutError::Timeout) => self.say(word.unwrap_or_default())?,
                 Err(RecvTimeoutError::Disconnected) => break,
             }
         }

@@ -26,7 +26,7 @@ const TURNED_MAX_DEG: f64 = 2.0;
 const TRACKED: Duration = Duration::from_millis(500);
 
 /// Status line while the operator holds the hand.
-const HOLDING: &str = "holding: held by the operator";
+const HOLDING: &str = "holding: both arms held by the operator";
 
 /// The camera that is disconnected.
 const PULLED: usize = 1;
@@ -37,7 +37,7 @@ pub fn check(report: &mut Report) -> Option<World> {
         images::prepare()?;
         setup::write()?;
         let setup = read_setup(Path::new(HERE))?;
-        Ok(format!("{}, {}", name_port(&setup.rig.vs, "ARM1")?, name_port(&setup.rig.tc, "ARM2")?))
+        Ok(format!("{}, {}", name_port(&setup.rig.arms.vs, "ARM1")?, name_port(&setup.rig.arms.tc, "ARM2")?))
     });
     let mut rig = None;
     report.check("the program starts with cameras and arms", || {

@@ -61,8 +61,8 @@ impl World {
     pub fn start() -> Result<Self, Box<dyn Error>> {
         let setup = read_setup(Path::new(HERE))?;
         let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
-        let (vs, vs_site) = far_side(("vs", &setup.rig.vs), far_end(&setup.rig.vs, "FAR1")?, &clock)?;
-        let (tc, tc_site) = far_side(("tc", &setup.rig.tc), far_end(&setup.rig.tc, "FAR2")?, &clock)?;
+        let (vs, vs_site) = far_side(("vs", &setup.rig.arms.vs), far_end(&setup.rig.arms.vs, "FAR1")?, &clock)?;
+        let (tc, tc_site) = far_side(("tc", &setup.rig.arms.tc), far_end(&setup.rig.arms.tc, "FAR2")?, &clock)?;
         let cell = SimulatedCell {
             vs: vs_site,
             tc: tc_site,

@@ -79,7 +79,7 @@ impl Rig {
     pub fn new(seed: u64) -> Result<Self> {
         let mut setup = read_setup(&repository().join("configs/hil.toml"))?;
         setup.reseed(seed);
-        for arm in [&mut setup.rig.vs, &mut setup.rig.tc] {
+        for arm in [&mut setup.rig.arms.vs, &mut setup.rig.arms.tc] {
             // Drives as fast as those of a real arm must be; the loop uses only its measurements.
             arm.plant.velocity_time_constant = Duration::from_millis(5);
             // The motions start where the last fault has left the joints.
@@ -93,7 +93,7 @@ impl Rig {
         for shortfall in enter(&CONTROL_THREAD) {
             println!("{shortfall}");
         }
-        let homes_rad = [setup.rig.vs.start_rad, setup.rig.tc.start_rad];
+        let homes_rad = [setup.rig.arms.vs.start_rad, setup.rig.arms.tc.start_rad];
         let watcher = Watcher::start(wired.sites.clone(), Arc::clone(&clock))?;
         let now = clock.now();
         Ok(Self {

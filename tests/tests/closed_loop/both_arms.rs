@@ -21,7 +21,7 @@ use crate::closed_loop::support::*;
 fn the_carrying_arm_has_the_limits_and_states_of_the_following_one() {
     let setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::X]);
     let Parts { vs, tc, clock, .. } = wire(&setup).unwrap();
-    let mut arms = [("vs-robot", vs, &setup.rig.vs), ("tc-robot", tc, &setup.rig.tc)];
+    let mut arms = [("vs-robot", vs, &setup.rig.arms.vs), ("tc-robot", tc, &setup.rig.arms.tc)];
     let mut desired = JointVector::zeros();
     desired[6] = 100.0;
     for (name, arm, _) in &mut arms {
@@ -64,8 +64,8 @@ fn lines_of(file: &Path) -> Vec<Value> {
 fn a_fault_leaves_the_flight_of_both_arms() {
     let mut setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::X]);
     // The guard expects slower drives: it detects a fault in the first motion.
-    setup.rig.tc.guard.lag = Duration::from_millis(300);
-    setup.rig.tc.guard.tracking_error_max_rad = 0.005;
+    setup.rig.arms.tc.guard.lag = Duration::from_millis(300);
+    setup.rig.arms.tc.guard.tracking_error_max_rad = 0.005;
     let parts = wire(&setup).unwrap();
     let (clock, flights) = (parts.clock.clone(), parts.flights.clone());
     let failure = experiment::run(&setup, parts, None, None).err().unwrap();

@@ -39,7 +39,7 @@ fn a_run_finds_cameras_that_are_not_any_more_what_was_calibrated() {
     let nod = Pose::from_parts(Vector3::zeros(), rotation);
     let (left, right) = (*sound.rig.stereo.left(), *sound.rig.stereo.right());
     knocked.rig.stereo = StereoRig::new(left, right, nod * *sound.rig.stereo.cam_right_from_cam_left()).unwrap();
-    knocked.world_mut().unwrap().sensor.right.exposure *= 0.7;
+    knocked.world.as_mut().unwrap().sensor.right.exposure *= 0.7;
     let changed = found(&sound, &knocked);
     let by_px = right.pinhole().fy * angle_rad;
     assert!((changed[0].at_last.unwrap() - by_px).abs() < 0.25 * by_px, "{by_px} px expected, {changed:#?}");

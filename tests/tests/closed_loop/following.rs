@@ -70,8 +70,8 @@ fn follow_the_crab(method: Method, limits: &Limits) -> RunLog {
     assert!((wanted_mm.norm() - 173.6).abs() < 5.0, "{wanted_mm}");
     assert!((hand_mm - wanted_mm).norm() < limits.way_ry_mm, "the hand moved {hand_mm}, desired {wanted_mm}");
     assert!(log.control.iter().all(|sample| sample.smallest_singular_value > 0.15));
-    keeps_its_speeds("vs-robot", &setup.rig.vs, &vs);
-    keeps_its_speeds("tc-robot", &setup.rig.tc, &tc);
+    keeps_its_speeds("vs-robot", &setup.rig.arms.vs, &vs);
+    keeps_its_speeds("tc-robot", &setup.rig.arms.tc, &tc);
     outcome.log
 }
 
@@ -99,7 +99,7 @@ fn keeps_its_speeds(name: &str, arm: &ArmSetup, notes: &Notes) {
 #[test]
 fn with_the_published_method_the_card_is_followed_as_well() {
     let mut setup = quick_setup(Method::Published, Pixels::Few, &[Channel::X]);
-    setup.world_mut().unwrap().scene.target = TargetConfig::card();
+    setup.world.as_mut().unwrap().scene.target = TargetConfig::card();
     let log = run(&setup, Some(3.0)).log;
     let Errors { rms_mm, rms_deg, .. } = errors(&log, 2.6, 3.0);
     assert!(rms_mm < 45.0 && rms_deg < 6.0, "the error of the hand is {rms_mm:.1} mm and {rms_deg:.1} degrees");
@@ -113,7 +113,7 @@ fn with_the_published_method_the_card_is_followed_as_well() {
 fn with_the_direct_method_card_and_grey_box_are_followed_to_a_millimetre() {
     for target in [TargetConfig::card(), TargetConfig::grey_box()] {
         let mut setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::Rz]);
-        setup.world_mut().unwrap().scene.target = target;
+        setup.world.as_mut().unwrap().scene.target = target;
         let log = run(&setup, Some(3.0)).log;
         let Errors { rms_mm, rms_deg, .. } = errors(&log, 2.7, 3.0);
         let last = TrackingError::of(log.control.last().unwrap());
@@ -157,7 +157,7 @@ fn with_the_direct_method_the_potato_is_followed() {
 /// A run with the potato, and its number of frames with a confident pose.
 fn before_the_potato(method: Method) -> (RunLog, usize) {
     let mut setup = quick_setup(method, Pixels::Few, &[Channel::X]);
-    setup.world_mut().unwrap().scene.target = TargetConfig::potato();
+    setup.world.as_mut().unwrap().scene.target = TargetConfig::potato();
     let log = run(&setup, Some(3.0)).log;
     assert!(log.leading.frames.len() > 85, "{}", log.leading.frames.len());
     let sure = log.leading.frames.iter().filter(|frame| ["ok", "weak-tilt"].contains(&frame.status.as_str())).count();
@@ -169,7 +169,7 @@ fn before_the_potato(method: Method) -> (RunLog, usize) {
 #[test]
 fn with_the_published_method_the_hand_rests_before_a_grey_box() {
     let mut setup = quick_setup(Method::Published, Pixels::Few, &[Channel::X]);
-    setup.world_mut().unwrap().scene.target = TargetConfig::grey_box();
+    setup.world.as_mut().unwrap().scene.target = TargetConfig::grey_box();
     let (parts, vs, _) = watched(wire(&setup).unwrap());
     let log = experiment::run(&setup, parts, Some(2.2), None).unwrap().log;
     assert!(log.leading.frames.len() > 60);

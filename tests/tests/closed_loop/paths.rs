@@ -19,7 +19,8 @@ use crate::closed_loop::support::whole_setup;
 const SINGULAR_VALUE_MIN: f64 = 0.05;
 
 fn world_from_target_at_start(setup: &Setup) -> Pose<World, Target> {
-    let world_from_flange = setup.rig.tc.world_from_base * setup.rig.tc.chain.forward(&setup.rig.tc.start_rad);
+    let world_from_flange =
+        setup.rig.arms.tc.world_from_base * setup.rig.arms.tc.chain.forward(&setup.rig.arms.tc.start_rad);
     world_from_flange * setup.rig.flange_from_target
 }
 
@@ -43,9 +44,9 @@ fn both_arms_stay_away_from_singular_poses_along_the_whole_experiment() {
                     * setup.controller.model_from_hand_desired
                     * setup.controller.flange_from_hand.inverse();
                 smallest_along(
-                    &setup.rig.vs.chain,
-                    setup.rig.vs.start_rad,
-                    &setup.rig.vs.world_from_base,
+                    &setup.rig.arms.vs.chain,
+                    setup.rig.arms.vs.start_rad,
+                    &setup.rig.arms.vs.world_from_base,
                     &*experiment,
                     &target_from_flange,
                 )
@@ -53,9 +54,9 @@ fn both_arms_stay_away_from_singular_poses_along_the_whole_experiment() {
             _ => {
                 let target_from_flange = setup.rig.flange_from_target.inverse();
                 smallest_along(
-                    &setup.rig.tc.chain,
-                    setup.rig.tc.start_rad,
-                    &setup.rig.tc.world_from_base,
+                    &setup.rig.arms.tc.chain,
+                    setup.rig.arms.tc.start_rad,
+                    &setup.rig.arms.tc.world_from_base,
                     &*experiment,
                     &target_from_flange,
                 )
@@ -124,7 +125,7 @@ fn jacobian(chain: &Chain, position_rad: &JointVector) -> SMatrix<f64, 6, DOF> {
 #[test]
 fn the_rigs_default_speed_is_refused_for_this_experiment_by_how_much() {
     let mut setup = whole_setup(Method::Direct);
-    for arm in [&mut setup.rig.vs, &mut setup.rig.tc] {
+    for arm in [&mut setup.rig.arms.vs, &mut setup.rig.arms.tc] {
         arm.limits = arm.limits.slowed(f64::MAX, 0.10).unwrap();
     }
     let Err(error) = wire(&setup) else { panic!("at a tenth of the speeds the arms cannot follow") };
@@ -140,8 +141,8 @@ fn the_rigs_default_speed_is_refused_for_this_experiment_by_how_much() {
 #[test]
 fn the_zero_pose_does_not_serve() {
     let mut setup = whole_setup(Method::Direct);
-    setup.rig.vs.start_rad = JointVector::zeros();
-    setup.rig.tc.start_rad = JointVector::zeros();
+    setup.rig.arms.vs.start_rad = JointVector::zeros();
+    setup.rig.arms.tc.start_rad = JointVector::zeros();
     let Err(error) = wire(&setup) else { panic!("a stretched arm is singular") };
     assert!(format!("{error:#}").contains("robot"), "{error:#}");
 }

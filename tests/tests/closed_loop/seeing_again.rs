@@ -31,8 +31,8 @@ fn fault(kind: CameraFaultKind, from_s: f64, until_s: f64) -> CameraFault {
 /// A card that moves to the right from 1 s to 2 s, with this camera fault.
 fn card(faults: Vec<CameraFault>) -> Setup {
     let mut setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::X]);
-    setup.world_mut().unwrap().scene.target = TargetConfig::card();
-    setup.world_mut().unwrap().faults.list = faults;
+    setup.world.as_mut().unwrap().scene.target = TargetConfig::card();
+    setup.world.as_mut().unwrap().faults.list = faults;
     setup
 }
 
@@ -146,15 +146,19 @@ fn swapped_for(other: SceneConfig) -> RunLog {
     let setup = card(Vec::new());
     let parts = wire(&setup).unwrap();
     let Parts { clock, cell, .. } = &parts;
-    let cameras = [setup.world().unwrap().scene.clone(), other].map(|scene| {
-        let renderer =
-            StereoRenderer::new(Scene::build(&scene).unwrap(), setup.rig.stereo, &setup.world().unwrap().sensor, 5)
-                .unwrap();
+    let cameras = [setup.world.as_ref().unwrap().scene.clone(), other].map(|scene| {
+        let renderer = StereoRenderer::new(
+            Scene::build(&scene).unwrap(),
+            setup.rig.stereo,
+            &setup.world.as_ref().unwrap().sensor,
+            5,
+        )
+        .unwrap();
         SimStereoCamera::new(renderer, Box::new(cell.clone()), clock.clone(), SimCameraConfig::default()).unwrap()
     });
     let at = clock.now() + Duration::from_secs_f64(1.8);
     let swapped = Swapped { cameras, clock: clock.clone(), at };
-    let faults = card(vec![hidden(1.2, 2.3)]).world().unwrap().faults.clone();
+    let faults = card(vec![hidden(1.2, 2.3)]).world.as_ref().unwrap().faults.clone();
     let camera = pb3dp_camera_sim::FaultyCamera::new(swapped, faults, clock.now()).unwrap();
     let parts = Parts { camera: Sight::Images(Box::new(camera)), ..parts };
     experiment::run(&setup, parts, Some(3.7), None).unwrap().log
@@ -162,7 +166,7 @@ fn swapped_for(other: SceneConfig) -> RunLog {
 
 #[test]
 fn another_target_in_the_same_place_is_not_followed() {
-    let card = card(Vec::new()).world().unwrap().scene.clone();
+    let card = card(Vec::new()).world.as_ref().unwrap().scene.clone();
     let same = swapped_for(card.clone());
     goes_on(&same.supervision.summary(), "the same card is recognised");
     for (what, other) in [

@@ -42,7 +42,7 @@ fn it_follows_as_well_as_the_arm_with_seven() {
 
 #[test]
 fn it_starts_well_away_from_its_singular_poses() {
-    let arm = six_axes().rig.vs;
+    let arm = six_axes().rig.arms.vs;
     assert_eq!((arm.key.as_str(), arm.chain.joints(), arm.chain.elbow()), ("arms.ur5e", 6, None));
     let start_deg = arm.start_rad.map(f64::to_degrees);
     // Stretched or folded at the elbow, and with parallel outer axes of the wrist.
@@ -57,11 +57,11 @@ fn it_starts_well_away_from_its_singular_poses() {
 #[test]
 fn its_own_limits_hold_and_its_joints_have_names() {
     let setup = six_axes();
-    assert_eq!(setup.rig.vs.link, ArmLink::InProcess);
-    assert_eq!(setup.rig.vs.axis_name(5), "axis 6 (WRIST_3)");
+    assert_eq!(setup.rig.arms.vs.link, ArmLink::InProcess);
+    assert_eq!(setup.rig.arms.vs.axis_name(5), "axis 6 (WRIST_3)");
     let allowed = JointVector::from([0.6 * std::f64::consts::PI; DOF]);
     for joint in 0..6 {
-        assert!((setup.rig.vs.limits.velocity_max_rad_per_s()[joint] - allowed[joint]).abs() < 1e-12, "{joint}");
+        assert!((setup.rig.arms.vs.limits.velocity_max_rad_per_s()[joint] - allowed[joint]).abs() < 1e-12, "{joint}");
     }
     let mut parts = wire(&setup).unwrap();
     parts.vs.enable().unwrap();

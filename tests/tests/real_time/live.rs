@@ -19,8 +19,8 @@ fn hil_setup() -> Setup {
     let hil = read_setup(&repository().join("configs/hil.toml")).unwrap();
     let mut setup = quick_setup(Method::Direct, Pixels::Few, &[Channel::X]);
     setup.pace = Pace::Live;
-    (setup.rig.vs.link, setup.rig.tc.link) = (hil.rig.vs.link, hil.rig.tc.link);
-    assert!(setup.rig.vs.link != ArmLink::InProcess && setup.rig.tc.link != ArmLink::InProcess);
+    (setup.rig.arms.vs.link, setup.rig.arms.tc.link) = (hil.rig.arms.vs.link, hil.rig.arms.tc.link);
+    assert!(setup.rig.arms.vs.link != ArmLink::InProcess && setup.rig.arms.tc.link != ArmLink::InProcess);
     setup
 }
 

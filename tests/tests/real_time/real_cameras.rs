@@ -75,14 +75,14 @@ fn rig() -> (Setup, EmulatedSystem) {
     let camera = Camera::new(SIZE, half, *setup.rig.stereo.left().distortion()).unwrap();
     setup.rig.stereo = StereoRig::new(camera, camera, *setup.rig.stereo.cam_right_from_cam_left()).unwrap();
     setup.rig.frames.period = Duration::from_secs(1) / 15;
-    (setup.rig.vs.link, setup.rig.tc.link) = (ArmLink::InProcess, ArmLink::InProcess);
+    (setup.rig.arms.vs.link, setup.rig.arms.tc.link) = (ArmLink::InProcess, ArmLink::InProcess);
     // The run resumes by itself: the policies of a rig wait for an operator after a second.
     setup.supervisor = read_setup(&repository().join("configs/hil.toml")).unwrap().supervisor;
     (setup, system)
 }
 
 fn cameras(setup: &mut Setup) -> &mut RealCameras {
-    setup.real_cameras_mut().unwrap()
+    setup.rig.real_cameras.as_mut().unwrap()
 }
 
 /// Runs for this time; `fate` acts meanwhile.

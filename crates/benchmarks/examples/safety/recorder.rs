@@ -54,6 +54,8 @@ const FOR_PERSONS: [Condition; 6] = [
     Condition::OperatorSilent,
     Condition::TargetChanged,
 ];
+/// After each of these the arm with the target waits for a command too.
+const HOLD_BOTH: [Condition; 3] = [Condition::ArmDisabled, Condition::ClockStepped, Condition::OperatorSilent];
 /// Largest difference between the exposures of both cameras, seconds.
 const TOGETHER_S: f64 = 0.005;
 
@@ -264,6 +266,8 @@ impl Recorder {
         let is_for_person = FOR_PERSONS.into_iter().any(|condition| decision.found.contains(condition));
         self.waits_for_person = self.state.is_resting() && (self.waits_for_person || is_for_person);
         self.may_go[HAND_ARM] &= !self.waits_for_person;
+        let holds_both = HOLD_BOTH.into_iter().any(|condition| decision.found.contains(condition));
+        self.may_go[TARGET_ARM] &= !(self.state.is_resting() && holds_both);
         if let Some(refusal) = decision.refused {
             self.say(now, refusal.to_string());
         }
@@ -332,10 +336,9 @@ impl Recorder {
                 self.go_at = Some(at);
                 self.was_told_to_rest &= at < self.not_before;
             }
-            OperatorCommand::Hold => {
+            OperatorCommand::Hold | OperatorCommand::HoldHand => {
                 self.was_told_to_rest = true;
-                self.not_before = now;
-                self.may_go[HAND_ARM] = false;
+                self.must_rest(now, word == OperatorCommand::Hold);
             }
             OperatorCommand::Stop => self.must_rest(now, true),
             OperatorCommand::Select => {}

@@ -55,7 +55,7 @@ pub fn base(rendered: bool) -> Result<Setup> {
     if !rendered {
         setup.leader = Leader::Geometric(setup.geometric.context("configs/hil.toml has no table estimator.geometric")?);
     }
-    for arm in [&mut setup.rig.vs, &mut setup.rig.tc] {
+    for arm in [&mut setup.rig.arms.vs, &mut setup.rig.arms.tc] {
         arm.plant.history = HISTORY;
     }
     Ok(setup)
@@ -82,7 +82,7 @@ pub fn run(base: &Setup, scenario: &Scenario) -> Result<Ran> {
     setup.reseed(scenario.seed);
     setup.experiment.motion = scenario.motion.clone();
     setup.experiment.carrier = scenario.carrier;
-    if let Some(world) = setup.world_mut() {
+    if let Some(world) = setup.world.as_mut() {
         world.faults = cameras::plan(&scenario.faults, scenario.seed);
     }
     if scenario.searches {

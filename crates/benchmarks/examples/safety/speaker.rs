@@ -95,7 +95,7 @@ impl Operator for Speaker {
         let is_silent =
             self.scenario.faults.iter().any(|fault| matches!(fault.kind, Kind::Silence) && fault.is_on(t_s));
         if is_silent {
-            return OperatorInput { said: None, heard_at: self.heard_at };
+            return OperatorInput { heard_at: self.heard_at, ..OperatorInput::default() };
         }
         self.heard_at = Some(now);
         let word = self.of_scenario(t_s).or_else(|| self.by_itself(last, at).map(|word| (word, 0.0)));
@@ -106,7 +106,7 @@ impl Operator for Speaker {
             recorder.told(word, at - late, at);
             OperatorRequest { word, at: now - late }
         });
-        OperatorInput { said, heard_at: self.heard_at }
+        OperatorInput { said, heard_at: self.heard_at, silent_after: None }
     }
 
     fn show(&mut self, _decision: &Decision) {}
@@ -118,6 +118,10 @@ impl Operator for Speaker {
     }
 
     fn is_person(&self) -> bool {
+        true
+    }
+
+    fn can_fall_silent(&self) -> bool {
         true
     }
 }

@@ -114,10 +114,10 @@ impl Approach {
     pub fn setup(&self, mut setup: Setup) -> Result<Setup> {
         match *self {
             Self::Off(distance_m, [x, y, z]) => {
-                let here = world_from_hand(&setup, &setup.rig.vs.start_rad);
+                let here = world_from_hand(&setup, &setup.rig.arms.vs.start_rad);
                 let begins = |(down_m, ahead_m): (f64, f64)| {
                     let to = here * Pose::<Hand, Hand>::from_translation(Vector3::new(0.0, down_m, ahead_m));
-                    joints_at(&setup, &to, &setup.rig.vs.start_rad)?;
+                    joints_at(&setup, &to, &setup.rig.arms.vs.start_rad)?;
                     approach_from(setup.clone(), &to, distance_m, &turned(x, y, z))
                 };
                 let places = DOWN_M.into_iter().flat_map(|down_m| AHEAD_M.map(|ahead_m| (down_m, ahead_m)));

@@ -26,7 +26,9 @@ pub struct Demand {
 
 /// Pose of the target at the start.
 pub fn start(setup: &Setup) -> Pose<World, Target> {
-    setup.rig.tc.world_from_base * setup.rig.tc.chain.forward(&setup.rig.tc.start_rad) * setup.rig.flange_from_target
+    setup.rig.arms.tc.world_from_base
+        * setup.rig.arms.tc.chain.forward(&setup.rig.arms.tc.start_rad)
+        * setup.rig.flange_from_target
 }
 
 /// Demands on a hand that follows without lag, the largest first.
@@ -36,7 +38,7 @@ pub fn start(setup: &Setup) -> Pose<World, Target> {
 pub fn demands(setup: &Setup, motion: &MotionConfig) -> Result<Vec<Demand>> {
     let target = motion.begin_at(start(setup))?;
     let report = follow(setup, &*target)?;
-    let (allowed, speed) = (&setup.rig.vs.limits, &setup.controller.speed.tracking);
+    let (allowed, speed) = (&setup.rig.arms.vs.limits, &setup.controller.speed.tracking);
     let demand = |what: String, is_speed: bool, share: f64| Demand { what, is_speed, share };
     let mut demands: Vec<Demand> = (0..DOF)
         .flat_map(|joint| {
@@ -57,7 +59,7 @@ pub fn demands(setup: &Setup, motion: &MotionConfig) -> Result<Vec<Demand>> {
 }
 
 fn follow(setup: &Setup, target: &dyn Trajectory) -> Result<PathReport> {
-    let allowed = &setup.rig.vs.limits;
+    let allowed = &setup.rig.arms.vs.limits;
     let lifted = StatedLimits {
         servo: allowed.operating().with_velocity_max(allowed.velocity_max_rad_per_s() * LIFTED)?,
         operating_min_rad: *allowed.operating().position_min_rad(),
@@ -68,13 +70,19 @@ fn follow(setup: &Setup, target: &dyn Trajectory) -> Result<PathReport> {
     };
     let path = FlangePath::of_follower(
         target,
-        &setup.rig.vs.world_from_base,
+        &setup.rig.arms.vs.world_from_base,
         &Pose::<Target, Model>::coincident(),
         &setup.controller.model_from_hand_desired,
         &setup.controller.flange_from_hand,
     );
     let requirements = PathRequirements::OF_EXPERIMENT;
-    Ok(check_experiment(&setup.rig.vs.chain, &lifted.effective()?, &setup.rig.vs.start_rad, &path, &requirements)?)
+    Ok(check_experiment(
+        &setup.rig.arms.vs.chain,
+        &lifted.effective()?,
+        &setup.rig.arms.vs.start_rad,
+        &path,
+        &requirements,
+    )?)
 }
 
 /// A motion that ends early.
@@ -114,7 +122,7 @@ pub fn shortest_step(
     let slow = StepExperimentConfig { move_s: 4.0, lead_in_s: 0.0, ..step.clone() };
     let target = MotionConfig::Steps(slow).begin_at(start(setup))?;
     let report = follow(setup, &Shortened(&*target, 4.0))?;
-    let limits = &setup.rig.vs.limits;
+    let limits = &setup.rig.arms.vs.limits;
     let way_rad: JointVector = (report.end_rad - report.begin_rad).map(f64::abs);
     let speed = limits.velocity_max_rad_per_s();
     let joint = |joint: usize| {

@@ -23,7 +23,7 @@ const STILL_RAD_PER_S: f64 = 0.01;
 impl LimitUse {
     /// The use of the limits in these measurements of the arm with the cameras.
     pub fn of(setup: &Setup, seen: &[JointState]) -> Self {
-        let limits = &setup.rig.vs.limits;
+        let limits = &setup.rig.arms.vs.limits;
         let speeds = limits.velocity_max_rad_per_s();
         let mut most = Self { speed: (0.0, 1), acceleration: (0.0, 1), room_deg: (f64::INFINITY, 1), turns: 0 };
         let raise = |slot: &mut (f64, usize), value: f64, axis: usize| {

@@ -51,7 +51,7 @@ impl Who {
         };
         let mut setup = read_setup(&repository().join(file))?;
         setup.compared.clear();
-        if let Some(world) = setup.world_mut() {
+        if let Some(world) = setup.world.as_mut() {
             (world.sensor.read_noise_grey, world.sensor.shot_noise_grey) = (NOISE_GREY, 0.0);
         }
         set_delay(&mut setup, delay_millis).with_context(|| format!("{file}: a delay of {delay_millis} ms"))?;
@@ -98,7 +98,7 @@ impl Fig7Case {
     /// Those of [`Who::setup`].
     pub fn setup(&self, seed: Option<u64>) -> Result<Setup> {
         let mut setup = self.who.setup(self.delay_millis)?;
-        if let Some(world) = setup.world_mut() {
+        if let Some(world) = setup.world.as_mut() {
             world.scene.target = TARGETS[self.target].1;
         }
         if let Some(seed) = seed {
@@ -115,7 +115,7 @@ fn set_delay(setup: &mut Setup, delay_millis: f64) -> Result<()> {
         Duration::from_secs_f64((LATENCY_MILLIS + delay_millis - DELAYS_MILLIS[0]).max(0.0) * 1e-3);
     let rest_s = delay_millis * 1e-3 - ARM_LAG.as_secs_f64() - until_control_step_s(setup);
     ensure!((0.0..=0.02).contains(&rest_s), "the arm's own delay would be {:.1} ms, allowed are 0 to 20", rest_s * 1e3);
-    for arm in [&mut setup.rig.vs, &mut setup.rig.tc] {
+    for arm in [&mut setup.rig.arms.vs, &mut setup.rig.arms.tc] {
         arm.plant.velocity_time_constant = ARM_LAG;
         arm.plant.command_delay = Duration::from_secs_f64(rest_s);
         arm.limiter.reaction_time = setup.control_period + arm.plant.command_delay + ARM_LAG;
@@ -196,7 +196,7 @@ mod tests {
     fn the_total_delay_is_made_of_its_parts_and_the_law_knows_the_arm() {
         for delay_millis in DELAYS_MILLIS {
             let setup = Who::Ours.setup(delay_millis).unwrap();
-            let (plant, law) = (&setup.rig.vs.plant, setup.controller.law);
+            let (plant, law) = (&setup.rig.arms.vs.plant, setup.controller.law);
             let LawConfig::FeedForward(law) = law else { panic!("{law:?}") };
             assert_eq!((law.arm.lag_s, plant.velocity_time_constant), (0.03, ARM_LAG));
             assert!((law.arm.delay_s - plant.command_delay.as_secs_f64()).abs() < 1e-9, "{:?}", law.arm);

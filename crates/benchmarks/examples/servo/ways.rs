@@ -69,14 +69,16 @@ pub struct PathShape {
 
 /// Places the hand at `start_rad` and the target so that the desired hand pose is `world_from_hand`.
 pub fn place(setup: &mut Setup, start_rad: JointVector, world_from_hand: &Pose<World, Hand>) {
-    setup.rig.vs.start_rad = start_rad;
-    setup.rig.vs.limiter.start = StartPose::Near { position_rad: start_rad, tolerance_rad: StartPose::TOLERANCE_RAD };
+    setup.rig.arms.vs.start_rad = start_rad;
+    setup.rig.arms.vs.limiter.start =
+        StartPose::Near { position_rad: start_rad, tolerance_rad: StartPose::TOLERANCE_RAD };
     let world_from_target =
         *world_from_hand * setup.controller.model_from_hand_desired.inverse().relabel::<Hand, Target>();
     // The other arm is stationary and far away, and does not carry the target.
     let aside = Pose::<World, World>::from_translation(Vector3::new(20.0, 0.0, 0.0));
-    setup.rig.tc.world_from_base = aside * setup.rig.tc.world_from_base;
-    let world_from_flange = setup.rig.tc.world_from_base * setup.rig.tc.chain.forward(&setup.rig.tc.start_rad);
+    setup.rig.arms.tc.world_from_base = aside * setup.rig.arms.tc.world_from_base;
+    let world_from_flange =
+        setup.rig.arms.tc.world_from_base * setup.rig.arms.tc.chain.forward(&setup.rig.arms.tc.start_rad);
     setup.rig.flange_from_target = world_from_flange.inverse() * world_from_target;
     if let Leader::Geometric(config) = &mut setup.leader {
         config.z_max_m = SEEN_UP_TO_M;
@@ -85,7 +87,9 @@ pub fn place(setup: &mut Setup, start_rad: JointVector, world_from_hand: &Pose<W
 
 /// Pose of the hand at these joints.
 pub fn world_from_hand(setup: &Setup, position_rad: &JointVector) -> Pose<World, Hand> {
-    setup.rig.vs.world_from_base * setup.rig.vs.chain.forward(position_rad) * setup.controller.flange_from_hand
+    setup.rig.arms.vs.world_from_base
+        * setup.rig.arms.vs.chain.forward(position_rad)
+        * setup.controller.flange_from_hand
 }
 
 /// Joints with the hand at this pose, near `guess_rad`.
@@ -94,15 +98,15 @@ pub fn world_from_hand(setup: &Setup, position_rad: &JointVector) -> Pose<World,
 /// If none are found near the guess.
 pub fn joints_at(setup: &Setup, hand: &Pose<World, Hand>, guess_rad: &JointVector) -> Result<JointVector> {
     let wanted: Pose<Base, Flange> =
-        setup.rig.vs.world_from_base.inverse() * *hand * setup.controller.flange_from_hand.inverse();
+        setup.rig.arms.vs.world_from_base.inverse() * *hand * setup.controller.flange_from_hand.inverse();
     let damping = Damping::new(1e-3, 1e-3)?;
     let mut position_rad = *guess_rad;
     for _ in 0..2000 {
-        let is = setup.rig.vs.chain.forward(&position_rad);
+        let is = setup.rig.arms.vs.chain.forward(&position_rad);
         let turn = so3::log(&(wanted.rotation() * is.rotation().inverse()));
         let error = pb3dp_geometry::se3::join(&(wanted.translation_m() - is.translation_m()), &turn);
         if error.norm() < 1e-9 {
-            let margin_rad = setup.rig.vs.limits.operating().position_max_rad() - position_rad.abs();
+            let margin_rad = setup.rig.arms.vs.limits.operating().position_max_rad() - position_rad.abs();
             ensure!(
                 margin_rad.min() > 0.0,
                 "a joint exceeds its range by {:.1} degrees",
@@ -110,7 +114,7 @@ pub fn joints_at(setup: &Setup, hand: &Pose<World, Hand>, guess_rad: &JointVecto
             );
             return Ok(position_rad);
         }
-        let step = damped_pseudo_inverse(&setup.rig.vs.chain.jacobian(&position_rad), &damping) * error;
+        let step = damped_pseudo_inverse(&setup.rig.arms.vs.chain.jacobian(&position_rad), &damping) * error;
         position_rad += step * (0.05 / step.amax()).min(1.0);
     }
     anyhow::bail!("no joints for the hand at {:?}", hand.translation_m())
@@ -257,7 +261,7 @@ pub fn approach_from(
     let begin: Pose<World, Hand> = world_from_model
         * Pose::<Model, Model>::from_parts(Vector3::zeros(), *turned)
         * Pose::<Model, Hand>::from_translation(Vector3::new(0.0, 0.0, -distance_m));
-    let start_rad = joints_at(&setup, &begin, &setup.rig.vs.start_rad)?;
+    let start_rad = joints_at(&setup, &begin, &setup.rig.arms.vs.start_rad)?;
     place(&mut setup, start_rad, to);
     setup.controller.model_from_hand_desired = desired;
     geometric_at_rest(setup)

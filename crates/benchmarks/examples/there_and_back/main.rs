@@ -44,7 +44,7 @@ fn main() -> Result<()> {
 fn setup(geometric: bool, seed: u64) -> Result<Setup> {
     let mut setup = read_setup(&repository().join("configs/sim.toml"))?;
     setup.reseed(seed);
-    setup.world_mut().context("the setup has no simulated world")?.scene.target = TargetConfig::card();
+    setup.world.as_mut().context("the setup has no simulated world")?.scene.target = TargetConfig::card();
     setup.compared.clear();
     if geometric {
         setup.leader =

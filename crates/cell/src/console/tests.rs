@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_servo::Mode;
-use pb3dp_servo::supervisor::{ArmCondition, ArmInput, Innovation, Inputs, Supervisor};
+use pb3dp_servo::supervisor::{ArmCondition, ArmInput, Innovation, Inputs, State, Supervisor};
 use pb3dp_setup::setup::read_setup;
 
 use super::*;
@@ -104,11 +104,12 @@ fn a_console_hands_words_over_in_order_and_ends_the_run_behind_its_end() {
 
 #[test]
 fn a_stop_typed_in_a_hurry_is_a_stop_and_a_start_must_be_exact() {
-    use OperatorCommand::{Hold, Start, Stop};
-    for line in ["stop", "STOP", "Stop!", "stop now", "stop.", "  stop", "!stop"] {
+    use OperatorCommand::{Hold, HoldHand, Start, Stop};
+    for line in ["stop", "STOP", "Stop!", "stop now", "stop.", "  stop", "!stop", "stop hand", "stop: hold"] {
         assert_eq!(command_of(line), Some(Stop), "{line:?}");
     }
-    assert_eq!(["Hold", "HOLD it", "hold"].map(command_of), [Some(Hold); 3]);
+    assert_eq!(["Hold", "HOLD it", "hold", "hold hands", "Hold hand", "hold hand!"].map(command_of), [Some(Hold); 6]);
+    assert_eq!(command_of("hold hand"), Some(HoldHand), "only exactly this lets the arm with the target move on");
     assert_eq!(command_of("start"), Some(Start));
     for line in ["START", "start now", "start.", "Resume", "reset!", "stopping", "do not stop", "restart", ""] {
         assert_eq!(command_of(line), None, "{line:?}");
@@ -170,11 +171,52 @@ fn stop_breaks_off_the_switching_on_of_both_arms() {
 fn an_open_console_is_a_sign_of_life() {
     let (lines, writer) = typed();
     let (mut console, _answers, interrupt) = console(lines);
-    assert_eq!(console.listen(None, NOW), OperatorInput { said: None, heard_at: Some(NOW) });
+    assert_eq!(console.listen(None, NOW), OperatorInput { heard_at: Some(NOW), ..OperatorInput::default() });
     assert!(!interrupt.load(Ordering::SeqCst));
     drop(writer);
     wait_until(|| console.shared.is_closed.load(Ordering::SeqCst));
     assert_eq!(console.listen(None, MonotonicTime::from_nanos(70)).heard_at, Some(NOW));
+}
+
+/// For arms that are not emulated: an open console proves nothing, a line proves that somebody is there.
+#[test]
+fn a_console_with_keys_falls_silent_when_nobody_types_and_asks_before() {
+    let (lines, mut writer) = typed();
+    let (written, answers) = channel();
+    let clock = Arc::new(VirtualClock::new());
+    let reading: Arc<dyn Clock> = clock.clone();
+    let within = Duration::from_secs(30);
+    let console = Console::start(reading, lines, Written(written), (Arc::default(), "")).unwrap();
+    assert!(!console.can_fall_silent());
+    let mut console = console.with_keys(within);
+    assert!(console.can_fall_silent());
+    let begin = MonotonicTime::from_nanos(1_000_000_000);
+    let after = |seconds| begin + Duration::from_secs(seconds);
+    let moving = Decision { state: State::Tracking, ..decision() };
+    let heard = |console: &mut Console, seconds| {
+        let heard = console.listen(Some(&moving), after(seconds));
+        assert_eq!(heard.silent_after, Some(within));
+        heard.heard_at
+    };
+    assert_eq!([0, 19].map(|seconds| heard(&mut console, seconds)), [Some(begin); 2]);
+    assert!(answers.recv_timeout(RESULTS_EVERY * 3).is_err(), "asked too early");
+    assert_eq!(heard(&mut console, 20), Some(begin));
+    // An answer is written in several parts.
+    let asked = || answers.recv_timeout(Duration::from_secs(30)).unwrap().trim() == ASK;
+    wait_until(asked);
+    // Enter is enough, and the next silence is asked for again.
+    clock.sleep_until(after(25));
+    writeln!(writer).unwrap();
+    wait_until(|| console.shared.typed_nanos.load(Ordering::SeqCst) > 0);
+    assert_eq!([26, 44, 60].map(|seconds| heard(&mut console, seconds)), [Some(after(25)); 3]);
+    wait_until(asked);
+    // Nobody is asked while no arm may move.
+    let held = Decision { state: State::Holding, no_arm_may_move: true, ..decision() };
+    clock.sleep_until(after(70));
+    writeln!(writer).unwrap();
+    wait_until(|| console.shared.typed_nanos.load(Ordering::SeqCst) > after(69).as_nanos());
+    console.listen(Some(&held), after(95));
+    assert!(!console.shared.asks_for_key.load(Ordering::SeqCst));
 }
 
 #[test]
@@ -184,13 +226,15 @@ fn stop_and_hold_find_room_behind_any_number_of_words_and_overtake_them() {
     for _ in 0..40 {
         writeln!(writer, "start").unwrap();
     }
-    writeln!(writer, "hold\nstop\nquit").unwrap();
+    writeln!(writer, "hold hand\nhold\nstop\nquit").unwrap();
     let mut text = String::new();
     while !text.contains("stopping both arms") {
         text += &answers.recv().unwrap();
     }
     assert!(text.contains("start refused: 16 commands are waiting"), "{text}");
-    assert_eq!([0; 3].map(|_| word(&mut console)), [Some(OperatorCommand::Stop), Some(OperatorCommand::Hold), None]);
+    let words = [0; 4].map(|_| word(&mut console));
+    let urgent = [OperatorCommand::Stop, OperatorCommand::Hold, OperatorCommand::HoldHand];
+    assert_eq!(words, [Some(urgent[0]), Some(urgent[1]), Some(urgent[2]), None]);
     // Later commands are taken again.
     writeln!(writer, "reset").unwrap();
     wait_until(|| !console.words.is_empty());

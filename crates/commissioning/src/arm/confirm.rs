@@ -40,6 +40,11 @@ impl Console {
         Ok(Self { lines: typed_lines()? })
     }
 
+    /// The lines after the confirmation.
+    pub fn into_lines(self) -> Receiver<std::io::Result<String>> {
+        self.lines
+    }
+
     /// Discards lines typed before the prompt: they cannot be answers to it.
     pub fn forget(&self) {
         while self.lines.try_recv().is_ok() {}

@@ -265,7 +265,10 @@ mod tests {
     fn plan() -> (Plan, Duration) {
         let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
         let setup = read_setup(&configs.join("hil.toml")).unwrap();
-        (Plan::new(&setup.rig.vs, setup.rig.vs.start_rad, JointVector::zeros()).unwrap(), setup.control_period)
+        (
+            Plan::new(&setup.rig.arms.vs, setup.rig.arms.vs.start_rad, JointVector::zeros()).unwrap(),
+            setup.control_period,
+        )
     }
 
     fn kind(error: &anyhow::Error) -> ArmErrorKind {

@@ -15,7 +15,7 @@ use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::{DOF, JointVector};
 use pb3dp_setup::setup::{ArmLink, Setup, read_layers};
-use pb3dp_wiring::commissioning::{SlowArm, set_line, slow_setup, wire_slow};
+use pb3dp_wiring::commissioning::{SlowArm, check_other_is_off, set_line, slow_setup, wire_slow};
 use serde::{Deserialize, Serialize};
 
 use super::drive::{self, Cycle, Drive};
@@ -86,6 +86,10 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     }
     let setup = slow_setup(&setup, choice, goal.joint_max_rad_per_s())?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+    // The parent of a reporting process has checked it.
+    if args.company.alone && !args.report_joints {
+        check_other_is_off(&setup, choice, &clock)?;
+    }
     let mut arm = wire_slow(&setup, choice, !args.company.alone, &clock)?;
     let now_rad = arm.driven.exchange(JointCommand::Hold)?.position_rad;
     let plan = Plan::new(choice.of(&setup), now_rad, goal.by_rad(&now_rad, &choice.of(&setup).start_rad))?;

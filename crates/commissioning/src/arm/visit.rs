@@ -100,7 +100,7 @@ pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
         print_line("dry run: the brakes stayed on and nothing moved; use --move to move the arm")?;
         return Ok(ExitCode::SUCCESS);
     }
-    if !(setup.rig.vs.link.is_toy() && setup.rig.tc.link.is_toy()) {
+    if !(setup.rig.arms.vs.link.is_toy() && setup.rig.arms.tc.link.is_toy()) {
         let name = tour.choice.name();
         print_line(&format!(
             "The arm will move. Keep all persons out of its reach and a hand on the emergency stop.\nType {name} to move it:"
@@ -130,7 +130,7 @@ fn to_look(mut setup: Setup, board: Option<TargetConfig>) -> Result<Setup> {
     if !setup.leader.needs_images() {
         bail!("estimator.method = {:?} renders no images to record: set \"direct\"", setup.leader.name());
     }
-    match (board, setup.world_mut()) {
+    match (board, setup.world.as_mut()) {
         (Some(_), None) => {
             bail!("--emulated-board: the cameras of this setup are real; remove the option")
         }

@@ -1,10 +1,11 @@
 //! Configuration file of `pb3dp gateway`.
 
-use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
-use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Supervision, TorqueScale, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Firmware};
+use pb3dp_arm_pa10::driver::PA10_SPEED_MAX_RAD_PER_S;
+use pb3dp_arm_pa10_gateway::gateway::{CYCLE_RANGE, GatewayConfig, RAMP_AFTER_MIN};
+use pb3dp_arm_pa10_protocol::codec::{Axis, SequenceModulus, Supervision, TorqueScale, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, AxisMotion, BRAKE_TIME_MAX, Firmware, MotionLimits};
 use pb3dp_arm_pa10_protocol::places::BusTarget;
-use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
+use pb3dp_arm_pa10_protocol::watchdog::{CommandWatchdog, STOP_AFTER_MAX};
 use pb3dp_hal_platform::realtime::Realtime;
 use pb3dp_hal_platform::tcp::TcpConfig;
 use serde::Deserialize;
@@ -74,7 +75,31 @@ struct GatewayFile {
     bus: BusSection,
     host: HostSection,
     access: AccessSection,
+    limits: LimitsSection,
     realtime: RealtimeSection,
+}
+
+/// One row per axis, from the base.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LimitsSection {
+    s1: LimitRow,
+    s2: LimitRow,
+    s3: LimitRow,
+    e1: LimitRow,
+    e2: LimitRow,
+    w1: LimitRow,
+    w2: LimitRow,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LimitRow {
+    speed_max_rad_per_s: f64,
+    acceleration_max_rad_per_s2: f64,
+    jerk_max_rad_per_s3: f64,
+    lower_deg: f64,
+    upper_deg: f64,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -154,7 +179,8 @@ impl GatewayFile {
         }
         let watchdog = CommandWatchdog::new(millis(self.host.ramp_after_millis), millis(self.host.stop_after_millis));
         let watchdog = watchdog.map_err(|why| refuse(check, "host.stop_after_millis", why.to_string())).ok()?;
-        let gateway = self.gateway(watchdog, modulus)?;
+        let limits = self.limits.build().map_err(|why| refuse(check, "limits", why)).ok()?;
+        let gateway = self.gateway(watchdog, modulus, limits)?;
         if let Err(why) = gateway.check() {
             refuse(check, "the gateway", why.to_string());
         }
@@ -168,20 +194,27 @@ impl GatewayFile {
     }
 
     fn check_ranges(&self, check: &mut Checker) {
+        let cycle_millis = in_millis(*CYCLE_RANGE.start())..=in_millis(*CYCLE_RANGE.end());
+        let (ramp_min_millis, stop_max_millis) = (in_millis(RAMP_AFTER_MIN), in_millis(STOP_AFTER_MAX));
         check.count("arm.number", self.arm.number, 0..=255);
-        check.number("arm.brake_millis", self.arm.brake_millis, 1.0..=5000.0);
+        check.number("arm.brake_millis", self.arm.brake_millis, 1.0..=in_millis(BRAKE_TIME_MAX));
         check.count("arm.emergency_stop_bits", self.arm.emergency_stop_bits, 0..=0xFFFF);
-        check.number("bus.cycle_millis", self.bus.cycle_millis, 1.0..=10.0);
-        check.number("bus.lateness_allowed_millis", self.bus.lateness_allowed_millis, 1.0..=200.0);
+        check.number("bus.cycle_millis", self.bus.cycle_millis, cycle_millis);
+        check.number("bus.lateness_allowed_millis", self.bus.lateness_allowed_millis, 1.0..=stop_max_millis);
         check.number("bus.controller_time_out_millis", self.bus.controller_time_out_millis, 0.0..=60_000.0);
         check.count("host.baud", self.host.baud, 1200..=12_000_000);
-        check.number("host.ramp_after_millis", self.host.ramp_after_millis, 20.0..=200.0);
-        check.number("host.stop_after_millis", self.host.stop_after_millis, 20.0..=200.0);
+        check.number("host.ramp_after_millis", self.host.ramp_after_millis, ramp_min_millis..=stop_max_millis);
+        check.number("host.stop_after_millis", self.host.stop_after_millis, ramp_min_millis..=stop_max_millis);
         check.count("realtime.priority", self.realtime.priority, 0..=99);
         check.count("realtime.processor", self.realtime.processor, -1..=1023);
     }
 
-    fn gateway(&self, watchdog: CommandWatchdog, modulus: SequenceModulus) -> Option<GatewayConfig> {
+    fn gateway(
+        &self,
+        watchdog: CommandWatchdog,
+        modulus: SequenceModulus,
+        limits: MotionLimits,
+    ) -> Option<GatewayConfig> {
         let format = WireFormat::from(self.arm.format);
         let time_out = self.bus.controller_time_out_millis;
         let arm = ArmId(whole(self.arm.number));
@@ -201,7 +234,7 @@ impl GatewayFile {
             supervision,
             emergency_stop_bits: whole(self.arm.emergency_stop_bits),
             torque_scale: TorqueScale::of_format(format),
-            ..GatewayConfig::new(arm, format, firmware)
+            ..GatewayConfig::new(arm, format, firmware, limits)
         })
     }
 }
@@ -220,6 +253,32 @@ impl AccessSection {
         }
         AccessPlace { key_file: folder.join(&self.key_file), peers }
     }
+}
+
+impl LimitsSection {
+    fn build(&self) -> Result<MotionLimits, String> {
+        let rows = [&self.s1, &self.s2, &self.s3, &self.e1, &self.e2, &self.w1, &self.w2];
+        let motions = rows.map(|row| AxisMotion {
+            speed_max_rad_per_s: row.speed_max_rad_per_s,
+            acceleration_max_rad_per_s2: row.acceleration_max_rad_per_s2,
+            jerk_max_rad_per_s3: row.jerk_max_rad_per_s3,
+            range_rad: [row.lower_deg.to_radians(), row.upper_deg.to_radians()],
+        });
+        let limits = MotionLimits::new(&motions).map_err(|error| error.to_string())?;
+        for (axis, &most) in Axis::ALL.iter().zip(&PA10_SPEED_MAX_RAD_PER_S) {
+            let got = motions[axis.index()].speed_max_rad_per_s;
+            if got > most {
+                return Err(format!(
+                    "{axis}: a speed of {got} rad/s is more than the drive can do: give at most {most} rad/s"
+                ));
+            }
+        }
+        Ok(limits)
+    }
+}
+
+fn in_millis(time: Duration) -> f64 {
+    time.as_secs_f64() * 1e3
 }
 
 /// Milliseconds already checked to be between 0 and some minutes.
@@ -270,6 +329,19 @@ mod tests {
             ),
             ("key_file = \"arm1.key\"", "", "access.key_file: missing"),
             ("[realtime]", "[realtime]\nnice = 3", "realtime.nice: unknown key"),
+            ("s2 = {", "s9 = {", "limits.s2: missing"),
+            ("speed_max_rad_per_s = 1.5708, ", "", "limits.w1.speed_max_rad_per_s: missing"),
+            (
+                "speed_max_rad_per_s = 0.25",
+                "speed_max_rad_per_s = 1.01",
+                "axis 1 (S1): a speed of 1.01 rad/s is more than the drive",
+            ),
+            (
+                "jerk_max_rad_per_s3 = 80.0",
+                "jerk_max_rad_per_s3 = 0.0",
+                "limits: axis 1 (S1): a limit of 0 for the jerk is out of range",
+            ),
+            ("lower_deg = -91.0", "lower_deg = 91.0", "axis 2 (S2): a limit of 1.58"),
         ] {
             assert!(text.contains(from), "{from}");
             std::fs::write(&file, text.replace(from, to)).unwrap();

@@ -1,6 +1,7 @@
 //! Parameters of the tracker.
 
 use pb3dp_estimation_core::error::{EstimationError, check_range};
+use pb3dp_estimation_core::ranges;
 
 /// Parameters of region tracking and of the loss criteria. The paper states none of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,19 +50,27 @@ impl Default for TrackerConfig {
 }
 
 impl TrackerConfig {
+    ranges! {
+        WINDOW_MARGIN_PX: u32 = 1..=200;
+        SHIFT_STEPS_MAX: usize = 1..=100;
+        SHIFT_MAX_SHARE: f64 = 0.0..=2.0;
+        CONTRAST_MIN: f64 = 0.0..=1.0;
+        MASS_SHARE_MIN: f64 = 0.0..=1.0;
+        VISIBLE_SHARE_MIN: f64 = 0.0..=1.0;
+        DEPTH_SPREAD_SURE: f64 = 0.0..=1.0;
+        HEIGHT_SHARE_MIN: f64 = 0.0..=1.0;
+        ASSURE_FRAMES_MAX: u32 = 1..=10_000;
+    }
+
     pub(super) fn validate(&self) -> Result<(), EstimationError> {
-        let share = |name, value| check_range(name, value, (0.0, 1.0), "must be between 0 and 1");
-        let margin = f64::from(self.window_margin_px);
-        check_range("tracker window_margin_px", margin, (1.0, 200.0), "must be between 1 and 200")?;
-        let steps = self.shift_steps_max as f64;
-        check_range("tracker shift_steps_max", steps, (1.0, 100.0), "must be between 1 and 100")?;
-        check_range("tracker shift_max_share", self.shift_max_share, (0.0, 2.0), "must be between 0 and 2")?;
-        share("tracker contrast_min", self.contrast_min)?;
-        share("tracker mass_share_min", self.mass_share_min)?;
-        share("tracker visible_share_min", self.visible_share_min)?;
-        share("tracker depth_spread_sure", self.depth_spread_sure)?;
-        share("tracker height_share_min", self.height_share_min)?;
-        let frames = f64::from(self.assure_frames_max);
-        check_range("tracker assure_frames_max", frames, (1.0, 1e4), "must be between 1 and 10000")
+        check_range("tracker window_margin_px", self.window_margin_px, Self::WINDOW_MARGIN_PX)?;
+        check_range("tracker shift_steps_max", self.shift_steps_max, Self::SHIFT_STEPS_MAX)?;
+        check_range("tracker shift_max_share", self.shift_max_share, Self::SHIFT_MAX_SHARE)?;
+        check_range("tracker contrast_min", self.contrast_min, Self::CONTRAST_MIN)?;
+        check_range("tracker mass_share_min", self.mass_share_min, Self::MASS_SHARE_MIN)?;
+        check_range("tracker visible_share_min", self.visible_share_min, Self::VISIBLE_SHARE_MIN)?;
+        check_range("tracker depth_spread_sure", self.depth_spread_sure, Self::DEPTH_SPREAD_SURE)?;
+        check_range("tracker height_share_min", self.height_share_min, Self::HEIGHT_SHARE_MIN)?;
+        check_range("tracker assure_frames_max", self.assure_frames_max, Self::ASSURE_FRAMES_MAX)
     }
 }

@@ -5,9 +5,11 @@
 //! paper states neither population nor rates; here they are parameters, with the defaults of the group's earlier work.
 
 use std::cmp::Reverse;
+use std::ops::RangeInclusive;
 
 use pb3dp_estimation_core::error::{EstimationError, check_range};
 use pb3dp_estimation_core::plane_hypothesis::{PlaneHypothesis, SearchRange};
+use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::rng::SplitMix64;
 
 use super::chromosome::{BITS, Chromosome, Codec, Coding};
@@ -60,21 +62,35 @@ impl Default for RmGaConfig {
 }
 
 impl RmGaConfig {
+    ranges! {
+        POPULATION: usize = 2..=10_000;
+        GENERATIONS: usize = 1..=100_000;
+        MUTATION_RATE: f64 = 0.0..=1.0;
+    }
+
+    /// Allowed values of `survivors`.
+    pub fn survivors_allowed(&self) -> RangeInclusive<usize> {
+        2..=self.population.max(2)
+    }
+
+    /// Allowed values of `elite`.
+    pub fn elite_allowed(&self) -> RangeInclusive<usize> {
+        1..=self.survivors.max(1)
+    }
+
     /// Checks the ranges.
     ///
     /// # Errors
     /// The parameter that is out of its range.
     pub fn validate(&self) -> Result<(), EstimationError> {
-        let population = self.population as f64;
-        let survivors = self.survivors as f64;
         let rate = match self.mutation {
             Mutation::PerIndividual(rate) | Mutation::PerBit(rate) => rate,
         };
-        check_range("RM-GA population", population, (2.0, 1e4), "must be between 2 and 10000")?;
-        check_range("RM-GA survivors", survivors, (2.0, population), "must be between 2 and the population")?;
-        check_range("RM-GA elite", self.elite as f64, (1.0, survivors), "must be between 1 and the survivors")?;
-        check_range("RM-GA generations", self.generations as f64, (1.0, 1e5), "must be between 1 and 100000")?;
-        check_range("RM-GA mutation rate", rate, (0.0, 1.0), "must be between 0 and 1")
+        check_range("RM-GA population", self.population, Self::POPULATION)?;
+        check_range("RM-GA survivors", self.survivors, self.survivors_allowed())?;
+        check_range("RM-GA elite", self.elite, self.elite_allowed())?;
+        check_range("RM-GA generations", self.generations, Self::GENERATIONS)?;
+        check_range("RM-GA mutation rate", rate, Self::MUTATION_RATE)
     }
 }
 

@@ -97,7 +97,7 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
         print_line(&format!("{plan}\nnothing was moved; add --move"))?;
         return Ok(ExitCode::SUCCESS);
     }
-    if !(setup.rig.vs.link.is_toy() && setup.rig.tc.link.is_toy()) {
+    if !(setup.rig.arms.vs.link.is_toy() && setup.rig.arms.tc.link.is_toy()) {
         tracing::warn!("{plan}; both arms will be enabled: type vs-robot and Enter to go on");
         confirm::typed("vs-robot", &mut signals)?;
     }
@@ -174,7 +174,7 @@ impl Delays {
             );
         }
         let camera = CameraOnHand {
-            chain: &setup.rig.vs.chain,
+            chain: &setup.rig.arms.vs.chain,
             flange_from_hand: setup.controller.flange_from_hand,
             hand_from_cam_left: setup.controller.hand_from_cam_left,
         };

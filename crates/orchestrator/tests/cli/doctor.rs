@@ -29,7 +29,7 @@ fn every_check_says_something_and_the_worst_one_decides() {
         "cameras",
         "kernel modules",
         "ARCNET",
-        "room for recordings",
+        "space for recordings",
     ] {
         assert!(findings.iter().any(|finding| finding["check"] == check), "{check} is missing: {text}");
     }
@@ -55,7 +55,7 @@ fn what_a_configuration_names_has_to_be_there() {
     let (code, text) = doctor(&["--config", &file.display().to_string()]);
     assert_eq!(code, Some(2), "{text}");
     for part in [
-        "FAIL     serial ports: /dev/no_such_port is not there",
+        "FAIL     serial ports: /dev/no_such_port does not exist",
         "FAIL     ARCNET: there is no network interface arc77",
         "modprobe -a com20020_pci",
     ] {

@@ -106,10 +106,7 @@ fn what_it_can_not_do_is_refused_by_name() {
     refused(&["--watchdog", "0s"], &["\"0s\" is neither a time such as 6ms nor none"]);
     refused(&["--pose-deg", "0,30,0"], &["is not seven angles in degrees"]);
     refused(&["--pose-deg", "0,120,0,0,0,0,0"], &["--pose-deg", "axis 2 starts at 120.00"]);
-    refused(
-        &["--limits-deg", "177,94,174,-137,255,165,255"],
-        &["axis 4 (E1): limits of 2.39", "are not a range around 0"],
-    );
+    refused(&["--limits-deg", "177,94,174,-137,255,165,255"], &["axis 4 (E1): a limit of -2.39", "out of range"]);
     refused(&["--bus", "x", "--tcp", "127.0.0.1:0", "--key", "x"], &["cannot be used with"]);
     refused(&["--tcp", "127.0.0.1:0"], &["--key <FILE>"]);
     refused(&["--tcp", "127.0.0.1:0", "--key", "/nowhere/key"], &["key file /nowhere/key: cannot be read"]);

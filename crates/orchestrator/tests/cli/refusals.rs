@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use crate::cli::support::*;
+use crate::real_time::arm::{FIRST_RUN, setup_at};
 
 /// One real pair, copied, with the words that estimate it.
 struct Pair {
@@ -115,7 +116,7 @@ fn regions_that_can_not_serve_are_refused_with_what_to_do() {
         ("poly:-90,-90;-20,-90;-20,-20", &["outside the left image"]),
         ("rect:400,200,2,2", &["4 px", "larger area"]),
         ("rect:400,200,-20,20", &["must be positive"]),
-        ("rect:1,2,3", &["expected 4 numbers, found 3"]),
+        ("rect:1,2,3", &["has 3 numbers, expected 4"]),
         ("rect:0,0,999999,999999", &["999999 x 999999", "out of range"]),
         ("poly:0,0;1e300,0;0,1e300", &["vertex 1", "within 100000 px"]),
         ("poly:100,100;100,100;100,100", &["1 px", "larger area"]),
@@ -134,7 +135,7 @@ fn arguments_are_checked_before_anything_is_read() {
         pb3dp(&args)
     };
     let unknown = with(&["--method", "magic"]);
-    unknown.assert_refused(&["\"magic\"", "published"]);
+    unknown.assert_refused(&["'magic'", "published"]);
     assert_eq!(unknown.stdout, "");
     for bad in ["350", "650,350", "-1,5", "a,b", "0,100"] {
         with(&[&format!("--z-range={bad}")]).assert_refused(&["MIN,MAX", "millimetres"]);
@@ -157,16 +158,16 @@ fn configurations_are_refused_with_file_key_and_what_is_allowed() {
         pb3dp(&words(&[&"estimate", &"--cases", &real_cases(), &"--config", &file, &"--json"]))
     };
     run(&good).assert_success();
-    let unknown = run(&replaced(&good, "elite = 1\n", "elite = 1\nelites = 2\n"));
+    let unknown = run(&replaced(&good, "\nelite = 1 ", "\nelites = 2\nelite = 1 "));
     unknown.assert_refused(&[
         "mine.toml",
         "published.rmga.elites",
         "unknown key",
         "did you mean elite?",
-        "mine.toml:30:1",
+        "mine.toml:28:1",
     ]);
-    run(&replaced(&good, "elite = 1\n", "")).assert_refused(&["mine.toml", "published.rmga", "elite", "missing"]);
-    let far = run(&replaced(&good, "hue_tolerance_deg = 20.0\nunseen", "hue_tolerance_deg = 200.0\nunseen"));
+    run(&replaced(&good, "\nelite = 1 ", "\n# ")).assert_refused(&["mine.toml", "published.rmga", "elite", "missing"]);
+    let far = run(&replaced(&good, "\nhue_tolerance_deg = 20.0 ", "\nhue_tolerance_deg = 200.0 "));
     far.assert_refused(&["mine.toml", "published.fitness.hue_tolerance_deg = 200", "0 to 180"]);
     run("[published\n").assert_refused(&["mine.toml"]);
     let setup = repository().join("configs/sim.toml");
@@ -207,4 +208,54 @@ fn a_damaged_case_costs_its_own_line_and_no_other() {
             assert_eq!(without_time(line), without_time(before));
         }
     }
+}
+
+/// Shell history or a wrong --config must not move an arm; nothing is connected before the refusal.
+#[test]
+fn arms_that_are_not_emulated_do_not_move_by_a_command_line_alone() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.set_nonblocking(true).unwrap();
+    let folder = setup_at(&listener.local_addr().unwrap().to_string());
+    let (config, out) = (folder.path().join("cell.toml"), folder.path().join("out"));
+    let run = |more: &[&str]| {
+        let args = words(&[&"run", &"--config", &config, &"--out", &out]);
+        let more = FIRST_RUN.iter().chain(more).map(|word| (*word).into());
+        pb3dp(&args.into_iter().chain(more).collect::<Vec<_>>())
+    };
+    run(&[]).assert_refused(&["vs-robot: not emulated", "--operator console", "--move and type \"vs-robot\""]);
+    run(&["--move"]).assert_refused(&["vs-robot was not typed", "nothing was moved"]);
+    assert!(listener.accept().is_err(), "a port was opened");
+    assert!(!out.exists());
+}
+
+#[test]
+fn fast_settings_of_arms_that_are_not_emulated_need_a_commissioning_record() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.set_nonblocking(true).unwrap();
+    let folder = setup_at(&listener.local_addr().unwrap().to_string());
+    let (config, record) = (folder.path().join("cell.toml"), folder.path().join("vs.json"));
+    let run = |set: &[&str]| {
+        let args = words(&[&"run", &"--operator", &"console", &"--config", &config]);
+        let set = set.iter().flat_map(|set| ["--set", *set]).map(Into::into);
+        pb3dp(&args.into_iter().chain(set).collect::<Vec<_>>())
+    };
+    let refused = run(&[]);
+    refused.assert_refused(&["vs-robot is not emulated and may not move", "arms.vs.commissioning_record is not set"]);
+    refused.assert_refused(&["arms.first_run = false", "arms.speed_scale = 0.6", "outlier.resume = \"by-itself\""]);
+    refused.assert_refused(&["pb3dp arm test --arm vs --move"]);
+    let file = format!("arms.vs.commissioning_record={}", record.display());
+    run(&[&file]).assert_refused(&["vs.json: cannot be read"]);
+    let steps = ["comms", "jog", "e-stop", "cable", "kill"];
+    let write = |date: &str| {
+        let steps: Vec<String> = steps.iter().map(|step| format!("\"{step}\": \"{date}\"")).collect();
+        let arm = "{ \"arm_number\": 1, \"gateway\": \"x\", \"geometry\": \"unknown\", \"eeprom_deg\": [] }";
+        let text = format!(
+            "{{ \"format\": 1, \"arm\": \"vs-robot\", \"fingerprint\": {arm}, \"steps\": {{ {} }} }}",
+            steps.join(", ")
+        );
+        std::fs::write(&record, text).unwrap();
+    };
+    write("2020-01-01T00:00:00Z");
+    run(&[&file]).assert_refused(&["the step comms was passed on 2020-01-01T00:00:00Z, more than 90 days ago"]);
+    assert!(listener.accept().is_err(), "a port was opened");
 }

@@ -120,13 +120,12 @@ fn a_run_without_images_says_so_and_needs_none() {
 #[test]
 fn experiments_of_other_kinds_have_reports_of_their_own() {
     let dir = tempfile::tempdir().unwrap();
-    let moves = "channels = [\"x\", \"y\", \"z\", \"rx\", \"ry\", \"rz\"]\ntranslation_mm = 100.0\nrotation_deg = 20.0\n\
-                 move_s = 2.0\nhold_s = 3.0\nlead_in_s = 3.0";
+    let sim = std::fs::read_to_string(repository().join("configs/sim.toml")).unwrap();
+    let moves = &sim[sim.find("channels = ").unwrap()..sim.find("axes = \"target-at-start\"").unwrap()];
     let quick = [("method = \"direct\" ", "method = \"geometric\" "), ("compare = [\"published\"]", "compare = []")];
-    let sine =
-        "channels = [\"y\"]\ntranslation_mm = 50.0\nrotation_deg = 10.0\nperiod_s = 4.0\nperiods = 1\nlead_in_s = 1.0";
+    let sine = "channels = [\"y\"]\ntranslation_mm = 50.0\nrotation_deg = 10.0\nperiod_s = 4.0\nperiods = 1\nlead_in_s = 1.0\n";
     let sudden =
-        "channels = [\"x\"]\ntranslation_mm = 50.0\nrotation_deg = 15.0\nmove_s = 0.0\nhold_s = 4.0\nlead_in_s = 2.0";
+        "channels = [\"x\"]\ntranslation_mm = 50.0\nrotation_deg = 15.0\nmove_s = 0.0\nhold_s = 4.0\nlead_in_s = 2.0\n";
     let (kind, free) = (("kind = \"steps\"", "kind = \"sine\""), ("target = \"carried\"", "target = \"free\""));
     for (changes, line, column) in [
         (&[kind, (moves, sine)][..], "y: gain ", "phase, deg"),
@@ -186,8 +185,8 @@ fn setups_are_refused_with_file_key_and_what_is_allowed() {
             &["arms.vs.parts[4].on", "joint 0 to joint 6"],
         ),
         (
-            "5.0]\njerk_max_rad_per_s3 = [80.0, 80.0, 80.0, 80.0, 200.0, 200.0, 200.0]   # full",
-            "5.1]\njerk_max_rad_per_s3 = [80.0, 80.0, 80.0, 80.0, 200.0, 200.0, 200.0]   # full",
+            "5.0] # acceleration limit",
+            "5.1] # acceleration limit",
             &["arms.vs.acceleration_max_rad_per_s2[6] = 5.1", "0.01 to 5"],
         ),
         ("tracking_error_max_deg = 2.9 ", "tracking_error_max_deg = 3.0 ", &["arms.tracking_error_max_deg = 3", "2.9"]),
@@ -197,8 +196,8 @@ fn setups_are_refused_with_file_key_and_what_is_allowed() {
             &["arms.tracking_error_millis = 101", "100"],
         ),
         (
-            "270.0]   # of the stops",
-            "271.0]   # of the stops",
+            "270.0] # mechanical stops",
+            "271.0] # mechanical stops",
             &["arms.vs.mechanical_range_deg[6] = 271", "255.01 to 270"],
         ),
         ("first_run = false ", "# ", &["arms.speed_scale = 0.6", "at most 0.25 on the first run", "arms.first_run"]),
@@ -210,7 +209,11 @@ fn setups_are_refused_with_file_key_and_what_is_allowed() {
             &["estimator.compare = [published, published]", "once"],
         ),
         ("method = \"direct\"", "method = \"geometric\"", &["estimator.compare = [published]", "nobody can look on"]),
-        ("turned_max_deg = 70.0 ", "turned_max_deg = 90.0 ", &["estimator.geometric.turned_max_deg = 90", "6 to 85"]),
+        (
+            "turned_max_deg = 70.0 ",
+            "turned_max_deg = 90.0 ",
+            &["estimator.geometric.turned_max_deg = 90", "5.73 to 85.94"],
+        ),
         ("compare = [\"published\"]", "compare = [\"publish\"]", &["estimator.compare", "publish", "known methods"]),
         ("target = \"crab\"", "target = \"lobster\"", &["scene.target", "lobster", "crab"]),
         ("channels = [\"x\"", "channels = [\"u\"", &["experiment.channels", "\"u\"", "rz"]),
@@ -243,7 +246,7 @@ fn policies_of_the_supervisor_that_are_too_weak_or_none_are_refused_by_key() {
         (
             "target_changed = { action = \"hold\"",
             "target_changed = { resume = \"by-itself\", action = \"hold\"",
-            &["supervisor.policies.target_changed.resume = by-itself", "never after this"],
+            &["supervisor.policies.target_changed.resume = by-itself", "allowed never for this condition"],
         ),
         (
             "frame_order = { action = \"hold\", resume = \"by-itself\"",

@@ -64,6 +64,24 @@ impl Cell {
     }
 }
 
+/// Settings of a setup like `hil` that arms which are not emulated need before they were commissioned.
+pub const FIRST_RUN: [&str; 14] = [
+    "--set",
+    "arms.first_run=true",
+    "--set",
+    "arms.speed_scale=0.25",
+    "--set",
+    "experiment.move_s=4.0",
+    "--set",
+    "supervisor.policies.target_lost.resume=by-operator",
+    "--set",
+    "supervisor.policies.position_jump.resume=by-operator",
+    "--set",
+    "supervisor.policies.orientation_jump.resume=by-operator",
+    "--set",
+    "supervisor.policies.outlier.resume=by-operator",
+];
+
 pub fn setup_at(address: &str) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     write_setup(&folder, |vs| {
@@ -88,7 +106,7 @@ pub fn complete_hil() -> String {
     [
         ("pace = \"fast\"", "pace = \"live\"".to_owned()),
         ("compare = [\"published\"]", "compare = []".to_owned()),
-        ("delay_millis = 10.0               # until", "delay_millis = 17.0               # until".to_owned()),
+        ("\ndelay_millis = 10.0 ", "\ndelay_millis = 17.0 ".to_owned()),
         ("[arms.tc]", gateway("vs", 1) + "[arms.tc]"),
         ("[mounts]", gateway("tc", 2) + "[mounts]"),
     ]
@@ -172,9 +190,9 @@ fn a_probe_tells_what_an_arm_is_and_that_it_fits() {
 #[test]
 fn a_probe_says_what_does_not_fit_and_what_to_do() {
     programs_in_real_time_beside_others(|| {
-        let cell = Cell::start(&["--limits-deg", "177,94,174,137,255,165,255", "--pose-deg", "171,30,0,60,0,45,0"]);
+        let cell = Cell::start(&["--limits-deg", "177,90,174,137,255,165,255", "--pose-deg", "171,30,0,60,0,45,0"]);
         let limits = cell.pb3dp(&["probe"], None);
-        assert_problem(&limits, &["axis 2 (S2): the controller's limits differ by -3.000 and +3.000", "arms.vs.robot"]);
+        assert_problem(&limits, &["axis 2 (S2): the controller's limits differ by +1.000 and -1.000", "arms.vs.robot"]);
         assert_problem(&limits, &["axis 1 (S1): 171.000 degrees is outside the operating range", "jog it back"]);
         cell.arm.quit();
         let cell = Cell::start(&["--fault", "at 0s alarm 4 0x0e"]);
@@ -458,8 +476,10 @@ fn a_run_that_an_alarm_ends_says_when_and_where() {
         let mut cell = Cell::start(&["--pose-deg", START_DEG]);
         let out = cell.folder.path().join("out");
         let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));
-        command.arg("run").arg("--config").arg(cell.config()).arg("--out").arg(&out);
-        let mut run = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        command.arg("run").arg("--config").arg(cell.config()).arg("--out").arg(&out).args(FIRST_RUN).arg("--move");
+        let mut run = command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut typed = run.stdin.take().unwrap();
+        writeln!(typed, "vs-robot").unwrap();
         let begin = Instant::now();
         while cell.joints().1 {
             if begin.elapsed() > Duration::from_secs(60) || run.try_wait().unwrap().is_some() {
@@ -470,6 +490,7 @@ fn a_run_that_an_alarm_ends_says_when_and_where() {
         }
         // Until both arms are led.
         std::thread::sleep(Duration::from_secs(5));
+        writeln!(typed).unwrap();
         cell.arm.say("alarm 4 0x0e");
         let output = run.wait_with_output().unwrap();
         assert!(!output.status.success());

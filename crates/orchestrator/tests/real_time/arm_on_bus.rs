@@ -10,7 +10,7 @@ use tempfile::TempDir;
 use crate::cli::mock_arm::MockArm;
 use crate::cli::run::SMALL;
 use crate::cli::support::{pb3dp, replaced};
-use crate::real_time::arm::{Cell, START_DEG, assert_problem, command, json, write_setup};
+use crate::real_time::arm::{Cell, FIRST_RUN, START_DEG, assert_problem, command, json, write_setup};
 use pb3dp_test_support::programs_in_real_time_beside_others;
 
 const GATEWAY: &str = "[arms.vs.gateway]";
@@ -132,8 +132,9 @@ fn run_on_bus(arm: &mut MockArm) -> (Child, TempDir) {
     let text = SMALL.iter().fold(text, |text, (from, to)| replaced(&text, from, to));
     std::fs::write(&config, text).unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));
-    command.arg("run").arg("--config").arg(config).arg("--out").arg(out);
-    let mut run = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    command.arg("run").arg("--config").arg(config).arg("--out").arg(out).args(FIRST_RUN).arg("--move");
+    let mut run = command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    writeln!(run.stdin.as_mut().unwrap(), "tc-robot").unwrap();
     if let Err(said) = wait_for_motion(arm, &mut run, 2.0) {
         // The flight recorders tell which of the arms was held up.
         let flights = ["vs", "tc"].map(|name| folder.path().join(format!("out/flight-{name}-robot.jsonl")));

@@ -49,6 +49,10 @@ impl Gateway {
         ]
         .iter()
         .fold(shipped, |text, (from, to)| crate::cli::support::replaced(&text, from, to));
+        // The speeds of the drives: the setup moves faster than the shipped gateway allows.
+        let text = [("= 0.25,", "= 1.0,"), ("= 0.5,", "= 2.0,"), ("= 1.5708,", "= 6.28,")]
+            .iter()
+            .fold(text, |text, (from, to)| text.replace(from, to));
         let file = folder.path().join("gateway.toml");
         std::fs::write(&file, text).unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));

@@ -5,3 +5,4 @@ pub mod arm_on_bus;
 pub mod arm_test;
 pub mod behind_gateway;
 pub mod gateway;
+pub mod operator;

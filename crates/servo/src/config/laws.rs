@@ -1,7 +1,7 @@
 //! Parameters of the control laws.
 
-use super::TINY;
-use crate::config_error::{ConfigError, check};
+use super::ABOVE_ZERO;
+use crate::config_error::{ConfigError, check, ranges};
 use crate::target_state::TargetStateConfig;
 
 /// The control law with its parameters.
@@ -221,75 +221,134 @@ impl LawConfig {
                 config.gains.validate()?;
                 config.target_filter.validate()
             }
-            Self::ImageBased(config) => {
-                check("image_based.gain_per_s", config.gain_per_s, TINY, 50.0, "above 0 to 50 1/s")?;
-                check("image_based.half_width_m", config.half_width_m, 1e-3, 1.0, "0.001 to 1 m")?;
-                config.target_filter.validate()
-            }
-            Self::Hybrid(config) => {
-                check("hybrid.gain_per_s", config.gain_per_s, TINY, 50.0, "above 0 to 50 1/s")?;
-                config.target_filter.validate()
-            }
+            Self::ImageBased(config) => config.validate(),
+            Self::Hybrid(config) => config.validate(),
         }
     }
 }
 
-impl FeedForwardConfig {
+impl ImageBasedConfig {
+    ranges! {
+        GAIN_PER_S: f64 = ABOVE_ZERO..=50.0;
+        HALF_WIDTH_M: f64 = 1e-3..=1.0;
+    }
+
     fn validate(&self) -> Result<(), ConfigError> {
-        check("feed_forward.arm.delay_s", self.arm.delay_s, 0.0, 0.5, "0 to 0.5 s")?;
-        check("feed_forward.arm.lag_s", self.arm.lag_s, 0.0, 0.5, "0 to 0.5 s")?;
+        check("image_based.gain_per_s", self.gain_per_s, Self::GAIN_PER_S)?;
+        check("image_based.half_width_m", self.half_width_m, Self::HALF_WIDTH_M)?;
+        self.target_filter.validate()
+    }
+}
+
+impl HybridConfig {
+    ranges! {
+        GAIN_PER_S: f64 = ABOVE_ZERO..=50.0;
+    }
+
+    fn validate(&self) -> Result<(), ConfigError> {
+        check("hybrid.gain_per_s", self.gain_per_s, Self::GAIN_PER_S)?;
+        self.target_filter.validate()
+    }
+}
+
+impl ArmResponse {
+    ranges! {
+        DELAY_S: f64 = 0.0..=0.5;
+        LAG_S: f64 = 0.0..=0.5;
+    }
+}
+
+impl FeedForwardConfig {
+    ranges! {
+        OBSERVATIONS_TO_LOCK: u32 = 1..=1000;
+    }
+
+    fn validate(&self) -> Result<(), ConfigError> {
+        check("feed_forward.arm.delay_s", self.arm.delay_s, ArmResponse::DELAY_S)?;
+        check("feed_forward.arm.lag_s", self.arm.lag_s, ArmResponse::LAG_S)?;
         self.gains.validate()?;
         self.target.validate()?;
-        let to_lock = f64::from(self.observations_to_lock);
-        check("feed_forward.observations_to_lock", to_lock, 1.0, 1000.0, "1 to 1000")?;
+        check("feed_forward.observations_to_lock", self.observations_to_lock, Self::OBSERVATIONS_TO_LOCK)?;
         self.unstated.validate()?;
         self.redundancy.validate()
     }
 }
 
 impl FeedForwardGains {
+    ranges! {
+        POSITION_PER_S: f64 = ABOVE_ZERO..=50.0;
+        ORIENTATION_PER_S: f64 = ABOVE_ZERO..=50.0;
+        LINEAR_M_PER_S2: f64 = 0.01..=20.0;
+        ANGULAR_RAD_PER_S2: f64 = 0.01..=50.0;
+    }
+
     fn validate(&self) -> Result<(), ConfigError> {
-        check("feed_forward.gains.position_per_s", self.position_per_s, TINY, 50.0, "above 0 to 50 1/s")?;
-        check("feed_forward.gains.orientation_per_s", self.orientation_per_s, TINY, 50.0, "above 0 to 50 1/s")?;
-        check("feed_forward.gains.linear_m_per_s2", self.linear_m_per_s2, 0.01, 20.0, "0.01 to 20 m/s^2")?;
-        check("feed_forward.gains.angular_rad_per_s2", self.angular_rad_per_s2, 0.01, 50.0, "0.01 to 50 rad/s^2")
+        check("feed_forward.gains.position_per_s", self.position_per_s, Self::POSITION_PER_S)?;
+        check("feed_forward.gains.orientation_per_s", self.orientation_per_s, Self::ORIENTATION_PER_S)?;
+        check("feed_forward.gains.linear_m_per_s2", self.linear_m_per_s2, Self::LINEAR_M_PER_S2)?;
+        check("feed_forward.gains.angular_rad_per_s2", self.angular_rad_per_s2, Self::ANGULAR_RAD_PER_S2)
     }
 }
 
 impl UnstatedCovariance {
+    ranges! {
+        LATERAL_M: f64 = 1e-6..=0.1;
+        DEPTH_M: f64 = 1e-6..=0.1;
+        TILT_RAD: f64 = 1e-5..=1.0;
+        ABOUT_NORMAL_RAD: f64 = 1e-5..=1.0;
+    }
+
     fn validate(&self) -> Result<(), ConfigError> {
-        check("feed_forward.unstated.lateral_m", self.lateral_m, 1e-6, 0.1, "0.000001 to 0.1 m")?;
-        check("feed_forward.unstated.depth_m", self.depth_m, 1e-6, 0.1, "0.000001 to 0.1 m")?;
-        check("feed_forward.unstated.tilt_rad", self.tilt_rad, 1e-5, 1.0, "0.00001 to 1 rad")?;
-        check("feed_forward.unstated.about_normal_rad", self.about_normal_rad, 1e-5, 1.0, "0.00001 to 1 rad")
+        check("feed_forward.unstated.lateral_m", self.lateral_m, Self::LATERAL_M)?;
+        check("feed_forward.unstated.depth_m", self.depth_m, Self::DEPTH_M)?;
+        check("feed_forward.unstated.tilt_rad", self.tilt_rad, Self::TILT_RAD)?;
+        check("feed_forward.unstated.about_normal_rad", self.about_normal_rad, Self::ABOUT_NORMAL_RAD)
     }
 }
 
 impl RedundancyConfig {
+    ranges! {
+        GAIN_RAD_PER_S: f64 = 0.0..=10.0;
+        SPEED_MAX_RAD_PER_S: f64 = 0.0..=1.0;
+    }
+
     fn validate(&self) -> Result<(), ConfigError> {
-        check("feed_forward.redundancy.gain_rad_per_s", self.gain_rad_per_s, 0.0, 10.0, "0 to 10 rad/s")?;
-        check("feed_forward.redundancy.speed_max_rad_per_s", self.speed_max_rad_per_s, 0.0, 1.0, "0 to 1 rad/s")
+        check("feed_forward.redundancy.gain_rad_per_s", self.gain_rad_per_s, Self::GAIN_RAD_PER_S)?;
+        check("feed_forward.redundancy.speed_max_rad_per_s", self.speed_max_rad_per_s, Self::SPEED_MAX_RAD_PER_S)
     }
 }
 
 impl Gains {
+    ranges! {
+        POSITION_PER_S: f64 = ABOVE_ZERO..=50.0;
+        VELOCITY: f64 = 0.0..=0.9;
+        ORIENTATION_PER_S: f64 = ABOVE_ZERO..=100.0;
+        ANGULAR_VELOCITY: f64 = 0.0..=0.9;
+    }
+
     fn validate(&self) -> Result<(), ConfigError> {
-        check("gains.position_per_s", self.position_per_s, TINY, 50.0, "above 0 to 50 1/s")?;
-        check("gains.velocity", self.velocity, 0.0, 0.9, "0 to 0.9")?;
-        check("gains.orientation_per_s", self.orientation_per_s, TINY, 100.0, "above 0 to 100 1/s")?;
-        check("gains.angular_velocity", self.angular_velocity, 0.0, 0.9, "0 to 0.9")
+        check("gains.position_per_s", self.position_per_s, Self::POSITION_PER_S)?;
+        check("gains.velocity", self.velocity, Self::VELOCITY)?;
+        check("gains.orientation_per_s", self.orientation_per_s, Self::ORIENTATION_PER_S)?;
+        check("gains.angular_velocity", self.angular_velocity, Self::ANGULAR_VELOCITY)
     }
 }
 
 impl TargetFilterConfig {
+    ranges! {
+        POSITION_TIME_CONSTANT_S: f64 = 0.0..=5.0;
+        ORIENTATION_TIME_CONSTANT_S: f64 = 0.0..=5.0;
+        GATE_POSITION_M: f64 = 1e-3..=10.0;
+        GATE_ORIENTATION_RAD: f64 = 0.01..=std::f64::consts::PI;
+        OBSERVATIONS_TO_LOCK: u32 = 1..=1000;
+    }
+
     fn validate(&self) -> Result<(), ConfigError> {
         let (position_s, orientation_s) = (self.position_time_constant_s, self.orientation_time_constant_s);
-        check("target_filter.position_time_constant_s", position_s, 0.0, 5.0, "0 to 5 s")?;
-        check("target_filter.orientation_time_constant_s", orientation_s, 0.0, 5.0, "0 to 5 s")?;
-        check("target_filter.gate_position_m", self.gate_position_m, 1e-3, 10.0, "0.001 to 10 m")?;
-        let pi = std::f64::consts::PI;
-        check("target_filter.gate_orientation_rad", self.gate_orientation_rad, 0.01, pi, "0.01 to pi rad")?;
-        let to_lock = f64::from(self.observations_to_lock);
-        check("target_filter.observations_to_lock", to_lock, 1.0, 1000.0, "1 to 1000")
+        check("target_filter.position_time_constant_s", position_s, Self::POSITION_TIME_CONSTANT_S)?;
+        check("target_filter.orientation_time_constant_s", orientation_s, Self::ORIENTATION_TIME_CONSTANT_S)?;
+        check("target_filter.gate_position_m", self.gate_position_m, Self::GATE_POSITION_M)?;
+        check("target_filter.gate_orientation_rad", self.gate_orientation_rad, Self::GATE_ORIENTATION_RAD)?;
+        check("target_filter.observations_to_lock", self.observations_to_lock, Self::OBSERVATIONS_TO_LOCK)
     }
 }

@@ -11,7 +11,7 @@ codes! {
         ArmFault = "PB3DP-SUP-002": "A fault stopped an arm. The message of the arm names it."; "Remove the cause. Then use `reset`.";
         ArmDisabled = "PB3DP-SUP-003": "The drives of an arm are disabled."; "Wait until they are enabled, or use `select`, which enables them.";
         ClockStepped = "PB3DP-SUP-004": "The clock of this computer jumped, or the control loop was delayed for longer than the limit."; "Find what delays the computer or sets its clock. `pb3dp doctor` checks the usual reasons.";
-        OperatorSilent = "PB3DP-SUP-005": "The operator's terminal or panel sent no sign of life in time."; "Check the terminal and its connection. Then use `resume`.";
+        OperatorSilent = "PB3DP-SUP-005": "The operator gave no sign of life in time: no key at the terminal, or no heartbeat of the panel."; "Press Enter at the terminal, or check the panel and its connection. Then use `resume`, or `reset` after a stop.";
         JointsStale = "PB3DP-SUP-006": "The newest joint measurement of an arm is too old."; "Check the cable and the gateway of this arm.";
         TargetChanged = "PB3DP-SUP-007": "The estimator follows another target than the one that was started."; "Use `select`, check the region, then use `start`.";
         FrameStale = "PB3DP-SUP-008": "The newest frame pair is too old."; "Check the cameras and their cables. After the start, wait for the first pair.";

@@ -139,7 +139,10 @@ impl Findings {
             self.innovation = inputs.innovation;
         }
         for condition in Condition::ALL {
-            let threshold = policies.get(condition).threshold;
+            let threshold = match (condition, inputs.operator.silent_after) {
+                (Condition::OperatorSilent, Some(silent_after)) => silent_after.as_secs_f64(),
+                _ => policies.get(condition).threshold,
+            };
             let found = match condition {
                 Condition::ClockStepped => step_s.map(|value| (value, Detail::None)),
                 Condition::EmergencyStop

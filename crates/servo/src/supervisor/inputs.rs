@@ -1,5 +1,7 @@
 //! The inputs of the supervisor in each step. Times are those of the measurements; the supervisor computes their ages.
 
+use std::time::Duration;
+
 use nalgebra::Matrix6;
 use pb3dp_geometry::MonotonicTime;
 
@@ -36,6 +38,8 @@ pub struct OperatorInput {
     pub said: Option<OperatorRequest>,
     /// Last sign of life of a panel or a person, not of this program.
     pub heard_at: Option<MonotonicTime>,
+    /// Longest silence of this operator, instead of the policy's `age_s`: a person presses a key less often than a panel sends heartbeats.
+    pub silent_after: Option<Duration>,
 }
 
 /// A command of the operator.
@@ -54,8 +58,10 @@ pub enum OperatorCommand {
     Select,
     /// Follow the target.
     Start,
-    /// Hold.
+    /// Both arms hold.
     Hold,
+    /// The camera arm holds; the arm with the target continues.
+    HoldHand,
     /// Continue after a hold.
     Resume,
     /// Stop both arms.
@@ -66,7 +72,8 @@ pub enum OperatorCommand {
 
 impl OperatorCommand {
     /// All commands.
-    pub const ALL: [Self; 6] = [Self::Select, Self::Start, Self::Hold, Self::Resume, Self::Stop, Self::Reset];
+    pub const ALL: [Self; 7] =
+        [Self::Select, Self::Start, Self::Hold, Self::HoldHand, Self::Resume, Self::Stop, Self::Reset];
 
     /// Name of the command.
     pub fn name(self) -> &'static str {
@@ -74,10 +81,16 @@ impl OperatorCommand {
             Self::Select => "select",
             Self::Start => "start",
             Self::Hold => "hold",
+            Self::HoldHand => "hold hand",
             Self::Resume => "resume",
             Self::Stop => "stop",
             Self::Reset => "reset",
         }
+    }
+
+    /// Whether the command only ends motion; such a command is obeyed in every state and at any age.
+    pub fn ends_motion(self) -> bool {
+        matches!(self, Self::Stop | Self::Hold | Self::HoldHand)
     }
 }
 

@@ -2,6 +2,9 @@
 
 use std::cmp::Ordering;
 use std::fmt;
+use std::ops::RangeInclusive;
+
+use crate::config_error::{not_below, ranges};
 
 /// A monitored condition. If several active ones have the same action, the first one in this order gives the reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -108,7 +111,7 @@ pub struct SupervisorConfig {
     pub go_after_s: f64,
     /// Older commands (except stop and hold) are refused, seconds, 0.05 to 5.
     pub word_age_max_s: f64,
-    /// Longest search for a lost target, seconds since the loss, 0 to 60; 0: the arm holds.
+    /// Longest search for a lost target, seconds since the loss, 0.1 to 60; 0: the arm holds.
     pub search_max_s: f64,
 }
 
@@ -243,7 +246,18 @@ impl ConditionSet {
     }
 }
 
+impl Rule {
+    /// Allowed values of `for_s`.
+    pub fn for_s_allowed(&self) -> RangeInclusive<f64> {
+        0.0..=self.for_max_s
+    }
+}
+
 impl Action {
+    ranges! {
+        SHARE: f64 = 0.05..=0.95;
+    }
+
     fn severity(self) -> u8 {
         match self {
             Self::Note => 0,
@@ -299,19 +313,40 @@ impl Policies {
 }
 
 impl SupervisorConfig {
+    ranges! {
+        RESUME_AFTER_S: f64 = 0.05..=60.0;
+        WORD_AGE_MAX_S: f64 = 0.05..=5.0;
+        SEARCH_MAX_S: f64 = 0.1..=60.0;
+    }
+
     /// Checks every number, and that no policy is weaker than its condition allows.
     ///
     /// # Errors
     /// The first setting that is refused.
     pub fn validate(&self) -> Result<(), SupervisorError> {
-        within(|| "resume_after_s".to_owned(), self.resume_after_s, 0.05, 60.0)?;
-        within(|| "go_after_s".to_owned(), self.go_after_s, 0.05, self.resume_after_s)?;
-        within(|| "word_age_max_s".to_owned(), self.word_age_max_s, 0.05, 5.0)?;
-        within(|| "search_max_s".to_owned(), self.search_max_s, 0.0, 60.0)?;
+        within(|| "resume_after_s".to_owned(), self.resume_after_s, Self::RESUME_AFTER_S)?;
+        within(|| "go_after_s".to_owned(), self.go_after_s, self.go_after_s_allowed())?;
+        within(|| "word_age_max_s".to_owned(), self.word_age_max_s, Self::WORD_AGE_MAX_S)?;
+        if self.search_max_s != 0.0 {
+            within(|| "search_max_s".to_owned(), self.search_max_s, Self::SEARCH_MAX_S)?;
+        }
         Condition::ALL.into_iter().try_for_each(|condition| self.policies.get(condition).validate(condition))?;
         let [stale, lost] =
             [Condition::EstimateStale, Condition::TargetLost].map(|condition| self.policies.get(condition).threshold);
-        within(|| "target_lost.age_s".to_owned(), lost, stale, 10.0)
+        within(|| "target_lost.age_s".to_owned(), lost, Self::lost_s_allowed(stale))
+    }
+
+    /// Allowed values of `go_after_s`.
+    pub fn go_after_s_allowed(&self) -> RangeInclusive<f64> {
+        let least = *Self::RESUME_AFTER_S.start();
+        // Of NaN and a number, `max` gives the number.
+        least..=self.resume_after_s.max(least).min(*Self::RESUME_AFTER_S.end())
+    }
+
+    /// Allowed ages of the newest pose at which the target is lost, if an estimate is stale at the age `stale_s`. Seconds.
+    pub fn lost_s_allowed(stale_s: f64) -> RangeInclusive<f64> {
+        let range = Condition::TargetLost.rule().threshold.map_or(0.0..=0.0, |threshold| threshold.min..=threshold.max);
+        not_below(stale_s, &range)
     }
 }
 
@@ -327,11 +362,11 @@ impl Policy {
         let rule = condition.rule();
         let key = |part: &str| format!("{}.{part}", rule.key);
         if let Some(ThresholdRule { name, min, max }) = rule.threshold {
-            within(|| key(name), self.threshold, min, max)?;
+            within(|| key(name), self.threshold, min..=max)?;
         }
-        within(|| key("for_s"), self.for_s, 0.0, rule.for_max_s)?;
+        within(|| key("for_s"), self.for_s, rule.for_s_allowed())?;
         if let Action::Slow(share) = self.action {
-            within(|| key("share"), share, 0.05, 0.95)?;
+            within(|| key("share"), share, Action::SHARE)?;
         }
         let refused = |part: &str, value: &dyn fmt::Display, allowed: String| {
             Err(SupervisorError { key: key(part), value: value.to_string(), allowed })
@@ -347,9 +382,10 @@ impl Policy {
 }
 
 /// Refuses a value out of range, or NaN.
-fn within(key: impl FnOnce() -> String, value: f64, min: f64, max: f64) -> Result<(), SupervisorError> {
-    if value >= min && value <= max {
+fn within(key: impl FnOnce() -> String, value: f64, allowed: RangeInclusive<f64>) -> Result<(), SupervisorError> {
+    if allowed.contains(&value) {
         return Ok(());
     }
+    let (min, max) = allowed.into_inner();
     Err(SupervisorError { key: key(), value: value.to_string(), allowed: format!("{min} to {max}") })
 }

@@ -68,6 +68,8 @@ pub enum Why {
     HeldByOperator {
         /// Holding or lost.
         state: State,
+        /// Whether the arm with the target holds too.
+        every_arm: bool,
         /// Another condition that inhibits motion.
         cause: Option<Cause>,
     },
@@ -177,9 +179,12 @@ impl Why {
             Self::CauseGone { state, cause, then: Then::ByItself { after_s } } => {
                 write!(f, "{state}: {}; resumes by itself in {after_s} s", Gone(&Some(*cause)))
             }
-            Self::HeldByOperator { state, cause: None } => write!(f, "{state}: held by the operator; use resume"),
-            Self::HeldByOperator { state, cause: Some(cause) } => {
-                write!(f, "{state}: held by the operator; also {cause}; {}, then use resume", remedy(cause))
+            Self::HeldByOperator { state, every_arm, cause: None } => {
+                write!(f, "{state}: {} by the operator; use resume", Held(*every_arm))
+            }
+            Self::HeldByOperator { state, every_arm, cause: Some(cause) } => {
+                let held = Held(*every_arm);
+                write!(f, "{state}: {held} by the operator; also {cause}; {}, then use resume", remedy(cause))
             }
             Self::StoppedByOperator => {
                 write!(f, "stopped: by the operator; use reset, then select, which enables the arms, then start")
@@ -249,6 +254,15 @@ fn instead(state: State) -> &'static str {
         State::Approaching | State::Tracking => ", the hand already follows the target; use hold or stop",
         State::Holding | State::Lost => "; use resume",
         State::Stopped | State::Fault => "; use reset first",
+    }
+}
+
+/// Which arms the operator holds.
+struct Held(bool);
+
+impl fmt::Display for Held {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(if self.0 { "both arms held" } else { "camera arm held" })
     }
 }
 
@@ -397,7 +411,7 @@ fn remedy(cause: &Cause) -> &'static str {
         Condition::ArmFault => "remove the cause, then reset the arm",
         Condition::ArmDisabled => "wait until the drives are enabled, or use select, which enables them",
         Condition::ClockStepped => "find what delays this computer or sets its clock",
-        Condition::OperatorSilent => "check the panel and its connection",
+        Condition::OperatorSilent => "press Enter at the console, or check the panel and its connection",
         Condition::JointsStale => "check the link to the arm",
         Condition::TargetChanged => "select the target again",
         // At the start of a normal run the first image has not arrived yet.

@@ -1,6 +1,8 @@
 //! Parameters of the target filter and their check.
 
-use crate::config_error::{ConfigError, check};
+use std::ops::RangeInclusive;
+
+use crate::config_error::{ConfigError, check, not_below, ranges};
 
 /// All parameters of [`crate::TargetState::new`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -126,6 +128,23 @@ impl Default for TargetStateConfig {
 }
 
 impl TargetStateConfig {
+    ranges! {
+        GATE_NIS: f64 = 6.0..=1e4;
+        HISTORY_MEASUREMENTS: usize = 2..=1000;
+        HORIZON_S: f64 = 0.01..=5.0;
+    }
+
+    /// Allowed values of `horizon_s` for a controller with this time-out of observations, seconds: the target must be predictable
+    /// until then.
+    pub fn horizon_s_allowed(observation_s: f64) -> RangeInclusive<f64> {
+        not_below(observation_s, &Self::HORIZON_S)
+    }
+
+    /// Allowed values of `gap_max_s`.
+    pub fn gap_max_s_allowed(&self) -> RangeInclusive<f64> {
+        not_below(self.horizon_s, &Self::HORIZON_S).into_inner().0..=60.0
+    }
+
     /// Checks every number.
     ///
     /// # Errors
@@ -135,11 +154,10 @@ impl TargetStateConfig {
         self.angular.validate(&ANGULAR_KEYS)?;
         self.measurement.validate()?;
         self.surprise.validate()?;
-        check("target_state.gate_nis", self.gate_nis, 6.0, 1e4, "6 to 10000")?;
-        let history = self.history_measurements as f64;
-        check("target_state.history_measurements", history, 2.0, 1000.0, "2 to 1000")?;
-        check("target_state.horizon_s", self.horizon_s, 0.01, 5.0, "0.01 to 5 s")?;
-        check("target_state.gap_max_s", self.gap_max_s, self.horizon_s, 60.0, "horizon_s to 60 s")
+        check("target_state.gate_nis", self.gate_nis, Self::GATE_NIS)?;
+        check("target_state.history_measurements", self.history_measurements, Self::HISTORY_MEASUREMENTS)?;
+        check("target_state.horizon_s", self.horizon_s, Self::HORIZON_S)?;
+        check("target_state.gap_max_s", self.gap_max_s, self.gap_max_s_allowed())
     }
 }
 
@@ -169,34 +187,63 @@ const ANGULAR_KEYS: MotionKeys = [
 ];
 
 impl MotionConfig {
+    ranges! {
+        ACCELERATION_SIGMA_PER_S2: f64 = 1e-4..=100.0;
+        CORRELATION_TIME_S: f64 = 0.01..=100.0;
+        ACROSS_SHARE: f64 = 1e-3..=1.0;
+        START_VELOCITY_SIGMA_PER_S: f64 = 1e-4..=10.0;
+    }
+
     fn validate(&self, keys: &MotionKeys) -> Result<(), ConfigError> {
-        check(keys[0], self.acceleration_sigma_per_s2, 1e-4, 100.0, "0.0001 to 100 m/s^2 or rad/s^2")?;
-        check(keys[1], self.correlation_time_s, 0.01, 100.0, "0.01 to 100 s")?;
-        check(keys[2], self.across_share, 1e-3, 1.0, "0.001 to 1")?;
-        check(keys[3], self.start_velocity_sigma_per_s, 1e-4, 10.0, "0.0001 to 10 m/s or rad/s")?;
+        check(keys[0], self.acceleration_sigma_per_s2, Self::ACCELERATION_SIGMA_PER_S2)?;
+        check(keys[1], self.correlation_time_s, Self::CORRELATION_TIME_S)?;
+        check(keys[2], self.across_share, Self::ACROSS_SHARE)?;
+        check(keys[3], self.start_velocity_sigma_per_s, Self::START_VELOCITY_SIGMA_PER_S)?;
         let Some(rest) = &self.rest else { return Ok(()) };
-        check(keys[4], rest.drift_sigma_per_sqrt_s, 1e-7, 0.1, "1e-7 to 0.1 m/s^0.5 or rad/s^0.5")?;
-        check(keys[5], rest.onset_velocity_sigma_per_s, 1e-6, 10.0, "1e-6 to 10 m/s or rad/s")?;
-        check(keys[6], rest.mean_rest_s, 0.1, 1000.0, "0.1 to 1000 s")?;
-        check(keys[7], rest.mean_motion_s, 0.1, 1000.0, "0.1 to 1000 s")
+        check(keys[4], rest.drift_sigma_per_sqrt_s, RestConfig::DRIFT_SIGMA_PER_SQRT_S)?;
+        check(keys[5], rest.onset_velocity_sigma_per_s, RestConfig::ONSET_VELOCITY_SIGMA_PER_S)?;
+        check(keys[6], rest.mean_rest_s, RestConfig::MEAN_REST_S)?;
+        check(keys[7], rest.mean_motion_s, RestConfig::MEAN_MOTION_S)
+    }
+}
+
+impl RestConfig {
+    ranges! {
+        DRIFT_SIGMA_PER_SQRT_S: f64 = 1e-7..=0.1;
+        ONSET_VELOCITY_SIGMA_PER_S: f64 = 1e-6..=10.0;
+        MEAN_REST_S: f64 = 0.1..=1000.0;
+        MEAN_MOTION_S: f64 = 0.1..=1000.0;
     }
 }
 
 impl MeasurementConfig {
+    ranges! {
+        COVARIANCE_FACTOR: f64 = 0.01..=1000.0;
+        POSITION_SIGMA_MIN_M: f64 = 1e-6..=0.1;
+        ORIENTATION_SIGMA_MIN_RAD: f64 = 1e-6..=0.5;
+    }
+
     fn validate(&self) -> Result<(), ConfigError> {
         let (position_m, orientation_rad) = (self.position_sigma_min_m, self.orientation_sigma_min_rad);
-        check("target_state.measurement.covariance_factor", self.covariance_factor, 0.01, 1000.0, "0.01 to 1000")?;
-        check("target_state.measurement.position_sigma_min_m", position_m, 1e-6, 0.1, "1e-6 to 0.1 m")?;
-        check("target_state.measurement.orientation_sigma_min_rad", orientation_rad, 1e-6, 0.5, "1e-6 to 0.5 rad")
+        check("target_state.measurement.covariance_factor", self.covariance_factor, Self::COVARIANCE_FACTOR)?;
+        check("target_state.measurement.position_sigma_min_m", position_m, Self::POSITION_SIGMA_MIN_M)?;
+        check("target_state.measurement.orientation_sigma_min_rad", orientation_rad, Self::ORIENTATION_SIGMA_MIN_RAD)
     }
 }
 
 impl SurpriseConfig {
+    ranges! {
+        NEWEST_SHARE: f64 = 0.01..=1.0;
+        FROM: f64 = 1.0..=100.0;
+        EXPONENT: f64 = 0.0..=8.0;
+        FACTOR_MAX: f64 = 1.0..=1e6;
+    }
+
     fn validate(&self) -> Result<(), ConfigError> {
-        check("target_state.surprise.newest_share", self.newest_share, 0.01, 1.0, "0.01 to 1")?;
-        check("target_state.surprise.from", self.from, 1.0, 100.0, "1 to 100")?;
-        check("target_state.surprise.exponent", self.exponent, 0.0, 8.0, "0 to 8")?;
-        check("target_state.surprise.factor_max", self.factor_max, 1.0, 1e6, "1 to 1e6")
+        check("target_state.surprise.newest_share", self.newest_share, Self::NEWEST_SHARE)?;
+        check("target_state.surprise.from", self.from, Self::FROM)?;
+        check("target_state.surprise.exponent", self.exponent, Self::EXPONENT)?;
+        check("target_state.surprise.factor_max", self.factor_max, Self::FACTOR_MAX)
     }
 
     /// Factor on the variances.

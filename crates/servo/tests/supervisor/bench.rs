@@ -69,7 +69,7 @@ pub fn good(now_s: f64) -> Inputs {
     let arm = ArmInput { state: ArmCondition::Enabled, measured_at: Some(at(now_s - 0.005)) };
     let exposed_at = at(now_s - LATENCY_S);
     Inputs {
-        operator: OperatorInput { said: None, heard_at: Some(at(now_s)) },
+        operator: OperatorInput { heard_at: Some(at(now_s)), ..OperatorInput::default() },
         controller: Mode::Tracking,
         innovation: Innovation::Agrees,
         estimate: Some(EstimateInput {

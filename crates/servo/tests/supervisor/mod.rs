@@ -3,6 +3,7 @@
 
 pub mod bench;
 mod conditions;
+mod holding;
 mod policies;
 mod properties;
 mod searching;

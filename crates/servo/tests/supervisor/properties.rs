@@ -55,6 +55,7 @@ fn word() -> impl Strategy<Value = Option<(OperatorCommand, f64)>> {
         4 => Just(OperatorCommand::Select),
         8 => Just(OperatorCommand::Start),
         1 => Just(OperatorCommand::Hold),
+        1 => Just(OperatorCommand::HoldHand),
         3 => Just(OperatorCommand::Resume),
         1 => Just(OperatorCommand::Stop),
         6 => Just(OperatorCommand::Reset)
@@ -143,6 +144,7 @@ impl Told {
             operator: OperatorInput {
                 said: step.word.map(|(word, age_s)| OperatorRequest { word, at: at(now_s - age_s) }),
                 heard_at: Some(at(self.heard_s)),
+                silent_after: None,
             },
             controller: step.mode,
             innovation: step.innovation,
@@ -170,6 +172,8 @@ struct Judge {
     started: bool,
     started_target: Option<u64>,
     must_rest_until_word: bool,
+    /// The same for the arm with the target.
+    both_must_rest: bool,
     /// Last time at which the controller output no velocity or the target jumped, seconds.
     doubted_s: f64,
     motions: u64,
@@ -222,11 +226,14 @@ impl Judge {
             self.started = true;
             self.started_target = self.newest.map(|(_, target)| target);
         }
-        let says_hold = word == Some(OperatorCommand::Hold);
+        let says_hold = matches!(word, Some(OperatorCommand::Hold | OperatorCommand::HoldHand));
         self.must_rest_until_word |= says_hold;
-        if matches!(word, Some(OperatorCommand::Resume | OperatorCommand::Start)) && decision.transition.is_some() {
-            self.must_rest_until_word = false;
+        self.both_must_rest |= word == Some(OperatorCommand::Hold);
+        let goes = decision.transition.is_some_and(|to| matches!(to.event, Event::Resume | Event::Start));
+        if goes {
+            (self.must_rest_until_word, self.both_must_rest) = (false, false);
         }
+        assert!(!self.both_must_rest || decision.no_arm_may_move, "the operator commanded a hold of both arms");
         if dangerous || word == Some(OperatorCommand::Stop) || decision.permission == Permission::Stop {
             self.started = false;
         }

@@ -80,7 +80,9 @@ fn every_state_and_every_condition_has_a_line_of_its_own() {
         add(Why::Moving { state }, &[state.to_string()], "");
     }
     for state in [Holding, Lost] {
-        add(Why::HeldByOperator { state, cause: None }, &[format!("{state}: ")], "use resume");
+        for every_arm in [false, true] {
+            add(Why::HeldByOperator { state, every_arm, cause: None }, &[format!("{state}: ")], "use resume");
+        }
     }
     for state in [State::Selecting, Holding, Lost] {
         let why = Why::Settling { state, cause: None, for_s: 0.2 };
@@ -105,7 +107,7 @@ fn every_state_and_every_condition_has_a_line_of_its_own() {
             add(Why::Resting { state, cause, then: by_itself }, &parts, "resumes by itself 0.2 s after");
             add(Why::CauseGone { state, cause, then: Then::Resume }, &parts, "use resume");
             add(Why::CauseGone { state, cause, then: by_itself }, &parts, "resumes by itself in 0.2 s");
-            add(Why::HeldByOperator { state, cause: Some(cause) }, &parts, "then use resume");
+            add(Why::HeldByOperator { state, every_arm: true, cause: Some(cause) }, &parts, "then use resume");
         }
         for state in [Stopped, Fault] {
             let parts = [parts.clone(), vec![format!("{state}: ")]].concat();
@@ -187,10 +189,14 @@ fn an_arm_that_does_not_move_says_why_in_each_step() {
          cause is gone [PB3DP-SUP-018]"
     );
     bench.say(OperatorCommand::Hold);
-    assert!(bench.why().starts_with("holding: held by the operator; also the camera exposures"), "{}", bench.why());
+    assert!(
+        bench.why().starts_with("holding: both arms held by the operator; also the camera exposures"),
+        "{}",
+        bench.why()
+    );
     bench.truth();
     bench.run(0.3);
-    assert_eq!(bench.why(), "holding: held by the operator; use resume");
+    assert_eq!(bench.why(), "holding: both arms held by the operator; use resume");
     bench.say(OperatorCommand::Stop);
     assert_eq!(bench.why(), "stopped: by the operator; use reset, then select, which enables the arms, then start");
     for _ in 0..200 {

@@ -150,8 +150,9 @@ fn paths_lie_beside_the_file_that_states_them_and_bare_names_may_be_built_in() {
     assert!(refusal(&[&elsewhere], &[]).contains("robots/pa10_gen2.urdf cannot be read"), "a folder must be there");
     let bare = write(folder.path(), "b.toml", "base = \"sim\"\narms.vs.robot = \"pa10_gen1\"\n");
     let setup = read_layers(&args(&[&bare], &[])).unwrap();
-    assert_ne!(setup.rig.vs.chain.joint_names(), [""; 0]);
+    assert_ne!(setup.rig.arms.vs.chain.joint_names(), [""; 0]);
     assert!(
-        read_layers(&args(&[Path::new("sim")], &["arms.carries_cameras=ur5e"])).unwrap().rig.vs.chain.joints() == 6
+        read_layers(&args(&[Path::new("sim")], &["arms.carries_cameras=ur5e"])).unwrap().rig.arms.vs.chain.joints()
+            == 6
     );
 }

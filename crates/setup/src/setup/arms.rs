@@ -1,7 +1,7 @@
 //! The table `[arms]`: base poses, robot descriptions, limits, and the response of simulated drives.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
@@ -48,6 +48,19 @@ pub struct ArmSetup {
     pub command_timeout: Duration,
     /// Seed of the random faults of an emulated arm.
     pub emulation_seed: u64,
+    /// File with the passed steps of `pb3dp arm test`, if the setup states one.
+    pub commissioning_record: Option<PathBuf>,
+}
+
+/// The arms of a rig. Each has a table of the setup; two of them take part in a run.
+#[derive(Clone, Debug)]
+pub struct Arms {
+    /// The arm that carries the cameras.
+    pub vs: ArmSetup,
+    /// The arm that carries the target.
+    pub tc: ArmSetup,
+    /// The arms that take no part, by the names of their tables.
+    pub others: BTreeMap<String, ArmSetup>,
 }
 
 impl ArmSetup {
@@ -82,7 +95,7 @@ pub(super) struct ArmsSection {
     #[serde(default = "rig_speed_scale")]
     pub(super) speed_scale: f64,
     #[serde(default = "yes")]
-    first_run: bool,
+    pub(super) first_run: bool,
     pub(super) stale_after_millis: f64,
     tracking_error_max_deg: f64,
     tracking_error_millis: f64,
@@ -108,7 +121,7 @@ fn rig_speed_scale() -> f64 {
 }
 
 /// Largest share on the first run.
-const FIRST_RUN_SPEED_SCALE: f64 = 0.25;
+pub(super) const FIRST_RUN_SPEED_SCALE: f64 = 0.25;
 
 /// Default: the arms have not been run yet.
 fn yes() -> bool {
@@ -134,6 +147,7 @@ pub(super) struct ArmSection {
     velocity_time_constant_millis: f64,
     command_delay_millis: f64,
     command_timeout_millis: f64,
+    commissioning_record: Option<PathBuf>,
 }
 
 /// Joint history of the simulation, for the arm poses at the times of exposures.
@@ -172,15 +186,8 @@ impl ArmsSection {
         arms.any(|arm| arm.gateway.is_some() || arm.bus.is_some())
     }
 
-    /// The arm with the cameras and the one with the target; `None` if a file cannot be read or a limit is refused. All other arms
-    /// are checked too.
-    /// checked, too.
-    pub(super) fn build(
-        &self,
-        tables: &ArmTables,
-        control_period_millis: f64,
-        check: &mut Checker,
-    ) -> Option<(ArmSetup, ArmSetup)> {
+    /// All arms; `None` if a file cannot be read or a limit is refused.
+    pub(super) fn build(&self, tables: &ArmTables, control_period_millis: f64, check: &mut Checker) -> Option<Arms> {
         check.number("arms.speed_scale", self.speed_scale, 0.01..=1.0);
         if self.first_run && self.speed_scale > FIRST_RUN_SPEED_SCALE && self.speed_scale <= 1.0 {
             check.refuse(format!(
@@ -195,10 +202,10 @@ impl ArmsSection {
         check.number("arms.least_room_mm", self.least_room_mm, 1.0..=1000.0);
         let tracking_error_millis = control_period_millis..=GuardConfig::TRACKING_ERROR_FOR.as_secs_f64() * 1e3;
         check.number("arms.tracking_error_millis", self.tracking_error_millis, tracking_error_millis);
-        let mut arms: BTreeMap<&str, Option<ArmSetup>> = tables
+        let mut arms: BTreeMap<String, Option<ArmSetup>> = tables
             .iter()
             .map(|(name, table)| {
-                (name.as_str(), table.build(&format!("arms.{name}"), self, control_period_millis, check))
+                (name.clone(), table.build(&format!("arms.{name}"), self, control_period_millis, check))
             })
             .collect();
         if self.carries_cameras == self.carries_target {
@@ -220,7 +227,8 @@ impl ArmsSection {
         };
         let vs = take("arms.carries_cameras", &self.carries_cameras);
         let tc = take("arms.carries_target", &self.carries_target);
-        vs.zip(tc)
+        let others = arms.into_iter().filter_map(|(name, arm)| Some((name, arm?))).collect();
+        Some(Arms { vs: vs?, tc: tc?, others })
     }
 }
 
@@ -257,7 +265,7 @@ impl ArmSection {
         let start_rad = per_joint(&self.start_deg, 0.0).map(f64::to_radians);
         let mechanical_max_rad = range_rad(&self.mechanical_range_deg);
         let limits = self.limits((key, all.speed_scale), &chain, check)?;
-        let link = link?;
+        let link = link?.limited(&limits).map_err(|error| check.refuse(format!("{key}: {error}"))).ok()?;
         let fade = fade(&link);
         Some(ArmSetup {
             key: key.to_owned(),
@@ -292,6 +300,7 @@ impl ArmSection {
             },
             command_timeout: millis(timeout),
             emulation_seed: 0, // Each run seeds it: `Setup::reseed`.
+            commissioning_record: self.commissioning_record.clone(),
             chain,
         })
     }

@@ -9,7 +9,7 @@ use pb3dp_record::calibration_files::{
 };
 
 use super::super::layers::built_in;
-use super::super::load::{Checker, within};
+use super::super::load::Checker;
 
 /// Waives the age of a calibration.
 pub const AGE: &str = "age";
@@ -43,7 +43,8 @@ impl CalibrationInUse {
         check: &mut Checker,
     ) -> Self {
         let age_max_days = age_max_days.unwrap_or(AGE_MAX_DAYS);
-        check.number(&format!("{table}.calibration_age_max_days"), age_max_days, 1.0..=3650.0);
+        let key = format!("{table}.calibration_age_max_days");
+        let age_max_days = check.limited(&key, age_max_days, 1.0..=3650.0);
         let waived = waived.unwrap_or_default().to_vec();
         let gates = judgement.iter().flat_map(|judgement| &judgement.gates).map(|gate| gate.name.as_str());
         let known: Vec<&str> = gates.chain([AGE, CAMERAS]).collect();
@@ -53,13 +54,7 @@ impl CalibrationInUse {
                 known.join(", ")
             ));
         }
-        Self {
-            table,
-            source,
-            judgement,
-            waived,
-            age_max: Duration::from_secs_f64(86_400.0 * within(age_max_days, 1.0, 3650.0)),
-        }
+        Self { table, source, judgement, waived, age_max: Duration::from_secs_f64(86_400.0 * age_max_days) }
     }
 
     /// Whether the setup waives this gate.

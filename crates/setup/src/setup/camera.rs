@@ -4,15 +4,17 @@ use pb3dp_geometry::frames::{CamLeft, CamRight};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 use pb3dp_sim::camera_faults::CameraFaults;
 use pb3dp_sim::scene::SceneConfig;
-use pb3dp_sim::sensor::{CameraResponse, SensorConfig};
+use pb3dp_sim::sensor::{BLUR_MOMENTS, CameraResponse, SensorConfig};
 use pb3dp_sim::targets::{BackdropConfig, TargetConfig};
 use serde::Deserialize;
 use std::path::PathBuf;
 
-use super::super::load::{Checker, whole, within};
+use super::super::load::{Checker, whole};
+use super::super::units::in_mm;
 use super::calibration::CalibrationInUse;
 use super::camera_faults::{self, FaultSection};
 use super::real_cameras::load_calibration;
+use super::sight::{check_size, frame_rate_hz};
 use super::{FrameTiming, millis};
 
 /// Suffix of keys of this table in messages.
@@ -98,7 +100,7 @@ impl CameraSection {
         camera_faults::build(&self.faults, check)
     }
 
-    /// Checks every key separately. The ranges are those of the parts, which check again; focal length and distortion are limited
+    /// Checks every key separately. The ranges of the sensor are those of the simulation; focal length and distortion are limited
     /// to the values of real lenses.
     fn check(&self, check: &mut Checker) {
         if let Some(region) = &self.region {
@@ -106,18 +108,16 @@ impl CameraSection {
                 "camera.region = {region:?}: the cameras are simulated, and where the target is in their images is known"
             ));
         }
-        check.count("camera.width_px", self.width_px, 64..=4096);
-        check.count("camera.height_px", self.height_px, 64..=4096);
+        check_size((self.width_px, self.height_px), check);
         check.number("camera.focal_px", self.focal_px, 50.0..=20_000.0);
         check.number("camera.baseline_mm", self.baseline_mm, 5.0..=2000.0);
         check.numbers("camera.distortion", &self.distortion, -10.0..=10.0);
-        check.number("camera.frame_rate_hz", self.frame_rate_hz, 1.0..=240.0);
-        let period_millis = 1000.0 / within(self.frame_rate_hz, 1.0, 240.0);
+        let period_millis = 1000.0 / frame_rate_hz(self.frame_rate_hz, check);
         check.number("camera.exposure_millis", self.exposure_millis, 0.01..=period_millis);
-        check.count("camera.motion_blur_moments", self.motion_blur_moments, 1..=64);
-        check.number("camera.lens_blur_px", self.lens_blur_px, 0.0..=0.7);
-        check.number("camera.read_noise_grey", self.read_noise_grey, 0.0..=50.0);
-        check.number("camera.shot_noise_grey", self.shot_noise_grey, 0.0..=10.0);
+        check.count("camera.motion_blur_moments", self.motion_blur_moments, BLUR_MOMENTS);
+        check.number("camera.lens_blur_px", self.lens_blur_px, SensorConfig::LENS_BLUR_PX);
+        check.number("camera.read_noise_grey", self.read_noise_grey, SensorConfig::READ_NOISE_GREY);
+        check.number("camera.shot_noise_grey", self.shot_noise_grey, SensorConfig::SHOT_NOISE_GREY);
         self.left.check("camera.left", check);
         self.right.check("camera.right", check);
     }
@@ -152,9 +152,9 @@ impl CameraSection {
 
 impl SideSection {
     fn check(&self, key: &str, check: &mut Checker) {
-        check.number(&format!("{key}.exposure"), self.exposure, 0.01..=16.0);
-        check.numbers(&format!("{key}.gain"), &self.gain, 0.01..=16.0);
-        check.numbers(&format!("{key}.offset_grey"), &self.offset_grey, -128.0..=128.0);
+        check.number(&format!("{key}.exposure"), self.exposure, CameraResponse::EXPOSURE);
+        check.numbers(&format!("{key}.gain"), &self.gain, CameraResponse::GAIN);
+        check.numbers(&format!("{key}.offset_grey"), &self.offset_grey, CameraResponse::OFFSET_GREY);
     }
 
     fn build(&self) -> CameraResponse {
@@ -183,9 +183,9 @@ enum TargetName {
 
 impl SceneSection {
     pub(super) fn build(&self, check: &mut Checker) -> SceneConfig {
-        check.number("scene.relief_mm", self.relief_mm, 0.0..=40.0);
-        check.numbers("scene.backdrop_size_mm", &self.backdrop_size_mm, 50.0..=2000.0);
-        check.number("scene.backdrop_gap_mm", self.backdrop_gap_mm, 0.0..=1000.0);
+        check.number("scene.relief_mm", self.relief_mm, in_mm(TargetConfig::RELIEF_M));
+        check.numbers("scene.backdrop_size_mm", &self.backdrop_size_mm, in_mm(BackdropConfig::SIZE_M));
+        check.number("scene.backdrop_gap_mm", self.backdrop_gap_mm, in_mm(BackdropConfig::GAP_M));
         let target = match self.target {
             TargetName::Crab => TargetConfig::crab(self.relief_mm * 1e-3),
             TargetName::Card => TargetConfig::card(),

@@ -5,7 +5,7 @@ use std::time::Duration;
 use serde::Deserialize;
 
 use super::super::load::{Checker, whole};
-use pb3dp_sim::camera_faults::{AffectedCameras, CameraFault, CameraFaultKind, CameraFaults};
+use pb3dp_sim::camera_faults::{AffectedCameras, CameraFault, CameraFaultKind, CameraFaults, PAIRS_LATE};
 
 /// One fault; each kind has its own keys, and all have a time span.
 #[derive(Clone, Debug, Deserialize)]
@@ -59,7 +59,7 @@ impl FaultSection {
             Self::Dropped { from_s, until_s, share } => (Kind::Dropped { share }, from_s, until_s),
             Self::Repeated { from_s, until_s, share, as_new } => (Kind::Repeated { share, as_new }, from_s, until_s),
             Self::Late { from_s, until_s, pairs } => {
-                check.count(&format!("camera.faults[{index}].pairs"), pairs, 1..=100);
+                check.count(&format!("camera.faults[{index}].pairs"), pairs, PAIRS_LATE);
                 (Kind::Late { pairs: whole(pairs) }, from_s, until_s)
             }
             Self::Torn { from_s, until_s, share } => (Kind::Torn { share }, from_s, until_s),
@@ -105,7 +105,7 @@ mod tests {
         let text = std::fs::read_to_string(configs.join("sim.toml")).unwrap();
         let file = folder.path().join("sim.toml");
         std::fs::write(&file, text.replace("[camera.left]", &format!("{faults}\n[camera.left]"))).unwrap();
-        read_setup(&file).map(|setup| setup.world().unwrap().faults.clone()).map_err(|error| error.to_string())
+        read_setup(&file).map(|setup| setup.world.as_ref().unwrap().faults.clone()).map_err(|error| error.to_string())
     }
 
     #[test]

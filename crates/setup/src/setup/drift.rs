@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use serde::Deserialize;
 
-use super::super::load::{Checker, within};
+use super::super::load::Checker;
 use super::millis;
 
 /// Interval of the checks, and limits for the median of several checks.
@@ -34,13 +34,13 @@ pub(super) struct DriftSection {
 
 impl DriftSection {
     pub(super) fn build(&self, check: &mut Checker) -> DriftConfig {
-        check.number("drift.every_s", self.every_s, 0.5..=3600.0);
+        let every_s = check.limited("drift.every_s", self.every_s, 0.5..=3600.0);
         check.number("drift.rows_max_px", self.rows_max_px, 0.05..=5.0);
         check.number("drift.focus_max_px", self.focus_max_px, 0.1..=10.0);
         check.number("drift.brightness_max_percent", self.brightness_max_percent, 1.0..=100.0);
         check.number("drift.skew_max_millis", self.skew_max_millis, 0.01..=100.0);
         DriftConfig {
-            every: Duration::from_secs_f64(within(self.every_s, 0.5, 3600.0)),
+            every: Duration::from_secs_f64(every_s),
             rows_max_px: self.rows_max_px,
             focus_max_px: self.focus_max_px,
             brightness_max_percent: self.brightness_max_percent,

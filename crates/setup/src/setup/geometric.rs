@@ -5,6 +5,7 @@ use pb3dp_sim::geometric::{GeometricConfig, PoseSigma};
 use serde::Deserialize;
 
 use super::super::load::Checker;
+use super::super::units::{in_deg, in_mm};
 
 /// Its name in setups.
 pub(super) const NAME: &str = "geometric";
@@ -34,8 +35,8 @@ impl GeometricSection {
     /// It sees targets in the search range.
     pub(super) fn build(&self, range: &SearchRange, check: &mut Checker) -> GeometricConfig {
         let key = |name: &str| format!("estimator.{NAME}.{name}");
-        check.number(&key("in_view_share_min"), self.in_view_share_min, 0.0..=1.0);
-        check.number(&key("turned_max_deg"), self.turned_max_deg, 6.0..=85.0);
+        check.number(&key("in_view_share_min"), self.in_view_share_min, GeometricConfig::IN_VIEW_SHARE_MIN);
+        check.number(&key("turned_max_deg"), self.turned_max_deg, in_deg(GeometricConfig::TURNED_MAX_RAD));
         GeometricConfig {
             noise: self.noise.build(&key("noise"), check),
             lock: self.lock.build(&key("lock"), check),
@@ -51,10 +52,10 @@ impl GeometricSection {
 
 impl SigmaSection {
     fn build(&self, key: &str, check: &mut Checker) -> PoseSigma {
-        check.number(&format!("{key}.lateral_mm"), self.lateral_mm, 0.0..=100.0);
-        check.number(&format!("{key}.depth_mm"), self.depth_mm, 0.0..=100.0);
-        check.number(&format!("{key}.tilt_deg"), self.tilt_deg, 0.0..=28.0);
-        check.number(&format!("{key}.about_normal_deg"), self.about_normal_deg, 0.0..=28.0);
+        check.number(&format!("{key}.lateral_mm"), self.lateral_mm, in_mm(PoseSigma::POSITION_M));
+        check.number(&format!("{key}.depth_mm"), self.depth_mm, in_mm(PoseSigma::POSITION_M));
+        check.number(&format!("{key}.tilt_deg"), self.tilt_deg, in_deg(PoseSigma::ANGLE_RAD));
+        check.number(&format!("{key}.about_normal_deg"), self.about_normal_deg, in_deg(PoseSigma::ANGLE_RAD));
         PoseSigma {
             lateral_m: self.lateral_mm * 1e-3,
             depth_m: self.depth_mm * 1e-3,

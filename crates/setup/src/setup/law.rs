@@ -1,7 +1,5 @@
 //! The tables of the control laws: those of the chosen law are required, those of the others are refused.
 
-use std::ops::RangeInclusive;
-
 use pb3dp_servo::{
     ArmResponse, FeedForwardConfig, FeedForwardGains, Gains, HybridConfig, ImageBasedConfig, LawConfig,
     PublishedConfig, RedundancyConfig, TargetFilterConfig, UnstatedCovariance,
@@ -9,6 +7,7 @@ use pb3dp_servo::{
 use serde::Deserialize;
 
 use super::super::load::{Checker, whole};
+use super::super::units::{in_deg, in_millis, in_mm};
 use super::target_state::TargetStateSection;
 
 /// The control law.
@@ -201,8 +200,9 @@ impl LawTables<'_> {
 
     fn image_based(&self, check: &mut Checker) -> Option<LawConfig> {
         let (law, smoothing) = (self.image_based?, self.smoothing?);
-        check.number("servo.image_based.gain_per_s", law.gain_per_s, 1e-6..=50.0);
-        check.number("servo.image_based.half_width_mm", law.half_width_mm, 1.0..=1000.0);
+        check.number("servo.image_based.gain_per_s", law.gain_per_s, ImageBasedConfig::GAIN_PER_S);
+        let half_width_mm = in_mm(ImageBasedConfig::HALF_WIDTH_M);
+        check.number("servo.image_based.half_width_mm", law.half_width_mm, half_width_mm);
         let (gain_per_s, half_width_m) = (law.gain_per_s, law.half_width_mm * 1e-3);
         Some(LawConfig::ImageBased(ImageBasedConfig {
             gain_per_s,
@@ -213,54 +213,56 @@ impl LawTables<'_> {
 
     fn hybrid(&self, check: &mut Checker) -> Option<LawConfig> {
         let (law, smoothing) = (self.hybrid?, self.smoothing?);
-        check.number("servo.hybrid.gain_per_s", law.gain_per_s, 1e-6..=50.0);
+        check.number("servo.hybrid.gain_per_s", law.gain_per_s, HybridConfig::GAIN_PER_S);
         Some(LawConfig::Hybrid(HybridConfig { gain_per_s: law.gain_per_s, target_filter: smoothing.build(check) }))
     }
 }
 
-/// Standard deviations of positions and angles.
-const SIGMA_MM: RangeInclusive<f64> = 0.001..=100.0;
-const SIGMA_DEG: RangeInclusive<f64> = 0.001..=57.0;
-
 impl ArmResponseSection {
     fn check(&self, check: &mut Checker) {
-        check.number("servo.arm_response.delay_millis", self.delay_millis, 0.0..=500.0);
-        check.number("servo.arm_response.lag_millis", self.lag_millis, 0.0..=500.0);
+        check.number("servo.arm_response.delay_millis", self.delay_millis, in_millis(ArmResponse::DELAY_S));
+        check.number("servo.arm_response.lag_millis", self.lag_millis, in_millis(ArmResponse::LAG_S));
     }
 }
 
 impl FeedForwardSection {
     fn check(&self, check: &mut Checker) {
-        check.number("servo.feed_forward.position_per_s", self.position_per_s, 1e-6..=50.0);
-        check.number("servo.feed_forward.orientation_per_s", self.orientation_per_s, 1e-6..=50.0);
-        check.number("servo.feed_forward.linear_max_mm_per_s2", self.linear_max_mm_per_s2, 10.0..=20_000.0);
-        check.number("servo.feed_forward.angular_max_deg_per_s2", self.angular_max_deg_per_s2, 1.0..=2800.0);
-        check.count("servo.feed_forward.observations_to_lock", self.observations_to_lock, 1..=1000);
+        use FeedForwardGains as Gains;
+        let key = |name: &str| format!("servo.feed_forward.{name}");
+        check.number(&key("position_per_s"), self.position_per_s, Gains::POSITION_PER_S);
+        check.number(&key("orientation_per_s"), self.orientation_per_s, Gains::ORIENTATION_PER_S);
+        check.number(&key("linear_max_mm_per_s2"), self.linear_max_mm_per_s2, in_mm(Gains::LINEAR_M_PER_S2));
+        check.number(&key("angular_max_deg_per_s2"), self.angular_max_deg_per_s2, in_deg(Gains::ANGULAR_RAD_PER_S2));
+        let to_lock = self.observations_to_lock;
+        check.count(&key("observations_to_lock"), to_lock, FeedForwardConfig::OBSERVATIONS_TO_LOCK);
     }
 }
 
 impl NullMotionSection {
     fn check(&self, check: &mut Checker) {
-        check.number("servo.null_motion.gain_deg_per_s", self.gain_deg_per_s, 0.0..=570.0);
-        check.number("servo.null_motion.speed_max_deg_per_s", self.speed_max_deg_per_s, 0.0..=57.0);
+        let (gain, speed) = (self.gain_deg_per_s, self.speed_max_deg_per_s);
+        check.number("servo.null_motion.gain_deg_per_s", gain, in_deg(RedundancyConfig::GAIN_RAD_PER_S));
+        check.number("servo.null_motion.speed_max_deg_per_s", speed, in_deg(RedundancyConfig::SPEED_MAX_RAD_PER_S));
     }
 }
 
 impl UnstatedSection {
     fn check(&self, check: &mut Checker) {
-        check.number("servo.unstated.lateral_sigma_mm", self.lateral_sigma_mm, SIGMA_MM);
-        check.number("servo.unstated.depth_sigma_mm", self.depth_sigma_mm, SIGMA_MM);
-        check.number("servo.unstated.tilt_sigma_deg", self.tilt_sigma_deg, SIGMA_DEG);
-        check.number("servo.unstated.about_normal_sigma_deg", self.about_normal_sigma_deg, SIGMA_DEG);
+        use UnstatedCovariance as Sigma;
+        let key = |name: &str| format!("servo.unstated.{name}");
+        check.number(&key("lateral_sigma_mm"), self.lateral_sigma_mm, in_mm(Sigma::LATERAL_M));
+        check.number(&key("depth_sigma_mm"), self.depth_sigma_mm, in_mm(Sigma::DEPTH_M));
+        check.number(&key("tilt_sigma_deg"), self.tilt_sigma_deg, in_deg(Sigma::TILT_RAD));
+        check.number(&key("about_normal_sigma_deg"), self.about_normal_sigma_deg, in_deg(Sigma::ABOUT_NORMAL_RAD));
     }
 }
 
 impl GainsSection {
     fn check(&self, check: &mut Checker) {
-        check.number("servo.gains.position_per_s", self.position_per_s, 1e-6..=50.0);
-        check.number("servo.gains.velocity", self.velocity, 0.0..=0.9);
-        check.number("servo.gains.orientation_per_s", self.orientation_per_s, 1e-6..=100.0);
-        check.number("servo.gains.angular_velocity", self.angular_velocity, 0.0..=0.9);
+        check.number("servo.gains.position_per_s", self.position_per_s, Gains::POSITION_PER_S);
+        check.number("servo.gains.velocity", self.velocity, Gains::VELOCITY);
+        check.number("servo.gains.orientation_per_s", self.orientation_per_s, Gains::ORIENTATION_PER_S);
+        check.number("servo.gains.angular_velocity", self.angular_velocity, Gains::ANGULAR_VELOCITY);
     }
 }
 
@@ -277,10 +279,13 @@ impl SmoothingSection {
     }
 
     fn check(&self, check: &mut Checker) {
-        check.number("servo.smoothing.position_time_constant_s", self.position_time_constant_s, 0.0..=5.0);
-        check.number("servo.smoothing.orientation_time_constant_s", self.orientation_time_constant_s, 0.0..=5.0);
-        check.number("servo.smoothing.gate_position_mm", self.gate_position_mm, 1.0..=10_000.0);
-        check.number("servo.smoothing.gate_orientation_deg", self.gate_orientation_deg, 0.6..=180.0);
-        check.count("servo.smoothing.observations_to_lock", self.observations_to_lock, 1..=1000);
+        use TargetFilterConfig as Filter;
+        let key = |name: &str| format!("servo.smoothing.{name}");
+        let (position_s, orientation_s) = (self.position_time_constant_s, self.orientation_time_constant_s);
+        check.number(&key("position_time_constant_s"), position_s, Filter::POSITION_TIME_CONSTANT_S);
+        check.number(&key("orientation_time_constant_s"), orientation_s, Filter::ORIENTATION_TIME_CONSTANT_S);
+        check.number(&key("gate_position_mm"), self.gate_position_mm, in_mm(Filter::GATE_POSITION_M));
+        check.number(&key("gate_orientation_deg"), self.gate_orientation_deg, in_deg(Filter::GATE_ORIENTATION_RAD));
+        check.count(&key("observations_to_lock"), self.observations_to_lock, Filter::OBSERVATIONS_TO_LOCK);
     }
 }

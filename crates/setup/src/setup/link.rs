@@ -1,10 +1,13 @@
 //! Links to an arm: the key `backend` of an arm, and its table `gateway` or `bus`.
 
 use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Supervision, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Dialect, Geometry, check_line};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
+    ArmId, BRAKE_TIME_MAX, Dialect, Geometry, HostLimits, LimitOutOfRange, check_line,
+};
 use pb3dp_arm_pa10_protocol::places::{BusTarget, GatewayLinkConfig};
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_hal_platform::tcp::TcpConfig;
+use pb3dp_kinematics::EffectiveLimits;
 use serde::Deserialize;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -28,6 +31,19 @@ pub enum ArmLink {
 }
 
 impl ArmLink {
+    /// The link of an arm with these limits, which host and gateway compare.
+    ///
+    /// # Errors
+    /// If the protocol cannot state a limit.
+    pub fn limited(self, limits: &EffectiveLimits) -> Result<Self, LimitOutOfRange> {
+        Ok(match self {
+            Self::Gateway(link, way) => {
+                Self::Gateway(GatewayLinkConfig { limits: HostLimits::of_setup(limits)?, ..link }, way)
+            }
+            other => other,
+        })
+    }
+
     /// Whether nothing outside this program moves: the arm is simulated or emulated.
     pub fn is_toy(&self) -> bool {
         matches!(self, Self::InProcess | Self::Gateway(_, GatewayWay::Emulated))
@@ -176,7 +192,7 @@ impl ArmBackend {
 
 impl ArmLink {
     /// The arm number on the link, if there is one, and the table that states it.
-    pub(super) fn number(&self) -> Option<(ArmId, &'static str)> {
+    pub fn number(&self) -> Option<(ArmId, &'static str)> {
         match self {
             Self::InProcess => None,
             Self::Gateway(link, _) => Some((link.arm, "gateway")),
@@ -295,6 +311,8 @@ impl GatewaySection {
             format: self.wire_format.into(),
             geometry: self.geometry.into(),
             cycle,
+            // Replaced by the effective limits of the arm: `ArmLink::limited`.
+            limits: HostLimits::WIDEST,
         };
         let way = match (backend, &self.port, self.baud, self.address.as_ref().zip(self.key_file.as_ref())) {
             (ArmBackend::Emulated, None, None, None) => GatewayWay::Emulated,

@@ -4,6 +4,7 @@ mod arms;
 mod calibration;
 mod camera;
 mod camera_faults;
+mod commissioning;
 mod drift;
 mod experiment;
 mod geometric;
@@ -38,8 +39,8 @@ use pb3dp_sim::sensor::SensorConfig;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
-pub use self::arms::ArmSetup;
 use self::arms::{ArmSection, ArmTables, ArmsSection};
+pub use self::arms::{ArmSetup, Arms};
 pub use self::calibration::{AGE, CAMERAS, CalibrationInUse, rounded};
 use self::camera::SceneSection;
 pub use self::drift::DriftConfig;
@@ -61,7 +62,7 @@ use self::truth::TruthSection;
 use super::direct::DirectSection;
 use super::estimator::PublishedSection;
 use super::layers::{Layers, SetupArgs};
-use super::load::{Checker, ConfigError, ConfigFile, FileKind, within};
+use super::load::{Checker, ConfigError, ConfigFile, FileKind};
 
 /// A checked setup.
 #[derive(Clone, Debug)]
@@ -76,6 +77,8 @@ pub struct Setup {
     pub estimate_latency: Duration,
     /// Cameras, arms and their poses.
     pub rig: Rig,
+    /// Everything that only a simulation has; `None` with real cameras.
+    pub world: Option<SimulatedWorld>,
     /// Limits of the camera drift, if the setup has them.
     pub drift: Option<DriftConfig>,
     /// Estimator of the control loop.
@@ -92,32 +95,37 @@ pub struct Setup {
     pub controller: ControllerConfig,
     /// Settings of the supervisor.
     pub supervisor: SupervisorConfig,
+    /// Longest time without a key at the console of arms that are not emulated.
+    pub operator_key_within: Duration,
     /// Motion of the target.
     pub experiment: Experiment,
     /// All values with their origin.
     pub layers: Layers,
 }
 
-/// Cameras, arms and mounts of a workcell. [`SimulatedWorld`] has everything that only a simulation has.
+/// Cameras, arms, mounts and limits of a workcell, as its owner knows them. [`SimulatedWorld`] has everything that only a
+/// simulation has.
 #[derive(Clone, Debug)]
 pub struct Rig {
     /// The stereo pair, as calibrated.
     pub stereo: StereoRig,
     /// Times of its exposures.
     pub frames: FrameTiming,
-    /// Its cameras: real, or simulated with their world.
-    pub cameras: Cameras,
+    /// The cameras of this computer; `None` if the cameras are those of a [`SimulatedWorld`].
+    pub real_cameras: Option<RealCameras>,
     /// Statement of the calibration, if no cameras were measured for it (for example a drawing); no real arm moves with such a
     /// calibration.
     pub nominal_calibration: Option<String>,
     /// Calibration files in use: of the cameras, and of their mounting on the arm.
     pub calibrations: Vec<CalibrationInUse>,
-    /// The arm that carries the cameras.
-    pub vs: ArmSetup,
-    /// The arm that carries the target.
-    pub tc: ArmSetup,
+    /// The arms.
+    pub arms: Arms,
     /// Minimum clearance between both arms, metres.
     pub least_room_m: f64,
+    /// Whether the arms were not run yet.
+    pub first_run: bool,
+    /// Share of the joints' speed limits, which the limits of the arms contain already.
+    pub speed_scale: f64,
     /// Mounting of the target on the second arm.
     pub flange_from_target: Pose<Flange, Target>,
 }
@@ -129,15 +137,6 @@ pub struct FrameTiming {
     pub period: Duration,
     /// Exposure time.
     pub exposure: Duration,
-}
-
-/// Cameras of a setup.
-#[derive(Clone, Debug)]
-pub enum Cameras {
-    /// Cameras of this computer.
-    Real(Box<RealCameras>),
-    /// Simulated cameras and their world.
-    Simulated(Box<SimulatedWorld>),
 }
 
 /// Everything that only a simulation has.
@@ -242,7 +241,7 @@ struct PoseEntry {
 }
 
 /// Largest distance between two frames on one arm, or between hand and target: the controller's bound.
-const ON_THE_ARM_MM: f64 = 5000.0;
+const ON_THE_ARM_MM: f64 = 1e3 * ControllerConfig::LENGTH_MAX_M;
 /// Largest distance of a base from the origin of the world.
 const IN_THE_CELL_MM: f64 = 20_000.0;
 
@@ -261,41 +260,14 @@ impl PoseEntry {
 }
 
 impl Setup {
-    /// The simulated world, if there is one.
-    pub fn world(&self) -> Option<&SimulatedWorld> {
-        match &self.rig.cameras {
-            Cameras::Real(_) => None,
-            Cameras::Simulated(world) => Some(world),
-        }
-    }
-
-    /// Mutable access to the simulated world.
-    pub fn world_mut(&mut self) -> Option<&mut SimulatedWorld> {
-        match &mut self.rig.cameras {
-            Cameras::Real(_) => None,
-            Cameras::Simulated(world) => Some(world),
-        }
-    }
-
-    /// The cameras of this computer, if they are not simulated.
-    pub fn real_cameras(&self) -> Option<&RealCameras> {
-        match &self.rig.cameras {
-            Cameras::Real(cameras) => Some(cameras),
-            Cameras::Simulated(_) => None,
-        }
-    }
-
-    /// Mutable access to the cameras of this computer.
-    pub fn real_cameras_mut(&mut self) -> Option<&mut RealCameras> {
-        match &mut self.rig.cameras {
-            Cameras::Real(cameras) => Some(cameras),
-            Cameras::Simulated(_) => None,
-        }
+    /// Whether both arms are simulated or emulated in this program, so that nothing outside it moves.
+    pub fn is_emulated(&self) -> bool {
+        self.rig.arms.vs.link.is_toy() && self.rig.arms.tc.link.is_toy()
     }
 
     /// The rendered cameras: those of the setup, unless the truth differs.
     pub fn true_rig(&self) -> &StereoRig {
-        self.world().and_then(|world| world.truth.rig.as_ref()).unwrap_or(&self.rig.stereo)
+        self.world.as_ref().and_then(|world| world.truth.rig.as_ref()).unwrap_or(&self.rig.stereo)
     }
 }
 
@@ -341,7 +313,7 @@ fn read_tables(config: &ConfigFile, check: &mut Checker) -> Option<Setup> {
 }
 
 /// Two arms with the same number: swapped cables of their gateways would not be detected.
-fn refuse_equal_numbers(vs: &ArmSetup, tc: &ArmSetup, check: &mut Checker) {
+fn refuse_equal_numbers(Arms { vs, tc, .. }: &Arms, check: &mut Checker) {
     if let (Some((number, vs_table)), Some((same, tc_table))) = (vs.link.number(), tc.link.number())
         && number == same
     {
@@ -353,7 +325,7 @@ fn refuse_equal_numbers(vs: &ArmSetup, tc: &ArmSetup, check: &mut Checker) {
 }
 
 /// Two arms on one line: a line has one arm.
-fn refuse_one_place(vs: &ArmSetup, tc: &ArmSetup, check: &mut Checker) {
+fn refuse_one_place(Arms { vs, tc, .. }: &Arms, check: &mut Checker) {
     if let (Some((_, place)), Some((key, same))) = (vs.link.place(), tc.link.place())
         && place == same
     {
@@ -371,7 +343,8 @@ impl SetupFile {
         check: &mut Checker,
     ) -> Option<Setup> {
         let period_max_millis = if all_arms.has_link(arm_tables) { GATEWAY_CYCLE_MAX_MILLIS } else { 20.0 };
-        check.number("run.control_period_millis", self.run.control_period_millis, 2.0..=period_max_millis);
+        let control_period_millis =
+            check.limited("run.control_period_millis", self.run.control_period_millis, 2.0..=period_max_millis);
         check.number("run.estimate_latency_millis", self.run.estimate_latency_millis, 0.0..=500.0);
         let (method, compared, estimator, range) = self.estimator.build(self.run.seed, check);
         let geometric = self.estimator.geometric.map(|section| section.build(&range, check));
@@ -382,7 +355,6 @@ impl SetupFile {
         let size = sight.as_ref().map(|sight| sight.rig.left().size());
         let truth = self.truth.as_ref().map(|truth| truth.build(size, check)).unwrap_or_default();
         let drift = self.drift.map(|section| section.build(check));
-        let control_period_millis = within(self.run.control_period_millis, 2.0, period_max_millis);
         let arms = all_arms.build(arm_tables, control_period_millis, check);
         let mounts = self.mounts.build(check);
         let controller = self.servo.build(&mounts, check);
@@ -391,20 +363,17 @@ impl SetupFile {
         if self.servo.searches() && supervisor.search_max_s <= 0.0 {
             check.refuse("servo.search: no search is permitted without supervisor.search_max_s; set it to the seconds that one may take".to_owned());
         }
-        let (vs, tc) = arms?;
-        self.check_pace([&vs, &tc], check);
+        let arms = arms?;
+        self.check_pace([&arms.vs, &arms.tc], check);
         if camera.is_real() {
             self.refuse_simulation(experiment.as_ref(), check);
         }
-        refuse_equal_numbers(&vs, &tc, check);
-        refuse_one_place(&vs, &tc, check);
+        refuse_equal_numbers(&arms, check);
+        refuse_one_place(&arms, check);
         if !check.is_clean() {
             return None;
         }
-        let Sight { rig, frames, mut cameras, nominal_calibration, calibration } = sight?;
-        if let Cameras::Simulated(world) = &mut cameras {
-            world.truth = truth;
-        }
+        let Sight { rig, frames, real_cameras, world, nominal_calibration, calibration } = sight?;
         Some(Setup {
             seed: self.run.seed,
             pace: self.run.pace,
@@ -413,14 +382,16 @@ impl SetupFile {
             rig: Rig {
                 stereo: rig,
                 frames,
-                cameras,
+                real_cameras,
                 nominal_calibration,
                 calibrations: calibration.into_iter().chain(mounts.calibration).collect(),
-                vs,
-                tc,
+                arms,
                 least_room_m: all_arms.least_room_mm * 1e-3,
+                first_run: all_arms.first_run,
+                speed_scale: all_arms.speed_scale,
                 flange_from_target: mounts.flange_from_target,
             },
+            world: world.map(|world| SimulatedWorld { truth, ..world }),
             drift,
             leader: leader?,
             geometric,
@@ -429,6 +400,7 @@ impl SetupFile {
             range,
             controller,
             supervisor,
+            operator_key_within: Duration::from_secs_f64(self.supervisor.key_within_s()),
             experiment: experiment?,
             layers: Layers::default(),
         })

@@ -14,11 +14,12 @@ use pb3dp_record::calibration_files::{Judgement, StereoCalibration};
 use serde::Deserialize;
 
 use super::super::layers::SetupArgs;
-use super::super::load::{Checker, ConfigError, ConfigFile, whole, within};
+use super::super::load::{Checker, ConfigError, ConfigFile, whole};
 use super::calibration::{CalibrationInUse, load_files};
 use super::millis;
 use super::range::read_search_range;
-use super::servo::LINEAR_MM_PER_S;
+use super::servo::linear_mm_per_s;
+use super::sight::{check_size, frame_rate_hz};
 use crate::region_spec::RegionSpec;
 
 /// Suffix of keys of this table in messages.
@@ -126,7 +127,7 @@ fn cameras_of(config: &ConfigFile, check: &mut Checker) -> Option<(RealCameras, 
     let key = "servo.speed.linear_max_mm_per_s";
     let speed_mm_per_s: Option<f64> = config.at(key, "");
     let range = read_search_range(config, check);
-    check.number(key, speed_mm_per_s?, LINEAR_MM_PER_S);
+    check.number(key, speed_mm_per_s?, linear_mm_per_s());
     section?.build(speed_mm_per_s? * 1e-3, check).zip(range)
 }
 
@@ -207,10 +208,8 @@ impl<T> ControlValue<T> {
 impl V4l2Section {
     /// The cameras; `speed_max_m_per_s` is the largest speed of the hand relative to the target.
     pub(super) fn build(&self, speed_max_m_per_s: f64, check: &mut Checker) -> Option<RealCameras> {
-        check.count("camera.width_px", self.width_px, 64..=4096);
-        check.count("camera.height_px", self.height_px, 64..=4096);
-        check.number("camera.frame_rate_hz", self.frame_rate_hz, 1.0..=240.0);
-        let rate_hz = within(self.frame_rate_hz, 1.0, 240.0);
+        check_size((self.width_px, self.height_px), check);
+        let rate_hz = frame_rate_hz(self.frame_rate_hz, check);
         // A skew of one period cannot be distinguished from the next image.
         let skew_max_millis = self.skew_max_millis.unwrap_or(SKEW_MAX.as_secs_f64() * 1e3);
         check.number("camera.skew_max_millis", skew_max_millis, 0.1..=900.0 / rate_hz);

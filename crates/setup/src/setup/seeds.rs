@@ -78,7 +78,7 @@ impl Setup {
     /// Sets the seed of every part from that of the run; the published search adds the value of the file.
     fn seed_parts(&mut self) {
         let run = self.seed;
-        if let Some(world) = self.world_mut() {
+        if let Some(world) = self.world.as_mut() {
             world.scene.seed = Stream::Scene.narrow(run);
             world.faults.seed = Stream::CameraFaults.narrow(run);
             world.sensor_seed = Stream::SensorNoise.narrow(run);
@@ -90,8 +90,8 @@ impl Setup {
         if let Leader::Geometric(config) = &mut self.leader {
             config.seed = geometric;
         }
-        self.rig.vs.emulation_seed = Stream::VsEmulation.of(run);
-        self.rig.tc.emulation_seed = Stream::TcEmulation.of(run);
+        self.rig.arms.vs.emulation_seed = Stream::VsEmulation.of(run);
+        self.rig.arms.tc.emulation_seed = Stream::TcEmulation.of(run);
     }
 }
 
@@ -117,13 +117,14 @@ mod tests {
         let Leader::Geometric(leader) = setup.leader else { panic!("{:?} leads", setup.leader) };
         assert_eq!(Some(leader.seed), setup.geometric.map(|config| config.seed), "it is one tracker");
         let narrow = [
-            setup.world().unwrap().scene.seed,
+            setup.world.as_ref().unwrap().scene.seed,
             Stream::SensorNoise.narrow(setup.seed),
             leader.seed,
-            setup.world().unwrap().faults.seed,
+            setup.world.as_ref().unwrap().faults.seed,
         ]
         .map(u64::from);
-        let wide = [setup.estimator.published.rmga.seed, setup.rig.vs.emulation_seed, setup.rig.tc.emulation_seed];
+        let wide =
+            [setup.estimator.published.rmga.seed, setup.rig.arms.vs.emulation_seed, setup.rig.arms.tc.emulation_seed];
         narrow.into_iter().chain(wide).collect()
     }
 

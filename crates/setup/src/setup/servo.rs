@@ -9,6 +9,7 @@ use pb3dp_servo::{
 use serde::Deserialize;
 
 use super::super::load::{Checker, whole, within};
+use super::super::units::{in_deg, in_mm};
 use super::law::{
     ArmResponseSection, FeedForwardSection, GainsSection, HybridSection, ImageBasedSection, LawName, LawTables,
     NullMotionSection, SmoothingSection, UnstatedSection,
@@ -148,45 +149,66 @@ impl ServoSection {
         tables.build(self.law, self.timeouts.observation_s, check).unwrap_or(LawConfig::Published(refused))
     }
 
-    /// Checks every key separately, so that messages use the keys and units of the file; then the controller checks all values
-    /// again. The ranges are those of the controller in the units of the file, rounded inwards.
+    /// Checks every key separately, so that messages use the keys and units of the file; then the controller checks what depends on
+    /// several keys. The ranges are those of the controller.
     fn check(&self, config: &ControllerConfig, check: &mut Checker) {
-        check.number("servo.damping.threshold", self.damping.threshold, 0.001..=0.5);
-        check.number("servo.damping.factor_max", self.damping.factor_max, 0.001..=0.5);
-        check.number("servo.damping.elbow_min_deg", self.damping.elbow_min_deg, 0.0..=28.6);
-        check.number("servo.speed.linear_max_mm_per_s", self.speed.linear_max_mm_per_s, LINEAR_MM_PER_S);
-        check.number("servo.speed.angular_max_deg_per_s", self.speed.angular_max_deg_per_s, ANGULAR_DEG_PER_S);
-        check.number("servo.speed.limit_approach_per_s", self.speed.limit_approach_per_s, 0.1..=20.0);
-        check.number("servo.speed.soft_start_s", self.speed.soft_start_s, 0.0..=10.0);
-        // The approach is at most as fast as tracking.
-        let at_most = |speed: f64, allowed: RangeInclusive<f64>| {
-            let (min, max) = allowed.into_inner();
-            min..=within(speed, min, max)
-        };
-        let linear = at_most(self.speed.linear_max_mm_per_s, LINEAR_MM_PER_S);
-        let angular = at_most(self.speed.angular_max_deg_per_s, ANGULAR_DEG_PER_S);
-        check.number("servo.approach.linear_max_mm_per_s", self.approach.linear_max_mm_per_s, linear);
-        check.number("servo.approach.angular_max_deg_per_s", self.approach.angular_max_deg_per_s, angular);
-        check.number("servo.approach.done_within_mm", self.approach.done_within_mm, 0.1..=1000.0);
-        check.number("servo.approach.done_within_deg", self.approach.done_within_deg, 0.06..=57.0);
-        let observation_s = self.timeouts.observation_s;
-        check.number("servo.timeouts.observation_s", observation_s, 0.02..=5.0);
-        check.number("servo.timeouts.lost_s", self.timeouts.lost_s, within(observation_s, 0.02, 5.0)..=60.0);
-        check.number("servo.timeouts.joints_s", self.timeouts.joints_s, 0.002..=0.5);
-        check.count("servo.joint_history_samples", self.joint_history_samples, 8..=10_000);
+        let DampingSection { threshold, factor_max, elbow_min_deg } = self.damping;
+        check.number("servo.damping.threshold", threshold, DampingConfig::THRESHOLD);
+        check.number("servo.damping.factor_max", factor_max, DampingConfig::FACTOR_MAX);
+        check.number("servo.damping.elbow_min_deg", elbow_min_deg, in_deg(DampingConfig::ELBOW_MIN_RAD));
+        self.speed.check(check);
+        self.approach.check(&self.speed, check);
+        self.timeouts.check(&config.timeouts, check);
+        let samples = self.joint_history_samples;
+        check.count("servo.joint_history_samples", samples, ControllerConfig::JOINT_HISTORY_SAMPLES);
         if let (true, Err(error)) = (check.is_clean(), config.validate()) {
             check.refuse(format!("servo: {error}"));
         }
     }
 }
 
+impl SpeedSection {
+    fn check(&self, check: &mut Checker) {
+        check.number("servo.speed.linear_max_mm_per_s", self.linear_max_mm_per_s, linear_mm_per_s());
+        check.number("servo.speed.angular_max_deg_per_s", self.angular_max_deg_per_s, angular_deg_per_s());
+        let limit_approach_per_s = self.limit_approach_per_s;
+        check.number("servo.speed.limit_approach_per_s", limit_approach_per_s, SpeedConfig::LIMIT_APPROACH_PER_S);
+        check.number("servo.speed.soft_start_s", self.soft_start_s, SpeedConfig::SOFT_START_S);
+    }
+}
+
+impl ApproachSection {
+    /// The approach is at most as fast as tracking.
+    fn check(&self, tracking: &SpeedSection, check: &mut Checker) {
+        let at_most = |speed: f64, allowed: RangeInclusive<f64>| {
+            let (min, max) = allowed.into_inner();
+            min..=within(speed, min, max)
+        };
+        let linear = at_most(tracking.linear_max_mm_per_s, linear_mm_per_s());
+        let angular = at_most(tracking.angular_max_deg_per_s, angular_deg_per_s());
+        check.number("servo.approach.linear_max_mm_per_s", self.linear_max_mm_per_s, linear);
+        check.number("servo.approach.angular_max_deg_per_s", self.angular_max_deg_per_s, angular);
+        let (within_mm, within_deg) = (self.done_within_mm, self.done_within_deg);
+        check.number("servo.approach.done_within_mm", within_mm, in_mm(ApproachConfig::DONE_WITHIN_M));
+        check.number("servo.approach.done_within_deg", within_deg, in_deg(ApproachConfig::DONE_WITHIN_RAD));
+    }
+}
+
+impl TimeoutsSection {
+    fn check(&self, config: &Timeouts, check: &mut Checker) {
+        check.number("servo.timeouts.observation_s", self.observation_s, Timeouts::OBSERVATION_S);
+        check.number("servo.timeouts.lost_s", self.lost_s, config.lost_s_allowed());
+        check.number("servo.timeouts.joints_s", self.joints_s, Timeouts::JOINTS_S);
+    }
+}
+
 impl SearchSection {
     fn build(&self, check: &mut Checker) -> SearchConfig {
-        check.number("servo.search.back_mm", self.back_mm, 0.0..=200.0);
-        check.number("servo.search.radius_mm", self.radius_mm, 1.0..=200.0);
-        check.number("servo.search.turns", self.turns, 1.0..=10.0);
-        check.number("servo.search.speed_mm_per_s", self.speed_mm_per_s, 1.0..=100.0);
-        check.number("servo.search.time_s", self.time_s, 1.0..=60.0);
+        check.number("servo.search.back_mm", self.back_mm, in_mm(SearchConfig::BACK_M));
+        check.number("servo.search.radius_mm", self.radius_mm, in_mm(SearchConfig::RADIUS_M));
+        check.number("servo.search.turns", self.turns, SearchConfig::TURNS);
+        check.number("servo.search.speed_mm_per_s", self.speed_mm_per_s, in_mm(SearchConfig::SPEED_M_PER_S));
+        check.number("servo.search.time_s", self.time_s, SearchConfig::TIME_S);
         SearchConfig {
             back_m: self.back_mm * 1e-3,
             radius_m: self.radius_mm * 1e-3,
@@ -197,9 +219,14 @@ impl SearchSection {
     }
 }
 
-/// Speeds of the hand in [`SpeedSection`] and [`ApproachSection`].
-pub(super) const LINEAR_MM_PER_S: RangeInclusive<f64> = 0.001..=2000.0;
-const ANGULAR_DEG_PER_S: RangeInclusive<f64> = 0.0001..=343.7;
+/// Allowed speeds of the hand in [`SpeedSection`] and [`ApproachSection`].
+pub(super) fn linear_mm_per_s() -> RangeInclusive<f64> {
+    in_mm(CartesianSpeed::LINEAR_M_PER_S)
+}
+
+fn angular_deg_per_s() -> RangeInclusive<f64> {
+    in_deg(CartesianSpeed::ANGULAR_RAD_PER_S)
+}
 
 fn speed(linear_mm_per_s: f64, angular_deg_per_s: f64) -> CartesianSpeed {
     CartesianSpeed { linear_m_per_s: linear_mm_per_s * 1e-3, angular_rad_per_s: angular_deg_per_s.to_radians() }

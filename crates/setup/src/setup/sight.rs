@@ -8,8 +8,20 @@ use serde::Deserialize;
 use super::super::load::{Checker, ConfigFile};
 use super::calibration::CalibrationInUse;
 use super::camera::{self, CameraSection, SceneSection};
-use super::real_cameras::{self, V4l2Section};
-use super::{Cameras, FrameTiming, SimulatedWorld, Truth};
+use super::real_cameras::{self, RealCameras, V4l2Section};
+use super::{FrameTiming, SimulatedWorld, Truth};
+
+/// Checks the size of the images, which all backends have.
+pub(super) fn check_size((width_px, height_px): (i64, i64), check: &mut Checker) {
+    for (key, pixels) in [("camera.width_px", width_px), ("camera.height_px", height_px)] {
+        check.count(key, pixels, 64..=4096);
+    }
+}
+
+/// Checks the rate of the pairs, which all backends have; a refused one is limited to what is allowed.
+pub(super) fn frame_rate_hz(stated_hz: f64, check: &mut Checker) -> f64 {
+    check.limited("camera.frame_rate_hz", stated_hz, 1.0..=240.0)
+}
 
 /// The key that all backends have; the others depend on it.
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -37,7 +49,8 @@ pub(super) enum CameraTable {
 pub(super) struct Sight {
     pub(super) rig: StereoRig,
     pub(super) frames: FrameTiming,
-    pub(super) cameras: Cameras,
+    pub(super) real_cameras: Option<RealCameras>,
+    pub(super) world: Option<SimulatedWorld>,
     pub(super) nominal_calibration: Option<String>,
     pub(super) calibration: Option<CalibrationInUse>,
 }
@@ -76,8 +89,14 @@ impl CameraTable {
                 let (scene, blur_moments) = (scene?.build(check), section.blur_moments());
                 let world =
                     SimulatedWorld { scene, sensor, sensor_seed: 0, blur_moments, faults, truth: Truth::default() };
-                let cameras = Cameras::Simulated(Box::new(world));
-                Some(Sight { rig: rig?, frames, cameras, nominal_calibration: None, calibration })
+                Some(Sight {
+                    rig: rig?,
+                    frames,
+                    real_cameras: None,
+                    world: Some(world),
+                    nominal_calibration: None,
+                    calibration,
+                })
             }
             Self::V4l2(section) => {
                 if scene.is_some() {
@@ -92,7 +111,8 @@ impl CameraTable {
                     nominal_calibration: calibration.not_measured,
                     calibration: Some(section.in_use((calibration.source, calibration.judgement), check)),
                     frames: FrameTiming { period, exposure },
-                    cameras: Cameras::Real(Box::new(cameras)),
+                    real_cameras: Some(cameras),
+                    world: None,
                 })
             }
         }

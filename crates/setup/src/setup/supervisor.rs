@@ -3,10 +3,11 @@
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-use pb3dp_servo::supervisor::{Action, Condition, Policies, Policy, Resume, SupervisorConfig};
+use pb3dp_servo::supervisor::{Action, Condition, Policies, Policy, Resume, SupervisorConfig, ThresholdRule};
 use serde::Deserialize;
 
 use super::super::load::{Checker, within};
+use super::super::units::{in_deg, in_millis, in_mm};
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -14,6 +15,7 @@ pub(super) struct SupervisorSection {
     resume_after_s: f64,
     go_after_s: f64,
     word_age_max_s: f64,
+    operator_key_within_s: f64,
     search_max_s: Option<f64>,
     policies: PoliciesSection,
 }
@@ -81,75 +83,89 @@ enum ResumeName {
     ByOperator,
 }
 
+/// A range in SI units.
+type SiRange = RangeInclusive<f64>;
+
 /// A threshold in the units of the file.
 struct Threshold {
     key: &'static str,
-    /// Range of the supervisor, rounded inwards.
+    /// Range of the supervisor.
     allowed: RangeInclusive<f64>,
     to_si: fn(f64) -> f64,
 }
 
 impl Threshold {
     fn of(condition: Condition) -> Option<Self> {
-        let of = |key, allowed, to_si| Some(Self { key, allowed, to_si });
-        let as_it_is: fn(f64) -> f64 = |value| value;
-        let from_millis: fn(f64) -> f64 = |value| value / 1e3;
-        let seconds = |allowed| of("age_s", allowed, as_it_is);
-        match condition {
-            Condition::ClockStepped => of("step_s", 0.02..=1.0, as_it_is),
-            Condition::OperatorSilent => seconds(0.1..=10.0),
-            Condition::JointsStale => seconds(0.002..=0.5),
-            Condition::FrameStale | Condition::EstimateStale => seconds(0.02..=1.0),
-            Condition::TargetLost => seconds(0.05..=10.0),
-            Condition::PositionJump => of("distance_mm", 1.0..=1000.0, from_millis),
-            Condition::OrientationJump => of("angle_deg", 0.6..=171.0, f64::to_radians),
-            Condition::Outlier => of("sigmas", 1.0..=1000.0, as_it_is),
-            Condition::PositionUncertain => of("sigma_mm", 0.1..=100.0, from_millis),
-            Condition::OrientationUncertain => of("sigma_deg", 0.06..=28.6, f64::to_radians),
-            Condition::CameraSkew => of("skew_millis", 0.1..=50.0, from_millis),
-            Condition::LimitNear => of("distance_deg", 0.06..=28.6, f64::to_radians),
-            Condition::Singularity => of("singular_value", 0.001..=0.2, as_it_is),
+        let ThresholdRule { min, max, .. } = condition.rule().threshold?;
+        let (key, in_file, to_si): (_, InFile, ToSi) = match condition {
+            Condition::OperatorSilent
+            | Condition::JointsStale
+            | Condition::FrameStale
+            | Condition::EstimateStale
+            | Condition::TargetLost => ("age_s", same, same),
+            Condition::ClockStepped => ("step_s", same, same),
+            Condition::PositionJump => ("distance_mm", in_mm, from_millis),
+            Condition::OrientationJump => ("angle_deg", in_deg, f64::to_radians),
+            Condition::Outlier => ("sigmas", same, same),
+            Condition::PositionUncertain => ("sigma_mm", in_mm, from_millis),
+            Condition::OrientationUncertain => ("sigma_deg", in_deg, f64::to_radians),
+            Condition::CameraSkew => ("skew_millis", in_millis, from_millis),
+            Condition::LimitNear => ("distance_deg", in_deg, f64::to_radians),
+            Condition::Singularity => ("singular_value", same, same),
             Condition::EmergencyStop
             | Condition::ArmFault
             | Condition::ArmDisabled
             | Condition::TargetChanged
             | Condition::FrameOrder
             | Condition::LowConfidence
-            | Condition::ControllerRests => None,
-        }
+            | Condition::ControllerRests => return None,
+        };
+        Some(Self { key, allowed: in_file(min..=max), to_si })
     }
 }
 
+/// A range in the unit of the file.
+type InFile = fn(SiRange) -> RangeInclusive<f64>;
+/// A value of the file in SI units.
+type ToSi = fn(f64) -> f64;
+
+/// Longest time without a key that a setup may allow, seconds: at 60 s an unattended arm moves for a minute.
+const KEY_WITHIN_S: RangeInclusive<f64> = 5.0..=60.0;
+
+/// For a value that has the same unit in the file.
+fn same<T>(value: T) -> T {
+    value
+}
+
+fn from_millis(value: f64) -> f64 {
+    value / 1e3
+}
+
 impl SupervisorSection {
+    /// Longest time without a key at the console of arms that are not emulated, seconds; checked by [`Self::build`].
+    pub(super) fn key_within_s(&self) -> f64 {
+        within(self.operator_key_within_s, *KEY_WITHIN_S.start(), *KEY_WITHIN_S.end())
+    }
+
     /// The supervisor's settings for images with the period `frame_period`.
     pub(super) fn build(&self, frame_period: Duration, check: &mut Checker) -> SupervisorConfig {
-        check.number("supervisor.resume_after_s", self.resume_after_s, 0.05..=60.0);
-        check.number("supervisor.go_after_s", self.go_after_s, 0.05..=within(self.resume_after_s, 0.05, 60.0));
-        check.number("supervisor.word_age_max_s", self.word_age_max_s, 0.05..=5.0);
-        // Without the key there is no search.
-        if let Some(search_max_s) = self.search_max_s {
-            check.number("supervisor.search_max_s", search_max_s, 0.1..=60.0);
-        }
+        check.number("supervisor.operator_key_within_s", self.operator_key_within_s, KEY_WITHIN_S);
+        self.policies.check_ages(frame_period, check);
         let search_max_s = self.search_max_s.unwrap_or(0.0);
-        let stale_s = self.policies.estimate_stale.age_s.unwrap_or(0.0);
-        let lost_s = self.policies.target_lost.age_s.unwrap_or(f64::NAN);
-        if lost_s >= 0.05 {
-            check.number("supervisor.policies.target_lost.age_s", lost_s, within(stale_s, 0.05, 1.0)..=10.0);
-        }
-        // Two periods are the minimum for detecting a missing image; with less the hand would hold between any two images.
-        let frame_stale_s = self.policies.frame_stale.age_s.unwrap_or(f64::NAN);
-        if frame_stale_s >= 0.02 {
-            let two_periods_s = within(2.0 * frame_period.as_secs_f64(), 0.02, 0.99);
-            check.number("supervisor.policies.frame_stale.age_s", frame_stale_s, two_periods_s..=1.0);
-        }
-        let policies = Policies::of(|condition| self.policies.of(condition).build(condition, check));
         let config = SupervisorConfig {
-            policies,
+            policies: Policies::of(|condition| self.policies.of(condition).build(condition, check)),
             resume_after_s: self.resume_after_s,
             go_after_s: self.go_after_s,
             word_age_max_s: self.word_age_max_s,
             search_max_s,
         };
+        check.number("supervisor.resume_after_s", self.resume_after_s, SupervisorConfig::RESUME_AFTER_S);
+        check.number("supervisor.go_after_s", self.go_after_s, config.go_after_s_allowed());
+        check.number("supervisor.word_age_max_s", self.word_age_max_s, SupervisorConfig::WORD_AGE_MAX_S);
+        // Without the key there is no search.
+        if self.search_max_s.is_some() {
+            check.number("supervisor.search_max_s", search_max_s, SupervisorConfig::SEARCH_MAX_S);
+        }
         if let (true, Err(error)) = (check.is_clean(), config.validate()) {
             check.refuse(format!("supervisor.policies.{} = {}: allowed is {}", error.key, error.value, error.allowed));
         }
@@ -158,6 +174,24 @@ impl SupervisorSection {
 }
 
 impl PoliciesSection {
+    /// Checks ages whose lower bound depends on another setting; smaller ones are refused with the range of their condition.
+    fn check_ages(&self, frame_period: Duration, check: &mut Checker) {
+        let own_range = |condition, age_s: Option<f64>| {
+            let (age_s, range) = (age_s?, Threshold::of(condition)?.allowed);
+            (age_s >= *range.start()).then_some((age_s, range))
+        };
+        if let Some((lost_s, _)) = own_range(Condition::TargetLost, self.target_lost.age_s) {
+            let allowed = SupervisorConfig::lost_s_allowed(self.estimate_stale.age_s.unwrap_or(0.0));
+            check.number("supervisor.policies.target_lost.age_s", lost_s, allowed);
+        }
+        // Two periods are the minimum for detecting a missing image; with less the hand would hold between any two images.
+        if let Some((stale_s, range)) = own_range(Condition::FrameStale, self.frame_stale.age_s) {
+            let (min_s, max_s) = range.into_inner();
+            let two_periods_s = within(2.0 * frame_period.as_secs_f64(), min_s, 0.99 * max_s);
+            check.number("supervisor.policies.frame_stale.age_s", stale_s, two_periods_s..=max_s);
+        }
+    }
+
     fn of(&self, condition: Condition) -> &PolicySection {
         match condition {
             Condition::EmergencyStop => &self.emergency_stop,
@@ -203,8 +237,8 @@ impl PolicySection {
             }
         }
         let has_time = rule.for_max_s > 0.0;
-        let for_s = optional((&table, "for_s"), self.for_s, has_time, 0.0..=rule.for_max_s, check);
-        let share = optional((&table, "share"), self.share, self.action == ActionName::Slow, 0.05..=0.95, check);
+        let for_s = optional((&table, "for_s"), self.for_s, has_time, rule.for_s_allowed(), check);
+        let share = optional((&table, "share"), self.share, self.action == ActionName::Slow, Action::SHARE, check);
         let may_choose = rule.may_resume_by_itself && self.action == ActionName::Hold;
         match (self.resume, may_choose) {
             (None, true) => check.refuse(format!("{table}.resume: missing; the file must set it")),

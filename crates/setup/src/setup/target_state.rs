@@ -3,7 +3,8 @@
 use pb3dp_servo::target_state::{MeasurementConfig, MotionConfig, RestConfig, SurpriseConfig, TargetStateConfig};
 use serde::Deserialize;
 
-use super::super::load::{Checker, whole, within};
+use super::super::load::{Checker, whole};
+use super::super::units::{in_deg, in_mm};
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -78,11 +79,12 @@ struct SurpriseSection {
 impl TargetStateSection {
     /// The target must be predictable until the time-out of observations, `observation_s`.
     pub(super) fn build(&self, observation_s: f64, check: &mut Checker) -> TargetStateConfig {
-        check.number("servo.target.gate_nis", self.gate_nis, 6.0..=1e4);
-        check.count("servo.target.history_measurements", self.history_measurements, 2..=1000);
-        check.number("servo.target.horizon_s", self.horizon_s, within(observation_s, 0.02, 5.0)..=5.0);
-        check.number("servo.target.gap_max_s", self.gap_max_s, within(self.horizon_s, 0.01, 5.0)..=60.0);
-        TargetStateConfig {
+        check.number("servo.target.gate_nis", self.gate_nis, TargetStateConfig::GATE_NIS);
+        let measurements = self.history_measurements;
+        check.count("servo.target.history_measurements", measurements, TargetStateConfig::HISTORY_MEASUREMENTS);
+        let horizon_s = TargetStateConfig::horizon_s_allowed(observation_s);
+        check.number("servo.target.horizon_s", self.horizon_s, horizon_s);
+        let config = TargetStateConfig {
             linear: self.linear.build(check),
             angular: self.angular.build(check),
             measurement: self.measurement.build(check),
@@ -91,17 +93,27 @@ impl TargetStateSection {
             history_measurements: whole(self.history_measurements),
             horizon_s: self.horizon_s,
             gap_max_s: self.gap_max_s,
-        }
+        };
+        check.number("servo.target.gap_max_s", self.gap_max_s, config.gap_max_s_allowed());
+        config
     }
 }
 
 impl LinearSection {
     fn build(&self, check: &mut Checker) -> MotionConfig {
         let key = |name: &str| format!("servo.target.linear.{name}");
-        check.number(&key("acceleration_sigma_mm_per_s2"), self.acceleration_sigma_mm_per_s2, 0.1..=100_000.0);
-        check.number(&key("correlation_time_s"), self.correlation_time_s, 0.01..=100.0);
-        check.number(&key("across_share"), self.across_share, 0.001..=1.0);
-        check.number(&key("start_velocity_sigma_mm_per_s"), self.start_velocity_sigma_mm_per_s, 0.1..=10_000.0);
+        check.number(
+            &key("acceleration_sigma_mm_per_s2"),
+            self.acceleration_sigma_mm_per_s2,
+            in_mm(MotionConfig::ACCELERATION_SIGMA_PER_S2),
+        );
+        check.number(&key("correlation_time_s"), self.correlation_time_s, MotionConfig::CORRELATION_TIME_S);
+        check.number(&key("across_share"), self.across_share, MotionConfig::ACROSS_SHARE);
+        check.number(
+            &key("start_velocity_sigma_mm_per_s"),
+            self.start_velocity_sigma_mm_per_s,
+            in_mm(MotionConfig::START_VELOCITY_SIGMA_PER_S),
+        );
         MotionConfig {
             acceleration_sigma_per_s2: self.acceleration_sigma_mm_per_s2 * 1e-3,
             correlation_time_s: self.correlation_time_s,
@@ -115,8 +127,16 @@ impl LinearSection {
 impl LinearRestSection {
     fn build(&self, check: &mut Checker) -> RestConfig {
         let key = |name: &str| format!("servo.target.linear.rest.{name}");
-        check.number(&key("drift_sigma_mm_per_sqrt_s"), self.drift_sigma_mm_per_sqrt_s, 1e-4..=100.0);
-        check.number(&key("onset_velocity_sigma_mm_per_s"), self.onset_velocity_sigma_mm_per_s, 0.001..=10_000.0);
+        check.number(
+            &key("drift_sigma_mm_per_sqrt_s"),
+            self.drift_sigma_mm_per_sqrt_s,
+            in_mm(RestConfig::DRIFT_SIGMA_PER_SQRT_S),
+        );
+        check.number(
+            &key("onset_velocity_sigma_mm_per_s"),
+            self.onset_velocity_sigma_mm_per_s,
+            in_mm(RestConfig::ONSET_VELOCITY_SIGMA_PER_S),
+        );
         check_durations(&key, self.mean_rest_s, self.mean_motion_s, check);
         RestConfig {
             drift_sigma_per_sqrt_s: self.drift_sigma_mm_per_sqrt_s * 1e-3,
@@ -130,10 +150,18 @@ impl LinearRestSection {
 impl AngularSection {
     fn build(&self, check: &mut Checker) -> MotionConfig {
         let key = |name: &str| format!("servo.target.angular.{name}");
-        check.number(&key("acceleration_sigma_deg_per_s2"), self.acceleration_sigma_deg_per_s2, 0.006..=5700.0);
-        check.number(&key("correlation_time_s"), self.correlation_time_s, 0.01..=100.0);
-        check.number(&key("across_share"), self.across_share, 0.001..=1.0);
-        check.number(&key("start_velocity_sigma_deg_per_s"), self.start_velocity_sigma_deg_per_s, 0.006..=570.0);
+        check.number(
+            &key("acceleration_sigma_deg_per_s2"),
+            self.acceleration_sigma_deg_per_s2,
+            in_deg(MotionConfig::ACCELERATION_SIGMA_PER_S2),
+        );
+        check.number(&key("correlation_time_s"), self.correlation_time_s, MotionConfig::CORRELATION_TIME_S);
+        check.number(&key("across_share"), self.across_share, MotionConfig::ACROSS_SHARE);
+        check.number(
+            &key("start_velocity_sigma_deg_per_s"),
+            self.start_velocity_sigma_deg_per_s,
+            in_deg(MotionConfig::START_VELOCITY_SIGMA_PER_S),
+        );
         MotionConfig {
             acceleration_sigma_per_s2: self.acceleration_sigma_deg_per_s2.to_radians(),
             correlation_time_s: self.correlation_time_s,
@@ -147,8 +175,16 @@ impl AngularSection {
 impl AngularRestSection {
     fn build(&self, check: &mut Checker) -> RestConfig {
         let key = |name: &str| format!("servo.target.angular.rest.{name}");
-        check.number(&key("drift_sigma_deg_per_sqrt_s"), self.drift_sigma_deg_per_sqrt_s, 1e-5..=5.7);
-        check.number(&key("onset_velocity_sigma_deg_per_s"), self.onset_velocity_sigma_deg_per_s, 1e-4..=570.0);
+        check.number(
+            &key("drift_sigma_deg_per_sqrt_s"),
+            self.drift_sigma_deg_per_sqrt_s,
+            in_deg(RestConfig::DRIFT_SIGMA_PER_SQRT_S),
+        );
+        check.number(
+            &key("onset_velocity_sigma_deg_per_s"),
+            self.onset_velocity_sigma_deg_per_s,
+            in_deg(RestConfig::ONSET_VELOCITY_SIGMA_PER_S),
+        );
         check_durations(&key, self.mean_rest_s, self.mean_motion_s, check);
         RestConfig {
             drift_sigma_per_sqrt_s: self.drift_sigma_deg_per_sqrt_s.to_radians(),
@@ -160,16 +196,24 @@ impl AngularRestSection {
 }
 
 fn check_durations(key: &impl Fn(&str) -> String, mean_rest_s: f64, mean_motion_s: f64, check: &mut Checker) {
-    check.number(&key("mean_rest_s"), mean_rest_s, 0.1..=1000.0);
-    check.number(&key("mean_motion_s"), mean_motion_s, 0.1..=1000.0);
+    check.number(&key("mean_rest_s"), mean_rest_s, RestConfig::MEAN_REST_S);
+    check.number(&key("mean_motion_s"), mean_motion_s, RestConfig::MEAN_MOTION_S);
 }
 
 impl MeasurementSection {
     fn build(&self, check: &mut Checker) -> MeasurementConfig {
         let key = |name: &str| format!("servo.target.measurement.{name}");
-        check.number(&key("covariance_factor"), self.covariance_factor, 0.01..=1000.0);
-        check.number(&key("position_sigma_min_mm"), self.position_sigma_min_mm, 0.001..=100.0);
-        check.number(&key("orientation_sigma_min_deg"), self.orientation_sigma_min_deg, 1e-4..=28.0);
+        check.number(&key("covariance_factor"), self.covariance_factor, MeasurementConfig::COVARIANCE_FACTOR);
+        check.number(
+            &key("position_sigma_min_mm"),
+            self.position_sigma_min_mm,
+            in_mm(MeasurementConfig::POSITION_SIGMA_MIN_M),
+        );
+        check.number(
+            &key("orientation_sigma_min_deg"),
+            self.orientation_sigma_min_deg,
+            in_deg(MeasurementConfig::ORIENTATION_SIGMA_MIN_RAD),
+        );
         MeasurementConfig {
             covariance_factor: self.covariance_factor,
             position_sigma_min_m: self.position_sigma_min_mm * 1e-3,
@@ -181,10 +225,10 @@ impl MeasurementSection {
 impl SurpriseSection {
     fn build(&self, check: &mut Checker) -> SurpriseConfig {
         let key = |name: &str| format!("servo.target.surprise.{name}");
-        check.number(&key("newest_share"), self.newest_share, 0.01..=1.0);
-        check.number(&key("from"), self.from, 1.0..=100.0);
-        check.number(&key("exponent"), self.exponent, 0.0..=8.0);
-        check.number(&key("factor_max"), self.factor_max, 1.0..=1e6);
+        check.number(&key("newest_share"), self.newest_share, SurpriseConfig::NEWEST_SHARE);
+        check.number(&key("from"), self.from, SurpriseConfig::FROM);
+        check.number(&key("exponent"), self.exponent, SurpriseConfig::EXPONENT);
+        check.number(&key("factor_max"), self.factor_max, SurpriseConfig::FACTOR_MAX);
         SurpriseConfig {
             newest_share: self.newest_share,
             from: self.from,

@@ -1,5 +1,6 @@
 //! The panel behind the target: sea floor with sand, bluish patches, pebbles and shells.
 
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use nalgebra::Point3;
@@ -25,6 +26,13 @@ pub struct BackdropConfig {
     pub gap_m: f64,
 }
 
+impl BackdropConfig {
+    /// Allowed widths and heights.
+    pub const SIZE_M: RangeInclusive<f64> = 0.05..=2.0;
+    /// Allowed values of `gap_m`.
+    pub const GAP_M: RangeInclusive<f64> = 0.0..=1.0;
+}
+
 impl Default for BackdropConfig {
     fn default() -> Self {
         Self { size_m: [0.40, 0.30], gap_m: 0.03 }
@@ -36,9 +44,9 @@ impl Default for BackdropConfig {
 /// # Errors
 /// A number out of its range.
 pub fn build(config: &BackdropConfig, rear_z_m: f64, seed: u32) -> Result<Vec<ScenePart>, SceneError> {
-    check("backdrop.gap_m", config.gap_m, 0.0, 1.0)?;
+    check("backdrop.gap_m", config.gap_m, BackdropConfig::GAP_M)?;
     for size in config.size_m {
-        check("backdrop.size_m", size, 0.05, 2.0)?;
+        check("backdrop.size_m", size, BackdropConfig::SIZE_M)?;
     }
     let [half_x, half_y] = config.size_m.map(|size| size / 2.0);
     let front = rear_z_m + config.gap_m.max(GAP_MIN_M);

@@ -1,5 +1,6 @@
 //! Parts of a scene, and the errors of scenes.
 
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use crate::targets::mesh::Mesh;
@@ -65,6 +66,10 @@ pub enum SceneError {
     },
 }
 
-pub(crate) fn check(name: &'static str, value: f64, min: f64, max: f64) -> Result<(), SceneError> {
-    if (min..=max).contains(&value) { Ok(()) } else { Err(SceneError::Parameter { name, value, min, max }) }
+pub(crate) fn check(name: &'static str, value: f64, allowed: RangeInclusive<f64>) -> Result<(), SceneError> {
+    if allowed.contains(&value) {
+        return Ok(());
+    }
+    let (min, max) = allowed.into_inner();
+    Err(SceneError::Parameter { name, value, min, max })
 }

@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::codec::{AngleCounts, Axis, COUNTS_PER_TURN, WireFormat};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{AxisMotion, LimitOutOfRange, MotionLimits};
 use pb3dp_kinematics::{JointLimits, JointLimitsError, JointVector};
 use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 
@@ -15,6 +16,15 @@ const END_STOPS_DEG: [f64; Axis::COUNT] = [180.0, 97.0, 180.0, 143.0, 270.0, 180
 
 /// Maximum joint speeds, rad/s (INRIA; E2 is slower by another source).
 const SPEED_MAX_RAD_PER_S: [f64; Axis::COUNT] = [1.0, 1.0, 2.0, 2.0, TAU, TAU, TAU];
+
+/// Speed limits of the robot descriptions, rad/s: E2 by the slower source.
+const SPEED_LIMITS_RAD_PER_S: [f64; Axis::COUNT] = [1.0, 1.0, 2.0, 2.0, 2.0, TAU, TAU];
+
+/// Acceleration limits of the built-in setups, rad/s^2 (docs/arm-limits.md).
+const ACCELERATION_LIMITS_RAD_PER_S2: [f64; Axis::COUNT] = [2.0, 2.0, 2.0, 2.0, 5.0, 5.0, 5.0];
+
+/// Jerk limits of the built-in setups, rad/s^3 (docs/arm-limits.md).
+const JERK_LIMITS_RAD_PER_S3: [f64; Axis::COUNT] = [80.0, 80.0, 80.0, 80.0, 200.0, 200.0, 200.0];
 
 /// Joints of a PA10-7C(E) for an emulated arm. No source states their accelerations and lags: these drives are as fast as a stop
 /// within a tenth of a second needs.
@@ -87,6 +97,19 @@ impl MockControllerConfig {
             upper_limit_rad: limits,
             knows_clear_alarm: true,
         }
+    }
+
+    /// Motion limits for a gateway before this controller: those of the built-in setups, with the range of the EEPROM.
+    ///
+    /// # Errors
+    /// If the range is none that the protocol can state.
+    pub fn motion_limits(&self) -> Result<MotionLimits, LimitOutOfRange> {
+        MotionLimits::new(&std::array::from_fn(|axis| AxisMotion {
+            speed_max_rad_per_s: SPEED_LIMITS_RAD_PER_S[axis],
+            acceleration_max_rad_per_s2: ACCELERATION_LIMITS_RAD_PER_S2[axis],
+            jerk_max_rad_per_s3: JERK_LIMITS_RAD_PER_S3[axis],
+            range_rad: [self.lower_limit_rad[axis], self.upper_limit_rad[axis]],
+        }))
     }
 
     /// Lower and upper limit of an axis in the counts of the EEPROM.

@@ -3,11 +3,14 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Supervision, TorqueScale, WireFormat};
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Firmware, Geometry};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Firmware, Geometry, MotionLimits};
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 
 /// Allowed cycle on the bus: the controller expects 2 ms, or a slower cycle (its ROM holds the period).
-const CYCLE_RANGE: std::ops::RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_millis(10);
+pub const CYCLE_RANGE: std::ops::RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_millis(10);
+
+/// Least age of a command at which the arm fades it: a host may send only one command per 10 ms.
+pub const RAMP_AFTER_MIN: Duration = Duration::from_millis(20);
 
 /// Settings of a gateway: its arm, its bus and its host.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,6 +44,8 @@ pub struct GatewayConfig {
     pub torque_scale: TorqueScale,
     /// Name and version, for hosts.
     pub firmware: Firmware,
+    /// Motion limits: a command outside them stops the arm.
+    pub limits: MotionLimits,
 }
 
 /// Why a configuration is refused.
@@ -89,8 +94,8 @@ pub enum GatewayConfigError {
 }
 
 impl GatewayConfig {
-    /// A configuration for an arm with this number and wire format; the other values are those of the sources.
-    pub fn new(arm: ArmId, format: WireFormat, firmware: Firmware) -> Self {
+    /// A configuration for an arm with this number, wire format and motion limits; the other values are those of the sources.
+    pub fn new(arm: ArmId, format: WireFormat, firmware: Firmware, limits: MotionLimits) -> Self {
         let cycle = Duration::from_millis(2);
         Self {
             arm,
@@ -107,6 +112,7 @@ impl GatewayConfig {
             emergency_stop_bits: 0,
             torque_scale: TorqueScale::of_format(format),
             firmware,
+            limits,
         }
     }
 
@@ -123,7 +129,7 @@ impl GatewayConfig {
         if lateness_allowed < cycle || lateness_allowed >= stop_after {
             return Err(GatewayConfigError::Lateness { got: lateness_allowed, cycle, stop_after });
         }
-        if watchdog.ramp_after() < Duration::from_millis(20) {
+        if watchdog.ramp_after() < RAMP_AFTER_MIN {
             return Err(GatewayConfigError::Watchdog { got: watchdog.ramp_after() });
         }
         if self.brake_time.is_zero() || self.brake_time > BRAKE_TIME_MAX {

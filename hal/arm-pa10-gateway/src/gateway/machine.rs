@@ -11,6 +11,7 @@ use pb3dp_safeguards::{Safeguard, is_off};
 use super::bus::{Askers, Bus, Outstanding, count};
 use super::config::GatewayConfig;
 use super::host::{Asker, Host, Refused};
+use super::limits::{Exceeded, LimitMonitor};
 use super::motion::{self, Kind, Motion};
 
 /// So many messages in a row without a usable reply stop the arm; a message outside the cycle has as many cycles for its reply.
@@ -124,6 +125,7 @@ pub(super) struct Machine {
     pub host: Host,
     pub bus: Bus,
     pub motion: Motion,
+    pub limits: LimitMonitor,
     pub work: Work,
     /// No host requested the stop order: the gateway has just started, or a silent controller has answered again.
     pub is_unasked: bool,
@@ -163,6 +165,7 @@ impl Machine {
             host: Host::new(),
             bus: Bus::default(),
             motion: Motion::new(config.brake_time, now),
+            limits: LimitMonitor::new(config.limits, config.watchdog.ramp_after(), config.cycle),
             work: Work::Stop(StopStep::Brake),
             is_unasked: true,
             is_unheard: false,
@@ -227,6 +230,11 @@ impl Machine {
         if !matches!(self.work, Work::Stop(_)) {
             self.begin_stop(now, state_before);
         }
+    }
+
+    /// Stops the arm because of a motion limit.
+    pub fn trip_limit(&mut self, now: MonotonicTime, (axis, quantity): Exceeded) {
+        self.trip(now, StopCause::LimitExceeded, Some(axis), u16::from(quantity.code()));
     }
 
     /// Refuses all requests that wait for an answer.
@@ -388,7 +396,7 @@ impl Machine {
     fn due(&mut self, now: MonotonicTime) -> Option<(ControlMessage, Purpose)> {
         match self.work {
             Work::Steady if self.is_cycling() => {
-                let (command, slowed) = self.motion.command(now, &self.config.watchdog);
+                let (command, slowed) = self.motion.command(now, &self.config.watchdog, &self.limits);
                 // Speeds fade only while brakes are open.
                 self.slowed = slowed && self.state == GatewayState::Moving;
                 Some((ControlMessage::Cyclic(command), Purpose::Cycle))

@@ -8,6 +8,7 @@
 //!
 //! Guarantees:
 //! * Commands with open brakes are sent in the states `holding` and `moving` and in the stop order, and nowhere else.
+//! * No command outside the motion limits is followed: it stops the arm, as does an axis that could not stop in its range.
 //! * No speed is sent once the last command of the host is as old as the watchdog allows.
 //! * Every cause of a stop latches. Only a reset clears it, only if the controller shows that the cause is gone, and only to `idle`.
 //! * Each valid frame of the host gets exactly one answer.
@@ -17,6 +18,7 @@ mod bus;
 mod codes;
 mod config;
 mod host;
+mod limits;
 mod listening;
 mod machine;
 mod motion;
@@ -33,7 +35,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{
 use pb3dp_geometry::MonotonicTime;
 
 pub use bus::BusCounters;
-pub use config::{GatewayConfig, GatewayConfigError};
+pub use config::{CYCLE_RANGE, GatewayConfig, GatewayConfigError, RAMP_AFTER_MIN};
 pub use machine::CycleCounters;
 
 /// The gateway of one arm.

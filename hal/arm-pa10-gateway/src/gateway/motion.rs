@@ -7,6 +7,8 @@ use pb3dp_arm_pa10_protocol::watchdog::{CommandWatchdog, Staleness};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_safeguards::{Safeguard, is_off};
 
+use super::limits::LimitMonitor;
+
 /// The current command, and its time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
@@ -17,6 +19,8 @@ pub(super) struct Motion {
     since: MonotonicTime,
     /// Time to go from these speeds to the target.
     over: Duration,
+    /// Time and speeds when the first command came after the watchdog had slowed the arm down.
+    resumed: Option<(MonotonicTime, [SpeedCounts; Axis::COUNT])>,
     sent: ArmCommand,
     brakes: [Brake; Axis::COUNT],
     brake_time: Duration,
@@ -69,6 +73,7 @@ impl Motion {
             from: [SpeedCounts::ZERO; Axis::COUNT],
             since: MonotonicTime::ZERO,
             over: Duration::ZERO,
+            resumed: None,
             sent: ArmCommand::uniform(AxisCommand::Braked, Supervision::default()),
             brakes: [Brake::OpenSince(now); Axis::COUNT],
             brake_time,
@@ -78,6 +83,7 @@ impl Motion {
     /// The control mode has begun: brakes on, servos off.
     pub fn restart(&mut self, now: MonotonicTime, supervision: Supervision) {
         self.follow(now, ArmCommand { supervision, ..off() }, Duration::ZERO);
+        self.resumed = None;
     }
 
     /// Follows a new command; speeds reach it after `over`. A repeated command keeps the end of the interpolation.
@@ -87,10 +93,12 @@ impl Motion {
         self.from = self.sent.axes.map(|axis| axis.speed());
     }
 
-    /// As [`Self::follow`], after the watchdog has slowed the arm down: the interpolation starts again.
+    /// As [`Self::follow`], after the watchdog has slowed the arm down: the interpolation starts again, and the speeds rise with
+    /// the allowed accelerations.
     pub fn follow_anew(&mut self, now: MonotonicTime, target: ArmCommand, over: Duration) {
         (self.target, self.since, self.over) = (target, now, over);
         self.from = self.sent.axes.map(|axis| axis.speed());
+        self.resumed = Some((now, self.from));
     }
 
     /// Time of the last command.
@@ -169,7 +177,7 @@ impl Motion {
     }
 
     /// The command of this cycle, and whether the watchdog slows it down.
-    pub fn command(&self, now: MonotonicTime, watchdog: &CommandWatchdog) -> (ArmCommand, bool) {
+    pub fn command(&self, now: MonotonicTime, watchdog: &CommandWatchdog, limits: &LimitMonitor) -> (ArmCommand, bool) {
         let (left, slowed) = match watchdog.judge(self.age(now)) {
             _ if is_off(Safeguard::GatewayWatchdog) => (1.0, false),
             Staleness::Fresh => (1.0, false),
@@ -189,7 +197,12 @@ impl Motion {
                 braked => braked,
             };
         }
-        (command, slowed)
+        match self.resumed {
+            Some((since, from)) if !is_off(Safeguard::GatewayLimits) => {
+                (fading(&command, share_risen(&command, &from, now.seconds_since(since), limits)), slowed)
+            }
+            _ => (command, slowed),
+        }
     }
 
     /// All brakes on; enabled servos stay enabled.
@@ -212,6 +225,16 @@ impl Motion {
             Brake::Closed { since, .. } => now.saturating_since(since) >= self.brake_time,
         }
     }
+}
+
+/// Share of a command that all axes can have reached after a time, from these speeds and with the allowed accelerations.
+fn share_risen(command: &ArmCommand, from: &[SpeedCounts; Axis::COUNT], time_s: f64, limits: &LimitMonitor) -> f64 {
+    let share = |index: usize| {
+        let most = from[index].to_rad_per_s().abs() + limits.acceleration_rad_per_s2(index) * time_s;
+        let speed = command.axes[index].speed().to_rad_per_s().abs();
+        if speed > most { most / speed } else { 1.0 }
+    };
+    (0..Axis::COUNT).map(share).fold(1.0, f64::min)
 }
 
 /// The command with its speeds scaled by `left`.

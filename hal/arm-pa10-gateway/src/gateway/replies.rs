@@ -64,6 +64,12 @@ impl Machine {
         if let Some(Found { cause, axis, word }) = found {
             self.trip(now, cause, axis, word);
         }
+        if self.state == GatewayState::Moving
+            && !is_off(Safeguard::GatewayLimits)
+            && let Some(exceeded) = self.limits.judge_range(self.motion.sent(), reply)
+        {
+            self.trip_limit(now, exceeded);
+        }
     }
 
     fn handle_eeprom(&mut self, now: MonotonicTime, table: Option<&EepromAxis>, raw: &RawReply) {
@@ -103,6 +109,7 @@ impl Machine {
                 self.work = Work::Steady;
                 self.measured = None;
                 self.motion.restart(now, self.config.supervision);
+                self.limits.restart(now);
                 if asker.is_raw {
                     self.answer_raw(now, &asker, Letter::Start, raw);
                 } else {

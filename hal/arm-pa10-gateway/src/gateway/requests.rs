@@ -8,6 +8,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::{
     HelloReply, HostMessage, RawMessage, RejectReason, State, StopCause,
 };
 use pb3dp_geometry::MonotonicTime;
+use pb3dp_safeguards::{Safeguard, is_off};
 
 use super::host::{Asker, Refused, is_in_both_dialects, refusal_of};
 use super::machine::{Job, Machine, ResetStep, StopStep, Task, Work, wrong_state};
@@ -95,13 +96,18 @@ impl Machine {
 
     fn handle_hello(&mut self, now: MonotonicTime, frame: &Frame, asker: &Asker) -> Result<(), Refused> {
         let message = HostMessage::decode(frame).map_err(|error| refusal_of(&error))?;
-        let HostMessage::Hello(Hello { dialect, cycle_us }) = message else {
+        let HostMessage::Hello(Hello { dialect, cycle_us, limits }) = message else {
             return Err(Refused(RejectReason::UnknownType, 0));
         };
+        if let Some(wider) = limits.wider_than(&self.config.limits) {
+            return Err(Refused(RejectReason::LimitsTooWide, wider.detail()));
+        }
         let is_open = self.motion.sent().axes.iter().any(motion::is_open);
-        if is_open && self.host.dialect.is_some_and(|in_force| in_force != dialect) {
+        let is_changed = |in_force| in_force != dialect || self.limits.asked != Some(limits);
+        if is_open && self.host.dialect.is_some_and(is_changed) {
             return Err(wrong_state(self.state));
         }
+        self.limits.tighten(&self.config.limits, &limits);
         self.host.greet(now, frame, dialect, Duration::from_micros(u64::from(cycle_us)));
         let reply = self.hello_reply(dialect);
         self.host.answer(now, asker, GatewayMessage::HelloReply(reply));
@@ -147,7 +153,7 @@ impl Machine {
             DriveMode::Follow => ArmCommand::velocities(&command.velocity_rad_per_s(), supervision)
                 .map_err(|_| Refused(RejectReason::BadValue, 0))?,
         };
-        let next = self.judge_command(now, &asked)?;
+        let next = self.judge_command(now, &asked)?.filter(|_| self.keeps_limits(now, &asked));
         let state = self.arm_state(now).ok_or(Refused(RejectReason::NoAnswer, 0))?;
         if let Some(next) = next {
             let over = if self.config.interpolates { self.host.cycle } else { Duration::ZERO };
@@ -188,6 +194,17 @@ impl Machine {
             }
             _ => Err(wrong_state(self.state)),
         }
+    }
+
+    /// Whether a command that would be followed is within the motion limits; otherwise it stops the arm.
+    fn keeps_limits(&mut self, now: MonotonicTime, asked: &ArmCommand) -> bool {
+        if is_off(Safeguard::GatewayLimits) {
+            return true;
+        }
+        let measured = self.measured.as_ref().map(|measured| measured.reply);
+        let Some(exceeded) = self.limits.judge_command(now, asked, measured.as_ref()) else { return true };
+        self.trip_limit(now, exceeded);
+        false
     }
 
     fn handle_control(&mut self, now: MonotonicTime, control: Control, asker: &Asker) -> Result<(), Refused> {
@@ -275,7 +292,14 @@ impl Machine {
             }
             ControlMessage::Cyclic(command) => {
                 let next = self.judge_command(now, &command)?.ok_or(wrong_state(self.state))?;
-                self.motion.follow(now, command, Duration::ZERO);
+                if !self.keeps_limits(now, &command) {
+                    return Err(wrong_state(self.state));
+                }
+                if self.slowed {
+                    self.motion.follow_anew(now, command, Duration::ZERO);
+                } else {
+                    self.motion.follow(now, command, Duration::ZERO);
+                }
                 self.state = next;
                 if let Some(oldest) = self.waiting.push(*asker) {
                     self.host.refuse(now, &oldest, Refused(RejectReason::NoAnswer, 0));
@@ -312,6 +336,7 @@ impl Machine {
             controller_watchdog_us: config.controller_watchdog.map_or(0, us),
             brake_release_us: us(config.brake_time),
             firmware: config.firmware,
+            limits: config.limits,
         }
     }
 

@@ -89,8 +89,10 @@ codes! {
         Internal = 9, "internal";
         /// The host found a fault and said `abort`.
         HostFault = 10, "host-fault";
+        /// A command of the host was outside a motion limit of the gateway.
+        LimitExceeded = 11, "limit-exceeded";
         /// The switch of the gateway stands on local.
-        LocalControl = 32, "local-control";
+        LocalControl = 12, "local-control";
     }
 }
 
@@ -119,12 +121,14 @@ codes! {
         NoAnswer = 10, "no-answer";
         /// The cause of the latched state is still there.
         CausePresent = 11, "cause-present";
+        /// The host asks for more than the motion limits of the gateway.
+        LimitsTooWide = 12, "limits-too-wide";
         /// The gateway's list of peers does not have this address.
-        PeerNotAllowed = 32, "peer-not-allowed";
+        PeerNotAllowed = 13, "peer-not-allowed";
         /// Too many new connections.
-        TooManyPeers = 33, "too-many-peers";
+        TooManyPeers = 14, "too-many-peers";
         /// The proof of the key is wrong.
-        KeyMismatch = 34, "key-mismatch";
+        KeyMismatch = 15, "key-mismatch";
     }
 }
 

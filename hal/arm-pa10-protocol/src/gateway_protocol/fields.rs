@@ -50,6 +50,12 @@ impl<'a> Fields<'a> {
         from_byte(byte).ok_or(self.no_meaning(field, i64::from(byte)))
     }
 
+    /// A version, of which only one is known.
+    pub fn version(&mut self, field: &'static str, known: u8) -> Result<(), MessageError> {
+        let got = self.u8();
+        if got == known { Ok(()) } else { Err(self.no_meaning(field, i64::from(got))) }
+    }
+
     pub fn no_meaning(&self, field: &'static str, got: i64) -> MessageError {
         MessageError::Value { frame_type: self.frame_type, field, got }
     }

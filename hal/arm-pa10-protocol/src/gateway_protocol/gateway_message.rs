@@ -5,9 +5,11 @@ use core::net::{IpAddr, Ipv6Addr};
 
 use super::fields::{Fields, Put};
 use super::host_message::{Control, RawMessage};
+use super::limits::{LIMITS_LENGTH, LIMITS_VERSION};
 use super::state::{STATE_LENGTH, State};
 use super::{
-    ArmId, ControlOperation, Dialect, Frame, GatewayState, Geometry, MessageError, Payload, RejectReason, StopCause,
+    ArmId, ControlOperation, Dialect, Frame, GatewayState, Geometry, MessageError, MotionLimits, MotionQuantity,
+    Payload, RejectReason, StopCause,
 };
 use crate::codec::{Axis, CommWord, ServoWord, WireFormat};
 
@@ -71,6 +73,8 @@ pub struct HelloReply {
     pub brake_release_us: u32,
     /// Name and version.
     pub firmware: Firmware,
+    /// Limits of all motion. A command outside them stops the arm.
+    pub limits: MotionLimits,
 }
 
 /// A control message was carried out.
@@ -140,8 +144,16 @@ pub struct FaultReport {
     pub state_before: GatewayState,
     /// The axis, where the cause belongs to one.
     pub axis: Option<Axis>,
-    /// The status word that shows the cause; 0 where none does.
+    /// The status word that shows the cause; 0 where none does. For [`StopCause::LimitExceeded`] the [`MotionQuantity`].
     pub word: u16,
+}
+
+impl FaultReport {
+    /// Axis and quantity of a command outside a limit.
+    pub fn limit(&self) -> Option<(Axis, MotionQuantity)> {
+        let quantity = u8::try_from(self.word).ok().and_then(MotionQuantity::from_code);
+        self.axis.zip(quantity).filter(|_| self.cause == StopCause::LimitExceeded)
+    }
 }
 
 impl std::fmt::Display for FaultReport {
@@ -149,6 +161,9 @@ impl std::fmt::Display for FaultReport {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { cause, axis, word, .. } = *self;
         write!(f, "{cause}")?;
+        if let Some((axis, quantity)) = self.limit() {
+            return write!(f, ": {axis}, {quantity}");
+        }
         let (servo, controller) = (ServoWord(word), CommWord(word));
         match axis {
             Some(axis) => write!(f, ": {axis}, status word 0x{word:04x}")?,
@@ -269,7 +284,7 @@ impl GatewayMessage {
         let frame_type = frame.frame_type;
         let fields = |length| Fields::new(frame_type, &frame.payload, length);
         Ok(match frame_type {
-            HELLO_REPLY => Self::HelloReply(HelloReply::decode(fields(51)?)?),
+            HELLO_REPLY => Self::HelloReply(HelloReply::decode(fields(51 + LIMITS_LENGTH)?)?),
             STATE => Self::State(State::decode(fields(STATE_LENGTH)?)?),
             CONTROL_REPLY => Self::ControlReply(ControlReply::decode(fields(3)?)?),
             HEALTH => Self::Health(Health::decode(fields(38)?)?),
@@ -313,13 +328,14 @@ impl HelloReply {
             Some(WireFormat::LittleEndian5x8) => 1,
             Some(WireFormat::BigEndian6x10) => 2,
         });
-        payload.extend(&[self.geometry.code(), self.state.code(), self.cause.code(), 0]);
+        payload.extend(&[self.geometry.code(), self.state.code(), self.cause.code(), LIMITS_VERSION]);
         payload.put_u32(self.cycle_us);
         payload.put_u32(self.ramp_after_us);
         payload.put_u32(self.stop_after_us);
         payload.put_u32(self.controller_watchdog_us);
         payload.put_u32(self.brake_release_us);
         payload.extend(&self.firmware.0);
+        self.limits.encode(payload);
     }
 
     fn decode(mut fields: Fields<'_>) -> Result<Self, MessageError> {
@@ -337,10 +353,7 @@ impl HelloReply {
         let geometry = fields.code("geometry", Geometry::from_code)?;
         let state = fields.code("state", GatewayState::from_code)?;
         let cause = fields.code("cause", StopCause::from_code)?;
-        let unused = fields.u8();
-        if unused != 0 {
-            return Err(fields.no_meaning("unused", i64::from(unused)));
-        }
+        fields.version("version of the limits", LIMITS_VERSION)?;
         Ok(Self {
             has_transparent: dialects & 1 != 0,
             has_gateway_v1: dialects & 2 != 0,
@@ -354,13 +367,14 @@ impl HelloReply {
             stop_after_us: fields.u32(),
             controller_watchdog_us: fields.u32(),
             brake_release_us: fields.u32(),
-            firmware: firmware(fields)?,
+            firmware: firmware(&mut fields)?,
+            limits: MotionLimits::decode(&mut fields)?,
         })
     }
 }
 
-/// The text at the end of a HELLO_REPLY: zeros only behind it.
-fn firmware(mut fields: Fields<'_>) -> Result<Firmware, MessageError> {
+/// The name of the firmware: zeros only behind it.
+fn firmware(fields: &mut Fields<'_>) -> Result<Firmware, MessageError> {
     let bytes: [u8; 24] = fields.bytes();
     let end = bytes.iter().position(|byte| *byte == 0).unwrap_or(bytes.len());
     let text = std::str::from_utf8(&bytes[..end]).ok().and_then(Firmware::new);

@@ -3,7 +3,10 @@
 use pb3dp_kinematics::JointVector;
 
 use super::fields::{Fields, Put};
-use super::{ArmId, ControlOperation, Dialect, DriveMode, Frame, MessageError, PAYLOAD_LENGTH_MAX, Payload};
+use super::limits::{LIMITS_LENGTH, LIMITS_VERSION};
+use super::{
+    ArmId, ControlOperation, Dialect, DriveMode, Frame, MessageError, MotionLimits, PAYLOAD_LENGTH_MAX, Payload,
+};
 use crate::codec::{Axis, ByteBuffer, CodecError, SpeedCounts};
 
 /// The type of HELLO, which alone may come first.
@@ -29,6 +32,8 @@ pub struct Hello {
     pub dialect: Dialect,
     /// Time between two commands, µs: 2000 to 10000.
     pub cycle_us: u32,
+    /// Limits that all commands keep. A gateway with tighter limits refuses the host.
+    pub limits: MotionLimits,
 }
 
 /// What the arm is to do until the next command, in the dialect `gateway-v1`.
@@ -153,6 +158,8 @@ impl HostMessage {
             Self::Hello(hello) => {
                 payload.put_u8(hello.dialect.code());
                 payload.put_u32(hello.cycle_us);
+                payload.put_u8(LIMITS_VERSION);
+                hello.limits.encode(&mut payload);
                 HELLO
             }
             Self::Command(command) => {
@@ -184,12 +191,13 @@ impl HostMessage {
         let fields = |length| Fields::new(frame_type, &frame.payload, length);
         Ok(match frame_type {
             HELLO => {
-                let mut fields = fields(5)?;
+                let mut fields = fields(6 + LIMITS_LENGTH)?;
                 let (dialect, cycle_us) = (fields.code("dialect", Dialect::from_code)?, fields.u32());
                 if !HOST_CYCLE_US.contains(&cycle_us) {
                     return Err(fields.no_meaning("time between two commands", i64::from(cycle_us)));
                 }
-                Self::Hello(Hello { dialect, cycle_us })
+                fields.version("version of the limits", LIMITS_VERSION)?;
+                Self::Hello(Hello { dialect, cycle_us, limits: MotionLimits::decode(&mut fields)? })
             }
             COMMAND => {
                 let mut fields = fields(COMMAND_LENGTH)?;

@@ -10,6 +10,7 @@ mod frame;
 mod freshness;
 mod gateway_message;
 mod host_message;
+mod limits;
 mod line;
 mod parser;
 mod sequence;
@@ -27,6 +28,7 @@ pub use gateway_message::{
 };
 pub use host_message::HELLO;
 pub use host_message::{ArmOperation, Control, DriveCommand, Hello, HostMessage, RawMessage};
+pub use limits::{AxisMotion, AxisMotionLimits, HostLimits, LimitOutOfRange, MotionLimits, MotionQuantity, WiderLimit};
 pub use line::{LineTooSlow, check_line, exchange_bytes, exchange_time};
 pub use parser::{FrameParser, ParserCounters, Received};
 pub use sequence::{Arrival, SequenceTracker};

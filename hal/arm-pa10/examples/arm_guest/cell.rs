@@ -15,7 +15,9 @@ use pb3dp_arm_pa10_emulation::mock_controller::{MockControllerConfig, Script, pa
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_gateway::service::{BusOpener, GatewayServer, GatewayServerConfig, Happened, HostSide};
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry, StopCause};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
+    ArmId, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, StopCause,
+};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
@@ -96,7 +98,7 @@ impl Cell {
             cycle: BUS_CYCLE,
             lateness_allowed: LATENESS_ALLOWED,
             controller_watchdog: Some(CONTROLLER_WATCHDOG),
-            ..GatewayConfig::new(ARM, FORMAT, Firmware::new("pb3dp guest").ok_or("a name")?)
+            ..GatewayConfig::new(ARM, FORMAT, Firmware::new("pb3dp guest").ok_or("a name")?, MotionLimits::WIDEST)
         };
         let host = HostSide::Line(Box::new(serial::config(gateway_path, BAUD, CYCLE)));
         let gateway = GatewayServer::start(GatewayServerConfig { gateway, realtime: realtime(55) }, bus, host)?;
@@ -106,6 +108,7 @@ impl Cell {
             format: FORMAT,
             geometry: Geometry::Unknown,
             cycle: CYCLE,
+            limits: HostLimits::WIDEST,
         };
         let config = Pa10ArmConfig::new("guest", DriverConfig::with_cycle(CYCLE), link);
         let serial = serial::config(host_path, BAUD, CYCLE);

@@ -277,7 +277,10 @@ fn is_stopped_from_elsewhere(driver: &Driver) -> bool {
             latched.trip,
             Trip::EStop(_)
                 | Trip::Fault(
-                    FaultCause::Gateway(_) | FaultCause::ServoAlarm { .. } | FaultCause::ControllerAlarm { .. }
+                    FaultCause::Gateway(_)
+                        | FaultCause::GatewayLimit { .. }
+                        | FaultCause::ServoAlarm { .. }
+                        | FaultCause::ControllerAlarm { .. }
                 )
         )
     };

@@ -1,7 +1,7 @@
 //! State shared by the thread of an arm and its owner.
 //!
 //! The thread never waits for a lock: if the owner holds one, the thread continues and tries again later. The owner only waits for
-//! the thread's short copies. No other code uses these locks.
+//! the thread's short copies. Observers have a copy of their own: a preempted observer delays neither the thread nor the owner.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -84,8 +84,11 @@ impl PowerRequest {
 #[derive(Debug)]
 pub(super) struct Shared {
     command: Mutex<Command>,
+    /// For the owner.
     snapshot: Mutex<ArmSnapshot>,
     changed: Condvar,
+    /// For observers: the owner never takes this lock, and the thread does not wait for it.
+    observed: Mutex<ArmSnapshot>,
     /// Number of the request times 8, plus the request.
     request: AtomicU64,
     let_go: AtomicBool,
@@ -121,6 +124,7 @@ impl Shared {
             command: Mutex::new(command),
             snapshot: Mutex::new(snapshot),
             changed: Condvar::new(),
+            observed: Mutex::new(snapshot),
             request: AtomicU64::new(0),
             let_go: AtomicBool::new(false),
             jitter: JitterMeter::default(),
@@ -132,7 +136,7 @@ impl Shared {
 
     /// The control loop's side: replaces the command, whether or not it was executed.
     pub fn put_command(&self, at: MonotonicTime, command: JointCommand) {
-        let mut slot = self.command.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut slot = lock(&self.command);
         *slot = Command { ticket: slot.ticket + 1, at, command };
     }
 
@@ -141,8 +145,12 @@ impl Shared {
         self.command.try_lock().ok().map(|slot| *slot)
     }
 
-    /// The thread's side: whether the snapshot could be replaced without blocking.
+    /// The thread's side: whether the owner's snapshot could be replaced without blocking. While an observer holds its copy, this copy
+    /// is only replaced on the next turn.
     pub fn publish(&self, snapshot: &ArmSnapshot) -> bool {
+        if let Ok(mut observed) = self.observed.try_lock() {
+            *observed = *snapshot;
+        }
         let Ok(slot) = self.snapshot.try_lock() else { return false };
         self.replace(slot, snapshot);
         true
@@ -150,7 +158,8 @@ impl Shared {
 
     /// As [`Self::publish`], but blocks: for results that the owner must not miss, while nothing moves.
     pub fn publish_waiting(&self, snapshot: &ArmSnapshot) {
-        self.replace(self.lock_snapshot(), snapshot);
+        self.replace(lock(&self.snapshot), snapshot);
+        *lock(&self.observed) = *snapshot;
     }
 
     fn replace(&self, mut slot: MutexGuard<'_, ArmSnapshot>, snapshot: &ArmSnapshot) {
@@ -162,20 +171,16 @@ impl Shared {
         }
     }
 
-    /// The present snapshot.
+    /// The owner's side: the present snapshot.
     pub fn snapshot(&self) -> ArmSnapshot {
-        *self.lock_snapshot()
+        *lock(&self.snapshot)
     }
 
     /// Waits until the snapshot meets a condition or this time is over, and returns the last one.
     pub fn wait_for(&self, timeout: std::time::Duration, wanted: impl Fn(&ArmSnapshot) -> bool) -> ArmSnapshot {
-        let guard = self.lock_snapshot();
+        let guard = lock(&self.snapshot);
         let waited = self.changed.wait_timeout_while(guard, timeout, |snapshot| !wanted(snapshot));
         *waited.unwrap_or_else(PoisonError::into_inner).0
-    }
-
-    fn lock_snapshot(&self) -> MutexGuard<'_, ArmSnapshot> {
-        self.snapshot.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The owner's side: the number of the request, which identifies its result.
@@ -201,6 +206,10 @@ impl Shared {
     }
 }
 
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// Read-only access to an arm for observers: panels, logs, tests.
 #[derive(Clone, Debug)]
 pub struct ArmMonitor {
@@ -208,9 +217,9 @@ pub struct ArmMonitor {
 }
 
 impl ArmMonitor {
-    /// The present snapshot.
+    /// The present snapshot. A caller that is preempted in here delays only other observers.
     pub fn snapshot(&self) -> ArmSnapshot {
-        self.shared.snapshot()
+        *lock(&self.shared.observed)
     }
 
     /// Lateness of the cycles of this arm's thread.
@@ -249,5 +258,47 @@ impl ArmSnapshot {
             DriverState::Disconnected | DriverState::Connected | DriverState::Enabled => ArmState::Disabled,
             DriverState::Holding | DriverState::Moving => ArmState::Enabled,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+    use std::sync::mpsc::channel;
+
+    use super::*;
+
+    /// An observer that is preempted while it copies its snapshot: in this time control and the thread of the arm exchange commands
+    /// and samples as before. If either needed the observer's lock, the cycles would never end.
+    #[test]
+    fn a_preempted_observer_delays_no_cycle() {
+        const CYCLES: u64 = 100;
+        let shared = Arc::new(Shared::new());
+        let monitor = ArmMonitor { shared: Arc::clone(&shared) };
+        let preempted = lock(&shared.observed);
+        let (done, is_done) = channel();
+        let control = Arc::clone(&shared);
+        let cycles = move || {
+            let mut snapshot = control.snapshot();
+            for cycle in 1..=CYCLES {
+                control.put_command(MonotonicTime::from_nanos(cycle), JointCommand::Hold);
+                let is_taken = control.command().is_some_and(|command| command.ticket == cycle);
+                snapshot.samples = cycle;
+                let is_published = control.publish(&snapshot);
+                let seen = control.wait_for(Duration::ZERO, |snapshot| snapshot.samples == cycle);
+                if !is_taken || !is_published || seen.samples != cycle || control.snapshot().samples != cycle {
+                    break;
+                }
+                let _ = done.send(cycle);
+            }
+        };
+        let thread = std::thread::spawn(cycles);
+        let completed = (1..=CYCLES).map_while(|_| is_done.recv_timeout(Duration::from_secs(20)).ok()).last();
+        assert_eq!(completed, Some(CYCLES), "cycles while an observer holds its lock");
+        thread.join().unwrap();
+        assert_eq!(preempted.samples, 0);
+        drop(preempted);
+        assert!(shared.publish(&ArmSnapshot { samples: CYCLES + 1, ..shared.snapshot() }));
+        assert_eq!(monitor.snapshot().samples, CYCLES + 1);
     }
 }

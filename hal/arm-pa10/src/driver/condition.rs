@@ -5,7 +5,7 @@ use std::time::Duration;
 use pb3dp_arm_pa10_protocol::codec::{
     ArmReply, Axis, AxisStatus, CommAlarm, CommStatus, ServoAlarm, TorqueScale, WireFormat,
 };
-use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, RejectReason, State, StopCause};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, MotionQuantity, RejectReason, State, StopCause};
 use pb3dp_kinematics::JointVector;
 
 use super::WarmUpFailure;
@@ -172,6 +172,18 @@ pub enum FaultCause {
     /// The gateway stopped the arm.
     #[error("the gateway stopped the arm: {0}; {advice}", advice = advice_on_stop(*.0))]
     Gateway(StopCause),
+    /// A command was outside a motion limit of the gateway.
+    #[error(
+        "the gateway stopped the arm: a command was outside its limit for the {quantity} of {axis}, which the limiter of this program \
+         should have prevented; compare [limits] in the gateway's file with the arm's limits in the setup, report a defect if they \
+         agree, then reset"
+    )]
+    GatewayLimit {
+        /// Which axis.
+        axis: Axis,
+        /// Which quantity.
+        quantity: MotionQuantity,
+    },
     /// The gateway stopped following commands without giving a cause.
     #[error("the gateway is {gateway}, but this program did not stop it; find out which program did, then reset")]
     GatewayStopped {
@@ -450,6 +462,7 @@ impl Trip {
                 FaultCause::ServoAlarm { axis, .. }
                 | FaultCause::AxisUncontrollable { axis, .. }
                 | FaultCause::TorqueTooHigh { axis, .. }
+                | FaultCause::GatewayLimit { axis, .. }
                 | FaultCause::LimitsDiffer { axis, .. },
             )
             | Self::EStop(EmergencyStopCause::Axis { axis, .. }) => Some(*axis),
@@ -483,6 +496,10 @@ fn advice_on_stop(cause: StopCause) -> &'static str {
         }
         StopCause::HostSilent => {
             "the program that drove the arm ended, hung or lost the line; find out why, remove the cause, then reset"
+        }
+        StopCause::LimitExceeded => {
+            "the program that drove the arm sent a command outside a motion limit of the gateway, whose log names axis and quantity; \
+             compare [limits] in the gateway's file with the arm's limits in the setup, then reset"
         }
         StopCause::LocalControl => {
             "the switch of the gateway stands on local: type `remote` at the gateway, then reset"

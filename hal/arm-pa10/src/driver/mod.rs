@@ -9,11 +9,11 @@
 //! * A request that the state does not allow is refused by name and sends nothing ([`table`] lists all requests).
 //! * Brakes open only after a warm-up that shows a reliable and fast link.
 //! * Two lost replies in a row are tolerated; the third stops the arm, as does a measurement older than [`MEASUREMENT_AGE_MAX`]. A
-//! velocity without a successor fades and stops.
+//!   velocity without a successor fades and stops.
 //! * Every stop ramps to speed 0, stays there, closes the brakes, switches the servos off and ends the control mode, in limited
-//! time with or without answers.
+//!   time with or without answers.
 //! * A fault or an emergency stop latches. Only a reset leaves the latch, only if the controller shows that the cause is gone, and
-//! only to `Connected`.
+//!   only to `Connected`.
 //! * Nothing is allocated after construction.
 
 mod codes;
@@ -30,7 +30,7 @@ pub mod table;
 mod torque;
 
 pub use condition::{ArmCondition, EmergencyStopCause, FaultCause, MEASUREMENT_AGE_MAX, Sample, Trip, Uncontrollable};
-pub use config::{DriverConfig, DriverConfigError, LimitsCheck, PA10_TORQUE_MAX_N_M};
+pub use config::{DriverConfig, DriverConfigError, LimitsCheck, PA10_SPEED_MAX_RAD_PER_S, PA10_TORQUE_MAX_N_M};
 pub use link::{BadReply, LinkCounters, WarmUpFailure};
 pub use machine::{AxisLimits, Driver, Latched, Reply, Transmit};
 pub use requests::{Refusal, Request};

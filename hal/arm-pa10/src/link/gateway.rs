@@ -8,7 +8,7 @@ use pb3dp_arm_pa10_protocol::codec::{
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmOperation, BRAKE_TIME_MAX, Control, DelayMeter, Dialect, DriveCommand, DriveMode, FaultReport, Frame,
     FrameBytes, FrameParser, GatewayMessage, GatewayState, Geometry, Hello, HelloReply, Holder, HostMessage,
-    ParserCounters, RawMessage, Received, Reject, RejectReason, StopCause,
+    ParserCounters, RawMessage, Received, Reject, RejectReason, StopCause, WiderLimit,
 };
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
@@ -79,6 +79,22 @@ pub enum HelloError {
         /// [`BRAKE_TIME_MAX`].
         most: Duration,
     },
+    /// It allows more than the setup.
+    #[error(
+        "the gateway allows {axis} {got} as its {quantity}, the setup at most {most}: correct {key} of this axis under [limits] in the \
+         gateway's file, or the limits of the arm in the setup",
+        axis = .0.axis, quantity = .0.quantity, key = .0.quantity.key(),
+        got = .0.quantity.text(.0.wider), most = .0.quantity.text(.0.limit)
+    )]
+    AllowsMore(WiderLimit),
+    /// It allows less than this host asks for.
+    #[error(
+        "the gateway refused the host: the setup asks for {got} as {quantity} of {axis}, the gateway allows {most}: correct the limits \
+         of the arm in the setup, or {key} of this axis under [limits] in the gateway's file",
+        axis = .0.axis, quantity = .0.quantity, key = .0.quantity.key(),
+        got = .0.quantity.text(.0.wider), most = .0.quantity.text(.0.limit)
+    )]
+    AsksMore(WiderLimit),
     /// Another host has it.
     #[error(transparent)]
     Held(HeldError),
@@ -170,7 +186,8 @@ impl GatewayLink {
         // The gateway may have been restarted, and its clock with it.
         self.delay = DelayMeter::default();
         let cycle_us = u32::try_from(self.config.cycle.as_micros()).unwrap_or(u32::MAX);
-        let hello = HostMessage::Hello(Hello { dialect: self.config.dialect, cycle_us });
+        let hello =
+            HostMessage::Hello(Hello { dialect: self.config.dialect, cycle_us, limits: self.config.limits.asked });
         self.waiting = Waiting::Hello;
         self.asked = self.emit(now, &hello);
     }
@@ -329,8 +346,10 @@ impl GatewayLink {
             (Waiting::Hello, GatewayMessage::Held(holder)) => {
                 self.hello_error = Some(HelloError::Held(HeldError::Held(*holder)));
             }
-            (Waiting::Hello, GatewayMessage::Reject(Reject { reason, .. })) => {
-                self.hello_error = Some(HelloError::Rejected(*reason));
+            (Waiting::Hello, GatewayMessage::Reject(Reject { reason, detail, .. })) => {
+                let limit = WiderLimit::from_detail(*detail, &self.config.limits.asked)
+                    .filter(|_| *reason == RejectReason::LimitsTooWide);
+                self.hello_error = Some(limit.map_or(HelloError::Rejected(*reason), HelloError::AsksMore));
             }
             (Waiting::Shown(hello), answer) => {
                 if let GatewayMessage::State(state) = answer {
@@ -396,6 +415,9 @@ impl GatewayLink {
         let told = |geometry| geometry != Geometry::Unknown;
         if told(hello.geometry) && told(geometry) && hello.geometry != geometry {
             return Err(HelloError::Geometry { got: hello.geometry, configured: geometry });
+        }
+        if let Some(wider) = hello.limits.wider_than(&self.config.limits.allowed) {
+            return Err(HelloError::AllowsMore(wider));
         }
         let duration = |us: u32| Duration::from_micros(u64::from(us));
         let (got, most) = (duration(hello.brake_release_us), BRAKE_TIME_MAX);
@@ -509,6 +531,9 @@ fn trip(report: &FaultReport) -> Trip {
             let named = controller().map(|alarm| FaultCause::ControllerAlarm { alarm });
             Trip::Fault(named.unwrap_or(FaultCause::Gateway(report.cause)))
         }
-        cause => Trip::Fault(FaultCause::Gateway(cause)),
+        cause => {
+            let limit = report.limit().map(|(axis, quantity)| FaultCause::GatewayLimit { axis, quantity });
+            Trip::Fault(limit.unwrap_or(FaultCause::Gateway(cause)))
+        }
     }
 }

@@ -9,7 +9,7 @@ use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
 use pb3dp_arm_pa10::driver::DriverConfig;
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry, HostLimits};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::far_end::FarEnd;
 use pb3dp_arm_pa10_test_support::gateway::FakeGateway;
@@ -26,7 +26,14 @@ pub fn exchanges() {
     let pty = Pty::open().unwrap();
     let serial = SerialConfig { path: pty.name().to_owned(), baud: 460_800, dialect, format, cycle: CYCLE };
     let far = FarEnd::serve_after(Box::new(pty), FakeGateway::new(ArmId(2), format), leave_this_thread_out);
-    let link = GatewayLinkConfig { arm: ArmId(2), dialect, format, geometry: Geometry::Unknown, cycle: CYCLE };
+    let link = GatewayLinkConfig {
+        arm: ArmId(2),
+        dialect,
+        format,
+        geometry: Geometry::Unknown,
+        cycle: CYCLE,
+        limits: HostLimits::WIDEST,
+    };
     let config = Pa10ArmConfig::new("arm", DriverConfig::with_cycle(CYCLE), link);
     let seat = trip_line(1).unwrap().remove(0);
     let mut arm = Pa10Arm::open(config, Box::new(serial), Arc::new(SystemClock::new()), seat).unwrap_or_else(|error| {

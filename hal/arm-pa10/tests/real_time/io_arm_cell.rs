@@ -9,7 +9,7 @@ use pb3dp_arm_pa10::arm::{ArmOpenError, Pa10Arm, Pa10ArmConfig, TripSeat, trip_l
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, LimitsCheck, Trip};
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, GatewayState, Geometry, StopCause};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, GatewayState, Geometry, HostLimits, StopCause};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::cell_end::{Cell, CellEnd};
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
@@ -39,7 +39,14 @@ fn config(arm: u8, dialect: Dialect, format: WireFormat) -> Pa10ArmConfig {
     let tolerance_rad = 0.5f64.to_radians();
     let limits = LimitsCheck::Compare { lower_rad: -limits(), upper_rad: limits(), tolerance_rad };
     let driver = DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) };
-    let link = GatewayLinkConfig { arm: ArmId(arm), dialect, format, geometry: Geometry::Unknown, cycle: CYCLE };
+    let link = GatewayLinkConfig {
+        arm: ArmId(arm),
+        dialect,
+        format,
+        geometry: Geometry::Unknown,
+        cycle: CYCLE,
+        limits: HostLimits::WIDEST,
+    };
     Pa10ArmConfig::new(&format!("arm-{arm}"), driver, link)
 }
 

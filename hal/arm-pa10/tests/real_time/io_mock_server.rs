@@ -16,7 +16,9 @@ use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockControllerConfi
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_gateway::service::Access;
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, GatewayState, Geometry, StopCause};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{
+    ArmId, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, StopCause,
+};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::world::{keyed, test_key};
 use pb3dp_geometry::MonotonicTime;
@@ -45,7 +47,7 @@ struct Rig {
 }
 
 fn gateway() -> GatewayConfig {
-    GatewayConfig::new(ArmId(2), FORMAT, Firmware::new("mock 1").unwrap())
+    GatewayConfig::new(ArmId(2), FORMAT, Firmware::new("mock 1").unwrap(), MotionLimits::WIDEST)
 }
 
 fn access() -> Access {
@@ -79,7 +81,14 @@ impl Rig {
         let limits = LimitsCheck::Compare { lower_rad: -limit, upper_rad: limit, tolerance_rad: 0.5f64.to_radians() };
         let driver = DriverConfig { limits, ..DriverConfig::with_cycle(CYCLE) };
         let (dialect, geometry) = (Dialect::GatewayV1, Geometry::Unknown);
-        let link = GatewayLinkConfig { arm: ArmId(2), dialect, format: FORMAT, geometry, cycle: CYCLE };
+        let link = GatewayLinkConfig {
+            arm: ArmId(2),
+            dialect,
+            format: FORMAT,
+            geometry,
+            cycle: CYCLE,
+            limits: HostLimits::WIDEST,
+        };
         let config = Pa10ArmConfig { realtime: REALTIME, ..Pa10ArmConfig::new("test", driver, link) };
         let clock = Arc::clone(&self.clock) as Arc<dyn Clock>;
         let seat = trip_line(1).unwrap().remove(0);

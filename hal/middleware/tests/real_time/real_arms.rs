@@ -13,7 +13,7 @@ use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServ
 use pb3dp_arm_pa10_emulation::mock_controller::{MockControllerConfig, Script, pa10_joints};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
-use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, Geometry};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, Geometry, HostLimits, MotionLimits};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::Pose;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
@@ -37,7 +37,7 @@ fn start_rad() -> JointVector {
 
 fn server(arm: ArmId, clock: &Arc<dyn Clock>) -> MockServer {
     let plant = JointPlant::new(pa10_joints().unwrap(), start_rad(), clock.now()).unwrap();
-    let gateway = GatewayConfig::new(arm, FORMAT, Firmware::new("test").unwrap());
+    let gateway = GatewayConfig::new(arm, FORMAT, Firmware::new("test").unwrap(), MotionLimits::WIDEST);
     let realtime = Realtime { priority: Some(45), locks_memory: false, cpu: None };
     let config = MockServerConfig {
         controller: MockControllerConfig::new(FORMAT),
@@ -50,7 +50,14 @@ fn server(arm: ArmId, clock: &Arc<dyn Clock>) -> MockServer {
 
 fn arm(arm: ArmId, server: &MockServer, seat: TripSeat, clock: &Arc<dyn Clock>) -> Pa10Arm {
     let (dialect, cycle) = (Dialect::GatewayV1, CYCLE);
-    let link = GatewayLinkConfig { arm, dialect, format: FORMAT, geometry: Geometry::Unknown, cycle };
+    let link = GatewayLinkConfig {
+        arm,
+        dialect,
+        format: FORMAT,
+        geometry: Geometry::Unknown,
+        cycle,
+        limits: HostLimits::WIDEST,
+    };
     let port = server.port(SerialConfig { path: server.address(), baud: 921_600, dialect, format: FORMAT, cycle });
     let config = Pa10ArmConfig::new(&format!("arm-{}", arm.0), DriverConfig::with_cycle(cycle), link);
     Pa10Arm::open(config, Box::new(port), Arc::clone(clock), seat).unwrap()

@@ -16,6 +16,9 @@ type Faults = fn(&mut Dice) -> Vec<(f64, f64, Kind)>;
 const FREE: Motion = |_| swing(Nothing, Channel::X, 0.08, 4.0);
 const CARRIED: Motion = |_| swing(Arm, Channel::X, 0.06, 4.0);
 
+/// Faster than the arms may follow.
+const FAST: Motion = |_| swing(Arm, Channel::X, 0.15, 1.0);
+
 const fn alone(guard: Safeguard, motion: Motion, faults: Faults) -> Proof {
     Proof { guard, others: &[], has_person: false, motion, faults }
 }
@@ -69,20 +72,21 @@ pub const PROOFS: &[Proof] = &[
     among(JointsForward, &[ClockStepped, ControllerRests], FREE, |_| {
         vec![(0.0, 4.0, Kind::ClockJump(-0.9)), (0.0, 4.0, Kind::EstimatesLost(1.0))]
     }),
-    alone(LimiterSpeed, |_| swing(Arm, Channel::X, 0.15, 1.0), |_| vec![]),
+    among(LimiterSpeed, &[GatewayLimits], FAST, |_| vec![]),
+    among(GatewayLimits, &[LimiterSpeed], FAST, |_| vec![]),
     among(
         LimiterRange,
-        &[CouplingRoom],
+        &[CouplingRoom, GatewayLimits],
         |dice| swing(Arm, dice.pick(&[Channel::X, Channel::Y, Channel::Z]), 0.5, 6.0),
         |_| vec![],
     ),
-    alone(LimiterAcceleration, |_| there_and_back(Arm, Channel::X, 0.10, 0.3), |_| vec![]),
+    among(LimiterAcceleration, &[GatewayLimits], |_| there_and_back(Arm, Channel::X, 0.10, 0.3), |_| vec![]),
     alone(GuardSpeed, CARRIED, RUNAWAY),
     alone(GuardTracking, CARRIED, |_| {
         vec![(0.1, 3.5, Kind::of_arm(0, "arm: runaway joint", "runaway 3 0.15rad/s", Some("runaway 3 off")))]
     }),
     among(GuardJump, &[GuardTracking, GuardSpeed], CARRIED, JUMP),
-    among(GuardRange, &[GuardJump, GuardTracking, GuardSpeed], CARRIED, FAR_JUMP),
+    among(GuardRange, &[GuardJump, GuardTracking, GuardSpeed, GatewayLimits], CARRIED, FAR_JUMP),
     // The hand has no pose and holds, and the other arm brings the target.
     alone(CouplingRoom, |_| there_and_back(Arm, Channel::Z, -0.6, 3.0), |_| vec![(-1.8, 5.0, Kind::NoPose)]),
     among(LimiterStale, &[DriverLink, JointsStale, JointsAge], CARRIED, LINES_SILENT),

@@ -31,7 +31,7 @@ use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_setup::layers::toml_of;
 use pb3dp_setup::setup::{ArmLink, GatewayWay, Setup, read_layers};
-use pb3dp_wiring::commissioning::{emulate_at_address, see, set_line, slow_setup};
+use pb3dp_wiring::commissioning::{check_other_is_off, emulate_at_address, see, set_line, slow_setup};
 use sha2::{Digest, Sha256};
 
 use self::emulated::Emulated;
@@ -46,6 +46,7 @@ use super::flights::{folder_of, utc};
 use super::motion::{JOG_RAD_PER_S, show_room};
 use super::probe_report::GatewayFacts;
 use super::{Company, Place, parse_jog};
+use crate::commissioned::{CommissioningRecord, Fingerprint, VALID_DAYS};
 
 /// Version of the report format.
 const REPORT_FORMAT: u32 = 1;
@@ -133,9 +134,33 @@ pub fn run(args: &TestArgs, commit: &'static str) -> Result<ExitCode> {
         steps,
     };
     let path = report.write(&session.out)?;
+    record(&setup, &session, &report)?;
     print_line(&format!("{}: {}\nreport: {}", session.choice.name(), result.word(), path.display()))?;
     let is_well = matches!(result, Verdict::Passed | Verdict::Incomplete);
     Ok(if is_well { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Updates the commissioning record of an arm that is not emulated.
+fn record(setup: &Setup, session: &Session<'_>, report: &TestReport) -> Result<()> {
+    let arm = session.choice.of(setup);
+    if arm.link.is_toy() {
+        return Ok(());
+    }
+    let Some(path) = &arm.commissioning_record else {
+        return Ok(print_line(&format!(
+            "no commissioning record was written: {}.commissioning_record is not set",
+            arm.key
+        ))?);
+    };
+    let new = CommissioningRecord::new(session.choice, session.fingerprint.clone());
+    let before = match path.exists() {
+        true => CommissioningRecord::load(path)?,
+        false => new.clone(),
+    };
+    let done = report.steps.iter().filter(|step| step.result != Outcome::Skipped);
+    let results = done.map(|step| (step.step.name(), step.result == Outcome::Passed));
+    before.with_results(new, results, &report.ended).save(path)?;
+    Ok(print_line(&format!("commissioning record: {}, valid for {VALID_DAYS} days", path.display()))?)
 }
 
 /// The requested steps, in order.
@@ -175,11 +200,15 @@ fn begin<'a>(
         );
     }
     let (operator, line) = operator((args, asked), &mut setup, &clock)?;
+    if args.company.alone {
+        check_other_is_off(&setup, choice, &clock)?;
+    }
     let (snapshot, target) = look(&setup, choice, &clock)?;
     let out = args.out.clone().unwrap_or_else(|| folder_of("test", choice, began));
     if out.join("report.json").exists() {
         bail!("{}: there is a report already; use another --out", out.display());
     }
+    let fingerprint = Fingerprint::of(choice.of(&setup), &snapshot)?;
     let session = Session {
         place: &args.place,
         setup,
@@ -191,6 +220,7 @@ fn begin<'a>(
         by_rad: args.by.to_radians(),
         home_rad: snapshot.joints.context("the arm reported no joints")?.position_rad,
         gateway: snapshot.gateway.context("the arm has no gateway")?,
+        fingerprint,
         line,
         out,
     };

@@ -70,10 +70,8 @@ pub(super) fn denied(system: &dyn System, who: &Identity, path: &str, node: &Nod
     }
     let group = groups(system).into_iter().find(|(_, gid)| *gid == node.gid).map(|(name, _)| name);
     let name = group.clone().unwrap_or_else(|| node.gid.to_string());
-    let found = format!(
-        "{path}: this user may not read and write it (mode {:03o}, user {}, group {name})",
-        node.mode, node.uid
-    );
+    let found =
+        format!("{path}: this user cannot read and write it (mode {:03o}, user {}, group {name})", node.mode, node.uid);
     let advice = match group {
         Some(name) if name != "root" && node.mode & 0o060 == 0o060 => {
             format!("usermod -aG {name} USER, and log in again")
@@ -87,7 +85,7 @@ pub(super) fn denied(system: &dyn System, who: &Identity, path: &str, node: &Nod
 pub(super) fn check(system: &dyn System, wanted: &[&str]) -> Vec<Finding> {
     const CHECK: &str = "groups";
     let Some(who) = Identity::of(system) else {
-        return vec![Finding::fail(CHECK, "/proc/self/status is not to be read", "mount /proc")];
+        return vec![Finding::fail(CHECK, "/proc/self/status cannot be read", "mount /proc")];
     };
     let known = groups(system);
     let mut findings = Vec::new();
@@ -98,11 +96,13 @@ pub(super) fn check(system: &dyn System, wanted: &[&str]) -> Vec<Finding> {
                 format!("there is no group {name}"),
                 "install configs/deploy/pb3dp-sysusers.conf as /etc/sysusers.d/pb3dp.conf, then: systemd-sysusers",
             ),
-            Some((_, gid)) if who.gids.contains(gid) => Finding::pass(CHECK, format!("this user is in {name}")),
-            Some(_) if who.is_root() => Finding::pass(CHECK, format!("{name} is there, and root needs it not")),
+            Some((_, gid)) if who.gids.contains(gid) => Finding::pass(CHECK, format!("this user is in group {name}")),
+            Some(_) if who.is_root() => {
+                Finding::pass(CHECK, format!("group {name} exists (not needed when running as root)"))
+            }
             Some(_) => Finding::warning(
                 CHECK,
-                format!("this user is not in {name}"),
+                format!("this user is not in group {name}"),
                 format!("usermod -aG {name} USER, and log in again"),
             ),
         });

@@ -56,7 +56,7 @@ struct UsbPlace {
 pub(super) fn check(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     const CHECK: &str = "cameras";
     if needs.cameras == Cameras::NotNeeded {
-        return vec![Finding::pass(CHECK, format!("none is needed by {}", needs.source))];
+        return vec![Finding::pass(CHECK, format!("{} needs no camera", needs.source))];
     }
     let Some(who) = Identity::of(system) else { return Vec::new() };
     let cameras = found(system);
@@ -66,8 +66,8 @@ pub(super) fn check(system: &dyn System, needs: &Needs) -> Vec<Finding> {
         return findings;
     }
     if cameras.is_empty() {
-        let advice = "for simulation none is needed; else look at cable and hub, and whether `lsusb` and `dmesg` show the camera";
-        return vec![Finding::warning(CHECK, "there is none (/sys/class/video4linux)", advice)];
+        let advice = "simulation needs no camera; otherwise check cable and hub, and the output of `lsusb` and `dmesg`";
+        return vec![Finding::warning(CHECK, "no camera is connected (/sys/class/video4linux)", advice)];
     }
     let mut findings: Vec<_> = cameras.iter().map(|camera| usable(system, &who, camera)).collect();
     findings.extend(topology(&cameras));
@@ -80,8 +80,8 @@ fn named(system: &dyn System, who: &Identity, cameras: &[ConnectedCamera], names
     let (mut findings, mut chosen) = (Vec::new(), Vec::new());
     for (side, name) in ["left", "right"].into_iter().zip(names) {
         if is_of_driver(name) {
-            let found = format!("whether the {side} camera, {name}, is there only its driver can tell");
-            findings.push(Finding::warning(CHECK, found, "see whether `pb3dp cameras list` shows it"));
+            let found = format!("the {side} camera, {name}, cannot be checked here; only its driver knows it");
+            findings.push(Finding::warning(CHECK, found, "check that `pb3dp cameras list` shows it"));
             continue;
         }
         match cameras.iter().find(|camera| camera.has(name)) {
@@ -100,9 +100,8 @@ fn named(system: &dyn System, who: &Identity, cameras: &[ConnectedCamera], names
                     .map(|camera| format!("{} at {}", camera.path, camera.bus().unwrap_or_default()))
                     .collect();
                 let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
-                let advice =
-                    format!("look at cable and hub, or put its place into camera.{side}.device; there are: {there}");
-                findings.push(Finding::fail(CHECK, format!("the {side} camera, {name}, is not there"), advice));
+                let advice = format!("check cable and hub, or correct camera.{side}.device; connected: {there}");
+                findings.push(Finding::fail(CHECK, format!("the {side} camera, {name}, is not connected"), advice));
             }
         }
     }
@@ -110,7 +109,7 @@ fn named(system: &dyn System, who: &Identity, cameras: &[ConnectedCamera], names
         && left.path == right.path
     {
         let found = format!("left and right are the same camera, {}", left.path);
-        findings.push(Finding::fail(CHECK, found, "give each side a name of its own"));
+        findings.push(Finding::fail(CHECK, found, "give each side its own camera"));
         chosen.pop();
     }
     findings.extend(topology(&chosen));
@@ -121,11 +120,11 @@ fn named(system: &dyn System, who: &Identity, cameras: &[ConnectedCamera], names
 fn calibration(needs: &Needs) -> Finding {
     const CHECK: &str = "calibration";
     match &needs.nominal_calibration {
-        None => Finding::pass(CHECK, "it does not say that no cameras were measured"),
+        None => Finding::pass(CHECK, "the calibration was measured"),
         Some(says) => {
-            let advice = "calibrate the cameras and name the file in camera.calibration; until then real arms do not move without \
+            let advice = "calibrate the cameras, and name the file in camera.calibration; until then real arms move only with \
                           --nominal-calibration";
-            Finding::warning(CHECK, format!("that of {} is that of no cameras ({says})", needs.source), advice)
+            Finding::warning(CHECK, format!("the calibration of {} was not measured ({says})", needs.source), advice)
         }
     }
 }
@@ -177,12 +176,12 @@ fn usable(system: &dyn System, who: &Identity, camera: &ConnectedCamera) -> Find
     const CHECK: &str = "cameras";
     let ConnectedCamera { path, name, .. } = camera;
     let Some(node) = system.node(path) else {
-        let advice = "udev makes it: is it running, and may this program see /dev (containers)?";
-        return Finding::warning(CHECK, format!("{path} ({name}) is listed, but has no node"), advice);
+        let advice = "check that udev runs, and that this program can access /dev (containers)";
+        return Finding::warning(CHECK, format!("{path} ({name}) is listed, but has no device file"), advice);
     };
     match denied(system, who, path, &node) {
         Some((found, advice)) => Finding::warning(CHECK, found, advice),
-        None => Finding::pass(CHECK, format!("{path} ({name}) is there, and this user may use it")),
+        None => Finding::pass(CHECK, format!("{path} ({name}) is connected, and this user can use it")),
     }
 }
 
@@ -199,7 +198,7 @@ fn topology(cameras: &[ConnectedCamera]) -> Vec<Finding> {
             findings.push(Finding::fail(
                 CHECK,
                 format!("{} runs at {speed} Mbit/s", camera.path),
-                "another cable, a shorter one, or another socket: images need 480 Mbit/s at least",
+                "use another or a shorter cable, or another socket: images need at least 480 Mbit/s",
             ));
         }
     }
@@ -213,8 +212,8 @@ fn topology(cameras: &[ConnectedCamera]) -> Vec<Finding> {
                 Finding::warning(
                     CHECK,
                     format!("{pair} share {} of the controller {}, with 480 Mbit/s for both", usb.bus, usb.controller),
-                    "two streams that are not compressed do not fit, and the second camera is then refused (no space left on device): a \
-                     socket of another controller, or MJPG, or less size or rate (docs/rig.md)",
+                    "two uncompressed streams do not fit, and the second camera fails with `no space left on device`; use a socket of another \
+                     controller, MJPG, a smaller image or a lower rate (docs/rig.md)",
                 )
             } else {
                 let speed = usb.speed.as_deref().unwrap_or_default();

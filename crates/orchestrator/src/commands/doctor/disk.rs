@@ -8,9 +8,9 @@ use super::system::System;
 const MINUTES_MIN: [f64; 2] = [1.0, 10.0];
 
 pub(super) fn check(system: &dyn System, needs: &Needs) -> Finding {
-    const CHECK: &str = "room for recordings";
+    const CHECK: &str = "space for recordings";
     let Some(folder) = &needs.recordings else {
-        return Finding::pass(CHECK, format!("none is needed by {}", needs.source));
+        return Finding::pass(CHECK, format!("{} makes no recording", needs.source));
     };
     let free = match system.free_bytes(folder) {
         Ok(free) => free as f64,
@@ -18,12 +18,12 @@ pub(super) fn check(system: &dyn System, needs: &Needs) -> Finding {
     };
     let minutes = free / needs.recording_bytes_per_s / 60.0;
     let found = format!(
-        "{}: {:.1} GB are free, {minutes:.0} minutes of pairs that do not compress ({:.0} MB/s)",
+        "{}: {:.1} GB free, enough for {minutes:.0} minutes of stereo pairs without compression ({:.0} MB/s)",
         folder.display(),
         free * 1e-9,
         needs.recording_bytes_per_s * 1e-6
     );
-    let advice = "make room, or record elsewhere: --recordings DIR, and the same folder for --record";
+    let advice = "free some space, or record elsewhere: --recordings DIR here, and the same folder for --record";
     if minutes < MINUTES_MIN[0] {
         Finding::fail(CHECK, found, advice)
     } else if minutes < MINUTES_MIN[1] {

@@ -23,7 +23,7 @@ pub(super) fn modules(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     }
     if !needs.arcnet.is_empty() {
         wanted.push(("arcnet", "ARCNET", true));
-        wanted.push(("arc_rawmode", "ARCNET frames as they are", true));
+        wanted.push(("arc_rawmode", "raw ARCNET frames", true));
     }
     wanted
         .into_iter()
@@ -32,8 +32,8 @@ pub(super) fn modules(system: &dyn System, needs: &Needs) -> Vec<Finding> {
             None => Finding::missing(
                 is_needed,
                 CHECK,
-                format!("{name} ({purpose}) is not there"),
-                format!("modprobe {name}; if there is none, install the full kernel of the distribution (not its cloud variant)"),
+                format!("{name} ({purpose}) is missing"),
+                format!("modprobe {name}; if the kernel has no such module, install the full kernel of the distribution (not its cloud variant)"),
             ),
         })
         .collect()
@@ -56,7 +56,7 @@ fn module(system: &dyn System, name: &str) -> Option<&'static str> {
     if lists("modules.builtin") {
         Some("is part of the kernel")
     } else if lists("modules.dep") {
-        Some("is loaded when it is needed")
+        Some("is loaded on demand")
     } else {
         None
     }
@@ -71,18 +71,18 @@ pub(super) fn arcnet(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     let there: Vec<String> = system.names(folder).into_iter().filter(is_arcnet).collect();
     let names = if needs.arcnet.is_empty() { there.clone() } else { needs.arcnet.clone() };
     if names.is_empty() {
-        return vec![Finding::pass(CHECK, "no interface is there, and none is named")];
+        return vec![Finding::pass(CHECK, "no interface exists, and the configuration names none")];
     }
     let mut findings: Vec<_> =
         names.iter().map(|name| interface(system, name, kind(name).as_deref(), &there)).collect();
     let may = Identity::of(system).is_some_and(|who| who.has_net_raw());
     findings.push(if may {
-        Finding::pass(CHECK, "packet sockets are permitted")
+        Finding::pass(CHECK, "this user can open packet sockets")
     } else {
         Finding::missing(
             !needs.arcnet.is_empty(),
             CHECK,
-            "packet sockets are not permitted to this user",
+            "this user cannot open packet sockets",
             "run as root, or as a service (configs/deploy/pb3dp-gateway@.service), or: setcap cap_net_raw,cap_sys_nice,cap_ipc_lock+ep PROGRAM",
         )
     });
@@ -100,10 +100,10 @@ fn interface(system: &dyn System, name: &str, kind: Option<&str>, there: &[Strin
             CHECK,
             format!("there is no network interface {name}"),
             if there.is_empty() {
-                "load the driver of the card: modprobe -a com20020_pci arc_rawmode, and at each start by configs/deploy/pb3dp-modules.conf"
+                "load the driver of the card: modprobe -a com20020_pci arc_rawmode (at each boot: configs/deploy/pb3dp-modules.conf)"
                     .to_owned()
             } else {
-                format!("correct the name; there are: {}", there.join(", "))
+                format!("correct the name; existing interfaces: {}", there.join(", "))
             },
         ),
         Some(ARPHRD_ARCNET) if flags().is_some_and(|flags| flags & IFF_UP == IFF_UP) => {
@@ -112,7 +112,7 @@ fn interface(system: &dyn System, name: &str, kind: Option<&str>, there: &[Strin
         Some(ARPHRD_ARCNET) => Finding::fail(
             CHECK,
             format!("{name} is down"),
-            format!("ip link set {name} up, and at each start by configs/deploy/70-pb3dp.rules"),
+            format!("ip link set {name} up (at each boot: configs/deploy/70-pb3dp.rules)"),
         ),
         Some(kind) => Finding::fail(
             CHECK,

@@ -11,6 +11,7 @@ mod serial;
 mod system;
 #[cfg(test)]
 mod tests;
+mod unit;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -67,7 +68,7 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
         Ok(needs) => Report::of(findings(&Machine::new(), &needs)),
         Err(error) => {
             let found = format!("{:#}", anyhow::Error::new(error));
-            Report::of(vec![Finding::fail("configuration", found, "correct the file; nothing else was looked at")])
+            Report::of(vec![Finding::fail("configuration", found, "correct the file; nothing else was checked")])
         }
     };
     let text = if args.json { serde_json::to_string(&report)? } else { report.text() };
@@ -84,5 +85,6 @@ fn findings(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     findings.extend(drivers::modules(system, needs));
     findings.extend(drivers::arcnet(system, needs));
     findings.push(disk::check(system, needs));
+    findings.extend(unit::check(system, needs));
     findings
 }

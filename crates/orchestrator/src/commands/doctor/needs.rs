@@ -15,6 +15,8 @@ use pb3dp_setup::setup::{ArmLink, GatewayWay, Pace, Setup, read_layers};
 pub(super) struct Needs {
     /// Purpose, as the end of a sentence.
     pub(super) source: String,
+    /// Whether this is the computer of a gateway.
+    pub(super) is_gateway: bool,
     /// Highest requested SCHED_FIFO priority.
     pub(super) priority: u8,
     /// Whether real-time scheduling is required.
@@ -51,7 +53,8 @@ impl Needs {
     /// Needs of an unknown rig.
     pub(super) fn general(recordings: PathBuf) -> Self {
         Self {
-            source: "a rig (nothing is needed for sure without --config)".to_owned(),
+            source: "a rig in general (--config checks a setup)".to_owned(),
+            is_gateway: false,
             priority: REALTIME.priority.unwrap_or(1),
             needs_realtime: false,
             serial: None,
@@ -89,7 +92,7 @@ impl Needs {
 
     fn of_setup(config: &SetupArgs, setup: &Setup, recordings: PathBuf) -> Self {
         let (mut serial, mut arcnet) = (Vec::new(), Vec::new());
-        for link in [&setup.rig.vs.link, &setup.rig.tc.link] {
+        for link in [&setup.rig.arms.vs.link, &setup.rig.arms.tc.link] {
             match link {
                 ArmLink::Gateway(_, GatewayWay::Serial { path, .. }) => serial.push(path.clone()),
                 ArmLink::Bus(config) => arcnet.extend(interface(&config.target)),
@@ -100,10 +103,11 @@ impl Needs {
         let pixels = f64::from(size.width) * f64::from(size.height);
         Self {
             source: format!("{config} (pb3dp run)"),
-            needs_realtime: setup.pace == Pace::Live && !(setup.rig.vs.link.is_toy() && setup.rig.tc.link.is_toy()),
+            needs_realtime: setup.pace == Pace::Live
+                && !(setup.rig.arms.vs.link.is_toy() && setup.rig.arms.tc.link.is_toy()),
             serial: Some(serial),
             arcnet,
-            cameras: setup.real_cameras().map_or(Cameras::NotNeeded, |cameras| {
+            cameras: setup.rig.real_cameras.as_ref().map_or(Cameras::NotNeeded, |cameras| {
                 let cameras = [&cameras.stereo.left, &cameras.stereo.right];
                 Cameras::These(cameras.map(|side| side.name.clone()))
             }),
@@ -122,6 +126,7 @@ impl Needs {
         let general = Self::general(recordings);
         Ok(Self {
             source: format!("{} (pb3dp gateway)", file.display()),
+            is_gateway: true,
             priority: gateway.realtime.priority.unwrap_or(general.priority),
             needs_realtime: true,
             serial: Some(serial),

@@ -7,7 +7,7 @@ use super::system::System;
 /// Clocks that a processor reads without a device access.
 const QUICK_CLOCKS: [&str; 4] = ["tsc", "arch_sys_counter", "kvm-clock", "riscv_clocksource"];
 
-/// Least share of a second that the kernel must leave to SCHED_FIFO threads.
+/// Minimum share of a second for SCHED_FIFO threads.
 const SHARE_MIN: f64 = 0.9;
 
 /// How to get both permissions.
@@ -23,7 +23,7 @@ fn scheduling(system: &dyn System, needs: &Needs) -> Finding {
     const CHECK: &str = "real-time scheduling";
     let priority = needs.priority;
     match system.try_fifo(priority) {
-        Ok(()) => Finding::pass(CHECK, format!("SCHED_FIFO with priority {priority} is to be had")),
+        Ok(()) => Finding::pass(CHECK, format!("SCHED_FIFO with priority {priority} is available")),
         Err(said) => Finding::missing(needs.needs_realtime, CHECK, said, RIGHTS),
     }
 }
@@ -31,7 +31,7 @@ fn scheduling(system: &dyn System, needs: &Needs) -> Finding {
 fn memory(system: &dyn System, needs: &Needs) -> Finding {
     const CHECK: &str = "memory lock";
     match system.try_memory_lock() {
-        Ok(()) => Finding::pass(CHECK, "the program may keep its memory"),
+        Ok(()) => Finding::pass(CHECK, "the program may lock its memory"),
         Err(said) => Finding::missing(needs.needs_realtime, CHECK, said, RIGHTS),
     }
 }
@@ -40,19 +40,26 @@ fn throttling(system: &dyn System, needs: &Needs) -> Finding {
     const CHECK: &str = "real-time throttling";
     let number = |name: &str| system.text(&format!("/proc/sys/kernel/{name}"))?.parse::<f64>().ok();
     let (Some(runtime), Some(period)) = (number("sched_rt_runtime_us"), number("sched_rt_period_us")) else {
-        return Finding::pass(CHECK, "the kernel has no such limit");
+        return Finding::pass(CHECK, "the kernel does not throttle SCHED_FIFO threads");
     };
     let advice = "sysctl kernel.sched_rt_runtime_us=950000 (and in /etc/sysctl.d)";
     if runtime < 0.0 {
-        Finding::pass(CHECK, "off: threads of SCHED_FIFO may take all of a processor")
+        Finding::pass(CHECK, "off: SCHED_FIFO threads may use a processor completely")
     } else if runtime == 0.0 || period <= 0.0 {
-        Finding::missing(needs.needs_realtime, CHECK, "threads of SCHED_FIFO get no time at all", advice)
+        Finding::missing(needs.needs_realtime, CHECK, "SCHED_FIFO threads get no processor time", advice)
     } else if runtime / period < SHARE_MIN {
         let share = 100.0 * runtime / period;
-        Finding::warning(CHECK, format!("threads of SCHED_FIFO are stopped after {share:.0} % of a second"), advice)
+        Finding::warning(
+            CHECK,
+            format!(
+                "SCHED_FIFO threads are stopped after {share:.0} % of each second, required {:.0} %",
+                100.0 * SHARE_MIN
+            ),
+            advice,
+        )
     } else {
         let share = 100.0 * runtime / period;
-        Finding::pass(CHECK, format!("threads of SCHED_FIFO may take {share:.0} % of a second"))
+        Finding::pass(CHECK, format!("SCHED_FIFO threads may use {share:.0} % of each second"))
     }
 }
 
@@ -60,12 +67,12 @@ fn clock(system: &dyn System) -> Finding {
     const CHECK: &str = "clock source";
     let folder = "/sys/devices/system/clocksource/clocksource0";
     match system.text(&format!("{folder}/current_clocksource")) {
-        None => Finding::warning(CHECK, format!("{folder} is not to be read"), "look for it in the kernel's log"),
+        None => Finding::warning(CHECK, format!("{folder} cannot be read"), "search the kernel's log for clocksource"),
         Some(name) if QUICK_CLOCKS.contains(&name.as_str()) => Finding::pass(CHECK, name),
         Some(name) => {
             let available = system.text(&format!("{folder}/available_clocksource")).unwrap_or_default();
             let advice = format!(
-                "every look at the clock takes a microsecond; available: {available}. The kernel's log says why it left tsc (dmesg | grep -i \
+                "reading the clock takes a microsecond; available: {available}. The kernel's log gives the reason for leaving tsc (dmesg | grep -i \
                  tsc); a newer BIOS often helps"
             );
             Finding::warning(CHECK, name, advice)
@@ -85,12 +92,12 @@ fn governor(system: &dyn System) -> Finding {
     governors.sort();
     governors.dedup();
     if governors.is_empty() {
-        return Finding::pass(CHECK, "nothing to see that changes it");
+        return Finding::pass(CHECK, "the kernel reports no frequency governor");
     }
     let found = governors.join(", ");
     if governors == ["performance"] {
         return Finding::pass(CHECK, found);
     }
-    let advice = "a processor that slows down wakes late: cpupower frequency-set -g performance, and at each start of the machine";
+    let advice = "a slow processor wakes up late; run at each boot: cpupower frequency-set -g performance";
     Finding::warning(CHECK, format!("governor {found}"), advice)
 }

@@ -131,7 +131,7 @@ fn nearest(path: &Path) -> Result<PathBuf, String> {
 fn may_write(path: &Path) -> Result<(), String> {
     let there = nearest(path)?;
     access(&there, Access::WRITE_OK | Access::EXEC_OK)
-        .map_err(|error| format!("{}: this user may not write there: {error}", there.display()))
+        .map_err(|error| format!("{}: this user cannot write there: {error}", there.display()))
 }
 
 /// Bytes that this user may still write below a path, or below its nearest existing folder.
@@ -148,7 +148,7 @@ pub(in crate::commands) fn free_bytes(path: &Path) -> Result<u64, String> {
 fn tried(wanted: Realtime) -> Result<(), String> {
     let thread = std::thread::Builder::new().name("doctor".to_owned()).spawn(move || enter(&wanted));
     let thread = thread.map_err(|error| error.to_string())?;
-    let shortfalls = thread.join().map_err(|_| "the thread that asked for it has panicked".to_owned())?;
+    let shortfalls = thread.join().map_err(|_| "the test thread panicked".to_owned())?;
     shortfalls.first().map_or(Ok(()), |shortfall| Err(shortfall.to_string()))
 }
 
@@ -164,6 +164,6 @@ mod tests {
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();
         let why = may_write(&file.join("recordings")).unwrap_err();
-        assert!(why.starts_with(&format!("{}: this user may not write there", file.display())), "{why}");
+        assert!(why.starts_with(&format!("{}: this user cannot write there", file.display())), "{why}");
     }
 }

@@ -185,7 +185,7 @@ fn a_good_machine_passes() {
 
 #[test]
 fn what_real_time_lacks_is_found() {
-    let refused = || Err("not to be had (EPERM)".to_owned());
+    let refused = || Err("not available (EPERM)".to_owned());
     let (live, perhaps) = (rig(), general());
     let fake = Fake { fifo: refused(), ..Fake::good() };
     only(&fake, &live, "real-time scheduling", Verdict::Fail, "EPERM", "90-pb3dp.conf");
@@ -195,7 +195,7 @@ fn what_real_time_lacks_is_found() {
 
     let fake = Fake::good();
     fake.file("/proc/sys/kernel/sched_rt_runtime_us", "0\n");
-    only(&fake, &live, "real-time throttling", Verdict::Fail, "no time at all", "950000");
+    only(&fake, &live, "real-time throttling", Verdict::Fail, "no processor time", "950000");
     fake.file("/proc/sys/kernel/sched_rt_runtime_us", "500000\n");
     only(&fake, &live, "real-time throttling", Verdict::Warning, "50 %", "950000");
     fake.file("/proc/sys/kernel/sched_rt_runtime_us", "-1\n");
@@ -208,7 +208,7 @@ fn clocks_and_governors_are_judged() {
     fake.file(clock, "hpet\n");
     only(&fake, &rig(), "clock source", Verdict::Warning, "hpet", "available: tsc hpet acpi_pm");
     fake.remove(clock);
-    only(&fake, &rig(), "clock source", Verdict::Warning, "not to be read", "log");
+    only(&fake, &rig(), "clock source", Verdict::Warning, "cannot be read", "log");
 
     let fake = Fake::good();
     fake.file("/sys/devices/system/cpu/cpu1/cpufreq/scaling_governor", "powersave\n");
@@ -223,7 +223,7 @@ fn clocks_and_governors_are_judged() {
 fn groups_are_looked_for() {
     let fake = Fake::good();
     fake.user(1000, "20 44", "00000000000020c0");
-    only(&fake, &rig(), "groups", Verdict::Warning, "not in realtime", "usermod -aG realtime");
+    only(&fake, &rig(), "groups", Verdict::Warning, "not in group realtime", "usermod -aG realtime");
     fake.user(0, "0", "000001ffffffffff");
     assert_eq!(bad(&fake, &rig()), []);
     fake.file("/etc/group", "dialout:x:20:\nvideo:x:44:\n");
@@ -238,8 +238,8 @@ fn serial_ports_that_do_not_serve_are_found() {
     const PORT: &str = "/dev/serial/by-id/usb-FTDI_ttyUSB0";
     let check = "serial ports";
     let with = |port: &str| Needs { serial: Some(vec![port.to_owned()]), ..rig() };
-    only(&Fake::good(), &with("/dev/serial/by-id/usb-other"), check, Verdict::Fail, "usb-other is not there", PORT);
-    only(&Fake::good(), &with("/dev/ttyUSB0"), check, Verdict::Warning, "found first", "by-id");
+    only(&Fake::good(), &with("/dev/serial/by-id/usb-other"), check, Verdict::Fail, "usb-other does not exist", PORT);
+    only(&Fake::good(), &with("/dev/ttyUSB0"), check, Verdict::Warning, "connected first", "by-id");
 
     let mut fake = Fake::good();
     fake.nodes.insert(PORT.to_owned(), Node { gid: 1234, ..device(0) });
@@ -247,7 +247,7 @@ fn serial_ports_that_do_not_serve_are_found() {
     fake.nodes.insert(PORT.to_owned(), Node { mode: 0o600, ..device(DIALOUT) });
     only(&fake, &rig(), check, Verdict::Fail, "mode 600", "70-pb3dp.rules");
     fake.nodes.insert(PORT.to_owned(), Node { is_device: false, ..device(DIALOUT) });
-    only(&fake, &rig(), check, Verdict::Fail, "is no device", "correct the name");
+    only(&fake, &rig(), check, Verdict::Fail, "is not a device", "correct the name");
 
     let fake = Fake::good();
     fake.user(1000, "44 990", "00000000000020c0");
@@ -263,7 +263,7 @@ fn serial_ports_that_do_not_serve_are_found() {
     let mut fake = Fake::good();
     fake.remove("/dev/serial");
     fake.nodes.remove(PORT);
-    only(&fake, &rig(), check, Verdict::Fail, "is not there", "dmesg");
+    only(&fake, &rig(), check, Verdict::Fail, "does not exist", "dmesg");
     let toy = Needs { serial: Some(Vec::new()), ..rig() };
     assert_eq!(bad(&fake, &toy), []);
     fake.remove("/dev/ttyUSB0");
@@ -276,9 +276,9 @@ fn cameras_that_do_not_serve_are_found() {
     fake.nodes.insert("/dev/video0".to_owned(), Node { mode: 0o660, uid: 0, gid: 0, is_device: true });
     only(&fake, &general(), "cameras", Verdict::Warning, "/dev/video0", "70-pb3dp.rules");
     fake.nodes.remove("/dev/video0");
-    only(&fake, &general(), "cameras", Verdict::Warning, "has no node", "udev");
+    only(&fake, &general(), "cameras", Verdict::Warning, "has no device file", "udev");
     fake.remove("/sys/class/video4linux");
-    only(&fake, &general(), "cameras", Verdict::Warning, "there is none", "lsusb");
+    only(&fake, &general(), "cameras", Verdict::Warning, "no camera is connected", "lsusb");
     assert_eq!(bad(&fake, &Needs { cameras: Cameras::NotNeeded, ..rig() }), []);
 }
 
@@ -301,11 +301,11 @@ fn the_cameras_of_a_setup_are_looked_for_by_name() {
         &gone,
         "cameras",
         Verdict::Fail,
-        "the right camera, bus:usb-0000:00:14.0-3, is not there",
+        "the right camera, bus:usb-0000:00:14.0-3, is not connected",
         "usb-0000:00:14.0-1.4",
     );
     let same = with(left, "/dev/video0");
-    only(&fake, &same, "cameras", Verdict::Fail, "left and right are the same camera", "a name of its own");
+    only(&fake, &same, "cameras", Verdict::Fail, "left and right are the same camera", "its own camera");
     let other = with(left, "bus:platform:vivid-001");
     only(&fake, &other, "cameras", Verdict::Warning, "bus:platform:vivid-001", "pb3dp cameras list");
     let nominal = Needs { nominal_calibration: Some("none: a drawing".to_owned()), ..with(left, "/dev/video2") };
@@ -351,7 +351,7 @@ fn drivers_that_are_not_there_are_found() {
 fn an_arcnet_interface_that_does_not_serve_is_found() {
     let check = "ARCNET";
     let named = |name: &str| Needs { arcnet: vec![name.to_owned()], ..rig() };
-    only(&Fake::good(), &named("arc1"), check, Verdict::Fail, "no network interface arc1", "there are: arc0");
+    only(&Fake::good(), &named("arc1"), check, Verdict::Fail, "no network interface arc1", "existing interfaces: arc0");
     let fake = Fake::good();
     fake.card("eth0", "1", "0x1003");
     only(&fake, &named("eth0"), check, Verdict::Fail, "type 1", "link/arcnet");
@@ -362,16 +362,23 @@ fn an_arcnet_interface_that_does_not_serve_is_found() {
     assert_eq!(bad(&fake, &Needs { arcnet: Vec::new(), ..rig() }), []);
     let fake = Fake::good();
     fake.user(1000, "20 44 990", "0000000000000000");
-    only(&fake, &rig(), check, Verdict::Fail, "not permitted", "setcap cap_net_raw");
-    only(&fake, &general(), check, Verdict::Warning, "not permitted", "pb3dp-gateway@.service");
+    only(&fake, &rig(), check, Verdict::Fail, "cannot open packet sockets", "setcap cap_net_raw");
+    only(&fake, &general(), check, Verdict::Warning, "cannot open packet sockets", "pb3dp-gateway@.service");
 }
 
 #[test]
 fn room_for_recordings_is_counted_in_minutes() {
-    let check = "room for recordings";
+    let check = "space for recordings";
     let with = |free| Fake { free, ..Fake::good() };
-    only(&with(Ok(10_000_000_000)), &rig(), check, Verdict::Warning, "10.0 GB are free, 3 minutes", "--recordings");
-    only(&with(Ok(3_000_000_000)), &rig(), check, Verdict::Fail, "3.0 GB", "make room");
+    only(
+        &with(Ok(10_000_000_000)),
+        &rig(),
+        check,
+        Verdict::Warning,
+        "10.0 GB free, enough for 3 minutes",
+        "--recordings",
+    );
+    only(&with(Ok(3_000_000_000)), &rig(), check, Verdict::Fail, "3.0 GB", "free some space");
     only(&with(Err("EIO".to_owned())), &rig(), check, Verdict::Fail, "EIO", "another folder");
 }
 
@@ -414,4 +421,23 @@ fn needs_come_from_the_configuration() {
     assert!(missing.unwrap_err().to_string().contains("no such file.toml"));
     let other = Needs::of_config(&SetupArgs::of_file(&root.join("estimator.toml")), PathBuf::from("out"));
     assert!(other.unwrap_err().to_string().contains("estimator"));
+}
+
+#[test]
+fn a_gateway_unit_with_a_wider_sandbox_is_found() {
+    let check = "gateway service";
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/deploy/pb3dp-gateway@.service");
+    let shipped = fs::read_to_string(shipped).unwrap();
+    let needs = Needs { is_gateway: true, ..rig() };
+    let fake = Fake::good();
+    assert_eq!(bad(&fake, &needs), [], "no unit is installed");
+    let unit = "/etc/systemd/system/pb3dp-gateway@.service";
+    fake.file(unit, &shipped);
+    assert_eq!(bad(&fake, &needs), []);
+    fake.file(unit, &shipped.replace("MemoryDenyWriteExecute=yes\n", ""));
+    only(&fake, &needs, check, Verdict::Warning, "MemoryDenyWriteExecute=, not yes", "daemon-reload");
+    assert_eq!(bad(&fake, &rig()), [], "the computer of a run has no such unit");
+    fake.file(unit, &shipped);
+    fake.file("/etc/systemd/system/pb3dp-gateway@.service.d/more.conf", "[Service]\nUser=root\n");
+    only(&fake, &needs, check, Verdict::Warning, "User=root, not pb3dp", "pb3dp-gateway@.service.d");
 }

@@ -1,0 +1,95 @@
+//! Who may command arms that are not emulated, and what becomes of them when nobody is there.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+use pb3dp_hal_platform::pty::Pty;
+use pb3dp_hal_platform::transport::ByteLink as _;
+use pb3dp_test_support::programs_in_real_time_beside_others;
+
+use crate::real_time::arm::{Cell, FIRST_RUN, START_DEG};
+
+/// Lines of a program, as they arrive.
+fn lines(input: impl std::io::Read + Send + 'static) -> Receiver<String> {
+    let (sender, lines) = channel();
+    std::thread::spawn(move || {
+        for line in BufReader::new(input).lines().map_while(Result::ok) {
+            if sender.send(line).is_err() {
+                return;
+            }
+        }
+    });
+    lines
+}
+
+/// A run whose standard input is a terminal.
+struct Led {
+    program: Child,
+    terminal: Pty,
+    answers: Receiver<String>,
+    log: Receiver<String>,
+    seen: Vec<String>,
+}
+
+impl Led {
+    fn start(cell: &Cell, settings: &[&str]) -> Self {
+        let terminal = Pty::open().unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));
+        command.arg("run").arg("--config").arg(cell.config()).arg("--out").arg(cell.folder.path().join("out"));
+        command.args(["--operator", "console"]).args(FIRST_RUN).args(settings);
+        command.stdin(File::open(terminal.path()).unwrap()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut program = command.spawn().unwrap();
+        let (answers, log) = (lines(program.stdout.take().unwrap()), lines(program.stderr.take().unwrap()));
+        Self { program, terminal, answers, log, seen: Vec::new() }
+    }
+
+    fn say(&mut self, line: &str) {
+        assert_eq!(self.terminal.try_write(format!("{line}\n").as_bytes()), Ok(line.len() + 1));
+    }
+
+    /// Waits until a line contains this text, and repeats a command every second meanwhile.
+    fn wait_for(&mut self, text: &str, again: Option<&str>) {
+        let begin = Instant::now();
+        while !self.seen.iter().any(|line| line.contains(text)) {
+            assert!(begin.elapsed() < Duration::from_secs(90), "{text:?} was not written: {:#?}", self.seen);
+            if let Some(again) = again {
+                self.say(again);
+            }
+            std::thread::sleep(Duration::from_secs(1));
+            self.seen.extend(self.answers.try_iter().chain(self.log.try_iter()));
+        }
+    }
+}
+
+impl Drop for Led {
+    fn drop(&mut self) {
+        self.program.kill().ok();
+        self.program.wait().ok();
+    }
+}
+
+/// The terminal is open, and nobody types: a frozen connection, or an operator who has left.
+#[test]
+fn a_terminal_at_which_nobody_types_holds_both_arms() {
+    programs_in_real_time_beside_others(|| {
+        let cell = Cell::start(&["--pose-deg", START_DEG]);
+        let settings =
+            ["--set", "supervisor.operator_key_within_s=5", "--set", "supervisor.policies.operator_silent.action=hold"];
+        let mut run = Led::start(&cell, &settings);
+        run.wait_for("select: selecting", Some("select"));
+        run.wait_for("start: approaching", Some("start"));
+        run.wait_for("are you there? press Enter now", None);
+        run.wait_for("holding: the newest sign of life from the operator is 5.0", None);
+        // Enter alone moves nothing.
+        run.say("");
+        run.seen.clear();
+        run.wait_for("; use resume", Some("status"));
+        run.say("quit");
+        run.wait_for("report", None);
+        drop(run);
+        cell.arm.quit();
+    });
+}

@@ -1,0 +1,65 @@
+//! Which arms hold, and until when: the command `hold` holds both arms, `hold hand` the camera arm alone.
+
+use super::bench::{Bench, at, config, with};
+use pb3dp_servo::supervisor::{Action, Condition, OperatorCommand, Permission, State};
+
+/// The hand holds; returns whether the arm with the target holds too, in all steps of a second.
+fn both_hold(bench: &mut Bench) -> bool {
+    let held = (0..100).map(|_| bench.step()).map(|decision| {
+        assert_eq!(decision.permission, Permission::Hold, "{}", decision.why);
+        decision.no_arm_may_move
+    });
+    let held: Vec<bool> = held.collect();
+    assert!(held.iter().all(|holds| *holds == held[0]));
+    held[0]
+}
+
+#[test]
+fn hold_holds_both_arms_until_resume() {
+    let mut bench = Bench::following(config());
+    let decision = bench.say(OperatorCommand::Hold);
+    assert!(decision.no_arm_may_move && decision.state == State::Holding, "{}", decision.why);
+    assert!(both_hold(&mut bench));
+    assert_eq!(bench.why(), "holding: both arms held by the operator; use resume");
+    let decision = bench.say(OperatorCommand::Resume);
+    assert!(!decision.no_arm_may_move && decision.state == State::Approaching, "{}", decision.why);
+}
+
+#[test]
+fn hold_hand_holds_the_camera_arm_alone() {
+    let mut bench = Bench::following(config());
+    assert_eq!(bench.say(OperatorCommand::HoldHand).state, State::Holding);
+    assert!(!both_hold(&mut bench));
+    assert_eq!(bench.why(), "holding: camera arm held by the operator; use resume");
+    // `hold` after it holds both arms, and `hold hand` after that releases neither.
+    assert!(bench.say(OperatorCommand::Hold).no_arm_may_move);
+    assert!(bench.say(OperatorCommand::HoldHand).no_arm_may_move);
+    assert!(both_hold(&mut bench));
+    assert!(!bench.say(OperatorCommand::Resume).no_arm_may_move);
+}
+
+#[test]
+fn a_selection_after_a_hold_does_not_release_the_arm_with_the_target() {
+    let mut bench = Bench::following(config());
+    bench.say(OperatorCommand::Hold);
+    assert_eq!(bench.say(OperatorCommand::Select).state, State::Selecting);
+    assert!(both_hold(&mut bench));
+    assert!(!bench.say(OperatorCommand::Start).no_arm_may_move);
+}
+
+#[test]
+fn after_a_silence_or_a_clock_step_the_arm_with_the_target_waits_for_the_operator_too() {
+    let mut bench = Bench::following(with(Condition::OperatorSilent, |policy| policy.action = Action::Hold));
+    let heard_s = bench.now_s;
+    bench.lie(move |inputs| inputs.operator.heard_at = Some(at(heard_s)));
+    bench.run(1.1);
+    assert!(bench.decision().no_arm_may_move && bench.state() == State::Holding, "{}", bench.why());
+    bench.truth();
+    assert!(both_hold(&mut bench), "a sign of life alone moves no arm");
+    assert!(!bench.say(OperatorCommand::Resume).no_arm_may_move);
+    let mut bench = Bench::following(config());
+    bench.now_s += 0.5;
+    bench.step();
+    assert!(both_hold(&mut bench), "the clock stepped");
+    assert!(!bench.say(OperatorCommand::Resume).no_arm_may_move);
+}
