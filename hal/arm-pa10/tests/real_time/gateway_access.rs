@@ -74,9 +74,9 @@ fn a_stranger_drives_no_arm() {
 fn a_web_page_drives_no_arm() {
     in_real_time_beside_others(|| {
         let (server, emulation, address) = started();
-        let mut stream = TcpStream::connect(address).unwrap();
-        stream.write_all(b"POST / HTTP/1.1\r\nHost: 127.0.0.1:4534\r\nContent-Length: 100000\r\n\r\n").unwrap();
-        let link = TcpLink::from_stream(stream).unwrap();
+        let mut link = TcpLink::connect(&TcpConfig { address }).unwrap();
+        let request = b"POST / HTTP/1.1\r\nHost: 127.0.0.1:4534\r\nContent-Length: 100000\r\n\r\n";
+        assert_eq!(link.try_write(request).unwrap(), request.len());
         assert_refused(Host::new(Box::new(link), Dialect::GatewayV1), &emulation);
         assert_eq!(server.end().unwrap().bytes.frames, 0, "the cycle thread heard of it");
     });

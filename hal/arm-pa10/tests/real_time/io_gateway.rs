@@ -46,10 +46,6 @@ fn start(bus: BusOpener, host: HostSide) -> GatewayServer {
     GatewayServer::start(config, bus, host).unwrap()
 }
 
-fn tcp() -> (HostSide, SocketAddr) {
-    tcp_side()
-}
-
 fn serial(path: &Path) -> HostSide {
     HostSide::Line(Box::new(SerialConfig {
         path: path.to_str().unwrap().to_owned(),
@@ -201,7 +197,7 @@ fn a_host_whose_connection_ends_in_motion_is_silent_and_the_next_one_has_to_rese
 }
 
 fn connection_ends_in_motion() {
-    let (side, address) = tcp();
+    let (side, address) = tcp_side();
     let (server, emulation) = server(side);
     let witness = Witness(&server);
     let mut host = connect(address, Dialect::GatewayV1);
@@ -242,7 +238,7 @@ fn connection_ends_in_motion() {
 
 #[test]
 fn a_connection_that_has_been_silent_for_a_second_gives_way() {
-    let (side, address) = tcp();
+    let (side, address) = tcp_side();
     let (server, _emulation) = server(side);
     // Half-open: the host sends nothing after HELLO, and its end is never reported.
     let mut silent = connect(address, Dialect::GatewayV1);
@@ -267,7 +263,7 @@ fn bus_goes_down() {
     let path = folder.join("bus");
     let listener = FrameListener::bind(&path).unwrap();
     let its_path = path.clone();
-    let (side, address) = tcp();
+    let (side, address) = tcp_side();
     let opener: BusOpener = Box::new(move || Ok(Box::new(FrameSocket::connect(&its_path)?) as Box<dyn BusPort>));
     let server = start(opener, side);
     let accept = || {
@@ -350,7 +346,7 @@ fn panics_in_motion() {
         let opener: BusOpener =
             Box::new(move || Ok(Box::new(port.take().ok_or("it was opened before")?) as Box<dyn BusPort>));
         let emulation = Emulation::start(Box::new(controller), Some(ms(400)));
-        let (side, address) = tcp();
+        let (side, address) = tcp_side();
         let server = start(opener, side);
         let witness = Witness(&server);
         let mut host = connect(address, Dialect::GatewayV1);
@@ -367,7 +363,7 @@ fn panics_in_motion() {
 
 #[test]
 fn what_can_not_be_started_is_refused_by_name() {
-    let (side, address) = tcp();
+    let (side, address) = tcp_side();
     let error = HostSide::listen(address, ARM, Access::from_this_computer(test_key())).err().unwrap();
     assert!(matches!(error, GatewayServerError::Listen { .. }), "{error}");
     let nobody: BusOpener = Box::new(|| Err("nobody there".into()));
