@@ -171,7 +171,7 @@ impl Cycle {
                     let at = now();
                     let frames = self.core.status().bytes.frames;
                     self.core.handle_host_bytes(at, &buffer[..length]);
-                    // Only sound frames are a sign of life: whoever sends other bytes must not keep others out.
+                    // Only sound frames are a sign of life: a peer that sends other bytes must not keep others out.
                     let sound = self.core.status().bytes.frames - frames;
                     if sound > 0 {
                         self.shared.heard.store(at.as_nanos(), Ordering::SeqCst);

@@ -273,7 +273,7 @@ impl Opener {
         if self.is_broken { Err(NotAuthentic) } else { Ok(()) }
     }
 
-    /// Length of the record in the buffer, as far as its start shows it.
+    /// Length of the record in the buffer, or of the part that shows it.
     fn length(&mut self) -> Result<usize, NotAuthentic> {
         let is_record = self.buffer.iter().zip(SYNC).all(|(got, sync)| *got == sync);
         match self.buffer.get(SYNC.len()) {

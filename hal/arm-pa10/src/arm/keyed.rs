@@ -67,11 +67,15 @@ impl<L: ByteLink> ByteLink for KeyedLink<L> {
 
     fn try_read(&mut self, buffer: &mut [u8]) -> Result<usize, Unplugged> {
         self.flush()?;
-        // As much as fits into `buffer` together with a record that is completed: nothing is left over that no poll reports.
-        let room = buffer.len().saturating_sub(self.opener.pending()).clamp(1, PIECE);
         let mut piece = [0; PIECE];
-        if self.unread.is_empty() {
+        // At most until a record is complete: a caller that waits for the next byte of the line must not wait for one that was read.
+        while self.unread.is_empty() {
+            // As much as fits into `buffer` together with a record that is completed: nothing is left over that no poll reports.
+            let room = buffer.len().saturating_sub(self.opener.pending()).clamp(1, PIECE);
             let count = self.link.try_read(&mut piece[..room])?;
+            if count == 0 {
+                break;
+            }
             let unread = &mut self.unread;
             let opened = self.opener.feed(&piece[..count], |frame| unread.extend_from_slice(frame));
             // Frames before the forged record are authentic, but the link is at its end.
