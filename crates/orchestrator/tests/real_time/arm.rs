@@ -490,7 +490,8 @@ fn a_run_that_an_alarm_ends_says_when_and_where() {
         }
         // Until both arms are led.
         std::thread::sleep(Duration::from_secs(5));
-        writeln!(typed).unwrap();
+        // It may have ended: then its log says why, below.
+        writeln!(typed).ok();
         cell.arm.say("alarm 4 0x0e");
         let output = run.wait_with_output().unwrap();
         assert!(!output.status.success());
