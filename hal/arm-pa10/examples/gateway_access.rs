@@ -117,7 +117,7 @@ fn attack(address: SocketAddr, end: &AtomicBool) -> u32 {
         let Ok(mut stream) = TcpStream::connect_timeout(&address, ms(100)) else { continue };
         stream.set_nonblocking(true).unwrap();
         let bytes: [&[u8]; 3] = [b"GET / HTTP/1.1\r\n\r\n", &[], &[0xA5, 0x5A, 1]];
-        stream.write(bytes[count as usize % 3]).ok();
+        stream.write_all(bytes[count as usize % 3]).ok();
         count += 1;
         open.push(stream);
         if open.len() > 200 {

@@ -111,7 +111,7 @@ struct Opening {
 enum Stage {
     Knock(TcpLink),
     Proof(TcpLink, Box<Agreement>),
-    Hello(KeyedLink<TcpLink>),
+    Hello(Box<KeyedLink<TcpLink>>),
     Gone,
 }
 
@@ -176,7 +176,7 @@ impl Admission {
                     }
                     link.put_back(&hello.encode());
                     self.counters.admitted += 1;
-                    return Some(Admitted { link: Box::new(link), peer });
+                    return Some(Admitted { link, peer });
                 }
             }
         }
@@ -263,7 +263,7 @@ impl Opening {
     fn link(&mut self) -> Option<&mut dyn ByteLink> {
         match &mut self.stage {
             Stage::Knock(link) | Stage::Proof(link, _) => Some(link),
-            Stage::Hello(link) => Some(link),
+            Stage::Hello(link) => Some(link.as_mut()),
             Stage::Gone => None,
         }
     }
@@ -287,7 +287,7 @@ impl Opening {
                 },
                 Stage::Proof(link, agreement) => match Handshake::decode(&frame) {
                     Ok(Handshake::Proof(proof)) if agreement.is_proof(Side::Host, &proof) => {
-                        Stage::Hello(KeyedLink::new(link, &agreement, Side::Gateway))
+                        Stage::Hello(Box::new(KeyedLink::new(link, &agreement, Side::Gateway)))
                     }
                     _ => {
                         self.stage = Stage::Proof(link, agreement);
