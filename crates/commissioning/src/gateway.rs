@@ -7,30 +7,52 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result};
-use clap::Args;
+use anyhow::{Context, Result, bail};
+use clap::{Args, Subcommand};
+use pb3dp_arm_pa10::arm::read_shared_key;
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_gateway::gateway::GatewayStatus;
-use pb3dp_arm_pa10_gateway::service::{BusOpener, Ending, GatewayServer, GatewayServerConfig, Happened, HostSide};
+use pb3dp_arm_pa10_gateway::service::{
+    Access, BusOpener, Ending, GatewayServer, GatewayServerConfig, Happened, HostSide,
+};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, GatewayState, StopCause};
 use pb3dp_arm_pa10_protocol::places::BusTarget;
+use pb3dp_cell::terminal::typed_lines;
+use pb3dp_hal_platform::key_file::write_new_key;
 use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
-use self::file::{GatewaySetup, HostPlace, read_gateway};
+use self::file::{AccessPlace, GatewaySetup, HostPlace, read_gateway};
 
 /// Arguments of `pb3dp gateway`.
 #[derive(Debug, Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct GatewayArgs {
+    /// Another task than to run the gateway.
+    #[command(subcommand)]
+    pub task: Option<GatewayTask>,
     /// Configuration of arm, bus and host: one complete TOML file, for instance configs/gateway.toml.
-    #[arg(long, value_name = "FILE")]
-    pub config: PathBuf,
+    #[arg(long, value_name = "FILE", required = true)]
+    pub config: Option<PathBuf>,
     /// Bus to use instead of the configured one: arcnet:INTERFACE or socket:PATH.
     #[arg(long, value_name = "BUS")]
     pub bus: Option<String>,
     /// Host line to use instead of the configured one: serial:DEVICE or tcp:ADDRESS:PORT.
     #[arg(long, value_name = "LINE")]
     pub host: Option<String>,
+    /// Start with the switch on local: no host moves the arm until `remote` is typed here.
+    #[arg(long)]
+    pub local: bool,
+}
+
+/// Tasks besides running the gateway.
+#[derive(Debug, Subcommand)]
+pub enum GatewayTask {
+    /// Make the key that a gateway on TCP shares with its hosts.
+    Key {
+        /// New file, readable by its owner only; an existing one is not changed.
+        file: PathBuf,
+    },
 }
 
 /// Interval at which the log is written.
@@ -47,7 +69,16 @@ const HOST_CYCLE_MAX: Duration = Duration::from_millis(10);
 /// # Errors
 /// A refused configuration, an unavailable bus or port, or a failed thread.
 pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
-    let setup = read_gateway(&args.config, args.bus.as_deref(), args.host.as_deref())?;
+    let config = match (&args.task, &args.config) {
+        (Some(GatewayTask::Key { file }), _) => {
+            write_new_key(file)?;
+            tracing::info!("new key in {}: copy it to the computers of the hosts, as their `key_file`", file.display());
+            return Ok(ExitCode::SUCCESS);
+        }
+        (None, Some(config)) => config,
+        (None, None) => bail!("--config is missing"),
+    };
+    let setup = read_gateway(config, args.bus.as_deref(), args.host.as_deref())?;
     // Before any thread starts: a signal would otherwise end the program without a stop order.
     let signals = StopSignals::take_over().context("cannot take over the signals that end the program")?;
     let host = host_side(&setup)?;
@@ -58,10 +89,13 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
     let ending = server.ending();
     let watcher =
         std::thread::Builder::new().name("gateway-signals".into()).spawn(move || watch_signals(signals, &ending))?;
+    // The stop order of the start still runs: no host can have moved the arm.
+    server.switch(args.local);
     tell_start(&setup, &server);
-    let mut log = Log::default();
+    let (mut log, typed) = (Log::default(), typed_lines()?);
     while server.is_running() {
         log.write(&server);
+        typed.try_iter().flatten().for_each(|line| obey(&server, line.trim()));
         std::thread::sleep(LOOK);
     }
     log.write(&server);
@@ -81,6 +115,21 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
     };
     tell_end(arm, &status, dropped);
     Ok(ExitCode::SUCCESS)
+}
+
+/// Executes a typed line.
+fn obey(server: &GatewayServer, line: &str) {
+    match line {
+        "local" | "remote" => {
+            server.switch(line == "local");
+            tracing::warn!("switch on {line}");
+        }
+        "" => {}
+        _ => tracing::warn!(
+            "{line:?} is no command: type `local` (no host moves the arm) or `remote`; the switch stands on {}",
+            if server.is_local() { "local" } else { "remote" }
+        ),
+    }
 }
 
 /// Waits for a signal or the end of the gateway, then ends the gateway. It writes no log, because that may block.
@@ -104,7 +153,7 @@ fn bus_opener(target: &BusTarget) -> BusOpener {
 
 fn host_side(setup: &GatewaySetup) -> Result<HostSide> {
     Ok(match &setup.host {
-        HostPlace::Tcp(config) => HostSide::listen(config.address)?,
+        HostPlace::Tcp(config) => HostSide::listen(config.address, setup.gateway.arm, access(&setup.access)?)?,
         HostPlace::Serial(path) => HostSide::Line(Box::new(SerialConfig {
             path: path.clone(),
             baud: setup.baud,
@@ -114,6 +163,13 @@ fn host_side(setup: &GatewaySetup) -> Result<HostSide> {
             cycle: HOST_CYCLE_MAX,
         })),
     })
+}
+
+fn access(place: &AccessPlace) -> Result<Access> {
+    let key = read_shared_key(&place.key_file).context(
+        "access.key_file: a gateway on TCP needs a key, because every program on the network could drive the arm without one",
+    )?;
+    Ok(Access { key, peers: place.peers.clone() })
 }
 
 fn tell_start(setup: &GatewaySetup, server: &GatewayServer) {

@@ -8,9 +8,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::{ArgGroup, Args};
+use pb3dp_arm_pa10::arm::read_shared_key;
 use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServerConfig, SocketAddr};
 use pb3dp_arm_pa10_emulation::mock_controller::{MockControllerConfig, Script, ScriptLine, pa10_joints};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
+use pb3dp_arm_pa10_gateway::service::Access;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Firmware};
 use pb3dp_cell::terminal::typed_lines;
 use pb3dp_hal_api::Clock;
@@ -42,9 +44,12 @@ const LOOK: Duration = Duration::from_millis(100);
 #[derive(Debug, Args)]
 #[command(after_long_help = LINES, group = ArgGroup::new("face").args(["tcp", "bus"]))]
 pub struct MockArmArgs {
-    /// TCP address for a host, instead of a new pseudo-terminal; port 0 selects a free one.
-    #[arg(long, value_name = "ADDRESS:PORT")]
+    /// TCP address for a host, instead of a new pseudo-terminal; port 0 selects a free one. Needs --key.
+    #[arg(long, value_name = "ADDRESS:PORT", requires = "key")]
     pub tcp: Option<SocketAddr>,
+    /// Key file that the host uses as well; `pb3dp gateway key FILE` makes one.
+    #[arg(long, value_name = "FILE", requires = "tcp")]
+    pub key: Option<std::path::PathBuf>,
     /// Emulate the controller alone, without a gateway: ARCNET frames on a socket at this path.
     #[arg(long, value_name = "PATH")]
     pub bus: Option<std::path::PathBuf>,
@@ -142,10 +147,13 @@ fn face(args: &MockArmArgs, controller: &MockControllerConfig) -> anyhow::Result
         controller_watchdog: controller.watchdog,
         ..GatewayConfig::new(ArmId(args.arm), controller.format, firmware, limits)
     };
-    Ok(match (&args.bus, args.tcp) {
-        (Some(path), _) => MockFace::BusSocket(path.clone()),
-        (None, Some(address)) => MockFace::Tcp(gateway, address),
-        (None, None) => MockFace::Pty(gateway),
+    Ok(match (&args.bus, args.tcp, &args.key) {
+        (Some(path), ..) => MockFace::BusSocket(path.clone()),
+        (None, Some(address), Some(key)) => {
+            let access = Access::from_this_computer(read_shared_key(key).context("--key")?);
+            MockFace::Tcp(gateway, address, access)
+        }
+        (None, ..) => MockFace::Pty(gateway),
     })
 }
 

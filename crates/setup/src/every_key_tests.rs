@@ -428,14 +428,16 @@ fn ways_to_an_arm_that_do_not_fit_are_refused() {
             |root| {
                 root["run"]["pace"] = "fast".into();
                 arm(root)["backend"] = "tcp".into();
-                arm(root)["gateway"].as_table_mut().unwrap().insert("address".into(), "127.0.0.1:4601".into());
+                let gateway = arm(root)["gateway"].as_table_mut().unwrap();
+                gateway.insert("address".into(), "127.0.0.1:4601".into());
+                gateway.insert("key_file".into(), "arm.key".into());
             },
             "(arms.vs.backend) needs pace = \"live\"",
         ),
         (|root| drop(arm(root).remove("gateway")), "arms.vs.gateway: missing"),
         (|root| arm(root)["backend"] = "mock".into(), "arms.vs.gateway: an arm with backend = \"mock\" has none"),
         (|root| arm(root)["backend"] = "serial".into(), "\"serial\" needs port and baud"),
-        (|root| arm(root)["backend"] = "tcp".into(), "\"tcp\" needs address"),
+        (|root| arm(root)["backend"] = "tcp".into(), "\"tcp\" needs address and key_file"),
         (|root| arm(root)["backend"] = "usb".into(), "arms.vs.backend"),
         (
             |root| arm(root)["gateway"]["geometry"] = "first-generation".into(),
@@ -478,7 +480,9 @@ fn addresses_that_lead_nowhere_or_to_both_arms_are_refused() {
         for (name, address) in [("vs", vs), ("tc", tc)] {
             let arm = sample.table["arms"][name].as_table_mut().unwrap();
             arm["backend"] = "tcp".into();
-            arm["gateway"].as_table_mut().unwrap().insert("address".into(), address.into());
+            let gateway = arm["gateway"].as_table_mut().unwrap();
+            gateway.insert("address".into(), address.into());
+            gateway.insert("key_file".into(), "arm.key".into());
         }
         sample.refusal("run.seed", Value::Integer(1))
     };

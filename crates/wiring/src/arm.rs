@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::arm::{
-    ArmMonitor, BusArmConfig, Pa10Arm, Pa10ArmConfig, REALTIME, TripHandle, TripSeat, VirtualTime, trip_line,
-    virtual_trip_line,
+    ArmMonitor, BusArmConfig, KeyedTcp, Pa10Arm, Pa10ArmConfig, REALTIME, TripHandle, TripSeat, VirtualTime,
+    read_shared_key, trip_line, virtual_trip_line,
 };
 use pb3dp_arm_pa10::driver::{Activity, DriverConfig, DriverState, LimitsCheck};
 use pb3dp_arm_pa10::serial::SerialConfig;
@@ -286,7 +286,10 @@ pub(super) fn line(wanted: Wanted<'_>) -> Result<Option<(Line<'_>, Option<ArmAnd
         ArmLink::Gateway(link, GatewayWay::Serial { path, baud }) => {
             (Line::Gateway(link, Box::new(SerialConfig::of_link(path.clone(), *baud, link))), None)
         }
-        ArmLink::Gateway(link, GatewayWay::Tcp(address)) => (Line::Gateway(link, Box::new(*address)), None),
+        ArmLink::Gateway(link, GatewayWay::Tcp { tcp, key_file }) => {
+            let key = read_shared_key(key_file).with_context(|| format!("{}.gateway.key_file", wanted.arm.key))?;
+            (Line::Gateway(link, Box::new(KeyedTcp { tcp: *tcp, key, arm: link.arm })), None)
+        }
         ArmLink::Bus(link) => (Line::Bus(link), None),
     }))
 }

@@ -1,12 +1,14 @@
 //! Arms for commissioning: one to probe, one to move slowly, alone or together with the other arm.
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_arm_pa10::arm::{ArmMonitor, Pa10Arm, WishError};
+use pb3dp_arm_pa10::arm::{ArmMonitor, Pa10Arm, WishError, read_shared_key};
 use pb3dp_arm_pa10::driver::{FaultCause, LimitsCheck, Trip};
 use pb3dp_arm_pa10::serial::SerialError;
 use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, SocketAddr};
+use pb3dp_arm_pa10_gateway::service::Access;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, StopCause};
 use pb3dp_cell::parts::{ArmChoice, DrivenArm};
 use pb3dp_hal_api::Clock;
@@ -176,11 +178,16 @@ pub fn wire_slow(setup: &Setup, choice: ArmChoice, beside_other: bool, clock: &A
 }
 
 /// An arm with the backend `emulated`, at a local address that stays the same while its cable is pulled and plugged in, and that another
-/// process can reach. Pass the address to [`set_line`].
+/// process can reach with the key in this file. Pass both to [`set_line`].
 ///
 /// # Errors
 /// If the backend is another one: fault injection is for emulated arms only.
-pub fn emulate_at_address(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Clock>) -> Result<MockServer> {
+pub fn emulate_at_address(
+    setup: &Setup,
+    choice: ArmChoice,
+    key_file: &Path,
+    clock: &Arc<dyn Clock>,
+) -> Result<MockServer> {
     let ArmLink::Gateway(link, GatewayWay::Emulated) = &choice.of(setup).link else {
         bail!(
             "{}.backend is not \"emulated\": the program cannot operate switches and cables of this arm",
@@ -188,45 +195,49 @@ pub fn emulate_at_address(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Cloc
         )
     };
     let address = "127.0.0.1:0".parse().context("a local address")?;
-    let face = |gateway| MockFace::Tcp(gateway, address);
+    let access = Access::from_this_computer(read_shared_key(key_file)?);
+    let face = |gateway| MockFace::Tcp(gateway, address, access);
     Ok(emulate(face, link, wanted(setup, choice, clock))?.0)
 }
 
-/// Makes a setup reach an arm by TCP at this address, overriding its file.
-pub fn set_line(setup: &mut Setup, choice: ArmChoice, address: SocketAddr) {
+/// Makes a setup reach an arm by TCP at this address with the key in this file, overriding its file.
+pub fn set_line(setup: &mut Setup, choice: ArmChoice, address: SocketAddr, key_file: PathBuf) {
     if let ArmLink::Gateway(_, way) = &mut choice.of_mut(setup).link {
-        *way = GatewayWay::Tcp(TcpConfig { address });
+        *way = GatewayWay::Tcp { tcp: TcpConfig { address }, key_file };
     }
 }
 
 #[cfg(test)]
 mod tests {
     use std::net::TcpListener;
-    use std::path::Path;
 
     use pb3dp_hal_clock::SystemClock;
+    use pb3dp_hal_platform::key_file::write_new_key;
     use pb3dp_setup::setup::read_setup;
 
     use super::*;
 
     /// Checks with the arm with the target at this address.
-    fn check_at(address: SocketAddr) -> Result<()> {
+    fn check_at(address: SocketAddr, key_file: &Path) -> Result<()> {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/hil.toml");
         let mut setup = read_setup(&file).unwrap();
-        set_line(&mut setup, ArmChoice::Tc, address);
+        set_line(&mut setup, ArmChoice::Tc, address, key_file.to_owned());
         let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
         check_other_is_off(&setup, ArmChoice::Vs, &clock)
     }
 
     #[test]
     fn an_arm_that_nobody_serves_is_off_and_one_that_another_host_holds_is_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let key = folder.path().join("arm.key");
+        write_new_key(&key).unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();
         // A gateway turns away the second host: it closes the connection.
         let turning_away = std::thread::spawn(move || drop(listener.accept()));
-        let refusal = format!("{:#}", check_at(address).unwrap_err());
+        let refusal = format!("{:#}", check_at(address, &key).unwrap_err());
         assert!(refusal.starts_with("--alone: it is unknown whether tc-robot is disabled"), "{refusal}");
         turning_away.join().unwrap();
-        check_at(address).unwrap();
+        check_at(address, &key).unwrap();
     }
 }

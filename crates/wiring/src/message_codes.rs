@@ -2,7 +2,9 @@
 
 use std::error::Error;
 
+use pb3dp_arm_pa10::arm::{AccessError, WishError};
 use pb3dp_arm_pa10::driver::{EmergencyStopCause, FaultCause, Refusal, WarmUpFailure};
+use pb3dp_arm_pa10::link::{HeldError, HelloError};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfigError;
 use pb3dp_cell::message_codes::{self, CodeTable, table};
 use pb3dp_message_codes::{Coded, MessageCode};
@@ -15,6 +17,8 @@ pub fn tables() -> Vec<CodeTable> {
         table::<WarmUpFailure>(),
         table::<Refusal>(),
         table::<GatewayConfigError>(),
+        table::<HeldError>(),
+        table::<AccessError>(),
     ];
     message_codes::TABLES.into_iter().chain(of_devices).collect()
 }
@@ -41,7 +45,12 @@ fn of_device(error: &(dyn Error + 'static)) -> Option<&'static MessageCode> {
     let warm_up = || error.downcast_ref::<WarmUpFailure>().map(Coded::message_code);
     let refusal = || error.downcast_ref::<Refusal>().map(Coded::message_code);
     let gateway = || error.downcast_ref::<GatewayConfigError>().map(Coded::message_code);
-    fault.or_else(stop).or_else(warm_up).or_else(refusal).or_else(gateway)
+    let access = || error.downcast_ref::<AccessError>().map(Coded::message_code);
+    let held = || match error.downcast_ref::<WishError>() {
+        Some(WishError::Gateway(HelloError::Held(held))) => Some(held.message_code()),
+        _ => None,
+    };
+    fault.or_else(stop).or_else(warm_up).or_else(refusal).or_else(gateway).or_else(access).or_else(held)
 }
 
 #[cfg(test)]

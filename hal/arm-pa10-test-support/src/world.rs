@@ -1,22 +1,26 @@
 //! In real time: an emulated controller on a thread, and a host (driver and link) on a byte link.
 
+use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use pb3dp_arm_pa10::arm::KeyedTcp;
 use pb3dp_arm_pa10::bus::{BusPort, FRAME_ROOM};
 use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, Request};
 use pb3dp_arm_pa10::link::{GatewayLink, LinkError};
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockController, MockControllerConfig, MockCounters};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
+use pb3dp_arm_pa10_gateway::service::{Access, HostSide};
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, AxisMotionLimits, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits,
+    ArmId, AxisMotionLimits, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, SharedKey,
 };
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_hal_platform::realtime::{self, Realtime};
+use pb3dp_hal_platform::tcp::TcpConfig;
 use pb3dp_hal_platform::transport::{ByteLink, wait};
 use pb3dp_kinematics::{JointLimits, JointVector};
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
@@ -184,8 +188,25 @@ impl Drop for Emulation {
     }
 }
 
+/// The key of gateways and hosts in tests.
+pub fn test_key() -> SharedKey {
+    SharedKey::new(b"a secret that only tests know, in 32 bytes or more").unwrap()
+}
+
+/// A gateway's TCP port for hosts of this computer with the key of the tests.
+pub fn tcp_side() -> (HostSide, SocketAddr) {
+    let side = HostSide::listen("127.0.0.1:0".parse().unwrap(), ARM, Access::from_this_computer(test_key())).unwrap();
+    let address = side.address().unwrap();
+    (side, address)
+}
+
+/// A connector to such a port.
+pub fn keyed(address: SocketAddr) -> KeyedTcp {
+    KeyedTcp { tcp: TcpConfig { address }, key: test_key(), arm: ARM }
+}
+
 /// Limits of a slow host, within those of the gateway's shipped file.
-fn asked_limits() -> MotionLimits {
+pub fn asked_limits() -> MotionLimits {
     let axis = AxisMotionLimits { speed: 1000, acceleration: 200, jerk: 400, lower: -7500, upper: 7500 };
     MotionLimits { axes: [axis; 7] }
 }
@@ -223,6 +244,8 @@ impl Host {
             assert!(since.elapsed() < LONG, "nobody answers HELLO: {:?}", self.link.hello_error());
             self.link.open(realtime::now());
             self.run_for(ms(300), |host| host.link.hello().is_some());
+            // A gateway disconnects a host that sends HELLO without a pause.
+            self.run_for(ms(20), |_| false);
         }
     }
 

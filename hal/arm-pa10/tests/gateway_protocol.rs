@@ -9,10 +9,11 @@ use pb3dp_arm_pa10_protocol::codec::{
     TorqueCounts, TorqueScale, WireFormat,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    ArmId, ArmOperation, AxisMotion, AxisState, Control, ControlOperation, ControlReply, Dialect, DriveCommand,
-    DriveMode, EepromLimits, FRAME_BYTES_MAX, FaultReport, Firmware, Frame, FrameParser, GatewayMessage, GatewayState,
-    Geometry, Health, Hello, HelloReply, HostMessage, MessageError, MotionLimits, MotionQuantity, Payload, RawMessage,
-    Received, Reject, RejectReason, State, StopCause, check_line, exchange_bytes, exchange_time,
+    Agreement, ArmId, ArmOperation, AxisMotion, AxisState, Control, ControlOperation, ControlReply, Dialect,
+    DriveCommand, DriveMode, EepromLimits, FRAME_BYTES_MAX, FaultReport, Firmware, Frame, FrameParser, GatewayMessage,
+    GatewayState, Geometry, Handshake, Health, Hello, HelloReply, Holder, HostMessage, MessageError, MotionLimits,
+    MotionQuantity, Payload, RawMessage, Received, Reject, RejectReason, SharedKey, Side, State, StopCause, check_line,
+    exchange_bytes, exchange_time,
 };
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_kinematics::JointVector;
@@ -155,6 +156,7 @@ fn gateway_examples() -> Vec<(&'static str, GatewayMessage, u16, u64)> {
         ("health", GatewayMessage::Health(health()), 9, 4_296_210_000),
         ("reject", GatewayMessage::Reject(reject), 10, 4_296_300_000),
         ("fault", GatewayMessage::Fault(fault), 0, 4_296_400_000),
+        ("held", GatewayMessage::Held(Holder { address: [192, 168, 0, 20].into(), port: 50_000 }), 0, 4_297_100_000),
         ("raw-reply", GatewayMessage::RawReply(raw(b'E', &[])), 12, 4_297_000_000),
     ]
 }
@@ -187,7 +189,33 @@ fn the_example_frames_of_the_specification_are_ours_byte_for_byte() {
         assert_eq!(GatewayMessage::decode(&frame), Ok(message), "{name}");
         assert_eq!(HostMessage::decode(&frame), Err(MessageError::Type { got: frame.frame_type }), "{name}");
     }
+    for name in ["knock", "challenge", "proof", "host-record", "gateway-record"] {
+        assert!(examples.remove(name).is_some(), "no example {name}");
+    }
     assert!(examples.is_empty(), "examples without a test: {:?}", examples.keys());
+}
+
+/// The bytes of the page come from Python's `hmac` and `hashlib`.
+#[test]
+fn the_handshake_and_the_records_of_the_specification_are_ours() {
+    let examples = example_frames();
+    let secret: Vec<u8> = (0..0x20).collect();
+    let nonce = |from: u8| std::array::from_fn(|index| from + index as u8);
+    let agreement = Agreement::new(SharedKey::new(&secret).unwrap(), ARM, nonce(0x20), nonce(0x40));
+    let messages = [
+        ("knock", Handshake::Knock(nonce(0x20))),
+        ("challenge", Handshake::Challenge(nonce(0x40), agreement.proof(Side::Gateway))),
+        ("proof", Handshake::Proof(agreement.proof(Side::Host))),
+    ];
+    for (name, message) in messages {
+        assert_eq!(message.frame(ARM).encode().as_slice(), examples[name], "{name}");
+        assert_eq!(Handshake::decode(&parse_one(&examples[name])), Ok(message), "{name}");
+    }
+    for (side, name, frame) in [(Side::Host, "host-record", "start"), (Side::Gateway, "gateway-record", "start-done")] {
+        let (mut sealer, _) = agreement.records(side);
+        sealer.seal(&examples["hello"]);
+        assert_eq!(sealer.seal(&examples[frame]).as_slice(), examples[name], "{name}");
+    }
 }
 
 #[test]

@@ -3,10 +3,12 @@
 //! * [`transport`]: interface of all byte links, and a pair of them in one process; [`tcp`] and [`pty`] implement it.
 //! * [`realtime`], [`signals`]: real-time scheduling and termination signals for a cycle thread.
 //! * [`jitter`], [`witness`]: lateness of a cycle, and of the computer itself.
+//! * [`key_file`]: files of secret keys, and random bytes.
 //! * [`cpu_time`]: CPU time of a computation in one thread.
 
 pub mod cpu_time;
 pub mod jitter;
+pub mod key_file;
 pub mod pty;
 pub mod realtime;
 pub mod signals;

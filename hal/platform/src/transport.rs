@@ -77,6 +77,12 @@ pub enum Symptom {
     /// An error without an error number.
     #[error("{0}")]
     Other(ErrorKind),
+    /// The other side sent a record that was forged, repeated or out of order.
+    #[error("a record that was forged, repeated or out of order")]
+    NotAuthentic,
+    /// The other side sent more frames than the line allows.
+    #[error("too many frames per second")]
+    Flood,
 }
 
 /// Interprets the result of a non-blocking call of [`std::io`].

@@ -234,7 +234,7 @@ const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 10] = [
         ],
     ),
     ("arm-pa10", &["arm-pa10-gateway", "arm-pa10-emulation", "arm-pa10-test-support", "sim"]),
-    ("orchestrator", &["arm-pa10-test-support", "arm-pa10-protocol", "arm-pa10-emulation", "sim"]),
+    ("orchestrator", &["arm-pa10-test-support", "arm-pa10-protocol", "arm-pa10-gateway", "arm-pa10-emulation", "sim"]),
     ("calibration", &["kinematics", "sim"]),
 ];
 

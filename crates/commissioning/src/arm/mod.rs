@@ -122,8 +122,11 @@ struct MotionArgs {
     #[arg(long, hide = true)]
     report_joints: bool,
     /// TCP address of the arm, instead of the configured one.
-    #[arg(long, hide = true, value_name = "ADDRESS:PORT")]
+    #[arg(long, hide = true, value_name = "ADDRESS:PORT", requires = "line_key")]
     line: Option<SocketAddr>,
+    /// Key file of the gateway at this address.
+    #[arg(long, hide = true, value_name = "FILE", requires = "line")]
+    line_key: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]

@@ -78,8 +78,8 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     // Before any thread starts.
     let mut signals = StopSignals::take_over()?;
     let mut setup = read_layers(&place.setup)?;
-    if let Some(address) = args.line {
-        set_line(&mut setup, choice, address);
+    if let (Some(address), Some(key_file)) = (args.line, &args.line_key) {
+        set_line(&mut setup, choice, address, key_file.clone());
     }
     if choice.of(&setup).link == ArmLink::InProcess {
         bail!("{}.backend = \"mock\" has no arm to move; set emulated, serial, tcp or arcnet", choice.of(&setup).key);

@@ -9,7 +9,9 @@ use pb3dp_arm_pa10_protocol::watchdog::{CommandWatchdog, STOP_AFTER_MAX};
 use pb3dp_hal_platform::realtime::Realtime;
 use pb3dp_hal_platform::tcp::TcpConfig;
 use serde::Deserialize;
-use std::path::Path;
+// Addresses as numbers: nothing here uses the network.
+use core::net::IpAddr;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use pb3dp_setup::load::{Checker, ConfigError, ConfigFile, FileKind, whole};
@@ -28,6 +30,17 @@ pub struct GatewaySetup {
     pub host: HostPlace,
     /// Rate of a serial line, bits per second.
     pub baud: u32,
+    /// Who may connect by TCP.
+    pub access: AccessPlace,
+}
+
+/// Who may connect by TCP, and where the key is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AccessPlace {
+    /// File of the key that the gateway shares with its hosts.
+    pub key_file: PathBuf,
+    /// Addresses of the hosts.
+    pub peers: Vec<IpAddr>,
 }
 
 /// Host line of a gateway.
@@ -61,6 +74,7 @@ struct GatewayFile {
     arm: ArmSection,
     bus: BusSection,
     host: HostSection,
+    access: AccessSection,
     limits: LimitsSection,
     realtime: RealtimeSection,
 }
@@ -122,6 +136,13 @@ struct HostSection {
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
+struct AccessSection {
+    key_file: PathBuf,
+    peers: Vec<String>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct RealtimeSection {
     priority: i64,
     lock_memory: bool,
@@ -138,7 +159,7 @@ pub fn read_gateway(file: &Path, bus: Option<&str>, host: Option<&str>) -> Resul
     let setup = config.all().and_then(|mut raw: GatewayFile| {
         raw.bus.port = bus.map_or(raw.bus.port, str::to_owned);
         raw.host.line = host.map_or(raw.host.line, str::to_owned);
-        raw.build(&mut check)
+        raw.build(file.parent().unwrap_or(Path::new(".")), &mut check)
     });
     config.finish(check)?;
     // Every path on which `build` returns nothing has added a refusal.
@@ -146,12 +167,13 @@ pub fn read_gateway(file: &Path, bus: Option<&str>, host: Option<&str>) -> Resul
 }
 
 impl GatewayFile {
-    fn build(&self, check: &mut Checker) -> Option<GatewaySetup> {
+    fn build(&self, folder: &Path, check: &mut Checker) -> Option<GatewaySetup> {
         self.check_ranges(check);
         let modulus = sequence_modulus("bus.sequence_numbers", self.bus.sequence_numbers, check);
         let refuse = |check: &mut Checker, key: &str, why: String| check.refuse(format!("{key}: {why}"));
         let bus = self.bus.port.parse::<BusTarget>().map_err(|why| refuse(check, "bus.port", why.to_string())).ok();
         let host = self.host.line.parse::<HostPlace>().map_err(|why| refuse(check, "host.line", why)).ok();
+        let access = self.access.build(folder, check);
         if !check.is_clean() {
             return None;
         }
@@ -168,7 +190,7 @@ impl GatewayFile {
             locks_memory: lock_memory,
             cpu: usize::try_from(processor).ok(),
         };
-        Some(GatewaySetup { gateway, realtime, bus: bus?, host: host?, baud: whole(self.host.baud) })
+        Some(GatewaySetup { gateway, realtime, bus: bus?, host: host?, baud: whole(self.host.baud), access })
     }
 
     fn check_ranges(&self, check: &mut Checker) {
@@ -217,6 +239,22 @@ impl GatewayFile {
     }
 }
 
+impl AccessSection {
+    fn build(&self, folder: &Path, check: &mut Checker) -> AccessPlace {
+        let mut peers = Vec::new();
+        for peer in &self.peers {
+            match peer.parse::<IpAddr>() {
+                Ok(address) => peers.push(address.to_canonical()),
+                Err(_) => check.refuse(format!(
+                    "access.peers: {peer:?} is not the number of a computer, for instance \"192.168.0.20\" or \"::1\"; names are not \
+                     looked up"
+                )),
+            }
+        }
+        AccessPlace { key_file: folder.join(&self.key_file), peers }
+    }
+}
+
 impl LimitsSection {
     fn build(&self) -> Result<MotionLimits, String> {
         let rows = [&self.s1, &self.s2, &self.s3, &self.e1, &self.e2, &self.w1, &self.w2];
@@ -239,19 +277,17 @@ impl LimitsSection {
     }
 }
 
-/// Milliseconds already checked to be between 0 and some minutes.
 fn in_millis(time: Duration) -> f64 {
     time.as_secs_f64() * 1e3
 }
 
+/// Milliseconds already checked to be between 0 and some minutes.
 fn millis(checked: f64) -> Duration {
     Duration::from_secs_f64(checked * 1e-3)
 }
 
 #[cfg(test)]
 mod tests {
-    use std::path::PathBuf;
-
     use super::*;
 
     fn configs() -> PathBuf {
@@ -286,6 +322,12 @@ mod tests {
             ("lateness_allowed_millis = 2.0", "lateness_allowed_millis = 1.0", "at least one cycle"),
             ("priority = 80", "priority = 100", "realtime.priority = 100: allowed are 0 to 99"),
             ("interpolate = true", "", "host.interpolate: missing"),
+            (
+                "peers = [\"127.0.0.1\", \"::1\"]",
+                "peers = [\"robot-pc\"]",
+                "access.peers: \"robot-pc\" is not the number of a computer",
+            ),
+            ("key_file = \"arm1.key\"", "", "access.key_file: missing"),
             ("[realtime]", "[realtime]\nnice = 3", "realtime.nice: unknown key"),
             ("s2 = {", "s9 = {", "limits.s2: missing"),
             ("speed_max_rad_per_s = 1.5708, ", "", "limits.w1.speed_max_rad_per_s: missing"),

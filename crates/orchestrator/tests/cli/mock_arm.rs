@@ -18,6 +18,9 @@ impl MockArm {
         let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));
         // Should the tests be killed, the arm ends by itself.
         command.arg("mock-arm").args(["--stop-after", "120"]).args(args);
+        if args.contains(&"--tcp") {
+            command.arg("--key").arg(super::support::key_file());
+        }
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         let (input, output) = (child.stdin.take().unwrap(), BufReader::new(child.stdout.take().unwrap()));
         Self { child, input, output }
@@ -104,7 +107,9 @@ fn what_it_can_not_do_is_refused_by_name() {
     refused(&["--pose-deg", "0,30,0"], &["is not seven angles in degrees"]);
     refused(&["--pose-deg", "0,120,0,0,0,0,0"], &["--pose-deg", "axis 2 starts at 120.00"]);
     refused(&["--limits-deg", "177,94,174,-137,255,165,255"], &["axis 4 (E1): a limit of -2.39", "out of range"]);
-    refused(&["--bus", "x", "--tcp", "127.0.0.1:0"], &["cannot be used with"]);
+    refused(&["--bus", "x", "--tcp", "127.0.0.1:0", "--key", "x"], &["cannot be used with"]);
+    refused(&["--tcp", "127.0.0.1:0"], &["--key <FILE>"]);
+    refused(&["--tcp", "127.0.0.1:0", "--key", "/nowhere/key"], &["key file /nowhere/key: cannot be read"]);
     refused(&["--bus", "/nowhere/bus"], &["/nowhere/bus"]);
     refused(&["--script", "/nowhere/faults"], &["script /nowhere/faults cannot be read"]);
     let folder = tempfile::tempdir().unwrap();

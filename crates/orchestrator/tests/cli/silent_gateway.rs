@@ -1,13 +1,19 @@
 //! A gateway that goes on with the last command when its host has gone: what a gateway must never do.
 
-use std::io::{Read, Write};
-use std::net::{TcpListener, TcpStream};
+use std::net::TcpListener;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use pb3dp_arm_pa10::arm::{KeyedTcp, read_shared_key};
+use pb3dp_arm_pa10_gateway::service::{Access, Admission};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Frame, FrameParser, Received};
+use pb3dp_hal_platform::realtime::now;
+use pb3dp_hal_platform::tcp::TcpConfig;
+use pb3dp_hal_platform::transport::{ByteLink, Connector};
+
+use super::support::key_file;
 
 /// Between two commands.
 const CYCLE: Duration = Duration::from_millis(10);
@@ -37,13 +43,13 @@ impl UnwatchedGateway {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         listener.set_nonblocking(true).unwrap();
         let address = listener.local_addr().unwrap().to_string();
-        let upstream = TcpStream::connect(gateway).unwrap();
-        upstream.set_nodelay(true).unwrap();
-        upstream.set_nonblocking(true).unwrap();
+        let key = read_shared_key(&key_file()).unwrap();
+        let admission = Admission::new(listener, ArmId(1), Access::from_this_computer(key));
+        let gateway = KeyedTcp { tcp: TcpConfig { address: gateway.parse().unwrap() }, key, arm: ArmId(1) };
         let is_running = Arc::new(AtomicBool::new(true));
         let is_plugged = Arc::new(AtomicBool::new(true));
         let (plug, parser) = (Arc::clone(&is_plugged), FrameParser::new(ArmId(1)));
-        let mut relay = Relay { listener, upstream, plug, hosts, host: None, parser, last: None };
+        let mut relay = Relay { admission, gateway, upstream: None, plug, hosts, host: None, parser, last: None };
         let goes_on = Arc::clone(&is_running);
         let thread = std::thread::spawn(move || {
             while goes_on.load(Ordering::SeqCst) {
@@ -73,11 +79,13 @@ impl Drop for UnwatchedGateway {
 }
 
 struct Relay {
-    listener: TcpListener,
-    upstream: TcpStream,
+    admission: Admission,
+    gateway: KeyedTcp,
+    /// Opened with the first host: a connection without a HELLO is closed.
+    upstream: Option<Box<dyn ByteLink>>,
     plug: Arc<AtomicBool>,
     hosts: Hosts,
-    host: Option<TcpStream>,
+    host: Option<Box<dyn ByteLink>>,
     parser: FrameParser,
     /// The last command, and when it came.
     last: Option<(Frame, Instant)>,
@@ -92,8 +100,7 @@ impl Relay {
         }
         match &mut self.host {
             Some(host) => {
-                match host.read(&mut buffer) {
-                    Ok(0) => self.host = None,
+                match host.try_read(&mut buffer) {
                     Ok(count) => {
                         let last = &mut self.last;
                         self.parser.feed(&buffer[..count], |received| {
@@ -102,14 +109,14 @@ impl Relay {
                                     (frame.frame_type == COMMAND).then_some((frame, Instant::now())).or(last.take());
                             }
                         });
-                        self.upstream.write_all(&buffer[..count]).unwrap();
+                        self.pass_on(&buffer[..count]);
                     }
-                    Err(error) if error.kind() == std::io::ErrorKind::WouldBlock => {}
                     Err(_) => self.host = None,
                 }
-                if let (Some(host), Ok(count)) = (&mut self.host, self.upstream.read(&mut buffer)) {
+                let count = self.read_answers(&mut buffer);
+                if let Some(host) = &mut self.host {
                     // A host that has gone is noticed by reading.
-                    host.write_all(&buffer[..count]).ok();
+                    write_all(host.as_mut(), &buffer[..count]);
                 }
                 std::thread::sleep(Duration::from_micros(300));
             }
@@ -119,16 +126,17 @@ impl Relay {
                 let listens = self.hosts == Hosts::All || !was_killed;
                 if is_plugged
                     && listens
-                    && let Ok((host, _)) = self.listener.accept()
+                    && let Some(admitted) = self.admission.poll(now(), None, &mut |_| {})
                 {
-                    host.set_nonblocking(true).unwrap();
-                    host.set_nodelay(true).unwrap();
-                    self.host = Some(host);
+                    self.host = Some(admitted.link);
+                    if self.upstream.is_none() {
+                        self.upstream = Some(self.gateway.connect().unwrap());
+                    }
                     return;
                 }
                 self.feed();
                 // Nobody wants the answers.
-                while self.upstream.read(&mut buffer).is_ok_and(|count| count > 0) {}
+                while self.read_answers(&mut buffer) > 0 {}
                 std::thread::sleep(CYCLE);
             }
         }
@@ -141,7 +149,28 @@ impl Relay {
             frame.sequence = frame.sequence.wrapping_add(1);
             frame.timestamp_us += (now - *at).as_micros() as u64;
             *at = now;
-            self.upstream.write_all(&frame.encode()).unwrap();
+            let bytes = frame.encode();
+            self.pass_on(&bytes);
+        }
+    }
+
+    fn pass_on(&mut self, bytes: &[u8]) {
+        if let Some(upstream) = &mut self.upstream {
+            write_all(upstream.as_mut(), bytes);
+        }
+    }
+
+    fn read_answers(&mut self, buffer: &mut [u8; 512]) -> usize {
+        self.upstream.as_mut().and_then(|upstream| upstream.try_read(buffer).ok()).unwrap_or(0)
+    }
+}
+
+fn write_all(link: &mut dyn ByteLink, bytes: &[u8]) {
+    let mut written = 0;
+    while written < bytes.len() {
+        match link.try_write(&bytes[written..]) {
+            Ok(count) => written += count,
+            Err(_) => return,
         }
     }
 }

@@ -3,11 +3,13 @@
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::OnceLock;
 
 use image::RgbImage;
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_geometry::frames::{CamLeft, Target, World};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
+use pb3dp_hal_platform::key_file::write_new_key;
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::{Scene, SceneConfig, ScenePoses};
 use pb3dp_sim::sensor::SensorConfig;
@@ -39,6 +41,23 @@ pub const TRACK_KEYS: [&str; 9] =
     ["frame", "t_s", "status", "cam_left_from_model", "covariance", "fitness", "ms", "reason", "warnings"];
 /// What `estimate` may say of a case.
 pub const STATUSES: [&str; 5] = ["ok", "weak-tilt", "ambiguous", "not-observable", "error"];
+
+/// The key of emulated arms and gateways on TCP.
+pub fn key_file() -> PathBuf {
+    static FILE: OnceLock<PathBuf> = OnceLock::new();
+    let new = || {
+        let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
+        let (file, own) = (folder.join("gateway.key"), folder.join(format!("gateway-{}.key", std::process::id())));
+        if !file.exists() {
+            write_new_key(&own).unwrap();
+            // Another test program may have been quicker: then its key stays.
+            std::fs::hard_link(&own, &file).ok();
+            std::fs::remove_file(&own).unwrap();
+        }
+        file
+    };
+    FILE.get_or_init(new).clone()
+}
 
 /// What the program left behind.
 pub struct Finished {

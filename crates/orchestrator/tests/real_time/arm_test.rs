@@ -10,6 +10,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::cli::silent_gateway::{Hosts, UnwatchedGateway};
+use crate::cli::support::key_file;
 use crate::real_time::arm::{Cell, START_DEG, command, hil, interrupt, pb3dp_arm, setup_at};
 use pb3dp_test_support::programs_in_real_time_beside_others;
 
@@ -350,7 +351,11 @@ fn an_arm_that_does_not_tell_of_its_emergency_stop_fails() {
         crate::real_time::arm::write_setup(&folder, |vs| {
             let vs = vs.replacen("backend = \"emulated\"", "backend = \"tcp\"", 1);
             let vs = vs.replacen("wire_format = \"B\"", "wire_format = \"A\"", 1);
-            vs.replacen("\narm = 1 ", &format!("\naddress = \"{address}\"\narm = 1 "), 1)
+            vs.replacen(
+                "\narm = 1 ",
+                &format!("\naddress = \"{address}\"\nkey_file = \"{}\"\narm = 1 ", key_file().display()),
+                1,
+            )
         });
         let mut cell = Cell { arm, folder };
         let acts = |test: &mut Rehearsal, cell: &mut Cell| {

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 use crate::cli::mock_arm::MockArm;
-use crate::cli::support::repository;
+use crate::cli::support::{key_file, repository};
 use crate::real_time::arm::{START_DEG, assert_problem, pb3dp_arm, setup_at};
 use pb3dp_test_support::programs_in_real_time_beside_others;
 
@@ -41,6 +41,7 @@ impl Gateway {
         let text = [
             ("port = \"arcnet:arc0\"", format!("port = \"socket:{bus}\"")),
             ("tcp:127.0.0.1:4534", format!("tcp:{address}")),
+            ("\"arm1.key\"", format!("{:?}", key_file())),
             ("cycle_millis = 2.0", "cycle_millis = 10.0".to_owned()),
             ("lateness_allowed_millis = 2.0", "lateness_allowed_millis = 45.0".to_owned()),
             ("stop_after_millis = 50.0", format!("stop_after_millis = {stop_after_millis}")),

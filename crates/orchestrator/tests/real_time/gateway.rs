@@ -4,17 +4,21 @@
 use std::fs::File;
 use std::io::Write;
 use std::net::{SocketAddr, TcpListener};
+use std::os::unix::fs::PermissionsExt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus};
 use std::time::{Duration, Instant};
 
+use crate::cli::support::key_file;
+use pb3dp_arm_pa10::arm::{KeyedTcp, read_shared_key};
 use pb3dp_arm_pa10::bus::{BusPort, FRAME_ROOM, FrameListener};
 use pb3dp_arm_pa10::driver::{DriverState, Request};
 use pb3dp_arm_pa10_emulation::mock_controller::ControlMode;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, StopCause};
-use pb3dp_arm_pa10_test_support::world::{self, Emulation, Host, LONG, ms};
-use pb3dp_hal_platform::tcp::{TcpConfig, TcpLink};
+use pb3dp_arm_pa10_test_support::world::{self, ARM, Emulation, Host, LONG, ms};
+use pb3dp_hal_platform::tcp::TcpConfig;
+use pb3dp_hal_platform::transport::Connector;
 use pb3dp_test_support::programs_in_real_time_beside_others;
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -67,6 +71,7 @@ fn configuration(folder: &Path, bus: &Path, address: SocketAddr) -> std::path::P
         ("number = 1", "number = 2".to_owned()),
         ("port = \"arcnet:arc0\"", format!("port = \"socket:{}\"", bus.display())),
         ("line = \"tcp:127.0.0.1:4534\"", format!("line = \"tcp:{address}\"")),
+        ("\"arm1.key\"", format!("{:?}", key_file())),
         ("cycle_millis = 2.0", "cycle_millis = 10.0".to_owned()),
         ("lateness_allowed_millis = 2.0", "lateness_allowed_millis = 150.0".to_owned()),
         ("ramp_after_millis = 20.0", "ramp_after_millis = 100.0".to_owned()),
@@ -95,8 +100,10 @@ impl Scene {
             .unwrap();
         let socket = wait_for("the gateway opens its bus", || listener.try_accept().unwrap());
         let emulation = Emulation::start(Box::new(socket), Some(TIME_OUT));
-        let link = wait_for("the gateway listens", || TcpLink::connect(&TcpConfig { address }).ok());
-        let host = Host::new(Box::new(link), Dialect::GatewayV1);
+        let key = read_shared_key(&key_file()).unwrap();
+        let mut gateway = KeyedTcp { tcp: TcpConfig { address }, key, arm: ARM };
+        let link = wait_for("the gateway listens", || gateway.connect().ok());
+        let host = Host::new(link, Dialect::GatewayV1);
         Self { child, emulation, host, folder, log_before_stop: None }
     }
 
@@ -266,4 +273,30 @@ fn what_can_not_be_had_is_refused_with_what_to_do() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let host = format!("tcp:{}", taken.local_addr().unwrap());
     failed(&["--host", &host], "check whether another program uses this port");
+}
+
+#[test]
+fn a_tcp_gateway_without_a_key_does_not_start() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = configuration(folder.path(), &folder.path().join("nobody"), "127.0.0.1:0".parse().unwrap());
+    let key = folder.path().join("arm2.key");
+    let text = std::fs::read_to_string(&file).unwrap();
+    std::fs::write(&file, text.replace(&format!("{:?}", key_file()), "\"arm2.key\"")).unwrap();
+    let run = |args: &[&str]| {
+        let out = Command::new(env!("CARGO_BIN_EXE_pb3dp")).arg("gateway").args(args).output().unwrap();
+        (out.status.success(), String::from_utf8_lossy(&out.stderr).into_owned())
+    };
+    let start = || run(&["--config", file.to_str().unwrap()]).1;
+    let text = start();
+    assert!(text.contains("access.key_file") && text.contains("arm2.key: cannot be read"), "{text}");
+    let (is_made, text) = run(&["key", key.to_str().unwrap()]);
+    assert!(is_made, "{text}");
+    let secret = std::fs::read_to_string(&key).unwrap();
+    assert!(!text.contains(secret.trim()) && text.contains("arm2.key"), "{text}");
+    assert!(!run(&["key", key.to_str().unwrap()]).0, "an existing key is kept");
+    assert!(start().contains("no program listens at the socket"), "the key is accepted");
+    std::fs::set_permissions(&key, std::fs::Permissions::from_mode(0o644)).unwrap();
+    let text = start();
+    assert!(text.contains("its mode is 0644, allowed are 0600 and 0400: run `chmod 600"), "{text}");
+    assert!(!text.contains(secret.trim()), "{text}");
 }

@@ -9,6 +9,7 @@ use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_hal_platform::tcp::TcpConfig;
 use pb3dp_kinematics::EffectiveLimits;
 use serde::Deserialize;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use super::super::load::{Checker, whole};
@@ -86,8 +87,13 @@ pub enum GatewayWay {
         /// Bits per second.
         baud: u32,
     },
-    /// A TCP connection.
-    Tcp(TcpConfig),
+    /// A TCP connection, with the file of the key that the gateway shares.
+    Tcp {
+        /// Address of the gateway.
+        tcp: TcpConfig,
+        /// File of the key.
+        key_file: PathBuf,
+    },
 }
 
 /// Arm backends.
@@ -127,6 +133,7 @@ pub(super) struct GatewaySection {
     port: Option<String>,
     baud: Option<i64>,
     address: Option<String>,
+    key_file: Option<String>,
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -279,7 +286,7 @@ impl ArmLink {
     pub(super) fn place(&self) -> Option<(&'static str, String)> {
         match self {
             Self::Gateway(_, GatewayWay::Serial { path, .. }) => Some(("gateway.port", path.clone())),
-            Self::Gateway(_, GatewayWay::Tcp(tcp)) => Some(("gateway.address", tcp.address.to_string())),
+            Self::Gateway(_, GatewayWay::Tcp { tcp, .. }) => Some(("gateway.address", tcp.address.to_string())),
             Self::Bus(bus) => Some(("bus.port", bus.target.to_string())),
             Self::InProcess | Self::Gateway(_, GatewayWay::Emulated) => None,
         }
@@ -307,7 +314,7 @@ impl GatewaySection {
             // Replaced by the effective limits of the arm: `ArmLink::limited`.
             limits: HostLimits::WIDEST,
         };
-        let way = match (backend, &self.port, self.baud, &self.address) {
+        let way = match (backend, &self.port, self.baud, self.address.as_ref().zip(self.key_file.as_ref())) {
             (ArmBackend::Emulated, None, None, None) => GatewayWay::Emulated,
             (ArmBackend::Serial, Some(path), Some(baud), None) => {
                 check.count(&format!("{key}.gateway.baud"), baud, 9600..=12_000_000);
@@ -317,12 +324,14 @@ impl GatewaySection {
                 }
                 GatewayWay::Serial { path: path.clone(), baud: whole(baud) }
             }
-            (ArmBackend::Tcp, None, None, Some(address)) => {
-                GatewayWay::Tcp(tcp_place(&format!("{key}.gateway.address"), address, check)?)
-            }
+            (ArmBackend::Tcp, None, None, Some((address, key_file))) => GatewayWay::Tcp {
+                tcp: tcp_place(&format!("{key}.gateway.address"), address, check)?,
+                key_file: key_file.into(),
+            },
             _ => {
                 check.refuse(format!(
-                    "{key}.gateway: backend = \"serial\" needs port and baud, \"tcp\" needs address, \"emulated\" none of them"
+                    "{key}.gateway: backend = \"serial\" needs port and baud, \"tcp\" needs address and key_file, \"emulated\" none of \
+                     them"
                 ));
                 return None;
             }

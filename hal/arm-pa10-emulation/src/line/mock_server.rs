@@ -15,12 +15,12 @@ use std::time::Duration;
 use pb3dp_arm_pa10::bus::{BusPort, FRAME_ROOM, FrameListener, FrameSocketError};
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig, GatewayConfigError};
+use pb3dp_arm_pa10_gateway::service::{Access, Admission, Admitted};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_platform::jitter::JitterMeter;
 use pb3dp_hal_platform::pty::Pty;
-use pb3dp_hal_platform::realtime::{Realtime, Shortfall, enter};
-use pb3dp_hal_platform::tcp::TcpLink;
+use pb3dp_hal_platform::realtime::{self, Realtime, Shortfall, enter};
 use pb3dp_hal_platform::transport::{ByteLink, ConnectError, Connector, wait};
 use pb3dp_sim::joint_dynamics::JointPlant;
 
@@ -43,8 +43,8 @@ const UNREAD_MAX: usize = 4096;
 pub enum MockFace {
     /// Behind a gateway on a new pseudo-terminal.
     Pty(GatewayConfig),
-    /// Behind a gateway on a TCP port of this address; port 0 takes a free one.
-    Tcp(GatewayConfig, SocketAddr),
+    /// Behind a gateway on a TCP port of this address, for hosts with its key; port 0 takes a free one.
+    Tcp(GatewayConfig, SocketAddr, Access),
     /// Behind a gateway on an existing link.
     Link(GatewayConfig, Box<dyn ByteLink>),
     /// The controller alone, as frames on a socket at this path.
@@ -252,7 +252,7 @@ impl Drop for MockServer {
 impl MockFace {
     fn gateway(&self) -> Option<&GatewayConfig> {
         match self {
-            Self::Pty(config) | Self::Tcp(config, _) | Self::Link(config, _) => Some(config),
+            Self::Pty(config) | Self::Tcp(config, ..) | Self::Link(config, _) => Some(config),
             Self::BusSocket(_) | Self::Bus(_) => None,
         }
     }
@@ -276,7 +276,7 @@ impl Core {
 enum Line {
     /// A terminal, until it is unplugged.
     Pty(Option<Pty>),
-    Tcp(TcpListener, Option<TcpLink>),
+    Tcp(Box<Admission>, Option<Admitted>),
     Link(Option<Box<dyn ByteLink>>),
     BusSocket(FrameListener, PathBuf, Option<Box<dyn BusPort>>),
     Bus(Option<Box<dyn BusPort>>),
@@ -286,11 +286,11 @@ impl Line {
     fn open(face: MockFace) -> Result<Self, MockServerError> {
         Ok(match face {
             MockFace::Pty(_) => Self::Pty(Some(Pty::open().map_err(MockServerError::Pty)?)),
-            MockFace::Tcp(_, address) => {
+            MockFace::Tcp(gateway, address, access) => {
                 let listener = TcpListener::bind(address)
                     .and_then(|listener| listener.set_nonblocking(true).map(|()| listener))
                     .map_err(|source| MockServerError::Tcp { address, source })?;
-                Self::Tcp(listener, None)
+                Self::Tcp(Box::new(Admission::new(listener, gateway.arm, access)), None)
             }
             MockFace::Link(_, link) => Self::Link(Some(link)),
             MockFace::BusSocket(path) => Self::BusSocket(FrameListener::bind(&path)?, path, None),
@@ -301,7 +301,7 @@ impl Line {
     fn address(&self) -> String {
         match self {
             Self::Pty(pty) => pty.as_ref().map_or_else(String::new, |pty| pty.path().display().to_string()),
-            Self::Tcp(listener, _) => listener.local_addr().map_or_else(|_| String::new(), |at| at.to_string()),
+            Self::Tcp(admission, _) => admission.address().map_or_else(String::new, |at| at.to_string()),
             Self::Link(link) => link.as_ref().map_or_else(String::new, |link| link.name().to_owned()),
             Self::BusSocket(_, path, _) => path.display().to_string(),
             Self::Bus(bus) => bus.as_ref().map_or_else(String::new, |bus| bus.name().to_owned()),
@@ -311,7 +311,7 @@ impl Line {
     fn byte_link(&mut self) -> Option<&mut dyn ByteLink> {
         match self {
             Self::Pty(pty) => pty.as_mut().map(|pty| pty as &mut dyn ByteLink),
-            Self::Tcp(_, link) => link.as_mut().map(|link| link as &mut dyn ByteLink),
+            Self::Tcp(_, host) => host.as_mut().map(|host| host.link.as_mut() as &mut dyn ByteLink),
             Self::Link(link) => link.as_deref_mut().map(|link| link as &mut dyn ByteLink),
             Self::BusSocket(..) | Self::Bus(_) => None,
         }
@@ -328,11 +328,18 @@ impl Line {
         self.byte_link().is_some() || self.bus_port().is_some()
     }
 
+    /// Refuses other hosts while one is connected.
+    fn refuse_others(&mut self) {
+        if let Self::Tcp(admission, Some(host)) = self {
+            drop(admission.poll(realtime::now(), Some(host.peer), &mut |_| {}));
+        }
+    }
+
     /// The other end is gone.
     fn hang_up(&mut self) {
         match self {
             Self::Pty(pty) => *pty = None,
-            Self::Tcp(_, link) => *link = None,
+            Self::Tcp(_, host) => *host = None,
             Self::Link(link) => *link = None,
             Self::BusSocket(_, _, bus) | Self::Bus(bus) => *bus = None,
         }
@@ -342,9 +349,7 @@ impl Line {
     fn accept(&mut self) {
         match self {
             Self::Pty(pty) => *pty = Pty::open().ok(),
-            Self::Tcp(listener, link) => {
-                *link = listener.accept().ok().and_then(|(stream, _)| TcpLink::from_stream(stream).ok());
-            }
+            Self::Tcp(admission, host) => *host = admission.poll(realtime::now(), None, &mut |_| {}),
             Self::BusSocket(listener, _, bus) => {
                 *bus = listener.try_accept().ok().flatten().map(|socket| Box::new(socket) as Box<dyn BusPort>);
             }
@@ -381,7 +386,8 @@ impl Worker {
                     *lock(&self.shared.address) = self.line.address();
                 }
             }
-            _ => {}
+            (true, true) => self.line.refuse_others(),
+            (false, false) => {}
         }
     }
 

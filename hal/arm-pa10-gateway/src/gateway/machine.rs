@@ -148,6 +148,8 @@ pub(super) struct Machine {
     /// Damaged frames of the host.
     pub damaged: u64,
     pub next_cycle: MonotonicTime,
+    /// The switch stands on local: no host moves or enables the arm.
+    pub is_local: bool,
     last_cycle: Option<MonotonicTime>,
     purpose: Purpose,
 }
@@ -177,6 +179,7 @@ impl Machine {
             worst_lately: Duration::ZERO,
             damaged: 0,
             next_cycle: now,
+            is_local: false,
             last_cycle: None,
             purpose: Purpose::Work,
         }
@@ -190,6 +193,7 @@ impl Machine {
         self.note_cycle(now);
         self.check_reply(now);
         self.check_host(now);
+        self.check_switch(now);
         // The outstanding reply belongs to a message outside the cycle: only one at a time.
         if self.bus.outstanding.is_some() {
             return None;
@@ -201,7 +205,8 @@ impl Machine {
     /// Stops the arm and latches, unless a cause is latched already.
     pub fn trip(&mut self, now: MonotonicTime, cause: StopCause, axis: Option<Axis>, word: u16) {
         let state_before = self.state;
-        let is_about_controller = !matches!(cause, StopCause::Internal | StopCause::HostFault);
+        let is_about_controller =
+            !matches!(cause, StopCause::Internal | StopCause::HostFault | StopCause::LocalControl);
         match state_before {
             GatewayState::Fault | GatewayState::EmergencyStop => return,
             GatewayState::Idle if is_about_controller => return,
@@ -300,6 +305,15 @@ impl Machine {
                 self.trip(now, StopCause::HostSilent, None, 0);
             }
             _ => {}
+        }
+    }
+
+    /// Stops the arm and latches while the switch stands on local. The stop order of a gateway that starts is completed first:
+    /// it finds out whether the arm was abandoned.
+    pub fn check_switch(&mut self, now: MonotonicTime) {
+        let is_starting = self.state == GatewayState::Stopping && self.is_unasked;
+        if self.is_local && !is_starting {
+            self.trip(now, StopCause::LocalControl, None, 0);
         }
     }
 

@@ -137,6 +137,12 @@ impl Gateway {
         self.machine.stop(now);
     }
 
+    /// Sets the switch: on local the arm stops and latches (`local-control`), and no host resets it.
+    pub fn set_local(&mut self, now: MonotonicTime, is_local: bool) {
+        self.machine.is_local = is_local;
+        self.machine.check_switch(now);
+    }
+
     /// Whether the control mode is off and no message for the controller is due.
     pub fn is_at_rest(&self) -> bool {
         matches!(self.machine.work, Work::Steady) && !self.machine.is_cycling()

@@ -27,6 +27,7 @@ impl Machine {
     pub fn handle_frame(&mut self, now: MonotonicTime, frame: &Frame) {
         // Time-outs are handled first: a new command must not hide them.
         self.check_host(now);
+        self.check_switch(now);
         let asker = asker(frame);
         let refused = if frame.frame_type == HELLO {
             self.handle_hello(now, frame, &asker).err()
@@ -221,6 +222,9 @@ impl Machine {
             }
             Control::Arm(ArmOperation::Start) => self.request(now, HostRequest::Start, Task::Start, asker, control),
             Control::Arm(ArmOperation::End) => self.request(now, HostRequest::End, Task::End, asker, control),
+            Control::Arm(ArmOperation::Reset) if self.is_local => {
+                Err(Refused(RejectReason::CausePresent, u32::from(StopCause::LocalControl.code())))
+            }
             Control::Arm(ArmOperation::Reset) => {
                 self.request(now, HostRequest::Reset, Task::Reset(ResetStep::Start), asker, control)
             }

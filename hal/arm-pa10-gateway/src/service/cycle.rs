@@ -12,7 +12,7 @@ use pb3dp_arm_pa10_protocol::codec::{ArmCommand, AxisCommand, ControlMessage, Co
 use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, FrameBytes, GatewayState};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::realtime::{now, sleep_until};
-use pb3dp_hal_platform::transport::{ByteLink, Unplugged};
+use pb3dp_hal_platform::transport::{ByteLink, Symptom, Unplugged};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use super::Shared;
@@ -25,6 +25,9 @@ const LAST_PART: Duration = Duration::from_micros(150);
 
 /// Frames of the bus and pieces of the host's bytes that are handled before the cycle is checked again.
 const PIECES_MAX: usize = 8;
+
+/// Frames per second of a host: the fastest one sends 500 commands and some heartbeats, and may have been held up for a second.
+const FRAMES_PER_SECOND_MAX: u64 = 2000;
 
 /// The core has room for the answers to a piece of this size.
 const PIECE_BYTES: usize = 512;
@@ -43,6 +46,9 @@ struct HostLine {
     link: Box<dyn ByteLink>,
     pending: FrameBytes,
     written: usize,
+    /// Sound frames since the beginning of this second.
+    frames: u64,
+    second: MonotonicTime,
 }
 
 /// The last reported status, to detect changes.
@@ -120,6 +126,7 @@ impl Cycle {
 
     fn serve(&mut self) {
         while !self.is_over() {
+            self.core.set_local(now(), self.shared.is_local.load(Ordering::SeqCst));
             self.receive_from_bus();
             self.receive_from_host();
             self.begin_cycle();
@@ -162,8 +169,16 @@ impl Cycle {
                 Ok(0) => return,
                 Ok(length) => {
                     let at = now();
-                    self.shared.heard.store(at.as_nanos(), Ordering::SeqCst);
+                    let frames = self.core.status().bytes.frames;
                     self.core.handle_host_bytes(at, &buffer[..length]);
+                    // Only sound frames are a sign of life: a peer that sends other bytes must not keep others out.
+                    let sound = self.core.status().bytes.frames - frames;
+                    if sound > 0 {
+                        self.shared.heard.store(at.as_nanos(), Ordering::SeqCst);
+                    }
+                    if host.floods(at, sound) {
+                        return self.lose_host(Unplugged { symptom: Symptom::Flood });
+                    }
                     self.send_to_host();
                 }
                 Err(gone) => return self.lose_host(gone),
@@ -223,7 +238,7 @@ impl Cycle {
                 let _ = self.lines.old_hosts.try_send(old.link);
                 self.queue.tell(at, Happened::HostReplaced);
             }
-            self.host = Some(HostLine { link, pending: FrameBytes::EMPTY, written: 0 });
+            self.host = Some(HostLine::new(link, at));
             self.shared.has_host.store(true, Ordering::SeqCst);
             self.queue.tell(at, Happened::HostConnected);
         }
@@ -281,6 +296,19 @@ impl Cycle {
 }
 
 impl HostLine {
+    fn new(link: Box<dyn ByteLink>, now: MonotonicTime) -> Self {
+        Self { link, pending: FrameBytes::EMPTY, written: 0, frames: 0, second: now }
+    }
+
+    /// Counts sound frames; whether there are more than any host sends.
+    fn floods(&mut self, now: MonotonicTime, frames: u64) -> bool {
+        if now.saturating_since(self.second) >= Duration::from_secs(1) {
+            (self.second, self.frames) = (now, 0);
+        }
+        self.frames += frames;
+        self.frames > FRAMES_PER_SECOND_MAX
+    }
+
     fn is_full(&self) -> bool {
         self.written < self.pending.len()
     }

@@ -1,7 +1,6 @@
 //! The connection thread: opens lines for the cycle thread, and closes those that are done.
 
-use std::net::TcpListener;
-use std::os::fd::AsFd;
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -10,10 +9,10 @@ use std::time::Duration;
 use pb3dp_arm_pa10::bus::BusPort;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::realtime::{now, sleep_until};
-use pb3dp_hal_platform::tcp::TcpLink;
 use pb3dp_hal_platform::transport::{ByteLink, Connector};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
+use super::admission::{Admission, Admitted};
 use super::{BusOpener, HostSide, Shared};
 
 /// Time between two attempts to open a line.
@@ -104,6 +103,7 @@ fn chain(error: &(dyn std::error::Error + 'static)) -> String {
 impl Door {
     pub fn run(mut self) {
         let (mut host, mut bus) = (Patience::new(), Patience::new());
+        let mut holder = None;
         while !self.shared.end.load(Ordering::SeqCst) {
             while self.lines.old_hosts.try_recv().is_ok() {}
             while self.lines.old_buses.try_recv().is_ok() {}
@@ -111,7 +111,9 @@ impl Door {
                 self.open_bus(&mut bus);
             }
             match &mut self.host {
-                HostSide::Tcp(listener) => accept(listener, &self.shared, &self.lines, &self.tell),
+                HostSide::Tcp(admission) => {
+                    admit(admission, &mut holder, (&self.shared, &self.lines), &self.tell);
+                }
                 HostSide::Line(connector) => {
                     if !self.shared.has_host.load(Ordering::SeqCst) && host.is_over() {
                         let said = open_line(connector.as_mut(), &self.shared, &self.lines, &mut host);
@@ -163,30 +165,32 @@ fn open_line(
     }
 }
 
-/// Waits briefly for a host, and accepts it unless another one is connected.
-fn accept(listener: &TcpListener, shared: &Shared, lines: &LineEnds, tell: &SyncSender<String>) {
+/// Waits briefly for a host, and hands it over unless another one is connected.
+fn admit(
+    admission: &mut Admission,
+    holder: &mut Option<SocketAddr>,
+    (shared, lines): (&Shared, &LineEnds),
+    tell: &SyncSender<String>,
+) {
+    wait_for_input(admission);
+    let at = now();
+    let silent = at.saturating_since(MonotonicTime::from_nanos(shared.heard.load(Ordering::SeqCst)));
+    let is_held = shared.has_host.load(Ordering::SeqCst) && silent < GIVES_WAY;
+    let held_by = holder.filter(|_| is_held);
+    if let Some(Admitted { link, peer }) = admission.poll(at, held_by, &mut |text| say(tell, text)) {
+        say(tell, format!("a host connected from {peer}"));
+        *holder = Some(peer);
+        hand_over(link, shared, lines);
+    }
+}
+
+/// Waits until a connection has something to examine, or for a short time.
+fn wait_for_input(admission: &Admission) {
     let timeout = Timespec { tv_sec: 0, tv_nsec: i64::from(LOOK.subsec_nanos()) };
-    let mut fds = [PollFd::from_borrowed_fd(listener.as_fd(), PollFlags::IN)];
-    if !matches!(poll(&mut fds, Some(&timeout)), Ok(1..)) {
-        return;
-    }
-    let (stream, address) = match listener.accept() {
-        Ok(accepted) => accepted,
-        // The connection was closed again, or the system has no resources now.
-        Err(_) => return sleep_until(now() + LOOK),
-    };
-    let silent = now().saturating_since(MonotonicTime::from_nanos(shared.heard.load(Ordering::SeqCst)));
-    if shared.has_host.load(Ordering::SeqCst) && silent < GIVES_WAY {
-        say(tell, format!("a connection from {address} was turned away: another host is connected"));
-        return;
-    }
-    match TcpLink::from_stream(stream) {
-        Ok(link) => {
-            say(tell, format!("a host connected from {address}"));
-            hand_over(Box::new(link), shared, lines);
-        }
-        Err(error) => say(tell, format!("a connection from {address} cannot be used: {error}")),
-    }
+    let mut fds: Vec<_> =
+        admission.fds(now()).into_iter().map(|fd| PollFd::from_borrowed_fd(fd, PollFlags::IN)).collect();
+    // A signal ends the wait early.
+    let _ = poll(&mut fds, Some(&timeout));
 }
 
 /// `has_host` is set before the line is handed over: the cycle thread may find the line closed at once, and must clear it last.
@@ -217,6 +221,7 @@ mod tests {
         let shared = Arc::new(Shared {
             end: AtomicBool::new(false),
             has_host: AtomicBool::new(false),
+            is_local: AtomicBool::new(false),
             wants_bus: AtomicBool::new(false),
             heard: AtomicU64::new(0),
             waker: eventfd(0, EventfdFlags::NONBLOCK | EventfdFlags::CLOEXEC).unwrap(),

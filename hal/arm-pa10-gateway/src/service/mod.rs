@@ -3,6 +3,7 @@
 //! The cycle thread opens nothing, closes nothing, formats nothing and takes no lock: the connection thread opens and closes its
 //! lines, and events go to the owner through a queue of fixed size.
 
+mod admission;
 mod cycle;
 mod door;
 mod events;
@@ -18,6 +19,7 @@ use cycle::Cycle;
 use door::{Door, Lines};
 use events::EventQueue;
 use pb3dp_arm_pa10::bus::BusPort;
+use pb3dp_arm_pa10_protocol::gateway_protocol::ArmId;
 use pb3dp_hal_platform::realtime::{self, Realtime, Shortfall};
 use pb3dp_hal_platform::transport::{ConnectError, Connector};
 use rustix::event::{EventfdFlags, eventfd};
@@ -25,6 +27,7 @@ use rustix::fd::OwnedFd;
 
 use crate::gateway::{Gateway, GatewayConfig, GatewayConfigError, GatewayStatus};
 
+pub use admission::{Access, Admission, AdmissionCounters, Admitted, OPENING_MAX};
 pub use events::{GatewayEvent, Happened};
 
 /// Opens the bus, and opens it again after it was down.
@@ -32,8 +35,8 @@ pub type BusOpener = Box<dyn FnMut() -> Result<Box<dyn BusPort>, ConnectError> +
 
 /// Transport to the hosts.
 pub enum HostSide {
-    /// TCP: one connection at a time.
-    Tcp(TcpListener),
+    /// TCP: one host at a time, of those that have the key.
+    Tcp(Admission),
     /// A line that is opened again after it was unplugged.
     Line(Box<dyn Connector>),
 }
@@ -76,9 +79,11 @@ struct Shared {
     end: AtomicBool,
     /// A host is connected.
     has_host: AtomicBool,
+    /// The switch stands on local.
+    is_local: AtomicBool,
     /// The bus has to be opened again.
     wants_bus: AtomicBool,
-    /// Time of the last bytes from the host, ns.
+    /// Time of the last sound frame from the host, ns.
     heard: AtomicU64,
     /// Wakes the cycle thread.
     waker: OwnedFd,
@@ -122,15 +127,23 @@ impl Shared {
 }
 
 impl HostSide {
-    /// Listens at an address of this machine.
+    /// Listens at an address of this machine for hosts of this arm.
     ///
     /// # Errors
     /// If the address is in use or not available.
-    pub fn listen(address: SocketAddr) -> Result<Self, GatewayServerError> {
+    pub fn listen(address: SocketAddr, arm: ArmId, access: Access) -> Result<Self, GatewayServerError> {
         let listen = |source| GatewayServerError::Listen { address, source };
         let listener = TcpListener::bind(address).map_err(listen)?;
         listener.set_nonblocking(true).map_err(listen)?;
-        Ok(Self::Tcp(listener))
+        Ok(Self::Tcp(Admission::new(listener, arm, access)))
+    }
+
+    /// Address of the listener, if it is TCP.
+    pub fn address(&self) -> Option<SocketAddr> {
+        match self {
+            Self::Tcp(admission) => admission.address(),
+            Self::Line(_) => None,
+        }
     }
 }
 
@@ -146,6 +159,7 @@ impl GatewayServer {
         let shared = Arc::new(Shared {
             end: AtomicBool::new(false),
             has_host: AtomicBool::new(false),
+            is_local: AtomicBool::new(false),
             wants_bus: AtomicBool::new(false),
             heard: AtomicU64::new(0),
             waker: eventfd(0, EventfdFlags::NONBLOCK | EventfdFlags::CLOEXEC).map_err(std::io::Error::from)?,
@@ -197,6 +211,17 @@ impl GatewayServer {
     /// Whether the cycle thread still runs.
     pub fn is_running(&self) -> bool {
         self.cycle.as_ref().is_some_and(|cycle| !cycle.is_finished())
+    }
+
+    /// Sets the switch: on local no host moves or enables the arm.
+    pub fn switch(&self, is_local: bool) {
+        self.shared.is_local.store(is_local, Ordering::SeqCst);
+        self.shared.wake();
+    }
+
+    /// Whether the switch stands on local.
+    pub fn is_local(&self) -> bool {
+        self.shared.is_local.load(Ordering::SeqCst)
     }
 
     /// Requests the stop order and the end; repeating it is harmless.

@@ -91,6 +91,8 @@ codes! {
         HostFault = 10, "host-fault";
         /// A command of the host was outside a motion limit of the gateway.
         LimitExceeded = 11, "limit-exceeded";
+        /// The switch of the gateway stands on local.
+        LocalControl = 12, "local-control";
     }
 }
 
@@ -121,6 +123,12 @@ codes! {
         CausePresent = 11, "cause-present";
         /// The host asks for more than the motion limits of the gateway.
         LimitsTooWide = 12, "limits-too-wide";
+        /// The gateway's list of peers does not have this address.
+        PeerNotAllowed = 13, "peer-not-allowed";
+        /// Too many new connections.
+        TooManyPeers = 14, "too-many-peers";
+        /// The proof of the key is wrong.
+        KeyMismatch = 15, "key-mismatch";
     }
 }
 

@@ -87,6 +87,31 @@ pub(super) enum Head {
     Sound { length: usize },
 }
 
+/// The start of a stream in which no other byte may stand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FirstFrame {
+    /// The start of a frame, or nothing.
+    Incomplete,
+    /// Something that is no frame.
+    None,
+    /// A sound frame.
+    Frame {
+        /// The frame.
+        frame: Frame,
+        /// Its bytes.
+        length: usize,
+    },
+}
+
+/// The frame at the start of these bytes: nothing is skipped.
+pub fn first_frame(bytes: &[u8]) -> FirstFrame {
+    match head(bytes) {
+        Head::Incomplete => FirstFrame::Incomplete,
+        Head::Sound { length } => FirstFrame::Frame { frame: decode_sound(&bytes[..length]), length },
+        Head::NoSync | Head::BadHeader | Head::OtherVersion | Head::BadCrc => FirstFrame::None,
+    }
+}
+
 /// What these bytes start with.
 pub(super) fn head(bytes: &[u8]) -> Head {
     let starts_like_sync = bytes.iter().zip(SYNC).all(|(got, expected)| *got == expected);

@@ -1,5 +1,8 @@
 //! What the gateway says.
 
+// Addresses as numbers: nothing here uses the network.
+use core::net::{IpAddr, Ipv6Addr};
+
 use super::fields::{Fields, Put};
 use super::host_message::{Control, RawMessage};
 use super::limits::{LIMITS_LENGTH, LIMITS_VERSION};
@@ -16,6 +19,7 @@ const CONTROL_REPLY: u8 = 0x83;
 const HEALTH: u8 = 0x84;
 const RAW_REPLY: u8 = 0x85;
 const EEPROM_LIMITS: u8 = 0x86;
+const HELD: u8 = 0x8D;
 const REJECT: u8 = 0x8E;
 const FAULT: u8 = 0x8F;
 
@@ -182,6 +186,21 @@ impl std::fmt::Display for FaultReport {
     }
 }
 
+/// The host that holds the gateway. Another one is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Holder {
+    /// Its address.
+    pub address: IpAddr,
+    /// Its port.
+    pub port: u16,
+}
+
+impl std::fmt::Display for Holder {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} port {}", self.address, self.port)
+    }
+}
+
 /// A message of the gateway.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GatewayMessage {
@@ -197,6 +216,8 @@ pub enum GatewayMessage {
     RawReply(RawMessage),
     /// To CONTROL with the operation `read-eeprom`.
     EepromLimits(EepromLimits),
+    /// To the first HELLO of a connection, if another host holds the gateway. The connection ends.
+    Held(Holder),
     /// To any frame that is refused.
     Reject(Reject),
     /// To nothing: sent once when the gateway stops the arm by itself.
@@ -235,6 +256,11 @@ impl GatewayMessage {
                 payload.put_i32(limits.negative_limit_urad);
                 EEPROM_LIMITS
             }
+            Self::Held(Holder { address, port }) => {
+                payload.extend(&to_ipv6(*address).octets());
+                payload.put_u16(*port);
+                HELD
+            }
             Self::Reject(reject) => {
                 payload.extend(&[reject.reason.code(), reject.frame_type]);
                 payload.put_u32(reject.detail);
@@ -269,6 +295,11 @@ impl GatewayMessage {
                 let (positive_limit_urad, negative_limit_urad) = (fields.i32(), fields.i32());
                 Self::EepromLimits(EepromLimits { axis, positive_limit_urad, negative_limit_urad })
             }
+            HELD => {
+                let mut fields = fields(18)?;
+                let address = Ipv6Addr::from(fields.bytes::<16>());
+                Self::Held(Holder { address: IpAddr::V6(address).to_canonical(), port: fields.u16() })
+            }
             REJECT => {
                 let mut fields = fields(6)?;
                 let reason = fields.code("reason", RejectReason::from_code)?;
@@ -277,6 +308,14 @@ impl GatewayMessage {
             FAULT => Self::Fault(FaultReport::decode(fields(5)?)?),
             got => return Err(MessageError::Type { got }),
         })
+    }
+}
+
+/// IPv4 addresses as `::ffff:a.b.c.d`.
+fn to_ipv6(address: IpAddr) -> Ipv6Addr {
+    match address {
+        IpAddr::V4(address) => address.to_ipv6_mapped(),
+        IpAddr::V6(address) => address,
     }
 }
 

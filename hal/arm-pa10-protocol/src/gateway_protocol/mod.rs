@@ -14,13 +14,17 @@ mod limits;
 mod line;
 mod parser;
 mod sequence;
+mod session;
 mod state;
 
 pub use codes::{ControlOperation, Dialect, DriveMode, GatewayState, Geometry, RejectReason, StopCause};
-pub use frame::{ArmId, FRAME_BYTES_MAX, Frame, FrameBytes, OVERHEAD, PAYLOAD_LENGTH_MAX, PROTOCOL_VERSION, Payload};
+pub use frame::{
+    ArmId, FRAME_BYTES_MAX, FirstFrame, Frame, FrameBytes, OVERHEAD, PAYLOAD_LENGTH_MAX, PROTOCOL_VERSION, Payload,
+    first_frame,
+};
 pub use freshness::DelayMeter;
 pub use gateway_message::{
-    ControlReply, EepromLimits, FaultReport, Firmware, GatewayMessage, Health, HelloReply, Reject,
+    ControlReply, EepromLimits, FaultReport, Firmware, GatewayMessage, Health, HelloReply, Holder, Reject,
 };
 pub use host_message::HELLO;
 pub use host_message::{ArmOperation, Control, DriveCommand, Hello, HostMessage, RawMessage};
@@ -28,6 +32,10 @@ pub use limits::{AxisMotion, AxisMotionLimits, HostLimits, LimitOutOfRange, Moti
 pub use line::{LineTooSlow, check_line, exchange_bytes, exchange_time};
 pub use parser::{FrameParser, ParserCounters, Received};
 pub use sequence::{Arrival, SequenceTracker};
+pub use session::{
+    Agreement, CHALLENGE, Handshake, KEY_BYTES_MIN, KNOCK, KeyTooShort, MAC_BYTES, NONCE_BYTES, Nonce, NotAuthentic,
+    Opener, PROOF, Proof, RECORD_BYTES_MAX, RecordBytes, Sealer, SharedKey, Side,
+};
 pub use state::{AxisState, State};
 
 use std::time::Duration;

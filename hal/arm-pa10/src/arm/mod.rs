@@ -9,6 +9,7 @@ mod bus_port;
 mod closer;
 mod config;
 mod gateway_port;
+mod keyed;
 mod port;
 mod request;
 mod shared;
@@ -42,6 +43,7 @@ use self::worker::{LET_GO_MAX, Progress, WishEnd, Worker};
 use crate::driver::{Activity, Driver, DriverConfig, Trip};
 
 pub use config::{ArmOpenError, BusArmConfig, Pa10ArmConfig, REALTIME};
+pub use keyed::{AccessError, KeyedLink, KeyedTcp, random_shared_key, read_shared_key};
 pub use request::WishError;
 pub use shared::{ArmMonitor, ArmSnapshot};
 pub use trace::{Direction, RawBytes};

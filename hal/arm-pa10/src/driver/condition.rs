@@ -501,6 +501,9 @@ fn advice_on_stop(cause: StopCause) -> &'static str {
             "the program that drove the arm sent a command outside a motion limit of the gateway, whose log names axis and quantity; \
              compare [limits] in the gateway's file with the arm's limits in the setup, then reset"
         }
+        StopCause::LocalControl => {
+            "the switch of the gateway stands on local: type `remote` at the gateway, then reset"
+        }
         _ => "remove the cause, then reset",
     }
 }
@@ -511,6 +514,7 @@ fn what_is_there(found: StopCause) -> String {
         StopCause::ServoAlarm => "an alarm of an axis".to_owned(),
         StopCause::ControllerAlarm => "an alarm of the controller".to_owned(),
         StopCause::EmergencyStop => "an emergency stop, dead-man switch or limit switch".to_owned(),
+        StopCause::LocalControl => "the switch of the gateway on local; type `remote` at the gateway".to_owned(),
         other => other.to_string(),
     }
 }

@@ -7,8 +7,8 @@ use pb3dp_arm_pa10_protocol::codec::{
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmOperation, BRAKE_TIME_MAX, Control, DelayMeter, Dialect, DriveCommand, DriveMode, FaultReport, Frame,
-    FrameBytes, FrameParser, GatewayMessage, GatewayState, Geometry, Hello, HelloReply, HostMessage, ParserCounters,
-    RawMessage, Received, Reject, RejectReason, StopCause, WiderLimit,
+    FrameBytes, FrameParser, GatewayMessage, GatewayState, Geometry, Hello, HelloReply, Holder, HostMessage,
+    ParserCounters, RawMessage, Received, Reject, RejectReason, StopCause, WiderLimit,
 };
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
@@ -26,6 +26,14 @@ pub const SILENCE: Duration = Duration::from_millis(20);
 
 /// Period of the heartbeat of an idle host.
 pub const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(250);
+
+/// Another host has the gateway.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum HeldError {
+    /// It moves the arm, or could.
+    #[error("the gateway is held by the host at {0}: end the program there; it gives way after a second of silence")]
+    Held(Holder),
+}
 
 /// Why a gateway is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -87,6 +95,9 @@ pub enum HelloError {
         got = .0.quantity.text(.0.wider), most = .0.quantity.text(.0.limit)
     )]
     AsksMore(WiderLimit),
+    /// Another host has it.
+    #[error(transparent)]
+    Held(HeldError),
     /// It refused the host.
     #[error("the gateway refused the host: {0}; compare the configurations and versions of both sides")]
     Rejected(RejectReason),
@@ -332,6 +343,9 @@ impl GatewayLink {
                 }
                 Err(error) => self.hello_error = Some(error),
             },
+            (Waiting::Hello, GatewayMessage::Held(holder)) => {
+                self.hello_error = Some(HelloError::Held(HeldError::Held(*holder)));
+            }
             (Waiting::Hello, GatewayMessage::Reject(Reject { reason, detail, .. })) => {
                 let limit = WiderLimit::from_detail(*detail, &self.config.limits.asked)
                     .filter(|_| *reason == RejectReason::LimitsTooWide);

@@ -4,10 +4,11 @@
 //! pseudo-terminal) moves the bytes and provides the time.
 
 mod bus;
+mod codes;
 mod gateway;
 
 pub use bus::{BusFrameError, BusLink};
-pub use gateway::{GatewayLink, HEARTBEAT_INTERVAL, HELLO_TIMEOUT, HelloError, LinkError, SILENCE};
+pub use gateway::{GatewayLink, HEARTBEAT_INTERVAL, HELLO_TIMEOUT, HeldError, HelloError, LinkError, SILENCE};
 
 use pb3dp_arm_pa10_protocol::codec::{ReplyMessage, TorqueScale, WireFormat};
 

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
 
-use std::net::{SocketAddr, TcpListener};
+use std::net::SocketAddr;
 use std::os::fd::BorrowedFd;
 use std::path::Path;
 use std::sync::Arc;
@@ -14,13 +14,15 @@ use pb3dp_arm_pa10::driver::{DriverState, Request};
 use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_emulation::mock_controller::ControlMode;
 use pb3dp_arm_pa10_gateway::service::{
-    BusOpener, GatewayEvent, GatewayServer, GatewayServerConfig, GatewayServerError, Happened, HostSide,
+    Access, BusOpener, GatewayEvent, GatewayServer, GatewayServerConfig, GatewayServerError, Happened, HostSide,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, GatewayState, StopCause};
-use pb3dp_arm_pa10_test_support::world::{Emulation, FORMAT, Host, LONG, gateway_config, home, ms, velocity};
+use pb3dp_arm_pa10_test_support::world::{
+    ARM, Emulation, FORMAT, Host, LONG, gateway_config, home, keyed, ms, tcp_side, test_key, velocity,
+};
 use pb3dp_hal_platform::pty::Pty;
 use pb3dp_hal_platform::realtime::{self, Realtime};
-use pb3dp_hal_platform::tcp::{TcpConfig, TcpLink};
+use pb3dp_hal_platform::transport::Connector;
 use pb3dp_test_support::in_real_time_beside_others;
 use pb3dp_test_support::real_time::note_lateness_at;
 
@@ -44,13 +46,6 @@ fn start(bus: BusOpener, host: HostSide) -> GatewayServer {
     GatewayServer::start(config, bus, host).unwrap()
 }
 
-fn tcp() -> (HostSide, SocketAddr) {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    listener.set_nonblocking(true).unwrap();
-    let address = listener.local_addr().unwrap();
-    (HostSide::Tcp(listener), address)
-}
-
 fn serial(path: &Path) -> HostSide {
     HostSide::Line(Box::new(SerialConfig {
         path: path.to_str().unwrap().to_owned(),
@@ -62,7 +57,7 @@ fn serial(path: &Path) -> HostSide {
 }
 
 fn connect(address: SocketAddr, dialect: Dialect) -> Host {
-    Host::new(Box::new(TcpLink::connect(&TcpConfig { address }).unwrap()), dialect)
+    Host::new(keyed(address).connect().unwrap(), dialect)
 }
 
 fn events(server: &GatewayServer) -> Vec<Happened> {
@@ -202,15 +197,19 @@ fn a_host_whose_connection_ends_in_motion_is_silent_and_the_next_one_has_to_rese
 }
 
 fn connection_ends_in_motion() {
-    let (side, address) = tcp();
+    let (side, address) = tcp_side();
     let (server, emulation) = server(side);
     let witness = Witness(&server);
     let mut host = connect(address, Dialect::GatewayV1);
     host.open();
     host.lead_to_moving();
-    // While this host is connected, others are refused.
+    // While this host is connected, others are refused, and learn by whom it is held.
     let mut second = connect(address, Dialect::GatewayV1);
-    messages_until(&server, "was turned away");
+    second.link.open(realtime::now());
+    assert!(second.run_for(LONG, |host| host.link.hello_error().is_some()));
+    let refused = second.link.hello_error().unwrap().to_string();
+    assert!(refused.contains("the gateway is held by the host at 127.0.0.1 port "), "{refused}");
+    messages_until(&server, "was turned away: another host is connected");
     assert!(second.run_for(LONG, |host| host.is_gone));
     host.must_be(DriverState::Moving);
     // As after kill -9 of the host.
@@ -239,10 +238,11 @@ fn connection_ends_in_motion() {
 
 #[test]
 fn a_connection_that_has_been_silent_for_a_second_gives_way() {
-    let (side, address) = tcp();
+    let (side, address) = tcp_side();
     let (server, _emulation) = server(side);
-    // Half-open: the host sends nothing, and its end is never reported.
-    let silent = connect(address, Dialect::GatewayV1);
+    // Half-open: the host sends nothing after HELLO, and its end is never reported.
+    let mut silent = connect(address, Dialect::GatewayV1);
+    silent.open();
     messages_until(&server, "a host connected");
     std::thread::sleep(ms(1200));
     let mut host = connect(address, Dialect::GatewayV1);
@@ -263,7 +263,7 @@ fn bus_goes_down() {
     let path = folder.join("bus");
     let listener = FrameListener::bind(&path).unwrap();
     let its_path = path.clone();
-    let (side, address) = tcp();
+    let (side, address) = tcp_side();
     let opener: BusOpener = Box::new(move || Ok(Box::new(FrameSocket::connect(&its_path)?) as Box<dyn BusPort>));
     let server = start(opener, side);
     let accept = || {
@@ -346,7 +346,7 @@ fn panics_in_motion() {
         let opener: BusOpener =
             Box::new(move || Ok(Box::new(port.take().ok_or("it was opened before")?) as Box<dyn BusPort>));
         let emulation = Emulation::start(Box::new(controller), Some(ms(400)));
-        let (side, address) = tcp();
+        let (side, address) = tcp_side();
         let server = start(opener, side);
         let witness = Witness(&server);
         let mut host = connect(address, Dialect::GatewayV1);
@@ -363,8 +363,8 @@ fn panics_in_motion() {
 
 #[test]
 fn what_can_not_be_started_is_refused_by_name() {
-    let (side, address) = tcp();
-    let error = HostSide::listen(address).err().unwrap();
+    let (side, address) = tcp_side();
+    let error = HostSide::listen(address, ARM, Access::from_this_computer(test_key())).err().unwrap();
     assert!(matches!(error, GatewayServerError::Listen { .. }), "{error}");
     let nobody: BusOpener = Box::new(|| Err("nobody there".into()));
     let config = GatewayServerConfig { gateway: gateway_config(), realtime: REALTIME };

@@ -14,17 +14,18 @@ use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServerConfig, MockServerError};
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockControllerConfig, Script, pa10_joints};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
+use pb3dp_arm_pa10_gateway::service::Access;
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, StopCause,
 };
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
+use pb3dp_arm_pa10_test_support::world::{keyed, test_key};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{Arm, ArmErrorKind, ArmPower, ArmState, Clock, JointCommand};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::pty::Pty;
 use pb3dp_hal_platform::realtime::Realtime;
-use pb3dp_hal_platform::tcp::TcpConfig;
 use pb3dp_hal_platform::transport::{ByteLink, ConnectError, Connector};
 use pb3dp_kinematics::JointVector;
 use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
@@ -47,6 +48,10 @@ struct Rig {
 
 fn gateway() -> GatewayConfig {
     GatewayConfig::new(ArmId(2), FORMAT, Firmware::new("mock 1").unwrap(), MotionLimits::WIDEST)
+}
+
+fn access() -> Access {
+    Access::from_this_computer(test_key())
 }
 
 fn start(face: MockFace, script: &str) -> Result<Rig, MockServerError> {
@@ -379,15 +384,15 @@ fn an_arm_is_found_again_wherever_its_terminal_is() {
 #[test]
 fn an_arm_moves_over_tcp_and_stops_with_its_connection() {
     in_real_time_beside_others(|| {
-        let rig = rig(MockFace::Tcp(gateway(), "127.0.0.1:0".parse().unwrap()));
+        let rig = rig(MockFace::Tcp(gateway(), "127.0.0.1:0".parse().unwrap(), access()));
         let address = rig.server.address().parse().unwrap();
-        let mut arm = rig.enabled(Box::new(TcpConfig { address }));
+        let mut arm = rig.enabled(Box::new(keyed(address)));
         assert!(moved_by(&rig, &mut arm, 0.02) >= 0.02);
-        let taken = start(MockFace::Tcp(gateway(), address), "").err().unwrap().to_string();
+        let taken = start(MockFace::Tcp(gateway(), address, access()), "").err().unwrap().to_string();
         assert!(taken.contains(&format!("cannot listen at {address}")), "{taken}");
         drop(arm);
         assert!(wait_for(|| rig.server.report().is_braked));
-        let again = rig.enabled(Box::new(TcpConfig { address }));
+        let again = rig.enabled(Box::new(keyed(address)));
         assert_eq!(again.state(), ArmState::Enabled);
     });
 }

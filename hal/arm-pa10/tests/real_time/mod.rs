@@ -1,5 +1,6 @@
 //! Tests whose threads must run in time, through `in_real_time_beside_others`.
 
+mod gateway_access;
 mod io_arm;
 mod io_arm_cell;
 mod io_arm_conformance;

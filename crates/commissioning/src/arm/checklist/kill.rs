@@ -121,8 +121,8 @@ impl Mover {
         command.args(["--log", "warn", "arm", "jog", "--alone", "--move", "--report-joints"]);
         command.args(session.place.setup.words()).args(["--arm", session.place.arm_word()]);
         command.args(["--axis", &session.axis.number().to_string(), "--by", &by_rad.to_degrees().to_string()]);
-        if let Some(address) = session.line {
-            command.args(["--line", &address.to_string()]);
+        if let Some(line) = &session.line {
+            command.args(["--line", &line.address.to_string()]).arg("--line-key").arg(line.key.file());
         }
         command.stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = command.spawn().context("cannot start the process that moves the arm")?;

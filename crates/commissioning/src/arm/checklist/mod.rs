@@ -11,6 +11,7 @@ mod report;
 mod session;
 mod steps;
 mod stops;
+mod test_line;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -20,7 +21,6 @@ use std::time::{Duration, SystemTime};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use pb3dp_arm_pa10::arm::ArmSnapshot;
-use pb3dp_arm_pa10_emulation::line::mock_server::SocketAddr;
 use pb3dp_arm_pa10_protocol::codec::Axis;
 use pb3dp_cell::live::enter_control_thread;
 use pb3dp_cell::machine::machine;
@@ -40,6 +40,7 @@ use self::record::{Outcome, StepReport};
 use self::report::{ProgramFacts, TestReport, Verdict};
 use self::session::{Session, is_interruption};
 use self::steps::Step;
+use self::test_line::{TestKey, TestLine};
 use super::confirm::Console;
 use super::flights::{folder_of, utc};
 use super::motion::{JOG_RAD_PER_S, show_room};
@@ -242,7 +243,7 @@ fn operator(
     (args, asked): (&TestArgs, &[Step]),
     setup: &mut Setup,
     clock: &Arc<dyn Clock>,
-) -> Result<(Box<dyn Operator>, Option<SocketAddr>)> {
+) -> Result<(Box<dyn Operator>, Option<TestLine>)> {
     let choice = args.place.choice();
     let patience = Duration::from_secs(u64::from(args.patience));
     if args.operator == OperatorName::Person {
@@ -250,7 +251,7 @@ fn operator(
         let is_emulated = |arm: &&ArmChoice| matches!(&arm.of(setup).link, ArmLink::Gateway(_, GatewayWay::Emulated));
         if let (Some(emulated), true) = (hands.iter().find(is_emulated), args.moves) {
             bail!(
-                "{}.backend = \"emulated\" has no switch and no cable for you: use --operator emulated, or run `pb3dp mock-arm --tcp` in \
+                "{}.backend = \"emulated\" has no switch and no cable for you: use --operator emulated, or run `pb3dp mock-arm --tcp` with a key in \
                  another terminal and set backend = \"tcp\"",
                 emulated.of(setup).key
             );
@@ -259,14 +260,16 @@ fn operator(
     }
     let choices: &[ArmChoice] = if args.company.alone { &[choice] } else { &[choice, choice.other()] };
     let mut arms = Vec::new();
-    let mut line = None;
+    let key = TestKey::new()?;
+    let mut first = None;
     for choice in choices {
-        let server = emulate_at_address(setup, *choice, clock).context("--operator emulated")?;
+        let server = emulate_at_address(setup, *choice, key.file(), clock).context("--operator emulated")?;
         let address = server.address().parse().context("the address of the emulated arm")?;
-        set_line(setup, *choice, address);
-        line = line.or(Some(address));
+        set_line(setup, *choice, address, key.file().to_owned());
+        first = first.or(Some(address));
         arms.push((*choice, server));
     }
+    let line = first.map(|address| TestLine { address, key });
     Ok((Box::new(Emulated::new((Console::start()?, patience), arms)), line))
 }
 

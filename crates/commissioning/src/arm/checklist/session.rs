@@ -7,7 +7,6 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow, bail};
 use pb3dp_arm_pa10::arm::ArmMonitor;
 use pb3dp_arm_pa10::driver::Latched;
-use pb3dp_arm_pa10_emulation::line::mock_server::SocketAddr;
 use pb3dp_arm_pa10_protocol::codec::Axis;
 use pb3dp_arm_pa10_protocol::gateway_protocol::HelloReply;
 use pb3dp_cell::parts::ArmChoice;
@@ -26,6 +25,7 @@ use super::super::{Place, flights};
 use super::operator::{Act, Operator, Question};
 use super::record::{Answer, StepReport};
 use super::steps::{OVER_SPEED, Step, WRONG_WAY_DEG};
+use super::test_line::TestLine;
 use crate::arm::motion::JOG_RAD_PER_S;
 use crate::commissioned::Fingerprint;
 
@@ -72,8 +72,8 @@ pub struct Session<'a> {
     pub gateway: HelloReply,
     /// Fingerprint of the arm, for its commissioning record.
     pub fingerprint: Fingerprint,
-    /// Address of the arm, if it differs from the setup.
-    pub line: Option<SocketAddr>,
+    /// Address and key of the arm, if it differs from the setup.
+    pub line: Option<TestLine>,
     /// Output folder of the report.
     pub out: PathBuf,
 }

@@ -126,7 +126,7 @@ impl Needs {
             match link {
                 ArmLink::Gateway(_, GatewayWay::Serial { path, .. }) => serial.push(path.clone()),
                 ArmLink::Bus(config) => arcnet.extend(interface(&config.target)),
-                ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated | GatewayWay::Tcp(_)) => {}
+                ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated | GatewayWay::Tcp { .. }) => {}
             }
         }
         Self {
