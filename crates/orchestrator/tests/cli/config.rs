@@ -36,7 +36,7 @@ fn values_for_programs_have_the_types_of_json() {
 #[test]
 fn a_setup_that_is_begun_is_accepted_or_says_what_is_missing() {
     let folder = tempfile::tempdir().unwrap();
-    for kind in ["sim", "hil"] {
+    for kind in ["sim", "hil", "rig", "arms"] {
         let file = folder.path().join(format!("{kind}.toml"));
         fs::write(&file, config(&["init", kind]).stdout).unwrap();
         let checked = config(&["check", "--config", file.to_str().unwrap()]);
