@@ -272,7 +272,7 @@ impl Layers {
         for (name, table) in changed.iter().flat_map(|name| OF_LINK.map(|table| (name, table))) {
             self.remove(&format!("arms.{name}.{table}"));
         }
-        // A rest without a return from it has no `resume`.
+        // Only the action `hold` has the key `resume`.
         let policies = value_at(&layer.stated, &["supervisor", "policies"]).and_then(Value::as_dict);
         for (name, policy) in policies.into_iter().flatten() {
             if policy.as_dict().and_then(|policy| policy.get("action")?.as_str()).is_some_and(|action| action != "hold")

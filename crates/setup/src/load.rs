@@ -45,11 +45,6 @@ impl ConfigFile {
         Ok(Self::of(file.to_path_buf(), wanted, Layers::one_file(file)?))
     }
 
-    /// A setup of these layers.
-    pub fn setup(name: &Path, layers: Layers) -> Self {
-        Self::of(name.to_path_buf(), FileKind::Setup, layers)
-    }
-
     pub(crate) fn of(name: PathBuf, wanted: FileKind, layers: Layers) -> Self {
         let values = layers.figment().extract().unwrap_or_default();
         Self { name, wanted, layers, values: RefCell::new(values), problems: RefCell::default() }

@@ -285,8 +285,7 @@ pub fn read_setup(file: &Path) -> Result<Setup, ConfigError> {
 /// # Errors
 /// An unreadable file, unknown or missing keys, values out of range; the error names file, line, key and allowed values.
 pub fn read_layers(args: &SetupArgs) -> Result<Setup, ConfigError> {
-    let layers = Layers::read(args)?;
-    let config = ConfigFile::setup(args.name(), layers);
+    let config = ConfigFile::of(args.name().to_path_buf(), FileKind::Setup, Layers::read(args)?);
     let mut check = Checker::default();
     let setup = read_tables(&config, &mut check).map(Setup::seeded);
     config.finish(check)?;

@@ -14,7 +14,7 @@ use pb3dp_record::calibration_files::{Judgement, StereoCalibration};
 use serde::Deserialize;
 
 use super::super::layers::{Layers, SetupArgs};
-use super::super::load::{Checker, ConfigError, ConfigFile, whole};
+use super::super::load::{Checker, ConfigError, ConfigFile, FileKind, whole};
 use super::calibration::{CalibrationInUse, load_files};
 use super::image_stream::{check_size, frame_rate_hz};
 use super::millis;
@@ -107,7 +107,7 @@ pub(super) fn load_calibration(files: &[PathBuf], size: ImageSize) -> Result<Ste
 /// # Errors
 /// An unreadable file, simulated cameras, unknown or missing keys, values out of range.
 pub fn read_cameras(args: &SetupArgs) -> Result<(RealCameras, SearchRange), ConfigError> {
-    let config = ConfigFile::setup(args.name(), Layers::read(args)?);
+    let config = ConfigFile::of(args.name().to_path_buf(), FileKind::Setup, Layers::read(args)?);
     let mut check = Checker::default();
     let found = cameras_of(&config, &mut check);
     config.finish(check)?;

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use pb3dp_arm_pa10::arm::KeyedLink;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    Agreement, ArmId, FRAME_BYTES_MAX, FirstFrame, Frame, GatewayMessage, HELLO, Handshake, Holder, OVERHEAD, Reject,
+    Agreement, ArmId, FRAME_BYTES_MAX, FirstFrame, Frame, GatewayMessage, HELLO, Handshake, Holder, Reject,
     RejectReason, SharedKey, Side, first_frame,
 };
 use pb3dp_geometry::MonotonicTime;
@@ -307,18 +307,17 @@ impl Opening {
     /// The next frame, and no byte more.
     fn read(&mut self) -> Result<Option<Frame>, &'static str> {
         loop {
-            match first_frame(&self.bytes[..self.length]) {
+            let needed = match first_frame(&self.bytes[..self.length]) {
                 FirstFrame::Frame { frame, .. } => {
                     self.length = 0;
                     return Ok(Some(frame));
                 }
                 FirstFrame::None => return Err("it sent something else than a frame"),
-                FirstFrame::Incomplete => {}
-            }
-            let needed = if self.length < OVERHEAD { OVERHEAD } else { OVERHEAD + usize::from(self.bytes[5]) };
+                FirstFrame::Incomplete { needed } => needed,
+            };
             let (mut bytes, length) = (self.bytes, self.length);
             let Some(link) = self.link() else { return Err("it is closed") };
-            match link.try_read(&mut bytes[length..needed.min(FRAME_BYTES_MAX)]) {
+            match link.try_read(&mut bytes[length..needed]) {
                 Ok(0) => return Ok(None),
                 Ok(count) => (self.bytes, self.length) = (bytes, length + count),
                 Err(_) => return Err("it was closed, or sent a record that is not authentic"),

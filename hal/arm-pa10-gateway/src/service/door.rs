@@ -177,10 +177,11 @@ fn admit(
     let silent = at.saturating_since(MonotonicTime::from_nanos(shared.heard.load(Ordering::SeqCst)));
     let is_held = shared.has_host.load(Ordering::SeqCst) && silent < GIVES_WAY;
     let held_by = holder.filter(|_| is_held);
-    if let Some(Admitted { link, peer }) = admission.poll(at, held_by, &mut |text| say(tell, text)) {
+    if let Some(Admitted { link, peer }) = admission.poll(at, held_by, &mut |text| say(tell, text))
+        && hand_over(link, shared, lines)
+    {
         say(tell, format!("a host connected from {peer}"));
         *holder = Some(peer);
-        hand_over(link, shared, lines);
     }
 }
 
@@ -193,15 +194,17 @@ fn wait_for_input(admission: &Admission) {
     let _ = poll(&mut fds, Some(&timeout));
 }
 
-/// `has_host` is set before the line is handed over: the cycle thread may find the line closed at once, and must clear it last.
-fn hand_over(link: Box<dyn ByteLink>, shared: &Shared, lines: &LineEnds) {
+/// Hands a line to the cycle thread, unless that has not taken the one before. `has_host` is set before the line is handed over: the cycle thread may find the line closed at once, and must clear it last.
+fn hand_over(link: Box<dyn ByteLink>, shared: &Shared, lines: &LineEnds) -> bool {
     shared.heard.store(now().as_nanos(), Ordering::SeqCst);
     let had_host = shared.has_host.swap(true, Ordering::SeqCst);
-    if lines.hosts.try_send(link).is_ok() {
+    let is_taken = lines.hosts.try_send(link).is_ok();
+    if is_taken {
         shared.wake();
     } else if !had_host {
         shared.has_host.store(false, Ordering::SeqCst);
     }
+    is_taken
 }
 
 #[cfg(test)]

@@ -91,7 +91,10 @@ pub(super) enum Head {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FirstFrame {
     /// The start of a frame, or nothing.
-    Incomplete,
+    Incomplete {
+        /// Length of the frame as far as these bytes show it: reading up to it takes no byte of what follows.
+        needed: usize,
+    },
     /// Something that is no frame.
     None,
     /// A sound frame.
@@ -106,7 +109,8 @@ pub enum FirstFrame {
 /// The frame at the start of these bytes: nothing is skipped.
 pub fn first_frame(bytes: &[u8]) -> FirstFrame {
     match head(bytes) {
-        Head::Incomplete => FirstFrame::Incomplete,
+        Head::Incomplete if bytes.len() < OVERHEAD => FirstFrame::Incomplete { needed: OVERHEAD },
+        Head::Incomplete => FirstFrame::Incomplete { needed: OVERHEAD + usize::from(bytes[LENGTH_AT]) },
         Head::Sound { length } => FirstFrame::Frame { frame: decode_sound(&bytes[..length]), length },
         Head::NoSync | Head::BadHeader | Head::OtherVersion | Head::BadCrc => FirstFrame::None,
     }

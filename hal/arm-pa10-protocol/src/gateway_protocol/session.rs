@@ -64,11 +64,7 @@ impl SharedKey {
         if secret.len() < KEY_BYTES_MIN {
             return Err(KeyTooShort { got: secret.len() });
         }
-        Ok(Self(mac(b"pb3dp gateway key 1", &[secret])))
-    }
-
-    fn derive(&self, label: &[u8], arm: ArmId, nonces: &Nonces) -> [u8; 32] {
-        mac(&self.0, &[label, &[arm.0], &nonces.host, &nonces.gateway])
+        Ok(Self(keyed(b"pb3dp gateway key 1").chain_update(secret).finalize().into_bytes().into()))
     }
 }
 
@@ -78,15 +74,12 @@ impl std::fmt::Debug for SharedKey {
     }
 }
 
-fn keyed(key: &[u8]) -> Hmac<Sha256> {
-    // HMAC takes keys of any length.
-    Hmac::new_from_slice(key).unwrap_or_else(|_| Hmac::new(&hmac::digest::Key::<Hmac<Sha256>>::default()))
-}
-
-fn mac(key: &[u8], parts: &[&[u8]]) -> [u8; 32] {
-    let mut hmac = keyed(key);
-    parts.iter().for_each(|part| hmac.update(part));
-    hmac.finalize().into_bytes().into()
+/// HMAC-SHA256 with a key that is no longer than a block: zeros fill the block (RFC 2104, section 2).
+fn keyed<const N: usize>(key: &[u8; N]) -> Hmac<Sha256> {
+    const { assert!(N <= 64, "a longer key would be hashed first") };
+    let mut block = hmac::digest::Key::<Hmac<Sha256>>::default();
+    block[..N].copy_from_slice(key);
+    Hmac::new(&block)
 }
 
 /// The nonces of both sides.
@@ -110,25 +103,32 @@ impl Agreement {
         Self { key, arm, nonces: Nonces { host, gateway } }
     }
 
+    /// HMAC of everything that is agreed on, for one purpose.
+    fn derivation(&self, label: &[u8]) -> Hmac<Sha256> {
+        let Self { key, arm, nonces } = self;
+        keyed(&key.0).chain_update(label).chain_update([arm.0]).chain_update(nonces.host).chain_update(nonces.gateway)
+    }
+
+    fn proof_derivation(&self, side: Side) -> Hmac<Sha256> {
+        self.derivation(side.pick(b"host proof", b"gateway proof"))
+    }
+
     /// The proof that a side sends.
     pub fn proof(&self, side: Side) -> Proof {
-        self.key.derive(side.pick(b"host proof", b"gateway proof"), self.arm, &self.nonces)
+        self.proof_derivation(side).finalize().into_bytes().into()
     }
 
     /// Whether a proof is that of a side; compares in constant time.
     pub fn is_proof(&self, side: Side, proof: &Proof) -> bool {
-        let mut hmac = keyed(&self.key.0);
-        for part in [side.pick(b"host proof", b"gateway proof"), &[self.arm.0], &self.nonces.host, &self.nonces.gateway]
-        {
-            hmac.update(part);
-        }
-        hmac.verify_slice(proof).is_ok()
+        self.proof_derivation(side).verify_slice(proof).is_ok()
     }
 
     /// The records of one side: what it seals, and what it opens of the other one.
     pub fn records(&self, side: Side) -> (Sealer, Opener) {
         let of = |side: Side| {
-            keyed(&self.key.derive(side.pick(b"host records", b"gateway records"), self.arm, &self.nonces))
+            let key: [u8; 32] =
+                self.derivation(side.pick(b"host records", b"gateway records")).finalize().into_bytes().into();
+            keyed(&key)
         };
         let sealer = Sealer { mac: of(side), counter: 0 };
         (sealer, Opener { mac: of(side.other()), counter: 0, buffer: RecordBytes::EMPTY, is_broken: false })
@@ -391,6 +391,18 @@ mod tests {
             // A longer announced length waits for the rest, and delivers nothing.
             assert!(frames.is_empty() && (!is_ok || opener.pending() > 0), "bit {bit}");
         }
+    }
+
+    /// From Python's `hmac` and `hashlib`, by the text of `docs/arm-protocol.md`: key, then proof of the gateway, then MAC of the host's
+    /// first record.
+    #[test]
+    fn proofs_and_records_are_those_of_another_implementation() {
+        let proof = [0x0a, 0x3f, 0x48, 0x6b, 0x96, 0xc8, 0x83, 0x93];
+        assert_eq!(agreement(7).proof(Side::Gateway)[..8], proof);
+        let frame: Vec<u8> = (0..20).collect();
+        let mac = [0x37, 0x1a, 0x52, 0xd4, 0xb7, 0x9e, 0x4e, 0x4c, 0x09, 0x12, 0x0d, 0xca, 0x81, 0xad, 0xdf, 0xa7];
+        let record = agreement(7).records(Side::Host).0.seal(&frame);
+        assert_eq!(record[record.len() - MAC_BYTES..], mac);
     }
 
     #[test]

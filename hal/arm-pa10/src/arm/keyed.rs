@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
-    Agreement, ArmId, FRAME_BYTES_MAX, FirstFrame, Frame, GatewayMessage, Handshake, KEY_BYTES_MIN, OVERHEAD, Opener,
+    Agreement, ArmId, FRAME_BYTES_MAX, FirstFrame, Frame, GatewayMessage, Handshake, KEY_BYTES_MIN, Opener,
     RejectReason, Sealer, SharedKey, Side, first_frame,
 };
 use pb3dp_hal_platform::key_file::{KeyFileError, random_bytes, read_key};
@@ -95,7 +95,7 @@ impl<L: ByteLink> ByteLink for KeyedLink<L> {
         }
         let length = match first_frame(bytes) {
             FirstFrame::Frame { length, .. } => length,
-            FirstFrame::Incomplete | FirstFrame::None => bytes.len().min(FRAME_BYTES_MAX),
+            FirstFrame::Incomplete { .. } | FirstFrame::None => bytes.len().min(FRAME_BYTES_MAX),
         };
         self.unsent.extend_from_slice(&self.sealer.seal(&bytes[..length]));
         self.flush()?;
@@ -258,18 +258,17 @@ fn write_all(link: &mut impl ByteLink, bytes: &[u8]) -> Result<(), Unplugged> {
 fn read_frame(link: &mut impl ByteLink) -> Result<Option<Frame>, Unplugged> {
     let (mut bytes, mut length, end) = ([0; FRAME_BYTES_MAX], 0, now() + HELLO_TIMEOUT);
     loop {
-        match first_frame(&bytes[..length]) {
+        let needed = match first_frame(&bytes[..length]) {
             FirstFrame::Frame { frame, .. } => return Ok(Some(frame)),
             FirstFrame::None => return Ok(None),
-            FirstFrame::Incomplete => {}
-        }
+            FirstFrame::Incomplete { needed } => needed,
+        };
         let left = end.saturating_since(now());
         if left == Duration::ZERO {
             return Ok(None);
         }
         // What follows the frame belongs to the records.
-        let needed = if length < OVERHEAD { OVERHEAD } else { OVERHEAD + usize::from(bytes[5]) };
-        match link.try_read(&mut bytes[length..needed.min(FRAME_BYTES_MAX)])? {
+        match link.try_read(&mut bytes[length..needed])? {
             0 => drop(wait(Some(link), false, None, left)),
             count => length += count,
         }
