@@ -92,7 +92,7 @@ pub(super) enum Head {
 pub enum FirstFrame {
     /// The start of a frame, or nothing.
     Incomplete {
-        /// Length of the frame as far as these bytes show it: reading up to it takes no byte of what follows.
+        /// Length of the frame, or of the part that shows it: reading up to it takes no byte of what follows.
         needed: usize,
     },
     /// Something that is no frame.
