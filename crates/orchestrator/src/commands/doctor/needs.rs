@@ -111,7 +111,10 @@ impl Needs {
 
     /// Needs of cameras without arms.
     fn of_cameras(config: &SetupArgs, cameras: &RealCameras, recordings: PathBuf) -> Self {
+        let calibration = cameras.calibration();
         Self {
+            nominal_calibration: calibration
+                .map_or_else(|error| Some(format!("{error:#}")), |found| found.not_measured),
             source: format!("{config} (pb3dp cameras)"),
             serial: Some(Vec::new()),
             cameras: Cameras::of(cameras),

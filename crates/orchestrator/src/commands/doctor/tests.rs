@@ -418,6 +418,8 @@ fn needs_come_from_the_configuration() {
     let cameras = of("../crates/orchestrator/src/commands/config/cameras.toml");
     assert!(!cameras.needs_realtime && matches!(cameras.cameras, Cameras::These(_)), "{cameras:?}");
     assert_eq!((&cameras.serial, cameras.groups()), (&Some(Vec::new()), vec!["video"]));
+    // There is no such file yet.
+    assert!(cameras.nominal_calibration.is_some_and(|says| says.contains("calibration.toml")));
     assert!(of("sim.toml").groups().is_empty() && emulated.groups().is_empty());
     assert_eq!(Needs::general(PathBuf::from("out")).groups(), ["realtime", "video", "dialout"]);
     let missing = Needs::of_config(&SetupArgs::of_file(&root.join("no such file.toml")), PathBuf::from("out"));
