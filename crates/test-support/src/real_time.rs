@@ -9,10 +9,15 @@ use std::time::{Duration, Instant};
 use crate::not_checked;
 use crate::scheduling::{Entered, Policy, Preferred};
 use crate::verdict::{Tries, Verdict, judge};
-use crate::witness::{Delay, Witness};
+use crate::witness::{Delay, TOO_LATE, Witness};
 
 /// Delays recorded by the threads of the running test.
 static OWN: Mutex<Vec<Delay>> = Mutex::new(Vec::new());
+
+/// A late machine must be on time for this long before a test is tried again.
+const CALM: Duration = Duration::from_secs(1);
+/// Longest wait for a calm machine.
+const PATIENCE: Duration = Duration::from_secs(20);
 
 /// How a test holds the lock of all real-time tests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,8 +54,8 @@ pub fn note_lateness_at(at: Instant, late: Duration) {
 /// Runs a test whose threads must meet deadlines: under one lock of all such tests of this user, in any process, with a
 /// SCHED_FIFO priority if granted, beside witness threads that observe the machine. No other such test runs at the same time.
 ///
-/// A failure counts at once if the machine met its deadlines. If the machine was late, the test is tried again, up to
-/// [`Tries::MAX`] times. If no try passes, the test fails, unless each failure was lateness and the machine was equally late at
+/// A failure counts at once if the machine met its deadlines. If the machine was late, the test is tried again once the machine
+/// meets them again ([`CALM`], [`PATIENCE`]), up to [`Tries::MAX`] times. If no try passes, the test fails, unless each failure was lateness and the machine was equally late at
 /// that time; then the test is reported as not checked. The behaviour of an arm on a late machine is tested in virtual time, and
 /// in the emulated computer.
 ///
@@ -104,14 +109,29 @@ pub fn in_real_time_as(name: &str, turn: Turn, priority: Priority, test: impl Fn
         let seen = witness.end();
         let Err(panic) = outcome else { return };
         let own: Vec<Delay> = of(&OWN).iter().filter(|delay| delay.at >= begin).copied().collect();
-        match tries.failed(judge(text(panic.as_ref()), &own, &seen), &seen) {
+        let blame = judge(text(panic.as_ref()), &own, &seen);
+        let own_worst = own.iter().map(|delay| delay.late).max().unwrap_or_default();
+        eprintln!("cause of the failure: {blame:?} (machine {:?} late, test {own_worst:?} late)", seen.worst);
+        match tries.failed(blame, &seen) {
             Verdict::Failed => resume_unwind(panic),
             Verdict::NotChecked { worst } => {
                 let reason =
                     format!("this machine delays threads by {worst:?}; last failure: {}", text(panic.as_ref()));
                 return not_checked(name, &reason);
             }
-            Verdict::Open => {}
+            Verdict::Open => wait_for_calm(of_witness),
+        }
+    }
+}
+
+/// Waits until the machine is on time, so that one long delay does not cost all tries.
+fn wait_for_calm(of_witness: Policy) {
+    let begin = Instant::now();
+    while begin.elapsed() < PATIENCE {
+        let witness = Witness::start(of_witness).expect("threads and a line that watch the machine");
+        std::thread::sleep(CALM);
+        if witness.end().worst <= TOO_LATE {
+            return;
         }
     }
 }

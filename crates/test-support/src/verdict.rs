@@ -5,11 +5,12 @@ use std::time::Duration;
 use crate::witness::{Delay, PERIOD, TOO_LATE, Testimony};
 
 /// Words used by the product and its tests for lateness of threads and lines.
-const LATENESS: [&str; 9] = [
+const LATENESS: [&str; 10] = [
     "began late",
     "cycle-missed",
     "CycleMissed",
     "Overrun",
+    "Some(Slow {",
     "in a row without a usable reply",
     "the newest measurement is",
     "the brakes stay closed",
@@ -103,6 +104,8 @@ mod tests {
             ("moved by 0.3 rad", ON_TIME, Blame::Product),
             ("latched CycleMissed", ON_TIME, Blame::Product),
             ("latched CycleMissed", LATE, Blame::Machine),
+            // A driver refuses to enable an arm whose last exchanges were slow.
+            ("None Some(Slow { slow: 2, exchanges: 100, worst: 15.2ms })", LATE, Blame::Machine),
             ("moved by 0.3 rad", LATE, Blame::Unclear),
         ] {
             assert_eq!(judge(text, &[], &seen(late)), expected, "{text}, witness {late:?} late");
