@@ -63,6 +63,9 @@ pub struct ArmTruth {
     /// Whether the operator's last command permits motion of the arm: for the hand `start` or `resume`, or the policy that
     /// replaces `resume`, with no `hold`, `stop` or latched fault since; for the other arm the start of the experiment.
     pub may_go: bool,
+    /// Time since the last command that could reach the arm, seconds: since the last control step, or since nothing from the
+    /// host has reached the gateway of the arm.
+    pub command_age_s: f64,
 }
 
 impl ArmTruth {
@@ -77,6 +80,7 @@ impl ArmTruth {
             obeys: true,
             by_itself: None,
             may_go: true,
+            command_age_s: 0.0,
         }
     }
 }
@@ -90,8 +94,6 @@ pub struct Step {
     pub arms: [ArmTruth; 2],
     /// True pose of the target.
     pub world_from_target: Placement,
-    /// Time since the last control step, which commanded both arms, seconds.
-    pub command_age_s: f64,
     /// Time since the exposure of the newest delivered estimate that is confident and of a new image, seconds; infinite
     /// before the first one.
     pub pose_age_s: f64,

@@ -261,6 +261,14 @@ impl Kind {
         }
     }
 
+    /// The arm whose gateway no command reaches while the fault lasts.
+    pub fn keeps_commands_from(&self) -> Option<usize> {
+        match self {
+            Self::Unplugged(arm) | Self::Arm { arm, name: "line: gateway deaf", .. } => Some(*arm),
+            _ => None,
+        }
+    }
+
     /// Whether only the servo controller can report the fault.
     pub fn is_read_by_controller(&self) -> bool {
         match self {

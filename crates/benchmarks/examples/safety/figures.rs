@@ -105,7 +105,7 @@ impl Figures {
             for (index, step) in truth.steps.iter().enumerate() {
                 let now = &step.arms[arm];
                 let is_free = !now.obeys || !now.servo_on || now.brakes_closed;
-                if step.command_age_s > fades_after_s || is_free {
+                if now.command_age_s > fades_after_s || is_free {
                     late_s = step.t_s;
                 }
                 if !now.obeys || !now.servo_on {

@@ -231,6 +231,16 @@ impl Recorder {
         })
     }
 
+    /// Time since the last command that could reach the gateway of this arm, seconds.
+    fn command_age_s(&self, arm: usize, at: MonotonicTime) -> f64 {
+        let times = self.began_at.iter().zip(&self.ended_at);
+        let kept_since = self.scenario.faults.iter().zip(times).filter_map(|(fault, (began, ended))| {
+            let is_on = began.is_some_and(|began| began <= at) && ended.is_none_or(|ended| ended > at);
+            began.filter(|_| is_on && fault.kind.keeps_commands_from() == Some(arm))
+        });
+        kept_since.chain([self.stepped_at]).map(|since| at.seconds_since(since)).fold(0.0, f64::max)
+    }
+
     /// Delivers an estimate to the control loop. It counts if it is confident, of an image that is newer than all before
     /// by number and time, with synchronous exposures, of the started target, and with a small enough uncertainty.
     pub fn delivered(&mut self, percept: &Percept, now: MonotonicTime) {
@@ -460,6 +470,7 @@ impl Recorder {
                 obeys: by_itself.is_none(),
                 by_itself: by_itself.filter(|(_, lasts)| *lasts).map(|(joint, _)| joint),
                 may_go: self.may_go[index] && !self.is_alone(at),
+                command_age_s: self.command_age_s(index, at),
                 ..self.truth_of(index, at)
             }
         };
@@ -467,7 +478,6 @@ impl Recorder {
             t_s,
             arms: [arm(HAND_ARM), arm(TARGET_ARM)],
             world_from_target: placement(&self.cell, at),
-            command_age_s: at.seconds_since(self.stepped_at),
             pose_age_s: self.exposed_at().map_or(f64::INFINITY, |exposed| at.seconds_since(exposed)),
             may_search: self.may_search(at),
             resets: self.resets,

@@ -54,7 +54,10 @@ impl Faults<'_> {
         let began_s = times.from_s.filter(|_| times.could_stop && !words.is_empty())?;
         let known_s = self.known_s(index, began_s)?;
         // An arm that another cause has stopped is not stopped again: a reset reports the conditions that remain.
-        let was_stopped = known_s > began_s && latched(truth, known_s);
+        // What latched at the time of the fault may be the fault itself; during a late control step the record of a fault begins
+        // before that of an earlier latch.
+        let stopped_before_s = if known_s > began_s { known_s + NEAR_S } else { began_s - NEAR_S };
+        let was_stopped = latched(truth, known_s, stopped_before_s);
         let until_s = if was_stopped || self.is_one_of_several(index, known_s, truth) {
             let is_told_of = |&reset_s: &f64| {
                 reset_s > known_s && self.known_s(index, reset_s).is_some_and(|at_s| at_s <= reset_s + NEAR_S)
@@ -110,12 +113,10 @@ impl Faults<'_> {
     }
 }
 
-/// Whether an arm was latched at this time.
-fn latched(truth: &Truth, at_s: f64) -> bool {
+/// Whether an arm was latched at this time, since a time before the other.
+fn latched(truth: &Truth, at_s: f64, before_s: f64) -> bool {
     let step = truth.steps.iter().find(|step| step.t_s >= at_s).or(truth.steps.last());
-    step.is_some_and(|step| {
-        step.arms.iter().any(|arm| arm.latched_since_s.is_some_and(|since_s| since_s <= at_s + NEAR_S))
-    })
+    step.is_some_and(|step| step.arms.iter().any(|arm| arm.latched_since_s.is_some_and(|since_s| since_s <= before_s)))
 }
 
 #[cfg(test)]
@@ -147,7 +148,6 @@ mod tests {
                 t_s,
                 arms: [arm; 2],
                 world_from_target,
-                command_age_s: 0.0,
                 pose_age_s: 0.0,
                 may_search: false,
                 resets: 0,
@@ -173,6 +173,15 @@ mod tests {
         assert!(told(&[switch()], &[never], &[]).is_empty());
         let late = Happened { could_stop: false, ..from_to(2.0, 3.0) };
         assert!(told(&[switch()], &[late], &[]).is_empty());
+    }
+
+    #[test]
+    fn what_follows_within_a_late_control_step_stops_nothing_again() {
+        // Latched since 2.01 s.
+        assert_eq!(told(&[switch()], &[from_to(2.01, 3.0)], &[]), [(2.01, 2.01)]);
+        assert!(told(&[switch()], &[from_to(2.02, 3.0)], &[]).is_empty());
+        assert!(told(&[switch()], &[from_to(2.02, 3.0)], &[5.0]).is_empty());
+        assert_eq!(told(&[switch()], &[from_to(2.02, 6.0)], &[5.0]), [(2.02, 5.6)]);
     }
 
     #[test]

@@ -99,7 +99,7 @@ fn acceleration(rules: &Rules, (arm, steps): (usize, &[Step]), window_s: f64, fo
     let mut fade = Fade::default();
     for (index, step) in steps.iter().enumerate() {
         let truth = &step.arms[arm];
-        fade.look((rules, &rules.arms[arm]), step, &truth.velocity_rad_per_s);
+        fade.look((rules, &rules.arms[arm]), step.t_s, truth);
         if !truth.servo_on || truth.brakes_closed || truth.latched_since_s.is_some() || !truth.obeys {
             commanded_since = index + 1;
         }
@@ -139,18 +139,18 @@ struct Fade {
 }
 
 impl Fade {
-    fn look(&mut self, (rules, arm): (&Rules, &ArmRules), step: &Step, velocity_rad_per_s: &Joints) {
+    fn look(&mut self, (rules, arm): (&Rules, &ArmRules), t_s: f64, truth: &ArmTruth) {
         /// Time constants of a drive after which less than 1 % of a change is left.
         const LAGS: f64 = 5.0;
-        let is_late = step.command_age_s > rules.fades_after_s;
-        if step.t_s > self.until_s {
+        let is_late = truth.command_age_s > rules.fades_after_s;
+        if t_s > self.until_s {
             self.speeds_rad_per_s = [0.0; 7];
         }
         if is_late {
-            self.until_s = step.t_s + arm.reaction_s + LAGS * arm.lag_s;
+            self.until_s = t_s + arm.reaction_s + LAGS * arm.lag_s;
         }
-        if is_late || step.t_s <= self.until_s {
-            for (speed, now) in self.speeds_rad_per_s.iter_mut().zip(velocity_rad_per_s) {
+        if is_late || t_s <= self.until_s {
+            for (speed, now) in self.speeds_rad_per_s.iter_mut().zip(&truth.velocity_rad_per_s) {
                 *speed = speed.max(now.abs());
             }
         }

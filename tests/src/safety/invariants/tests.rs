@@ -32,7 +32,6 @@ fn run(seconds: f64, goes: impl Fn(usize, f64) -> bool, mut change: impl FnMut(&
             t_s,
             arms,
             world_from_target,
-            command_age_s: 0.0,
             pose_age_s: 0.05,
             may_search: false,
             resets: 0,
@@ -205,26 +204,27 @@ fn acceleration_beyond_the_limit_is_found_in_jumps_and_in_ramps() {
 /// A joint at 0.5 rad/s that loses its speed within 30 ms behind a lag of 30 ms, as the drives follow the watchdog of the arm.
 #[test]
 fn a_watchdog_may_slow_an_arm_down_only_when_a_command_is_late() {
-    let fades = |command_age_s: f64, takes_s: f64| {
+    let fades = |late_arm: usize, command_age_s: f64| {
         let mut speed = 0.5;
         run(1.0, always, move |step| {
-            let left = 1.0 - ((step.t_s - 0.5) / takes_s).clamp(0.0, 1.0);
+            let left = 1.0 - ((step.t_s - 0.5) / 0.03).clamp(0.0, 1.0);
             speed += (0.5 * left - speed) * PERIOD_S / 0.03;
             let arm = &mut step.arms[TARGET_ARM];
             arm.velocity_rad_per_s[2] = speed;
             arm.position_rad[2] += speed * step.t_s.min(0.5);
-            step.command_age_s = if (0.48..0.53).contains(&step.t_s) { command_age_s } else { 0.0 };
+            step.arms[late_arm].command_age_s = if (0.48..0.53).contains(&step.t_s) { command_age_s } else { 0.0 };
         })
     };
     let broken = |truth: &Truth| {
         let found = found_in(truth);
         found.iter().any(|violation| violation.invariant == Invariant::Acceleration)
     };
-    assert!(!broken(&fades(0.03, 0.03)));
-    assert!(broken(&fades(0.02, 0.03)), "the command is not late");
+    assert!(!broken(&fades(TARGET_ARM, 0.03)));
+    assert!(broken(&fades(TARGET_ARM, 0.02)), "the command is not late");
+    assert!(broken(&fades(HAND_ARM, 0.03)), "only the other arm hears nothing");
     // From the other direction: an arm does not gain speed by its watchdog.
     let gains = run(1.0, always, |step| {
-        step.command_age_s = 0.03;
+        step.arms[TARGET_ARM].command_age_s = 0.03;
         step.arms[TARGET_ARM].velocity_rad_per_s[2] = if step.t_s > 0.5 { 0.5 } else { 0.1 };
     });
     assert!(broken(&gains));
