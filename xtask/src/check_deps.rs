@@ -1,9 +1,12 @@
 //! `cargo xtask check-deps`: rules for dependencies and access to the system.
 
+mod fuzz_lock;
 mod graph;
 mod modules;
 mod public_surface;
 mod source;
+
+use anyhow::Context;
 
 use crate::violation::{Violation, conclude};
 use crate::workspace::Workspace;
@@ -16,6 +19,7 @@ use crate::workspace::Workspace;
 /// * A list of modules may name backends; backends do not name each other, the estimation or the servo.
 /// * The entry of the estimation has at most 120 public items, and no glob re-export.
 /// * Nothing enables the feature `disabled-guards`, with which tests disable safeguards, unless a build requests it by name.
+/// * The lock file of the fuzz targets has the dependencies of our packages.
 /// * Only setup, cell, commissioning, orchestrator, record, benchmarks and calibration use serde.
 /// * Files, threads, clocks, the environment, the network: only the modules in the table of xtask/src/check_deps/source.rs
 ///   may use them; tests are exempt.
@@ -26,7 +30,8 @@ pub struct Args {}
 /// # Errors
 /// If a rule is violated, or cargo or a file cannot be read.
 pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
-    let packages = graph::packages(&workspace.metadata()?)?;
+    let metadata = workspace.metadata()?;
+    let packages = graph::packages(&metadata)?;
     let mut violations: Vec<Violation> = graph::check(&packages);
     let texts = workspace.texts(&[".rs"])?;
     for file in &texts {
@@ -34,5 +39,7 @@ pub fn run(workspace: &Workspace, _: &Args) -> anyhow::Result<()> {
     }
     violations.extend(modules::check(&texts));
     violations.extend(public_surface::check(&texts));
+    let lock = std::fs::read_to_string(workspace.root().join(fuzz_lock::FILE)).context(fuzz_lock::FILE)?;
+    violations.extend(fuzz_lock::check(&lock, &metadata)?);
     conclude("check-deps", &format!("{} packages, {} Rust files", packages.len(), texts.len()), violations)
 }

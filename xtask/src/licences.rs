@@ -5,6 +5,7 @@
 use anyhow::{Context, bail};
 use serde_json::Value;
 
+use crate::not_possible::NotPossible;
 use crate::violation::{Violation, conclude};
 use crate::workspace::{Workspace, run_visibly};
 
@@ -16,6 +17,23 @@ struct Policy {
     exceptions: Vec<(String, Vec<String>)>,
     banned: Vec<(String, String)>,
     registries: Vec<String>,
+}
+
+/// Checks the dependency graph against the RustSec database of known vulnerabilities, where cargo-deny and the database are
+/// within reach.
+///
+/// # Errors
+/// A dependency with an advisory, or [`NotPossible`].
+pub fn advisories(workspace: &Workspace) -> anyhow::Result<()> {
+    if workspace.output_of("cargo-deny", &["--version"]).is_none() {
+        return Err(NotPossible::because("no cargo-deny: run `cargo install --locked cargo-deny`"));
+    }
+    let fetched =
+        workspace.cargo().args(["deny", "--locked", "fetch", "db"]).status().context("cannot run cargo-deny")?;
+    if !fetched.success() {
+        return Err(NotPossible::because("the RustSec database is not within reach, see the message above"));
+    }
+    run_visibly(workspace.cargo().args(["deny", "--locked", "check", "--disable-fetch", "advisories"]))
 }
 
 /// Checks every package of the dependency graph; also runs cargo-deny if it is installed.

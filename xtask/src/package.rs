@@ -1,7 +1,9 @@
 //! `cargo xtask package`: the program as a static archive and as a Debian package, both installed and tried in a clean root.
 
 mod debian;
+mod linked;
 mod notices;
+mod sbom;
 mod trial;
 
 use std::fs;
@@ -14,7 +16,7 @@ use crate::workspace::{Workspace, run_visibly};
 /// Builds the release: a static archive (.tar.gz) and a Debian package (.deb), in target/package.
 ///
 /// Both contain the program with its built-in setups, robot files and boards, manual pages, completion scripts, documentation,
-/// licences, and the files of configs/deploy. The program is linked statically: it needs no library of the host. Afterwards the
+/// licences, a list of all its crates (CycloneDX), and the files of configs/deploy. The program is linked statically: it needs no library of the host. Afterwards the
 /// command unpacks the archive in an empty root, installs the package in a fresh Debian (needs debootstrap, root and a network),
 /// and runs the program in both.
 #[derive(clap::Args)]
@@ -82,24 +84,14 @@ fn build(workspace: &Workspace) -> anyhow::Result<Release> {
         .to_owned();
     let metadata = workspace.metadata()?;
     let packages = metadata["packages"].as_array().context("`packages` is missing from cargo metadata")?;
-    let program = packages.iter().find(|package| package["name"] == "pb3dp-orchestrator");
+    let program = packages.iter().find(|package| package["name"] == linked::PROGRAM);
     let version = program.and_then(|package| package["version"].as_str()).context("pb3dp has no version")?.to_owned();
     let folder = workspace.target_folder()?.join("package");
     let cargo_target = workspace.target_folder()?.join("package-build");
     let mut cargo = workspace.cargo();
     // With --target these flags do not apply to build scripts and macros, which cannot be static.
     cargo.env("RUSTFLAGS", "-C target-feature=+crt-static").env("CARGO_TARGET_DIR", &cargo_target);
-    cargo.args([
-        "build",
-        "--release",
-        "--locked",
-        "--target",
-        &triple,
-        "--package",
-        "pb3dp-orchestrator",
-        "--bin",
-        "pb3dp",
-    ]);
+    cargo.args(["build", "--release", "--locked", "--target", &triple, "--package", linked::PROGRAM, "--bin", "pb3dp"]);
     run_visibly(&mut cargo)?;
     let program = cargo_target.join(&triple).join("release/pb3dp");
     Ok(Release { version, triple, program, folder })
@@ -132,6 +124,7 @@ fn stage(workspace: &Workspace, release: &Release) -> anyhow::Result<PathBuf> {
         copy_folder(&workspace.root().join(name), &documentation.join(name))?;
     }
     write(&documentation.join("THIRD-PARTY.txt"), &notices::text(workspace)?)?;
+    write(&documentation.join("sbom.cdx.json"), &sbom::text(workspace)?)?;
     Ok(tree)
 }
 

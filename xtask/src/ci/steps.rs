@@ -49,11 +49,12 @@ const FUZZED: &[&str] = &["pb3dp-estimation", "pb3dp-arm-pa10-test-support"];
 const MANIFESTS: &[&str] = &["manifests"];
 
 /// The steps, the fastest first.
-pub const STEPS: [Step; 14] = [
+pub const STEPS: [Step; 15] = [
     Step { name: "fmt", of: ALWAYS, run: |progress| fmt(progress.workspace) },
     Step { name: "tidy", of: ALWAYS, run: |progress| tidy::run(progress.workspace, &tidy::Args {}) },
     Step { name: "check-deps", of: ALWAYS, run: |progress| check_deps::run(progress.workspace, &check_deps::Args {}) },
     Step { name: "licences", of: ALWAYS, run: |progress| licences::run(progress.workspace) },
+    Step { name: "advisories", of: ALWAYS, run: |progress| licences::advisories(progress.workspace) },
     Step { name: "clippy", of: ALWAYS, run: |progress| clippy(progress.workspace) },
     Step { name: "doc", of: ALWAYS, run: |progress| doc(progress.workspace) },
     Step { name: "test", of: ALWAYS, run: tests },

@@ -1,29 +1,18 @@
 //! The licences of all crates in the program, which each copy of the program must include.
 
-use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
 use anyhow::Context;
-use serde_json::Value;
 
+use super::linked;
 use crate::workspace::Workspace;
 
 /// One text: name, version and licence of each crate, then its licence files.
 pub fn text(workspace: &Workspace) -> anyhow::Result<String> {
-    let tree = ["tree", "--locked", "--package", "pb3dp-orchestrator", "--edges", "normal", "--prefix", "none"];
-    let output = workspace.cargo().args(tree).args(["--format", "{p}"]).output().context("cannot run `cargo tree`")?;
-    let listed = String::from_utf8(output.stdout).context("`cargo tree` printed no text")?;
-    let linked: BTreeSet<(&str, &str)> = listed.lines().filter_map(name_and_version).collect();
-    let metadata = workspace.metadata()?;
-    let packages = metadata["packages"].as_array().context("`packages` is missing from cargo metadata")?;
-    let is_linked = |package: &&Value| {
-        let key = |key: &str| package[key].as_str().unwrap_or_default();
-        package["source"].is_string() && linked.contains(&(key("name"), key("version")))
-    };
     let mut text = String::from("pb3dp contains these crates. Their authors permit it under the licences below.\n");
-    for package in packages.iter().filter(is_linked) {
+    for package in linked::crates(workspace)?.iter().filter(|package| package["source"].is_string()) {
         let key = |key: &str| package[key].as_str().unwrap_or("not stated");
         let _ = write!(text, "\n{:=<100}\n{} {}: {}\n", "", key("name"), key("version"), key("license"));
         let folder = Path::new(key("manifest_path")).parent().context("a manifest has no folder")?;
@@ -32,12 +21,6 @@ pub fn text(workspace: &Workspace) -> anyhow::Result<String> {
         }
     }
     Ok(text)
-}
-
-/// `serde v1.0.228 (proc-macro)`.
-fn name_and_version(line: &str) -> Option<(&str, &str)> {
-    let mut words = line.split_whitespace();
-    Some((words.next()?, words.next()?.strip_prefix('v')?))
 }
 
 fn licence_files(folder: &Path) -> anyhow::Result<Vec<std::path::PathBuf>> {
@@ -50,16 +33,4 @@ fn licence_files(folder: &Path) -> anyhow::Result<Vec<std::path::PathBuf>> {
     let mut files: Vec<_> = entries.filter_map(|entry| Some(entry.ok()?.path())).filter(is_licence).collect();
     files.sort();
     Ok(files)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn lines_of_cargo_tree_give_name_and_version() {
-        assert_eq!(name_and_version("serde v1.0.228"), Some(("serde", "1.0.228")));
-        assert_eq!(name_and_version("serde_derive v1.0.228 (proc-macro) (*)"), Some(("serde_derive", "1.0.228")));
-        assert_eq!(name_and_version(""), None);
-    }
 }
