@@ -229,8 +229,13 @@ fn calibrations_and_truths_that_do_not_fit_are_refused() {
         ("bare.toml", |root| put(root, "camera", "width_px", 320), "truth.calibration: "),
         (
             "rig.toml",
-            |root| put(root, "camera", "waived_gates", vec!["rows"]),
+            |root| put(root, "camera", "waived_gates", vec!["rows until 2027-01-31"]),
             "camera.waived_gates: \"rows\" is no gate of",
+        ),
+        (
+            "rig.toml",
+            |root| put(root, "camera", "waived_gates", vec!["age"]),
+            "camera.waived_gates: \"age\" has no last day",
         ),
         ("sim.toml", |root| put(root, "mounts", "hand_eye", "hand_eye.toml"), "both are set"),
         (

@@ -5,7 +5,7 @@ use std::time::{Duration, SystemTime};
 use anyhow::{Result, bail};
 use pb3dp_camera_v4l2::controls::Focus;
 use pb3dp_record::calibration_files::{CameraIdentity, Judgement};
-use pb3dp_setup::setup::{AGE, CalibrationInUse, rounded};
+use pb3dp_setup::setup::{AGE, CalibrationInUse, WAIVED_MAX_DAYS, rounded};
 
 const DAY: Duration = Duration::from_secs(86_400);
 
@@ -15,6 +15,9 @@ const DAY: Duration = Duration::from_secs(86_400);
 /// The first calibration that failed or is too old and is not waived, with the remedy.
 pub(super) fn look_at(calibrations: &[CalibrationInUse], now: SystemTime) -> Result<()> {
     for calibration in calibrations {
+        if let Some(refused) = calibration.refused_waiver(now) {
+            bail!("{refused}; calibrate again, or decide again and set a day within {WAIVED_MAX_DAYS} days");
+        }
         match &calibration.judgement {
             Some(judgement) => {
                 look_at_gates(calibration, judgement)?;
@@ -38,7 +41,7 @@ fn look_at_gates(calibration: &CalibrationInUse, judgement: &Judgement) -> Resul
         if !calibration.waives(&gate.name) {
             bail!(
                 "{found}: the calibration failed this gate; calibrate again (gates: docs/calibration.md), or waive the gate with \
-                 {table}.waived_gates = [\"{}\"] if you know why the value is acceptable",
+                 {table}.waived_gates = [\"{} until YYYY-MM-DD\"] if you know why the value is acceptable",
                 gate.name
             );
         }
@@ -69,7 +72,7 @@ fn look_at_age(calibration: &CalibrationInUse, judgement: &Judgement, now: Syste
         },
     };
     if !calibration.waives(AGE) {
-        bail!("{found}: calibrate again, or waive it with {table}.waived_gates = [\"{AGE}\"]");
+        bail!("{found}: calibrate again, or waive it with {table}.waived_gates = [\"{AGE} until YYYY-MM-DD\"]");
     }
     tracing::warn!("{found}: waived by {table}.waived_gates");
     Ok(())
@@ -87,6 +90,7 @@ pub fn identity(camera: pb3dp_camera_v4l2::CameraIdentity) -> CameraIdentity {
 #[cfg(test)]
 pub(super) mod tests {
     use pb3dp_record::calibration_files::JudgedGate;
+    use pb3dp_setup::setup::Waiver;
 
     use super::*;
 
@@ -119,7 +123,7 @@ pub(super) mod tests {
             table: "camera",
             source: "head.toml".to_owned(),
             judgement: Some(judgement),
-            waived: waived.iter().map(|name| (*name).to_owned()).collect(),
+            waived: waived.iter().map(|gate| Waiver::parse(&format!("{gate} until 2026-12-01")).unwrap()).collect(),
             age_max: 10 * DAY,
         }
     }
@@ -140,6 +144,15 @@ pub(super) mod tests {
         }
         assert!(refusal(&["rows_px"], "2026-11-02T10:00:00Z").is_some());
         assert_eq!(refusal(&["reprojection_rms_px"], "2026-11-02T10:00:00Z"), None);
+    }
+
+    #[test]
+    fn a_waiver_that_has_expired_is_refused_and_waives_nothing() {
+        let text = refusal(&["reprojection_rms_px"], "2026-12-02T10:00:00Z").unwrap();
+        assert!(
+            text.contains("\"reprojection_rms_px until 2026-12-01\": the day has passed; calibrate again"),
+            "{text}"
+        );
     }
 
     #[test]

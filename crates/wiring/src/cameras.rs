@@ -76,7 +76,7 @@ fn look_at_cameras(calibrations: &[CalibrationInUse], there: &[CameraIdentity; 2
         if !calibration.waives(CAMERAS) {
             bail!(
                 "{source} is not the calibration of these cameras: {other}; calibrate these, set the right file, or waive it with \
-                 {table}.waived_gates = [\"{CAMERAS}\"]"
+                 {table}.waived_gates = [\"{CAMERAS} until YYYY-MM-DD\"]"
             );
         }
         tracing::warn!("{source} is not the calibration of these cameras: {other}: waived by {table}.waived_gates");
@@ -394,7 +394,7 @@ mod tests {
             ([right.clone(), left.clone()], "the left camera has port usb-2, calibrated was usb-1"),
         ] {
             let text = other(there.clone(), &[]).unwrap();
-            assert!(text.contains(part) && text.contains("waived_gates = [\"cameras\"]"), "{text}");
+            assert!(text.contains(part) && text.contains("waived_gates = [\"cameras until"), "{text}");
             assert_eq!(other(there, &["cameras"]), None);
         }
         // Cameras without any known property cannot be compared.
