@@ -1,5 +1,8 @@
 //! Cost of the records against the cycle, and the answers of a gateway to its host with and without an attack, in one run:
-//! `cargo run --release -p pb3dp-arm-pa10 --example gateway_access`.
+//! `cargo run --release -p pb3dp-arm-pa10 --example gateway_access`. A number after `--` is the number of random strings that the
+//! attacker sends; without it the attack has a fixed duration.
+//!
+//! Host and gateway have a priority of SCHED_FIFO if permitted, as on a rig; the attacker has none.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a measurement")]
 
@@ -7,7 +10,7 @@ use std::hint::black_box;
 use std::io::Write as _;
 use std::net::{SocketAddr, TcpStream};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use pb3dp_arm_pa10::bus::{BusPort, FrameSocket};
@@ -15,8 +18,8 @@ use pb3dp_arm_pa10_gateway::service::{BusOpener, GatewayServer, GatewayServerCon
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     Agreement, ArmId, Dialect, Hello, HostMessage, OVERHEAD, SharedKey, Side,
 };
-use pb3dp_arm_pa10_test_support::world::{ARM, Emulation, asked_limits, gateway_config, keyed, ms, tcp_side};
-use pb3dp_hal_platform::realtime::{Realtime, now};
+use pb3dp_arm_pa10_test_support::world::{ARM, Emulation, asked_limits, gateway_config, home, keyed, ms, tcp_side};
+use pb3dp_hal_platform::realtime::{Realtime, enter, now};
 use pb3dp_hal_platform::transport::{ByteLink, Connector, wait};
 
 /// Lengths of COMMAND and STATE with their envelopes.
@@ -29,9 +32,19 @@ const ANSWERS: u32 = 400;
 /// Parts without and with an attack, in turn.
 const PARTS: usize = 3;
 
+/// What the attacker does at present.
+#[derive(Default)]
+struct Attack {
+    is_on: AtomicBool,
+    is_over: AtomicBool,
+    connections: AtomicU64,
+    strings: AtomicU64,
+}
+
 fn main() {
+    let strings = std::env::args().nth(1).map_or(0, |text| text.parse().unwrap());
     cost();
-    latency();
+    latency(strings);
 }
 
 /// Time to seal and to open one frame, microseconds.
@@ -63,32 +76,49 @@ fn cost() {
     }
 }
 
-fn latency() {
+fn latency(strings: u64) {
     let (side, address) = tcp_side();
     let (gateway, controller) = FrameSocket::pair("bus").unwrap();
-    let _emulation = Emulation::start(Box::new(controller), Some(ms(400)));
+    let emulation = Emulation::start(Box::new(controller), Some(ms(400)));
     let mut port = Some(gateway);
     let opener: BusOpener = Box::new(move || Ok(Box::new(port.take().ok_or("once")?) as Box<dyn BusPort>));
+    // Before this thread has a priority, which its threads would inherit.
+    let attack = Arc::new(Attack::default());
+    let its_attack = Arc::clone(&attack);
+    let attacker = std::thread::spawn(move || attack_when_told(address, &its_attack));
     let realtime = Realtime { priority: Some(20), locks_memory: false, cpu: None };
+    for missing in enter(&Realtime { priority: Some(10), ..realtime }) {
+        println!("{missing}");
+    }
     let server =
         GatewayServer::start(GatewayServerConfig { gateway: gateway_config(), realtime }, opener, side).unwrap();
     let mut owner = keyed(address).connect().unwrap();
     let mut sequence = 0;
     let hello = Hello { dialect: Dialect::GatewayV1, cycle_us: 10_000, limits: asked_limits() };
     ask(owner.as_mut(), &HostMessage::Hello(hello), &mut sequence);
-    let (mut calm, mut attacked, mut connections) = (Vec::new(), Vec::new(), 0);
-    for _ in 0..PARTS {
-        answers(owner.as_mut(), &mut sequence, &mut calm);
-        let end = Arc::new(AtomicBool::new(false));
-        let its_end = Arc::clone(&end);
-        let attacker = std::thread::spawn(move || attack(address, &its_end));
+    let (mut calm, mut attacked) = (Vec::new(), Vec::new());
+    let mut part = 0;
+    while part < PARTS || attack.strings.load(Ordering::SeqCst) < strings {
+        part += 1;
+        if part <= PARTS {
+            answers(owner.as_mut(), &mut sequence, &mut calm);
+        }
+        attack.is_on.store(true, Ordering::SeqCst);
         answers(owner.as_mut(), &mut sequence, &mut attacked);
-        end.store(true, Ordering::SeqCst);
-        connections += attacker.join().unwrap();
+        attack.is_on.store(false, Ordering::SeqCst);
     }
+    attack.is_over.store(true, Ordering::SeqCst);
+    attacker.join().unwrap();
     show("without attack", &mut calm);
     show("under attack", &mut attacked);
-    println!("{connections} connections of the attacker; p99 {:.2} times", p99(&attacked) / p99(&calm));
+    println!(
+        "{} connections of the attacker, {} random strings; p99 {:.2} times",
+        attack.connections.load(Ordering::SeqCst),
+        attack.strings.load(Ordering::SeqCst),
+        p99(&attacked) / p99(&calm)
+    );
+    let seen = emulation.seen();
+    assert!(seen.is_braked && seen.position_rad == home(), "the arm moved, or its brakes opened");
     drop(server);
 }
 
@@ -110,21 +140,42 @@ fn answers(link: &mut dyn ByteLink, sequence: &mut u16, into: &mut Vec<f64>) {
     }
 }
 
-/// Opens connections as fast as one thread can: HTTP, half-open sockets, a frame without its end.
-fn attack(address: SocketAddr, end: &AtomicBool) -> u32 {
-    let (mut open, mut count) = (Vec::new(), 0u32);
-    while !end.load(Ordering::SeqCst) {
+/// Opens connections as fast as one thread can: HTTP, half-open sockets, a frame without its end, and mostly random strings.
+fn attack_when_told(address: SocketAddr, attack: &Attack) {
+    let (mut open, mut count, mut state) = (Vec::new(), 0u64, 1u64);
+    let mut random = [0u8; 200];
+    while !attack.is_over.load(Ordering::SeqCst) {
+        if !attack.is_on.load(Ordering::SeqCst) {
+            open.clear();
+            std::thread::sleep(ms(1));
+            continue;
+        }
         let Ok(mut stream) = TcpStream::connect_timeout(&address, ms(100)) else { continue };
         stream.set_nonblocking(true).unwrap();
-        let bytes: [&[u8]; 3] = [b"GET / HTTP/1.1\r\n\r\n", &[], &[0xA5, 0x5A, 1]];
-        stream.write_all(bytes[count as usize % 3]).ok();
         count += 1;
+        attack.connections.store(count, Ordering::SeqCst);
+        let bytes: &[u8] = match count % 20 {
+            0 => b"GET / HTTP/1.1\r\n\r\n",
+            1 => &[],
+            2 => &[0xA5, 0x5A, 1],
+            _ => {
+                // xorshift64 (Marsaglia 2003).
+                for byte in &mut random {
+                    state ^= state << 13;
+                    state ^= state >> 7;
+                    state ^= state << 17;
+                    *byte = state as u8;
+                }
+                attack.strings.fetch_add(1, Ordering::SeqCst);
+                &random[..1 + state as usize % (random.len() - 1)]
+            }
+        };
+        stream.write_all(bytes).ok();
         open.push(stream);
         if open.len() > 200 {
             open.drain(..100);
         }
     }
-    count
 }
 
 fn p99(sorted: &[f64]) -> f64 {
