@@ -7,6 +7,15 @@ use crate::layers::built_in_keys::{Values, all_keys, texts};
 use crate::load::{nearest, unit_of};
 use crate::setup::refusals_of;
 
+/// Keys that mean the same in each table of their kind, which has the comment.
+const OF_MANY_TABLES: [(&str, &str); 5] = [
+    ("action", "what the supervisor does about it (docs/supervisor.md)"),
+    ("resume", "whether the hand continues when the cause is gone, or after the command `resume`"),
+    ("for_s", "time for which it must last before it counts"),
+    ("translation_mm", "translation [x, y, z]"),
+    ("rotation_vector_deg", "rotation as axis times angle [x, y, z]"),
+];
+
 /// Meaning, unit, range and built-in values of one key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Explanation {
@@ -121,8 +130,10 @@ fn about(key: &str) -> String {
     // Both arms of the built-in setups have the same keys; the first one has the comments.
     let of_twin = key.strip_prefix("arms.tc.").map_or_else(|| key.to_owned(), |rest| format!("arms.vs.{rest}"));
     let of_table = || {
-        let (table, _) = of_twin.rsplit_once('.')?;
-        Some(format!("of [{table}]: {}", own_comment(table)?))
+        let (table, name) = of_twin.rsplit_once('.')?;
+        let own = OF_MANY_TABLES.iter().find(|(known, _)| *known == name).map_or("", |(_, meaning)| meaning);
+        let separator = if own.is_empty() { "" } else { "; " };
+        Some(format!("{own}{separator}of [{table}]: {}", own_comment(table)?))
     };
     own_comment(key).or_else(|| own_comment(&of_twin)).or_else(of_table).unwrap_or_default()
 }
