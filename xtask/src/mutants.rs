@@ -21,7 +21,7 @@ use crate::workspace::{Workspace, run_visibly};
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
-    /// The part: middleware, clearance or law. Default: all parts.
+    /// The part: middleware, clearance, law, supervisor, codec, driver or gateway. Default: all parts.
     part: Option<String>,
     /// Seed of the sample.
     #[arg(long, default_value_t = 20)]
@@ -56,12 +56,48 @@ struct Part {
     name: &'static str,
     package: &'static str,
     files: &'static str,
+    /// The packages whose tests run, separated by commas.
+    tested_by: &'static str,
 }
 
-const PARTS: [Part; 3] = [
-    Part { name: "middleware", package: "pb3dp-hal-middleware", files: "hal/middleware/src/**/*.rs" },
-    Part { name: "clearance", package: "pb3dp-kinematics", files: "crates/kinematics/src/clearance.rs" },
-    Part { name: "law", package: "pb3dp-servo", files: "crates/servo/src/law/**/*.rs" },
+const PARTS: [Part; 7] = [
+    Part {
+        name: "middleware",
+        package: "pb3dp-hal-middleware",
+        files: "hal/middleware/src/**/*.rs",
+        tested_by: "pb3dp-hal-middleware",
+    },
+    Part {
+        name: "clearance",
+        package: "pb3dp-kinematics",
+        files: "crates/kinematics/src/clearance.rs",
+        tested_by: "pb3dp-kinematics",
+    },
+    Part { name: "law", package: "pb3dp-servo", files: "crates/servo/src/law/**/*.rs", tested_by: "pb3dp-servo" },
+    Part {
+        name: "supervisor",
+        package: "pb3dp-servo",
+        files: "crates/servo/src/supervisor{,/*}.rs",
+        tested_by: "pb3dp-servo",
+    },
+    Part {
+        name: "codec",
+        package: "pb3dp-arm-pa10-protocol",
+        files: "hal/arm-pa10-protocol/src/**/*.rs",
+        tested_by: "pb3dp-arm-pa10-protocol,pb3dp-arm-pa10",
+    },
+    Part {
+        name: "driver",
+        package: "pb3dp-arm-pa10",
+        files: "hal/arm-pa10/src/driver/**/*.rs",
+        tested_by: "pb3dp-arm-pa10",
+    },
+    Part {
+        name: "gateway",
+        package: "pb3dp-arm-pa10-gateway",
+        files: "hal/arm-pa10-gateway/src/gateway/**/*.rs",
+        tested_by: "pb3dp-arm-pa10-gateway,pb3dp-arm-pa10",
+    },
 ];
 /// File of the results of all runs.
 const KEPT: &str = "results.json";
@@ -134,6 +170,7 @@ impl Mutant {
 fn cargo_mutants(scratch: &Scratch, part: &Part) -> Command {
     let mut command = Command::new("cargo-mutants");
     command.args(["mutants", "--no-config", "--package", part.package, "--file", part.files]);
+    command.args(["--test-package", part.tested_by]);
     command.arg("--dir").arg(&scratch.tree).env("CARGO_TARGET_DIR", &scratch.target);
     command
 }
