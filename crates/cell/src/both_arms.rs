@@ -286,6 +286,14 @@ impl BothArms {
     }
 }
 
+/// A failure of an arm for a person. The failure begins with the name of the arm, which most causes repeat.
+pub fn in_words(failure: &anyhow::Error) -> String {
+    let whole = format!("{failure:#}");
+    let name = failure.to_string();
+    let rest = whole.strip_prefix(&format!("{name}: ")).filter(|rest| rest.starts_with(&format!("arm {name} ")));
+    rest.map_or_else(|| whole.clone(), str::to_owned)
+}
+
 #[cfg(test)]
 mod tests {
     use std::path::Path;
@@ -353,6 +361,17 @@ mod tests {
         assert!(!format!("{heard_first:#}").contains("an overcurrent"), "{heard_first:#}");
         let told = format!("{:#}", arms.traced(heard_first));
         assert!(told.starts_with("vs-robot") && told.contains("an overcurrent"), "{told}");
+    }
+
+    #[test]
+    fn the_name_of_an_arm_is_told_once() {
+        let (mut arms, faults) = cell();
+        faults[0].raise_fault("an overcurrent");
+        arms.vs.look();
+        let failure = arms.vs.exchange(JointCommand::Velocity(JointVector::zeros())).unwrap_err();
+        let told = in_words(&failure);
+        assert!(told.starts_with("arm vs-robot (") && told.matches("vs-robot").count() == 1, "{told}");
+        assert_eq!(in_words(&anyhow::anyhow!("late").context("tc-robot")), "tc-robot: late");
     }
 
     /// Enabled after a number of polls; records its calls and fails on request.

@@ -367,7 +367,7 @@ impl Reading {
                 self.take(String::from_utf8_lossy(&line).trim());
             } else {
                 is_rest = true;
-                self.answers.give(format!("the line is longer than {LINE_MAX} bytes: {WORDS}"));
+                self.take_beginning(&String::from_utf8_lossy(&line));
             }
             line.clear();
         }
@@ -390,6 +390,14 @@ impl Reading {
         };
         if let Some(answer) = answer {
             self.answers.give(answer);
+        }
+    }
+
+    /// A line that is too long: only a command that is recognised by the first word is obeyed.
+    fn take_beginning(&mut self, beginning: &str) {
+        match command_of(beginning) {
+            Some(_) => self.take(beginning),
+            None => self.answers.give(format!("the line is longer than {LINE_MAX} bytes: {WORDS}")),
         }
     }
 

@@ -75,7 +75,11 @@ impl Journal {
     /// Records a step, with the true poses if the simulation still has them.
     pub fn note(&mut self, moved: &Moved) {
         let t_s = moved.at.seconds_since(self.begin);
-        if let Some(note) = self.log.supervision.note(t_s, &moved.decision) {
+        let gone = self.log.supervision.gone(t_s, &moved.decision);
+        let transition = self.log.supervision.note(t_s, &moved.decision);
+        if let Some(gone) = gone {
+            tracing::info!("{t_s:7.2} s  {gone}");
+        } else if let Some(note) = transition {
             match moved.decision.state {
                 // No news for the operator who commanded it.
                 State::Holding if note.event == Event::Hold.name() => tracing::info!("{t_s:7.2} s  {}", note.why),

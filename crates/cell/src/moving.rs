@@ -12,7 +12,7 @@ use pb3dp_setup::setup::{Carrier, Setup};
 use pb3dp_sim::placement::FlangePath;
 use pb3dp_sim::trajectory::Trajectory;
 
-use super::both_arms::{BothArms, EnablePosition, LedArm};
+use super::both_arms::{BothArms, EnablePosition, LedArm, in_words};
 use super::carrier::{carry, off_by};
 use super::halves::Mover;
 use super::operator::{ByCommand, Operator};
@@ -175,7 +175,7 @@ impl<'a> Moving<'a> {
                 self.why_stopped = None;
                 self.operator.tell(None);
             }
-            Err(trouble) => self.operator.tell(Some(format!("{trouble:#}"))),
+            Err(trouble) => self.operator.tell(Some(in_words(&trouble))),
         }
         heard
     }
@@ -207,9 +207,9 @@ impl<'a> Moving<'a> {
             return Err(failure);
         }
         if self.refusal == Refusal::None {
-            tracing::warn!("both arms hold because a command was refused: {failure:#}");
+            tracing::warn!("both arms hold because a command was refused: {}", in_words(&failure));
         }
-        self.operator.tell(Some(format!("{failure:#}")));
+        self.operator.tell(Some(in_words(&failure)));
         self.refusal = Refusal::InStepBefore;
         Ok(None)
     }
@@ -263,13 +263,14 @@ impl<'a> Moving<'a> {
     fn stop_because(&mut self, why: Result<()>) {
         let stopped = self.arms.stop();
         self.stop_again_at = None;
-        if let (Err(_), Err(trouble)) = (&why, &stopped) {
-            tracing::error!("{trouble:#}");
-        }
-        self.why_stopped = why.and(stopped).err().map(|trouble| format!("{trouble:#}"));
+        let later = if why.is_err() { stopped.as_ref().err().map(in_words) } else { None };
+        self.why_stopped = why.and(stopped).as_ref().err().map(in_words);
         if let Some(why) = &self.why_stopped {
             tracing::error!("{why}");
             self.operator.tell(Some(why.clone()));
+        }
+        if let Some(later) = later {
+            tracing::error!("after the first failure: {later}");
         }
     }
 
@@ -288,7 +289,7 @@ impl<'a> Moving<'a> {
         self.stop_again_at = None;
         match self.arms.stop_still_on() {
             Ok(()) => self.operator.tell(self.why_stopped.clone()),
-            Err(trouble) => tracing::error!("{trouble:#}"),
+            Err(trouble) => tracing::error!("{}", in_words(&trouble)),
         }
     }
 
@@ -365,7 +366,7 @@ impl Mover for Moving<'_> {
             if !(self.operator.is_person() && self.arms.is_latched()) {
                 return Err(failure);
             }
-            self.operator.tell(Some(format!("{failure:#}")));
+            self.operator.tell(Some(in_words(&failure)));
         }
         let arms = [self.arms.vs.sample(), self.arms.tc.sample()];
         Ok(Moved { vs_joints: *self.arms.vs.joints(), arms, ..moved })

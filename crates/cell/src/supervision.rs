@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use pb3dp_record::report::Table;
-use pb3dp_servo::supervisor::{Condition, Decision, State};
+use pb3dp_servo::supervisor::{Condition, Decision, Event, State, Why};
 use serde::Serialize;
 
 /// Time in which a target is initialised, seconds: until then a hand that has not followed yet does not count as one that should.
@@ -11,6 +11,9 @@ const INITIALISING_S: f64 = 1.0;
 
 /// Number of transitions shown in the report; `summary.json` has all.
 const SHOWN: usize = 40;
+
+/// Time for which a cause must stay away before the log calls it gone, seconds: an intermittent one would fill the log.
+const GONE_FOR_S: f64 = 0.5;
 
 /// Supervisor decisions of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -48,9 +51,43 @@ pub struct SupervisionLog {
     steps_found: [u64; Condition::COUNT],
     transitions: Vec<TransitionNote>,
     steps_initialising: u64,
+    gone: GoneCause,
+}
+
+/// Finds out when the cause of a stop or a hold has gone.
+#[derive(Clone, Copy, Debug, Default)]
+struct GoneCause {
+    since_s: Option<f64>,
+    is_told: bool,
+}
+
+impl GoneCause {
+    /// The log line of this step, once for each time that a cause goes.
+    fn note(&mut self, t_s: f64, decision: &Decision) -> Option<String> {
+        let why = decision.why;
+        match decision.transition.map(|transition| transition.event) {
+            Some(Event::CauseGone) => return Some(format!("the cause of the hold is gone: {why}")),
+            Some(Event::TargetFound) => return Some(format!("the target is found again: {why}")),
+            Some(Event::Reset) => return Some(format!("the stop is reset: {why}")),
+            _ => {}
+        }
+        if !matches!(why, Why::CauseGone { .. } | Why::Latched { is_gone: true, .. }) {
+            *self = Self::default();
+            return None;
+        }
+        let since_s = *self.since_s.get_or_insert(t_s);
+        let is_due = !self.is_told && t_s - since_s >= GONE_FOR_S;
+        self.is_told |= is_due;
+        is_due.then(|| why.to_string())
+    }
 }
 
 impl SupervisionLog {
+    /// The log line of a step in which the cause of a stop or a hold has gone.
+    pub fn gone(&mut self, t_s: f64, decision: &Decision) -> Option<String> {
+        self.gone.note(t_s, decision)
+    }
+
     /// Records a step; returns the state change, if there is one.
     pub fn note(&mut self, t_s: f64, decision: &Decision) -> Option<&TransitionNote> {
         self.steps_by_state[decision.state as usize] += 1;
@@ -124,6 +161,8 @@ impl Supervision {
 
 #[cfg(test)]
 mod tests {
+    use pb3dp_servo::supervisor::{Cause, Detail, Then};
+
     use super::*;
     use crate::console::tests::decision;
 
@@ -136,6 +175,30 @@ mod tests {
             log.note(t_s, &Decision { state, transition: None, ..resting });
         }
         log.summary().share_following
+    }
+
+    #[test]
+    fn a_cause_that_stays_away_is_told_once_and_an_intermittent_one_is_not() {
+        let cause = Cause { condition: Condition::FrameStale, value: 2.0, threshold: 0.5, detail: Detail::None };
+        let active = Why::Latched { state: State::Stopped, cause, is_gone: false };
+        let gone = Why::Latched { state: State::Stopped, cause, is_gone: true };
+        let (mut log, resting) = (SupervisionLog::default(), decision());
+        let mut said = |steps: std::ops::Range<u32>, why: &dyn Fn(u32) -> Why| -> Vec<String> {
+            let step = |step: u32| {
+                log.gone(f64::from(step) / 100.0, &Decision { why: why(step), transition: None, ..resting })
+            };
+            steps.filter_map(step).collect()
+        };
+        assert!(said(0..100, &|_| active).is_empty());
+        assert!(said(100..500, &|step| if step % 10 == 0 { active } else { gone }).is_empty());
+        assert_eq!(
+            said(500..900, &|_| gone),
+            ["stopped: cleared: the newest frame pair is 2.000 s old, limit 0.500 s; use reset [PB3DP-SUP-008]"]
+        );
+        assert!(said(900..910, &|_| active).is_empty());
+        let held = Why::CauseGone { state: State::Holding, cause, then: Then::Resume };
+        let told = said(910..1000, &|_| held);
+        assert!(told.len() == 1 && told[0].ends_with("; use resume"), "{told:?}");
     }
 
     #[test]

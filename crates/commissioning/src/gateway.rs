@@ -20,7 +20,9 @@ use pb3dp_arm_pa10_protocol::places::BusTarget;
 use pb3dp_cell::terminal::typed_lines;
 use pb3dp_hal_platform::key_file::write_new_key;
 use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
+use pb3dp_hal_platform::transport::Symptom;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
 
 use self::file::{AccessPlace, GatewaySetup, HostPlace, read_gateway};
 
@@ -203,7 +205,7 @@ fn tell_end(arm: u8, status: &GatewayStatus, dropped: u64) {
     let GatewayStatus { cycle, bus, bytes, .. } = status;
     let damaged = bytes.crc_errors + bytes.header_errors + bytes.truncated + bytes.other_version;
     tracing::info!(
-        "ended {}: {} cycles, {} late, the longest {:?}; {} messages on the bus, {} not answered in time; {damaged} damaged frames \
+        "ended {}: {} cycles, {} late, the longest cycle {:?}; {} messages on the bus, {} not answered in time; {damaged} damaged frames \
          of hosts, {} missing, {} stale",
         status.state,
         cycle.cycles,
@@ -259,15 +261,35 @@ impl Log {
 
     fn tell_overruns(&mut self) {
         if self.late > 0 {
-            tracing::warn!("{} cycles began late by more than a tenth of a cycle, at most {:?}", self.late, self.worst);
+            tracing::warn!("{}", overruns(self.late, self.worst));
             *self = Self { told: Some(Instant::now()), ..Self::default() };
         }
     }
 }
 
+/// Whether a change of state is no news: a probe alone makes dozens of them.
+fn is_routine(from: GatewayState, to: GatewayState) -> bool {
+    use GatewayState::{Idle, Started};
+    matches!((from, to), (Idle, Started) | (Started, Idle))
+}
+
+/// Whether the other side closed the connection, as each program does at its end.
+fn is_normal_end(symptom: Symptom) -> bool {
+    matches!(symptom, Symptom::EndOfStream | Symptom::Os(Errno::CONNRESET))
+}
+
+/// The message about late cycles.
+fn overruns(late: u64, worst: Duration) -> String {
+    let began = if late == 1 { "1 cycle began".to_owned() } else { format!("{late} cycles began") };
+    format!("{began} late by more than a tenth of a cycle, at most {worst:?}")
+}
+
 fn tell(what: &Happened) {
     match what {
         Happened::State { from, to, found: Some(found), .. } => tracing::error!("{from} -> {to}: {found}"),
+        Happened::State { from, to, cause: StopCause::None, .. } if is_routine(*from, *to) => {
+            tracing::debug!("{from} -> {to}");
+        }
         Happened::State { from, to, cause: StopCause::None, .. } => tracing::info!("{from} -> {to}"),
         Happened::State { from, to, cause, .. } => tracing::error!("{from} -> {to}: {cause}"),
         Happened::Unheard => tracing::error!(
@@ -276,11 +298,39 @@ fn tell(what: &Happened) {
         Happened::Heard => tracing::info!("the controller answers and executes the stop order"),
         Happened::HostConnected => tracing::info!("host line connected"),
         Happened::HostGreeted(dialect) => tracing::info!("host sent HELLO, dialect {dialect}"),
+        Happened::HostGone(symptom) if is_normal_end(*symptom) => tracing::info!("the host has closed its line"),
         Happened::HostGone(symptom) => tracing::warn!("host line lost ({symptom})"),
         Happened::HostReplaced => tracing::warn!("a silent connection was replaced by a new one"),
         Happened::BusDown(symptom) => tracing::error!("the bus is down ({symptom}); reconnecting"),
         Happened::BusUp => tracing::info!("the bus is up again"),
         // Logged together.
         Happened::Overrun { .. } => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_probe_makes_no_news() {
+        use GatewayState::{Fault, Holding, Idle, Started, Stopping};
+        assert!(is_routine(Idle, Started) && is_routine(Started, Idle));
+        for (from, to) in [(Started, Holding), (Stopping, Idle), (Started, Fault), (Fault, Idle)] {
+            assert!(!is_routine(from, to), "{from} -> {to}");
+        }
+    }
+
+    #[test]
+    fn a_host_that_closes_its_line_is_no_warning() {
+        assert!([Symptom::EndOfStream, Symptom::Os(Errno::CONNRESET)].into_iter().all(is_normal_end));
+        assert!(![Symptom::Os(Errno::IO), Symptom::NotAuthentic, Symptom::Flood].into_iter().any(is_normal_end));
+    }
+
+    #[test]
+    fn one_late_cycle_is_no_plural() {
+        let text = |late| overruns(late, Duration::from_micros(300));
+        assert_eq!(text(1), "1 cycle began late by more than a tenth of a cycle, at most 300µs");
+        assert!(text(2).starts_with("2 cycles began late"));
     }
 }

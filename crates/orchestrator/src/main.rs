@@ -45,10 +45,7 @@ fn main() -> ExitCode {
     match outcome {
         Ok(code) => code,
         Err(error) => {
-            match pb3dp_wiring::message_codes::code_of(&error) {
-                Some(known) => tracing::error!(code = known.code, "{error:#}"),
-                None => tracing::error!("{error:#}"),
-            }
+            tracing::error!("{}", pb3dp_wiring::message_codes::in_words(&error));
             ExitCode::FAILURE
         }
     }

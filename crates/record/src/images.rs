@@ -151,12 +151,23 @@ pub fn load_rgb(file: &Path) -> Result<RgbImage, ImageFileError> {
 /// As [`load_rgb`], and [`ImageProblem::Size`].
 pub fn load_rgb_of_size(file: &Path, expected: ImageSize, because_of: &str) -> Result<RgbImage, ImageFileError> {
     let image = load_rgb(file)?;
-    let found = size_of(&image);
-    if found != expected {
-        let because_of = because_of.to_owned();
-        return Err(ImageFileError::new(file, ImageProblem::Size { found, expected, because_of }));
-    }
+    check_size(file, size_of(&image), (expected, because_of))?;
     Ok(image)
+}
+
+/// Checks the size of the image in a file.
+///
+/// # Errors
+/// [`ImageProblem::Size`], with `because_of` as the source of the requirement.
+pub fn check_size(
+    file: &Path,
+    found: ImageSize,
+    (expected, because_of): (ImageSize, &str),
+) -> Result<(), ImageFileError> {
+    if found == expected {
+        return Ok(());
+    }
+    Err(ImageFileError::new(file, ImageProblem::Size { found, expected, because_of: because_of.to_owned() }))
 }
 
 fn decode(file: &Path) -> Result<DynamicImage, ImageFileError> {

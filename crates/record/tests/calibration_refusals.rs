@@ -168,6 +168,10 @@ fn case_calibrations() {
     check("\"rectified\": true", "\"rectified\": 1", ["calib.json: rectified: must be true or false", ""]);
     check("\"R\": [[1", "\"R\": [1", ["calib.json, line 4: not valid JSON", ""]);
     check("-100, 0, 0", "-0.1, 0, 0", ["calib.json: baseline_mm: ", ""]);
+    // Also without the convention: a mistyped key must not make it a file of another format.
+    let (bare, _) = text.split_once(",\n \"convention\"").unwrap();
+    let files = [("calib.json", &*format!("{bare}\n}}"))];
+    self::check(&files, 0, "\"t_mm\"", "\"t_m\"", ["calib.json: t_mm: is missing", ""]);
 }
 
 #[test]

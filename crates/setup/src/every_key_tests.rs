@@ -428,7 +428,15 @@ fn a_search_needs_its_pattern_and_its_permission() {
 /// What a setup whose arms are behind lines refuses.
 #[test]
 fn ways_to_an_arm_that_do_not_fit_are_refused() {
-    let changes: [(Change, &str); 9] = [
+    let changes: [(Change, &str); 10] = [
+        (
+            |root| {
+                let gateway = arm(root)["gateway"].as_table_mut().unwrap();
+                gateway.insert("port".into(), "/dev/ttyUSB0".into());
+                gateway.insert("baud".into(), 921_600.into());
+            },
+            "backend = \"emulated\" needs no port, baud, address or key_file: remove port and baud",
+        ),
         (
             |root| {
                 root["run"]["pace"] = "fast".into();
@@ -441,8 +449,8 @@ fn ways_to_an_arm_that_do_not_fit_are_refused() {
         ),
         (|root| drop(arm(root).remove("gateway")), "arms.vs.gateway: missing"),
         (|root| arm(root)["backend"] = "mock".into(), "arms.vs.gateway: an arm with backend = \"mock\" has none"),
-        (|root| arm(root)["backend"] = "serial".into(), "\"serial\" needs port and baud"),
-        (|root| arm(root)["backend"] = "tcp".into(), "\"tcp\" needs address and key_file"),
+        (|root| arm(root)["backend"] = "serial".into(), "\"serial\" needs port and baud: add port and baud"),
+        (|root| arm(root)["backend"] = "tcp".into(), "\"tcp\" needs address and key_file: add address and key_file"),
         (|root| arm(root)["backend"] = "usb".into(), "arms.vs.backend"),
         (
             |root| arm(root)["gateway"]["geometry"] = "first-generation".into(),

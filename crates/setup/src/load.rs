@@ -239,6 +239,10 @@ fn describe(error: &figment::Error) -> String {
             let key = if path.is_empty() { field.to_string() } else { format!("{path}.{field}") };
             format!("{key}{MISSING}; the setup must state it")
         }
+        Kind::UnknownVariant(found, known) => {
+            let meant = nearest(found, known).map(|word| format!("; did you mean {word}?")).unwrap_or_default();
+            format!("{at}: {}{meant}", plain(&error.kind.to_string()))
+        }
         kind => format!("{at}: {}", plain(&kind.to_string())),
     }
 }
@@ -415,6 +419,28 @@ mod tests {
         assert!(wrong.contains("camera.rate_hz") && wrong.contains("fast"), "{wrong}");
         let syntax = message("[camera\n");
         assert!(syntax.contains("x.toml"), "{syntax}");
+    }
+
+    #[test]
+    fn a_mistyped_word_names_the_nearest_known_one() {
+        #[derive(Debug, Deserialize)]
+        #[serde(rename_all = "kebab-case")]
+        enum Shape {
+            Crab,
+            Card,
+            Box,
+        }
+        let refused = |word: &str| {
+            let figment = Figment::from(Serialized::defaults(Dict::from([("target".to_owned(), Value::from(word))])));
+            describe(&figment.extract_inner::<Shape>("target").unwrap_err())
+        };
+        assert!(
+            refused("crd").contains("found crd, expected one of crab, card, box; did you mean card?"),
+            "{}",
+            refused("crd")
+        );
+        assert!(!refused("sphere").contains("did you mean"), "{}", refused("sphere"));
+        assert!(format!("{:?}", [Shape::Crab, Shape::Card, Shape::Box]).contains("Card"));
     }
 
     #[test]

@@ -86,6 +86,18 @@ pub fn check_other_is_off(setup: &Setup, choice: ArmChoice, clock: &Arc<dyn Cloc
     Ok(())
 }
 
+/// An error of the other arm says why this arm is connected, too; an error of the wanted arm stays as it is.
+fn about_other(error: anyhow::Error, setup: &Setup, other: ArmChoice) -> anyhow::Error {
+    if !format!("{error:#}").contains(other.name()) {
+        return error;
+    }
+    let why = "both arms are connected to monitor the distance between them";
+    if is_absent(&error, &other.of(setup).link) {
+        return error.context(format!("{why}; if the {} is powered off, use --alone", other.name()));
+    }
+    error.context(why)
+}
+
 /// Whether the link has nobody at its other end: no adapter, no listener, or no answer on a serial line that no other program uses.
 fn is_absent(error: &anyhow::Error, link: &ArmLink) -> bool {
     let is_serial = matches!(link, ArmLink::Gateway(_, GatewayWay::Serial { .. }));
@@ -157,12 +169,7 @@ pub fn wire_slow(setup: &Setup, choice: ArmChoice, beside_other: bool, clock: &A
         return Ok(SlowArm { driven, monitor, flight, other: None, emulated: emulated.into_iter().collect() });
     }
     let WiredArms { driven: [vs, tc], flights: [(_, vs_flight), (_, tc_flight)], monitors, emulated, .. } =
-        wire_arms(setup, clock, None).with_context(|| {
-            format!(
-                "both arms are connected to monitor the distance between them; if the {} is powered off, use --alone",
-                choice.other().name()
-            )
-        })?;
+        wire_arms(setup, clock, None).map_err(|error| about_other(error, setup, choice.other()))?;
     let monitor_of = |choice: ArmChoice| {
         monitors.iter().find(|(name, _)| *name == choice.name()).map(|(_, monitor)| monitor.clone())
     };
@@ -224,6 +231,25 @@ mod tests {
         set_line(&mut setup, ArmChoice::Tc, address, key_file.to_owned());
         let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
         check_other_is_off(&setup, ArmChoice::Vs, &clock)
+    }
+
+    #[test]
+    fn only_an_absent_other_arm_is_advised_to_be_left_out() {
+        let folder = tempfile::tempdir().unwrap();
+        let key = folder.path().join("arm.key");
+        write_new_key(&key).unwrap();
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/hil.toml");
+        let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+        let told = |absent: ArmChoice| {
+            let mut setup = read_setup(&file).unwrap();
+            set_line(&mut setup, absent, free, key.clone());
+            let refused = wire_slow(&setup, ArmChoice::Vs, true, &clock).err().unwrap();
+            format!("{refused:#}")
+        };
+        let (own, other) = (told(ArmChoice::Vs), told(ArmChoice::Tc));
+        assert!(own.contains("vs-robot") && !own.contains("both arms") && !own.contains("--alone"), "{own}");
+        assert!(other.contains("tc-robot") && other.contains("if the tc-robot is powered off, use --alone"), "{other}");
     }
 
     #[test]

@@ -39,6 +39,15 @@ pub fn code_of(error: &anyhow::Error) -> Option<&'static MessageCode> {
     error.chain().filter_map(|cause| message_codes::code_of(cause).or_else(|| of_device(cause))).last()
 }
 
+/// An error with its sources and its code, as a log line shows it. A message that already ends with a code stays as it is.
+pub fn in_words(error: &anyhow::Error) -> String {
+    let text = format!("{error:#}");
+    match code_of(error) {
+        Some(known) if !text.contains(PREFIX) => format!("{text} [{}]", known.code),
+        _ => text,
+    }
+}
+
 fn of_device(error: &(dyn Error + 'static)) -> Option<&'static MessageCode> {
     let fault = error.downcast_ref::<FaultCause>().map(Coded::message_code);
     let stop = || error.downcast_ref::<EmergencyStopCause>().map(Coded::message_code);
@@ -89,6 +98,9 @@ mod tests {
         let silent = ArmError::new(ArmErrorKind::Timeout, "arm vs-robot: late");
         assert_eq!(code_of(&anyhow::Error::new(silent).context("run")).unwrap().code, "PB3DP-ARM-003");
         assert_eq!(code_of(&anyhow::anyhow!("something else")), None);
+        let silent = ArmError::new(ArmErrorKind::Timeout, "arm vs-robot: late");
+        assert_eq!(in_words(&anyhow::Error::new(silent).context("run")), "run: arm vs-robot: late [PB3DP-ARM-003]");
+        assert_eq!(in_words(&anyhow::anyhow!("held [PB3DP-SUP-001]")), "held [PB3DP-SUP-001]");
         for code in ["PB3DP-ARM-104", "pb3dp-arm-104", "ARM-104", "[PB3DP-ARM-104]"] {
             assert_eq!(find(code).unwrap().code, "PB3DP-ARM-104", "{code}");
         }

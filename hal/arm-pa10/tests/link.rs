@@ -152,6 +152,12 @@ fn a_gateway_that_stopped_the_arm_before_wants_a_reset() {
         rig.settle();
         assert_eq!(rig.trip(), Trip::Fault(FaultCause::StillThere(StopCause::ServoAlarm)));
         assert!(rig.trip().to_string().contains("an alarm of an axis is still present"));
+        rig.gateway.found = Some(StopCause::LocalControl);
+        rig.request(Request::Reset);
+        rig.settle();
+        let switched = "fault: the gateway cannot reset the arm: the switch of the gateway stands on local: type `remote` at the \
+                        gateway, then reset";
+        assert_eq!(rig.trip().to_string(), switched);
         rig.gateway.cause_present = false;
         rig.gateway.heard.clear();
         rig.request(Request::Reset);

@@ -154,6 +154,21 @@ fn arms_of_a_cell_stop_each_other_within_a_cycle() {
     assert!(cell.ends.iter().all(|end| speed(end) == 0.0 && end.look(|far| far.controller.is_braked())));
 }
 
+/// An error with its sources, as the program prints it.
+fn whole(error: &dyn std::error::Error) -> String {
+    let sources = std::iter::successors(error.source(), |source| source.source());
+    sources.fold(error.to_string(), |text, source| format!("{text}: {source}"))
+}
+
+#[test]
+fn a_refused_reset_gives_its_reason_once() {
+    let mut cell = moving();
+    cell.ends[0].command_line("e-stop press").unwrap();
+    cell.move_for(500);
+    let refused = whole(&cell.arms[0].reset().unwrap_err());
+    assert_eq!(refused.matches("release the emergency stop, then reset").count(), 1, "{refused}");
+}
+
 #[test]
 fn a_cable_that_was_pulled_stops_the_arm_and_comes_back_by_a_reset() {
     let mut cell = moving();
@@ -163,7 +178,8 @@ fn a_cable_that_was_pulled_stops_the_arm_and_comes_back_by_a_reset() {
     assert_eq!(error.kind(), ArmErrorKind::Disconnected, "{error}");
     pass(&cell.time, 500);
     assert!(cell.ends.iter().all(|end| speed(end) == 0.0));
-    assert!(cell.arms[1].reset().unwrap_err().to_string().contains("cannot be opened"));
+    let refused = whole(&cell.arms[1].reset().unwrap_err());
+    assert_eq!(refused.matches("cannot be opened").count(), 1, "{refused}");
     cell.ends[1].plug();
     pass(&cell.time, 500);
     assert_eq!(cell.arms[1].state(), ArmState::Fault, "it came back by itself");

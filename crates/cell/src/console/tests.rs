@@ -105,7 +105,9 @@ fn a_console_hands_words_over_in_order_and_ends_the_run_behind_its_end() {
 #[test]
 fn a_stop_typed_in_a_hurry_is_a_stop_and_a_start_must_be_exact() {
     use OperatorCommand::{Hold, HoldHand, Start, Stop};
-    for line in ["stop", "STOP", "Stop!", "stop now", "stop.", "  stop", "!stop", "stop hand", "stop: hold"] {
+    for line in
+        ["stop", "STOP", "Stop", "sToP", "Stop!", "stop now", "stop.", "  stop", "!stop", "stop hand", "stop: hold"]
+    {
         assert_eq!(command_of(line), Some(Stop), "{line:?}");
     }
     assert_eq!(["Hold", "HOLD it", "hold", "hold hands", "Hold hand", "hold hand!"].map(command_of), [Some(Hold); 6]);
@@ -249,6 +251,18 @@ fn bytes_that_are_no_text_and_lines_without_end_are_no_words_and_close_nothing()
     let text: String = answers.iter().collect();
     assert!(text.contains("unknown command \"st\u{fffd}art\"") && text.contains("longer than 256 bytes"), "{text}");
     assert_eq!([0; 2].map(|_| word(&mut console)), [Some(OperatorCommand::Select), None]);
+}
+
+#[test]
+fn a_stop_at_the_beginning_of_a_line_that_is_too_long_is_a_stop() {
+    let (mut console, mut writer, answers, _) = begun();
+    writeln!(writer, "STOP{}", "!".repeat(3 * LINE_MAX as usize)).unwrap();
+    wait_until(|| console.shared.stop.number.load(Ordering::SeqCst) > 0);
+    assert_eq!(word(&mut console), Some(OperatorCommand::Stop));
+    writeln!(writer, "start {}", "x".repeat(LINE_MAX as usize)).unwrap();
+    let refused = answers.recv_timeout(Duration::from_secs(30)).unwrap();
+    assert!(refused.contains("longer than 256 bytes"), "{refused}");
+    assert_eq!([0; 2].map(|_| word(&mut console)), [None; 2]);
 }
 
 #[test]

@@ -48,7 +48,7 @@ enum ArmCommand {
 struct Place {
     #[command(flatten)]
     setup: SetupArgs,
-    /// Arm: vs carries the cameras, tc the target.
+    /// Arm: vs carries the cameras, tc the target; messages call them vs-robot and tc-robot.
     #[arg(long, value_enum)]
     arm: ArmName,
 }

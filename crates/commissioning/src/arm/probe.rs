@@ -36,14 +36,14 @@ pub fn run(args: &ProbeArgs) -> Result<ExitCode> {
                 }
                 if let Err(error) = seen.arm.look() {
                     if monitor.snapshot().latched.is_none() {
-                        findings.refuse(error.to_string());
+                        findings.refuse(format!("{:#}", anyhow::Error::from(error)));
                     }
                     break;
                 }
             }
             ProbeReport::of(choice, choice.of(&setup), (seen.target.clone(), &monitor), findings)
         }
-        Err(error) => ProbeReport::unreached(choice, choice.of(&setup), format!("{error:#}")),
+        Err(error) => ProbeReport::unreached(choice, format!("{error:#}")),
     };
     print_line(&if args.json { serde_json::to_string(&report)? } else { report.to_string() })?;
     Ok(if report.fits { ExitCode::SUCCESS } else { ExitCode::FAILURE })

@@ -143,18 +143,12 @@ fn degrees(rad: f64) -> f64 {
 
 impl ProbeReport {
     /// For an arm that was not reached.
-    pub fn unreached(choice: ArmChoice, arm: &ArmSetup, problem: String) -> Self {
-        let (table, what) = if let ArmLink::Bus(_) = arm.link { ("bus", "controller") } else { ("gateway", "gateway") };
-        let hint = format!(
-            "{}: check the table {}.{table}, the cable, the power of the {what}, and that no other program uses the link",
-            choice.name(),
-            arm.key
-        );
+    pub fn unreached(choice: ArmChoice, problem: String) -> Self {
         Self {
             arm: choice.name(),
             target: None,
             fits: false,
-            problems: vec![problem, hint],
+            problems: vec![problem],
             warnings: Vec::new(),
             state: None,
             gateway: None,

@@ -16,6 +16,20 @@ pub fn make(folder: &Path) -> Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot be created", folder.display()))
 }
 
+/// The folders of this path that do not exist, innermost first.
+pub fn missing(folder: &Path) -> Vec<PathBuf> {
+    let named = folder.ancestors().filter(|path| !path.as_os_str().is_empty());
+    named.take_while(|path| !path.exists()).map(Path::to_owned).collect()
+}
+
+/// Removes what a refused run has created: empty folders.
+pub fn remove_empty(created: &[PathBuf]) {
+    for folder in created {
+        // One with files stays.
+        let _ = std::fs::remove_dir(folder);
+    }
+}
+
 /// Moves the folder of an earlier run to the first free one of `DIR.1`, `DIR.2` and so on, logs that, and creates a new folder.
 ///
 /// # Errors
@@ -39,6 +53,22 @@ pub fn keep(folder: &Path) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_refused_run_leaves_no_empty_folder() {
+        let place = tempfile::tempdir().unwrap();
+        let (mine, out) = (place.path().join("mine"), place.path().join("mine/out/run"));
+        make(&mine).unwrap();
+        let created = missing(&out);
+        assert_eq!(created, [out.clone(), mine.join("out")]);
+        make(&out).unwrap();
+        std::fs::write(out.join("flight.jsonl"), "").unwrap();
+        remove_empty(&created);
+        assert!(out.exists(), "a folder with files stays");
+        std::fs::remove_file(out.join("flight.jsonl")).unwrap();
+        remove_empty(&created);
+        assert!(mine.exists() && !mine.join("out").exists());
+    }
 
     #[test]
     fn an_earlier_run_gets_the_first_free_number_and_other_folders_stay() {

@@ -26,6 +26,15 @@ use crate::logging::last_words;
 /// # Errors
 /// A refused configuration, an experiment that the arms cannot follow, or a failed part.
 pub fn run(args: &RunArgs) -> Result<ExitCode> {
+    let missing = previous_run::missing(&args.out);
+    let ended = conduct(args);
+    if ended.is_err() {
+        previous_run::remove_empty(&missing);
+    }
+    ended
+}
+
+fn conduct(args: &RunArgs) -> Result<ExitCode> {
     // Before any thread starts: a signal that ended the program would leave the arms to their gateways.
     let mut signals = StopSignals::take_over().context("the signals that end the program cannot be taken over")?;
     let seed = args.seed.as_ref().map(ToString::to_string);
@@ -51,6 +60,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
     // Late, so that a refused run leaves the previous one in its place.
     previous_run::keep(&args.out)?;
+    tracing::info!("the results of this run go to {} (--out)", args.out.display());
     let Ended { outcome, how } = experiment::conduct(&setup, parts, args.stop_after, args.record.as_deref())?;
     if let Err(failure) = &how {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };

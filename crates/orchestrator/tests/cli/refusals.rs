@@ -57,7 +57,7 @@ fn missing_and_damaged_files_are_named() {
         pair.words(&left, &right, &calibration, &format!("mask:{}", absent.display())),
     ] {
         let finished = pb3dp(&args);
-        finished.assert_refused(&["absent.png"]);
+        finished.assert_refused(&["absent.png", "[PB3DP-"]);
         assert_eq!(finished.stderr.to_lowercase().matches("no such file").count(), 1, "{}", finished.stderr);
     }
     let folder = pair.dir.path();
@@ -70,11 +70,11 @@ fn missing_and_damaged_files_are_named() {
     optimum.push("--reference-optimum".into());
     pb3dp(&optimum).assert_refused(&["--reference-optimum", "direct", "--method published"]);
     truncate(&right, 20_000);
-    pair.estimate(REGION).assert_refused(&["right.png", "truncated"]);
+    pair.estimate(REGION).assert_refused(&["right.png", "truncated", "[PB3DP-IMG-005]"]);
     std::fs::write(&right, "no image at all").unwrap();
     pair.estimate(REGION).assert_refused(&["right.png"]);
     std::fs::write(&calibration, "{\"image_size\": [640, 480]}").unwrap();
-    pair.estimate(REGION).assert_refused(&["calib.json"]);
+    pair.estimate(REGION).assert_refused(&["calib.json", "[PB3DP-CAL-006]"]);
 }
 
 #[test]
@@ -91,6 +91,7 @@ fn sizes_that_do_not_fit_are_named_with_both_sizes() {
         "wrong.json",
         "640x480",
         "800x600",
+        "[PB3DP-IMG-006]",
     ]);
     let small = pair.file("small.png");
     image::open(pair.file("right.png")).unwrap().thumbnail_exact(320, 240).save(&small).unwrap();
@@ -111,8 +112,8 @@ fn sizes_that_do_not_fit_are_named_with_both_sizes() {
 fn regions_that_can_not_serve_are_refused_with_what_to_do() {
     let pair = Pair::new();
     for (region, parts) in [
-        ("rect:2000,100,50,50", &["outside the left image", "640"][..]),
-        ("click:-5,10", &["(-5, 10)", "outside the left image"]),
+        ("rect:2000,100,50,50", &["outside the left image", "640", "[PB3DP-REG-"][..]),
+        ("click:-5,10", &["(-5, 10)", "outside the left image", "[PB3DP-REG-"]),
         ("poly:-90,-90;-20,-90;-20,-20", &["outside the left image"]),
         ("rect:400,200,2,2", &["4 px", "larger area"]),
         ("rect:400,200,-20,20", &["must be positive"]),
@@ -184,7 +185,9 @@ fn a_folder_without_cases_is_named() {
     std::fs::create_dir(&empty).unwrap();
     pb3dp(&words(&[&"estimate", &"--cases", &empty])).assert_refused(&["case.json", "empty"]);
     pb3dp(&words(&[&"estimate", &"--cases", &dir.path().join("absent")])).assert_refused(&["absent"]);
-    pb3dp(&words(&[&"track", &"--sequence", &empty])).assert_refused(&["sequence.json", "empty"]);
+    let refused = pb3dp(&words(&[&"track", &"--sequence", &empty]));
+    refused.assert_refused(&["sequence.json", "empty", "[PB3DP-DAT-"]);
+    assert!(!refused.stderr.contains("code="), "{}", refused.stderr);
 }
 
 #[test]

@@ -6,13 +6,15 @@ use serde_json::json;
 
 use super::document::Node;
 use super::error::CalibrationFileError;
-use super::{checks, write};
+use super::{checks, opencv, write};
 
 /// The only supported convention; a file may add text after it.
 const CONVENTION: &str = "X_right = R X_left + t";
 
 pub(super) fn recognises(root: &Node<'_>) -> bool {
-    root.find("K_left").is_some() && root.find("t_mm").is_some() || root.find("convention").is_some()
+    // OpenCV files may spell a camera matrix the same way, but always have coefficients. A mistyped `t_mm` is named as missing.
+    let is_ours = root.find("t_mm").is_some() || !opencv::has_coefficients(root);
+    root.find("K_left").is_some() && is_ours || root.find("convention").is_some()
 }
 
 pub(super) fn read(root: &Node<'_>) -> Result<StereoRig, CalibrationFileError> {

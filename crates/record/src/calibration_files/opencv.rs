@@ -81,6 +81,10 @@ pub(super) fn recognises(root: &Node<'_>) -> bool {
     keys.into_iter().any(|key| root.find(key).is_some())
 }
 
+pub(super) fn has_coefficients(root: &Node<'_>) -> bool {
+    COEFFICIENTS.iter().flatten().any(|key| root.find(key).is_some())
+}
+
 /// Reads one file or the two files of a split calibration.
 pub(super) fn read(
     roots: &[Node<'_>],

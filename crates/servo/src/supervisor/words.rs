@@ -248,6 +248,9 @@ impl Refusal {
             RefusedFor::Overtaken(state) => {
                 write!(f, "the state changed to {state} in the same step; check, then repeat it")
             }
+            RefusedFor::Cause(cause) if self.word == OperatorCommand::Reset => {
+                write!(f, "{cause}; {}, then use reset again", remedy(cause))
+            }
             RefusedFor::Cause(cause) => write!(f, "{cause}; {}", remedy(cause)),
             RefusedFor::NotClear { cause, clear_s, wanted_s } => {
                 write!(f, "{}, for {clear_s:.3} s; it must last {wanted_s:.3} s; repeat it", Gone(cause))
@@ -417,8 +420,8 @@ impl fmt::Display for Degrees {
 /// The remedy.
 fn remedy(cause: &Cause) -> &'static str {
     match cause.condition {
-        Condition::EmergencyStop => "release the switch, then reset the arm",
-        Condition::ArmFault => "remove the cause, then reset the arm",
+        Condition::EmergencyStop => "release the switch",
+        Condition::ArmFault => "remove the cause",
         Condition::ArmDisabled => "wait until the drives are enabled, or use select, which enables them",
         Condition::ClockStepped => "find what delays this computer or sets its clock",
         Condition::OperatorSilent => "press Enter at the console, or check the panel and its connection",

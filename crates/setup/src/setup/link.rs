@@ -329,13 +329,36 @@ impl GatewaySection {
                 key_file: key_file.into(),
             },
             _ => {
-                check.refuse(format!(
-                    "{key}.gateway: backend = \"serial\" needs port and baud, \"tcp\" needs address and key_file, \"emulated\" none of \
-                     them"
-                ));
+                check.refuse(format!("{key}.gateway: {}", self.wrong_place(backend)));
                 return None;
             }
         };
         Some(ArmLink::Gateway(link, way))
+    }
+
+    /// Which keys of the link this backend needs, and which to add or to remove.
+    fn wrong_place(&self, backend: ArmBackend) -> String {
+        let (needed, needs): (&[&str], &str) = match backend {
+            ArmBackend::Serial => (&["port", "baud"], "port and baud"),
+            ArmBackend::Tcp => (&["address", "key_file"], "address and key_file"),
+            ArmBackend::Mock | ArmBackend::Emulated | ArmBackend::Arcnet => (&[], "no port, baud, address or key_file"),
+        };
+        let stated = [
+            ("port", self.port.is_some()),
+            ("baud", self.baud.is_some()),
+            ("address", self.address.is_some()),
+            ("key_file", self.key_file.is_some()),
+        ];
+        let named = |is_wrong: &dyn Fn(&str, bool) -> bool| -> Vec<&str> {
+            stated.iter().filter(|(key, is_stated)| is_wrong(key, *is_stated)).map(|(key, _)| *key).collect()
+        };
+        let missing = named(&|key, is_stated| needed.contains(&key) && !is_stated);
+        let needless = named(&|key, is_stated| !needed.contains(&key) && is_stated);
+        let advice: Vec<String> = [("add", missing), ("remove", needless)]
+            .into_iter()
+            .filter(|(_, keys)| !keys.is_empty())
+            .map(|(verb, keys)| format!("{verb} {}", keys.join(" and ")))
+            .collect();
+        format!("backend = \"{}\" needs {needs}: {}", backend.name(), advice.join(", "))
     }
 }

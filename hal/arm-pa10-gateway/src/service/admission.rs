@@ -320,8 +320,17 @@ impl Opening {
             match link.try_read(&mut bytes[length..needed]) {
                 Ok(0) => return Ok(None),
                 Ok(count) => (self.bytes, self.length) = (bytes, length + count),
-                Err(_) => return Err("it was closed, or sent a record that is not authentic"),
+                Err(_) => return Err(self.why_closed()),
             }
+        }
+    }
+
+    /// Why a host closes the connection: it does not say so, but only the host can compare the proof of the gateway.
+    fn why_closed(&self) -> &'static str {
+        match self.stage {
+            Stage::Proof(..) => "it closed the connection instead of proving the key: most likely it has another key",
+            Stage::Hello(_) => "it closed the connection, or sent a record that is not authentic",
+            Stage::Knock(_) | Stage::Gone => "it closed the connection without a frame",
         }
     }
 

@@ -174,6 +174,8 @@ impl GatewayServer {
         let cycle = std::thread::Builder::new().name("gateway-cycle".into()).spawn(move || {
             let shortfalls = realtime::enter(&wanted);
             let _ = ready.send(shortfalls);
+            // The first cycle is due now: opening the bus and locking the memory took time that is no lateness.
+            let core = Gateway::new(config.gateway, realtime::now()).unwrap_or(core);
             Cycle::new(core, port, for_cycle, lines, queue).run()
         })?;
         let door = std::thread::Builder::new().name("gateway-door".into()).spawn(move || door.run())?;

@@ -324,7 +324,13 @@ impl Pa10Arm {
             }
         };
         let trip = if let WishError::Stopped(latched) = &error { Some(latched.trip) } else { None };
-        about(ArmError::caused_by(kind, format!("arm {}: {what}: {error}", self.info.name), error), trip)
+        let text = format!("arm {}: {what}", self.info.name);
+        // A source follows the text wherever the whole chain is printed: the text must not repeat it.
+        let failed = match error {
+            WishError::Connect(_) | WishError::Gateway(_) => ArmError::caused_by(kind, text, error),
+            _ => ArmError::new(kind, format!("{text}: {error}")),
+        };
+        about(failed, trip)
     }
 
     fn error(&self, kind: ArmErrorKind, text: impl std::fmt::Display) -> ArmError {
@@ -350,7 +356,7 @@ impl Pa10Arm {
         let JointCommand::Velocity(velocity) = command else { return Ok(()) };
         let sendable = ArmCommand::velocities(velocity, self.driver.supervision);
         sendable.map(|_| ()).map_err(|error| {
-            let message = format!("arm {}: velocity refused, no axis was commanded: {error}", self.info.name);
+            let message = format!("arm {}: velocity refused, no axis was commanded", self.info.name);
             let refused = ArmError::caused_by(ArmErrorKind::Rejected, message, error);
             if let CodecError::SpeedRange { axis, .. } = error { refused.of_joint(axis.index()) } else { refused }
         })

@@ -198,9 +198,8 @@ pub enum FaultCause {
     Rejected(RejectReason),
     /// The gateway refused a reset, because the cause of the stop is still present.
     #[error(
-        "the gateway cannot reset the arm: {what} is still present; `pb3dp arm probe` shows the status words; remove the cause, \
-         then reset",
-        what = what_is_there(*.0)
+        "the gateway cannot reset the arm: {why}",
+        why = why_not_reset(*.0)
     )]
     StillThere(StopCause),
     /// The limits of an axis differ from the configuration.
@@ -508,15 +507,16 @@ fn advice_on_stop(cause: StopCause) -> &'static str {
     }
 }
 
-/// The condition that prevents a reset, in words.
-fn what_is_there(found: StopCause) -> String {
-    match found {
+/// The condition that prevents a reset, and its remedy.
+fn why_not_reset(found: StopCause) -> String {
+    let what = match found {
+        StopCause::LocalControl => return advice_on_stop(found).to_owned(),
         StopCause::ServoAlarm => "an alarm of an axis".to_owned(),
         StopCause::ControllerAlarm => "an alarm of the controller".to_owned(),
         StopCause::EmergencyStop => "an emergency stop, dead-man switch or limit switch".to_owned(),
-        StopCause::LocalControl => "the switch of the gateway on local; type `remote` at the gateway".to_owned(),
         other => other.to_string(),
-    }
+    };
+    format!("{what} is still present; `pb3dp arm probe` shows the status words; remove the cause, then reset")
 }
 
 /// Advice for a message that the gateway refused.

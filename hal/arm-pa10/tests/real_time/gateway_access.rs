@@ -15,7 +15,9 @@ use pb3dp_arm_pa10::bus::{BusPort, FrameSocket};
 use pb3dp_arm_pa10::driver::DriverState;
 use pb3dp_arm_pa10_gateway::service::{Access, BusOpener, GatewayServer, GatewayServerConfig, HostSide};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, SharedKey};
-use pb3dp_arm_pa10_test_support::world::{ARM, Emulation, Host, gateway_config, home, keyed, ms, tcp_side, test_key};
+use pb3dp_arm_pa10_test_support::world::{
+    ARM, Emulation, Host, LONG, gateway_config, home, keyed, ms, tcp_side, test_key,
+};
 use pb3dp_hal_platform::realtime::Realtime;
 use pb3dp_hal_platform::tcp::{TcpConfig, TcpLink};
 use pb3dp_hal_platform::transport::{ByteLink, Connector, Unplugged};
@@ -103,10 +105,17 @@ fn a_dripping_peer_locks_nobody_out() {
 #[test]
 fn refused_hosts_are_told_why() {
     let (side, address) = tcp_side();
-    let (_server, _emulation) = start(side);
+    let (server, _emulation) = start(side);
     let refusal = |host: KeyedTcp| host.prove(TcpLink::connect(&host.tcp).unwrap()).err().unwrap();
     let other = KeyedTcp { key: SharedKey::new(&[1; 32]).unwrap(), ..keyed(address) };
     assert!(matches!(refusal(other), AccessError::KeyMismatch { .. }));
+    // The host closes first; the log of the gateway must name the keys, too.
+    let begin = Instant::now();
+    let is_told = || server.try_message().is_some_and(|text| text.contains("most likely it has another key"));
+    while !is_told() {
+        assert!(begin.elapsed() < LONG, "the log does not name the keys");
+        std::thread::yield_now();
+    }
     let other = KeyedTcp { arm: ArmId(ARM.0 + 1), ..keyed(address) };
     let refused = refusal(other).to_string();
     assert!(refused.contains("refused the connection: wrong-arm"), "{refused}");

@@ -236,6 +236,35 @@ fn connection_ends_in_motion() {
     assert!(next.driver.latched().is_some());
 }
 
+/// The time that a bus takes to open is no lateness of the first cycle.
+#[test]
+fn the_first_cycle_is_not_late() {
+    in_real_time_beside_others(|| {
+        let (gateway, controller) = FrameSocket::pair("bus").unwrap();
+        let _emulation = Emulation::start(Box::new(controller), Some(ms(400)));
+        let mut open = once(gateway);
+        let slow_bus: BusOpener = Box::new(move || {
+            std::thread::sleep(ms(300));
+            open()
+        });
+        let (side, _) = tcp_side();
+        let server = start(slow_bus, side);
+        let witness = Witness(&server);
+        let begin = Instant::now();
+        let late = std::iter::from_fn(|| {
+            std::thread::sleep(ms(1));
+            (begin.elapsed() < ms(500)).then(|| server.try_event())
+        });
+        let late = late.flatten().filter_map(|event| match event.what {
+            Happened::Overrun { late } => Some(late),
+            _ => None,
+        });
+        let longest = late.max().unwrap_or_default();
+        assert!(longest < ms(250), "{longest:?}");
+        drop(witness);
+    });
+}
+
 #[test]
 fn a_connection_that_has_been_silent_for_a_second_gives_way() {
     let (side, address) = tcp_side();

@@ -10,7 +10,7 @@ use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::StereoRig;
 use pb3dp_record::calibration_files::load_stereo_for;
 use pb3dp_record::dataset::{self, Case, load_case};
-use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
+use pb3dp_record::images::{check_size, load_rgb, load_rgb_of_size, size_of};
 use pb3dp_setup::region_spec::load_region;
 
 use crate::arguments::{EstimateArgs, MethodArgs};
@@ -103,18 +103,7 @@ pub fn pair_name(left_file: &Path) -> String {
 
 /// Refuses an image of another size than the calibration.
 fn check_sizes(rig: &StereoRig, left: &RgbImage, file: &Path, source: &str) -> Result<()> {
-    let (is, calibrated) = (size_of(left), rig.left().size());
-    if is != calibrated {
-        bail!(
-            "{}: the image is {}x{}, but the calibration ({source}) is for {}x{}: they do not belong together",
-            file.display(),
-            is.width,
-            is.height,
-            calibrated.width,
-            calibrated.height
-        );
-    }
-    Ok(())
+    Ok(check_size(file, size_of(left), (rig.left().size(), &format!("the calibration ({source})")))?)
 }
 
 /// Depths at which the disparity is 5 to 35 % of the image's width.

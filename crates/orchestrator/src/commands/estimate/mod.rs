@@ -23,6 +23,7 @@ use pb3dp_record::dataset::{find_cases, load_case};
 use pb3dp_record::images::{StoredFormat, save};
 use pb3dp_record::metrics::{self, DisparityAgreement, EvaluatedCase, Group, compare_plane, table};
 use pb3dp_setup::estimator::read_estimator;
+use pb3dp_wiring::message_codes::in_words;
 
 use self::job::{Job, pair_name};
 use self::output::EstimateLine;
@@ -68,9 +69,10 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
             }
             Err(error) => {
                 refused += 1;
-                tracing::error!("{}: {error:#}", source.label());
+                let reason = in_words(&error);
+                tracing::error!("{}: {reason}", source.label());
                 evaluated.extend(source.refused());
-                EstimateLine::of_error(&name, method.name(), format!("{error:#}"))
+                EstimateLine::of_error(&name, method.name(), reason)
             }
         };
         unsure += usize::from(line.status != Status::Ok.as_str());

@@ -15,6 +15,7 @@ use pb3dp_estimation_core::status::Status;
 use pb3dp_hal_api::{CameraErrorKind, FramePair};
 use pb3dp_record::dataset::{Sequence, load_sequence};
 use pb3dp_record::metrics::{MotionSummary, compare_motion};
+use pb3dp_wiring::message_codes::in_words;
 use pb3dp_wiring::wire_replay;
 
 use self::output::TrackLine;
@@ -75,7 +76,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
             }
             Err(error) if error.kind() == CameraErrorKind::BadPair => {
                 unread += 1;
-                let reason = format!("{:#}", anyhow::Error::from(error));
+                let reason = in_words(&error.into());
                 tracing::error!("frame {frame}: {reason}");
                 walk.skip();
                 TrackLine::all_of_error(frame, t_s, walk.targets().len(), &reason)

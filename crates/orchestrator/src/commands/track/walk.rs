@@ -17,6 +17,7 @@ use pb3dp_hal_platform::cpu_time::{timed, within};
 use pb3dp_record::dataset::Sequence;
 use pb3dp_record::images::size_of;
 use pb3dp_setup::region_spec::{RegionSpec, load_region};
+use pb3dp_wiring::message_codes::in_words;
 
 use super::super::estimate::estimator_config;
 use super::super::estimate::job::{overridden, range_of_dataset};
@@ -107,7 +108,7 @@ impl TrackedTarget {
             Some(reason) => Outcome::Refused { reason: reason.clone() },
             None => match self.step(pair, prior, deadline_millis) {
                 Ok((estimate, millis)) => Outcome::Estimate { estimate: Box::new(estimate), millis },
-                Err(error) => Outcome::Refused { reason: format!("{error:#}") },
+                Err(error) => Outcome::Refused { reason: in_words(&error) },
             },
         };
         match &outcome {
