@@ -111,7 +111,10 @@ pub fn in_real_time_as(name: &str, turn: Turn, priority: Priority, test: impl Fn
         let own: Vec<Delay> = of(&OWN).iter().filter(|delay| delay.at >= begin).copied().collect();
         let blame = judge(text(panic.as_ref()), &own, &seen);
         let own_worst = own.iter().map(|delay| delay.late).max().unwrap_or_default();
-        eprintln!("cause of the failure: {blame:?} (machine {:?} late, test {own_worst:?} late)", seen.worst);
+        #[expect(clippy::print_stderr, reason = "belongs to the captured output of the test")]
+        {
+            eprintln!("cause of the failure: {blame:?} (machine {:?} late, test {own_worst:?} late)", seen.worst);
+        }
         match tries.failed(blame, &seen) {
             Verdict::Failed => resume_unwind(panic),
             Verdict::NotChecked { worst } => {
