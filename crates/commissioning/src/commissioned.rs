@@ -7,6 +7,7 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::arm::{ArmMonitor, ArmSnapshot};
+use pb3dp_arm_pa10_protocol::codec::{Signal, StatusSignals};
 use pb3dp_cell::parts::ArmChoice;
 use pb3dp_setup::setup::{ArmLink, ArmSetup, Setup};
 use serde::{Deserialize, Serialize};
@@ -34,6 +35,9 @@ pub struct CommissioningRecord {
     fingerprint: Fingerprint,
     /// By the name of the step: when it was passed, UTC.
     steps: BTreeMap<String, String>,
+    /// By the key of the signal: how it is noticed, as `pb3dp arm signals` has measured it.
+    #[serde(default)]
+    signals: BTreeMap<String, String>,
 }
 
 /// Properties that tell one arm from another.
@@ -97,7 +101,13 @@ impl Fingerprint {
 impl CommissioningRecord {
     /// An empty record of this arm.
     pub fn new(arm: ArmChoice, fingerprint: Fingerprint) -> Self {
-        Self { format: FORMAT, arm: arm.name().to_owned(), fingerprint, steps: BTreeMap::new() }
+        Self {
+            format: FORMAT,
+            arm: arm.name().to_owned(),
+            fingerprint,
+            steps: BTreeMap::new(),
+            signals: BTreeMap::new(),
+        }
     }
 
     /// The record in a file.
@@ -135,7 +145,15 @@ impl CommissioningRecord {
                 false => drop(steps.remove(step)),
             }
         }
-        Self { steps, ..new }
+        let signals = if is_same { self.signals } else { new.signals };
+        Self { steps, signals, ..new }
+    }
+
+    /// The record with the measured sources of the signals.
+    #[must_use]
+    pub fn with_signals(self, signals: &StatusSignals) -> Self {
+        let texts = Signal::ALL.iter().map(|signal| (signal.key().to_owned(), signals.get(*signal).to_string()));
+        Self { signals: texts.collect(), ..self }
     }
 
     /// Why the record does not permit motion of this arm now; `None` if it does.

@@ -94,6 +94,9 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
     // The stop order of the start still runs: no host can have moved the arm.
     server.switch(args.local);
     tell_start(&setup, &server);
+    if let Some(signal) = setup.gateway.signals.unknown().next() {
+        tracing::warn!("arm.signals.{} is unknown: no brake opens; `pb3dp arm signals` finds its bits", signal.key());
+    }
     let (mut log, typed) = (Log::default(), typed_lines()?);
     while server.is_running() {
         log.write(&server);

@@ -13,6 +13,7 @@ use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServ
 use pb3dp_arm_pa10_emulation::mock_controller::{MockControllerConfig, Script, ScriptLine, pa10_joints};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_gateway::service::Access;
+use pb3dp_arm_pa10_protocol::codec::StatusSignals;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Firmware};
 use pb3dp_cell::terminal::typed_lines;
 use pb3dp_hal_api::Clock;
@@ -74,6 +75,9 @@ pub struct MockArmArgs {
     /// File of `pb3dp gateway` whose motion limits the emulated gateway uses; those of the built-in setups unless given.
     #[arg(long, value_name = "FILE")]
     pub gateway_limits: Option<std::path::PathBuf>,
+    /// The emulated gateway does not know the bits of the status words, as a gateway before `pb3dp arm signals`: it opens no brake.
+    #[arg(long)]
+    pub unknown_signals: bool,
     /// A script of faults.
     #[arg(long, value_name = "FILE")]
     pub script: Option<std::path::PathBuf>,
@@ -145,6 +149,7 @@ fn face(args: &MockArmArgs, controller: &MockControllerConfig) -> anyhow::Result
     let gateway = GatewayConfig {
         geometry: args.geometry.into(),
         controller_watchdog: controller.watchdog,
+        signals: if args.unknown_signals { StatusSignals::UNKNOWN } else { StatusSignals::ORCA },
         ..GatewayConfig::new(ArmId(args.arm), controller.format, firmware, limits)
     };
     Ok(match (&args.bus, args.tcp, &args.key) {

@@ -126,6 +126,8 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>, time: Option<&Arc<Virtua
     let mut seat = || seats.next().context("a seat on the trip line between the arms");
     let wanted = |name, arm| Wanted { name, arm, control_period: setup.control_period, clock, time };
     let (vs_wanted, tc_wanted) = (wanted(vs_name, &setup.rig.arms.vs), wanted(tc_name, &setup.rig.arms.tc));
+    // Before a port opens.
+    [vs_wanted.arm, tc_wanted.arm].into_iter().try_for_each(ArmSetup::check_signals)?;
     let (vs, tc) = (wire_backend(vs_wanted, seat()?)?, wire_backend(tc_wanted, seat()?)?);
     let on_bus = [(vs_name, &setup.rig.arms.vs, &vs), (tc_name, &setup.rig.arms.tc, &tc)]
         .into_iter()
@@ -163,6 +165,7 @@ fn arm_on_bus((name, arm, wired): (&'static str, &ArmSetup, &WiredBackend)) -> O
 /// # Errors
 /// If a part refuses its parameters, or the arm does not answer.
 pub(super) fn wire_alone(wanted: Wanted<'_>) -> Result<AloneArm> {
+    wanted.arm.check_signals()?;
     let wired = wire_backend(wanted, alone()?)?;
     let (guarded, flight) = guarded(wanted, wired.backend, wired.trip)?;
     let emulated = wired.emulated.and_then(Emulation::into_server);
@@ -378,6 +381,7 @@ fn emulated_parts(
     let firmware = Firmware::new(EMULATION).context("a name for the gateway")?;
     let gateway = GatewayConfig {
         geometry: link.geometry,
+        signals: link.signals,
         ..GatewayConfig::new(link.arm, link.format, firmware, link.limits.allowed)
     };
     Ok((controller, gateway, plant))
@@ -445,7 +449,9 @@ pub(super) fn connect(line: Line<'_>, (seat, limits): (TripSeat, LimitsCheck), w
         ..DriverConfig::with_cycle(cycle)
     };
     let clock = Arc::clone(clock);
-    let config = |link: &GatewayLinkConfig| Pa10ArmConfig::new(name, driver(link.cycle), *link);
+    let config = |link: &GatewayLinkConfig| {
+        Pa10ArmConfig::new(name, DriverConfig { signals: link.signals, ..driver(link.cycle) }, *link)
+    };
     Ok(match line {
         Line::Virtual(link, end, time) => Pa10Arm::open_virtual(config(link), Box::new(end), time, seat)?,
         Line::Gateway(link, connector) => {
@@ -478,7 +484,7 @@ fn on_bus(driver: DriverConfig, link: &BusLinkConfig) -> DriverConfig {
         brake_time: link.brake_time,
         activity_timeout: driver.activity_timeout + link.brake_time * 2,
         supervision: link.supervision,
-        emergency_stop_bits: link.emergency_stop_bits,
+        signals: link.signals,
         ..driver
     }
 }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use crate::codec::WireFormat;
+use crate::codec::{StatusSignals, WireFormat};
 use crate::gateway_protocol::{ArmId, Dialect, Geometry, HostLimits};
 
 /// Where a bus is.
@@ -57,4 +57,6 @@ pub struct GatewayLinkConfig {
     pub cycle: Duration,
     /// Motion limits of the host. A gateway that allows more is refused.
     pub limits: HostLimits,
+    /// How the host notices the signals of the arm. A gateway without a stated wired input is refused.
+    pub signals: StatusSignals,
 }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use pb3dp_arm_pa10::arm::{ArmMonitor, ArmOpenError, Pa10Arm, Pa10ArmConfig, TripSeat, trip_line};
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, LimitsCheck, Trip};
 use pb3dp_arm_pa10::serial::SerialConfig;
-use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry, HostLimits, HostMessage};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmPower, JointCommand};
@@ -32,6 +32,7 @@ pub fn config(arm: u8) -> Pa10ArmConfig {
         geometry: Geometry::SecondGeneration,
         cycle: CYCLE,
         limits: HostLimits::WIDEST,
+        signals: StatusSignals::ORCA,
     };
     Pa10ArmConfig::new(&format!("arm-{arm}"), driver, link)
 }

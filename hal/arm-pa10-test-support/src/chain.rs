@@ -8,7 +8,7 @@ use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, Reques
 use pb3dp_arm_pa10::link::{GatewayLink, LinkError};
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockController, MockControllerConfig};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
-use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, Geometry, HostLimits, MotionLimits};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
@@ -65,6 +65,7 @@ impl Chain {
             geometry: Geometry::Unknown,
             cycle: HOST_CYCLE,
             limits: HostLimits::WIDEST,
+            signals: StatusSignals::ORCA,
         };
         let mut chain = Self {
             driver: Driver::new(DriverConfig::with_cycle(HOST_CYCLE)).unwrap(),

@@ -89,7 +89,7 @@ impl Peer {
             delay: Duration::from_millis(3),
             drop_next: 0,
             servo: [ServoWord(0); 7],
-            comm: CommWord(0),
+            comm: CommWord(1),
             documented: true,
             position_rad: JointVector::from([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]),
             torque_n_m: JointVector::zeros(),

@@ -2,7 +2,7 @@
 
 use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord, ControlMessage, EepromAxis,
-    Letter, ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, TorqueCounts, TorqueScale, WireFormat,
+    Letter, ReplyMessage, ReplyPacket, ServoWord, SpeedCounts, TorqueCounts, TorqueScale, WireFormat, WiredSignals,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, Control, ControlReply, Dialect, DriveMode, EepromLimits, Firmware, Frame, FrameParser,
@@ -215,7 +215,7 @@ impl FakeGateway {
             speed: documented.then_some(SpeedCounts(0)),
             torque: TorqueCounts(-1),
         });
-        let comm = if documented { CommStatus::Comm(CommWord(1)) } else { CommStatus::Undocumented(0x0110) };
+        let comm = if documented { CommStatus::Comm(CommWord(1)) } else { CommStatus::Undocumented(0x0111) };
         ArmReply { axes, comm }
     }
 
@@ -223,6 +223,7 @@ impl FakeGateway {
         HelloReply {
             has_transparent: true,
             has_gateway_v1: true,
+            wired: WiredSignals::default(),
             dialect,
             wire_format: Some(self.format),
             geometry: Geometry::SecondGeneration,

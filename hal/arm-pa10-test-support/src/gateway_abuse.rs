@@ -104,7 +104,7 @@ impl World {
             now,
             answers: choice & 4 == 0,
             servo: 0,
-            comm: 0,
+            comm: 1,
             asked: None,
             sequence: u16::from(choice) << 8,
             host_ear: FrameParser::new(ARM),

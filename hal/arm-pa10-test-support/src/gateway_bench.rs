@@ -196,7 +196,7 @@ impl Bench {
             EmergencyStop => {
                 self.controller.comm = CommWord(0x0110);
                 self.run(ms(3));
-                self.controller.comm = CommWord(0);
+                self.controller.comm = CommWord(1);
                 self.run(ms(400));
             }
             _ => {}

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use pb3dp_arm_pa10::driver::{Activity, Driver, DriverConfig, DriverState, LimitsCheck, Request, Trip};
 use pb3dp_arm_pa10::link::{GatewayLink, LinkError};
-use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry, HostLimits};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::MonotonicTime;
@@ -34,6 +34,7 @@ pub fn link_config(dialect: Dialect, format: WireFormat) -> GatewayLinkConfig {
         geometry: Geometry::SecondGeneration,
         cycle: CYCLE,
         limits: HostLimits::WIDEST,
+        signals: StatusSignals::ORCA,
     }
 }
 

@@ -13,7 +13,7 @@ use pb3dp_arm_pa10::link::{GatewayLink, LinkError};
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockController, MockControllerConfig, MockCounters};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_gateway::service::{Access, HostSide};
-use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, AxisMotionLimits, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, SharedKey,
 };
@@ -231,6 +231,7 @@ impl Host {
             // A gateway may be configured with at most 10 ms.
             cycle: ms(10),
             limits: HostLimits { asked: asked_limits(), ..HostLimits::WIDEST },
+            signals: StatusSignals::ORCA,
         };
         hurry();
         let (driver, link) = (Driver::new(config).unwrap(), GatewayLink::new(link));

@@ -5,6 +5,7 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10::driver::{DriverState, Request};
+use pb3dp_arm_pa10_protocol::codec::StatusSignals;
 use pb3dp_arm_pa10_protocol::codec::WireFormat;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, GatewayState};
 use pb3dp_arm_pa10_test_support::chain::Chain;
@@ -59,7 +60,7 @@ fn a_stopped_arm_is_shown_with_what_stopped_it() {
         let position_rad = chain.plant.lock().unwrap().state().position_rad;
         assert!((shown.position_rad - position_rad).amax() < 0.02, "{line}: {:?}", shown.position_rad);
         assert!(shown.age >= Duration::from_secs(5), "{line}: {:?}", shown.age);
-        let text = shown.condition.trip(0).unwrap().to_string();
+        let text = shown.condition.trip(&StatusSignals::ORCA).unwrap().to_string();
         assert!(text.ends_with(words), "{line}: {text}");
         assert_eq!(text.contains("emergency stop"), line == "e-stop press", "{line}: {text}");
     }

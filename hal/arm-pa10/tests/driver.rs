@@ -7,6 +7,7 @@ use std::time::Duration;
 use pb3dp_arm_pa10::driver::{
     Activity, DriverConfig, DriverState, EmergencyStopCause, FaultCause, Refusal, Reply, Request, Sample, Trip,
 };
+use pb3dp_arm_pa10_protocol::codec::Signal;
 use pb3dp_arm_pa10_protocol::codec::{
     CommAlarm, CommWord, ControlMessage, ServoAlarm, ServoWord, TorqueScale, WireFormat,
 };
@@ -270,7 +271,7 @@ fn every_alarm_stops_the_arm_by_its_name() {
     }
     for &alarm in CommAlarm::LISTED {
         let mut bench = Bench::in_state(DriverState::Holding);
-        bench.peer.comm = CommWord(0).with_alarm(alarm);
+        bench.peer.comm = CommWord(1).with_alarm(alarm);
         bench.run(ms(40));
         let is_stop = matches!(alarm, CommAlarm::EmergencyStop | CommAlarm::DeadManOff | CommAlarm::LimitSwitch);
         let expected = if is_stop {
@@ -285,12 +286,12 @@ fn every_alarm_stops_the_arm_by_its_name() {
 
 #[test]
 fn a_switch_bit_stops_the_arm_where_the_configuration_says_so() {
-    for (bits, state) in [(0, DriverState::Holding), (0x0008, DriverState::EStop)] {
+    for (bits, state) in [("unknown", DriverState::Holding), ("controller 0x0008 set", DriverState::EStop)] {
         let mut config = DriverConfig::with_cycle(CYCLE);
-        config.emergency_stop_bits = bits;
+        config.signals = config.signals.with(Signal::EmergencyStop, bits.parse().unwrap());
         let mut bench = Bench::with_config(config);
         bench.lead_to(DriverState::Holding);
-        bench.peer.comm = CommWord(0x0008);
+        bench.peer.comm = CommWord(0x0009);
         bench.run(ms(30));
         assert_eq!(bench.driver.state(), state);
     }
@@ -411,7 +412,7 @@ fn an_emergency_stop_outranks_a_fault_and_not_the_other_way() {
 fn an_emergency_stop_ends_motion_without_a_ramp() {
     let mut bench = Bench::in_state(DriverState::Moving);
     bench.run_moving(ms(50));
-    bench.peer.comm = CommWord(0).with_alarm(CommAlarm::EmergencyStop);
+    bench.peer.comm = CommWord(1).with_alarm(CommAlarm::EmergencyStop);
     let from = bench.sent.len();
     bench.run_moving(ms(50));
     bench.settle();

@@ -62,10 +62,10 @@ fn a_stop_that_drags_on_is_ended_as_after_a_fault() {
 #[test]
 fn brakes_do_not_open_on_an_arm_that_says_that_it_does_not_follow() {
     let one = FaultCause::AxisUncontrollable { axis: Axis::ALL[3], word: 0x8000 };
-    let all = FaultCause::ArmUncontrollable { word: 0x4000 };
+    let all = FaultCause::ArmUncontrollable { word: 0x4001 };
     for (servo, comm, cause, failure) in [
-        (0x8000, 0, one, WarmUpFailure::AxisUncontrollable { axis: Axis::ALL[3], word: 0x8000 }),
-        (0, 0x4000, all, WarmUpFailure::ArmUncontrollable { word: 0x4000 }),
+        (0x8000, 1, one, WarmUpFailure::AxisUncontrollable { axis: Axis::ALL[3], word: 0x8000 }),
+        (0, 0x4001, all, WarmUpFailure::ArmUncontrollable { word: 0x4001 }),
     ] {
         let spoil = |bench: &mut Bench| {
             bench.peer.servo[3] = ServoWord(servo);

@@ -42,7 +42,7 @@ fn happenings() -> impl Strategy<Value = Happening> {
     ];
     let comm = prop_oneof![
         3 => Just(0u16),
-        1 => proptest::sample::select(CommAlarm::LISTED.to_vec()).prop_map(|alarm| CommWord(0).with_alarm(alarm).0),
+        1 => proptest::sample::select(CommAlarm::LISTED.to_vec()).prop_map(|alarm| CommWord(1).with_alarm(alarm).0),
     ];
     prop_oneof![
         8 => request.prop_map(Happening::Request),

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord, ServoWord, SpeedCounts,
-    TorqueCounts, TorqueScale, WireFormat,
+    TorqueCounts, TorqueScale, WireFormat, WiredSignals,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     Agreement, ArmId, ArmOperation, AxisMotion, AxisState, Control, ControlOperation, ControlReply, Dialect,
@@ -47,6 +47,7 @@ fn hello_reply() -> HelloReply {
     HelloReply {
         has_transparent: true,
         has_gateway_v1: true,
+        wired: WiredSignals::default(),
         dialect: Dialect::GatewayV1,
         wire_format: Some(WireFormat::BigEndian6x10),
         geometry: Geometry::SecondGeneration,

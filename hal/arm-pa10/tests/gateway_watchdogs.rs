@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig, GatewayConfigError};
 use pb3dp_arm_pa10_protocol::codec::{AxisCommand, ControlMessage, Letter, SpeedCounts, WireFormat};
+use pb3dp_arm_pa10_protocol::codec::{Signal, SignalSource};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmOperation, Dialect, DriveMode, FaultReport, GatewayMessage, GatewayState, HostMessage, RejectReason, StopCause,
 };
@@ -434,9 +435,11 @@ fn a_configuration_that_leaves_less_than_required_is_refused_by_name() {
     assert_eq!(refused(GatewayConfig { watchdog: watchdog(10, 50), ..good }), expected);
     let supervision = pb3dp_arm_pa10_protocol::codec::Supervision { dead_man: true, ..Default::default() };
     assert_eq!(refused(GatewayConfig { supervision, ..good }), GatewayConfigError::Supervision);
-    let expected = GatewayConfigError::EmergencyStopBits { got: 8 };
-    assert_eq!(refused(GatewayConfig { emergency_stop_bits: 8, ..good }), expected);
-    assert!(expected.to_string().contains("0x0008 cannot be used: the status words of format A"));
+    let signals = good.signals.with(Signal::EmergencyStop, SignalSource::Wired);
+    let expected = GatewayConfigError::Wired { got: Signal::EmergencyStop };
+    assert_eq!(refused(GatewayConfig { signals, ..good }), expected, "this gateway has no inputs");
+    let signals = good.signals.with(Signal::Power, SignalSource::Absent);
+    assert_eq!(refused(GatewayConfig { signals, ..good }), GatewayConfigError::Absent { got: Signal::Power });
 }
 
 #[test]

@@ -5,7 +5,7 @@
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmCommand, Axis, AxisCommand, COUNTS_PER_TURN, CommAlarm, CommWord, ControlMessage, Letter,
-    ServoAlarm, ServoWord, SpeedCounts, Supervision, WireFormat,
+    ServoAlarm, ServoWord, Signal, SpeedCounts, StatusSignals, Supervision, WireFormat,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmOperation, Control, Dialect, DriveMode, FaultReport, GatewayMessage, GatewayState, Health, HostMessage,
@@ -63,7 +63,7 @@ fn every_alarm_stops_the_arm_and_is_told_once_with_axis_and_word() {
             bench.run(ms(10));
             assert_eq!((bench.cause(), bench.gateway.status().found), (cause, Some(report)));
             bench.controller.servo = [ServoWord(0); 7];
-            bench.controller.comm = CommWord(0);
+            bench.controller.comm = CommWord(1);
             bench.ask(control(ArmOperation::Reset));
             assert_eq!((bench.cause(), bench.gateway.status().found), (StopCause::None, None));
         }
@@ -101,8 +101,10 @@ fn a_fault_is_written_down_with_axis_and_what_its_word_says() {
 
 #[test]
 fn switches_count_as_the_configuration_says() {
-    for (bits, expected) in [(0, StopCause::None), (0x0008, StopCause::EmergencyStop)] {
-        let told = GatewayConfig { emergency_stop_bits: bits, ..config(WireFormat::BigEndian6x10) };
+    for (bits, expected) in [("unknown", StopCause::None), ("controller 0x0008 set", StopCause::EmergencyStop)] {
+        let told = config(WireFormat::BigEndian6x10);
+        let signals = told.signals.with(Signal::EmergencyStop, bits.parse().unwrap());
+        let told = GatewayConfig { signals, ..told };
         let mut bench = Bench::greeted(told, Dialect::GatewayV1);
         bench.start();
         bench.controller.comm = CommWord(0x0009);
@@ -143,17 +145,17 @@ fn brakes_do_not_open_on_an_arm_that_is_uncontrollable() {
         assert_eq!(rejected(bench.ask(open)), refused);
         assert_eq!((bench.state(), bench.cause()), (GatewayState::Started, StopCause::None));
         bench.controller.servo[1] = ServoWord(0);
-        bench.controller.comm = CommWord(0x4000);
+        bench.controller.comm = CommWord(0x4001);
         bench.run(ms(4));
         assert_eq!(rejected(bench.ask(open)), refused);
-        bench.controller.comm = CommWord(0);
+        bench.controller.comm = CommWord(1);
         bench.run(ms(4));
         bench.ask(open);
         assert_eq!(bench.state(), GatewayState::Holding);
-        bench.controller.comm = CommWord(0x4000);
+        bench.controller.comm = CommWord(0x4001);
         bench.run(ms(4));
         assert_eq!((bench.state(), bench.cause()), (GatewayState::Fault, StopCause::AxisUncontrollable));
-        assert_eq!((faults(&bench)[0].axis, faults(&bench)[0].word), (None, 0x4000));
+        assert_eq!((faults(&bench)[0].axis, faults(&bench)[0].word), (None, 0x4001));
     }
 }
 
@@ -184,16 +186,40 @@ fn brakes_do_not_open_on_an_arm_that_was_never_measured() {
 }
 
 #[test]
-fn status_words_of_format_a_are_passed_on_and_not_acted_on() {
-    let mut bench = Bench::greeted(config(WireFormat::LittleEndian5x8), Dialect::GatewayV1);
-    bench.start();
-    bench.controller.servo[2] = ServoWord(0x0110);
-    bench.controller.comm = CommWord(0xFFFF);
-    bench.run(ms(20));
-    assert_eq!(bench.state(), GatewayState::Started);
-    let GatewayMessage::State(state) = bench.ask(bench.command(DriveMode::Off, JointVector::zeros())) else { panic!() };
-    assert_eq!((state.axes[2].status, state.comm), (0x0110, 0xFFFF));
-    assert!(!state.has_speeds && !state.has_documented_status);
+fn unknown_status_words_are_passed_on_and_no_brake_opens() {
+    for dialect in [Dialect::GatewayV1, Dialect::Transparent] {
+        let told = GatewayConfig { signals: StatusSignals::UNKNOWN, ..config(WireFormat::LittleEndian5x8) };
+        let mut bench = Bench::greeted(told, dialect);
+        bench.start();
+        bench.controller.servo[2] = ServoWord(0x0110);
+        bench.controller.comm = CommWord(0xFFFF);
+        bench.run(ms(20));
+        assert_eq!((bench.state(), bench.cause()), (GatewayState::Started, StopCause::None));
+        if let GatewayMessage::State(state) = bench.ask(bench.command(DriveMode::Off, JointVector::zeros())) {
+            assert_eq!((state.axes[2].status, state.comm), (0x0110, 0xFFFF));
+            assert!(!state.has_speeds && !state.has_documented_status);
+        }
+        let open = bench.command(DriveMode::Follow, JointVector::zeros());
+        let refused = (RejectReason::CausePresent, u32::from(StopCause::AxisUncontrollable.code()));
+        assert_eq!(rejected(bench.ask(open)), refused);
+    }
+}
+
+#[test]
+fn known_bits_of_format_a_stop_the_arm() {
+    for (comm, servo, cause, shown) in [
+        (0x0009, 0, StopCause::EmergencyStop, (None, 0x0009)),
+        (0x2001, 0, StopCause::EmergencyStop, (None, 0x2001)),
+        (0x0010, 0, StopCause::EmergencyStop, (None, 0x0010)),
+        (0x0001, 0x8000, StopCause::AxisUncontrollable, (Some(Axis::ALL[2]), 0x8000)),
+    ] {
+        let mut bench = Bench::greeted(config(WireFormat::LittleEndian5x8), Dialect::GatewayV1);
+        bench.lead_to(GatewayState::Moving);
+        (bench.controller.servo[2], bench.controller.comm) = (ServoWord(servo), CommWord(comm));
+        bench.run(ms(4));
+        assert_eq!(bench.cause(), cause, "0x{comm:04x}");
+        assert_eq!((faults(&bench)[0].axis, faults(&bench)[0].word), shown);
+    }
 }
 
 #[test]
@@ -234,7 +260,7 @@ fn a_reset_needs_a_controller_that_shows_that_the_cause_is_gone() {
             assert_eq!(rejected(answer), (RejectReason::CausePresent, found.code().into()));
             assert_eq!((bench.state(), bench.cause(), bench.letters().as_str()), (state, cause, "SCE"));
         }
-        (bench.controller.servo[0], bench.controller.comm) = (ServoWord(0), CommWord(0));
+        (bench.controller.servo[0], bench.controller.comm) = (ServoWord(0), CommWord(1));
         // A controller that does not answer one of the three letters, and one with another format.
         for letter in [Letter::Start, Letter::Cyclic, Letter::End] {
             bench.controller.deaf_to = vec![letter];

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use pb3dp_arm_pa10::driver::{Driver, DriverConfig, DriverState, EmergencyStopCause, FaultCause, Request, Trip};
 use pb3dp_arm_pa10_emulation::mock_controller::pa10_joints;
+use pb3dp_arm_pa10_protocol::codec::Signal;
 use pb3dp_arm_pa10_protocol::codec::{Axis, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmOperation, Control, Dialect, FrameParser, GatewayState, HostMessage, Received, RejectReason, StopCause,
@@ -39,7 +40,7 @@ fn trips() -> Vec<Trip> {
         FaultCause::WrongArm { got: 9 },
         FaultCause::CommandTimeout { age: ms(60), allowed: ms(50) },
     ];
-    let pressed = Trip::EStop(EmergencyStopCause::Switch { word: 0x0008 });
+    let pressed = Trip::EStop(EmergencyStopCause::Switch { signal: Signal::EmergencyStop, axis: None, word: 0x0008 });
     causes.into_iter().map(Trip::Fault).chain([pressed]).collect()
 }
 
@@ -294,7 +295,8 @@ fn an_emergency_stop_stays_one() {
         }
         // The reverse: the host keeps the emergency stop that it detected.
         let mut chain = moving(dialect, WireFormat::BigEndian6x10);
-        let pressed = Trip::EStop(EmergencyStopCause::Switch { word: 0x0008 });
+        let pressed =
+            Trip::EStop(EmergencyStopCause::Switch { signal: Signal::EmergencyStop, axis: None, word: 0x0008 });
         chain.driver.handle_trip(chain.now, pressed);
         chain.settle();
         assert_eq!(chain.driver.state(), DriverState::EStop, "{dialect}");

@@ -13,6 +13,7 @@ use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmReply, AxisReply, AxisStatus, CodecError, CommStatus, ControlMessage, ControlPacket, Packet,
     ReplyMessage, ReplyPacket, SequenceModulus, ServoAlarm, ServoWord, TorqueCounts, WireFormat,
 };
+use pb3dp_arm_pa10_protocol::codec::{Signal, SignalSource};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, ArmOperation, Control, Dialect, FaultReport, GatewayMessage, GatewayState, Geometry, HostMessage,
     MotionQuantity, RejectReason, StopCause,
@@ -78,6 +79,9 @@ fn a_gateway_of_another_arm_or_format_is_refused_by_name() {
     let geometry = Geometry::FirstGeneration;
     let expected = HelloError::Geometry { got: Geometry::SecondGeneration, configured: geometry };
     assert_eq!(greet(GatewayLinkConfig { geometry, ..good }), expected);
+    let signal = Signal::EmergencyStop;
+    let signals = good.signals.with(signal, SignalSource::Wired);
+    assert_eq!(greet(GatewayLinkConfig { signals, ..good }), HelloError::NotWired { signal });
     assert!(expected.to_string().contains("set to a second-generation arm"), "{expected}");
 }
 
@@ -282,6 +286,10 @@ fn a_fault_report_names_axis_and_alarm() {
             report(StopCause::EmergencyStop, Some(axis), 0x0120),
             Trip::EStop(EmergencyStopCause::Axis { axis, alarm: ServoAlarm::DeadManOff }),
         ),
+        (
+            report(StopCause::EmergencyStop, None, 0x0009),
+            Trip::EStop(EmergencyStopCause::Switch { signal: Signal::EmergencyStop, axis: None, word: 0x0009 }),
+        ),
         (report(StopCause::EmergencyStop, None, 0), Trip::EStop(EmergencyStopCause::Gateway)),
         (
             report(StopCause::LimitExceeded, Some(axis), 1),
@@ -346,7 +354,7 @@ fn controller_reply(format: WireFormat, asked: &ControlPacket) -> Packet {
     };
     let message = match asked.message {
         ControlMessage::Cyclic(_) => {
-            ReplyMessage::Cyclic(ArmReply { axes: [axis; 7], comm: CommStatus::Undocumented(0) })
+            ReplyMessage::Cyclic(ArmReply { axes: [axis; 7], comm: CommStatus::Undocumented(1) })
         }
         other => ReplyMessage::Done(other.letter()),
     };

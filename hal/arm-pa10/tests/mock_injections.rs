@@ -49,6 +49,7 @@ fn kinds() -> Vec<Kind> {
         kind("deaf", |_| "deaf 1000000".into(), "deaf 0", Braking::Servos, true, Fault),
         kind("time-out", |_| "time-out".into(), "drop 0", Braking::Servos, false, Fault),
         kind("power", |_| "power off".into(), "power on", Braking::Brakes, true, Fault),
+        kind("servo-power", |_| "servo-power off".into(), "servo-power on", Braking::Brakes, false, Fault),
         kind("e-stop", |_| "e-stop press".into(), "e-stop release", Braking::Brakes, true, EStop),
         kind("dead-man", |_| "dead-man release".into(), "dead-man hold", Braking::Servos, false, EStop),
         kind("limit-switch", |_| "limit-switch open".into(), "limit-switch close", Braking::Servos, true, EStop),

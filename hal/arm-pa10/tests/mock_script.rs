@@ -118,6 +118,7 @@ fn any_fault() -> impl Strategy<Value = Fault> {
         any::<bool>().prop_map(|open| Fault::LimitSwitch { open }),
         any::<bool>().prop_map(|on| Fault::TeachingSwitch { on }),
         any::<bool>().prop_map(|high| Fault::PowerTemperature { high }),
+        any::<bool>().prop_map(|on| Fault::ServoPower { on }),
         any::<bool>().prop_map(|on| Fault::Power { on }),
         Just(Fault::TimeOut),
         (axis(), any::<bool>()).prop_map(|(axis, on)| Fault::Stuck { axis, on }),

@@ -13,7 +13,7 @@ use pb3dp_arm_pa10_emulation::far_end::FarEnd;
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_arm_pa10_emulation::mock_controller::{MockController, MockControllerConfig};
 use pb3dp_arm_pa10_gateway::gateway::{Gateway, GatewayConfig};
-use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits,
 };
@@ -51,6 +51,7 @@ fn open(arm: u8, time: &Arc<VirtualTime>, seat: TripSeat) -> (Pa10Arm, VirtualEn
         geometry,
         cycle: CYCLE,
         limits: HostLimits::WIDEST,
+        signals: StatusSignals::ORCA,
     };
     let config = Pa10ArmConfig::new(&format!("arm-{arm}"), driver, link);
     (Pa10Arm::open_virtual(config, Box::new(end.clone()), time, seat).unwrap(), end)

@@ -40,6 +40,9 @@ enum ArmCommand {
     /// Run the rig checklist step by step (link, one axis, emergency stop, cable, kill -9, two arms) and write a dated report; without
     /// --move only show the plan.
     Test(checklist::TestArgs),
+    /// Find the bits of the status words that show emergency stop, limit switch, dead-man switch and power, with the brakes on, and print
+    /// the lines for the setup. Nothing moves.
+    Signals(checklist::signals::SignalsArgs),
     /// Move an arm through a list of poses and record a stereo pair at each, for a calibration; without --move only show the plan.
     Visit(visit::VisitArgs),
 }
@@ -176,6 +179,7 @@ pub fn run(args: &ArmArgs, program: Program) -> anyhow::Result<ExitCode> {
         ArmCommand::Probe(args) => probe::run(args),
         ArmCommand::Reset(ResetArgs { place }) => reset::run(place),
         ArmCommand::Test(args) => checklist::run(args, program.commit),
+        ArmCommand::Signals(args) => checklist::signals::run(args),
         ArmCommand::Visit(args) => visit::run(args, program.last_words),
         ArmCommand::Home(HomeArgs { place, motion }) => motion::run(place, motion, motion::Goal::Start),
         ArmCommand::Jog(JogArgs { place, axis, by, motion }) => {

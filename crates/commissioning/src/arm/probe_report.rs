@@ -338,7 +338,7 @@ fn status(condition: &ArmCondition, axis: Axis, findings: &mut Findings) -> (Opt
         AxisStatus::Undocumented(word) => {
             if word != 0 {
                 findings.warn(format!(
-                    "{axis}: status word 0x{word:04x}; its bits are undocumented in format A: record it together with the state of the arm"
+                    "{axis}: status word 0x{word:04x}; its bits are undocumented in format A: `pb3dp arm signals` finds those of the switches"
                 ));
             }
             (Some(format!("0x{word:04x}")), None)

@@ -2,7 +2,7 @@
 
 use pb3dp_arm_pa10::driver::PA10_SPEED_MAX_RAD_PER_S;
 use pb3dp_arm_pa10_gateway::gateway::{CYCLE_RANGE, GatewayConfig, RAMP_AFTER_MIN};
-use pb3dp_arm_pa10_protocol::codec::{Axis, SequenceModulus, Supervision, TorqueScale, WireFormat};
+use pb3dp_arm_pa10_protocol::codec::{Axis, SequenceModulus, StatusSignals, Supervision, TorqueScale, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, AxisMotion, BRAKE_TIME_MAX, Firmware, MotionLimits};
 use pb3dp_arm_pa10_protocol::places::BusTarget;
 use pb3dp_arm_pa10_protocol::watchdog::{CommandWatchdog, STOP_AFTER_MAX};
@@ -16,6 +16,7 @@ use std::time::Duration;
 
 use pb3dp_setup::load::{Checker, ConfigError, ConfigFile, FileKind, whole};
 use pb3dp_setup::names::{FormatName, GeometryName, sequence_modulus};
+use pb3dp_setup::setup::SignalsSection;
 
 /// A gateway configuration with all values checked.
 #[derive(Clone, Debug)]
@@ -109,7 +110,7 @@ struct ArmSection {
     format: FormatName,
     geometry: GeometryName,
     brake_millis: f64,
-    emergency_stop_bits: i64,
+    signals: SignalsSection,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -174,13 +175,14 @@ impl GatewayFile {
         let bus = self.bus.port.parse::<BusTarget>().map_err(|why| refuse(check, "bus.port", why.to_string())).ok();
         let host = self.host.line.parse::<HostPlace>().map_err(|why| refuse(check, "host.line", why)).ok();
         let access = self.access.build(folder, check);
+        let signals = self.arm.signals.build("arm", check);
         if !check.is_clean() {
             return None;
         }
         let watchdog = CommandWatchdog::new(millis(self.host.ramp_after_millis), millis(self.host.stop_after_millis));
         let watchdog = watchdog.map_err(|why| refuse(check, "host.stop_after_millis", why.to_string())).ok()?;
         let limits = self.limits.build().map_err(|why| refuse(check, "limits", why)).ok()?;
-        let gateway = self.gateway(watchdog, modulus, limits)?;
+        let gateway = self.gateway((watchdog, modulus), limits, signals)?;
         if let Err(why) = gateway.check() {
             refuse(check, "the gateway", why.to_string());
         }
@@ -198,7 +200,6 @@ impl GatewayFile {
         let (ramp_min_millis, stop_max_millis) = (in_millis(RAMP_AFTER_MIN), in_millis(STOP_AFTER_MAX));
         check.count("arm.number", self.arm.number, 0..=255);
         check.number("arm.brake_millis", self.arm.brake_millis, 1.0..=in_millis(BRAKE_TIME_MAX));
-        check.count("arm.emergency_stop_bits", self.arm.emergency_stop_bits, 0..=0xFFFF);
         check.number("bus.cycle_millis", self.bus.cycle_millis, cycle_millis);
         check.number("bus.lateness_allowed_millis", self.bus.lateness_allowed_millis, 1.0..=stop_max_millis);
         check.number("bus.controller_time_out_millis", self.bus.controller_time_out_millis, 0.0..=60_000.0);
@@ -211,9 +212,9 @@ impl GatewayFile {
 
     fn gateway(
         &self,
-        watchdog: CommandWatchdog,
-        modulus: SequenceModulus,
+        (watchdog, modulus): (CommandWatchdog, SequenceModulus),
         limits: MotionLimits,
+        signals: StatusSignals,
     ) -> Option<GatewayConfig> {
         let format = WireFormat::from(self.arm.format);
         let time_out = self.bus.controller_time_out_millis;
@@ -232,7 +233,7 @@ impl GatewayFile {
             brake_time: millis(self.arm.brake_millis),
             interpolates: self.host.interpolate,
             supervision,
-            emergency_stop_bits: whole(self.arm.emergency_stop_bits),
+            signals,
             torque_scale: TorqueScale::of_format(format),
             ..GatewayConfig::new(arm, format, firmware, limits)
         })

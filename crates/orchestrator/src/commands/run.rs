@@ -13,7 +13,7 @@ use pb3dp_cell::report::{self, Following, Made};
 use pb3dp_commissioning::commissioned::needed_records;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::dataset::SequenceWriter;
-use pb3dp_setup::setup::read_layers;
+use pb3dp_setup::setup::{ArmSetup, read_layers};
 use pb3dp_wiring::{Wired, accept_nominal, wire_watched, write_flights};
 
 use crate::arguments::{OperatorName, RunArgs, UNSURE};
@@ -43,6 +43,7 @@ fn conduct(args: &RunArgs) -> Result<ExitCode> {
     let mut setup = read_layers(&asked)?;
     accept_nominal(&mut setup, args.nominal_calibration);
     // Before a port opens.
+    [&setup.rig.arms.vs, &setup.rig.arms.tc].into_iter().try_for_each(ArmSetup::check_signals)?;
     let records = needed_records(&setup, SystemTime::now())?;
     let attendance = Attendance::confirmed(args, &setup, &mut signals)?;
     previous_run::make(&args.out)?;

@@ -371,7 +371,7 @@ fn an_arm_that_was_stopped_is_reset_by_name_only() {
 }
 
 /// A jog is under way, something happens; its exit code and messages.
-fn while_it_moves(cell: &mut Cell, happens: impl FnOnce(&mut Cell, u32)) -> (Option<i32>, String) {
+pub fn while_it_moves(cell: &mut Cell, happens: impl FnOnce(&mut Cell, u32)) -> (Option<i32>, String) {
     let out = cell.folder.path().join("flights").display().to_string();
     let jog = ["jog", "--axis", "4", "--by", "-20", "--move", "--out", &out];
     let mut child = command(&cell.config().display().to_string(), &jog).spawn().unwrap();

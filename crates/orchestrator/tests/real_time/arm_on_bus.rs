@@ -28,8 +28,9 @@ pub fn with_bus(folder: &TempDir, port: &str, more: &str) {
 pub fn keys(wire_format: &str, cycle_millis: &str) -> String {
     format!(
         "wire_format = \"{wire_format}\"\ngeometry = \"second-generation\"\nsequence_numbers = 128\ncycle_millis = {cycle_millis}\n\
-         brake_millis = 200.0\nemergency_stop_bits = 0\nsupervise_other_axes = false\nsupervise_dead_man = false\n\
-         controller_time_out_millis = 0.0"
+         brake_millis = 200.0\nsupervise_other_axes = false\nsupervise_dead_man = false\n\
+         controller_time_out_millis = 0.0\nsignals = {{ emergency_stop = \"controller 0x0008 set\", limit_switch = \"controller 0x2000 set\", \
+         dead_man = \"controller 0x0001 clear\", power = \"axes 0x8000 set\" }}"
     )
 }
 
@@ -89,8 +90,11 @@ fn the_table_tells_of_brakes_and_switches() {
             std::fs::write(&config, format!("{all}[arms.vs.bus]{}", vs.replacen(from, to, 1))).unwrap();
         };
         // All bits of the word of an arm at which nothing is wrong.
-        change("emergency_stop_bits = 0", "emergency_stop_bits = 65535");
-        assert_problem(&cell.pb3dp(&["probe"], None), &["a switch bit that the configuration calls an emergency stop"]);
+        change("controller 0x0008 set", "controller 0xffff set");
+        assert_problem(&cell.pb3dp(&["probe"], None), &["shows the emergency stop by the bits of the configuration"]);
+        change("controller 0x0008 set", "unknown");
+        let jog = cell.pb3dp(&["jog", "--axis", "7", "--by", "1", "--move"], Some("vs-robot"));
+        jog.assert_refused(&["arms.vs.bus.signals.emergency_stop unknown", "pb3dp arm signals"]);
         let mut took = |brake_millis: &str| {
             change("brake_millis = 200.0", &format!("brake_millis = {brake_millis}"));
             let begin = Instant::now();
@@ -242,7 +246,17 @@ fn tables_that_do_not_fit_are_refused_by_key() {
     for (from, to, parts) in [
         ("brake_millis = 200.0", "brake_millis = 5001.0", ["arms.vs.bus.brake_millis = 5001", "1 to 5000"]),
         ("brake_millis = 200.0\n", "", ["arms.vs.bus.brake_millis", "missing"]),
-        ("stop_bits = 0", "stop_bits = 65536", ["arms.vs.bus.emergency_stop_bits = 65536", "0 to 65535"]),
+        (
+            "0x0008 set",
+            "0x0000 set",
+            ["arms.vs.bus.signals.emergency_stop: \"controller 0x0000 set\" has no bit", "never"],
+        ),
+        (
+            "controller 0x0008 set",
+            "wired",
+            ["arms.vs.bus.signals.emergency_stop = \"wired\"", "no gateway with inputs"],
+        ),
+        ("axes 0x8000 set", "absent", ["arms.vs.bus.signals.power = \"absent\"", "every arm has this signal"]),
         ("\"second-gen", "\"first-gen", ["arms.vs.bus.geometry = \"first-generation\"", "500.0, 80.0 mm"]),
         (
             "time_out_millis = 0.0",
@@ -253,7 +267,6 @@ fn tables_that_do_not_fit_are_refused_by_key() {
         refused("arcnet:arc0", &good.replace(from, to), &parts);
     }
     for (from, to, key) in [
-        ("stop_bits = 0", "stop_bits = 8", "arms.vs.bus.emergency_stop_bits = 8: status words of format A"),
         ("other_axes = false", "other_axes = true", "arms.vs.bus.supervise_other_axes = true"),
         ("dead_man = false", "dead_man = true", "arms.vs.bus.supervise_dead_man = true"),
     ] {

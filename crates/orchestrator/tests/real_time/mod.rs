@@ -6,3 +6,4 @@ pub mod arm_test;
 pub mod behind_gateway;
 pub mod gateway;
 pub mod operator;
+pub mod signals;

@@ -3,11 +3,37 @@
 use pb3dp_servo::supervisor::{Action, Condition, Resume};
 
 use super::Setup;
-use super::arms::FIRST_RUN_SPEED_SCALE;
+use super::arms::{ArmSetup, FIRST_RUN_SPEED_SCALE};
 
 /// After these conditions only a person can judge whether the target is still the right one.
 const FOR_PERSONS: [Condition; 4] =
     [Condition::TargetLost, Condition::PositionJump, Condition::OrientationJump, Condition::Outlier];
+
+/// An emergency stop, a limit switch, a released dead-man switch or missing power of this arm would not be noticed.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{} unknown: the meaning of the arm's status words is not known, so the arm may not move. `pb3dp arm signals` finds the bits with \
+     closed brakes and prints these lines; allowed are \"controller 0x0008 set\" (status word, bits, level), \"wired\" for an input of \
+     the gateway, and \"absent\" for a switch that the arm does not have (docs/commissioning.md)",
+    .keys.join(", ")
+)]
+pub struct UnknownSignals {
+    /// The keys.
+    pub keys: Vec<String>,
+}
+
+impl ArmSetup {
+    /// Checks that every signal of the arm is noticed, if it has a link.
+    ///
+    /// # Errors
+    /// The keys of those that are not.
+    pub fn check_signals(&self) -> Result<(), UnknownSignals> {
+        let Some((signals, table)) = self.link.signals() else { return Ok(()) };
+        let keys: Vec<_> =
+            signals.unknown().map(|signal| format!("{}.{table}.signals.{}", self.key, signal.key())).collect();
+        if keys.is_empty() { Ok(()) } else { Err(UnknownSignals { keys }) }
+    }
+}
 
 impl Setup {
     /// The settings that need a commissioning record of each arm that is not emulated: key, value, and the value that needs none.

@@ -1,6 +1,6 @@
 //! Links to an arm: the key `backend` of an arm, and its table `gateway` or `bus`.
 
-use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Supervision, WireFormat};
+use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Signal, SignalSource, StatusSignals, Supervision, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, BRAKE_TIME_MAX, Dialect, Geometry, HostLimits, LimitOutOfRange, check_line,
 };
@@ -69,8 +69,8 @@ pub struct BusLinkConfig {
     pub brake_time: Duration,
     /// Supervision by the controller itself (format B).
     pub supervision: Supervision,
-    /// Bits of the controller's status word that mean an emergency stop (format B).
-    pub emergency_stop_bits: u16,
+    /// How the signals of the arm are noticed.
+    pub signals: StatusSignals,
     /// Time-out of the controller, if it is known.
     pub controller_time_out: Option<Duration>,
 }
@@ -117,7 +117,7 @@ pub(super) struct BusSection {
     sequence_numbers: i64,
     cycle_millis: f64,
     brake_millis: f64,
-    emergency_stop_bits: i64,
+    signals: Option<SignalsSection>,
     supervise_other_axes: bool,
     supervise_dead_man: bool,
     controller_time_out_millis: f64,
@@ -134,6 +134,17 @@ pub(super) struct GatewaySection {
     baud: Option<i64>,
     address: Option<String>,
     key_file: Option<String>,
+    signals: Option<SignalsSection>,
+}
+
+/// How the signals of an arm are noticed: the table `signals` of its link, and of a gateway's arm.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SignalsSection {
+    emergency_stop: String,
+    limit_switch: String,
+    dead_man: String,
+    power: String,
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -200,6 +211,33 @@ impl ArmLink {
         }
     }
 
+    /// How the signals of the arm are noticed, if it has a link, and the table that states it.
+    pub fn signals(&self) -> Option<(StatusSignals, &'static str)> {
+        match self {
+            Self::InProcess => None,
+            Self::Gateway(link, _) => Some((link.signals, "gateway")),
+            Self::Bus(link) => Some((link.signals, "bus")),
+        }
+    }
+
+    /// Forgets how the signals of the arm are noticed, to find it out.
+    pub fn forget_signals(&mut self) {
+        match self {
+            Self::InProcess => {}
+            Self::Gateway(link, _) => link.signals = StatusSignals::UNKNOWN,
+            Self::Bus(link) => link.signals = StatusSignals::UNKNOWN,
+        }
+    }
+
+    /// The wire format of the arm, if it has a link.
+    pub fn format(&self) -> Option<WireFormat> {
+        match self {
+            Self::InProcess => None,
+            Self::Gateway(link, _) => Some(link.format),
+            Self::Bus(link) => Some(link.format),
+        }
+    }
+
     /// The stated geometry of the arm, if it has a link, and the table that states it.
     pub(super) fn geometry(&self) -> Option<(Geometry, &'static str)> {
         match self {
@@ -207,6 +245,38 @@ impl ArmLink {
             Self::Gateway(link, _) => Some((link.geometry, "gateway")),
             Self::Bus(link) => Some((link.geometry, "bus")),
         }
+    }
+}
+
+impl SignalsSection {
+    /// The signals of a table. Without one those of the sources, which exist for format B only.
+    fn of(section: Option<&Self>, (key, format): (&str, FormatName), check: &mut Checker) -> StatusSignals {
+        match (section, format) {
+            (Some(section), _) => section.build(key, check),
+            (None, FormatName::A) => StatusSignals::UNKNOWN,
+            (None, FormatName::B) => StatusSignals::ORCA,
+        }
+    }
+
+    /// The signals; `key` is the table around this one.
+    pub fn build(&self, key: &str, check: &mut Checker) -> StatusSignals {
+        let texts = [&self.emergency_stop, &self.limit_switch, &self.dead_man, &self.power];
+        Signal::ALL.into_iter().zip(texts).fold(StatusSignals::UNKNOWN, |signals, (signal, text)| {
+            let key = format!("{key}.signals.{}", signal.key());
+            match text.parse() {
+                Ok(SignalSource::Absent) if !signal.may_be_absent() => {
+                    check.refuse(format!(
+                        "{key} = \"absent\": every arm has this signal; `pb3dp arm signals` finds its bits"
+                    ));
+                    signals
+                }
+                Ok(source) => signals.with(signal, source),
+                Err(why) => {
+                    check.refuse(format!("{key}: {why}"));
+                    signals
+                }
+            }
+        })
     }
 }
 
@@ -223,10 +293,16 @@ impl BusSection {
         check.number(&format!("{key}.cycle_millis"), self.cycle_millis, 1.0..=control_period_millis);
         let brake_millis_max = BRAKE_TIME_MAX.as_secs_f64() * 1e3;
         check.number(&format!("{key}.brake_millis"), self.brake_millis, 1.0..=brake_millis_max);
-        check.count(&format!("{key}.emergency_stop_bits"), self.emergency_stop_bits, 0..=0xFFFF);
         let time_out_millis = self.controller_time_out_millis;
         check.number(&format!("{key}.controller_time_out_millis"), time_out_millis, 0.0..=60_000.0);
         self.check_format(&key, check);
+        let signals = SignalsSection::of(self.signals.as_ref(), (&key, self.wire_format), check);
+        if let Some(signal) = signals.from(SignalSource::Wired).next() {
+            let key = format!("{key}.signals.{}", signal.key());
+            check.refuse(format!(
+                "{key} = \"wired\": a bus has no gateway with inputs; state the bits of a status word"
+            ));
+        }
         let modulus = sequence_modulus(&format!("{key}.sequence_numbers"), self.sequence_numbers, check);
         let target: Result<BusTarget, _> = self.port.parse();
         if let Err(why) = &target {
@@ -241,12 +317,12 @@ impl BusSection {
             geometry: self.geometry.into(),
             brake_time: millis(self.brake_millis),
             supervision: Supervision { other_axes: self.supervise_other_axes, dead_man: self.supervise_dead_man },
-            emergency_stop_bits: whole(self.emergency_stop_bits),
+            signals,
             controller_time_out: (time_out_millis > 0.0).then(|| millis(time_out_millis)),
         }))
     }
 
-    /// Format A has no field for some settings, and its status words are undocumented.
+    /// Format A has no field for some settings.
     fn check_format(&self, key: &str, check: &mut Checker) {
         if self.wire_format != FormatName::A {
             return;
@@ -260,12 +336,6 @@ impl BusSection {
                      if the arm speaks it"
                 ));
             }
-        }
-        if self.emergency_stop_bits != 0 {
-            check.refuse(format!(
-                "{key}.emergency_stop_bits = {}: status words of format A have no known meaning; set 0",
-                self.emergency_stop_bits
-            ));
         }
     }
 }
@@ -313,6 +383,13 @@ impl GatewaySection {
             cycle,
             // Replaced by the effective limits of the arm: `ArmLink::limited`.
             limits: HostLimits::WIDEST,
+            signals: match (backend, &self.signals) {
+                // The emulation has these bits in both formats.
+                (ArmBackend::Emulated, None) => StatusSignals::ORCA,
+                (_, signals) => {
+                    SignalsSection::of(signals.as_ref(), (&format!("{key}.gateway"), self.wire_format), check)
+                }
+            },
         };
         let way = match (backend, &self.port, self.baud, self.address.as_ref().zip(self.key_file.as_ref())) {
             (ArmBackend::Emulated, None, None, None) => GatewayWay::Emulated,

@@ -302,6 +302,7 @@ impl MockController {
             }
             Fault::TeachingSwitch { on } => self.panel.teaching = on,
             Fault::PowerTemperature { high } => self.panel.power_too_warm = high,
+            Fault::ServoPower { on } => self.set_servo_power(now, on),
             Fault::Power { on } => self.set_power(now, on),
             Fault::TimeOut => self.time_out(now),
             Fault::Stuck { axis, on } => self.axes[axis.index()].stuck = on,
@@ -335,6 +336,13 @@ impl MockController {
         self.mode = ControlMode::Adjustment;
         let times = self.brake_times();
         self.axes.iter_mut().for_each(|axis| axis.cut(now, times));
+    }
+
+    fn set_servo_power(&mut self, now: MonotonicTime, on: bool) {
+        self.panel.servo_power = on;
+        if !on {
+            self.cut_power(now);
+        }
     }
 
     fn set_power(&mut self, now: MonotonicTime, on: bool) {

@@ -94,6 +94,11 @@ pub enum Fault {
         /// Too warm or not.
         high: bool,
     },
+    /// The power of the servos: without it the brakes close; the controller still answers.
+    ServoPower {
+        /// On or off.
+        on: bool,
+    },
     /// The power of controller and arm.
     Power {
         /// On or off.
@@ -220,6 +225,7 @@ impl Fault {
             Self::LimitSwitch { .. } => "limit-switch",
             Self::TeachingSwitch { .. } => "teaching-switch",
             Self::PowerTemperature { .. } => "power-temperature",
+            Self::ServoPower { .. } => "servo-power",
             Self::Power { .. } => "power",
             Self::TimeOut => "time-out",
             Self::Stuck { .. } => "stuck",
@@ -267,7 +273,7 @@ impl std::fmt::Display for Fault {
             Self::Reply { count, .. } | Self::Deaf { count } => write!(f, " {count}"),
             Self::Delay { count, by } => write!(f, " {count} {by:?}"),
             Self::Slow(by) => write!(f, " {by:?}"),
-            Self::Silence(on) | Self::TeachingSwitch { on } | Self::Power { on } => {
+            Self::Silence(on) | Self::TeachingSwitch { on } | Self::ServoPower { on } | Self::Power { on } => {
                 write!(f, " {}", choose(*on, ["on", "off"]))
             }
             Self::ServoAlarm { axis, alarm, only_reported } => {

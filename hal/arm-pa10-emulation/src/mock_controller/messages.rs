@@ -115,7 +115,9 @@ impl MockController {
         let any_alarm = self.panel.servo.iter().any(|memory| memory.shown().is_some());
         for (axis, told) in Axis::ALL.into_iter().zip(&command.axes) {
             let index = axis.index();
-            let stopped = self.panel.servo[index].is_tripped() || (any_alarm && told.stops_with_others);
+            let stopped = !self.panel.servo_power
+                || self.panel.servo[index].is_tripped()
+                || (any_alarm && told.stops_with_others);
             if stopped {
                 self.axes[index].stop(now, times);
                 continue;

@@ -84,6 +84,7 @@ pub(super) struct Panel {
     pub dead_man_held: bool,
     pub limit_switch_open: bool,
     pub teaching: bool,
+    pub servo_power: bool,
     pub power_too_warm: bool,
 }
 
@@ -96,6 +97,7 @@ impl Panel {
             dead_man_held: true,
             limit_switch_open: false,
             teaching: false,
+            servo_power: true,
             power_too_warm: false,
         }
     }
@@ -119,11 +121,15 @@ impl Panel {
         self.comm.clear();
     }
 
+    fn is_powered(&self) -> bool {
+        self.servo_power && !self.e_stop_pressed
+    }
+
     /// Status word of an axis.
     pub fn servo_word(&self, axis: Axis, at_upper_limit: bool, at_lower_limit: bool) -> ServoWord {
         let memory = &self.servo[axis.index()];
         let mut word = flag(at_upper_limit, POSITIVE_LIMIT) | flag(at_lower_limit, NEGATIVE_LIMIT);
-        word |= flag(memory.shown.is_some(), UNCONTROLLABLE) | flag(self.e_stop_pressed, POWER_OFF);
+        word |= flag(memory.shown.is_some(), UNCONTROLLABLE) | flag(!self.is_powered(), POWER_OFF);
         let word = ServoWord(word);
         memory.shown.map_or(word, |alarm| word.with_alarm(alarm))
     }
@@ -131,7 +137,7 @@ impl Panel {
     /// Status word of the controller.
     pub fn comm_word(&self) -> CommWord {
         let mut word = flag(self.dead_man_held, DEAD_MAN_ON) | flag(self.power_too_warm, POWER_TOO_WARM);
-        word |= flag(!self.e_stop_pressed, OUTPUT_100_V) | flag(self.e_stop_pressed, EMERGENCY_STOP_OPEN);
+        word |= flag(self.is_powered(), OUTPUT_100_V) | flag(self.e_stop_pressed, EMERGENCY_STOP_OPEN);
         word |= flag(self.teaching, TEACHING) | flag(self.limit_switch_open, LIMIT_SWITCH_OPEN);
         word |= flag(self.comm.shown.is_some(), UNCONTROLLABLE);
         let word = CommWord(word);

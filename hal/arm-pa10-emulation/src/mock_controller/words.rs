@@ -8,7 +8,7 @@ use super::fault::{Fault, LineFault, ReplyFault, Side};
 
 /// The faults other than those of replies, for messages.
 const OTHER_NAMES: &str = "delay, deaf, silence, slow, alarm, controller-alarm, e-stop, dead-man, limit-switch, teaching-switch, \
-                           power-temperature, power, time-out, stuck, runaway, jump, torque, line";
+                           power-temperature, servo-power, power, time-out, stuck, runaway, jump, torque, line";
 
 /// Units of time, in seconds.
 const TIME_UNITS: [(&str, f64); 5] = [("ns", 1e-9), ("us", 1e-6), ("µs", 1e-6), ("ms", 1e-3), ("s", 1.0)];
@@ -185,6 +185,7 @@ impl<'a> Words<'a> {
                 let high = self.either("the temperature", "high or normal", ["high", "normal"])?;
                 Fault::PowerTemperature { high }
             }
+            "servo-power" => Fault::ServoPower { on: self.on_off("the servo power")? },
             "power" => Fault::Power { on: self.on_off("the power")? },
             "time-out" => Fault::TimeOut,
             "stuck" => Fault::Stuck { axis: self.axis()?, on: self.on_off("stuck")? },

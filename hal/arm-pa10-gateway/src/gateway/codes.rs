@@ -11,6 +11,7 @@ codes! {
         BrakeTime = "PB3DP-GW-003": "The time that the brakes take to open is out of range."; "Give the measured time, at most 5 s; 200 ms if it is not measured.";
         Watchdog = "PB3DP-GW-004": "The watchdog would slow down a host that keeps its time."; "Give at least 20 ms.";
         Supervision = "PB3DP-GW-005": "Supervision by the controller exists in wire format B only."; "Switch it off, or choose format B if the arm speaks it.";
-        EmergencyStopBits = "PB3DP-GW-006": "Format A has no documented status words, so no bit of them can be an emergency stop."; "Give no emergency-stop bits.";
+        Wired = "PB3DP-GW-006": "A signal is stated as wired, but this gateway has no inputs."; "State the bits of a status word: `pb3dp arm signals` finds them.";
+        Absent = "PB3DP-GW-007": "A signal that every arm has is stated as absent."; "State the bits of a status word: `pb3dp arm signals` finds them.";
     }
 }

@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10_protocol::codec::{SequenceModulus, Supervision, TorqueScale, WireFormat};
+use pb3dp_arm_pa10_protocol::codec::{
+    SequenceModulus, Signal, SignalSource, StatusSignals, Supervision, TorqueScale, WireFormat,
+};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, BRAKE_TIME_MAX, Firmware, Geometry, MotionLimits};
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 
@@ -38,8 +40,8 @@ pub struct GatewayConfig {
     pub interpolates: bool,
     /// Supervision by the controller itself (format B, dialect `gateway-v1`).
     pub supervision: Supervision,
-    /// Bits of the controller's status word (format B) that mean an emergency stop: none until the rig has shown their polarity.
-    pub emergency_stop_bits: u16,
+    /// How the signals of the arm are noticed. Alarms of format B always count. No brake opens while one is unknown.
+    pub signals: StatusSignals,
     /// Joint torque per torque count.
     pub torque_scale: TorqueScale,
     /// Name and version, for hosts.
@@ -85,11 +87,17 @@ pub enum GatewayConfigError {
     /// Format A has no field for supervision.
     #[error("supervision by the controller exists in format B only: disable it, or choose format B if the arm uses it")]
     Supervision,
-    /// Format A has no status words with a known meaning.
-    #[error("emergency-stop bits 0x{got:04x} cannot be used: the status words of format A are undocumented; give none")]
-    EmergencyStopBits {
-        /// The configured bits.
-        got: u16,
+    /// This gateway has no inputs.
+    #[error("{}: this gateway has no wired input; state the bits of a status word", .got.key())]
+    Wired {
+        /// The signal.
+        got: Signal,
+    },
+    /// Every arm has an emergency stop and power.
+    #[error("{}: every arm has this signal; state the bits of a status word", .got.key())]
+    Absent {
+        /// The signal.
+        got: Signal,
     },
 }
 
@@ -109,7 +117,7 @@ impl GatewayConfig {
             brake_time: Duration::from_millis(200),
             interpolates: true,
             supervision: Supervision::default(),
-            emergency_stop_bits: 0,
+            signals: StatusSignals::ORCA,
             torque_scale: TorqueScale::of_format(format),
             firmware,
             limits,
@@ -135,13 +143,14 @@ impl GatewayConfig {
         if self.brake_time.is_zero() || self.brake_time > BRAKE_TIME_MAX {
             return Err(GatewayConfigError::BrakeTime { got: self.brake_time });
         }
-        if self.format == WireFormat::LittleEndian5x8 {
-            if self.supervision != Supervision::default() {
-                return Err(GatewayConfigError::Supervision);
-            }
-            if self.emergency_stop_bits != 0 {
-                return Err(GatewayConfigError::EmergencyStopBits { got: self.emergency_stop_bits });
-            }
+        if self.format == WireFormat::LittleEndian5x8 && self.supervision != Supervision::default() {
+            return Err(GatewayConfigError::Supervision);
+        }
+        if let Some(got) = self.signals.from(SignalSource::Wired).next() {
+            return Err(GatewayConfigError::Wired { got });
+        }
+        if let Some(got) = self.signals.from(SignalSource::Absent).find(|signal| !signal.may_be_absent()) {
+            return Err(GatewayConfigError::Absent { got });
         }
         Ok(())
     }

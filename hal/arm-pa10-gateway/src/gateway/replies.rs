@@ -1,7 +1,7 @@
 //! Replies from the bus and their handling.
 
 use pb3dp_arm_pa10::driver::{ArmCondition, EmergencyStopCause, FaultCause, Sample, Trip};
-use pb3dp_arm_pa10_protocol::codec::{ArmReply, Axis, AxisStatus, ByteBuffer, CommStatus, EepromAxis, Letter};
+use pb3dp_arm_pa10_protocol::codec::{ArmReply, Axis, ByteBuffer, EepromAxis, Letter};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmOperation, Control, ControlReply, EepromLimits, GatewayMessage, GatewayState, RawMessage, RejectReason,
     StopCause,
@@ -163,31 +163,28 @@ impl Machine {
         }
     }
 
-    /// Whether the newest measurement shows that the arm would not hold its pose with open brakes.
+    /// Whether the newest measurement shows that the arm would not hold its pose with open brakes, or whether it would show it.
     pub fn is_uncontrollable(&self) -> bool {
+        let signals = &self.config.signals;
+        if signals.unknown().next().is_some() {
+            return true;
+        }
         let condition = |measured: &Measured| Sample::from_reply(&measured.reply, &self.config.torque_scale).condition;
-        self.measured.as_ref().is_some_and(|measured| condition(measured).uncontrollable().is_some())
+        self.measured.as_ref().is_some_and(|measured| condition(measured).uncontrollable(signals).is_some())
     }
 
-    /// The cause of a stop in the reported condition, if any. Format A reports none.
+    /// The cause of a stop in the reported condition, if any.
     fn judge(&self, condition: &ArmCondition) -> Option<Found> {
-        let comm = match condition.comm {
-            CommStatus::Comm(word) => word.0,
-            CommStatus::Undocumented(_) => 0,
-        };
-        let of_axis = |cause, axis: Axis| {
-            let word = match condition.axes[axis.index()] {
-                AxisStatus::Servo(word) => word.0,
-                AxisStatus::Undocumented(_) => 0,
-            };
-            Found { cause, axis: Some(axis), word }
-        };
-        let of_arm = |cause| Found { cause, axis: None, word: comm };
+        let of_axis = |cause, axis: Axis| Found { cause, axis: Some(axis), word: condition.axes[axis.index()].word() };
+        let of_arm = |cause| Found { cause, axis: None, word: condition.comm.word() };
         let open = matches!(self.state, GatewayState::Holding | GatewayState::Moving);
-        let trip = condition.trip(self.config.emergency_stop_bits);
-        let trip = trip.or_else(|| condition.uncontrollable().filter(|_| open).map(|lost| Trip::Fault(lost.into())));
+        let signals = &self.config.signals;
+        let trip = condition.trip(signals);
+        let trip = trip.or_else(|| condition.uncontrollable(signals).filter(|_| open).map(Trip::from));
         Some(match trip? {
-            Trip::EStop(EmergencyStopCause::Axis { axis, .. }) => of_axis(StopCause::EmergencyStop, axis),
+            Trip::EStop(
+                EmergencyStopCause::Axis { axis, .. } | EmergencyStopCause::Switch { axis: Some(axis), .. },
+            ) => of_axis(StopCause::EmergencyStop, axis),
             Trip::EStop(_) => of_arm(StopCause::EmergencyStop),
             Trip::Fault(FaultCause::ServoAlarm { axis, .. }) => of_axis(StopCause::ServoAlarm, axis),
             Trip::Fault(FaultCause::AxisUncontrollable { axis, .. }) => of_axis(StopCause::AxisUncontrollable, axis),

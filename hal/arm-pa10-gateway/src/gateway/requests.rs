@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10_protocol::codec::{ArmCommand, AxisCommand, CodecError, ControlMessage, Letter};
+use pb3dp_arm_pa10_protocol::codec::{ArmCommand, AxisCommand, CodecError, ControlMessage, Letter, WiredSignals};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmOperation, Control, Dialect, DriveCommand, DriveMode, Frame, GatewayMessage, GatewayState, HELLO, Health, Hello,
     HelloReply, HostMessage, RawMessage, RejectReason, State, StopCause,
@@ -326,6 +326,8 @@ impl Machine {
         HelloReply {
             has_transparent: true,
             has_gateway_v1: true,
+            // It has no inputs.
+            wired: WiredSignals::default(),
             dialect,
             wire_format: self.bus.seen_format,
             geometry: config.geometry,

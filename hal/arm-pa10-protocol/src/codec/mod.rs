@@ -20,6 +20,7 @@ mod error;
 mod packet;
 mod reply;
 mod sequence;
+mod signals;
 mod status;
 
 pub use axis::Axis;
@@ -34,6 +35,7 @@ pub use packet::{
 };
 pub use reply::{ArmReply, AxisReply};
 pub use sequence::SequenceModulus;
+pub use signals::{NoSignalSource, Signal, SignalBits, SignalSource, StatusSignals, StatusWord, WiredSignals};
 pub use status::{AxisStatus, CommAlarm, CommStatus, CommWord, ServoAlarm, ServoWord};
 
 /// How a cyclic command and its reply are laid out.

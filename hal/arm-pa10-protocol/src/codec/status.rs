@@ -186,3 +186,21 @@ pub enum CommStatus {
     /// Format B.
     Comm(CommWord),
 }
+
+impl AxisStatus {
+    /// The word as received.
+    pub fn word(self) -> u16 {
+        match self {
+            Self::Undocumented(word) | Self::Servo(ServoWord(word)) => word,
+        }
+    }
+}
+
+impl CommStatus {
+    /// The word as received.
+    pub fn word(self) -> u16 {
+        match self {
+            Self::Undocumented(word) | Self::Comm(CommWord(word)) => word,
+        }
+    }
+}

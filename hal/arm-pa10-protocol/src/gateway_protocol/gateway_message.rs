@@ -11,7 +11,7 @@ use super::{
     ArmId, ControlOperation, Dialect, Frame, GatewayState, Geometry, MessageError, MotionLimits, MotionQuantity,
     Payload, RejectReason, StopCause,
 };
-use crate::codec::{Axis, CommWord, ServoWord, WireFormat};
+use crate::codec::{Axis, CommWord, ServoWord, WireFormat, WiredSignals};
 
 const HELLO_REPLY: u8 = 0x81;
 const STATE: u8 = 0x82;
@@ -51,6 +51,8 @@ pub struct HelloReply {
     pub has_transparent: bool,
     /// Whether it speaks the dialect `gateway-v1`.
     pub has_gateway_v1: bool,
+    /// Signals that reach it by wired inputs.
+    pub wired: WiredSignals,
     /// The dialect from now on.
     pub dialect: Dialect,
     /// The wire format of the arm, as replies showed it; none before the first one.
@@ -321,7 +323,8 @@ fn to_ipv6(address: IpAddr) -> Ipv6Addr {
 
 impl HelloReply {
     fn encode(&self, payload: &mut Payload) {
-        payload.put_u8(u8::from(self.has_transparent) | u8::from(self.has_gateway_v1) << 1);
+        let dialects = u8::from(self.has_transparent) | u8::from(self.has_gateway_v1) << 1;
+        payload.put_u8(dialects | self.wired.bits() << 4);
         payload.put_u8(self.dialect.code());
         payload.put_u8(match self.wire_format {
             None => 0,
@@ -339,7 +342,8 @@ impl HelloReply {
     }
 
     fn decode(mut fields: Fields<'_>) -> Result<Self, MessageError> {
-        let dialects = fields.u8();
+        let abilities = fields.u8();
+        let dialects = abilities & 0x0F;
         if dialects > 3 {
             return Err(fields.no_meaning("dialects", i64::from(dialects)));
         }
@@ -357,6 +361,7 @@ impl HelloReply {
         Ok(Self {
             has_transparent: dialects & 1 != 0,
             has_gateway_v1: dialects & 2 != 0,
+            wired: WiredSignals::from_bits(abilities >> 4),
             dialect,
             wire_format,
             geometry,

@@ -14,7 +14,7 @@ use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServ
 use pb3dp_arm_pa10_emulation::mock_controller::{MockControllerConfig, Script, pa10_joints};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_gateway::service::{BusOpener, GatewayServer, GatewayServerConfig, Happened, HostSide};
-use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, StopCause,
 };
@@ -109,6 +109,7 @@ impl Cell {
             geometry: Geometry::Unknown,
             cycle: CYCLE,
             limits: HostLimits::WIDEST,
+            signals: StatusSignals::ORCA,
         };
         let config = Pa10ArmConfig::new("guest", DriverConfig::with_cycle(CYCLE), link);
         let serial = serial::config(host_path, BAUD, CYCLE);

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use pb3dp_arm_pa10_protocol::codec::StatusSignals;
 use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, HelloReply, RejectReason, StopCause};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::transport::{ConnectError, Unplugged};
@@ -134,7 +135,11 @@ impl Running {
                         self.pause(now, means)?;
                         return Ok(None);
                     }
-                    if let Some(trip) = means.port.hello().and_then(|hello| stopped_before(hello, means.port.shown())) {
+                    if let Some(trip) = means
+                        .port
+                        .hello()
+                        .and_then(|hello| stopped_before(hello, means.port.shown(), means.driver.signals()))
+                    {
                         // The operator has to see and reset it.
                         means.driver.handle_trip(now, trip);
                     }
@@ -318,9 +323,9 @@ fn greeted(now: MonotonicTime, means: &mut Means<'_>) -> Result<bool, WishError>
 }
 
 /// Why the gateway stopped the arm before this host connected, if it did: for example after a dead host.
-fn stopped_before(hello: &HelloReply, shown: Option<&Sample>) -> Option<Trip> {
-    // Status words name switch, axis and alarm; the gateway interprets the bits of switches.
-    let named = shown.and_then(|sample| sample.condition.trip(0));
+fn stopped_before(hello: &HelloReply, shown: Option<&Sample>, signals: &StatusSignals) -> Option<Trip> {
+    // Status words name switch, axis and alarm.
+    let named = shown.and_then(|sample| sample.condition.trip(signals));
     match (hello.state, hello.cause) {
         (GatewayState::EmergencyStop, _) | (_, StopCause::EmergencyStop) => {
             let emergency_stop = named.filter(|trip| matches!(trip, Trip::EStop(_)));

@@ -52,6 +52,7 @@ codes! {
         PowerTooWarm = "PB3DP-ARM-303": "The power supply of the servo controller is too warm."; "Let it cool down.";
         AxisUncontrollable = "PB3DP-ARM-304": "An axis has no power or does not follow although its servo is on."; "Check the power of this axis, then enable again.";
         ArmUncontrollable = "PB3DP-ARM-305": "The controller reports that the arm does not follow although its servos are on."; "Look at the panel of the servo controller, then enable again.";
+        DeadManReleased = "PB3DP-ARM-306": "The dead-man switch is released."; "Hold it, then enable again.";
     }
 }
 

@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::codec::{
-    ArmReply, Axis, AxisStatus, CommAlarm, CommStatus, ServoAlarm, TorqueScale, WireFormat,
+    ArmReply, Axis, AxisStatus, CommAlarm, CommStatus, ServoAlarm, Signal, SignalSource, StatusSignals, StatusWord,
+    TorqueScale, WireFormat,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, MotionQuantity, RejectReason, State, StopCause};
 use pb3dp_kinematics::JointVector;
@@ -39,11 +40,23 @@ pub struct ArmCondition {
     pub gateway: Option<(GatewayState, StopCause)>,
 }
 
-/// An axis without power or control. `None` as the axis: the controller reports the whole arm as uncontrollable.
+/// A condition in which the servos may not hold the arm. `None` as the axis: the controller reports it.
 #[derive(Clone, Copy, Debug)]
-pub struct Uncontrollable {
-    axis: Option<Axis>,
-    word: u16,
+pub enum Uncontrollable {
+    /// No power, or no control.
+    Servo {
+        /// Which axis.
+        axis: Option<Axis>,
+        /// Its status word.
+        word: u16,
+    },
+    /// The dead-man switch is released.
+    DeadMan {
+        /// Which axis.
+        axis: Option<Axis>,
+        /// Its status word.
+        word: u16,
+    },
 }
 
 /// Why the arm was stopped.
@@ -148,7 +161,7 @@ pub enum FaultCause {
     },
     /// The controller reports that the arm does not follow.
     #[error(
-        "controller: arm uncontrollable while the brakes are open (status word 0x{word:04x}); check its panel, then reset"
+        "controller: power off or arm uncontrollable while the brakes are open (status word 0x{word:04x}); check its panel, then reset"
     )]
     ArmUncontrollable {
         /// The status word.
@@ -273,12 +286,16 @@ pub enum EmergencyStopCause {
         /// Emergency stop, dead-man switch or limit switch.
         alarm: CommAlarm,
     },
-    /// Reported by a switch bit of the controller.
+    /// Shown by bits of a status word that the configuration names.
     #[error(
-        "controller: status word 0x{word:04x} has a switch bit that the configuration calls an emergency stop; release the switch, \
-         then reset"
+        "{who}: status word 0x{word:04x} shows the {signal} by the bits of the configuration; {advice}, then reset",
+        who = .axis.map_or_else(|| "controller".to_owned(), |axis| axis.to_string()), advice = release_of(*.signal)
     )]
     Switch {
+        /// Which switch.
+        signal: Signal,
+        /// Which axis; `None` for the controller.
+        axis: Option<Axis>,
         /// The status word.
         word: u16,
     },
@@ -296,6 +313,8 @@ impl EmergencyStopCause {
         let code = match self {
             Self::Axis { alarm, .. } => alarm.code(),
             Self::Controller { alarm } => alarm.code(),
+            Self::Switch { signal: Signal::DeadMan, .. } => return "dead-man switch",
+            Self::Switch { signal: Signal::LimitSwitch, .. } => return "limit switch",
             Self::Switch { .. } => return "emergency stop",
             Self::Gateway => return "a switch",
         };
@@ -304,6 +323,15 @@ impl EmergencyStopCause {
             Some(ServoAlarm::LimitSwitch) => "limit switch",
             _ => "emergency stop",
         }
+    }
+}
+
+/// Advice for a switch.
+fn release_of(signal: Signal) -> &'static str {
+    match signal {
+        Signal::DeadMan => release(ServoAlarm::DeadManOff.code()),
+        Signal::LimitSwitch => release(ServoAlarm::LimitSwitch.code()),
+        Signal::EmergencyStop | Signal::Power => release(ServoAlarm::EmergencyStop.code()),
     }
 }
 
@@ -353,13 +381,21 @@ impl Sample {
 }
 
 impl ArmCondition {
-    /// The condition that stops the arm; an emergency stop takes precedence over a fault. Status words of format A are ignored,
-    /// because their meaning is not public.
-    ///
-    /// `emergency_stop_bits` of the controller's status word mean an emergency stop.
-    pub fn trip(&self, emergency_stop_bits: u16) -> Option<Trip> {
-        let emergency_stop = self.emergency_stop(emergency_stop_bits).map(Trip::EStop);
+    /// The condition that stops the arm; an emergency stop takes precedence over a fault. The alarms of format A are unknown,
+    /// because they are not public: these signals are all that its status words tell.
+    pub fn trip(&self, signals: &StatusSignals) -> Option<Trip> {
+        let emergency_stop = self.emergency_stop(signals).map(Trip::EStop);
         emergency_stop.or_else(|| self.fault().map(Trip::Fault))
+    }
+
+    /// Axis and status word that show a signal by its bits.
+    fn shown(&self, signals: &StatusSignals, signal: Signal) -> Option<(Option<Axis>, u16)> {
+        let SignalSource::Bits(bits) = signals.get(signal) else { return None };
+        let of_axis = |axis: Axis| (Some(axis), self.axes[axis.index()].word());
+        match bits.word {
+            StatusWord::Controller => Some((None, self.comm.word())).filter(|(_, word)| bits.is_shown_by(*word)),
+            StatusWord::Axes => Axis::ALL.into_iter().map(of_axis).find(|(_, word)| bits.is_shown_by(*word)),
+        }
     }
 
     /// The fault, if the gateway does not follow commands. Call it only while the gateway should.
@@ -370,19 +406,24 @@ impl ArmCondition {
         (!follows).then_some(FaultCause::GatewayStopped { gateway })
     }
 
-    /// The first axis that its servo cannot hold, or the whole arm, if the controller reports it. Call it only with servos on.
-    pub fn uncontrollable(&self) -> Option<Uncontrollable> {
+    /// The first axis that its servo cannot hold, or the whole arm, if the controller reports it, or a released dead-man switch.
+    /// Call it only with servos on.
+    pub fn uncontrollable(&self, signals: &StatusSignals) -> Option<Uncontrollable> {
         let lost = |axis: &Axis| match self.axes[axis.index()] {
             AxisStatus::Servo(word) if word.is_power_off() || word.is_uncontrollable() => {
-                Some(Uncontrollable { axis: Some(*axis), word: word.0 })
+                Some(Uncontrollable::Servo { axis: Some(*axis), word: word.0 })
             }
             _ => None,
         };
         let all = || match self.comm {
-            CommStatus::Comm(word) if word.is_uncontrollable() => Some(Uncontrollable { axis: None, word: word.0 }),
+            CommStatus::Comm(word) if word.is_uncontrollable() => {
+                Some(Uncontrollable::Servo { axis: None, word: word.0 })
+            }
             _ => None,
         };
-        Axis::ALL.iter().find_map(lost).or_else(all)
+        let released = self.shown(signals, Signal::DeadMan).map(|(axis, word)| Uncontrollable::DeadMan { axis, word });
+        let power = || self.shown(signals, Signal::Power).map(|(axis, word)| Uncontrollable::Servo { axis, word });
+        released.or_else(|| Axis::ALL.iter().find_map(lost)).or_else(all).or_else(power)
     }
 
     /// Whether the controller reports that its power supply is too warm.
@@ -404,7 +445,7 @@ impl ArmCondition {
         }
     }
 
-    fn emergency_stop(&self, bits: u16) -> Option<EmergencyStopCause> {
+    fn emergency_stop(&self, signals: &StatusSignals) -> Option<EmergencyStopCause> {
         let of_axis = |(axis, alarm)| match alarm {
             ServoAlarm::EmergencyStop | ServoAlarm::DeadManOff | ServoAlarm::LimitSwitch => {
                 Some(EmergencyStopCause::Axis { axis, alarm })
@@ -417,9 +458,11 @@ impl ArmCondition {
             }
             _ => None,
         };
-        let of_switch = || match self.comm {
-            CommStatus::Comm(word) if word.0 & bits != 0 => Some(EmergencyStopCause::Switch { word: word.0 }),
-            _ => None,
+        let of_switch = || {
+            let switch = |signal| {
+                self.shown(signals, signal).map(|(axis, word)| EmergencyStopCause::Switch { signal, axis, word })
+            };
+            [Signal::EmergencyStop, Signal::LimitSwitch].into_iter().find_map(switch)
         };
         let of_gateway = || {
             let (state, cause) = self.gateway?;
@@ -441,15 +484,27 @@ impl ArmCondition {
     }
 }
 
-impl From<Uncontrollable> for FaultCause {
-    fn from(Uncontrollable { axis, word }: Uncontrollable) -> Self {
-        axis.map_or(Self::ArmUncontrollable { word }, |axis| Self::AxisUncontrollable { axis, word })
+impl From<Uncontrollable> for Trip {
+    fn from(lost: Uncontrollable) -> Self {
+        match lost {
+            Uncontrollable::Servo { axis: Some(axis), word } => {
+                Self::Fault(FaultCause::AxisUncontrollable { axis, word })
+            }
+            Uncontrollable::Servo { axis: None, word } => Self::Fault(FaultCause::ArmUncontrollable { word }),
+            Uncontrollable::DeadMan { axis, word } => {
+                Self::EStop(EmergencyStopCause::Switch { signal: Signal::DeadMan, axis, word })
+            }
+        }
     }
 }
 
 impl From<Uncontrollable> for WarmUpFailure {
-    fn from(Uncontrollable { axis, word }: Uncontrollable) -> Self {
-        axis.map_or(Self::ArmUncontrollable { word }, |axis| Self::AxisUncontrollable { axis, word })
+    fn from(lost: Uncontrollable) -> Self {
+        match lost {
+            Uncontrollable::Servo { axis: Some(axis), word } => Self::AxisUncontrollable { axis, word },
+            Uncontrollable::Servo { axis: None, word } => Self::ArmUncontrollable { word },
+            Uncontrollable::DeadMan { word, .. } => Self::DeadManReleased { word },
+        }
     }
 }
 
@@ -464,7 +519,9 @@ impl Trip {
                 | FaultCause::GatewayLimit { axis, .. }
                 | FaultCause::LimitsDiffer { axis, .. },
             )
-            | Self::EStop(EmergencyStopCause::Axis { axis, .. }) => Some(*axis),
+            | Self::EStop(
+                EmergencyStopCause::Axis { axis, .. } | EmergencyStopCause::Switch { axis: Some(axis), .. },
+            ) => Some(*axis),
             Self::Fault(_) | Self::EStop(_) => None,
         }
     }
@@ -514,6 +571,10 @@ fn why_not_reset(found: StopCause) -> String {
         StopCause::ServoAlarm => "an alarm of an axis".to_owned(),
         StopCause::ControllerAlarm => "an alarm of the controller".to_owned(),
         StopCause::EmergencyStop => "an emergency stop, dead-man switch or limit switch".to_owned(),
+        StopCause::AxisUncontrollable => {
+            "an axis without power or control, a released dead-man switch, or a signal that the gateway does not know ([arm.signals] in its file)"
+                .to_owned()
+        }
         other => other.to_string(),
     };
     format!("{what} is still present; `pb3dp arm probe` shows the status words; remove the cause, then reset")

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 use std::time::Duration;
 
-use pb3dp_arm_pa10_protocol::codec::Supervision;
+use pb3dp_arm_pa10_protocol::codec::{StatusSignals, Supervision};
 use pb3dp_kinematics::{DOF, JointVector};
 
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
@@ -64,9 +64,8 @@ pub struct DriverConfig {
     pub limits: LimitsCheck,
     /// Supervision by the controller itself (format B).
     pub supervision: Supervision,
-    /// Bits of the controller's status word (format B) that mean an emergency stop when they are set. The sources do not state the
-    /// polarity of the switches: none until it is measured on the rig. Alarms always count.
-    pub emergency_stop_bits: u16,
+    /// How the signals of the arm are noticed. Alarms of format B always count.
+    pub signals: StatusSignals,
 }
 
 /// Use of the limits in the controller's EEPROM.
@@ -207,7 +206,7 @@ impl DriverConfig {
             activity_timeout: Duration::from_secs(10),
             limits: LimitsCheck::Skip,
             supervision: Supervision::default(),
-            emergency_stop_bits: 0,
+            signals: StatusSignals::ORCA,
         }
     }
 

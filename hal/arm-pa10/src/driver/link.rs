@@ -78,9 +78,15 @@ pub enum WarmUpFailure {
         /// Its status word.
         word: u16,
     },
+    /// The dead-man switch is released.
+    #[error("the dead-man switch is released (status word 0x{word:04x}); hold it, then enable again")]
+    DeadManReleased {
+        /// The status word.
+        word: u16,
+    },
     /// The controller reports that the arm does not follow.
     #[error(
-        "controller: arm uncontrollable with the servos on (status word 0x{word:04x}); check its panel, then enable again"
+        "controller: power off or arm uncontrollable with the servos on (status word 0x{word:04x}); check its panel, then enable again"
     )]
     ArmUncontrollable {
         /// The status word.

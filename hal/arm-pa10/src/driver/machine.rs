@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use pb3dp_arm_pa10_protocol::codec::{ArmCommand, Axis, AxisCommand, CodecError, ControlMessage, Letter};
+use pb3dp_arm_pa10_protocol::codec::{
+    ArmCommand, Axis, AxisCommand, CodecError, ControlMessage, Letter, StatusSignals,
+};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{RejectReason, StopCause};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_kinematics::{JointState, JointVector};
@@ -192,6 +194,11 @@ impl Driver {
     /// The limits that were read from the controller since the connection, if any.
     pub fn limits(&self) -> &[Option<AxisLimits>; Axis::COUNT] {
         &self.limits
+    }
+
+    /// How the signals of the arm are noticed.
+    pub fn signals(&self) -> &StatusSignals {
+        &self.config.signals
     }
 
     /// Counters of the link.

@@ -28,15 +28,16 @@ impl Driver {
         if self.note_heard(now, sample) {
             return;
         }
-        let found = sample.condition.trip(self.config.emergency_stop_bits);
+        let found = sample.condition.trip(&self.config.signals);
         let lost = || {
             let condition = &sample.condition;
             let opens = matches!(self.phase, Phase::Releasing { .. });
             let follows = self.phase == Phase::Steady && self.state.has_open_brakes();
             let cycles = self.phase == Phase::Steady || matches!(self.phase, Phase::Enabling { .. });
             let stopped = (cycles || opens).then(|| condition.gateway_stopped()).flatten();
-            let lost = || (follows || opens).then(|| condition.uncontrollable()).flatten().map(FaultCause::from);
-            stopped.or_else(lost).map(Trip::Fault)
+            let signals = &self.config.signals;
+            let lost = || (follows || opens).then(|| condition.uncontrollable(signals)).flatten().map(Trip::from);
+            stopped.map(Trip::Fault).or_else(lost)
         };
         let measured = now - sample.age;
         let overloaded = match self.brakes_open {
@@ -299,7 +300,9 @@ impl Driver {
         let verdict = match verdict {
             Some(Ok(())) if sample.condition.is_power_too_warm() => Some(Err(WarmUpFailure::PowerTooWarm)),
             // The servos are on and the brakes are about to open: an axis that cannot hold would fall.
-            Some(Ok(())) => Some(sample.condition.uncontrollable().map_or(Ok(()), |lost| Err(lost.into()))),
+            Some(Ok(())) => {
+                Some(sample.condition.uncontrollable(&self.config.signals).map_or(Ok(()), |lost| Err(lost.into())))
+            }
             other => other,
         };
         match verdict {

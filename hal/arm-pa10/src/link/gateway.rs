@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use pb3dp_arm_pa10_protocol::codec::{
-    Axis, AxisCommand, CodecError, CommAlarm, ControlMessage, ReplyMessage, ServoAlarm, ServoWord, WireFormat,
+    Axis, AxisCommand, CodecError, CommAlarm, ControlMessage, ReplyMessage, ServoAlarm, ServoWord, Signal,
+    SignalSource, WireFormat,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmOperation, BRAKE_TIME_MAX, Control, DelayMeter, Dialect, DriveCommand, DriveMode, FaultReport, Frame,
@@ -67,6 +68,16 @@ pub enum HelloError {
         got: Geometry,
         /// Geometry of the configuration.
         configured: Geometry,
+    },
+    /// It has no such input.
+    #[error(
+        "the setup says {key} = \"wired\", but the gateway reports no wired input for the {signal}; wire the input, or state the bits \
+         of a status word, which `pb3dp arm signals` finds",
+        key = .signal.key()
+    )]
+    NotWired {
+        /// The signal.
+        signal: Signal,
     },
     /// Its watchdog is disabled.
     #[error("the gateway reports {0}; correct its configuration")]
@@ -317,7 +328,7 @@ impl GatewayLink {
         let late = self.delay.handle(frame.timestamp_us, now.as_nanos() / 1000);
         match GatewayMessage::decode(frame) {
             Err(_) => driver.handle_bad_reply(BadReply::Damaged),
-            Ok(GatewayMessage::Fault(report)) => driver.handle_trip(now, trip(&report)),
+            Ok(GatewayMessage::Fault(report)) => driver.handle_trip(now, trip(&report, &self.config)),
             Ok(GatewayMessage::Health(_)) if self.heartbeat.take_if(|asked| *asked == frame.sequence).is_some() => {}
             Ok(answer) => self.handle_answer(now, frame, &answer, late, driver),
         }
@@ -411,6 +422,9 @@ impl GatewayLink {
         }
         if let Some(got) = hello.wire_format.filter(|got| *got != format) {
             return Err(HelloError::Format { got, configured: format });
+        }
+        if let Some(signal) = self.config.signals.from(SignalSource::Wired).find(|signal| !hello.wired.has(*signal)) {
+            return Err(HelloError::NotWired { signal });
         }
         let told = |geometry| geometry != Geometry::Unknown;
         if told(hello.geometry) && told(geometry) && hello.geometry != geometry {
@@ -513,16 +527,25 @@ fn gateway_v1(message: &ControlMessage) -> Result<HostMessage, LinkError> {
 }
 
 /// Why the gateway stopped the arm, as precisely as its report states.
-fn trip(report: &FaultReport) -> Trip {
-    let servo = |axis: Axis| ServoWord(report.word).alarm().map(|alarm: ServoAlarm| (axis, alarm));
-    let controller = || pb3dp_arm_pa10_protocol::codec::CommWord(report.word).alarm();
+fn trip(report: &FaultReport, config: &GatewayLinkConfig) -> Trip {
+    // The alarms of format A are unknown.
+    let has_alarms = config.format == WireFormat::BigEndian6x10;
+    let word = if has_alarms { report.word } else { 0 };
+    let servo = |axis: Axis| ServoWord(word).alarm().map(|alarm: ServoAlarm| (axis, alarm));
+    let controller = || pb3dp_arm_pa10_protocol::codec::CommWord(word).alarm();
     match report.cause {
-        StopCause::EmergencyStop => Trip::EStop(match report.axis {
-            Some(axis) => servo(axis)
-                .map_or(EmergencyStopCause::Gateway, |(axis, alarm)| EmergencyStopCause::Axis { axis, alarm }),
-            None => controller()
-                .map_or(EmergencyStopCause::Gateway, |alarm: CommAlarm| EmergencyStopCause::Controller { alarm }),
-        }),
+        StopCause::EmergencyStop => {
+            let alarm = match report.axis {
+                Some(axis) => servo(axis).map(|(axis, alarm)| EmergencyStopCause::Axis { axis, alarm }),
+                None => controller().map(|alarm: CommAlarm| EmergencyStopCause::Controller { alarm }),
+            };
+            let FaultReport { axis, word, .. } = *report;
+            let shown = || config.signals.shown_by(axis.is_some(), word).next();
+            // 0: the cause belongs to no word.
+            let switch =
+                || shown().filter(|_| word != 0).map(|signal| EmergencyStopCause::Switch { signal, axis, word });
+            Trip::EStop(alarm.or_else(switch).unwrap_or(EmergencyStopCause::Gateway))
+        }
         StopCause::ServoAlarm => {
             let named = report.axis.and_then(servo).map(|(axis, alarm)| FaultCause::ServoAlarm { axis, alarm });
             Trip::Fault(named.unwrap_or(FaultCause::Gateway(report.cause)))

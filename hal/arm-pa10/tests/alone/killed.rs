@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
 use pb3dp_arm_pa10::driver::DriverConfig;
 use pb3dp_arm_pa10::serial::SerialConfig;
-use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, GatewayState, Geometry, HostLimits, StopCause};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::cell_end::{Cell, CellEnd};
@@ -42,6 +42,7 @@ fn open(path: &str) -> Pa10Arm {
         geometry: Geometry::Unknown,
         cycle: CYCLE,
         limits: HostLimits::WIDEST,
+        signals: StatusSignals::ORCA,
     };
     let config = Pa10ArmConfig::new("arm-6", DriverConfig::with_cycle(CYCLE), link);
     let seat = trip_line(1).unwrap().remove(0);

@@ -8,7 +8,7 @@ use pb3dp_allocation_count::{leave_this_thread_out, requests_of_all_threads};
 use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
 use pb3dp_arm_pa10::driver::DriverConfig;
 use pb3dp_arm_pa10::serial::SerialConfig;
-use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry, HostLimits};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::far_end::FarEnd;
@@ -33,6 +33,7 @@ pub fn exchanges() {
         geometry: Geometry::Unknown,
         cycle: CYCLE,
         limits: HostLimits::WIDEST,
+        signals: StatusSignals::ORCA,
     };
     let config = Pa10ArmConfig::new("arm", DriverConfig::with_cycle(CYCLE), link);
     let seat = trip_line(1).unwrap().remove(0);

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use pb3dp_arm_pa10::arm::{ArmOpenError, Pa10Arm, Pa10ArmConfig, TripSeat, trip_line};
 use pb3dp_arm_pa10::driver::{DriverConfig, DriverState, FaultCause, LimitsCheck, Trip};
 use pb3dp_arm_pa10::serial::SerialConfig;
-use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, GatewayState, Geometry, HostLimits, StopCause};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::cell_end::{Cell, CellEnd};
@@ -46,6 +46,7 @@ fn config(arm: u8, dialect: Dialect, format: WireFormat) -> Pa10ArmConfig {
         geometry: Geometry::Unknown,
         cycle: CYCLE,
         limits: HostLimits::WIDEST,
+        signals: StatusSignals::ORCA,
     };
     Pa10ArmConfig::new(&format!("arm-{arm}"), driver, link)
 }

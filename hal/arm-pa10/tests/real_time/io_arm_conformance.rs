@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use pb3dp_arm_pa10::arm::{Pa10Arm, Pa10ArmConfig, trip_line};
 use pb3dp_arm_pa10::driver::{DriverConfig, LimitsCheck};
 use pb3dp_arm_pa10::serial::SerialConfig;
-use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Geometry, HostLimits};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_arm_pa10_test_support::cell_end::{Cell, CellEnd};
@@ -44,7 +44,15 @@ fn open(dialect: Dialect, format: WireFormat, clock: &Arc<SystemClock>) -> (Pa10
     let config = Pa10ArmConfig::new(
         "vs-robot",
         driver,
-        GatewayLinkConfig { arm: ArmId(1), dialect, format, geometry, cycle: CYCLE, limits: HostLimits::WIDEST },
+        GatewayLinkConfig {
+            arm: ArmId(1),
+            dialect,
+            format,
+            geometry,
+            cycle: CYCLE,
+            limits: HostLimits::WIDEST,
+            signals: StatusSignals::ORCA,
+        },
     );
     let seat = trip_line(1).unwrap().remove(0);
     let arm = Pa10Arm::open(config, Box::new(serial), Arc::clone(clock) as Arc<_>, seat);

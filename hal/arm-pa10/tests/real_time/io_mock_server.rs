@@ -15,7 +15,7 @@ use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServ
 use pb3dp_arm_pa10_emulation::mock_controller::{ControlMode, MockControllerConfig, Script, pa10_joints};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
 use pb3dp_arm_pa10_gateway::service::Access;
-use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     ArmId, Dialect, Firmware, GatewayState, Geometry, HostLimits, MotionLimits, StopCause,
 };
@@ -88,6 +88,7 @@ impl Rig {
             geometry,
             cycle: CYCLE,
             limits: HostLimits::WIDEST,
+            signals: StatusSignals::ORCA,
         };
         let config = Pa10ArmConfig { realtime: REALTIME, ..Pa10ArmConfig::new("test", driver, link) };
         let clock = Arc::clone(&self.clock) as Arc<dyn Clock>;

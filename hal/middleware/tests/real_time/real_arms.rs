@@ -12,7 +12,7 @@ use pb3dp_arm_pa10::serial::SerialConfig;
 use pb3dp_arm_pa10_emulation::line::mock_server::{MockFace, MockServer, MockServerConfig};
 use pb3dp_arm_pa10_emulation::mock_controller::{MockControllerConfig, Script, pa10_joints};
 use pb3dp_arm_pa10_gateway::gateway::GatewayConfig;
-use pb3dp_arm_pa10_protocol::codec::WireFormat;
+use pb3dp_arm_pa10_protocol::codec::{StatusSignals, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, Dialect, Firmware, Geometry, HostLimits, MotionLimits};
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_geometry::Pose;
@@ -57,6 +57,7 @@ fn arm(arm: ArmId, server: &MockServer, seat: TripSeat, clock: &Arc<dyn Clock>) 
         geometry: Geometry::Unknown,
         cycle,
         limits: HostLimits::WIDEST,
+        signals: StatusSignals::ORCA,
     };
     let port = server.port(SerialConfig { path: server.address(), baud: 921_600, dialect, format: FORMAT, cycle });
     let config = Pa10ArmConfig::new(&format!("arm-{}", arm.0), DriverConfig::with_cycle(cycle), link);

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use pb3dp_arm_pa10_emulation::line::mock_server::MockServer;
+use pb3dp_arm_pa10_protocol::codec::Signal;
 use pb3dp_cell::parts::ArmChoice;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_platform::signals::StopSignals;
@@ -63,6 +64,15 @@ impl Operator for Emulated {
             Act::ReleaseEmergencyStop(choice) => self.arm(choice)?.command_line("e-stop release")?,
             Act::PullCable(choice) => self.arm(choice)?.unplug(),
             Act::PlugCable(choice) => self.arm(choice)?.plug(),
+            Act::Switch(choice, signal, is_on) => {
+                let [on, off] = match signal {
+                    Signal::EmergencyStop => ["e-stop press", "e-stop release"],
+                    Signal::LimitSwitch => ["limit-switch open", "limit-switch close"],
+                    Signal::DeadMan => ["dead-man release", "dead-man hold"],
+                    Signal::Power => ["servo-power off", "servo-power on"],
+                };
+                self.arm(choice)?.command_line(if is_on { on } else { off })?
+            }
         }
         Ok(())
     }
@@ -87,6 +97,9 @@ impl Operator for Emulated {
                 off_rad[axis.index()] -= by_rad;
                 off_rad.amax() <= SEEN_WITHIN_RAD
             }
+            Question::HasSwitch(_) => true,
+            // The emergency stop cuts the servo power.
+            Question::Shared { signal, other, .. } => (*signal, *other) == (Signal::Power, Signal::EmergencyStop),
             Question::Stopped(choice) => {
                 let seen = self.arm(*choice)?.report();
                 seen.is_braked && seen.velocity_rad_per_s.amax() <= REST_RAD_PER_S

@@ -9,6 +9,8 @@ mod operator;
 mod record;
 mod report;
 mod session;
+pub mod signals;
+mod status_bits;
 mod steps;
 mod stops;
 mod test_line;
@@ -245,11 +247,27 @@ fn operator(
     clock: &Arc<dyn Clock>,
 ) -> Result<(Box<dyn Operator>, Option<TestLine>)> {
     let choice = args.place.choice();
-    let patience = Duration::from_secs(u64::from(args.patience));
-    if args.operator == OperatorName::Person {
-        let hands = if asked.contains(&Step::Interlock) { vec![choice, choice.other()] } else { vec![choice] };
+    let is_person = args.operator == OperatorName::Person;
+    let arms: &[ArmChoice] = match is_person {
+        // A dry run needs no hand.
+        true if !args.moves => &[],
+        true if !asked.contains(&Step::Interlock) => &[choice],
+        false if args.company.alone => &[choice],
+        _ => &[choice, choice.other()],
+    };
+    operator_of((args.operator, args.patience, arms), setup, clock)
+}
+
+/// The operator of the switches and cables of these arms, and the address of the first one if it is emulated for this.
+fn operator_of(
+    (name, patience_s, choices): (OperatorName, u32, &[ArmChoice]),
+    setup: &mut Setup,
+    clock: &Arc<dyn Clock>,
+) -> Result<(Box<dyn Operator>, Option<TestLine>)> {
+    let patience = Duration::from_secs(u64::from(patience_s));
+    if name == OperatorName::Person {
         let is_emulated = |arm: &&ArmChoice| matches!(&arm.of(setup).link, ArmLink::Gateway(_, GatewayWay::Emulated));
-        if let (Some(emulated), true) = (hands.iter().find(is_emulated), args.moves) {
+        if let Some(emulated) = choices.iter().find(is_emulated) {
             bail!(
                 "{}.backend = \"emulated\" has no switch and no cable for you: use --operator emulated, or run `pb3dp mock-arm --tcp` with a key in \
                  another terminal and set backend = \"tcp\"",
@@ -258,7 +276,6 @@ fn operator(
         }
         return Ok((Box::new(Person::new(Console::start()?, patience)), None));
     }
-    let choices: &[ArmChoice] = if args.company.alone { &[choice] } else { &[choice, choice.other()] };
     let mut arms = Vec::new();
     let key = TestKey::new()?;
     let mut first = None;

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use anyhow::{Result, bail};
-use pb3dp_arm_pa10_protocol::codec::Axis;
+use pb3dp_arm_pa10_protocol::codec::{Axis, Signal, SignalSource};
 use pb3dp_cell::parts::ArmChoice;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_platform::signals::StopSignals;
@@ -22,6 +22,8 @@ pub enum Act {
     PullCable(ArmChoice),
     /// Plug the cable in again.
     PlugCable(ArmChoice),
+    /// Actuate or release the switch of a signal.
+    Switch(ArmChoice, Signal, bool),
 }
 
 /// Something that the operator can see.
@@ -38,6 +40,17 @@ pub enum Question {
         axis: Axis,
         /// Its angle, rad.
         by_rad: f64,
+    },
+    /// Whether the arm has this switch.
+    HasSwitch(Signal),
+    /// Whether bits that two signals change may show one of them.
+    Shared {
+        /// The signal.
+        signal: Signal,
+        /// The other one.
+        other: Signal,
+        /// The bits.
+        source: SignalSource,
     },
     /// Whether this arm stopped at once and is stationary with closed brakes.
     Stopped(ArmChoice),
@@ -146,7 +159,22 @@ impl std::fmt::Display for Act {
             Self::ReleaseEmergencyStop(arm) => write!(f, "Release the emergency stop of the {}", arm.name()),
             Self::PullCable(arm) => write!(f, "Pull the cable to the gateway of the {}", arm.name()),
             Self::PlugCable(arm) => write!(f, "Plug the cable to the gateway of the {} in again", arm.name()),
+            Self::Switch(arm, signal, is_on) => write!(f, "{} of the {}", action(*signal, *is_on), arm.name()),
         }
+    }
+}
+
+/// Instruction for the switch of a signal.
+fn action(signal: Signal, is_on: bool) -> &'static str {
+    match (signal, is_on) {
+        (Signal::EmergencyStop, true) => "Press the emergency stop",
+        (Signal::EmergencyStop, false) => "Release the emergency stop",
+        (Signal::LimitSwitch, true) => "Open a limit switch by hand",
+        (Signal::LimitSwitch, false) => "Close the limit switch",
+        (Signal::DeadMan, true) => "Release the dead-man switch",
+        (Signal::DeadMan, false) => "Hold the dead-man switch",
+        (Signal::Power, true) => "Switch off the servo power (without a switch: press the emergency stop)",
+        (Signal::Power, false) => "Switch on the servo power",
     }
 }
 
@@ -161,6 +189,11 @@ impl std::fmt::Display for Question {
                 f,
                 "Did {axis} alone turn, by {:+.2} degrees (positive as in the robot description), and did the arm not sag?",
                 by_rad.to_degrees()
+            ),
+            Self::HasSwitch(signal) => write!(f, "Does the arm have a {signal}?"),
+            Self::Shared { signal, other, source } => write!(
+                f,
+                "The bits {source} show the {signal} and the {other}. Is that plausible, and may they stop the arm for both?"
             ),
             Self::Stopped(arm) => {
                 write!(f, "Did the {} stop at once, and does it stand with its brakes closed?", arm.name())
