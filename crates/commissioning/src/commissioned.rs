@@ -9,6 +9,7 @@ use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::arm::{ArmMonitor, ArmSnapshot};
 use pb3dp_arm_pa10_protocol::codec::{Signal, StatusSignals};
 use pb3dp_cell::parts::ArmChoice;
+use pb3dp_record::text_file::read_text;
 use pb3dp_setup::setup::{ArmLink, ArmSetup, Setup};
 use serde::{Deserialize, Serialize};
 
@@ -115,7 +116,7 @@ impl CommissioningRecord {
     /// # Errors
     /// A file that cannot be read, or is no such record.
     pub fn load(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).with_context(|| format!("{}: cannot be read", path.display()))?;
+        let text = read_text(path).with_context(|| format!("{}: cannot be read", path.display()))?;
         let record: Self = serde_json::from_str(&text).with_context(|| format!("{}: no record", path.display()))?;
         if record.format != FORMAT {
             bail!("{}: format {}, this program reads {FORMAT}", path.display(), record.format);

@@ -24,5 +24,6 @@ pub mod overlay;
 pub mod plain_zero;
 pub mod point_cloud;
 pub mod report;
+pub mod text_file;
 
 pub use calibration_files::stops;

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use pb3dp_record::text_file::read_text;
+
 /// Why a configuration was refused.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
@@ -93,5 +95,5 @@ impl std::fmt::Display for FileKind {
 /// # Errors
 /// If the file cannot be read.
 pub(crate) fn text_of(file: &Path) -> Result<String, ConfigError> {
-    std::fs::read_to_string(file).map_err(|source| ConfigError::Unreadable { file: file.to_path_buf(), source })
+    read_text(file).map_err(|source| ConfigError::Unreadable { file: file.to_path_buf(), source })
 }

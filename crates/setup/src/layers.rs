@@ -147,8 +147,9 @@ const OF_LINK: [&str; 2] = ["gateway", "bus"];
 /// Backends of arms that move nothing outside this program.
 const EMULATED: [&str; 2] = ["mock", "emulated"];
 
-/// Keys that environment variables may not set for a real arm.
-const GUARDED: [&str; 4] = ["arms.", "mounts.", "servo.", "supervisor."];
+/// The only key that environment variables may set for a setup with real arms: every other one decides what moves, how fast, or
+/// which pose is believed.
+const BY_VARIABLE: &str = "run.seed";
 
 /// Keys of a file that control its layers.
 const BASE: &str = "base";
@@ -412,7 +413,7 @@ impl Layers {
         let mut lines = Vec::new();
         for layer in variables.iter().filter(|_| !real.is_empty()) {
             flatten(&layer.stated, "", &mut |key, _| {
-                if GUARDED.iter().any(|table| key.starts_with(table)) {
+                if key != BY_VARIABLE {
                     lines.push(format!(
                         "  {}: sets {key}, and real arms are used (arms.{}); state it in a file or with --set",
                         layer.origin,

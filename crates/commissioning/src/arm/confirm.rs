@@ -1,5 +1,6 @@
 //! Typed operator input, and the confirmation before an arm moves.
 
+use std::io::IsTerminal as _;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
@@ -91,4 +92,33 @@ impl Console {
 /// As [`Console::typed`].
 pub fn typed(name: &str, signals: &mut StopSignals) -> Result<()> {
     Console::start()?.typed(name, None, signals)
+}
+
+/// Checks that a person can type: commands and names for real arms must come from a terminal, because a pipe or a file types
+/// whether or not somebody is there. Test builds accept any standard input.
+///
+/// # Errors
+/// If standard input is no terminal.
+pub fn need_person() -> Result<()> {
+    match is_person(std::io::stdin().is_terminal(), cfg!(debug_assertions)) {
+        true => Ok(()),
+        false => bail!(
+            "standard input is not a terminal: a person must type the commands and names for arms that are not emulated; run the \
+             program in a terminal (`ssh -t` from another computer)"
+        ),
+    }
+}
+
+fn is_person(is_terminal: bool, is_test_build: bool) -> bool {
+    is_terminal || is_test_build
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pipe_is_no_person_in_a_release() {
+        assert!(is_person(true, false) && !is_person(false, false) && is_person(false, true));
+    }
 }

@@ -89,9 +89,6 @@ struct Company {
 }
 
 impl Company {
-    /// Without the other arm.
-    const ALONE: Self = Self { alone: true };
-
     /// Word that the operator types before this arm moves.
     fn word(self, choice: ArmChoice) -> String {
         let alone = if self.alone { " alone" } else { "" };
@@ -121,11 +118,11 @@ struct MotionArgs {
     /// Folder for the flight recorders of an aborted move; a new one in out/ unless given.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Print the joints of each cycle as a line of JSON, for the parent process.
+    /// Move for a checklist: its settings come as the first line of standard input, and the joints of each cycle go back as JSON.
     #[arg(long, hide = true)]
     report_joints: bool,
     /// TCP address of the arm, instead of the configured one.
-    #[arg(long, hide = true, value_name = "ADDRESS:PORT", requires = "line_key")]
+    #[arg(long, hide = true, value_name = "ADDRESS:PORT", requires_all = ["line_key", "report_joints"])]
     line: Option<SocketAddr>,
     /// Key file of the gateway at this address.
     #[arg(long, hide = true, value_name = "FILE", requires = "line")]

@@ -1,5 +1,6 @@
 //! `pb3dp arm home` and `pb3dp arm jog`: one slow move behind limiter and guard, only after the operator's confirmation.
 
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -78,16 +79,18 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     // Before any thread starts.
     let mut signals = StopSignals::take_over()?;
     let mut setup = read_layers(&place.setup)?;
-    if let (Some(address), Some(key_file)) = (args.line, &args.line_key) {
-        set_line(&mut setup, choice, address, key_file.clone());
+    if args.report_joints {
+        confirm_by_parent(&setup)?;
+        if let (Some(address), Some(key_file)) = (args.line, &args.line_key) {
+            set_line(&mut setup, choice, address, key_file.clone());
+        }
     }
     if choice.of(&setup).link == ArmLink::InProcess {
         bail!("{}.backend = \"mock\" has no arm to move; set emulated, serial, tcp or arcnet", choice.of(&setup).key);
     }
     let setup = slow_setup(&setup, choice, goal.joint_max_rad_per_s())?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
-    // The parent of a reporting process has checked it.
-    if args.company.alone && !args.report_joints {
+    if args.company.alone {
         check_other_is_off(&setup, choice, &clock)?;
     }
     let mut arm = wire_slow(&setup, choice, !args.company.alone, &clock)?;
@@ -98,11 +101,20 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
         print_line("dry run: the brakes stayed on and nothing moved; use --move to move the arm")?;
         return Ok(ExitCode::SUCCESS);
     }
-    print_line(&format!(
-        "The arm will move. Keep all persons out of its reach and a hand on the emergency stop.\nType {} to move it:",
-        args.company.word(choice)
-    ))?;
-    confirm::typed(&args.company.word(choice), &mut signals)?;
+    if !args.report_joints {
+        if !choice.of(&setup).link.is_toy() {
+            confirm::need_person()?;
+        }
+        print_line(&format!(
+            "The arm will move. Keep all persons out of its reach and a hand on the emergency stop.\nType {} to move it:",
+            args.company.word(choice)
+        ))?;
+        confirm::typed(&args.company.word(choice), &mut signals)?;
+        // The other arm may have been enabled while nobody typed.
+        if args.company.alone {
+            check_other_is_off(&setup, choice, &clock)?;
+        }
+    }
     enter_control_thread();
     let mut drive = Drive::new(&mut arm, &plan, &clock, setup.control_period);
     let outcome = drive.run(&mut signals, &mut |cycle| if args.report_joints { tell(cycle) } else { Ok(()) });
@@ -121,6 +133,22 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     let off_deg = (reached.position_rad - plan.end_rad()).amax().to_degrees();
     print_line(&format!("done: every joint within {off_deg:.3} degrees of its end, brakes on; {lost} replies lost"))?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// All settings of a setup on one line, which a checklist hands to the process that moves the arm.
+pub fn settings_line(setup: &Setup) -> Result<String> {
+    let all: BTreeMap<_, _> = setup.layers.effective().into_iter().map(|one| (one.key, one.value)).collect();
+    Ok(serde_json::to_string(&all)?)
+}
+
+/// Confirms a move that a checklist has started: its person has typed the name for exactly these settings.
+fn confirm_by_parent(setup: &Setup) -> Result<()> {
+    let mut line = String::new();
+    std::io::stdin().read_line(&mut line).context("cannot read the settings of the checklist")?;
+    if line.trim_end() != settings_line(setup)? {
+        bail!("the settings have changed since the checklist began; nothing was moved: begin the checklist again");
+    }
+    Ok(())
 }
 
 /// Writes the joint positions for the parent process. If that process has ended, the move ends.

@@ -27,6 +27,9 @@ pub fn run(place: &Place) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     };
     let name = choice.name();
+    if !choice.of(&setup).link.is_toy() {
+        confirm::need_person()?;
+    }
     print_line(&format!("{name} is stopped: {}\nAfter the cause is gone, type {name} to clear it:", latched.trip))?;
     confirm::typed(name, &mut signals)?;
     seen.arm.reset()?;

@@ -101,6 +101,7 @@ pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     if !(setup.rig.arms.vs.link.is_toy() && setup.rig.arms.tc.link.is_toy()) {
+        confirm::need_person()?;
         let name = tour.choice.name();
         print_line(&format!(
             "The arm will move. Keep all persons out of its reach and a hand on the emergency stop.\nType {name} to move it:"

@@ -38,6 +38,9 @@ impl Attendance {
             );
         }
         let (is_emulated, key_within) = (setup.is_emulated(), setup.operator_key_within);
+        if !is_emulated {
+            confirm::need_person()?;
+        }
         let by = |typed| Self { name: args.operator, is_emulated, key_within, typed };
         if is_emulated || args.operator == OperatorName::Console {
             return Ok(by(Box::new(BufReader::new(std::io::stdin()))));

@@ -98,6 +98,7 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     if !(setup.rig.arms.vs.link.is_toy() && setup.rig.arms.tc.link.is_toy()) {
+        confirm::need_person()?;
         tracing::warn!("{plan}; both arms will be enabled: type vs-robot and Enter to go on");
         confirm::typed("vs-robot", &mut signals)?;
     }

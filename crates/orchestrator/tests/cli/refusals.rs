@@ -4,7 +4,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use crate::cli::support::*;
-use crate::real_time::arm::{FIRST_RUN, setup_at};
+use crate::real_time::arm::{FIRST_RUN, pb3dp_arm, setup_at};
 
 /// One real pair, copied, with the words that estimate it.
 struct Pair {
@@ -229,6 +229,25 @@ fn arms_that_are_not_emulated_do_not_move_by_a_command_line_alone() {
     run(&["--move"]).assert_refused(&["vs-robot was not typed", "nothing was moved"]);
     assert!(listener.accept().is_err(), "a port was opened");
     assert!(!out.exists());
+}
+
+/// Options by which a checklist starts its process are no way around the checks.
+#[test]
+fn options_of_a_checklist_move_nothing_without_its_settings() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.set_nonblocking(true).unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    let folder = setup_at(&address);
+    let config = folder.path().join("cell.toml").display().to_string();
+    let jog = ["jog", "--axis", "7", "--by", "1", "--move", "--alone"];
+    let as_child = pb3dp_arm(&config, &[&jog[..], &["--report-joints"]].concat(), Some("vs-robot alone"));
+    as_child.assert_refused(&["the settings have changed since the checklist began", "nothing was moved"]);
+    let key = key_file().display().to_string();
+    let elsewhere = [&jog[..], &["--line", &address, "--line-key", &key]].concat();
+    let place = ["arm", "--config", &config, "--arm", "vs"];
+    let refused = pb3dp(&[&place[..1], &elsewhere[..], &place[1..]].concat());
+    assert!(!refused.success && refused.stderr.contains("--report-joints"), "{}", refused.stderr);
+    assert!(listener.accept().is_err(), "a port was opened");
 }
 
 #[test]

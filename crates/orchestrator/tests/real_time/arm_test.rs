@@ -10,7 +10,6 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::cli::silent_gateway::{Hosts, UnwatchedGateway};
-use crate::cli::support::key_file;
 use crate::real_time::arm::{Cell, START_DEG, command, hil, interrupt, pb3dp_arm, setup_at};
 use pb3dp_test_support::programs_in_real_time_beside_others;
 
@@ -340,40 +339,6 @@ fn an_emergency_stop_that_does_not_stop_fails() {
     });
 }
 
-/// Nobody knows what status words of format A mean.
-#[test]
-fn an_arm_that_does_not_tell_of_its_emergency_stop_fails() {
-    programs_in_real_time_beside_others(|| {
-        let args = ["--tcp", "127.0.0.1:0", "--priority", "45", "--pose-deg", START_DEG, "--format", "a"];
-        let mut arm = crate::cli::mock_arm::MockArm::start(&args);
-        let address = arm.line();
-        let folder = tempfile::tempdir().unwrap();
-        crate::real_time::arm::write_setup(&folder, |vs| {
-            let vs = vs.replacen("backend = \"emulated\"", "backend = \"tcp\"", 1);
-            let vs = vs.replacen("wire_format = \"B\"", "wire_format = \"A\"", 1);
-            vs.replacen(
-                "\narm = 1 ",
-                &format!("\naddress = \"{address}\"\nkey_file = \"{}\"\narm = 1 ", key_file().display()),
-                1,
-            )
-        });
-        let mut cell = Cell { arm, folder };
-        let acts = |test: &mut Rehearsal, cell: &mut Cell| {
-            test.answer("Press Enter", "");
-            test.until("NOW: Press the emergency stop");
-            cell.arm.say("e-stop press");
-            test.answer("Did the vs-robot stop at once", "yes");
-            test.until("Release the emergency stop of the vs-robot.");
-            cell.arm.say("e-stop release");
-            test.answer("Press Enter", "");
-        };
-        // Only its joints show it: they fall a little until the brakes hold.
-        fails("e-stop", &mut cell, acts, "the arm is stopped by an emergency stop: guard of arm");
-        assert!(cell.joints().1, "all brakes are closed");
-        cell.arm.quit();
-    });
-}
-
 #[test]
 fn a_gateway_that_does_not_watch_its_host_fails() {
     for (hosts, found) in
@@ -404,6 +369,24 @@ fn a_kill_leaves_it_moving(hosts: Hosts, found: &str) {
     let turned_deg = cell.joints().0[3] - crate::real_time::arm::START_E1_DEG;
     assert!(turned_deg > 2.5, "it went on by itself: {turned_deg}");
     cell.arm.quit();
+}
+
+/// The name was typed for other settings: with exchanged addresses it would be the other arm.
+#[test]
+fn a_setup_that_changes_during_the_checklist_moves_no_arm() {
+    programs_in_real_time_beside_others(|| {
+        let mut cell = Cell::start(&["--pose-deg", START_DEG]);
+        let (_folder, out) = folder();
+        let mut test = Rehearsal::of(&cell, "kill", &out);
+        let before = std::fs::read_to_string(cell.config()).unwrap();
+        std::fs::write(cell.config(), before.replacen("arm = 1 ", "arm = 2 ", 1)).unwrap();
+        test.answer("is killed during the move", "");
+        let (code, text) = test.finish();
+        assert_ne!(code, Some(0), "{text}");
+        let turned_deg = cell.joints().0[3] - crate::real_time::arm::START_E1_DEG;
+        assert!(turned_deg.abs() < 0.01 && cell.joints().1, "{turned_deg}: {text}");
+        cell.arm.quit();
+    });
 }
 
 #[test]

@@ -34,6 +34,9 @@ impl Document {
         if file.is_dir() {
             return Err(refuse("it is a directory".to_owned()));
         }
+        if file.exists() && !file.is_file() {
+            return Err(refuse("it is no regular file, but a pipe, a socket or a device".to_owned()));
+        }
         let mut bytes = Vec::new();
         let open = std::fs::File::open(file).map_err(|error| refuse(one_line(&error)))?;
         open.take(BYTES_MAX + 1).read_to_end(&mut bytes).map_err(|error| refuse(one_line(&error)))?;

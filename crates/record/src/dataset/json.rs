@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::DatasetError;
+use crate::text_file::read_text;
 
 /// A whole JSON file.
 pub(super) struct JsonFile {
@@ -14,11 +15,8 @@ pub(super) struct JsonFile {
 
 impl JsonFile {
     pub(super) fn read(path: &Path) -> Result<Self, DatasetError> {
-        let text = std::fs::read_to_string(path).map_err(|source| DatasetError::Io {
-            file: path.to_owned(),
-            action: "read",
-            source,
-        })?;
+        let text =
+            read_text(path).map_err(|source| DatasetError::Io { file: path.to_owned(), action: "read", source })?;
         let root =
             serde_json::from_str(&text).map_err(|source| DatasetError::Syntax { file: path.to_owned(), source })?;
         Ok(Self { path: path.to_owned(), root })

@@ -130,6 +130,11 @@ fn variables_do_not_command_a_real_arm_nor_hide_one() {
         ("arms.vs.backend", "mock"),
         ("mounts.flange_from_hand.translation_mm", "[0, 0, 0]"),
         ("servo.speed.linear_max_mm_per_s", "400.0"),
+        ("experiment.channels", "[\"rz\"]"),
+        ("camera.calibration", "[\"other.json\"]"),
+        ("camera.left.device", "/dev/video3"),
+        ("estimator.method", "published"),
+        ("run.estimate_latency_millis", "5.0"),
     ] {
         assert!(with(key, value).unwrap_err().contains(&format!("PB3DP_X: sets {key}")), "{key}");
     }

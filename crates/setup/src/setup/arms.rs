@@ -11,6 +11,7 @@ use pb3dp_hal_middleware::{
     CommandFade, CoupledArmConfig, GuardConfig, LimiterConfig, PA10_MECHANICAL_RANGE_DEG, StartPose,
 };
 use pb3dp_kinematics::{ArmShape, Chain, DOF, EffectiveLimits, JointLimits, JointVector, NO_JOINT_RAD, StatedLimits};
+use pb3dp_record::text_file::read_text;
 use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 use serde::Deserialize;
 
@@ -404,7 +405,7 @@ impl ArmSection {
         let file = Path::new(&self.robot);
         let xml = match built_in::text_at(&self.robot) {
             Some(text) => text.to_owned(),
-            None => std::fs::read_to_string(file)
+            None => read_text(file)
                 .inspect_err(|error| check.refuse(format!("{key}.robot: {} cannot be read: {error}", file.display())))
                 .ok()?,
         };

@@ -14,8 +14,7 @@ use pb3dp_wiring::commissioning::see;
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::super::drive::LATE_MAX;
-use super::super::motion::JointReport;
-use super::Company;
+use super::super::motion::{JointReport, settings_line};
 use super::operator::Question;
 use super::record::StepReport;
 use super::session::{Session, refused};
@@ -138,10 +137,9 @@ impl Mover {
             }
         };
         std::thread::Builder::new().name("mover".to_owned()).spawn(read).context("no thread for its lines")?;
-        // The operator has already typed the name, and the clearance on the path is known.
+        // The operator has already typed the name for these settings, and the clearance on the path is known.
         let mut input = input.context("the process that moves the arm has no input")?;
-        writeln!(input, "{}", Company::ALONE.word(session.choice))
-            .context("the process that moves the arm has ended")?;
+        writeln!(input, "{}", settings_line(&session.setup)?).context("the process that moves the arm has ended")?;
         Ok(mover)
     }
 

@@ -43,7 +43,7 @@ use self::report::{ProgramFacts, TestReport, Verdict};
 use self::session::{Session, is_interruption};
 use self::steps::Step;
 use self::test_line::{TestKey, TestLine};
-use super::confirm::Console;
+use super::confirm::{Console, need_person};
 use super::flights::{folder_of, utc};
 use super::motion::{JOG_RAD_PER_S, show_room};
 use super::probe_report::GatewayFacts;
@@ -273,6 +273,9 @@ fn operator_of(
                  another terminal and set backend = \"tcp\"",
                 emulated.of(setup).key
             );
+        }
+        if !choices.is_empty() {
+            need_person()?;
         }
         return Ok((Box::new(Person::new(Console::start()?, patience)), None));
     }

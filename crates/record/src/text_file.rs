@@ -1,0 +1,50 @@
+//! Text files of people and programs: settings, records, descriptions.
+
+use std::fs;
+use std::io::{Error, ErrorKind, Result};
+use std::path::Path;
+
+/// Largest file that is read as a whole, bytes.
+pub const TEXT_MAX_BYTES: u64 = 64 << 20;
+
+/// Reads a regular file. A pipe or a device would block the program or never end.
+///
+/// # Errors
+/// A file that is not regular, is larger than [`TEXT_MAX_BYTES`], cannot be read, or is not UTF-8.
+pub fn read_text(file: &Path) -> Result<String> {
+    let found = fs::metadata(file)?;
+    if found.is_dir() {
+        return Err(ErrorKind::IsADirectory.into());
+    }
+    if !found.is_file() {
+        return Err(Error::new(ErrorKind::InvalidInput, "it is no regular file, but a pipe, a socket or a device"));
+    }
+    if found.len() > TEXT_MAX_BYTES {
+        let message = format!("it has {} bytes, allowed are {TEXT_MAX_BYTES}", found.len());
+        return Err(Error::new(ErrorKind::FileTooLarge, message));
+    }
+    fs::read_to_string(file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_regular_file_is_refused_and_does_not_block() {
+        let folder = tempfile::tempdir().unwrap();
+        let told = |file: &Path| read_text(file).unwrap_err().to_string();
+        let pipe = folder.path().join("pipe");
+        rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RUSR).unwrap();
+        assert!(told(&pipe).contains("no regular file"), "{}", told(&pipe));
+        let link = folder.path().join("link");
+        std::os::unix::fs::symlink("/dev/zero", &link).unwrap();
+        assert!(told(&link).contains("no regular file"), "{}", told(&link));
+        assert!(told(folder.path()).contains("directory"));
+        let large = folder.path().join("large");
+        fs::File::create(&large).unwrap().set_len(TEXT_MAX_BYTES + 1).unwrap();
+        assert!(told(&large).contains("allowed are"), "{}", told(&large));
+        fs::write(&large, "text").unwrap();
+        assert_eq!(read_text(&large).unwrap(), "text");
+    }
+}
