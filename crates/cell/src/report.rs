@@ -1,14 +1,13 @@
 //! The report of a run: one self-contained page, and the same figures as text and JSON.
 
 use std::fmt::Write as _;
-use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, Result};
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_record::plain_zero::plain_zero;
 use pb3dp_record::report::{LinePlot, Report, ReportImage, Series, SeriesColor, Table};
-
+use pb3dp_record::text_file::write_text;
 use pb3dp_setup::layers::toml_of;
 use pb3dp_setup::setup::{CalibrationInUse, Setup};
 
@@ -71,7 +70,7 @@ fn write_all(
     });
     let write = |name: &str, text: String| {
         let file = folder.join(name);
-        fs::write(&file, text).with_context(|| format!("{}: cannot be written", file.display()))
+        write_text(&file, &text).with_context(|| format!("{}: cannot be written", file.display()))
     };
     write("summary.json", serde_json::to_string_pretty(&json)? + "\n")?;
     let joints = [&setup.rig.arms.vs, &setup.rig.arms.tc].map(|arm| arm.chain.joints());

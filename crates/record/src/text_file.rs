@@ -26,6 +26,24 @@ pub fn read_text(file: &Path) -> Result<String> {
     fs::read_to_string(file)
 }
 
+/// Writes a file in one piece: an interrupted write leaves the old one, and a symbolic link of this name is replaced, so that
+/// nothing outside the folder changes.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write_text(file: &Path, text: &str) -> Result<()> {
+    let mut name = file.file_name().unwrap_or_default().to_owned();
+    name.push(".new");
+    let new = file.with_file_name(name);
+    // An interrupted write, or a link of somebody else.
+    match fs::remove_file(&new) {
+        Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
+        _ => {}
+    }
+    fs::write(&new, text)?;
+    fs::rename(&new, file)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -44,7 +62,20 @@ mod tests {
         let large = folder.path().join("large");
         fs::File::create(&large).unwrap().set_len(TEXT_MAX_BYTES + 1).unwrap();
         assert!(told(&large).contains("allowed are"), "{}", told(&large));
-        fs::write(&large, "text").unwrap();
+        write_text(&large, "text").unwrap();
         assert_eq!(read_text(&large).unwrap(), "text");
+    }
+    #[test]
+    fn a_link_is_replaced_and_what_it_points_to_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let (link, other) = (folder.path().join("report.html"), folder.path().join("other"));
+        fs::write(&other, "mine").unwrap();
+        std::os::unix::fs::symlink(&other, &link).unwrap();
+        write_text(&link, "report").unwrap();
+        assert_eq!(
+            (fs::read_to_string(&other).unwrap(), fs::read_to_string(&link).unwrap()),
+            ("mine".into(), "report".into())
+        );
+        assert!(!link.is_symlink());
     }
 }

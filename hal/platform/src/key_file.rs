@@ -1,5 +1,6 @@
 //! Files of secret keys: only their owner may read them, and nothing shows their contents.
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{Read, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
@@ -10,6 +11,9 @@ const NEW_KEY_BYTES: usize = 32;
 
 /// Longest file that is read.
 const FILE_BYTES_MAX: u64 = 4096;
+
+/// Fewest distinct bytes of a key: zeros and repeated words are no keys.
+const DISTINCT_MIN: usize = 8;
 
 /// Permissions that a key file may have.
 const MODES: [u32; 2] = [0o600, 0o400];
@@ -46,7 +50,7 @@ pub enum KeyFileError {
     },
     /// It is no regular file, or its text is no key.
     #[error(
-        "key file {}: it holds no key of at least {bytes_min} bytes in hexadecimal digits: make one with `pb3dp gateway key FILE`, \
+        "key file {}: it holds no key of at least {bytes_min} random bytes in hexadecimal digits: make one with `pb3dp gateway key FILE`, \
          and copy it unchanged",
         file.display()
     )]
@@ -103,7 +107,7 @@ pub fn read_key(file: &Path, bytes_min: usize) -> Result<Vec<u8>, KeyFileError> 
     }
     let mut text = Vec::new();
     opened.take(FILE_BYTES_MAX).read_to_end(&mut text).map_err(read)?;
-    decode(text.trim_ascii()).filter(|key| key.len() >= bytes_min).ok_or_else(no_key)
+    decode(text.trim_ascii()).filter(|key| key.len() >= bytes_min && is_random(key)).ok_or_else(no_key)
 }
 
 /// Writes a new random key to a file that must not exist, with mode 0600.
@@ -117,6 +121,11 @@ pub fn write_new_key(file: &Path) -> Result<(), KeyFileError> {
     let mut opened = File::options().write(true).create_new(true).mode(0o600).open(file).map_err(write)?;
     opened.write_all(text.as_bytes()).and_then(|()| opened.write_all(b"\n")).map_err(write)?;
     opened.sync_all().map_err(write)
+}
+
+/// Whether a key can be random: of 32 random bytes, fewer than [`DISTINCT_MIN`] are distinct once in 10^40 keys.
+fn is_random(key: &[u8]) -> bool {
+    key.iter().collect::<BTreeSet<_>>().len() >= DISTINCT_MIN
 }
 
 fn decode(digits: &[u8]) -> Option<Vec<u8>> {
@@ -162,11 +171,22 @@ mod tests {
     fn what_is_no_key_is_refused_without_its_text() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("key");
-        for text in ["", "secret", &"5e".repeat(31), &"5g".repeat(32), &"5e".repeat(32)[1..]] {
+        for text in [
+            "",
+            "secret",
+            &"5e".repeat(31),
+            &"5g".repeat(32),
+            &"5e".repeat(32)[1..],
+            &"00".repeat(32),
+            &"5e5f".repeat(16),
+        ] {
             std::fs::write(&file, text).unwrap();
             std::fs::set_permissions(&file, Permissions::from_mode(0o600)).unwrap();
             let error = read_key(&file, 32).unwrap_err().to_string();
-            assert!(error.contains("no key of at least 32 bytes") && error.contains("pb3dp gateway key"), "{error}");
+            assert!(
+                error.contains("no key of at least 32 random bytes") && error.contains("pb3dp gateway key"),
+                "{error}"
+            );
             assert!(!error.contains("secret") && !error.contains("5e5e"), "{error}");
         }
         assert!(matches!(read_key(folder.path(), 32), Err(KeyFileError::NoKey { .. } | KeyFileError::Read { .. })));

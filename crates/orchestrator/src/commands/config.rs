@@ -3,11 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::time::SystemTime;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand, ValueEnum};
 use pb3dp_cell::paths::check_stated_paths;
 use pb3dp_cell::terminal::print_line;
+use pb3dp_commissioning::commissioned::needed_records;
 use pb3dp_setup::explain::{explain, is_within};
 use pb3dp_setup::layers::{Effective, Layers, SetupArgs, built_in, toml_of};
 use pb3dp_setup::setup::{is_for_cameras_only, read_cameras, read_layers};
@@ -144,7 +146,9 @@ fn check(args: &CheckArgs) -> Result<ExitCode> {
         return check_cameras(&args.setup);
     }
     let setup = read_layers(&args.setup)?;
-    check_stated_paths(&setup).context("`pb3dp run` would refuse this setup")?;
+    let would_refuse = "`pb3dp run` would refuse this setup";
+    check_stated_paths(&setup).context(would_refuse)?;
+    needed_records(&setup, SystemTime::now()).context(would_refuse)?;
     print_line(&format!("{}: {} values, accepted", args.setup, setup.layers.effective().len()))?;
     Ok(ExitCode::SUCCESS)
 }

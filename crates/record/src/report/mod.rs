@@ -33,6 +33,7 @@ pub use svg_file::svg_file;
 
 use crate::images::{StoredFormat, encode};
 use crate::plain_zero::plain_zero;
+use crate::text_file::write_text;
 
 /// Why a report was not written.
 #[derive(Debug, thiserror::Error)]
@@ -253,7 +254,7 @@ impl Report {
     /// An image could not be encoded or the file cannot be written.
     pub fn write(self, file: &Path) -> Result<(), ReportError> {
         let html = self.to_html()?;
-        std::fs::write(file, html).map_err(|source| ReportError::Write { file: file.to_owned(), source })
+        write_text(file, &html).map_err(|source| ReportError::Write { file: file.to_owned(), source })
     }
 
     fn page(&self) -> String {
