@@ -117,7 +117,15 @@ fn stage(workspace: &Workspace, release: &Release) -> anyhow::Result<PathBuf> {
         copy(&generated.join("completions").join(from), &tree.join(to))?;
     }
     let documentation = tree.join("share/doc/pb3dp");
-    for name in ["README.md", "CHANGELOG.md", "SECURITY.md", "LICENSE-MIT", "LICENSE-APACHE"] {
+    for name in [
+        "README.md",
+        "ARCHITECTURE.md",
+        "CHANGELOG.md",
+        "CONTRIBUTING.md",
+        "SECURITY.md",
+        "LICENSE-MIT",
+        "LICENSE-APACHE",
+    ] {
         copy(&workspace.root().join(name), &documentation.join(name))?;
     }
     for name in ["docs", "configs"] {

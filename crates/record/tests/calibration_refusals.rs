@@ -172,6 +172,12 @@ fn case_calibrations() {
     let (bare, _) = text.split_once(",\n \"convention\"").unwrap();
     let files = [("calib.json", &*format!("{bare}\n}}"))];
     self::check(&files, 0, "\"t_mm\"", "\"t_m\"", ["calib.json: t_mm: is missing", ""]);
+    // Missed, a distortion or a statement about the file would be dropped without a word.
+    for (from, to, meant) in [("rectified", "rectifed", "rectified"), ("doffs_px", "dofs_px", "doffs_px")] {
+        let (from, to) = (format!("\"{from}\""), format!("\"{to}\""));
+        let reason = format!("is not a key of a calibration; did you mean {meant}?");
+        self::check(&[("calib.json", text)], 0, &from, &to, ["calib.json: ", &reason]);
+    }
 }
 
 #[test]

@@ -141,6 +141,15 @@ fn json_of(value: &str) -> Result<serde_json::Value> {
     Ok(serde_json::to_value(table.get("value"))?)
 }
 
+/// The same value with floating point numbers only: 17 and 17.0 are the same setting.
+fn with_floats(value: serde_json::Value) -> serde_json::Value {
+    match value {
+        serde_json::Value::Number(number) => number.as_f64().into(),
+        serde_json::Value::Array(list) => list.into_iter().map(with_floats).collect(),
+        other => other,
+    }
+}
+
 fn check(args: &CheckArgs) -> Result<ExitCode> {
     if is_for_cameras_only(&args.setup)? {
         return check_cameras(&args.setup);
@@ -178,8 +187,15 @@ fn diff(args: &DiffArgs) -> Result<ExitCode> {
     };
     let (a, b) = (of(&args.a, &[])?, of(&args.b, &args.set)?);
     let keys: std::collections::BTreeSet<&String> = a.keys().chain(b.keys()).collect();
-    let value = |setups: &BTreeMap<String, Effective>, key: &str| setups.get(key).map(|setting| setting.value.clone());
-    let differing: Vec<&String> = keys.into_iter().filter(|key| value(&a, key) != value(&b, key)).collect();
+    let value = |setups: &BTreeMap<String, Effective>, key: &str| {
+        setups.get(key).map(|setting| json_of(&setting.value).map(with_floats)).transpose()
+    };
+    let mut differing = Vec::new();
+    for key in keys {
+        if value(&a, key)? != value(&b, key)? {
+            differing.push(key);
+        }
+    }
     for key in &differing {
         print_line(key)?;
         for setups in [&a, &b] {

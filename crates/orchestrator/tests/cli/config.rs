@@ -69,6 +69,8 @@ fn an_experiment_that_a_run_refuses_is_refused_before() {
 fn differences_and_their_absence_have_exit_codes() {
     let same = config(&["diff", "sim", "sim"]);
     assert_eq!((same.code, same.stdout.as_str()), (Some(0), ""));
+    let as_integer = config(&["diff", "sim", "sim", "--set", "arms.least_room_mm=50"]);
+    assert_eq!((as_integer.code, as_integer.stdout.as_str()), (Some(0), ""), "50 and 50.0 are the same setting");
     let other = config(&["diff", "sim", "sim", "--set", "run.seed=7"]);
     assert_eq!(other.code, Some(3), "{other:?}");
     assert!(other.stdout.starts_with("run.seed\n") && other.stdout.contains("7"), "{}", other.stdout);

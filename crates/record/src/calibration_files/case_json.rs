@@ -11,6 +11,13 @@ use super::{checks, opencv, write};
 /// The only supported convention; a file may add text after it.
 const CONVENTION: &str = "X_right = R X_left + t";
 
+/// Keys that a file need not have: mistyped, they would be missed without a word, and the images be read without distortion.
+const OPTIONAL: [&str; 6] =
+    ["rectified", "distortion", "distortion_left", "distortion_right", "baseline_mm", "doffs_px"];
+
+/// Largest number of wrong, missing, additional or exchanged letters of a mistyped key. Other unknown keys are notes.
+const MISTYPED: usize = 2;
+
 pub(super) fn recognises(root: &Node<'_>) -> bool {
     // OpenCV files may spell a camera matrix the same way, but always have coefficients. A mistyped `t_mm` is named as missing.
     let is_ours = root.find("t_mm").is_some() || !opencv::has_coefficients(root);
@@ -23,6 +30,7 @@ pub(super) fn read(root: &Node<'_>) -> Result<StereoRig, CalibrationFileError> {
     {
         return Err(convention.refuse(format!("must begin with {CONVENTION:?}")));
     }
+    refuse_mistyped(root)?;
     let size = root.get("image_size")?.size_pair()?;
     let cameras = [camera(root, "left", size)?, camera(root, "right", size)?];
     check_offset(root, &cameras)?;
@@ -45,6 +53,18 @@ pub(super) fn read(root: &Node<'_>) -> Result<StereoRig, CalibrationFileError> {
         return Err(node.refuse(reason));
     }
     Ok(rig)
+}
+
+fn refuse_mistyped(root: &Node<'_>) -> Result<(), CalibrationFileError> {
+    for (key, node) in root.entries()? {
+        let is_like = |known: &&str| strsim::damerau_levenshtein(&key, known) <= MISTYPED;
+        if !OPTIONAL.contains(&key.as_str())
+            && let Some(known) = OPTIONAL.iter().find(is_like)
+        {
+            return Err(node.refuse(format!("is not a key of a calibration; did you mean {known}?")));
+        }
+    }
+    Ok(())
 }
 
 /// The statement of a file that its numbers are not measured. The key is a free note, so other files may have any value there.
