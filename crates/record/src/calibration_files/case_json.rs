@@ -57,7 +57,7 @@ pub(super) fn read(root: &Node<'_>) -> Result<StereoRig, CalibrationFileError> {
 
 fn refuse_mistyped(root: &Node<'_>) -> Result<(), CalibrationFileError> {
     for (key, node) in root.entries()? {
-        let is_like = |known: &&str| strsim::damerau_levenshtein(&key, known) <= MISTYPED;
+        let is_like = |known: &&&str| strsim::damerau_levenshtein(&key, known) <= MISTYPED;
         if !OPTIONAL.contains(&key.as_str())
             && let Some(known) = OPTIONAL.iter().find(is_like)
         {
