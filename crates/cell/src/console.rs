@@ -14,6 +14,7 @@ use pb3dp_servo::supervisor::{Decision, OperatorCommand, OperatorInput, Operator
 use rtrb::{Consumer, Producer, RingBuffer};
 
 use super::operator::Operator;
+use super::terminal::{has_word, without_escape_sequences};
 
 /// Commands that no control step has taken yet; `stop`, `hold` and `hold hand` need no space in this queue.
 const WORDS_MAX: usize = 16;
@@ -31,6 +32,12 @@ const ASKS_BEFORE: Duration = Duration::from_secs(10);
 
 /// Part of the answer to an unknown command.
 const WORDS: &str = "use select, start, hold, hold hand, resume, stop, reset, status, help or quit";
+
+/// Words that stop both arms.
+const STOP_WORDS: [&str; 3] = ["stop", "estop", "halt"];
+
+/// Part of a line that is too long which is read again with the next part: no word of a command is cut.
+const LINE_OVERLAP: usize = 64;
 
 /// Question to an operator who types nothing while an arm may move.
 const ASK: &str = "are you there? press Enter now, or the arms hold (operator_silent)";
@@ -334,15 +341,21 @@ impl Drop for Reading {
     }
 }
 
-/// The command of a line. `stop` and `hold` are recognised by the first word in any case and with any punctuation, because an operator
-/// in a hurry types `STOP!`; a command that can cause motion must be exact, and so must `hold hand`, which lets one arm move on.
+/// The command of a line. `stop` and `hold` are recognised anywhere in a line, in any case and with any punctuation, because an operator
+/// in a hurry types `STOP!` or hits an arrow key first; a command that can cause motion must be exact, and so must `hold hand`, which lets
+/// one arm move on.
 fn command_of(line: &str) -> Option<OperatorCommand> {
-    let first = line.split(|c: char| !c.is_alphabetic()).find(|word| !word.is_empty()).unwrap_or_default();
-    let is_cautious = |command: &OperatorCommand| {
-        matches!(command, OperatorCommand::Stop | OperatorCommand::Hold) && command.name().eq_ignore_ascii_case(first)
-    };
+    let exact = without_escape_sequences(line);
     let mut all = OperatorCommand::ALL.into_iter();
-    all.clone().find(|command| command.name() == line).or_else(|| all.find(is_cautious))
+    all.find(|command| command.name() == exact.trim()).or_else(|| cautious_command_of(line))
+}
+
+/// `stop` or `hold`, if the line contains such a word.
+fn cautious_command_of(line: &str) -> Option<OperatorCommand> {
+    if STOP_WORDS.into_iter().any(|word| has_word(line, word)) {
+        return Some(OperatorCommand::Stop);
+    }
+    has_word(line, OperatorCommand::Hold.name()).then_some(OperatorCommand::Hold)
 }
 
 impl Reading {
@@ -350,6 +363,8 @@ impl Reading {
     fn read(mut self, mut lines: impl BufRead) {
         let mut line = Vec::new();
         let mut is_rest = false;
+        // Obeyed in the line that is too long.
+        let mut obeyed = None;
         loop {
             match lines.by_ref().take(LINE_MAX).read_until(b'\n', &mut line) {
                 Ok(0) => break,
@@ -360,16 +375,20 @@ impl Reading {
                 }
                 Err(_) => break,
             }
-            let is_whole = line.ends_with(b"\n") || (line.len() as u64) < LINE_MAX;
-            if is_rest {
-                is_rest = !is_whole;
-            } else if is_whole {
+            let is_end = line.ends_with(b"\n");
+            if !is_rest && (is_end || (line.len() as u64) < LINE_MAX) {
                 self.take(String::from_utf8_lossy(&line).trim());
-            } else {
-                is_rest = true;
-                self.take_beginning(&String::from_utf8_lossy(&line));
+                line.clear();
+                continue;
             }
-            line.clear();
+            self.take_part(&String::from_utf8_lossy(&line), (is_rest, &mut obeyed));
+            is_rest = !is_end;
+            if is_rest {
+                line.drain(..line.len().saturating_sub(LINE_OVERLAP));
+            } else {
+                line.clear();
+                obeyed = None;
+            }
         }
         if !self.interrupt.load(Ordering::SeqCst) {
             self.answers.give("end of input: stopping both arms, then writing the report".to_owned());
@@ -377,7 +396,7 @@ impl Reading {
     }
 
     fn take(&mut self, line: &str) {
-        let answer = match (command_of(line), line) {
+        let answer = match (command_of(line), without_escape_sequences(line).trim()) {
             (Some(word), _) => self.say(word),
             (None, "status") => Some(self.status()),
             (None, "help" | "?") => Some(HELP.to_owned()),
@@ -393,11 +412,18 @@ impl Reading {
         }
     }
 
-    /// A line that is too long: only a command that is recognised by the first word is obeyed.
-    fn take_beginning(&mut self, beginning: &str) {
-        match command_of(beginning) {
-            Some(_) => self.take(beginning),
-            None => self.answers.give(format!("the line is longer than {LINE_MAX} bytes: {WORDS}")),
+    /// A part of a line that is too long: only `stop` and `hold` are obeyed, once for each line.
+    fn take_part(&mut self, part: &str, (is_rest, obeyed): (bool, &mut Option<OperatorCommand>)) {
+        let answer = match cautious_command_of(part) {
+            Some(word) if *obeyed != Some(word) && *obeyed != Some(OperatorCommand::Stop) => {
+                *obeyed = Some(word);
+                self.say(word)
+            }
+            None if !is_rest => Some(format!("the line is longer than {LINE_MAX} bytes: {WORDS}")),
+            _ => None,
+        };
+        if let Some(answer) = answer {
+            self.answers.give(answer);
         }
     }
 

@@ -105,15 +105,55 @@ fn a_console_hands_words_over_in_order_and_ends_the_run_behind_its_end() {
 #[test]
 fn a_stop_typed_in_a_hurry_is_a_stop_and_a_start_must_be_exact() {
     use OperatorCommand::{Hold, HoldHand, Start, Stop};
-    for line in
-        ["stop", "STOP", "Stop", "sToP", "Stop!", "stop now", "stop.", "  stop", "!stop", "stop hand", "stop: hold"]
-    {
+    for line in [
+        "stop",
+        "STOP",
+        "Stop",
+        "sToP",
+        "Stop!",
+        "stop now",
+        "stop.",
+        "  stop",
+        "!stop",
+        "stop hand",
+        "stop: hold",
+        "hold, stop",
+        "please stop",
+        "do not stop",
+        "é stop",
+        "e-stop",
+        "E-STOP",
+        "estop",
+        "halt",
+        "Halt!",
+        "start stop",
+        "\x1b[Astop",
+        "\x1bOPstop",
+        "\x1b[15~STOP",
+        "\x1bstop",
+        "st\x1b[Dop",
+        "\0stop\x07",
+    ] {
         assert_eq!(command_of(line), Some(Stop), "{line:?}");
     }
-    assert_eq!(["Hold", "HOLD it", "hold", "hold hands", "Hold hand", "hold hand!"].map(command_of), [Some(Hold); 6]);
+    for line in ["Hold", "HOLD it", "hold", "hold hands", "Hold hand", "hold hand!", "\x1b[Dhold", "please hold"] {
+        assert_eq!(command_of(line), Some(Hold), "{line:?}");
+    }
     assert_eq!(command_of("hold hand"), Some(HoldHand), "only exactly this lets the arm with the target move on");
-    assert_eq!(command_of("start"), Some(Start));
-    for line in ["START", "start now", "start.", "Resume", "reset!", "stopping", "do not stop", "restart", ""] {
+    assert_eq!(["start", "\x1b[Astart"].map(command_of), [Some(Start); 2]);
+    for line in [
+        "START",
+        "start now",
+        "start.",
+        "Resume",
+        "reset!",
+        "stopping",
+        "qstop",
+        "restart",
+        "\x08start",
+        "sta\x08rt",
+        "",
+    ] {
         assert_eq!(command_of(line), None, "{line:?}");
     }
 }
@@ -254,11 +294,27 @@ fn bytes_that_are_no_text_and_lines_without_end_are_no_words_and_close_nothing()
 }
 
 #[test]
-fn a_stop_at_the_beginning_of_a_line_that_is_too_long_is_a_stop() {
+fn a_stop_anywhere_in_a_line_that_is_too_long_is_a_stop() {
     let (mut console, mut writer, answers, _) = begun();
-    writeln!(writer, "STOP{}", "!".repeat(3 * LINE_MAX as usize)).unwrap();
-    wait_until(|| console.shared.stop.number.load(Ordering::SeqCst) > 0);
-    assert_eq!(word(&mut console), Some(OperatorCommand::Stop));
+    let long = |c: &str| c.repeat(3 * LINE_MAX as usize);
+    let edge = |before: usize| " ".repeat(LINE_MAX as usize - before);
+    for line in [
+        format!("STOP{}", long("!")),
+        format!("stop{}", long(" ")),
+        format!("{}stop", long(" ")),
+        format!("{}stop{}", edge(2), long(" ")),
+        format!("{}\x1b[Astop", edge(2)),
+        format!("{}hold{}stop", edge(200), long("x ")),
+    ] {
+        writeln!(writer, "{line}").unwrap();
+        wait_until(|| console.shared.stop.number.load(Ordering::SeqCst) > 0);
+        // The end of the line was read as well.
+        writeln!(writer, "select").unwrap();
+        wait_until(|| !console.words.is_empty());
+        assert_eq!(word(&mut console), Some(OperatorCommand::Stop), "{line:?}");
+        while word(&mut console).is_some() {}
+    }
+    while answers.try_recv().is_ok() {}
     writeln!(writer, "start {}", "x".repeat(LINE_MAX as usize)).unwrap();
     let refused = answers.recv_timeout(Duration::from_secs(30)).unwrap();
     assert!(refused.contains("longer than 256 bytes"), "{refused}");
