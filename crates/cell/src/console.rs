@@ -10,7 +10,7 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
-use pb3dp_servo::supervisor::{Decision, OperatorCommand, OperatorInput, OperatorRequest};
+use pb3dp_servo::supervisor::{Condition, Decision, OperatorCommand, OperatorInput, OperatorRequest, Transition};
 use rtrb::{Consumer, Producer, RingBuffer};
 
 use super::operator::Operator;
@@ -27,6 +27,13 @@ const READ_AGAIN: Duration = Duration::from_millis(10);
 /// Time between two checks for results of commands; an operator does not notice it.
 const RESULTS_EVERY: Duration = Duration::from_millis(50);
 
+/// Pause between two control steps after which the commands that wait were typed blind, while this program was suspended: the limit of
+/// `clock_stepped` in `configs`. At half of it a loaded machine discards commands; at double a fault can come and be cleared unseen.
+const SUSPENDED_AFTER: Duration = Duration::from_millis(200);
+/// Time after such a pause in which commands are discarded. The reading thread takes all waiting lines within milliseconds; at double an
+/// operator would notice it.
+const DISCARDS_FOR: Duration = Duration::from_millis(300);
+
 /// A console asks for a key this long before the longest silence, or a third of it before: time to read the line and to press Enter.
 const ASKS_BEFORE: Duration = Duration::from_secs(10);
 
@@ -41,6 +48,10 @@ const LINE_OVERLAP: usize = 64;
 
 /// Question to an operator who types nothing while an arm may move.
 const ASK: &str = "are you there? press Enter now, or the arms hold (operator_silent)";
+
+/// Answer to commands that were typed while this program was suspended.
+const DISCARDED: &str = "this program was suspended, or its clock stepped: commands typed meanwhile are discarded (not stop and hold); \
+                         type them again";
 
 /// Answer to `help`.
 const HELP: &str = "\
@@ -67,6 +78,11 @@ pub struct Console {
     asked_after: Option<MonotonicTime>,
     /// Time at which commands were first accepted; commands queued before are stamped with it.
     begun_at: Option<MonotonicTime>,
+    /// Time of the last control step.
+    listened_at: Option<MonotonicTime>,
+    /// Commands read before are discarded, except `stop` and the holds: they were typed while this program was suspended, and dated when
+    /// they were read.
+    discarded_until: MonotonicTime,
     /// Commands up to this number precede a `stop` or `hold` that was taken, and are dropped.
     overtaken: u64,
     /// The command that this control step obeys or refuses.
@@ -90,6 +106,8 @@ struct Shared {
     typed_nanos: AtomicU64,
     /// The operator must press a key; the answering thread asks for it.
     asks_for_key: AtomicBool,
+    /// A control step has discarded commands; the answering thread reports it.
+    has_discarded: AtomicBool,
     shown: Mutex<Shown>,
 }
 
@@ -157,6 +175,8 @@ impl Console {
             key_within: None,
             asked_after: None,
             begun_at: None,
+            listened_at: None,
+            discarded_until: MonotonicTime::ZERO,
             overtaken: 0,
             commanded: None,
             results,
@@ -201,9 +221,13 @@ impl Console {
             }
         }
         while let Ok((number, said)) = self.words.pop() {
-            if number > self.overtaken {
+            if number <= self.overtaken {
+                continue;
+            }
+            if said.at >= self.discarded_until {
                 return Some(said);
             }
+            self.shared.has_discarded.store(true, Ordering::SeqCst);
         }
         None
     }
@@ -223,6 +247,10 @@ impl Operator for Console {
     fn listen(&mut self, last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
         let begun_at = *self.begun_at.get_or_insert(now);
         self.shared.has_begun.store(true, Ordering::SeqCst);
+        let before = self.listened_at.replace(now).unwrap_or(now);
+        if now < before || now.saturating_since(before) > SUSPENDED_AFTER {
+            self.discarded_until = now + DISCARDS_FOR;
+        }
         self.heard_at = self.heard_at(begun_at, now);
         if let Some(last) = last {
             self.ask_for_key(last, now);
@@ -236,6 +264,11 @@ impl Operator for Console {
         if let Some(command) = self.commanded.take() {
             // More results than anybody reads are dropped; the log has all.
             let _ = self.results.push((command, *decision));
+        }
+        if let Some(Transition { at, cause: Some(cause), .. }) = decision.transition
+            && cause.condition == Condition::ClockStepped
+        {
+            self.discarded_until = at + DISCARDS_FOR;
         }
         let mut untold = self.untold.take();
         // If the lock is held, the reader gets the state of the previous step.
@@ -298,6 +331,9 @@ fn write_all(
         }
         if shared.asks_for_key.swap(false, Ordering::SeqCst) {
             answer(ASK);
+        }
+        if shared.has_discarded.swap(false, Ordering::SeqCst) {
+            answer(DISCARDED);
         }
         if said == Err(RecvTimeoutError::Disconnected) {
             return;

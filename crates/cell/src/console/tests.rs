@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_servo::Mode;
-use pb3dp_servo::supervisor::{ArmCondition, ArmInput, Innovation, Inputs, State, Supervisor};
+use pb3dp_servo::supervisor::{ArmCondition, ArmInput, Cause, Detail, Event, Innovation, Inputs, State, Supervisor};
 use pb3dp_setup::setup::read_setup;
 
 use super::*;
@@ -158,6 +158,48 @@ fn a_stop_typed_in_a_hurry_is_a_stop_and_a_start_must_be_exact() {
     }
 }
 
+/// Suspended by SIGSTOP or with its machine: what was typed meanwhile is read, and dated, after it.
+#[test]
+fn commands_typed_while_the_program_was_suspended_are_discarded_but_not_stop_and_hold() {
+    use OperatorCommand::{Hold, Reset, Start, Stop};
+    let (lines, mut writer) = typed();
+    let (written, answers) = channel();
+    let clock = Arc::new(VirtualClock::new());
+    let reading: Arc<dyn Clock> = clock.clone();
+    let mut console = Console::start(reading, lines, Written(written), (Arc::default(), "")).unwrap();
+    let at = MonotonicTime::from_secs_f64;
+    let mut say = |console: &Console, line: &str, seconds: f64| {
+        clock.sleep_until(at(seconds));
+        writeln!(writer, "{line}").unwrap();
+        wait_until(|| !console.words.is_empty() || console.shared.hold.number.load(Ordering::SeqCst) > 0);
+    };
+    let word = |console: &mut Console, seconds: f64| console.listen(None, at(seconds)).said.map(|said| said.word);
+    assert_eq!(word(&mut console, 1.0), None);
+    // A late step is not a suspension.
+    say(&console, "start", 1.19);
+    assert_eq!(word(&mut console, 1.19), Some(Start));
+    // Read before the first step after the pause, and after it.
+    say(&console, "reset", 2.0);
+    assert_eq!([2.001, 2.01].map(|seconds| word(&mut console, seconds)), [None; 2]);
+    assert_eq!(answers.recv_timeout(Duration::from_secs(30)).unwrap().trim(), DISCARDED);
+    say(&console, "reset", 2.1);
+    assert_eq!(word(&mut console, 2.1), None);
+    say(&console, "hold", 2.2);
+    assert_eq!(word(&mut console, 2.2), Some(Hold));
+    say(&console, "stop\nhold", 2.25);
+    assert_eq!(word(&mut console, 2.25), Some(Stop));
+    assert_eq!([2.26, 2.4].map(|seconds| word(&mut console, seconds)), [Some(Hold), None]);
+    say(&console, "reset", 2.5);
+    assert_eq!(word(&mut console, 2.5), Some(Reset));
+    // The supervisor has found a clock step that the times of the steps do not show.
+    let cause = Cause { condition: Condition::ClockStepped, value: 0.1, threshold: 0.05, detail: Detail::None };
+    let (from, to) = (State::Tracking, State::Holding);
+    let transition = Transition { at: at(2.6), from, to, event: Event::HoldFound, cause: Some(cause) };
+    console.show(&Decision { transition: Some(transition), ..decision() });
+    say(&console, "reset", 2.65);
+    assert_eq!(word(&mut console, 2.65), None);
+}
+
 #[test]
 fn every_command_gets_its_result_as_an_answer() {
     let (mut console, mut writer, answers, _) = begun();
@@ -197,7 +239,7 @@ fn words_that_are_said_while_the_arms_are_switched_on_are_kept_or_refused_at_onc
     // From now on each command counts at the time of its input.
     writeln!(writer, "start").unwrap();
     wait_until(|| !console.words.is_empty());
-    assert_eq!(word(&mut console), Some(OperatorCommand::Start));
+    assert_eq!(console.listen(None, later).said.map(|said| said.word), Some(OperatorCommand::Start));
 }
 
 #[test]
