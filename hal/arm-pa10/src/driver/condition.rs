@@ -103,10 +103,7 @@ pub enum FaultCause {
         configured: WireFormat,
     },
     /// The link was unplugged or closed.
-    #[error(
-        "the link is gone (unplugged or closed); the arm may still be moving: if it moves, press its emergency stop; connect the link \
-         again, then reset"
-    )]
+    #[error("the link is gone (unplugged); if the arm moves, press its emergency stop; connect it again, then reset")]
     Unplugged,
     /// A valid frame of another arm came.
     #[error(
