@@ -10,10 +10,11 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
-use pb3dp_servo::supervisor::{Decision, OperatorCommand, OperatorInput, OperatorRequest};
+use pb3dp_servo::supervisor::{Condition, Decision, OperatorCommand, OperatorInput, OperatorRequest, Transition};
 use rtrb::{Consumer, Producer, RingBuffer};
 
 use super::operator::Operator;
+use super::terminal::{has_word, without_escape_sequences};
 
 /// Commands that no control step has taken yet; `stop`, `hold` and `hold hand` need no space in this queue.
 const WORDS_MAX: usize = 16;
@@ -26,14 +27,31 @@ const READ_AGAIN: Duration = Duration::from_millis(10);
 /// Time between two checks for results of commands; an operator does not notice it.
 const RESULTS_EVERY: Duration = Duration::from_millis(50);
 
+/// Pause between two control steps after which the commands that wait were typed blind, while this program was suspended: the limit of
+/// `clock_stepped` in `configs`. At half of it a loaded machine discards commands; at double a fault can come and be cleared unseen.
+const SUSPENDED_AFTER: Duration = Duration::from_millis(200);
+/// Time after such a pause in which commands are discarded. The reading thread takes all waiting lines within milliseconds; at double an
+/// operator would notice it.
+const DISCARDS_FOR: Duration = Duration::from_millis(300);
+
 /// A console asks for a key this long before the longest silence, or a third of it before: time to read the line and to press Enter.
 const ASKS_BEFORE: Duration = Duration::from_secs(10);
 
 /// Part of the answer to an unknown command.
 const WORDS: &str = "use select, start, hold, hold hand, resume, stop, reset, status, help or quit";
 
+/// Words that stop both arms.
+const STOP_WORDS: [&str; 3] = ["stop", "estop", "halt"];
+
+/// Part of a line that is too long which is read again with the next part: no word of a command is cut.
+const LINE_OVERLAP: usize = 64;
+
 /// Question to an operator who types nothing while an arm may move.
 const ASK: &str = "are you there? press Enter now, or the arms hold (operator_silent)";
+
+/// Answer to commands that were typed while this program was suspended.
+const DISCARDED: &str = "this program was suspended, or its clock stepped: commands typed meanwhile are discarded (not stop and hold); \
+                         type them again";
 
 /// Answer to `help`.
 const HELP: &str = "\
@@ -60,6 +78,11 @@ pub struct Console {
     asked_after: Option<MonotonicTime>,
     /// Time at which commands were first accepted; commands queued before are stamped with it.
     begun_at: Option<MonotonicTime>,
+    /// Time of the last control step.
+    listened_at: Option<MonotonicTime>,
+    /// Commands read before are discarded, except `stop` and the holds: they were typed while this program was suspended, and dated when
+    /// they were read.
+    discarded_until: MonotonicTime,
     /// Commands up to this number precede a `stop` or `hold` that was taken, and are dropped.
     overtaken: u64,
     /// The command that this control step obeys or refuses.
@@ -83,6 +106,8 @@ struct Shared {
     typed_nanos: AtomicU64,
     /// The operator must press a key; the answering thread asks for it.
     asks_for_key: AtomicBool,
+    /// A control step has discarded commands; the answering thread reports it.
+    has_discarded: AtomicBool,
     shown: Mutex<Shown>,
 }
 
@@ -150,6 +175,8 @@ impl Console {
             key_within: None,
             asked_after: None,
             begun_at: None,
+            listened_at: None,
+            discarded_until: MonotonicTime::ZERO,
             overtaken: 0,
             commanded: None,
             results,
@@ -194,9 +221,13 @@ impl Console {
             }
         }
         while let Ok((number, said)) = self.words.pop() {
-            if number > self.overtaken {
+            if number <= self.overtaken {
+                continue;
+            }
+            if said.at >= self.discarded_until {
                 return Some(said);
             }
+            self.shared.has_discarded.store(true, Ordering::SeqCst);
         }
         None
     }
@@ -216,6 +247,10 @@ impl Operator for Console {
     fn listen(&mut self, last: Option<&Decision>, now: MonotonicTime) -> OperatorInput {
         let begun_at = *self.begun_at.get_or_insert(now);
         self.shared.has_begun.store(true, Ordering::SeqCst);
+        let before = self.listened_at.replace(now).unwrap_or(now);
+        if now < before || now.saturating_since(before) > SUSPENDED_AFTER {
+            self.discarded_until = now + DISCARDS_FOR;
+        }
         self.heard_at = self.heard_at(begun_at, now);
         if let Some(last) = last {
             self.ask_for_key(last, now);
@@ -229,6 +264,11 @@ impl Operator for Console {
         if let Some(command) = self.commanded.take() {
             // More results than anybody reads are dropped; the log has all.
             let _ = self.results.push((command, *decision));
+        }
+        if let Some(Transition { at, cause: Some(cause), .. }) = decision.transition
+            && cause.condition == Condition::ClockStepped
+        {
+            self.discarded_until = at + DISCARDS_FOR;
         }
         let mut untold = self.untold.take();
         // If the lock is held, the reader gets the state of the previous step.
@@ -292,6 +332,9 @@ fn write_all(
         if shared.asks_for_key.swap(false, Ordering::SeqCst) {
             answer(ASK);
         }
+        if shared.has_discarded.swap(false, Ordering::SeqCst) {
+            answer(DISCARDED);
+        }
         if said == Err(RecvTimeoutError::Disconnected) {
             return;
         }
@@ -334,15 +377,21 @@ impl Drop for Reading {
     }
 }
 
-/// The command of a line. `stop` and `hold` are recognised by the first word in any case and with any punctuation, because an operator
-/// in a hurry types `STOP!`; a command that can cause motion must be exact, and so must `hold hand`, which lets one arm move on.
+/// The command of a line. `stop` and `hold` are recognised anywhere in a line, in any case and with any punctuation, because an operator
+/// in a hurry types `STOP!` or hits an arrow key first; a command that can cause motion must be exact, and so must `hold hand`, which lets
+/// one arm move on.
 fn command_of(line: &str) -> Option<OperatorCommand> {
-    let first = line.split(|c: char| !c.is_alphabetic()).find(|word| !word.is_empty()).unwrap_or_default();
-    let is_cautious = |command: &OperatorCommand| {
-        matches!(command, OperatorCommand::Stop | OperatorCommand::Hold) && command.name().eq_ignore_ascii_case(first)
-    };
+    let exact = without_escape_sequences(line);
     let mut all = OperatorCommand::ALL.into_iter();
-    all.clone().find(|command| command.name() == line).or_else(|| all.find(is_cautious))
+    all.find(|command| command.name() == exact.trim()).or_else(|| cautious_command_of(line))
+}
+
+/// `stop` or `hold`, if the line contains such a word.
+fn cautious_command_of(line: &str) -> Option<OperatorCommand> {
+    if STOP_WORDS.into_iter().any(|word| has_word(line, word)) {
+        return Some(OperatorCommand::Stop);
+    }
+    has_word(line, OperatorCommand::Hold.name()).then_some(OperatorCommand::Hold)
 }
 
 impl Reading {
@@ -350,6 +399,8 @@ impl Reading {
     fn read(mut self, mut lines: impl BufRead) {
         let mut line = Vec::new();
         let mut is_rest = false;
+        // Obeyed in the line that is too long.
+        let mut obeyed = None;
         loop {
             match lines.by_ref().take(LINE_MAX).read_until(b'\n', &mut line) {
                 Ok(0) => break,
@@ -360,16 +411,20 @@ impl Reading {
                 }
                 Err(_) => break,
             }
-            let is_whole = line.ends_with(b"\n") || (line.len() as u64) < LINE_MAX;
-            if is_rest {
-                is_rest = !is_whole;
-            } else if is_whole {
+            let is_end = line.ends_with(b"\n");
+            if !is_rest && (is_end || (line.len() as u64) < LINE_MAX) {
                 self.take(String::from_utf8_lossy(&line).trim());
-            } else {
-                is_rest = true;
-                self.take_beginning(&String::from_utf8_lossy(&line));
+                line.clear();
+                continue;
             }
-            line.clear();
+            self.take_part(&String::from_utf8_lossy(&line), (is_rest, &mut obeyed));
+            is_rest = !is_end;
+            if is_rest {
+                line.drain(..line.len().saturating_sub(LINE_OVERLAP));
+            } else {
+                line.clear();
+                obeyed = None;
+            }
         }
         if !self.interrupt.load(Ordering::SeqCst) {
             self.answers.give("end of input: stopping both arms, then writing the report".to_owned());
@@ -377,7 +432,7 @@ impl Reading {
     }
 
     fn take(&mut self, line: &str) {
-        let answer = match (command_of(line), line) {
+        let answer = match (command_of(line), without_escape_sequences(line).trim()) {
             (Some(word), _) => self.say(word),
             (None, "status") => Some(self.status()),
             (None, "help" | "?") => Some(HELP.to_owned()),
@@ -393,11 +448,18 @@ impl Reading {
         }
     }
 
-    /// A line that is too long: only a command that is recognised by the first word is obeyed.
-    fn take_beginning(&mut self, beginning: &str) {
-        match command_of(beginning) {
-            Some(_) => self.take(beginning),
-            None => self.answers.give(format!("the line is longer than {LINE_MAX} bytes: {WORDS}")),
+    /// A part of a line that is too long: only `stop` and `hold` are obeyed, once for each line.
+    fn take_part(&mut self, part: &str, (is_rest, obeyed): (bool, &mut Option<OperatorCommand>)) {
+        let answer = match cautious_command_of(part) {
+            Some(word) if *obeyed != Some(word) && *obeyed != Some(OperatorCommand::Stop) => {
+                *obeyed = Some(word);
+                self.say(word)
+            }
+            None if !is_rest => Some(format!("the line is longer than {LINE_MAX} bytes: {WORDS}")),
+            _ => None,
+        };
+        if let Some(answer) = answer {
+            self.answers.give(answer);
         }
     }
 

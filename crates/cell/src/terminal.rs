@@ -16,6 +16,34 @@ pub fn print_line(line: &str) -> io::Result<()> {
     }
 }
 
+/// The line without the escape sequences of arrow and function keys.
+pub fn without_escape_sequences(line: &str) -> String {
+    let (mut text, mut rest) = (String::with_capacity(line.len()), line.chars().peekable());
+    while let Some(c) = rest.next() {
+        if c != '\x1b' {
+            text.push(c);
+        } else if rest.next_if_eq(&'O').is_some() {
+            // SS3: one character follows.
+            rest.next();
+        } else if rest.next_if_eq(&'[').is_some() {
+            // CSI: parameters and a final character (ECMA-48, 5.4). The Linux console sends `[[A` for F1.
+            if rest.next_if_eq(&'[').is_none() {
+                while rest.next_if(|c| (' '..='?').contains(c)).is_some() {}
+            }
+            rest.next_if(|c| ('@'..='~').contains(c));
+        }
+    }
+    text
+}
+
+/// Whether a line contains a word in any case, with any punctuation, escape sequences or control characters around it. Only for words
+/// that stop something.
+pub fn has_word(line: &str, word: &str) -> bool {
+    let is_in = |text: &str| text.split(|c: char| !c.is_alphabetic()).any(|part| part.eq_ignore_ascii_case(word));
+    // The line as it is, too: a key can take the first letter of the word for its own.
+    is_in(line) || is_in(&without_escape_sequences(line).replace(char::is_control, ""))
+}
+
 /// The lines of standard input without line ends, as they arrive; none follows an error.
 ///
 /// # Errors
@@ -23,7 +51,8 @@ pub fn print_line(line: &str) -> io::Result<()> {
 pub fn typed_lines() -> Result<Receiver<std::io::Result<String>>> {
     let (sender, receiver) = channel();
     let read = move || {
-        for line in std::io::stdin().lock().lines() {
+        // Bytes that are no text are part of a line: they must not end the reading.
+        for line in std::io::stdin().lock().split(b'\n').map(|line| line.map(text_of)) {
             let is_last = line.is_err();
             if sender.send(line).is_err() || is_last {
                 return;
@@ -32,6 +61,11 @@ pub fn typed_lines() -> Result<Receiver<std::io::Result<String>>> {
     };
     std::thread::Builder::new().name("typed lines".to_owned()).spawn(read).context("no thread for typed lines")?;
     Ok(receiver)
+}
+
+fn text_of(mut line: Vec<u8>) -> String {
+    line.pop_if(|end| *end == b'\r');
+    String::from_utf8_lossy(&line).into_owned()
 }
 
 /// The lines of [`typed_lines`] as an input, after the first ones were read as answers: a second reader of standard input would compete
@@ -87,6 +121,29 @@ pub fn parse_seconds(text: &str) -> Result<f64, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn escape_sequences_are_dropped_and_nothing_else() {
+        for (line, text) in [
+            ("\x1b[Astop", "stop"),
+            ("st\x1b[1;5Dop", "stop"),
+            ("\x1bOPstart\x1b[15~", "start"),
+            ("\x1b[[Ahold", "hold"),
+            ("\x1b[200~local\x1b[201~", "local"),
+            ("\x1bstop\x1b[", "stop"),
+            ("stop [A é\x08", "stop [A é\x08"),
+        ] {
+            assert_eq!(without_escape_sequences(line), text, "{line:?}");
+        }
+    }
+
+    #[test]
+    fn a_word_is_found_among_others_and_keys() {
+        for line in ["stop", "STOP!", "é stop", "\x1b[Astop", "\x1b[stop", "e-stop", "\0st\x07op", "x\u{fffd}stop"] {
+            assert!(has_word(line, "stop"), "{line:?}");
+        }
+        assert!(!["stopping", "qstop", "nonstop", "sto p", ""].into_iter().any(|line| has_word(line, "stop")));
+    }
 
     #[test]
     fn lines_after_an_answer_are_read_as_an_input() {

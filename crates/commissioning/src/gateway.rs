@@ -17,7 +17,7 @@ use pb3dp_arm_pa10_gateway::service::{
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{Dialect, GatewayState, StopCause};
 use pb3dp_arm_pa10_protocol::places::BusTarget;
-use pb3dp_cell::terminal::typed_lines;
+use pb3dp_cell::terminal::{has_word, typed_lines};
 use pb3dp_hal_platform::key_file::write_new_key;
 use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
 use pb3dp_hal_platform::transport::Symptom;
@@ -100,7 +100,15 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
     let (mut log, typed) = (Log::default(), typed_lines()?);
     while server.is_running() {
         log.write(&server);
-        typed.try_iter().flatten().for_each(|line| obey(&server, line.trim()));
+        for line in typed.try_iter() {
+            match line {
+                Ok(line) => obey(&server, &line),
+                Err(error) => tracing::warn!(
+                    "the terminal cannot be read ({error}): `local` and `remote` are not obeyed; a gateway in the background reads no \
+                     terminal"
+                ),
+            }
+        }
         std::thread::sleep(LOOK);
     }
     log.write(&server);
@@ -124,17 +132,28 @@ pub fn run(args: &GatewayArgs) -> Result<ExitCode> {
 
 /// Executes a typed line.
 fn obey(server: &GatewayServer, line: &str) {
-    match line {
-        "local" | "remote" => {
-            server.switch(line == "local");
-            tracing::warn!("switch on {line}");
+    let word = |is_local| if is_local { "local" } else { "remote" };
+    match switch_of(line) {
+        Some(is_local) => {
+            server.switch(is_local);
+            tracing::warn!("switch on {}", word(is_local));
         }
-        "" => {}
-        _ => tracing::warn!(
-            "{line:?} is no command: type `local` (no host moves the arm) or `remote`; the switch stands on {}",
-            if server.is_local() { "local" } else { "remote" }
+        None if line.trim().is_empty() => {}
+        None => tracing::warn!(
+            "{:?} is no command: type `local` (no host moves the arm) or `remote`; the switch stands on {}",
+            line.trim(),
+            word(server.is_local())
         ),
     }
+}
+
+/// Position of the switch in a typed line, true for local. `local` in any case, with other words and keys around, because it stops the
+/// arm; `remote` only alone, because it lets a host move the arm.
+fn switch_of(line: &str) -> Option<bool> {
+    if has_word(line, "local") {
+        return Some(true);
+    }
+    line.trim().eq_ignore_ascii_case("remote").then_some(false)
 }
 
 /// Waits for a signal or the end of the gateway, then ends the gateway. It writes no log, because that may block.
@@ -321,6 +340,17 @@ mod tests {
         assert!(is_routine(Idle, Started) && is_routine(Started, Idle));
         for (from, to) in [(Started, Holding), (Stopping, Idle), (Started, Fault), (Fault, Idle)] {
             assert!(!is_routine(from, to), "{from} -> {to}");
+        }
+    }
+
+    #[test]
+    fn local_is_found_in_any_line_and_remote_must_stand_alone() {
+        for line in ["local", "Local", "LOCAL!", "  local", "\x1b[Alocal", "please: local", "local, not remote"] {
+            assert_eq!(switch_of(line), Some(true), "{line:?}");
+        }
+        assert_eq!(["remote", " Remote\t", "REMOTE"].map(switch_of), [Some(false); 3]);
+        for line in ["remote!", "remote now", "\x1b[Aremote", "localhost", "remotely", ""] {
+            assert_eq!(switch_of(line), None, "{line:?}");
         }
     }
 

@@ -5,9 +5,11 @@ use std::time::{Duration, SystemTime};
 use anyhow::{Result, bail};
 use pb3dp_camera_v4l2::controls::Focus;
 use pb3dp_record::calibration_files::{CameraIdentity, Judgement};
-use pb3dp_setup::setup::{AGE, CalibrationInUse, WAIVED_MAX_DAYS, rounded};
+use pb3dp_setup::setup::{AGE, CalibrationInUse, Waiver, rounded};
 
 const DAY: Duration = Duration::from_secs(86_400);
+/// A waiver ends at most this many days later, as the commissioning record of an arm does.
+const WAIVED_MAX_DAYS: u32 = 90;
 
 /// Checks the quality data in calibration files.
 ///
@@ -15,9 +17,7 @@ const DAY: Duration = Duration::from_secs(86_400);
 /// The first calibration that failed or is too old and is not waived, with the remedy.
 pub(super) fn look_at(calibrations: &[CalibrationInUse], now: SystemTime) -> Result<()> {
     for calibration in calibrations {
-        if let Some(refused) = calibration.refused_waiver(now) {
-            bail!("{refused}; calibrate again, or decide again and set a day within {WAIVED_MAX_DAYS} days");
-        }
+        look_at_waivers(calibration, now)?;
         match &calibration.judgement {
             Some(judgement) => {
                 look_at_gates(calibration, judgement)?;
@@ -29,6 +29,26 @@ pub(super) fn look_at(calibrations: &[CalibrationInUse], now: SystemTime) -> Res
                 calibration.source
             ),
         }
+    }
+    Ok(())
+}
+
+/// A waiver holds to the end of its day, so that somebody decides again.
+fn look_at_waivers(calibration: &CalibrationInUse, now: SystemTime) -> Result<()> {
+    for Waiver { gate, last_day } in &calibration.waived {
+        let ends = humantime::parse_rfc3339(&format!("{last_day}T00:00:00Z"))? + DAY;
+        let reason = if ends <= now {
+            "the day has passed".to_owned()
+        } else if ends > now + DAY * (WAIVED_MAX_DAYS + 1) {
+            format!("the day is more than {WAIVED_MAX_DAYS} days ahead")
+        } else {
+            continue;
+        };
+        bail!(
+            "{}.waived_gates: \"{gate} until {last_day}\": {reason}; calibrate again, or decide again and set a day within {WAIVED_MAX_DAYS} \
+             days",
+            calibration.table
+        );
     }
     Ok(())
 }
@@ -90,7 +110,6 @@ pub fn identity(camera: pb3dp_camera_v4l2::CameraIdentity) -> CameraIdentity {
 #[cfg(test)]
 pub(super) mod tests {
     use pb3dp_record::calibration_files::JudgedGate;
-    use pb3dp_setup::setup::Waiver;
 
     use super::*;
 
@@ -147,12 +166,22 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_waiver_that_has_expired_is_refused_and_waives_nothing() {
-        let text = refusal(&["reprojection_rms_px"], "2026-12-02T10:00:00Z").unwrap();
-        assert!(
-            text.contains("\"reprojection_rms_px until 2026-12-01\": the day has passed; calibrate again"),
-            "{text}"
-        );
+    fn a_waiver_holds_to_the_end_of_its_day_and_is_given_for_a_quarter_at_most() {
+        let waived = |date: &str| refusal(&["rows_px", "reprojection_rms_px"], date).unwrap_or_default();
+        for (date, part) in [
+            ("2026-12-02T00:00:00Z", "\"rows_px until 2026-12-01\": the day has passed; calibrate again"),
+            ("2026-09-01T00:00:00Z", "more than 90 days ahead"),
+        ] {
+            assert!(
+                waived(date).starts_with("camera.waived_gates: ") && waived(date).contains(part),
+                "{}",
+                waived(date)
+            );
+        }
+        // Waivers hold; the calibration is too old, or of the future.
+        for date in ["2026-12-01T23:59:59Z", "2026-09-02T00:00:00Z"] {
+            assert!(!waived(date).contains("waived_gates: "), "{}", waived(date));
+        }
     }
 
     #[test]

@@ -4,7 +4,28 @@ use std::os::fd::{AsFd, BorrowedFd, FromRawFd, OwnedFd};
 
 use rustix::io::Errno;
 
-/// SIGINT, SIGTERM and SIGHUP do not end the program; a thread waits for them here.
+/// Signals that would end the program: all that can be caught, without those of a crash (SIGABRT, SIGSEGV and others), which no
+/// program survives, and SIGPIPE, which Rust ignores.
+const STOP_SIGNALS: [(libc::c_int, &str); 13] = [
+    (libc::SIGINT, "SIGINT"),
+    (libc::SIGTERM, "SIGTERM"),
+    (libc::SIGHUP, "SIGHUP"),
+    (libc::SIGQUIT, "SIGQUIT"),
+    (libc::SIGUSR1, "SIGUSR1"),
+    (libc::SIGUSR2, "SIGUSR2"),
+    (libc::SIGALRM, "SIGALRM"),
+    (libc::SIGVTALRM, "SIGVTALRM"),
+    (libc::SIGPROF, "SIGPROF"),
+    (libc::SIGIO, "SIGIO"),
+    (libc::SIGPWR, "SIGPWR"),
+    (libc::SIGXCPU, "SIGXCPU"),
+    (libc::SIGXFSZ, "SIGXFSZ"),
+];
+
+/// Signals by which a key or a background job would suspend the program, and an arm would go on without it.
+const SUSPEND_SIGNALS: [libc::c_int; 3] = [libc::SIGTSTP, libc::SIGTTIN, libc::SIGTTOU];
+
+/// The signals that would end the program do not end it; a thread waits for them here.
 #[derive(Debug)]
 pub struct StopSignals {
     fd: OwnedFd,
@@ -23,11 +44,15 @@ pub fn shielded<T>(start: impl FnOnce() -> T) -> std::io::Result<T> {
 }
 
 fn stop_signals() -> libc::sigset_t {
-    // SAFETY: all zeros are valid storage for a set, which the next calls initialise with three members.
+    // SAFETY: all zeros are valid storage for a set, which the next calls initialise.
     unsafe {
         let mut set: libc::sigset_t = std::mem::zeroed();
         libc::sigemptyset(&raw mut set);
-        for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
+        for (signal, _) in STOP_SIGNALS {
+            libc::sigaddset(&raw mut set, signal);
+        }
+        // Real-time signals, and the one between them and the others: nobody sends them, and they would end the program too.
+        for signal in [libc::SIGSTKFLT].into_iter().chain(libc::SIGRTMIN()..=libc::SIGRTMAX()) {
             libc::sigaddset(&raw mut set, signal);
         }
         set
@@ -51,11 +76,18 @@ fn mask(how: libc::c_int, set: &libc::sigset_t) -> std::io::Result<libc::sigset_
 pub struct StopSignal(u32);
 
 impl StopSignals {
-    /// Takes over the signals for this thread and all threads that it creates later: call it before any other thread starts.
+    /// Takes over the signals for this thread and all threads that it creates later: call it before any other thread starts. Ctrl-Z
+    /// and the terminal no longer suspend the program: in the background it reads no terminal (EIO).
     ///
     /// # Errors
     /// If the operating system refuses.
     pub fn take_over() -> std::io::Result<Self> {
+        for signal in SUSPEND_SIGNALS {
+            // SAFETY: no handler is installed.
+            if unsafe { libc::signal(signal, libc::SIG_IGN) } == libc::SIG_ERR {
+                return Err(std::io::Error::last_os_error());
+            }
+        }
         let set = stop_signals();
         mask(libc::SIG_BLOCK, &set)?;
         // SAFETY: the set is initialised.
@@ -90,11 +122,43 @@ impl AsFd for StopSignals {
 
 impl std::fmt::Display for StopSignal {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match i32::try_from(self.0) {
-            Ok(libc::SIGINT) => f.write_str("SIGINT"),
-            Ok(libc::SIGTERM) => f.write_str("SIGTERM"),
-            Ok(libc::SIGHUP) => f.write_str("SIGHUP"),
-            _ => write!(f, "signal {}", self.0),
+        match STOP_SIGNALS.iter().find(|(signal, _)| u32::try_from(*signal) == Ok(self.0)) {
+            Some((_, name)) => f.write_str(name),
+            None => write!(f, "signal {}", self.0),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn is_ignored(signal: libc::c_int) -> bool {
+        // SAFETY: all zeros are valid storage, which the call overwrites; no action is set.
+        unsafe {
+            let mut action: libc::sigaction = std::mem::zeroed();
+            assert_eq!(libc::sigaction(signal, std::ptr::null(), &raw mut action), 0);
+            action.sa_sigaction == libc::SIG_IGN
+        }
+    }
+
+    /// Each signal that ends a program by default and is not of a crash; SIGKILL cannot be caught.
+    #[test]
+    fn every_signal_that_would_end_the_program_is_taken_and_no_key_suspends_it() {
+        let names = "HUP INT QUIT USR1 USR2 ALRM TERM STKFLT XCPU XFSZ VTALRM PROF IO PWR";
+        let numbers = [1, 2, 3, 10, 12, 14, 15, 16, 24, 25, 26, 27, 29, 30];
+        let mut signals = StopSignals::take_over().unwrap();
+        for (name, number) in
+            names.split(' ').zip(numbers).chain([("RTMIN", libc::SIGRTMIN()), ("RTMAX", libc::SIGRTMAX())])
+        {
+            // SAFETY: the signal is blocked in this thread, or the test fails by its default action.
+            assert_eq!(unsafe { libc::pthread_kill(libc::pthread_self(), number) }, 0, "{name}");
+            let taken = signals.try_take().unwrap().unwrap();
+            assert_eq!(taken, StopSignal(u32::try_from(number).unwrap()), "{name}");
+            let is_named = taken.to_string() == format!("SIG{name}");
+            assert!(is_named || taken.to_string() == format!("signal {number}"), "{taken}");
+        }
+        assert_eq!(signals.try_take().unwrap(), None);
+        assert!([libc::SIGTSTP, libc::SIGTTIN, libc::SIGTTOU, libc::SIGPIPE].into_iter().all(is_ignored));
     }
 }

@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_servo::Mode;
-use pb3dp_servo::supervisor::{ArmCondition, ArmInput, Innovation, Inputs, State, Supervisor};
+use pb3dp_servo::supervisor::{ArmCondition, ArmInput, Cause, Detail, Event, Innovation, Inputs, State, Supervisor};
 use pb3dp_setup::setup::read_setup;
 
 use super::*;
@@ -105,17 +105,99 @@ fn a_console_hands_words_over_in_order_and_ends_the_run_behind_its_end() {
 #[test]
 fn a_stop_typed_in_a_hurry_is_a_stop_and_a_start_must_be_exact() {
     use OperatorCommand::{Hold, HoldHand, Start, Stop};
-    for line in
-        ["stop", "STOP", "Stop", "sToP", "Stop!", "stop now", "stop.", "  stop", "!stop", "stop hand", "stop: hold"]
-    {
+    for line in [
+        "stop",
+        "STOP",
+        "Stop",
+        "sToP",
+        "Stop!",
+        "stop now",
+        "stop.",
+        "  stop",
+        "!stop",
+        "stop hand",
+        "stop: hold",
+        "hold, stop",
+        "please stop",
+        "do not stop",
+        "é stop",
+        "e-stop",
+        "E-STOP",
+        "estop",
+        "halt",
+        "Halt!",
+        "start stop",
+        "\x1b[Astop",
+        "\x1bOPstop",
+        "\x1b[15~STOP",
+        "\x1bstop",
+        "st\x1b[Dop",
+        "\0stop\x07",
+    ] {
         assert_eq!(command_of(line), Some(Stop), "{line:?}");
     }
-    assert_eq!(["Hold", "HOLD it", "hold", "hold hands", "Hold hand", "hold hand!"].map(command_of), [Some(Hold); 6]);
+    for line in ["Hold", "HOLD it", "hold", "hold hands", "Hold hand", "hold hand!", "\x1b[Dhold", "please hold"] {
+        assert_eq!(command_of(line), Some(Hold), "{line:?}");
+    }
     assert_eq!(command_of("hold hand"), Some(HoldHand), "only exactly this lets the arm with the target move on");
-    assert_eq!(command_of("start"), Some(Start));
-    for line in ["START", "start now", "start.", "Resume", "reset!", "stopping", "do not stop", "restart", ""] {
+    assert_eq!(["start", "\x1b[Astart"].map(command_of), [Some(Start); 2]);
+    for line in [
+        "START",
+        "start now",
+        "start.",
+        "Resume",
+        "reset!",
+        "stopping",
+        "qstop",
+        "restart",
+        "\x08start",
+        "sta\x08rt",
+        "",
+    ] {
         assert_eq!(command_of(line), None, "{line:?}");
     }
+}
+
+/// Suspended by SIGSTOP or with its machine: what was typed meanwhile is read, and dated, after it.
+#[test]
+fn commands_typed_while_the_program_was_suspended_are_discarded_but_not_stop_and_hold() {
+    use OperatorCommand::{Hold, Reset, Start, Stop};
+    let (lines, mut writer) = typed();
+    let (written, answers) = channel();
+    let clock = Arc::new(VirtualClock::new());
+    let reading: Arc<dyn Clock> = clock.clone();
+    let mut console = Console::start(reading, lines, Written(written), (Arc::default(), "")).unwrap();
+    let at = MonotonicTime::from_secs_f64;
+    let mut say = |console: &Console, line: &str, seconds: f64| {
+        clock.sleep_until(at(seconds));
+        writeln!(writer, "{line}").unwrap();
+        wait_until(|| !console.words.is_empty() || console.shared.hold.number.load(Ordering::SeqCst) > 0);
+    };
+    let word = |console: &mut Console, seconds: f64| console.listen(None, at(seconds)).said.map(|said| said.word);
+    assert_eq!(word(&mut console, 1.0), None);
+    // A late step is not a suspension.
+    say(&console, "start", 1.19);
+    assert_eq!(word(&mut console, 1.19), Some(Start));
+    // Read before the first step after the pause, and after it.
+    say(&console, "reset", 2.0);
+    assert_eq!([2.001, 2.01].map(|seconds| word(&mut console, seconds)), [None; 2]);
+    assert_eq!(answers.recv_timeout(Duration::from_secs(30)).unwrap().trim(), DISCARDED);
+    say(&console, "reset", 2.1);
+    assert_eq!(word(&mut console, 2.1), None);
+    say(&console, "hold", 2.2);
+    assert_eq!(word(&mut console, 2.2), Some(Hold));
+    say(&console, "stop\nhold", 2.25);
+    assert_eq!(word(&mut console, 2.25), Some(Stop));
+    assert_eq!([2.26, 2.4].map(|seconds| word(&mut console, seconds)), [Some(Hold), None]);
+    say(&console, "reset", 2.5);
+    assert_eq!(word(&mut console, 2.5), Some(Reset));
+    // The supervisor has found a clock step that the times of the steps do not show.
+    let cause = Cause { condition: Condition::ClockStepped, value: 0.1, threshold: 0.05, detail: Detail::None };
+    let (from, to) = (State::Tracking, State::Holding);
+    let transition = Transition { at: at(2.6), from, to, event: Event::HoldFound, cause: Some(cause) };
+    console.show(&Decision { transition: Some(transition), ..decision() });
+    say(&console, "reset", 2.65);
+    assert_eq!(word(&mut console, 2.65), None);
 }
 
 #[test]
@@ -157,7 +239,7 @@ fn words_that_are_said_while_the_arms_are_switched_on_are_kept_or_refused_at_onc
     // From now on each command counts at the time of its input.
     writeln!(writer, "start").unwrap();
     wait_until(|| !console.words.is_empty());
-    assert_eq!(word(&mut console), Some(OperatorCommand::Start));
+    assert_eq!(console.listen(None, later).said.map(|said| said.word), Some(OperatorCommand::Start));
 }
 
 #[test]
@@ -254,11 +336,27 @@ fn bytes_that_are_no_text_and_lines_without_end_are_no_words_and_close_nothing()
 }
 
 #[test]
-fn a_stop_at_the_beginning_of_a_line_that_is_too_long_is_a_stop() {
+fn a_stop_anywhere_in_a_line_that_is_too_long_is_a_stop() {
     let (mut console, mut writer, answers, _) = begun();
-    writeln!(writer, "STOP{}", "!".repeat(3 * LINE_MAX as usize)).unwrap();
-    wait_until(|| console.shared.stop.number.load(Ordering::SeqCst) > 0);
-    assert_eq!(word(&mut console), Some(OperatorCommand::Stop));
+    let long = |c: &str| c.repeat(3 * LINE_MAX as usize);
+    let edge = |before: usize| " ".repeat(LINE_MAX as usize - before);
+    for line in [
+        format!("STOP{}", long("!")),
+        format!("stop{}", long(" ")),
+        format!("{}stop", long(" ")),
+        format!("{}stop{}", edge(2), long(" ")),
+        format!("{}\x1b[Astop", edge(2)),
+        format!("{}hold{}stop", edge(200), long("x ")),
+    ] {
+        writeln!(writer, "{line}").unwrap();
+        wait_until(|| console.shared.stop.number.load(Ordering::SeqCst) > 0);
+        // The end of the line was read as well.
+        writeln!(writer, "select").unwrap();
+        wait_until(|| !console.words.is_empty());
+        assert_eq!(word(&mut console), Some(OperatorCommand::Stop), "{line:?}");
+        while word(&mut console).is_some() {}
+    }
+    while answers.try_recv().is_ok() {}
     writeln!(writer, "start {}", "x".repeat(LINE_MAX as usize)).unwrap();
     let refused = answers.recv_timeout(Duration::from_secs(30)).unwrap();
     assert!(refused.contains("longer than 256 bytes"), "{refused}");

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use pb3dp_cell::terminal::typed_lines;
 use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
+use rustix::termios::{QueueSelector, tcflush};
 
 /// Interval at which signals are checked while nothing is typed.
 const LOOK: Duration = Duration::from_millis(50);
@@ -33,11 +34,12 @@ pub enum Line {
 }
 
 impl Console {
-    /// Starts reading lines.
+    /// Starts reading lines. Discards input typed at a terminal before.
     ///
     /// # Errors
     /// If the system provides no thread.
     pub fn start() -> Result<Self> {
+        flush_terminal();
         Ok(Self { lines: typed_lines()? })
     }
 
@@ -48,6 +50,7 @@ impl Console {
 
     /// Discards lines typed before the prompt: they cannot be answers to it.
     pub fn forget(&self) {
+        flush_terminal();
         while self.lines.try_recv().is_ok() {}
     }
 
@@ -72,11 +75,15 @@ impl Console {
         }
     }
 
-    /// Waits until exactly this name is typed, up to `patience` if given.
+    /// Waits until exactly this name is typed, up to `patience` if given. Discards what was typed at a terminal before: no name counts
+    /// that was typed before the plan was shown. A pipe is read as it is, for scripts.
     ///
     /// # Errors
     /// If something else or nothing is typed in time, if standard input ends, or on a signal.
     pub fn typed(&self, name: &str, patience: Option<Duration>, signals: &mut StopSignals) -> Result<()> {
+        if std::io::stdin().is_terminal() {
+            self.forget();
+        }
         match self.line(patience, signals).context("nothing was moved")? {
             Line::Typed(line) if line == name => Ok(()),
             Line::Typed(line) => bail!("typed {line:?} is not {name}; nothing was moved"),
@@ -84,6 +91,12 @@ impl Console {
             Line::TimedOut => bail!("{name} was not typed in time; nothing was moved"),
         }
     }
+}
+
+/// Discards input that the terminal holds, also a line without its end.
+fn flush_terminal() {
+    // Standard input that is not a terminal has no such input.
+    let _ = tcflush(std::io::stdin(), QueueSelector::IFlush);
 }
 
 /// Waits until exactly this name is typed.

@@ -148,7 +148,7 @@ fn wait_for<T>(what: &str, mut is: impl FnMut() -> Option<T>) -> T {
 #[test]
 fn a_signal_ends_it_through_the_stop_order() {
     programs_in_real_time_beside_others(|| {
-        for signal in [Signal::TERM, Signal::INT] {
+        for signal in [Signal::TERM, Signal::INT, Signal::QUIT, Signal::USR1] {
             with_scene(|scene| {
                 scene.signal(signal);
                 assert!(scene.ended().success());
@@ -164,6 +164,23 @@ fn a_signal_ends_it_through_the_stop_order() {
                 assert_eq!(scene.host.driver.state(), DriverState::Fault);
             });
         }
+    });
+}
+
+/// Ctrl-Z at its terminal, or a read or a write in the background.
+#[test]
+fn no_key_suspends_it_while_the_arm_moves() {
+    programs_in_real_time_beside_others(|| {
+        with_scene(|scene| {
+            for signal in [Signal::TSTP, Signal::TTIN, Signal::TTOU] {
+                scene.signal(signal);
+                assert!(!scene.host.run_for(ms(300), |host| host.driver.state() != DriverState::Moving), "{signal:?}");
+            }
+            scene.signal(Signal::TERM);
+            assert!(scene.ended().success());
+            scene.must_be_braked();
+            assert_eq!(scene.emulation.seen().counters.watchdog_trips, 0);
+        });
     });
 }
 

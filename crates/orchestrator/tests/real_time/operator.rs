@@ -10,7 +10,7 @@ use pb3dp_hal_platform::pty::Pty;
 use pb3dp_hal_platform::transport::ByteLink as _;
 use pb3dp_test_support::programs_in_real_time_beside_others;
 
-use crate::real_time::arm::{Cell, FIRST_RUN, START_DEG};
+use crate::real_time::arm::{Cell, FIRST_RUN, START_DEG, hil};
 
 /// Lines of a program, as they arrive.
 fn lines(input: impl std::io::Read + Send + 'static) -> Receiver<String> {
@@ -91,5 +91,33 @@ fn a_terminal_at_which_nobody_types_holds_both_arms() {
         run.wait_for("report", None);
         drop(run);
         cell.arm.quit();
+    });
+}
+
+/// Typed, or pasted, before the plan was on the screen: nobody has read it.
+#[test]
+fn a_name_typed_before_the_prompt_moves_nothing() {
+    programs_in_real_time_beside_others(|| {
+        let mut terminal = Pty::open().unwrap();
+        let input = File::open(terminal.path()).unwrap();
+        let mut say = |text: &str| assert_eq!(terminal.try_write(text.as_bytes()), Ok(text.len()));
+        say("vs-robot\nvs-ro");
+        let mut program = Command::new(env!("CARGO_BIN_EXE_pb3dp"))
+            .args(["arm", "jog", "--config", &hil(), "--arm", "vs", "--axis", "7", "--by", "0.5", "--move"])
+            .stdin(input)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let (answers, log) = (lines(program.stdout.take().unwrap()), lines(program.stderr.take().unwrap()));
+        let within = Duration::from_secs(60);
+        while !answers.recv_timeout(within).unwrap().contains("Type vs-robot to move it") {}
+        assert!(answers.recv_timeout(Duration::from_secs(2)).is_err(), "it waits for a name");
+        assert!(program.try_wait().unwrap().is_none());
+        // A complete answer, not the rest of one that was begun before the prompt.
+        say("no\n");
+        let log: Vec<String> = log.iter().collect();
+        assert!(!program.wait().unwrap().success());
+        assert!(log.iter().any(|line| line.contains("typed \"no\" is not vs-robot; nothing was moved")), "{log:?}");
     });
 }

@@ -1,7 +1,7 @@
 //! Requirements on a calibration before arms move with it.
 
 use std::path::PathBuf;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use pb3dp_geometry::ImageSize;
 use pb3dp_record::calibration_files::{
@@ -16,8 +16,6 @@ pub const AGE: &str = "age";
 /// Waives the check that a calibration belongs to the connected cameras.
 pub const CAMERAS: &str = "cameras";
 
-/// A waiver expires at most this long after the day on which it is used, days: as the commissioning record of an arm.
-pub const WAIVED_MAX_DAYS: u64 = 90;
 const DAY: Duration = Duration::from_secs(86_400);
 
 /// Default age limit, days.
@@ -28,18 +26,17 @@ const AGE_MAX_DAYS: f64 = 180.0;
 pub struct Waiver {
     /// Name of the gate, [`AGE`] or [`CAMERAS`].
     pub gate: String,
-    /// Last day, as in the setup.
+    /// Last day, in UTC, as YYYY-MM-DD.
     pub last_day: String,
-    /// End of this day, UTC.
-    pub ends: SystemTime,
 }
 
 impl Waiver {
     /// Reads a waiver; `None` if it has another form.
     pub fn parse(text: &str) -> Option<Self> {
         let (gate, day) = text.split_once(" until ")?;
-        let begins = humantime::parse_rfc3339(&format!("{}T00:00:00Z", day.trim())).ok()?;
-        Some(Self { gate: gate.trim().to_owned(), last_day: day.trim().to_owned(), ends: begins + DAY })
+        let (gate, last_day) = (gate.trim().to_owned(), day.trim().to_owned());
+        humantime::parse_rfc3339(&format!("{last_day}T00:00:00Z")).ok()?;
+        Some(Self { gate, last_day })
     }
 }
 
@@ -87,20 +84,6 @@ impl CalibrationInUse {
         Self { table, source, judgement, waived: waivers, age_max: DAY.mul_f64(age_max_days) }
     }
 
-    /// The first waiver that does not hold now, with the reason.
-    pub fn refused_waiver(&self, now: SystemTime) -> Option<String> {
-        self.waived.iter().find_map(|Waiver { gate, last_day, ends }| {
-            let reason = if *ends <= now {
-                "the day has passed".to_owned()
-            } else if *ends > now + DAY * (WAIVED_MAX_DAYS as u32 + 1) {
-                format!("the day is more than {WAIVED_MAX_DAYS} days ahead")
-            } else {
-                return None;
-            };
-            Some(format!("{}.waived_gates: \"{gate} until {last_day}\": {reason}", self.table))
-        })
-    }
-
     /// Whether the setup waives this gate.
     pub fn waives(&self, gate: &str) -> bool {
         self.waived.iter().any(|waiver| waiver.gate == gate)
@@ -139,33 +122,6 @@ pub fn rounded(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn at(date: &str) -> SystemTime {
-        humantime::parse_rfc3339(date).unwrap()
-    }
-
-    #[test]
-    fn a_waiver_holds_to_the_end_of_its_day_and_no_longer_than_a_quarter() {
-        let waived = vec![Waiver::parse("age until 2027-01-31").unwrap()];
-        let judgement = None;
-        let (table, source) = ("camera", String::new());
-        let calibration = CalibrationInUse { table, source, judgement, waived, age_max: DAY };
-        for (now, expected) in [
-            ("2027-01-31T23:00:00Z", None),
-            ("2027-02-01T00:00:00Z", Some("the day has passed")),
-            ("2026-11-02T00:00:00Z", None),
-            ("2026-11-01T00:00:00Z", Some("more than 90 days ahead")),
-        ] {
-            let found = calibration.refused_waiver(at(now));
-            let is_expected = match expected {
-                Some(part) => {
-                    found.as_ref().is_some_and(|text| text.contains(part) && text.contains("camera.waived_gates"))
-                }
-                None => found.is_none(),
-            };
-            assert!(is_expected, "{now}: {found:?}");
-        }
-    }
 
     #[test]
     fn a_waiver_without_a_day_is_none() {

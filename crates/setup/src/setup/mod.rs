@@ -42,7 +42,7 @@ use serde::de::IgnoredAny;
 
 use self::arms::{ArmSection, ArmTables, ArmsSection};
 pub use self::arms::{ArmSetup, Arms};
-pub use self::calibration::{AGE, CAMERAS, CalibrationInUse, WAIVED_MAX_DAYS, Waiver, rounded};
+pub use self::calibration::{AGE, CAMERAS, CalibrationInUse, Waiver, rounded};
 use self::camera::SceneSection;
 pub use self::drift::DriftConfig;
 use self::drift::DriftSection;

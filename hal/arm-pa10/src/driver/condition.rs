@@ -73,8 +73,8 @@ pub enum Trip {
 pub enum FaultCause {
     /// Too many exchanges in a row without a usable reply.
     #[error(
-        "{misses} exchanges in a row without a usable reply; check cable and power, and that no other program uses the line or \
-         the bus, then reset"
+        "{misses} exchanges in a row without a usable reply; the arm may still be moving: if it moves, press its emergency stop; check \
+         cable and power, and that no other program uses the line or the bus, then reset"
     )]
     LinkLost {
         /// Number of exchanges.
@@ -103,7 +103,7 @@ pub enum FaultCause {
         configured: WireFormat,
     },
     /// The link was unplugged or closed.
-    #[error("the link is gone (unplugged or closed); connect it again, then reset")]
+    #[error("the link is gone (unplugged); if the arm moves, press its emergency stop; connect it again, then reset")]
     Unplugged,
     /// A valid frame of another arm came.
     #[error(

@@ -269,6 +269,10 @@ fn a_lost_answer_is_borne_and_three_are_a_fault() {
         let error = rig.exchange_until_stopped();
         assert!(matches!(rig.trip(), Trip::Fault(FaultCause::LinkLost { misses: 3 })), "{:?}", rig.trip());
         assert!(error.to_string().contains("3 exchanges in a row without a usable reply"), "{error}");
+        assert!(
+            error.to_string().contains("the arm may still be moving: if it moves, press its emergency stop"),
+            "{error}"
+        );
     });
 }
 
