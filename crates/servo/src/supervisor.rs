@@ -432,7 +432,7 @@ impl Supervisor {
     fn why(&self, blocking: Option<Cause>, now: MonotonicTime) -> Why {
         let state = self.state;
         let then = if self.needs_word { Then::Resume } else { Then::ByItself { after_s: self.config.resume_after_s } };
-        let wants_word = state == State::Selecting || self.needs_word && !self.held_by_operator;
+        let wants_word = state == State::Selecting || self.held_by_operator || self.needs_word;
         match (state, blocking) {
             (State::Idle, _) => Why::Idle,
             (State::Selecting | State::Holding | State::Lost, None) if wants_word && !self.is_clear() => {
