@@ -47,6 +47,14 @@ fn a_selection_after_a_hold_does_not_release_the_arm_with_the_target() {
     assert!(!bench.say(OperatorCommand::Start).no_arm_may_move);
 }
 
+/// What concerns the arms, the clock or the operator; what concerns the images holds the camera arm alone.
+#[test]
+fn conditions_that_hold_both_arms_are_those_of_arms_clock_and_operator() {
+    let held = Condition::ALL.into_iter().filter(|condition| condition.rule().holds_every_arm);
+    let held: Vec<&str> = held.map(Condition::key).collect();
+    assert_eq!(held, ["arm_disabled", "clock_stepped", "operator_silent", "joints_stale"]);
+}
+
 #[test]
 fn after_a_silence_or_a_clock_step_the_arm_with_the_target_waits_for_the_operator_too() {
     let mut bench = Bench::following(with(Condition::OperatorSilent, |policy| policy.action = Action::Hold));
