@@ -54,10 +54,10 @@ pub fn note_lateness_at(at: Instant, late: Duration) {
 /// Runs a test whose threads must meet deadlines: under one lock of all such tests of this user, in any process, with a
 /// SCHED_FIFO priority if granted, beside witness threads that observe the machine. No other such test runs at the same time.
 ///
-/// A failure counts at once if the machine met its deadlines. If the machine was late, the test is tried again once the machine
-/// meets them again ([`CALM`], [`PATIENCE`]), up to [`Tries::MAX`] times. If no try passes, the test fails, unless each failure was lateness and the machine was equally late at
-/// that time; then the test is reported as not checked. The behaviour of an arm on a late machine is tested in virtual time, and
-/// in the emulated computer.
+/// A failure counts at once if the machine met its deadlines. If the machine was late, the test is tried again after the machine
+/// was on time for a second (or after 20 s), up to [`Tries::MAX`] times. If no try passes, the test fails, unless each failure was
+/// lateness and the machine was equally late at that time; then the test is reported as not checked. The behaviour of an arm on a
+/// late machine is tested in virtual time, and in the emulated computer.
 ///
 /// # Panics
 /// If the test fails.
