@@ -123,7 +123,7 @@ pub fn write_new_key(file: &Path) -> Result<(), KeyFileError> {
     opened.sync_all().map_err(write)
 }
 
-/// Whether a key can be random: of 32 random bytes, fewer than [`DISTINCT_MIN`] are distinct once in 10^40 keys.
+/// Whether a key can be random: of 32 random bytes, fewer than [`DISTINCT_MIN`] are distinct once in 10^36 keys: C(256, 7) (7 / 256)^32.
 fn is_random(key: &[u8]) -> bool {
     key.iter().collect::<BTreeSet<_>>().len() >= DISTINCT_MIN
 }
