@@ -19,6 +19,7 @@ use super::moving::{Moved, Moving};
 use super::noting::EstimateRecorder;
 use super::parts::Parts;
 use super::percept::Percept;
+use super::spectator::Spectator;
 use super::strip::Strip;
 use crate::noting::PairEstimate;
 
@@ -57,6 +58,7 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     // Everything that can be refused is created before an arm is enabled.
     let Parts { clock, camera, vs, tc, cell, experiment, marking, links, emulated, .. } = parts;
     let (operator, interrupt) = (parts.operator, parts.interrupt);
+    let (spectator, selections) = (parts.spectator, parts.selections);
     // With a console operator, the operator decides when the moves begin.
     let (duration_s, marks) = match operator.is_person() {
         true => (LED_BY_PERSON_MAX_S, Vec::new()),
@@ -65,12 +67,13 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     let log = RunLog { marks, ..RunLog::default() };
     let strip = Strip::of(setup.experiment.moments(&log.marks));
     let now = clock.now();
-    let looking = Looking::new(setup, (camera, cell.clone(), marking), (strip, &clock), record)?;
+    let looking =
+        Looking::new(setup, (camera, cell.clone(), marking), (strip, &clock), record)?.with_selections(selections);
     let mut moving = Moving::new(setup, (vs, tc), &*experiment, now)?.with_operator(operator);
     let ends_s = stop_after_s.map_or(duration_s, |s| s.clamp(0.0, duration_s));
     let plan = Plan::of(&setup.experiment.motion, &*experiment);
     let journal = Journal::new(setup, cell.clone(), (now, ends_s), (log, plan));
-    let mut watching = Watching { looking, journal, cell };
+    let mut watching = Watching { looking, journal, cell, spectator };
     let course = Course { setup, clock: &clock, duration: Duration::from_secs_f64(ends_s), interrupt: &interrupt };
     let (how, punctuality) = course.run(&mut watching, &mut moving);
     let recorded = watching.looking.noting.finish_recording();
@@ -95,6 +98,7 @@ struct Watching<'a> {
     looking: Looking<'a>,
     journal: Journal,
     cell: SimulatedCell,
+    spectator: Option<Box<dyn Spectator>>,
 }
 
 impl Parted for Watching<'_> {
@@ -116,7 +120,8 @@ impl Parted for Watching<'_> {
         impl Record<Observed = PairEstimate, Step = Moved>,
     ) {
         let Looking { capturing, estimating, noting } = &mut self.looking;
-        (capturing, Leading(estimating), Keeping { noting, journal: &mut self.journal })
+        let (journal, spectator) = (&mut self.journal, &mut self.spectator);
+        (capturing, Leading(estimating), Keeping { noting, journal, spectator })
     }
 }
 
@@ -142,6 +147,7 @@ impl Estimate for Leading<'_, '_> {
 struct Keeping<'w, 'a> {
     noting: &'w mut EstimateRecorder<'a>,
     journal: &'w mut Journal,
+    spectator: &'w mut Option<Box<dyn Spectator>>,
 }
 
 impl Record for Keeping<'_, '_> {
@@ -150,9 +156,15 @@ impl Record for Keeping<'_, '_> {
 
     fn moved(&mut self, step: &Moved) {
         self.journal.note(step);
+        if let Some(spectator) = self.spectator {
+            spectator.moved(step);
+        }
     }
 
     fn note(&mut self, seen: PairEstimate) -> Result<()> {
+        if let Some(spectator) = self.spectator {
+            spectator.seen(&seen);
+        }
         self.noting.note(&seen)
     }
 }

@@ -34,12 +34,17 @@ impl Follower {
         self.marked.is_some()
     }
 
+    /// Drops the target.
+    pub fn forget(&mut self) {
+        self.marked = None;
+    }
+
     /// Its tracker.
     pub fn tracker(&self) -> &Tracker {
         &self.tracker
     }
 
-    /// Processes the next pair while `may_continue` returns true. The first pair needs a `region`; later ones ignore it.
+    /// Processes the next pair while `may_continue` returns true. The first pair needs a `region`; a later region marks another target.
     ///
     /// # Errors
     /// Images that do not match the calibration, an unsuitable region, a bad range, or no region yet.
@@ -51,14 +56,14 @@ impl Follower {
         prior: &FramePrior,
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Result<TrackEstimate, EstimationError> {
-        let Some((region, tries)) = &mut self.marked else {
-            let region = region.ok_or(EstimationError::NotStarted)?;
+        if let Some(region) = region {
             let estimate = self
                 .tracker
                 .estimate(EstimateRequest::of_target(left, right, region, &self.range).until(may_continue))?;
             self.marked = Some((region.clone(), 1));
             return Ok(estimate);
-        };
+        }
+        let Some((region, tries)) = &mut self.marked else { return Err(EstimationError::NotStarted) };
         if !self.tracker.wants_region() {
             return self.tracker.estimate(EstimateRequest::of_next(left, right, prior).until(may_continue));
         }

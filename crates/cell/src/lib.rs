@@ -45,6 +45,8 @@ pub mod permitting;
 pub mod plan;
 pub mod recording;
 pub mod report;
+pub mod selection;
+pub mod spectator;
 pub mod stillness;
 pub mod strip;
 pub mod summary;

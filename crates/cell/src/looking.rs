@@ -6,6 +6,8 @@ use std::time::Instant;
 
 use anyhow::Result;
 use pb3dp_estimation::estimator::FramePrior;
+use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::frames::{Base, CamLeft};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::Clock;
@@ -13,13 +15,16 @@ use pb3dp_kinematics::JointState;
 use pb3dp_servo::JointHistory;
 use pb3dp_setup::setup::{Pace, Setup};
 
+use super::both_arms::in_words;
 use super::capturing::{Captured, Capturing};
 use super::cell::{JOINT_GAP_MAX_S, SimulatedCell};
 use super::halves::Capture;
 use super::noting::{EstimateRecorder, EstimateRecords};
 use super::perception::{Marking, Perception, Sight};
+use super::selection::{Selection, Selections};
 use super::strip::Strip;
 use crate::noting::PairEstimate;
+use crate::perception::View;
 
 /// Camera, estimation and records: each of the three parts may have its own thread.
 pub struct Looking<'a> {
@@ -48,6 +53,12 @@ impl<'a> Looking<'a> {
             noting: EstimateRecorder::new(setup, marking, (strip, clock.now()), record)?,
             capturing: Capturing::new(setup, camera, cell),
         })
+    }
+
+    /// The same with targets that an operator selects meanwhile.
+    pub fn with_selections(mut self, selections: Option<Selections>) -> Self {
+        self.estimating.selections = selections;
+        self
     }
 
     /// Sets the start time of the experiment.
@@ -81,6 +92,8 @@ pub struct Estimating<'a> {
     cameras: Perception,
     /// Number of the target: how many were marked so far.
     target: u64,
+    /// Targets that an operator selects during the run.
+    selections: Option<Selections>,
     /// Measured joints of the arm that carries the cameras.
     joints: JointHistory,
     /// Exposure time of the previous pair, and the camera pose then if the joint history has it.
@@ -90,7 +103,7 @@ pub struct Estimating<'a> {
 impl<'a> Estimating<'a> {
     fn new(setup: &'a Setup, clock: Arc<dyn Clock>, cameras: Perception) -> Self {
         let joints = JointHistory::new(setup.controller.joint_history_samples, JOINT_GAP_MAX_S);
-        Self { setup, clock, cameras, target: 0, joints, previous: None }
+        Self { setup, clock, cameras, target: 0, selections: None, joints, previous: None }
     }
 
     /// Adds a joint measurement of the arm that carries the cameras.
@@ -103,11 +116,21 @@ impl<'a> Estimating<'a> {
     /// # Errors
     /// If the method fails permanently.
     pub fn look(&mut self, captured: Captured) -> Result<PairEstimate> {
-        let prior = self.prior(captured.frame.at);
-        let region = self.cameras.region(self.setup, captured.cam_left_from_target.as_ref())?;
-        self.target += u64::from(region.is_some());
         let started = Instant::now();
-        let estimate = self.cameras.estimate(&captured.view, region.as_ref(), &prior)?;
+        let selection = self.selections.as_ref().and_then(Selections::take);
+        let (region, estimate, prior) = match selection {
+            Some(selection) => {
+                let (estimate, prior) = self.select(&selection, &captured);
+                (Some(selection.region), estimate, prior)
+            }
+            None => {
+                let prior = self.prior(captured.frame.at);
+                let region = self.cameras.region(self.setup, captured.cam_left_from_target.as_ref())?;
+                self.target += u64::from(region.is_some());
+                let estimate = self.cameras.estimate(&captured.view, region.as_ref(), &prior)?;
+                (region, estimate, prior)
+            }
+        };
         let latency_millis = started.elapsed().as_secs_f64() * 1e3;
         if region.is_some() {
             for warning in &estimate.warnings {
@@ -123,6 +146,30 @@ impl<'a> Estimating<'a> {
         };
         let age_millis = age.as_secs_f64() * 1e3;
         Ok(PairEstimate { captured, target: self.target, region, prior, estimate, latency_millis, age_millis })
+    }
+
+    /// Starts with a target that the operator has selected. A region that the method refuses does not end the run: there is no target then.
+    fn select(&mut self, selection: &Selection, captured: &Captured) -> (TrackEstimate, FramePrior) {
+        let Selection { region, drawn_on } = selection;
+        self.target += 1;
+        let mut estimate = match drawn_on {
+            Some(pair) => {
+                let view = View::Images(Arc::clone(pair));
+                self.previous = Some((pair.exposed_at, self.base_from_cam_left_at(pair.exposed_at)));
+                self.cameras.estimate(&view, Some(region), &FramePrior::default())
+            }
+            None => self.cameras.estimate(&captured.view, Some(region), &FramePrior::default()),
+        };
+        let prior = self.prior(captured.frame.at);
+        let is_drawn_before = drawn_on.as_ref().is_some_and(|pair| pair.sequence != captured.frame.sequence);
+        if is_drawn_before && estimate.is_ok() {
+            estimate = self.cameras.estimate(&captured.view, None, &prior);
+        }
+        let estimate = estimate.unwrap_or_else(|refusal| {
+            self.cameras.forget();
+            TrackEstimate::without_pose(Status::NotObservable, in_words(&refusal))
+        });
+        (estimate, prior)
     }
 
     /// Pose of the left camera from the measured joints and the calibrated mounting.

@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use anyhow::{Result, bail};
-use pb3dp_geometry::MonotonicTime;
+use pb3dp_geometry::frames::Hand;
+use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
 use pb3dp_kinematics::{Damping, JointVector};
 use pb3dp_servo::supervisor::{Decision, Event, OperatorCommand, OperatorInput, OperatorRequest, Permission, State};
@@ -15,7 +16,7 @@ use pb3dp_sim::trajectory::Trajectory;
 use super::both_arms::{BothArms, EnablePosition, LedArm, in_words};
 use super::carrier::{carry, off_by};
 use super::halves::Mover;
-use super::operator::{ByCommand, Operator};
+use super::operator::{ByCommand, MotionRequest, Operator};
 use super::parts::DrivenArm;
 use super::percept::Percept;
 use super::permitting::Permitting;
@@ -35,6 +36,8 @@ pub struct Moving<'a> {
     /// Path of the arm that carries the target; none if that arm holds.
     path: Option<FlangePath<'a>>,
     controller: Controller,
+    /// Offset of the desired pose of the hand that the controller has.
+    hand_from_hand_shifted: Pose<Hand, Hand>,
     permitting: Permitting,
     operator: Box<dyn Operator>,
     /// A rest that only a person could end was reported.
@@ -96,6 +99,7 @@ impl<'a> Moving<'a> {
             arms: BothArms::new(setup, arms, begin),
             controller: Controller::new(setup.controller, setup.rig.arms.vs.chain.clone(), setup.rig.arms.vs.limits)?,
             permitting: Permitting::new(&setup.supervisor, *setup.rig.arms.vs.limits.operating())?,
+            hand_from_hand_shifted: Pose::coincident(),
             operator: Box::new(ByCommand),
             is_rest_told: false,
             is_stopped: false,
@@ -130,12 +134,21 @@ impl<'a> Moving<'a> {
         let observation = self.newest.as_ref().and_then(|percept| percept.observation.as_ref());
         let control = self.controller.step(self.arms.vs.joints(), observation, now);
         let heard = self.listen(now);
+        let MotionRequest { speed_share, hand_from_hand_shifted } = self.operator.motion();
+        let speed_share = if speed_share.is_finite() { speed_share.clamp(0.0, 1.0) } else { 0.0 };
+        if hand_from_hand_shifted.is_finite() && hand_from_hand_shifted != self.hand_from_hand_shifted {
+            self.hand_from_hand_shifted = hand_from_hand_shifted;
+            let desired = self.setup.controller.model_from_hand_desired * hand_from_hand_shifted;
+            self.controller.set_model_from_hand_desired(desired);
+        }
         let arms = [&self.arms.vs, &self.arms.tc].map(|arm| (arm.condition(), arm.joints()));
         let decision = self.permitting.step(heard, &control, self.newest.as_ref(), arms, now);
         self.operator.show(&decision);
         self.warn_of_a_rest_without_end(&decision);
         let told = match (decision.permission, control.command) {
-            (Permission::Move { share }, Command::Velocity(velocity)) => Command::Velocity(velocity * share),
+            (Permission::Move { share }, Command::Velocity(velocity)) => {
+                Command::Velocity(velocity * (share * speed_share))
+            }
             _ => Command::Hold,
         };
         self.controller.permit_search(decision.search);

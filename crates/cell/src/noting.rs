@@ -95,6 +95,9 @@ impl<'a> EstimateRecorder<'a> {
         let PairEstimate { captured, region, prior, estimate, latency_millis, age_millis, .. } = seen;
         let Captured { frame, cam_left_from_target, view } = captured;
         let t_s = frame.at.seconds_since(self.begin);
+        if region.is_some() {
+            self.lock = None;
+        }
         if let (None, Some(found), Some(cam_left_from_target)) =
             (&self.lock, &estimate.cam_left_from_model, cam_left_from_target)
         {
@@ -120,9 +123,14 @@ impl<'a> EstimateRecorder<'a> {
             tracing::warn!("{line}");
         }
         let Some(recording) = &mut self.recording else { return Ok(()) };
-        let outline_px = match recording.is_open() {
-            true => None,
-            false => Some(outline_px(self.marking.region(self.setup, cam_left_from_target.as_ref())?, estimate)),
+        let outline_px = match (recording.is_open(), &self.marking, region) {
+            (true, ..) => None,
+            // The recording begins with the first target.
+            (false, Marking::Awaited, None) => return Ok(()),
+            (false, Marking::Awaited, Some(region)) => Some(outline_px(region.clone(), estimate)),
+            (false, marking, _) => {
+                Some(outline_px(marking.region(self.setup, cam_left_from_target.as_ref())?, estimate))
+            }
         };
         recording.push(pair, cam_left_from_target.as_ref(), outline_px)
     }
@@ -184,7 +192,7 @@ pub struct PairEstimate {
     pub captured: Captured,
     /// Number of the target.
     pub target: u64,
-    /// The marked region, in the pair in which the target is initialised.
+    /// The region that was marked since the previous pair.
     pub region: Option<Region>,
     /// Prior information.
     pub prior: FramePrior,

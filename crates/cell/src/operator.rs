@@ -1,7 +1,8 @@
 //! Sources of operator commands: the command line itself, alone or with a person beside the arms (`attended.rs`), or a console
 //! (`console.rs`).
 
-use pb3dp_geometry::MonotonicTime;
+use pb3dp_geometry::frames::Hand;
+use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_servo::supervisor::{Decision, OperatorCommand, OperatorInput, OperatorRequest, State};
 
 /// Source of operator commands. The thread that moves the arms calls it: no method may wait.
@@ -15,11 +16,32 @@ pub trait Operator: Send {
     /// Receives a problem that the operator must know, such as a failed reset; `None` clears it.
     fn tell(&mut self, trouble: Option<String>);
 
+    /// How the hand shall move; the same in each step until the operator changes it.
+    fn motion(&self) -> MotionRequest {
+        MotionRequest::default()
+    }
+
     /// Whether a person commands: only then are latched faults reset, and the target waits for the command `start`.
     fn is_person(&self) -> bool;
 
     /// Whether the sign of life ends when nobody is there. A run moves arms that are not emulated only with such an operator.
     fn can_fall_silent(&self) -> bool;
+}
+
+/// How the operator wants the hand to move, within what the setup and the supervisor allow.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionRequest {
+    /// Share of the velocity of the camera arm, 0 to 1. Values that are not finite count as 0.
+    pub speed_share: f64,
+    /// Offset of the desired pose of the hand, in axes of the hand.
+    pub hand_from_hand_shifted: Pose<Hand, Hand>,
+}
+
+impl Default for MotionRequest {
+    /// Full velocity, no offset.
+    fn default() -> Self {
+        Self { speed_share: 1.0, hand_from_hand_shifted: Pose::coincident() }
+    }
 }
 
 /// Operator of a run without a console: selects the target once, starts as soon as possible, and never resets or resumes. Its sign of life

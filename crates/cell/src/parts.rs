@@ -15,6 +15,8 @@ use pb3dp_sim::trajectory::Trajectory;
 use super::cell::SimulatedCell;
 use super::operator::Operator;
 use super::perception::{Marking, Sight};
+use super::selection::Selections;
+use super::spectator::Spectator;
 
 /// An arm with its limiter: motion, power, and limiter statistics.
 pub trait DrivenArm: Arm + ArmPower {
@@ -177,6 +179,10 @@ pub struct Parts {
     pub on_bus: Vec<ArmOnBus>,
     /// Source of the operator commands.
     pub operator: Box<dyn Operator>,
+    /// Who looks on, if anybody does.
+    pub spectator: Option<Box<dyn Spectator>>,
+    /// Targets that the operator selects during the run.
+    pub selections: Option<Selections>,
     /// Once set, the run ends early; both arms are stopped as at its regular end.
     pub interrupt: Arc<AtomicBool>,
 }

@@ -59,6 +59,8 @@ pub enum Marking {
     Outline(Vec<Point3<f64>>),
     /// The region that the operator marked, independent of the target's true pose.
     Region(Region),
+    /// The operator selects it while the run goes on.
+    Awaited,
     /// No target is marked.
     Nobody,
 }
@@ -66,6 +68,9 @@ pub enum Marking {
 /// Error for real cameras without a marked target.
 pub const NOT_MARKED: &str = "no target is marked: with real cameras use --region, or set camera.region (`pb3dp cameras record` saves \
                               their images)";
+
+/// Reason of an estimate before the operator has selected a target.
+const NOT_SELECTED: &str = "no target is selected yet: mark one in the left image";
 
 impl Marking {
     /// The region in the left image; `cam_left_from_target` is the true pose, if there is one.
@@ -87,7 +92,7 @@ impl Marking {
                 })?;
                 Ok(Region::Polygon { vertices_px })
             }
-            (Self::Outline(_), None) | (Self::Nobody, _) => bail!("{NOT_MARKED}"),
+            (Self::Outline(_), None) | (Self::Awaited | Self::Nobody, _) => bail!("{NOT_MARKED}"),
         }
     }
 }
@@ -121,10 +126,19 @@ impl Perception {
         cam_left_from_target: Option<&Pose<CamLeft, Target>>,
     ) -> Result<Option<Region>> {
         match self {
+            Self::Images(_, Marking::Awaited) => Ok(None),
             Self::Images(follower, marking) if !follower.is_started() => {
                 marking.region(setup, cam_left_from_target).map(Some)
             }
             _ => Ok(None),
+        }
+    }
+
+    /// Drops the target, until the operator marks another one.
+    pub fn forget(&mut self) {
+        if let Self::Images(follower, marking) = self {
+            follower.forget();
+            *marking = Marking::Awaited;
         }
     }
 
@@ -134,6 +148,11 @@ impl Perception {
     /// If the method fails permanently, or the frame is of the wrong kind.
     pub fn estimate(&mut self, view: &View, region: Option<&Region>, prior: &FramePrior) -> Result<TrackEstimate> {
         match (self, view) {
+            (Self::Images(follower, Marking::Awaited), View::Images(_))
+                if region.is_none() && !follower.is_started() =>
+            {
+                Ok(TrackEstimate::without_pose(Status::Lost, NOT_SELECTED.to_owned()))
+            }
             (Self::Images(follower, _), View::Images(pair)) => {
                 Ok(follower.look(&pair.left, &pair.right, region, prior, &mut || true)?)
             }

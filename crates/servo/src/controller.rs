@@ -201,6 +201,15 @@ impl Controller {
         self.lost = false;
     }
 
+    /// Sets the desired pose of the hand relative to the target, as an operator shifts it in small steps. The hand moves there within the
+    /// speed limits; a pose that the configuration would refuse changes nothing.
+    pub fn set_model_from_hand_desired(&mut self, model_from_hand_desired: Pose<Model, Hand>) {
+        let config = ControllerConfig { model_from_hand_desired, ..self.config };
+        if config.validate().is_ok() {
+            self.config = config;
+        }
+    }
+
     /// Whether the hand may search for a lost target, from [`crate::supervisor::Decision::search`] in each step. Without
     /// [`ControllerConfig::search`] the hand holds.
     pub fn permit_search(&mut self, is_permitted: bool) {

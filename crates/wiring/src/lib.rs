@@ -192,6 +192,8 @@ fn wire_cell_with(
         emulated: emulated.into_iter().map(|server| Box::new(EmulatedServer(server)) as Box<dyn EmulatedArm>).collect(),
         on_bus,
         operator: Box::new(ByCommand),
+        spectator: None,
+        selections: None,
         interrupt: Arc::default(),
     };
     Ok(Wired { parts, monitors, virtual_ends })
