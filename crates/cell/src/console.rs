@@ -8,20 +8,22 @@ use std::thread::Builder;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use pb3dp_geometry::MonotonicTime;
+use pb3dp_geometry::{ImageSize, MonotonicTime};
 use pb3dp_hal_api::Clock;
 use pb3dp_servo::supervisor::{Condition, Decision, OperatorCommand, OperatorInput, OperatorRequest, Transition};
+use pb3dp_setup::region_spec::{RegionSpec, load_region};
 use rtrb::{Consumer, Producer, RingBuffer};
 
 use super::operator::Operator;
+use super::selection::{Selection, Selections};
 use super::terminal::{has_word, without_escape_sequences};
 
 /// Commands that no control step has taken yet; `stop`, `hold` and `hold hand` need no space in this queue.
 const WORDS_MAX: usize = 16;
 /// Answers that are not written yet.
 const ANSWERS_MAX: usize = 64;
-/// Longest accepted line, bytes.
-const LINE_MAX: u64 = 256;
+/// Longest accepted line, bytes: a polygon with a hundred corners.
+const LINE_MAX: u64 = 1024;
 /// Time between two read attempts on a non-blocking input.
 const READ_AGAIN: Duration = Duration::from_millis(10);
 /// Time between two checks for results of commands; an operator does not notice it.
@@ -55,7 +57,7 @@ const DISCARDED: &str = "this program was suspended, or its clock stepped: comma
 
 /// Answer to `help`.
 const HELP: &str = "\
-select     initialise the marked target
+select     initialise the marked target; select REGION marks another one, for instance select rect:400,120,60,50
 start      follow the target with the hand
 hold       hold both arms; resume continues
 hold hand  hold the camera arm; the arm with the target continues
@@ -65,6 +67,27 @@ reset      clear a stop or a fault after its cause is gone
 status     show the state and what inhibits motion
 quit       stop both arms, write the report, exit
 help       show this list";
+
+/// What a console needs besides its lines.
+pub struct ConsoleOptions {
+    /// Set by `quit` and by the end of the input.
+    pub interrupt: Arc<AtomicBool>,
+    /// Text behind each answer.
+    pub prompt: &'static str,
+    /// For `select REGION`; `None` if the target cannot be chosen.
+    pub targets: Option<ConsoleTargets>,
+}
+
+/// For the command `select REGION`.
+pub struct ConsoleTargets {
+    /// Size of the left image.
+    pub size: ImageSize,
+    /// Receives the target once the supervisor has accepted the command.
+    pub selections: Selections,
+}
+
+/// The target of the last `select REGION`, until the supervisor has decided.
+type Drawn = Arc<Mutex<Option<Selection>>>;
 
 /// Operator commands from a console, one on each line. The end of the input ends the run, as `quit` does.
 pub struct Console {
@@ -149,14 +172,16 @@ impl Console {
         clock: Arc<dyn Clock>,
         lines: impl BufRead + Send + 'static,
         answers: impl Write + Send + 'static,
-        (interrupt, prompt): (Arc<AtomicBool>, &'static str),
+        ConsoleOptions { interrupt, prompt, targets }: ConsoleOptions,
     ) -> Result<Self> {
         let (give, words) = RingBuffer::new(WORDS_MAX);
         let (say, said) = sync_channel(ANSWERS_MAX);
         let (results, decided) = RingBuffer::new(WORDS_MAX);
         let shared = Arc::new(Shared::default());
         let shown = Arc::clone(&shared);
-        let write = move || write_all(&said, (decided, &shown), answers, prompt);
+        let drawn = Arc::new(Mutex::new(None));
+        let chosen = targets.as_ref().map(|targets| (targets.selections.clone(), Arc::clone(&drawn)));
+        let write = move || write_all(&said, (decided, &shown), chosen, (answers, prompt));
         Builder::new().name("answers".to_owned()).spawn(write).context("no thread for the answers of the console")?;
         let reading = Reading {
             clock,
@@ -164,6 +189,7 @@ impl Console {
             answers: Answers { say, left_out: 0 },
             shared: Arc::clone(&shared),
             interrupt,
+            targets: targets.map(|targets| (targets.size, drawn)),
             words: 0,
         };
         let read = move || reading.read(lines);
@@ -313,8 +339,8 @@ fn result_of(command: OperatorCommand, decision: &Decision) -> String {
 fn write_all(
     said: &Receiver<String>,
     (mut results, shared): (Consumer<(OperatorCommand, Decision)>, &Shared),
-    mut answers: impl Write,
-    prompt: &str,
+    chosen: Option<(Selections, Drawn)>,
+    (mut answers, prompt): (impl Write, &str),
 ) {
     if !prompt.is_empty() {
         let _ = write!(answers, "type a command; help lists them\n{prompt}").and_then(|()| answers.flush());
@@ -327,6 +353,12 @@ fn write_all(
             answer(text);
         }
         while let Ok((command, decision)) = results.pop() {
+            if let (OperatorCommand::Select, Some((selections, drawn))) = (command, &chosen)
+                && let Some(selection) = drawn.lock().unwrap_or_else(PoisonError::into_inner).take()
+                && decision.refused.is_none()
+            {
+                selections.give(selection);
+            }
             answer(&result_of(command, &decision));
         }
         if shared.asks_for_key.swap(false, Ordering::SeqCst) {
@@ -365,6 +397,8 @@ struct Reading {
     answers: Answers,
     shared: Arc<Shared>,
     interrupt: Arc<AtomicBool>,
+    /// Size of the left image, and the target of the last `select`; `None` if the target cannot be chosen here.
+    targets: Option<(ImageSize, Drawn)>,
     /// Number of commands typed.
     words: u64,
 }
@@ -433,6 +467,7 @@ impl Reading {
 
     fn take(&mut self, line: &str) {
         let answer = match (command_of(line), without_escape_sequences(line).trim()) {
+            (None, text) if text.starts_with("select ") => self.select(text["select ".len()..].trim()),
             (Some(word), _) => self.say(word),
             (None, "status") => Some(self.status()),
             (None, "help" | "?") => Some(HELP.to_owned()),
@@ -445,6 +480,25 @@ impl Reading {
         };
         if let Some(answer) = answer {
             self.answers.give(answer);
+        }
+    }
+
+    /// Selects the target in this region.
+    fn select(&mut self, region: &str) -> Option<String> {
+        let Some((size, drawn)) = &self.targets else {
+            return Some("select refused: this run has no images in which a target can be chosen".to_owned());
+        };
+        let region = region.parse::<RegionSpec>().and_then(|spec| {
+            spec.check_inside(*size)?;
+            load_region(&spec, *size).map_err(|error| format!("{error:#}"))
+        });
+        match region {
+            Ok(region) => {
+                let selection = Selection { region, drawn_on: None };
+                *drawn.lock().unwrap_or_else(PoisonError::into_inner) = Some(selection);
+                self.say(OperatorCommand::Select)
+            }
+            Err(why) => Some(format!("select refused: {why}")),
         }
     }
 

@@ -10,6 +10,7 @@ use pb3dp_hal_middleware::{FlightLog, Limiter, LimiterStatistics};
 use pb3dp_hal_platform::jitter::Jitter;
 use pb3dp_record::calibration_files::CameraIdentity;
 use pb3dp_setup::setup::{ArmSetup, Setup};
+use pb3dp_sim::pushed::PushedTarget;
 use pb3dp_sim::trajectory::Trajectory;
 
 use super::cell::SimulatedCell;
@@ -179,6 +180,8 @@ pub struct Parts {
     pub on_bus: Vec<ArmOnBus>,
     /// Source of the operator commands.
     pub operator: Box<dyn Operator>,
+    /// The simulated target, if a person pushes it.
+    pub pushed: Option<PushedTarget>,
     /// Who looks on, if anybody does.
     pub spectator: Option<Box<dyn Spectator>>,
     /// Targets that the operator selects during the run.

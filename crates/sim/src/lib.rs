@@ -7,6 +7,7 @@ pub mod geometric;
 pub mod joint_dynamics;
 pub mod noise;
 pub mod placement;
+pub mod pushed;
 pub mod raster;
 pub mod scene;
 pub mod sensor;

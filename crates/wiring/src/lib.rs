@@ -27,6 +27,7 @@ use pb3dp_hal_api::{Clock, StereoCamera};
 use pb3dp_hal_clock::{SystemClock, VirtualClock};
 use pb3dp_record::calibration_files::StereoCalibration;
 use pb3dp_record::dataset::Sequence;
+use pb3dp_sim::pushed::PushedTarget;
 use pb3dp_sim::trajectory::{AtRest, Trajectory};
 
 use self::arm::{EmulatedServer, MonitoredLink, WiredArms, wire_arms};
@@ -41,6 +42,7 @@ use pb3dp_cell::paced_clock::PacedClock;
 use pb3dp_cell::parts::{EmulatedArm, LinkMonitor, Parts};
 use pb3dp_cell::paths::check_paths;
 use pb3dp_cell::perception::{Marking, NOT_MARKED, Sight};
+use pb3dp_cell::selection::Selections;
 use pb3dp_setup::region_spec::load_region;
 use pb3dp_setup::setup::{Carrier, Pace, Setup};
 
@@ -79,15 +81,38 @@ pub fn wire_watched(setup: &Setup) -> Result<Wired> {
     wire_with(setup, Arc::new(Linux))
 }
 
+/// As [`wire_watched`], for an operator who may select the target during the run: with real cameras none needs to be marked before.
+///
+/// # Errors
+/// As [`wire`].
+pub fn wire_selectable(setup: &Setup) -> Result<Wired> {
+    let mut wired = wire_marked_or_not(setup, Arc::new(Linux))?;
+    if matches!(wired.parts.marking, Marking::Nobody) {
+        wired.parts.marking = Marking::Awaited;
+    }
+    if matches!(wired.parts.camera, Sight::Images(_)) {
+        wired.parts.selections = Some(Selections::default());
+    }
+    Ok(wired)
+}
+
 /// As [`wire`], with real cameras from this video system.
 ///
 /// # Errors
 /// As [`wire`].
 pub fn wire_with(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Wired> {
     check_marked(setup)?;
-    wire_cell_with(setup, video, |cell, start| {
-        let experiment = setup.experiment.motion.begin_at(start)?;
-        if setup.experiment.carrier == Carrier::Nothing {
+    wire_marked_or_not(setup, video)
+}
+
+fn wire_marked_or_not(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Wired> {
+    let mut pushed = None;
+    let mut wired = wire_cell_with(setup, video, |cell, start| {
+        let experiment: Arc<dyn Trajectory> = match setup.experiment.carrier {
+            Carrier::Person => Arc::new(pushed.insert(PushedTarget::new(start)).clone()),
+            Carrier::Arm | Carrier::Nothing => setup.experiment.motion.begin_at(start)?,
+        };
+        if setup.experiment.carrier != Carrier::Arm {
             cell.free_target = Some(FreeTarget::new(Arc::clone(&experiment)));
         }
         for (name, report) in check_paths(setup, &*experiment, start)? {
@@ -101,7 +126,9 @@ pub fn wire_with(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Wired> {
             );
         }
         Ok(experiment)
-    })
+    })?;
+    wired.parts.pushed = pushed;
+    Ok(wired)
 }
 
 /// Wires the workcell with a target that is held stationary for this long, independent of the experiment of the setup.
@@ -193,6 +220,7 @@ fn wire_cell_with(
         on_bus,
         operator: Box::new(ByCommand),
         spectator: None,
+        pushed: None,
         selections: None,
         interrupt: Arc::default(),
     };

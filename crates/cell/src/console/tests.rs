@@ -5,9 +5,12 @@ use std::path::Path;
 use std::sync::mpsc::{Sender, channel};
 use std::time::Instant;
 
+use pb3dp_estimation_core::region::Region;
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_servo::Mode;
-use pb3dp_servo::supervisor::{ArmCondition, ArmInput, Cause, Detail, Event, Innovation, Inputs, State, Supervisor};
+use pb3dp_servo::supervisor::{
+    ArmCondition, ArmInput, Cause, Detail, Event, Innovation, Inputs, Refusal, RefusedFor, State, Supervisor,
+};
 use pb3dp_setup::setup::read_setup;
 
 use super::*;
@@ -34,7 +37,21 @@ fn console(lines: impl BufRead + Send + 'static) -> (Console, Receiver<String>, 
     let interrupt = Arc::new(AtomicBool::new(false));
     let clock = Arc::new(VirtualClock::new());
     clock.sleep_until(MonotonicTime::from_nanos(5));
-    (Console::start(clock, lines, Written(written), (Arc::clone(&interrupt), "")).unwrap(), answers, interrupt)
+    (
+        Console::start(
+            clock,
+            lines,
+            Written(written),
+            ConsoleOptions { interrupt: Arc::clone(&interrupt), prompt: "", targets: None },
+        )
+        .unwrap(),
+        answers,
+        interrupt,
+    )
+}
+
+fn options() -> ConsoleOptions {
+    ConsoleOptions { interrupt: Arc::default(), prompt: "", targets: None }
 }
 
 fn typed() -> (BufReader<std::io::PipeReader>, PipeWriter) {
@@ -166,7 +183,7 @@ fn commands_typed_while_the_program_was_suspended_are_discarded_but_not_stop_and
     let (written, answers) = channel();
     let clock = Arc::new(VirtualClock::new());
     let reading: Arc<dyn Clock> = clock.clone();
-    let mut console = Console::start(reading, lines, Written(written), (Arc::default(), "")).unwrap();
+    let mut console = Console::start(reading, lines, Written(written), options()).unwrap();
     let at = MonotonicTime::from_secs_f64;
     let mut say = |console: &Console, line: &str, seconds: f64| {
         clock.sleep_until(at(seconds));
@@ -270,7 +287,7 @@ fn a_console_with_keys_falls_silent_when_nobody_types_and_asks_before() {
     let clock = Arc::new(VirtualClock::new());
     let reading: Arc<dyn Clock> = clock.clone();
     let within = Duration::from_secs(30);
-    let console = Console::start(reading, lines, Written(written), (Arc::default(), "")).unwrap();
+    let console = Console::start(reading, lines, Written(written), options()).unwrap();
     assert!(!console.can_fall_silent());
     let mut console = console.with_keys(within);
     assert!(console.can_fall_silent());
@@ -331,7 +348,7 @@ fn bytes_that_are_no_text_and_lines_without_end_are_no_words_and_close_nothing()
     let lines = [b"st\xffart\n\xfe\xfe\n".to_vec(), long, b"select\n".to_vec()].concat();
     let (mut console, answers, _) = console(std::io::Cursor::new(lines));
     let text: String = answers.iter().collect();
-    assert!(text.contains("unknown command \"st\u{fffd}art\"") && text.contains("longer than 256 bytes"), "{text}");
+    assert!(text.contains("unknown command \"st\u{fffd}art\"") && text.contains("longer than 1024 bytes"), "{text}");
     assert_eq!([0; 2].map(|_| word(&mut console)), [Some(OperatorCommand::Select), None]);
 }
 
@@ -359,14 +376,14 @@ fn a_stop_anywhere_in_a_line_that_is_too_long_is_a_stop() {
     while answers.try_recv().is_ok() {}
     writeln!(writer, "start {}", "x".repeat(LINE_MAX as usize)).unwrap();
     let refused = answers.recv_timeout(Duration::from_secs(30)).unwrap();
-    assert!(refused.contains("longer than 256 bytes"), "{refused}");
+    assert!(refused.contains("longer than 1024 bytes"), "{refused}");
     assert_eq!([0; 2].map(|_| word(&mut console)), [None; 2]);
 }
 
 #[test]
 fn a_person_who_reads_no_answers_is_still_heard() {
     let ((lines, mut writer), (unread, full)) = (typed(), pipe().unwrap());
-    let mut console = Console::start(Arc::new(VirtualClock::new()), lines, full, (Arc::default(), "")).unwrap();
+    let mut console = Console::start(Arc::new(VirtualClock::new()), lines, full, options()).unwrap();
     assert_eq!(word(&mut console), None);
     // More than a pipe and the answer queue hold.
     for _ in 0..4000 {
@@ -403,4 +420,48 @@ fn what_is_told_while_somebody_reads_is_shown_in_the_next_step() {
     console.show(&decision);
     let shown = shared.shown.lock().unwrap();
     assert!(shown.trouble.is_none() && shown.decision.is_some());
+}
+
+#[test]
+fn select_with_a_region_gives_the_target_once_the_supervisor_has_accepted_it() {
+    let (written, answers) = channel();
+    let selections = Selections::default();
+    let size = ImageSize { width: 640, height: 480 };
+    let targets = Some(ConsoleTargets { size, selections: selections.clone() });
+    let (lines, mut typing) = typed();
+    let options = ConsoleOptions { targets, ..options() };
+    let mut console = Console::start(Arc::new(VirtualClock::new()), lines, Written(written), options).unwrap();
+    console.listen(None, NOW);
+    let answer = || {
+        let mut answer = String::new();
+        while !answer.ends_with('\n') {
+            answer += &answers.recv_timeout(Duration::from_secs(30)).unwrap();
+        }
+        answer
+    };
+    let mut said = |line: &str, decision: Decision| {
+        writeln!(typing, "{line}").unwrap();
+        let begin = Instant::now();
+        while console.listen(None, NOW).said.is_none() {
+            assert!(begin.elapsed() < Duration::from_secs(30), "{line}");
+        }
+        console.show(&decision);
+        answer()
+    };
+    let refused = Decision {
+        refused: Some(Refusal { word: OperatorCommand::Select, because: RefusedFor::State(State::Tracking) }),
+        ..decision()
+    };
+    said("select rect:400,120,60,50", refused);
+    assert!(selections.take().is_none(), "the supervisor has refused it");
+    said("select", decision());
+    assert!(selections.take().is_none(), "a refused region is not used later");
+    said("select rect:400,120,60,50", decision());
+    let region = selections.take().unwrap().region;
+    assert!(matches!(region, Region::Rectangle { x: 400, y: 120, width: 60, height: 50 }), "{region:?}");
+    for line in ["select rect:600,120,60,50", "select rect:1,2,3", "select circle:3"] {
+        writeln!(typing, "{line}").unwrap();
+        let answer = answer();
+        assert!(answer.starts_with("select refused: "), "{line}: {answer}");
+    }
 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Result, bail};
 use pb3dp_cell::attended::AttendedCommand;
-use pb3dp_cell::console::Console;
+use pb3dp_cell::console::{Console, ConsoleOptions, ConsoleTargets};
 use pb3dp_cell::operator::{ByCommand, Operator};
 use pb3dp_cell::terminal::{TypedInput, print_line};
 use pb3dp_commissioning::arm::confirm;
@@ -71,10 +71,11 @@ impl Attendance {
         clock: Arc<dyn Clock>,
         answers: impl Write + Send + 'static,
         interrupt: Arc<AtomicBool>,
+        targets: Option<ConsoleTargets>,
     ) -> Result<Box<dyn Operator>> {
         let Self { name, is_emulated, key_within, typed } = self;
         let prompt = if std::io::stdin().is_terminal() { "pb3dp> " } else { "" };
-        let console = || Console::start(clock, typed, answers, (interrupt, prompt));
+        let console = || Console::start(clock, typed, answers, ConsoleOptions { interrupt, prompt, targets });
         Ok(match (name, is_emulated) {
             (OperatorName::Command, true) => Box::new(ByCommand),
             (OperatorName::Command, false) => Box::new(AttendedCommand(console()?.with_keys(key_within))),
@@ -107,7 +108,7 @@ mod tests {
             let typed = Box::new(BufReader::new(open));
             let attendance =
                 Attendance { name: *name, is_emulated: false, key_within: setup.operator_key_within, typed };
-            let mut operator = attendance.operator(clock, std::io::sink(), Arc::default()).unwrap();
+            let mut operator = attendance.operator(clock, std::io::sink(), Arc::default(), None).unwrap();
             assert!(operator.can_fall_silent(), "{name:?}");
             let begin = MonotonicTime::from_secs_f64(100.0);
             let heard = operator.listen(None, begin);

@@ -6,6 +6,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result};
+use pb3dp_cell::console::ConsoleTargets;
 use pb3dp_cell::experiment::{self, Ended};
 use pb3dp_cell::flight::Moment;
 use pb3dp_cell::interruption::{INTERRUPTED, watch};
@@ -14,7 +15,7 @@ use pb3dp_commissioning::commissioned::needed_records;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::dataset::SequenceWriter;
 use pb3dp_setup::setup::{ArmSetup, read_layers};
-use pb3dp_wiring::{Wired, accept_nominal, wire_watched, write_flights};
+use pb3dp_wiring::{Wired, accept_nominal, wire_selectable, wire_watched, write_flights};
 
 use crate::arguments::{OperatorName, RunArgs, UNSURE};
 use crate::commands::attendance::Attendance;
@@ -51,10 +52,15 @@ fn conduct(args: &RunArgs) -> Result<ExitCode> {
     if let Some(folder) = &args.record {
         SequenceWriter::check_folder(folder).context("--record")?;
     }
-    let Wired { mut parts, monitors, .. } = wire_watched(&setup)?;
+    let Wired { mut parts, monitors, .. } = match args.operator {
+        OperatorName::Command => wire_watched(&setup)?,
+        OperatorName::Console => wire_selectable(&setup)?,
+    };
     records.iter().try_for_each(|record| record.check(&monitors))?;
     let clock = Arc::clone(&parts.clock);
-    parts.operator = attendance.operator(clock, std::io::stdout(), Arc::clone(&parts.interrupt))?;
+    let size = setup.rig.stereo.left().size();
+    let targets = parts.selections.clone().map(|selections| ConsoleTargets { size, selections });
+    parts.operator = attendance.operator(clock, std::io::stdout(), Arc::clone(&parts.interrupt), targets)?;
     let started = Instant::now();
     let interrupt = Arc::clone(&parts.interrupt);
     let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus), last_words)?;

@@ -16,11 +16,16 @@ pub struct BuiltIn {
 }
 
 /// The setups.
-pub const SETUPS: [BuiltIn; 5] = [
+pub const SETUPS: [BuiltIn; 6] = [
     BuiltIn {
         name: "sim",
         about: "the experiment of the paper in simulation",
         text: include_str!("../../configs/sim.toml"),
+    },
+    BuiltIn {
+        name: "playground",
+        about: "sim, paced by the clock, with a target that you push about: for the panel",
+        text: include_str!("../../configs/playground.toml"),
     },
     BuiltIn {
         name: "hil",

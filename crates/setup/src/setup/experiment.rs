@@ -21,6 +21,8 @@ pub enum Carrier {
     Arm,
     /// None: the simulated target follows its motion, and the second arm stands still.
     Nothing,
+    /// None: the simulated target rests until a person pushes it, and the second arm stands still.
+    Person,
 }
 
 impl Experiment {
@@ -91,6 +93,7 @@ enum TargetName {
     #[default]
     Carried,
     Free,
+    Pushed,
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -110,6 +113,7 @@ impl ExperimentSection {
         let carrier = match self.target {
             TargetName::Carried => Carrier::Arm,
             TargetName::Free => Carrier::Nothing,
+            TargetName::Pushed => Carrier::Person,
         };
         let motion = match self.kind {
             KindName::Steps => MotionConfig::Steps(self.steps(channels, carrier, check)?),

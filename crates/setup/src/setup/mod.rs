@@ -434,9 +434,9 @@ impl SetupFile {
                  looks at images"
             ));
         }
-        if experiment.is_some_and(|experiment| experiment.carrier == Carrier::Nothing) {
+        if experiment.is_some_and(|experiment| experiment.carrier != Carrier::Arm) {
             check.refuse(format!(
-                "experiment.target = \"free\": only a simulated target is carried by nothing; {with} it is \"carried\""
+                "experiment.target: only a simulated target is \"free\" or \"pushed\"; {with} it is \"carried\""
             ));
         }
     }
