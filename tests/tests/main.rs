@@ -9,5 +9,6 @@ mod effective_limits;
 mod real_pairs;
 mod real_time;
 mod safety_numbers;
+mod selected;
 mod start_and_resume;
 mod supervised;
