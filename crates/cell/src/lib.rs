@@ -22,6 +22,7 @@ pub mod follower;
 pub mod halves;
 pub mod handover;
 pub mod image_quality;
+pub mod images_only;
 pub mod interruption;
 pub mod journal;
 pub mod live;

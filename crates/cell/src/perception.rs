@@ -70,7 +70,7 @@ pub const NOT_MARKED: &str = "no target is marked: with real cameras use --regio
                               their images)";
 
 /// Reason of an estimate before the operator has selected a target.
-const NOT_SELECTED: &str = "no target is selected yet: mark one in the left image";
+pub(crate) const NOT_SELECTED: &str = "no target is selected yet: mark one in the left image";
 
 impl Marking {
     /// The region in the left image; `cam_left_from_target` is the true pose, if there is one.
