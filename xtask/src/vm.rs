@@ -22,6 +22,9 @@ use kernel::Kernel;
 use machine::Machine;
 use suites::{SUITES, Suite};
 
+/// Whether this system can build programs for the guest.
+pub const CAN_BE_BUILT: bool = cfg!(all(target_arch = "x86_64", target_os = "linux"));
+
 /// The guest has neither libraries nor a dynamic linker.
 const TARGET: &str = "x86_64-unknown-linux-gnu";
 const RUSTFLAGS: &str = "-C target-feature=+crt-static -C strip=debuginfo";
@@ -77,7 +80,7 @@ pub fn run_suites(workspace: &Workspace, suites: Vec<String>) -> anyhow::Result<
 /// # Errors
 /// [`NotPossible`] without kernel or QEMU; otherwise if a test fails or does not build.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
-    if !cfg!(all(target_arch = "x86_64", target_os = "linux")) {
+    if !CAN_BE_BUILT {
         return Err(NotPossible::because("the guest is Linux on x86-64 and must be built on the same system"));
     }
     let qemu = machine::find_qemu()?;
@@ -163,10 +166,18 @@ struct Built {
     product: Option<Vec<u8>>,
 }
 
+/// A command of cargo with the profile and the flags of the guests' programs: what is built with it is not built again for them.
+pub fn cargo_of_guests(workspace: &Workspace, subcommand: &str) -> Command {
+    let mut command = workspace.cargo();
+    command.args([subcommand, "--locked", "--profile", PROFILE, "--target", TARGET]);
+    command.env("RUSTFLAGS", RUSTFLAGS).env_remove("CARGO_ENCODED_RUSTFLAGS");
+    command
+}
+
 /// All programs in one call of cargo, because otherwise their common code would be built once for each.
 fn build<'a>(workspace: &Workspace, suites: &[&'a Suite]) -> anyhow::Result<Vec<(&'a Suite, Built)>> {
-    let mut command = workspace.cargo();
-    command.args(["build", "--quiet", "--locked", "--profile", PROFILE, "--target", TARGET]);
+    let mut command = cargo_of_guests(workspace, "build");
+    command.arg("--quiet");
     let mut asked: Vec<[&str; 2]> = Vec::new();
     for suite in suites {
         println!("-- {}: {}", suite.name, suite.what);
@@ -178,7 +189,6 @@ fn build<'a>(workspace: &Workspace, suites: &[&'a Suite]) -> anyhow::Result<Vec<
     asked.sort_unstable();
     asked.dedup();
     command.args(asked.concat());
-    command.env("RUSTFLAGS", RUSTFLAGS).env_remove("CARGO_ENCODED_RUSTFLAGS");
     run_visibly(&mut command)?;
     let folder = workspace.target_folder()?.join(TARGET).join(PROFILE);
     let read = |name: &str| {

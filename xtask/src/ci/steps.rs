@@ -127,11 +127,19 @@ fn safeguards(workspace: &Workspace) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The accuracy benchmark with few poses: fails if a limit is not met. Built for release: with the checks of the test build the
-/// run takes more than three times as long (over 9 minutes instead of 3, 2026-11-22), which is more than the second build.
+/// The accuracy benchmark with few poses: fails if a limit is not met. Built as the programs of the emulated computers are: with the
+/// checks of the test build the run takes more than three times as long (over 9 minutes instead of 3, 2026-11-22).
 fn accuracy(progress: &mut Progress<'_>) -> anyhow::Result<()> {
-    let package = ["run", "--release", "--locked", "--package", "pb3dp-benchmarks"];
-    run_visibly(progress.workspace.cargo().args(package).args(["--bin", "pb3dp-bench", "--", "accuracy", "--quick"]))
+    let mut command = match vm::CAN_BE_BUILT {
+        true => vm::cargo_of_guests(progress.workspace, "run"),
+        false => {
+            let mut command = progress.workspace.cargo();
+            command.args(["run", "--release", "--locked"]);
+            command
+        }
+    };
+    command.args(["--package", "pb3dp-benchmarks", "--bin", "pb3dp-bench", "--", "accuracy", "--quick"]);
+    run_visibly(&mut command)
 }
 
 /// The suites in emulated computers for the affected packages.
