@@ -7,7 +7,9 @@ use pb3dp_geometry::frames::Hand;
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
 use pb3dp_kinematics::{Damping, JointVector};
-use pb3dp_servo::supervisor::{Decision, Event, OperatorCommand, OperatorInput, OperatorRequest, Permission, State};
+use pb3dp_servo::supervisor::{
+    ArmCondition, Decision, Event, OperatorCommand, OperatorInput, OperatorRequest, Permission, State,
+};
 use pb3dp_servo::{Command, ControlStep, Controller, Mode};
 use pb3dp_setup::setup::{Carrier, Setup};
 use pb3dp_sim::placement::FlangePath;
@@ -82,6 +84,8 @@ pub struct Moved {
     pub vs_joints: JointState,
     /// The arm that carries the cameras, and the one that carries the target.
     pub arms: [ArmSample; 2],
+    /// State of their drives and brakes.
+    pub conditions: [ArmCondition; 2],
 }
 
 impl<'a> Moving<'a> {
@@ -361,7 +365,9 @@ impl Mover for Moving<'_> {
     fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
         let (control, decision, told) = self.decide(now);
         let arms = [self.arms.vs.sample(), self.arms.tc.sample()];
-        let moved = Moved { at: now, mode: control.mode, decision, vs_joints: *self.arms.vs.joints(), arms };
+        let conditions = [&self.arms.vs, &self.arms.tc].map(LedArm::condition);
+        let vs_joints = *self.arms.vs.joints();
+        let moved = Moved { at: now, mode: control.mode, decision, vs_joints, arms, conditions };
         if decision.permission == Permission::Stop {
             self.stay_stopped(&decision, now)?;
             return Ok(moved);

@@ -1,0 +1,185 @@
+//! What the panel knows of the setup; it does not change while the panel runs.
+
+use nalgebra::{Isometry3, Vector3};
+use pb3dp_cell::parts::ArmChoice;
+use pb3dp_estimation::estimator::EstimatorConfig;
+use pb3dp_estimation_core::plane_hypothesis::SearchRange;
+use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Model, World};
+use pb3dp_geometry::{Pose, StereoRig};
+use pb3dp_kinematics::{Chain, EffectiveLimits, JointVector};
+use pb3dp_servo::supervisor::{Action, Condition, ConditionSet, Policies};
+use pb3dp_setup::setup::{Leader, Setup};
+
+/// An arm as the page shows it.
+#[derive(Clone, Debug)]
+pub struct AboutArm {
+    /// Name in messages: `vs-robot`.
+    pub name: String,
+    /// Kinematics.
+    pub chain: Chain,
+    /// Effective limits.
+    pub limits: EffectiveLimits,
+    /// Mechanical range in the description of the arm, radians: smallest and largest angles.
+    pub robot_range_rad: (JointVector, JointVector),
+    /// Base pose.
+    pub world_from_base: Pose<World, Base>,
+    /// Pose of the tool: the hand of the camera arm, the target of the other one.
+    pub flange_from_tool: Isometry3<f64>,
+}
+
+/// The camera arm as a carrier of the cameras.
+#[derive(Clone, Debug)]
+pub struct AboutHand {
+    /// Mounting of the cameras.
+    pub hand_from_cam_left: Pose<Hand, CamLeft>,
+    /// Place of the hand.
+    pub flange_from_hand: Pose<Flange, Hand>,
+    /// Desired pose of the hand, without a jog.
+    pub model_from_hand_desired: Pose<Model, Hand>,
+}
+
+/// All facts about the setup.
+#[derive(Clone, Debug)]
+pub struct About {
+    /// Version of the program.
+    pub version: String,
+    /// Name of the setup.
+    pub setup: String,
+    /// Whether no arm outside of this program moves.
+    pub is_emulated: bool,
+    /// Whether the cameras are simulated.
+    pub is_simulated: bool,
+    /// Whether the method uses images.
+    pub has_images: bool,
+    /// The stereo pair, as calibrated.
+    pub stereo: StereoRig,
+    /// State of the calibration, in words.
+    pub calibration: String,
+    /// The arms, the one with the cameras first; empty without arms.
+    pub arms: Vec<AboutArm>,
+    /// The hand; `None` without arms.
+    pub hand: Option<AboutHand>,
+    /// Parameters of the methods, for previews.
+    pub estimator: EstimatorConfig,
+    /// Search range, for previews.
+    pub range: SearchRange,
+    /// Action of each condition; `None` without arms.
+    pub policies: Option<Policies>,
+}
+
+impl About {
+    /// The facts of a setup.
+    pub fn of_setup(setup: &Setup, name: &str, version: &str) -> Self {
+        let rig = &setup.rig;
+        let arm = |choice: ArmChoice| {
+            let arm = choice.of(setup);
+            let limits = arm.chain.limits();
+            AboutArm {
+                name: choice.name().to_owned(),
+                chain: arm.chain.clone(),
+                limits: arm.limits,
+                robot_range_rad: (*limits.position_min_rad(), *limits.position_max_rad()),
+                world_from_base: arm.world_from_base,
+                flange_from_tool: match choice {
+                    ArmChoice::Vs => *setup.controller.flange_from_hand.isometry(),
+                    ArmChoice::Tc => *rig.flange_from_target.isometry(),
+                },
+            }
+        };
+        Self {
+            version: version.to_owned(),
+            setup: name.to_owned(),
+            is_emulated: setup.is_emulated(),
+            is_simulated: setup.world.is_some(),
+            has_images: matches!(setup.leader, Leader::Images(_)),
+            stereo: rig.stereo.clone(),
+            calibration: calibration_in_words(setup),
+            arms: vec![arm(ArmChoice::Vs), arm(ArmChoice::Tc)],
+            hand: Some(AboutHand {
+                hand_from_cam_left: setup.controller.hand_from_cam_left,
+                flange_from_hand: setup.controller.flange_from_hand,
+                model_from_hand_desired: setup.controller.model_from_hand_desired,
+            }),
+            estimator: setup.estimator.clone(),
+            range: setup.range,
+            policies: Some(setup.supervisor.policies.clone()),
+        }
+    }
+
+    /// Facts of cameras without arms.
+    pub fn of_cameras(stereo: StereoRig, setup: &str, version: &str, range: SearchRange) -> Self {
+        Self {
+            version: version.to_owned(),
+            setup: setup.to_owned(),
+            is_emulated: false,
+            is_simulated: false,
+            has_images: true,
+            stereo,
+            calibration: String::new(),
+            arms: Vec::new(),
+            hand: None,
+            estimator: EstimatorConfig::default(),
+            range,
+            policies: None,
+        }
+    }
+
+    /// Whether commands move arms.
+    pub fn has_arms(&self) -> bool {
+        !self.arms.is_empty()
+    }
+
+    /// Word for the action of a condition.
+    pub fn action_of(&self, condition: Condition) -> &'static str {
+        match self.policies.as_ref().map(|policies| policies.get(condition).action) {
+            None | Some(Action::Note) => "note",
+            Some(Action::Slow(_)) => "slow",
+            Some(Action::Hold) => "hold",
+            Some(Action::Stop) => "stop",
+            Some(Action::Fault) => "fault",
+        }
+    }
+
+    /// Names of the conditions of a set with their actions.
+    pub fn inhibits(&self, found: ConditionSet) -> impl Iterator<Item = (Condition, &'static str)> + '_ {
+        found.iter().map(|condition| (condition, self.action_of(condition)))
+    }
+
+    /// Pose of the left camera for the joints of the camera arm; `None` without arms.
+    pub fn world_from_cam_left(&self, position_rad: &JointVector) -> Option<Pose<World, CamLeft>> {
+        let (arm, hand) = (self.arms.first()?, self.hand.as_ref()?);
+        Some(arm.world_from_base * arm.chain.forward(position_rad) * hand.flange_from_hand * hand.hand_from_cam_left)
+    }
+}
+
+impl AboutArm {
+    /// The fixed transform before each joint, then the one from the last joint to the flange; and the axis of each joint in its frame.
+    pub fn links(&self) -> (Vec<Isometry3<f64>>, Vec<Vector3<f64>>) {
+        let frames = self.chain.joint_frames(&JointVector::zeros());
+        let joints = &frames.base_from_joint[..self.chain.joints()];
+        let (mut transforms, mut before) = (Vec::new(), Isometry3::identity());
+        for base_from_joint in joints {
+            transforms.push(before.inverse() * base_from_joint);
+            before = *base_from_joint;
+        }
+        transforms.push(before.inverse() * frames.base_from_flange.isometry());
+        let axes = joints.iter().zip(&frames.axis_in_base);
+        let axes = axes.map(|(base_from_joint, axis)| base_from_joint.rotation.inverse() * axis.into_inner());
+        (transforms, axes.collect())
+    }
+}
+
+/// State of the calibration in words.
+fn calibration_in_words(setup: &Setup) -> String {
+    match (&setup.rig.nominal_calibration, setup.rig.calibrations.is_empty()) {
+        (Some(nominal), _) => format!("nominal, not measured: {nominal}"),
+        (None, true) => "stated in the setup".to_owned(),
+        (None, false) => setup
+            .rig
+            .calibrations
+            .iter()
+            .map(|one| format!("{}: {}", one.table, one.source))
+            .collect::<Vec<_>>()
+            .join("; "),
+    }
+}

@@ -1,0 +1,232 @@
+//! Commands from their request to their result.
+
+use std::sync::atomic::Ordering;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use pb3dp_cell::selection::Selection;
+use pb3dp_geometry::Pose;
+use pb3dp_servo::supervisor::{Decision, OperatorCommand};
+use serde::Serialize;
+use tokio::sync::oneshot;
+
+use crate::control_link::{COMMANDS_MAX, GivenCommand, Outcome, TakenCommand};
+use crate::hub::{Hub, SAVED_MAX};
+use crate::messages::state::JogState;
+use crate::refusal::Refusal;
+
+/// Commands that wait for their result.
+const PENDING_MAX: usize = 64;
+/// Time in which the estimation takes a selection; after it `start` no longer waits for it.
+const SELECTION_TIME: Duration = Duration::from_secs(2);
+
+/// Answer to an accepted command.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CommandAnswer {
+    /// The command.
+    pub command: &'static str,
+    /// One line: the result.
+    pub line: String,
+    /// State number afterwards; the page may use it before the next state arrives.
+    pub number: u64,
+}
+
+/// Receives the result of a command.
+pub type Answer = oneshot::Receiver<Result<CommandAnswer, Refusal>>;
+
+/// A target that a `select` chooses.
+#[derive(Clone, Debug)]
+pub struct Chosen {
+    /// The selection; `None` leaves the target to the setup.
+    pub selection: Option<Selection>,
+    /// Its name.
+    pub name: Option<String>,
+}
+
+struct PendingCommand {
+    id: u64,
+    command: OperatorCommand,
+    chosen: Option<Chosen>,
+    answer: oneshot::Sender<Result<CommandAnswer, Refusal>>,
+}
+
+/// Commands without a result.
+#[derive(Default)]
+pub struct PendingCommands(Mutex<Vec<PendingCommand>>);
+
+impl PendingCommands {
+    fn lock(&self) -> MutexGuard<'_, Vec<PendingCommand>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Removes the commands that this result is for: a slot for urgent commands holds the last request only, and its result is that of
+    /// the earlier ones, too.
+    fn take(&self, taken: &TakenCommand) -> Vec<PendingCommand> {
+        let is_done = |pending: &mut PendingCommand| {
+            pending.id == taken.id
+                || (taken.command.ends_motion() && pending.command == taken.command && pending.id < taken.id)
+        };
+        self.lock().extract_if(.., is_done).collect()
+    }
+}
+
+impl Hub {
+    /// Gives a command to the control thread; the caller has checked the lease and what the operator saw. The control thread compares
+    /// `state_seen` once more, but not for commands that only end motion.
+    ///
+    /// # Errors
+    /// If the command cannot be given now.
+    pub fn give_command(
+        &self,
+        command: OperatorCommand,
+        state_seen: u64,
+        chosen: Option<Chosen>,
+    ) -> Result<Answer, Refusal> {
+        let name = command.name();
+        let (answer, result) = oneshot::channel();
+        if let Some(done) = self.before_or_without_arms(command, &chosen)? {
+            // The receiver is in scope.
+            let _ = answer.send(Ok(done));
+            return Ok(result);
+        }
+        if command == OperatorCommand::Start {
+            self.check_no_selection_is_awaited()?;
+        }
+        let given = GivenCommand { id: self.link.next_id(), command, at: self.now(), state_seen };
+        {
+            let mut pending = self.pending.lock();
+            let has_room = pending.len() < PENDING_MAX;
+            if has_room {
+                pending.push(PendingCommand { id: given.id, command, chosen, answer });
+            } else if !command.ends_motion() {
+                return Err(Refusal::QueueFull { command: name, limit: COMMANDS_MAX });
+            }
+        }
+        match self.link.slot_of(command) {
+            Some(slot) => slot.give(given.id, given.at),
+            None if self.link.queue(given) => {}
+            None => {
+                self.pending.lock().retain(|pending| pending.id != given.id);
+                return Err(Refusal::QueueFull { command: name, limit: COMMANDS_MAX });
+            }
+        }
+        Ok(result)
+    }
+
+    /// The result of a command where no control step can take it.
+    fn before_or_without_arms(
+        &self,
+        command: OperatorCommand,
+        chosen: &Option<Chosen>,
+    ) -> Result<Option<CommandAnswer>, Refusal> {
+        let name = command.name();
+        let refused = |why| Err(Refusal::NotRunning { command: name, why });
+        let done = |line: &str| {
+            let number = self.link.number.load(Ordering::SeqCst);
+            Ok(Some(CommandAnswer { command: name, line: line.to_owned(), number }))
+        };
+        if !self.about.has_arms() {
+            return match (command, chosen) {
+                (OperatorCommand::Select, Some(chosen)) => {
+                    self.choose(chosen);
+                    done("select: the target is being initialised")
+                }
+                _ => refused("this panel shows cameras without arms; use `pb3dp run --panel` to move arms"),
+            };
+        }
+        if self.link.is_over.load(Ordering::SeqCst) {
+            return match command.ends_motion() {
+                true => done("the run is over, no arm moves"),
+                false => refused("the run is over; start a new one"),
+            };
+        }
+        if self.link.has_begun.load(Ordering::SeqCst) {
+            return Ok(None);
+        }
+        match command {
+            OperatorCommand::Stop => {
+                self.config.interrupt.store(true, Ordering::SeqCst);
+                done("enabling aborted: both arms stop, and the run ends")
+            }
+            OperatorCommand::Hold | OperatorCommand::HoldHand => {
+                if let Some(slot) = self.link.slot_of(command) {
+                    slot.give(self.link.next_id(), self.now());
+                }
+                done("both arms are still being enabled; they hold afterwards")
+            }
+            _ => refused("both arms are still being enabled; repeat it when they are enabled"),
+        }
+    }
+
+    /// `start` right after `select` must not follow the target before.
+    fn check_no_selection_is_awaited(&self) -> Result<(), Refusal> {
+        let mut targets = self.targets();
+        let Some((marked_before, at)) = targets.awaited else { return Ok(()) };
+        let is_taken = self.watched.marked.load(Ordering::SeqCst) > marked_before;
+        if is_taken || self.now().saturating_since(at) > SELECTION_TIME {
+            targets.awaited = None;
+            return Ok(());
+        }
+        Err(Refusal::OtherTarget {
+            command: "start",
+            seen: "the target before".to_owned(),
+            current: "one that is being initialised".to_owned(),
+        })
+    }
+
+    /// Passes on the result of a command.
+    pub fn resolve(&self, taken: &TakenCommand) {
+        for pending in self.pending.take(taken) {
+            let result = self.result_of(&pending, taken);
+            // Who asked may be gone; the audit log has the result.
+            let _ = pending.answer.send(result);
+        }
+    }
+
+    fn result_of(&self, pending: &PendingCommand, taken: &TakenCommand) -> Result<CommandAnswer, Refusal> {
+        let command = pending.command.name();
+        let decision = match &taken.outcome {
+            Outcome::Decided(decision) => decision,
+            Outcome::OtherState => return Err(Refusal::Overtaken { command, why: "the state changed meanwhile" }),
+            Outcome::Overtaken => return Err(Refusal::Overtaken { command, why: "a later stop or hold came first" }),
+            Outcome::Suspended => {
+                return Err(Refusal::Overtaken { command, why: "this program was suspended, or its clock stepped" });
+            }
+        };
+        if let Some(refusal) = decision.refused {
+            return Err(Refusal::Supervisor(refusal));
+        }
+        if let (OperatorCommand::Select, Some(chosen)) = (pending.command, &pending.chosen) {
+            self.choose(chosen);
+        }
+        Ok(CommandAnswer { command, line: in_words(pending.command, decision), number: taken.number })
+    }
+
+    /// Gives an accepted selection to the estimation. A new target begins without a jog.
+    fn choose(&self, chosen: &Chosen) {
+        *self.jog() = JogState::default();
+        self.link.set_jog(Pose::coincident());
+        let mut targets = self.targets();
+        targets.name.clone_from(&chosen.name);
+        let Some(selection) = &chosen.selection else { return };
+        if let Some(name) = &chosen.name {
+            targets.saved.retain(|(saved, _)| saved != name);
+            targets.saved.push_back((name.clone(), selection.clone()));
+            if targets.saved.len() > SAVED_MAX {
+                targets.saved.pop_front();
+            }
+        }
+        targets.awaited = Some((self.watched.marked.load(Ordering::SeqCst), self.now()));
+        self.selections.give(selection.clone());
+    }
+}
+
+fn in_words(command: OperatorCommand, decision: &Decision) -> String {
+    match &decision.transition {
+        Some(transition) => format!("{}: {}", command.name(), transition.to),
+        None if command == OperatorCommand::Hold && decision.no_arm_may_move => {
+            format!("hold: both arms hold, the state is {}", decision.state)
+        }
+        None => format!("{}: no change, the state is {}", command.name(), decision.state),
+    }
+}

@@ -1,0 +1,43 @@
+//! The operator panel: a web page and an HTTP interface, to watch a run, choose targets and command the arms.
+//!
+//! [`Panel::start`] serves the page on threads of its own, and returns the two ends that a run needs: a [`PanelOperator`] for the control
+//! thread, which never waits, locks or allocates, and a [`PanelSpectator`] that copies what the page shows. The protocol is described in
+//! `docs/reference/panel-api.md`, decisions and threats in `docs/adr/0017-panel.md`.
+//!
+//! The panel cannot raise limits, waive gates, or speak to a gateway: all it has are the commands of [`pb3dp_cell::operator::Operator`],
+//! the selection of targets, and a share of the velocity of at most 1.
+
+pub mod about;
+mod commanding;
+pub mod config;
+mod control_link;
+mod drawing;
+mod hub;
+mod images;
+pub mod lease;
+mod leasing;
+pub mod log_lines;
+pub mod messages;
+mod moving;
+mod operator;
+mod pairs;
+mod panel;
+mod preview;
+pub mod refusal;
+mod region;
+mod reporting;
+pub mod secrets;
+pub mod seen;
+mod server;
+mod spectator;
+mod state_of;
+mod target_of;
+mod viewers;
+
+pub use about::About;
+pub use config::{PanelConfig, Protection, TlsFiles};
+pub use log_lines::LogLines;
+pub use operator::{PanelOperator, SILENT_AFTER};
+pub use panel::Panel;
+pub use refusal::Refusal;
+pub use spectator::PanelSpectator;

@@ -1,0 +1,147 @@
+//! Bodies of the POST requests. Unknown fields are refused.
+
+use serde::Deserialize;
+
+use crate::seen::Seen;
+
+/// `POST /api/lease`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LeaseRequest {
+    /// What to do.
+    pub action: LeaseAction,
+    /// Name of the new holder, for all clients to see; for `take` and `take-over`.
+    pub name: Option<String>,
+}
+
+/// What to do with the lease.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
+#[serde(rename_all = "kebab-case")]
+pub enum LeaseAction {
+    /// Take a lease that is free.
+    Take,
+    /// Take the lease from its holder; every arm holds.
+    TakeOver,
+    /// Give it back; every arm holds.
+    Release,
+}
+
+/// `POST /api/heartbeat`, for scripts.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HeartbeatRequest {
+    /// The nonce to answer.
+    pub nonce: String,
+    /// Whether the page is visible; a script is.
+    #[serde(default = "yes")]
+    pub visible: bool,
+    /// Whether the operator presses the button of hold-to-run.
+    #[serde(default)]
+    pub pressed: bool,
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// `POST /api/select`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SelectRequest {
+    /// `rect:X,Y,W,H`, `poly:X1,Y1;X2,Y2;...` or `click:X,Y`.
+    pub region: Option<String>,
+    /// The pair on which it was drawn; default: the newest.
+    pub sequence: Option<u64>,
+    /// Name of the target, to choose it again by `saved`.
+    pub name: Option<String>,
+    /// Name of a target chosen before, instead of a region.
+    pub saved: Option<String>,
+    /// What the operator saw.
+    pub seen: Seen,
+}
+
+/// `POST /api/start`, `resume`, `reset`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SeenRequest {
+    /// What the operator saw.
+    pub seen: Seen,
+}
+
+/// `POST /api/hold`.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HoldRequest {
+    /// Holds the camera arm alone.
+    #[serde(default)]
+    pub hand_only: bool,
+}
+
+/// `POST /api/stop`.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StopRequest {}
+
+/// `POST /api/speed`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SpeedRequest {
+    /// Share of what the setup allows, percent.
+    pub percent: f64,
+    /// What the operator saw.
+    pub seen: Seen,
+}
+
+/// `POST /api/jog`: absolute offset of the desired pose of the hand, in axes of the hand.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JogRequest {
+    /// Along x, y and z, millimetres.
+    pub offset_mm: [f64; 3],
+    /// Rotation vector, degrees.
+    pub offset_deg: [f64; 3],
+    /// What the operator saw.
+    pub seen: Seen,
+}
+
+/// `POST /api/preview`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PreviewRequest {
+    /// As in [`SelectRequest`].
+    pub region: String,
+    /// The pair on which it was drawn; default: the newest. The pair is kept for the selection.
+    pub sequence: Option<u64>,
+}
+
+/// `POST /api/push`: where the simulated target is pushed to, relative to its start.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PushRequest {
+    /// Along x, y and z, millimetres.
+    pub offset_mm: [f64; 3],
+    /// About the normal, degrees.
+    pub turn_deg: f64,
+}
+
+/// `POST /api/control`: a control of a real camera.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ControlRequest {
+    /// The camera.
+    pub side: CameraSide,
+    /// Number of the control.
+    pub id: u32,
+    /// New value.
+    pub value: i32,
+}
+
+/// One of the two cameras.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
+#[serde(rename_all = "kebab-case")]
+pub enum CameraSide {
+    /// The left one.
+    Left,
+    /// The right one.
+    Right,
+}

@@ -1,0 +1,84 @@
+//! What the operator saw when giving a command: stale commands are refused.
+
+use std::time::Duration;
+
+use pb3dp_geometry::MonotonicTime;
+use serde::Deserialize;
+
+use crate::refusal::Refusal;
+
+/// Oldest state that a command may refer to. States come at 20 Hz; at half of it a slow connection refuses honest commands, at double an
+/// operator may act on a scene that has changed.
+pub const SEEN_AGE_MAX: Duration = Duration::from_millis(2000);
+
+/// State number, target and server time as the page showed them.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub struct Seen {
+    /// `state.number`.
+    pub state: u64,
+    /// `target.id`; null without a target.
+    pub target: Option<u64>,
+    /// `time_ms` of the state.
+    pub time_ms: f64,
+}
+
+/// The same, at present.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Present {
+    /// State number.
+    pub state: u64,
+    /// Target.
+    pub target: Option<u64>,
+    /// Time of the run's clock.
+    pub now: MonotonicTime,
+}
+
+impl Seen {
+    /// Refuses a command that refers to another state or target, or to a time too long ago or in the future.
+    ///
+    /// # Errors
+    /// The first difference.
+    pub fn check(&self, command: &'static str, present: &Present) -> Result<(), Refusal> {
+        let age_ms = present.now.as_secs_f64() * 1e3 - self.time_ms;
+        let limit_ms = SEEN_AGE_MAX.as_secs_f64() * 1e3;
+        // Not a number is refused as well. Times are rounded to microseconds on their way to the page.
+        if !(-0.01..=limit_ms).contains(&age_ms) {
+            return Err(Refusal::OldState { command, age_ms, limit_ms });
+        }
+        if self.state != present.state {
+            return Err(Refusal::OtherState { command, seen: self.state, current: present.state });
+        }
+        if self.target != present.target {
+            let words =
+                |target: Option<u64>| target.map_or_else(|| "no target".to_owned(), |id| format!("target {id}"));
+            return Err(Refusal::OtherTarget { command, seen: words(self.target), current: words(present.target) });
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_command_on_the_present_state_passes() {
+        let now = MonotonicTime::from_secs_f64(10.0);
+        let present = Present { state: 7, target: Some(2), now };
+        let seen = Seen { state: 7, target: Some(2), time_ms: 9_950.0 };
+        let code = |seen: Seen| seen.check("start", &present).map_err(|refusal| refusal.code());
+        assert_eq!(code(seen), Ok(()));
+        for (wrong, expected) in [
+            (Seen { state: 6, ..seen }, "PB3DP-PAN-024"),
+            (Seen { state: 8, ..seen }, "PB3DP-PAN-024"),
+            (Seen { target: None, ..seen }, "PB3DP-PAN-025"),
+            (Seen { target: Some(3), ..seen }, "PB3DP-PAN-025"),
+            (Seen { time_ms: 7_999.0, ..seen }, "PB3DP-PAN-026"),
+            (Seen { time_ms: 10_001.0, ..seen }, "PB3DP-PAN-026"),
+            (Seen { time_ms: f64::NAN, ..seen }, "PB3DP-PAN-026"),
+        ] {
+            assert_eq!(code(wrong), Err(expected), "{wrong:?}");
+        }
+    }
+}

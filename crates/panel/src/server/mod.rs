@@ -1,0 +1,139 @@
+//! HTTP server of the panel on a thread of its own, with limits on number, size and time of requests.
+
+mod answers;
+mod assets;
+mod body;
+mod checks;
+mod commands;
+mod rate;
+mod routes;
+mod socket;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use axum::{Extension, Router};
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::runtime::{Builder, Runtime};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
+
+use crate::hub::Hub;
+use crate::refusal::Refusal;
+
+/// Connections; a browser with the page has two or three.
+pub const CONNECTIONS_MAX: usize = 32;
+/// Further connections, on which only `stop` and `hold` are accepted: other clients cannot keep them from anybody.
+const URGENT_CONNECTIONS_MAX: usize = 8;
+/// Largest head of a request, bytes.
+const HEAD_MAX: usize = 16 * 1024;
+/// Time limit of a head; the second one is that of the further connections.
+const HEAD_TIME: Duration = Duration::from_secs(10);
+const URGENT_HEAD_TIME: Duration = Duration::from_secs(2);
+
+/// The other end of a connection.
+#[derive(Clone, Copy, Debug)]
+pub struct Peer {
+    /// Its address.
+    pub address: SocketAddr,
+    /// Whether only `stop` and `hold` are accepted.
+    pub is_urgent_only: bool,
+}
+
+/// A running server; dropping it ends the server with all connections.
+pub struct Server {
+    address: SocketAddr,
+    over: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Server {
+    /// Binds the address and starts.
+    ///
+    /// # Errors
+    /// If the address can be reached from other computers without protection, or cannot be used, or there is no thread.
+    pub fn start(hub: &Arc<Hub>) -> Result<Self, Refusal> {
+        let address = hub.config.address;
+        if hub.config.protection.is_some() {
+            let what = "TLS is not part of this build; use a loopback address without it, and an SSH tunnel from other computers";
+            return Err(Refusal::Protection { what: what.to_owned() });
+        }
+        if !address.ip().is_loopback() {
+            return Err(Refusal::Unprotected { address: address.to_string() });
+        }
+        let no_thread = |error: std::io::Error| Refusal::Thread { cause: error.to_string() };
+        let not_bound =
+            |error: std::io::Error| Refusal::Address { address: address.to_string(), cause: error.to_string() };
+        let runtime = Builder::new_current_thread().enable_all().build().map_err(no_thread)?;
+        let listener = runtime.block_on(TcpListener::bind(address)).map_err(not_bound)?;
+        let address = listener.local_addr().map_err(not_bound)?;
+        let (over, is_over) = oneshot::channel();
+        let hub = Arc::clone(hub);
+        let serve = move || serve(&runtime, &listener, is_over, &hub);
+        let thread = std::thread::Builder::new().name("panel".to_owned()).spawn(serve).map_err(no_thread)?;
+        Ok(Self { address, over: Some(over), thread: Some(thread) })
+    }
+
+    /// The address, with the port that was taken.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        drop(self.over.take());
+        if let Some(thread) = self.thread.take() {
+            // A panic of the server was reported already.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Serves until the end; all connections end with the runtime.
+fn serve(runtime: &Runtime, listener: &TcpListener, is_over: oneshot::Receiver<()>, hub: &Arc<Hub>) {
+    let normal = Arc::new(Semaphore::new(CONNECTIONS_MAX));
+    let urgent = Arc::new(Semaphore::new(URGENT_CONNECTIONS_MAX));
+    let router = routes::router(hub);
+    runtime.block_on(async {
+        let accept = async {
+            loop {
+                let Ok((socket, address)) = listener.accept().await else {
+                    // The system has no room for one more just now.
+                    tokio::time::sleep(Duration::from_millis(50)).await;
+                    continue;
+                };
+                let permit = |of: &Arc<Semaphore>| Arc::clone(of).try_acquire_owned().ok();
+                let (permit, is_urgent_only) = match (permit(&normal), permit(&urgent)) {
+                    (Some(permit), _) => (permit, false),
+                    (None, Some(permit)) => (permit, true),
+                    // One more than are allowed is closed at once.
+                    (None, None) => continue,
+                };
+                tokio::spawn(connection(socket, router.clone(), Peer { address, is_urgent_only }, permit));
+            }
+        };
+        tokio::select! {
+            _ = is_over => {}
+            () = accept => {}
+        }
+    });
+}
+
+async fn connection(socket: TcpStream, router: Router, peer: Peer, permit: OwnedSemaphorePermit) {
+    // Small messages must not wait for others; without it they are late, not wrong.
+    let _ = socket.set_nodelay(true);
+    let service = TowerToHyperService::new(router.layer(Extension(peer)));
+    let mut builder = http1::Builder::new();
+    let head_time = if peer.is_urgent_only { URGENT_HEAD_TIME } else { HEAD_TIME };
+    builder.timer(TokioTimer::new()).header_read_timeout(head_time).max_buf_size(HEAD_MAX);
+    // After a refusal the client may still be sending.
+    builder.keep_alive(!peer.is_urgent_only);
+    // A client that goes, or sends no HTTP, ends its own connection only.
+    let _ = builder.serve_connection(TokioIo::new(socket), service).with_upgrades().await;
+    drop(permit);
+}

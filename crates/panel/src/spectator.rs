@@ -1,0 +1,97 @@
+//! The panel as a spectator of a run: copies what the page shows, the newest only.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use pb3dp_cell::handover::LatestProducer;
+use pb3dp_cell::moving::Moved;
+use pb3dp_cell::noting::PairEstimate;
+use pb3dp_cell::perception::View;
+use pb3dp_cell::spectator::Spectator;
+use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_geometry::frames::{CamLeft, Target};
+use pb3dp_geometry::{MonotonicTime, Pose};
+
+use crate::pairs::Pairs;
+
+/// The newest estimate, as the panel keeps it.
+#[derive(Clone, Debug)]
+pub struct NewestEstimate {
+    /// Sequence number of the pair.
+    pub sequence: u64,
+    /// Middle of the left exposure.
+    pub at: MonotonicTime,
+    /// Number of the target; `None` before a target was selected.
+    pub target: Option<u64>,
+    /// The estimate.
+    pub estimate: TrackEstimate,
+    /// Wall time of the method, milliseconds.
+    pub latency_millis: f64,
+    /// True pose, in a simulation.
+    pub cam_left_from_target: Option<Pose<CamLeft, Target>>,
+}
+
+/// State shared by the spectator and the threads of the panel; the control thread of a live run does not touch it.
+#[derive(Default)]
+pub struct Watched {
+    /// Kept pairs.
+    pub pairs: Pairs,
+    newest: Mutex<Option<Arc<NewestEstimate>>>,
+    /// Number of the target plus one; 0: none.
+    target_plus_one: AtomicU64,
+    /// Number of marked targets so far.
+    pub marked: AtomicU64,
+}
+
+impl Watched {
+    /// The newest estimate.
+    pub fn newest(&self) -> Option<Arc<NewestEstimate>> {
+        self.newest.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Number of the present target.
+    pub fn target(&self) -> Option<u64> {
+        self.target_plus_one.load(Ordering::SeqCst).checked_sub(1)
+    }
+}
+
+/// Copies each step and each estimate.
+pub struct PanelSpectator {
+    watched: Arc<Watched>,
+    steps: LatestProducer<Moved>,
+}
+
+impl PanelSpectator {
+    pub(crate) fn new(watched: Arc<Watched>, steps: LatestProducer<Moved>) -> Self {
+        Self { watched, steps }
+    }
+}
+
+impl Spectator for PanelSpectator {
+    fn moved(&mut self, step: &Moved) {
+        self.steps.give(*step);
+    }
+
+    fn seen(&mut self, seen: &PairEstimate) {
+        let PairEstimate { captured, target, region, estimate, latency_millis, .. } = seen;
+        // Without a selected target the number is 0 and there is no pose.
+        let target = (*target > 0 || estimate.cam_left_from_model.is_some()).then_some(*target);
+        let newest = NewestEstimate {
+            sequence: captured.frame.sequence,
+            at: captured.frame.at,
+            target,
+            estimate: estimate.clone(),
+            latency_millis: *latency_millis,
+            cam_left_from_target: captured.cam_left_from_target,
+        };
+        self.watched.target_plus_one.store(target.map_or(0, |target| target + 1), Ordering::SeqCst);
+        self.watched.marked.fetch_add(u64::from(region.is_some()), Ordering::SeqCst);
+        let newest = Some(Arc::new(newest));
+        let before =
+            std::mem::replace(&mut *self.watched.newest.lock().unwrap_or_else(PoisonError::into_inner), newest);
+        drop(before);
+        if let View::Images(pair) = &captured.view {
+            self.watched.pairs.push(pair);
+        }
+    }
+}

@@ -1,0 +1,89 @@
+//! Who wants which images.
+
+use std::collections::HashMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use crate::messages::socket::ImageView;
+
+/// Highest rate of images for one client.
+pub const FPS_MAX: f64 = 60.0;
+
+/// The images that a client wants.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wish {
+    /// Left and right.
+    pub sides: [bool; 2],
+    /// Raw or rectified.
+    pub view: ImageView,
+    /// Highest rate.
+    pub fps_max: f64,
+}
+
+impl Wish {
+    /// Nothing.
+    pub const NOTHING: Self = Self { sides: [false; 2], view: ImageView::Raw, fps_max: 30.0 };
+
+    /// Whether the client wants any image.
+    pub fn is_anything(&self) -> bool {
+        self.sides != [false; 2]
+    }
+}
+
+/// What all clients together want.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Wanted {
+    /// By view (raw, rectified) and side (left, right).
+    pub images: [[bool; 2]; 2],
+    /// Highest rate of any client.
+    pub fps_max: f64,
+}
+
+/// The wishes of all clients.
+#[derive(Debug, Default)]
+pub struct Viewers(Mutex<HashMap<u64, Wish>>);
+
+impl Viewers {
+    /// Sets the wish of a client.
+    pub fn set(&self, client: u64, wish: Wish) {
+        let mut wishes = self.wishes();
+        if wish.is_anything() {
+            wishes.insert(client, wish)
+        } else {
+            wishes.remove(&client)
+        };
+    }
+
+    /// What is to be encoded.
+    pub fn wanted(&self) -> Wanted {
+        let mut wanted = Wanted::default();
+        for wish in self.wishes().values() {
+            wanted.fps_max = wanted.fps_max.max(wish.fps_max);
+            for (any, one) in wanted.images[wish.view as usize].iter_mut().zip(wish.sides) {
+                *any |= one;
+            }
+        }
+        wanted
+    }
+
+    fn wishes(&self) -> MutexGuard<'_, HashMap<u64, Wish>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_image_is_encoded_while_somebody_wants_it() {
+        let viewers = Viewers::default();
+        assert_eq!(viewers.wanted(), Wanted::default());
+        viewers.set(1, Wish { sides: [true, false], view: ImageView::Raw, fps_max: 10.0 });
+        viewers.set(2, Wish { sides: [true, true], view: ImageView::Rectified, fps_max: 30.0 });
+        assert_eq!(viewers.wanted(), Wanted { images: [[true, false], [true, true]], fps_max: 30.0 });
+        viewers.set(2, Wish::NOTHING);
+        assert_eq!(viewers.wanted(), Wanted { images: [[true, false], [false, false]], fps_max: 10.0 });
+        viewers.set(1, Wish::NOTHING);
+        assert_eq!(viewers.wanted(), Wanted::default());
+    }
+}
