@@ -187,6 +187,7 @@ fn wire_cell_with(
         cell,
         experiment,
         flights,
+        keep_flights: Box::new(|_, _| {}),
         marking,
         links: monitors.iter().map(|(name, monitor)| (*name, link_of(monitor, setup.control_period))).collect(),
         emulated: emulated.into_iter().map(|server| Box::new(EmulatedServer(server)) as Box<dyn EmulatedArm>).collect(),
