@@ -10,4 +10,5 @@ mod real_pairs;
 mod real_time;
 mod safety_numbers;
 mod start_and_resume;
+mod start_and_resume_page;
 mod supervised;
