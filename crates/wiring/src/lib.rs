@@ -79,18 +79,30 @@ pub fn wire_watched(setup: &Setup) -> Result<Wired> {
     wire_with(setup, Arc::new(Linux))
 }
 
+/// As [`wire_watched`], for a run that ends at this time, seconds of the experiment: the arms need not follow the rest.
+///
+/// # Errors
+/// As [`wire`].
+pub fn wire_until(setup: &Setup, until_s: Option<f64>) -> Result<Wired> {
+    wire_experiment(setup, until_s, Arc::new(Linux))
+}
+
 /// As [`wire`], with real cameras from this video system.
 ///
 /// # Errors
 /// As [`wire`].
 pub fn wire_with(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Wired> {
+    wire_experiment(setup, None, video)
+}
+
+fn wire_experiment(setup: &Setup, until_s: Option<f64>, video: Arc<dyn VideoSystem>) -> Result<Wired> {
     check_marked(setup)?;
     wire_cell_with(setup, video, |cell, start| {
         let experiment = setup.experiment.motion.begin_at(start)?;
         if setup.experiment.carrier == Carrier::Nothing {
             cell.free_target = Some(FreeTarget::new(Arc::clone(&experiment)));
         }
-        for (name, report) in check_paths(setup, &*experiment, start)? {
+        for (name, report) in check_paths(setup, &*experiment, start, until_s)? {
             let (joint, speed) = report.fastest_joint();
             tracing::info!(
                 "{name}: smallest singular value {:.3} at {:.1} s, fastest axis {} uses {:.0} % of its allowed speed",

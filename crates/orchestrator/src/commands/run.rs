@@ -14,7 +14,7 @@ use pb3dp_commissioning::commissioned::needed_records;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::dataset::SequenceWriter;
 use pb3dp_setup::setup::{ArmSetup, read_layers};
-use pb3dp_wiring::{Wired, accept_nominal, wire_watched, write_flights};
+use pb3dp_wiring::{Wired, accept_nominal, wire_until, write_flights};
 
 use crate::arguments::{OperatorName, RunArgs, UNSURE};
 use crate::commands::attendance::Attendance;
@@ -51,7 +51,7 @@ fn conduct(args: &RunArgs) -> Result<ExitCode> {
     if let Some(folder) = &args.record {
         SequenceWriter::check_folder(folder).context("--record")?;
     }
-    let Wired { mut parts, monitors, .. } = wire_watched(&setup)?;
+    let Wired { mut parts, monitors, .. } = wire_until(&setup, args.stop_after)?;
     records.iter().try_for_each(|record| record.check(&monitors))?;
     let clock = Arc::clone(&parts.clock);
     parts.operator = attendance.operator(clock, std::io::stdout(), Arc::clone(&parts.interrupt))?;

@@ -320,6 +320,20 @@ fn times_that_are_none_are_refused() {
     }
 }
 
+/// At this speed the arms cannot follow a move that comes later; the run ends before.
+#[test]
+fn a_run_that_ends_early_need_not_follow_the_rest() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = |more: &[&str]| {
+        let args = words(&[&"run", &"--config", &"sim", &"--out", &dir.path().join("out")]);
+        pb3dp(&[args, more.iter().map(|word| (*word).into()).collect()].concat())
+    };
+    let slow =
+        ["--set", "arms.speed_scale=0.3", "--set", "estimator.method=geometric", "--set", "estimator.compare=[]"];
+    run(&slow).assert_refused(&["arms.speed_scale", "too fast"]);
+    run(&[&slow[..], &["--stop-after", "1"]].concat()).assert_success();
+}
+
 /// A run that a person leads by lines on standard input; simulated arms without images, at the pace of the wall clock.
 fn led_by_a_person(dir: &std::path::Path) -> (std::process::Child, std::path::PathBuf) {
     led_by_a_person_with(dir, &[], "")
