@@ -7,6 +7,7 @@ mod cameras;
 pub mod commissioning;
 mod flights;
 mod greeting;
+mod key_files;
 pub mod message_codes;
 mod nominal;
 mod simulated;
@@ -33,6 +34,7 @@ use self::arm::{EmulatedServer, MonitoredLink, WiredArms, wire_arms};
 use self::simulated::wire_sight;
 pub use flights::{line_facts, raw_lines, write_flights};
 pub use greeting::{bus_doubts, geometry_doubt, watchdog_refusal};
+pub use key_files::check_key_files;
 pub use nominal::{MOCK_ARM, accept_nominal};
 
 use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
