@@ -1,5 +1,5 @@
 //! Flight recorder files: commands and answers of each arm in the last seconds before a fault, as JSON lines (format:
-//! [docs/arm-limits.md](../../../../docs/arm-limits.md)).
+//! [docs/arm-limits.md](https://github.com/pb3dp/pb3dp/blob/main/docs/arm-limits.md)).
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
