@@ -1,6 +1,9 @@
 //! Ways to start or resume wrongly, with the whole program in virtual time: docs/start-and-resume.md lists them.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "helpers of tests may fail the test")]
 
+mod enabling;
+mod flight_records;
+
 use std::sync::{Arc, Mutex};
 
 use pb3dp_cell::experiment::{Ended, conduct};
@@ -63,6 +66,10 @@ impl Operator for Person {
         self.told.lock().unwrap().extend(trouble);
     }
 
+    fn answer(&mut self, result: String) {
+        self.told.lock().unwrap().push(result);
+    }
+
     fn is_person(&self) -> bool {
         true
     }
@@ -91,13 +98,24 @@ struct Stoppable {
     stops_failing: usize,
     /// Period in which velocities are refused.
     refuses: (f64, f64),
+    /// Before this time, seconds, the drives are not enabled again after a stop.
+    enables_again_s: f64,
     noted: Arc<Mutex<Noted>>,
 }
 
 impl Stoppable {
     fn new(inner: Box<dyn DrivenArm>, clock: &Arc<dyn Clock>, pressed: &[(f64, f64)]) -> Self {
         let (clock, pressed) = (Arc::clone(clock), pressed.to_vec());
-        Self { inner, clock, pressed, cleared_s: 0.0, stops_failing: 0, refuses: (0.0, 0.0), noted: Arc::default() }
+        Self {
+            inner,
+            clock,
+            pressed,
+            cleared_s: 0.0,
+            stops_failing: 0,
+            refuses: (0.0, 0.0),
+            enables_again_s: 0.0,
+            noted: Arc::default(),
+        }
     }
 
     fn now_s(&self) -> f64 {
@@ -172,6 +190,9 @@ impl DrivenArm for Stoppable {
     }
 
     fn enable_here(&mut self) -> Result<(), ArmError> {
+        if self.now_s() < self.enables_again_s {
+            return Err(ArmError::new(ArmErrorKind::Timeout, "the drives do not answer, says the test"));
+        }
         if self.is_latched() { Err(self.refusal()) } else { self.inner.enable_here() }
     }
 }
@@ -191,6 +212,8 @@ struct Scene {
     tc_stops_failing: usize,
     /// Periods in which the hand's arm, and the one with the target, refuse velocities, seconds.
     refuse: [(f64, f64); 2],
+    /// When the arm with the target can be enabled again, seconds.
+    tc_enables_again_s: f64,
 }
 
 /// A finished run, with its records: by arm, the one with the cameras first.
@@ -210,12 +233,17 @@ impl Scene {
         let setup = setup();
         let parts = wire(&setup).unwrap();
         let trouble = Arc::<Mutex<Vec<String>>>::default();
-        let Self { words, pressed, silent, resets_late_s, tc_stops_failing, refuse } = self;
+        let Self { words, pressed, silent, resets_late_s, tc_stops_failing, refuse, tc_enables_again_s } = self;
         let operator = Box::new(Person { words, silent, resets_late_s, told: Arc::clone(&trouble) });
         let flights = parts.flights.clone().map(|(_, flight)| flight);
         let vs = Stoppable { refuses: refuse[0], ..Stoppable::new(parts.vs, &parts.clock, &pressed) };
         let tc = Stoppable::new(parts.tc, &parts.clock, &[]);
-        let tc = Stoppable { stops_failing: tc_stops_failing, refuses: refuse[1], ..tc };
+        let tc = Stoppable {
+            stops_failing: tc_stops_failing,
+            refuses: refuse[1],
+            enables_again_s: tc_enables_again_s,
+            ..tc
+        };
         let noted = [Arc::clone(&vs.noted), Arc::clone(&tc.noted)];
         let parts = Parts { vs: Box::new(vs), tc: Box::new(tc), operator, ..parts };
         let ended = conduct(&setup, parts, Some(until_s), None).unwrap();
@@ -563,30 +591,4 @@ fn a_fault_that_ends_a_run_is_on_top_of_its_report() {
     assert!(place("the emergency stop of the test") < place("Target and hand"));
     let figures = std::fs::read_to_string(folder.path().join("summary.json")).unwrap();
     assert!(figures.contains("\"ended_by\": \"") && figures.contains("the emergency stop of the test"));
-}
-
-/// A fault does not end the run of a person, and the recorders forget it after 5 s: their files are written at the fault.
-#[test]
-fn a_fault_is_recorded_although_the_run_goes_on() {
-    let setup = setup();
-    let parts = wire(&setup).unwrap();
-    let kept = Arc::<Mutex<Vec<(usize, f64, f64, String)>>>::default();
-    let (clock, [(_, flight), _], keeps) = (Arc::clone(&parts.clock), parts.flights.clone(), Arc::clone(&kept));
-    let keep_flights = Box::new(move |number: usize, failure: &anyhow::Error| {
-        let seconds = |at: MonotonicTime| at.seconds_since(MonotonicTime::ZERO);
-        let begin_s = seconds(flight.entries()[0].at);
-        keeps.lock().unwrap().push((number, begin_s, seconds(clock.now()), format!("{failure:#}")));
-    });
-    let vs = Stoppable::new(parts.vs, &parts.clock, &[(3.0, 4.0)]);
-    let words = vec![BEGIN[0], BEGIN[1], (4.5, OperatorCommand::Reset), (6.0, OperatorCommand::Stop)];
-    let operator = Box::new(Person { words, silent: (0.0, 0.0), resets_late_s: 0.0, told: Arc::default() });
-    let parts = Parts { vs: Box::new(vs), operator, keep_flights, ..parts };
-    let Ended { how, faults, .. } = conduct(&setup, parts, Some(12.0), None).unwrap();
-    assert!(how.is_ok() && faults == 1, "{how:?} {faults}");
-    let kept = kept.lock().unwrap();
-    assert_eq!(kept.len(), 2, "a stop by command is no fault: {kept:?}");
-    for ((number, begin_s, at_s, cause), wanted_s) in kept.iter().zip([3.0, 4.0]) {
-        assert!(*number == 1 && *begin_s < 2.0 && cause.contains("emergency stop"), "{kept:?}");
-        assert!((wanted_s..wanted_s + 0.5).contains(at_s), "{kept:?}");
-    }
 }

@@ -15,6 +15,9 @@ pub trait Operator: Send {
     /// Receives a problem that the operator must know, such as a failed reset; `None` clears it.
     fn tell(&mut self, trouble: Option<String>);
 
+    /// Receives the result of a command that took longer than its control step; unlike [`Self::tell`], it is reported once, at once.
+    fn answer(&mut self, _result: String) {}
+
     /// Whether a person commands: only then are latched faults reset, and the target waits for the command `start`.
     fn is_person(&self) -> bool;
 

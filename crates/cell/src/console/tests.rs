@@ -7,7 +7,9 @@ use std::time::Instant;
 
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_servo::Mode;
-use pb3dp_servo::supervisor::{ArmCondition, ArmInput, Cause, Detail, Event, Innovation, Inputs, State, Supervisor};
+use pb3dp_servo::supervisor::{
+    ArmCondition, ArmInput, Cause, Detail, Event, Innovation, Inputs, Refusal, RefusedFor, State, Supervisor,
+};
 use pb3dp_setup::setup::read_setup;
 
 use super::*;
@@ -403,4 +405,28 @@ fn what_is_told_while_somebody_reads_is_shown_in_the_next_step() {
     console.show(&decision);
     let shown = shared.shown.lock().unwrap();
     assert!(shown.trouble.is_none() && shown.decision.is_some());
+}
+
+/// After a failed enabling: the answer comes by itself, and a refused command repeats which arm it was.
+#[test]
+fn a_late_result_is_answered_at_once_and_a_refusal_names_the_trouble() {
+    let (mut console, mut writer, answers, _) = begun();
+    let trouble = "tc-robot: enable: the drives do not answer";
+    console.answer(format!("enabling failed: {trouble}"));
+    let mut text = String::new();
+    while !text.contains("enabling failed: tc-robot") {
+        text += &answers.recv().unwrap();
+    }
+    console.tell(Some(trouble.to_owned()));
+    writeln!(writer, "start").unwrap();
+    wait_until(|| !console.words.is_empty());
+    let last = decision();
+    console.listen(Some(&last), NOW);
+    let refused = Refusal { word: OperatorCommand::Start, because: RefusedFor::State(State::Idle) };
+    console.show(&Decision { refused: Some(refused), ..last });
+    text.clear();
+    while !text.contains(trouble) {
+        text += &answers.recv().unwrap();
+    }
+    assert!(text.contains("start refused: "), "{text}");
 }
