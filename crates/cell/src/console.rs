@@ -94,6 +94,7 @@ pub struct Console {
 }
 
 /// The result of a command, for the answering thread.
+#[allow(clippy::large_enum_variant, reason = "the control thread must not allocate for the result of a step")]
 enum CommandResult {
     /// Of the control step that obeyed or refused it.
     Step(OperatorCommand, Decision),
