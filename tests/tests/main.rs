@@ -11,4 +11,5 @@ mod real_time;
 mod safety_numbers;
 mod selected;
 mod start_and_resume;
+mod start_and_resume_page;
 mod supervised;

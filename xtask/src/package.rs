@@ -13,6 +13,19 @@ use anyhow::{Context, bail};
 
 use crate::workspace::{Workspace, run_visibly};
 
+/// Files of the root that a release contains as documentation.
+const DOCUMENTS: [&str; 7] =
+    ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "LICENSE-MIT", "LICENSE-APACHE"];
+
+/// Folders of the root that a release contains.
+const FOLDERS: [&str; 2] = ["docs", "configs"];
+
+/// Whether a release contains this path from the root as documentation.
+pub fn is_shipped(path: &str) -> bool {
+    let first = path.split('/').next().unwrap_or_default();
+    DOCUMENTS.contains(&path) || FOLDERS.contains(&first)
+}
+
 /// Builds the release: a static archive (.tar.gz) and a Debian package (.deb), in target/package.
 ///
 /// Both contain the program with its built-in setups, robot files and boards, manual pages, completion scripts, documentation,
@@ -117,18 +130,10 @@ fn stage(workspace: &Workspace, release: &Release) -> anyhow::Result<PathBuf> {
         copy(&generated.join("completions").join(from), &tree.join(to))?;
     }
     let documentation = tree.join("share/doc/pb3dp");
-    for name in [
-        "README.md",
-        "ARCHITECTURE.md",
-        "CHANGELOG.md",
-        "CONTRIBUTING.md",
-        "SECURITY.md",
-        "LICENSE-MIT",
-        "LICENSE-APACHE",
-    ] {
+    for name in DOCUMENTS {
         copy(&workspace.root().join(name), &documentation.join(name))?;
     }
-    for name in ["docs", "configs"] {
+    for name in FOLDERS {
         copy_folder(&workspace.root().join(name), &documentation.join(name))?;
     }
     write(&documentation.join("THIRD-PARTY.txt"), &notices::text(workspace)?)?;

@@ -24,6 +24,10 @@ impl Operator for AttendedCommand {
         self.0.tell(trouble);
     }
 
+    fn answer(&mut self, result: String) {
+        self.0.answer(result);
+    }
+
     fn is_person(&self) -> bool {
         false
     }

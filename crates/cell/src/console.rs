@@ -111,9 +111,18 @@ pub struct Console {
     /// The command that this control step obeys or refuses.
     commanded: Option<OperatorCommand>,
     /// Results of commands, for the answering thread.
-    results: Producer<(OperatorCommand, Decision)>,
+    results: Producer<CommandResult>,
     /// Trouble not shown yet because the reader held the lock.
     untold: Option<Option<String>>,
+}
+
+/// The result of a command, for the answering thread.
+#[allow(clippy::large_enum_variant, reason = "the control thread must not allocate for the result of a step")]
+enum CommandResult {
+    /// Of the control step that obeyed or refused it.
+    Step(OperatorCommand, Decision),
+    /// Of a command that took longer.
+    Late(String),
 }
 
 /// State shared by the threads of a console.
@@ -289,7 +298,7 @@ impl Operator for Console {
     fn show(&mut self, decision: &Decision) {
         if let Some(command) = self.commanded.take() {
             // More results than anybody reads are dropped; the log has all.
-            let _ = self.results.push((command, *decision));
+            let _ = self.results.push(CommandResult::Step(command, *decision));
         }
         if let Some(Transition { at, cause: Some(cause), .. }) = decision.transition
             && cause.condition == Condition::ClockStepped
@@ -314,6 +323,11 @@ impl Operator for Console {
         self.untold = untold;
     }
 
+    fn answer(&mut self, result: String) {
+        // The log has all.
+        let _ = self.results.push(CommandResult::Late(result));
+    }
+
     fn is_person(&self) -> bool {
         true
     }
@@ -335,10 +349,19 @@ fn result_of(command: OperatorCommand, decision: &Decision) -> String {
     }
 }
 
+/// A refusal with the problem that an arm has reported: it names the arm, the supervisor knows only that the drives are disabled.
+fn with_trouble(result: String, decision: &Decision, shared: &Shared) -> String {
+    let trouble = || shared.shown.lock().unwrap_or_else(PoisonError::into_inner).trouble.clone();
+    match decision.refused.and_then(|_| trouble()) {
+        Some(trouble) => format!("{result}\n{trouble}"),
+        None => result,
+    }
+}
+
 /// Writes answers until all senders are dropped; write errors are ignored.
 fn write_all(
     said: &Receiver<String>,
-    (mut results, shared): (Consumer<(OperatorCommand, Decision)>, &Shared),
+    (mut results, shared): (Consumer<CommandResult>, &Shared),
     chosen: Option<(Selections, Drawn)>,
     (mut answers, prompt): (impl Write, &str),
 ) {
@@ -352,14 +375,19 @@ fn write_all(
         if let Ok(text) = &said {
             answer(text);
         }
-        while let Ok((command, decision)) = results.pop() {
-            if let (OperatorCommand::Select, Some((selections, drawn))) = (command, &chosen)
-                && let Some(selection) = drawn.lock().unwrap_or_else(PoisonError::into_inner).take()
-                && decision.refused.is_none()
-            {
-                selections.give(selection);
+        while let Ok(result) = results.pop() {
+            match result {
+                CommandResult::Step(command, decision) => {
+                    if let (OperatorCommand::Select, Some((selections, drawn))) = (command, &chosen)
+                        && let Some(selection) = drawn.lock().unwrap_or_else(PoisonError::into_inner).take()
+                        && decision.refused.is_none()
+                    {
+                        selections.give(selection);
+                    }
+                    answer(&with_trouble(result_of(command, &decision), &decision, shared));
+                }
+                CommandResult::Late(text) => answer(&text),
             }
-            answer(&result_of(command, &decision));
         }
         if shared.asks_for_key.swap(false, Ordering::SeqCst) {
             answer(ASK);

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use anyhow::{Result, bail};
+use anyhow::{Result, anyhow, bail};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_setup::setup::Setup;
 
@@ -11,6 +11,7 @@ use super::capturing::Captured;
 use super::cell::SimulatedCell;
 use super::channels::Plan;
 use super::cycles::CycleSummary;
+use super::flight::{FaultWatch, KeepFlights};
 use super::halves::{Capture, Course, Estimate, Parted, Record, first_failure};
 use super::journal::{Journal, Outcome};
 use super::log::RunLog;
@@ -32,6 +33,8 @@ pub struct Ended {
     pub outcome: Outcome,
     /// The failure that ended the run early, if there is one.
     pub how: Result<()>,
+    /// Number of faults during the run whose flight recorder files exist; the failure that ended the run is not among them.
+    pub faults: usize,
 }
 
 /// As [`conduct`], but a failure discards the outcome.
@@ -39,7 +42,7 @@ pub struct Ended {
 /// # Errors
 /// If an arm, the camera or the estimator fails permanently; the arms are stopped first.
 pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&Path>) -> Result<Outcome> {
-    let Ended { outcome, how } = conduct(setup, parts, stop_after_s, record)?;
+    let Ended { outcome, how, .. } = conduct(setup, parts, stop_after_s, record)?;
     how.map(|()| outcome)
 }
 
@@ -56,7 +59,7 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
         );
     }
     // Everything that can be refused is created before an arm is enabled.
-    let Parts { clock, camera, vs, tc, cell, experiment, marking, links, emulated, .. } = parts;
+    let Parts { clock, camera, vs, tc, cell, experiment, marking, links, emulated, keep_flights, .. } = parts;
     let (operator, interrupt) = (parts.operator, parts.interrupt);
     let (spectator, selections) = (parts.spectator, parts.selections);
     // With a console operator, the operator decides when the moves begin.
@@ -73,12 +76,12 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     let ends_s = stop_after_s.map_or(duration_s, |s| s.clamp(0.0, duration_s));
     let plan = Plan::of(&setup.experiment.motion, &*experiment);
     let journal = Journal::new(setup, cell.clone(), (now, ends_s), (log, plan));
-    let mut watching = Watching { looking, journal, cell, spectator };
+    let mut watching = Watching { looking, journal, cell, spectator, faults: FaultWatch::default(), keep_flights };
     let course = Course { setup, clock: &clock, duration: Duration::from_secs_f64(ends_s), interrupt: &interrupt };
     let (how, punctuality) = course.run(&mut watching, &mut moving);
     let recorded = watching.looking.noting.finish_recording();
     let how = first_failure([how, recorded]);
-    let steps_untrue = watching.journal.steps_untrue();
+    let (steps_untrue, faults) = (watching.journal.steps_untrue(), watching.faults.faults());
     let mut outcome = watching.journal.finish(watching.looking.finish(), moving.arms().commands());
     let replies_missed = moving.arms().replies_missed();
     if let Some(mut punctuality) = punctuality {
@@ -90,7 +93,7 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     // The arms are dropped before the emulators at the other end of their links.
     drop(moving);
     drop(emulated);
-    Ok(Ended { outcome, how })
+    Ok(Ended { outcome, how, faults })
 }
 
 /// The vision half of a run, with its recording.
@@ -99,6 +102,8 @@ struct Watching<'a> {
     journal: Journal,
     cell: SimulatedCell,
     spectator: Option<Box<dyn Spectator>>,
+    faults: FaultWatch,
+    keep_flights: KeepFlights,
 }
 
 impl Parted for Watching<'_> {
@@ -120,8 +125,8 @@ impl Parted for Watching<'_> {
         impl Record<Observed = PairEstimate, Step = Moved>,
     ) {
         let Looking { capturing, estimating, noting } = &mut self.looking;
-        let (journal, spectator) = (&mut self.journal, &mut self.spectator);
-        (capturing, Leading(estimating), Keeping { noting, journal, spectator })
+        let Self { journal, spectator, faults, keep_flights, .. } = self;
+        (capturing, Leading(estimating), Keeping { noting, journal, spectator, faults, keep_flights })
     }
 }
 
@@ -148,6 +153,8 @@ struct Keeping<'w, 'a> {
     noting: &'w mut EstimateRecorder<'a>,
     journal: &'w mut Journal,
     spectator: &'w mut Option<Box<dyn Spectator>>,
+    faults: &'w mut FaultWatch,
+    keep_flights: &'w mut KeepFlights,
 }
 
 impl Record for Keeping<'_, '_> {
@@ -158,6 +165,9 @@ impl Record for Keeping<'_, '_> {
         self.journal.note(step);
         if let Some(spectator) = self.spectator {
             spectator.moved(step);
+        }
+        if let Some(number) = self.faults.due(step.at, &step.decision) {
+            (self.keep_flights)(number, &anyhow!("{}", step.decision.why));
         }
     }
 

@@ -1,5 +1,5 @@
 //! Flight recorder files: commands and answers of each arm in the last seconds before a fault, as JSON lines (format:
-//! [docs/arm-limits.md](../../../../docs/arm-limits.md)).
+//! [docs/arm-limits.md](https://github.com/pb3dp/pb3dp/blob/main/docs/arm-limits.md)).
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -10,10 +10,58 @@ use anyhow::{Context, Result};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{ArmError, ArmErrorKind, ArmState, JointCommand};
 use pb3dp_hal_middleware::{FlightEntry, FlightLog, RecordedRequest};
+use pb3dp_servo::supervisor::{Condition, Decision, State, Why};
 use serde_json::{Value, json};
 
 /// Recorded time span of a run.
 pub const FLIGHT: Duration = Duration::from_secs(5);
+
+/// Time after a fault at which its record is written again: it then shows whether the arms stayed at rest. Chosen: at half of it a slow
+/// joint has not stopped, at double an operator who resets at once has changed the state more often.
+const AGAIN_AFTER: Duration = Duration::from_secs(1);
+
+/// Faults of one run that get a record; an operator who resets the same fault again and again does not fill the disk.
+const RECORDS_MAX: usize = 20;
+
+/// Writes the flight recorder files of a fault. The arguments: number of the fault in this run, from 1, and its cause.
+pub type KeepFlights = Box<dyn FnMut(usize, &anyhow::Error) + Send>;
+
+/// Finds the control steps after which the flight recorders must be written: at a fault or a stop by a condition, and once more a second
+/// later. The recorders forget after [`FLIGHT`], and a console run may go on for an hour.
+#[derive(Debug, Default)]
+pub(crate) struct FaultWatch {
+    /// What latched the arms in the last step; none before a fault and after a reset.
+    latched: Option<(State, Condition)>,
+    again_at: Option<MonotonicTime>,
+    faults: usize,
+}
+
+impl FaultWatch {
+    /// The number of the fault whose record is due after this step. Reads the state instead of the transition, because a step can be
+    /// missing.
+    pub(crate) fn due(&mut self, at: MonotonicTime, decision: &Decision) -> Option<usize> {
+        let latched = match decision.why {
+            Why::Latched { state, cause, .. } => Some((state, cause.condition)),
+            _ => None,
+        };
+        let is_new = latched.is_some() && latched != self.latched;
+        self.latched = latched;
+        if is_new {
+            self.faults += 1;
+            self.again_at = Some(at + AGAIN_AFTER);
+        }
+        let is_again = self.again_at.is_some_and(|again_at| latched.is_some() && at >= again_at);
+        if is_again || latched.is_none() {
+            self.again_at = None;
+        }
+        ((is_new || is_again) && self.faults <= RECORDS_MAX).then_some(self.faults)
+    }
+
+    /// Number of faults so far.
+    pub(crate) fn faults(&self) -> usize {
+        self.faults
+    }
+}
 
 /// Time at which a fault was noticed.
 #[derive(Clone, Copy, Debug)]
@@ -90,18 +138,20 @@ pub struct Flight<'a> {
     pub raw: &'a [RawLine],
 }
 
-/// Writes the recorder entries of an arm and the raw bytes of its line to `flight-<arm>.jsonl` in a folder; returns the path.
+/// Writes the recorder entries of an arm and the raw bytes of its line to a file in a folder; returns the path. The first fault is in
+/// `flight-<arm>.jsonl`, the second one in `flight-<arm>-2.jsonl`.
 ///
 /// # Errors
 /// If the file cannot be written.
 pub fn write(
     folder: &Path,
-    arm: &str,
+    (arm, number): (&str, usize),
     flight: &Flight<'_>,
     failure: &anyhow::Error,
     moment: Moment,
 ) -> Result<PathBuf> {
-    let path = folder.join(format!("flight-{arm}.jsonl"));
+    let name = if number <= 1 { format!("flight-{arm}.jsonl") } else { format!("flight-{arm}-{number}.jsonl") };
+    let path = folder.join(name);
     let written = || -> std::io::Result<()> {
         let mut file = BufWriter::new(File::create(&path)?);
         let entries = flight.log.entries();
@@ -218,5 +268,49 @@ fn state_word(state: ArmState) -> &'static str {
         ArmState::Enabled => "enabled",
         ArmState::Fault => "fault",
         ArmState::EStop => "e-stop",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use pb3dp_servo::supervisor::{Cause, Detail};
+
+    use super::*;
+    use crate::console::tests::decision;
+
+    const FAULT: Why = latched(State::Fault, Condition::ArmFault);
+
+    const fn latched(state: State, condition: Condition) -> Why {
+        Why::Latched {
+            state,
+            cause: Cause { condition, value: 0.0, threshold: 0.0, detail: Detail::None },
+            is_gone: false,
+        }
+    }
+
+    /// The steps of 10 ms, from 1, after which a record is due, with the number of the fault.
+    fn due(steps: usize, why: impl Fn(usize) -> Why) -> Vec<(usize, usize)> {
+        let (mut watch, resting) = (FaultWatch::default(), decision());
+        let at = |step: usize| MonotonicTime::ZERO + Duration::from_millis(10) * step as u32;
+        let mut due = |step| watch.due(at(step), &Decision { why: why(step), transition: None, ..resting });
+        (1..=steps).filter_map(|step| due(step).map(|number| (step, number))).collect()
+    }
+
+    #[test]
+    fn a_fault_is_recorded_at_once_and_a_second_later() {
+        assert_eq!(due(1000, |step| if step < 200 { Why::Ready } else { FAULT }), [(200, 1), (300, 1)]);
+        assert_eq!(due(1000, |step| if step < 200 { Why::Ready } else { Why::StoppedByOperator }), []);
+        // A reset in between: the recorder would show the arm after the reset.
+        assert_eq!(due(1000, |step| if (200..250).contains(&step) { FAULT } else { Why::Idle }), [(200, 1)]);
+        // A stop by a condition, then the fault of an arm.
+        let stopped = latched(State::Stopped, Condition::FrameStale);
+        assert_eq!(due(500, |step| if step < 250 { stopped } else { FAULT }), [(1, 1), (101, 1), (250, 2), (350, 2)]);
+    }
+
+    #[test]
+    fn faults_without_end_do_not_fill_the_disk() {
+        let records = due(10_000, |step| if step % 2 == 0 { FAULT } else { Why::Idle });
+        assert_eq!(records.last(), Some(&(2 * RECORDS_MAX, RECORDS_MAX)));
+        assert_eq!(records.len(), RECORDS_MAX);
     }
 }

@@ -324,7 +324,14 @@ impl<'a> Moving<'a> {
         }
         match self.arms.enable(EnablePosition::Here) {
             Ok(are_on) => self.is_stopped = !are_on,
-            Err(why) => self.stop_because(Err(why)),
+            Err(why) => {
+                let next = if self.arms.is_latched() { "reset" } else { "select" };
+                self.operator.answer(format!(
+                    "enabling failed: {}; both arms are stopped; remove the cause, then use {next}",
+                    in_words(&why)
+                ));
+                self.stop_because(Err(why));
+            }
         }
     }
 

@@ -21,6 +21,9 @@ pub trait Operator: Send {
         MotionRequest::default()
     }
 
+    /// Receives the result of a command that took longer than its control step; unlike [`Self::tell`], it is reported once, at once.
+    fn answer(&mut self, _result: String) {}
+
     /// Whether a person commands: only then are latched faults reset, and the target waits for the command `start`.
     fn is_person(&self) -> bool;
 

@@ -14,6 +14,7 @@ use pb3dp_sim::pushed::PushedTarget;
 use pb3dp_sim::trajectory::Trajectory;
 
 use super::cell::SimulatedCell;
+use super::flight::KeepFlights;
 use super::operator::Operator;
 use super::perception::{Marking, Sight};
 use super::selection::Selections;
@@ -170,6 +171,8 @@ pub struct Parts {
     pub experiment: Arc<dyn Trajectory>,
     /// Flight recorder of each arm, by the arm's name.
     pub flights: [(&'static str, FlightLog); 2],
+    /// Writes their files during a run that a fault does not end.
+    pub keep_flights: KeepFlights,
     /// How the target is marked in the first left image: outline of a simulated target, or the operator's region.
     pub marking: Marking,
     /// Link monitors by the arms' names; arms without a link have none.

@@ -1,18 +1,19 @@
 //! Checks before motion whether both arms can follow an experiment.
 
 use anyhow::Result;
-use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Model, Target, World};
+use pb3dp_geometry::{Pose, Twist};
 use pb3dp_setup::setup::{Carrier, Setup};
 use pb3dp_sim::placement::{
     FlangePath, PathRefusal, PathReport, PathRequirements, ToolSpeed, ToolSpeedMax, check_experiment,
 };
-use pb3dp_sim::trajectory::{MotionConfig, Trajectory};
+use pb3dp_sim::trajectory::{Mark, MotionConfig, Trajectory};
 
 /// Checks whether the arms can follow an experiment within their limits: reach, joint ranges, singular poses, speeds and accelerations of
 /// the joints, and the speeds of the hand. `start` is the pose of the target before the experiment.
 ///
-/// A free target may move faster than any hand can follow; this causes only a warning.
+/// A free target may move faster than any hand can follow; this causes only a warning. With `until_s` only the motion before this time is
+/// checked, seconds of the experiment: a run that ends then never reaches the rest.
 ///
 /// # Errors
 /// The arm, the excess over the limit, and the key of the limit; a motion parameter out of its range.
@@ -20,10 +21,12 @@ pub fn check_paths(
     setup: &Setup,
     experiment: &dyn Trajectory,
     start: Pose<World, Target>,
+    until_s: Option<f64>,
 ) -> Result<Vec<(&'static str, PathReport)>> {
     let is_carried = setup.experiment.carrier == Carrier::Arm;
     let stand_in = if is_carried { None } else { Some(without_jumps(&setup.experiment.motion).begin_at(start)?) };
-    let vs = match check_follower(setup, stand_in.as_deref().unwrap_or(experiment)) {
+    let experiment = &FirstPart { whole: stand_in.as_deref().unwrap_or(experiment), until_s };
+    let vs = match check_follower(setup, experiment) {
         Err(refusal) if !is_carried => {
             tracing::warn!("{refusal:#}; the free target moves anyway");
             return Ok(Vec::new());
@@ -46,7 +49,33 @@ pub fn check_paths(
 pub fn check_stated_paths(setup: &Setup) -> Result<Vec<(&'static str, PathReport)>> {
     let tc = &setup.rig.arms.tc;
     let start = tc.world_from_base * tc.chain.forward(&tc.start_rad) * setup.rig.flange_from_target;
-    check_paths(setup, &*setup.experiment.motion.begin_at(start)?, start)
+    check_paths(setup, &*setup.experiment.motion.begin_at(start)?, start, None)
+}
+
+/// The motion of a run that may end early.
+struct FirstPart<'a> {
+    whole: &'a dyn Trajectory,
+    /// When the run ends, seconds; none: at the end of the motion.
+    until_s: Option<f64>,
+}
+
+impl Trajectory for FirstPart<'_> {
+    fn pose_at(&self, t_s: f64) -> Pose<World, Target> {
+        self.whole.pose_at(t_s)
+    }
+
+    fn twist_at(&self, t_s: f64) -> Twist<World> {
+        self.whole.twist_at(t_s)
+    }
+
+    fn marks(&self) -> &[Mark] {
+        self.whole.marks()
+    }
+
+    fn duration_s(&self) -> f64 {
+        let whole_s = self.whole.duration_s();
+        self.until_s.map_or(whole_s, |until_s| until_s.clamp(0.0, whole_s))
+    }
 }
 
 /// The same motion with a duration for each step move, so that its poses can be checked for reach.
@@ -145,6 +174,25 @@ mod tests {
         for part in ["vs-robot", "servo.speed.angular_max_deg_per_s", "0.327 rad/s", "1.09 times"] {
             assert!(text.contains(part), "{part} is not in {text}");
         }
+    }
+
+    /// The hand may not turn by 20 degrees in 2 s, but the moves along x before it are slow enough.
+    #[test]
+    fn only_the_part_before_the_end_of_the_run_is_checked() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
+        let mut setup = read_setup(std::path::Path::new(file)).unwrap();
+        setup.controller.speed.tracking.linear_m_per_s = 0.1;
+        let tc = &setup.rig.arms.tc;
+        let start = tc.world_from_base * tc.chain.forward(&tc.start_rad) * setup.rig.flange_from_target;
+        let experiment = setup.experiment.motion.begin_at(start).unwrap();
+        let refused_at_s = match check_paths(&setup, &*experiment, start, None).unwrap_err().downcast() {
+            Ok(PathRefusal::ToolTooFast { at_s, .. }) => at_s,
+            other => panic!("{other:?}"),
+        };
+        let until = |s: f64| check_paths(&setup, &*experiment, start, Some(s));
+        assert!(until(1.0).is_ok());
+        assert!(until(refused_at_s).is_err() && until(1e6).is_err());
+        assert_eq!(until(1e6).unwrap_err().to_string(), until(f64::INFINITY).unwrap_err().to_string());
     }
 
     fn weaken(arm: &mut ArmSetup, joint: usize, acceleration_max_rad_per_s2: f64) {

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use nalgebra::{UnitQuaternion, Vector3};
+use pb3dp_record::estimates_csv::{self, EstimateRow};
 use pb3dp_record::plain_zero::plain_zero;
 use pb3dp_record::report::{LinePlot, Report, ReportImage, Series, SeriesColor, Table};
 use pb3dp_record::text_file::write_text;
@@ -501,32 +502,21 @@ fn response_line(c: &ChannelSummary) -> String {
     line
 }
 
-/// A line per estimate of the method that leads the hand; empty cells are unknown.
+/// A line per estimate of the method that leads the hand.
 fn estimates_csv(log: &MethodLog) -> String {
-    let mut text = String::from("t_s,status,age_ms,latency_ms,fitness,x_mm,y_mm,z_mm,qx,qy,qz,qw");
-    for k in 0..36 {
-        let _ = write!(text, ",c{}{}", k / 6 + 1, k % 6 + 1);
-    }
-    let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:.4}"));
-    for (frame, pose) in log.frames.iter().zip(&log.estimated) {
-        let _ = write!(text, "\n{:.4},{},{}", frame.t_s, frame.status, number(frame.age_millis));
-        let _ = write!(text, ",{:.4},{}", frame.latency_millis, number(frame.fitness));
-        match pose {
-            Some(pose) => {
-                let (p, q) = (pose.translation_m() * 1e3, pose.rotation());
-                let _ = write!(text, ",{:.4},{:.4},{:.4},{:.7},{:.7},{:.7},{:.7}", p.x, p.y, p.z, q.i, q.j, q.k, q.w);
-            }
-            None => text += &",".repeat(7),
-        }
-        let unit = |i: usize| if i < 3 { 1e3 } else { 1.0 };
-        match &frame.covariance {
-            Some(c) => (0..36).for_each(|k| {
-                let _ = write!(text, ",{:.6e}", c[(k / 6, k % 6)] * unit(k / 6) * unit(k % 6));
-            }),
-            None => text += &",".repeat(36),
-        }
-    }
-    text + "\n"
+    let lines = log.frames.iter().zip(&log.estimated).map(|(frame, pose)| {
+        let row = EstimateRow {
+            t_s: frame.t_s,
+            status: &frame.status,
+            age_millis: frame.age_millis,
+            latency_millis: Some(frame.latency_millis),
+            fitness: frame.fitness,
+            cam_left_from_model: pose.as_ref(),
+            covariance: frame.covariance.as_ref(),
+        };
+        row.line() + "\n"
+    });
+    std::iter::once(estimates_csv::heading() + "\n").chain(lines).collect()
 }
 
 /// A line per control step: times in seconds, positions in millimetres, quaternions as x, y, z, w; `joints`: number of joints of each arm.

@@ -170,6 +170,9 @@ pub struct TrackArgs {
     /// Write the recovered surface with its colours into this PLY file, in the model frame (direct only).
     #[arg(long, value_name = "FILE")]
     pub surface: Option<PathBuf>,
+    /// Write the estimates into this CSV file, with the columns of estimates.csv of a run; `age_ms` is empty.
+    #[arg(long, value_name = "FILE")]
+    pub csv: Option<PathBuf>,
     /// Estimation options.
     #[command(flatten)]
     pub method: MethodArgs,

@@ -17,6 +17,7 @@
 pub mod calibration_files;
 mod codes;
 pub mod dataset;
+pub mod estimates_csv;
 pub mod image_quality;
 pub mod images;
 pub mod metrics;

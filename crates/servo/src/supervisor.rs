@@ -151,6 +151,10 @@ impl Supervisor {
         let said = inputs.operator.said;
         let word = said.map(|said| (said.word, self.refusal(said, blocking, now)));
         let transition = self.change(inputs, word, now);
+        if matches!(transition, Some((Event::Hold, _))) {
+            // Conditions from before did not cause this hold.
+            self.spoke = blocking;
+        }
         let rearm = transition.is_some_and(|(_, order)| order != Order::None);
         let mut blocking = blocking;
         if rearm {

@@ -20,6 +20,7 @@ use figment::value::{Dict, Value};
 
 use self::layer::{Layer, change, flatten, remove_at, toml_text, value_at};
 use crate::error::{ConfigError, text_of};
+use crate::setup::link::is_real_backend;
 
 /// Options of every command that reads a setup.
 #[derive(Clone, Debug, Default, Args)]
@@ -143,9 +144,6 @@ const KINDS: [(&str, &[&str]); 5] = [
 
 /// Tables that belong to one kind of link.
 const OF_LINK: [&str; 2] = ["gateway", "bus"];
-
-/// Backends of arms that move nothing outside this program.
-const EMULATED: [&str; 2] = ["mock", "emulated"];
 
 /// The only key that environment variables may set for a setup with real arms: every other one decides what moves, how fast, or
 /// which pose is believed.
@@ -385,7 +383,7 @@ impl Layers {
     fn real_arms(&self) -> Vec<String> {
         let is_real = |name: &String| {
             let backend = self.value(&format!("arms.{name}.backend"));
-            backend.and_then(|word| word.as_str().map(|word| !EMULATED.contains(&word))).unwrap_or(false)
+            backend.and_then(|word| word.as_str().map(is_real_backend)).unwrap_or(false)
         };
         self.arms().into_iter().filter(is_real).collect()
     }

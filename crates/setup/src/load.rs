@@ -148,7 +148,10 @@ impl ConfigFile {
         let mut lines: Vec<String> = keys.iter().chain(&refused).map(located).collect();
         let missing = keys.iter().filter(|line| line.contains(MISSING)).count();
         if self.wanted == FileKind::Setup && missing > MISSING_MANY && !self.layers.has_base() {
-            lines.push("  a first line base = \"sim\" takes all else from the built-in setup of that name".to_owned());
+            lines.push(
+                "  add the first line base = \"sim\" to take all other values from this built-in setup (also: hil)"
+                    .to_owned(),
+            );
         }
         Err(ConfigError::Values { file, lines: lines.join("\n") })
     }
@@ -263,7 +266,9 @@ fn plain(said: &str) -> String {
 pub(crate) fn nearest<'a>(key: &str, known: &[&'a str]) -> Option<&'a str> {
     let likeness = |other: &&str| strsim::jaro_winkler(key, other);
     let best = known.iter().copied().max_by(|a, b| likeness(a).total_cmp(&likeness(b)))?;
-    (likeness(&best) > LIKE).then_some(best)
+    // Two exchanged letters of a short word: `tpc` and `tcp` have a similarity of 0.55.
+    let one_slip = || known.iter().copied().find(|other| key.len() > 2 && strsim::osa_distance(key, other) == 1);
+    (likeness(&best) > LIKE).then_some(best).or_else(one_slip)
 }
 
 /// Minimum Jaro-Winkler similarity of two keys; chosen: `serach` and `search` have 0.95, `port` and `baud` 0.
@@ -439,6 +444,7 @@ mod tests {
             "{}",
             refused("crd")
         );
+        assert!(refused("obx").contains("did you mean box?"), "{}", refused("obx"));
         assert!(!refused("sphere").contains("did you mean"), "{}", refused("sphere"));
     }
 

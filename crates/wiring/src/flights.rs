@@ -8,9 +8,9 @@ use pb3dp_cell::flight;
 use pb3dp_cell::flight::{ArmFault, Flight, LineCounts, Moment, RawLine};
 use pb3dp_hal_middleware::FlightLog;
 
-/// Writes the last seconds of both arms to files in this folder and logs the paths.
+/// Writes the last seconds of both arms to files in this folder and logs the paths; `number` counts the faults of a run from 1.
 pub fn write_flights(
-    folder: &Path,
+    (folder, number): (&Path, usize),
     flights: &[(&'static str, FlightLog)],
     monitors: &[(&'static str, ArmMonitor)],
     failure: &anyhow::Error,
@@ -19,7 +19,7 @@ pub fn write_flights(
     for (arm, log) in flights {
         let raw = raw_lines(monitors, arm);
         let (fault, counts) = line_facts(monitors, arm);
-        match flight::write(folder, arm, &Flight { log, fault, counts, raw: &raw }, failure, moment) {
+        match flight::write(folder, (arm, number), &Flight { log, fault, counts, raw: &raw }, failure, moment) {
             Ok(path) => tracing::info!("flight recorder of the {arm}: {}", path.display()),
             Err(error) => tracing::warn!("the flight recorder of the {arm}: {error:#}"),
         }

@@ -7,6 +7,7 @@ mod cameras;
 pub mod commissioning;
 mod flights;
 mod greeting;
+mod key_files;
 pub mod message_codes;
 mod nominal;
 mod simulated;
@@ -34,6 +35,7 @@ use self::arm::{EmulatedServer, MonitoredLink, WiredArms, wire_arms};
 use self::simulated::wire_sight;
 pub use flights::{line_facts, raw_lines, write_flights};
 pub use greeting::{bus_doubts, geometry_doubt, watchdog_refusal};
+pub use key_files::check_key_files;
 pub use nominal::{MOCK_ARM, accept_nominal};
 
 use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
@@ -81,19 +83,21 @@ pub fn wire_watched(setup: &Setup) -> Result<Wired> {
     wire_with(setup, Arc::new(Linux))
 }
 
-/// As [`wire_watched`], for an operator who may select the target during the run: with real cameras none needs to be marked before.
+/// What one run needs of its wiring.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RunNeeds {
+    /// The run ends at this time, seconds of the experiment: the arms need not follow the rest.
+    pub until_s: Option<f64>,
+    /// The operator selects targets during the run: with real cameras none needs to be marked before.
+    pub selects_targets: bool,
+}
+
+/// As [`wire_watched`], for one run.
 ///
 /// # Errors
 /// As [`wire`].
-pub fn wire_selectable(setup: &Setup) -> Result<Wired> {
-    let mut wired = wire_marked_or_not(setup, Arc::new(Linux))?;
-    if matches!(wired.parts.marking, Marking::Nobody) {
-        wired.parts.marking = Marking::Awaited;
-    }
-    if matches!(wired.parts.camera, Sight::Images(_)) {
-        wired.parts.selections = Some(Selections::default());
-    }
-    Ok(wired)
+pub fn wire_run(setup: &Setup, needs: &RunNeeds) -> Result<Wired> {
+    wire_experiment(setup, needs, Arc::new(Linux))
 }
 
 /// As [`wire`], with real cameras from this video system.
@@ -101,11 +105,13 @@ pub fn wire_selectable(setup: &Setup) -> Result<Wired> {
 /// # Errors
 /// As [`wire`].
 pub fn wire_with(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Wired> {
-    check_marked(setup)?;
-    wire_marked_or_not(setup, video)
+    wire_experiment(setup, &RunNeeds::default(), video)
 }
 
-fn wire_marked_or_not(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Wired> {
+fn wire_experiment(setup: &Setup, needs: &RunNeeds, video: Arc<dyn VideoSystem>) -> Result<Wired> {
+    if !needs.selects_targets {
+        check_marked(setup)?;
+    }
     let mut pushed = None;
     let mut wired = wire_cell_with(setup, video, |cell, start| {
         let experiment: Arc<dyn Trajectory> = match setup.experiment.carrier {
@@ -115,7 +121,7 @@ fn wire_marked_or_not(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Wire
         if setup.experiment.carrier != Carrier::Arm {
             cell.free_target = Some(FreeTarget::new(Arc::clone(&experiment)));
         }
-        for (name, report) in check_paths(setup, &*experiment, start)? {
+        for (name, report) in check_paths(setup, &*experiment, start, needs.until_s)? {
             let (joint, speed) = report.fastest_joint();
             tracing::info!(
                 "{name}: smallest singular value {:.3} at {:.1} s, fastest axis {} uses {:.0} % of its allowed speed",
@@ -128,6 +134,14 @@ fn wire_marked_or_not(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Wire
         Ok(experiment)
     })?;
     wired.parts.pushed = pushed;
+    if needs.selects_targets {
+        if matches!(wired.parts.marking, Marking::Nobody) {
+            wired.parts.marking = Marking::Awaited;
+        }
+        if matches!(wired.parts.camera, Sight::Images(_)) {
+            wired.parts.selections = Some(Selections::default());
+        }
+    }
     Ok(wired)
 }
 
@@ -214,6 +228,7 @@ fn wire_cell_with(
         cell,
         experiment,
         flights,
+        keep_flights: Box::new(|_, _| {}),
         marking,
         links: monitors.iter().map(|(name, monitor)| (*name, link_of(monitor, setup.control_period))).collect(),
         emulated: emulated.into_iter().map(|server| Box::new(EmulatedServer(server)) as Box<dyn EmulatedArm>).collect(),

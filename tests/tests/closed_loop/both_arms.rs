@@ -83,7 +83,7 @@ fn a_fault_leaves_the_flight_of_both_arms() {
         };
         let counts = LineCounts { lost: 3, late: 2, crc_errors: 1, resyncs: 4, ..LineCounts::default() };
         let flight = Flight { log, fault: Some(fault), counts: Some(counts), raw: &raw };
-        let file = flight::write(folder.path(), name, &flight, &failure, moment).unwrap();
+        let file = flight::write(folder.path(), (name, 1), &flight, &failure, moment).unwrap();
         assert_eq!(file, folder.path().join(format!("flight-{name}.jsonl")));
         let lines = lines_of(&file);
         let (head, entries) = lines.split_first().unwrap();

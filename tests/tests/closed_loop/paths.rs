@@ -33,7 +33,7 @@ fn both_arms_stay_away_from_singular_poses_along_the_whole_experiment() {
     let setup = whole_setup(Method::Direct);
     let experiment = experiment(&setup);
     assert_eq!((experiment.marks().len(), &setup.experiment.steps().unwrap().channels[..]), (12, &Channel::ALL[..]));
-    for (name, report) in check_paths(&setup, &*experiment, world_from_target_at_start(&setup)).unwrap() {
+    for (name, report) in check_paths(&setup, &*experiment, world_from_target_at_start(&setup), None).unwrap() {
         let smallest = report.singular_value_min.value;
         assert!(smallest > SINGULAR_VALUE_MIN, "{name}: {smallest}");
         assert!(report.fastest_joint().1.value < 1.0, "{name}: {:?}", report.fastest_joint());

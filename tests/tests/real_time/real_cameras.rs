@@ -107,7 +107,7 @@ fn records() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("recording");
     let parts = wire_with(&setup, Arc::new(system)).unwrap().parts;
-    let Ended { outcome, how } = conduct(&setup, parts, Some(2.0), Some(&folder)).unwrap();
+    let Ended { outcome, how, .. } = conduct(&setup, parts, Some(2.0), Some(&folder)).unwrap();
     how.unwrap();
     let sequence = load_sequence(&folder).unwrap();
     assert!(!sequence.is_unfinished && sequence.frames() > 10, "{} frames", sequence.frames());
@@ -160,7 +160,7 @@ fn a_hand_holds_its_place_rests_while_a_camera_is_away_and_goes_on() {
 
 fn holds_rests_and_goes_on() {
     let (setup, system) = rig();
-    let Ended { outcome, how } = run(&setup, &system, 9.0, || {
+    let Ended { outcome, how, .. } = run(&setup, &system, 9.0, || {
         sleep(Duration::from_secs(4));
         plug(&system, 1, false);
         sleep(Duration::from_millis(1500));
@@ -201,7 +201,7 @@ fn rests_with_exchanged_cameras() {
         let (setup, system) = rig();
         let numbers = |number: usize| has_numbers.then(|| format!("SN{number}"));
         (0..2).for_each(|number| system.with(number, |camera| camera.entry.serial = numbers(number)).unwrap());
-        let Ended { outcome, how } = run(&setup, &system, 8.0, || {
+        let Ended { outcome, how, .. } = run(&setup, &system, 8.0, || {
             sleep(Duration::from_secs(4));
             (0..2).for_each(|number| plug(&system, number, false));
             sleep(Duration::from_millis(300));
@@ -229,7 +229,7 @@ fn a_camera_that_is_not_waited_for_ends_the_run_with_both_arms_stopped() {
 fn ends_with_its_camera() {
     let (mut setup, system) = rig();
     cameras(&mut setup).reopen_for = Duration::ZERO;
-    let Ended { outcome, how } = run(&setup, &system, 60.0, || {
+    let Ended { outcome, how, .. } = run(&setup, &system, 60.0, || {
         sleep(Duration::from_secs(2));
         plug(&system, 0, false);
     });

@@ -1,6 +1,10 @@
-//! Checks that links and paths in Markdown exist.
+//! Checks that links and paths in Markdown exist, also in a release.
 
+use crate::package::is_shipped;
 use crate::violation::Violation;
+
+/// Address of a file of the repository; a page of a release links other files by it.
+const REPOSITORY: &str = "https://github.com/pb3dp/pb3dp/blob/main/";
 
 /// First folders of the paths in backticks that are checked.
 const ROOTS: [&str; 7] = ["crates/", "hal/", "configs/", "docs/", "tests/", "xtask/", ".ci/"];
@@ -25,6 +29,12 @@ pub fn check(path: &str, text: &str, files: &[String]) -> Vec<Violation> {
         for target in links.chain(paths) {
             violations.push(Violation::at(path, index + 1, "dead-link", format!("`{target}` does not exist")));
         }
+        let relative = self::links(line).filter(|link| is_shipped(path) && !link.contains("://"));
+        let found = relative.filter_map(|link| resolve(path, link));
+        for target in found.filter(|target| exists(target) && !is_shipped(target)) {
+            let message = format!("no release contains `{target}`: link {REPOSITORY}{target}");
+            violations.push(Violation::at(path, index + 1, "dead-link", message));
+        }
     }
     violations
 }
@@ -45,6 +55,9 @@ fn is_path(span: &str) -> bool {
 /// The path from the root for a link; `None` for other sites and anchors in the same file.
 fn resolve(path: &str, link: &str) -> Option<String> {
     let target = link.split('#').next().unwrap_or_default();
+    if let Some(of_repository) = target.strip_prefix(REPOSITORY) {
+        return Some(of_repository.to_owned());
+    }
     if target.is_empty() || target.contains("://") || target.starts_with("mailto:") {
         return None;
     }
@@ -74,6 +87,18 @@ mod tests {
         assert_eq!(messages("README.md", "see [units](docs/unit.md)"), ["`docs/unit.md` does not exist"]);
         assert_eq!(messages("docs/adr/0001-a.md", "[u](../unit.md)"), ["`docs/unit.md` does not exist"]);
         assert_eq!(messages("README.md", "in `crates/a/src/main.rs`"), ["`crates/a/src/main.rs` does not exist"]);
+    }
+
+    /// An installed page would lead nowhere.
+    #[test]
+    fn a_link_to_a_file_that_no_release_contains_names_the_repository() {
+        let by_repository = format!("[a]({REPOSITORY}crates/a/src/lib.rs)");
+        let said = format!("no release contains `crates/a/src/lib.rs`: link {REPOSITORY}crates/a/src/lib.rs");
+        assert_eq!(messages("docs/units.md", "[a](../crates/a/src/lib.rs)"), [said]);
+        assert_eq!(messages("docs/units.md", &by_repository), [""; 0]);
+        assert_eq!(messages("crates/a/NOTES.md", "[a](src/lib.rs)"), [""; 0], "no page of a release");
+        let dead = by_repository.replace("lib.rs", "main.rs");
+        assert_eq!(messages("docs/units.md", &dead), ["`crates/a/src/main.rs` does not exist"]);
     }
 
     #[test]

@@ -465,3 +465,27 @@ fn select_with_a_region_gives_the_target_once_the_supervisor_has_accepted_it() {
         assert!(answer.starts_with("select refused: "), "{line}: {answer}");
     }
 }
+
+/// After a failed enabling: the answer comes by itself, and a refused command repeats which arm it was.
+#[test]
+fn a_late_result_is_answered_at_once_and_a_refusal_names_the_trouble() {
+    let (mut console, mut writer, answers, _) = begun();
+    let trouble = "tc-robot: enable: the drives do not answer";
+    console.answer(format!("enabling failed: {trouble}"));
+    let mut text = String::new();
+    while !text.contains("enabling failed: tc-robot") {
+        text += &answers.recv().unwrap();
+    }
+    console.tell(Some(trouble.to_owned()));
+    writeln!(writer, "start").unwrap();
+    wait_until(|| !console.words.is_empty());
+    let last = decision();
+    console.listen(Some(&last), NOW);
+    let refused = Refusal { word: OperatorCommand::Start, because: RefusedFor::State(State::Idle) };
+    console.show(&Decision { refused: Some(refused), ..last });
+    text.clear();
+    while !text.contains(trouble) {
+        text += &answers.recv().unwrap();
+    }
+    assert!(text.contains("start refused: "), "{text}");
+}

@@ -37,7 +37,7 @@ pub fn keep(
         let (raw, (fault, counts)) = (raw_lines(&monitors, name), line_facts(&monitors, name));
         std::fs::create_dir_all(folder)
             .with_context(|| folder.display().to_string())
-            .and_then(|()| flight::write(folder, name, &Flight { log, fault, counts, raw: &raw }, failure, moment))
+            .and_then(|()| flight::write(folder, (name, 1), &Flight { log, fault, counts, raw: &raw }, failure, moment))
             .with_context(|| format!("cannot write the flight recorder of the {name}"))
     };
     let mut files = vec![kept(choice, &arm.flight, arm.monitor.as_ref())];

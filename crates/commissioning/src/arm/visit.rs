@@ -115,7 +115,7 @@ pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
     let visited = visiting::run(&setup, parts, &tour, &args.out, date);
     if let Err(failure) = &visited {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
-        write_flights(&args.out, &flights, &monitors, failure, moment);
+        write_flights((&args.out, 1), &flights, &monitors, failure, moment);
     }
     let visited = visited?;
     tell(args, &tour, &visited)?;

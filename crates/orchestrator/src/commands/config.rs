@@ -13,6 +13,7 @@ use pb3dp_commissioning::commissioned::needed_records;
 use pb3dp_setup::explain::{explain, is_within};
 use pb3dp_setup::layers::{Effective, Layers, SetupArgs, built_in, toml_of};
 use pb3dp_setup::setup::{is_for_cameras_only, read_cameras, read_layers};
+use pb3dp_wiring::check_key_files;
 
 use crate::arguments::UNSURE;
 
@@ -157,6 +158,7 @@ fn check(args: &CheckArgs) -> Result<ExitCode> {
     let setup = read_layers(&args.setup)?;
     let would_refuse = "`pb3dp run` would refuse this setup";
     check_stated_paths(&setup).context(would_refuse)?;
+    check_key_files(&setup).context(would_refuse)?;
     needed_records(&setup, SystemTime::now()).context(would_refuse)?;
     print_line(&format!("{}: {} values, accepted", args.setup, setup.layers.effective().len()))?;
     Ok(ExitCode::SUCCESS)

@@ -111,7 +111,7 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
     let swung = swing::run(&setup, parts, motion);
     if let Err(failure) = &swung {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
-        write_flights(&args.out, &flights, &monitors, failure, moment);
+        write_flights((&args.out, 1), &flights, &monitors, failure, moment);
     }
     let swung = swung?;
     if was_interrupted.load(Ordering::SeqCst) {

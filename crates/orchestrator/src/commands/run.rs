@@ -15,7 +15,7 @@ use pb3dp_commissioning::commissioned::needed_records;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::dataset::SequenceWriter;
 use pb3dp_setup::setup::{ArmSetup, read_layers};
-use pb3dp_wiring::{Wired, accept_nominal, wire_selectable, wire_watched, write_flights};
+use pb3dp_wiring::{RunNeeds, Wired, accept_nominal, wire_run, write_flights};
 
 use crate::arguments::{OperatorName, RunArgs, UNSURE};
 use crate::commands::attendance::Attendance;
@@ -52,10 +52,8 @@ fn conduct(args: &RunArgs) -> Result<ExitCode> {
     if let Some(folder) = &args.record {
         SequenceWriter::check_folder(folder).context("--record")?;
     }
-    let Wired { mut parts, monitors, .. } = match args.operator {
-        OperatorName::Command => wire_watched(&setup)?,
-        OperatorName::Console => wire_selectable(&setup)?,
-    };
+    let needs = RunNeeds { until_s: args.stop_after, selects_targets: args.operator == OperatorName::Console };
+    let Wired { mut parts, monitors, .. } = wire_run(&setup, &needs)?;
     records.iter().try_for_each(|record| record.check(&monitors))?;
     let clock = Arc::clone(&parts.clock);
     let size = setup.rig.stereo.left().size();
@@ -65,13 +63,19 @@ fn conduct(args: &RunArgs) -> Result<ExitCode> {
     let interrupt = Arc::clone(&parts.interrupt);
     let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
     let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
+    let out = args.out.clone();
+    let keep_flights = move |number: usize, failure: &anyhow::Error| {
+        let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
+        write_flights((&out, number), &flights, &monitors, failure, moment);
+    };
+    // A fault does not end a run with a console; the recorders forget it after some seconds.
+    parts.keep_flights = Box::new(keep_flights.clone());
     // Late, so that a refused run leaves the previous one in its place.
     previous_run::keep(&args.out)?;
     tracing::info!("the results of this run go to {} (--out)", args.out.display());
-    let Ended { outcome, how } = experiment::conduct(&setup, parts, args.stop_after, args.record.as_deref())?;
+    let Ended { outcome, how, faults } = experiment::conduct(&setup, parts, args.stop_after, args.record.as_deref())?;
     if let Err(failure) = &how {
-        let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
-        write_flights(&args.out, &flights, &monitors, failure, moment);
+        keep_flights(faults + 1, failure);
     }
     let made =
         Made { configuration: asked.to_string(), commit: crate::COMMIT, wall_s: started.elapsed().as_secs_f64() };

@@ -3,6 +3,9 @@
 use std::fs;
 use std::process::Command;
 
+use crate::cli::support::key_file;
+use crate::real_time::arm::{FIRST_RUN, setup_at};
+
 /// What `pb3dp config` left behind.
 #[derive(Debug)]
 struct Finished {
@@ -63,6 +66,44 @@ fn an_experiment_that_a_run_refuses_is_refused_before() {
     for part in ["`pb3dp run` would refuse this setup", "cannot follow the experiment"] {
         assert!(checked.stderr.contains(part), "{checked:?}");
     }
+}
+
+/// A run would find it only when it opens the links; nothing of a key is printed.
+#[test]
+fn the_key_files_of_links_are_checked() {
+    use std::os::unix::fs::PermissionsExt as _;
+
+    let folder = setup_at("127.0.0.1:9");
+    let (setup, key) = (folder.path().join("cell.toml"), folder.path().join("my.key"));
+    let text = fs::read_to_string(&setup).unwrap().replace(key_file().to_str().unwrap(), key.to_str().unwrap());
+    fs::write(&setup, text).unwrap();
+    let check = || config(&[&["check", "--config", setup.to_str().unwrap()], &FIRST_RUN[..]].concat());
+    let contents = fs::read_to_string(key_file()).unwrap();
+    let secret = contents.trim();
+    for (contents, mode, part) in [
+        (None, 0o600, "cannot be read"),
+        (Some(secret), 0o644, "chmod 600"),
+        (Some(&secret[..20]), 0o600, "holds no key"),
+        (Some("a word of mine that is not hexadecimal"), 0o600, "holds no key"),
+    ] {
+        if let Some(contents) = contents {
+            fs::remove_file(&key).ok();
+            fs::write(&key, contents).unwrap();
+            fs::set_permissions(&key, fs::Permissions::from_mode(mode)).unwrap();
+        }
+        let checked = check();
+        assert_eq!(checked.code, Some(1), "{part}: {checked:?}");
+        for part in ["`pb3dp run` would refuse this setup", "arms.vs.gateway.key_file", "my.key", part] {
+            assert!(checked.stderr.contains(part), "{part}: {checked:?}");
+        }
+        for part in [&secret[..8], "a word of mine"] {
+            assert!(!checked.stderr.contains(part) && !checked.stdout.contains(part), "{checked:?}");
+        }
+    }
+    fs::write(&key, secret).unwrap();
+    let checked = check();
+    assert!(!checked.stderr.contains("key_file") && !checked.stderr.contains(&secret[..8]), "{checked:?}");
+    assert!(!checked.stdout.contains(&secret[..8]), "{checked:?}");
 }
 
 #[test]

@@ -320,8 +320,31 @@ fn times_that_are_none_are_refused() {
     }
 }
 
+/// At this speed the arms cannot follow a move that comes later; the run ends before.
+#[test]
+fn a_run_that_ends_early_need_not_follow_the_rest() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = |more: &[&str]| {
+        let args = words(&[&"run", &"--config", &"sim", &"--out", &dir.path().join("out")]);
+        pb3dp(&[args, more.iter().map(|word| (*word).into()).collect()].concat())
+    };
+    let slow =
+        ["--set", "arms.speed_scale=0.3", "--set", "estimator.method=geometric", "--set", "estimator.compare=[]"];
+    run(&slow).assert_refused(&["arms.speed_scale", "too fast"]);
+    run(&[&slow[..], &["--stop-after", "1"]].concat()).assert_success();
+}
+
 /// A run that a person leads by lines on standard input; simulated arms without images, at the pace of the wall clock.
 fn led_by_a_person(dir: &std::path::Path) -> (std::process::Child, std::path::PathBuf) {
+    led_by_a_person_with(dir, &[], "")
+}
+
+/// The same with these settings, and with this text at the end of the setup.
+fn led_by_a_person_with(
+    dir: &std::path::Path,
+    settings: &[&str],
+    more: &str,
+) -> (std::process::Child, std::path::PathBuf) {
     use std::process::{Command, Stdio};
 
     let changes = [
@@ -330,8 +353,10 @@ fn led_by_a_person(dir: &std::path::Path) -> (std::process::Child, std::path::Pa
         ("compare = [\"published\"]", "compare = []"),
     ];
     let (config, out) = (setup(dir, &changes), dir.join("out"));
+    std::fs::write(&config, std::fs::read_to_string(&config).unwrap() + more).unwrap();
     let child = Command::new(env!("CARGO_BIN_EXE_pb3dp"))
         .args(words(&[&"run", &"--operator", &"console", &"--config", &config, &"--out", &out]))
+        .args(settings)
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()
@@ -388,6 +413,37 @@ fn a_person_at_a_console_leads_a_run() {
     assert!(places.is_sorted(), "{text}");
     let summary = std::fs::read_to_string(out.join("summary.json")).unwrap();
     assert!(summary.contains("\"event\": \"start\"") && summary.contains("\"ended_by\": null"), "{summary}");
+}
+
+/// The record holds the seconds around the stop, also if the person ends the run much later; a stop by command leaves none.
+#[test]
+fn a_stop_by_a_condition_leaves_a_flight_record_after_quit() {
+    use std::io::Write as _;
+    use std::time::Duration;
+
+    let outage = "\n[[camera.faults]]\nkind = \"dropped\"\nshare = 1.0\nfrom_s = 5.0\nuntil_s = 100.0\n";
+    for (more, last, has_record) in [(outage, "status", true), ("", "stop", false)] {
+        let dir = tempfile::tempdir().unwrap();
+        let settings = ["--set", "supervisor.policies.frame_stale.action=stop"];
+        let (mut child, out) = led_by_a_person_with(dir.path(), &settings, more);
+        let mut input = child.stdin.take().unwrap();
+        for line in ["status", "select", "start", "status", "status", last, "quit"] {
+            std::thread::sleep(Duration::from_millis(1200));
+            writeln!(input, "{line}").unwrap();
+        }
+        let finished = child.wait_with_output().unwrap();
+        let text = String::from_utf8(finished.stdout).unwrap();
+        assert!(finished.status.success(), "{text}");
+        for arm in ["vs-robot", "tc-robot"] {
+            let record = std::fs::read_to_string(out.join(format!("flight-{arm}.jsonl")));
+            assert_eq!(record.is_ok(), has_record, "{text}");
+            assert!(!out.join(format!("flight-{arm}-2.jsonl")).exists());
+            let Ok(record) = record else { continue };
+            let head: serde_json::Value = serde_json::from_str(record.lines().next().unwrap()).unwrap();
+            assert!(head["cause"].as_str().unwrap().starts_with("stopped: the newest frame pair is"), "{head}");
+            assert!(record.contains("\"velocity\"") && record.contains("\"stop\""), "{text}");
+        }
+    }
 }
 
 #[test]

@@ -253,6 +253,36 @@ fn a_region_that_is_refused_leaves_the_other_targets_alone() {
 }
 
 /// The card is flat: its points lie in the plane z = 0 of the model, within the card, and have its colours.
+/// The columns of a run's `estimates.csv`, with the values of the JSON lines; a frame without images has an empty row.
+#[test]
+fn the_estimates_are_also_a_table_with_the_columns_of_a_run() {
+    let dir = tempfile::tempdir().unwrap();
+    let sequence = dir.path().join("sequence");
+    record(&sequence);
+    std::fs::write(sequence.join("left_0003.png"), "no image").unwrap();
+    let file = dir.path().join("new/track.csv");
+    let tracked = pb3dp(&words(&[&"track", &"--sequence", &sequence, &"--csv", &file, &"--json"]));
+    let lines = tracked.json_lines(&TRACK_KEYS);
+    let text = std::fs::read_to_string(&file).unwrap();
+    let rows: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
+    assert!(rows.len() == FRAMES + 1 && rows.iter().all(|row| row.len() == 12 + 36), "{text}");
+    assert!(text.starts_with("t_s,status,age_ms,latency_ms,fitness,x_mm,y_mm,z_mm,qx,qy,qz,qw,c11,c12,"), "{text}");
+    for (line, row) in lines.iter().zip(&rows[1..]) {
+        assert_eq!((line["status"].as_str().unwrap(), ""), (row[1], row[2]), "{line}");
+        let Some(pose) = line["cam_left_from_model"].as_array() else {
+            assert!(row[5..].iter().all(|cell| cell.is_empty()), "{row:?}");
+            continue;
+        };
+        let agrees = |k: usize, cell: &str| (pose[k].as_f64().unwrap() - cell.parse::<f64>().unwrap()).abs() < 1e-3;
+        assert!(agrees(3, row[5]) && agrees(7, row[6]) && agrees(11, row[7]), "{line} {row:?}");
+        let c22 = numbers(&line["covariance"])[7];
+        assert!((c22 / row[12 + 7].parse::<f64>().unwrap() - 1.0).abs() < 1e-5, "{line} {row:?}");
+    }
+    assert_eq!(rows[4][1], "error", "{text}");
+    let refused = pb3dp(&words(&[&"track", &"--sequence", &sequence, &"--csv", &dir.path()]));
+    refused.assert_refused(&["--csv", "is a folder"]);
+}
+
 #[test]
 fn the_surface_of_a_flat_card_is_a_flat_coloured_cloud() {
     let dir = tempfile::tempdir().unwrap();

@@ -315,6 +315,10 @@ fn of_the_moment(condition: Condition, threshold: f64, inputs: &Inputs, now: Mon
     match condition {
         Condition::EmergencyStop => in_state(ArmCondition::EmergencyStop),
         Condition::ArmFault => in_state(ArmCondition::Fault).or_else(|| in_state(ArmCondition::StoppedByOther)),
+        // No arm stands for both.
+        Condition::ArmDisabled if inputs.arms.iter().all(|arm| arm.state == ArmCondition::Disabled) => {
+            Some((0.0, Detail::None))
+        }
         Condition::ArmDisabled => in_state(ArmCondition::Disabled),
         Condition::JointsStale => {
             let stale = |(arm, input): (usize, &super::inputs::ArmInput)| {

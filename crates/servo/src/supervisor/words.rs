@@ -320,6 +320,7 @@ impl fmt::Display for Cause {
                 write!(f, "{}: emergency stop, dead-man switch or limit switch", arm("arm"))
             }
             Condition::ArmFault => write!(f, "{}: stopped by a fault", arm("arm")),
+            Condition::ArmDisabled if detail == Detail::None => write!(f, "both arms: drives disabled"),
             Condition::ArmDisabled => write!(f, "{}: drives disabled", arm("arm")),
             Condition::ClockStepped => {
                 write!(f, "the clock stepped by {value:+.3} s, limit 0 to {threshold:.3} s")

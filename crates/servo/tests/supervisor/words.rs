@@ -3,7 +3,8 @@
 use std::collections::BTreeSet;
 
 use pb3dp_servo::supervisor::{
-    ARM_NAMES, Cause, Condition, Detail, OperatorCommand, Permission, Refusal, RefusedFor, State, Then, Why,
+    ARM_NAMES, ArmCondition, Cause, Condition, Detail, Innovation, Inputs, OperatorCommand, Permission, Refusal,
+    RefusedFor, State, Then, Why,
 };
 use pb3dp_servo::{HoldReason, Mode};
 
@@ -204,4 +205,67 @@ fn an_arm_that_does_not_move_says_why_in_each_step() {
         assert_eq!(decision.permission, Permission::Stop);
         assert!(decision.why.to_string().len() > 20);
     }
+}
+
+/// Neither arm stands for both: the drives that do not answer may be those of the other one.
+#[test]
+fn two_disabled_arms_are_named_together() {
+    let mut bench = Bench::new(config());
+    bench.say(OperatorCommand::Select);
+    bench.lie(|i| i.arms.iter_mut().for_each(|arm| arm.state = ArmCondition::Disabled));
+    bench.run(0.5);
+    assert!(bench.why().starts_with("selecting: both arms: drives disabled; "), "{}", bench.why());
+    bench.lie(|i| i.arms[1].state = ArmCondition::Disabled);
+    bench.step();
+    assert!(bench.why().starts_with("selecting: tc-robot: drives disabled; "), "{}", bench.why());
+}
+
+/// Right after `select` the line shows no measurement of the state before, and its next step shows the same reason.
+#[test]
+fn the_line_after_select_is_that_of_the_next_step() {
+    let lies: [fn(&mut Inputs); 6] = [
+        |_| {},
+        |i| i.estimate = None,
+        |i| i.innovation = Innovation::Outlier { sigmas: 60.0 },
+        |i| i.innovation = Innovation::Jump { position_m: 0.5, orientation_rad: 0.0 },
+        |i| i.estimate.as_mut().unwrap().covariance.as_mut().unwrap()[(2, 2)] = 4e-4,
+        |i| i.controller = Mode::Lost,
+    ];
+    for (number, lie) in lies.into_iter().enumerate() {
+        for command in [OperatorCommand::Hold, OperatorCommand::Stop] {
+            let mut bench = Bench::following(config());
+            bench.lie(lie);
+            bench.run(0.5);
+            bench.say(command);
+            bench.run(0.5);
+            if command == OperatorCommand::Stop {
+                bench.say(OperatorCommand::Reset);
+                bench.run(0.1);
+            }
+            let selected = bench.say(OperatorCommand::Select);
+            assert_eq!(selected.state, State::Selecting, "{number}");
+            let next = bench.step();
+            let said = selected.why.to_string();
+            assert!(said.starts_with("selecting: no confident pose yet; "), "{number} {command:?}: {said}");
+            assert_eq!(said, next.why.to_string(), "{number} {command:?}");
+        }
+    }
+}
+
+/// A single image that disagreed long ago did not cause the hold.
+#[test]
+fn a_hold_by_the_operator_names_no_condition_from_before() {
+    let mut bench = Bench::following(config());
+    bench.lie(|i| {
+        if i.innovation == Innovation::Agrees {
+            i.innovation = Innovation::Outlier { sigmas: 60.0 };
+        }
+    });
+    bench.run(0.04);
+    bench.truth();
+    bench.run(2.0);
+    assert_eq!(bench.state(), State::Tracking, "{}", bench.why());
+    bench.say(OperatorCommand::Hold);
+    let why = bench.why();
+    assert!(!why.contains("cleared") && why.ends_with("no active inhibit; ready to resume in 0.1 s"), "{why}");
 }

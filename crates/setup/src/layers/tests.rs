@@ -111,6 +111,28 @@ fn a_real_arm_takes_nothing_from_a_built_in_setup() {
     assert!(setup.layers.origin_of("arms.speed_scale").is_none() && setup.layers.origin_of("arms.first_run").is_none());
 }
 
+/// A typo is one problem: nothing else of the base is missing because of it.
+#[test]
+fn a_mistyped_backend_is_the_only_line_and_gets_the_nearest_word() {
+    let folder = tempfile::tempdir().unwrap();
+    for base in ["sim", "hil"] {
+        let text = format!("base = \"{base}\"\n[arms.vs]\nbackend = \"tpc\"\n");
+        let text = refusal(&[&write(folder.path(), "typo.toml", &text)], &[]);
+        let lines: Vec<&str> = text.lines().skip(1).collect();
+        assert!(lines.len() == 1 && lines[0].contains("found tpc") && lines[0].contains("did you mean tcp?"), "{text}");
+    }
+}
+
+/// Every missing key is named, and the one line that would state them all.
+#[test]
+fn a_setup_without_a_base_is_told_to_add_one() {
+    let folder = tempfile::tempdir().unwrap();
+    for text in ["", "[run]\nseed = 2\n", "[scene]\ntarget = \"card\"\n", "[arms.vs]\nbackend = \"tcp\"\n"] {
+        let text = refusal(&[&write(folder.path(), "mine.toml", text)], &[]);
+        assert!(text.contains("add the first line base = \"sim\""), "{text}");
+    }
+}
+
 #[test]
 fn variables_do_not_command_a_real_arm_nor_hide_one() {
     let folder = tempfile::tempdir().unwrap();

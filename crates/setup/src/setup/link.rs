@@ -154,6 +154,15 @@ enum DialectName {
     GatewayV1,
 }
 
+/// Whether this word is a backend of arms outside this program. An unknown word is none: it is refused as such.
+pub(crate) fn is_real_backend(word: &str) -> bool {
+    let known = ArmBackend::deserialize(serde::de::value::StrDeserializer::<serde::de::value::Error>::new(word));
+    match known {
+        Ok(ArmBackend::Serial | ArmBackend::Tcp | ArmBackend::Arcnet) => true,
+        Ok(ArmBackend::Mock | ArmBackend::Emulated) | Err(_) => false,
+    }
+}
+
 impl ArmBackend {
     fn name(self) -> &'static str {
         match self {

@@ -1,6 +1,8 @@
 //! `pb3dp track`: regions through a recorded stereo sequence.
 
+mod csv;
 pub mod output;
+mod output_file;
 mod overlays;
 mod surface;
 mod walk;
@@ -18,7 +20,9 @@ use pb3dp_record::metrics::{MotionSummary, compare_motion};
 use pb3dp_wiring::message_codes::in_words;
 use pb3dp_wiring::wire_replay;
 
+use self::csv::EstimateFiles;
 use self::output::TrackLine;
+use self::output_file::check_writable;
 use self::overlays::Overlays;
 use self::walk::Walk;
 use crate::arguments::{TrackArgs, UNSURE};
@@ -41,23 +45,16 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         format!("--sequence {}: a folder as docs/dataset-format.md describes is needed", args.sequence.display())
     })?;
     if let Some(file) = &args.surface {
-        surface::check_writable(file)?;
+        check_writable("--surface", file)?;
     }
-    if sequence.is_unfinished {
-        tracing::warn!(
-            "the recording was broken off: it has no sequence.json; its {} frames until the last whole one are used",
-            sequence.frames()
-        );
-    }
-    if !sequence.other_keys.is_empty() {
-        tracing::warn!("sequence.json has keys that are not known and not used: {}", sequence.other_keys.join(", "));
-    }
+    warn_of(&sequence);
     let (mut camera, calibration) = wire_replay(&sequence, args.pace)?;
     for note in &calibration.notes {
         tracing::info!("{note}");
     }
     let rig = calibration.rig;
     let mut walk = Walk::new(method, &rig, &sequence, args)?;
+    let mut csv = EstimateFiles::open(args.csv.as_deref(), walk.targets().len())?;
     let mut overlays = Overlays::open(&args.method)?;
     let mut pair = FramePair::black(rig.left().size());
     let (mut unread, mut unsure) = (0_usize, 0_usize);
@@ -72,6 +69,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
                 if let Err(error) = overlays.add(frame, t_s, &pair, &rig, &found) {
                     tracing::warn!("frame {frame}: no image: {error:#}");
                 }
+                csv.add(t_s, &found)?;
                 TrackLine::all_of(frame, t_s, &found)
             }
             Err(error) if error.kind() == CameraErrorKind::BadPair => {
@@ -79,6 +77,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
                 let reason = in_words(&error.into());
                 tracing::error!("frame {frame}: {reason}");
                 walk.skip();
+                csv.add_unread(t_s)?;
                 TrackLine::all_of_error(frame, t_s, walk.targets().len(), &reason)
             }
             Err(error) => return Err(error.into()),
@@ -91,6 +90,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     }
     drop(progress);
     overlays.close()?;
+    csv.close()?;
     if let Some(file) = &args.surface {
         surface::write_all(file, walk.targets())?;
     }
@@ -100,6 +100,19 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         (false, 1..) if args.method.strict => ExitCode::from(UNSURE),
         (false, _) => ExitCode::SUCCESS,
     })
+}
+
+/// Warns of a recording that was broken off, and of unknown keys.
+fn warn_of(sequence: &Sequence) {
+    if sequence.is_unfinished {
+        tracing::warn!(
+            "the recording was broken off: it has no sequence.json; its {} frames until the last whole one are used",
+            sequence.frames()
+        );
+    }
+    if !sequence.other_keys.is_empty() {
+        tracing::warn!("sequence.json has keys that are not known and not used: {}", sequence.other_keys.join(", "));
+    }
 }
 
 /// Logs the table of motion errors, and the components that the method does not observe. The truth of a sequence belongs to its own

@@ -1,31 +1,14 @@
 //! The recovered surfaces as PLY files.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::Result;
 use pb3dp_estimation::estimator;
 use pb3dp_geometry::frames::Model;
 use pb3dp_record::point_cloud::{SurfacePoint, write_ply};
 
+use super::output_file::numbered;
 use super::walk::TrackedTarget;
-
-/// Creates the folder of `file`, and checks before the work starts that the file can be written.
-///
-/// # Errors
-/// If it cannot.
-pub fn check_writable(file: &Path) -> Result<()> {
-    let refused = || format!("--surface {}: cannot be written", file.display());
-    if file.is_dir() {
-        bail!("--surface {}: is a folder: give the name of a file", file.display());
-    }
-    std::fs::create_dir_all(file.parent().unwrap_or(Path::new(""))).with_context(refused)?;
-    let existed = file.exists();
-    std::fs::OpenOptions::new().append(true).create(true).open(file).with_context(refused)?;
-    if !existed {
-        std::fs::remove_file(file).with_context(refused)?;
-    }
-    Ok(())
-}
 
 /// Writes the surface of each target to `file`. Several targets get numbered files: `crab.ply` becomes `crab-0.ply`, `crab-1.ply`.
 /// Positions and normals are in `model`, colours are from the first left image.
@@ -50,25 +33,4 @@ pub fn write_all(file: &Path, targets: &[TrackedTarget]) -> Result<()> {
         tracing::info!("{} surface points: {}", points.len(), file.display());
     }
     Ok(())
-}
-
-/// `crab.ply` with a number: `crab-1.ply`.
-fn numbered(file: &Path, index: usize) -> PathBuf {
-    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
-    let name = match file.extension() {
-        Some(ending) => format!("{stem}-{index}.{}", ending.to_string_lossy()),
-        None => format!("{stem}-{index}"),
-    };
-    file.with_file_name(name)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn files_of_several_targets_are_numbered() {
-        assert_eq!(numbered(Path::new("a/crab.ply"), 1), Path::new("a/crab-1.ply"));
-        assert_eq!(numbered(Path::new("crab"), 0), Path::new("crab-0"));
-    }
 }

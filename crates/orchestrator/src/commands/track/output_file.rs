@@ -1,0 +1,44 @@
+//! Files that a track writes.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+
+/// Creates the folder of the file of an option, and checks before the work starts that the file can be written.
+///
+/// # Errors
+/// If it cannot.
+pub fn check_writable(option: &str, file: &Path) -> Result<()> {
+    let refused = || format!("{option} {}: cannot be written", file.display());
+    if file.is_dir() {
+        bail!("{option} {}: is a folder: give the name of a file", file.display());
+    }
+    std::fs::create_dir_all(file.parent().unwrap_or(Path::new(""))).with_context(refused)?;
+    let existed = file.exists();
+    std::fs::OpenOptions::new().append(true).create(true).open(file).with_context(refused)?;
+    if !existed {
+        std::fs::remove_file(file).with_context(refused)?;
+    }
+    Ok(())
+}
+
+/// `crab.ply` with a number: `crab-1.ply`.
+pub fn numbered(file: &Path, index: usize) -> PathBuf {
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+    let name = match file.extension() {
+        Some(ending) => format!("{stem}-{index}.{}", ending.to_string_lossy()),
+        None => format!("{stem}-{index}"),
+    };
+    file.with_file_name(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_of_several_targets_are_numbered() {
+        assert_eq!(numbered(Path::new("a/crab.ply"), 1), Path::new("a/crab-1.ply"));
+        assert_eq!(numbered(Path::new("crab"), 0), Path::new("crab-0"));
+    }
+}
