@@ -1,5 +1,6 @@
 //! Arguments of `pb3dp run`, `estimate` and `track`, and their parsers.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -13,6 +14,9 @@ use pb3dp_wiring::ReplayPace;
 
 /// Exit code with `--strict` for an answer other than `ok`, and for setups that differ.
 pub const UNSURE: u8 = 3;
+
+/// Address of the panel: this computer only.
+pub const PANEL_ADDRESS: &str = "127.0.0.1:8087";
 
 /// Arguments of `pb3dp run`.
 #[derive(Debug, Args)]
@@ -41,6 +45,10 @@ pub struct RunArgs {
     /// The operator of the run. Arms that are not emulated need `console`, or --move.
     #[arg(long, value_enum, default_value_t = OperatorName::Command)]
     pub operator: OperatorName,
+    /// Serve the operator panel at this address (127.0.0.1:8087 without one), and let it lead the run: choose the target with the mouse,
+    /// start, hold, stop (docs/panel.md).
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = PANEL_ADDRESS, conflicts_with_all = ["operator", "moves"])]
+    pub panel: Option<SocketAddr>,
     /// Move arms that are not emulated without a console, after their names are typed. Then press Enter at least every
     /// supervisor.operator_key_within_s while they move.
     #[arg(long = "move")]

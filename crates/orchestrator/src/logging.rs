@@ -9,13 +9,18 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use anyhow::Context;
+use anyhow::Context as _;
 use clap::ValueEnum;
+use pb3dp_hal_api::Clock;
 use pb3dp_hal_platform::signals::shielded;
-use tracing_subscriber::EnvFilter;
+use pb3dp_panel::LogLines;
+use tracing::field::{Field, Visit};
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::time::FormatTime;
+use tracing_subscriber::layer::{Context, SubscriberExt};
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, Layer};
 
 use crate::progress;
 
@@ -93,15 +98,53 @@ pub fn init(format: LogFormat, filter: &str) -> anyhow::Result<Log> {
         .log_internal_errors(false)
         .with_target(false);
     let installed = match format {
-        LogFormat::Human => builder.compact().with_timer(WallTime).try_init(),
-        LogFormat::Json => builder.json().try_init(),
+        LogFormat::Human => builder.compact().with_timer(WallTime).finish().with(ForPanel).try_init(),
+        LogFormat::Json => builder.json().finish().with(ForPanel).try_init(),
     };
     installed.map_err(|error| anyhow::anyhow!("the log writer cannot be installed: {error}"))?;
     Ok(Log(()))
 }
 
+/// The panel that shows the log, with the clock of its run.
+static PANEL: OnceLock<(LogLines, Arc<dyn Clock>)> = OnceLock::new();
+
+/// From now on a panel shows the log, too; only the first call has an effect.
+pub fn show_in_panel(clock: Arc<dyn Clock>) -> LogLines {
+    PANEL.get_or_init(|| (LogLines::default(), clock)).0.clone()
+}
+
+/// Copies each event to the panel, if there is one.
+struct ForPanel;
+
+impl<S: tracing::Subscriber> Layer<S> for ForPanel {
+    fn on_event(&self, event: &tracing::Event<'_>, _context: Context<'_, S>) {
+        let Some((lines, clock)) = PANEL.get() else { return };
+        let level = match *event.metadata().level() {
+            tracing::Level::ERROR => "error",
+            tracing::Level::WARN => "warn",
+            tracing::Level::INFO => "info",
+            tracing::Level::DEBUG | tracing::Level::TRACE => return,
+        };
+        let mut text = Text::default();
+        event.record(&mut text);
+        lines.push(clock.now(), level, &text.0);
+    }
+}
+
+/// The message of an event.
+#[derive(Default)]
+struct Text(String);
+
+impl Visit for Text {
+    fn record_debug(&mut self, field: &Field, value: &dyn std::fmt::Debug) {
+        if field.name() == "message" {
+            self.0 = format!("{value:?}");
+        }
+    }
+}
+
 /// Our crates that log; directives select by these names.
-const CRATES: [&str; 4] = ["pb3dp_cell", "pb3dp_commissioning", "pb3dp_orchestrator", "pb3dp_wiring"];
+const CRATES: [&str; 5] = ["pb3dp_cell", "pb3dp_commissioning", "pb3dp_orchestrator", "pb3dp_panel", "pb3dp_wiring"];
 
 /// One of our names that never logs: the filter would accept it and show nothing.
 fn mistaken_crate(part: &str) -> Option<&str> {

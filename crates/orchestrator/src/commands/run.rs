@@ -19,7 +19,7 @@ use pb3dp_wiring::{RunNeeds, Wired, accept_nominal, wire_run, write_flights};
 
 use crate::arguments::{OperatorName, RunArgs, UNSURE};
 use crate::commands::attendance::Attendance;
-use crate::commands::previous_run;
+use crate::commands::{panel_of_run, previous_run};
 use crate::logging::last_words;
 
 /// Runs the command: experiment, then report.
@@ -46,19 +46,28 @@ fn conduct(args: &RunArgs) -> Result<ExitCode> {
     // Before a port opens.
     [&setup.rig.arms.vs, &setup.rig.arms.tc].into_iter().try_for_each(ArmSetup::check_signals)?;
     let records = needed_records(&setup, SystemTime::now())?;
-    let attendance = Attendance::confirmed(args, &setup, &mut signals)?;
+    let attendance = match args.panel {
+        Some(_) => panel_of_run::check(&setup).map(|()| None)?,
+        None => Some(Attendance::confirmed(args, &setup, &mut signals)?),
+    };
     previous_run::make(&args.out)?;
     // Checked before an arm is enabled, and before the previous report is moved.
     if let Some(folder) = &args.record {
         SequenceWriter::check_folder(folder).context("--record")?;
     }
-    let needs = RunNeeds { until_s: args.stop_after, selects_targets: args.operator == OperatorName::Console };
+    let is_led_by_person = args.panel.is_some() || args.operator == OperatorName::Console;
+    let needs = RunNeeds { until_s: args.stop_after, selects_targets: is_led_by_person };
     let Wired { mut parts, monitors, .. } = wire_run(&setup, &needs)?;
     records.iter().try_for_each(|record| record.check(&monitors))?;
-    let clock = Arc::clone(&parts.clock);
-    let size = setup.rig.stereo.left().size();
-    let targets = parts.selections.clone().map(|selections| ConsoleTargets { size, selections });
-    parts.operator = attendance.operator(clock, std::io::stdout(), Arc::clone(&parts.interrupt), targets)?;
+    // Lives until the end of the run.
+    let panel =
+        args.panel.map(|address| panel_of_run::start(address, (&setup, &asked.to_string()), &mut parts)).transpose()?;
+    if let Some(attendance) = attendance {
+        let size = setup.rig.stereo.left().size();
+        let targets = parts.selections.clone().map(|selections| ConsoleTargets { size, selections });
+        let (clock, interrupt) = (Arc::clone(&parts.clock), Arc::clone(&parts.interrupt));
+        parts.operator = attendance.operator(clock, std::io::stdout(), interrupt, targets)?;
+    }
     let started = Instant::now();
     let interrupt = Arc::clone(&parts.interrupt);
     let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
@@ -77,11 +86,12 @@ fn conduct(args: &RunArgs) -> Result<ExitCode> {
     if let Err(failure) = &how {
         keep_flights(faults + 1, failure);
     }
+    drop(panel);
     let made =
         Made { configuration: asked.to_string(), commit: crate::COMMIT, wall_s: started.elapsed().as_secs_f64() };
     let following = report::tell(&args.out, &setup, &made, &outcome, how)?;
-    // A person at the console decides when the hand follows.
-    if args.operator == OperatorName::Command {
+    // A person decides when the hand follows.
+    if !is_led_by_person {
         following.warn();
     }
     Ok(match following {

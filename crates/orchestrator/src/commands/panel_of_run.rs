@@ -1,0 +1,63 @@
+//! The operator panel of `pb3dp run`.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use anyhow::{Result, bail};
+use nalgebra::Vector3;
+use pb3dp_cell::parts::Parts;
+use pb3dp_cell::perception::{Marking, Sight};
+use pb3dp_cell::terminal::print_line;
+use pb3dp_panel::config::Push;
+use pb3dp_panel::{About, Panel, PanelConfig};
+use pb3dp_setup::setup::{Pace, Setup};
+
+use crate::logging::show_in_panel;
+
+/// Refuses what no panel can lead.
+///
+/// # Errors
+/// A pace that no person can follow, or a run without images.
+pub fn check(setup: &Setup) -> Result<()> {
+    if setup.pace == Pace::Fast {
+        bail!(
+            "--panel: at run.pace = \"fast\" no person can follow; use --config playground, or --set run.pace=real-time (or live)"
+        );
+    }
+    if !setup.leader.needs_images() {
+        bail!(
+            "--panel: with estimator.method = {:?} there are no images in which a target can be chosen",
+            setup.leader.name()
+        );
+    }
+    Ok(())
+}
+
+/// Starts the panel and makes it the operator of the run: no target is marked until somebody selects one.
+///
+/// # Errors
+/// If the address is in use or is not of this computer, or needs protection.
+pub fn start(address: SocketAddr, (setup, name): (&Setup, &str), parts: &mut Parts) -> Result<Panel> {
+    let clock = Arc::clone(&parts.clock);
+    let config = PanelConfig {
+        interrupt: Arc::clone(&parts.interrupt),
+        log_lines: show_in_panel(Arc::clone(&clock)),
+        push: parts.pushed.clone().map(|target| -> Push {
+            Arc::new(move |offset_m: [f64; 3], turn_rad| {
+                target.push(Vector3::from(offset_m), turn_rad);
+                Ok(())
+            })
+        }),
+        ..PanelConfig::at(address)
+    };
+    let (panel, operator, spectator) =
+        Panel::start(config, clock, About::of_setup(setup, name, env!("CARGO_PKG_VERSION")))?;
+    parts.operator = Box::new(operator);
+    parts.spectator = Some(Box::new(spectator));
+    parts.selections = Some(panel.selections());
+    if matches!(parts.camera, Sight::Images(_)) {
+        parts.marking = Marking::Awaited;
+    }
+    print_line(&format!("{} is the operator panel; Ctrl-C ends the run", panel.url()))?;
+    Ok(panel)
+}
