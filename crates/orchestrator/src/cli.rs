@@ -14,6 +14,7 @@ use crate::commands::doctor::DoctorArgs;
 use crate::commands::explain::ExplainArgs;
 use crate::commands::generate::GenerateArgs;
 use crate::commands::identify::IdentifyArgs;
+use crate::commands::panel::PanelArgs;
 use crate::commands::rig::RigArgs;
 use crate::logging::LogFormat;
 
@@ -71,6 +72,8 @@ pub enum Command {
     Estimate(EstimateArgs),
     /// Track a region through a recorded stereo sequence.
     Track(TrackArgs),
+    /// Point at objects with the mouse, on recorded images or bare cameras, without arms.
+    Panel(Box<PanelArgs>),
     /// Measure properties of the rig that a setup needs: its delays.
     Identify(IdentifyArgs),
     /// Commission an arm: read its state, jog it, move it to its start pose (docs/commissioning.md).

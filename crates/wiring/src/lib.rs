@@ -19,7 +19,7 @@ use anyhow::{Result, bail};
 use clap::ValueEnum;
 use pb3dp_arm_pa10::arm::{ArmMonitor, VirtualTime};
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
-use pb3dp_camera_replay::{Pacing, ReplayCamera, ReplayOptions};
+use pb3dp_camera_replay::{Pacing, Repeat, ReplayCamera, ReplayOptions};
 use pb3dp_camera_v4l2::linux::Linux;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_geometry::Pose;
@@ -255,6 +255,21 @@ fn check_marked(setup: &Setup) -> Result<()> {
         Some(cameras) if cameras.region.is_none() => bail!("{NOT_MARKED}"),
         _ => Ok(()),
     }
+}
+
+/// A camera that replays a recorded sequence at its pace, again and again, and its calibration.
+///
+/// # Errors
+/// If the calibration cannot be used.
+pub fn wire_endless_replay(
+    sequence: &Sequence,
+    clock: Arc<dyn Clock>,
+) -> Result<(Box<dyn StereoCamera>, StereoCalibration)> {
+    let options =
+        ReplayOptions { pacing: Pacing::Original(clock), repeat: Repeat::Forever, ..ReplayOptions::default() };
+    let camera = ReplayCamera::open_sequence(sequence, options)?;
+    let calibration = camera.calibration().clone();
+    Ok((Box::new(camera), calibration))
 }
 
 /// The camera that replays a recorded sequence, and its calibration.

@@ -11,6 +11,7 @@ pub mod generate;
 pub mod identify;
 pub mod overlay_folder;
 pub mod pair;
+pub mod panel;
 pub mod panel_of_run;
 mod pose_output;
 pub mod previous_run;

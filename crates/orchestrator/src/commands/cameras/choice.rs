@@ -25,7 +25,7 @@ const OF_NO_SETUP: [&str; 8] = ["left", "right", "calib", "format", "size", "rat
 
 /// The cameras of a command.
 #[derive(Debug, Args)]
-pub(super) struct CameraChoice {
+pub(in crate::commands) struct CameraChoice {
     /// A setup with these cameras: a file or a built-in one; may be repeated, later ones override. Replaces all other camera
     /// options.
     #[arg(long, value_name = "FILE|NAME", conflicts_with_all = OF_NO_SETUP)]
@@ -61,21 +61,21 @@ pub(super) struct CameraChoice {
 
 /// The selected cameras.
 #[derive(Clone, Debug)]
-pub(super) struct Chosen {
-    pub(super) config: StereoConfig,
+pub(in crate::commands) struct Chosen {
+    pub(in crate::commands) config: StereoConfig,
     /// The calibration, if there is one.
-    pub(super) rig: Option<StereoRig>,
+    pub(in crate::commands) rig: Option<StereoRig>,
     /// Target settings of the setup.
-    pub(super) target: ChosenTarget,
+    pub(in crate::commands) target: ChosenTarget,
 }
 
 /// Target settings of a setup; empty without a setup.
 #[derive(Clone, Debug, Default)]
-pub(super) struct ChosenTarget {
+pub(in crate::commands) struct ChosenTarget {
     /// Region in the first left image.
-    pub(super) region: Option<RegionSpec>,
+    pub(in crate::commands) region: Option<RegionSpec>,
     /// Search range.
-    pub(super) range: Option<SearchRange>,
+    pub(in crate::commands) range: Option<SearchRange>,
 }
 
 impl CameraChoice {
@@ -88,7 +88,7 @@ impl CameraChoice {
     ///
     /// # Errors
     /// If no cameras are named, or a file cannot be used.
-    pub(super) fn chosen(&self) -> Result<Chosen> {
+    pub(in crate::commands) fn chosen(&self) -> Result<Chosen> {
         if let Some(setup) = self.setup() {
             let (cameras, range) = read_cameras(&setup)?;
             let rig = cameras.calibration()?.rig;
@@ -140,7 +140,7 @@ impl CameraChoice {
 ///
 /// # Errors
 /// See above.
-pub(super) fn check_size(rig: &StereoRig, images: ImageSize) -> Result<()> {
+pub(in crate::commands) fn check_size(rig: &StereoRig, images: ImageSize) -> Result<()> {
     let calibrated = rig.left().size();
     if calibrated != images {
         bail!(
@@ -159,7 +159,7 @@ impl CameraChoice {
     ///
     /// # Errors
     /// As [`Self::chosen`], except for the calibration of a setup.
-    pub(super) fn cameras(&self) -> Result<StereoConfig> {
+    pub(in crate::commands) fn cameras(&self) -> Result<StereoConfig> {
         match self.setup() {
             Some(setup) => Ok(read_cameras(&setup)?.0.stereo),
             None => Ok(self.chosen()?.config),

@@ -1,7 +1,7 @@
 //! `pb3dp cameras`: checks of the cameras of a rig before anything moves (docs/rig.md).
 
 mod check;
-mod choice;
+pub(super) mod choice;
 #[cfg(test)]
 mod emulated_rig;
 mod list;
@@ -50,7 +50,7 @@ pub fn run(args: &CamerasArgs) -> Result<ExitCode> {
 }
 
 /// Whether a signal requests the end; logs what follows.
-fn stop_requested(signals: &mut StopSignals, follows: &str) -> bool {
+pub(super) fn stop_requested(signals: &mut StopSignals, follows: &str) -> bool {
     match signals.try_take() {
         Ok(Some(signal)) => {
             tracing::info!("{signal}: {follows}");
