@@ -19,8 +19,8 @@ use figment::Figment;
 use figment::value::{Dict, Value};
 
 use self::layer::{Layer, change, flatten, remove_at, toml_text, value_at};
+use crate::arm_backend::is_real_backend;
 use crate::error::{ConfigError, text_of};
-use crate::setup::link::is_real_backend;
 
 /// Options of every command that reads a setup.
 #[derive(Clone, Debug, Default, Args)]

@@ -1,5 +1,6 @@
 //! Configuration files: reading, checks, and conversion to the parameters of the other crates.
 
+mod arm_backend;
 mod codes;
 pub mod direct;
 mod error;

@@ -15,10 +15,11 @@ use pb3dp_record::text_file::read_text;
 use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 use serde::Deserialize;
 
+use super::super::arm_backend::ArmBackend;
 use super::super::layers::built_in;
 use super::super::load::{Checker, within};
 use super::geometry::check_geometry;
-use super::link::{ArmBackend, ArmLink, BusSection, GatewaySection};
+use super::link::{ArmLink, BusSection, GatewaySection};
 use super::shape::{PartEntry, build_shape};
 use super::{IN_THE_CELL_MM, PoseEntry, millis};
 

@@ -12,6 +12,7 @@ use serde::Deserialize;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use super::super::arm_backend::ArmBackend;
 use super::super::load::{Checker, whole};
 use super::super::names::{FormatName, GeometryName, sequence_modulus};
 use super::millis;
@@ -96,17 +97,6 @@ pub enum GatewayWay {
     },
 }
 
-/// Arm backends.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub(super) enum ArmBackend {
-    Mock,
-    Emulated,
-    Serial,
-    Tcp,
-    Arcnet,
-}
-
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct BusSection {
@@ -152,15 +142,6 @@ pub struct SignalsSection {
 enum DialectName {
     Transparent,
     GatewayV1,
-}
-
-/// Whether this word is a backend of arms outside this program. An unknown word is none: it is refused as such.
-pub(crate) fn is_real_backend(word: &str) -> bool {
-    let known = ArmBackend::deserialize(serde::de::value::StrDeserializer::<serde::de::value::Error>::new(word));
-    match known {
-        Ok(ArmBackend::Serial | ArmBackend::Tcp | ArmBackend::Arcnet) => true,
-        Ok(ArmBackend::Mock | ArmBackend::Emulated) | Err(_) => false,
-    }
 }
 
 impl ArmBackend {

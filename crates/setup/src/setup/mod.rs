@@ -11,7 +11,7 @@ mod geometric;
 mod geometry;
 mod image_stream;
 mod law;
-pub(crate) mod link;
+mod link;
 mod mounts;
 mod range;
 mod real_cameras;
