@@ -1,0 +1,137 @@
+// @ts-check
+// The WebSocket of the page: states, images and log lines in, heartbeats out. It connects again by itself.
+import "./types.js";
+
+const PROTOCOL = 1;
+const AGAIN_MS = 700;
+/** Without any message for this long the connection counts as broken. */
+const SILENT_MS = 1500;
+const HEADER_BYTES = 32;
+
+export class Connection {
+  constructor() {
+    /** @type {string|null} */
+    this.session = null;
+    /** Whether the button of hold-to-run is pressed. */
+    this.pressed = false;
+    this.onState = (/** @type {import("./types.js").State} */ _state) => {};
+    this.onImage = (/** @type {import("./types.js").CameraImage} */ _image) => {};
+    this.onLog = (/** @type {import("./types.js").LogLine[]} */ _lines) => {};
+    this.onLink = (/** @type {boolean} */ _isOpen) => {};
+    /** @type {object|null} */
+    this.asked = null;
+    /** @type {WebSocket|null} */
+    this.socket = null;
+    this.heard_ms = 0;
+    this.isOpen = false;
+    /** Images that are being decoded; more are dropped. */
+    this.decoding = [0, 0];
+    this.connect();
+    setInterval(() => this.watch(), 250);
+  }
+
+  connect() {
+    const scheme = location.protocol === "https:" ? "wss:" : "ws:";
+    const socket = new WebSocket(`${scheme}//${location.host}/api/events`);
+    socket.binaryType = "arraybuffer";
+    this.socket = socket;
+    socket.onopen = () => {
+      this.hello();
+      if (this.asked) this.send(this.asked);
+      this.heard_ms = performance.now();
+      this.setOpen(true);
+    };
+    socket.onmessage = (event) => this.take(event.data);
+    socket.onclose = () => {
+      if (this.socket !== socket) return;
+      this.setOpen(false);
+      setTimeout(() => this.connect(), AGAIN_MS);
+    };
+  }
+
+  /** @param {boolean} isOpen */
+  setOpen(isOpen) {
+    if (this.isOpen === isOpen) return;
+    this.isOpen = isOpen;
+    this.onLink(isOpen);
+  }
+
+  watch() {
+    const silent = performance.now() - this.heard_ms > SILENT_MS;
+    if (this.socket?.readyState === WebSocket.OPEN) this.setOpen(!silent);
+  }
+
+  hello() {
+    this.send({ type: "hello", protocol: PROTOCOL, session: this.session });
+  }
+
+  /** @param {object} message */
+  send(message) {
+    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+  }
+
+  /** @param {object} images */
+  ask(images) {
+    this.asked = { type: "images", ...images };
+    this.send(this.asked);
+  }
+
+  /** @param {string|ArrayBuffer} data */
+  take(data) {
+    this.heard_ms = performance.now();
+    this.setOpen(true);
+    if (data instanceof ArrayBuffer) {
+      void this.takeImage(data);
+      return;
+    }
+    const message = JSON.parse(data);
+    switch (message.type) {
+      case "heartbeat":
+        this.send({ type: "heartbeat", nonce: message.nonce, visible: !document.hidden, pressed: this.pressed });
+        break;
+      case "state":
+        this.onState(message);
+        break;
+      case "log":
+        this.onLog(message.lines);
+        break;
+      case "answer":
+        if (!message.accepted && message.to === "hello" && this.session) this.session = null;
+        break;
+    }
+  }
+
+  /** @param {ArrayBuffer} data */
+  async takeImage(data) {
+    const view = new DataView(data);
+    if (data.byteLength < HEADER_BYTES || view.getUint32(0, false) !== 0x50424931 || view.getUint8(5) !== 0) return;
+    const side = view.getUint8(4) === 0 ? 0 : 1;
+    if (this.decoding[side] > 1) return;
+    this.decoding[side] += 1;
+    try {
+      const bitmap = await createImageBitmap(new Blob([data.slice(HEADER_BYTES)], { type: "image/jpeg" }));
+      this.onImage({ side, sequence: Number(view.getBigUint64(8, true)), time_ms: view.getFloat64(16, true), bitmap });
+    } finally {
+      this.decoding[side] -= 1;
+    }
+  }
+}
+
+/**
+ * Sends a command or a question.
+ * @param {string} path
+ * @param {object} body
+ * @param {string|null} session
+ * @returns {Promise<import("./types.js").Answer>}
+ */
+export async function post(path, body, session) {
+  /** @type {Record<string, string>} */
+  const headers = { "Content-Type": "application/json" };
+  if (session) headers["PB3DP-Session"] = session;
+  try {
+    const response = await fetch(path, { method: "POST", headers, body: JSON.stringify(body) });
+    return { ok: response.ok, status: response.status, body: await response.json() };
+  } catch (error) {
+    return { ok: false, status: 0, body: { error: `it could not be sent: ${error}`, code: null } };
+  }
+}

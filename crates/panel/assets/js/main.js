@@ -1,0 +1,210 @@
+// @ts-check
+// Puts the parts of the page together.
+import "./types.js";
+import { Commands } from "./commands.js";
+import { Connection, post } from "./connection.js";
+import { at, button, canvas, fixed, input, make, write } from "./dom.js";
+import { Joints } from "./joints.js";
+import { Plots } from "./plots.js";
+import { Pointing } from "./pointing.js";
+import { Scene } from "./scene.js";
+import { showPreview, showState } from "./status.js";
+import { ImageView, STATUS } from "./view.js";
+
+const LOG_LINES_MAX = 300;
+const EPIPOLAR_MS = 80;
+const PUSH_MS = 50;
+/** Assumed depth of a target that has no pose, mm. */
+const DEPTH_MM = 500;
+const FPS_MAX = 30;
+
+async function info() {
+  for (;;) {
+    try {
+      const response = await fetch("/api/info");
+      if (response.ok) return /** @type {import("./types.js").Info} */ (await response.json());
+    } catch {
+      // The program may still start.
+    }
+    await new Promise((resolve) => setTimeout(resolve, 500));
+  }
+}
+
+/** Calls at most once per interval, always with the newest arguments. @param {number} interval_ms @param {(...args: number[]) => void} work */
+function paced(interval_ms, work) {
+  /** @type {number[]|null} */
+  let newest = null;
+  let waits = false;
+  return (/** @type {number[]} */ ...args) => {
+    newest = args;
+    if (waits) return;
+    waits = true;
+    setTimeout(() => {
+      waits = false;
+      if (newest) work(...newest);
+    }, interval_ms);
+  };
+}
+
+const about = await info();
+write(at("setup"), `${about.setup} ${about.version}`);
+write(at("calibration"), about.cameras.calibration ? `calibration: ${about.cameras.calibration}` : "");
+const connection = new Connection();
+const commands = new Commands(connection, about);
+const left = new ImageView(canvas("left"), about.cameras.size_px);
+const right = new ImageView(canvas("right"), about.cameras.size_px);
+const plots = new Plots();
+const joints = new Joints(about.arms);
+const scene = about.arms.length > 0 ? new Scene(canvas("scene"), about) : null;
+if (!scene) for (const id of ["scene", "joints"]) at(id).parentElement?.toggleAttribute("hidden", true);
+
+/** @type {import("./types.js").State|null} */
+let state = null;
+/** @type {{region: string, preview: import("./types.js").Preview}|null} */
+let marked = null;
+/** @type {import("./types.js").Pixel[]} */
+let epipolar_px = [];
+
+const pointing = new Pointing(left, {
+  canPush: about.playground,
+  onRegion: (region) => void preview(region),
+  onCancel: forget,
+  onPush: paced(PUSH_MS, (du, dv) => {
+    const mm = (state?.target.point_mm?.[2] ?? DEPTH_MM) / about.cameras.left.focal_px[0];
+    void post("/api/push", { offset_mm: [du * mm, dv * mm, 0], turn_deg: 0 }, connection.session).then((answer) => {
+      if (!answer.ok) commands.tell("push", answer);
+    });
+  }),
+});
+
+left.paint = () => {
+  const { target } = state ?? { target: null };
+  if (target && !left.isFrozen) {
+    const { color, dash } = STATUS[target.status] ?? STATUS.error;
+    left.lines(target.outline_px, { color, dash });
+    if (target.axes_px) left.axes(target.axes_px);
+  }
+  if (marked) {
+    const { color, dash } = STATUS[marked.preview.status] ?? STATUS.error;
+    left.lines(marked.preview.outline_px, { color, dash, width: 3 });
+    if (marked.preview.axes_px) left.axes(marked.preview.axes_px);
+  }
+  pointing.paint();
+};
+right.paint = () => {
+  const { target } = state ?? { target: null };
+  if (marked) right.lines(marked.preview.outline_right_px, { ...(STATUS[marked.preview.status] ?? STATUS.error), width: 3 });
+  else if (target) {
+    const { color, dash } = STATUS[target.status] ?? STATUS.error;
+    right.lines(target.outline_right_px, { color, dash });
+    if (target.axes_right_px) right.axes(target.axes_right_px);
+  }
+  if (input("epipolar").checked) right.epipolar(epipolar_px);
+};
+
+connection.onState = (newest) => {
+  state = newest;
+  showState(newest);
+  commands.show(newest);
+  plots.add(newest);
+  joints.show(newest.arms);
+  scene?.show(newest);
+  showSaved(newest.saved);
+  button("select").disabled = !commands.leads;
+  button("select").title = commands.leads ? "" : "take the command first";
+  left.redraw();
+  right.redraw();
+};
+connection.onImage = (image) => (image.side === 0 ? left : right).show(image);
+connection.onLog = (lines) => {
+  const log = at("log");
+  const isAtEnd = log.scrollTop + log.clientHeight >= log.scrollHeight - 8;
+  for (const { time_ms, level, text } of lines) {
+    const item = make("li", { class: level });
+    item.append(make("time", {}, fixed(time_ms / 1000, 2)), text);
+    log.append(item);
+  }
+  while (log.children.length > LOG_LINES_MAX) log.firstChild?.remove();
+  if (isAtEnd) log.scrollTop = log.scrollHeight;
+};
+connection.onLink = (isOpen) => {
+  commands.alert(isOpen ? null : "No connection to pb3dp: what you see is old, and commands are not heard. Arms that it moves hold or stop by themselves.");
+  if (!isOpen) write(at("state"), "no connection");
+};
+
+/** @param {string} region */
+async function preview(region) {
+  const sequence = left.image?.sequence;
+  const answer = await post("/api/preview", sequence === undefined ? { region } : { region, sequence }, connection.session);
+  if (pointing.region() !== region) return;
+  if (!answer.ok) {
+    commands.tell("preview", answer);
+    return;
+  }
+  marked = { region, preview: answer.body };
+  showPreview(answer.body);
+  left.redraw();
+  right.redraw();
+}
+
+function forget() {
+  marked = null;
+  at("preview").hidden = true;
+  left.redraw();
+  right.redraw();
+}
+
+async function select() {
+  if (!marked) return;
+  const { region, preview: { sequence } } = marked;
+  const name = input("target-name").value.trim();
+  const body = { region, sequence, seen: commands.seen(), ...(name ? { name } : {}) };
+  const answer = await commands.send("/api/select", body, "select");
+  if (answer.ok) pointing.cancel();
+}
+
+/** @param {string[]} names */
+function showSaved(names) {
+  const place = at("saved");
+  if (place.dataset.names !== names.join("\n")) {
+    place.dataset.names = names.join("\n");
+    place.replaceChildren(...(names.length ? [make("h3", {}, "chosen before")] : []));
+    for (const name of names) {
+      const again = make("button", { type: "button" }, name);
+      again.addEventListener("click", () => void commands.send("/api/select", { saved: name, seen: commands.seen() }, "select"));
+      place.append(again);
+    }
+  }
+  place.querySelectorAll("button").forEach((one) => (one.disabled = !commands.leads));
+}
+
+function askForImages() {
+  const wanted = !document.hidden;
+  connection.ask({ left: wanted, right: wanted, view: input("rectified").checked ? "rectified" : "raw", fps_max: FPS_MAX });
+}
+
+button("select").addEventListener("click", () => void select());
+button("discard").addEventListener("click", () => pointing.cancel());
+button("unzoom").addEventListener("click", () => [left, right].forEach((view) => view.whole()));
+input("rectified").addEventListener("change", askForImages);
+document.addEventListener("visibilitychange", askForImages);
+const askForLine = paced(EPIPOLAR_MS, async (u, v) => {
+  if (!input("epipolar").checked) return;
+  try {
+    const response = await fetch(`/api/epipolar?u=${u.toFixed(1)}&v=${v.toFixed(1)}`);
+    epipolar_px = response.ok ? (await response.json()).right_px : [];
+  } catch {
+    epipolar_px = [];
+  }
+  right.redraw();
+});
+canvas("left").addEventListener("pointermove", (event) => {
+  const [u, v] = left.pixelAt(event);
+  write(at("pixel"), `pixel ${fixed(u, 1)}, ${fixed(v, 1)}`);
+  askForLine(u, v);
+});
+canvas("left").addEventListener("pointerleave", () => {
+  epipolar_px = [];
+  right.redraw();
+});
+askForImages();

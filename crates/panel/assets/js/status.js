@@ -1,0 +1,68 @@
+// @ts-check
+// State, reason, target and active conditions in words.
+import "./types.js";
+import { at, fixed, make, norm, write } from "./dom.js";
+import { STATUS } from "./view.js";
+
+/** @param {import("./types.js").State} state */
+export function showState(state) {
+  const pill = at("state");
+  write(pill, state.state.name);
+  pill.classList.toggle("moving", state.state.is_moving);
+  pill.classList.toggle("latched", state.state.is_latched);
+  const code = state.why.code && !state.why.line.includes(state.why.code) ? ` [${state.why.code}]` : "";
+  write(at("why"), state.why.line + code);
+  write(at("why-long"), state.state.is_moving ? "The hand follows the target." : state.why.line);
+  const items = state.why.inhibits.map(({ name, action, since_ms, clears_ms }) => {
+    const clears = clears_ms === null ? "" : `, clears in ${fixed(clears_ms / 1000, 1)} s`;
+    return `${name} (${action}) for ${fixed(since_ms / 1000, 1)} s${clears}`;
+  });
+  const list = at("inhibits");
+  while (list.children.length > items.length) list.lastChild?.remove();
+  items.forEach((text, index) => {
+    if (!list.children[index]) list.append(make("li"));
+    write(list.children[index], text);
+  });
+  write(at("trouble"), state.operator.trouble ?? "");
+  showTarget(state.target);
+  const { images } = state;
+  write(at("images"), `pair ${images.sequence ?? "–"}, ${fixed(images.fps, 1)} per second, ${images.lost} lost; time runs at ${fixed(state.realtime_factor, 2)}`);
+}
+
+/** @param {import("./types.js").TargetState} target */
+function showTarget(target) {
+  const pill = at("status");
+  const { sign } = STATUS[target.status] ?? STATUS.error;
+  write(pill, `${sign} ${target.status}`);
+  pill.className = `pill status-${target.status}`;
+  const name = target.name ? `${target.name}: ` : "";
+  write(at("reason"), name + target.reason);
+  const triple = (/** @type {number[]|null} */ values, /** @type {number} */ decimals) =>
+    values ? values.map((value) => fixed(value, decimals)).join(", ") : "–";
+  const figures = [
+    ["place (x, y, z)", `${triple(target.point_mm, 1)} mm`],
+    ["1 sigma, place", `${triple(target.sigma_mm, 3)} mm`],
+    ["1 sigma, angles", `${triple(target.sigma_deg, 3)}°`],
+    ["agreement", fixed(target.fitness, 3)],
+    ["age, computing", `${fixed(target.age_ms, 0)}, ${fixed(target.latency_ms, 1)} ms`],
+  ];
+  if (target.error_mm) figures.push(["error (truth known)", `${fixed(norm(target.error_mm), 2)} mm, ${fixed(norm(target.error_deg), 2)}°`]);
+  const list = at("figures");
+  while (list.children.length > 2 * figures.length) list.lastChild?.remove();
+  figures.forEach(([term, text], index) => {
+    if (!list.children[2 * index]) list.append(make("dt"), make("dd"));
+    write(list.children[2 * index], term);
+    write(list.children[2 * index + 1], text);
+  });
+}
+
+/** @param {import("./types.js").Preview} preview */
+export function showPreview(preview) {
+  at("preview").hidden = false;
+  at("preview").classList.toggle("will-not", !preview.will_work);
+  write(at("preview-title"), preview.will_work ? `✓ will work (${preview.status})` : `✗ will not work well (${preview.status})`);
+  const depth = preview.depth_mm === null ? "" : `Depth ${fixed(preview.depth_mm, 1)} mm`;
+  const sigma = preview.sigma_mm ? ` ± ${fixed(preview.sigma_mm[2], 2)} mm (1 sigma)` : "";
+  const tilt = preview.sigma_deg ? `, tilt ± ${fixed(Math.max(preview.sigma_deg[0], preview.sigma_deg[1]), 2)}°` : "";
+  write(at("preview-text"), [preview.why, depth + sigma + tilt, `${fixed(preview.ms, 0)} ms`].filter(Boolean).join(" · "));
+}

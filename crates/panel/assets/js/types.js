@@ -1,0 +1,85 @@
+// @ts-check
+// Types of the messages: docs/reference/panel-api.md.
+
+/** @typedef {[number, number]} Pixel */
+/** @typedef {{number: number, name: string, is_moving: boolean, is_latched: boolean, is_ready: boolean, may: string[]}} SupervisorState */
+/** @typedef {{name: string, since_ms: number, clears_ms: number|null, action: string}} Inhibit */
+/**
+ * @typedef {object} TargetState
+ * @property {number|null} id
+ * @property {string|null} name
+ * @property {number|null} sequence
+ * @property {string} status
+ * @property {string} reason
+ * @property {number|null} age_ms
+ * @property {number|null} latency_ms
+ * @property {number|null} fitness
+ * @property {Pixel[]} outline_px
+ * @property {Pixel[]} outline_right_px
+ * @property {Pixel[]|null} axes_px
+ * @property {Pixel[]|null} axes_right_px
+ * @property {number[]|null} point_mm
+ * @property {number[]|null} world_from_model
+ * @property {number[]|null} sigma_mm
+ * @property {number[]|null} sigma_deg
+ * @property {number[]|null} error_mm
+ * @property {number[]|null} error_deg
+ */
+/** @typedef {{name: string, condition: string, position_deg: number[], speed_deg_per_s: number[], near: number[]}} ArmState */
+/**
+ * @typedef {object} State
+ * @property {number} time_ms
+ * @property {number} realtime_factor
+ * @property {SupervisorState} state
+ * @property {{line: string, code: string|null, inhibits: Inhibit[]}} why
+ * @property {{holder: {id: number, name: string}|null, heard_ms_ago: number|null, trouble: string|null}} operator
+ * @property {TargetState} target
+ * @property {string[]} saved
+ * @property {{error_mm: number|null, error_deg: number|null, speed_percent: number, jog: {offset_mm: number[], offset_deg: number[]}}} control
+ * @property {ArmState[]} arms
+ * @property {{world_from_target: number[]}|null} truth
+ * @property {{sequence: number|null, fps: number, lost: number}} images
+ */
+/** @typedef {{robot_deg: number[], operating_deg: number[], speed_deg_per_s: number}} JointLimit */
+/**
+ * @typedef {object} ArmInfo
+ * @property {string} name
+ * @property {number} joints
+ * @property {JointLimit[]} limits
+ * @property {number[]} world_from_base
+ * @property {number[][]} chain
+ * @property {number[][]} axis
+ * @property {number[]} flange_from_tool
+ */
+/**
+ * @typedef {object} Info
+ * @property {string} version
+ * @property {string} setup
+ * @property {boolean} emulated
+ * @property {boolean} simulated
+ * @property {boolean} playground
+ * @property {boolean} hold_to_run
+ * @property {number} silent_after_ms
+ * @property {{size_px: Pixel, calibration: string, left: {focal_px: Pixel}}} cameras
+ * @property {ArmInfo[]} arms
+ * @property {number[]|null} hand_from_cam_left
+ */
+/**
+ * @typedef {object} Preview
+ * @property {boolean} will_work
+ * @property {string} why
+ * @property {string} status
+ * @property {Pixel[]} outline_px
+ * @property {Pixel[]} outline_right_px
+ * @property {Pixel[]|null} axes_px
+ * @property {number|null} depth_mm
+ * @property {number[]|null} sigma_mm
+ * @property {number[]|null} sigma_deg
+ * @property {number} ms
+ * @property {number} sequence
+ */
+/** @typedef {{side: 0|1, sequence: number, time_ms: number, bitmap: ImageBitmap}} CameraImage */
+/** @typedef {{time_ms: number, level: string, text: string, code: string|null}} LogLine */
+/** @typedef {{ok: boolean, status: number, body: any}} Answer */
+
+export {};
