@@ -36,12 +36,14 @@ const HEAD_TIME: Duration = Duration::from_secs(10);
 const URGENT_HEAD_TIME: Duration = Duration::from_secs(2);
 
 /// The other end of a connection.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Peer {
     /// Its address.
     pub address: SocketAddr,
     /// Whether only `stop` and `hold` are accepted.
     pub is_urgent_only: bool,
+    /// Place among the connections; a WebSocket outlives the HTTP connection that it came from.
+    _permit: Arc<OwnedSemaphorePermit>,
 }
 
 /// A running server; dropping it ends the server with all connections.
@@ -114,7 +116,8 @@ fn serve(runtime: &Runtime, listener: &TcpListener, is_over: oneshot::Receiver<(
                     // One more than are allowed is closed at once.
                     (None, None) => continue,
                 };
-                tokio::spawn(connection(socket, router.clone(), Peer { address, is_urgent_only }, permit));
+                let peer = Peer { address, is_urgent_only, _permit: Arc::new(permit) };
+                tokio::spawn(connection(socket, router.clone(), peer));
             }
         };
         tokio::select! {
@@ -124,16 +127,16 @@ fn serve(runtime: &Runtime, listener: &TcpListener, is_over: oneshot::Receiver<(
     });
 }
 
-async fn connection(socket: TcpStream, router: Router, peer: Peer, permit: OwnedSemaphorePermit) {
+async fn connection(socket: TcpStream, router: Router, peer: Peer) {
     // Small messages must not wait for others; without it they are late, not wrong.
     let _ = socket.set_nodelay(true);
+    let is_urgent_only = peer.is_urgent_only;
     let service = TowerToHyperService::new(router.layer(Extension(peer)));
     let mut builder = http1::Builder::new();
-    let head_time = if peer.is_urgent_only { URGENT_HEAD_TIME } else { HEAD_TIME };
+    let head_time = if is_urgent_only { URGENT_HEAD_TIME } else { HEAD_TIME };
     builder.timer(TokioTimer::new()).header_read_timeout(head_time).max_buf_size(HEAD_MAX);
-    // After a refusal the client may still be sending.
-    builder.keep_alive(!peer.is_urgent_only);
+    // Another one waits for its place.
+    builder.keep_alive(!is_urgent_only);
     // A client that goes, or sends no HTTP, ends its own connection only.
     let _ = builder.serve_connection(TokioIo::new(socket), service).with_upgrades().await;
-    drop(permit);
 }
