@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 
 use pb3dp_hal_clock::SystemClock;
-use pb3dp_panel::{About, Panel, PanelConfig, Protection, TlsFiles};
+use pb3dp_panel::{About, Certificate, Panel, PanelConfig, Protection, TlsFiles};
 
 use crate::support::{Page, Rig, setup};
 
@@ -122,10 +122,11 @@ fn only_a_protected_panel_leaves_this_computer() {
     let address: SocketAddr = "0.0.0.0:0".parse().unwrap();
     assert_eq!(start(PanelConfig::at(address)), Some("PB3DP-PAN-001"));
     assert_eq!(start(PanelConfig::at("[::]:0".parse().unwrap())), Some("PB3DP-PAN-001"));
-    let tls = TlsFiles { certificate_pem: "no certificate".to_owned(), key_pem: String::new() };
-    let protection = Protection { token: "x".repeat(32), tls, host_names: Vec::new() };
-    let refusal = start(PanelConfig { protection: Some(protection), ..PanelConfig::at(address) });
-    assert_eq!(refusal, Some("PB3DP-PAN-004"), "a certificate that cannot be read");
+    let files = TlsFiles { certificate_pem: "no certificate".to_owned(), key_pem: String::new() };
+    for (token, certificate) in [("x".repeat(32), Certificate::Given(files)), ("short".to_owned(), Certificate::Own)] {
+        let protection = Some(Protection { token, certificate, host_names: Vec::new() });
+        assert_eq!(start(PanelConfig { protection, ..PanelConfig::at(address) }), Some("PB3DP-PAN-004"));
+    }
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     assert_eq!(start(PanelConfig::at(taken.local_addr().unwrap())), Some("PB3DP-PAN-002"));
 }

@@ -5,6 +5,7 @@ mod support;
 
 mod access;
 mod commands;
+mod encrypted;
 mod heartbeats;
 mod limits;
 mod messages;

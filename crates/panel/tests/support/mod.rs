@@ -50,6 +50,8 @@ pub struct Seen {
     pub regions: Vec<(Region, Option<u64>)>,
     /// Last sign of life in the newest step.
     pub heard_at: Option<MonotonicTime>,
+    /// Allocations of the control thread in the panel.
+    pub allocations: usize,
     /// Time of the step in which motion ended last.
     pub rested_at: Option<MonotonicTime>,
 }
@@ -158,7 +160,11 @@ impl Drop for Rig {
     fn drop(&mut self) {
         self.is_over.store(true, Ordering::SeqCst);
         drop(self.panel.take());
-        let _ = self.thread.take().unwrap().join();
+        let joined = self.thread.take().unwrap().join();
+        if !std::thread::panicking() {
+            joined.unwrap();
+            assert_eq!(self.seen.lock().unwrap().allocations, 0, "the control thread must not allocate");
+        }
     }
 }
 
@@ -201,8 +207,10 @@ impl Loop {
                 let percept = self.look(now, &image, &mut spectator);
                 newest = Some(percept);
             }
+            let before = pb3dp_allocation_count::requests();
             let heard = operator.listen(last.as_ref(), now);
             let motion = operator.motion();
+            let mut allocations = pb3dp_allocation_count::requests() - before;
             let arm = ArmInput { state: ArmCondition::Enabled, measured_at: Some(now) };
             let inputs = Inputs {
                 operator: heard,
@@ -215,7 +223,9 @@ impl Loop {
                 arms: [arm; 2],
             };
             let decision = self.supervisor.step(&inputs, now);
+            let before = pb3dp_allocation_count::requests();
             operator.show(&decision);
+            allocations += pb3dp_allocation_count::requests() - before;
             let sample = ArmSample { position_rad: self.start_rad, requested_rad_per_s: None };
             spectator.moved(&Moved {
                 at: now,
@@ -234,6 +244,7 @@ impl Loop {
                 seen.rested_at = Some(now);
             }
             seen.commands.extend(heard.said.map(|said| (said.word, now)));
+            seen.allocations += allocations;
             seen.heard_at = heard.heard_at;
             seen.motion = Some(motion);
             seen.last = Some(decision);
