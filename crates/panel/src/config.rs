@@ -18,16 +18,25 @@ pub type SetControl = Arc<dyn Fn(CameraSide, u32, i32) -> Result<(), String> + S
 pub struct Protection {
     /// The token; every request must have it.
     pub token: String,
-    /// Certificate chain and private key, both as PEM.
-    pub tls: TlsFiles,
+    /// The certificate.
+    pub certificate: Certificate,
     /// Host names of the certificate; IP addresses and localhost are accepted anyway.
     pub host_names: Vec<String>,
 }
 
-/// A certificate with its key.
+/// Where the certificate comes from.
+#[derive(Clone)]
+pub enum Certificate {
+    /// From files.
+    Given(TlsFiles),
+    /// Made at the start, for [`Protection::host_names`], localhost and its addresses; the operator compares the fingerprint.
+    Own,
+}
+
+/// A certificate chain with its key.
 #[derive(Clone)]
 pub struct TlsFiles {
-    /// Certificate chain, PEM.
+    /// Certificate chain, PEM, the own certificate first.
     pub certificate_pem: String,
     /// Private key, PEM.
     pub key_pem: String,

@@ -146,15 +146,16 @@ impl Operator for PanelOperator {
         self.number += u64::from(decision.transition.is_some() || has_ended_motion);
         self.link.number.store(self.number, Ordering::SeqCst);
         self.link.may_move.store(may_move(decision), Ordering::SeqCst);
-        if let Some((id, command)) = commanded {
-            self.report(id, command, Outcome::Decided(*decision));
-        }
         if let Some(Transition { at, cause: Some(cause), .. }) = decision.transition
             && cause.condition == Condition::ClockStepped
         {
             self.discarded_until = at + DISCARDS_FOR;
         }
         self.ends.shown.give(ShownDecision { decision: *decision, number: self.number });
+        // Who gets the result finds the state that follows from it.
+        if let Some((id, command)) = commanded {
+            self.report(id, command, Outcome::Decided(*decision));
+        }
         if let Some(trouble) = self.untold.take() {
             self.pass_on(trouble);
         }

@@ -64,6 +64,16 @@ impl Panel {
         self.server.as_ref().map_or(self.hub.config.address, Server::address)
     }
 
+    /// SHA-256 of the certificate of a protected panel, as browsers show it: the operator compares it.
+    pub fn fingerprint(&self) -> Option<String> {
+        self.server.as_ref()?.certificate().map(|certificate| certificate.fingerprint.clone())
+    }
+
+    /// The certificate of a protected panel as PEM, for clients that are to trust it.
+    pub fn certificate_pem(&self) -> Option<String> {
+        self.server.as_ref()?.certificate().map(|certificate| certificate.pem.clone())
+    }
+
     /// What a browser opens.
     pub fn url(&self) -> String {
         let scheme = if self.hub.config.protection.is_some() { "https" } else { "http" };

@@ -7,7 +7,7 @@ use axum::extract::ws::Utf8Bytes;
 use pb3dp_cell::handover::LatestConsumer;
 use pb3dp_cell::moving::Moved;
 
-use crate::control_link::ReportingEnds;
+use crate::control_link::{ReportingEnds, TakenCommand};
 use crate::hub::Hub;
 use crate::state_of::StateBuilder;
 
@@ -21,8 +21,10 @@ pub fn run(hub: &Arc<Hub>, mut ends: ReportingEnds, mut steps: LatestConsumer<Mo
     let mut builder = StateBuilder::new(Instant::now(), hub.now());
     let mut due = Instant::now();
     while !hub.is_over() {
-        while let Ok(taken) = ends.results.pop() {
-            hub.resolve(&taken);
+        let taken: Vec<TakenCommand> = std::iter::from_fn(|| ends.results.pop().ok()).collect();
+        if !taken.is_empty() {
+            // The state that follows from a command is there before its answer.
+            due = Instant::now();
         }
         while let Ok(trouble) = ends.troubles.pop() {
             builder.trouble = trouble;
@@ -40,6 +42,9 @@ pub fn run(hub: &Arc<Hub>, mut ends: ReportingEnds, mut steps: LatestConsumer<Mo
             }
             send_state(hub, &mut builder);
             hub.pass_on_log_lines(&hub.config.log_lines);
+        }
+        for taken in &taken {
+            hub.resolve(taken);
         }
         std::thread::sleep(RESULTS_EVERY);
     }

@@ -7,7 +7,7 @@ use crate::violation::Violation;
 
 /// One row per package: which of our packages it may depend on. Lowest layer first; a package may depend only on packages
 /// above its own row. Names without the prefix `pb3dp-`.
-const ALLOWED: [(&str, &[&str]); 37] = [
+const ALLOWED: [(&str, &[&str]); 38] = [
     ("allocation-count", &[]),
     ("test-support", &[]),
     ("safeguards", &[]),
@@ -126,6 +126,20 @@ const ALLOWED: [(&str, &[&str]); 37] = [
         ],
     ),
     (
+        "panel",
+        &[
+            "message-codes",
+            "geometry",
+            "kinematics",
+            "estimation-core",
+            "estimation",
+            "servo",
+            "hal-api",
+            "setup",
+            "cell",
+        ],
+    ),
+    (
         "wiring",
         &[
             "message-codes",
@@ -176,6 +190,7 @@ const ALLOWED: [(&str, &[&str]); 37] = [
             "message-codes",
             "setup",
             "cell",
+            "panel",
             "wiring",
             "commissioning",
             "calibration",
@@ -214,7 +229,7 @@ const ALLOWED_IN_HAL_TESTS: [&str; 2] = ["hal-conformance", "hal-clock"];
 
 /// Additional packages for tests of one package: a wrapper is tested around the arm without hardware, and a calibration on
 /// simulated rigs, whose arms have joints.
-const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 10] = [
+const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 11] = [
     ("cell", &["arm-pa10-emulation"]),
     ("estimation-core", &["estimation-test-support"]),
     ("estimation-direct", &["estimation-test-support"]),
@@ -236,6 +251,7 @@ const ALLOWED_IN_TESTS_OF: [(&str, &[&str]); 10] = [
     ("arm-pa10", &["arm-pa10-gateway", "arm-pa10-emulation", "arm-pa10-test-support", "sim"]),
     ("orchestrator", &["arm-pa10-test-support", "arm-pa10-protocol", "arm-pa10-gateway", "arm-pa10-emulation", "sim"]),
     ("calibration", &["kinematics", "sim"]),
+    ("panel", &["hal-clock"]),
 ];
 
 /// Packages outside the table: the whole-system tests may depend on all, the project commands on none.
@@ -246,8 +262,8 @@ const SEES_NOTHING: &str = "xtask";
 const MEASURES_ALL: &str = "benchmarks";
 
 /// Packages that may serialise and deserialise structures.
-const SERDE_USERS: [&str; 7] =
-    ["setup", "cell", "commissioning", "orchestrator", "record", "benchmarks", "calibration"];
+const SERDE_USERS: [&str; 8] =
+    ["setup", "cell", "panel", "commissioning", "orchestrator", "record", "benchmarks", "calibration"];
 const SERDE_CRATES: [&str; 6] = ["serde", "serde_json", "serde-saphyr", "toml", "figment", "serde_derive"];
 
 /// Lets tests disable safeguards: only a build of a test may enable it, by name.

@@ -66,6 +66,9 @@ const WORLDS: [World; 6] = [
             "crates/cell/src/machine.rs",
             "crates/cell/src/paced_clock.rs",
             "crates/cell/src/terminal.rs",
+            "crates/panel/src/panel.rs",
+            "crates/panel/src/reporting.rs",
+            "crates/panel/src/server/mod.rs",
             "crates/wiring/src/at_once.rs",
             "crates/commissioning/",
             "crates/orchestrator/",
@@ -94,6 +97,11 @@ const WORLDS: [World; 6] = [
             "crates/cell/src/interruption.rs",
             "crates/cell/src/looking.rs",
             "crates/cell/src/paced_clock.rs",
+            "crates/panel/src/preview.rs",
+            "crates/panel/src/reporting.rs",
+            "crates/panel/src/server/commands.rs",
+            "crates/panel/src/server/rate.rs",
+            "crates/panel/src/state_of.rs",
             "crates/wiring/src/lib.rs",
             "crates/wiring/src/calibration.rs",
             "crates/commissioning/",
@@ -131,7 +139,15 @@ const WORLDS: [World; 6] = [
     World {
         what: "the network",
         paths: &["std::net"],
-        allowed_in: &[PLATFORM, GATEWAY_SERVICE, EMULATED_LINES, CAMERA_PAGE],
+        allowed_in: &[
+            PLATFORM,
+            GATEWAY_SERVICE,
+            EMULATED_LINES,
+            CAMERA_PAGE,
+            "crates/panel/src/config.rs",
+            "crates/panel/src/panel.rs",
+            "crates/panel/src/server/",
+        ],
     },
 ];
 
@@ -153,8 +169,14 @@ const NAME_BACKENDS: [&str; 4] = [
     "crates/orchestrator/src/commands/doctor/",
 ];
 /// Packages that may derive the traits of serde.
-const DERIVE_SERDE: [&str; 5] =
-    ["crates/setup/", "crates/cell/", "crates/commissioning/", "crates/orchestrator/", "crates/record/"];
+const DERIVE_SERDE: [&str; 6] = [
+    "crates/setup/",
+    "crates/cell/",
+    "crates/panel/",
+    "crates/commissioning/",
+    "crates/orchestrator/",
+    "crates/record/",
+];
 const SERDE_TRAITS: [&str; 2] = ["Serialize", "Deserialize"];
 
 /// Modules that may use a speed scale: the setup that states it, and the type that applies it. All others get effective limits.

@@ -8,6 +8,7 @@ mod commands;
 mod rate;
 mod routes;
 mod socket;
+mod tls;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -18,10 +19,15 @@ use axum::{Extension, Router};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 
+use tokio_rustls::TlsAcceptor;
+
+pub use self::tls::OwnCertificate;
+use self::tls::Tls;
 use crate::hub::Hub;
 use crate::refusal::Refusal;
 
@@ -34,19 +40,24 @@ const HEAD_MAX: usize = 16 * 1024;
 /// Time limit of a head; the second one is that of the further connections.
 const HEAD_TIME: Duration = Duration::from_secs(10);
 const URGENT_HEAD_TIME: Duration = Duration::from_secs(2);
+/// Time limit of the first messages of TLS.
+const HANDSHAKE_TIME: Duration = Duration::from_secs(5);
 
 /// The other end of a connection.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Peer {
     /// Its address.
     pub address: SocketAddr,
     /// Whether only `stop` and `hold` are accepted.
     pub is_urgent_only: bool,
+    /// Place among the connections; a WebSocket outlives the HTTP connection that it came from.
+    _permit: Arc<OwnedSemaphorePermit>,
 }
 
 /// A running server; dropping it ends the server with all connections.
 pub struct Server {
     address: SocketAddr,
+    certificate: Option<OwnCertificate>,
     over: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -58,13 +69,11 @@ impl Server {
     /// If the address can be reached from other computers without protection, or cannot be used, or there is no thread.
     pub fn start(hub: &Arc<Hub>) -> Result<Self, Refusal> {
         let address = hub.config.address;
-        if hub.config.protection.is_some() {
-            let what = "TLS is not part of this build; use a loopback address without it, and an SSH tunnel from other computers";
-            return Err(Refusal::Protection { what: what.to_owned() });
-        }
-        if !address.ip().is_loopback() {
+        let tls = hub.config.protection.as_ref().map(Tls::new).transpose()?;
+        if tls.is_none() && !address.ip().is_loopback() {
             return Err(Refusal::Unprotected { address: address.to_string() });
         }
+        let (acceptor, certificate) = tls.map(|tls| (tls.acceptor, tls.certificate)).unzip();
         let no_thread = |error: std::io::Error| Refusal::Thread { cause: error.to_string() };
         let not_bound =
             |error: std::io::Error| Refusal::Address { address: address.to_string(), cause: error.to_string() };
@@ -73,9 +82,14 @@ impl Server {
         let address = listener.local_addr().map_err(not_bound)?;
         let (over, is_over) = oneshot::channel();
         let hub = Arc::clone(hub);
-        let serve = move || serve(&runtime, &listener, is_over, &hub);
+        let serve = move || serve(&runtime, (&listener, acceptor), is_over, &hub);
         let thread = std::thread::Builder::new().name("panel".to_owned()).spawn(serve).map_err(no_thread)?;
-        Ok(Self { address, over: Some(over), thread: Some(thread) })
+        Ok(Self { address, certificate, over: Some(over), thread: Some(thread) })
+    }
+
+    /// The certificate of a protected panel.
+    pub fn certificate(&self) -> Option<&OwnCertificate> {
+        self.certificate.as_ref()
     }
 
     /// The address, with the port that was taken.
@@ -95,7 +109,12 @@ impl Drop for Server {
 }
 
 /// Serves until the end; all connections end with the runtime.
-fn serve(runtime: &Runtime, listener: &TcpListener, is_over: oneshot::Receiver<()>, hub: &Arc<Hub>) {
+fn serve(
+    runtime: &Runtime,
+    (listener, acceptor): (&TcpListener, Option<TlsAcceptor>),
+    is_over: oneshot::Receiver<()>,
+    hub: &Arc<Hub>,
+) {
     let normal = Arc::new(Semaphore::new(CONNECTIONS_MAX));
     let urgent = Arc::new(Semaphore::new(URGENT_CONNECTIONS_MAX));
     let router = routes::router(hub);
@@ -114,7 +133,8 @@ fn serve(runtime: &Runtime, listener: &TcpListener, is_over: oneshot::Receiver<(
                     // One more than are allowed is closed at once.
                     (None, None) => continue,
                 };
-                tokio::spawn(connection(socket, router.clone(), Peer { address, is_urgent_only }, permit));
+                let peer = Peer { address, is_urgent_only, _permit: Arc::new(permit) };
+                tokio::spawn(connection(socket, acceptor.clone(), router.clone(), peer));
             }
         };
         tokio::select! {
@@ -124,16 +144,28 @@ fn serve(runtime: &Runtime, listener: &TcpListener, is_over: oneshot::Receiver<(
     });
 }
 
-async fn connection(socket: TcpStream, router: Router, peer: Peer, permit: OwnedSemaphorePermit) {
+async fn connection(socket: TcpStream, acceptor: Option<TlsAcceptor>, router: Router, peer: Peer) {
     // Small messages must not wait for others; without it they are late, not wrong.
     let _ = socket.set_nodelay(true);
+    match acceptor {
+        None => http(socket, router, peer).await,
+        // A client without TLS, or one that is too slow, ends its own connection only.
+        Some(acceptor) => {
+            if let Ok(Ok(socket)) = tokio::time::timeout(HANDSHAKE_TIME, acceptor.accept(socket)).await {
+                http(socket, router, peer).await;
+            }
+        }
+    }
+}
+
+async fn http(socket: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, router: Router, peer: Peer) {
+    let is_urgent_only = peer.is_urgent_only;
     let service = TowerToHyperService::new(router.layer(Extension(peer)));
     let mut builder = http1::Builder::new();
-    let head_time = if peer.is_urgent_only { URGENT_HEAD_TIME } else { HEAD_TIME };
+    let head_time = if is_urgent_only { URGENT_HEAD_TIME } else { HEAD_TIME };
     builder.timer(TokioTimer::new()).header_read_timeout(head_time).max_buf_size(HEAD_MAX);
-    // After a refusal the client may still be sending.
-    builder.keep_alive(!peer.is_urgent_only);
+    // Another one waits for its place.
+    builder.keep_alive(!is_urgent_only);
     // A client that goes, or sends no HTTP, ends its own connection only.
     let _ = builder.serve_connection(TokioIo::new(socket), service).with_upgrades().await;
-    drop(permit);
 }

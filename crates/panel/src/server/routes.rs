@@ -1,6 +1,7 @@
 //! All paths of the panel.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Router;
 use axum::extract::{Request, State};
@@ -20,6 +21,9 @@ use crate::hub::Hub;
 use crate::messages::Pixel;
 use crate::messages::info::Info;
 use crate::refusal::Refusal;
+
+/// Time in which the next state comes: four times its period.
+const NEXT_STATE_WITHIN: Duration = Duration::from_millis(200);
 
 /// What the handlers share.
 #[derive(Clone)]
@@ -79,8 +83,13 @@ async fn info(State(App { hub, .. }): State<App>) -> Response {
     json(&Info::new(&hub.about, hub.facts()))
 }
 
+/// The next state: a script that has just given a command never gets one from before.
 async fn state(State(App { hub, .. }): State<App>) -> Response {
-    json_text(hub.states.borrow().to_string())
+    let mut states = hub.states.subscribe();
+    states.mark_unchanged();
+    // If none comes, the panel ends.
+    let _ = tokio::time::timeout(NEXT_STATE_WITHIN, states.changed()).await;
+    json_text(states.borrow().to_string())
 }
 
 #[derive(Serialize)]

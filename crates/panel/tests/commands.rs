@@ -1,0 +1,203 @@
+//! The lease, commands, and what refuses them.
+
+use pb3dp_estimation_core::region::Region;
+use pb3dp_servo::supervisor::{OperatorCommand, State};
+use serde_json::json;
+
+use crate::support::Rig;
+
+fn with_seen(client: &crate::support::Client) -> String {
+    json!({ "seen": client.seen() }).to_string()
+}
+
+#[test]
+fn without_the_lease_only_stop_is_obeyed() {
+    let rig = Rig::new();
+    let client = rig.client();
+    let seen = client.seen();
+    for (command, body) in [
+        ("select", json!({ "region": "rect:200,150,120,90", "seen": seen })),
+        ("start", json!({ "seen": seen })),
+        ("resume", json!({ "seen": seen })),
+        ("reset", json!({ "seen": seen })),
+        ("hold", json!({})),
+        ("speed", json!({ "percent": 10, "seen": seen })),
+        ("jog", json!({ "offset_mm": [1, 0, 0], "offset_deg": [0, 0, 0], "seen": seen })),
+    ] {
+        let reply = client.post(command, &body.to_string());
+        assert_eq!((reply.status, reply.code().as_str()), (403, "PB3DP-PAN-021"), "{command}: {}", reply.body);
+    }
+    assert!(rig.seen.lock().unwrap().commands.is_empty());
+    for _ in 0..3 {
+        assert_eq!(client.post("stop", "{}").status, 200, "from everybody, as often as one likes");
+    }
+    rig.wait_for_state(State::Stopped);
+}
+
+#[test]
+fn a_target_is_selected_started_held_resumed_and_stopped() {
+    let rig = Rig::new();
+    let client = rig.holder();
+    rig.start(&client);
+    let (region, drawn_on) = rig.seen.lock().unwrap().regions[0].clone();
+    assert_eq!(region, Region::Rectangle { x: 200, y: 150, width: 120, height: 90 });
+    assert!(drawn_on.is_some(), "the pair on which it was drawn");
+    let reply = client.post("hold", "{}");
+    assert_eq!(reply.status, 200);
+    assert_eq!(rig.state(), State::Holding);
+    client.wait_for("ready", |state| state["state"]["is_ready"] == true && state["state"]["name"] == "holding");
+    let reply = client.post("resume", &with_seen(&client));
+    assert_eq!((reply.status, reply.json()["line"].as_str()), (200, Some("resume: approaching")), "{}", reply.body);
+    assert_eq!(client.post("stop", "{}").status, 200);
+    assert_eq!(rig.state(), State::Stopped);
+    client.wait_for("stopped", |state| state["state"]["name"] == "stopped" && state["state"]["is_latched"] == true);
+    assert_eq!(client.post("reset", &with_seen(&client)).status, 200);
+    assert_eq!(rig.state(), State::Idle);
+}
+
+#[test]
+fn a_select_while_an_arm_moves_holds_every_arm_first() {
+    let rig = Rig::new();
+    let client = rig.holder();
+    rig.start(&client);
+    let body = json!({ "region": "click:320,240", "name": "cup", "seen": client.seen() });
+    let reply = client.post("select", &body.to_string());
+    assert_eq!((reply.status, reply.json()["line"].as_str()), (200, Some("select: selecting")), "{}", reply.body);
+    {
+        let seen = rig.seen.lock().unwrap();
+        let last = &seen.commands[seen.commands.len() - 2..];
+        assert_eq!([last[0].0, last[1].0], [OperatorCommand::Hold, OperatorCommand::Select]);
+    }
+    rig.wait_for("the second target", |seen| seen.regions.len() == 2);
+    let state = client.wait_for("its name", |state| state["target"]["name"] == "cup" && state["target"]["id"] == 2);
+    assert_eq!(state["saved"], json!(["cup"]));
+    client.wait_for("ready", |state| state["state"]["is_ready"] == true);
+    let body = json!({ "saved": "cup", "seen": client.seen() });
+    assert_eq!(client.post("select", &body.to_string()).status, 200);
+    rig.wait_for("the saved target", |seen| seen.regions.len() == 3);
+    let unknown = json!({ "saved": "box", "seen": client.seen() });
+    assert_eq!(client.post("select", &unknown.to_string()).code(), "PB3DP-PAN-035");
+}
+
+#[test]
+fn a_refused_select_does_not_reach_the_estimation() {
+    let rig = Rig::new();
+    let client = rig.holder();
+    assert_eq!(client.post("stop", "{}").status, 200);
+    client.wait_for("stopped", |state| state["state"]["name"] == "stopped");
+    let body = json!({ "region": "rect:200,150,120,90", "seen": client.seen() });
+    let reply = client.post("select", &body.to_string());
+    assert_eq!((reply.status, reply.code().as_str()), (409, "PB3DP-SUP-101"), "{}", reply.body);
+    assert!(rig.seen.lock().unwrap().regions.is_empty());
+}
+
+#[test]
+fn stale_replayed_and_duplicated_commands_are_refused() {
+    let rig = Rig::new();
+    let client = rig.holder();
+    let seen = client.seen();
+    let select = |seen: &serde_json::Value| {
+        client.post("select", &json!({ "region": "rect:200,150,120,90", "seen": seen }).to_string()).code()
+    };
+    let changed = |key: &str, value: serde_json::Value| {
+        let mut other = seen.clone();
+        other[key] = value;
+        other
+    };
+    let time_ms = seen["time_ms"].as_f64().unwrap();
+    assert_eq!(select(&changed("state", json!(99))), "PB3DP-PAN-024");
+    assert_eq!(select(&changed("target", json!(1))), "PB3DP-PAN-025");
+    assert_eq!(select(&changed("time_ms", json!(time_ms + 5000.0))), "PB3DP-PAN-026");
+    assert_eq!(select(&changed("time_ms", json!(time_ms - 2500.0))), "PB3DP-PAN-026");
+    let reply = client.post("start", "{}");
+    assert_eq!((reply.status, reply.code().as_str()), (400, "PB3DP-PAN-017"), "without what was seen");
+    assert!(rig.seen.lock().unwrap().commands.is_empty());
+    rig.start(&client);
+    // The same request again, as a proxy or a double click sends it.
+    let replayed = client.post("select", &json!({ "region": "rect:200,150,120,90", "seen": seen }).to_string());
+    assert_eq!((replayed.status, replayed.code().as_str()), (409, "PB3DP-PAN-024"));
+    assert_eq!(rig.state(), State::Approaching);
+}
+
+#[test]
+fn a_start_that_arrives_after_a_later_hold_is_refused() {
+    let rig = Rig::new();
+    let client = rig.holder();
+    let body = json!({ "region": "rect:200,150,120,90", "seen": client.seen() });
+    assert_eq!(client.post("select", &body.to_string()).status, 200);
+    client.wait_for("ready", |state| state["state"]["is_ready"] == true && state["target"]["id"] == 1);
+    let start = with_seen(&client);
+    // The operator gave `start`, then `hold`; the network delivers them in the other order. The state does not change by the hold.
+    assert_eq!(client.post("hold", "{}").status, 200);
+    let reply = client.post("start", &start);
+    assert_eq!((reply.status, reply.code().as_str()), (409, "PB3DP-PAN-024"), "{}", reply.body);
+    assert_eq!(rig.state(), State::Selecting);
+}
+
+#[test]
+fn a_take_over_holds_every_arm_and_ends_the_earlier_session() {
+    let rig = Rig::new();
+    let first = rig.holder();
+    rig.start(&first);
+    let mut second = rig.client();
+    let reply = second.lease("take", "tablet");
+    assert_eq!((reply.status, reply.code().as_str()), (409, "PB3DP-PAN-022"));
+    assert!(reply.body.contains("test"), "it names the holder: {}", reply.body);
+    assert_eq!(rig.state(), State::Approaching);
+    assert_eq!(second.lease("take-over", "tablet").status, 200);
+    rig.wait_for("hold of every arm", |seen| {
+        seen.last.is_some_and(|last| !last.state.is_moving() && last.no_arm_may_move)
+    });
+    assert_eq!(rig.count_of(OperatorCommand::Hold), 1);
+    let state = first.wait_for("the new holder", |state| state["operator"]["holder"]["id"] == 2);
+    assert_eq!(state["operator"]["holder"]["name"], "tablet");
+    let reply = first.post("resume", &with_seen(&first));
+    assert_eq!((reply.status, reply.code().as_str()), (403, "PB3DP-PAN-021"));
+}
+
+#[test]
+fn a_released_lease_holds_every_arm() {
+    let rig = Rig::new();
+    let client = rig.holder();
+    rig.start(&client);
+    assert_eq!(client.post("lease", r#"{"action":"release"}"#).status, 200);
+    rig.wait_for("hold of every arm", |seen| {
+        seen.last.is_some_and(|last| !last.state.is_moving() && last.no_arm_may_move)
+    });
+    assert_eq!(client.state()["operator"]["holder"], json!(null));
+    let reply = client.post("lease", r#"{"action":"release"}"#);
+    assert_eq!((reply.status, reply.code().as_str()), (403, "PB3DP-PAN-021"));
+}
+
+#[test]
+fn speed_and_jog_reach_the_control_thread_within_their_limits() {
+    let rig = Rig::new();
+    let client = rig.holder();
+    let speed = |percent: f64| client.post("speed", &json!({ "percent": percent, "seen": client.seen() }).to_string());
+    assert_eq!(speed(40.0).status, 200);
+    rig.wait_for("the share", |seen| seen.motion.is_some_and(|motion| motion.speed_share == 0.4));
+    assert_eq!(speed(120.0).code(), "PB3DP-PAN-037");
+    let jog = |mm: f64| {
+        let body = json!({ "offset_mm": [mm, 0, 0], "offset_deg": [0, 0, 1], "seen": client.seen() });
+        client.post("jog", &body.to_string())
+    };
+    assert_eq!(jog(11.0).code(), "PB3DP-PAN-036");
+    assert_eq!((jog(8.0).status, jog(8.0).status), (200, 200), "a repeated jog changes nothing");
+    rig.wait_for("the offset", |seen| {
+        seen.motion.is_some_and(|motion| (motion.hand_from_hand_shifted.translation_m().x - 0.008).abs() < 1e-12)
+    });
+    let state = client.wait_for("the jog", |state| state["control"]["jog"]["offset_mm"][0] == 8.0);
+    assert_eq!(state["control"]["speed_percent"], 40.0);
+}
+
+#[test]
+fn commands_before_the_first_step_are_refused_and_stop_ends_the_run() {
+    let rig = Rig::with(|_| {}, false);
+    let mut client = rig.client();
+    client.take("test");
+    client.wait_for("a state", |state| state["state"]["name"] == "starting");
+    let reply = client.post("start", &with_seen(&client));
+    assert_eq!((reply.status, reply.code().as_str()), (409, "PB3DP-PAN-028"));
+    assert_eq!(client.post("stop", "{}").status, 200);
+    assert!(rig.interrupt.load(std::sync::atomic::Ordering::SeqCst));
+}

@@ -1,0 +1,158 @@
+//! Signs of life: who falls silent stops the arms within half a second.
+
+use std::time::Duration;
+
+use pb3dp_servo::supervisor::State;
+use serde_json::json;
+
+use crate::support::{Page, Rig};
+
+/// The limit and a period of this loop, with time for a busy machine.
+const SILENT_MAX_S: f64 = 0.75;
+
+fn rests(rig: &Rig) {
+    rig.wait_for("rest", |seen| seen.last.is_some_and(|last| !last.state.is_moving() && last.no_arm_may_move));
+}
+
+#[test]
+fn a_holder_without_heartbeats_stops_the_arms_within_half_a_second() {
+    let rig = Rig::new();
+    let mut client = rig.holder();
+    rig.start(&client);
+    client.fall_silent();
+    rests(&rig);
+    let seen = rig.seen.lock().unwrap();
+    let silent_s = seen.rested_at.unwrap().seconds_since(seen.heard_at.unwrap());
+    assert!((0.5..SILENT_MAX_S).contains(&silent_s), "{silent_s}");
+}
+
+#[test]
+fn a_half_open_socket_counts_as_silent() {
+    let rig = Rig::new();
+    let mut client = rig.client();
+    client.take("test");
+    let mut page = Page::open(&client);
+    let beating = std::thread::spawn(move || {
+        for _ in 0..40 {
+            page.beat(true, false);
+        }
+        page
+    });
+    rig.start(&client);
+    // The page is suspended: its socket stays open, and nobody answers.
+    let page = beating.join().unwrap();
+    rests(&rig);
+    {
+        let seen = rig.seen.lock().unwrap();
+        let silent_s = seen.rested_at.unwrap().seconds_since(seen.heard_at.unwrap());
+        assert!((0.5..SILENT_MAX_S).contains(&silent_s), "{silent_s}");
+    }
+    drop(page);
+}
+
+#[test]
+fn a_page_that_beats_keeps_the_arms_moving_and_a_closed_one_holds_them_at_once() {
+    let rig = Rig::new();
+    let mut client = rig.client();
+    client.take("test");
+    let mut page = Page::open(&client);
+    let (give, over) = std::sync::mpsc::channel::<()>();
+    let beating = std::thread::spawn(move || {
+        while over.try_recv().is_err() {
+            page.beat(true, false);
+        }
+        page
+    });
+    rig.start(&client);
+    std::thread::sleep(Duration::from_millis(1500));
+    assert_eq!(rig.state(), State::Approaching, "no false stop");
+    give.send(()).unwrap();
+    drop(beating.join().unwrap());
+    rests(&rig);
+    let seen = rig.seen.lock().unwrap();
+    let silent_s = seen.rested_at.unwrap().seconds_since(seen.heard_at.unwrap());
+    assert!(silent_s < 0.5, "the end of the connection is noticed before the silence: {silent_s}");
+}
+
+#[test]
+fn a_hidden_page_is_silent_at_once() {
+    let rig = Rig::new();
+    let mut client = rig.client();
+    client.take("test");
+    let mut page = Page::open(&client);
+    page.beat(true, false);
+    rig.wait_for("a heartbeat", |seen| seen.heard_at.is_some());
+    page.beat(false, false);
+    rig.wait_for("silence", |seen| seen.heard_at.is_none());
+    let state = client.wait_for("no sign of life", |state| state["operator"]["heard_ms_ago"] == json!(null));
+    assert_eq!(state["operator"]["holder"]["name"], "test", "the lease stays");
+    page.beat(true, false);
+    rig.wait_for("a heartbeat", |seen| seen.heard_at.is_some());
+}
+
+#[test]
+fn wrong_and_repeated_nonces_are_no_sign_of_life() {
+    let rig = Rig::new();
+    let mut client = rig.client();
+    client.take("test");
+    let first = client.nonce.clone();
+    assert_eq!(client.beat().status, 200);
+    let second = client.nonce.clone();
+    client.nonce = first;
+    assert_eq!(client.beat().code(), "PB3DP-PAN-023", "replayed");
+    client.nonce = Some("0123456789abcdef".to_owned());
+    assert_eq!(client.beat().code(), "PB3DP-PAN-023", "invented");
+    let mut other = rig.client();
+    other.nonce = second;
+    assert_eq!(other.beat().code(), "PB3DP-PAN-021", "without the session");
+}
+
+#[test]
+fn of_two_pages_of_one_session_the_newest_is_asked() {
+    let rig = Rig::new();
+    let mut client = rig.client();
+    client.take("test");
+    let mut first = Page::open(&client);
+    first.next_of("heartbeat");
+    let mut second = Page::open(&client);
+    second.beat(true, false);
+    // One nonce may be on its way; then the first page gets states only.
+    let mut later = Vec::new();
+    for _ in 0..20 {
+        later.extend(first.next().unwrap());
+    }
+    let beats = later.iter().rev().take(8).filter(|message| message["type"] == "heartbeat").count();
+    assert_eq!(beats, 0, "{later:?}");
+    drop(first);
+    second.beat(true, false);
+    let watcher = Page::open(&rig.client());
+    drop(watcher);
+    second.beat(true, false);
+}
+
+#[test]
+fn with_hold_to_run_a_released_button_holds_every_arm() {
+    let rig = Rig::with(|config| config.hold_to_run = true, true);
+    assert_eq!(rig.client().get("/api/info").json()["hold_to_run"], true);
+    let mut client = rig.client();
+    client.take("test");
+    let mut page = Page::open(&client);
+    let pressed = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
+    let (seen, (give, over)) = (pressed.clone(), std::sync::mpsc::channel::<()>());
+    let beating = std::thread::spawn(move || {
+        while over.try_recv().is_err() {
+            page.beat(true, seen.load(std::sync::atomic::Ordering::SeqCst));
+        }
+    });
+    rig.start(&client);
+    std::thread::sleep(Duration::from_millis(700));
+    assert_eq!(rig.state(), State::Approaching);
+    pressed.store(false, std::sync::atomic::Ordering::SeqCst);
+    rests(&rig);
+    assert_eq!(rig.state(), State::Holding);
+    // While no arm moves, the button need not be pressed.
+    std::thread::sleep(Duration::from_millis(700));
+    assert_eq!(rig.state(), State::Holding);
+    give.send(()).unwrap();
+    beating.join().unwrap();
+}

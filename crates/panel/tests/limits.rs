@@ -1,0 +1,181 @@
+//! Limits of size, number and time; nobody keeps `stop` from anybody.
+
+use std::io::Write;
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use pb3dp_servo::supervisor::{OperatorCommand, State};
+use serde_json::json;
+
+use crate::support::client::raw;
+use crate::support::{Page, Rig};
+
+const JSON: &str = "Content-Type: application/json\r\n";
+
+#[test]
+fn bodies_are_json_of_the_right_shape_and_size() {
+    let rig = Rig::new();
+    let client = rig.holder();
+    for (kind, body, status) in [
+        ("text/plain", "{}".to_owned(), 415),
+        ("application/x-www-form-urlencoded", "{}".to_owned(), 415),
+        ("application/json", "{".to_owned(), 400),
+        ("application/json", "[1]".to_owned(), 400),
+        ("application/json", r#"{"hand_only":true,"fast":true}"#.to_owned(), 400),
+        ("application/json", r#"{"hand_only":"yes"}"#.to_owned(), 400),
+        ("application/json", format!(r#"{{"hand_only":{}}}"#, " ".repeat(70_000)), 413),
+        ("application/json; charset=utf-8", "{}".to_owned(), 200),
+    ] {
+        let reply = client.request("POST", "/api/hold", &format!("Content-Type: {kind}\r\n"), &body);
+        assert_eq!(reply.status, status, "{kind}: {}", reply.body);
+    }
+    assert_eq!(client.request("POST", "/api/hold", "", "{}").status, 415);
+    let nested = format!(r#"{{"region":{}"#, "[".repeat(30_000));
+    assert_eq!(client.post("preview", &nested).status, 400);
+    let reply = raw(
+        rig.address(),
+        format!("GET / HTTP/1.1\r\nHost: localhost\r\nX: {}\r\n\r\n", "x".repeat(40_000)).as_bytes(),
+    );
+    assert!(matches!(reply.status, 400 | 431 | 0), "{reply:?}");
+    assert_eq!(client.state()["state"]["name"], "idle");
+}
+
+#[test]
+fn stop_and_hold_are_accepted_while_all_connections_are_in_use() {
+    let rig = Rig::new();
+    let client = rig.holder();
+    rig.start(&client);
+    // The session stays known although its own heartbeats no longer get a connection; the test is about `stop`.
+    let idle: Vec<TcpStream> = (0..36).map(|_| TcpStream::connect(rig.address()).unwrap()).collect();
+    std::thread::sleep(Duration::from_millis(100));
+    let stranger = rig.client();
+    let reply = stranger.get("/api/state");
+    assert!(matches!(reply.status, 503 | 0), "{reply:?}");
+    let reply = stranger.post("stop", "{}");
+    assert_eq!(reply.status, 200, "{}", reply.body);
+    rig.wait_for_state(State::Stopped);
+    drop(idle);
+    let start = Instant::now();
+    while stranger.get("/api/state").status != 200 {
+        assert!(start.elapsed() < Duration::from_secs(10));
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
+fn forty_pages_are_not_served_and_the_first_ones_go_on() {
+    let rig = Rig::new();
+    let client = rig.client();
+    let mut pages: Vec<Page> = (0..30).map(|_| Page::open(&client)).collect();
+    let more: Vec<_> = (0..10).map(|_| Page::connect(rig.address(), None)).collect();
+    assert!(more.iter().filter(|page| page.is_err()).count() >= 8);
+    for page in &mut pages {
+        page.next_of("state");
+    }
+}
+
+#[test]
+fn stop_is_taken_although_the_queue_is_full() {
+    let rig = Rig::new();
+    let client = rig.holder();
+    rig.is_paused.store(true, std::sync::atomic::Ordering::SeqCst);
+    std::thread::sleep(Duration::from_millis(20));
+    let body = json!({ "seen": client.seen() }).to_string();
+    let text = format!(
+        "POST /api/reset HTTP/1.1\r\nHost: {}\r\nPB3DP-Session: {}\r\n{JSON}Content-Length: {}\r\n\r\n{body}",
+        client.address,
+        client.session.as_ref().unwrap(),
+        body.len()
+    );
+    let waiting: Vec<TcpStream> = (0..16)
+        .map(|_| {
+            let mut stream = TcpStream::connect(rig.address()).unwrap();
+            stream.write_all(text.as_bytes()).unwrap();
+            stream
+        })
+        .collect();
+    std::thread::sleep(Duration::from_millis(150));
+    let reply = client.post("reset", &body);
+    assert_eq!((reply.status, reply.code().as_str()), (409, "PB3DP-PAN-027"), "{}", reply.body);
+    let stopping = {
+        let stranger = rig.client();
+        std::thread::spawn(move || stranger.post("stop", "{}"))
+    };
+    std::thread::sleep(Duration::from_millis(50));
+    rig.is_paused.store(false, std::sync::atomic::Ordering::SeqCst);
+    assert_eq!(stopping.join().unwrap().status, 200);
+    rig.wait_for_state(State::Stopped);
+    assert_eq!(rig.seen.lock().unwrap().commands[0].0, OperatorCommand::Stop, "before all that waited");
+    assert_eq!(rig.count_of(OperatorCommand::Reset), 0, "what waited was overtaken");
+    drop(waiting);
+}
+
+#[test]
+fn a_flood_is_refused_and_stop_is_not_part_of_it() {
+    let rig = Rig::new();
+    let client = rig.client();
+    let body = r#"{"region":"rect:1,2,3"}"#;
+    let statuses: Vec<u16> = (0..200).map(|_| client.post("preview", body).status).collect();
+    assert!(statuses.contains(&429) && statuses[0] == 400);
+    assert_eq!(client.post("stop", "{}").status, 200);
+}
+
+#[test]
+fn a_hung_control_thread_is_reported() {
+    let rig = Rig::new();
+    let client = rig.holder();
+    rig.is_paused.store(true, std::sync::atomic::Ordering::SeqCst);
+    std::thread::sleep(Duration::from_millis(20));
+    let reply = client.post("stop", "{}");
+    assert_eq!((reply.status, reply.code().as_str()), (504, "PB3DP-PAN-029"));
+    rig.is_paused.store(false, std::sync::atomic::Ordering::SeqCst);
+    rig.wait_for_state(State::Stopped);
+}
+
+#[test]
+fn commands_that_waited_while_the_program_was_suspended_are_discarded() {
+    let rig = Rig::new();
+    let client = rig.holder();
+    rig.is_paused.store(true, std::sync::atomic::Ordering::SeqCst);
+    std::thread::sleep(Duration::from_millis(20));
+    let body = json!({ "region": "rect:200,150,120,90", "seen": client.seen() }).to_string();
+    let waking = {
+        let is_paused = rig.is_paused.clone();
+        std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(500));
+            is_paused.store(false, std::sync::atomic::Ordering::SeqCst);
+        })
+    };
+    let reply = client.post("select", &body);
+    waking.join().unwrap();
+    assert_eq!((reply.status, reply.code().as_str()), (409, "PB3DP-PAN-030"), "{}", reply.body);
+    assert_eq!(rig.count_of(OperatorCommand::Select), 0);
+}
+
+#[test]
+fn messages_that_break_the_protocol_end_the_connection_or_are_refused() {
+    let rig = Rig::new();
+    for first in
+        [json!({ "type": "images", "left": true, "right": true }), json!({ "type": "hello", "protocol": 2 }), json!({})]
+    {
+        let mut page = Page::connect(rig.address(), None).unwrap();
+        page.send(first.clone());
+        let answer = page.next().unwrap().unwrap();
+        assert_eq!((&answer["accepted"], &answer["code"]), (&json!(false), &json!("PB3DP-PAN-039")), "{first}");
+        while page.next().is_ok() {}
+    }
+    let client = rig.client();
+    let mut page = Page::open(&client);
+    for wrong in [
+        json!({ "type": "images", "left": true, "right": true, "quality": 100 }),
+        json!({ "type": "stop" }),
+        json!({ "type": "heartbeat", "nonce": "0123456789abcdef", "visible": true }),
+    ] {
+        page.send(wrong.clone());
+        let answer = page.next_of("answer");
+        assert_eq!(answer["accepted"], false, "{wrong}");
+    }
+    page.send(json!({ "type": "hello", "protocol": 1, "session": "x".repeat(20_000) }));
+    while page.next().is_ok() {}
+    assert_eq!(client.state()["state"]["name"], "idle");
+}

@@ -1,0 +1,263 @@
+//! A plain HTTP client and a page's WebSocket.
+
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use tungstenite::client::IntoClientRequest;
+use tungstenite::{Message, WebSocket};
+
+use super::PATIENCE;
+
+/// An answer.
+#[derive(Debug)]
+pub struct Reply {
+    pub status: u16,
+    pub head: String,
+    pub body: String,
+}
+
+impl Reply {
+    pub fn json(&self) -> Value {
+        serde_json::from_str(&self.body).unwrap_or_else(|error| panic!("{error}: {}", self.body))
+    }
+
+    pub fn code(&self) -> String {
+        self.json()["code"].as_str().unwrap_or_default().to_owned()
+    }
+}
+
+/// A client; it may hold the lease.
+pub struct Client {
+    pub address: SocketAddr,
+    pub session: Option<String>,
+    pub nonce: Option<String>,
+    beating: Option<(Arc<AtomicBool>, JoinHandle<()>)>,
+}
+
+impl Client {
+    pub fn new(address: SocketAddr) -> Self {
+        Self { address, session: None, nonce: None, beating: None }
+    }
+
+    /// Sends a request with these further lines in its head.
+    pub fn request(&self, method: &str, path: &str, head: &str, body: &str) -> Reply {
+        let host = if head.lines().any(|line| line.starts_with("Host:")) {
+            String::new()
+        } else {
+            format!("Host: {}\r\n", self.address)
+        };
+        let session = self.session.as_ref().map(|session| format!("PB3DP-Session: {session}\r\n")).unwrap_or_default();
+        let text = format!(
+            "{method} {path} HTTP/1.1\r\n{host}{session}Connection: close\r\nContent-Length: {}\r\n{head}\r\n{body}",
+            body.len()
+        );
+        raw(self.address, text.as_bytes())
+    }
+
+    pub fn get(&self, path: &str) -> Reply {
+        self.request("GET", path, "", "")
+    }
+
+    pub fn post(&self, command: &str, body: &str) -> Reply {
+        self.request("POST", &format!("/api/{command}"), "Content-Type: application/json\r\n", body)
+    }
+
+    pub fn state(&self) -> Value {
+        self.get("/api/state").json()
+    }
+
+    /// What this client saw, for a command.
+    pub fn seen(&self) -> Value {
+        seen_in(&self.state())
+    }
+
+    pub fn wait_for(&self, what: &str, mut is: impl FnMut(&Value) -> bool) -> Value {
+        let start = Instant::now();
+        loop {
+            let state = self.state();
+            if is(&state) {
+                return state;
+            }
+            assert!(start.elapsed() < PATIENCE, "{what}: {state}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Takes the lease.
+    pub fn take(&mut self, name: &str) {
+        let reply = self.lease("take", name);
+        assert_eq!(reply.status, 200, "{}", reply.body);
+    }
+
+    /// Takes the lease or takes it over.
+    pub fn lease(&mut self, action: &str, name: &str) -> Reply {
+        let reply = self.post("lease", &json!({ "action": action, "name": name }).to_string());
+        if reply.status == 200 {
+            let answer = reply.json();
+            self.session = answer["session"].as_str().map(str::to_owned);
+            self.nonce = answer["nonce"].as_str().map(str::to_owned);
+        }
+        reply
+    }
+
+    /// One heartbeat.
+    pub fn beat(&mut self) -> Reply {
+        let reply = self.post("heartbeat", &json!({ "nonce": self.nonce }).to_string());
+        if reply.status == 200 {
+            self.nonce = reply.json()["nonce"].as_str().map(str::to_owned);
+        }
+        reply
+    }
+
+    /// Sends heartbeats until [`Self::fall_silent`].
+    pub fn keep_alive(&mut self) {
+        let mut other = Self::new(self.address);
+        (other.session, other.nonce) = (self.session.clone(), self.nonce.take());
+        let is_over = Arc::new(AtomicBool::new(false));
+        let seen = is_over.clone();
+        let thread = std::thread::spawn(move || {
+            while !seen.load(Ordering::SeqCst) {
+                other.beat();
+                std::thread::sleep(Duration::from_millis(50));
+            }
+        });
+        self.beating = Some((is_over, thread));
+    }
+
+    pub fn fall_silent(&mut self) {
+        if let Some((is_over, thread)) = self.beating.take() {
+            is_over.store(true, Ordering::SeqCst);
+            thread.join().unwrap();
+        }
+    }
+}
+
+impl Drop for Client {
+    fn drop(&mut self) {
+        self.fall_silent();
+    }
+}
+
+pub fn seen_in(state: &Value) -> Value {
+    json!({ "state": state["state"]["number"], "target": state["target"]["id"], "time_ms": state["time_ms"] })
+}
+
+/// Sends bytes and reads the answer until its end.
+pub fn raw(address: SocketAddr, bytes: &[u8]) -> Reply {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    // The server may answer and close before it has read all.
+    let _ = stream.write_all(bytes);
+    read_reply(&mut stream)
+}
+
+/// Reads one answer.
+pub fn read_reply(stream: &mut TcpStream) -> Reply {
+    let mut all = Vec::new();
+    let mut part = [0; 4096];
+    loop {
+        let text = String::from_utf8_lossy(&all);
+        if let Some((head, body)) = text.split_once("\r\n\r\n") {
+            let length =
+                head.lines().find_map(|line| line.to_ascii_lowercase().strip_prefix("content-length: ")?.parse().ok());
+            if length.is_some_and(|length: usize| body.len() >= length) {
+                break;
+            }
+        }
+        match stream.read(&mut part) {
+            Ok(0) | Err(_) => break,
+            Ok(count) => all.extend_from_slice(&part[..count]),
+        }
+    }
+    let text = String::from_utf8_lossy(&all).into_owned();
+    let (head, body) = text.split_once("\r\n\r\n").unwrap_or((&text, ""));
+    let status = head.split(' ').nth(1).and_then(|status| status.parse().ok()).unwrap_or(0);
+    Reply { status, head: head.to_owned(), body: body.to_owned() }
+}
+
+/// The WebSocket of a page.
+pub struct Page {
+    pub socket: WebSocket<TcpStream>,
+}
+
+impl Page {
+    /// Connects and says hello.
+    pub fn open(client: &Client) -> Self {
+        let mut page = Self::connect(client.address, None).unwrap();
+        page.send(json!({ "type": "hello", "protocol": 1, "session": client.session }));
+        let answer = page.next_of("answer");
+        assert_eq!((&answer["to"], &answer["accepted"]), (&json!("hello"), &json!(true)), "{answer}");
+        page
+    }
+
+    /// Connects and says hello; the answer may come after other messages.
+    pub fn open_without_answer(client: &Client) -> Self {
+        let mut page = Self::connect(client.address, None).unwrap();
+        page.send(json!({ "type": "hello", "protocol": 1, "session": client.session }));
+        page
+    }
+
+    /// Connects with an origin.
+    pub fn connect(address: SocketAddr, origin: Option<&str>) -> Result<Self, String> {
+        let stream = TcpStream::connect(address).map_err(|error| error.to_string())?;
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        let mut request = format!("ws://{address}/api/events").into_client_request().unwrap();
+        if let Some(origin) = origin {
+            request.headers_mut().insert("Origin", origin.parse().unwrap());
+        }
+        let (socket, _) = tungstenite::client(request, stream).map_err(|error| error.to_string())?;
+        Ok(Self { socket })
+    }
+
+    pub fn send(&mut self, message: Value) {
+        self.socket.send(Message::text(message.to_string())).unwrap();
+    }
+
+    /// The next message, text as JSON or bytes.
+    pub fn next(&mut self) -> Result<Result<Value, Vec<u8>>, String> {
+        loop {
+            match self.socket.read().map_err(|error| error.to_string())? {
+                Message::Text(text) => return Ok(Ok(serde_json::from_str(&text).unwrap())),
+                Message::Binary(bytes) => return Ok(Err(bytes.to_vec())),
+                Message::Close(_) => return Err("closed".to_owned()),
+                _ => {}
+            }
+        }
+    }
+
+    /// The next text message of a type.
+    pub fn next_of(&mut self, kind: &str) -> Value {
+        let start = Instant::now();
+        while start.elapsed() < PATIENCE {
+            if let Ok(message) = self.next().unwrap()
+                && message["type"] == kind
+            {
+                return message;
+            }
+        }
+        panic!("no message of type {kind}");
+    }
+
+    /// The next binary message.
+    pub fn next_image(&mut self) -> Vec<u8> {
+        let start = Instant::now();
+        while start.elapsed() < PATIENCE {
+            if let Err(bytes) = self.next().unwrap() {
+                return bytes;
+            }
+        }
+        panic!("no image");
+    }
+
+    /// Answers the next heartbeat.
+    pub fn beat(&mut self, visible: bool, pressed: bool) -> Value {
+        let nonce = self.next_of("heartbeat")["nonce"].clone();
+        self.send(json!({ "type": "heartbeat", "nonce": nonce, "visible": visible, "pressed": pressed }));
+        nonce
+    }
+}

@@ -1,0 +1,293 @@
+//! A panel with a loop that steps a real supervisor, and plain clients.
+
+pub mod client;
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use image::{Rgb, RgbImage};
+use nalgebra::{Matrix6, Vector2, Vector3};
+use pb3dp_cell::capturing::Captured;
+use pb3dp_cell::log::ArmSample;
+use pb3dp_cell::moving::Moved;
+use pb3dp_cell::noting::PairEstimate;
+use pb3dp_cell::operator::{MotionRequest, Operator};
+use pb3dp_cell::perception::View;
+use pb3dp_cell::spectator::Spectator;
+use pb3dp_estimation::estimator::FramePrior;
+use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::status::Status;
+use pb3dp_geometry::{MonotonicTime, Pose};
+use pb3dp_hal_api::{Clock, FramePair};
+use pb3dp_hal_clock::SystemClock;
+use pb3dp_kinematics::JointState;
+use pb3dp_panel::{About, Panel, PanelConfig, PanelOperator, PanelSpectator};
+use pb3dp_servo::Mode;
+use pb3dp_servo::supervisor::{
+    ArmCondition, ArmInput, Confidence, Decision, EstimateInput, FrameInput, Innovation, Inputs, OperatorCommand,
+    State, Supervisor,
+};
+use pb3dp_setup::setup::{Setup, read_setup};
+
+pub use self::client::{Client, Page};
+
+/// Time in which anything that is to happen has happened, also on a busy machine.
+pub const PATIENCE: Duration = Duration::from_secs(10);
+
+/// What the loop did.
+#[derive(Default)]
+pub struct Seen {
+    pub last: Option<Decision>,
+    pub motion: Option<MotionRequest>,
+    /// Commands that the supervisor got, with the time of the step.
+    pub commands: Vec<(OperatorCommand, MonotonicTime)>,
+    /// Selections that the estimation got.
+    pub regions: Vec<(Region, Option<u64>)>,
+    /// Last sign of life in the newest step.
+    pub heard_at: Option<MonotonicTime>,
+    /// Allocations of the control thread in the panel.
+    pub allocations: usize,
+    /// Time of the step in which motion ended last.
+    pub rested_at: Option<MonotonicTime>,
+}
+
+pub struct Rig {
+    pub panel: Option<Panel>,
+    pub seen: Arc<Mutex<Seen>>,
+    /// Stops the loop from listening, as a hung control thread.
+    pub is_paused: Arc<AtomicBool>,
+    pub interrupt: Arc<AtomicBool>,
+    is_over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+pub fn setup() -> Setup {
+    read_setup(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/sim.toml")).unwrap()
+}
+
+impl Rig {
+    pub fn new() -> Self {
+        Self::with(|_| {}, true)
+    }
+
+    /// A rig with another configuration; if it does not run, no control step has come yet.
+    pub fn with(change: impl FnOnce(&mut PanelConfig), runs: bool) -> Self {
+        let setup = setup();
+        let clock = Arc::new(SystemClock::new());
+        let mut config = PanelConfig::at("127.0.0.1:0".parse().unwrap());
+        change(&mut config);
+        let interrupt = Arc::clone(&config.interrupt);
+        let about = About::of_setup(&setup, "sim", "0.0.0");
+        let (panel, operator, spectator) = Panel::start(config, clock.clone(), about).unwrap();
+        let seen = Arc::<Mutex<Seen>>::default();
+        let (is_paused, is_over) = (Arc::new(AtomicBool::new(!runs)), Arc::new(AtomicBool::new(false)));
+        let cell = Loop {
+            clock: clock.clone(),
+            supervisor: Supervisor::new(setup.supervisor.clone()).unwrap(),
+            selections: panel.selections(),
+            seen: seen.clone(),
+            is_paused: is_paused.clone(),
+            is_over: is_over.clone(),
+            target: 0,
+            sequence: 0,
+            start_rad: setup.rig.arms.vs.start_rad,
+        };
+        let thread = std::thread::spawn(move || cell.run(operator, spectator));
+        let rig = Self { panel: Some(panel), seen, is_paused, interrupt, is_over, thread: Some(thread) };
+        if runs {
+            let has_begun =
+                |state: &serde_json::Value| state["state"]["name"] == "idle" && state["images"]["sequence"].is_u64();
+            rig.client().wait_for("the first steps and images", has_begun);
+        }
+        rig
+    }
+
+    pub fn address(&self) -> SocketAddr {
+        self.panel.as_ref().unwrap().address()
+    }
+
+    /// A client without a session.
+    pub fn client(&self) -> Client {
+        Client::new(self.address())
+    }
+
+    /// A client that holds the lease and keeps it alive as a script does.
+    pub fn holder(&self) -> Client {
+        let mut client = self.client();
+        client.take("test");
+        client.keep_alive();
+        client
+    }
+
+    pub fn state(&self) -> State {
+        self.seen.lock().unwrap().last.unwrap().state
+    }
+
+    pub fn wait_for(&self, what: &str, mut is: impl FnMut(&Seen) -> bool) {
+        let start = Instant::now();
+        while !is(&self.seen.lock().unwrap()) {
+            assert!(start.elapsed() < PATIENCE, "{what}: {:?}", self.seen.lock().unwrap().last);
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+
+    pub fn wait_for_state(&self, state: State) {
+        self.wait_for(state.name(), |seen| seen.last.is_some_and(|last| last.state == state));
+    }
+
+    /// Selects a target and starts.
+    pub fn start(&self, client: &Client) {
+        let reply = client.post("select", &format!(r#"{{"region":"rect:200,150,120,90","seen":{}}}"#, client.seen()));
+        assert_eq!(reply.status, 200, "{}", reply.body);
+        self.wait_for("ready", |seen| seen.last.is_some_and(|last| last.is_ready && last.state == State::Selecting));
+        client.wait_for("a target", |state| state["target"]["id"] == 1 && state["state"]["is_ready"] == true);
+        let reply = client.post("start", &format!(r#"{{"seen":{}}}"#, client.seen()));
+        assert_eq!(reply.status, 200, "{}", reply.body);
+        self.wait_for_state(State::Approaching);
+    }
+
+    pub fn count_of(&self, command: OperatorCommand) -> usize {
+        self.seen.lock().unwrap().commands.iter().filter(|(given, _)| *given == command).count()
+    }
+}
+
+impl Drop for Rig {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::SeqCst);
+        drop(self.panel.take());
+        let joined = self.thread.take().unwrap().join();
+        if !std::thread::panicking() {
+            joined.unwrap();
+            assert_eq!(self.seen.lock().unwrap().allocations, 0, "the control thread must not allocate");
+        }
+    }
+}
+
+struct Loop {
+    clock: Arc<SystemClock>,
+    supervisor: Supervisor,
+    selections: pb3dp_cell::selection::Selections,
+    seen: Arc<Mutex<Seen>>,
+    is_paused: Arc<AtomicBool>,
+    is_over: Arc<AtomicBool>,
+    target: u64,
+    sequence: u64,
+    start_rad: pb3dp_kinematics::JointVector,
+}
+
+/// A textured pair with a disparity of 40 pixels everywhere.
+fn pair(sequence: u64, at: MonotonicTime) -> Arc<FramePair> {
+    let grey = |u: i64, v: i64| {
+        let hash = (u.wrapping_mul(73_856_093) ^ v.wrapping_mul(19_349_663)).rem_euclid(251);
+        Rgb([hash as u8, (hash / 2 + 60) as u8, 128])
+    };
+    let image = |shift: i64| RgbImage::from_fn(640, 480, |u, v| grey((i64::from(u) + shift) / 4, i64::from(v) / 4));
+    Arc::new(FramePair { sequence, exposed_at: at, skew_nanos: 0, left: image(0), right: image(40) })
+}
+
+impl Loop {
+    fn run(mut self, mut operator: PanelOperator, mut spectator: PanelSpectator) {
+        let mut last: Option<Decision> = None;
+        let mut newest: Option<(FrameInput, EstimateInput)> = None;
+        let image = pair(0, MonotonicTime::ZERO);
+        let due = AtomicU64::new(0);
+        while !self.is_over.load(Ordering::SeqCst) {
+            std::thread::sleep(Duration::from_millis(4));
+            if self.is_paused.load(Ordering::SeqCst) {
+                continue;
+            }
+            let now = self.clock.now();
+            if now.as_nanos() >= due.load(Ordering::SeqCst) {
+                due.store(now.as_nanos() + 30_000_000, Ordering::SeqCst);
+                let percept = self.look(now, &image, &mut spectator);
+                newest = Some(percept);
+            }
+            let before = pb3dp_allocation_count::requests();
+            let heard = operator.listen(last.as_ref(), now);
+            let motion = operator.motion();
+            let mut allocations = pb3dp_allocation_count::requests() - before;
+            let arm = ArmInput { state: ArmCondition::Enabled, measured_at: Some(now) };
+            let inputs = Inputs {
+                operator: heard,
+                controller: Mode::Approaching,
+                innovation: Innovation::Agrees,
+                estimate: newest.map(|(_, estimate)| estimate),
+                frame: newest.map(|(frame, _)| frame),
+                range_end: None,
+                smallest_singular_value: Some(1.0),
+                arms: [arm; 2],
+            };
+            let decision = self.supervisor.step(&inputs, now);
+            let before = pb3dp_allocation_count::requests();
+            operator.show(&decision);
+            allocations += pb3dp_allocation_count::requests() - before;
+            let sample = ArmSample { position_rad: self.start_rad, requested_rad_per_s: None };
+            spectator.moved(&Moved {
+                at: now,
+                mode: Mode::Approaching,
+                decision,
+                vs_joints: JointState {
+                    at: now,
+                    position_rad: self.start_rad,
+                    velocity_rad_per_s: pb3dp_kinematics::JointVector::zeros(),
+                },
+                arms: [sample; 2],
+                conditions: [ArmCondition::Enabled; 2],
+            });
+            let mut seen = self.seen.lock().unwrap();
+            if last.is_some_and(|last| last.state.is_moving()) && !decision.state.is_moving() {
+                seen.rested_at = Some(now);
+            }
+            seen.commands.extend(heard.said.map(|said| (said.word, now)));
+            seen.allocations += allocations;
+            seen.heard_at = heard.heard_at;
+            seen.motion = Some(motion);
+            seen.last = Some(decision);
+            last = Some(decision);
+        }
+    }
+
+    /// The next pair with its estimate.
+    fn look(
+        &mut self,
+        at: MonotonicTime,
+        image: &FramePair,
+        spectator: &mut PanelSpectator,
+    ) -> (FrameInput, EstimateInput) {
+        let region = self.selections.take().map(|selection| {
+            let drawn_on = selection.drawn_on.map(|pair| pair.sequence);
+            self.seen.lock().unwrap().regions.push((selection.region.clone(), drawn_on));
+            selection.region
+        });
+        self.target += u64::from(region.is_some());
+        self.sequence += 1;
+        let frame = FrameInput { sequence: self.sequence, at, skew_s: 0.0 };
+        let pose = (self.target > 0).then(|| Pose::from_translation(Vector3::new(0.01, 0.02, 0.6)));
+        let covariance = pose.map(|_| Matrix6::identity() * 1e-8);
+        let estimate = TrackEstimate {
+            cam_left_from_model: pose,
+            covariance,
+            fitness: Some(0.97),
+            outline_px: [[300.0, 220.0], [340.0, 220.0], [340.0, 260.0], [300.0, 260.0]].map(Vector2::from).to_vec(),
+            ..TrackEstimate::without_pose(Status::Ok, "test".to_owned())
+        };
+        let (left, right) = (image.left.clone(), image.right.clone());
+        let pair = FramePair { sequence: self.sequence, exposed_at: at, skew_nanos: 0, left, right };
+        spectator.seen(&PairEstimate {
+            captured: Captured { frame, cam_left_from_target: None, view: View::Images(Arc::new(pair)) },
+            target: self.target,
+            region,
+            prior: FramePrior::default(),
+            estimate,
+            latency_millis: 2.0,
+            age_millis: 20.0,
+        });
+        let confidence = if pose.is_some() { Confidence::Sure } else { Confidence::NoPose };
+        (frame, EstimateInput { at, confidence, covariance, target: self.target })
+    }
+}
