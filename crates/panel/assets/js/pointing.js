@@ -33,8 +33,9 @@ export class Pointing {
     this.grasped = null;
     /** @type {import("./types.js").Pixel|null} */
     this.from_px = null;
-    /** Sum of the pushes, pixels. */
-    this.pushed_px = /** @type {import("./types.js").Pixel} */ ([0, 0]);
+    // Sum of the pushes, pixels.
+    /** @type {import("./types.js").Pixel} */
+    this.pushed_px = [0, 0];
     this.tools = handlers.canPush ? [...TOOLS, PUSH] : TOOLS;
     for (const { tool, name, help } of this.tools) {
       const button = make("button", { type: "button", "data-tool": tool, title: help }, name);

@@ -30,8 +30,9 @@ export class ImageView {
     /** Frozen while somebody draws. */
     this.isFrozen = false;
     this.zoom = 1;
-    /** The pixel in the upper left corner. */
-    this.corner_px = /** @type {import("./types.js").Pixel} */ ([-0.5, -0.5]);
+    // The pixel in the upper left corner.
+    /** @type {import("./types.js").Pixel} */
+    this.corner_px = [-0.5, -0.5];
     /** Draws over the image, in pixels of the image. */
     this.paint = (/** @type {ImageView} */ _view) => {};
     this.isStale = false;

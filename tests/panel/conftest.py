@@ -1,0 +1,161 @@
+"""The program under test with its panel, and browsers that use it."""
+
+import json
+import os
+import pathlib
+import re
+import subprocess
+import threading
+import time
+import urllib.error
+import urllib.request
+
+import pytest
+from playwright.sync_api import sync_playwright
+
+ARTEFACTS = pathlib.Path(os.environ.get("PB3DP_PANEL_ARTEFACTS", "out/panel"))
+PROGRAM = os.environ["PB3DP"]
+CHROMIUM = os.environ.get("PB3DP_CHROMIUM", "/usr/bin/chromium")
+# A machine that is slowed down by a build needs longer; nothing is measured with it.
+PATIENCE_S = 20
+
+
+class Panel:
+    """A running program, and its interface for scripts."""
+
+    def __init__(self, arguments):
+        ARTEFACTS.mkdir(parents=True, exist_ok=True)
+        self.log = open(ARTEFACTS / "pb3dp.log", "a", encoding="utf-8")
+        self.process = subprocess.Popen([PROGRAM, *arguments], stdout=subprocess.PIPE, stderr=self.log, text=True)
+        self.url = None
+        for line in self.process.stdout:
+            found = re.search(r"http://[0-9.:]+/", line)
+            if found:
+                self.url = found.group(0)
+                break
+        assert self.url, f"the program printed no address; see {ARTEFACTS}/pb3dp.log"
+        threading.Thread(target=self.process.stdout.read, daemon=True).start()
+        wait_for(lambda: self.state()["images"]["sequence"] is not None)
+
+    def post(self, path, body, session=None, headers=None):
+        headers = {"Content-Type": "application/json", **(headers or {})}
+        if session:
+            headers["PB3DP-Session"] = session
+        request = urllib.request.Request(self.url + path, json.dumps(body).encode(), headers)
+        try:
+            with urllib.request.urlopen(request, timeout=10) as answer:
+                return answer.status, json.load(answer)
+        except urllib.error.HTTPError as error:
+            return error.code, json.load(error)
+
+    def state(self):
+        with urllib.request.urlopen(self.url + "api/state", timeout=10) as answer:
+            return json.load(answer)
+
+    def state_name(self):
+        return self.state()["state"]["name"]
+
+    def end(self):
+        self.process.terminate()
+        try:
+            code = self.process.wait(30)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            code = "killed after 30 s"
+        self.log.close()
+        return code
+
+
+def wait_for(what, message="", patience_s=PATIENCE_S):
+    end = time.monotonic() + patience_s
+    while not (result := what()):
+        assert time.monotonic() < end, message or "it did not happen in time"
+        time.sleep(0.02)
+    return result
+
+
+@pytest.fixture
+def panel(tmp_path):
+    """The playground, paced by the clock."""
+    running = Panel(["run", "--config", "playground", "--panel", "127.0.0.1:0", "--out", str(tmp_path / "run")])
+    yield running
+    assert running.end() == 130, "a signal ends the run with its report"
+
+
+@pytest.fixture(scope="session")
+def browser():
+    with sync_playwright() as playwright:
+        options = ["--no-sandbox", "--disable-dev-shm-usage"]
+        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=options)
+        yield opened
+        opened.close()
+
+
+@pytest.fixture
+def page(browser, panel):
+    """A page of its own browser context; an error on it fails the test."""
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    opened = Page(context.new_page(), panel)
+    yield opened
+    context.close()
+    assert opened.errors == []
+
+
+class Page:
+    """What an operator does on the page."""
+
+    def __init__(self, page, panel):
+        self.page = page
+        self.errors = []
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on("console", lambda line: self.errors.append(line.text) if is_own_error(line) else None)
+        page.goto(panel.url)
+        wait_for(lambda: "pair" in self.text("#images"), "no state reached the page")
+
+    def text(self, selector):
+        return self.page.inner_text(selector)
+
+    def take_command(self):
+        self.page.click("#take")
+        wait_for(lambda: self.text("#holder").startswith("You lead"))
+
+    def place(self, u, v):
+        box = self.page.locator("#left").bounding_box()
+        scale = box["width"] / 640
+        return box["x"] + (u + 0.5) * scale, box["y"] + (v + 0.5) * scale
+
+    def drag(self, begin, end, steps=6):
+        self.page.mouse.move(*self.place(*begin))
+        self.page.mouse.down()
+        for step in range(1, steps + 1):
+            share = step / steps
+            self.page.mouse.move(*self.place(*(a + (b - a) * share for a, b in zip(begin, end))))
+        self.page.mouse.up()
+
+    def preview(self):
+        self.page.wait_for_selector("#preview", state="visible")
+        return self.text("#preview-title")
+
+    def select(self, name, begin=(285, 205), end=(360, 275)):
+        self.page.click("button[data-tool=rectangle]")
+        self.drag(begin, end)
+        self.preview()
+        self.page.fill("#target-name", name)
+        self.page.click("#select")
+        self.page.wait_for_selector("#preview", state="hidden")
+
+    def command(self, name):
+        self.page.locator(f"#do-{name}").click(timeout=PATIENCE_S * 1000)
+
+    def follow(self):
+        self.take_command()
+        self.select("crab")
+        self.command("start")
+
+    def screenshot(self, name):
+        self.page.screenshot(path=str(ARTEFACTS / f"{name}.png"), full_page=True)
+
+
+def is_own_error(line):
+    # Refusals that a test provokes are logged by the browser itself.
+    return line.type == "error" and "Failed to load resource" not in line.text and "WebSocket" not in line.text

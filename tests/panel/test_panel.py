@@ -1,0 +1,215 @@
+"""The operator panel in a browser, on the real program and the simulated cell: `cargo xtask panel`."""
+
+import http.server
+import threading
+import time
+
+from axe_playwright_python.sync_playwright import Axe
+
+from conftest import Page, wait_for
+
+MOVING = ("approaching", "tracking")
+
+
+def is_following(panel):
+    return panel.state_name() == "tracking"
+
+
+def test_an_object_is_chosen_by_dragging_and_the_hand_follows_it(panel, page):
+    page.take_command()
+    page.page.click("button[data-tool=rectangle]")
+    page.drag((285, 205), (360, 275))
+    assert "will work" in page.preview()
+    assert "mm (1 sigma)" in page.text("#preview-text")
+    page.screenshot("preview")
+    page.page.fill("#target-name", "crab")
+    page.page.click("#select")
+    wait_for(lambda: panel.state()["state"]["is_ready"], "the target was not found")
+    assert not panel.state()["state"]["is_moving"], "a selection moves nothing"
+    page.command("start")
+    wait_for(lambda: is_following(panel), "the hand does not follow")
+    begin = panel.state()["target"]["point_mm"]
+    page.page.click("button[data-tool=push]")
+    page.drag((320, 240), (400, 270), steps=12)
+    wait_for(lambda: panel.state()["control"]["error_mm"] > 5.0, "the target was not pushed")
+    wait_for(lambda: is_following(panel) and panel.state()["control"]["error_mm"] < 5.0, "the hand did not arrive")
+    end = panel.state()["target"]["point_mm"]
+    assert abs(begin[2] - end[2]) < 15.0, "the distance to the target stays"
+    page.screenshot("following")
+    page.command("hold")
+    wait_for(lambda: panel.state_name() == "holding")
+    page.command("resume")
+    wait_for(lambda: is_following(panel))
+    page.page.click("#stop")
+    wait_for(lambda: panel.state_name() == "stopped")
+    page.command("reset")
+    wait_for(lambda: panel.state_name() == "idle")
+
+
+def test_polygon_and_click_give_a_preview_and_a_bad_region_says_why(panel, page):
+    page.page.click("button[data-tool=polygon]")
+    for corner in ((290, 205), (362, 210), (355, 275), (288, 270)):
+        page.page.mouse.click(*page.place(*corner))
+    page.page.keyboard.press("Enter")
+    assert "will" in page.preview()
+    page.page.click("#discard")
+    page.page.wait_for_selector("#preview", state="hidden")
+    page.page.click("button[data-tool=click]")
+    page.page.mouse.click(*page.place(324, 240))
+    assert "will" in page.preview()
+    page.page.click("#discard")
+    page.page.click("button[data-tool=rectangle]")
+    page.drag((5, 300), (60, 470))
+    page.preview()
+    assert page.text("#preview-text"), "a preview explains itself"
+    assert page.page.locator("#select").is_disabled(), "who does not lead selects nothing"
+
+
+def test_a_second_target_is_chosen_while_the_hand_follows_and_the_first_again_by_name(panel, page):
+    page.follow()
+    wait_for(lambda: is_following(panel))
+    page.select("sand", (220, 260), (290, 330))
+    wait_for(lambda: panel.state()["target"]["name"] == "sand")
+    wait_for(lambda: panel.state_name() == "selecting", "a change of the target leads through a hold")
+    first = panel.state()["target"]["id"]
+    page.page.locator("#saved button", has_text="crab").click()
+    wait_for(lambda: panel.state()["target"]["name"] == "crab" and panel.state()["target"]["id"] > first)
+    wait_for(lambda: panel.state()["state"]["is_ready"])
+    page.command("start")
+    wait_for(lambda: is_following(panel))
+
+
+def test_the_command_passes_from_one_browser_to_another_through_a_hold(browser, panel, page):
+    page.follow()
+    wait_for(lambda: is_following(panel))
+    context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True)
+    other = Page(context.new_page(), panel)
+    other.page.fill("#operator-name", "second")
+    other.page.click("#take")
+    other.page.wait_for_selector("#takeover", state="visible")
+    assert is_following(panel), "asking changes nothing"
+    other.page.click("#takeover-yes")
+    wait_for(lambda: panel.state()["operator"]["holder"]["name"] == "second")
+    wait_for(lambda: panel.state_name() == "holding", "taking over holds every arm")
+    wait_for(lambda: page.text("#holder").startswith("second"))
+    assert page.page.locator("#do-resume").is_disabled()
+    other.command("resume")
+    wait_for(lambda: is_following(panel))
+    page.page.click("#stop")
+    wait_for(lambda: panel.state_name() == "stopped", "stop is for everybody")
+    context.close()
+    assert other.errors == []
+
+
+def test_a_hidden_tab_and_a_suspended_page_stop_the_arms(panel, page):
+    page.follow()
+    wait_for(lambda: is_following(panel))
+    page.page.evaluate("Object.defineProperty(document, 'hidden', {get: () => true, configurable: true})")
+    wait_for(lambda: panel.state_name() == "stopped")
+    assert "PB3DP-SUP-005" in panel.state()["why"]["line"]
+    page.page.evaluate("delete document.hidden")
+    page.command("reset")
+    wait_for(lambda: panel.state_name() == "idle")
+    page.page.locator("#saved button", has_text="crab").click()
+    wait_for(lambda: panel.state()["state"]["is_ready"])
+    page.command("start")
+    wait_for(lambda: is_following(panel))
+    page.page.evaluate("() => { const end = performance.now() + 1500; while (performance.now() < end); }")
+    wait_for(lambda: panel.state_name() == "stopped")
+
+
+def test_a_reload_in_motion_ends_the_motion(panel, page):
+    page.follow()
+    wait_for(lambda: is_following(panel))
+    page.page.reload()
+    wait_for(lambda: panel.state_name() in ("holding", "stopped"))
+    time.sleep(1.0)
+    assert panel.state_name() in ("holding", "stopped"), "nothing moves by a reload"
+
+
+def test_old_and_repeated_commands_are_refused(panel, page):
+    sent = []
+    page.page.on("request", lambda request: sent.append(request) if request.url.endswith("/api/start") else None)
+    page.follow()
+    wait_for(lambda: is_following(panel))
+    page.command("hold")
+    wait_for(lambda: panel.state_name() == "holding")
+    session = sent[0].headers["pb3dp-session"]
+    status, answer = panel.post("api/start", sent[0].post_data_json, session)
+    assert status == 409 and answer["code"].startswith("PB3DP-PAN-"), answer
+    state = panel.state()
+    seen = {"state": state["state"]["number"], "target": state["target"]["id"], "time_ms": state["time_ms"]}
+    for wrong in ({"time_ms": seen["time_ms"] - 5000}, {"time_ms": seen["time_ms"] + 60000}, {"target": 77}, {"state": 1}):
+        status, answer = panel.post("api/resume", {"seen": {**seen, **wrong}}, session)
+        assert status == 409, (wrong, answer)
+    status, answer = panel.post("api/resume", {"seen": seen}, "0" * 32)
+    assert status == 403, answer
+    assert panel.state_name() == "holding"
+
+
+HOSTILE = """<!doctype html><script>
+const url = new URLSearchParams(location.search).get("panel");
+const results = [];
+async function attack() {
+  for (const path of ["stop", "hold", "start", "lease"]) {
+    for (const type of ["application/json", "text/plain"]) {
+      try {
+        const answer = await fetch(url + "api/" + path, {method: "POST", mode: type === "text/plain" ? "no-cors" : "cors",
+          headers: {"Content-Type": type}, body: '{"action":"take","name":"evil"}'});
+        results.push(path + " " + answer.type + " " + answer.status);
+      } catch (error) { results.push(path + " blocked"); }
+    }
+  }
+  await new Promise((done) => {
+    const socket = new WebSocket(url.replace("http", "ws") + "api/events");
+    socket.onopen = () => { results.push("socket open"); done(); };
+    socket.onerror = () => { results.push("socket blocked"); done(); };
+  });
+  document.title = results.join("; ");
+}
+attack();
+</script>"""
+
+
+def test_a_page_of_another_origin_reaches_nothing(browser, panel, page):
+    class Hostile(http.server.BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+            self.wfile.write(HOSTILE.encode())
+
+        def log_message(self, *_):
+            pass
+
+    server = http.server.HTTPServer(("127.0.0.1", 0), Hostile)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    page.follow()
+    wait_for(lambda: is_following(panel))
+    context = browser.new_context()
+    hostile = context.new_page()
+    hostile.goto(f"http://127.0.0.1:{server.server_port}/?panel={panel.url}")
+    wait_for(lambda: "socket" in hostile.title())
+    assert "socket blocked" in hostile.title(), hostile.title()
+    assert " 200" not in hostile.title(), hostile.title()
+    time.sleep(0.5)
+    assert panel.state_name() in MOVING, "a hostile page cannot even stop the arms"
+    assert panel.state()["operator"]["holder"]["name"] != "evil"
+    context.close()
+    server.shutdown()
+
+
+def test_the_page_fits_and_is_accessible(panel, page):
+    page.follow()
+    wait_for(lambda: is_following(panel))
+    for width, height in ((390, 844), (1280, 900), (2560, 1440)):
+        page.page.set_viewport_size({"width": width, "height": height})
+        for scheme in ("light", "dark"):
+            page.page.emulate_media(color_scheme=scheme)
+            page.page.wait_for_timeout(400)
+            assert page.page.evaluate("document.documentElement.scrollWidth") <= width, f"{width} px"
+            page.screenshot(f"{width}-{scheme}")
+            found = Axe().run(page.page).response["violations"]
+            serious = [one for one in found if one["impact"] in ("serious", "critical")]
+            names = [(one["id"], [node["html"] for node in one["nodes"]][:3]) for one in serious]
+            assert names == [], f"{width} px, {scheme}"
