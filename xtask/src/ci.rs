@@ -38,6 +38,8 @@ pub struct Args {
 /// Result of a step.
 enum Outcome {
     Passed,
+    /// Built; it runs beside the later steps, and a later line has its result.
+    Started,
     Failed,
     /// This machine lacks a requirement.
     Skipped(String),
@@ -60,7 +62,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         false => changes::find(workspace)?,
     };
     println!("{}", changes.text());
-    let mut progress = Progress { workspace, changes, tested: None };
+    let mut progress = Progress { workspace, changes, tested: None, beside: None };
     let mut done = Vec::new();
     let mut failure = None;
     for step in STEPS.iter().filter(|step| args.only.as_deref().is_none_or(|only| only == step.name)) {
@@ -70,6 +72,15 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
             failure = Some(error);
             break;
         }
+    }
+    if failure.is_none()
+        && let Some(beside) = progress.beside.take()
+    {
+        let name = beside.name;
+        let (time, result) = beside.end();
+        let (outcome, error) = judged(name, result);
+        done.push(Done { name, time, outcome });
+        failure = error;
     }
     if args.timings
         && let Some(tested) = &progress.tested
@@ -92,16 +103,24 @@ fn take(step: &Step, progress: &mut Progress<'_>) -> (Done, Option<anyhow::Error
     let start = Instant::now();
     let result = (step.run)(progress);
     let (outcome, error) = match result {
+        Ok(()) if progress.beside.as_ref().is_some_and(|beside| beside.name == step.name) => (Outcome::Started, None),
+        result => judged(step.name, result),
+    };
+    (Done { name: step.name, time: start.elapsed(), outcome }, error)
+}
+
+/// Outcome of a check, and its failure.
+fn judged(name: &'static str, result: anyhow::Result<()>) -> (Outcome, Option<anyhow::Error>) {
+    match result {
         Ok(()) => (Outcome::Passed, None),
         Err(error) => match error.downcast_ref::<NotPossible>() {
             Some(why) => (Outcome::Skipped(why.to_string()), None),
             None => {
-                let repeat = format!("`{}` failed; repeat it by: cargo xtask ci --only {}", step.name, step.name);
+                let repeat = format!("`{name}` failed; repeat it by: cargo xtask ci --only {name}");
                 (Outcome::Failed, Some(error.context(repeat)))
             }
         },
-    };
-    (Done { name: step.name, time: start.elapsed(), outcome }, error)
+    }
 }
 
 /// The table of the checks, and the checks that did not run.
@@ -122,6 +141,7 @@ fn table(done: &[Done]) -> String {
     for Done { name, time, outcome } in done {
         let result = match outcome {
             Outcome::Passed => "ok",
+            Outcome::Started => "built; its run is below",
             Outcome::Failed => "FAILED",
             Outcome::LeftOut => "left out: not touched",
             Outcome::Skipped(why) => {

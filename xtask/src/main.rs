@@ -4,6 +4,7 @@
 //! need rustc, cargo and cc; they use `git` if it is installed.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program for the terminal")]
 
+mod apt;
 mod bench;
 mod check_deps;
 mod ci;
@@ -18,6 +19,7 @@ mod mutants;
 mod nightly;
 mod not_possible;
 mod package;
+mod panel;
 mod reference;
 mod required;
 mod rust_text;
@@ -59,6 +61,7 @@ enum Command {
     Vm(vm::Args),
     FuzzBuild(fuzz_build::Args),
     Miri(miri::Args),
+    Panel(panel::Args),
     Mutants(mutants::Args),
     SameAnswers(same_answers::Args),
     Package(package::Args),
@@ -80,6 +83,7 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Vm(args) => vm::run(&workspace, args),
         Command::FuzzBuild(_) => fuzz_build::run(&workspace),
         Command::Miri(_) => miri::run(&workspace),
+        Command::Panel(args) => panel::run(&workspace, args),
         Command::Mutants(args) => mutants::run(&workspace, args),
         Command::SameAnswers(args) => same_answers::run(&workspace, args),
         Command::Package(args) => package::run(&workspace, args),

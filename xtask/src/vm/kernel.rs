@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, bail};
 
 use super::modules::unpacked;
-use super::output_of;
+use crate::apt::{apt_get, is_root, output_of};
 use crate::not_possible::NotPossible;
 
 /// The metapackage that depends on the current kernel: the name of the kernel's package changes with every update.
@@ -32,10 +32,6 @@ const MODULE_FOLDERS: [&str; 10] = [
 
 /// File in the folder of a kept kernel with the list of its parts.
 const PARTS: &str = "parts";
-
-/// A server that does not answer fails the tests instead of blocking them.
-const IMPATIENT: [&str; 6] =
-    ["-o", "Acquire::http::Timeout=20", "-o", "Acquire::Retries=1", "-o", "DPkg::Lock::Timeout=60"];
 
 /// A kernel on disk.
 pub struct Kernel {
@@ -220,19 +216,6 @@ fn payload(file: &[u8]) -> Option<&[u8]> {
     };
     let begin = (sectors + 1) * 512 + word(0x248)?;
     file.get(begin..begin.checked_add(word(0x24C)?)?)
-}
-
-/// apt-get without questions.
-pub fn apt_get() -> Command {
-    let mut command = Command::new("apt-get");
-    command.args(["--quiet", "--quiet", "--yes"]).args(IMPATIENT);
-    command.env("DEBIAN_FRONTEND", "noninteractive").stdin(Stdio::null());
-    command
-}
-
-/// Whether this user may install packages.
-pub fn is_root() -> bool {
-    output_of(Command::new("id").arg("-u")).is_ok_and(|text| text.trim() == "0")
 }
 
 #[cfg(test)]

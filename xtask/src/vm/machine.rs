@@ -10,10 +10,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 
 use super::control::Control;
-use super::kernel::{apt_get, is_root};
-use super::output_of;
 use super::suites::Suite;
-use crate::not_possible::NotPossible;
+use crate::apt::{need, output_of};
 
 const QEMU: &str = "qemu-system-x86_64";
 const PACKAGE: &str = "qemu-system-x86";
@@ -65,26 +63,9 @@ pub struct Machine {
 /// Path of QEMU, which is installed if permitted.
 ///
 /// # Errors
-/// [`NotPossible`], with the package to install.
+/// [`crate::not_possible::NotPossible`], with the package to install.
 pub fn find_qemu() -> anyhow::Result<PathBuf> {
-    let runs = || output_of(Command::new(QEMU).arg("--version")).is_ok();
-    if !runs() {
-        if !is_root() {
-            return Err(NotPossible::because(format!(
-                "{QEMU} is missing: run `apt-get install --no-install-recommends {PACKAGE}` as root"
-            )));
-        }
-        println!("installing {PACKAGE}");
-        let install = || output_of(apt_get().args(["install", "--no-install-recommends", PACKAGE]));
-        // The package list may be empty or old.
-        let installed = install().or_else(|_| output_of(apt_get().arg("update")).and_then(|_| install()));
-        installed.map_err(|error| {
-            NotPossible::because(format!("{QEMU} is missing, and the installation of {PACKAGE} failed: {error:#}"))
-        })?;
-        if !runs() {
-            return Err(NotPossible::because(format!("{PACKAGE} is installed, but {QEMU} does not start")));
-        }
-    }
+    need(QEMU, PACKAGE, || output_of(Command::new(QEMU).arg("--version")).is_ok())?;
     Ok(PathBuf::from(QEMU))
 }
 

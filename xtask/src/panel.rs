@@ -1,0 +1,102 @@
+//! `cargo xtask panel`: drives the operator panel with a browser.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::Context;
+
+use crate::apt::{need, output_of};
+use crate::not_possible::NotPossible;
+use crate::workspace::{Workspace, run_visibly};
+
+const TESTS: &str = "tests/panel";
+const ARTEFACTS: &str = "out/panel";
+/// Browsers that the tests accept, the first one is installed where there is none.
+const BROWSERS: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"];
+
+/// Drives the operator panel with a browser: the real program, the simulated cell, and Chromium (tests/panel).
+///
+/// Screenshots are written to out/panel. Needs python3 with its module venv, and Chromium; the packages of tests/panel/requirements.txt
+/// go into a folder of their own. Chromium and the module are installed by apt-get if permitted.
+#[derive(clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Args {
+    /// Run only tests whose names match this expression of pytest.
+    filter: Option<String>,
+    /// Use the release program.
+    #[arg(long)]
+    release: bool,
+}
+
+/// # Errors
+/// If a test fails, or the machine lacks a requirement.
+pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
+    let mut build = workspace.cargo();
+    build.args(["build", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"]);
+    if args.release {
+        build.arg("--release");
+    }
+    run_visibly(&mut build)?;
+    let profile = if args.release { "release" } else { "debug" };
+    with_program(workspace, &workspace.target_folder()?.join(profile), args.filter.as_deref())
+}
+
+/// All tests with the programs in a folder, or after a build.
+///
+/// # Errors
+/// Those of [`run`].
+pub fn check(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<()> {
+    match programs {
+        Some(programs) => with_program(workspace, programs, None),
+        None => run(workspace, &Args { filter: None, release: false }),
+    }
+}
+
+fn with_program(workspace: &Workspace, programs: &Path, filter: Option<&str>) -> anyhow::Result<()> {
+    let python = python(workspace)?;
+    let browser = browser()?;
+    let artefacts = workspace.root().join(ARTEFACTS);
+    if artefacts.exists() {
+        fs::remove_dir_all(&artefacts).with_context(|| format!("cannot remove {ARTEFACTS}"))?;
+    }
+    let mut tests = workspace.command(python);
+    tests.args(["-m", "pytest", "--quiet", "-p", "no:cacheprovider", TESTS]);
+    if let Some(filter) = filter {
+        tests.args(["-k", filter]);
+    }
+    tests.env("PB3DP", programs.join("pb3dp")).env("PB3DP_CHROMIUM", browser);
+    tests.env("PB3DP_PANEL_ARTEFACTS", &artefacts).env("PYTHONDONTWRITEBYTECODE", "1");
+    run_visibly(&mut tests)
+}
+
+/// The Python of an environment with the packages of the tests.
+fn python(workspace: &Workspace) -> anyhow::Result<PathBuf> {
+    need("the module venv of python3", "python3-venv", || {
+        output_of(Command::new("python3").args(["-c", "import ensurepip, venv"])).is_ok()
+    })?;
+    let folder = workspace.target_folder()?.join("panel-python");
+    let python = folder.join("bin/python");
+    if !python.exists() {
+        run_visibly(Command::new("python3").args(["-m", "venv"]).arg(&folder))?;
+    }
+    let requirements = workspace.root().join(TESTS).join("requirements.txt");
+    let install = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--requirement"];
+    let installed = output_of(Command::new(&python).args(install).arg(&requirements));
+    installed
+        .map_err(|error| NotPossible::because(format!("the packages of {TESTS} cannot be installed: {error:#}")))?;
+    Ok(python)
+}
+
+fn browser() -> anyhow::Result<PathBuf> {
+    if let Some(browser) = std::env::var_os("PB3DP_CHROMIUM") {
+        return Ok(browser.into());
+    }
+    let found = || {
+        let paths = std::env::var_os("PATH").unwrap_or_default();
+        let all = std::env::split_paths(&paths).flat_map(|folder| BROWSERS.map(|name| folder.join(name)));
+        all.into_iter().find(|path| path.is_file())
+    };
+    need("Chromium", BROWSERS[0], || found().is_some())?;
+    found().context("Chromium was installed and is not there")
+}
