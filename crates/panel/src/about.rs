@@ -92,7 +92,7 @@ impl About {
             is_emulated: setup.is_emulated(),
             is_simulated: setup.world.is_some(),
             has_images: matches!(setup.leader, Leader::Images(_)),
-            stereo: rig.stereo.clone(),
+            stereo: rig.stereo,
             calibration: calibration_in_words(setup),
             arms: vec![arm(ArmChoice::Vs), arm(ArmChoice::Tc)],
             hand: Some(AboutHand {

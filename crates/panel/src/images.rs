@@ -10,6 +10,7 @@ use pb3dp_geometry::maps::RemapTable;
 use pb3dp_geometry::{ImageSize, MonotonicTime, StereoRig};
 use pb3dp_hal_api::FramePair;
 
+use crate::encoded_pair::EncodedPair;
 use crate::hub::Hub;
 use crate::messages::time_ms;
 use crate::viewers::Wanted;
@@ -23,18 +24,9 @@ const HEADER_BYTES: usize = 32;
 /// Flag of a rectified image.
 const RECTIFIED: u16 = 1;
 
-/// The images of one pair as messages; those that nobody wants are missing.
-#[derive(Clone, Debug, Default)]
-pub struct EncodedPair {
-    /// Exposure time.
-    pub at: MonotonicTime,
-    /// By view (raw, rectified) and side (left, right).
-    pub messages: [[Option<Bytes>; 2]; 2],
-}
-
 /// Encodes until the panel ends.
 pub fn run(hub: &Hub) {
-    let mut rectifier = Rectifier::new(hub.about.stereo.clone());
+    let mut rectifier = Rectifier::new(hub.about.stereo);
     let mut encoded_at: Option<MonotonicTime> = None;
     while !hub.is_over() {
         let Some(pair) = hub.watched.pairs.wait(LOOK) else { continue };

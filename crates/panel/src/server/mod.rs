@@ -1,6 +1,7 @@
 //! HTTP server of the panel on a thread of its own, with limits on number, size and time of requests.
 
 mod answers;
+mod app;
 mod assets;
 mod body;
 mod checks;
