@@ -13,6 +13,7 @@ pub mod config;
 mod control_link;
 mod drawing;
 mod encoded_pair;
+mod heat;
 mod hub;
 mod images;
 pub mod lease;

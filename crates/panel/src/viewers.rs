@@ -17,11 +17,13 @@ pub struct ClientImages {
     pub view: ImageView,
     /// Highest rate.
     pub fps_max: f64,
+    /// Also heat overlays of the left image.
+    pub heat: bool,
 }
 
 impl ClientImages {
     /// Nothing.
-    pub const NOTHING: Self = Self { sides: [false; 2], view: ImageView::Raw, fps_max: 30.0 };
+    pub const NOTHING: Self = Self { sides: [false; 2], view: ImageView::Raw, fps_max: 30.0, heat: false };
 
     /// Whether the client wants any image.
     pub fn is_anything(&self) -> bool {
@@ -36,6 +38,8 @@ pub struct Wanted {
     pub images: [[bool; 2]; 2],
     /// Highest rate of any client.
     pub fps_max: f64,
+    /// Heat overlays.
+    pub heat: bool,
 }
 
 /// What each client wants.
@@ -58,6 +62,7 @@ impl Viewers {
         let mut wanted = Wanted::default();
         for one_client in self.clients().values() {
             wanted.fps_max = wanted.fps_max.max(one_client.fps_max);
+            wanted.heat |= one_client.heat;
             for (any, one) in wanted.images[one_client.view as usize].iter_mut().zip(one_client.sides) {
                 *any |= one;
             }
@@ -78,11 +83,11 @@ mod tests {
     fn an_image_is_encoded_while_somebody_wants_it() {
         let viewers = Viewers::default();
         assert_eq!(viewers.wanted(), Wanted::default());
-        viewers.set(1, ClientImages { sides: [true, false], view: ImageView::Raw, fps_max: 10.0 });
-        viewers.set(2, ClientImages { sides: [true, true], view: ImageView::Rectified, fps_max: 30.0 });
-        assert_eq!(viewers.wanted(), Wanted { images: [[true, false], [true, true]], fps_max: 30.0 });
+        viewers.set(1, ClientImages { sides: [true, false], view: ImageView::Raw, fps_max: 10.0, heat: false });
+        viewers.set(2, ClientImages { sides: [true, true], view: ImageView::Rectified, fps_max: 30.0, heat: true });
+        assert_eq!(viewers.wanted(), Wanted { images: [[true, false], [true, true]], fps_max: 30.0, heat: true });
         viewers.set(2, ClientImages::NOTHING);
-        assert_eq!(viewers.wanted(), Wanted { images: [[true, false], [false, false]], fps_max: 10.0 });
+        assert_eq!(viewers.wanted(), Wanted { images: [[true, false], [false, false]], fps_max: 10.0, heat: false });
         viewers.set(1, ClientImages::NOTHING);
         assert_eq!(viewers.wanted(), Wanted::default());
     }

@@ -20,7 +20,7 @@ use super::checks::{bearer, check_token};
 use crate::encoded_pair::EncodedPair;
 use crate::hub::Hub;
 use crate::messages::requests::HeartbeatRequest;
-use crate::messages::socket::{ClientMessage, PROTOCOL, ServerMessage};
+use crate::messages::socket::{ClientMessage, ImageView, PROTOCOL, ServerMessage};
 use crate::refusal::Refusal;
 use crate::secrets::Session;
 use crate::viewers::{ClientImages, FPS_MAX};
@@ -185,9 +185,10 @@ impl Reader {
                     code: error.as_ref().map(Refusal::code),
                 });
             }
-            ClientMessage::Images { left, right, view, fps_max, heat: _ } => {
+            ClientMessage::Images { left, right, view, fps_max, heat } => {
                 let fps_max = fps_max.filter(|fps| *fps > 0.0).unwrap_or(30.0).min(FPS_MAX);
-                let wanted = ClientImages { sides: [left, right], view, fps_max };
+                let heat = heat && left && view == ImageView::Raw;
+                let wanted = ClientImages { sides: [left, right], view, fps_max, heat };
                 self.hub.viewers.set(self.id, wanted);
                 self.wanted.send_replace(wanted);
             }
@@ -296,6 +297,9 @@ impl Writer {
                 *shown_at = Some(at_s);
                 self.send(Message::Binary(bytes.clone())).await?;
             }
+        }
+        if let (Some(heat), true) = (&pair.heat, wanted.heat) {
+            self.send(Message::Binary(heat.clone())).await?;
         }
         Ok(())
     }
