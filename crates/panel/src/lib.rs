@@ -28,7 +28,7 @@ mod pending;
 mod preview;
 mod preview_job;
 pub mod refusal;
-mod region;
+pub mod region;
 mod reporting;
 pub mod secrets;
 pub mod seen;
