@@ -58,6 +58,7 @@ pub struct Seen {
 
 pub struct Rig {
     pub panel: Option<Panel>,
+    pub clock: Arc<SystemClock>,
     pub seen: Arc<Mutex<Seen>>,
     /// Stops the loop from listening, as a hung control thread.
     pub is_paused: Arc<AtomicBool>,
@@ -99,7 +100,7 @@ impl Rig {
             start_rad: setup.rig.arms.vs.start_rad,
         };
         let thread = std::thread::spawn(move || cell.run(operator, spectator));
-        let rig = Self { panel: Some(panel), seen, is_paused, interrupt, is_over, thread: Some(thread) };
+        let rig = Self { panel: Some(panel), clock, seen, is_paused, interrupt, is_over, thread: Some(thread) };
         if runs {
             let has_begun =
                 |state: &serde_json::Value| state["state"]["name"] == "idle" && state["images"]["sequence"].is_u64();
