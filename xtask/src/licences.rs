@@ -89,16 +89,10 @@ impl Policy {
         let text = |key: &str| package[key].as_str();
         let place = format!("package {} {}", text("name").unwrap_or("?"), text("version").unwrap_or("?"));
         let mut violations = Vec::new();
-        let excepted = |licence: &str| {
-            let of_this = |(name, _): &&(String, Vec<String>)| Some(name.as_str()) == text("name");
-            self.exceptions
-                .iter()
-                .filter(of_this)
-                .any(|(_, licences)| licences.iter().any(|allowed| allowed == licence))
-        };
-        match text("license").map(|licence| self.accepts(licence)) {
+        let exceptions = self.exceptions.iter().filter(|(name, _)| Some(name.as_str()) == text("name"));
+        let excepted: Vec<&str> = exceptions.flat_map(|(_, licences)| licences).map(String::as_str).collect();
+        match text("license").map(|licence| self.accepts(licence, &excepted)) {
             Some(Ok(true)) => {}
-            Some(Ok(false)) if text("license").is_some_and(excepted) => {}
             Some(Ok(false)) => {
                 let message =
                     format!("its licence `{}` is not allowed by deny.toml", text("license").unwrap_or_default());
@@ -121,42 +115,42 @@ impl Policy {
         violations
     }
 
-    /// Whether allowed licences satisfy an SPDX expression.
-    fn accepts(&self, expression: &str) -> anyhow::Result<bool> {
+    /// Whether allowed licences, and those excepted for this crate, satisfy an SPDX expression.
+    fn accepts(&self, expression: &str, excepted: &[&str]) -> anyhow::Result<bool> {
         let spaced = expression.replace('(', " ( ").replace(')', " ) ").replace('/', " OR ");
         let words: Vec<&str> = spaced.split_whitespace().collect();
         let mut at = 0;
-        let accepted = self.any_of(&words, &mut at).with_context(|| format!("licence `{expression}`"))?;
+        let accepted = self.any_of(&words, excepted, &mut at).with_context(|| format!("licence `{expression}`"))?;
         if at < words.len() {
             bail!("licence `{expression}`: unexpected `{}`", words[at]);
         }
         Ok(accepted)
     }
 
-    fn any_of(&self, words: &[&str], at: &mut usize) -> anyhow::Result<bool> {
-        let mut accepted = self.all_of(words, at)?;
+    fn any_of(&self, words: &[&str], excepted: &[&str], at: &mut usize) -> anyhow::Result<bool> {
+        let mut accepted = self.all_of(words, excepted, at)?;
         while words.get(*at) == Some(&"OR") {
             *at += 1;
-            accepted |= self.all_of(words, at)?;
+            accepted |= self.all_of(words, excepted, at)?;
         }
         Ok(accepted)
     }
 
-    fn all_of(&self, words: &[&str], at: &mut usize) -> anyhow::Result<bool> {
-        let mut accepted = self.one(words, at)?;
+    fn all_of(&self, words: &[&str], excepted: &[&str], at: &mut usize) -> anyhow::Result<bool> {
+        let mut accepted = self.one(words, excepted, at)?;
         while words.get(*at) == Some(&"AND") {
             *at += 1;
-            accepted &= self.one(words, at)?;
+            accepted &= self.one(words, excepted, at)?;
         }
         Ok(accepted)
     }
 
-    fn one(&self, words: &[&str], at: &mut usize) -> anyhow::Result<bool> {
+    fn one(&self, words: &[&str], excepted: &[&str], at: &mut usize) -> anyhow::Result<bool> {
         let word = *words.get(*at).context("ends too early")?;
         *at += 1;
         match word {
             "(" => {
-                let accepted = self.any_of(words, at)?;
+                let accepted = self.any_of(words, excepted, at)?;
                 if words.get(*at) != Some(&")") {
                     bail!("`)` is missing");
                 }
@@ -167,14 +161,14 @@ impl Policy {
             name if words.get(*at) == Some(&"WITH") => {
                 let exception = words.get(*at + 1).context("no exception after `WITH`")?;
                 *at += 2;
-                Ok(self.allows(&format!("{name} WITH {exception}")))
+                Ok(self.allows(&format!("{name} WITH {exception}"), excepted))
             }
-            name => Ok(self.allows(name)),
+            name => Ok(self.allows(name, excepted)),
         }
     }
 
-    fn allows(&self, licence: &str) -> bool {
-        self.licences.iter().any(|allowed| allowed == licence)
+    fn allows(&self, licence: &str, excepted: &[&str]) -> bool {
+        self.licences.iter().map(String::as_str).chain(excepted.iter().copied()).any(|allowed| allowed == licence)
     }
 }
 
@@ -205,10 +199,10 @@ mod tests {
             ("MIT WITH LLVM-exception", false),
             ("Apache-2.0 WITH LLVM-exception OR Zlib", true),
         ] {
-            assert_eq!(policy().accepts(expression).expect("readable"), expected, "{expression}");
+            assert_eq!(policy().accepts(expression, &[]).expect("readable"), expected, "{expression}");
         }
         for broken in ["", "MIT OR", "(MIT", "MIT MIT", "AND MIT", "MIT WITH"] {
-            assert!(policy().accepts(broken).is_err(), "{broken}");
+            assert!(policy().accepts(broken, &[]).is_err(), "{broken}");
         }
     }
 
@@ -234,6 +228,7 @@ mod tests {
     fn an_exception_is_for_one_crate_and_one_licence() {
         let package = |name: &str, licence: &str| json!({"name": name, "version": "1.0.0", "license": licence, "source": "registry+https://example.org/index"});
         assert_eq!(policy().check(&package("port", "MPL-2.0")), []);
+        assert_eq!(policy().check(&package("port", "(MIT OR GPL-3.0) AND MPL-2.0")), []);
         for (name, licence) in [("port", "GPL-3.0"), ("other", "MPL-2.0")] {
             let rules: Vec<_> = policy().check(&package(name, licence)).into_iter().map(|v| v.rule).collect();
             assert_eq!(rules, ["licence"], "{name} {licence}");
@@ -243,7 +238,7 @@ mod tests {
     #[test]
     fn the_policy_of_the_project_is_complete() {
         let policy = Policy::parse(include_str!("../../deny.toml")).expect("valid");
-        assert!(policy.allows("MIT") && policy.allows("Apache-2.0") && !policy.banned.is_empty());
+        assert!(policy.allows("MIT", &[]) && policy.allows("Apache-2.0", &[]) && !policy.banned.is_empty());
         assert!(!policy.licences.iter().any(|licence| licence.contains("GPL")));
     }
 }

@@ -10,7 +10,7 @@ use pb3dp_setup::setup::Setup;
 use crate::log::ArmSample;
 
 use super::commands::CommandSummary;
-use super::parts::DrivenArm;
+use super::devices::DrivenArm;
 
 /// One arm with its last measurement.
 pub struct LedArm {

@@ -7,7 +7,7 @@ use pb3dp_record::report::Table;
 use pb3dp_setup::setup::Setup;
 use serde::Serialize;
 
-use super::parts::{LinkCounts, LinkMonitor};
+use super::devices::{LinkCounts, LinkMonitor};
 
 /// Counters of one thread in a real-time run.
 #[derive(Debug, Default)]

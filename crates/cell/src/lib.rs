@@ -14,6 +14,7 @@ pub mod compared;
 pub mod console;
 mod course;
 pub mod cycles;
+pub mod devices;
 pub mod drift;
 pub mod experiment;
 pub mod figures;

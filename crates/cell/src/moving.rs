@@ -17,9 +17,9 @@ use pb3dp_sim::trajectory::Trajectory;
 
 use super::both_arms::{BothArms, EnablePosition, LedArm, in_words};
 use super::carrier::{carry, off_by};
+use super::devices::DrivenArm;
 use super::halves::Mover;
 use super::operator::{ByCommand, MotionRequest, Operator};
-use super::parts::DrivenArm;
 use super::percept::Percept;
 use super::permitting::Permitting;
 use crate::log::ArmSample;

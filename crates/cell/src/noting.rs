@@ -175,7 +175,7 @@ fn outline_px(region: Region, estimate: &TrackEstimate) -> Vec<Vector2<f64>> {
 }
 
 /// True pose of the model frame on the target: on the target plane, on the ray of the estimated origin.
-fn true_model_frame(
+pub fn true_model_frame(
     cam_left_from_model: &Pose<CamLeft, Model>,
     cam_left_from_target: &Pose<CamLeft, Target>,
 ) -> Option<Pose<Target, Model>> {

@@ -92,7 +92,7 @@ impl About {
             is_emulated: setup.is_emulated(),
             is_simulated: setup.world.is_some(),
             has_images: matches!(setup.leader, Leader::Images(_)),
-            stereo: rig.stereo.clone(),
+            stereo: rig.stereo,
             calibration: calibration_in_words(setup),
             arms: vec![arm(ArmChoice::Vs), arm(ArmChoice::Tc)],
             hand: Some(AboutHand {
@@ -181,5 +181,33 @@ fn calibration_in_words(setup: &Setup) -> String {
             .map(|one| format!("{}: {}", one.table, one.source))
             .collect::<Vec<_>>()
             .join("; "),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, UnitVector3};
+    use pb3dp_setup::layers::SetupArgs;
+    use pb3dp_setup::setup::read_layers;
+
+    use super::*;
+
+    #[test]
+    fn the_links_of_an_arm_compose_to_its_kinematics() {
+        let setup = read_layers(&SetupArgs { configs: vec!["sim".into()], ..SetupArgs::default() }).unwrap();
+        let about = About::of_setup(&setup, "sim", "0");
+        assert!(about.is_emulated && about.is_simulated && about.has_images);
+        for arm in &about.arms {
+            let position_rad = JointVector::from([0.3, -0.4, 0.5, 0.7, -0.2, 0.9, 1.1]);
+            let (links, axes) = arm.links();
+            let mut base_from_here = Isometry3::identity();
+            for (joint, axis) in axes.iter().enumerate() {
+                let turn = UnitQuaternion::from_axis_angle(&UnitVector3::new_normalize(*axis), position_rad[joint]);
+                base_from_here = base_from_here * links[joint] * turn;
+            }
+            let base_from_flange = base_from_here * links[axes.len()];
+            let difference = base_from_flange.inverse() * arm.chain.forward(&position_rad).isometry();
+            assert!(difference.translation.vector.norm() < 1e-12 && difference.rotation.angle() < 1e-7, "{difference}");
+        }
     }
 }

@@ -1,74 +1,20 @@
 //! Commands from their request to their result.
 
 use std::sync::atomic::Ordering;
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use pb3dp_cell::selection::Selection;
 use pb3dp_geometry::Pose;
 use pb3dp_servo::supervisor::{Decision, OperatorCommand};
-use serde::Serialize;
 use tokio::sync::oneshot;
 
 use crate::control_link::{COMMANDS_MAX, GivenCommand, Outcome, TakenCommand};
 use crate::hub::{Hub, SAVED_MAX};
 use crate::messages::state::JogState;
+use crate::pending::{Answer, Chosen, CommandAnswer, PendingCommand};
 use crate::refusal::Refusal;
 
-/// Commands that wait for their result.
-const PENDING_MAX: usize = 64;
 /// Time in which the estimation takes a selection; after it `start` no longer waits for it.
 const SELECTION_TIME: Duration = Duration::from_secs(2);
-
-/// Answer to an accepted command.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct CommandAnswer {
-    /// The command.
-    pub command: &'static str,
-    /// One line: the result.
-    pub line: String,
-    /// State number afterwards; the page may use it before the next state arrives.
-    pub number: u64,
-}
-
-/// Receives the result of a command.
-pub type Answer = oneshot::Receiver<Result<CommandAnswer, Refusal>>;
-
-/// A target that a `select` chooses.
-#[derive(Clone, Debug)]
-pub struct Chosen {
-    /// The selection; `None` leaves the target to the setup.
-    pub selection: Option<Selection>,
-    /// Its name.
-    pub name: Option<String>,
-}
-
-struct PendingCommand {
-    id: u64,
-    command: OperatorCommand,
-    chosen: Option<Chosen>,
-    answer: oneshot::Sender<Result<CommandAnswer, Refusal>>,
-}
-
-/// Commands without a result.
-#[derive(Default)]
-pub struct PendingCommands(Mutex<Vec<PendingCommand>>);
-
-impl PendingCommands {
-    fn lock(&self) -> MutexGuard<'_, Vec<PendingCommand>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Removes the commands that this result is for: a slot for urgent commands holds the last request only, and its result is that of
-    /// the earlier ones, too.
-    fn take(&self, taken: &TakenCommand) -> Vec<PendingCommand> {
-        let is_done = |pending: &mut PendingCommand| {
-            pending.id == taken.id
-                || (taken.command.ends_motion() && pending.command == taken.command && pending.id < taken.id)
-        };
-        self.lock().extract_if(.., is_done).collect()
-    }
-}
 
 impl Hub {
     /// Gives a command to the control thread; the caller has checked the lease and what the operator saw. The control thread compares
@@ -93,20 +39,15 @@ impl Hub {
             self.check_no_selection_is_awaited()?;
         }
         let given = GivenCommand { id: self.link.next_id(), command, at: self.now(), state_seen };
-        {
-            let mut pending = self.pending.lock();
-            let has_room = pending.len() < PENDING_MAX;
-            if has_room {
-                pending.push(PendingCommand { id: given.id, command, chosen, answer });
-            } else if !command.ends_motion() {
-                return Err(Refusal::QueueFull { command: name, limit: COMMANDS_MAX });
-            }
+        let has_room = self.pending.push(PendingCommand { id: given.id, command, chosen, answer });
+        if !has_room && !command.ends_motion() {
+            return Err(Refusal::QueueFull { command: name, limit: COMMANDS_MAX });
         }
         match self.link.slot_of(command) {
             Some(slot) => slot.give(given.id, given.at),
             None if self.link.queue(given) => {}
             None => {
-                self.pending.lock().retain(|pending| pending.id != given.id);
+                self.pending.remove(given.id);
                 return Err(Refusal::QueueFull { command: name, limit: COMMANDS_MAX });
             }
         }

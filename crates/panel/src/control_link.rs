@@ -30,6 +30,7 @@ pub struct GivenCommand {
 
 /// What became of a command.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "the control thread allocates nothing, so no variant is boxed")]
 pub enum Outcome {
     /// The supervisor has decided.
     Decided(Decision),

@@ -58,3 +58,54 @@ pub fn epipolar(rig: &StereoRig, pixel: Vector2<f64>) -> Vec<Pixel> {
     });
     pixels(&points.collect::<Vec<_>>())
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::UnitQuaternion;
+    use pb3dp_setup::layers::SetupArgs;
+    use pb3dp_setup::setup::read_layers;
+
+    use super::*;
+
+    fn rig() -> StereoRig {
+        read_layers(&SetupArgs { configs: vec!["sim".into()], ..SetupArgs::default() }).unwrap().rig.stereo
+    }
+
+    #[test]
+    fn outline_and_axes_lie_where_the_cameras_see_the_plane() {
+        let rig = rig();
+        let tilt = UnitQuaternion::from_euler_angles(0.2, -0.3, 0.1);
+        let pose = Pose::<CamLeft, Model>::from_parts(Vector3::new(0.02, -0.01, 0.6), tilt);
+        let corners = [[-0.03, -0.02], [0.04, -0.02], [0.03, 0.03]].map(|[x, y]| Point3::new(x, y, 0.0));
+        let in_left = corners.map(|corner| rig.left().project(&pose.transform_point(&corner)).unwrap());
+        let right = outline_right(&in_left, &rig, &pose);
+        let in_cam_right = *rig.cam_right_from_cam_left() * pose;
+        for (found, corner) in right.iter().zip(&corners) {
+            let expected = rig.right().project(&in_cam_right.transform_point(corner)).unwrap();
+            assert!((Vector2::from(*found) - expected).norm() < 0.02, "{found:?} {expected}");
+        }
+        let [Some(left), Some(_)] = axes(&rig, &pose) else { panic!("visible") };
+        let origin = rig.left().project(&Point3::from(pose.translation_m())).unwrap();
+        assert!((Vector2::from(left[0]) - origin).norm() < 0.02);
+    }
+
+    #[test]
+    fn an_epipolar_line_passes_through_the_points_on_the_ray() {
+        let rig = rig();
+        let pixel = Vector2::new(400.0, 150.0);
+        let line = epipolar(&rig, pixel);
+        let ray = rig.left().unproject(&pixel).unwrap();
+        for depth_m in [0.5, 0.8, 2.0] {
+            let point = rig.cam_right_from_cam_left().transform_point(&Point3::from(ray * depth_m));
+            let seen = rig.right().project(&point).unwrap();
+            let distance = |from: &Pixel, to: &Pixel| {
+                let (from, to) = (Vector2::from(*from), Vector2::from(*to));
+                let share = ((seen - from).dot(&(to - from)) / (to - from).norm_squared()).clamp(0.0, 1.0);
+                (from + (to - from) * share - seen).norm()
+            };
+            let nearest = line.windows(2).map(|ends| distance(&ends[0], &ends[1])).fold(f64::INFINITY, f64::min);
+            assert!(nearest < 0.05, "{depth_m} m: {nearest} px");
+        }
+        assert!(epipolar(&rig, Vector2::new(f64::NAN, 0.0)).is_empty());
+    }
+}

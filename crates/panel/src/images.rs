@@ -10,32 +10,22 @@ use pb3dp_geometry::maps::RemapTable;
 use pb3dp_geometry::{ImageSize, MonotonicTime, StereoRig};
 use pb3dp_hal_api::FramePair;
 
+use crate::encoded_pair::{EncodedPair, ImageHead, JPEG_IMAGE, RECTIFIED};
+use crate::heat;
 use crate::hub::Hub;
-use crate::messages::time_ms;
 use crate::viewers::Wanted;
 
 /// Quality of the JPEGs, with colours at half the resolution: 2.1 ms for 640x480.
 const QUALITY: u8 = 75;
 /// Time between two checks whether the panel ends.
 const LOOK: Duration = Duration::from_millis(50);
-/// Size of the header.
-const HEADER_BYTES: usize = 32;
-/// Flag of a rectified image.
-const RECTIFIED: u16 = 1;
-
-/// The images of one pair as messages; those that nobody wants are missing.
-#[derive(Clone, Debug, Default)]
-pub struct EncodedPair {
-    /// Exposure time.
-    pub at: MonotonicTime,
-    /// By view (raw, rectified) and side (left, right).
-    pub messages: [[Option<Bytes>; 2]; 2],
-}
+/// Time between two heat overlays, seconds: they cost as much as an image.
+const HEAT_EVERY_S: f64 = 0.2;
 
 /// Encodes until the panel ends.
 pub fn run(hub: &Hub) {
-    let mut rectifier = Rectifier::new(hub.about.stereo.clone());
-    let mut encoded_at: Option<MonotonicTime> = None;
+    let mut rectifier = Rectifier::new(hub.about.stereo);
+    let (mut encoded_at, mut heated_at) = (None, None);
     while !hub.is_over() {
         let Some(pair) = hub.watched.pairs.wait(LOOK) else { continue };
         let wanted = hub.viewers.wanted();
@@ -44,14 +34,23 @@ pub fn run(hub: &Hub) {
         }
         // A tenth less than the interval, so that a rate as high as that of the cameras takes every pair.
         let interval_s = 0.9 / wanted.fps_max.max(0.1);
-        let is_early =
-            encoded_at.is_some_and(|before| (0.0..interval_s).contains(&pair.exposed_at.seconds_since(before)));
-        if is_early {
+        if !is_due(encoded_at, interval_s, pair.exposed_at) {
             continue;
         }
         encoded_at = Some(pair.exposed_at);
-        hub.images.send_replace(Some(Arc::new(encode_pair(&pair, wanted, &mut rectifier))));
+        let mut encoded = encode_pair(&pair, wanted, &mut rectifier);
+        let is_heat_due = is_due(heated_at, HEAT_EVERY_S, pair.exposed_at);
+        if let (true, true, Some(newest)) = (wanted.heat, is_heat_due, hub.watched.newest()) {
+            heated_at = Some(pair.exposed_at);
+            encoded.heat = heat::message(&pair, &newest, &hub.about.stereo);
+        }
+        hub.images.send_replace(Some(Arc::new(encoded)));
     }
+}
+
+/// Whether the interval has passed; also after the clock went back.
+fn is_due(before: Option<MonotonicTime>, interval_s: f64, now: MonotonicTime) -> bool {
+    !before.is_some_and(|before| (0.0..interval_s).contains(&now.seconds_since(before)))
 }
 
 fn encode_pair(pair: &FramePair, wanted: Wanted, rectifier: &mut Rectifier) -> EncodedPair {
@@ -69,21 +68,14 @@ fn encode_pair(pair: &FramePair, wanted: Wanted, rectifier: &mut Rectifier) -> E
     encoded
 }
 
-/// Header and JPEG; `None` for an image that JPEG cannot hold.
+/// Head and JPEG; `None` for an image that JPEG cannot hold.
 fn message(pair: &FramePair, (side, flags): (usize, u16), image: &RgbImage) -> Option<Bytes> {
-    let (width, height) = (u16::try_from(image.width()).ok()?, u16::try_from(image.height()).ok()?);
-    let mut bytes = Vec::with_capacity(HEADER_BYTES + image.as_raw().len() / 8);
-    bytes.extend_from_slice(b"PBI1");
-    bytes.push(u8::from(side == 1));
-    bytes.push(0);
-    bytes.extend_from_slice(&flags.to_le_bytes());
-    bytes.extend_from_slice(&pair.sequence.to_le_bytes());
-    bytes.extend_from_slice(&time_ms(pair.exposed_at).to_le_bytes());
-    for number in [width, height, 0, 0] {
-        bytes.extend_from_slice(&number.to_le_bytes());
-    }
+    let place = [image.width(), image.height(), 0, 0];
+    let head = ImageHead { pair, side: u8::from(side == 1), kind: JPEG_IMAGE, flags, place };
+    let mut bytes = head.to_bytes(image.as_raw().len() / 8)?;
     let mut encoder = Encoder::new(&mut bytes, QUALITY);
     encoder.set_sampling_factor(SamplingFactor::F_2_2);
+    let (width, height) = (u16::try_from(image.width()).ok()?, u16::try_from(image.height()).ok()?);
     encoder.encode(image.as_raw(), width, height, ColorType::Rgb).ok()?;
     Some(bytes.into())
 }

@@ -183,3 +183,6 @@ impl Drop for PanelOperator {
         self.link.is_over.store(true, Ordering::SeqCst);
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,68 +1,25 @@
 //! Previews: what a region would give as a target, before it is selected. One at a time; the newest request wins.
 
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use nalgebra::Vector2;
-use pb3dp_cell::handover::Newest;
 use pb3dp_estimation::estimator::{EstimateRequest, Estimator, Method};
 use pb3dp_estimation_core::estimate::PlaneEstimate;
 use pb3dp_estimation_core::region::{Region, RegionConfig};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_hal_api::FramePair;
-use serde::Serialize;
-use tokio::sync::oneshot;
 
 use crate::about::About;
 use crate::drawing::{axes, outline_right};
 use crate::hub::Hub;
-use crate::messages::{Pixel, Triple, pixels, sigmas};
+use crate::messages::{pixels, sigmas};
+use crate::preview_job::{Preview, PreviewJob};
 use crate::refusal::Refusal;
 
 /// Time between two checks whether the panel ends.
 const LOOK: Duration = Duration::from_millis(50);
 /// Computing time of one preview; while somebody drags, a late one is worth nothing.
 const TIME_MAX: Duration = Duration::from_millis(400);
-
-/// A preview, in the units of the messages.
-#[derive(Clone, Debug, Serialize)]
-pub struct Preview {
-    /// Whether the region can be tracked.
-    pub will_work: bool,
-    /// Why not, or what will be weak; empty if all is well.
-    pub why: String,
-    /// Status of the estimate.
-    pub status: &'static str,
-    /// Outline of the segmented region in the left image.
-    pub outline_px: Vec<Pixel>,
-    /// The same in the right image.
-    pub outline_right_px: Vec<Pixel>,
-    /// Origin and ends of the axes in the left image.
-    pub axes_px: Option<[Pixel; 4]>,
-    /// Distance.
-    pub depth_mm: Option<f64>,
-    /// Expected standard deviation of the position.
-    pub sigma_mm: Option<Triple>,
-    /// Expected standard deviation of the orientation.
-    pub sigma_deg: Option<Triple>,
-    /// Computing time.
-    pub ms: f64,
-    /// The pair.
-    pub sequence: u64,
-}
-
-/// A request for a preview.
-pub struct PreviewJob {
-    /// The region.
-    pub region: Region,
-    /// The pair on which it was drawn.
-    pub pair: Arc<FramePair>,
-    /// Takes the answer; dropped if a newer request replaces this one.
-    pub answer: oneshot::Sender<Result<Preview, Refusal>>,
-}
-
-/// The newest request.
-pub type PreviewJobs = Newest<PreviewJob>;
 
 /// Answers previews until the panel ends.
 pub fn run(hub: &Hub) {

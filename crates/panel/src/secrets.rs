@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// A session: whoever knows it commands, while it holds the lease.
+/// A session: the client that knows it commands, while it holds the lease.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Session([u8; 16]);
 

@@ -5,11 +5,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use pb3dp_cell::handover::LatestProducer;
 use pb3dp_cell::moving::Moved;
-use pb3dp_cell::noting::PairEstimate;
+use pb3dp_cell::noting::{PairEstimate, true_model_frame};
 use pb3dp_cell::perception::View;
 use pb3dp_cell::spectator::Spectator;
 use pb3dp_estimation_core::estimate::TrackEstimate;
-use pb3dp_geometry::frames::{CamLeft, Target};
+use pb3dp_geometry::frames::{CamLeft, Model, Target};
 use pb3dp_geometry::{MonotonicTime, Pose};
 
 use crate::pairs::Pairs;
@@ -29,6 +29,8 @@ pub struct NewestEstimate {
     pub latency_millis: f64,
     /// True pose, in a simulation.
     pub cam_left_from_target: Option<Pose<CamLeft, Target>>,
+    /// True pose of the model: without error in the first estimate on the ray of its origin, then fixed on the target.
+    pub cam_left_from_model_true: Option<Pose<CamLeft, Model>>,
 }
 
 /// State shared by the spectator and the threads of the panel; the control thread of a live run does not touch it.
@@ -59,11 +61,13 @@ impl Watched {
 pub struct PanelSpectator {
     watched: Arc<Watched>,
     steps: LatestProducer<Moved>,
+    /// Pose of the model on the target, after the first estimate; in a simulation.
+    target_from_model: Option<Pose<Target, Model>>,
 }
 
 impl PanelSpectator {
     pub(crate) fn new(watched: Arc<Watched>, steps: LatestProducer<Moved>) -> Self {
-        Self { watched, steps }
+        Self { watched, steps, target_from_model: None }
     }
 }
 
@@ -76,6 +80,15 @@ impl Spectator for PanelSpectator {
         let PairEstimate { captured, target, region, estimate, latency_millis, .. } = seen;
         // Without a selected target the number is 0 and there is no pose.
         let target = (*target > 0 || estimate.cam_left_from_model.is_some()).then_some(*target);
+        if region.is_some() {
+            self.target_from_model = None;
+        }
+        let poses = estimate.cam_left_from_model.zip(captured.cam_left_from_target);
+        if let (None, Some((found, truth))) = (self.target_from_model, poses) {
+            self.target_from_model = true_model_frame(&found, &truth);
+        }
+        let cam_left_from_model_true =
+            captured.cam_left_from_target.zip(self.target_from_model).map(|(truth, fixed)| truth * fixed);
         let newest = NewestEstimate {
             sequence: captured.frame.sequence,
             at: captured.frame.at,
@@ -83,6 +96,7 @@ impl Spectator for PanelSpectator {
             estimate: estimate.clone(),
             latency_millis: *latency_millis,
             cam_left_from_target: captured.cam_left_from_target,
+            cam_left_from_model_true,
         };
         self.watched.target_plus_one.store(target.map_or(0, |target| target + 1), Ordering::SeqCst);
         self.watched.marked.fetch_add(u64::from(region.is_some()), Ordering::SeqCst);

@@ -7,7 +7,7 @@ use pb3dp_geometry::{MonotonicTime, Pose};
 use crate::about::About;
 use crate::drawing::{axes, outline_right};
 use crate::messages::state::{JogState, TargetState};
-use crate::messages::{millimetres, pixels, sigmas, transform_of};
+use crate::messages::{degrees, millimetres, pixels, sigmas, transform_of};
 use crate::spectator::NewestEstimate;
 
 /// The target, and the distance and angle of the hand from its desired pose, in millimetres and degrees.
@@ -42,6 +42,11 @@ pub fn target_of(
         world_from_cam_left.map(|world_from_cam_left| transform_of(&(world_from_cam_left * *cam_left_from_model)));
     if let Some((sigma_mm, sigma_deg)) = estimate.covariance.as_ref().and_then(sigmas) {
         (target.sigma_mm, target.sigma_deg) = (Some(sigma_mm), Some(sigma_deg));
+    }
+    if let Some(cam_left_from_model_true) = &newest.cam_left_from_model_true {
+        let error = cam_left_from_model_true.inverse() * *cam_left_from_model;
+        target.error_mm = Some(millimetres(error.translation_m()));
+        target.error_deg = Some(degrees(error.rotation().scaled_axis()));
     }
     let error = about.hand.as_ref().map(|hand| {
         let model_from_hand_desired = hand.model_from_hand_desired * hand_shift(&jog);

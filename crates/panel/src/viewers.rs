@@ -10,18 +10,20 @@ pub const FPS_MAX: f64 = 60.0;
 
 /// The images that a client wants.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Wish {
+pub struct ClientImages {
     /// Left and right.
     pub sides: [bool; 2],
     /// Raw or rectified.
     pub view: ImageView,
     /// Highest rate.
     pub fps_max: f64,
+    /// Also heat overlays of the left image.
+    pub heat: bool,
 }
 
-impl Wish {
+impl ClientImages {
     /// Nothing.
-    pub const NOTHING: Self = Self { sides: [false; 2], view: ImageView::Raw, fps_max: 30.0 };
+    pub const NOTHING: Self = Self { sides: [false; 2], view: ImageView::Raw, fps_max: 30.0, heat: false };
 
     /// Whether the client wants any image.
     pub fn is_anything(&self) -> bool {
@@ -36,36 +38,39 @@ pub struct Wanted {
     pub images: [[bool; 2]; 2],
     /// Highest rate of any client.
     pub fps_max: f64,
+    /// Heat overlays.
+    pub heat: bool,
 }
 
-/// The wishes of all clients.
+/// What each client wants.
 #[derive(Debug, Default)]
-pub struct Viewers(Mutex<HashMap<u64, Wish>>);
+pub struct Viewers(Mutex<HashMap<u64, ClientImages>>);
 
 impl Viewers {
-    /// Sets the wish of a client.
-    pub fn set(&self, client: u64, wish: Wish) {
-        let mut wishes = self.wishes();
-        if wish.is_anything() {
-            wishes.insert(client, wish)
+    /// Sets what a client wants.
+    pub fn set(&self, client: u64, one_client: ClientImages) {
+        let mut clients = self.clients();
+        if one_client.is_anything() {
+            clients.insert(client, one_client)
         } else {
-            wishes.remove(&client)
+            clients.remove(&client)
         };
     }
 
     /// What is to be encoded.
     pub fn wanted(&self) -> Wanted {
         let mut wanted = Wanted::default();
-        for wish in self.wishes().values() {
-            wanted.fps_max = wanted.fps_max.max(wish.fps_max);
-            for (any, one) in wanted.images[wish.view as usize].iter_mut().zip(wish.sides) {
+        for one_client in self.clients().values() {
+            wanted.fps_max = wanted.fps_max.max(one_client.fps_max);
+            wanted.heat |= one_client.heat;
+            for (any, one) in wanted.images[one_client.view as usize].iter_mut().zip(one_client.sides) {
                 *any |= one;
             }
         }
         wanted
     }
 
-    fn wishes(&self) -> MutexGuard<'_, HashMap<u64, Wish>> {
+    fn clients(&self) -> MutexGuard<'_, HashMap<u64, ClientImages>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -78,12 +83,12 @@ mod tests {
     fn an_image_is_encoded_while_somebody_wants_it() {
         let viewers = Viewers::default();
         assert_eq!(viewers.wanted(), Wanted::default());
-        viewers.set(1, Wish { sides: [true, false], view: ImageView::Raw, fps_max: 10.0 });
-        viewers.set(2, Wish { sides: [true, true], view: ImageView::Rectified, fps_max: 30.0 });
-        assert_eq!(viewers.wanted(), Wanted { images: [[true, false], [true, true]], fps_max: 30.0 });
-        viewers.set(2, Wish::NOTHING);
-        assert_eq!(viewers.wanted(), Wanted { images: [[true, false], [false, false]], fps_max: 10.0 });
-        viewers.set(1, Wish::NOTHING);
+        viewers.set(1, ClientImages { sides: [true, false], view: ImageView::Raw, fps_max: 10.0, heat: false });
+        viewers.set(2, ClientImages { sides: [true, true], view: ImageView::Rectified, fps_max: 30.0, heat: true });
+        assert_eq!(viewers.wanted(), Wanted { images: [[true, false], [true, true]], fps_max: 30.0, heat: true });
+        viewers.set(2, ClientImages::NOTHING);
+        assert_eq!(viewers.wanted(), Wanted { images: [[true, false], [false, false]], fps_max: 10.0, heat: false });
+        viewers.set(1, ClientImages::NOTHING);
         assert_eq!(viewers.wanted(), Wanted::default());
     }
 }

@@ -7,6 +7,8 @@ use std::time::{Duration, Instant};
 use pb3dp_servo::supervisor::{OperatorCommand, State};
 use serde_json::json;
 
+use pb3dp_hal_api::Clock;
+
 use crate::support::client::raw;
 use crate::support::{Page, Rig};
 
@@ -108,6 +110,35 @@ fn stop_is_taken_although_the_queue_is_full() {
     assert_eq!(rig.seen.lock().unwrap().commands[0].0, OperatorCommand::Stop, "before all that waited");
     assert_eq!(rig.count_of(OperatorCommand::Reset), 0, "what waited was overtaken");
     drop(waiting);
+}
+
+#[test]
+fn a_stop_reaches_the_control_thread_at_once_also_with_five_pages() {
+    let rig = Rig::new();
+    let client = rig.client();
+    let pages: Vec<_> = (0..5)
+        .map(|_| {
+            let mut page = Page::open(&client);
+            page.send(json!({ "type": "images", "left": true, "right": true, "heat": true }));
+            std::thread::spawn(move || while page.next().is_ok() {})
+        })
+        .collect();
+    let mut delays_s: Vec<f64> = (0..100)
+        .map(|_| {
+            let given_at = rig.clock.now();
+            assert_eq!(client.post("stop", "{}").status, 200);
+            let (_, taken_at) = *rig.seen.lock().unwrap().commands.last().unwrap();
+            taken_at.seconds_since(given_at)
+        })
+        .collect();
+    delays_s.sort_by(f64::total_cmp);
+    println!("stop: median {:.1} ms, 99th percentile {:.1} ms", delays_s[50] * 1e3, delays_s[98] * 1e3);
+    // A loaded machine delays single requests.
+    assert!(delays_s[90] < 0.05, "{delays_s:?}");
+    drop(rig);
+    for page in pages {
+        page.join().unwrap();
+    }
 }
 
 #[test]

@@ -9,4 +9,5 @@ mod encrypted;
 mod heartbeats;
 mod limits;
 mod messages;
+mod parsing;
 mod watching;

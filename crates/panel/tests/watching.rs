@@ -43,6 +43,48 @@ fn images_come_while_they_are_wanted() {
 }
 
 #[test]
+fn the_state_has_the_errors_and_poses_of_the_target() {
+    let rig = Rig::new();
+    let client = rig.holder();
+    rig.start(&client);
+    let state = client.wait_for("errors", |state| state["target"]["error_mm"][2].as_f64().is_some_and(|z| z < -1.0));
+    let target = &state["target"];
+    let near = |value: &serde_json::Value, expected: f64| (value.as_f64().unwrap() - expected).abs() < 1e-6;
+    assert!(near(&target["error_mm"][2], -2.0) && near(&target["error_deg"][0], 0.0), "{target}");
+    assert!(near(&target["point_mm"][2], 600.0) && near(&target["sigma_mm"][0], 0.1), "{target}");
+    assert_eq!(target["status"], "ok");
+    assert_eq!(target["outline_right_px"].as_array().unwrap().len(), 4);
+    assert!(state["truth"]["world_from_target"].is_array() && target["world_from_model"].is_array());
+    assert!(state["control"]["error_mm"].as_f64().unwrap() > 0.0);
+    assert!(state["realtime_factor"].as_f64().unwrap() > 0.5 && state["images"]["fps"].as_f64().unwrap() > 5.0);
+    for arm in state["arms"].as_array().unwrap() {
+        assert_eq!((&arm["condition"], arm["position_deg"].as_array().unwrap().len()), (&json!("enabled"), 7));
+    }
+    let info = client.get("/api/info").json();
+    let arm = &info["arms"][0];
+    assert_eq!((arm["chain"].as_array().unwrap().len(), arm["axis"].as_array().unwrap().len()), (8, 7));
+}
+
+#[test]
+fn a_heat_overlay_covers_the_target() {
+    let rig = Rig::new();
+    let client = rig.holder();
+    rig.start(&client);
+    let mut page = Page::open(&rig.client());
+    page.send(json!({ "type": "images", "left": true, "right": false, "heat": true }));
+    let mut image = page.next_image();
+    while header(&image).1 == 0 {
+        image = page.next_image();
+    }
+    let (side, kind, flags, _, _, place) = header(&image);
+    assert_eq!((side, kind, flags, place), (0, 1, 0, [41, 41, 300, 220]));
+    let overlay = image::load_from_memory_with_format(&image[32..], image::ImageFormat::Png).unwrap().into_rgba8();
+    assert_eq!(overlay.dimensions(), (41, 41));
+    // The images of this test are not those of a plane at this depth.
+    assert!(overlay.pixels().any(|pixel| pixel.0[3] > 100));
+}
+
+#[test]
 fn a_client_that_does_not_read_does_not_hold_up_another() {
     let rig = Rig::new();
     let client = rig.client();

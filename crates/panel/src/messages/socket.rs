@@ -32,7 +32,7 @@ pub enum ClientMessage {
         /// Highest rate; default 30.
         #[serde(default)]
         fps_max: Option<f64>,
-        /// Also heat overlays of the residual; reserved.
+        /// Also heat overlays of the residual in the left image, 5 per second; with raw images.
         #[serde(default)]
         heat: bool,
     },

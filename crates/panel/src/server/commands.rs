@@ -12,11 +12,10 @@ use serde::Serialize;
 use tokio::sync::oneshot;
 
 use super::answers::json;
+use super::app::App;
 use super::checks::session_in;
 use super::rate::Client;
-use super::routes::App;
 use super::{Peer, body};
-use crate::commanding::{Answer, Chosen};
 use crate::hub::Hub;
 use crate::lease::{Holder, NAME_MAX, Taken};
 use crate::messages::requests::{
@@ -26,7 +25,8 @@ use crate::messages::requests::{
 use crate::messages::state::{HolderState, JogState};
 use crate::moving::{check_jog, check_push, check_speed};
 use crate::operator::SILENT_AFTER;
-use crate::preview::PreviewJob;
+use crate::pending::{Answer, Chosen};
+use crate::preview_job::PreviewJob;
 use crate::refusal::Refusal;
 use crate::region::region_in;
 use crate::secrets::{Nonce, Session};

@@ -1,6 +1,7 @@
 //! HTTP server of the panel on a thread of its own, with limits on number, size and time of requests.
 
 mod answers;
+mod app;
 mod assets;
 mod body;
 mod checks;
@@ -19,6 +20,7 @@ use axum::{Extension, Router};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use rustix::net::sockopt::set_socket_send_buffer_size;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::runtime::{Builder, Runtime};
@@ -40,6 +42,9 @@ const HEAD_MAX: usize = 16 * 1024;
 /// Time limit of a head; the second one is that of the further connections.
 const HEAD_TIME: Duration = Duration::from_secs(10);
 const URGENT_HEAD_TIME: Duration = Duration::from_secs(2);
+/// Send buffer of a connection, for four stereo pairs of 640x480: what waits in it can no longer be replaced by something newer. At half
+/// of it a large image needs several turns; at double an operator may see images that are half a second old.
+const SEND_BUFFER_BYTES: usize = 256 * 1024;
 /// Time limit of the first messages of TLS.
 const HANDSHAKE_TIME: Duration = Duration::from_secs(5);
 
@@ -147,6 +152,7 @@ fn serve(
 async fn connection(socket: TcpStream, acceptor: Option<TlsAcceptor>, router: Router, peer: Peer) {
     // Small messages must not wait for others; without it they are late, not wrong.
     let _ = socket.set_nodelay(true);
+    let _ = set_socket_send_buffer_size(&socket, SEND_BUFFER_BYTES);
     match acceptor {
         None => http(socket, router, peer).await,
         // A client without TLS, or one that is too slow, ends its own connection only.

@@ -13,8 +13,8 @@ use nalgebra::Vector2;
 use serde::Serialize;
 
 use super::answers::{json, json_text};
+use super::app::App;
 use super::assets::{asset, shortened};
-use super::rate::Rates;
 use super::{checks, commands, socket};
 use crate::drawing::epipolar;
 use crate::hub::Hub;
@@ -24,15 +24,6 @@ use crate::refusal::Refusal;
 
 /// Time in which the next state comes: four times its period.
 const NEXT_STATE_WITHIN: Duration = Duration::from_millis(200);
-
-/// What the handlers share.
-#[derive(Clone)]
-pub struct App {
-    /// The panel.
-    pub hub: Arc<Hub>,
-    /// Rates of requests.
-    pub rates: Arc<Rates>,
-}
 
 /// All paths.
 pub fn router(hub: &Arc<Hub>) -> Router {

@@ -15,15 +15,15 @@ use tokio::sync::{broadcast, mpsc, watch};
 use tokio::time::{MissedTickBehavior, interval, timeout};
 
 use super::Peer;
+use super::app::App;
 use super::checks::{bearer, check_token};
-use super::routes::App;
+use crate::encoded_pair::EncodedPair;
 use crate::hub::Hub;
-use crate::images::EncodedPair;
 use crate::messages::requests::HeartbeatRequest;
-use crate::messages::socket::{ClientMessage, PROTOCOL, ServerMessage};
+use crate::messages::socket::{ClientMessage, ImageView, PROTOCOL, ServerMessage};
 use crate::refusal::Refusal;
 use crate::secrets::Session;
-use crate::viewers::{FPS_MAX, Wish};
+use crate::viewers::{ClientImages, FPS_MAX};
 
 /// Largest message of a client, bytes.
 const MESSAGE_MAX: usize = 16 * 1024;
@@ -65,7 +65,7 @@ struct Connection {
 
 impl Drop for Connection {
     fn drop(&mut self) {
-        self.hub.viewers.set(self.id, Wish::NOTHING);
+        self.hub.viewers.set(self.id, ClientImages::NOTHING);
         self.hub.connection_closed(self.id);
     }
 }
@@ -74,14 +74,14 @@ async fn serve(socket: WebSocket, hub: Arc<Hub>, peer: Peer, has_token: bool) {
     let connection = Connection { id: hub.next_connection(), hub: Arc::clone(&hub) };
     let (sink, stream) = socket.split();
     let (give_session, session) = watch::channel(None);
-    let (give_wish, wish) = watch::channel(Wish::NOTHING);
+    let (give_wanted, wanted) = watch::channel(ClientImages::NOTHING);
     let (give_answers, answers) = mpsc::channel(ANSWERS_MAX);
     let mut reader = Reader {
         hub: Arc::clone(&hub),
         id: connection.id,
         has_token,
         session: give_session,
-        wish: give_wish,
+        wanted: give_wanted,
         answers: give_answers,
     };
     let mut stream = stream;
@@ -92,7 +92,7 @@ async fn serve(socket: WebSocket, hub: Arc<Hub>, peer: Peer, has_token: bool) {
         let _ = timeout(SEND_WITHIN, sink.close()).await;
         return;
     }
-    let writer = Writer { hub, id: connection.id, sink, session, wish, answers };
+    let writer = Writer { hub, id: connection.id, sink, session, wanted, answers };
     // The first end that is over ends the other one.
     tokio::select! {
         () = reader.run(stream) => {}
@@ -106,7 +106,7 @@ struct Reader {
     id: u64,
     has_token: bool,
     session: watch::Sender<Option<Session>>,
-    wish: watch::Sender<Wish>,
+    wanted: watch::Sender<ClientImages>,
     answers: mpsc::Sender<ServerMessage>,
 }
 
@@ -185,11 +185,12 @@ impl Reader {
                     code: error.as_ref().map(Refusal::code),
                 });
             }
-            ClientMessage::Images { left, right, view, fps_max, heat: _ } => {
+            ClientMessage::Images { left, right, view, fps_max, heat } => {
                 let fps_max = fps_max.filter(|fps| *fps > 0.0).unwrap_or(30.0).min(FPS_MAX);
-                let wish = Wish { sides: [left, right], view, fps_max };
-                self.hub.viewers.set(self.id, wish);
-                self.wish.send_replace(wish);
+                let heat = heat && left && view == ImageView::Raw;
+                let wanted = ClientImages { sides: [left, right], view, fps_max, heat };
+                self.hub.viewers.set(self.id, wanted);
+                self.wanted.send_replace(wanted);
             }
             ClientMessage::Heartbeat { nonce, visible, pressed } => {
                 let session = *self.session.borrow();
@@ -206,7 +207,7 @@ struct Writer {
     id: u64,
     sink: SplitSink<WebSocket, Message>,
     session: watch::Receiver<Option<Session>>,
-    wish: watch::Receiver<Wish>,
+    wanted: watch::Receiver<ClientImages>,
     answers: mpsc::Receiver<ServerMessage>,
 }
 
@@ -244,8 +245,8 @@ impl Writer {
                 },
                 Ok(()) = images.changed() => {
                     let pair = images.borrow_and_update().clone();
-                    let wish = *self.wish.borrow();
-                    self.show(pair.as_deref(), wish, &mut shown_at).await
+                    let wanted = *self.wanted.borrow();
+                    self.show(pair.as_deref(), wanted, &mut shown_at).await
                 }
                 else => return,
             };
@@ -279,18 +280,26 @@ impl Writer {
         }
     }
 
-    async fn show(&mut self, pair: Option<&EncodedPair>, wish: Wish, shown_at: &mut Option<f64>) -> Result<(), ()> {
+    async fn show(
+        &mut self,
+        pair: Option<&EncodedPair>,
+        wanted: ClientImages,
+        shown_at: &mut Option<f64>,
+    ) -> Result<(), ()> {
         let Some(pair) = pair else { return Ok(()) };
         let at_s = pair.at.as_secs_f64();
-        let interval_s = 0.9 / wish.fps_max;
-        if !wish.is_anything() || shown_at.is_some_and(|before| (0.0..interval_s).contains(&(at_s - before))) {
+        let interval_s = 0.9 / wanted.fps_max;
+        if !wanted.is_anything() || shown_at.is_some_and(|before| (0.0..interval_s).contains(&(at_s - before))) {
             return Ok(());
         }
-        for (message, is_wanted) in pair.messages[wish.view as usize].iter().zip(wish.sides) {
+        for (message, is_wanted) in pair.messages[wanted.view as usize].iter().zip(wanted.sides) {
             if let (Some(bytes), true) = (message, is_wanted) {
                 *shown_at = Some(at_s);
                 self.send(Message::Binary(bytes.clone())).await?;
             }
+        }
+        if let (Some(heat), true) = (&pair.heat, wanted.heat) {
+            self.send(Message::Binary(heat.clone())).await?;
         }
         Ok(())
     }

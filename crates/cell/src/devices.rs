@@ -1,0 +1,62 @@
+//! An arm with its limiter, and the monitor of its link.
+
+use std::time::Duration;
+
+use pb3dp_hal_api::{Arm, ArmError, ArmPower};
+use pb3dp_hal_middleware::{Limiter, LimiterStatistics};
+use pb3dp_hal_platform::jitter::Jitter;
+
+/// An arm with its limiter: motion, power, and limiter statistics.
+pub trait DrivenArm: Arm + ArmPower {
+    /// How often the limiter has intervened.
+    fn statistics(&self) -> LimiterStatistics;
+
+    /// As [`ArmPower::enable`], but an arm that has already begun at its start pose continues from its current pose.
+    ///
+    /// # Errors
+    /// As [`ArmPower::enable`].
+    fn enable_here(&mut self) -> Result<(), ArmError>;
+
+    /// As [`ArmPower::begin_enable`], for [`Self::enable_here`].
+    ///
+    /// # Errors
+    /// As [`ArmPower::enable`].
+    fn begin_enable_here(&mut self) -> Result<(), ArmError> {
+        self.enable_here()
+    }
+}
+
+impl<A: Arm + ArmPower> DrivenArm for Limiter<A> {
+    fn statistics(&self) -> LimiterStatistics {
+        Self::statistics(self)
+    }
+
+    fn enable_here(&mut self) -> Result<(), ArmError> {
+        Self::enable_here(self)
+    }
+
+    fn begin_enable_here(&mut self) -> Result<(), ArmError> {
+        Self::begin_enable_here(self)
+    }
+}
+
+/// Timing and completeness of the exchanges on an arm's link.
+pub trait LinkMonitor: Send {
+    /// Period of the link cycles.
+    fn period(&self) -> Duration;
+
+    /// Lateness of the link cycles.
+    fn lateness(&self) -> Jitter;
+
+    /// Missed cycles and lost replies.
+    fn counts(&self) -> LinkCounts;
+}
+
+/// Missed cycles and lost replies of an arm's link.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LinkCounts {
+    /// Cycles skipped because their time had passed.
+    pub missed: u64,
+    /// Replies that did not arrive in time.
+    pub replies_lost: u64,
+}
