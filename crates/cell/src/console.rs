@@ -1,5 +1,7 @@
 //! Operator console: commands are read on one thread and answers written on another, so the thread that moves the arms waits for neither.
 
+mod options;
+
 use std::io::{BufRead, ErrorKind, Read, Write};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -14,6 +16,8 @@ use pb3dp_servo::supervisor::{Condition, Decision, OperatorCommand, OperatorInpu
 use pb3dp_setup::region_spec::{RegionSpec, load_region};
 use rtrb::{Consumer, Producer, RingBuffer};
 
+use self::options::Drawn;
+pub use self::options::{ConsoleOptions, ConsoleTargets};
 use super::operator::Operator;
 use super::selection::{Selection, Selections};
 use super::terminal::{has_word, without_escape_sequences};
@@ -67,27 +71,6 @@ reset      clear a stop or a fault after its cause is gone
 status     show the state and what inhibits motion
 quit       stop both arms, write the report, exit
 help       show this list";
-
-/// What a console needs besides its lines.
-pub struct ConsoleOptions {
-    /// Set by `quit` and by the end of the input.
-    pub interrupt: Arc<AtomicBool>,
-    /// Text behind each answer.
-    pub prompt: &'static str,
-    /// For `select REGION`; `None` if the target cannot be chosen.
-    pub targets: Option<ConsoleTargets>,
-}
-
-/// For the command `select REGION`.
-pub struct ConsoleTargets {
-    /// Size of the left image.
-    pub size: ImageSize,
-    /// Receives the target once the supervisor has accepted the command.
-    pub selections: Selections,
-}
-
-/// The target of the last `select REGION`, until the supervisor has decided.
-type Drawn = Arc<Mutex<Option<Selection>>>;
 
 /// Operator commands from a console, one on each line. The end of the input ends the run, as `quit` does.
 pub struct Console {

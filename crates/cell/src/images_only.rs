@@ -1,7 +1,7 @@
 //! Estimation on a stream of pairs without arms: recorded images, or cameras that nothing carries.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::Result;
 use pb3dp_estimation::estimator::FramePrior;
@@ -71,7 +71,7 @@ impl ImagesOnly {
     }
 
     fn look(&mut self, pair: Arc<FramePair>, progress: &mut Progress) -> PairEstimate {
-        let started = Instant::now();
+        let started = self.clock.now();
         let selection = self.selections.take();
         progress.target += u64::from(selection.is_some());
         let before = progress.before.replace(pair.exposed_at);
@@ -87,14 +87,16 @@ impl ImagesOnly {
             TrackEstimate::without_pose(Status::NotObservable, refusal.to_string())
         });
         let frame = FrameInput { sequence: pair.sequence, at: pair.exposed_at, skew_s: pair.skew_nanos as f64 * 1e-9 };
-        let age_millis = self.clock.now().saturating_since(pair.exposed_at).as_secs_f64() * 1e3;
+        let now = self.clock.now();
+        let millis_since = |time: MonotonicTime| now.saturating_since(time).as_secs_f64() * 1e3;
+        let (latency_millis, age_millis) = (millis_since(started), millis_since(pair.exposed_at));
         PairEstimate {
             captured: Captured { frame, cam_left_from_target: None, view: View::Images(pair) },
             target: progress.target,
             region: selection.map(|selection| selection.region),
             prior,
             estimate,
-            latency_millis: started.elapsed().as_secs_f64() * 1e3,
+            latency_millis,
             age_millis,
         }
     }

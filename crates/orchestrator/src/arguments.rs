@@ -1,12 +1,12 @@
 //! Arguments of `pb3dp run`, `estimate` and `track`, and their parsers.
 
-use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{ArgGroup, Args};
 use pb3dp_cell::terminal::parse_seconds;
 use pb3dp_estimation::estimator::Method;
+use pb3dp_panel::PanelAddress;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
 use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
@@ -48,7 +48,7 @@ pub struct RunArgs {
     /// Serve the operator panel at this address (127.0.0.1:8087 without one), and let it lead the run: choose the target with the mouse,
     /// start, hold, stop (docs/panel.md).
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = PANEL_ADDRESS, conflicts_with_all = ["operator", "moves"])]
-    pub panel: Option<SocketAddr>,
+    pub panel: Option<PanelAddress>,
     /// Move arms that are not emulated without a console, after their names are typed. Then press Enter at least every
     /// supervisor.operator_key_within_s while they move.
     #[arg(long = "move")]

@@ -1,6 +1,7 @@
 //! Configuration of the panel.
 
 use std::fmt;
+pub use std::net::SocketAddr as PanelAddress;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;

@@ -39,7 +39,7 @@ mod target_of;
 mod viewers;
 
 pub use about::About;
-pub use config::{Certificate, PanelConfig, Protection, TlsFiles};
+pub use config::{Certificate, PanelAddress, PanelConfig, Protection, TlsFiles};
 pub use log_lines::LogLines;
 pub use operator::{PanelOperator, SILENT_AFTER};
 pub use panel::Panel;

@@ -20,6 +20,8 @@ use clap::ValueEnum;
 use pb3dp_arm_pa10::arm::{ArmMonitor, VirtualTime};
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_camera_replay::{Pacing, Repeat, ReplayCamera, ReplayOptions};
+use pb3dp_camera_settings::StereoConfig;
+use pb3dp_camera_v4l2::V4l2StereoCamera;
 use pb3dp_camera_v4l2::linux::Linux;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_geometry::Pose;
@@ -255,6 +257,14 @@ fn check_marked(setup: &Setup) -> Result<()> {
         Some(cameras) if cameras.region.is_none() => bail!("{NOT_MARKED}"),
         _ => Ok(()),
     }
+}
+
+/// Two real cameras, without a setup.
+///
+/// # Errors
+/// If they cannot be used.
+pub fn open_cameras(config: &StereoConfig, clock: Arc<dyn Clock>) -> Result<Box<dyn StereoCamera>> {
+    Ok(Box::new(V4l2StereoCamera::open(Arc::new(Linux), clock, config)?))
 }
 
 /// A camera that replays a recorded sequence at its pace, again and again, and its calibration.

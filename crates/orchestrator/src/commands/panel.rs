@@ -1,14 +1,11 @@
 //! `pb3dp panel`: the operator's page on recorded images or bare cameras, without arms.
 
-use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use clap::{ArgGroup, Args};
-use pb3dp_camera_v4l2::V4l2StereoCamera;
-use pb3dp_camera_v4l2::linux::Linux;
 use pb3dp_cell::follower::Follower;
 use pb3dp_cell::images_only::ImagesOnly;
 use pb3dp_cell::terminal::print_line;
@@ -18,9 +15,9 @@ use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::{Clock, StereoCamera};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::signals::StopSignals;
-use pb3dp_panel::{About, Panel, PanelConfig};
+use pb3dp_panel::{About, Panel, PanelAddress, PanelConfig};
 use pb3dp_record::dataset::load_sequence;
-use pb3dp_wiring::wire_endless_replay;
+use pb3dp_wiring::{open_cameras, wire_endless_replay};
 
 use crate::arguments::{PANEL_ADDRESS, ZRange, parse_z_range};
 use crate::commands::cameras::choice::CameraChoice;
@@ -48,7 +45,7 @@ pub struct PanelArgs {
     z_range: Option<ZRange>,
     /// Address of the page on this computer; port 0 takes any free one.
     #[arg(long, value_name = "ADDRESS", default_value = PANEL_ADDRESS)]
-    address: SocketAddr,
+    address: PanelAddress,
 }
 
 /// The images, and what is known about them.
@@ -109,13 +106,12 @@ fn cameras(choice: &CameraChoice, clock: &Arc<dyn Clock>) -> Result<Source> {
             "--cameras: poses need a calibration; give --calib FILE, or --config with a calibrated setup (`pb3dp cameras view` shows bare images)"
         );
     };
-    let camera = V4l2StereoCamera::open(Arc::new(Linux), Arc::clone(clock), &chosen.config);
-    let camera = camera.context("the cameras cannot be used")?;
+    let camera = open_cameras(&chosen.config, Arc::clone(clock)).context("the cameras cannot be used")?;
     let of_default = SearchRange {
         z_min_m: RANGE_MM.min_mm * 1e-3,
         z_max_m: RANGE_MM.max_mm * 1e-3,
         tilt_max_rad: TILT_MAX_DEG.to_radians(),
     };
     let name = camera.info().name.clone();
-    Ok(Source { camera: Box::new(camera), name, rig, range: chosen.target.range.unwrap_or(of_default) })
+    Ok(Source { camera, name, rig, range: chosen.target.range.unwrap_or(of_default) })
 }

@@ -1,6 +1,5 @@
 //! The operator panel of `pb3dp run`.
 
-use std::net::SocketAddr;
 use std::sync::Arc;
 
 use anyhow::{Result, bail};
@@ -9,7 +8,7 @@ use pb3dp_cell::parts::Parts;
 use pb3dp_cell::perception::{Marking, Sight};
 use pb3dp_cell::terminal::print_line;
 use pb3dp_panel::config::Push;
-use pb3dp_panel::{About, Panel, PanelConfig};
+use pb3dp_panel::{About, Panel, PanelAddress, PanelConfig};
 use pb3dp_setup::setup::{Pace, Setup};
 
 use crate::logging::show_in_panel;
@@ -37,7 +36,7 @@ pub fn check(setup: &Setup) -> Result<()> {
 ///
 /// # Errors
 /// If the address is in use or is not of this computer, or needs protection.
-pub fn start(address: SocketAddr, (setup, name): (&Setup, &str), parts: &mut Parts) -> Result<Panel> {
+pub fn start(address: PanelAddress, (setup, name): (&Setup, &str), parts: &mut Parts) -> Result<Panel> {
     let clock = Arc::clone(&parts.clock);
     let config = PanelConfig {
         interrupt: Arc::clone(&parts.interrupt),
