@@ -38,6 +38,10 @@ impl Hub {
         if command == OperatorCommand::Start {
             self.check_no_selection_is_awaited()?;
         }
+        let starts = matches!(command, OperatorCommand::Start | OperatorCommand::Resume);
+        if starts && self.config.hold_to_run && !self.is_pressed.load(Ordering::SeqCst) {
+            return Err(Refusal::NotPressed { command: name });
+        }
         let given = GivenCommand { id: self.link.next_id(), command, at: self.now(), state_seen };
         let has_room = self.pending.push(PendingCommand { id: given.id, command, chosen, answer });
         if !has_room && !command.ends_motion() {

@@ -106,6 +106,8 @@ pub struct ControlLink {
     pub number: AtomicU64,
     /// Whether an arm may move.
     pub may_move: AtomicBool,
+    /// Whether an arm moves, or may begin to move without a command.
+    pub may_begin_to_move: AtomicBool,
     /// Commands are accepted: both arms are enabled.
     pub has_begun: AtomicBool,
     /// The control thread is gone.
@@ -147,6 +149,7 @@ impl ControlLink {
             commands: AtomicU64::new(0),
             number: AtomicU64::new(1),
             may_move: AtomicBool::new(false),
+            may_begin_to_move: AtomicBool::new(false),
             has_begun: AtomicBool::new(false),
             is_over: AtomicBool::new(false),
             give: Mutex::new(give),

@@ -51,6 +51,8 @@ pub struct Hub {
     pub pending: PendingCommands,
     /// Who wants which images.
     pub viewers: Viewers,
+    /// Whether the button of hold-to-run was pressed at the last heartbeat.
+    pub is_pressed: AtomicBool,
     /// Requests for previews.
     pub previews: PreviewJobs,
     /// The newest state, as text.
@@ -95,6 +97,7 @@ impl Hub {
             selections: Selections::default(),
             pending: PendingCommands::default(),
             viewers: Viewers::default(),
+            is_pressed: AtomicBool::new(false),
             previews: PreviewJobs::default(),
             states: watch::Sender::new(Utf8Bytes::from_static("{}")),
             images: watch::Sender::new(None),

@@ -17,6 +17,7 @@ impl Hub {
         let now = self.now();
         let mut lease = self.lease();
         let taken = lease.take(name, take_over, &mut SystemRandom, now)?;
+        self.is_pressed.store(false, Ordering::SeqCst);
         *self.commander() = None;
         if taken.is_take_over {
             self.link.hold_every_arm(now);
@@ -64,11 +65,12 @@ impl Hub {
     /// If it is none of the holder.
     pub fn heartbeat(&self, session: Option<Session>, request: &HeartbeatRequest) -> Result<Sign, Refusal> {
         let now = self.now();
-        let needs_press = self.config.hold_to_run && self.link.may_move.load(Ordering::SeqCst);
+        let needs_press = self.config.hold_to_run && self.link.may_begin_to_move.load(Ordering::SeqCst);
         let nonce = Nonce::from_hex(&request.nonce).ok_or(Refusal::Nonce)?;
         let HeartbeatRequest { visible, pressed, .. } = *request;
         let mut lease = self.lease();
         let sign = lease.heartbeat(session, Heartbeat { nonce, visible, pressed, needs_press }, now)?;
+        self.is_pressed.store(pressed && visible, Ordering::SeqCst);
         match sign {
             Sign::Alive | Sign::Hidden => self.link.set_heard_at(lease.heard_at()),
             Sign::Released => self.link.hold_every_arm(now),

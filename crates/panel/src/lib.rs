@@ -45,3 +45,7 @@ pub use operator::{PanelOperator, SILENT_AFTER};
 pub use panel::Panel;
 pub use refusal::Refusal;
 pub use spectator::PanelSpectator;
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+mod readme {}

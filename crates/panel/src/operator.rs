@@ -146,6 +146,8 @@ impl Operator for PanelOperator {
         self.number += u64::from(decision.transition.is_some() || has_ended_motion);
         self.link.number.store(self.number, Ordering::SeqCst);
         self.link.may_move.store(may_move(decision), Ordering::SeqCst);
+        let resumes_by_itself = decision.state.is_resting() && !decision.why.waits_for_resume();
+        self.link.may_begin_to_move.store(may_move(decision) || resumes_by_itself, Ordering::SeqCst);
         if let Some(Transition { at, cause: Some(cause), .. }) = decision.transition
             && cause.condition == Condition::ClockStepped
         {

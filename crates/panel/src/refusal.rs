@@ -166,6 +166,14 @@ pub enum Refusal {
         /// The reason with the remedy.
         why: &'static str,
     },
+    /// The button of hold-to-run is not pressed.
+    #[error(
+        "{command} refused: this setup moves arms only while the button is pressed; press it, then repeat the command"
+    )]
+    NotPressed {
+        /// The command.
+        command: &'static str,
+    },
     /// No control step took the command in time.
     #[error(
         "{command}: no control step took the command within {limit_ms} ms; check the state, use the emergency stop if an arm moves"
@@ -287,6 +295,7 @@ codes! {
         Jog = "PB3DP-PAN-036": "The jog is larger than one step or the whole offset may be."; "Use smaller steps.";
         Range = "PB3DP-PAN-037": "A number of the request is out of its range."; "Use a value in the range that the message names.";
         NotHere = "PB3DP-PAN-038": "This panel does not have the part that the request needs."; "Use a setup that has it.";
+        NotPressed = "PB3DP-PAN-040": "The setup wants hold-to-run, and the last heartbeat says that the button is not pressed."; "Press the button and keep it pressed, then use `start` or `resume`.";
         Protocol = "PB3DP-PAN-039": "A WebSocket message breaks the protocol."; "Reload the page; scripts: follow docs/reference/panel-api.md.";
     }
 }
@@ -316,6 +325,7 @@ impl Refusal {
             | Self::OldState { .. }
             | Self::QueueFull { .. }
             | Self::NotRunning { .. }
+            | Self::NotPressed { .. }
             | Self::Overtaken { .. }
             | Self::Supervisor(_)
             | Self::PairGone { .. }

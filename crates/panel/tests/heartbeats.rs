@@ -137,13 +137,17 @@ fn with_hold_to_run_a_released_button_holds_every_arm() {
     let mut client = rig.client();
     client.take("test");
     let mut page = Page::open(&client);
-    let pressed = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
+    let pressed = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
     let (seen, (give, over)) = (pressed.clone(), std::sync::mpsc::channel::<()>());
     let beating = std::thread::spawn(move || {
         while over.try_recv().is_err() {
             page.beat(true, seen.load(std::sync::atomic::Ordering::SeqCst));
         }
     });
+    let refused = client.post("start", &json!({ "seen": client.seen() }).to_string());
+    assert_eq!(refused.code(), "PB3DP-PAN-040", "the button is not pressed yet");
+    pressed.store(true, std::sync::atomic::Ordering::SeqCst);
+    std::thread::sleep(Duration::from_millis(300));
     rig.start(&client);
     std::thread::sleep(Duration::from_millis(700));
     assert_eq!(rig.state(), State::Approaching);

@@ -99,6 +99,7 @@ const WORLDS: [World; 6] = [
             "crates/cell/src/paced_clock.rs",
             "crates/panel/src/preview.rs",
             "crates/panel/src/reporting.rs",
+            "crates/panel/src/server/checks.rs",
             "crates/panel/src/server/commands.rs",
             "crates/panel/src/server/rate.rs",
             "crates/panel/src/state_of.rs",

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::rate::Rates;
+use super::rate::{Rates, RefusalLog};
 use crate::hub::Hub;
 
 /// What the handlers share.
@@ -12,4 +12,6 @@ pub struct App {
     pub hub: Arc<Hub>,
     /// Rates of requests.
     pub rates: Arc<Rates>,
+    /// Limit of the log lines about refused requests.
+    pub refusals: Arc<RefusalLog>,
 }

@@ -1,7 +1,7 @@
 //! Checks of every request: host, origin, token, further connections.
 
 use std::net::{IpAddr, SocketAddr};
-use std::sync::Arc;
+use std::time::Instant;
 
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, header};
@@ -9,6 +9,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use super::answers::with_headers;
+use super::app::App;
 use super::assets::shortened;
 use super::{CONNECTIONS_MAX, Peer};
 use crate::config::Protection;
@@ -20,12 +21,15 @@ use crate::secrets::{Session, is_same};
 const SESSION: HeaderName = HeaderName::from_static("pb3dp-session");
 
 /// Refuses a request before anybody reads its body, and adds the headers of every answer.
-pub async fn guard(State(hub): State<Arc<Hub>>, request: Request, next: Next) -> Response {
+pub async fn guard(State(app): State<App>, request: Request, next: Next) -> Response {
     let is_api = request.uri().path().starts_with("/api/");
-    let response = match check(&hub, &request) {
+    let response = match check(&app.hub, &request) {
         Ok(()) => next.run(request).await,
         Err(refusal) => {
-            tracing::warn!(target: "pb3dp_panel::audit", path = shortened(request.uri().path()), "refused: {refusal}");
+            if app.refusals.may_log(Instant::now()) {
+                let path = shortened(request.uri().path());
+                tracing::warn!(target: "pb3dp_panel::audit", path, "refused: {refusal}");
+            }
             refusal.into_response()
         }
     };

@@ -306,9 +306,9 @@ pub async fn push(State(app): State<App>, Extension(peer): Extension<Peer>, requ
         return Err(Refusal::NotHere { what: "push", why });
     };
     check_push(offset_mm, turn_deg)?;
-    hub.check_holder(asked.session)?;
+    let holder = hub.check_holder(asked.session)?;
     let pushed = push(offset_mm.map(|offset| offset * 1e-3), turn_deg.to_radians());
-    pushed.map_err(|why| Refusal::NotHere { what: "push", why })?;
+    asked.audit(Some(&holder), pushed.map_err(|why| Refusal::NotHere { what: "push", why }))?;
     Ok(json(&Done {}))
 }
 

@@ -57,6 +57,24 @@ impl Rates {
     }
 }
 
+/// Lines of the log about refused requests per second: a hostile page must not fill a disk.
+const REFUSALS_LOGGED: u32 = 20;
+
+/// Limit of log lines about refused requests.
+#[derive(Debug, Default)]
+pub struct RefusalLog(Mutex<Option<(Instant, u32)>>);
+
+impl RefusalLog {
+    /// Whether one more may be logged.
+    pub fn may_log(&self, now: Instant) -> bool {
+        let mut second = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_same = |(begin, _): &(Instant, u32)| now.saturating_duration_since(*begin).as_secs() == 0;
+        let (begin, count) = second.filter(is_same).unwrap_or((now, 0));
+        *second = Some((begin, count.saturating_add(1)));
+        count < REFUSALS_LOGGED
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use std::net::Ipv4Addr;
@@ -74,5 +92,13 @@ mod tests {
         assert!(rates.count(other, start).is_ok());
         let later = start + Duration::from_millis(500);
         assert_eq!((0..500).filter(|_| rates.count(client, later).is_ok()).count(), 30);
+    }
+
+    #[test]
+    fn refused_requests_do_not_flood_the_log() {
+        let (log, start) = (RefusalLog::default(), Instant::now());
+        assert_eq!((0..500).filter(|_| log.may_log(start)).count(), 20);
+        assert!(!log.may_log(start + Duration::from_millis(900)));
+        assert!(log.may_log(start + Duration::from_millis(1100)));
     }
 }

@@ -27,7 +27,7 @@ const NEXT_STATE_WITHIN: Duration = Duration::from_millis(200);
 
 /// All paths.
 pub fn router(hub: &Arc<Hub>) -> Router {
-    let app = App { hub: Arc::clone(hub), rates: Arc::default() };
+    let app = App { hub: Arc::clone(hub), rates: Arc::default(), refusals: Arc::default() };
     Router::new()
         .route("/api/info", get(info))
         .route("/api/state", get(state))
@@ -49,7 +49,7 @@ pub fn router(hub: &Arc<Hub>) -> Router {
         .route("/api/{*rest}", any(unknown))
         .method_not_allowed_fallback(wrong_method)
         .fallback(page)
-        .layer(from_fn_with_state(Arc::clone(hub), checks::guard))
+        .layer(from_fn_with_state(app.clone(), checks::guard))
         .with_state(app)
 }
 
