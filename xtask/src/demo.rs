@@ -44,5 +44,6 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         bail!("the run ended without an error, but {} is missing", report.display());
     }
     println!("Ran in {:.0} s. Open the report in a browser: {}", start.elapsed().as_secs_f64(), report.display());
+    println!("Next, push a target about with the mouse: target/release/pb3dp run --config playground --panel");
     Ok(())
 }

@@ -3,12 +3,15 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use pb3dp_cell::selection::Selection;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::Pose;
 use pb3dp_servo::supervisor::{Decision, OperatorCommand};
 use tokio::sync::oneshot;
 
 use crate::control_link::{COMMANDS_MAX, GivenCommand, Outcome, TakenCommand};
-use crate::hub::{Hub, SAVED_MAX};
+use crate::hub::{Hub, SAVED_MAX, Targets};
 use crate::messages::state::JogState;
 use crate::pending::{Answer, Chosen, CommandAnswer, PendingCommand};
 use crate::refusal::Refusal;
@@ -163,6 +166,33 @@ impl Hub {
         }
         targets.awaited = Some((self.watched.marked.load(Ordering::SeqCst), self.now()));
         self.selections.give(selection.clone());
+    }
+}
+
+impl Hub {
+    /// Keeps the present view of the followed target, if it has a name: chosen again later, the target is searched for as it was last seen
+    /// well, not as it was seen from where the hand began.
+    pub fn renew_saved(&self) {
+        let Some(newest) = self.watched.newest() else { return };
+        let size = self.about.stereo.left().size();
+        let (width, height) = (f64::from(size.width), f64::from(size.height));
+        let outline_px = &newest.estimate.outline_px;
+        let is_whole = outline_px.len() >= 3
+            && outline_px.iter().all(|p| (0.0..width).contains(&p.x) && (0.0..height).contains(&p.y));
+        if newest.estimate.status != Status::Ok || !is_whole {
+            return;
+        }
+        let Ok(pair) = self.watched.pairs.get(Some(newest.sequence)) else { return };
+        // The estimate may still be that of the target before.
+        if self.check_no_selection_is_awaited().is_err() {
+            return;
+        }
+        let mut targets = self.targets();
+        let Targets { name: Some(name), saved, .. } = &mut *targets else { return };
+        if let Some((_, selection)) = saved.iter_mut().find(|(saved, _)| saved == name) {
+            let region = Region::Polygon { vertices_px: outline_px.clone() };
+            *selection = Selection { region, drawn_on: Some(pair) };
+        }
     }
 }
 

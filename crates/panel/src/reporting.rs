@@ -15,11 +15,13 @@ use crate::state_of::StateBuilder;
 const RESULTS_EVERY: Duration = Duration::from_millis(5);
 /// Time between two states.
 const STATES_EVERY: Duration = Duration::from_millis(50);
+/// Time between two renewals of the followed target's kept view: a hand in motion sees another view after it.
+const RENEWALS_EVERY: Duration = Duration::from_secs(1);
 
 /// Reports until the panel ends.
 pub fn run(hub: &Arc<Hub>, mut ends: ReportingEnds, mut steps: LatestConsumer<Moved>) {
     let mut builder = StateBuilder::new(Instant::now(), hub.now());
-    let mut due = Instant::now();
+    let (mut due, mut renewal_due) = (Instant::now(), Instant::now());
     while !hub.is_over() {
         let taken: Vec<TakenCommand> = std::iter::from_fn(|| ends.results.pop().ok()).collect();
         if !taken.is_empty() {
@@ -42,6 +44,10 @@ pub fn run(hub: &Arc<Hub>, mut ends: ReportingEnds, mut steps: LatestConsumer<Mo
             }
             send_state(hub, &mut builder);
             hub.pass_on_log_lines(&hub.config.log_lines);
+        }
+        if Instant::now() >= renewal_due {
+            renewal_due = Instant::now() + RENEWALS_EVERY;
+            hub.renew_saved();
         }
         for taken in &taken {
             hub.resolve(taken);

@@ -19,6 +19,7 @@ pub fn tables() -> Vec<CodeTable> {
         table::<GatewayConfigError>(),
         table::<HeldError>(),
         table::<AccessError>(),
+        table::<pb3dp_panel::Refusal>(),
     ];
     message_codes::TABLES.into_iter().chain(of_devices).collect()
 }
@@ -55,11 +56,12 @@ fn of_device(error: &(dyn Error + 'static)) -> Option<&'static MessageCode> {
     let refusal = || error.downcast_ref::<Refusal>().map(Coded::message_code);
     let gateway = || error.downcast_ref::<GatewayConfigError>().map(Coded::message_code);
     let access = || error.downcast_ref::<AccessError>().map(Coded::message_code);
+    let panel = || error.downcast_ref::<pb3dp_panel::Refusal>().map(Coded::message_code);
     let held = || match error.downcast_ref::<WishError>() {
         Some(WishError::Gateway(HelloError::Held(held))) => Some(held.message_code()),
         _ => None,
     };
-    fault.or_else(stop).or_else(warm_up).or_else(refusal).or_else(gateway).or_else(access).or_else(held)
+    fault.or_else(stop).or_else(warm_up).or_else(refusal).or_else(gateway).or_else(access).or_else(panel).or_else(held)
 }
 
 #[cfg(test)]

@@ -162,6 +162,7 @@ const ALLOWED: [(&str, &[&str]); 38] = [
             "arm-pa10-emulation",
             "setup",
             "cell",
+            "panel",
         ],
     ),
     (

@@ -25,7 +25,7 @@ export class Connection {
     this.heard_ms = 0;
     this.isOpen = false;
     /** Images that are being decoded; more are dropped. */
-    this.decoding = [0, 0];
+    this.decoding = [0, 0, 0];
     this.connect();
     setInterval(() => this.watch(), 250);
   }
@@ -104,15 +104,19 @@ export class Connection {
   /** @param {ArrayBuffer} data */
   async takeImage(data) {
     const view = new DataView(data);
-    if (data.byteLength < HEADER_BYTES || view.getUint32(0, false) !== 0x50424931 || view.getUint8(5) !== 0) return;
+    if (data.byteLength < HEADER_BYTES || view.getUint32(0, false) !== 0x50424931) return;
     const side = view.getUint8(4) === 0 ? 0 : 1;
-    if (this.decoding[side] > 1) return;
-    this.decoding[side] += 1;
+    const isHeat = view.getUint8(5) === 1;
+    const queue = isHeat ? 2 : side;
+    if (this.decoding[queue] > 1) return;
+    this.decoding[queue] += 1;
     try {
-      const bitmap = await createImageBitmap(new Blob([data.slice(HEADER_BYTES)], { type: "image/jpeg" }));
-      this.onImage({ side, sequence: Number(view.getBigUint64(8, true)), time_ms: view.getFloat64(16, true), bitmap });
+      const bitmap = await createImageBitmap(new Blob([data.slice(HEADER_BYTES)], { type: isHeat ? "image/png" : "image/jpeg" }));
+      const number = (/** @type {number} */ offset) => view.getUint16(offset, true);
+      const [sequence, time_ms] = [Number(view.getBigUint64(8, true)), view.getFloat64(16, true)];
+      this.onImage({ side, isHeat, sequence, time_ms, size_px: [number(24), number(26)], place_px: [number(28), number(30)], bitmap });
     } finally {
-      this.decoding[side] -= 1;
+      this.decoding[queue] -= 1;
     }
   }
 }

@@ -69,6 +69,10 @@ const pointing = new Pointing(left, {
   canPush: about.playground,
   onRegion: (region) => void preview(region),
   onCancel: forget,
+  // A preview keeps the pair until the region is complete, however long that takes.
+  onBegin: (u, v) => {
+    if (left.image) void post("/api/preview", { region: `click:${u},${v}`, sequence: left.image.sequence }, connection.session);
+  },
   onPush: paced(PUSH_MS, (du, dv) => {
     const mm = (state?.target.point_mm?.[2] ?? DEPTH_MM) / about.cameras.left.focal_px[0];
     void post("/api/push", { offset_mm: [du * mm, dv * mm, 0], turn_deg: 0 }, connection.session).then((answer) => {
@@ -115,7 +119,10 @@ connection.onState = (newest) => {
   left.redraw();
   right.redraw();
 };
-connection.onImage = (image) => (image.side === 0 ? left : right).show(image);
+connection.onImage = (image) => {
+  if (image.isHeat) left.overlay(image);
+  else (image.side === 0 ? left : right).show(image);
+};
 connection.onLog = (lines) => {
   const log = at("log");
   const isAtEnd = log.scrollTop + log.clientHeight >= log.scrollHeight - 8;
@@ -180,13 +187,14 @@ function showSaved(names) {
 
 function askForImages() {
   const wanted = !document.hidden;
-  connection.ask({ left: wanted, right: wanted, view: input("rectified").checked ? "rectified" : "raw", fps_max: FPS_MAX });
+  connection.ask({ left: wanted, right: wanted, view: input("rectified").checked ? "rectified" : "raw", fps_max: FPS_MAX, heat: input("heat").checked });
+  if (!input("heat").checked) left.overlay(null);
 }
 
 button("select").addEventListener("click", () => void select());
 button("discard").addEventListener("click", () => pointing.cancel());
 button("unzoom").addEventListener("click", () => [left, right].forEach((view) => view.whole()));
-input("rectified").addEventListener("change", askForImages);
+for (const option of ["rectified", "heat"]) input(option).addEventListener("change", askForImages);
 document.addEventListener("visibilitychange", askForImages);
 const askForLine = paced(EPIPOLAR_MS, async (u, v) => {
   if (!input("epipolar").checked) return;

@@ -19,7 +19,7 @@ const GRASP_PX = 8;
 export class Pointing {
   /**
    * @param {import("./view.js").ImageView} view
-   * @param {{onRegion: (region: string) => void, onCancel: () => void, onPush: (du: number, dv: number) => void, canPush: boolean}} handlers
+   * @param {{onBegin: (u: number, v: number) => void, onRegion: (region: string) => void, onCancel: () => void, onPush: (du: number, dv: number) => void, canPush: boolean}} handlers
    */
   constructor(view, handlers) {
     this.view = view;
@@ -94,6 +94,7 @@ export class Pointing {
       this.grasped = near;
       return;
     }
+    if (!this.view.isFrozen) this.handlers.onBegin(Math.round(at_px[0]), Math.round(at_px[1]));
     this.view.isFrozen = true;
     if (this.tool === "rectangle") {
       this.points = [at_px, at_px];

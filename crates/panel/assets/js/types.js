@@ -78,7 +78,7 @@
  * @property {number} ms
  * @property {number} sequence
  */
-/** @typedef {{side: 0|1, sequence: number, time_ms: number, bitmap: ImageBitmap}} CameraImage */
+/** @typedef {{side: 0|1, isHeat: boolean, sequence: number, time_ms: number, size_px: Pixel, place_px: Pixel, bitmap: ImageBitmap}} CameraImage */
 /** @typedef {{time_ms: number, level: string, text: string, code: string|null}} LogLine */
 /** @typedef {{ok: boolean, status: number, body: any}} Answer */
 

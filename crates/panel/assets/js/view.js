@@ -27,6 +27,8 @@ export class ImageView {
     this.size_px = size_px;
     /** @type {import("./types.js").CameraImage|null} */
     this.image = null;
+    /** Residual of the images inside the region. @type {import("./types.js").CameraImage|null} */
+    this.heat = null;
     /** Frozen while somebody draws. */
     this.isFrozen = false;
     this.zoom = 1;
@@ -69,6 +71,13 @@ export class ImageView {
     this.redraw();
   }
 
+  /** @param {import("./types.js").CameraImage|null} heat */
+  overlay(heat) {
+    this.heat?.bitmap.close();
+    this.heat = heat;
+    this.redraw();
+  }
+
   redraw() {
     if (this.isStale) return;
     this.isStale = true;
@@ -88,6 +97,10 @@ export class ImageView {
     if (this.image) {
       context.drawImage(this.image.bitmap, -0.5, -0.5, this.size_px[0], this.size_px[1]);
       this.drawn += 1;
+    }
+    if (this.heat && !this.isFrozen) {
+      const { bitmap, place_px, size_px } = this.heat;
+      context.drawImage(bitmap, place_px[0] - 0.5, place_px[1] - 0.5, size_px[0], size_px[1]);
     }
     this.paint(this);
   }
