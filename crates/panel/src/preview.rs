@@ -3,8 +3,8 @@
 use std::time::{Duration, Instant};
 
 use nalgebra::Vector2;
-use pb3dp_estimation::estimator::{EstimateRequest, Estimator, Method};
-use pb3dp_estimation_core::estimate::PlaneEstimate;
+use pb3dp_estimation::estimator::{EstimateRequest, Method, Tracker};
+use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::region::{Region, RegionConfig};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_hal_api::FramePair;
@@ -23,20 +23,20 @@ const TIME_MAX: Duration = Duration::from_millis(400);
 
 /// Answers previews until the panel ends.
 pub fn run(hub: &Hub) {
-    let mut estimator = None;
+    let mut tracker = None;
     while !hub.is_over() {
         let Some(PreviewJob { region, pair, answer }) = hub.previews.wait(LOOK) else { continue };
         if answer.is_closed() {
             continue;
         }
         // Who asked may be gone.
-        let _ = answer.send(preview(&hub.about, &mut estimator, &region, &pair));
+        let _ = answer.send(preview(&hub.about, &mut tracker, &region, &pair));
     }
 }
 
 fn preview(
     about: &About,
-    estimator: &mut Option<Estimator>,
+    tracker: &mut Option<Tracker>,
     region: &Region,
     pair: &FramePair,
 ) -> Result<Preview, Refusal> {
@@ -63,16 +63,17 @@ fn preview(
         }
     };
     result.outline_px = pixels(&outline_px);
-    let estimator = match estimator {
-        Some(estimator) => estimator,
+    // The method of a run: it also accepts surfaces that are not flat.
+    let tracker = match tracker {
+        Some(tracker) => tracker,
         None => {
-            let new = Estimator::new(Method::Direct, &about.stereo, &about.estimator);
-            estimator.insert(new.map_err(|error| unusable(&error))?)
+            let new = Tracker::new(Method::Direct, &about.stereo, &about.estimator);
+            tracker.insert(new.map_err(|error| unusable(&error))?)
         }
     };
     let mut may_continue = || started.elapsed() < TIME_MAX;
     let request = EstimateRequest::of_target(&pair.left, &pair.right, region, &about.range).until(&mut may_continue);
-    match estimator.estimate(request) {
+    match tracker.estimate(request) {
         Ok(estimate) => fill(&mut result, about, &estimate, &outline_px),
         Err(error) => result.why = in_words(&error),
     }
@@ -80,21 +81,21 @@ fn preview(
     Ok(result)
 }
 
-fn fill(result: &mut Preview, about: &About, estimate: &PlaneEstimate, outline_px: &[Vector2<f64>]) {
+fn fill(result: &mut Preview, about: &About, estimate: &TrackEstimate, outline_px: &[Vector2<f64>]) {
     result.status = estimate.status.as_str();
     result.will_work = estimate.status.depth_is_sure();
     result.why = why(estimate);
-    result.depth_mm = estimate.z_m().map(|z_m| z_m * 1e3);
-    let Some(frame) = estimate.model_frame(&estimate.centroid_px) else { return };
-    result.outline_right_px = outline_right(outline_px, &about.stereo, &frame.cam_left_from_model);
-    [result.axes_px, _] = axes(&about.stereo, &frame.cam_left_from_model);
-    if let Some((sigma_mm, sigma_deg)) = frame.covariance.as_ref().and_then(sigmas) {
+    let Some(cam_left_from_model) = &estimate.cam_left_from_model else { return };
+    result.depth_mm = Some(cam_left_from_model.translation_m().z * 1e3);
+    result.outline_right_px = outline_right(outline_px, &about.stereo, cam_left_from_model);
+    [result.axes_px, _] = axes(&about.stereo, cam_left_from_model);
+    if let Some((sigma_mm, sigma_deg)) = estimate.covariance.as_ref().and_then(sigmas) {
         (result.sigma_mm, result.sigma_deg) = (Some(sigma_mm), Some(sigma_deg));
     }
 }
 
 /// One plain line: what is wrong, the measured reason, the remedy.
-fn why(estimate: &PlaneEstimate) -> String {
+fn why(estimate: &TrackEstimate) -> String {
     let reason = &estimate.reason;
     let line = match estimate.status {
         Status::Ok => String::new(),
