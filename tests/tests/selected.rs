@@ -141,10 +141,10 @@ fn targets_are_selected_one_after_another_while_the_run_goes_on() {
     assert!(of(0).all(|(_, status, why)| *status == Status::Lost && why.contains("no target is selected")));
     assert!(of(0).count() > 30, "before the first selection");
     assert!(of(1).skip(1).all(|(_, status, _)| *status == Status::Ok), "{:?}", of(1).next());
-    assert!(of(2).filter(|(_, status, _)| status.depth_is_sure()).count() > 60, "{:?}", of(2).last());
+    assert!(of(2).filter(|(_, status, _)| status.depth_is_sure()).count() > 60, "{:?}", of(2).next_back());
     let (_, status, why) = of(3).next().unwrap();
     assert_eq!(*status, Status::NotObservable, "{why}");
-    assert!(of(3).skip(1).all(|(_, _, why)| why.contains("no target is selected")), "{:?}", of(3).last());
+    assert!(of(3).skip(1).all(|(_, _, why)| why.contains("no target is selected")), "{:?}", of(3).next_back());
     let mut states = seen.states.clone();
     states.dedup();
     use State::{Approaching, Holding, Idle, Selecting, Tracking};

@@ -303,7 +303,7 @@ mod tests {
         std::fs::write(&text, format!("#!/bin/sh\necho started >> {}\n{script}\n", log.display())).unwrap();
         // Another process writes the program. If this one did, a process that another test starts meanwhile
         // could hold it open for writing, and Linux does not execute such a file (ETXTBSY).
-        output_of(Command::new("install").args(["-m", "755"]).args([&text, &qemu])).unwrap();
+        crate::apt::output_of(Command::new("install").args(["-m", "755"]).args([&text, &qemu])).unwrap();
         let suite = &SUITES[1];
         let outcome = try_suite(suite, false, || Machine::start(&qemu, &folder, &folder, suite, &folder));
         let starts = std::fs::read_to_string(&log).unwrap().lines().count();
