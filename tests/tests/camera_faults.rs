@@ -105,7 +105,8 @@ fn follow(kind: CameraFaultKind) -> Vec<Said> {
         };
         let region = Region::Polygon { vertices_px: outline.iter().map(pixel).collect() };
         let prior = FramePrior { dt_s: (number > 0).then_some(PERIOD.as_secs_f64()), ..FramePrior::of_motion(None) };
-        let estimate = follower.look(&pair.left, &pair.right, Some(&region), &prior, &mut || true).unwrap();
+        let region = (!follower.is_started()).then_some(&region);
+        let estimate = follower.look(&pair.left, &pair.right, region, &prior, &mut || true).unwrap();
         let found = estimate.cam_left_from_model;
         if number == 3 {
             target_from_model = Some(cam_left_from_target.inverse() * found.unwrap());

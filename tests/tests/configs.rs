@@ -29,7 +29,8 @@ fn every_configuration_is_accepted_by_its_reader() {
             read_gateway(file, None, Some("serial:/dev/ttyUSB0")).unwrap_or_else(|error| panic!("{error}"));
             gateways += 1;
         } else if path.ends_with(".toml")
-            && ["sim.toml", "hil.toml", "rig.toml", "bare.toml", "published.toml"].contains(&path.as_str())
+            && ["sim.toml", "playground.toml", "hil.toml", "rig.toml", "bare.toml", "published.toml"]
+                .contains(&path.as_str())
         {
             read_setup(file).unwrap_or_else(|error| panic!("{error}"));
             setups += 1;

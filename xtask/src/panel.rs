@@ -17,7 +17,7 @@ const BROWSERS: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "g
 
 /// Drives the operator panel with a browser: the real program, the simulated cell, and Chromium (tests/panel).
 ///
-/// Screenshots are written to out/panel. Needs python3 with its module venv, and Chromium; the packages of tests/panel/requirements.txt
+/// A test that fails is tried once more. Screenshots are written to out/panel. Needs python3 with its module venv, and Chromium; the packages of tests/panel/requirements.txt
 /// go into a folder of their own. Chromium and the module are installed by apt-get if permitted.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -60,14 +60,25 @@ fn with_program(workspace: &Workspace, programs: &Path, filter: Option<&str>) ->
     if artefacts.exists() {
         fs::remove_dir_all(&artefacts).with_context(|| format!("cannot remove {ARTEFACTS}"))?;
     }
-    let mut tests = workspace.command(python);
-    tests.args(["-m", "pytest", "--quiet", "-p", "no:cacheprovider", TESTS]);
-    if let Some(filter) = filter {
-        tests.args(["-k", filter]);
+    let cache = format!("cache_dir={}", workspace.target_folder()?.join("panel-cache").display());
+    let tests = |more: &[&str]| {
+        let mut tests = workspace.command(&python);
+        tests.args(["-m", "pytest", "--quiet", "-o", &cache, TESTS]).args(more);
+        if let Some(filter) = filter {
+            tests.args(["-k", filter]);
+        }
+        tests.env("PB3DP", programs.join("pb3dp")).env("PB3DP_CHROMIUM", &browser);
+        tests.env("PB3DP_PANEL_ARTEFACTS", &artefacts).env("PYTHONDONTWRITEBYTECODE", "1");
+        run_visibly(&mut tests)
+    };
+    let first = tests(&[]);
+    if first.is_ok() {
+        return first;
     }
-    tests.env("PB3DP", programs.join("pb3dp")).env("PB3DP_CHROMIUM", browser);
-    tests.env("PB3DP_PANEL_ARTEFACTS", &artefacts).env("PYTHONDONTWRITEBYTECODE", "1");
-    run_visibly(&mut tests)
+    println!(
+        "What failed is tried once more: a page that this machine holds up for half a second is silent, and every arm holds."
+    );
+    tests(&["--last-failed"])
 }
 
 /// The Python of an environment with the packages of the tests.

@@ -22,7 +22,7 @@ fn config(args: &[&str]) -> Finished {
 
 #[test]
 fn values_for_programs_have_the_types_of_json() {
-    for setup in ["sim", "hil", "rig", "bare", "published"] {
+    for setup in ["sim", "playground", "hil", "rig", "bare", "published"] {
         let shown = config(&["show", "--config", setup, "--json"]);
         assert_eq!(shown.code, Some(0), "{shown:?}");
         let values: serde_json::Value = serde_json::from_str(&shown.stdout).unwrap();

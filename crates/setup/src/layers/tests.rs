@@ -42,7 +42,7 @@ fn later_layers_win_and_every_value_knows_where_it_is_stated() {
 #[test]
 fn a_whole_setup_can_be_written_and_read_again() {
     let folder = tempfile::tempdir().unwrap();
-    for name in ["sim", "hil", "bare", "published"] {
+    for name in ["sim", "playground", "hil", "bare", "published"] {
         let layers = Layers::read(&args(&[Path::new(name)], &[])).unwrap();
         let file = write(folder.path(), "settings.toml", &toml_of(&layers.effective()));
         let again = read_layers(&args(&[&file], &[])).unwrap().layers;
@@ -169,7 +169,7 @@ fn what_is_no_setup_is_refused_with_its_place() {
     assert!(refusal(&[&broken], &[]).contains("broken.toml:2:5"), "{}", refusal(&[&broken], &[]));
     let own = write(folder.path(), "own.toml", "base = \"own.toml\"\n");
     assert!(refusal(&[&own], &[]).contains("does one build on itself"));
-    assert!(refusal(&[Path::new("simm")], &[]).contains("built-in are sim, hil, rig, bare, published"));
+    assert!(refusal(&[Path::new("simm")], &[]).contains("built-in are sim, playground, hil, rig, bare, published"));
     let sim = Path::new("sim");
     assert!(refusal(&[sim], &["scene.target"]).contains("write KEY=VALUE"));
     let all = refusal(&[sim], &["run.sed=3", "servo.speed.soft_start_s=-1", "arms.vs.start_deg=[1]", "run.pace=quick"]);

@@ -434,9 +434,13 @@ impl SetupFile {
                  looks at images"
             ));
         }
-        if experiment.is_some_and(|experiment| experiment.carrier != Carrier::Arm) {
+        if let Some((written, carrier)) = experiment.and_then(|experiment| match experiment.carrier {
+            Carrier::Arm => None,
+            Carrier::Nothing => Some(("free", "nothing")),
+            Carrier::Person => Some(("pushed", "a person")),
+        }) {
             check.refuse(format!(
-                "experiment.target: only a simulated target is \"free\" or \"pushed\"; {with} it is \"carried\""
+                "experiment.target = {written:?}: only a simulated target is carried by {carrier}; {with} it is \"carried\""
             ));
         }
     }
