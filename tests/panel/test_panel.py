@@ -113,7 +113,7 @@ def test_a_hidden_tab_and_a_suspended_page_hold_the_arms(panel, page):
     assert panel.state_name() == "holding", "a visible page alone moves nothing"
     page.command("resume")
     wait_for(lambda: is_following(panel))
-    page.page.evaluate("() => { const end = performance.now() + 1500; while (performance.now() < end); }")
+    page.page.evaluate("() => { const end = performance.now() + 5000; while (performance.now() < end); }")
     wait_for(lambda: panel.state_name() == "holding")
 
 
