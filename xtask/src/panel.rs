@@ -11,6 +11,8 @@ use crate::not_possible::NotPossible;
 use crate::workspace::{Workspace, run_visibly};
 
 const TESTS: &str = "tests/panel";
+/// Environment variable with which `cargo xtask ci` drives the browser, too.
+const IN_CI: &str = "PB3DP_CI_PANEL";
 const ARTEFACTS: &str = "out/panel";
 /// Browsers that the tests accept, the first one is installed where there is none.
 const BROWSERS: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"];
@@ -47,6 +49,12 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
 /// # Errors
 /// Those of [`run`].
 pub fn check(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<()> {
+    // On a machine that holds a browser up for half a second the arms hold, as they must, and the tests fail.
+    if std::env::var_os(IN_CI).is_none() {
+        return Err(NotPossible::because(format!(
+            "the browser tests need a quiet machine: set {IN_CI}=1 there, or use cargo xtask panel"
+        )));
+    }
     match programs {
         Some(programs) => with_program(workspace, programs, None),
         None => run(workspace, &Args { filter: None, release: false }),
