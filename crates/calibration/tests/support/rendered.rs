@@ -85,6 +85,7 @@ impl Renderer {
     }
 
     /// A corner of the board in the image, and the directions of the edges that meet there, along its row and its column.
+    #[allow(dead_code, reason = "only the benchmark computes a bound")]
     pub fn edges(
         &self,
         cam_from_board: &Isometry3<f64>,
