@@ -44,7 +44,7 @@ fn errors_px(imaging: Imaging) -> [f64; 2] {
 
 #[test]
 fn corners_of_rendered_boards_are_accurate_to_hundredths_of_a_pixel() {
-    // The centre of mass of the detector's response has errors of 0.12, 0.13 and 0.04 px.
+    // The centre of mass of the detector's response has errors of 0.11, 0.12 and 0.04 px.
     for (name, blur_px, contrast, max_px) in
         [("noise 2", 0.5, 1.0, 0.035), ("dim, noise 2", 0.5, 0.25, 0.06), ("blur 2 px, noise 2", 2.0, 1.0, 0.035)]
     {

@@ -189,7 +189,7 @@ The time is that of fit and held-out fits, without detection.
 
 There is no truth for these corners.
 The error of held-out views measures them: a fit cannot absorb errors of views that it has not used.
-Other sets are added with `-- --boards name,folder,prefix,COLUMNSxROWS,square_mm`, repeated; every subfolder with the prefix has a `left.png` and a `right.png`.
+Sets that are not in this repository (here the ZED, if it is listed) are added with `-- --boards name,folder,prefix,COLUMNSxROWS,square_mm`, repeated; every subfolder with the prefix has a `left.png` and a `right.png`.
 
 {real}
 ## Limits
