@@ -300,6 +300,27 @@ mod tests {
     }
 
     #[test]
+    fn views_that_the_fit_has_not_used_are_judged() {
+        let quality = Quality {
+            views: 15,
+            corners: 1620,
+            reprojection_rms_px: 0.1,
+            reprojection_rms_by_camera_px: vec![0.1],
+            reprojection_rms_by_view_px: Vec::new(),
+            held_out_rms_px: 0.4,
+            coverage: 0.9,
+            tilt_deg: 30.0,
+            defects: None,
+            scale_error_share: None,
+            rows: None,
+            depth_sigma_share: None,
+        };
+        let verdicts = Limits::default().judge(&quality);
+        let held_out = verdicts.iter().find(|verdict| verdict.gate == Gate::HeldOut).expect("judged");
+        assert_eq!((held_out.measured, held_out.grade()), (0.4, Grade::Refused));
+    }
+
+    #[test]
     fn limits_the_wrong_way_round_are_refused() {
         let refused =
             |gate, good, refused| Limits::default().with(gate, Limit { good, refused }).map_err(|e| e.to_string());
