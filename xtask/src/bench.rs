@@ -37,9 +37,12 @@ const QUICK_ROUNDS: &str = "40";
 ///         --rendered N (repeats the first N runs with rendered images); a run of default length writes docs/benchmarks/safety.md.
 ///         --disabled, in a separate build: disables each safeguard, which must cause a violation; --only NAME: some of them;
 ///         a run with all safeguards writes their part of that page
+/// calibration  accuracy of chessboard corners and of the calibrations from them, on rendered boards with exact truth and on real
+///         boards; fails if a limit is missed (some minutes; --quick: a minute; --boards adds real boards; --seed N).
+///         Writes docs/benchmarks/calibration.md
 /// all     speed and raster
 ///
-/// All are in crates/benchmarks: the examples `published_speed` and `raster_speed` measure the published method and the
+/// All are in crates/benchmarks, except the example `corner_accuracy` of crates/calibration: the examples `published_speed` and `raster_speed` measure the published method and the
 /// rasteriser, `servo` and `safety` the whole loop, `pb3dp-bench` all others; each prints its own table. The figures are also
 /// saved in `out/bench/*.json`, with commit, processor and compiler. Measure on an idle machine.
 #[derive(clap::Args)]
@@ -65,6 +68,7 @@ enum What {
     Figures,
     Servo,
     Safety,
+    Calibration,
     All,
 }
 
@@ -94,6 +98,9 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     }
     if args.what == What::Safety {
         return safety(workspace, &args.options);
+    }
+    if args.what == What::Calibration {
+        return calibration(workspace, &args.options);
     }
     let wanted = |what: What| args.what == What::All && OF_ALL.contains(&what) || args.what == what;
     let takes_options = PROGRAMS.iter().any(|(what, _)| *what == args.what);
@@ -135,6 +142,28 @@ fn safety(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
     if options.is_empty() || options == ["--disabled"] {
         command.args(["--page", PAGES]);
     }
+    run_visibly(&mut command)
+}
+
+/// Runs the example `corner_accuracy` of the calibration; a full run writes its page.
+fn calibration(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
+    let mut command = workspace.cargo();
+    command.args([
+        "run",
+        "--release",
+        "--locked",
+        "--package",
+        "pb3dp-calibration",
+        "--example",
+        "corner_accuracy",
+        "--",
+    ]);
+    command.args(["--origin", &origin(workspace)]);
+    // Other seeds and fewer rigs do not change the page, unless the page is named.
+    if !options.iter().any(|option| ["--quick", "--seed", "--page"].contains(&option.as_str())) {
+        command.args(["--page", &format!("{PAGES}/calibration.md")]);
+    }
+    command.args(options);
     run_visibly(&mut command)
 }
 

@@ -20,10 +20,10 @@ pub enum Gate {
     Focus,
     /// Whether the board moved between the exposures of the two cameras.
     Motion,
-    /// Reprojection error.
-    Reprojection,
-    /// Error of held-out views, divided by the error of the fitted views.
+    /// Reprojection error of held-out views.
     HeldOut,
+    /// Error of held-out views, divided by the error of the fitted views.
+    HeldOutRatio,
     /// Vertical misalignment (epipolar error) of the rectified images.
     Rows,
     /// The baseline compared with an independently measured one.
@@ -41,8 +41,8 @@ impl Gate {
         Self::Flatness,
         Self::Focus,
         Self::Motion,
-        Self::Reprojection,
         Self::HeldOut,
+        Self::HeldOutRatio,
         Self::Rows,
         Self::Scale,
         Self::Depth,
@@ -57,8 +57,8 @@ impl Gate {
             Self::Flatness => "board_flatness_mm",
             Self::Focus => "focus_change_percent",
             Self::Motion => "motion_rms_px",
-            Self::Reprojection => "reprojection_rms_px",
-            Self::HeldOut => "held_out_ratio",
+            Self::HeldOut => "held_out_rms_px",
+            Self::HeldOutRatio => "held_out_ratio",
             Self::Rows => "row_error_rms_px",
             Self::Scale => "scale_percent",
             Self::Depth => "depth_sigma_percent",
@@ -81,8 +81,8 @@ impl Gate {
             Self::Motion => {
                 quality.rows.map(|_| defects(quality, |defects| defects.moved.map_or(f64::NAN, |moved| moved.rms_px)))
             }
-            Self::Reprojection => Some(quality.reprojection_rms_px),
-            Self::HeldOut => Some(quality.held_out_ratio()),
+            Self::HeldOut => Some(quality.held_out_rms_px),
+            Self::HeldOutRatio => Some(quality.held_out_ratio()),
             Self::Rows => quality.rows.map(|rows| rows.rms_px),
             Self::Scale => quality.scale_error_share.map(|share| 100.0 * share.abs()),
             Self::Depth => quality.depth_sigma_share.map(|share| 100.0 * share),
@@ -104,10 +104,10 @@ impl Gate {
             Self::Motion => {
                 "the two cameras disagree about the board position: hold the board still (put it down or on a tripod), synchronise the exposures, fix the cameras to each other, and take the images again"
             }
-            Self::Reprojection => {
+            Self::HeldOut => {
                 "check the views with the largest errors for blur, a bent board, or a camera that was touched or refocused; leave these views out or take them again"
             }
-            Self::HeldOut => {
+            Self::HeldOutRatio => {
                 "the fit does not generalise to held-out views: take more views, or choose a lens model with fewer coefficients"
             }
             Self::Rows => {
@@ -177,8 +177,8 @@ impl Default for Limits {
             Gate::Flatness => Limit { good: 0.5, refused: 1.0 },
             Gate::Focus => Limit { good: 0.1, refused: 0.3 },
             Gate::Motion => Limit { good: 0.03, refused: 0.05 },
-            Gate::Reprojection => Limit { good: 0.3, refused: 0.5 },
-            Gate::HeldOut => Limit { good: 1.25, refused: 1.6 },
+            Gate::HeldOut => Limit { good: 0.2, refused: 0.35 },
+            Gate::HeldOutRatio => Limit { good: 1.25, refused: 1.6 },
             Gate::Rows => Limit { good: 0.2, refused: 0.3 },
             Gate::Scale => Limit { good: 1.5, refused: 3.0 },
             Gate::Depth => Limit { good: 0.1, refused: 0.5 },
@@ -297,6 +297,27 @@ mod tests {
             let text = Verdict { gate, measured: beyond, limit }.to_string();
             assert!(text.starts_with("refused") && text.contains(gate.key()) && text.contains(gate.advice()), "{text}");
         }
+    }
+
+    #[test]
+    fn views_that_the_fit_has_not_used_are_judged() {
+        let quality = Quality {
+            views: 15,
+            corners: 1620,
+            reprojection_rms_px: 0.1,
+            reprojection_rms_by_camera_px: vec![0.1],
+            reprojection_rms_by_view_px: Vec::new(),
+            held_out_rms_px: 0.4,
+            coverage: 0.9,
+            tilt_deg: 30.0,
+            defects: None,
+            scale_error_share: None,
+            rows: None,
+            depth_sigma_share: None,
+        };
+        let verdicts = Limits::default().judge(&quality);
+        let held_out = verdicts.iter().find(|verdict| verdict.gate == Gate::HeldOut).expect("judged");
+        assert_eq!((held_out.measured, held_out.grade()), (0.4, Grade::Refused));
     }
 
     #[test]

@@ -219,7 +219,7 @@ fn ending<const N: usize>(report: Report, chosen: &Chosen<N>, quality: &Quality,
     for (name, rms_px) in views {
         by_view = by_view.bar(name, *rms_px);
     }
-    let gate = verdicts.iter().find(|verdict| verdict.gate == Gate::Reprojection);
+    let gate = verdicts.iter().find(|verdict| verdict.gate == Gate::HeldOut);
     for (name, value) in gate.into_iter().flat_map(|gate| [("good", gate.limit.good), ("refused", gate.limit.refused)])
     {
         by_view = by_view.limit(name, value);

@@ -6,6 +6,7 @@ mod arm;
 mod boards;
 mod coach;
 mod command;
+mod corners;
 #[path = "support/film.rs"]
 mod film;
 mod hand_eye;
@@ -15,6 +16,8 @@ mod images;
 mod opencv;
 mod propose;
 mod recording;
+#[path = "support/rendered.rs"]
+mod renderer;
 mod simulated_rigs;
 mod support;
 mod verify;

@@ -51,7 +51,7 @@ fn bumblebee2_chessboards() -> Set {
         stereo: include_str!("data/bumblebee2_4_14_stereo.csv"),
         theirs: include_str!("data/bumblebee2_4_14_corners.csv"),
         views: 11,
-        // The choice of `--lens auto`. With five coefficients for lenses without distortion OpenCV stops before the minimum.
+        // `--lens auto` chooses radial-2, whose held-out error is 1 % lower. With five coefficients for lenses without distortion OpenCV stops before the minimum.
         lens: LensModel::Radial1,
     }
 }

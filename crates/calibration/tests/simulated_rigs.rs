@@ -164,7 +164,7 @@ const PLANTED: [Planted; 8] = [
         name: "streaks of 3 to 8 px in all views",
         session: |_| Session { streak_max_px: 8.0, ..GOOD },
         typed: AS_IT_IS,
-        gates: &[Gate::Motion, Gate::Reprojection],
+        gates: &[Gate::Motion, Gate::HeldOut],
         words: "",
     },
     Planted {

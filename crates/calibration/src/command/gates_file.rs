@@ -76,9 +76,9 @@ mod tests {
     fn mistakes_are_named() {
         for (from, to, named) in [
             ("tilt_deg", "tilt", "gates.tilt"),
-            ("good = 0.3", "good = 0.9", "reprojection_rms_px"),
-            ("good = 0.3", "god = 0.3", "gates.reprojection_rms_px.god"),
-            ("good = 0.3", "good = \"0.3\"", "gates.reprojection_rms_px.good"),
+            ("good = 0.2,", "good = 0.9,", "held_out_rms_px"),
+            ("good = 0.2,", "god = 0.2,", "gates.held_out_rms_px.god"),
+            ("good = 0.2,", "good = \"0.2\",", "gates.held_out_rms_px.good"),
             ("[gates]", "[limits]", "limits"),
         ] {
             let text = FILE.replacen(from, to, 1);

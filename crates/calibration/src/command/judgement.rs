@@ -38,8 +38,11 @@ pub(super) fn of(
     verdicts: &[Verdict],
     (newest, cameras): (&str, [CameraIdentity; 2]),
 ) -> Judgement {
-    let mut numbers =
-        vec![("corners".to_owned(), quality.corners as f64), ("held_out_rms_px".to_owned(), quality.held_out_rms_px)];
+    let mut numbers = vec![
+        ("corners".to_owned(), quality.corners as f64),
+        ("reprojection_rms_px".to_owned(), quality.reprojection_rms_px),
+        ("held_out_rms_px".to_owned(), quality.held_out_rms_px),
+    ];
     if let Some(rows) = quality.rows {
         numbers.extend([("row_error_mean_px".to_owned(), rows.mean_px), ("row_error_p95_px".to_owned(), rows.p95_px)]);
     }

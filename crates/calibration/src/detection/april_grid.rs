@@ -2,13 +2,13 @@
 //! chessboard detector therefore finds the corners; combinations of four are then tested for a readable tag.
 
 use calib_targets_aruco::{MarkerCell, Matcher, ScanDecodeConfig, decode_marker_in_cell, resolve_dictionary};
-use calib_targets_chessboard::{GrayImageView, default_chess_config, detect_corners};
+use calib_targets_chessboard::{GrayImageView, detect_corners};
 use image::GrayImage;
 use nalgebra::{Point2, Vector2};
 use std::collections::BTreeMap;
 
 use super::refine::refined;
-use super::{NoBoard, enough, gray_view};
+use super::{Localizer, NoBoard, enough, gray_view};
 use crate::board::{APRIL_TAGS, Board, BoardCorner, Sighting};
 
 /// Neighbours of a corner tested as the next corner of its tag; tags also contain corners inside.
@@ -40,9 +40,9 @@ struct Tag {
 }
 
 /// Finds the corners of all readable tags; a part of the board is enough.
-pub(super) fn find(image: &GrayImage, board: &Board) -> Result<Sighting, NoBoard> {
+pub(super) fn find(image: &GrayImage, board: &Board, localizer: Localizer) -> Result<Sighting, NoBoard> {
     let view = gray_view(image);
-    let pixels: Vec<Vector2<f64>> = detect_corners(&view, &default_chess_config())
+    let pixels: Vec<Vector2<f64>> = detect_corners(&view, &localizer.detector())
         .iter()
         .map(|corner| Vector2::new(f64::from(corner.position.x), f64::from(corner.position.y)))
         .collect();

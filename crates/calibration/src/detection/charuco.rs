@@ -5,20 +5,21 @@ use image::GrayImage;
 use nalgebra::Vector2;
 
 use super::refine::refined;
-use super::{NoBoard, enough, gray_view};
+use super::{Localizer, NoBoard, enough, gray_view};
 use crate::board::{Board, BoardCorner, Markers, Sighting};
 
 /// Finds the corners identified by markers; a part of the board is enough.
 pub(super) fn find(
     image: &GrayImage,
     board: &Board,
-    marker_share: f64,
-    Markers(dictionary): Markers,
+    (marker_share, Markers(dictionary)): (f64, Markers),
+    localizer: Localizer,
 ) -> Result<Sighting, NoBoard> {
     // The frame and scale of the library are not used: corners have their column and row.
     let spec = CharucoBoardSpec::new(board.rows() + 1, board.columns() + 1, 1.0, marker_share as f32, dictionary);
     let view = gray_view(image);
-    let detections = CharucoParams::sweep_for_board(&spec).into_iter().filter_map(|params| {
+    let detections = CharucoParams::sweep_for_board(&spec).into_iter().filter_map(|mut params| {
+        params.chess = localizer.detector();
         // A board that the library refuses is one that `Board` refuses; a library error on an image means no corners.
         CharucoDetector::new(params).ok()?.detect(&view).ok()
     });

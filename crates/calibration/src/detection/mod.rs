@@ -9,8 +9,10 @@ mod charuco;
 mod refine;
 
 use calib_targets_chessboard::{
-    ChessboardDetection, ChessboardDetector, ChessboardParams, GrayImageView, default_chess_config, detect_corners,
+    ChessboardDetection, ChessboardDetector, ChessboardParams, DetectorConfig, GrayImageView, default_chess_config,
+    detect_corners,
 };
+use calib_targets_core::ImageRefiner;
 use image::GrayImage;
 use nalgebra::Vector2;
 
@@ -71,18 +73,48 @@ const SEEN_SHARE_MIN: f64 = 0.8;
 /// Minimum number of corners for a board with markers.
 const CODED_MIN: usize = 12;
 
+/// How the sub-pixel position of a corner is computed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Localizer {
+    /// The centre of mass of the detector's response; only for comparison.
+    CentreOfMass,
+    /// The saddle point of a quadratic surface that is fitted to 5 x 5 pixels and centred on the corner. If the fit fails, the
+    /// corner keeps its centre of mass.
+    #[default]
+    SaddlePoint,
+}
+
+impl Localizer {
+    fn detector(self) -> DetectorConfig {
+        match self {
+            Self::CentreOfMass => default_chess_config(),
+            Self::SaddlePoint => default_chess_config().with_refiner(ImageRefiner::saddle_point()),
+        }
+    }
+}
+
 /// Detects a board of any type in an image. Chessboards must be completely visible; boards with markers may be partly visible.
 ///
 /// # Errors
 /// As [`find_chessboard`]; for boards with markers, no readable marker or too few corners.
 pub fn find_board(image: &GrayImage, board: &Board) -> Result<Sighting, NoBoard> {
+    find_board_by(image, board, Localizer::default())
+}
+
+/// As [`find_board`], with a given localizer of the corners.
+///
+/// # Errors
+/// As [`find_board`].
+pub fn find_board_by(image: &GrayImage, board: &Board, localizer: Localizer) -> Result<Sighting, NoBoard> {
     if image.width().min(image.height()) < SIDE_MIN_PX {
         return Err(NoBoard::None);
     }
     match *board.pattern() {
-        Pattern::Chessboard { .. } => find_chessboard(image, board),
-        Pattern::Charuco { square_m, marker_m, markers } => charuco::find(image, board, marker_m / square_m, markers),
-        Pattern::AprilGrid { .. } => april_grid::find(image, board),
+        Pattern::Chessboard { .. } => find_chessboard_by(image, board, localizer),
+        Pattern::Charuco { square_m, marker_m, markers } => {
+            charuco::find(image, board, (marker_m / square_m, markers), localizer)
+        }
+        Pattern::AprilGrid { .. } => april_grid::find(image, board, localizer),
     }
 }
 
@@ -119,7 +151,12 @@ pub fn find_chessboard(image: &GrayImage, board: &Chessboard) -> Result<Sighting
     if image.width().min(image.height()) < SIDE_MIN_PX {
         return Err(NoBoard::None);
     }
-    let corners = detect_corners(&gray_view(image), &default_chess_config());
+    find_chessboard_by(image, board, Localizer::default())
+}
+
+/// As [`find_chessboard`], in an image that is large enough.
+fn find_chessboard_by(image: &GrayImage, board: &Chessboard, localizer: Localizer) -> Result<Sighting, NoBoard> {
+    let corners = detect_corners(&gray_view(image), &localizer.detector());
     let grids = ChessboardParams::sweep_default().into_iter().filter_map(|params| {
         // The parameters are the library defaults, which it does not refuse.
         ChessboardDetector::new(params).ok()?.detect(&corners)

@@ -178,7 +178,8 @@ fn refocused(camera: &Camera, share: f64) -> Camera {
 }
 
 /// The board centre on the ray of a random pixel, the board filling a fifth to three quarters of the image width.
-fn placed(rig: &StereoRig, board: &Chessboard, session: &Session, random: &mut Random) -> Isometry3<f64> {
+#[allow(dead_code, reason = "not every program that has this module places boards by itself")]
+pub fn placed(rig: &StereoRig, board: &Chessboard, session: &Session, random: &mut Random) -> Isometry3<f64> {
     let middle = board.corner_in_board(board.columns() - 1, board.rows() - 1).coords * 0.5;
     let distance_m = 2.0 * middle.x * rig.left().pinhole().fx / (random.between(0.3, 0.75) * f64::from(SIZE.width));
     let pixel = Vector2::new(random.between(60.0, 580.0), random.between(50.0, 430.0));
