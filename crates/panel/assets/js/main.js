@@ -1,6 +1,7 @@
 // @ts-check
 // Puts the parts of the page together.
 import "./types.js";
+import { withCodes } from "./codes.js";
 import { Commands } from "./commands.js";
 import { Connection, post } from "./connection.js";
 import { at, button, canvas, fixed, input, make, write } from "./dom.js";
@@ -115,7 +116,7 @@ connection.onState = (newest) => {
   scene?.show(newest);
   showSaved(newest.saved);
   button("select").disabled = !commands.leads;
-  button("select").title = commands.leads ? "" : "take the command first";
+  at("select-blocked").hidden = commands.leads;
   left.redraw();
   right.redraw();
 };
@@ -126,16 +127,17 @@ connection.onImage = (image) => {
 connection.onLog = (lines) => {
   const log = at("log");
   const isAtEnd = log.scrollTop + log.clientHeight >= log.scrollHeight - 8;
-  for (const { time_ms, level, text } of lines) {
+  for (const { time_ms, level, text, code } of lines) {
     const item = make("li", { class: level });
-    item.append(make("time", {}, fixed(time_ms / 1000, 2)), text);
+    const missing = code && !text.includes(code) ? ` [${code}]` : "";
+    item.append(make("time", {}, fixed(time_ms / 1000, 2)), ...withCodes(text + missing));
     log.append(item);
   }
   while (log.children.length > LOG_LINES_MAX) log.firstChild?.remove();
   if (isAtEnd) log.scrollTop = log.scrollHeight;
 };
 connection.onLink = (isOpen) => {
-  commands.alert(isOpen ? null : "No connection to pb3dp: what you see is old, and commands are not heard. Arms that it moves hold or stop by themselves.");
+  commands.link(isOpen);
   if (!isOpen) write(at("state"), "no connection");
 };
 
@@ -175,7 +177,7 @@ function showSaved(names) {
   const place = at("saved");
   if (place.dataset.names !== names.join("\n")) {
     place.dataset.names = names.join("\n");
-    place.replaceChildren(...(names.length ? [make("h3", {}, "chosen before")] : []));
+    place.replaceChildren(...(names.length ? [make("h3", {}, "saved targets")] : []));
     for (const name of names) {
       const again = make("button", { type: "button" }, name);
       again.addEventListener("click", () => void commands.send("/api/select", { saved: name, seen: commands.seen() }, "select"));
