@@ -5,8 +5,8 @@ import { writeWithCodes } from "./codes.js";
 import { at, fixed, make, norm, write } from "./dom.js";
 import { STATUS } from "./view.js";
 
-/** @param {import("./types.js").State} state */
-export function showState(state) {
+/** @param {import("./types.js").State} state @param {string} pace what limits the images, or nothing */
+export function showState(state, pace) {
   const pill = at("state");
   write(pill, state.state.name);
   pill.classList.toggle("moving", state.state.is_moving);
@@ -28,7 +28,7 @@ export function showState(state) {
   write(at("trouble"), state.operator.trouble ?? "");
   showTarget(state.target);
   const { images } = state;
-  write(at("images"), `pair ${images.sequence ?? "–"}, ${fixed(images.fps, 1)} per second, ${images.lost} lost; time runs at ${fixed(state.realtime_factor, 2)}`);
+  write(at("images"), `pair ${images.sequence ?? "–"}, ${fixed(images.fps, 1)} per second, ${images.lost} lost; time runs at ${fixed(state.realtime_factor, 2)}${pace}`);
 }
 
 /** @param {import("./types.js").TargetState} target */
