@@ -154,7 +154,8 @@ export class Commands {
     at("takeover").hidden = true;
     const body = action === "release" ? { action } : { action, name: input("operator-name").value.trim() || "operator" };
     const answer = await post("/api/lease", body, action === "release" ? this.connection.session : null);
-    this.tell(action, answer);
+    const done = { take: "You lead now.", "take-over": "You lead now; every arm holds.", release: "Released; every arm holds." }[action];
+    this.tell(action, answer.ok ? { ...answer, body: { line: done, ...answer.body } } : answer);
     if (answer.status === HOLDER_ELSEWHERE && action === "take") {
       const holder = this.state?.operator.holder;
       write(at("takeover-text"), `${holder ? holder.name : "somebody"} has the command. Ask first.`);

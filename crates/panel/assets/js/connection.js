@@ -29,8 +29,8 @@ export class Connection {
     this.isOpen = false;
     /** Images that are being decoded; more are dropped. */
     this.decoding = [0, 0, 0];
-    /** Images dropped because the page is too slow. */
-    this.dropped = 0;
+    /** Images dropped because the page is too slow: left, right, heat. */
+    this.dropped = [0, 0, 0];
     this.connect();
     setInterval(() => this.watch(), 250);
   }
@@ -114,7 +114,7 @@ export class Connection {
     const isHeat = view.getUint8(5) === 1;
     const queue = isHeat ? 2 : side;
     if (this.decoding[queue] > 1) {
-      this.dropped += 1;
+      this.dropped[queue] += 1;
       return;
     }
     this.decoding[queue] += 1;

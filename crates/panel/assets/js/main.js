@@ -67,7 +67,7 @@ let marked = null;
 /** @type {import("./types.js").Pixel[]} */
 let epipolar_px = [];
 
-const pace = new Pace(() => ({ drawn: left.drawn, lost: left.skipped + connection.dropped }), askForImages);
+const pace = new Pace(() => ({ drawn: left.drawn, lost: left.skipped + connection.dropped[0] }), askForImages);
 const pointing = new Pointing(left, {
   canPush: about.playground,
   onRegion: (region) => void preview(region),

@@ -17,10 +17,11 @@ export class Pace {
    */
   constructor(count, changed) {
     this.fps_max = FPS_MAX;
-    let before = count();
+    /** The first period is the start of the page. @type {{drawn: number, lost: number}|null} */
+    let before = null;
     setInterval(() => {
       const now = count();
-      const [drawn, lost] = [now.drawn - before.drawn, now.lost - before.lost];
+      const { drawn, lost } = before ? { drawn: now.drawn - before.drawn, lost: now.lost - before.lost } : { drawn: 0, lost: 0 };
       before = now;
       if (document.hidden || drawn + lost === 0) return;
       const fps_max = this.next(drawn, lost);
@@ -40,6 +41,6 @@ export class Pace {
 
   /** What the operator should know, or nothing. */
   get text() {
-    return this.fps_max < FPS_MAX ? `, shown: at most ${this.fps_max} per second, as this browser is slow` : "";
+    return this.fps_max < FPS_MAX ? `; at most ${this.fps_max} images per second: this browser is slow` : "";
   }
 }

@@ -14,6 +14,7 @@ export function showState(state, pace) {
   const code = state.why.code && !state.why.line.includes(state.why.code) ? ` [${state.why.code}]` : "";
   const line = state.state.is_moving && state.why.line === state.state.name ? "the hand follows the target" : state.why.line + code;
   writeWithCodes(at("why"), line);
+  write(at("conditions-title"), state.state.is_moving ? "Motion" : "Why nothing moves");
   writeWithCodes(at("why-long"), state.state.is_moving ? "The hand follows the target." : state.why.line);
   const items = state.why.inhibits.map(({ name, action, since_ms, clears_ms }) => {
     const clears = clears_ms === null ? "" : `, clears in ${fixed(clears_ms / 1000, 1)} s`;
