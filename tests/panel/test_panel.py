@@ -1,6 +1,7 @@
 """The operator panel in a browser, on the real program and the simulated cell: `cargo xtask panel`."""
 
 import http.server
+import json
 import threading
 import time
 
@@ -265,3 +266,42 @@ def test_a_stop_that_nothing_answers_is_told_and_sent_again(panel, page):
     page.page.unroute("**/api/stop")
     wait_for(lambda: panel.state_name() == "stopped", "the stop is sent again")
     page.page.wait_for_selector("#alert", state="hidden")
+
+
+def test_hold_to_run_is_pressed_by_button_or_key_and_ends_with_the_focus(panel, page):
+    def with_hold_to_run(route):
+        route.fulfill(json={**route.fetch().json(), "hold_to_run": True})
+
+    sent = []
+    page.page.on("websocket", lambda socket: socket.on("framesent", lambda frame: sent.append(frame)))
+    page.page.route("**/api/info", with_hold_to_run)
+    page.page.reload()
+    wait_for(lambda: "pair" in page.text("#images"))
+    page.take_command()
+
+    def is_pressed():
+        sent.clear()
+        page.page.wait_for_timeout(400)
+        beats = [json.loads(frame) for frame in sent if '"heartbeat"' in frame]
+        assert beats, "the page answers heartbeats"
+        return beats[-1]["pressed"]
+
+    assert not is_pressed()
+    box = page.page.locator("#run").bounding_box()
+    page.page.locator("#run").hover()
+    page.page.mouse.down()
+    assert is_pressed()
+    page.page.mouse.move(box["x"] - 50, box["y"] - 50)
+    page.page.mouse.up()
+    assert not is_pressed(), "the button is released outside of it"
+    page.page.focus("#do-hold")
+    page.page.keyboard.down("h")
+    assert is_pressed()
+    page.page.evaluate("window.dispatchEvent(new Event('blur'))")
+    assert not is_pressed(), "another window has the focus"
+    page.page.keyboard.up("h")
+    page.page.fill("#operator-name", "")
+    page.page.focus("#operator-name")
+    page.page.keyboard.down("h")
+    assert not is_pressed(), "the key goes into the name"
+    page.page.keyboard.up("h")

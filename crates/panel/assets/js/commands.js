@@ -4,6 +4,7 @@ import "./types.js";
 import { writeWithCodes } from "./codes.js";
 import { post, releaseWhileClosing } from "./connection.js";
 import { at, button, fixed, input, make, write } from "./dom.js";
+import { holdToRun } from "./hold_to_run.js";
 import { Jog } from "./jog.js";
 
 const COMMANDS = [
@@ -75,38 +76,11 @@ export class Commands {
       this.connection.session = null;
     });
     this.listenForStop();
-    if (this.info.hold_to_run) this.buildHoldToRun();
+    if (this.info.hold_to_run) holdToRun(at("run"), (isPressed) => (this.connection.pressed = isPressed));
     at("command-card").hidden = false;
     const hasArms = this.info.arms.length > 0;
     for (const id of ["commands", "jog", "stop"]) at(id).hidden = !hasArms;
     at("speed").parentElement?.toggleAttribute("hidden", !hasArms);
-  }
-
-  buildHoldToRun() {
-    const run = at("run");
-    run.hidden = false;
-    const press = (/** @type {boolean} */ pressed) => {
-      this.connection.pressed = pressed;
-      run.setAttribute("aria-pressed", String(pressed));
-    };
-    run.addEventListener("pointerdown", (event) => {
-      run.setPointerCapture(event.pointerId);
-      press(true);
-    });
-    for (const name of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) {
-      run.addEventListener(name, () => press(false));
-    }
-    run.addEventListener("keydown", (event) => {
-      if (event.key === " ") press(true);
-    });
-    run.addEventListener("keyup", () => press(false));
-    window.addEventListener("blur", () => press(false));
-    let wasPressed = false;
-    setInterval(() => {
-      const isPressed = navigator.getGamepads().some((pad) => pad?.buttons.some((one) => one.pressed));
-      if (isPressed !== wasPressed) press(isPressed);
-      wasPressed = isPressed;
-    }, 50);
   }
 
   listenForStop() {
