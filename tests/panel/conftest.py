@@ -1,6 +1,7 @@
 """The program under test with its panel, and browsers that use it."""
 
 import json
+import mimetypes
 import os
 import pathlib
 import re
@@ -8,6 +9,7 @@ import subprocess
 import threading
 import time
 import urllib.error
+import urllib.parse
 import urllib.request
 
 import pytest
@@ -16,6 +18,8 @@ from playwright.sync_api import sync_playwright
 ARTEFACTS = pathlib.Path(os.environ.get("PB3DP_PANEL_ARTEFACTS", "out/panel"))
 PROGRAM = os.environ["PB3DP"]
 CHROMIUM = os.environ.get("PB3DP_CHROMIUM", "/usr/bin/chromium")
+# Files of the page from this folder instead of the program's own: try a change without a build.
+ASSETS = os.environ.get("PB3DP_PANEL_ASSETS")
 # A machine that is slowed down by a build needs longer; nothing is measured with it.
 PATIENCE_S = 20
 
@@ -86,6 +90,9 @@ def panel(tmp_path):
 def browser():
     with sync_playwright() as playwright:
         options = ["--no-sandbox", "--disable-dev-shm-usage"]
+        if ASSETS:
+            # A page that the test delivers has no address of its own; its WebSocket would be refused.
+            options.append("--disable-features=LocalNetworkAccessChecks")
         opened = playwright.chromium.launch(executable_path=CHROMIUM, args=options)
         yield opened
         opened.close()
@@ -109,8 +116,22 @@ class Page:
         self.errors = []
         page.on("pageerror", lambda error: self.errors.append(str(error)))
         page.on("console", lambda line: self.errors.append(line.text) if is_own_error(line) else None)
+        if ASSETS:
+            with urllib.request.urlopen(panel.url, timeout=10) as answer:
+                self.policy = answer.headers["Content-Security-Policy"]
+            # An expression, not a function: a function would delay the commands until the test asks the page something.
+            page.route(re.compile("^[^/]*//[^/]*/(?!api/)"), self.own_asset)
         page.goto(panel.url)
         wait_for(lambda: "pair" in self.text("#images"), "no state reached the page")
+
+    def own_asset(self, route):
+        path = urllib.parse.urlsplit(route.request.url).path.lstrip("/") or "index.html"
+        file = pathlib.Path(ASSETS) / path
+        if file.is_file():
+            kind = mimetypes.guess_type(path)[0]
+            route.fulfill(path=file, content_type=kind, headers={"Content-Security-Policy": self.policy, "Content-Type": kind})
+        else:
+            route.continue_()
 
     def text(self, selector):
         return self.page.inner_text(selector)

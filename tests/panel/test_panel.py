@@ -1,6 +1,7 @@
 """The operator panel in a browser, on the real program and the simulated cell: `cargo xtask panel`."""
 
 import http.server
+import json
 import threading
 import time
 
@@ -113,6 +114,7 @@ def test_a_hidden_tab_and_a_suspended_page_hold_the_arms(panel, page):
     assert panel.state_name() == "holding", "a visible page alone moves nothing"
     page.command("resume")
     wait_for(lambda: is_following(panel))
+    # The limit is 0.5 s of the run's clock, which is slower than real time on a loaded machine.
     page.page.evaluate("() => { const end = performance.now() + 5000; while (performance.now() < end); }")
     wait_for(lambda: panel.state_name() == "holding")
 
@@ -212,3 +214,95 @@ def test_the_page_fits_and_is_accessible(panel, page):
             serious = [one for one in found if one["impact"] in ("serious", "critical")]
             names = [(one["id"], [node["html"] for node in one["nodes"]][:3]) for one in serious]
             assert names == [], f"{width} px, {scheme}"
+
+
+def test_a_region_is_marked_with_keys_on_the_pair_that_was_shown(panel, page):
+    sent = []
+    page.page.on("request", lambda request: sent.append(request) if request.url.endswith("/api/preview") else None)
+    page.page.click("button[data-tool=rectangle]")
+    page.page.focus("#left")
+    for key in ["Shift+ArrowLeft"] * 3 + ["Shift+ArrowUp"] * 3 + ["Enter"] + ["Shift+ArrowRight"] * 7 + ["Shift+ArrowDown"] * 7:
+        page.page.keyboard.press(key)
+    wait_for(lambda: panel.state()["images"]["sequence"] > sent[0].post_data_json["sequence"] + 60)
+    page.page.keyboard.press("Enter")
+    assert "will work" in page.preview()
+    assert sent[-1].post_data_json["region"] == "rect:290,210,70,70"
+    assert sent[-1].post_data_json["sequence"] == sent[0].post_data_json["sequence"], "the pair was frozen"
+    page.drag((360, 280), (370, 285))
+    page.page.wait_for_timeout(500)
+    assert sent[-1].post_data_json["region"] == "rect:290,210,80,75", "a corner was dragged"
+    page.page.focus("#left")
+    page.page.keyboard.press("Escape")
+    page.page.wait_for_selector("#preview", state="hidden")
+    page.page.check("#rectified")
+    page.page.wait_for_timeout(1000)
+    page.drag((290, 210), (360, 280))
+    assert not page.page.is_checked("#rectified"), "regions are marked in raw images"
+
+
+def test_disabled_commands_have_a_reason_in_words(panel, page):
+    assert "Start, Hold, Hold hand, Resume, Reset: take the command first" in page.text("#blocked")
+    page.take_command()
+    wait_for(lambda: "Start: select a target first" in page.text("#blocked"))
+    assert "Reset: only after a stop or a fault" in page.text("#blocked")
+
+
+def test_two_quick_clicks_are_two_steps_and_zero_comes_back(panel, page):
+    page.follow()
+    wait_for(lambda: is_following(panel))
+    more = page.page.get_by_role("button", name="x plus one step", exact=True)
+    more.click(click_count=3)
+    wait_for(lambda: panel.state()["control"]["jog"]["offset_mm"] == [15, 0, 0])
+    page.page.click("#jog-zero")
+    wait_for(lambda: panel.state()["control"]["jog"]["offset_mm"] == [0, 0, 0])
+
+
+def test_a_stop_that_nothing_answers_is_told_and_sent_again(panel, page):
+    page.follow()
+    wait_for(lambda: is_following(panel))
+    page.page.route("**/api/stop", lambda route: route.abort())
+    page.page.click("#stop")
+    page.page.wait_for_selector("#alert", state="visible")
+    assert "Use the emergency stop" in page.text("#alert")
+    page.page.unroute("**/api/stop")
+    wait_for(lambda: panel.state_name() == "stopped", "the stop is sent again")
+    page.page.wait_for_selector("#alert", state="hidden")
+
+
+def test_hold_to_run_is_pressed_by_button_or_key_and_ends_with_the_focus(panel, page):
+    def with_hold_to_run(route):
+        route.fulfill(json={**route.fetch().json(), "hold_to_run": True})
+
+    sent = []
+    page.page.on("websocket", lambda socket: socket.on("framesent", lambda frame: sent.append(frame)))
+    page.page.route("**/api/info", with_hold_to_run)
+    page.page.reload()
+    wait_for(lambda: "pair" in page.text("#images"))
+    page.take_command()
+
+    def is_pressed():
+        sent.clear()
+        page.page.wait_for_timeout(400)
+        beats = [json.loads(frame) for frame in sent if '"heartbeat"' in frame]
+        assert beats, "the page answers heartbeats"
+        return beats[-1]["pressed"]
+
+    assert not is_pressed()
+    box = page.page.locator("#run").bounding_box()
+    page.page.locator("#run").hover()
+    page.page.mouse.down()
+    assert is_pressed()
+    page.page.mouse.move(box["x"] - 50, box["y"] - 50)
+    page.page.mouse.up()
+    assert not is_pressed(), "the button is released outside of it"
+    page.page.focus("#do-hold")
+    page.page.keyboard.down("h")
+    assert is_pressed()
+    page.page.evaluate("window.dispatchEvent(new Event('blur'))")
+    assert not is_pressed(), "another window has the focus"
+    page.page.keyboard.up("h")
+    page.page.fill("#operator-name", "")
+    page.page.focus("#operator-name")
+    page.page.keyboard.down("h")
+    assert not is_pressed(), "the key goes into the name"
+    page.page.keyboard.up("h")

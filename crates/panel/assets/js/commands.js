@@ -1,8 +1,11 @@
 // @ts-check
 // The commands of the operator: lease, start, hold, resume, stop, reset, speed, and the offset of the desired pose.
 import "./types.js";
-import { post } from "./connection.js";
+import { writeWithCodes } from "./codes.js";
+import { post, releaseWhileClosing } from "./connection.js";
 import { at, button, fixed, input, make, write } from "./dom.js";
+import { holdToRun } from "./hold_to_run.js";
+import { Jog } from "./jog.js";
 
 const COMMANDS = [
   { name: "start", text: "Start", needs: "start", path: "/api/start", seen: true },
@@ -11,11 +14,12 @@ const COMMANDS = [
   { name: "resume", text: "Resume", needs: "resume", path: "/api/resume", seen: true },
   { name: "reset", text: "Reset", needs: "reset", path: "/api/reset", seen: true },
 ];
-const AXES = ["x", "y", "z"];
-const STEP_MM = 5;
-const STEP_DEG = 1;
 /** Two presses of Escape within this time stop both arms. */
 const STOP_KEYS_MS = 800;
+/** A stop that nothing answers is sent again: it changes nothing if it arrives twice. */
+const STOP_TRIES = 5;
+const STOP_ANSWER_MS = 1000;
+const STOP_AGAIN_MS = 300;
 const HOLDER_ELSEWHERE = 409;
 
 export class Commands {
@@ -30,19 +34,22 @@ export class Commands {
     this.state = null;
     /** @type {number|null} */
     this.ownId = null;
-    this.jogs = /** @type {HTMLElement[]} */ ([]);
     this.isSliding = false;
+    this.isConnected = false;
+    /** @type {Map<string, string>} */
+    this.alerts = new Map();
+    this.jog = new Jog((body) => this.send("/api/jog", { ...body, seen: this.seen() }, "offset of the hand"));
     this.build();
   }
 
   /** Whether this page holds the lease. */
   get leads() {
-    return this.connection.session !== null && this.state?.operator.holder?.id === this.ownId;
+    return this.isConnected && this.connection.session !== null && this.state?.operator.holder?.id === this.ownId;
   }
 
   build() {
     for (const command of COMMANDS) {
-      const element = make("button", { type: "button", id: `do-${command.name}` }, command.text);
+      const element = make("button", { type: "button", id: `do-${command.name}`, "aria-describedby": "blocked" }, command.text);
       element.addEventListener("click", () => this.command(command));
       at("commands").append(element);
     }
@@ -63,56 +70,17 @@ export class Commands {
       await this.send("/api/speed", { percent: Number(speed.value), seen: this.seen() }, "speed");
       this.isSliding = false;
     });
-    this.buildJog();
+    window.addEventListener("pagehide", () => {
+      if (!this.connection.session || !this.leads) return;
+      releaseWhileClosing(this.connection.session);
+      this.connection.session = null;
+    });
     this.listenForStop();
-    if (this.info.hold_to_run) this.buildHoldToRun();
+    if (this.info.hold_to_run) holdToRun(at("run"), (isPressed) => (this.connection.pressed = isPressed));
     at("command-card").hidden = false;
     const hasArms = this.info.arms.length > 0;
     for (const id of ["commands", "jog", "stop"]) at(id).hidden = !hasArms;
     at("speed").parentElement?.toggleAttribute("hidden", !hasArms);
-  }
-
-  buildJog() {
-    AXES.forEach((axis, index) => {
-      for (const [kind, step, unit] of /** @type {const} */ ([["mm", STEP_MM, "mm"], ["deg", STEP_DEG, "°"]])) {
-        const row = make("div", { class: "axis" });
-        const output = make("output");
-        const less = make("button", { type: "button", "aria-label": `${axis} minus ${step} ${unit}` }, "−");
-        const more = make("button", { type: "button", "aria-label": `${axis} plus ${step} ${unit}` }, "+");
-        less.addEventListener("click", () => this.jog(kind, index, -step));
-        more.addEventListener("click", () => this.jog(kind, index, step));
-        row.append(make("span", {}, kind === "mm" ? axis : `r${axis}`), less, output, more);
-        at("jog").append(row);
-        this.jogs.push(output);
-      }
-    });
-  }
-
-  buildHoldToRun() {
-    const run = at("run");
-    run.hidden = false;
-    const press = (/** @type {boolean} */ pressed) => {
-      this.connection.pressed = pressed;
-      run.setAttribute("aria-pressed", String(pressed));
-    };
-    run.addEventListener("pointerdown", (event) => {
-      run.setPointerCapture(event.pointerId);
-      press(true);
-    });
-    for (const name of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) {
-      run.addEventListener(name, () => press(false));
-    }
-    run.addEventListener("keydown", (event) => {
-      if (event.key === " ") press(true);
-    });
-    run.addEventListener("keyup", () => press(false));
-    window.addEventListener("blur", () => press(false));
-    let wasPressed = false;
-    setInterval(() => {
-      const isPressed = navigator.getGamepads().some((pad) => pad?.buttons.some((one) => one.pressed));
-      if (isPressed !== wasPressed) press(isPressed);
-      wasPressed = isPressed;
-    }, 50);
   }
 
   listenForStop() {
@@ -133,25 +101,19 @@ export class Commands {
   }
 
   async stop() {
-    const answer = await post("/api/stop", {}, this.connection.session);
-    this.tell("stop", answer);
-    if (!answer.ok) this.alert(`STOP WAS NOT OBEYED: ${answer.body.error} - use the emergency stop`);
+    for (let attempt = 1; attempt <= STOP_TRIES; attempt++) {
+      const answer = await post("/api/stop", {}, this.connection.session, STOP_ANSWER_MS);
+      this.tell("stop", answer);
+      this.alert("stop", answer.ok ? null : `Stop ${answer.status === 0 ? "" : "was refused: "}${answer.body.error}. Use the emergency stop.`);
+      if (answer.status !== 0) return;
+      await new Promise((resolve) => setTimeout(resolve, STOP_AGAIN_MS));
+    }
   }
 
   /** @param {typeof COMMANDS[number]} command */
   async command(command) {
     const body = command.seen ? { seen: this.seen() } : command.name === "hold-hand" ? { hand_only: true } : {};
     await this.send(command.path, body, command.name);
-  }
-
-  /** @param {"mm"|"deg"} kind @param {number} axis @param {number} step */
-  async jog(kind, axis, step) {
-    const jog = this.state?.control.jog;
-    if (!jog) return;
-    const offset_mm = [...jog.offset_mm];
-    const offset_deg = [...jog.offset_deg];
-    (kind === "mm" ? offset_mm : offset_deg)[axis] += step;
-    await this.send("/api/jog", { offset_mm, offset_deg, seen: this.seen() }, "move");
   }
 
   /** @param {string} path @param {object} body @param {string} name */
@@ -166,7 +128,8 @@ export class Commands {
     at("takeover").hidden = true;
     const body = action === "release" ? { action } : { action, name: input("operator-name").value.trim() || "operator" };
     const answer = await post("/api/lease", body, action === "release" ? this.connection.session : null);
-    this.tell(action, answer);
+    const done = { take: "You lead now.", "take-over": "You lead now; every arm holds.", release: "Released; every arm holds." }[action];
+    this.tell(action, answer.ok ? { ...answer, body: { line: done, ...answer.body } } : answer);
     if (answer.status === HOLDER_ELSEWHERE && action === "take") {
       const holder = this.state?.operator.holder;
       write(at("takeover-text"), `${holder ? holder.name : "somebody"} has the command. Ask first.`);
@@ -180,16 +143,59 @@ export class Commands {
 
   /** @param {string} what @param {import("./types.js").Answer} answer */
   tell(what, answer) {
-    const { body } = answer;
-    const code = body.code ? ` [${body.code}: pb3dp explain ${body.code}]` : "";
-    at("answer").classList.toggle("refused", !answer.ok);
-    write(at("answer"), answer.ok ? body.line ?? `${what}: done` : `${what} refused: ${body.error}${code}`);
+    const { body, ok, status } = answer;
+    const code = body.code && !body.error.includes(body.code) ? ` [${body.code}]` : "";
+    at("answer").classList.toggle("refused", !ok);
+    const failure = status === 0 ? `${what} ${body.error}` : `${what} refused: ${body.error}${code}`;
+    writeWithCodes(at("answer"), ok ? body.line ?? `${what}: done` : failure);
   }
 
-  /** @param {string|null} text */
-  alert(text) {
-    at("alert").hidden = text === null;
-    write(at("alert"), text ?? "");
+  /**
+   * Shows a danger until it is over. Each cause has its own line.
+   * @param {"link"|"stop"} cause
+   * @param {string|null} text
+   */
+  alert(cause, text) {
+    if (text === null) this.alerts.delete(cause);
+    else this.alerts.set(cause, text);
+    at("alert").hidden = this.alerts.size === 0;
+    write(at("alert"), [...this.alerts.values()].join(" "));
+  }
+
+  /** @param {boolean} isConnected */
+  link(isConnected) {
+    this.isConnected = isConnected;
+    this.alert("link", isConnected ? null : "No connection to pb3dp: what you see is old, and commands do not arrive. Arms that move hold or stop by themselves.");
+    if (this.state) this.show(this.state);
+  }
+
+  /**
+   * Why a command is not possible now, or null.
+   * @param {typeof COMMANDS[number]} command
+   * @param {import("./types.js").State} state
+   */
+  blocked({ name, needs }, { state, why }) {
+    if (!this.isConnected) return "no connection";
+    if (!this.leads) return "take the command first";
+    if (needs === null || state.may.includes(needs)) return null;
+    if (name === "reset") return "only after a stop or a fault";
+    if (state.is_moving) return "the arm moves already";
+    if (state.is_latched) return "use Reset first";
+    if (name === "start" && state.name === "idle") return "select a target first";
+    if (name === "start" && state.name === "selecting") return why.line;
+    return `not in the state ${state.name}`;
+  }
+
+  /** Disables the commands that are not possible and writes the reasons. @param {import("./types.js").State} state */
+  showBlocked(state) {
+    /** @type {Map<string, string[]>} */
+    const reasons = new Map();
+    for (const command of COMMANDS) {
+      const reason = this.blocked(command, state);
+      button(`do-${command.name}`).disabled = reason !== null;
+      if (reason !== null) reasons.set(reason, [...(reasons.get(reason) ?? []), command.text]);
+    }
+    writeWithCodes(at("blocked"), [...reasons].map(([reason, names]) => `${names.join(", ")}: ${reason}`).join(". "));
   }
 
   /** @param {import("./types.js").State} state */
@@ -200,27 +206,18 @@ export class Commands {
     const leads = this.leads;
     write(
       at("holder"),
-      leads ? `You lead. Last heartbeat ${fixed(heard, 0)} ms ago.` : holder ? `${holder.name} leads.` : "Nobody leads: take the command to choose targets and to start.",
+      leads ? `You lead. Last heartbeat: ${fixed(heard, 0)} ms ago.` : holder ? `${holder.name} leads.` : "Nobody leads: take the command to choose targets and to start.",
     );
     button("take").hidden = leads;
     button("release").hidden = !leads;
-    for (const { name, needs } of COMMANDS) {
-      const allowed = leads && (needs === null || state.state.may.includes(needs));
-      const element = button(`do-${name}`);
-      element.disabled = !allowed;
-      element.title = allowed ? "" : leads ? `not possible in the state ${state.state.name}` : "take the command first";
-    }
+    if (state.state.is_latched) this.alert("stop", null);
+    this.showBlocked(state);
     const speed = input("speed");
     speed.disabled = !leads;
     if (!this.isSliding) {
       speed.value = String(state.control.speed_percent);
       write(at("speed-text"), `${fixed(state.control.speed_percent, 0)} %`);
     }
-    const { offset_mm, offset_deg } = state.control.jog;
-    this.jogs.forEach((output, index) => {
-      const axis = index >> 1;
-      write(output, index % 2 === 0 ? `${fixed(offset_mm[axis], 0)} mm` : `${fixed(offset_deg[axis], 1)}°`);
-      output.parentElement?.querySelectorAll("button").forEach((one) => (one.disabled = !leads));
-    });
+    this.jog.show(state.control.jog, leads);
   }
 }

@@ -7,6 +7,9 @@ const AGAIN_MS = 700;
 /** Without any message for this long the connection counts as broken. */
 const SILENT_MS = 1500;
 const HEADER_BYTES = 32;
+const RECTIFIED_FLAG = 1;
+/** Without an answer for this long a command counts as not sent. */
+const ANSWER_MS = 3000;
 
 export class Connection {
   constructor() {
@@ -26,6 +29,8 @@ export class Connection {
     this.isOpen = false;
     /** Images that are being decoded; more are dropped. */
     this.decoding = [0, 0, 0];
+    /** Images dropped because the page is too slow: left, right, heat. */
+    this.dropped = [0, 0, 0];
     this.connect();
     setInterval(() => this.watch(), 250);
   }
@@ -108,13 +113,17 @@ export class Connection {
     const side = view.getUint8(4) === 0 ? 0 : 1;
     const isHeat = view.getUint8(5) === 1;
     const queue = isHeat ? 2 : side;
-    if (this.decoding[queue] > 1) return;
+    if (this.decoding[queue] > 1) {
+      this.dropped[queue] += 1;
+      return;
+    }
     this.decoding[queue] += 1;
     try {
       const bitmap = await createImageBitmap(new Blob([data.slice(HEADER_BYTES)], { type: isHeat ? "image/png" : "image/jpeg" }));
       const number = (/** @type {number} */ offset) => view.getUint16(offset, true);
       const [sequence, time_ms] = [Number(view.getBigUint64(8, true)), view.getFloat64(16, true)];
-      this.onImage({ side, isHeat, sequence, time_ms, size_px: [number(24), number(26)], place_px: [number(28), number(30)], bitmap });
+      const isRectified = (number(6) & RECTIFIED_FLAG) !== 0;
+      this.onImage({ side, isHeat, isRectified, sequence, time_ms, size_px: [number(24), number(26)], place_px: [number(28), number(30)], bitmap });
     } finally {
       this.decoding[queue] -= 1;
     }
@@ -122,20 +131,33 @@ export class Connection {
 }
 
 /**
- * Sends a command or a question.
+ * Sends a command or a question. Status 0: nothing answered, so the command may not have arrived.
  * @param {string} path
  * @param {object} body
  * @param {string|null} session
+ * @param {number} [answer_ms]
  * @returns {Promise<import("./types.js").Answer>}
  */
-export async function post(path, body, session) {
+export async function post(path, body, session, answer_ms = ANSWER_MS) {
   /** @type {Record<string, string>} */
   const headers = { "Content-Type": "application/json" };
   if (session) headers["PB3DP-Session"] = session;
   try {
-    const response = await fetch(path, { method: "POST", headers, body: JSON.stringify(body) });
+    const signal = AbortSignal.timeout(answer_ms);
+    const response = await fetch(path, { method: "POST", headers, body: JSON.stringify(body), signal });
     return { ok: response.ok, status: response.status, body: await response.json() };
   } catch (error) {
-    return { ok: false, status: 0, body: { error: `it could not be sent: ${error}`, code: null } };
+    const isLate = error instanceof DOMException && error.name === "TimeoutError";
+    const cause = isLate ? `no answer within ${answer_ms} ms` : "no connection to pb3dp";
+    return { ok: false, status: 0, body: { error: `could not be sent: ${cause}`, code: null } };
   }
+}
+
+/**
+ * Gives the lease back while the page closes; every arm holds.
+ * @param {string} session
+ */
+export function releaseWhileClosing(session) {
+  const headers = { "Content-Type": "application/json", "PB3DP-Session": session };
+  void fetch("/api/lease", { method: "POST", headers, body: '{"action":"release"}', keepalive: true }).catch(() => {});
 }

@@ -1,10 +1,12 @@
 // @ts-check
 // Puts the parts of the page together.
 import "./types.js";
+import { withCodes } from "./codes.js";
 import { Commands } from "./commands.js";
 import { Connection, post } from "./connection.js";
 import { at, button, canvas, fixed, input, make, write } from "./dom.js";
 import { Joints } from "./joints.js";
+import { Pace } from "./pace.js";
 import { Plots } from "./plots.js";
 import { Pointing } from "./pointing.js";
 import { Scene } from "./scene.js";
@@ -16,7 +18,6 @@ const EPIPOLAR_MS = 80;
 const PUSH_MS = 50;
 /** Assumed depth of a target that has no pose, mm. */
 const DEPTH_MM = 500;
-const FPS_MAX = 30;
 
 async function info() {
   for (;;) {
@@ -53,6 +54,7 @@ const connection = new Connection();
 const commands = new Commands(connection, about);
 const left = new ImageView(canvas("left"), about.cameras.size_px);
 const right = new ImageView(canvas("right"), about.cameras.size_px);
+right.dragMoves = true;
 const plots = new Plots();
 const joints = new Joints(about.arms);
 const scene = about.arms.length > 0 ? new Scene(canvas("scene"), about) : null;
@@ -65,10 +67,18 @@ let marked = null;
 /** @type {import("./types.js").Pixel[]} */
 let epipolar_px = [];
 
+const pace = new Pace(() => ({ drawn: left.drawn, lost: left.skipped + connection.dropped[0] }), askForImages);
 const pointing = new Pointing(left, {
   canPush: about.playground,
   onRegion: (region) => void preview(region),
   onCancel: forget,
+  onFreeze: (sequence) => [left, right].forEach((view) => view.freeze(sequence)),
+  onCursor: showPixel,
+  onRaw: () => {
+    input("rectified").checked = false;
+    askForImages();
+    write(at("pixel"), "Regions are marked in the raw images: shown now, mark again.");
+  },
   // A preview keeps the pair until the region is complete, however long that takes.
   onBegin: (u, v) => {
     if (left.image) void post("/api/preview", { region: `click:${u},${v}`, sequence: left.image.sequence }, connection.session);
@@ -83,6 +93,8 @@ const pointing = new Pointing(left, {
 
 left.paint = () => {
   const { target } = state ?? { target: null };
+  // Outlines are in pixels of the raw images.
+  if (left.image?.isRectified) return;
   if (target && !left.isFrozen) {
     const { color, dash } = STATUS[target.status] ?? STATUS.error;
     left.lines(target.outline_px, { color, dash });
@@ -97,25 +109,26 @@ left.paint = () => {
 };
 right.paint = () => {
   const { target } = state ?? { target: null };
+  if (input("epipolar").checked) right.epipolar(epipolar_px);
+  if (right.image?.isRectified) return;
   if (marked) right.lines(marked.preview.outline_right_px, { ...(STATUS[marked.preview.status] ?? STATUS.error), width: 3 });
-  else if (target) {
+  else if (target && !right.isFrozen) {
     const { color, dash } = STATUS[target.status] ?? STATUS.error;
     right.lines(target.outline_right_px, { color, dash });
     if (target.axes_right_px) right.axes(target.axes_right_px);
   }
-  if (input("epipolar").checked) right.epipolar(epipolar_px);
 };
 
 connection.onState = (newest) => {
   state = newest;
-  showState(newest);
+  showState(newest, pace.text);
   commands.show(newest);
   plots.add(newest);
   joints.show(newest.arms);
   scene?.show(newest);
   showSaved(newest.saved);
   button("select").disabled = !commands.leads;
-  button("select").title = commands.leads ? "" : "take the command first";
+  at("select-blocked").hidden = commands.leads;
   left.redraw();
   right.redraw();
 };
@@ -126,16 +139,17 @@ connection.onImage = (image) => {
 connection.onLog = (lines) => {
   const log = at("log");
   const isAtEnd = log.scrollTop + log.clientHeight >= log.scrollHeight - 8;
-  for (const { time_ms, level, text } of lines) {
+  for (const { time_ms, level, text, code } of lines) {
     const item = make("li", { class: level });
-    item.append(make("time", {}, fixed(time_ms / 1000, 2)), text);
+    const missing = code && !text.includes(code) ? ` [${code}]` : "";
+    item.append(make("time", {}, fixed(time_ms / 1000, 2)), ...withCodes(text + missing));
     log.append(item);
   }
   while (log.children.length > LOG_LINES_MAX) log.firstChild?.remove();
   if (isAtEnd) log.scrollTop = log.scrollHeight;
 };
 connection.onLink = (isOpen) => {
-  commands.alert(isOpen ? null : "No connection to pb3dp: what you see is old, and commands are not heard. Arms that it moves hold or stop by themselves.");
+  commands.link(isOpen);
   if (!isOpen) write(at("state"), "no connection");
 };
 
@@ -175,7 +189,7 @@ function showSaved(names) {
   const place = at("saved");
   if (place.dataset.names !== names.join("\n")) {
     place.dataset.names = names.join("\n");
-    place.replaceChildren(...(names.length ? [make("h3", {}, "chosen before")] : []));
+    place.replaceChildren(...(names.length ? [make("h3", {}, "saved targets")] : []));
     for (const name of names) {
       const again = make("button", { type: "button" }, name);
       again.addEventListener("click", () => void commands.send("/api/select", { saved: name, seen: commands.seen() }, "select"));
@@ -187,17 +201,26 @@ function showSaved(names) {
 
 function askForImages() {
   const wanted = !document.hidden;
-  connection.ask({ left: wanted, right: wanted, view: input("rectified").checked ? "rectified" : "raw", fps_max: FPS_MAX, heat: input("heat").checked });
+  connection.ask({ left: wanted, right: wanted, view: input("rectified").checked ? "rectified" : "raw", fps_max: pace.fps_max, heat: input("heat").checked });
   if (!input("heat").checked) left.overlay(null);
 }
 
 button("select").addEventListener("click", () => void select());
 button("discard").addEventListener("click", () => pointing.cancel());
+for (const [id, direction] of /** @type {const} */ ([["nearer", 1], ["farther", -1]])) {
+  button(id).addEventListener("click", () => [left, right].forEach((view) => view.zoomStep(direction)));
+}
 button("unzoom").addEventListener("click", () => [left, right].forEach((view) => view.whole()));
 for (const option of ["rectified", "heat"]) input(option).addEventListener("change", askForImages);
 document.addEventListener("visibilitychange", askForImages);
 const askForLine = paced(EPIPOLAR_MS, async (u, v) => {
   if (!input("epipolar").checked) return;
+  if (right.image?.isRectified) {
+    // Rows of rectified images are epipolar lines.
+    epipolar_px = [[-0.5, v], [about.cameras.size_px[0] - 0.5, v]];
+    right.redraw();
+    return;
+  }
   try {
     const response = await fetch(`/api/epipolar?u=${u.toFixed(1)}&v=${v.toFixed(1)}`);
     epipolar_px = response.ok ? (await response.json()).right_px : [];
@@ -206,11 +229,14 @@ const askForLine = paced(EPIPOLAR_MS, async (u, v) => {
   }
   right.redraw();
 });
-canvas("left").addEventListener("pointermove", (event) => {
-  const [u, v] = left.pixelAt(event);
-  write(at("pixel"), `pixel ${fixed(u, 1)}, ${fixed(v, 1)}`);
+/** @param {number} u @param {number} v */
+function showPixel(u, v) {
+  const color = left.colorAt([u, v]);
+  const value = color === null ? "" : `: ${new Set(color).size === 1 ? `grey ${color[0]}` : `rgb ${color.join(" ")}`}`;
+  write(at("pixel"), `pixel ${fixed(u, 1)}, ${fixed(v, 1)}${value}`);
   askForLine(u, v);
-});
+}
+canvas("left").addEventListener("pointermove", (event) => showPixel(...left.pixelAt(event)));
 canvas("left").addEventListener("pointerleave", () => {
   epipolar_px = [];
   right.redraw();

@@ -23,6 +23,12 @@ function apply(transform, [x, y, z]) {
   return [row(0), row(1), row(2)];
 }
 
+/** Inverse of a rigid transform. @param {number[]} t */
+function inverse(t) {
+  const moved = (/** @type {number} */ c) => -(t[c] * t[3] + t[4 + c] * t[7] + t[8 + c] * t[11]);
+  return [t[0], t[4], t[8], moved(0), t[1], t[5], t[9], moved(1), t[2], t[6], t[10], moved(2), 0, 0, 0, 1];
+}
+
 /** Rotation about an axis (Rodrigues). @param {number[]} axis @param {number} deg */
 function rotation([x, y, z], deg) {
   const [s, c] = [Math.sin((deg * Math.PI) / 180), Math.cos((deg * Math.PI) / 180)];
@@ -154,9 +160,10 @@ export class Scene {
   /** @param {(points: Point[], color: string, width: number) => void} line @param {number[]} world_from_cam_left */
   cameras(line, world_from_cam_left) {
     const t = 60;
-    for (const x of [0, 100]) {
-      const corners = /** @type {Point[]} */ ([[-t, -t, 2 * t], [t, -t, 2 * t], [t, t, 2 * t], [-t, t, 2 * t]]).map(([u, v, w]) => apply(world_from_cam_left, [u + x, v, w]));
-      const eye = apply(world_from_cam_left, [x, 0, 0]);
+    const world_from_cam_right = product(world_from_cam_left, inverse(this.info.cameras.cam_right_from_cam_left));
+    for (const world_from_cam of [world_from_cam_left, world_from_cam_right]) {
+      const corners = /** @type {Point[]} */ ([[-t, -t, 2 * t], [t, -t, 2 * t], [t, t, 2 * t], [-t, t, 2 * t]]).map((corner) => apply(world_from_cam, corner));
+      const eye = apply(world_from_cam, [0, 0, 0]);
       line([...corners, corners[0]], "#56b4e9", 1.5);
       corners.forEach((corner) => line([eye, corner], "#56b4e9", 1));
     }

@@ -1,18 +1,21 @@
 // @ts-check
 // State, reason, target and active conditions in words.
 import "./types.js";
+import { writeWithCodes } from "./codes.js";
 import { at, fixed, make, norm, write } from "./dom.js";
 import { STATUS } from "./view.js";
 
-/** @param {import("./types.js").State} state */
-export function showState(state) {
+/** @param {import("./types.js").State} state @param {string} pace what limits the images, or nothing */
+export function showState(state, pace) {
   const pill = at("state");
   write(pill, state.state.name);
   pill.classList.toggle("moving", state.state.is_moving);
   pill.classList.toggle("latched", state.state.is_latched);
   const code = state.why.code && !state.why.line.includes(state.why.code) ? ` [${state.why.code}]` : "";
-  write(at("why"), state.why.line + code);
-  write(at("why-long"), state.state.is_moving ? "The hand follows the target." : state.why.line);
+  const line = state.state.is_moving && state.why.line === state.state.name ? "the hand follows the target" : state.why.line + code;
+  writeWithCodes(at("why"), line);
+  write(at("conditions-title"), state.state.is_moving ? "Motion" : "Why nothing moves");
+  writeWithCodes(at("why-long"), state.state.is_moving ? "The hand follows the target." : state.why.line);
   const items = state.why.inhibits.map(({ name, action, since_ms, clears_ms }) => {
     const clears = clears_ms === null ? "" : `, clears in ${fixed(clears_ms / 1000, 1)} s`;
     return `${name} (${action}) for ${fixed(since_ms / 1000, 1)} s${clears}`;
@@ -26,7 +29,7 @@ export function showState(state) {
   write(at("trouble"), state.operator.trouble ?? "");
   showTarget(state.target);
   const { images } = state;
-  write(at("images"), `pair ${images.sequence ?? "–"}, ${fixed(images.fps, 1)} per second, ${images.lost} lost; time runs at ${fixed(state.realtime_factor, 2)}`);
+  write(at("images"), `pair ${images.sequence ?? "–"}, ${fixed(images.fps, 1)} per second, ${images.lost} lost; time runs at ${fixed(state.realtime_factor, 2)}${pace}`);
 }
 
 /** @param {import("./types.js").TargetState} target */
@@ -40,10 +43,10 @@ function showTarget(target) {
   const triple = (/** @type {number[]|null} */ values, /** @type {number} */ decimals) =>
     values ? values.map((value) => fixed(value, decimals)).join(", ") : "–";
   const figures = [
-    ["place (x, y, z)", `${triple(target.point_mm, 1)} mm`],
-    ["1 sigma, place", `${triple(target.sigma_mm, 3)} mm`],
+    ["position (x, y, z)", `${triple(target.point_mm, 1)} mm`],
+    ["1 sigma, position", `${triple(target.sigma_mm, 3)} mm`],
     ["1 sigma, angles", `${triple(target.sigma_deg, 3)}°`],
-    ["agreement", fixed(target.fitness, 3)],
+    ["fitness", fixed(target.fitness, 3)],
     ["age, computing", `${fixed(target.age_ms, 0)}, ${fixed(target.latency_ms, 1)} ms`],
   ];
   if (target.error_mm) figures.push(["error (truth known)", `${fixed(norm(target.error_mm), 2)} mm, ${fixed(norm(target.error_deg), 2)}°`]);

@@ -60,7 +60,7 @@
  * @property {boolean} playground
  * @property {boolean} hold_to_run
  * @property {number} silent_after_ms
- * @property {{size_px: Pixel, calibration: string, left: {focal_px: Pixel}}} cameras
+ * @property {{size_px: Pixel, calibration: string, left: {focal_px: Pixel}, cam_right_from_cam_left: number[]}} cameras
  * @property {ArmInfo[]} arms
  * @property {number[]|null} hand_from_cam_left
  */
@@ -78,7 +78,7 @@
  * @property {number} ms
  * @property {number} sequence
  */
-/** @typedef {{side: 0|1, isHeat: boolean, sequence: number, time_ms: number, size_px: Pixel, place_px: Pixel, bitmap: ImageBitmap}} CameraImage */
+/** @typedef {{side: 0|1, isHeat: boolean, isRectified: boolean, sequence: number, time_ms: number, size_px: Pixel, place_px: Pixel, bitmap: ImageBitmap}} CameraImage */
 /** @typedef {{time_ms: number, level: string, text: string, code: string|null}} LogLine */
 /** @typedef {{ok: boolean, status: number, body: any}} Answer */
 

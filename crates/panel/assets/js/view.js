@@ -15,6 +15,8 @@ export const STATUS = /** @type {Record<string, {color: string, dash: number[], 
   none: { color: "#9fb0bf", dash: [], sign: "·" },
 });
 const ZOOM_MAX = 40;
+const ZOOM_STEP = 1.5;
+const AXIS_NAMES = ["x", "y", "z"];
 
 export class ImageView {
   /**
@@ -29,8 +31,18 @@ export class ImageView {
     this.image = null;
     /** Residual of the images inside the region. @type {import("./types.js").CameraImage|null} */
     this.heat = null;
-    /** Frozen while somebody draws. */
-    this.isFrozen = false;
+    /** The image before: both views can be frozen on the same pair. @type {import("./types.js").CameraImage|null} */
+    this.older = null;
+    /** Sequence of the pair on which somebody draws; no newer image is shown. @type {number|null} */
+    this.frozen = null;
+    /** Fingers and buttons on the canvas. @type {Map<number, import("./types.js").Pixel>} */
+    this.held = new Map();
+    /** Whether two fingers or the middle button move the image; no tool acts then. */
+    this.isMoving = false;
+    /** Whether dragging with the mouse moves the image: no tool uses this view. */
+    this.dragMoves = false;
+    /** Reads single pixels. @type {OffscreenCanvasRenderingContext2D|null} */
+    this.probe = null;
     this.zoom = 1;
     // The pixel in the upper left corner.
     /** @type {import("./types.js").Pixel} */
@@ -38,10 +50,18 @@ export class ImageView {
     /** Draws over the image, in pixels of the image. */
     this.paint = (/** @type {ImageView} */ _view) => {};
     this.isStale = false;
+    /** Images drawn, and images that a newer one replaced before they were drawn. */
     this.drawn = 0;
+    this.skipped = 0;
+    this.wasDrawn = true;
     new ResizeObserver(() => this.fit()).observe(canvas);
     this.fit();
     canvas.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
+    canvas.addEventListener("pointerdown", (event) => this.press(event));
+    canvas.addEventListener("pointermove", (event) => this.drag(event));
+    for (const name of /** @type {const} */ (["pointerup", "pointercancel", "lostpointercapture"])) {
+      canvas.addEventListener(name, (event) => this.letGo(event));
+    }
   }
 
   fit() {
@@ -60,14 +80,30 @@ export class ImageView {
     return (this.canvas.width / this.size_px[0]) * this.zoom;
   }
 
+  get isFrozen() {
+    return this.frozen !== null;
+  }
+
   /** @param {import("./types.js").CameraImage} image */
   show(image) {
-    if (this.isFrozen) {
+    if (this.frozen !== null && (image.sequence !== this.frozen || image.isRectified)) {
       image.bitmap.close();
       return;
     }
-    this.image?.bitmap.close();
+    if (!this.wasDrawn) this.skipped += 1;
+    this.wasDrawn = false;
+    this.older?.bitmap.close();
+    this.older = this.image;
     this.image = image;
+    this.redraw();
+  }
+
+  /** Shows this pair until it is called with null. @param {number|null} sequence */
+  freeze(sequence) {
+    this.frozen = sequence;
+    if (sequence !== null && this.image?.sequence !== sequence && this.older?.sequence === sequence) {
+      [this.image, this.older] = [this.older, this.image];
+    }
     this.redraw();
   }
 
@@ -96,7 +132,8 @@ export class ImageView {
     context.imageSmoothingEnabled = scale < 3;
     if (this.image) {
       context.drawImage(this.image.bitmap, -0.5, -0.5, this.size_px[0], this.size_px[1]);
-      this.drawn += 1;
+      if (!this.wasDrawn) this.drawn += 1;
+      this.wasDrawn = true;
     }
     if (this.heat && !this.isFrozen) {
       const { bitmap, place_px, size_px } = this.heat;
@@ -119,10 +156,65 @@ export class ImageView {
   /** @param {WheelEvent} event */
   wheel(event) {
     event.preventDefault();
-    const before = this.pixelAt(event);
-    this.zoom = Math.min(ZOOM_MAX, Math.max(1, this.zoom * Math.exp(-event.deltaY * 0.0015)));
-    const after = this.pixelAt(event);
+    this.zoomAt(event, Math.exp(-event.deltaY * 0.0015));
+  }
+
+  /** Magnifies around a place of the screen. @param {{clientX: number, clientY: number}} place @param {number} factor */
+  zoomAt(place, factor) {
+    const before = this.pixelAt(place);
+    this.zoom = Math.min(ZOOM_MAX, Math.max(1, this.zoom * factor));
+    const after = this.pixelAt(place);
     this.move(before[0] - after[0], before[1] - after[1]);
+  }
+
+  /** Magnifies by one step around the middle. @param {1|-1} direction */
+  zoomStep(direction) {
+    const box = this.canvas.getBoundingClientRect();
+    this.zoomAt({ clientX: box.left + box.width / 2, clientY: box.top + box.height / 2 }, ZOOM_STEP ** direction);
+  }
+
+  /** @param {PointerEvent} event */
+  press(event) {
+    this.held.set(event.pointerId, [event.clientX, event.clientY]);
+    const isMiddle = event.button === 1;
+    if (isMiddle) event.preventDefault();
+    const isDrag = this.dragMoves && event.pointerType === "mouse" && event.button === 0;
+    if (isMiddle || isDrag || this.held.size === 2) this.isMoving = true;
+    if (this.isMoving) this.canvas.setPointerCapture(event.pointerId);
+  }
+
+  /** Two fingers magnify and move; the middle button moves. @param {PointerEvent} event */
+  drag(event) {
+    const before = this.held.get(event.pointerId);
+    if (!before) return;
+    this.held.set(event.pointerId, [event.clientX, event.clientY]);
+    if (!this.isMoving) return;
+    const other = [...this.held].find(([id]) => id !== event.pointerId)?.[1];
+    const from = this.pixelAt({ clientX: before[0], clientY: before[1] });
+    const to = this.pixelAt(event);
+    const share = other ? 0.5 : 1;
+    this.move((from[0] - to[0]) * share, (from[1] - to[1]) * share);
+    if (!other) return;
+    const apart = (/** @type {import("./types.js").Pixel} */ [x, y]) => Math.max(1, Math.hypot(x - other[0], y - other[1]));
+    const middle = { clientX: (event.clientX + other[0]) / 2, clientY: (event.clientY + other[1]) / 2 };
+    this.zoomAt(middle, apart([event.clientX, event.clientY]) / apart(before));
+  }
+
+  /** @param {PointerEvent} event */
+  letGo(event) {
+    this.held.delete(event.pointerId);
+    // After the tools have seen the event: the last finger of two is no click.
+    if (this.held.size === 0) setTimeout(() => (this.isMoving = this.held.size > 1), 0);
+  }
+
+  /** Colour of the shown image at a pixel, or null outside. @param {import("./types.js").Pixel} pixel @returns {number[]|null} */
+  colorAt([u, v]) {
+    const [column, row] = [Math.round(u), Math.round(v)];
+    if (!this.image || column < 0 || row < 0 || column >= this.size_px[0] || row >= this.size_px[1]) return null;
+    this.probe ??= new OffscreenCanvas(1, 1).getContext("2d", { willReadFrequently: true });
+    if (!this.probe) return null;
+    this.probe.drawImage(this.image.bitmap, -column, -row);
+    return [...this.probe.getImageData(0, 0, 1, 1).data.slice(0, 3)];
   }
 
   /** @param {number} du @param {number} dv */
@@ -178,7 +270,33 @@ export class ImageView {
 
   /** @param {import("./types.js").Pixel[]} axes */
   axes(axes) {
-    COLORS.axes.forEach((color, axis) => this.lines([axes[0], axes[axis + 1]], { color, width: 3, closed: false }));
+    COLORS.axes.forEach((color, axis) => {
+      this.lines([axes[0], axes[axis + 1]], { color, width: 3, closed: false });
+      this.letter(AXIS_NAMES[axis], axes[axis + 1], color);
+    });
+  }
+
+  /** Colours alone do not tell the axes apart for everybody. @param {string} text @param {import("./types.js").Pixel} place @param {string} color */
+  letter(text, place, color) {
+    const { context, scale, corner_px } = this;
+    const ratio = window.devicePixelRatio || 1;
+    context.save();
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.font = `bold ${13 * ratio}px sans-serif`;
+    const [x, y] = [(place[0] - corner_px[0]) * scale + 4 * ratio, (place[1] - corner_px[1]) * scale - 3 * ratio];
+    context.lineWidth = 3 * ratio;
+    context.strokeStyle = COLORS.shadow;
+    context.strokeText(text, x, y);
+    context.fillStyle = color;
+    context.fillText(text, x, y);
+    context.restore();
+  }
+
+  /** Where the keys point. @param {import("./types.js").Pixel} place */
+  crosshair([u, v]) {
+    const half = (9 * (window.devicePixelRatio || 1)) / this.scale;
+    this.lines([[u - half, v], [u + half, v]], { closed: false });
+    this.lines([[u, v - half], [u, v + half]], { closed: false });
   }
 
   /** @param {import("./types.js").Pixel[]} points */
