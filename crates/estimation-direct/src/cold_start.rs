@@ -238,6 +238,10 @@ impl ColdStart {
             true => self.repeats_px(&reached, source.disparity_px, front_end.geometry().disparity_offset_px),
             false => None,
         };
+        let nearby = refined.and_then(|refined| {
+            let is_partial = support_of(&finest) < self.config.choice.nearby_support_max;
+            if is_partial && may_continue() { self.nearby(&refined.plane) } else { None }
+        });
         Some(ColdStartOutcome {
             first,
             second,
@@ -249,6 +253,7 @@ impl ColdStart {
             refined,
             at_refined,
             plane_at_refined,
+            nearby,
             widest,
             unlimited,
             repeats_px,
@@ -328,6 +333,15 @@ impl ColdStart {
         }
         let apart = |at: &Vector2<f64>| (plane.at(at) - known[0].at(at)).abs() > self.config.choice.widest_apart_px;
         self.box_corners().iter().any(apart).then_some(WidestPlane { plane, is_spread })
+    }
+
+    /// The plane of least squares through the clear disparities that a plane explains.
+    fn nearby(&self, plane: &DisparityPlane) -> Option<DisparityPlane> {
+        let level = &self.pyramid.levels()[self.searched];
+        let distance_px =
+            (self.config.choice.widest_px / level.scale as f64).max(self.config.choice.widest_level_px_min);
+        let found = self.search.nearby(level, &level.level_plane(plane), distance_px)?;
+        Some(level.full_plane(&found, plane.centre_px))
     }
 
     fn unlimited(&mut self) -> Option<UnlimitedPlane> {

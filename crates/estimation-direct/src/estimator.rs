@@ -335,6 +335,9 @@ const EQUAL_ERRORS: f64 = 0.5;
 /// Two planes of the same pixels that differ by `gap` and have independent errors of equal size each have half of `gap gap^T`
 /// as variance, and their mean has a quarter. If the images have no errors except noise (`is_exact`), the refined plane is
 /// known to have the smaller variance; it is the result if the patches agree with it.
+///
+/// If part of the region does not agree with the plane, another surface may pull at it. The plane through the clear disparities is
+/// an estimate of other errors, so half of its squared difference counts as variance too.
 fn answer(
     outcome: &ColdStartOutcome,
     side_px: f64,
@@ -366,7 +369,12 @@ fn answer(
     } else {
         (1.0, 1.0)
     };
-    (refined.plane.with_parameters(&(own + gap * moved_by)), Some(refined.covariance + gap * gap.transpose() * counted))
+    let beside = outcome.nearby.filter(|_| !is_exact).map_or(Matrix3::zeros(), |plane| {
+        let gap = plane.centred_at(refined.plane.centre_px).parameters() - own;
+        gap * gap.transpose() * EQUAL_ERRORS
+    });
+    let covariance = refined.covariance + gap * gap.transpose() * counted + beside;
+    (refined.plane.with_parameters(&(own + gap * moved_by)), Some(covariance))
 }
 
 /// Weight of the patch plane if the planes are `apart_px` apart at the region's border. `is_better`: the patches agree clearly

@@ -217,6 +217,13 @@ impl PlaneSearch {
         Some(PlaneCandidate { plane: level_plane(&self.volume, level, &best.plane), share: best.share })
     }
 
+    /// The plane of least squares through the clear disparities of the last search within a distance (pixels of the level) of a
+    /// plane; `None` if they determine none.
+    pub fn nearby(&self, level: &RegionLevel, plane: &LevelPlane, distance_px: f64) -> Option<LevelPlane> {
+        let found = self.points.nearby(&coefficients(&self.volume, level, plane), distance_px)?;
+        Some(level_plane(&self.volume, level, &found))
+    }
+
     /// Soft share of the clear disparities of the last search on a plane, with a tolerance in pixels of the level.
     pub fn share_within(&self, level: &RegionLevel, plane: &LevelPlane, tolerance_px: f64, kernels: Kernels) -> f64 {
         inlier_share(&self.points, &coefficients(&self.volume, level, plane), tolerance_px, kernels)
