@@ -4,6 +4,7 @@
 //! defines the pass criteria; [`table`] computes the rows, [`page`] writes the document and [`plot`] its figure.
 
 pub mod cases;
+mod left_out;
 mod ours;
 mod page;
 mod peers;
@@ -56,6 +57,8 @@ pub struct Args {
     /// Also list every case that one of our methods did not pass.
     #[arg(long)]
     failures: bool,
+    #[command(flatten)]
+    left_out: left_out::LeftOutArgs,
     /// Does not change docs/benchmarks.
     #[arg(long)]
     no_docs: bool,
@@ -73,6 +76,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let folder = args.cases.clone().unwrap_or_else(|| args.root.join(OWN_CASES));
     if args.cases.is_none() {
         eprintln!("no --cases given: measuring on the boards of this repository, {OWN_CASES}");
+    }
+    if args.left_out.is_wanted() {
+        return left_out::run(args, &folder);
     }
     let peers_script = args.peers.as_deref().map(peers::script_in).transpose()?;
     let entries = measure(args, &folder, peers_script.as_deref())?;

@@ -14,15 +14,7 @@ use super::region_pyramid::{PyramidSource, RegionPyramid};
 use super::search::hypotheses::HypothesisRules;
 use super::search::{PlaneSearch, PlaneSearchConfig};
 use crate::outcome::{ColdStartOutcome, surface_score};
-
-/// The comparison runs on the first level on which the region has at most this many pixels. Chosen: with it and
-/// [`DECISIVE_CORRELATION`] 22 of 8064 random real rectangles in wrong ranges are confident and wrong, with 1600 px and without
-/// the latter 42.
-const AREA_MAX_PX: usize = 900;
-/// Planes whose disparity at the centroid is at most this far outside the range do not count as beyond it, pixels: a plane
-/// at an end of the range must be distinguishable from one inside it. Chosen by hand, not varied: with less, planes at an
-/// end of the range count as beyond it; with more, a target just outside is missed.
-const END_PX: f64 = 2.0;
+use crate::surface_choice::SurfaceChoice;
 
 /// Largest number of three-point planes drawn: the plane sought covers most of the region. Chosen by hand, not varied: a
 /// third of `direct.search.draws`; of planes with half of the points, 100 draws of three miss (7/8)^100, 2 in a million.
@@ -38,8 +30,15 @@ pub(super) struct Beyond {
 
 impl Default for Beyond {
     fn default() -> Self {
+        Self::new(&SurfaceChoice::default())
+    }
+}
+
+impl Beyond {
+    /// Creates a search with empty buffers.
+    pub fn new(choice: &SurfaceChoice) -> Self {
         Self {
-            pyramid: RegionPyramid::up_to(AREA_MAX_PX),
+            pyramid: RegionPyramid::up_to(choice.beyond_area_px as usize),
             search: PlaneSearch::default(),
             patches: SlantedPatches::default(),
         }
@@ -66,6 +65,7 @@ impl Beyond {
         answer: &DisparityPlane,
         search: &PlaneSearchConfig,
         patches: &PatchConfig,
+        choice: &SurfaceChoice,
         allowed: impl Fn(&DisparityPlane) -> bool,
         kernels: Kernels,
     ) -> Option<BeyondRange> {
@@ -74,7 +74,8 @@ impl Beyond {
         // From infinity to the end of the right image.
         let lowest = -front_end.geometry().disparity_offset_px;
         let visible_px = DisparityRange { lowest, highest: f64::from(region.x + region.width) };
-        let wide = PyramidSource { disparity_px: visible_px, search_area_px: AREA_MAX_PX, ..*source };
+        let wide =
+            PyramidSource { disparity_px: visible_px, search_area_px: choice.beyond_area_px as usize, ..*source };
         if visible_px.lowest >= visible_px.highest || !self.pyramid.update(front_end, &wide) {
             return None;
         }
@@ -92,7 +93,7 @@ impl Beyond {
             let score = surface_score(&found, self.search.valid_share * share);
             let full = level.full_plane(&found.plane, centre);
             let d0_px = full.d0_px;
-            if d0_px < searched_px.lowest - END_PX || d0_px > searched_px.highest + END_PX {
+            if d0_px < searched_px.lowest - choice.beyond_end_px || d0_px > searched_px.highest + choice.beyond_end_px {
                 if beyond.is_none_or(|(_, best)| score > best) {
                     beyond = Some((full, score));
                 }
@@ -104,16 +105,9 @@ impl Beyond {
     }
 }
 
-/// A surface with this score and [`DECISIVE_CORRELATION`] needs no comparison. Chosen: without any, 587 of these 8064 are
-/// confident and wrong.
-const DECISIVE_SCORE: f64 = 1.2;
-/// Correlation that it needs. Chosen: 81 of 1513 correct estimates in correct ranges lose their `ok`, without it and with 1600
-/// px 71.
-const DECISIVE_CORRELATION: f64 = 0.9;
-
 /// Whether an estimate is doubtful. Something similar to the target may correlate well on the coarse level of the search, so
 /// the finest level of the patches is checked as well.
-pub(super) fn is_doubtful(outcome: &ColdStartOutcome) -> bool {
+pub(super) fn is_doubtful(outcome: &ColdStartOutcome, choice: &SurfaceChoice) -> bool {
     let correlation = outcome.first.patches.mean_correlation.min(outcome.finest.mean_correlation);
-    outcome.first.score < DECISIVE_SCORE || correlation < DECISIVE_CORRELATION
+    outcome.first.score < choice.decisive_score || correlation < choice.decisive_correlation
 }

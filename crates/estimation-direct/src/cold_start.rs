@@ -21,6 +21,7 @@ use super::search::{PlaneSearch, PlaneSearchConfig};
 use super::surroundings::{self, Surroundings};
 use crate::outcome::{ColdStartOutcome, Rival, Surface, UnlimitedPlane, WidestPlane, support_of, surface_score};
 use crate::reach;
+use crate::surface_choice::SurfaceChoice;
 
 /// Parameters of the cold start.
 #[derive(Clone, Debug, PartialEq)]
@@ -42,6 +43,8 @@ pub struct ColdStartConfig {
     /// A small region with an uncertain tilt is refined together with the pixels around it that agree with its plane, up to
     /// this distance in pixels, 0 to 16; 0: the region only.
     pub surroundings_px: usize,
+    /// Constants of the choice between candidate surfaces.
+    pub choice: SurfaceChoice,
 }
 
 impl Default for ColdStartConfig {
@@ -62,6 +65,7 @@ impl Default for ColdStartConfig {
                 ..RefineConfig::default()
             },
             surroundings_px: reach::REACH_MAX_PX,
+            choice: SurfaceChoice::default(),
         }
     }
 }
@@ -161,7 +165,8 @@ impl ColdStart {
     pub fn new(config: ColdStartConfig, kernels: Kernels) -> Self {
         let refiner = PlaneRefiner::new(config.refine.clone(), kernels);
         let pyramid = RegionPyramid::up_to(config.finest_area_px());
-        Self { config, kernels, pyramid, refiner, ..Self::default() }
+        let beyond = Beyond::new(&config.choice);
+        Self { config, kernels, pyramid, refiner, beyond, ..Self::default() }
     }
 
     /// The parameters.
@@ -223,16 +228,20 @@ impl ColdStart {
         let plane_at_refined = at_refined.map(|found| self.pyramid.levels()[level].full_plane(&found.plane, centre));
         let reached = refined.map_or(patch_plane, |refined| refined.plane);
         let (mut widest, mut unlimited) = (None, None);
-        if support_of(&finest) < PLANE_SUPPORT_MIN && may_continue() {
-            if finest.mean_correlation >= PLANE_CORRELATION_MIN {
+        if support_of(&finest) < self.config.choice.plane_support_min && may_continue() {
+            if finest.mean_correlation >= self.config.choice.plane_correlation_min {
                 widest = self.widest(&[reached, patch_plane], allowed);
             }
             unlimited = self.unlimited();
         }
-        let repeats_px = match support_of(&finest) < WHOLE_SUPPORT_MIN && may_continue() {
+        let repeats_px = match support_of(&finest) < self.config.choice.whole_support_min && may_continue() {
             true => self.repeats_px(&reached, source.disparity_px, front_end.geometry().disparity_offset_px),
             false => None,
         };
+        let nearby = refined.and_then(|refined| {
+            let is_partial = support_of(&finest) < self.config.choice.nearby_support_max;
+            if is_partial && may_continue() { self.nearby(&refined.plane) } else { None }
+        });
         Some(ColdStartOutcome {
             first,
             second,
@@ -244,6 +253,7 @@ impl ColdStart {
             refined,
             at_refined,
             plane_at_refined,
+            nearby,
             widest,
             unlimited,
             repeats_px,
@@ -259,7 +269,7 @@ impl ColdStart {
         source: &PyramidSource<'_>,
         is_tilt_allowed: impl Fn(&DisparityPlane) -> bool,
     ) -> Option<BeyondRange> {
-        if !is_doubtful(outcome) {
+        if !is_doubtful(outcome, &self.config.choice) {
             return None;
         }
         self.beyond.best(
@@ -268,6 +278,7 @@ impl ColdStart {
             &outcome.first.plane,
             &self.config.search,
             &self.config.patches,
+            &self.config.choice,
             is_tilt_allowed,
             self.kernels,
         )
@@ -298,13 +309,14 @@ impl ColdStart {
     /// equals the first of `known`, or if it is another surface.
     fn widest(&mut self, known: &[DisparityPlane], allowed: impl Fn(&DisparityPlane) -> bool) -> Option<WidestPlane> {
         let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[self.searched]);
-        let tolerance_px = (WIDEST_PX / level.scale as f64).max(WIDEST_LEVEL_PX_MIN);
-        if self.search.valid_share < WIDEST_VALID_MIN {
+        let tolerance_px =
+            (self.config.choice.widest_px / level.scale as f64).max(self.config.choice.widest_level_px_min);
+        if self.search.valid_share < self.config.choice.widest_valid_min {
             return None;
         }
         let own = level.level_plane(known.first()?);
         let share = |tolerance_px| self.search.share_within(level, &own, tolerance_px, self.kernels);
-        let is_spread = share(0.5 * tolerance_px) < SPREAD_NEAR_MAX * share(tolerance_px);
+        let is_spread = share(0.5 * tolerance_px) < self.config.choice.spread_near_max * share(tolerance_px);
         let seeds = known.iter().chain(self.surfaces.iter().map(|surface| &surface.plane));
         let found = self.search.widest(
             level,
@@ -316,11 +328,20 @@ impl ColdStart {
         )?;
         let plane = level.full_plane(&found.plane, centre);
         // If the disparities lie on a plane and do not scatter around it, a more distant plane is another surface.
-        if !is_spread && (plane.at(&centre) - known[0].at(&centre)).abs() > WIDEST_PX {
+        if !is_spread && (plane.at(&centre) - known[0].at(&centre)).abs() > self.config.choice.widest_px {
             return None;
         }
-        let apart = |at: &Vector2<f64>| (plane.at(at) - known[0].at(at)).abs() > WIDEST_APART_PX;
+        let apart = |at: &Vector2<f64>| (plane.at(at) - known[0].at(at)).abs() > self.config.choice.widest_apart_px;
         self.box_corners().iter().any(apart).then_some(WidestPlane { plane, is_spread })
+    }
+
+    /// The plane of least squares through the clear disparities that a plane explains.
+    fn nearby(&self, plane: &DisparityPlane) -> Option<DisparityPlane> {
+        let level = &self.pyramid.levels()[self.searched];
+        let distance_px =
+            (self.config.choice.widest_px / level.scale as f64).max(self.config.choice.widest_level_px_min);
+        let found = self.search.nearby(level, &level.level_plane(plane), distance_px)?;
+        Some(level.full_plane(&found, plane.centre_px))
     }
 
     fn unlimited(&mut self) -> Option<UnlimitedPlane> {
@@ -344,7 +365,7 @@ impl ColdStart {
             infinity_px: infinity_px / scale,
             shortest_px: leaves_px / scale,
         };
-        Some(scale * self.repetition.period_px(level, &level.level_plane(plane), sought)?)
+        Some(scale * self.repetition.period_px(level, &level.level_plane(plane), sought, &self.config.choice)?)
     }
 
     /// Evaluates the patches for a plane.
@@ -374,7 +395,7 @@ impl ColdStart {
     /// is unfair to the one that started farther away, so these candidates are evaluated again at the plane from their patches.
     fn look_again_at_near_equals(&mut self, index: usize, centre: Vector2<f64>) {
         let Some(first) = self.surfaces.first().copied() else { return };
-        let is_near = |other: &Surface| other.score >= NEARLY_EQUAL * first.score;
+        let is_near = |other: &Surface| other.score >= self.config.choice.nearly_equal * first.score;
         let count = self.surfaces.iter().take_while(|other| is_near(other)).count();
         if !self.surfaces[..count].iter().any(|other| self.differs(&first.plane, &other.plane)) {
             return;
@@ -416,7 +437,9 @@ impl ColdStart {
         outcome: PatchOutcome,
         centre: Vector2<f64>,
     ) -> (DisparityPlane, PatchOutcome) {
-        let Some(closest) = self.patches.closest_plane(self.kernels) else { return (plane, outcome) };
+        let Some(closest) = self.patches.closest_plane(&self.config.choice, self.kernels) else {
+            return (plane, outcome);
+        };
         let mut other = self.pyramid.levels()[index].full_plane(&closest, centre);
         let look = self.look_twice(index, &mut other, centre);
         if support_of(&look) >= support_of(&outcome) {
@@ -441,7 +464,7 @@ impl ColdStart {
 
     /// Whether the patch result for one plane is valid for another.
     fn is_settled(&self, index: usize, a: &DisparityPlane, b: &DisparityPlane) -> bool {
-        let limit = SETTLED_PX * self.pyramid.levels()[index].scale as f64;
+        let limit = self.config.choice.settled_px * self.pyramid.levels()[index].scale as f64;
         self.box_corners().iter().all(|at| (a.at(at) - b.at(at)).abs() <= limit)
     }
 
@@ -457,11 +480,13 @@ impl ColdStart {
         let (mut second, mut alias): (Option<Rival>, Option<Rival>) = (None, None);
         for other in self.surfaces.iter().skip(1).filter(|other| self.differs(&first.plane, &other.plane)) {
             let rival = self.rival(first, other);
-            if rival.overlap > OVERLAP_OF_ALIAS {
+            if rival.overlap > self.config.choice.overlap_of_alias {
                 if alias.is_none_or(|known| rival.score_ratio > known.score_ratio) {
                     alias = Some(rival);
                 }
-            } else if rival.own_share >= OWN_SHARE_MIN && second.is_none_or(|known| rival.own_share > known.own_share) {
+            } else if rival.own_share >= self.config.choice.own_share_min
+                && second.is_none_or(|known| rival.own_share > known.own_share)
+            {
                 second = Some(rival);
             }
         }
@@ -488,48 +513,8 @@ impl ColdStart {
     /// Whether two planes differ by more than two pixels of the search level at the region's centroid or, on average, at the
     /// corners of its box.
     fn differs(&self, a: &DisparityPlane, b: &DisparityPlane) -> bool {
-        let limit = 2.0 * self.pyramid.levels()[self.searched].scale as f64;
+        let limit = self.config.choice.differs_px * self.pyramid.levels()[self.searched].scale as f64;
         let gap = |at: &Vector2<f64>| (a.at(at) - b.at(at)).abs();
         gap(&self.pyramid.centroid_px()) > limit || self.box_corners().iter().map(gap).sum::<f64>() > 4.0 * limit
     }
 }
-
-/// With more support than this, the outline of the plane is at the correct position, so the plane is not an alias. Chosen, see
-/// `repetition::REPEATS_MIN`.
-const WHOLE_SUPPORT_MIN: f64 = 0.7;
-/// With less support than this, the region may not be planar. Chosen: of 85 such regions 46 % of true disparities are met, 38 %
-/// without.
-const PLANE_SUPPORT_MIN: f64 = 0.5;
-/// If the pixels that agree with a plane correlate less than this, noise may be why the others do not agree. Chosen by
-/// hand, not varied: with less, noisy planes count as surfaces that are not planes; with more, such surfaces get a refined
-/// plane.
-const PLANE_CORRELATION_MIN: f64 = 0.8;
-/// Disparities this close to a plane are explained by it, pixels. The criterion of the benchmark of real non-planar regions
-/// (docs/benchmarks/real.md).
-const WIDEST_PX: f64 = 1.0;
-/// Lower bound of this distance, in pixels of the searched level. Chosen by hand, not varied: the same as the default of
-/// `direct.search.tolerance_px`.
-const WIDEST_LEVEL_PX_MIN: f64 = 0.5;
-/// The plane replaces a refined plane that differs by more than this at a corner of the region's box, pixels. Chosen by
-/// hand, not varied: with less, noise replaces refined planes.
-const WIDEST_APART_PX: f64 = 0.5;
-/// Clear disparities represent the region if this share of its pixels has one. With 0.5 one real case across a depth edge is
-/// lost.
-const WIDEST_VALID_MIN: f64 = 0.6;
-/// Disparities scatter around the plane if half of the tolerance contains less than this share of those within the full
-/// tolerance. Uniformly distributed disparities give one half, those of a plane nearly one. Chosen by hand between these,
-/// not varied.
-const SPREAD_NEAR_MAX: f64 = 0.6;
-/// A rival that shares more than this of its pixels with the first surface is another explanation of the same surface. More
-/// than half: most of its pixels are those of the first surface.
-const OVERLAP_OF_ALIAS: f64 = 0.5;
-/// A patch result is valid for another plane that differs by at most this at the corners of the region's box, pixels of the
-/// level: the peak of a correlation is flat. Chosen by hand, not varied: with less, more patches are evaluated twice; the
-/// real cases passed as before when this rule came.
-const SETTLED_PX: f64 = 0.1;
-/// Candidates with at least this share of the best score are nearly as good. Chosen by hand, not varied: each such
-/// candidate costs a second evaluation of its patches.
-const NEARLY_EQUAL: f64 = 0.9;
-/// Smallest share of the region that a second surface must have for itself. Chosen by hand, not varied: with less, chance
-/// matches are reported as second surfaces; with more, small surfaces are not reported.
-const OWN_SHARE_MIN: f64 = 0.08;

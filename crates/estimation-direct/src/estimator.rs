@@ -19,10 +19,10 @@ use super::patches::PatchOutcome;
 use super::region_pyramid::PyramidSource;
 use super::row_measurement::measure_rows;
 use super::verdict::{
-    DirectVerdictConfig, SAME_IMAGE, Searched, Steeper, UNSEEN_CORRELATION_MIN, is_no_plane, judge, lies_beyond,
-    may_be_unseen, nothing_found,
+    DirectVerdictConfig, SAME_IMAGE, Searched, Steeper, is_no_plane, judge, lies_beyond, may_be_unseen, nothing_found,
 };
 use crate::outcome::{ColdStartOutcome, Rival, UnlimitedPlane};
+use crate::surface_choice::SurfaceChoice;
 use pb3dp_estimation_core::row_offset::{RowMeasurement, RowOffset};
 
 /// Parameters of the direct method.
@@ -154,9 +154,10 @@ impl DirectEstimator {
     }
 
     fn fill(&self, estimate: &mut PlaneEstimate, outcome: &ColdStartOutcome, view: &RawView, range: &SearchRange) {
+        let choice = &self.config.cold_start.choice;
         let side_px = (self.cold_start.pyramid().area_px() as f64).sqrt();
         let is_exact = self.config.cold_start.refine.calibration_sigma_px == 0.0;
-        let (plane, covariance) = answer(outcome, side_px, is_exact);
+        let (plane, covariance) = answer(outcome, side_px, is_exact, choice);
         let Some(pose) = view.pose(&plane) else {
             estimate.reason =
                 "the best plane is behind the camera: check the depth range and the calibration".to_owned();
@@ -165,7 +166,7 @@ impl DirectEstimator {
         let spread = covariance.map(|covariance| Spread::of(&covariance, &plane, &pose, view));
         let normal_sigma_rad = spread.map(|spread| spread.normal_sigma_rad);
         let searched = Searched { range: *range, steeper: steeper(outcome, view, range) };
-        let verdict = judge(outcome, normal_sigma_rad, &searched, &self.config.verdict);
+        let verdict = judge(outcome, normal_sigma_rad, &searched, &self.config.verdict, choice);
         (estimate.status, estimate.reason) = (verdict.status, verdict.reason);
         estimate.psi = PlaneHypothesis::from_inverse_depth_plane(&pose.inverse_depth_plane, &view.ray);
         estimate.fitness = Some(outcome.finest.mean_correlation);
@@ -173,7 +174,7 @@ impl DirectEstimator {
         if estimate.status == Status::NotObservable {
             return;
         }
-        if is_no_plane(outcome, &self.config.verdict) {
+        if is_no_plane(outcome, &self.config.verdict, choice) {
             estimate.warnings.push(EstimateWarning::NoPlane);
         }
         estimate.pose = Some(pose);
@@ -183,7 +184,7 @@ impl DirectEstimator {
         let second = |rival: &Rival| Some(SecondPlane { pose: view.pose(&rival.plane)?, share: rival.own_share });
         estimate.second_plane = outcome.second.as_ref().and_then(second);
         let DisparityRange { lowest: farthest_px, highest: nearest_px } = disparity_range(view, range);
-        if plane.d0_px < farthest_px + END_OF_RANGE_PX || plane.d0_px > nearest_px - END_OF_RANGE_PX {
+        if plane.d0_px < farthest_px + choice.end_of_range_px || plane.d0_px > nearest_px - choice.end_of_range_px {
             estimate.warnings.push(EstimateWarning::EndOfRange { z_mm: 1000.0 * pose.z_m });
             if estimate.status.depth_is_sure() {
                 estimate.status = Status::Ambiguous;
@@ -306,44 +307,23 @@ fn objection(
     view: &RawView,
     score_max: f64,
 ) -> Option<String> {
+    let choice = cold_start.config().choice;
     let centre_px = cold_start.pyramid().centroid_px();
     // From this disparity on, the middle of the region is outside the right image.
     let leaves_px = centre_px.x;
     let correlation = outcome.finest.mean_correlation;
-    if source.disparity_px.highest > leaves_px && correlation < UNSEEN_CORRELATION_MIN {
+    if source.disparity_px.highest > leaves_px && correlation < choice.unseen_correlation_min {
         let nearest = view.pose(&DisparityPlane { centre_px, d0_px: leaves_px, slope: Vector2::zeros() })?;
-        return Some(may_be_unseen(nearest.z_m, correlation));
+        return Some(may_be_unseen(nearest.z_m, correlation, choice.unseen_correlation_min));
     }
     let found = cold_start.look_beyond(outcome, front_end, source, allowed)?;
     let z_m = view.pose(&found.plane).map(|pose| pose.z_m);
     (found.score_ratio > score_max).then(|| lies_beyond(z_m, found.score_ratio))
 }
 
-/// An estimate this close to an end of the range gets a warning, pixels: the search covers little beyond the end. Chosen by
-/// hand, not varied: half of the step between searched disparities at full size.
-const END_OF_RANGE_PX: f64 = 0.5;
-
-/// Patches agree with a plane as well as with their own if support times correlation is lower by at most this. Chosen by
-/// hand, not varied: with less, noise of the correlation alone moves the answer half-way to the patch plane.
-const AGREEMENT_TOLERANCE: f64 = 0.005;
-/// Patches cannot distinguish planes that differ by at most this at the region's border, pixels. Chosen by hand, not
-/// varied: between closer planes, [`PATCH_SIGMA_PX`] decides alone.
-const PATCH_PRECISION_PX: f64 = 0.25;
-/// Patches ignore row offsets: with larger row offsets than this they are wrong themselves, pixels. Chosen by hand, not
-/// varied: with more, patches of wrong rows move the answer.
-const PATCH_ROWS_PX: f64 = 0.2;
-
 /// If two planes have independent errors of equal size, each has half of the variance of their difference (the sum of both
 /// variances).
 const EQUAL_ERRORS: f64 = 0.5;
-
-/// Planes much closer than this at the border of the region, pixels, differ by noise, which moves the patches more than the
-/// refined plane. Fitted on rendered grey and crab targets: errors are 1.01 to 1.08 times those of the refined plane, with half
-/// of it 1.10 to 1.39; of real windows of 28 to 40 px half of it lets 243 of 288 pass, this 241.
-const PATCH_SIGMA_PX: f64 = 0.2;
-/// If patches correlate less than this, noise moves them further than the refinement. Chosen by hand, not varied: with
-/// less, noise of the patches moves the answer; with more, fewer answers gain from them.
-const CLEAR_CORRELATION_MIN: f64 = 0.9;
 
 /// The final plane of an outcome with the covariance of `(d0, du, dv)`: a weighted mean of the refined plane and the patch
 /// plane, if the refinement converged near the patch plane. On real surfaces both have independent errors of equal size, so
@@ -355,7 +335,15 @@ const CLEAR_CORRELATION_MIN: f64 = 0.9;
 /// Two planes of the same pixels that differ by `gap` and have independent errors of equal size each have half of `gap gap^T`
 /// as variance, and their mean has a quarter. If the images have no errors except noise (`is_exact`), the refined plane is
 /// known to have the smaller variance; it is the result if the patches agree with it.
-fn answer(outcome: &ColdStartOutcome, side_px: f64, is_exact: bool) -> (DisparityPlane, Option<Matrix3<f64>>) {
+///
+/// If part of the region does not agree with the plane, another surface may pull at it. The plane through the clear disparities is
+/// an estimate of other errors, so half of its squared difference counts as variance too.
+fn answer(
+    outcome: &ColdStartOutcome,
+    side_px: f64,
+    is_exact: bool,
+    choice: &SurfaceChoice,
+) -> (DisparityPlane, Option<Matrix3<f64>>) {
     let Some(refined) = &outcome.refined else {
         return (outcome.widest.map_or(outcome.patch_plane, |widest| widest.plane), None);
     };
@@ -372,24 +360,29 @@ fn answer(outcome: &ColdStartOutcome, side_px: f64, is_exact: bool) -> (Disparit
     let agreement = |patches: &PatchOutcome| patches.support_share * patches.mean_correlation;
     let lost = outcome.at_refined.map_or(0.0, |found| agreement(&outcome.finest) - agreement(&found));
     let apart_px = gap.x.abs() + 0.5 * side_px * (gap.y.abs() + gap.z.abs());
-    let rows_off = refined.row_offset_px.abs() > PATCH_ROWS_PX;
+    let rows_off = refined.row_offset_px.abs() > choice.patch_rows_px;
     let (moved_by, counted) = if refined.converged {
-        let is_better = lost > AGREEMENT_TOLERANCE && !rows_off;
-        let is_clear = outcome.finest.mean_correlation >= CLEAR_CORRELATION_MIN && !rows_off && !is_exact;
-        let moved_by = towards_patches(apart_px, is_better, is_clear);
+        let is_better = lost > choice.agreement_tolerance && !rows_off;
+        let is_clear = outcome.finest.mean_correlation >= choice.clear_correlation_min && !rows_off && !is_exact;
+        let moved_by = towards_patches(apart_px, is_better, is_clear, choice);
         (moved_by, if rows_off || is_exact { moved_by * moved_by } else { variance_between(moved_by) })
     } else {
         (1.0, 1.0)
     };
-    (refined.plane.with_parameters(&(own + gap * moved_by)), Some(refined.covariance + gap * gap.transpose() * counted))
+    let beside = outcome.nearby.filter(|_| !is_exact).map_or(Matrix3::zeros(), |plane| {
+        let gap = plane.centred_at(refined.plane.centre_px).parameters() - own;
+        gap * gap.transpose() * EQUAL_ERRORS
+    });
+    let covariance = refined.covariance + gap * gap.transpose() * counted + beside;
+    (refined.plane.with_parameters(&(own + gap * moved_by)), Some(covariance))
 }
 
 /// Weight of the patch plane if the planes are `apart_px` apart at the region's border. `is_better`: the patches agree clearly
 /// better with their own plane. `is_clear`: noise moves the patches little.
-fn towards_patches(apart_px: f64, is_better: bool, is_clear: bool) -> f64 {
-    match is_better && apart_px > PATCH_PRECISION_PX {
+fn towards_patches(apart_px: f64, is_better: bool, is_clear: bool, choice: &SurfaceChoice) -> f64 {
+    match is_better && apart_px > choice.patch_precision_px {
         true => 0.5,
-        false if is_clear => 0.5 * apart_px.powi(2) / (apart_px.powi(2) + PATCH_SIGMA_PX.powi(2)),
+        false if is_clear => 0.5 * apart_px.powi(2) / (apart_px.powi(2) + choice.patch_sigma_px.powi(2)),
         false => 0.0,
     }
 }
@@ -542,14 +535,20 @@ mod tests {
     #[test]
     fn the_answer_goes_at_most_half_way_to_the_patches() {
         assert_eq!((variance_between(0.0), variance_between(0.5)), (0.5, 0.25));
-        let shares = [0.0, 0.02, 0.1, 0.3, 2.0].map(|apart_px| towards_patches(apart_px, false, true));
+        let shares = [0.0, 0.02, 0.1, 0.3, 2.0]
+            .map(|apart_px| towards_patches(apart_px, false, true, &SurfaceChoice::default()));
         assert!(
             shares[0] == 0.0 && shares[1] < 0.01 && (shares[2] - 0.1).abs() < 1e-12 && shares[4] < 0.5,
             "{shares:?}"
         );
         assert!(shares.windows(2).all(|pair| pair[0] < pair[1]), "{shares:?}");
         assert_eq!(
-            [(0.2, true), (0.3, true), (0.3, false)].map(|(px, b)| towards_patches(px, b, false)),
+            [(0.2, true), (0.3, true), (0.3, false)].map(|(px, b)| towards_patches(
+                px,
+                b,
+                false,
+                &SurfaceChoice::default()
+            )),
             [0.0, 0.5, 0.0]
         );
     }

@@ -26,5 +26,6 @@ mod repetition;
 pub mod row_measurement;
 mod row_shift;
 pub mod search;
+pub mod surface_choice;
 mod surroundings;
 pub mod verdict;

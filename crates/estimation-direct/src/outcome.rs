@@ -59,6 +59,9 @@ pub struct ColdStartOutcome {
     pub at_refined: Option<PatchOutcome>,
     /// The plane estimated by the patches when evaluated at the refined plane.
     pub plane_at_refined: Option<DisparityPlane>,
+    /// The plane of least squares through the clear disparities near the refined plane, if part of the region does not agree with
+    /// that plane.
+    pub nearby: Option<DisparityPlane>,
     /// The plane that explains the most disparities within one pixel, if less than half of the region agrees with the refined
     /// plane.
     pub widest: Option<WidestPlane>,

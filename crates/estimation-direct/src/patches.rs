@@ -20,6 +20,7 @@ use self::kernels::{PeakLimits, Tally};
 use super::colour_planes::ColourPlanes;
 use super::region_pyramid::{LevelPlane, RegionLevel, is_seen};
 use super::search::volume::LevelBox;
+use crate::surface_choice::SurfaceChoice;
 
 /// Half width of a patch: pixels from its centre to its side. Chosen: other sizes gave no improvement in the prototype of ADR 7
 /// on 256 real regions.
@@ -148,9 +149,9 @@ impl SlantedPatches {
     }
 
     /// A plane that clearly more patches of the last run fit closely than the plane given there; `None` if there is none.
-    pub fn closest_plane(&mut self, kernels: Kernels) -> Option<LevelPlane> {
+    pub fn closest_plane(&mut self, choice: &SurfaceChoice, kernels: Kernels) -> Option<LevelPlane> {
         let given = self.given?;
-        Some(corrected(&given, Some(self.sampled.closest(kernels)?)))
+        Some(corrected(&given, Some(self.sampled.closest(choice, kernels)?)))
     }
 
     /// Writes the result of one row of patches for that row and the next.

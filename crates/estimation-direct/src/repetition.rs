@@ -9,24 +9,11 @@
 
 use super::region_pyramid::{LevelPlane, RegionLevel, is_seen};
 use super::search::NOISE_GREY;
+use crate::surface_choice::SurfaceChoice;
 
 /// Largest number of points compared. Chosen by hand, not varied: a mean of 400 correlations is accurate to 5 % (1 /
 /// sqrt(400)); time grows with the number.
 const POINTS_MAX: usize = 400;
-/// Smallest mean correlation of neighbourhoods with those one period away, relative to their correlation with themselves,
-/// for a repeating texture. Chosen by hand, not varied. With the rule as a whole, 7 searches of 11 boards in two wrong
-/// ranges each were wrong and `ok`, without it 15.
-const REPEATS_MIN: f32 = 0.35;
-/// Before the peak, the correlation must have fallen to this share of it: smooth texture is similar to itself nearby.
-/// Chosen by hand, not varied: with more, smooth texture counts as repeating.
-const VALLEY_MAX: f32 = 0.5;
-/// Smallest share of the points with a partner in the region. Chosen by hand, not varied: the longest shift, half of a
-/// rectangle, leaves half of the points a partner.
-const PARTNERS_MIN: f32 = 0.4;
-/// Smallest amount of textured points, in units of a neighbourhood with strong texture. Chosen by hand, not varied: with
-/// less, a few edges decide.
-const TEXTURED_MIN: f32 = 40.0;
-
 /// Finds periods; keeps its buffers.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Repetition {
@@ -53,22 +40,30 @@ pub struct PeriodSearch {
 impl Repetition {
     /// The shortest period of the region's texture along the rows, pixels of the level. `None` if the texture does not repeat
     /// within half of the region's width.
-    pub fn period_px(&mut self, level: &RegionLevel, plane: &LevelPlane, sought: PeriodSearch) -> Option<f64> {
+    pub fn period_px(
+        &mut self,
+        level: &RegionLevel,
+        plane: &LevelPlane,
+        sought: PeriodSearch,
+        choice: &SurfaceChoice,
+    ) -> Option<f64> {
+        let (repeats_min, valley_max) = (choice.repeats_min as f32, choice.valley_max as f32);
         let PeriodSearch { middle_px, infinity_px, shortest_px } = sought;
         let longest = self.take(level, plane, infinity_px) / 2;
         let all: f32 = self.own.iter().map(|own| own.1).sum();
-        if shortest_px > longest as f64 || all.is_nan() || all < TEXTURED_MIN {
+        if shortest_px > longest as f64 || all.is_nan() || all < choice.repeats_textured_min as f32 {
             return None;
         }
         self.describe_rows(level);
         // If the texture is inverted half a period away (dark for bright), this is the valley.
         let (mut valley, mut summit) = (f32::MAX, None::<(usize, f32)>);
         for shift in (0.5 * shortest_px).max(1.0) as usize..=longest {
-            let value = self.resemblance(level, all, shift as f64 / (middle_px + infinity_px));
+            let value =
+                self.resemblance(level, all, shift as f64 / (middle_px + infinity_px), choice.partners_min as f32);
             match summit {
                 Some((at, best)) if value < best && shift > at + 1 => return Some(at as f64),
                 Some((_, best)) if value < best => {}
-                _ if value >= REPEATS_MIN && valley < VALLEY_MAX * value && shift as f64 >= shortest_px => {
+                _ if value >= repeats_min && valley < valley_max * value && shift as f64 >= shortest_px => {
                     summit = Some((shift, value));
                 }
                 _ => valley = valley.min(value),
@@ -123,7 +118,7 @@ impl Repetition {
 
     /// Mean correlation of the points with the pixels farther right by `shift` times their disparity relative to infinity,
     /// divided by their correlation with themselves; 0 if too few of these pixels are in the region.
-    fn resemblance(&self, level: &RegionLevel, all: f32, shift: f64) -> f32 {
+    fn resemblance(&self, level: &RegionLevel, all: f32, shift: f64, partners_min: f32) -> f32 {
         let width = level.left.window.width;
         let (mut sum, mut own) = (0.0, 0.0);
         for (&(x, y), (here, agreement, disparity_px)) in self.points.iter().zip(&self.own) {
@@ -134,7 +129,7 @@ impl Repetition {
                 own += agreement;
             }
         }
-        if own >= PARTNERS_MIN * all { sum / own } else { 0.0 }
+        if own >= partners_min * all { sum / own } else { 0.0 }
     }
 }
 
@@ -194,7 +189,12 @@ mod tests {
 
     fn period(level: &RegionLevel, slope: f64, shortest_px: f64) -> Option<f64> {
         let plane = LevelPlane { a: slope, b: 0.0, c: 60.0 - 45.0 * slope, row: 0 };
-        Repetition::default().period_px(level, &plane, PeriodSearch { middle_px: 60.0, infinity_px: 20.0, shortest_px })
+        Repetition::default().period_px(
+            level,
+            &plane,
+            PeriodSearch { middle_px: 60.0, infinity_px: 20.0, shortest_px },
+            &SurfaceChoice::default(),
+        )
     }
 
     #[test]

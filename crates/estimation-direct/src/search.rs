@@ -26,10 +26,6 @@ pub(super) const NOISE_GREY: f32 = 2.0;
 /// Margin around the region's box that takes part in the aggregation, pixels. Chosen by hand, not varied: paths begin
 /// outside the region; time grows with it.
 const MARGIN: usize = 2;
-/// A plane moved along the rows becomes a seed if the region agrees with it by this share of the best. Chosen by hand, not
-/// varied: with more, aliases are missed; with less, more seeds take time.
-const ALIAS_SHARE: f64 = 0.5;
-
 /// Parameters of the search.
 ///
 /// Penalties, tolerance, number kept and steps are those of the prototype of ADR 7, in which other penalties and more draws gave
@@ -44,6 +40,9 @@ pub struct PlaneSearchConfig {
     pub winner: WinnerRules,
     /// Rules for drawing planes.
     pub hypotheses: HypothesisRules,
+    /// A plane moved along the rows becomes a seed if the region agrees with it by this share of the best. With more, aliases
+    /// are missed; with less, more seeds take time.
+    pub alias_share: f64,
 }
 
 impl Default for PlaneSearchConfig {
@@ -53,6 +52,7 @@ impl Default for PlaneSearchConfig {
             penalties: Penalties { small: 8, large: 40 },
             winner: WinnerRules { uniqueness: 0.05, left_right_max: 1 },
             hypotheses: HypothesisRules { draws: 300, tolerance_px: 0.5, distinct_px: 1.0, kept: 6, steps: 3 },
+            alias_share: 0.5,
         }
     }
 }
@@ -189,7 +189,7 @@ impl PlaneSearch {
             share,
         }));
         if let Some(best) = self.hypotheses.kept.first().map(|best| best.plane) {
-            self.sweep(level, area, &best, kernels);
+            self.sweep(level, area, &best, config.alias_share, kernels);
             let aliases = self.seeds.iter().map(|shift| level_plane(&self.volume, level, &(best + shift)));
             let aliases = aliases.map(|plane| PlaneCandidate { plane, share: 0.0 });
             self.candidates.extend(aliases.filter(|alias| allowed(&alias.plane)));
@@ -217,6 +217,13 @@ impl PlaneSearch {
         Some(PlaneCandidate { plane: level_plane(&self.volume, level, &best.plane), share: best.share })
     }
 
+    /// The plane of least squares through the clear disparities of the last search within a distance (pixels of the level) of a
+    /// plane; `None` if they determine none.
+    pub fn nearby(&self, level: &RegionLevel, plane: &LevelPlane, distance_px: f64) -> Option<LevelPlane> {
+        let found = self.points.nearby(&coefficients(&self.volume, level, plane), distance_px)?;
+        Some(level_plane(&self.volume, level, &found))
+    }
+
     /// Soft share of the clear disparities of the last search on a plane, with a tolerance in pixels of the level.
     pub fn share_within(&self, level: &RegionLevel, plane: &LevelPlane, tolerance_px: f64, kernels: Kernels) -> f64 {
         inlier_share(&self.points, &coefficients(&self.volume, level, plane), tolerance_px, kernels)
@@ -224,7 +231,14 @@ impl PlaneSearch {
 
     /// Moves the best plane through all disparities. Other shifts at which the region as a whole agrees well become seeds. A
     /// repetitive texture has such shifts.
-    fn sweep(&mut self, level: &RegionLevel, area: LevelBox, plane: &PlaneCoefficients, kernels: Kernels) {
+    fn sweep(
+        &mut self,
+        level: &RegionLevel,
+        area: LevelBox,
+        plane: &PlaneCoefficients,
+        alias_share: f64,
+        kernels: Kernels,
+    ) {
         let count = self.volume.count;
         self.column.clear();
         self.column.resize(2 * count + 1, 0);
@@ -242,7 +256,7 @@ impl PlaneSearch {
         self.seeds.clear();
         push_peaks(&self.column, 2, &mut self.seeds);
         let column = &self.column;
-        self.seeds.retain(|peak| f64::from(column[peak.x as usize]) > ALIAS_SHARE * f64::from(own));
+        self.seeds.retain(|peak| f64::from(column[peak.x as usize]) > alias_share * f64::from(own));
         for peak in &mut self.seeds {
             peak.x -= count as f64;
         }

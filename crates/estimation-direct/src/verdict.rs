@@ -6,6 +6,7 @@ use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::status::{Status, Verdict};
 
 use crate::outcome::{ColdStartOutcome, support_of};
+use crate::surface_choice::SurfaceChoice;
 
 /// Limits between the statuses. Chosen by hand on real pairs, some of which are held out (ADR 7).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,15 +97,10 @@ pub(super) fn lies_beyond(z_m: Option<f64>, score_ratio: f64) -> String {
     )
 }
 
-/// If the right image does not show some of the searched depths, the agreeing patches must have this correlation: a
-/// self-similar texture correlates less with another part of itself. Chosen by hand, not varied: with less, aliases at the
-/// border of the image are `ok`; with more, right answers become `ambiguous`.
-pub(super) const UNSEEN_CORRELATION_MIN: f64 = 0.75;
-
 /// Reason if the region may be nearer than `z_m`, where the right image does not show it.
-pub(super) fn may_be_unseen(z_m: f64, correlation: f64) -> String {
+pub(super) fn may_be_unseen(z_m: f64, correlation: f64, limit: f64) -> String {
     format!(
-        "nearer than {:.0} mm the middle of the region is outside the right image, and the matching patches correlate by only {correlation:.2} (limit {UNSEEN_CORRELATION_MIN}): mark an area that both cameras see, or narrow the range (--z-range)",
+        "nearer than {:.0} mm the middle of the region is outside the right image, and the matching patches correlate by only {correlation:.2} (limit {limit}): mark an area that both cameras see, or narrow the range (--z-range)",
         1e3 * z_m
     )
 }
@@ -139,19 +135,20 @@ fn cause(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdict
 /// not varied: only the stated reason depends on it.
 const ANY_SHARE_MIN: f64 = 0.1;
 
-/// Smallest sufficient share of the region with texture. Chosen by hand, not varied: with more, regions with few textured
-/// parts become `not-observable`; with less, blank ones `ambiguous`.
-const TEXTURED_MIN: f64 = 0.3;
-
 /// Verdict if too little of the region has texture or agrees with the plane.
-fn too_little(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdictConfig) -> Option<Verdict> {
+fn too_little(
+    outcome: &ColdStartOutcome,
+    searched: &Searched,
+    limits: &DirectVerdictConfig,
+    choice: &SurfaceChoice,
+) -> Option<Verdict> {
     let (textured, support) = (outcome.finest.textured_share, support_of(&outcome.finest));
     let sure_min = limits.support_sure_min;
     if support >= sure_min {
         return None;
     }
-    if textured < TEXTURED_MIN {
-        let (textured, limit) = (100.0 * textured, 100.0 * TEXTURED_MIN);
+    if textured < choice.textured_min {
+        let (textured, limit) = (100.0 * textured, 100.0 * choice.textured_min);
         let seen = format!("only {textured:.0} % of the region has texture (limit {limit:.0} %)");
         let reason = format!("{seen}: choose a textured target or add light");
         return Some(Verdict { status: Status::NotObservable, reason });
@@ -166,9 +163,9 @@ fn too_little(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVe
 
 /// Whether the region has texture but too little of it agrees with one plane for a confident estimate, or its disparities
 /// scatter around every plane.
-pub(super) fn is_no_plane(outcome: &ColdStartOutcome, limits: &DirectVerdictConfig) -> bool {
+pub(super) fn is_no_plane(outcome: &ColdStartOutcome, limits: &DirectVerdictConfig, choice: &SurfaceChoice) -> bool {
     let sure_min = limits.support_sure_min;
-    let lacks_support = outcome.finest.textured_share >= TEXTURED_MIN && support_of(&outcome.finest) < sure_min;
+    let lacks_support = outcome.finest.textured_share >= choice.textured_min && support_of(&outcome.finest) < sure_min;
     lies_spread(outcome) || lacks_support
 }
 
@@ -193,9 +190,10 @@ pub(super) fn judge(
     normal_sigma_rad: Option<f64>,
     searched: &Searched,
     limits: &DirectVerdictConfig,
+    choice: &SurfaceChoice,
 ) -> Verdict {
     let say = |status, reason: String| Verdict { status, reason };
-    if let Some(verdict) = too_little(outcome, searched, limits) {
+    if let Some(verdict) = too_little(outcome, searched, limits, choice) {
         return verdict;
     }
     let finest = &outcome.finest;

@@ -109,6 +109,7 @@ impl DirectSection {
                 patches: self.patches.build(&format!("{key}.patches"), defaults.patches, check),
                 refine: self.refine.build(&format!("{key}.refine"), defaults.refine, check),
                 surroundings_px: whole(self.refine.surroundings_px),
+                choice: defaults.choice,
             },
             verdict: self.status.build(&format!("{key}.status"), check),
         };

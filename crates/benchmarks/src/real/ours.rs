@@ -61,7 +61,8 @@ fn fill(entry: &mut Entry, case: &Prepared, method: Method, repeat: u32) -> anyh
     Ok(())
 }
 
-fn answer_of(case: &Prepared, estimate: &PlaneEstimate) -> Option<Answer> {
+/// The estimated plane compared with the truth; `None` without a plane.
+pub fn answer_of(case: &Prepared, estimate: &PlaneEstimate) -> Option<Answer> {
     let [u, v] = case.centroid_px;
     let plane = metrics::PlaneEstimate {
         z_m: estimate.depth_at_pixel(&Vector2::new(u, v))?,

@@ -5,12 +5,8 @@
 //! better and therefore decide. If the levels disagree, or if two candidates are nearly equal on the finest level, the outcome
 //! reports the other candidate.
 
-use super::{ColdStart, Descent, OVERLAP_OF_ALIAS, Surface};
+use super::{ColdStart, Descent, Surface};
 use crate::outcome::{Rival, surface_score};
-
-/// Candidates with this share of the best score, on the level where it is lower, are compared again. Chosen by hand, not
-/// varied: each such candidate costs an evaluation on the finest level; with more, the right one may be left out.
-const NEAR_SCORE: f64 = 0.6;
 
 impl ColdStart {
     /// Moves the surface to the front that is best on the finest level, among those close to the best one of the search level
@@ -21,11 +17,11 @@ impl ColdStart {
         let first = *self.surfaces.first()?;
         let descent = self.descend(first.plane, may_continue);
         let own = self.finest_score(&first, &descent);
-        let least = NEAR_SCORE * first.score.min(own);
+        let least = self.config.choice.near_score * first.score.min(own);
         let is_other = |other: &Surface| {
             other.score >= least
                 && self.differs(&first.plane, &other.plane)
-                && self.rival(&first, other).overlap > OVERLAP_OF_ALIAS
+                && self.rival(&first, other).overlap > self.config.choice.overlap_of_alias
         };
         let others = (1..self.surfaces.len()).filter(|&i| is_other(&self.surfaces[i])).collect::<Vec<_>>();
         let mut best: Option<(usize, f64)> = None;

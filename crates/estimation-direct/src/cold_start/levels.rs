@@ -4,21 +4,6 @@ use super::super::disparity_plane::{DisparityPlane, DisparityRange};
 use super::super::region_pyramid::LevelPlane;
 use super::ColdStart;
 
-/// Factor by which patches support a plane more than single clear disparities do. Chosen by hand, not varied: with more,
-/// the first search is final for more regions with few clear disparities.
-const DECIDED_CLEAR: f64 = 1.5;
-/// The search begins on the first level on which the region has at most this many pixels: an eighth of the work of the next (a
-/// quarter of the pixels and half of the disparities of `direct.search.quick_area_max_px`).
-const COARSE_AREA_PX: usize = 1500;
-/// The search ends there if one plane explains this share of the clear disparities; the share is soft, because noise takes a
-/// tenth or two. A second surface would take more. Chosen with the next two: of 613 real windows and 109 cases none changes its
-/// pass or status by ending there.
-const ONE_PLANE_SHARE: f64 = 0.75;
-/// Smallest share of the region that these disparities must have. Chosen, see [`ONE_PLANE_SHARE`].
-const ONE_PLANE_CLEAR: f64 = 0.5;
-/// Smallest share of the textured patches that must support the plane. Chosen, see [`ONE_PLANE_SHARE`].
-const ONE_PLANE_SUPPORT: f64 = 0.8;
-
 impl ColdStart {
     /// Searches from coarse to fine until a level is decisive, so that the cost of the finest level is spent only if needed.
     pub(super) fn search(
@@ -33,7 +18,7 @@ impl ColdStart {
             levels.iter().position(|level| level.area_px <= area_px).unwrap_or(otherwise).max(otherwise)
         };
         let quick = first_below(self.config.quick_area_px, full);
-        let coarse = first_below(COARSE_AREA_PX.min(self.config.quick_area_px), quick);
+        let coarse = first_below((self.config.choice.coarse_area_px as usize).min(self.config.quick_area_px), quick);
         if coarse > quick && self.search_plain_level(coarse, disparity_px, allowed) {
             return;
         }
@@ -56,12 +41,14 @@ impl ColdStart {
     ) -> bool {
         let (centre, level) = (self.pyramid.centroid_px(), &self.pyramid.levels()[index]);
         let is_allowed = |p: &LevelPlane| allowed(&level.full_plane(p, centre));
-        let (search, config, kernels) = (&mut self.search, &self.config.search, self.kernels);
-        let is_plain =
-            |share: f64, valid_share: f64| share >= ONE_PLANE_SHARE && share * valid_share >= ONE_PLANE_CLEAR;
+        let (search, config, choice, kernels) =
+            (&mut self.search, &self.config.search, self.config.choice, self.kernels);
+        let is_plain = |share: f64, valid_share: f64| {
+            share >= choice.one_plane_share && share * valid_share >= choice.one_plane_clear
+        };
         if !search.match_pixels(level, disparity_px, config, kernels)
             || !is_plain(1.0, search.valid_share)
-            || !search.has_plane(level, config, ONE_PLANE_SHARE, is_allowed, kernels)
+            || !search.has_plane(level, config, choice.one_plane_share, is_allowed, kernels)
         {
             return false;
         }
@@ -70,7 +57,7 @@ impl ColdStart {
         self.surfaces.clear();
         self.judge_candidates(index, centre);
         self.surfaces.first().is_some_and(|first| {
-            is_plain(first.share, self.search.valid_share) && first.patches.support_share >= ONE_PLANE_SUPPORT
+            is_plain(first.share, self.search.valid_share) && first.patches.support_share >= choice.one_plane_support
         })
     }
 
@@ -89,7 +76,7 @@ impl ColdStart {
         self.surfaces.first().is_some_and(|first| {
             let agreeing = first.patches.textured_share * first.patches.support_share;
             let clear = self.search.valid_share * first.share;
-            agreeing.min(DECIDED_CLEAR * clear) >= self.config.quick_share_min
+            agreeing.min(self.config.choice.decided_clear * clear) >= self.config.quick_share_min
         })
     }
 }

@@ -10,31 +10,16 @@ use pb3dp_estimation_core::rng::SplitMix64;
 
 use super::fit::{PatchVotes, improve, weight_near};
 use super::kernels::{PeakLimits, RowPeaks};
+use crate::surface_choice::SurfaceChoice;
 
 /// Approximate number of sampled patches. Chosen by hand, not varied: a share of 600 independent patches is accurate to 2 %
 /// (sqrt(0.25 / 600)); time grows with the number.
 const PATCHES: usize = 600;
-/// Patches fit a plane closely if they differ from it by clearly less than this, pixels of the level. Chosen by hand, not
-/// varied: with more, a plane across a step of a few pixels is close to both surfaces; with less, noise decides.
-const CLOSE_PX: f64 = 0.35;
-/// Drawn planes are first counted with this width, pixels of the level. Chosen by hand, not varied: wider than
-/// [`CLOSE_PX`], because planes through three patches are less accurate.
-const DRAWN_PX: f64 = 0.5;
-/// If this share of the patches' weight fits the evaluated plane closely, no other plane is searched. More than half: a
-/// plane through other patches has less.
-const DECISIVE_SHARE: f64 = 0.5;
 /// Number of drawn planes. Chosen by hand, not varied: of planes with half of the patches, 24 draws of three miss (7/8)^24
 /// = 4 %.
 const DRAWS: usize = 24;
 /// Number of best drawn planes that are refined. Chosen by hand, not varied: time grows with it.
 const IMPROVED: usize = 3;
-/// Factor by which more weight must fit another plane closely. Chosen by hand, not varied: with less, noise replaces right
-/// planes; with more, planes that bridge a step stay.
-const GAIN_MIN: f64 = 1.15;
-/// Smallest difference of another plane at a corner of the patches' box, pixels of the level. Chosen by hand, not varied:
-/// the refinement corrects smaller differences itself (`jump_max_px`: 1.5).
-const APART_PX: f64 = 1.0;
-
 /// Sampled patches with their shifts, and the total weight.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sampled {
@@ -69,7 +54,7 @@ impl Sampled {
     }
 
     /// Shifts of a plane that clearly more patches fit closely than the evaluated plane; `None` if there is none.
-    pub(super) fn closest(&mut self, kernels: Kernels) -> Option<[f64; 3]> {
+    pub(super) fn closest(&mut self, choice: &SurfaceChoice, kernels: Kernels) -> Option<[f64; 3]> {
         let count = self.votes.len();
         if count < 3 {
             return None;
@@ -77,9 +62,9 @@ impl Sampled {
         let mut rng = SplitMix64::new(0x5eed_0002);
         self.votes.pad();
         let zero = [0.0; 3];
-        let (own, own_share) = self.improved(zero, kernels)?;
-        let own_share = own_share.max(self.share(&zero, CLOSE_PX, kernels));
-        if own_share >= DECISIVE_SHARE {
+        let (own, own_share) = self.improved(zero, choice, kernels)?;
+        let own_share = own_share.max(self.share(&zero, choice.close_px, kernels));
+        if own_share >= choice.closest_decisive_share {
             return None;
         }
         let mut drawn = [(0.0, zero); IMPROVED];
@@ -87,15 +72,17 @@ impl Sampled {
             let Some(plane) = self.votes.through(std::array::from_fn(|_| rng.below(count as u32) as usize)) else {
                 continue;
             };
-            let share = self.share(&plane, DRAWN_PX, kernels);
+            let share = self.share(&plane, choice.drawn_px, kernels);
             if let Some(at) = drawn.iter().position(|(known, _)| share > *known) {
                 drawn[at..].rotate_right(1);
                 drawn[at] = (share, plane);
             }
         }
-        let improved = drawn.iter().filter(|(share, _)| *share > 0.0).filter_map(|(_, p)| self.improved(*p, kernels));
+        let improved =
+            drawn.iter().filter(|(share, _)| *share > 0.0).filter_map(|(_, p)| self.improved(*p, choice, kernels));
         let (plane, share) = improved.max_by(|a, b| a.1.total_cmp(&b.1))?;
-        (share > GAIN_MIN * own_share && self.votes.gap(&own, &plane) > APART_PX).then_some(plane)
+        (share > choice.closest_gain_min * own_share && self.votes.gap(&own, &plane) > choice.closest_apart_px)
+            .then_some(plane)
     }
 
     fn share(&self, plane: &[f64; 3], width_px: f64, kernels: Kernels) -> f64 {
@@ -103,12 +90,12 @@ impl Sampled {
     }
 
     /// A plane refined on the patches near it, with the share of the weight that then fits it closely.
-    fn improved(&self, plane: [f64; 3], kernels: Kernels) -> Option<([f64; 3], f64)> {
+    fn improved(&self, plane: [f64; 3], choice: &SurfaceChoice, kernels: Kernels) -> Option<([f64; 3], f64)> {
         let mut plane = plane;
-        for width_px in [2.0 * CLOSE_PX, 1.5 * CLOSE_PX, CLOSE_PX, CLOSE_PX] {
+        for width_px in [2.0 * choice.close_px, 1.5 * choice.close_px, choice.close_px, choice.close_px] {
             plane = improve(&self.votes, &plane, width_px, kernels)?;
         }
-        Some((plane, self.share(&plane, CLOSE_PX, kernels)))
+        Some((plane, self.share(&plane, choice.close_px, kernels)))
     }
 }
 
@@ -126,7 +113,7 @@ mod tests {
             let peaks = RowPeaks { offset: &offset, weight: &[1.0; 100], correlation: &[0.9; 100] };
             sampled.take_row(0, y, &[1; 100], peaks, PeakLimits { shift_px: 2.0, correlation: 0.5 });
         }
-        sampled.closest(Kernels::best())
+        sampled.closest(&SurfaceChoice::default(), Kernels::best())
     }
 
     /// The evaluated plane meets the larger surface at its far end and, behind a step, the smaller one.

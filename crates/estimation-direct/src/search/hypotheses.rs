@@ -5,7 +5,7 @@
 //!
 //! All planes are counted on few points; the planes that may be the best are counted on more.
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::rng::SplitMix64;
 use pb3dp_estimation_core::wide::{LANES, sum_lanes, wide};
@@ -20,6 +20,9 @@ pub struct DisparityPoints {
     d: Vec<f32>,
     count: usize,
 }
+
+/// Steps of [`DisparityPoints::nearby`]. Chosen by hand, not varied: each takes the points near the plane of the step before.
+const NEARBY_STEPS: usize = 3;
 
 /// A disparity that is an outlier for every plane.
 const NOWHERE: f32 = 1e9;
@@ -62,6 +65,25 @@ impl DisparityPoints {
     /// Whether there are no points.
     pub fn is_empty(&self) -> bool {
         self.count == 0
+    }
+
+    /// The plane of least squares through the points within a distance of a plane; `None` if they determine none.
+    pub fn nearby(&self, plane: &PlaneCoefficients, distance: f64) -> Option<PlaneCoefficients> {
+        let mut found = *plane;
+        for _ in 0..NEARBY_STEPS {
+            let (mut squares, mut pull) = (Matrix3::zeros(), Vector3::zeros());
+            for i in 0..self.count {
+                let point = self.point(i);
+                let row = Vector3::new(1.0, point.x, point.y);
+                let residual = point.z - found.dot(&row);
+                if residual.abs() < distance {
+                    squares += row * row.transpose();
+                    pull += row * residual;
+                }
+            }
+            found += squares.try_inverse()? * pull;
+        }
+        found.iter().all(|value| value.is_finite()).then_some(found)
     }
 
     fn point(&self, i: usize) -> Vector3<f64> {
@@ -483,5 +505,19 @@ mod tests {
         let mut search = HypothesisSearch::default();
         search.run(&points, &[Vector3::new(5.0, 0.0, 0.0)], SIZE, &RULES, |_| true, Kernels::best());
         assert_eq!(search.kept.iter().map(|c| c.share).collect::<Vec<_>>(), [0.0]);
+    }
+
+    #[test]
+    fn the_plane_nearby_is_that_of_least_squares() {
+        let mut points = DisparityPoints::default();
+        for (x, y) in (0..20).flat_map(|x| (0..15).map(move |y| (x as f32, y as f32))) {
+            points.push(x, y, 5.0 + 0.1 * x - 0.05 * y + if (x + y) % 2.0 == 0.0 { 0.2 } else { -0.2 });
+            points.push(x, y, 30.0);
+        }
+        points.finish();
+        let start = Vector3::new(5.3, 0.08, -0.05);
+        let found = points.nearby(&start, 1.0).expect("many points");
+        assert!((found - Vector3::new(5.0, 0.1, -0.05)).norm() < 0.01, "{found}");
+        assert_eq!(points.nearby(&Vector3::new(80.0, 0.0, 0.0), 1.0), None);
     }
 }

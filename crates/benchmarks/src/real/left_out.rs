@@ -1,0 +1,131 @@
+//! How the method fares on scenes that its constants have not seen: each scene is left out once, all constants that choose the
+//! surface are fitted on the other scenes, and the result is judged on the scene that was left out.
+//!
+//! [`constants`] lists what is fitted, [`outcomes`] measures the cases with given values, [`fit`] chooses the values, and
+//! [`report`] writes the tables.
+
+mod constants;
+mod fit;
+mod outcomes;
+mod report;
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+
+use anyhow::{Context, bail};
+use pb3dp_record::dataset::load_case;
+
+use self::fit::Fold;
+use self::outcomes::Measurements;
+use super::score::{CaseFacts, Entry};
+use super::{Args, cases, peers};
+
+/// Options of the measurement on scenes left out.
+#[derive(clap::Args)]
+pub struct LeftOutArgs {
+    /// Refits the constants that choose the surface once for each scene, without that scene, and judges them on it.
+    #[arg(long, requires = "cases")]
+    leave_one_scene_out: bool,
+    /// With --leave-one-scene-out: a further folder with cases; may be repeated.
+    #[arg(long, value_name = "DIR", requires = "leave_one_scene_out")]
+    more_cases: Vec<PathBuf>,
+    /// With --leave-one-scene-out: the largest number of constants that a fit may change; 0: only measures the present values.
+    #[arg(long, value_name = "NUMBER", default_value_t = 3, requires = "leave_one_scene_out")]
+    changes: usize,
+    /// With --leave-one-scene-out: judges on the scenes of crates/benchmarks/held_back.txt only, with the present values. Open
+    /// them once.
+    #[arg(long, requires = "leave_one_scene_out")]
+    open_held_back: bool,
+}
+
+impl LeftOutArgs {
+    /// Whether the measurement is wanted.
+    pub fn is_wanted(&self) -> bool {
+        self.leave_one_scene_out
+    }
+}
+
+const HELD_BACK: &str = include_str!("../../held_back.txt");
+const KEPT: &str = "out/bench/left_out.json";
+const PAGE: &str = "docs/benchmarks/left_out.md";
+
+/// Measures, fits, prints the tables and saves them.
+///
+/// # Errors
+/// A folder or file that cannot be used, by name.
+pub fn run(args: &Args, folder: &Path) -> anyhow::Result<()> {
+    let options = &args.left_out;
+    let mut found = Vec::new();
+    for folder in std::iter::once(folder).chain(options.more_cases.iter().map(PathBuf::as_path)) {
+        found.extend(cases::find(folder, args.filter.as_deref())?);
+    }
+    let chosen = choose(found, options.open_held_back)?;
+    eprintln!("{} cases of {} scenes", chosen.len(), count_of(chosen.iter().map(|case| case.scene.as_str())));
+    let listed = constants::all(&args.root)?;
+    let facts = chosen.iter().map(|case| facts(&case.folder)).collect::<anyhow::Result<Vec<_>>>()?;
+    let peers = peer_entries(args, &facts)?;
+    let folders: Vec<PathBuf> = chosen.iter().map(|case| case.folder.clone()).collect();
+    let mut measured = Measurements::new(folders, listed.iter().map(|listed| listed.constant.clone()).collect());
+    let changes = if options.open_held_back { 0 } else { options.changes };
+    let scenes: Vec<&str> = chosen.iter().map(|case| case.scene.as_str()).collect();
+    let groups: Vec<_> = facts.iter().map(|facts| facts.group).collect();
+    let fitted = fit::fit(&mut measured, &scenes, &groups, changes)?;
+    let report = report::Report { listed: &listed, facts: &facts, fitted: &fitted, peers: &peers, changes };
+    print!("{}", report.text());
+    if args.failures {
+        eprint!("{}", report.failures());
+    }
+    if options.open_held_back || args.filter.is_some() {
+        return Ok(());
+    }
+    let circumstances = crate::common::circumstances::Circumstances::of(&args.root);
+    let kept = report.to_json(&circumstances);
+    super::write(&args.root, KEPT, &format!("{kept:#}\n"))?;
+    if args.no_docs {
+        return Ok(());
+    }
+    super::write(&args.root, PAGE, &report.page(&circumstances))
+}
+
+/// A case and the name of its scene.
+struct Chosen {
+    folder: PathBuf,
+    scene: String,
+}
+
+/// The cases with a truth that is not marked as doubtful; without the scenes held back, or only those.
+fn choose(found: Vec<PathBuf>, held_back: bool) -> anyhow::Result<Vec<Chosen>> {
+    let held: BTreeSet<&str> = HELD_BACK.lines().filter(|line| !line.starts_with('#') && !line.is_empty()).collect();
+    let mut chosen = Vec::new();
+    for folder in found {
+        let case = load_case(&folder)?;
+        let scene = case.scene.clone().unwrap_or_else(|| case.name.clone());
+        let is_doubtful = case.other_keys.iter().any(|key| key == "doubtful");
+        if case.truth.is_some() && !is_doubtful && held.contains(scene.as_str()) == held_back {
+            chosen.push(Chosen { folder, scene: Fold::name_of(&scene) });
+        }
+    }
+    if chosen.is_empty() {
+        bail!("no case has a `truth` that is not doubtful, outside of the scenes held back");
+    }
+    Ok(chosen)
+}
+
+fn count_of<'a>(names: impl Iterator<Item = &'a str>) -> usize {
+    names.collect::<BTreeSet<_>>().len()
+}
+
+fn facts(folder: &Path) -> anyhow::Result<Rc<CaseFacts>> {
+    Ok(cases::load(folder)?.context("the truth is missing")?.facts)
+}
+
+fn peer_entries(args: &Args, facts: &[Rc<CaseFacts>]) -> anyhow::Result<Vec<Entry>> {
+    let mut entries = Vec::new();
+    for file in &args.peer_results {
+        let text =
+            std::fs::read_to_string(file).with_context(|| format!("cannot read --peer-results {}", file.display()))?;
+        entries.extend(peers::entries(&text, facts, &file.display().to_string())?);
+    }
+    Ok(entries)
+}
