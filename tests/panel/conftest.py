@@ -5,6 +5,7 @@ import mimetypes
 import os
 import pathlib
 import re
+import ssl
 import subprocess
 import threading
 import time
@@ -27,13 +28,16 @@ PATIENCE_S = 20
 class Panel:
     """A running program, and its interface for scripts."""
 
-    def __init__(self, arguments):
+    def __init__(self, arguments, token=None):
+        self.token = token
+        # The certificate is made at the start.
+        self.trust = ssl._create_unverified_context() if token else None
         ARTEFACTS.mkdir(parents=True, exist_ok=True)
         self.log = open(ARTEFACTS / "pb3dp.log", "a", encoding="utf-8")
         self.process = subprocess.Popen([PROGRAM, *arguments], stdout=subprocess.PIPE, stderr=self.log, text=True)
         self.url = None
         for line in self.process.stdout:
-            found = re.search(r"http://[0-9.:]+/", line)
+            found = re.search(r"https?://[0-9.:]+/", line)
             if found:
                 self.url = found.group(0)
                 break
@@ -45,15 +49,19 @@ class Panel:
         headers = {"Content-Type": "application/json", **(headers or {})}
         if session:
             headers["PB3DP-Session"] = session
+        if self.token:
+            headers["Authorization"] = f"Bearer {self.token}"
         request = urllib.request.Request(self.url + path, json.dumps(body).encode(), headers)
         try:
-            with urllib.request.urlopen(request, timeout=10) as answer:
+            with urllib.request.urlopen(request, timeout=10, context=self.trust) as answer:
                 return answer.status, json.load(answer)
         except urllib.error.HTTPError as error:
             return error.code, json.load(error)
 
     def state(self):
-        with urllib.request.urlopen(self.url + "api/state", timeout=10) as answer:
+        headers = {"Authorization": f"Bearer {self.token}"} if self.token else {}
+        request = urllib.request.Request(self.url + "api/state", headers=headers)
+        with urllib.request.urlopen(request, timeout=10, context=self.trust) as answer:
             return json.load(answer)
 
     def state_name(self):
@@ -122,6 +130,10 @@ class Page:
             # An expression, not a function: a function would delay the commands until the test asks the page something.
             page.route(re.compile("^[^/]*//[^/]*/(?!api/)"), self.own_asset)
         page.goto(panel.url)
+        if panel.token:
+            self.give_token("0" * len(panel.token))
+            page.wait_for_selector("#token .refused", state="visible")
+            self.give_token(panel.token)
         wait_for(lambda: "pair" in self.text("#images"), "no state reached the page")
 
     def own_asset(self, route):
@@ -132,6 +144,10 @@ class Page:
             route.fulfill(path=file, content_type=kind, headers={"Content-Security-Policy": self.policy, "Content-Type": kind})
         else:
             route.continue_()
+
+    def give_token(self, token):
+        self.page.fill("#token input", token)
+        self.page.click("#token button")
 
     def text(self, selector):
         return self.page.inner_text(selector)
@@ -154,7 +170,7 @@ class Page:
         self.page.mouse.up()
 
     def preview(self):
-        self.page.wait_for_selector("#preview", state="visible")
+        self.page.wait_for_selector("#preview:not(.computing)", state="visible")
         return self.text("#preview-title")
 
     def select(self, name, begin=(285, 205), end=(360, 275)):

@@ -2,12 +2,13 @@
 
 import http.server
 import json
+import subprocess
 import threading
 import time
 
 from axe_playwright_python.sync_playwright import Axe
 
-from conftest import Page, wait_for
+from conftest import PROGRAM, Page, Panel, wait_for
 
 MOVING = ("approaching", "tracking")
 
@@ -46,6 +47,8 @@ def test_an_object_is_chosen_by_dragging_and_the_hand_follows_it(panel, page):
     wait_for(lambda: panel.state_name() == "stopped")
     page.command("reset")
     wait_for(lambda: panel.state_name() == "idle")
+    wait_for(lambda: "select it again" in page.text("#reason"), "the page still shows a target as selected")
+    assert "Start: select a target first" in page.text("#blocked")
 
 
 def test_polygon_and_click_give_a_preview_and_a_bad_region_says_why(panel, page):
@@ -214,6 +217,30 @@ def test_the_page_fits_and_is_accessible(panel, page):
             serious = [one for one in found if one["impact"] in ("serious", "critical")]
             names = [(one["id"], [node["html"] for node in one["nodes"]][:3]) for one in serious]
             assert names == [], f"{width} px, {scheme}"
+
+
+def test_a_panel_for_other_computers_asks_for_its_token(browser, tmp_path):
+    token = tmp_path / "token"
+    subprocess.run([PROGRAM, "gateway", "key", token], check=True)
+    arguments = ["run", "--config", "playground", "--out", tmp_path / "run", "--panel", "0.0.0.0:0", "--panel-token", token]
+    protected = Panel(arguments, token.read_text().strip())
+    protected.url = protected.url.replace("0.0.0.0", "127.0.0.1")
+    assert protected.url.startswith("https://")
+    context = browser.new_context(ignore_https_errors=True)
+    opened = context.new_page()
+    addresses = []
+    opened.on("request", lambda request: addresses.append(request.url))
+    opened.on("websocket", lambda socket: addresses.append(socket.url))
+    page = Page(opened, protected)
+    page.follow()
+    wait_for(lambda: is_following(protected))
+    page.page.reload()
+    wait_for(lambda: "pair" in page.text("#images"), "the tab keeps the token")
+    assert len(addresses) > 10
+    assert [url for url in addresses if protected.token in url] == [], "no address has the token"
+    context.close()
+    assert page.errors == []
+    assert protected.end() == 130
 
 
 def test_a_region_is_marked_with_keys_on_the_pair_that_was_shown(panel, page):

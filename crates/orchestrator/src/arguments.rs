@@ -12,11 +12,10 @@ use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
 use pb3dp_wiring::ReplayPace;
 
+use crate::commands::panel_access::{PANEL_ADDRESS, PanelAccess, parse_address};
+
 /// Exit code with `--strict` for an answer other than `ok`, and for setups that differ.
 pub const UNSURE: u8 = 3;
-
-/// Address of the panel: this computer only.
-pub const PANEL_ADDRESS: &str = "127.0.0.1:8087";
 
 /// Arguments of `pb3dp run`.
 #[derive(Debug, Args)]
@@ -47,8 +46,11 @@ pub struct RunArgs {
     pub operator: OperatorName,
     /// Serve the operator panel at this address (127.0.0.1:8087 without one), and let it lead the run: choose the target with the mouse,
     /// start, hold, stop (docs/panel.md).
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = PANEL_ADDRESS, conflicts_with_all = ["operator", "moves"])]
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = PANEL_ADDRESS, value_parser = parse_address, conflicts_with_all = ["operator", "moves"])]
     pub panel: Option<PanelAddress>,
+    /// Other computers.
+    #[command(flatten)]
+    pub panel_access: PanelAccess,
     /// Move arms that are not emulated without a console, after their names are typed. Then press Enter at least every
     /// supervisor.operator_key_within_s while they move.
     #[arg(long = "move")]

@@ -79,6 +79,7 @@ impl Hub {
                     self.choose(chosen);
                     done("select: the target is being initialised")
                 }
+                _ if command.ends_motion() => done("this panel moves no arms"),
                 _ => refused("this panel shows cameras without arms; use `pb3dp run --panel` to move arms"),
             };
         }

@@ -2,7 +2,7 @@
 
 use pb3dp_panel::messages::requests::{
     ControlRequest, HeartbeatRequest, HoldRequest, JogRequest, LeaseRequest, PreviewRequest, PushRequest, SeenRequest,
-    SelectRequest, SpeedRequest, StopRequest,
+    SelectRequest, SpeedRequest,
 };
 use pb3dp_panel::messages::socket::ClientMessage;
 use pb3dp_panel::region::region_in;
@@ -16,7 +16,6 @@ fn parse_all(bytes: &[u8]) {
     let _ = serde_json::from_slice::<SelectRequest>(bytes);
     let _ = serde_json::from_slice::<SeenRequest>(bytes);
     let _ = serde_json::from_slice::<HoldRequest>(bytes);
-    let _ = serde_json::from_slice::<StopRequest>(bytes);
     let _ = serde_json::from_slice::<SpeedRequest>(bytes);
     let _ = serde_json::from_slice::<JogRequest>(bytes);
     let _ = serde_json::from_slice::<PreviewRequest>(bytes);
@@ -67,8 +66,8 @@ proptest! {
 
 #[test]
 fn no_message_is_another_one() {
-    let stop = json!({ "hand_only": true }).to_string();
-    assert!(serde_json::from_str::<StopRequest>(&stop).is_err());
+    let hold = json!({ "hand_only": true }).to_string();
+    assert!(serde_json::from_str::<SeenRequest>(&hold).is_err());
     assert!(serde_json::from_str::<SeenRequest>("{}").is_err());
     let doubled = r#"{"hand_only":true,"hand_only":false}"#;
     assert!(serde_json::from_str::<HoldRequest>(doubled).is_err(), "a repeated field");

@@ -267,7 +267,8 @@ pub fn open_cameras(config: &StereoConfig, clock: Arc<dyn Clock>) -> Result<Box<
     Ok(Box::new(V4l2StereoCamera::open(Arc::new(Linux), clock, config)?))
 }
 
-/// A camera that replays a recorded sequence at its pace, again and again, and its calibration.
+/// A camera that replays a recorded sequence at its pace, again and again, and its calibration. A program that is too slow misses
+/// pairs, as with real cameras.
 ///
 /// # Errors
 /// If the calibration cannot be used.
@@ -275,8 +276,7 @@ pub fn wire_endless_replay(
     sequence: &Sequence,
     clock: Arc<dyn Clock>,
 ) -> Result<(Box<dyn StereoCamera>, StereoCalibration)> {
-    let options =
-        ReplayOptions { pacing: Pacing::Original(clock), repeat: Repeat::Forever, ..ReplayOptions::default() };
+    let options = ReplayOptions { pacing: Pacing::Live(clock), repeat: Repeat::Forever, ..ReplayOptions::default() };
     let camera = ReplayCamera::open_sequence(sequence, options)?;
     let calibration = camera.calibration().clone();
     Ok((Box::new(camera), calibration))

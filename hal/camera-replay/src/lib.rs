@@ -60,7 +60,7 @@ pub struct ReplayCamera {
     source: Source,
     pacing: Pacing,
     repeat: Repeat,
-    /// Number of pairs delivered or skipped, over all rounds.
+    /// Number of pairs delivered, damaged or passed over, over all rounds.
     position: u64,
     /// Time of the first pair on the clock of `exposed_at`; set by the first call.
     started_at: Option<MonotonicTime>,
@@ -151,6 +151,16 @@ impl ReplayCamera {
         self.source.pairs()
     }
 
+    /// Passes over the pairs that are followed by another due pair, if the timing is that of a real camera.
+    fn skip_missed(&mut self) {
+        let (Pacing::Live(clock), Some(started_at)) = (&self.pacing, self.started_at) else { return };
+        let now = clock.now();
+        let has_next = |position| self.repeat == Repeat::Forever || position + 1 < self.source.pairs();
+        while has_next(self.position) && started_at + self.source.since_start(self.position + 1) <= now {
+            self.position += 1;
+        }
+    }
+
     /// Waits until the pair at `position` is due and returns its exposure time.
     fn wait(&mut self, timeout: Duration) -> Result<MonotonicTime, CameraError> {
         let since_start = self.source.since_start(self.position);
@@ -160,7 +170,7 @@ impl ReplayCamera {
                 true => Ok(self.source.first_at() + since_start),
                 false => Err(self.timed_out(timeout)),
             },
-            Pacing::Original(clock) => {
+            Pacing::Original(clock) | Pacing::Live(clock) => {
                 let now = clock.now();
                 let due = *self.started_at.get_or_insert(now) + since_start;
                 let deadline = now + timeout;
@@ -197,6 +207,7 @@ impl StereoCamera for ReplayCamera {
             let message = format!("{}: all {} pairs have been played", self.info.name, self.source.pairs());
             return Err(CameraError::new(CameraErrorKind::EndOfStream, message));
         }
+        self.skip_missed();
         let exposed_at = self.wait(timeout)?;
         let recorded = self.source.pair(self.position);
         let loaded = self.load_into(recorded, pair);

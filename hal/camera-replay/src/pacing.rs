@@ -15,6 +15,9 @@ pub enum Pacing {
     /// At the recorded intervals on this clock, beginning with the first call; `exposed_at` is the time on this clock. A caller
     /// that is too slow gets every pair late; none is dropped.
     Original(Arc<dyn Clock>),
+    /// As `Original`, but like a real camera: of the pairs that are due, a caller that is too slow gets the newest, and the sequence
+    /// numbers skip the others.
+    Live(Arc<dyn Clock>),
     /// One pair for each step released through a clone of this stepper; `exposed_at` is the time of the recording. A call without
     /// a step waits in real time until its timeout.
     Stepped(Stepper),
@@ -25,6 +28,7 @@ impl fmt::Debug for Pacing {
         f.write_str(match self {
             Self::Unpaced => "Unpaced",
             Self::Original(_) => "Original",
+            Self::Live(_) => "Live",
             Self::Stepped(_) => "Stepped",
         })
     }

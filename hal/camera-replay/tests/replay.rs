@@ -146,6 +146,33 @@ fn original_timing_waits_on_the_clock_and_times_out_by_it() {
 }
 
 #[test]
+fn a_live_replay_passes_over_what_a_slow_caller_missed() {
+    let dir = tempfile::tempdir().unwrap();
+    record(dir.path(), 4);
+    let clock = Arc::new(VirtualClock::new());
+    let mut camera = open(dir.path(), Pacing::Live(clock.clone()), Repeat::Forever);
+    let mut next = || {
+        let pair = camera.next_pair(SECOND).unwrap();
+        assert_eq!(pair.left, image(2 * (pair.sequence % 4) as u8));
+        (pair.sequence, pair.exposed_at.as_nanos())
+    };
+    assert_eq!(next(), (0, 0));
+    clock.sleep_until(MonotonicTime::from_nanos(2 * PERIOD_NANOS - 1));
+    assert_eq!(next(), (1, PERIOD_NANOS), "the newest is not missed");
+    clock.sleep_until(MonotonicTime::from_nanos(7 * PERIOD_NANOS + 5));
+    assert_eq!(next(), (7, 7 * PERIOD_NANOS), "in the second round");
+    assert_eq!(next(), (8, 8 * PERIOD_NANOS), "a caller in time gets every pair");
+    assert_eq!(clock.now().as_nanos(), 8 * PERIOD_NANOS);
+
+    let clock = Arc::new(VirtualClock::new());
+    let mut once = open(dir.path(), Pacing::Live(clock.clone()), Repeat::Once);
+    assert_eq!(once.next_pair(SECOND).unwrap().sequence, 0);
+    clock.sleep_until(MonotonicTime::from_nanos(900 * PERIOD_NANOS));
+    assert_eq!(once.next_pair(SECOND).unwrap().sequence, 3, "the last pair is never missed");
+    assert_eq!(once.next_pair(SECOND).unwrap_err().kind(), CameraErrorKind::EndOfStream);
+}
+
+#[test]
 fn stepping_delivers_one_pair_per_step() {
     let dir = tempfile::tempdir().unwrap();
     record(dir.path(), 3);

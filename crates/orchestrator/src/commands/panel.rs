@@ -8,7 +8,6 @@ use anyhow::{Context, Result, bail};
 use clap::{ArgGroup, Args};
 use pb3dp_cell::follower::Follower;
 use pb3dp_cell::images_only::ImagesOnly;
-use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::estimator::{EstimatorConfig, Method, Tracker};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::StereoRig;
@@ -19,9 +18,10 @@ use pb3dp_panel::{About, Panel, PanelAddress, PanelConfig};
 use pb3dp_record::dataset::load_sequence;
 use pb3dp_wiring::{open_cameras, wire_endless_replay};
 
-use crate::arguments::{PANEL_ADDRESS, ZRange, parse_z_range};
+use crate::arguments::{ZRange, parse_z_range};
 use crate::commands::cameras::choice::CameraChoice;
 use crate::commands::cameras::stop_requested;
+use crate::commands::panel_access::{PANEL_ADDRESS, PanelAccess, announce, parse_address};
 use crate::logging::show_in_panel;
 
 /// Search range of bare cameras, millimetres and degrees.
@@ -32,7 +32,7 @@ const TILT_MAX_DEG: f64 = 60.0;
 #[derive(Debug, Args)]
 #[command(group(ArgGroup::new("source").required(true).args(["sequence", "cameras"])))]
 pub struct PanelArgs {
-    /// A folder with a recorded sequence (docs/dataset-format.md); it is repeated at its own pace.
+    /// A folder with a recorded sequence (docs/dataset-format.md); it is repeated at its own pace, and pairs that this computer is too slow for are left out.
     #[arg(long, value_name = "DIR")]
     sequence: Option<PathBuf>,
     /// Two real cameras: with --config FILE, or with --left, --right and --calib.
@@ -44,8 +44,10 @@ pub struct PanelArgs {
     #[arg(long, value_name = "MIN,MAX", value_parser = parse_z_range, allow_hyphen_values = true)]
     z_range: Option<ZRange>,
     /// Address of the page on this computer; port 0 takes any free one.
-    #[arg(long, value_name = "ADDRESS", default_value = PANEL_ADDRESS)]
+    #[arg(long, value_name = "ADDRESS", default_value = PANEL_ADDRESS, value_parser = parse_address)]
     address: PanelAddress,
+    #[command(flatten)]
+    access: PanelAccess,
 }
 
 /// The images, and what is known about them.
@@ -72,10 +74,10 @@ pub fn run(args: &PanelArgs) -> Result<ExitCode> {
         (source.range.z_min_m, source.range.z_max_m) = (min_mm * 1e-3, max_mm * 1e-3);
     }
     let about = About::of_cameras(source.rig, &source.name, env!("CARGO_PKG_VERSION"), source.range);
-    let config = PanelConfig { log_lines: show_in_panel(Arc::clone(&clock)), ..PanelConfig::at(args.address) };
+    let config = PanelConfig { log_lines: show_in_panel(Arc::clone(&clock)), ..args.access.config(args.address)? };
     let tracker = Tracker::new(Method::Direct, &source.rig, &EstimatorConfig::default())?;
     let (panel, _, spectator) = Panel::start(config, Arc::clone(&clock), about)?;
-    print_line(&format!("{} shows the images: mark a target with the mouse; Ctrl-C ends it", panel.url()))?;
+    announce(&panel, "shows the images: mark a target with the mouse; Ctrl-C ends it")?;
     let images = ImagesOnly {
         follower: Follower::new(tracker, source.range),
         selections: panel.selections(),

@@ -6,11 +6,11 @@ use anyhow::{Result, bail};
 use nalgebra::Vector3;
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::perception::{Marking, Sight};
-use pb3dp_cell::terminal::print_line;
 use pb3dp_panel::config::Push;
-use pb3dp_panel::{About, Panel, PanelAddress, PanelConfig};
+use pb3dp_panel::{About, Panel, PanelConfig};
 use pb3dp_setup::setup::{Pace, Setup};
 
+use crate::commands::panel_access::announce;
 use crate::logging::show_in_panel;
 
 /// Refuses what no panel can lead.
@@ -36,7 +36,7 @@ pub fn check(setup: &Setup) -> Result<()> {
 ///
 /// # Errors
 /// If the address is in use or is not of this computer, or needs protection.
-pub fn start(address: PanelAddress, (setup, name): (&Setup, &str), parts: &mut Parts) -> Result<Panel> {
+pub fn start(at: PanelConfig, (setup, name): (&Setup, &str), parts: &mut Parts) -> Result<Panel> {
     let clock = Arc::clone(&parts.clock);
     let config = PanelConfig {
         interrupt: Arc::clone(&parts.interrupt),
@@ -47,7 +47,7 @@ pub fn start(address: PanelAddress, (setup, name): (&Setup, &str), parts: &mut P
                 Ok(())
             })
         }),
-        ..PanelConfig::at(address)
+        ..at
     };
     let (panel, operator, spectator) =
         Panel::start(config, clock, About::of_setup(setup, name, env!("CARGO_PKG_VERSION")))?;
@@ -57,6 +57,6 @@ pub fn start(address: PanelAddress, (setup, name): (&Setup, &str), parts: &mut P
     if matches!(parts.camera, Sight::Images(_)) {
         parts.marking = Marking::Awaited;
     }
-    print_line(&format!("{} is the operator panel; Ctrl-C ends the run", panel.url()))?;
+    announce(&panel, "is the operator panel; Ctrl-C ends the run")?;
     Ok(panel)
 }

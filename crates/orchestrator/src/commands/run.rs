@@ -46,7 +46,8 @@ fn conduct(args: &RunArgs) -> Result<ExitCode> {
     // Before a port opens.
     [&setup.rig.arms.vs, &setup.rig.arms.tc].into_iter().try_for_each(ArmSetup::check_signals)?;
     let records = needed_records(&setup, SystemTime::now())?;
-    let attendance = match args.panel {
+    let panel_config = args.panel.map(|address| args.panel_access.config(address)).transpose()?;
+    let attendance = match panel_config {
         Some(_) => panel_of_run::check(&setup).map(|()| None)?,
         None => Some(Attendance::confirmed(args, &setup, &mut signals)?),
     };
@@ -60,8 +61,7 @@ fn conduct(args: &RunArgs) -> Result<ExitCode> {
     let Wired { mut parts, monitors, .. } = wire_run(&setup, &needs)?;
     records.iter().try_for_each(|record| record.check(&monitors))?;
     // Lives until the end of the run.
-    let panel =
-        args.panel.map(|address| panel_of_run::start(address, (&setup, &asked.to_string()), &mut parts)).transpose()?;
+    let panel = panel_config.map(|at| panel_of_run::start(at, (&setup, &asked.to_string()), &mut parts)).transpose()?;
     if let Some(attendance) = attendance {
         let size = setup.rig.stereo.left().size();
         let targets = parts.selections.clone().map(|selections| ConsoleTargets { size, selections });

@@ -181,7 +181,7 @@ export class Commands {
     if (name === "reset") return "only after a stop or a fault";
     if (state.is_moving) return "the arm moves already";
     if (state.is_latched) return "use Reset first";
-    if (name === "start" && state.name === "idle") return "select a target first";
+    if (name === "start" && state.name === "idle") return "select a target first, also after Reset";
     if (name === "start" && state.name === "selecting") return why.line;
     return `not in the state ${state.name}`;
   }

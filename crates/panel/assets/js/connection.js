@@ -1,6 +1,7 @@
 // @ts-check
 // The WebSocket of the page: states, images and log lines in, heartbeats out. It connects again by itself.
 import "./types.js";
+import { headers as withToken, token } from "./token.js";
 
 const PROTOCOL = 1;
 const AGAIN_MS = 700;
@@ -67,7 +68,7 @@ export class Connection {
   }
 
   hello() {
-    this.send({ type: "hello", protocol: PROTOCOL, session: this.session });
+    this.send({ type: "hello", protocol: PROTOCOL, session: this.session, token: token() });
   }
 
   /** @param {object} message */
@@ -139,8 +140,7 @@ export class Connection {
  * @returns {Promise<import("./types.js").Answer>}
  */
 export async function post(path, body, session, answer_ms = ANSWER_MS) {
-  /** @type {Record<string, string>} */
-  const headers = { "Content-Type": "application/json" };
+  const headers = withToken({ "Content-Type": "application/json" });
   if (session) headers["PB3DP-Session"] = session;
   try {
     const signal = AbortSignal.timeout(answer_ms);
@@ -158,6 +158,6 @@ export async function post(path, body, session, answer_ms = ANSWER_MS) {
  * @param {string} session
  */
 export function releaseWhileClosing(session) {
-  const headers = { "Content-Type": "application/json", "PB3DP-Session": session };
+  const headers = withToken({ "Content-Type": "application/json", "PB3DP-Session": session });
   void fetch("/api/lease", { method: "POST", headers, body: '{"action":"release"}', keepalive: true }).catch(() => {});
 }

@@ -10,19 +10,22 @@ import { Pace } from "./pace.js";
 import { Plots } from "./plots.js";
 import { Pointing } from "./pointing.js";
 import { Scene } from "./scene.js";
-import { showPreview, showState } from "./status.js";
+import { askForToken, headers } from "./token.js";
+import { showComputing, showPreview, showState } from "./status.js";
 import { ImageView, STATUS } from "./view.js";
 
 const LOG_LINES_MAX = 300;
 const EPIPOLAR_MS = 80;
 const PUSH_MS = 50;
+const NO_TOKEN = 401;
 /** Assumed depth of a target that has no pose, mm. */
 const DEPTH_MM = 500;
 
 async function info() {
   for (;;) {
     try {
-      const response = await fetch("/api/info");
+      const response = await fetch("/api/info", { headers: headers() });
+      if (response.status === NO_TOKEN) await askForToken(/** @type {HTMLFormElement} */ (at("token")));
       if (response.ok) return /** @type {import("./types.js").Info} */ (await response.json());
     } catch {
       // The program may still start.
@@ -127,7 +130,7 @@ connection.onState = (newest) => {
   joints.show(newest.arms);
   scene?.show(newest);
   showSaved(newest.saved);
-  button("select").disabled = !commands.leads;
+  button("select").disabled = !commands.leads || marked === null;
   at("select-blocked").hidden = commands.leads;
   left.redraw();
   right.redraw();
@@ -156,9 +159,12 @@ connection.onLink = (isOpen) => {
 /** @param {string} region */
 async function preview(region) {
   const sequence = left.image?.sequence;
+  marked = null;
+  showComputing();
   const answer = await post("/api/preview", sequence === undefined ? { region } : { region, sequence }, connection.session);
   if (pointing.region() !== region) return;
   if (!answer.ok) {
+    forget();
     commands.tell("preview", answer);
     return;
   }
@@ -178,10 +184,19 @@ function forget() {
 async function select() {
   if (!marked) return;
   const { region, preview: { sequence } } = marked;
-  const name = input("target-name").value.trim();
-  const body = { region, sequence, seen: commands.seen(), ...(name ? { name } : {}) };
+  const name = input("target-name").value.trim() || freeName();
+  const body = { region, sequence, seen: commands.seen(), name };
   const answer = await commands.send("/api/select", body, "select");
-  if (answer.ok) pointing.cancel();
+  if (!answer.ok) return;
+  input("target-name").value = "";
+  pointing.cancel();
+}
+
+/** A name that no saved target has: every target can be chosen again by its name. */
+function freeName() {
+  for (let number = 1; ; number++) {
+    if (!state?.saved.includes(`target ${number}`)) return `target ${number}`;
+  }
 }
 
 /** @param {string[]} names */
@@ -222,7 +237,7 @@ const askForLine = paced(EPIPOLAR_MS, async (u, v) => {
     return;
   }
   try {
-    const response = await fetch(`/api/epipolar?u=${u.toFixed(1)}&v=${v.toFixed(1)}`);
+    const response = await fetch(`/api/epipolar?u=${u.toFixed(1)}&v=${v.toFixed(1)}`, { headers: headers() });
     epipolar_px = response.ok ? (await response.json()).right_px : [];
   } catch {
     epipolar_px = [];

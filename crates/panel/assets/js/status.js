@@ -5,6 +5,12 @@ import { writeWithCodes } from "./codes.js";
 import { at, fixed, make, norm, write } from "./dom.js";
 import { STATUS } from "./view.js";
 
+/** Motion in words, by the state of the supervisor. @type {Record<string, string>} */
+const MOTION = {
+  approaching: "The hand moves to its pose in front of the target.",
+  tracking: "The hand follows the target.",
+};
+
 /** @param {import("./types.js").State} state @param {string} pace what limits the images, or nothing */
 export function showState(state, pace) {
   const pill = at("state");
@@ -12,10 +18,11 @@ export function showState(state, pace) {
   pill.classList.toggle("moving", state.state.is_moving);
   pill.classList.toggle("latched", state.state.is_latched);
   const code = state.why.code && !state.why.line.includes(state.why.code) ? ` [${state.why.code}]` : "";
-  const line = state.state.is_moving && state.why.line === state.state.name ? "the hand follows the target" : state.why.line + code;
+  const motion = state.why.line === state.state.name ? MOTION[state.state.name] : undefined;
+  const line = motion ?? state.why.line + code;
   writeWithCodes(at("why"), line);
   write(at("conditions-title"), state.state.is_moving ? "Motion" : "Why nothing moves");
-  writeWithCodes(at("why-long"), state.state.is_moving ? "The hand follows the target." : state.why.line);
+  writeWithCodes(at("why-long"), line);
   const items = state.why.inhibits.map(({ name, action, since_ms, clears_ms }) => {
     const clears = clears_ms === null ? "" : `, clears in ${fixed(clears_ms / 1000, 1)} s`;
     return `${name} (${action}) for ${fixed(since_ms / 1000, 1)} s${clears}`;
@@ -27,19 +34,20 @@ export function showState(state, pace) {
     write(list.children[index], text);
   });
   write(at("trouble"), state.operator.trouble ?? "");
-  showTarget(state.target);
+  showTarget(state.target, state.state.name === "idle");
   const { images } = state;
   write(at("images"), `pair ${images.sequence ?? "–"}, ${fixed(images.fps, 1)} per second, ${images.lost} lost; time runs at ${fixed(state.realtime_factor, 2)}${pace}`);
 }
 
-/** @param {import("./types.js").TargetState} target */
-function showTarget(target) {
+/** @param {import("./types.js").TargetState} target @param {boolean} isIdle a target is tracked, but not selected */
+function showTarget(target, isIdle) {
   const pill = at("status");
   const { sign } = STATUS[target.status] ?? STATUS.error;
   write(pill, `${sign} ${target.status}`);
   pill.className = `pill status-${target.status}`;
   const name = target.name ? `${target.name}: ` : "";
-  write(at("reason"), name + target.reason);
+  const again = isIdle && target.id !== null ? "not selected any more: select it again, or mark another one. " : "";
+  write(at("reason"), name + again + target.reason);
   const triple = (/** @type {number[]|null} */ values, /** @type {number} */ decimals) =>
     values ? values.map((value) => fixed(value, decimals)).join(", ") : "–";
   const figures = [
@@ -49,7 +57,7 @@ function showTarget(target) {
     ["fitness", fixed(target.fitness, 3)],
     ["age, computing", `${fixed(target.age_ms, 0)}, ${fixed(target.latency_ms, 1)} ms`],
   ];
-  if (target.error_mm) figures.push(["error (truth known)", `${fixed(norm(target.error_mm), 2)} mm, ${fixed(norm(target.error_deg), 2)}°`]);
+  if (target.error_mm) figures.push(["error, if it is the simulated target", `${fixed(norm(target.error_mm), 2)} mm, ${fixed(norm(target.error_deg), 2)}°`]);
   const list = at("figures");
   while (list.children.length > 2 * figures.length) list.lastChild?.remove();
   figures.forEach(([term, text], index) => {
@@ -59,10 +67,20 @@ function showTarget(target) {
   });
 }
 
+/** The region is being looked at. */
+export function showComputing() {
+  at("preview").hidden = false;
+  at("preview").classList.add("computing");
+  write(at("preview-title"), "computing ...");
+  write(at("preview-text"), "");
+}
+
 /** @param {import("./types.js").Preview} preview */
 export function showPreview(preview) {
   at("preview").hidden = false;
+  at("preview").classList.remove("computing");
   at("preview").classList.toggle("will-not", !preview.will_work);
+  write(at("select"), preview.will_work ? "Select this target" : "Select it all the same");
   write(at("preview-title"), preview.will_work ? `✓ will work (${preview.status})` : `✗ will not work well (${preview.status})`);
   const depth = preview.depth_mm === null ? "" : `Depth ${fixed(preview.depth_mm, 1)} mm`;
   const sigma = preview.sigma_mm ? ` ± ${fixed(preview.sigma_mm[2], 2)} mm (1 sigma)` : "";

@@ -1,6 +1,7 @@
 //! Bodies of the POST requests. Unknown fields are refused.
 
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 
 use crate::seen::Seen;
 
@@ -75,12 +76,10 @@ pub struct HoldRequest {
     /// Holds the camera arm alone.
     #[serde(default)]
     pub hand_only: bool,
+    /// Accepted so that a script can send it with every command; not read, because a hold only ends motion.
+    #[serde(default)]
+    pub seen: IgnoredAny,
 }
-
-/// `POST /api/stop`.
-#[derive(Clone, Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct StopRequest {}
 
 /// `POST /api/speed`.
 #[derive(Clone, Debug, Deserialize)]
@@ -121,7 +120,11 @@ pub struct PushRequest {
     /// Along x, y and z, millimetres.
     pub offset_mm: [f64; 3],
     /// About the normal, degrees.
+    #[serde(default)]
     pub turn_deg: f64,
+    /// As in [`HoldRequest`]: a push moves no arm by itself.
+    #[serde(default)]
+    pub seen: IgnoredAny,
 }
 
 /// `POST /api/control`: a control of a real camera.

@@ -20,12 +20,7 @@ const BODY_TIME: Duration = Duration::from_secs(5);
 /// # Errors
 /// Another content type, a body that is too large, too slow or not understood.
 pub async fn read<T: DeserializeOwned>(request: Request) -> Result<T, Refusal> {
-    // Pages from elsewhere cannot send this type unasked.
-    let kind = request.headers().get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or_default();
-    let is_json = kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"));
-    if !is_json {
-        return Err(Refusal::ContentType { kind: shortened(kind) });
-    }
+    check_is_json(&request)?;
     let body = tokio::time::timeout(BODY_TIME, Limited::new(request.into_body(), BODY_MAX).collect()).await;
     let body = body.map_err(|_| Refusal::SlowBody { limit_s: BODY_TIME.as_secs() })?;
     let body = body.map_err(|error| match error.is::<LengthLimitError>() {
@@ -33,6 +28,17 @@ pub async fn read<T: DeserializeOwned>(request: Request) -> Result<T, Refusal> {
         false => Refusal::Body { cause: error.to_string() },
     })?;
     parse(&body.to_bytes())
+}
+
+/// Refuses a request whose body is not announced as JSON.
+///
+/// # Errors
+/// Another content type.
+pub fn check_is_json(request: &Request) -> Result<(), Refusal> {
+    // Pages from elsewhere cannot send this type unasked.
+    let kind = request.headers().get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or_default();
+    let is_json = kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"));
+    if is_json { Ok(()) } else { Err(Refusal::ContentType { kind: shortened(kind) }) }
 }
 
 /// JSON of a known type.

@@ -425,13 +425,15 @@ fn remedy(cause: &Cause) -> &'static str {
         Condition::ArmFault => "remove the cause",
         Condition::ArmDisabled => "wait until the drives are enabled, or use select, which enables them",
         Condition::ClockStepped => "find what delays this computer or sets its clock",
-        Condition::OperatorSilent => "press Enter at the console, or check the panel and its connection",
+        Condition::OperatorSilent => "press Enter at the console, or keep the page of the panel visible and connected",
         Condition::JointsStale => "check the link to the arm",
         Condition::TargetChanged => "select the target again",
         // At the start of a normal run the first image has not arrived yet.
         Condition::FrameStale if cause.value.is_infinite() => "wait for the cameras",
         Condition::FrameStale => "check the cameras",
         Condition::FrameOrder => "check whether the cameras were restarted or send old images",
+        // There was no confident pose yet.
+        Condition::TargetLost if cause.value.is_infinite() => "clear the view of the target, or mark another region",
         Condition::TargetLost => "bring the target back into view",
         Condition::EstimateStale => "wait for the estimator, or clear the view of the target",
         Condition::LowConfidence => "clear the view of the target, or select it again",

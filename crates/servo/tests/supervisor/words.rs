@@ -174,8 +174,8 @@ fn an_arm_that_does_not_move_says_why_in_each_step() {
     bench.step();
     assert_eq!(
         bench.why(),
-        "selecting: no confident pose yet; motion needs one newer than 1.000 s; bring the target back into view, then use start \
-         [PB3DP-SUP-010]"
+        "selecting: no confident pose yet; motion needs one newer than 1.000 s; clear the view of the target, or mark another \
+         region, then use start [PB3DP-SUP-010]"
     );
     bench.truth();
     bench.run(0.3);
