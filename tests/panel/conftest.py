@@ -173,7 +173,7 @@ class Page:
         self.page.wait_for_selector("#preview:not(.computing)", state="visible")
         return self.text("#preview-title")
 
-    def select(self, name, begin=(285, 205), end=(360, 275)):
+    def select(self, name, begin=(340, 195), end=(445, 290)):
         self.page.click("button[data-tool=rectangle]")
         self.drag(begin, end)
         self.preview()

@@ -20,7 +20,7 @@ def is_following(panel):
 def test_an_object_is_chosen_by_dragging_and_the_hand_follows_it(panel, page):
     page.take_command()
     page.page.click("button[data-tool=rectangle]")
-    page.drag((285, 205), (360, 275))
+    page.drag((340, 195), (445, 290))
     assert "will work" in page.preview()
     assert "mm (1 sigma)" in page.text("#preview-text")
     page.screenshot("preview")
@@ -277,6 +277,7 @@ def test_disabled_commands_have_a_reason_in_words(panel, page):
 def test_two_quick_clicks_are_two_steps_and_zero_comes_back(panel, page):
     page.follow()
     wait_for(lambda: is_following(panel))
+    page.page.click("#jog summary")
     more = page.page.get_by_role("button", name="x plus one step", exact=True)
     more.click(click_count=3)
     wait_for(lambda: panel.state()["control"]["jog"]["offset_mm"] == [15, 0, 0])

@@ -12,7 +12,7 @@ use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
 use pb3dp_wiring::ReplayPace;
 
-use crate::commands::panel_access::{PANEL_ADDRESS, PanelAccess, parse_address};
+use crate::panel_access::{PANEL_ADDRESS, PanelAccess, parse_address};
 
 /// Exit code with `--strict` for an answer other than `ok`, and for setups that differ.
 pub const UNSURE: u8 = 3;

@@ -12,7 +12,6 @@ pub mod identify;
 pub mod overlay_folder;
 pub mod pair;
 pub mod panel;
-pub mod panel_access;
 mod panel_of_run;
 mod pose_output;
 pub mod previous_run;

@@ -21,8 +21,8 @@ use pb3dp_wiring::{open_cameras, wire_endless_replay};
 use crate::arguments::{ZRange, parse_z_range};
 use crate::commands::cameras::choice::CameraChoice;
 use crate::commands::cameras::stop_requested;
-use crate::commands::panel_access::{PANEL_ADDRESS, PanelAccess, announce, parse_address};
 use crate::logging::show_in_panel;
+use crate::panel_access::{PANEL_ADDRESS, PanelAccess, announce, parse_address};
 
 /// Search range of bare cameras, millimetres and degrees.
 const RANGE_MM: ZRange = ZRange { min_mm: 300.0, max_mm: 1500.0 };

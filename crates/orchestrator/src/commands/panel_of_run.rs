@@ -10,8 +10,8 @@ use pb3dp_panel::config::Push;
 use pb3dp_panel::{About, Panel, PanelConfig};
 use pb3dp_setup::setup::{Pace, Setup};
 
-use crate::commands::panel_access::announce;
 use crate::logging::show_in_panel;
+use crate::panel_access::announce;
 
 /// Refuses what no panel can lead.
 ///

@@ -36,7 +36,7 @@ export class Jog {
     label.append(this.step);
     const head = make("div", { class: "row wide" });
     head.append(label, zero);
-    at("jog").append(head);
+    at("jog-rows").append(head);
     this.rows = ["x", "y", "z"].flatMap((name, axis) => [this.row("offset_mm", axis, name), this.row("offset_deg", axis, `r${name}`)]);
   }
 
@@ -49,7 +49,7 @@ export class Jog {
     less.addEventListener("click", () => this.add(key, axis, -1));
     more.addEventListener("click", () => this.add(key, axis, 1));
     element.append(make("span", {}, name), less, output, more);
-    at("jog").append(element);
+    at("jog-rows").append(element);
     return { key, axis, output };
   }
 

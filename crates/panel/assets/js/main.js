@@ -18,6 +18,7 @@ const LOG_LINES_MAX = 300;
 const EPIPOLAR_MS = 80;
 const PUSH_MS = 50;
 const NO_TOKEN = 401;
+const OVERTAKEN = "PB3DP-PAN-030";
 /** Assumed depth of a target that has no pose, mm. */
 const DEPTH_MM = 500;
 
@@ -156,13 +157,15 @@ connection.onLink = (isOpen) => {
   if (!isOpen) write(at("state"), "no connection");
 };
 
-/** @param {string} region */
-async function preview(region) {
+/** @param {string} region @param {number} [tries] */
+async function preview(region, tries = 3) {
   const sequence = left.image?.sequence;
   marked = null;
   showComputing();
   const answer = await post("/api/preview", sequence === undefined ? { region } : { region, sequence }, connection.session);
   if (pointing.region() !== region) return;
+  // The request with which drawing began may arrive later, and replaces this one.
+  if (answer.body.code === OVERTAKEN && tries > 1) return preview(region, tries - 1);
   if (!answer.ok) {
     forget();
     commands.tell("preview", answer);

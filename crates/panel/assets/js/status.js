@@ -57,7 +57,7 @@ function showTarget(target, isIdle) {
     ["fitness", fixed(target.fitness, 3)],
     ["age, computing", `${fixed(target.age_ms, 0)}, ${fixed(target.latency_ms, 1)} ms`],
   ];
-  if (target.error_mm) figures.push(["error, if it is the simulated target", `${fixed(norm(target.error_mm), 2)} mm, ${fixed(norm(target.error_deg), 2)}°`]);
+  if (target.error_mm) figures.push(["error (simulated target)", `${fixed(norm(target.error_mm), 2)} mm, ${fixed(norm(target.error_deg), 2)}°`]);
   const list = at("figures");
   while (list.children.length > 2 * figures.length) list.lastChild?.remove();
   figures.forEach(([term, text], index) => {

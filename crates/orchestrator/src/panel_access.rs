@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use clap::Args;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_platform::key_file::read_key;
@@ -127,7 +127,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let token = folder.path().join("token");
         let access = PanelAccess { token: Some(token.clone()), ..PanelAccess::default() };
-        let refused = || format!("{:#}", access.config(parse_address("0").unwrap()).unwrap_err());
+        let refused = || format!("{:#}", access.config(parse_address("0").unwrap()).err().unwrap());
         assert!(refused().contains("--panel-token: key file") && refused().contains("cannot be read"), "{}", refused());
         write_new_key(&token).unwrap();
         fs::set_permissions(&token, fs::Permissions::from_mode(0o640)).unwrap();
