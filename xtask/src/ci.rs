@@ -1,6 +1,7 @@
 //! `cargo xtask ci`: all checks before a change is merged.
 
 mod changes;
+mod space;
 mod steps;
 
 use std::time::{Duration, Instant};
@@ -12,7 +13,7 @@ use steps::{Progress, STEPS, Step};
 
 /// Runs all checks, the fastest first, and stops at the first failure.
 ///
-/// fmt, tidy, check-deps, licences, advisories, clippy, rustdoc, tests, safeguards; then, if the change touches what they check: calibration of
+/// Free disk space, fmt, tidy, check-deps, licences, advisories, clippy, rustdoc, tests, safeguards; then, if the change touches what they check: calibration of
 /// a bare rig by the commands of its documentation, a quick run of the accuracy benchmark, drivers in emulated computers, the
 /// fuzz targets, Miri, the oldest compiler. The change is the difference from the merge base with the main branch (or from the
 /// commit in PB3DP_CI_BASE), with all packages that depend on it; without a known base all checks run. Tests run their long

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, anyhow, bail};
 
 use super::changes::Changes;
+use super::space;
 use crate::workspace::{Workspace, run_visibly};
 use crate::{check_deps, commissioning, fuzz_build, licences, miri, msrv, panel, required, test, tidy, vm};
 
@@ -97,7 +98,8 @@ const FUZZED: &[&str] = &["pb3dp-estimation", "pb3dp-arm-pa10-test-support"];
 const MANIFESTS: &[&str] = &["manifests"];
 
 /// The steps, the fastest first.
-pub const STEPS: [Step; 16] = [
+pub const STEPS: [Step; 17] = [
+    Step { name: "space", of: ALWAYS, run: |progress| space::check(progress.workspace) },
     Step { name: "fmt", of: ALWAYS, run: |progress| fmt(progress.workspace) },
     Step { name: "tidy", of: ALWAYS, run: |progress| tidy::run(progress.workspace, &tidy::Args {}) },
     Step { name: "check-deps", of: ALWAYS, run: |progress| check_deps::run(progress.workspace, &check_deps::Args {}) },

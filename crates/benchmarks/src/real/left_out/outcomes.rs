@@ -26,7 +26,8 @@ pub struct Outcome {
     pub passed: bool,
     /// The status is `ok`.
     pub ok: bool,
-    /// The status is `ok`, but the plane is wrong; see [`is_wrong`].
+    /// The status is `ok`, but the plane is off by more than 3 standard deviations and by more than 5 degrees or 1 % of the
+    /// depth.
     pub wrong_ok: bool,
     /// The depth is within two standard deviations; `None` without one.
     pub depth_covered: Option<bool>,
