@@ -24,7 +24,7 @@ pub struct Annotation {
 fn color_of(status: Status) -> Rgb<u8> {
     match status {
         Status::Ok => colors::ESTIMATE,
-        Status::WeakTilt => colors::WEAK,
+        Status::WeakTilt | Status::PartlyObserved => colors::WEAK,
         Status::Ambiguous => colors::AMBIGUOUS,
         Status::NotObservable | Status::Lost | Status::Error => colors::BAD,
     }

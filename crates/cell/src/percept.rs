@@ -1,5 +1,6 @@
 //! What the motion half receives for one stereo pair.
 
+use nalgebra::Matrix6;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_servo::TargetObservation;
@@ -25,9 +26,19 @@ impl Percept {
         observation: Option<TargetObservation>,
     ) -> Self {
         let confidence = confidence(estimate.status, observation.is_some());
-        let estimate = EstimateInput { at: frame.at, confidence, covariance: estimate.covariance, target };
+        let covariance = estimate.covariance.map(|covariance| without_spin(covariance, estimate));
+        let estimate = EstimateInput { at: frame.at, confidence, covariance, target };
         Self { frame, estimate, observation }
     }
+}
+
+/// A rotation about the normal that nobody sees is not used, so its uncertainty hinders nothing.
+fn without_spin(mut covariance: Matrix6<f64>, estimate: &TrackEstimate) -> Matrix6<f64> {
+    if !estimate.rotation_about_normal_observed {
+        covariance.row_mut(5).fill(0.0);
+        covariance.column_mut(5).fill(0.0);
+    }
+    covariance
 }
 
 fn confidence(status: Status, has_pose: bool) -> Confidence {
@@ -44,7 +55,7 @@ mod tests {
 
     #[test]
     fn only_a_pose_whose_depth_is_sure_is_confident() {
-        for status in [Status::Ok, Status::WeakTilt] {
+        for status in [Status::Ok, Status::WeakTilt, Status::PartlyObserved] {
             assert_eq!(confidence(status, true), Confidence::Sure);
         }
         for status in [Status::Ambiguous, Status::NotObservable, Status::Lost, Status::Error] {

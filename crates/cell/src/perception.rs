@@ -189,6 +189,7 @@ impl GeometricPerception {
             fitness: None,
             // There is no image to draw the outline into.
             outline_px: Vec::new(),
+            observed: found.map(|_| [true; 6]),
             rotation_about_normal_observed: found.is_some(),
         }
     }

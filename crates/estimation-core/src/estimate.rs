@@ -224,6 +224,9 @@ pub struct TrackEstimate {
     pub fitness: Option<f64>,
     /// Outline of the region in this frame, raw left image, pixels.
     pub outline_px: Vec<Vector2<f64>>,
+    /// Whether the images determine each direction of the pose: x, y, z, then the rotations about them (axes of `model`). `None` if the
+    /// method does not tell.
+    pub observed: Option<[bool; 6]>,
     /// Whether the rotation about the normal was measured. The published method never measures it.
     pub rotation_about_normal_observed: bool,
 }
@@ -240,6 +243,7 @@ impl TrackEstimate {
             psi: None,
             fitness: None,
             outline_px: Vec::new(),
+            observed: None,
             rotation_about_normal_observed: false,
         }
     }

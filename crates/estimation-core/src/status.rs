@@ -9,6 +9,9 @@ pub enum Status {
     Ok,
     /// The depth is determined, the tilt is not.
     WeakTilt,
+    /// Depth and tilt are determined, but not all shifts and turns in the plane: the spin of a disc, a shift along stripes. Which ones,
+    /// the estimate tells.
+    PartlyObserved,
     /// Two or more depths explain the images equally well; the reported one may be wrong.
     Ambiguous,
     /// This method cannot determine the pose from these images; no pose is reported.
@@ -25,6 +28,7 @@ impl Status {
         match self {
             Self::Ok => "ok",
             Self::WeakTilt => "weak-tilt",
+            Self::PartlyObserved => "partly-observed",
             Self::Ambiguous => "ambiguous",
             Self::NotObservable => "not-observable",
             Self::Lost => "lost",
@@ -34,7 +38,7 @@ impl Status {
 
     /// Whether the depth is reliable enough to be used.
     pub fn depth_is_sure(self) -> bool {
-        matches!(self, Self::Ok | Self::WeakTilt)
+        matches!(self, Self::Ok | Self::WeakTilt | Self::PartlyObserved)
     }
 }
 

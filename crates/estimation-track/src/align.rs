@@ -11,6 +11,7 @@ use super::kernels::{
     ResidualGroup, ResidualSums, SHAPE, SeenGroup, TERMS, ViewGroup,
 };
 use super::normal::{Free, NormalEquations, PatchScore, Prior, Step, Unknowns, UnknownsMatrix};
+use super::observed::{noise_information, noise_weights, symmetric};
 use super::surface::Surface;
 use super::view::View;
 use crate::kernels::Correlation;
@@ -322,6 +323,9 @@ impl Aligner {
         let mut equations = NormalEquations::empty();
         equations.add(&self.sums);
         equations.remove_patch_offsets(&self.patches[..count], estimate.patch_sigma);
+        let noise = noise_weights(&weights, &photometry.variance[2]);
+        let (groups, seen) = (&problem.surface.levels[0].groups, &self.seen[0]);
+        equations.noise = symmetric(&noise_information(self.kernels, groups, seen, &self.residuals, &noise));
         kernels::score(
             self.kernels,
             &problem.surface.levels[0].groups,

@@ -415,7 +415,12 @@ fn pair_weights(residual: &ResidualGroup, weights: &PairWeights, channel: usize)
 
 /// Derivatives of a channel of one image with respect to the unknowns.
 #[inline(always)]
-fn derivatives(surface: &SurfaceGroup, seen: &SeenGroup, gradient: &[Lanes; 2], side: usize) -> [Lanes; UNKNOWNS] {
+pub(super) fn derivatives(
+    surface: &SurfaceGroup,
+    seen: &SeenGroup,
+    gradient: &[Lanes; 2],
+    side: usize,
+) -> [Lanes; UNKNOWNS] {
     let by_u = gradient[0] * seen.unwarp[0] + gradient[1] * seen.unwarp[2];
     let by_v = gradient[0] * seen.unwarp[1] + gradient[1] * seen.unwarp[3];
     let by = &seen.by_point;

@@ -26,6 +26,7 @@ mod judge;
 mod kernels;
 mod lanes;
 mod normal;
+mod observed;
 mod one_surface;
 mod predict;
 mod reach;

@@ -4,6 +4,7 @@ use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
 
 use super::kernels::{CHANNELS, GroupScore, NormalSums, PATCH, PATCH_GAINS, PATCH_OWN, PATCH_RESIDUAL, PairWeights};
 use super::kernels::{ROW, SHAPE, TERMS, UNKNOWNS};
+use super::observed::Shown;
 
 /// Number of gains and offsets of both images in all channels.
 const GAINS: usize = 4 * CHANNELS;
@@ -70,12 +71,14 @@ pub(super) struct Step {
 pub(super) struct NormalEquations {
     matrix: AllMatrix,
     rhs: AllVector,
+    /// Information about the motion that the noise of the view's gradients alone would give.
+    pub(super) noise: Matrix6<f64>,
 }
 
 impl NormalEquations {
     /// Equations without observations.
     pub(super) fn empty() -> Self {
-        Self { matrix: AllMatrix::zeros(), rhs: AllVector::zeros() }
+        Self { matrix: AllMatrix::zeros(), rhs: AllVector::zeros(), noise: Matrix6::zeros() }
     }
 
     /// Adds sums over points.
@@ -172,6 +175,8 @@ impl NormalEquations {
         inverse.iter().all(|x| x.is_finite()).then(|| Equations {
             inverse: AllMatrix::from_fn(|i, j| if held(i) || held(j) { 0.0 } else { inverse[(i, j)] }),
             rhs,
+            noise: self.noise,
+            prior: prior.information.diagonal().fixed_rows::<6>(0).into_owned(),
         })
     }
 }
@@ -182,17 +187,21 @@ impl NormalEquations {
 pub(super) struct Equations {
     pub(super) inverse: AllMatrix,
     pub(super) rhs: AllVector,
+    noise: Matrix6<f64>,
+    /// Information about the motion without images.
+    prior: Vector6<f64>,
 }
 
 impl Equations {
-    /// Covariance of the pose on a known surface. It is the covariance of independent noise, inflated by the factor by which
-    /// the scores of whole patches vary more than expected. Added to it is the effect of independent depth errors of the
+    /// Covariance of the pose on a known surface. It is the covariance of independent noise, without what the noise of the view itself
+    /// seems to tell, inflated by the factor by which the scores of whole patches vary more than expected. Added to it is the effect of independent depth errors of the
     /// patches with standard deviations `depth_sigma` (1/m).
     pub(super) fn pose_covariance(
         &self,
         patches: &[PatchScore],
         depth_sigma: impl Iterator<Item = f64>,
-    ) -> Option<Matrix6<f64>> {
+    ) -> Option<Shown> {
+        let shown = Shown::of(&self.inverse.fixed_view::<6, 6>(0, 0).into_owned(), &self.noise, &self.prior)?;
         let rows = self.inverse.fixed_view::<6, ALL>(0, 0);
         let (mut spread, mut relief) = (0.0, Matrix6::zeros());
         for (patch, sigma) in patches.iter().zip(depth_sigma) {
@@ -205,8 +214,8 @@ impl Equations {
         }
         let count = patches.len() as f64;
         let inflation = (spread / 6.0 * count / (count - 2.0).max(1.0)).clamp(1.0, INFLATION_MAX);
-        let covariance = self.inverse.fixed_view::<6, 6>(0, 0) * (inflation * SHARED_NOISE) + relief;
-        covariance.iter().all(|x| x.is_finite()).then_some(covariance)
+        let covariance = shown.covariance * (inflation * SHARED_NOISE) + relief;
+        covariance.iter().all(|x| x.is_finite()).then_some(Shown { covariance, ..shown })
     }
 }
 

@@ -85,6 +85,8 @@ pub(super) struct Target {
     pub(super) away_s: f64,
     pub(super) outline_in_model: Vec<Point3<f64>>,
     pub(super) covariance: Option<Matrix6<f64>>,
+    /// Takes motions that the images do not show out of a motion; `None` if they show all.
+    keep: Option<Matrix6<f64>>,
     pub(super) fit: Fit,
     reference: [[f32; CHANNELS]; TERMS],
     /// Number of independent points of the texture.
@@ -142,6 +144,7 @@ impl Target {
             away_s: 0.0,
             outline_in_model,
             covariance: None,
+            keep: None,
             fit: Fit::default(),
             reference: [[0.0; CHANNELS]; TERMS],
             independent_points: 0.0,
@@ -204,6 +207,11 @@ impl Target {
             return Ending::OutOfReach;
         }
         self.learn(&equations);
+        if let Some(keep) = &self.keep {
+            // Elsewhere noise would move the pose, frame by frame and further each time.
+            let moved = (predicted.inverse() * self.estimate.cam_left_from_model).log();
+            self.estimate.cam_left_from_model = predicted.perturbed_in_from(&(keep * moved));
+        }
         Ending::Found
     }
 
@@ -306,17 +314,18 @@ impl Target {
     /// Computes the covariance of the pose; if the frame `learns`, adds its information to the surface and corrects the pose.
     fn conclude(&mut self, equations: &NormalEquations, learns: bool) {
         let Self { surface, aligner, estimate, knowledge, .. } = self;
-        self.covariance = None;
+        (self.covariance, self.keep) = (None, None);
         let Some(equations) = equations.inverse(&knowledge.prior(estimate), Free::Motion) else { return };
         let depth_sigma = surface.relief.depth_sigma();
-        let Some(covariance) = equations.pose_covariance(&aligner.scores, depth_sigma) else { return };
+        let Some(shown) = equations.pose_covariance(&aligner.scores, depth_sigma) else { return };
         surface.shape.read(&equations, &aligner.scores, surface.relief.inverse_depth_per_px());
         let is_known = if learns { surface.shape.learn(&SHARES) } else { surface.shape.hold() };
         if !is_known {
             return;
         }
         let (step, open) = surface.shape.pose();
-        self.covariance = Some(covariance + open);
+        self.covariance = Some(shown.covariance + open);
+        self.keep = shown.is_partial.then_some(shown.keep);
         if learns {
             estimate.cam_left_from_model = estimate.cam_left_from_model.perturbed_in_from(&step);
             surface.take_shape();

@@ -15,6 +15,7 @@ mod direct_track_no_allocation;
 #[path = "support/moving_plane.rs"]
 mod moving_plane;
 mod no_allocation;
+mod observed_directions;
 mod photometric;
 mod photometric_no_allocation;
 #[path = "support/plane_pair.rs"]

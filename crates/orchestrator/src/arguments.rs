@@ -155,10 +155,11 @@ const TRACK_JSON: &str =
   frame                counts from 0
   target               only with --region: 0 is the target of the sequence, then those of --region in their order
   t_s                  mid-exposure, seconds
-  status               ok, weak-tilt, ambiguous, not-observable, lost or error
+  status               ok, weak-tilt, partly-observed, ambiguous, not-observable, lost or error
   cam_left_from_model  16 numbers, row by row, millimetres: maps the model's coordinates to the left camera's
   covariance           36 numbers, row by row, or null: of xi = (x, y, z in mm, then a rotation vector in radians), both
                        along the axes of the model, with true pose = cam_left_from_model * exp(xi)
+  observed             six booleans, whether the images determine x, y, z and the turns about them, or null
   fitness              how well the images agree, at most 1, or null
   ms                   CPU time of one thread from the images in memory to the pose, milliseconds
   reason               what led to the status

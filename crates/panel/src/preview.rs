@@ -100,6 +100,9 @@ fn why(estimate: &TrackEstimate) -> String {
     let line = match estimate.status {
         Status::Ok => String::new(),
         Status::WeakTilt => format!("the tilt is not determined: {reason}; choose a larger part with more texture"),
+        Status::PartlyObserved => {
+            format!("{reason}; choose a part with texture in all directions if the hand is to follow these, too")
+        }
         Status::Ambiguous => format!(
             "two or more depths explain the images equally well: {reason}; choose a larger part, or one without a repeated pattern"
         ),

@@ -162,9 +162,9 @@ fn is_right(outcome: &Outcome, (z, angle): (f64, f64)) -> bool {
 fn is_wrong_ok(outcome: &Outcome, (z, angle): (f64, f64)) -> bool {
     match (outcome.status, outcome.errors) {
         (Status::Ok, Some(errors)) => !(errors.z_m.abs() <= z && errors.tilt_rad.norm() <= angle),
-        (Status::WeakTilt, Some(errors)) => errors.z_m.is_nan() || errors.z_m.abs() > z,
+        (Status::WeakTilt | Status::PartlyObserved, Some(errors)) => errors.z_m.is_nan() || errors.z_m.abs() > z,
         // A confident answer without an observable plane is wrong as well.
-        (Status::Ok | Status::WeakTilt, None) => true,
+        (Status::Ok | Status::WeakTilt | Status::PartlyObserved, None) => true,
         _ => false,
     }
 }

@@ -17,13 +17,15 @@ pub struct TrackLine {
     pub target: Option<usize>,
     /// Mid-exposure, seconds.
     pub t_s: f64,
-    /// `ok`, `weak-tilt`, `ambiguous`, `not-observable`, `lost` or `error`.
+    /// `ok`, `weak-tilt`, `partly-observed`, `ambiguous`, `not-observable`, `lost` or `error`.
     pub status: &'static str,
     /// Row-major homogeneous matrix, millimetres.
     pub cam_left_from_model: Option<[f64; 16]>,
     /// Covariance of the pose, row-major, of `xi` = translation (mm), then rotation (radians), along the axes of `model`:
     /// true pose = pose exp(xi).
     pub covariance: Option<Vec<f64>>,
+    /// Whether the images determine each direction of the pose, in the order of `covariance`; null if the method does not tell.
+    pub observed: Option<[bool; 6]>,
     /// Agreement of the images, at most 1; eq. (10) for the published method.
     pub fitness: Option<f64>,
     /// CPU time of one thread from images in memory to pose, milliseconds.
@@ -70,6 +72,7 @@ impl TrackLine {
             status: "error",
             cam_left_from_model: None,
             covariance: None,
+            observed: None,
             fitness: None,
             ms: None,
             reason: reason.to_owned(),
@@ -82,6 +85,7 @@ impl TrackLine {
             status: estimate.status.as_str(),
             cam_left_from_model: estimate.cam_left_from_model.as_ref().map(row_major_mm),
             covariance: estimate.covariance.as_ref().map(covariance_mm),
+            observed: estimate.observed,
             fitness: estimate.fitness,
             ms: Some(ms),
             warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
