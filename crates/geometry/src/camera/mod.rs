@@ -7,7 +7,7 @@ use nalgebra::{Matrix2x3, Matrix3, Point3, Vector2, Vector3};
 pub use distortion::Distortion;
 
 /// Largest accepted image side, pixels.
-const SIDE_MAX_PX: u32 = 32_768;
+pub(crate) const SIDE_MAX_PX: u32 = 32_768;
 /// Range of accepted focal lengths, pixels: normalised coordinates of all pixels then have no more than seven digits.
 const FOCAL_PX: std::ops::RangeInclusive<f64> = 0.01..=1e7;
 /// Largest accepted distance of the principal point from the first pixel, pixels.
@@ -152,6 +152,17 @@ impl Camera {
     /// The ideal camera with the same image size and pinhole: the destination of [`crate::maps::RemapTable::undistort`].
     pub fn undistorted(&self) -> Self {
         Self { distortion: Distortion::None, fold_radius: f64::INFINITY, ..*self }
+    }
+
+    /// The camera of images reduced by means over squares of `scale` x `scale` pixels, without incomplete squares; its image
+    /// may be empty.
+    pub(crate) fn reduced(&self, scale: u32) -> Self {
+        let (scale, Pinhole { fx, fy, cx, cy }) = (scale.max(1), self.pinhole);
+        let size = ImageSize { width: self.size.width / scale, height: self.size.height / scale };
+        let s = f64::from(scale);
+        // Pixel centres have integer coordinates.
+        let pinhole = Pinhole { fx: fx / s, fy: fy / s, cx: (cx + 0.5) / s - 0.5, cy: (cy + 0.5) / s - 0.5 };
+        Self { size, pinhole, ..*self }
     }
 
     /// Projects a point in this camera's frame (metres) to a pixel, which may be outside the image.
