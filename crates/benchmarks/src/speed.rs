@@ -1,14 +1,15 @@
 //! Speed of the direct method: cold start, tracking, kernels, and the influence of sizes and counts.
 //!
-//! [`cold`] measures single pairs, with [`stages`] for the parts, [`tracking`] sequences and [`scaling`] the influence of
-//! sizes and counts; [`clips`] renders the images, [`goals`] defines the limits, [`page`] writes the document and [`plot`]
-//! its figure.
+//! [`cold`] measures single pairs, with [`stages`] for the parts, and [`raw`] the same on raw images; [`tracking`] measures
+//! sequences, and [`scaling`] the influence of sizes and counts. [`clips`] renders the images, [`goals`] defines the limits,
+//! [`page`] writes the document and [`plot`] its figure.
 
 mod clips;
 mod cold;
 mod goals;
 mod page;
 mod plot;
+mod raw;
 mod scaling;
 mod stages;
 mod times;
@@ -56,6 +57,7 @@ pub struct Args {
 /// All results.
 pub struct Findings {
     sizes: Vec<cold::SizeRow>,
+    raw: Vec<raw::RawRow>,
     real: Option<cold::RealRows>,
     tracking: tracking::TrackingRow,
     kernels: Vec<cold::KernelRow>,
@@ -110,6 +112,8 @@ fn measure(args: &Args) -> anyhow::Result<Findings> {
     let real = real.transpose()?;
     eprintln!("cold start by size");
     let sizes = cold::sizes(rounds)?;
+    eprintln!("cold start on raw images");
+    let raw = raw::raw(rounds)?;
     eprintln!("tracking");
     let tracking = tracking::tracking(4 * rounds)?;
     eprintln!("kernels");
@@ -117,7 +121,7 @@ fn measure(args: &Args) -> anyhow::Result<Findings> {
     kernels.push(tracking::kernels(rounds)?);
     eprintln!("scaling");
     let scaling = scaling::scaling(rounds)?;
-    Ok(Findings { sizes, real, tracking, kernels, scaling })
+    Ok(Findings { sizes, raw, real, tracking, kernels, scaling })
 }
 
 fn kept(findings: &Findings, published: Option<&Value>, circumstances: &Circumstances) -> Value {
@@ -127,6 +131,7 @@ fn kept(findings: &Findings, published: Option<&Value>, circumstances: &Circumst
         "where": circumstances.to_json(),
         "goals": list(goals::goals(findings).iter().map(goals::Goal::to_json).collect()),
         "cold_start_by_size": list(findings.sizes.iter().map(cold::SizeRow::to_json).collect()),
+        "cold_start_on_raw_images": list(findings.raw.iter().map(raw::RawRow::to_json).collect()),
         "cold_start_on_cases": findings.real.as_ref().map(|real| json!({
             "rows": list(real.rows.iter().map(cold::CasesRow::to_json).collect()),
             "row_measurement": real.row_measurement.to_json(),

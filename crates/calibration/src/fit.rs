@@ -189,7 +189,7 @@ impl Fit<2> {
     /// The stereo rig.
     ///
     /// # Errors
-    /// The right camera is not to the right of the left camera.
+    /// The right camera is not to the right of the left camera, nor above or below it.
     pub fn rig(&self) -> Result<StereoRig, FitError> {
         rig_of(&self.state)
     }

@@ -13,7 +13,7 @@ mod mask;
 mod outline;
 pub mod polygon;
 
-pub use mask::{PixelBox, RegionMask};
+pub use mask::{Coverage, PixelBox, RegionMask};
 
 /// Vertices and rectangles farther from the origin than this are rejected, pixels.
 const COORDINATE_MAX_PX: f64 = 100_000.0;

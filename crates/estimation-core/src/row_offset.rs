@@ -5,7 +5,7 @@ use nalgebra::Vector2;
 /// Affine row offset of a rectified pair: a point on row `v` of the left image appears in the right image, at the right pixel
 /// `(u, w)`, on row `w = v + offset(u, w)`.
 ///
-/// With a perfect calibration the offset is zero. Coordinates are rectified pixels of the full right image.
+/// With a perfect calibration the offset is zero. Coordinates are pixels of the right image of `StereoRig::rectify`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RowOffset {
     /// Reference pixel of `offset_px`.

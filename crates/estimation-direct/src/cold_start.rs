@@ -164,7 +164,7 @@ impl ColdStart {
     /// Creates a cold start with empty buffers.
     pub fn new(config: ColdStartConfig, kernels: Kernels) -> Self {
         let refiner = PlaneRefiner::new(config.refine.clone(), kernels);
-        let pyramid = RegionPyramid::up_to(config.finest_area_px());
+        let pyramid = RegionPyramid::up_to(config.finest_area_px()).keeping_colours();
         let beyond = Beyond::new(&config.choice);
         Self { config, kernels, pyramid, refiner, beyond, ..Self::default() }
     }

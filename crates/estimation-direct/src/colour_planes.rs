@@ -106,6 +106,32 @@ impl ColourPlanes {
     }
 }
 
+impl ColourPlanes {
+    /// Writes the luminance of a window inside these planes, which are red, green and blue, into `out`.
+    pub(super) fn luminance_into(&self, window: PixelWindow, kernels: Kernels, out: &mut Self) {
+        out.resize(window, Wanted::Luminance);
+        let (x, y) = ((window.x - self.window.x) as usize, (window.y - self.window.y) as usize);
+        for row in 0..window.height {
+            let [red, green, blue] = self.planes.each_ref().map(|plane| &plane.row(y + row)[x..x + window.width]);
+            luminance_of_colours(kernels, red, green, blue, out.planes[0].row_mut(row));
+            let flags = &self.flags[(y + row) * self.window.width + x..][..window.width];
+            out.flags[row * window.width..][..window.width].copy_from_slice(flags);
+        }
+    }
+}
+
+wide! {
+    fn luminance_of_colours(red: &[f32], green: &[f32], blue: &[f32], out: &mut [f32]) = luminance_of_colours_kernel;
+}
+
+#[inline(always)]
+fn luminance_of_colours_kernel(red: &[f32], green: &[f32], blue: &[f32], out: &mut [f32]) {
+    let [r, g, b] = OPPONENT_FROM_RGB[0];
+    for ((out, red), (green, blue)) in out.iter_mut().zip(red).zip(green.iter().zip(blue)) {
+        *out = r * red + g * green + b * blue;
+    }
+}
+
 /// Number of halved pixels processed at a time.
 const HALVED: usize = 64;
 

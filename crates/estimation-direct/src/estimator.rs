@@ -59,6 +59,7 @@ pub struct DirectEstimator {
     rows: RowOffset,
     outcome: Option<ColdStartOutcome>,
     mask: RegionMask,
+    rectified: RegionMask,
 }
 
 /// Conversion of planes from the rectified pair to the raw left camera.
@@ -98,7 +99,15 @@ impl DirectEstimator {
         let front_end = StereoFrontEnd::new(rig, kernels)?;
         let cold_start = ColdStart::new(config.cold_start.clone(), kernels);
         let mask = RegionMask::empty(rig.left().size());
-        Ok(Self { front_end, config, cold_start, rows: RowOffset::default(), outcome: None, mask })
+        Ok(Self {
+            front_end,
+            config,
+            cold_start,
+            rows: RowOffset::default(),
+            outcome: None,
+            mask,
+            rectified: RegionMask::default(),
+        })
     }
 
     /// The parameters.
@@ -208,7 +217,8 @@ impl DirectEstimator {
     /// Sum of the known and the estimated row offset at the region's centroid.
     fn row_offset_px(&self, outcome: &ColdStartOutcome, plane: &DisparityPlane) -> f64 {
         let right_px = plane.centre_px - Vector2::new(plane.d0_px, 0.0);
-        self.rows.at(&right_px) + outcome.refined.map_or(0.0, |refined| refined.row_offset_px)
+        self.front_end.rows_of_whole(&self.rows).at(&right_px)
+            + outcome.refined.map_or(0.0, |refined| refined.row_offset_px)
     }
 
     fn blank(&self, centroid_px: Vector2<f64>) -> PlaneEstimate {
@@ -236,14 +246,16 @@ impl EstimationMethod for DirectEstimator {
             return Ok(PlaneEstimate { reason: SAME_IMAGE.to_owned(), warnings, ..self.blank(centroid_px) });
         }
         let view = self.view(&centroid_px)?;
-        let mask = self.front_end.rectified_region(&self.mask)?;
+        let mut rectified = std::mem::take(&mut self.rectified);
+        let raw = std::mem::take(&mut self.mask);
+        let mask = self.front_end.rectified_region(&raw, &mut rectified)?;
         let disparity_px = disparity_range(&view, range);
         let source = PyramidSource {
             left,
             right,
-            region: &mask,
+            region: mask,
             disparity_px,
-            rows: self.rows,
+            rows: self.front_end.rows_of_whole(&self.rows),
             wanted: Wanted::Luminance,
             search_area_px: self.config.cold_start.search_area_px,
         };
@@ -264,6 +276,7 @@ impl EstimationMethod for DirectEstimator {
         {
             (estimate.status, estimate.reason) = (Status::Ambiguous, reason);
         }
+        (self.mask, self.rectified) = (raw, rectified);
         Ok(estimate)
     }
 

@@ -1,23 +1,23 @@
 //! Front end: from raw images to channels of the rectified pair.
 //!
 //! Images of a rectified rig are used unchanged. Images of any other rig are resampled, window by window, with a cubic kernel
-//! (Keys 1981, a = -1/2), which loses less sharpness than a linear one.
-
-use std::borrow::Cow;
+//! (Keys 1981, a = -1/2), which loses less sharpness than a linear one. The cost depends on the window, not on the image.
 
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_image_sizes};
-use pb3dp_estimation_core::region::RegionMask;
+use pb3dp_estimation_core::region::{Coverage, PixelBox, RegionMask};
+use pb3dp_estimation_core::row_offset::RowOffset;
 use pb3dp_estimation_core::wide::wide;
 use pb3dp_geometry::frames::{CamLeft, CamLeftRect};
-use pb3dp_geometry::maps::RemapTable;
-use pb3dp_geometry::{Camera, ImageSize, Pose, StereoRig};
+use pb3dp_geometry::maps::{PixelMap, RemapError};
+use pb3dp_geometry::{Camera, ImageSize, Pinhole, Pose, StereoRig};
 
-use super::colour_planes::{ColourPlanes, OPPONENT_FROM_RGB, SATURATED, SATURATED_FROM, UNSEEN, Wanted};
+use super::colour_planes::{ColourPlanes, Wanted};
 use super::disparity_plane::RectifiedGeometry;
 use super::image_plane::PixelWindow;
+use super::resample::{CELL, REDUCTION_MAX, ReducedImage, for_each_cell, resample, resample_reduced};
 
 /// Creates windows of the rectified pair from raw images.
 #[derive(Clone, Debug)]
@@ -25,10 +25,26 @@ pub struct StereoFrontEnd {
     raw: StereoRig,
     geometry: RectifiedGeometry,
     size: [ImageSize; 2],
+    middle: PixelWindow,
     cam_left_rect_from_cam_left: Pose<CamLeftRect, CamLeft>,
-    /// Left and right remap table, if the rig is not rectified.
-    maps: Option<[RemapTable; 2]>,
+    /// Maps to the left and the right raw image, if the rig is not rectified.
+    maps: Option<[PixelMap; 2]>,
     kernels: Kernels,
+}
+
+/// Buffers for halved images.
+#[derive(Clone, Debug, Default)]
+pub(super) struct HalvingScratch {
+    finer: ColourPlanes,
+    coarser: ColourPlanes,
+    reduced: ReducedImage,
+}
+
+impl HalvingScratch {
+    /// The buffer for reduced raw images.
+    pub fn reduced(&mut self) -> &mut ReducedImage {
+        &mut self.reduced
+    }
 }
 
 /// Selects a camera.
@@ -41,8 +57,7 @@ pub enum Side {
 }
 
 impl StereoFrontEnd {
-    /// Creates the front end of a calibrated rig. If the rig is not rectified it computes the maps, which takes some tens of
-    /// milliseconds.
+    /// Creates the front end of a calibrated rig.
     ///
     /// # Errors
     /// A rig that cannot be rectified.
@@ -52,16 +67,23 @@ impl StereoFrontEnd {
                 raw: *rig,
                 geometry: RectifiedGeometry::of_rectified(rig),
                 size: [rig.left().size(), rig.right().size()],
+                middle: whole(rig.left().size()),
                 cam_left_rect_from_cam_left: Pose::coincident(),
                 maps: None,
                 kernels,
             });
         }
-        let rectification = rig.rectify()?;
+        let middle = rig.rectify()?;
+        let rectification = middle.covering_field()?;
+        let growth = |of: fn(&Pinhole) -> f64| {
+            (of(rectification.rig.left().pinhole()) - of(middle.rig.left().pinhole())).round() as i32
+        };
+        let middle = PixelWindow { x: growth(|p| p.cx), y: growth(|p| p.cy), ..whole(middle.rig.left().size()) };
         Ok(Self {
             raw: *rig,
             geometry: RectifiedGeometry::of_rectified(&rectification.rig),
             size: [rectification.rig.left().size(), rectification.rig.right().size()],
+            middle,
             cam_left_rect_from_cam_left: rectification.cam_left_rect_from_cam_left,
             maps: Some([rectification.left, rectification.right]),
             kernels,
@@ -83,6 +105,25 @@ impl StereoFrontEnd {
         self.size[side as usize]
     }
 
+    /// The part of the rectified images that [`StereoRig::rectify`] gives: all of it if images are used unchanged.
+    pub(super) fn middle(&self) -> PixelWindow {
+        self.middle
+    }
+
+    /// Converts a row offset, which is stated for [`Self::middle`], to the whole rectified images.
+    pub(super) fn rows_of_whole(&self, rows: &RowOffset) -> RowOffset {
+        RowOffset { centre_px: rows.centre_px + self.middle_px(), ..*rows }
+    }
+
+    /// The inverse of [`Self::rows_of_whole`].
+    pub(super) fn rows_of_middle(&self, rows: &RowOffset) -> RowOffset {
+        RowOffset { centre_px: rows.centre_px - self.middle_px(), ..*rows }
+    }
+
+    fn middle_px(&self) -> Vector2<f64> {
+        Vector2::new(f64::from(self.middle.x), f64::from(self.middle.y))
+    }
+
     /// The rotation from the left camera to the rectified left camera.
     pub fn cam_left_rect_from_cam_left(&self) -> &Pose<CamLeftRect, CamLeft> {
         &self.cam_left_rect_from_cam_left
@@ -101,18 +142,24 @@ impl StereoFrontEnd {
         check_image_sizes(&self.raw, left, right)
     }
 
-    /// Maps a region of the raw left image to the rectified left image.
+    /// Maps a region of the raw left image to the rectified left image; uses the memory of `buffer`.
     ///
     /// # Errors
     /// A mask with a size other than the left image's.
-    pub fn rectified_region<'a>(&self, raw: &'a RegionMask) -> Result<Cow<'a, RegionMask>, EstimationError> {
-        let Some([map, _]) = &self.maps else { return Ok(Cow::Borrowed(raw)) };
-        let (source_size, size) = (raw.size(), map.size());
-        let mut source = vec![0; source_size.width as usize * source_size.height as usize];
-        raw.for_each(|x, y| source[(y * source_size.width + x) as usize] = 255);
-        let mut destination = vec![0; size.width as usize * size.height as usize];
-        map.remap_mask(&source, source_size, &mut destination)?;
-        Ok(Cow::Owned(RegionMask::from_fn(size, |x, y| destination[(y * size.width + x) as usize] != 0)))
+    pub fn rectified_region<'a>(
+        &self,
+        raw: &'a RegionMask,
+        buffer: &'a mut RegionMask,
+    ) -> Result<&'a RegionMask, EstimationError> {
+        let Some([map, _]) = &self.maps else { return Ok(raw) };
+        if raw.size() != map.source_size() {
+            return Err(RemapError::SourceSize { actual: raw.size(), expected: map.source_size() }.into());
+        }
+        buffer.reset(map.size());
+        if let Some(window) = raw.bbox().map(|bounds| rectified_window(map, &bounds)) {
+            map_region(map, raw, &window, self.kernels, buffer);
+        }
+        Ok(buffer)
     }
 
     /// Maps a raw left pixel to the rectified left image.
@@ -138,25 +185,74 @@ impl StereoFrontEnd {
     pub fn load(&self, side: Side, raw: &RgbImage, window: PixelWindow, wanted: Wanted, out: &mut ColourPlanes) {
         match &self.maps {
             None => out.update(raw, window, wanted, self.kernels),
-            Some(maps) => resample(&maps[side as usize], raw, window, wanted, out),
+            Some(maps) => resample(&maps[side as usize], raw, window, wanted, self.kernels, out),
         }
     }
 
-    /// As [`Self::load`] at half the size: `window` is in full-size pixels and starts at even ones.
-    pub fn load_halved(
+    /// As [`Self::load`] at the full size halved `halvings` times: `window` is in full-size pixels and starts on the grid of the
+    /// halved ones.
+    #[allow(clippy::too_many_arguments, reason = "image, window, channels and buffers")]
+    pub(super) fn load_halved(
         &self,
         side: Side,
         raw: &RgbImage,
         window: PixelWindow,
+        halvings: usize,
         wanted: Wanted,
-        scratch: &mut ColourPlanes,
+        scratch: &mut HalvingScratch,
         out: &mut ColourPlanes,
     ) {
-        if self.maps.is_none() && wanted == Wanted::Luminance {
-            out.update_halved(raw, window, self.kernels);
+        let HalvingScratch { finer, coarser, reduced } = scratch;
+        // The first image, and how often it remains to be halved.
+        let (first, remaining) = if self.maps.is_some() {
+            let unit = self.unit(halvings);
+            let size = self.size(side);
+            let window = window.clipped(size.width, size.height).reduced(unit);
+            if unit == 1 << halvings {
+                return self.load_reduced(side, raw, window, unit, wanted, reduced, out);
+            }
+            self.load_reduced(side, raw, window, unit, wanted, reduced, finer);
+            (finer, halvings - unit.ilog2() as usize)
+        } else if wanted == Wanted::Luminance {
+            if halvings == 1 {
+                return out.update_halved(raw, window, self.kernels);
+            }
+            finer.update_halved(raw, window, self.kernels);
+            (finer, halvings - 1)
         } else {
-            self.load(side, raw, window, wanted, scratch);
-            halve_planes(scratch, self.kernels, out);
+            finer.update(raw, window, wanted, self.kernels);
+            (finer, halvings)
+        };
+        for _ in 1..remaining {
+            halve_planes(first, self.kernels, coarser);
+            std::mem::swap(first, coarser);
+        }
+        halve_planes(first, self.kernels, out);
+    }
+
+    /// Side of the squares of raw pixels, of which images that are halved so often are resampled.
+    pub(super) fn unit(&self, halvings: usize) -> usize {
+        if self.maps.is_some() { REDUCTION_MAX.min(1 << halvings) } else { 1 }
+    }
+
+    /// Resamples means over squares of `unit` x `unit` pixels; `window` is in such squares. Only for images that are resampled.
+    #[allow(clippy::too_many_arguments, reason = "image, window, channels and buffers")]
+    pub(super) fn load_reduced(
+        &self,
+        side: Side,
+        raw: &RgbImage,
+        window: PixelWindow,
+        unit: usize,
+        wanted: Wanted,
+        reduced: &mut ReducedImage,
+        out: &mut ColourPlanes,
+    ) {
+        match &self.maps {
+            Some(maps) if unit > 1 => {
+                let map = maps[side as usize].reduced(unit as u32);
+                resample_reduced(&map, raw, window, unit, wanted, self.kernels, reduced, out);
+            }
+            _ => self.load(side, raw, window, wanted, out),
         }
     }
 
@@ -169,53 +265,78 @@ impl StereoFrontEnd {
     }
 }
 
-/// Rows of the identity, which leaves colours unchanged.
-const PLAIN: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+/// Distance of the points on the border of a region's box that are mapped, pixels. Chosen by hand, not varied: between points
+/// at this distance, lenses bend a straight line by less than [`BORDER_MARGIN_PX`].
+const BORDER_STEP_PX: u32 = 8;
+/// Margin around the mapped border, pixels: bending between its points, and rounding.
+const BORDER_MARGIN_PX: f64 = 2.0;
 
-fn resample(map: &RemapTable, raw: &RgbImage, window: PixelWindow, wanted: Wanted, out: &mut ColourPlanes) {
-    let window = window.clipped(map.size().width, map.size().height);
-    out.resize(window, wanted);
-    let turns = if wanted == Wanted::Rgb { PLAIN } else { OPPONENT_FROM_RGB };
-    for y in 0..window.height {
-        for x in 0..window.width {
-            let source = map.source((window.x as usize + x) as u32, (window.y as usize + y) as u32);
-            let (rgb, flag) = source.and_then(|at| cubic(raw, &at)).unwrap_or(([0.0; 3], UNSEEN));
-            for (plane, turn) in out.planes.iter_mut().zip(turns).take(wanted.planes()) {
-                plane.row_mut(y)[x] = turn[0] * rgb[0] + turn[1] * rgb[1] + turn[2] * rgb[2];
+/// The window of a whole image.
+fn whole(size: ImageSize) -> PixelWindow {
+    PixelWindow { x: 0, y: 0, width: size.width as usize, height: size.height as usize }
+}
+
+/// A window of the rectified image that contains the mapped `bounds`: the whole image if a part of their border has no
+/// rectified pixel.
+fn rectified_window(map: &PixelMap, bounds: &PixelBox) -> PixelWindow {
+    let size = map.size();
+    let (right, bottom) = (bounds.x + bounds.width - 1, bounds.y + bounds.height - 1);
+    let along = |first: u32, last: u32| (first..last).step_by(BORDER_STEP_PX as usize).chain([last]);
+    let rows = along(bounds.x, right).flat_map(|x| [(x, bounds.y), (x, bottom)]);
+    let columns = along(bounds.y, bottom).flat_map(|y| [(bounds.x, y), (right, y)]);
+    let (mut low, mut high) = (Vector2::repeat(f64::MAX), Vector2::repeat(f64::MIN));
+    for (x, y) in rows.chain(columns) {
+        let Some(pixel) = map.destination(&Vector2::new(f64::from(x), f64::from(y))) else {
+            return whole(size);
+        };
+        (low, high) = (low.inf(&pixel), high.sup(&pixel));
+    }
+    let span = |axis: usize, length: u32| {
+        let limit = |px: f64| px.clamp(0.0, f64::from(length));
+        let first = limit((low[axis] - BORDER_MARGIN_PX).floor());
+        let end = limit((high[axis] + BORDER_MARGIN_PX).ceil() + 1.0);
+        (first as i32, (end - first).max(0.0) as usize)
+    };
+    let ((x, width), (y, height)) = (span(0, size.width), span(1, size.height));
+    PixelWindow { x, y, width, height }
+}
+
+/// Adds the pixels of `window` whose nearest raw pixel is in `raw`.
+fn map_region(map: &PixelMap, raw: &RegionMask, window: &PixelWindow, kernels: Kernels, out: &mut RegionMask) {
+    for_each_cell(map, window, kernels, |(x, y), positions| {
+        let Some(positions) = positions else { return };
+        let size = (CELL.min(window.width - x), CELL.min(window.height - y));
+        let [columns, rows] = positions.nearest_box(kernels);
+        let coverage = raw.coverage(columns, rows);
+        if coverage == Coverage::None {
+            return;
+        }
+        for row in 0..size.1 {
+            let mut insert = |first: usize, end: usize| {
+                let pixel = |column: usize| i64::from(window.x) + (x + column) as i64;
+                out.insert_span(i64::from(window.y) + (y + row) as i64, pixel(first), pixel(end) - 1);
+            };
+            if coverage == Coverage::All {
+                insert(0, size.0);
+                continue;
             }
-            out.flags[y * window.width + x] = flag;
+            let [columns, rows] = positions.nearest(row, kernels);
+            let mut first = None;
+            for column in 0..size.0 {
+                match (raw.contains(columns[column], rows[column]), first) {
+                    (true, None) => first = Some(column),
+                    (false, Some(start)) => {
+                        insert(start, column);
+                        first = None;
+                    }
+                    _ => {}
+                }
+            }
+            if let Some(start) = first {
+                insert(start, size.0);
+            }
         }
-    }
-}
-
-/// The colour at a sub-pixel position, and whether a contributing pixel is saturated. `None` if the kernel extends beyond the
-/// border.
-fn cubic(raw: &RgbImage, at: &Vector2<f64>) -> Option<([f32; 3], u8)> {
-    let (x, y) = (at.x.floor(), at.y.floor());
-    let last = (f64::from(raw.width()) - 3.0, f64::from(raw.height()) - 3.0);
-    if !(x >= 1.0 && y >= 1.0 && x <= last.0 && y <= last.1) {
-        return None;
-    }
-    let (columns, rows) = (keys((at.x - x) as f32), keys((at.y - y) as f32));
-    let stride = raw.width() as usize * 3;
-    let start = (y as usize - 1) * stride + (x as usize - 1) * 3;
-    let (mut sum, mut highest) = ([0.0_f32; 3], 0_u8);
-    for (j, row_weight) in rows.iter().enumerate() {
-        let row = &raw.as_raw()[start + j * stride..start + j * stride + 12];
-        for (c, sum) in sum.iter_mut().enumerate() {
-            let line = (0..4).map(|i| columns[i] * f32::from(row[3 * i + c])).sum::<f32>();
-            *sum += row_weight * line;
-        }
-        highest = row.iter().copied().fold(highest, u8::max);
-    }
-    Some((sum, if highest >= SATURATED_FROM { SATURATED } else { 0 }))
-}
-
-/// Weights of the four neighbours at -1, 0, 1, 2 for a position `t` in 0..1 (Keys, "Cubic convolution interpolation for digital
-/// image processing", 1981, a = -1/2).
-fn keys(t: f32) -> [f32; 4] {
-    let (t2, t3) = (t * t, t * t * t);
-    [0.5 * (2.0 * t2 - t - t3), 0.5 * (3.0 * t3 - 5.0 * t2 + 2.0), 0.5 * (4.0 * t2 + t - 3.0 * t3), 0.5 * (t3 - t2)]
+    });
 }
 
 /// Channels and flags at half the size.
@@ -248,9 +369,11 @@ fn halve_flags_row_kernel(upper: &[u8], lower: &[u8], out: &mut [u8]) {
 #[cfg(test)]
 mod tests {
     use nalgebra::Vector3;
+    use pb3dp_estimation_test_support::every_kernel;
+    use pb3dp_geometry::Distortion;
     use pb3dp_geometry::frames::CamRight;
-    use pb3dp_geometry::{Distortion, Pinhole};
 
+    use super::super::colour_planes::OPPONENT_FROM_RGB;
     use super::*;
 
     fn rig(with_turn: bool) -> StereoRig {
@@ -324,15 +447,56 @@ mod tests {
         let size = ImageSize { width: 320, height: 240 };
         let raw = RegionMask::from_fn(size, |x, y| (140..190).contains(&x) && (80..121).contains(&y));
         let centre = front.rectified_left_pixel(&raw.centroid_px().unwrap()).unwrap();
-        let mapped = front.rectified_region(&raw).unwrap().centroid_px().unwrap();
+        let mut buffer = RegionMask::default();
+        let mapped = front.rectified_region(&raw, &mut buffer).unwrap().centroid_px().unwrap();
         assert!((mapped - centre).norm() < 1.0, "{mapped} {centre}");
     }
 
+    /// A ring, a part of which may be outside the image.
+    fn ring(centre: (f64, f64), radii: (f64, f64)) -> RegionMask {
+        RegionMask::from_fn(ImageSize { width: 320, height: 240 }, |x, y| {
+            let radius = (f64::from(x) - centre.0).hypot(f64::from(y) - centre.1);
+            (radii.0..radii.1).contains(&radius)
+        })
+    }
+
     #[test]
-    fn the_kernel_interpolates_and_keeps_parabolas() {
-        for t in [0.0_f32, 0.3, 0.77] {
-            let value: f32 = keys(t).iter().zip([-1.0_f32, 0.0, 1.0, 2.0]).map(|(w, x)| w * (x * x - x + 4.0)).sum();
-            assert!((value - (t * t - t + 4.0)).abs() < 1e-5);
+    fn regions_are_those_of_the_map_of_the_whole_image() {
+        let size = ImageSize { width: 320, height: 240 };
+        let brown = Distortion::BrownConrady5 { coefficients: [-0.24, 0.09, 0.0011, -0.0007, -0.01] };
+        let fisheye = Distortion::Equidistant { coefficients: [0.02, -0.011, 0.004, -0.001] };
+        for (focal_px, distortion) in [(360.0, brown), (182.0, fisheye), (110.0, fisheye)] {
+            let camera =
+                |fx: f64| Camera::new(size, Pinhole { fx, fy: 0.98 * fx, cx: 163.0, cy: 117.0 }, distortion).unwrap();
+            let turn = pb3dp_geometry::so3::exp(&Vector3::new(0.02, -0.05, 0.03));
+            let pose: Pose<CamRight, CamLeft> = Pose::from_parts(Vector3::new(-0.1, 0.003, 0.0), turn);
+            let rig = StereoRig::new(camera(focal_px), camera(1.02 * focal_px), pose).unwrap();
+            let map = rig.rectify().unwrap().covering_field().unwrap().left.table();
+            let mut results = vec![RegionMask::default(); every_kernel().count()];
+            for (centre, radii) in
+                [((150.0, 110.0), (0.0, 60.0)), ((150.0, 90.0), (9.0, 31.0)), ((300.0, 30.0), (0.0, 45.0))]
+            {
+                let raw = ring(centre, radii);
+                let bytes = (0..240).flat_map(|y| (0..320).map(move |x| (x, y)));
+                let bytes: Vec<u8> = bytes.map(|(x, y)| 255 * u8::from(raw.contains(x, y))).collect();
+                let mut expected = vec![0; (map.size().width * map.size().height) as usize];
+                map.remap_mask(&bytes, size, &mut expected).unwrap();
+                let (mut inside, mut other) = (0, 0);
+                for (kernels, buffer) in every_kernel().zip(&mut results) {
+                    let front = StereoFrontEnd::new(&rig, kernels).unwrap();
+                    front.rectified_region(&raw, buffer).unwrap();
+                }
+                assert!(results.iter().all(|result| *result == results[0]));
+                for (i, expected) in expected.iter().enumerate() {
+                    let (x, y) = (i as u32 % map.size().width, i as u32 / map.size().width);
+                    inside += usize::from(*expected != 0);
+                    // The map of the whole image ends at the centres of the outermost pixels.
+                    let is_other = results[0].contains(x as i32, y as i32) != (*expected != 0);
+                    other += usize::from(is_other && map.source(x, y).is_some());
+                }
+                // It rounds to 1/256 px.
+                assert!(inside > 1000 && other <= 4 + inside / 500, "{focal_px} {centre:?}: {other} of {inside}");
+            }
         }
     }
 

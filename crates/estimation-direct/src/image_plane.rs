@@ -32,6 +32,12 @@ impl PixelWindow {
         Self { x: self.x / 2, y: self.y / 2, width: self.width / 2, height: self.height / 2 }
     }
 
+    /// The window on a grid with pixels of `scale` times the size; its start must be on that grid.
+    pub fn reduced(&self, scale: usize) -> Self {
+        let start = |start: i32| start / scale as i32;
+        Self { x: start(self.x), y: start(self.y), width: self.width / scale, height: self.height / scale }
+    }
+
     /// The window with `margin` more pixels on every side.
     pub fn grown(&self, margin: u32) -> Self {
         Self {

@@ -23,6 +23,7 @@ pub mod photometric;
 pub mod reach;
 pub mod region_pyramid;
 mod repetition;
+mod resample;
 pub mod row_measurement;
 mod row_shift;
 pub mod search;

@@ -28,7 +28,7 @@ use solve::{Normal, bounded_step, reliability, tukey_limit, tukey_moments};
 use start::first_state;
 
 use super::disparity_plane::DisparityPlane;
-use super::front_end::StereoFrontEnd;
+use super::front_end::{Side, StereoFrontEnd};
 use super::image_plane::PixelWindow;
 use super::region_pyramid::{PyramidSource, RegionLevel, RegionPyramid};
 
@@ -203,7 +203,8 @@ impl PlaneRefiner {
         pyramid: &RegionPyramid,
         start: &DisparityPlane,
     ) -> Option<RefinedPlane> {
-        let pair = Pair { front_end, source };
+        let colours = [Side::Left, Side::Right].map(|side| pyramid.colours(side));
+        let pair = Pair { front_end, source, colours, unit: pyramid.colour_scale() };
         self.made = None;
         let levels = pyramid.levels();
         let finest =

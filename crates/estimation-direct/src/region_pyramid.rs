@@ -13,7 +13,7 @@ use pb3dp_estimation_core::wide::wide;
 
 use super::colour_planes::{ColourPlanes, UNSEEN, Wanted};
 use super::disparity_plane::{DisparityPlane, DisparityRange};
-use super::front_end::{Side, StereoFrontEnd};
+use super::front_end::{HalvingScratch, Side, StereoFrontEnd};
 use super::image_plane::PixelWindow;
 use super::reach;
 use super::row_shift::shift_rows;
@@ -30,6 +30,9 @@ const HALVED_FROM_PX: usize = 600;
 const MARGIN_PX: u32 = 10;
 /// Margin of the windows around a small region, whose surroundings may be used.
 const SURROUNDINGS_PX: u32 = (reach::REACH_MAX_PX + reach::MARGIN_PX) as u32;
+
+/// Disparities beyond this do not occur in images, pixels.
+const DISPARITY_MAX_PX: f64 = 1e9;
 
 /// Input of a pyramid.
 #[derive(Clone, Copy, Debug)]
@@ -137,8 +140,12 @@ pub struct RegionPyramid {
     /// Levels on which the region has more pixels are omitted, if a limit is set.
     area_max_px: Option<usize>,
     loaded: ColourPlanes,
-    halved: [ColourPlanes; 2],
+    halved: HalvingScratch,
     regions: [Vec<u8>; 2],
+    /// Whether the resampled colours of both windows are kept for the refinement.
+    keeps_colours: bool,
+    colours: [ColourPlanes; 2],
+    colour_scale: usize,
 }
 
 impl RegionPyramid {
@@ -146,6 +153,23 @@ impl RegionPyramid {
     /// reduced.
     pub fn up_to(area_max_px: usize) -> Self {
         Self { area_max_px: Some(area_max_px), ..Self::default() }
+    }
+
+    /// Keeps the colours of both windows if the images are resampled, so that a refinement need not resample them again.
+    #[must_use]
+    pub fn keeping_colours(self) -> Self {
+        Self { keeps_colours: true, ..self }
+    }
+
+    /// Rectified pixels per pixel of the kept colours along rows and columns.
+    pub(super) fn colour_scale(&self) -> usize {
+        self.colour_scale.max(1)
+    }
+
+    /// Red, green and blue of a window, if the images were resampled and the colours are kept; see [`Self::colour_scale`].
+    pub(super) fn colours(&self, side: Side) -> Option<&ColourPlanes> {
+        let colours = &self.colours[side as usize];
+        (self.used > 0 && !colours.flags.is_empty()).then_some(colours)
     }
 
     /// The levels, finest first.
@@ -223,13 +247,15 @@ impl RegionPyramid {
         let size = front_end.size(Side::Left);
         let rows = size.height.min(front_end.size(Side::Right).height);
         let span = |first: i64, last: i64, limit: u32| {
-            let start = (first.max(0) / grid) * grid;
+            let start = (first.clamp(0, i64::from(limit)) / grid) * grid;
             (start as i32, (last.min(i64::from(limit) - 1) - start + 1).max(0) as usize)
         };
         let (left, right) = (i64::from(b.x) - margin, i64::from(b.x + b.width) - 1 + margin);
         let (y, height) = span(i64::from(b.y) - margin, i64::from(b.y + b.height) - 1 + margin, rows);
         let (x, width) = span(left, right, size.width);
-        let (low, high) = (source.disparity_px.lowest.floor() as i64, source.disparity_px.highest.ceil() as i64);
+        // Far outside any image, so that sums cannot overflow.
+        let whole = |px: f64| px.clamp(-DISPARITY_MAX_PX, DISPARITY_MAX_PX) as i64;
+        let (low, high) = (whole(source.disparity_px.lowest.floor()), whole(source.disparity_px.highest.ceil()));
         let (x_right, width_right) = span(left - high, right - low, front_end.size(Side::Right).width);
         [PixelWindow { x, y, width, height }, PixelWindow { x: x_right, y, width: width_right, height }]
     }
@@ -243,23 +269,27 @@ impl RegionPyramid {
         right: PixelWindow,
         halvings: usize,
     ) {
-        let Self { levels, loaded, halved, regions, .. } = self;
+        let Self { levels, loaded, halved, regions, colours, keeps_colours, colour_scale, .. } = self;
         let level = &mut levels[0];
         level.scale = 1 << halvings;
-        load_side(
-            front,
-            CameraImage { side: Side::Left, raw: source.left },
-            left,
-            source.wanted,
-            halvings,
-            halved,
-            &mut level.left,
-        );
-        let right_image = CameraImage { side: Side::Right, raw: source.right };
+        let keeps_colours = *keeps_colours
+            && front.resamples()
+            && source.wanted == Wanted::Luminance
+            && front.unit(halvings) == 1 << halvings;
+        if !keeps_colours {
+            colours.iter_mut().for_each(|colours| colours.resize(PixelWindow::default(), Wanted::Rgb));
+        }
+        *colour_scale = if keeps_colours { front.unit(halvings) } else { 1 };
+        let [left_colours, right_colours] = colours;
+        let image = |side, raw| CameraImage { side, raw, wanted: source.wanted, halvings };
+        let left_image = image(Side::Left, source.left);
+        load_side(front, left_image, left, keeps_colours.then_some(left_colours), halved, &mut level.left);
+        let right_image = image(Side::Right, source.right);
+        let right_colours = keeps_colours.then_some(right_colours);
         if source.rows.is_zero() {
-            load_side(front, right_image, right, source.wanted, halvings, halved, &mut level.right);
+            load_side(front, right_image, right, right_colours, halved, &mut level.right);
         } else {
-            load_side(front, right_image, right, source.wanted, halvings, halved, loaded);
+            load_side(front, right_image, right, right_colours, halved, loaded);
             shift_rows(loaded, &source.rows.at_scale(level.scale as f64), front.kernels(), &mut level.right);
         }
         let full = left.clipped(front.size(Side::Left).width, front.size(Side::Left).height);
@@ -279,35 +309,40 @@ impl RegionPyramid {
     }
 }
 
-/// A raw image and its camera.
+/// A raw image, its camera, and the channels to compute, at the full size halved this many times.
 #[derive(Clone, Copy)]
 struct CameraImage<'a> {
     side: Side,
     raw: &'a RgbImage,
-}
-
-/// The channels of a window (full size) of an image, halved this many times.
-fn load_side(
-    front: &StereoFrontEnd,
-    CameraImage { side, raw }: CameraImage<'_>,
-    window: PixelWindow,
     wanted: Wanted,
     halvings: usize,
-    scratch: &mut [ColourPlanes; 2],
+}
+
+/// Rows above and below the right window whose colours are kept too, for row offsets that the refinement finds, pixels of the
+/// kept colours. Chosen by hand, not varied: with larger offsets the refinement resamples the image itself.
+const COLOUR_ROWS: i32 = 4;
+
+/// The channels of a window (full size) of an image. With `colours`, its colours are kept there.
+fn load_side(
+    front: &StereoFrontEnd,
+    CameraImage { side, raw, wanted, halvings }: CameraImage<'_>,
+    window: PixelWindow,
+    colours: Option<&mut ColourPlanes>,
+    scratch: &mut HalvingScratch,
     out: &mut ColourPlanes,
 ) {
-    let [finer, coarser] = scratch;
-    match halvings {
-        0 => front.load(side, raw, window, wanted, out),
-        1 => front.load_halved(side, raw, window, wanted, finer, out),
-        _ => {
-            front.load_halved(side, raw, window, wanted, coarser, finer);
-            for _ in 2..halvings {
-                halve_planes(finer, front.kernels(), coarser);
-                std::mem::swap(finer, coarser);
-            }
-            halve_planes(finer, front.kernels(), out);
+    let unit = front.unit(halvings);
+    match colours {
+        Some(colours) if unit == 1 << halvings => {
+            let size = front.size(side);
+            let own = window.clipped(size.width, size.height).reduced(unit);
+            let margin = if side == Side::Right { COLOUR_ROWS } else { 0 };
+            let grown = PixelWindow { y: own.y - margin, height: own.height + 2 * margin as usize, ..own };
+            front.load_reduced(side, raw, grown, unit, Wanted::Rgb, scratch.reduced(), colours);
+            colours.luminance_into(own, front.kernels(), out);
         }
+        _ if halvings == 0 => front.load(side, raw, window, wanted, out),
+        _ => front.load_halved(side, raw, window, halvings, wanted, scratch, out),
     }
 }
 

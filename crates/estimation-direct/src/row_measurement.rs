@@ -53,16 +53,17 @@ struct RowMatch {
 
 /// Measures the row offset of a pair of raw images that the front end has checked.
 pub(super) fn measure_rows(front_end: &StereoFrontEnd, left: &RgbImage, right: &RgbImage) -> RowMeasurement {
-    let size = front_end.size(Side::Left);
-    let mut whole = RegionMask::empty(size);
-    for y in 0..i64::from(size.height) {
-        whole.insert_span(y, 0, i64::from(size.width) - 1);
+    let middle = front_end.middle();
+    let mut region = RegionMask::empty(front_end.size(Side::Left));
+    for y in 0..middle.height as i64 {
+        let (x, y) = (i64::from(middle.x), i64::from(middle.y) + y);
+        region.insert_span(y, x, x + middle.width as i64 - 1);
     }
-    let width = f64::from(size.width);
+    let width = middle.width as f64;
     let source = PyramidSource {
         left,
         right,
-        region: &whole,
+        region: &region,
         disparity_px: DisparityRange { lowest: -0.1 * width, highest: 0.5 * width },
         rows: RowOffset::default(),
         wanted: Wanted::Luminance,
@@ -82,7 +83,8 @@ pub(super) fn measure_rows(front_end: &StereoFrontEnd, left: &RgbImage, right: &
             matches.extend(find_again(pyramid.levels(), &mut search, Vector2::new(x as i64, y as i64)));
         }
     }
-    fit(&matches)
+    let measured = fit(&matches);
+    RowMeasurement { rows: front_end.rows_of_middle(&measured.rows), ..measured }
 }
 
 fn find_again(levels: &[RegionLevel], search: &mut CoarseSearch<'_>, point: Vector2<i64>) -> Option<RowMatch> {

@@ -23,6 +23,7 @@ mod plane_pair;
 mod published_estimate;
 mod published_track;
 mod published_track_safety;
+mod raw_rigs;
 mod rig_plan;
 mod robustness;
 mod track_no_surface;

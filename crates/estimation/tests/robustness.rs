@@ -71,7 +71,8 @@ fn every_method_survives_what_fuzzing_found() {
     let found: [&[u8]; 2] = [
         // Found by proptest.
         &[212, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 160, 48, 6, 42, 0, 0, 2],
-        // Intrinsics that turn the depth range into 10^9 pixels of disparity, with a matching memory request.
+        // Intrinsics that turn the depth range into 10^7 pixels of disparity, with a matching memory request. It was found with
+        // 10^9 pixels, which the camera model refuses since.
         &[
             10, 114, 255, 255, 33, 0, 0, 0, 255, 255, 255, 255, 255, 255, 33, 0, 0, 0, 255, 255, 255, 219, 72, 0, 0, 0,
             219, 218,

@@ -1,8 +1,9 @@
-//! Precomputed remap tables: undistortion and rectification of images.
+//! Maps between the images of cameras with one optical centre: undistortion and rectification.
 //!
+//! [`PixelMap`] evaluates single pixels; [`RemapTable`] stores the map of a whole image.
 //! Images are byte slices, rows from top to bottom without padding, with one byte per pixel or three (interleaved RGB).
 
-use nalgebra::{Point3, Vector2};
+use nalgebra::{Matrix3, Point3, Vector2};
 
 use crate::camera::{Camera, ImageSize, Pinhole};
 use crate::frames::Frame;
@@ -12,6 +13,74 @@ use crate::pose::Pose;
 const STEPS: u32 = 256;
 /// Marks destination pixels without a source.
 const NO_SOURCE: u32 = u32::MAX;
+
+/// Map from the image of a distortion-free camera to that of another camera with the same optical centre, in any direction
+/// and with any lens. It needs no memory, so parts of large images cost no more than parts of small ones.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PixelMap {
+    source: Camera,
+    destination: Camera,
+    source_from_destination: Matrix3<f64>,
+}
+
+impl PixelMap {
+    /// The map from the image of the pinhole of `destination`, whose distortion is ignored, to the image of `source`. Only the
+    /// rotation of `destination_from_source` is used.
+    pub fn rotate<To: Frame, From: Frame>(
+        source: &Camera,
+        destination: &Camera,
+        destination_from_source: &Pose<To, From>,
+    ) -> Self {
+        let source_from_destination = destination_from_source.rotation_matrix().transpose();
+        Self { source: *source, destination: destination.undistorted(), source_from_destination }
+    }
+
+    /// Size of the destination image.
+    pub fn size(&self) -> ImageSize {
+        self.destination.size()
+    }
+
+    /// Size of the source image.
+    pub fn source_size(&self) -> ImageSize {
+        self.source.size()
+    }
+
+    /// The intrinsics of the destination.
+    pub(crate) fn destination_pinhole(&self) -> &Pinhole {
+        self.destination.pinhole()
+    }
+
+    /// The map with another destination in the same direction, whose distortion is ignored.
+    pub(crate) fn with_destination(&self, destination: &Camera) -> Self {
+        Self { destination: destination.undistorted(), ..*self }
+    }
+
+    /// The source pixel of a destination pixel, which may be outside the source image; `None` if the source camera cannot
+    /// image that direction.
+    pub fn source(&self, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {
+        let ray = self.destination.pinhole().normalized_from_pixel(pixel).push(1.0);
+        let source = self.source.project(&Point3::from(self.source_from_destination * ray))?;
+        (source.x.is_finite() && source.y.is_finite()).then_some(source)
+    }
+
+    /// The destination pixel of a source pixel: the inverse of [`Self::source`]. `None` if the lens model has no ray there, or
+    /// if the ray does not meet the destination's image plane.
+    pub fn destination(&self, source_px: &Vector2<f64>) -> Option<Vector2<f64>> {
+        let ray = self.source_from_destination.transpose() * self.source.unproject(source_px).ok()?;
+        let pixel = self.destination.project(&Point3::from(ray))?;
+        (pixel.x.is_finite() && pixel.y.is_finite()).then_some(pixel)
+    }
+
+    /// The same map between images reduced by means over squares of `scale` x `scale` pixels, without incomplete squares.
+    pub fn reduced(&self, scale: u32) -> Self {
+        Self { source: self.source.reduced(scale), destination: self.destination.reduced(scale), ..*self }
+    }
+
+    /// The map of the whole image, in memory.
+    pub fn table(&self) -> RemapTable {
+        RemapTable::from_fn(self.size(), self.source_size(), |pixel| self.source(pixel))
+    }
+}
 
 /// Remap table: for each pixel of a destination image its position in the source image, to 1/256 of a pixel.
 ///
@@ -95,12 +164,7 @@ impl RemapTable {
         destination: &Camera,
         destination_from_source: &Pose<To, From>,
     ) -> Self {
-        let source_from_destination = destination_from_source.rotation_matrix().transpose();
-        let pinhole: &Pinhole = destination.pinhole();
-        Self::from_fn(destination.size(), source.size(), |pixel| {
-            let ray = pinhole.normalized_from_pixel(pixel).push(1.0);
-            source.project(&Point3::from(source_from_destination * ray))
-        })
+        PixelMap::rotate(source, destination, destination_from_source).table()
     }
 
     /// Size of the destination image.

@@ -2,9 +2,9 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use crate::camera::{Camera, CameraError, Distortion, ImageSize, Pinhole};
+use crate::camera::{Camera, CameraError, Distortion, ImageSize, Pinhole, SIDE_MAX_PX};
 use crate::frames::{CamLeft, CamLeftRect, CamRight, CamRightRect};
-use crate::maps::RemapTable;
+use crate::maps::PixelMap;
 use crate::pose::Pose;
 use crate::stereo_rig::{StereoRig, StereoRigError};
 
@@ -15,16 +15,26 @@ const BASELINE_SINE_MIN: f64 = 0.2;
 /// would be mostly empty.
 const TURN_COSINE_MIN: f64 = 0.5;
 
-/// A rectified rig, and the rotations and remap tables that lead to it.
-#[derive(Clone, Debug, PartialEq)]
+/// Pixels farther than this from the axis of a rectified camera do not enlarge its image, as tangent: 70 degrees. At half and
+/// double: 54 and 80 degrees, where a rectified pixel is 3 and 30 times as fine as a raw one.
+const FIELD_TANGENT_MAX: f64 = 2.75;
+/// An image grows by at most this many times its size on each side. Chosen by hand, not varied.
+const GROWTH_MAX: i32 = 1;
+/// Images grow by multiples of this, pixels: a power of two, so that halved images keep their grid.
+const GROWTH_STEP: i32 = 64;
+/// Points along each side of a raw image that are mapped to find the size of the rectified one.
+const FIELD_POINTS: u32 = 17;
+
+/// A rectified rig, and the rotations and maps that lead to it.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rectification {
     /// The rectified rig: no distortion, no rotation, equal fx, fy and cy, the right camera at `(B, 0, 0)`. The type's
     /// `cam_left` and `cam_right` are the rectified frames here.
     pub rig: StereoRig,
-    /// Converts the original left image into the rectified one.
-    pub left: RemapTable,
-    /// Converts the original right image into the rectified one.
-    pub right: RemapTable,
+    /// From the rectified left image to the original one.
+    pub left: PixelMap,
+    /// From the rectified right image to the original one.
+    pub right: PixelMap,
     /// The rotation of the left camera about its optical centre.
     pub cam_left_rect_from_cam_left: Pose<CamLeftRect, CamLeft>,
     /// The rotation of the right camera about its optical centre.
@@ -52,7 +62,18 @@ pub enum RectificationError {
         /// Angle between the optical axis and the rectified one, degrees.
         angle_deg: f64,
     },
-    /// The rectified camera is invalid, or the centre of a source image has no ray.
+    /// The lens model of a camera does not hold in the middle of its image.
+    #[error(
+        "the lens model of the {camera} camera does not hold in the middle half of its image: check its distortion coefficients and focal lengths"
+    )]
+    Lens {
+        /// `left` or `right`.
+        camera: &'static str,
+        /// The pixel.
+        #[source]
+        source: CameraError,
+    },
+    /// The rectified camera is invalid.
     #[error("no rectified camera")]
     Camera(#[from] CameraError),
     /// The rectified rig is invalid.
@@ -61,17 +82,19 @@ pub enum RectificationError {
 }
 
 impl StereoRig {
-    /// Computes the rectified rig, the rotations to it, and the remap tables for the images.
+    /// Computes the rectified rig, the rotations to it, and the maps of the images.
     ///
     /// The common x axis is the baseline. The common z axis is the mean viewing direction made perpendicular to it, so both
     /// cameras share the rotation. Focal lengths are the means of both cameras, each image keeps its centre (hence cx may
     /// differ and disparities have an offset), cy is common, and both images take the larger size. A rig that is already
-    /// rectified remains unchanged. The cost is about that of projecting every pixel twice.
+    /// rectified remains unchanged.
     ///
     /// # Errors
-    /// A baseline along the viewing direction, a camera that would have to be rotated by more than 60 degrees, or a lens
-    /// without a ray at its image's centre.
+    /// A baseline along the viewing direction, a camera that would have to be rotated by more than 60 degrees, or a lens model
+    /// without rays in the middle half of its image.
     pub fn rectify(&self) -> Result<Rectification, RectificationError> {
+        check_lens("left", self.left())?;
+        check_lens("right", self.right())?;
         let left_turn = rectified_axes(self)?;
         // Directions: right rectified = left rectified = turn * left = turn * left_from_right * right.
         let right_turn = left_turn * self.cam_right_from_cam_left().rotation_matrix().transpose();
@@ -83,12 +106,70 @@ impl StereoRig {
         let cam_right_from_cam_left = Pose::from_translation(Vector3::new(-self.baseline_m(), 0.0, 0.0));
         Ok(Rectification {
             rig: StereoRig::new(left, right, cam_right_from_cam_left)?,
-            left: RemapTable::rotate(self.left(), &left, &cam_left_rect_from_cam_left),
-            right: RemapTable::rotate(self.right(), &right, &cam_right_rect_from_cam_right),
+            left: PixelMap::rotate(self.left(), &left, &cam_left_rect_from_cam_left),
+            right: PixelMap::rotate(self.right(), &right, &cam_right_rect_from_cam_right),
             cam_left_rect_from_cam_left,
             cam_right_rect_from_cam_right,
         })
     }
+}
+
+impl Rectification {
+    /// The same rectification with images that show the whole field of the raw ones: up to 70 degrees from the axis, and with at
+    /// most three times the columns and rows. Pixels are neither moved nor scaled, apart from the origin of their coordinates.
+    /// An image that is already rectified remains unchanged.
+    ///
+    /// # Errors
+    /// None in practice: the larger cameras differ from valid ones in size and principal point only.
+    pub fn covering_field(&self) -> Result<Self, RectificationError> {
+        let (left, right) = (field(&self.left), field(&self.right));
+        // Rows remain common, and disparities are not changed.
+        let (low, high) = (left.low.inf(&right.low), left.high.sup(&right.high));
+        let size = ImageSize { width: (high.x - low.x) as u32, height: (high.y - low.y) as u32 };
+        let grown = |camera: &Camera| {
+            let Pinhole { fx, fy, cx, cy } = *camera.pinhole();
+            let pinhole = Pinhole { fx, fy, cx: cx - f64::from(low.x), cy: cy - f64::from(low.y) };
+            Camera::new(size, pinhole, Distortion::None)
+        };
+        let (left_camera, right_camera) = (grown(self.rig.left())?, grown(self.rig.right())?);
+        Ok(Self {
+            rig: StereoRig::new(left_camera, right_camera, *self.rig.cam_right_from_cam_left())?,
+            left: self.left.with_destination(&left_camera),
+            right: self.right.with_destination(&right_camera),
+            ..*self
+        })
+    }
+}
+
+/// First pixel of an image, and the pixel after the last one.
+struct Field {
+    low: Vector2<i32>,
+    high: Vector2<i32>,
+}
+
+/// The rectified pixels that show the raw image of `map`, and those of the rectified image.
+fn field(map: &PixelMap) -> Field {
+    let (raw, size, pinhole) = (map.source_size(), map.size(), map.destination_pinhole());
+    let size = Vector2::new(size.width as i32, size.height as i32);
+    let reach = Vector2::new(pinhole.fx, pinhole.fy) * FIELD_TANGENT_MAX;
+    let principal = Vector2::new(pinhole.cx, pinhole.cy);
+    let (mut low, mut high) = (Vector2::zeros(), size.map(f64::from));
+    let along = |i: u32, length: u32| f64::from(length - 1) * f64::from(i) / f64::from(FIELD_POINTS - 1);
+    for (i, j) in (0..FIELD_POINTS).flat_map(|j| (0..FIELD_POINTS).map(move |i| (i, j))) {
+        let Some(pixel) = map.destination(&Vector2::new(along(i, raw.width), along(j, raw.height))) else { continue };
+        let pixel = pixel.sup(&(principal - reach)).inf(&(principal + reach));
+        (low, high) = (low.inf(&pixel), high.sup(&pixel.add_scalar(1.0)));
+    }
+    // Whole steps of growth, of which a side limits the number.
+    let steps = |grown: Vector2<f64>| {
+        size.zip_map(&grown, |length, grown| {
+            let limit = (length * GROWTH_MAX) / GROWTH_STEP;
+            let room = (SIDE_MAX_PX as i32 - length).max(0) / 2 / GROWTH_STEP;
+            // Half a pixel of the border is not worth a step.
+            (((grown - 0.5) / f64::from(GROWTH_STEP)).ceil() as i32).max(0).min(limit).min(room) * GROWTH_STEP
+        })
+    };
+    Field { low: -steps(-low), high: size + steps(high - size.map(f64::from)) }
 }
 
 /// Rows: the rectified axes in `cam_left`.
@@ -106,6 +187,17 @@ fn rectified_axes(rig: &StereoRig) -> Result<Matrix3<f64>, RectificationError> {
     }
     let y = y.normalize();
     Ok(Matrix3::from_rows(&[x.transpose(), y.transpose(), x.cross(&y).transpose()]))
+}
+
+/// Checks that the centre of the image and the points half-way to its corners have rays.
+fn check_lens(name: &'static str, camera: &Camera) -> Result<(), RectificationError> {
+    let (centre, quarter) = (centre(camera.size()), centre(camera.size()) * 0.5);
+    let corners = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (0.0, 0.0)];
+    for (x, y) in corners {
+        let pixel = centre + Vector2::new(x, y).component_mul(&quarter);
+        camera.unproject(&pixel).map_err(|source| RectificationError::Lens { camera: name, source })?;
+    }
+    Ok(())
 }
 
 fn check_turn(camera: &'static str, turn: &Matrix3<f64>) -> Result<(), RectificationError> {

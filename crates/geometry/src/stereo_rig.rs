@@ -23,10 +23,13 @@ pub enum StereoRigError {
         /// Distance between the optical centres, metres.
         baseline_m: f64,
     },
-    /// Left and right are swapped.
+    /// The rotation between the cameras is not finite.
+    #[error("the rotation from the left to the right camera is not finite: check the calibration")]
+    Rotation,
+    /// Left and right are swapped, or one camera is in front of the other.
     #[error(
-        "the right camera is {:.1} mm to the {} of the left camera, but must be to the right of it by at least half the baseline: exchange \
-         left and right, or check the sign of the translation",
+        "the right camera is {:.1} mm to the {} of the left camera, but must be to the right of it, or above or below it, by at least half \
+         the baseline: exchange left and right, or check the sign of the translation",
         right_by_m.abs() * 1e3,
         if *right_by_m < 0.0 { "left" } else { "right" }
     )]
@@ -43,8 +46,9 @@ impl StereoRig {
     /// Creates a rig from its cameras and `cam_right_from_cam_left` (maps coordinates in `cam_left` to `cam_right`, metres).
     ///
     /// # Errors
-    /// A baseline out of range, or a right camera that is not to the right of the left camera: the x of its centre in
-    /// `cam_left` must be at least half the baseline.
+    /// A baseline out of range, a rotation that is not finite, or a right camera that is not beside the left camera: the x of its
+    /// centre in `cam_left` must be at least half the baseline. With a vertical baseline, whose y is larger than its x, the
+    /// right camera is above or below the left one by at least half the baseline.
     pub fn new(
         left: Camera,
         right: Camera,
@@ -55,9 +59,14 @@ impl StereoRig {
         if !(baseline_m > 1e-4 && baseline_m < 10.0) {
             return Err(StereoRigError::Baseline { baseline_m });
         }
-        let right_by_m = rig.right_centre_in_cam_left().x;
-        if right_by_m < 0.5 * baseline_m {
-            return Err(StereoRigError::Swapped { right_by_m });
+        let centre = rig.right_centre_in_cam_left();
+        if !centre.iter().all(|coordinate| coordinate.is_finite()) {
+            return Err(StereoRigError::Rotation);
+        }
+        let is_beside = centre.x >= 0.5 * baseline_m;
+        let is_vertical = centre.y.abs() >= 0.5 * baseline_m && centre.y.abs() > centre.x.abs();
+        if !is_beside && !is_vertical {
+            return Err(StereoRigError::Swapped { right_by_m: centre.x });
         }
         Ok(rig)
     }

@@ -4,7 +4,7 @@
 
 use std::time::Duration;
 
-use nalgebra::{Matrix3, Point3, Vector3, Vector6};
+use nalgebra::{Matrix3, Point3, Quaternion, UnitQuaternion, Vector3, Vector6};
 use pb3dp_geometry::frames::{Base, CamLeft, CamRight, Flange};
 use pb3dp_geometry::{
     Camera, Distortion, ImageSize, MonotonicTime, Pinhole, Pose, StereoRig, StereoRigError, Twist, so3,
@@ -109,10 +109,34 @@ fn rigs_with_an_impossible_baseline_or_swapped_cameras_are_refused() {
     assert!(matches!(rig([-120.0, 0.0, 0.0]), Err(StereoRigError::Baseline { .. })));
     assert!(matches!(rig([0.0; 3]), Err(StereoRigError::Baseline { .. })));
     assert!(matches!(rig([f64::NAN, 0.0, 0.0]), Err(StereoRigError::Baseline { .. })));
+    assert!(matches!(rig([0.06, 0.05, 0.0]), Err(StereoRigError::Swapped { .. })));
+    assert!(matches!(rig([-0.03, 0.01, 0.1]), Err(StereoRigError::Swapped { .. })));
     match rig([0.1, 0.0, 0.0]) {
         Err(error @ StereoRigError::Swapped { .. }) => {
             assert!(error.to_string().contains("exchange left and right"), "{error}")
         }
         other => panic!("{other:?}"),
     }
+}
+
+#[test]
+fn vertical_baselines_are_accepted_in_both_directions() {
+    for translation_m in [[0.004, -0.09, 0.006], [-0.01, 0.08, -0.003]] {
+        let rig = rig(translation_m).unwrap();
+        assert!(!rig.is_rectified());
+        let rectified = rig.rectify().unwrap();
+        // The image's columns become rows: rolled by a quarter turn.
+        let turn = rectified.cam_left_rect_from_cam_left.rotation_matrix();
+        assert!(turn[(0, 1)].abs() > 0.99 && turn[(2, 2)] > 0.99, "{turn}");
+        assert!((rectified.rig.right_centre_in_cam_left().x - rig.baseline_m()).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn a_rotation_that_is_not_finite_is_refused() {
+    let size = ImageSize { width: 640, height: 480 };
+    let camera = Camera::new(size, Pinhole { fx: 742.5, fy: 738.25, cx: 331.25, cy: 228.5 }, Distortion::None).unwrap();
+    let rotation = UnitQuaternion::new_unchecked(Quaternion::new(f64::NAN, 0.0, 0.0, 0.0));
+    let pose = Pose::<CamRight, CamLeft>::from_parts(Vector3::new(-0.1, 0.0, 0.0), rotation);
+    assert_eq!(StereoRig::new(camera, camera, pose), Err(StereoRigError::Rotation));
 }

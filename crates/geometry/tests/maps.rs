@@ -4,7 +4,7 @@
 use nalgebra::{Point3, Vector2, Vector3};
 use pb3dp_geometry::frames::{CamLeft, CamRight};
 use pb3dp_geometry::maps::{RemapError, RemapTable};
-use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, RectificationError, StereoRig, so3};
+use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, Rectification, RectificationError, StereoRig, so3};
 use proptest::prelude::*;
 
 const SIZE: ImageSize = ImageSize { width: 320, height: 240 };
@@ -64,7 +64,7 @@ fn rectifying_a_rectified_rig_changes_nothing() {
     assert_eq!(after.rig.cam_right_from_cam_left(), before.cam_right_from_cam_left());
     let image: Vec<u8> = (0..320 * 240).map(|i| (i * 7 % 251) as u8).collect();
     let mut remapped = vec![0; image.len()];
-    after.right.remap_gray(&image, SIZE, &mut remapped).unwrap();
+    after.right.table().remap_gray(&image, SIZE, &mut remapped).unwrap();
     assert_eq!(remapped, image);
 }
 
@@ -178,14 +178,14 @@ fn undistorted_image_is_the_image_of_the_ideal_camera() {
 fn rectified_image_is_the_image_of_the_rectified_camera() {
     let rectification = verged().rectify().unwrap();
     let mut got = vec![1; 3 * 320 * 240];
-    rectification.left.remap_rgb(&image(verged().left(), |ray| ray), SIZE, &mut got).unwrap();
+    rectification.left.table().remap_rgb(&image(verged().left(), |ray| ray), SIZE, &mut got).unwrap();
     let back = rectification.cam_left_rect_from_cam_left.inverse();
     let expected = image(rectification.rig.left(), |ray| back.transform_vector(&ray));
-    assert!(check_images(&rectification.left, &got, &expected) > 0.8);
-    rectification.right.remap_rgb(&image(verged().right(), |ray| ray), SIZE, &mut got).unwrap();
+    assert!(check_images(&rectification.left.table(), &got, &expected) > 0.8);
+    rectification.right.table().remap_rgb(&image(verged().right(), |ray| ray), SIZE, &mut got).unwrap();
     let back = rectification.cam_right_rect_from_cam_right.inverse();
     let expected = image(rectification.rig.right(), |ray| back.transform_vector(&ray));
-    assert!(check_images(&rectification.right, &got, &expected) > 0.8);
+    assert!(check_images(&rectification.right.table(), &got, &expected) > 0.8);
 }
 
 #[test]
@@ -244,4 +244,64 @@ fn pose_types_of_the_rectification_meet() {
         rectification.cam_right_rect_from_cam_right * rect * rectification.cam_left_rect_from_cam_left.inverse();
     assert!(joined.rotation_angle_rad() < 1e-14);
     assert!((joined.translation_m() - Vector3::new(-verged().baseline_m(), 0.0, 0.0)).norm() < 1e-15);
+}
+
+fn inside(pixel: &Vector2<f64>, size: ImageSize) -> bool {
+    pixel.min() >= -0.5 && pixel.x < f64::from(size.width) - 0.5 && pixel.y < f64::from(size.height) - 0.5
+}
+
+/// Checks that the covering images show every raw pixel up to 69 degrees from the axis, with the rays of the plain ones.
+fn check_covering(rig: &StereoRig) -> Rectification {
+    let plain = rig.rectify().unwrap();
+    let covering = plain.covering_field().unwrap();
+    for (map, plain) in [(&covering.left, &plain.left), (&covering.right, &plain.right)] {
+        let first = map.destination(&Vector2::new(150.0, 110.0)).unwrap()
+            - plain.destination(&Vector2::new(150.0, 110.0)).unwrap();
+        let whole = first.map(|px| (px / 64.0).round() * 64.0);
+        assert!((first - whole).norm() < 1e-9 && first.min() > -1e-9, "{first}");
+        for (u, v) in
+            (0..240).step_by(7).chain([239]).flat_map(|v| (0..320).step_by(9).chain([319]).map(move |u| (u, v)))
+        {
+            let raw = Vector2::new(f64::from(u), f64::from(v));
+            let Some(pixel) = map.destination(&raw) else { continue };
+            let camera = if std::ptr::eq(map, &covering.left) { covering.rig.left() } else { covering.rig.right() };
+            // Images grow by at most their size, in steps of 64 pixels.
+            let own = plain.destination(&raw).unwrap();
+            let near = own.x.abs().max((own.x - 320.0).abs()) < 639.0 && own.y.abs().max((own.y - 240.0).abs()) < 431.0;
+            if near && camera.unproject(&pixel).unwrap().xy().amax() < 69.0_f64.to_radians().tan() {
+                assert!(inside(&pixel, map.size()), "{raw} {pixel} {:?}", map.size());
+            }
+            assert!((map.source(&pixel).unwrap() - raw).norm() < 1e-6);
+        }
+    }
+    assert_eq!(covering.left.size(), covering.right.size());
+    let (left, right) = (covering.rig.left().pinhole(), covering.rig.right().pinhole());
+    assert_eq!((left.fx, left.fy, left.cy), (right.fx, right.fy, right.cy));
+    covering
+}
+
+#[test]
+fn covering_images_show_the_whole_field() {
+    let camera = |fx: f64, distortion| {
+        Camera::new(SIZE, Pinhole { fx, fy: 0.98 * fx, cx: 161.3, cy: 116.2 }, distortion).unwrap()
+    };
+    let fisheye = Distortion::Equidistant { coefficients: [-0.01, 0.004, -0.002, 4e-4] };
+    let brown = Distortion::BrownConrady5 { coefficients: [-0.24, 0.09, 0.0011, -0.0007, -0.01] };
+    let rotation = so3::exp(&Vector3::new(0.01, -0.03, 0.02));
+    let beside = Pose::from_parts(Vector3::new(-0.1, 0.004, 0.003), rotation);
+    let below = Pose::from_parts(Vector3::new(0.004, -0.1, 0.003), rotation);
+    for (left, right) in [(camera(330.0, brown), camera(322.0, brown)), (camera(150.0, fisheye), camera(140.0, brown))]
+    {
+        for pose in [beside, below] {
+            check_covering(&StereoRig::new(left, right, pose).unwrap());
+        }
+    }
+    // The limits: three times the size, and nothing for rectified images.
+    let wide = camera(80.0, fisheye);
+    let size = check_covering(&StereoRig::new(wide, wide, beside).unwrap()).left.size();
+    assert!(size.width <= 3 * SIZE.width && size.height <= 3 * SIZE.height, "{size:?}");
+    let parallel = Pose::from_translation(Vector3::new(-0.1, 0.0, 0.0));
+    let rectified = StereoRig::new(camera(330.0, Distortion::None), camera(330.0, Distortion::None), parallel).unwrap();
+    let rectified = rectified.rectify().unwrap();
+    assert_eq!(rectified.covering_field().unwrap(), rectified);
 }

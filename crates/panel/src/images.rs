@@ -94,7 +94,7 @@ impl Rectifier {
     fn rectified(&mut self, side: usize, image: &RgbImage) -> Option<RgbImage> {
         let rig = &self.rig;
         let tables = self.tables.get_or_insert_with(|| match rig.rectify() {
-            Ok(rectification) => Some([rectification.left, rectification.right]),
+            Ok(rectification) => Some([rectification.left.table(), rectification.right.table()]),
             Err(error) => {
                 tracing::warn!("rectified images are not available: {error}");
                 None

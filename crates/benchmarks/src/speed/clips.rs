@@ -52,6 +52,18 @@ impl Clip {
 /// # Errors
 /// If the simulator rejects the setup.
 pub fn wall(size: ImageSize, frames: usize) -> anyhow::Result<Clip> {
+    wall_of(rig(size)?, frames)
+}
+
+/// One pair of images of the textured wall through the given lenses.
+///
+/// # Errors
+/// If the simulator rejects the setup.
+pub fn wall_through(lenses: Lenses, size: ImageSize) -> anyhow::Result<Clip> {
+    wall_of(rig_with(lenses, size)?, 1)
+}
+
+fn wall_of(rig: StereoRig, frames: usize) -> anyhow::Result<Clip> {
     let texture = Arc::new(Paint::Colourful.texture(SEED));
     let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, y)| {
         let place = Point3::new(x * WALL_M[0], y * WALL_M[1], 0.0);
@@ -63,7 +75,7 @@ pub fn wall(size: ImageSize, frames: usize) -> anyhow::Result<Clip> {
     let outline_m = corners.iter().map(|(place, _)| *place).collect();
     let part = ScenePart { mesh, texture, anchor: Anchor::Target, object: SceneObject::Target };
     let target = TargetModel { name: "wall", outline_m, rear_z_m: 0.0 };
-    render(vec![part], target, size, (0.0, 0.25), frames)
+    render(vec![part], target, rig, (0.0, 0.25), frames)
 }
 
 /// A square of the wall, `side_px` wide in images of 640 columns, marked in images of `size`.
@@ -82,7 +94,7 @@ pub fn crab(size: ImageSize, frames: usize) -> anyhow::Result<Clip> {
     let (target, mut parts) = build_painted(Paint::Crab, 0.0, SEED)?;
     let config = BackdropConfig { size_m: [0.6, 0.45], gap_m: 0.03 };
     parts.extend(backdrop::build(&config, target.rear_z_m, SEED)?);
-    render(parts, target, size, (0.05, 1.0), frames)
+    render(parts, target, rig(size)?, (0.05, 1.0), frames)
 }
 
 /// The same scene without the crab: the images of a tracker whose target is hidden.
@@ -93,18 +105,17 @@ pub fn empty_place(size: ImageSize, frames: usize) -> anyhow::Result<Clip> {
     let (target, _) = build_painted(Paint::Crab, 0.0, SEED)?;
     let config = BackdropConfig { size_m: [0.6, 0.45], gap_m: 0.03 };
     let parts = backdrop::build(&config, target.rear_z_m, SEED)?;
-    render(parts, target, size, (0.05, 1.0), frames)
+    render(parts, target, rig(size)?, (0.05, 1.0), frames)
 }
 
 fn render(
     parts: Vec<ScenePart>,
     target: TargetModel,
-    size: ImageSize,
+    rig: StereoRig,
     (x_m, motion): (f64, f64),
     frames: usize,
 ) -> anyhow::Result<Clip> {
     let scene = Scene::from_parts(parts, target, Lighting::EVEN)?;
-    let rig = rig(size)?;
     let mut renderer = StereoRenderer::new(scene, rig, &SensorConfig::default(), SEED)?;
     let world_from_cam_left = Pose::<World, CamLeft>::coincident();
     let poses = |frame: usize| ScenePoses {
@@ -130,6 +141,58 @@ fn rig(size: ImageSize) -> anyhow::Result<StereoRig> {
     let pinhole = Pinhole { fx: f, fy: f, cx: centre(size.width), cy: centre(size.height) };
     let camera = Camera::new(size, pinhole, Distortion::None)?;
     Ok(StereoRig::new(camera, camera, Pose::from_translation(Vector3::new(-0.1, 0.0, 0.0)))?)
+}
+
+/// Lenses and mounting of a rig.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lenses {
+    /// Parallel cameras without distortion.
+    Rectified,
+    /// Rotated cameras of unequal focal length with radial and tangential distortion.
+    Brown,
+    /// The same with equidistant lenses.
+    Equidistant,
+}
+
+impl Lenses {
+    /// Name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Rectified => "rectified",
+            Self::Brown => "raw, Brown-Conrady",
+            Self::Equidistant => "raw, equidistant",
+        }
+    }
+}
+
+/// Columns of an image size as a multiple of those of the nominal one.
+pub fn factor(size: ImageSize) -> f64 {
+    f64::from(size.width) / WIDTH
+}
+
+/// As [`SEARCH`], for images of any size: 60 px of disparity around the wall.
+pub fn search_of(size: ImageSize) -> SearchRange {
+    let px_m = 74.0 * factor(size);
+    let z_m = |away_px: f64| px_m / (2.0 * px_m + away_px);
+    SearchRange { z_min_m: z_m(30.0), z_max_m: z_m(-30.0), ..SEARCH }
+}
+
+fn rig_with(lenses: Lenses, size: ImageSize) -> anyhow::Result<StereoRig> {
+    let distortions = match lenses {
+        Lenses::Rectified => return rig(size),
+        Lenses::Brown => [[-0.28, 0.09, 0.0011, -0.0007, 0.004], [-0.27, 0.10, -0.0006, 0.0009, -0.01]]
+            .map(|coefficients| Distortion::BrownConrady5 { coefficients }),
+        Lenses::Equidistant => [[0.02, -0.011, 0.004, -0.001], [-0.012, 0.0043, -0.0021, 0.0004]]
+            .map(|coefficients| Distortion::Equidistant { coefficients }),
+    };
+    let nominal = *rig(size)?.left().pinhole();
+    let scale = factor(size);
+    let left = Pinhole { fx: 1.004 * nominal.fx, cx: nominal.cx + 6.3 * scale, ..nominal };
+    let right = Pinhole { fy: 0.993 * nominal.fy, cy: nominal.cy - 4.1 * scale, ..nominal };
+    let left = Camera::new(size, left, distortions[0])?;
+    let right = Camera::new(size, right, distortions[1])?;
+    let rotation = UnitQuaternion::from_euler_angles(0.007, -0.021, 0.012);
+    Ok(StereoRig::new(left, right, Pose::from_parts(rotation * Vector3::new(-0.1, 0.0012, -0.0008), rotation))?)
 }
 
 /// `motion` times 50 mm and 20 degrees along and about all axes, periods of 4 to 7 s, half a metre away.

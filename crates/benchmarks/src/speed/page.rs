@@ -33,6 +33,7 @@ pub fn markdown(
     goal_table(&mut page, findings);
     real_cases(&mut page, findings);
     sizes(&mut page, findings);
+    raw(&mut page, findings);
     tracking(&mut page, findings);
     kernels(&mut page, &findings.kernels);
     if let Some(published) = published {
@@ -113,6 +114,34 @@ fn sizes(page: &mut String, findings: &Findings) {
         row(page, &cells);
     }
     page.push_str("\n![Time of a cold start by size of the region](speed.svg)\n");
+}
+
+fn raw(page: &mut String, findings: &Findings) {
+    let text = "The same wall through lenses with distortion, in rotated cameras; 60 px of disparity at every size.\nAll rigs are measured in turn, so other load affects all of them alike.\nRatios are those of the medians: to rectified images of 640 x 480, and to images of 640 x 480 with the same lenses.\nCreation is the time to create the estimator, once per rig.";
+    let mut headings = vec![
+        "region px",
+        "images",
+        "lenses",
+        "status",
+        "median",
+        "p90",
+        "p99",
+        "to rectified",
+        "to 640 x 480",
+        "creation",
+    ];
+    let first = findings.raw.first().map(|row| row.stages.as_slice()).unwrap_or_default();
+    headings.extend(first.iter().map(|(stage, _)| stage.name()));
+    section(page, "Cold start on raw images", text, &headings);
+    for found in &findings.raw {
+        let size = format!("{} x {}", found.size.width, found.size.height);
+        let (lenses, status) = (found.lenses.name().to_owned(), found.status.to_owned());
+        let mut cells = vec![format!("{0} x {0}", found.side_px), size, lenses, status];
+        cells.extend(three(&found.times));
+        cells.extend([found.ratio, found.ratio_to_small, found.creation_ms].map(|number| format!("{number:.2}")));
+        cells.extend(found.stages.iter().map(|(_, ms)| format!("{ms:.3}")));
+        row(page, &cells);
+    }
 }
 
 fn tracking(page: &mut String, findings: &Findings) {

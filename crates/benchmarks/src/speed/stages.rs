@@ -130,7 +130,8 @@ impl<'a> StageBench<'a> {
         let Some(outcome) = estimator.outcome() else { bail!("no estimate, nothing to measure: {}", found.reason) };
         let front_end = StereoFrontEnd::new(problem.rig, kernels)?;
         let raw = problem.region.rasterize(problem.left, &config.region)?;
-        let mask = front_end.rectified_region(&raw)?.into_owned();
+        let mut buffer = RegionMask::default();
+        let mask = front_end.rectified_region(&raw, &mut buffer)?.clone();
         let disparity = |z_m: f64| front_end.geometry().disparity_px(z_m);
         Ok(Self {
             disparity_px: DisparityRange {
@@ -144,7 +145,7 @@ impl<'a> StageBench<'a> {
             pyramid: estimator.cold_start().pyramid().clone(),
             searched: estimator.cold_start().searched_level(),
             plane: outcome.patch_plane,
-            loaded: RegionPyramid::up_to(config.cold_start.finest_area_px()),
+            loaded: RegionPyramid::up_to(config.cold_start.finest_area_px()).keeping_colours(),
             volume: CostVolume::default(),
             aggregation: Aggregation::default(),
             search: PlaneSearch::default(),

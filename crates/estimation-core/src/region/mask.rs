@@ -18,10 +18,21 @@ pub struct PixelBox {
     pub height: u32,
 }
 
+/// How much of a set of pixels is in a mask.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Coverage {
+    /// No pixel.
+    None,
+    /// Some pixels, but not all.
+    Some,
+    /// All pixels.
+    All,
+}
+
 /// A binary mask: the pixels of one image that belong to a region, one bit per pixel.
 ///
 /// Pixel (x, y) is column x, row y; integer coordinates are pixel centres.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RegionMask {
     size: ImageSize,
     words_per_row: usize,
@@ -85,6 +96,28 @@ impl RegionMask {
         }
         let row = y as usize * self.words_per_row;
         set_bits(&mut self.bits[row..row + self.words_per_row], first as usize, last as usize);
+    }
+
+    /// How much of a box of pixels is in the mask: columns `x.0..=x.1`, rows `y.0..=y.1`; pixels outside the image are not.
+    pub fn coverage(&self, x: (i32, i32), y: (i32, i32)) -> Coverage {
+        let (width, height) = (self.size.width as i32, self.size.height as i32);
+        let clipped = ((x.0.max(0), x.1.min(width - 1)), (y.0.max(0), y.1.min(height - 1)));
+        let ((first, last), (top, bottom)) = clipped;
+        if first > last || top > bottom {
+            return Coverage::None;
+        }
+        let (mut any, mut all) = (false, clipped == (x, y));
+        for row in top..=bottom {
+            let bits = &self.bits[row as usize * self.words_per_row..][..self.words_per_row];
+            for (word, mask) in span_masks(first as usize, last as usize) {
+                any |= bits[word] & mask != 0;
+                all &= bits[word] & mask == mask;
+            }
+            if any && !all {
+                return Coverage::Some;
+            }
+        }
+        if all { Coverage::All } else { Coverage::None }
     }
 
     /// Whether the mask has no pixels.
@@ -299,6 +332,23 @@ mod tests {
         let expected =
             PixelBox { x: x0 as u32, y: y0 as u32, width: (x1 - x0 + 1) as u32, height: (y1 - y0 + 1) as u32 };
         assert_eq!(mask.bbox(), Some(expected));
+    }
+
+    #[test]
+    fn coverage_agrees_with_every_pixel() {
+        let mask = blob();
+        for (x, width) in [(-9, 4), (-3, 30), (55, 5), (58, 4), (61, 8), (66, 9), (73, 20), (130, 30), (60, 0)] {
+            for (y, height) in [(-5, 3), (-2, 9), (4, 1), (6, 12), (20, 12), (29, 8), (35, 20)] {
+                let pixels = (y..=y + height).flat_map(|v| (x..=x + width).map(move |u| (u, v)));
+                let inside: Vec<bool> = pixels.map(|(u, v)| mask.contains(u, v)).collect();
+                let expected = match (inside.contains(&true), inside.contains(&false)) {
+                    (true, true) => Coverage::Some,
+                    (true, false) => Coverage::All,
+                    _ => Coverage::None,
+                };
+                assert_eq!(mask.coverage((x, x + width), (y, y + height)), expected, "{x} {y} {width} {height}");
+            }
+        }
     }
 
     #[test]

@@ -60,7 +60,7 @@ impl Grid {
         let corners = ends(first).into_iter().chain(ends(last));
         let (low, high) = corners.fold((f64::MAX, f64::MIN), |(low, high), at| (low.min(at), high.max(at)));
         let reach = if self.rows.is_some() { 3.0 } else { 0.0 };
-        ((first + low - reach).floor() as i32, (last + high + reach).ceil() as i32 + 1)
+        ((first + low - reach).floor() as i32, ((last + high + reach).ceil() as i32).saturating_add(1))
     }
 }
 

@@ -18,6 +18,7 @@ use super::super::filters::{PixelRows, Smoother, Taps};
 use super::super::front_end::{Side, StereoFrontEnd};
 use super::super::image_plane::{ImagePlane, PixelWindow};
 use super::super::region_pyramid::{PyramidSource, RegionLevel};
+use super::super::resample::ReducedImage;
 use super::super::row_shift::BLOCK;
 use super::kernel::{CHANNELS_MAX, UNUSABLE};
 use super::level_rows::{Grid, ImageRows, average_bytes, average_colours, average_values};
@@ -43,6 +44,7 @@ pub(super) struct Preparation {
     smoother: Smoother,
     /// Resampled image.
     loaded: ColourPlanes,
+    reduced: ReducedImage,
     /// The only channel of a grey image.
     grey: Vec<u8>,
     /// Means over the pixels of the level.
@@ -61,6 +63,50 @@ pub(super) struct Preparation {
 pub(super) struct Pair<'a> {
     pub front_end: &'a StereoFrontEnd,
     pub source: &'a PyramidSource<'a>,
+    /// Colours of the left and right window of the pyramid, if the images were resampled for it.
+    pub colours: [Option<&'a ColourPlanes>; 2],
+    /// Side of the squares of image pixels that are read, pixels: 1 if the images are not resampled.
+    pub unit: usize,
+}
+
+/// The required part of a resampled image.
+#[derive(Clone, Copy)]
+struct Resampled<'a> {
+    planes: &'a ColourPlanes,
+    /// Its first column and row in the planes.
+    first: (usize, usize),
+    /// Its columns and rows.
+    size: (usize, usize),
+}
+
+impl<'a> Resampled<'a> {
+    fn new(planes: &'a ColourPlanes, part: &PixelWindow) -> Option<Self> {
+        let whole = &planes.window;
+        let first = (usize::try_from(part.x - whole.x).ok()?, usize::try_from(part.y - whole.y).ok()?);
+        let size = (part.width, part.height);
+        (first.0 + size.0 <= whole.width && first.1 + size.1 <= whole.height).then_some(Self { planes, first, size })
+    }
+
+    /// Rows of one channel.
+    fn rows(&self, channel: usize) -> impl Iterator<Item = &'a [f32]> {
+        let Self { planes, first, size } = *self;
+        (first.1..first.1 + size.1).map(move |y| &planes.planes[channel].row(y)[first.0..first.0 + size.0])
+    }
+
+    fn flags(&self, y: usize) -> &'a [u8] {
+        let start = (self.first.1 + y) * self.planes.window.width + self.first.0;
+        &self.planes.flags[start..start + self.size.0]
+    }
+
+    fn is_grey(&self) -> bool {
+        self.rows(0).zip(self.rows(1)).zip(self.rows(2)).all(|((red, green), blue)| red == green && green == blue)
+    }
+
+    fn mean(&self, channel: usize) -> f32 {
+        let step = (self.size.0 * self.size.1 / MIDDLE_OF).max(1);
+        let step = (step as f64).sqrt().ceil() as usize;
+        mean(self.rows(channel).step_by(step).flat_map(|row| row.iter().step_by(step).copied()))
+    }
 }
 
 /// Requested part of an image and its smoothing.
@@ -98,9 +144,12 @@ struct Job<'a> {
     image: &'a RgbImage,
     request: &'a ChannelRequest,
     grid: Grid,
+    /// Side of the squares that are read, pixels: they are the pixels of the grid.
+    unit: usize,
     /// Row of the part at which the grid begins.
     first_row: usize,
-    /// Range of image rows that are read, without the last one.
+    /// Number of image rows, and range of those that are read, without the last one.
+    height: i32,
     read: (i32, i32),
     smoothing: [Taps; 2],
 }
@@ -117,10 +166,12 @@ impl<'a> Job<'a> {
         let smoothing = [Taps::spline(request.smoothing_px), Taps::gaussian(request.smoothing_px)];
         let (part, reach) = (&request.part, smoothing[1].radius());
         let (first_row, end) = (request.rows.0.saturating_sub(reach), (request.rows.1 + reach).min(part.height));
+        let scale = scale / pair.unit;
+        let rows = rows.map(|rows| if pair.unit > 1 { rows.at_scale(pair.unit as f64) } else { rows });
         let s = scale as i32;
         let first = ((window.x + part.x) * s, (window.y + part.y + first_row as i32) * s);
         let grid = Grid { scale, first, size: (part.width, end.saturating_sub(first_row)), rows };
-        let height = pair.front_end.size(side).height as i32;
+        let height = pair.front_end.size(side).height as i32 / pair.unit as i32;
         let (from, to) = grid.rows_read();
         let from = from.clamp(0, height - 1);
         let image = if side == Side::Left { pair.source.left } else { pair.source.right };
@@ -130,7 +181,9 @@ impl<'a> Job<'a> {
             image,
             request,
             grid,
+            unit: pair.unit,
             first_row,
+            height,
             read: (from, to.clamp(from + 1, height)),
             smoothing,
         }
@@ -139,6 +192,25 @@ impl<'a> Job<'a> {
     /// Number of image columns that are read.
     fn width(&self) -> usize {
         self.grid.size.0 * self.grid.scale
+    }
+
+    /// The required part of the image, if the images are resampled: from the colours of the pyramid, or resampled into `own`.
+    fn resampled<'b>(
+        &self,
+        pair: &Pair<'b>,
+        own: &'b mut ColourPlanes,
+        scratch: &mut ReducedImage,
+    ) -> Option<Resampled<'b>> {
+        if !pair.front_end.resamples() {
+            return None;
+        }
+        let height = (self.read.1 - self.read.0) as usize;
+        let part = PixelWindow { x: self.grid.first.0, y: self.read.0, width: self.width(), height };
+        let kept = pair.colours[self.side as usize].and_then(|colours| Resampled::new(colours, &part));
+        kept.or_else(|| {
+            self.front_end.load_reduced(self.side, self.image, part, self.unit, Wanted::Rgb, scratch, own);
+            Resampled::new(own, &part)
+        })
     }
 
     /// Red, green and blue of a row of the image.
@@ -151,7 +223,7 @@ impl<'a> Job<'a> {
     fn nearest(&self, row: i32, block: usize) -> Option<i32> {
         let (first, step) = self.grid.offsets(f64::from(row));
         let nearest = f64::from(row) + (first + step * block as f64).round();
-        (0.0..f64::from(self.front_end.size(self.side).height)).contains(&nearest).then_some(nearest as i32)
+        (0.0..f64::from(self.height)).contains(&nearest).then_some(nearest as i32)
     }
 }
 
@@ -166,16 +238,16 @@ impl Preparation {
     ) -> usize {
         let job = Job::new(pair, Side::Left, &level.left.window, level.scale, request, None);
         let kernels = pair.front_end.kernels();
-        let grey = if pair.front_end.resamples() {
-            self.load(&job);
-            let [red, green, blue] = &self.loaded.planes;
-            red == green && green == blue
-        } else {
-            (job.read.0..job.read.1).all(|row| !has_colour(kernels, job.bytes(row)))
+        let mut loaded = std::mem::take(&mut self.loaded);
+        let resampled = job.resampled(pair, &mut loaded, &mut self.reduced);
+        let grey = match &resampled {
+            Some(resampled) => resampled.is_grey(),
+            None => (job.read.0..job.read.1).all(|row| !has_colour(kernels, job.bytes(row))),
         };
         let channels = if grey { 1 } else { CHANNELS_MAX };
-        self.find_middle(&job, channels);
-        self.fill(&job, channels, out);
+        self.find_middle(&job, resampled.as_ref(), channels);
+        self.fill(&job, resampled.as_ref(), channels, out);
+        self.loaded = loaded;
         channels
     }
 
@@ -192,25 +264,17 @@ impl Preparation {
         let rows = RowOffset { offset_px: pair.source.rows.offset_px + row_px, ..pair.source.rows };
         let rows = (!rows.is_zero()).then_some(rows);
         let job = Job::new(pair, Side::Right, &level.right.window, level.scale, request, rows);
-        if pair.front_end.resamples() {
-            self.load(&job);
-        }
-        self.fill(&job, channels, out);
-    }
-
-    /// Resamples the required part of an image.
-    fn load(&mut self, job: &Job<'_>) {
-        let height = (job.read.1 - job.read.0) as usize;
-        let window = PixelWindow { x: job.grid.first.0, y: job.read.0, width: job.width(), height };
-        job.front_end.load(job.side, job.image, window, Wanted::Rgb, &mut self.loaded);
+        let mut loaded = std::mem::take(&mut self.loaded);
+        let resampled = job.resampled(pair, &mut loaded, &mut self.reduced);
+        self.fill(&job, resampled.as_ref(), channels, out);
+        self.loaded = loaded;
     }
 
     /// The mean of every channel, from a sample of rows and columns.
-    fn find_middle(&mut self, job: &Job<'_>, channels: usize) {
+    fn find_middle(&mut self, job: &Job<'_>, resampled: Option<&Resampled<'_>>, channels: usize) {
         for c in 0..channels {
-            self.middle[c] = if job.front_end.resamples() {
-                let values = self.loaded.planes[c].values();
-                mean(values.iter().step_by((values.len() / MIDDLE_OF).max(1)).copied())
+            self.middle[c] = if let Some(resampled) = resampled {
+                resampled.mean(c)
             } else {
                 let rows = (job.read.1 - job.read.0) as usize;
                 let step = (rows as f64 * job.width() as f64 / MIDDLE_OF as f64).sqrt().ceil() as usize;
@@ -221,18 +285,18 @@ impl Preparation {
     }
 
     /// Means over the pixels of a level, smoothed.
-    fn fill(&mut self, job: &Job<'_>, channels: usize, out: &mut CameraChannels) {
+    fn fill(&mut self, job: &Job<'_>, resampled: Option<&Resampled<'_>>, channels: usize, out: &mut CameraChannels) {
         out.part = job.request.part;
         let kernels = job.front_end.kernels();
-        if job.front_end.resamples() {
+        if let Some(resampled) = resampled {
             for c in 0..channels {
-                let loaded = &self.loaded;
+                let Resampled { planes, first, size } = *resampled;
                 let source = ImageRows {
-                    values: loaded.planes[c].values(),
-                    stride: loaded.window.width,
-                    start: 0,
-                    top: loaded.window.y,
-                    rows: loaded.window.height,
+                    values: &planes.planes[c].values()[first.1 * planes.window.width..],
+                    stride: planes.window.width,
+                    start: first.0,
+                    top: job.read.0,
+                    rows: size.1,
                 };
                 average_values(kernels, &source, &job.grid, &mut self.means);
                 self.smooth(job, c, &mut out.planes[c..=c]);
@@ -251,7 +315,7 @@ impl Preparation {
             average_colours(kernels, &source, &job.grid, &mut self.means);
             self.smooth(job, 0, &mut out.planes);
         }
-        if self.find_unusable(job, channels) {
+        if self.find_unusable(job, resampled, channels) {
             for (plane, unusable) in out.planes.iter_mut().zip(&self.unusable).take(channels) {
                 mark_unusable(unusable, &mut self.unusable_row, job.request.rows.0..job.request.rows.1, plane, kernels);
             }
@@ -282,12 +346,11 @@ impl Preparation {
     }
 
     /// Finds the unusable pixels per channel; returns whether there are any.
-    fn find_unusable(&mut self, job: &Job<'_>, channels: usize) -> bool {
+    fn find_unusable(&mut self, job: &Job<'_>, resampled: Option<&Resampled<'_>>, channels: usize) -> bool {
         let (read, kernels) = (job.read, job.front_end.kernels());
         self.flagged.clear();
-        if job.front_end.resamples() {
-            let width = self.loaded.window.width;
-            self.flagged.extend(self.loaded.flags.chunks_exact(width.max(1)).map(any_flag));
+        if let Some(resampled) = resampled {
+            self.flagged.extend((0..resampled.size.1).map(|y| any_flag(resampled.flags(y))));
         } else {
             self.flagged.extend((read.0..read.1).map(|row| highest(kernels, job.bytes(row)) >= SATURATED_FROM));
         }
@@ -314,12 +377,14 @@ impl Preparation {
             let first = (job.first_row + (row - rows.0) as usize / s) * part.width;
             let squares = first + columns.start / s..first + columns.end.div_ceil(s);
             let [a, b, c] = self.unusable.each_mut().map(|all| all.get_mut(squares.clone()).unwrap_or_default());
-            match nearest {
-                None => [a, b, c].into_iter().for_each(|all| all.fill(1)),
-                Some(row) if job.front_end.resamples() => {
-                    mark_resampled(&self.loaded, (row - read.0) as usize, columns, s, [a, b, c]);
+            match (nearest, resampled) {
+                (None, _) => [a, b, c].into_iter().for_each(|all| all.fill(1)),
+                (Some(row), Some(resampled)) => {
+                    mark_resampled(resampled, (row - read.0) as usize, columns, s, [a, b, c]);
                 }
-                Some(row) => mark_saturated(kernels, &job.bytes(row)[3 * columns.start..3 * columns.end], s, [a, b, c]),
+                (Some(row), None) => {
+                    mark_saturated(kernels, &job.bytes(row)[3 * columns.start..3 * columns.end], s, [a, b, c])
+                }
             }
         }
         true
@@ -328,16 +393,17 @@ impl Preparation {
 
 /// Marks the unusable pixels of a part of a resampled row, square by square.
 fn mark_resampled(
-    loaded: &ColourPlanes,
+    resampled: &Resampled<'_>,
     y: usize,
     columns: Range<usize>,
     scale: usize,
     out: [&mut [u8]; CHANNELS_MAX],
 ) {
-    let flags = &loaded.flags[y * loaded.window.width..][..loaded.window.width];
-    for (plane, out) in loaded.planes.iter().zip(out).filter(|(_, out)| !out.is_empty()) {
+    let (flags, first) = (resampled.flags(y), resampled.first);
+    for (plane, out) in resampled.planes.planes.iter().zip(out).filter(|(_, out)| !out.is_empty()) {
+        let values = &plane.row(first.1 + y)[first.0..];
         for (i, x) in columns.clone().enumerate() {
-            let is_high = flags[x] & SATURATED != 0 && plane.row(y)[x] >= f32::from(NEARLY_SATURATED_GREY);
+            let is_high = flags[x] & SATURATED != 0 && values[x] >= f32::from(NEARLY_SATURATED_GREY);
             out[i / scale] |= u8::from(is_high || flags[x] & UNSEEN != 0);
         }
     }

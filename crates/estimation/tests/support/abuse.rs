@@ -87,8 +87,9 @@ fn side(c: &mut Choices<'_>) -> u32 {
 
 fn rig(c: &mut Choices<'_>, size: ImageSize) -> Option<StereoRig> {
     let camera = |c: &mut Choices<'_>| {
-        let focal = |c: &mut Choices<'_>| c.mostly(80.0, &[100.0, 1e-6, 0.5, 1e9]);
-        let centre = |c: &mut Choices<'_>, length: u32| f64::from(length) * c.mostly(0.5, &[0.45, 0.0, -7.0, 1e7]);
+        // Up to the ends of the ranges that `Camera::new` accepts, so that methods see them.
+        let focal = |c: &mut Choices<'_>| c.mostly(80.0, &[100.0, 0.01, 0.5, 1e7]);
+        let centre = |c: &mut Choices<'_>, length: u32| f64::from(length) * c.mostly(0.5, &[0.45, 0.0, -7.0, 7e4]);
         let fx = focal(c);
         let fy = if c.byte() < 200 { fx } else { focal(c) };
         let pinhole = Pinhole { fx, fy, cx: centre(c, size.width), cy: centre(c, size.height) };

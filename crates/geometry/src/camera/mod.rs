@@ -7,12 +7,18 @@ use nalgebra::{Matrix2x3, Matrix3, Point3, Vector2, Vector3};
 pub use distortion::Distortion;
 
 /// Largest accepted image side, pixels.
-const SIDE_MAX_PX: u32 = 32_768;
+pub(crate) const SIDE_MAX_PX: u32 = 32_768;
+/// Range of accepted focal lengths, pixels: normalised coordinates of all pixels then have no more than seven digits.
+const FOCAL_PX: std::ops::RangeInclusive<f64> = 0.01..=1e7;
+/// Largest accepted distance of the principal point from the first pixel, pixels.
+const PRINCIPAL_MAX_PX: f64 = 1e7;
+/// Largest accepted magnitude of a distortion coefficient: the distortion of any pixel's ray is then finite.
+const COEFFICIENT_MAX: f64 = 1e9;
 /// Largest round-trip error of a pixel's ray projected back, pixels.
 const ROUND_TRIP_PX: f64 = 1e-9;
 
 /// Size of an image in pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ImageSize {
     /// Columns.
     pub width: u32,
@@ -89,8 +95,8 @@ impl Camera {
     /// Creates a camera from its parts.
     ///
     /// # Errors
-    /// A parameter that is not finite, a focal length that is not positive, an image that is empty or has a side above 32768
-    /// pixels.
+    /// A parameter that is not finite or absurdly large, a focal length below 0.01 pixels, an image that is empty or has a side
+    /// above 32768 pixels.
     pub fn new(size: ImageSize, pinhole: Pinhole, distortion: Distortion) -> Result<Self, CameraError> {
         for (name, side) in [("width", size.width), ("height", size.height)] {
             if side == 0 || side > SIDE_MAX_PX {
@@ -101,6 +107,22 @@ impl Camera {
         for (name, value) in [("fx", pinhole.fx), ("fy", pinhole.fy)] {
             if !(value.is_finite() && value > 0.0) {
                 return Err(CameraError::Parameter { name, value, expected: "must be positive" });
+            }
+            if !FOCAL_PX.contains(&value) {
+                let expected = "must be between 0.01 and 10000000 pixels";
+                return Err(CameraError::Parameter { name, value, expected });
+            }
+        }
+        for (name, value) in [("cx", pinhole.cx), ("cy", pinhole.cy)] {
+            if value.abs() > PRINCIPAL_MAX_PX {
+                let expected = "must be within 10000000 pixels of the image's first pixel";
+                return Err(CameraError::Parameter { name, value, expected });
+            }
+        }
+        for (name, value) in distortion.named_coefficients() {
+            if value.abs() > COEFFICIENT_MAX {
+                let expected = "must be finite and between -1000000000 and 1000000000";
+                return Err(CameraError::Parameter { name, value, expected });
             }
         }
         let finite = [("cx", pinhole.cx), ("cy", pinhole.cy)].into_iter().chain(distortion.named_coefficients());
@@ -130,6 +152,17 @@ impl Camera {
     /// The ideal camera with the same image size and pinhole: the destination of [`crate::maps::RemapTable::undistort`].
     pub fn undistorted(&self) -> Self {
         Self { distortion: Distortion::None, fold_radius: f64::INFINITY, ..*self }
+    }
+
+    /// The camera of images reduced by means over squares of `scale` x `scale` pixels, without incomplete squares; its image
+    /// may be empty.
+    pub(crate) fn reduced(&self, scale: u32) -> Self {
+        let (scale, Pinhole { fx, fy, cx, cy }) = (scale.max(1), self.pinhole);
+        let size = ImageSize { width: self.size.width / scale, height: self.size.height / scale };
+        let s = f64::from(scale);
+        // Pixel centres have integer coordinates.
+        let pinhole = Pinhole { fx: fx / s, fy: fy / s, cx: (cx + 0.5) / s - 0.5, cy: (cy + 0.5) / s - 0.5 };
+        Self { size, pinhole, ..*self }
     }
 
     /// Projects a point in this camera's frame (metres) to a pixel, which may be outside the image.

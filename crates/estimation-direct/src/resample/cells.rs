@@ -1,0 +1,236 @@
+//! Positions of rectified pixels in the raw image, cell by cell.
+
+use nalgebra::Vector2;
+use pb3dp_estimation_core::cpu::Kernels;
+use pb3dp_estimation_core::wide::wide;
+use pb3dp_geometry::maps::PixelMap;
+
+use super::super::image_plane::PixelWindow;
+
+/// Side of a cell, pixels: one row is a register of 16 values. A corner per 256 pixels costs 0.3 ns per pixel, and the
+/// interpolation is off by less than 1e-4 px for lenses with a focal length of 300 px and more (fourth derivatives of the
+/// distortion, derived).
+pub const CELL: usize = 16;
+/// Cells per stripe: the corners of a stripe are on the stack. Chosen by hand, not varied: the corners left and right of a
+/// stripe are evaluated twice.
+const STRIPE: usize = 64;
+/// Corners along a row of a stripe: one more on the left, and two on the right.
+const CORNERS: usize = STRIPE + 3;
+/// A cell whose centre is off by more than this is evaluated pixel by pixel, pixels. Chosen by hand: the rounding error of
+/// a map stored in 1/256 of a pixel.
+pub(super) const DEVIATION_MAX_PX: f64 = 1.0 / 512.0;
+/// Positions beyond this are not interpolated, pixels: far outside any image.
+pub(super) const POSITION_MAX_PX: f64 = 1e6;
+/// Position of a pixel without a source.
+const NOWHERE: f32 = -1e6;
+
+/// Cubic Lagrange weights of the corners at -1, 0, 1 and 2 cells for each pixel of a cell.
+const WEIGHTS: [[f32; CELL]; 4] = {
+    let mut weights = [[0.0; CELL]; 4];
+    let mut i = 0;
+    while i < CELL {
+        let t = i as f32 / CELL as f32;
+        weights[0][i] = -t * (t - 1.0) * (t - 2.0) / 6.0;
+        weights[1][i] = (t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0;
+        weights[2][i] = -(t + 1.0) * t * (t - 2.0) / 2.0;
+        weights[3][i] = (t + 1.0) * t * (t - 1.0) / 6.0;
+        i += 1;
+    }
+    weights
+};
+/// The same weights at the centre of a cell.
+const CENTRE_WEIGHTS: [f64; 4] = [-1.0 / 16.0, 9.0 / 16.0, 9.0 / 16.0, -1.0 / 16.0];
+
+/// Source positions of the pixels of one cell: `base + at`, columns and rows. `at` is not negative where there is a source.
+#[derive(Clone, Debug)]
+pub struct CellPositions {
+    pub(super) base: [i32; 2],
+    pub(super) at: [[[f32; CELL]; CELL]; 2],
+}
+
+impl CellPositions {
+    fn nowhere() -> Self {
+        Self { base: [0; 2], at: [[[NOWHERE; CELL]; CELL]; 2] }
+    }
+
+    /// A box that contains the source pixels nearest to all positions: first and last column, first and last row.
+    pub fn nearest_box(&self, kernels: Kernels) -> [(i32, i32); 2] {
+        let mut ends = [(0.0, 0.0); 2];
+        extremes(kernels, &self.at, &mut ends);
+        let round = |axis: usize, at: f32| self.base[axis] + (f64::from(at) + 0.5).floor() as i32;
+        [0, 1].map(|axis| (round(axis, ends[axis].0), round(axis, ends[axis].1)))
+    }
+
+    /// The source pixels nearest to the positions of a row: columns and rows, which may be outside the image.
+    pub fn nearest(&self, y: usize, kernels: Kernels) -> [[i32; CELL]; 2] {
+        let mut out = [[0; CELL]; 2];
+        nearest(kernels, self.base, [&self.at[0][y], &self.at[1][y]], &mut out);
+        out
+    }
+}
+
+wide! {
+    /// Lowest and highest position along both axes.
+    fn extremes(at: &[[[f32; CELL]; CELL]; 2], out: &mut [(f32, f32); 2]) = extremes_kernel;
+}
+
+#[inline(always)]
+pub(super) fn extremes_kernel(at: &[[[f32; CELL]; CELL]; 2], out: &mut [(f32, f32); 2]) {
+    for (at, out) in at.iter().zip(out) {
+        let (mut low, mut high) = (at[0], at[0]);
+        for row in &at[1..] {
+            for i in 0..CELL {
+                low[i] = if row[i] < low[i] { row[i] } else { low[i] };
+                high[i] = if row[i] > high[i] { row[i] } else { high[i] };
+            }
+        }
+        let mut half = CELL / 2;
+        while half > 0 {
+            for i in 0..half {
+                low[i] = if low[i + half] < low[i] { low[i + half] } else { low[i] };
+                high[i] = if high[i + half] > high[i] { high[i + half] } else { high[i] };
+            }
+            half /= 2;
+        }
+        *out = (low[0], high[0]);
+    }
+}
+
+wide! {
+    fn nearest(base: [i32; 2], at: [&[f32; CELL]; 2], out: &mut [[i32; CELL]; 2]) = nearest_kernel;
+}
+
+#[inline(always)]
+fn nearest_kernel(base: [i32; 2], at: [&[f32; CELL]; 2], out: &mut [[i32; CELL]; 2]) {
+    for axis in 0..2 {
+        for i in 0..CELL {
+            (out[axis][i], _) = whole(base[axis], at[axis][i] + 0.5);
+        }
+    }
+}
+
+/// One corner: its source position; not a number if the lens does not image it.
+type Corner = Vector2<f64>;
+
+/// A corner without a source.
+const UNKNOWN: Corner = Vector2::new(f64::NAN, f64::NAN);
+
+/// Calls `visit` with every cell of a window, its origin in the window and the source positions of its pixels; cells without
+/// any source are passed as `None`. Cells at the right and lower border reach beyond the window.
+pub fn for_each_cell(
+    map: &PixelMap,
+    window: &PixelWindow,
+    kernels: Kernels,
+    mut visit: impl FnMut((usize, usize), Option<&CellPositions>),
+) {
+    let mut positions = CellPositions::nowhere();
+    let cells = (window.width.div_ceil(CELL), window.height.div_ceil(CELL));
+    let at = |column: i64, row: i64| {
+        let place = |first: i32, cell: i64| (i64::from(first) + cell * CELL as i64) as f64;
+        Vector2::new(place(window.x, column), place(window.y, row))
+    };
+    for stripe in (0..cells.0).step_by(STRIPE) {
+        let count = STRIPE.min(cells.0 - stripe);
+        let corners_of = |row: i64, out: &mut [Corner; CORNERS]| {
+            for (i, corner) in out.iter_mut().enumerate().take(count + 3) {
+                let source = map.source(&at((stripe + i) as i64 - 1, row));
+                *corner = source.filter(|px| px.amax() < POSITION_MAX_PX).unwrap_or(UNKNOWN);
+            }
+        };
+        // The rows of corners are used in turn: row `i` is at `(i + 1) % 4`.
+        let mut rows: [[Corner; CORNERS]; 4] = [[UNKNOWN; CORNERS]; 4];
+        for (i, row) in rows.iter_mut().enumerate().take(3) {
+            corners_of(i as i64 - 1, row);
+        }
+        for row in 0..cells.1 {
+            corners_of(row as i64 + 2, &mut rows[(row + 3) % 4]);
+            for column in 0..count {
+                let corners: [[Corner; 4]; 4] =
+                    std::array::from_fn(|j| std::array::from_fn(|i| rows[(row + j) % 4][column + i]));
+                let origin = at((stripe + column) as i64, row as i64);
+                let is_seen = fill(map, &corners, &origin, kernels, &mut positions);
+                visit(((stripe + column) * CELL, row * CELL), is_seen.then_some(&positions));
+            }
+        }
+    }
+}
+
+/// Fills the positions of the cell with its first pixel at `origin`; returns whether it may have a source.
+fn fill(
+    map: &PixelMap,
+    corners: &[[Corner; 4]; 4],
+    origin: &Vector2<f64>,
+    kernels: Kernels,
+    out: &mut CellPositions,
+) -> bool {
+    let known = corners.as_flattened().iter().filter(|px| px.x.is_finite()).count();
+    if known == 0 {
+        return false;
+    }
+    if known == 16 {
+        let mut centre = Vector2::zeros();
+        for (j, row) in corners.iter().enumerate() {
+            for (i, px) in row.iter().enumerate() {
+                centre += px * (CENTRE_WEIGHTS[i] * CENTRE_WEIGHTS[j]);
+            }
+        }
+        let true_centre = map.source(&origin.add_scalar(CELL as f64 / 2.0));
+        if true_centre.is_some_and(|px| (px - centre).amax() <= DEVIATION_MAX_PX) {
+            let low = corners.as_flattened().iter().fold(corners[0][0], |low, px| low.inf(px));
+            let high = corners.as_flattened().iter().fold(corners[0][0], |high, px| high.sup(px));
+            // Interpolated positions are at least this, as the negative weights of a cell sum to more than -0.3.
+            let low = low - 0.3 * (high - low);
+            out.base = [low.x, low.y].map(|low| low.floor() as i32 - 1);
+            let local = |axis: usize, j: usize, i: usize| (corners[j][i][axis] - f64::from(out.base[axis])) as f32;
+            let local: [[[f32; 4]; 4]; 2] =
+                std::array::from_fn(|axis| std::array::from_fn(|j| std::array::from_fn(|i| local(axis, j, i))));
+            interpolate(kernels, &local, &mut out.at);
+            return true;
+        }
+    }
+    out.base = [0; 2];
+    for (y, x) in (0..CELL).flat_map(|y| (0..CELL).map(move |x| (y, x))) {
+        let source = map.source(&(origin + Vector2::new(x as f64, y as f64)));
+        let source = source.filter(|px| px.min() >= 0.0 && px.max() < POSITION_MAX_PX);
+        let at = source.map_or([NOWHERE; 2], |px| [px.x as f32, px.y as f32]);
+        (out.at[0][y][x], out.at[1][y][x]) = (at[0], at[1]);
+    }
+    true
+}
+
+wide! {
+    /// Positions of all pixels of a cell from those of 4 x 4 corners.
+    fn interpolate(corners: &[[[f32; 4]; 4]; 2], out: &mut [[[f32; CELL]; CELL]; 2]) = interpolate_kernel;
+}
+
+#[inline(always)]
+fn interpolate_kernel(corners: &[[[f32; 4]; 4]; 2], out: &mut [[[f32; CELL]; CELL]; 2]) {
+    for (corners, out) in corners.iter().zip(out) {
+        for (y, out) in out.iter_mut().enumerate() {
+            let mut row = [0.0_f32; 4];
+            for (j, corners) in corners.iter().enumerate() {
+                for i in 0..4 {
+                    row[i] += WEIGHTS[j][y] * corners[i];
+                }
+            }
+            for i in 0..CELL {
+                let first = WEIGHTS[0][i] * row[0] + WEIGHTS[1][i] * row[1];
+                out[i] = first + (WEIGHTS[2][i] * row[2] + WEIGHTS[3][i] * row[3]);
+            }
+        }
+    }
+}
+
+const TWO_TO_23: f32 = 8_388_608.0;
+
+/// `base` plus the whole part of a number that is not negative, and the whole part.
+///
+/// Adding 2^23 rounds a number below 2^22 to a whole one, whose bits then count from those of 2^23: a conversion that every
+/// instruction set has. A negative number, which has no source, becomes a far smaller one.
+#[inline(always)]
+pub(super) fn whole(base: i32, at: f32) -> (i32, f32) {
+    let shifted = at + TWO_TO_23;
+    let is_above = shifted - TWO_TO_23 > at;
+    let number = shifted.to_bits() as i32 - TWO_TO_23.to_bits() as i32 - i32::from(is_above);
+    (base + number, shifted - TWO_TO_23 - if is_above { 1.0 } else { 0.0 })
+}
