@@ -37,8 +37,8 @@ pub const ESTIMATE_KEYS: [&str; 17] = [
     "warnings",
 ];
 /// Keys of a line of `track --json`, in order.
-pub const TRACK_KEYS: [&str; 9] =
-    ["frame", "t_s", "status", "cam_left_from_model", "covariance", "fitness", "ms", "reason", "warnings"];
+pub const TRACK_KEYS: [&str; 10] =
+    ["frame", "t_s", "status", "cam_left_from_model", "covariance", "observed", "fitness", "ms", "reason", "warnings"];
 /// What `estimate` may say of a case.
 pub const STATUSES: [&str; 5] = ["ok", "weak-tilt", "ambiguous", "not-observable", "error"];
 

@@ -195,8 +195,19 @@ fn a_target_that_is_never_seen_is_given_up() {
 }
 
 /// Keys of a line if there are several targets.
-const KEYS_OF_SEVERAL: [&str; 10] =
-    ["frame", "target", "t_s", "status", "cam_left_from_model", "covariance", "fitness", "ms", "reason", "warnings"];
+const KEYS_OF_SEVERAL: [&str; 11] = [
+    "frame",
+    "target",
+    "t_s",
+    "status",
+    "cam_left_from_model",
+    "covariance",
+    "observed",
+    "fitness",
+    "ms",
+    "reason",
+    "warnings",
+];
 
 /// The second target is a part of the same card: both move alike, and the first is what it is alone.
 #[test]
