@@ -56,7 +56,36 @@ impl FramePrior {
     pub fn of_motion(cam_left_prev_from_cam_left_now: Option<&Pose<CamLeft, CamLeft>>) -> Self {
         Self { cam_left_prev_from_cam_left_now: cam_left_prev_from_cam_left_now.copied(), ..Self::default() }
     }
+
+    /// Without what cannot be true: numbers that are not finite, a camera that moved by more than [`CAMERA_STEP_MAX_M`] or
+    /// [`CAMERA_TURN_MAX_RAD`], a target behind the camera or farther than [`TARGET_MAX_M`]. A wrong prior then costs accuracy of a
+    /// prediction, not the target.
+    #[must_use]
+    pub fn plausible(&self) -> Self {
+        let is_step = |motion: &Pose<CamLeft, CamLeft>| {
+            motion.is_finite()
+                && motion.translation_m().norm() <= CAMERA_STEP_MAX_M
+                && motion.rotation_angle_rad() <= CAMERA_TURN_MAX_RAD
+        };
+        let is_target = |pose: &Pose<CamLeft, Model>| {
+            let at_m = pose.translation_m();
+            pose.is_finite() && at_m.z > 0.0 && at_m.norm() <= TARGET_MAX_M
+        };
+        Self {
+            cam_left_prev_from_cam_left_now: self.cam_left_prev_from_cam_left_now.filter(is_step),
+            cam_left_from_model: self.cam_left_from_model.filter(is_target),
+            dt_s: self.dt_s.filter(|dt_s| dt_s.is_finite() && *dt_s > 0.0),
+        }
+    }
 }
+
+/// Largest plausible motion of the camera between two exposures. A hand moves by centimetres; after a gap of seconds nothing is predicted
+/// well.
+pub const CAMERA_STEP_MAX_M: f64 = 1.0;
+/// Largest plausible turn of the camera between two exposures.
+pub const CAMERA_TURN_MAX_RAD: f64 = 1.5;
+/// Largest plausible distance of a target.
+pub const TARGET_MAX_M: f64 = 100.0;
 
 /// Time limit of a method. The method checks it between its steps; once it has passed, the method evaluates and returns the
 /// best estimate so far. The first step and the final evaluation always run.

@@ -307,6 +307,7 @@ impl DirectTracker {
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Ending {
         target.frame += 1;
+        let prior = &prior.plausible();
         if let Some(side) = stuck_camera(&self.remembered, [left, right]) {
             target.away_s += passed_s(prior);
             target.motion.coast(prior);

@@ -12,6 +12,7 @@ mod direct_small_regions;
 mod direct_track;
 mod direct_track_edges;
 mod direct_track_no_allocation;
+mod direct_track_priors;
 #[path = "support/moving_plane.rs"]
 mod moving_plane;
 mod no_allocation;
