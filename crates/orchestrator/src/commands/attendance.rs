@@ -37,6 +37,9 @@ impl Attendance {
                 "--operator console: at pace = \"fast\" nobody can speak in time; set pace to \"real-time\" or \"live\""
             );
         }
+        if setup.hold_to_run {
+            bail!("supervisor.hold_to_run = true: only the panel has a button to hold; use --panel");
+        }
         let (is_emulated, key_within) = (setup.is_emulated(), setup.operator_key_within);
         if !is_emulated {
             confirm::need_person()?;

@@ -456,6 +456,14 @@ fn a_console_needs_a_pace_in_which_a_person_can_speak() {
 
 /// Killed in the middle of it, without a chance to write anything.
 #[test]
+fn hold_to_run_needs_the_panel() {
+    let dir = tempfile::tempdir().unwrap();
+    let set = "supervisor.hold_to_run=true";
+    pb3dp(&words(&[&"run", &"--config", &"sim", &"--set", &set, &"--out", &dir.path().join("run")]))
+        .assert_refused(&["supervisor.hold_to_run = true", "--panel"]);
+}
+
+#[test]
 fn a_recording_whose_program_is_killed_can_be_tracked() {
     use std::process::{Command, Stdio};
     use std::time::{Duration, Instant};

@@ -98,6 +98,8 @@ pub struct Setup {
     pub supervisor: SupervisorConfig,
     /// Longest time without a key at the console of arms that are not emulated.
     pub operator_key_within: Duration,
+    /// Arms move only while the operator presses the button of the panel.
+    pub hold_to_run: bool,
     /// Motion of the target.
     pub experiment: Experiment,
     /// All values with their origin.
@@ -402,6 +404,7 @@ impl SetupFile {
             controller,
             supervisor,
             operator_key_within: Duration::from_secs_f64(self.supervisor.key_within_s()),
+            hold_to_run: self.supervisor.hold_to_run,
             experiment: experiment?,
             layers: Layers::default(),
         })

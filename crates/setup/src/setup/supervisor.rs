@@ -16,6 +16,7 @@ pub(super) struct SupervisorSection {
     go_after_s: f64,
     word_age_max_s: f64,
     operator_key_within_s: f64,
+    pub(super) hold_to_run: bool,
     search_max_s: Option<f64>,
     policies: PoliciesSection,
 }
