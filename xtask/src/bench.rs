@@ -41,10 +41,13 @@ const QUICK_ROUNDS: &str = "40";
 /// calibration  accuracy of chessboard corners and of the calibrations from them, on rendered boards with exact truth and on real
 ///         boards; fails if a limit is missed (some minutes; --quick: a minute; --boards adds real boards; --seed N).
 ///         Writes docs/benchmarks/calibration.md
+/// panel   cost of the operator panel: processor time and lateness of control steps with 0, 1 and 5 pages; fails if a limit is
+///         missed (4 minutes; --quick). Writes docs/benchmarks/panel.md
 /// all     speed and raster
 ///
-/// All are in crates/benchmarks, except the example `corner_accuracy` of crates/calibration: the examples `published_speed` and `raster_speed` measure the published method and the
-/// rasteriser, `servo` and `safety` the whole loop, `pb3dp-bench` all others; each prints its own table. The figures are also
+/// All are in crates/benchmarks, except `corner_accuracy` of crates/calibration and `panel_cost` of crates/panel: the examples
+/// `published_speed` and `raster_speed` measure the published method and the rasteriser, `servo` and `safety` the whole loop,
+/// `pb3dp-bench` all others; each prints its own table. The figures are also
 /// saved in `out/bench/*.json`, with commit, processor and compiler. Measure on an idle machine.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]
@@ -70,6 +73,7 @@ enum What {
     Servo,
     Safety,
     Calibration,
+    Panel,
     All,
 }
 
@@ -101,7 +105,10 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
         return safety(workspace, &args.options);
     }
     if args.what == What::Calibration {
-        return calibration(workspace, &args.options);
+        return example(workspace, ("pb3dp-calibration", "corner_accuracy", "calibration.md"), &args.options);
+    }
+    if args.what == What::Panel {
+        return example(workspace, ("pb3dp-panel", "panel_cost", "panel.md"), &args.options);
     }
     let wanted = |what: What| args.what == What::All && OF_ALL.contains(&what) || args.what == what;
     let takes_options = PROGRAMS.iter().any(|(what, _)| *what == args.what);
@@ -146,23 +153,18 @@ fn safety(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
     run_visibly(&mut command)
 }
 
-/// Runs the example `corner_accuracy` of the calibration; a full run writes its page.
-fn calibration(workspace: &Workspace, options: &[String]) -> anyhow::Result<()> {
+/// Runs an example of a package; a full run writes its page.
+fn example(
+    workspace: &Workspace,
+    (package, example, page): (&str, &str, &str),
+    options: &[String],
+) -> anyhow::Result<()> {
     let mut command = workspace.cargo();
-    command.args([
-        "run",
-        "--release",
-        "--locked",
-        "--package",
-        "pb3dp-calibration",
-        "--example",
-        "corner_accuracy",
-        "--",
-    ]);
+    command.args(["run", "--release", "--locked", "--package", package, "--example", example, "--"]);
     command.args(["--origin", &origin(workspace)]);
-    // Other seeds and fewer rigs do not change the page, unless the page is named.
+    // Other seeds and shorter runs do not change the page, unless the page is named.
     if !options.iter().any(|option| ["--quick", "--seed", "--page"].contains(&option.as_str())) {
-        command.args(["--page", &format!("{PAGES}/calibration.md")]);
+        command.args(["--page", &format!("{PAGES}/{page}")]);
     }
     command.args(options);
     run_visibly(&mut command)

@@ -18,6 +18,10 @@ use crate::server::Server;
 use crate::spectator::{PanelSpectator, Watched};
 use crate::{images, preview, reporting};
 
+/// Niceness of all threads but the one that answers clients: a thread that wakes up with the usual niceness is preferred.
+/// Chosen by hand, not varied.
+const BEHIND_CONTROL: i32 = 10;
+
 /// A running panel; dropping it ends its threads.
 pub struct Panel {
     hub: Arc<Hub>,
@@ -49,7 +53,12 @@ impl Panel {
 
     fn spawn(&mut self, name: &str, work: impl FnOnce(&Arc<Hub>) + Send + 'static) -> Result<(), Refusal> {
         let hub = Arc::clone(&self.hub);
-        let thread = Builder::new().name(name.to_owned()).spawn(move || work(&hub));
+        let thread = Builder::new().name(name.to_owned()).spawn(move || {
+            // Encoding an image takes milliseconds, which a control thread must not wait for. On Linux this concerns the calling thread
+            // alone; where it is refused, the panel works all the same.
+            let _ = rustix::process::setpriority_process(None, BEHIND_CONTROL);
+            work(&hub);
+        });
         self.threads.push(thread.map_err(|error| Refusal::Thread { cause: error.to_string() })?);
         Ok(())
     }

@@ -54,6 +54,9 @@ pub struct Seen {
     pub allocations: usize,
     /// Time of the step in which motion ended last.
     pub rested_at: Option<MonotonicTime>,
+    /// From the moment at which a step was due until it was done, seconds. Without the steps that copy a pair, which another thread
+    /// does in a run.
+    pub lateness_s: Vec<f64>,
 }
 
 pub struct Rig {
@@ -78,6 +81,11 @@ impl Rig {
 
     /// A rig with another configuration; if it does not run, no control step has come yet.
     pub fn with(change: impl FnOnce(&mut PanelConfig), runs: bool) -> Self {
+        Self::with_images(change, runs, textured(0, MonotonicTime::ZERO))
+    }
+
+    /// As [`Self::with`], with these images again and again.
+    pub fn with_images(change: impl FnOnce(&mut PanelConfig), runs: bool, images: Arc<FramePair>) -> Self {
         let setup = setup();
         let clock = Arc::new(SystemClock::new());
         let mut config = PanelConfig::at("127.0.0.1:0".parse().unwrap());
@@ -96,6 +104,7 @@ impl Rig {
             is_over: is_over.clone(),
             target: 0,
             sequence: 0,
+            images,
             looks: 0,
             start_rad: setup.rig.arms.vs.start_rad,
         };
@@ -179,12 +188,16 @@ struct Loop {
     is_over: Arc<AtomicBool>,
     target: u64,
     sequence: u64,
+    images: Arc<FramePair>,
     looks: u64,
     start_rad: pb3dp_kinematics::JointVector,
 }
 
+/// Sleep after each step.
+const STEP: Duration = Duration::from_millis(4);
+
 /// A textured pair with a disparity of 40 pixels everywhere.
-fn pair(sequence: u64, at: MonotonicTime) -> Arc<FramePair> {
+fn textured(sequence: u64, at: MonotonicTime) -> Arc<FramePair> {
     let grey = |u: i64, v: i64| {
         let hash = (u.wrapping_mul(73_856_093) ^ v.wrapping_mul(19_349_663)).rem_euclid(251);
         Rgb([hash as u8, (hash / 2 + 60) as u8, 128])
@@ -197,15 +210,17 @@ impl Loop {
     fn run(mut self, mut operator: PanelOperator, mut spectator: PanelSpectator) {
         let mut last: Option<Decision> = None;
         let mut newest: Option<(FrameInput, EstimateInput)> = None;
-        let image = pair(0, MonotonicTime::ZERO);
+        let image = Arc::clone(&self.images);
         let due = AtomicU64::new(0);
         while !self.is_over.load(Ordering::SeqCst) {
-            std::thread::sleep(Duration::from_millis(4));
+            let due_at = Instant::now() + STEP;
+            std::thread::sleep(STEP);
             if self.is_paused.load(Ordering::SeqCst) {
                 continue;
             }
             let now = self.clock.now();
-            if now.as_nanos() >= due.load(Ordering::SeqCst) {
+            let has_copied = now.as_nanos() >= due.load(Ordering::SeqCst);
+            if has_copied {
                 due.store(now.as_nanos() + 30_000_000, Ordering::SeqCst);
                 let percept = self.look(now, &image, &mut spectator);
                 newest = Some(percept);
@@ -251,6 +266,9 @@ impl Loop {
             seen.heard_at = heard.heard_at;
             seen.motion = Some(motion);
             seen.last = Some(decision);
+            if !has_copied {
+                seen.lateness_s.push(due_at.elapsed().as_secs_f64());
+            }
             last = Some(decision);
         }
     }
