@@ -433,7 +433,7 @@ impl DirectTracker {
             out.fitness = Some(target.fit.correlation[0].min(target.fit.correlation[1]));
             (out.status, out.observed) =
                 self.judge_covariance(target.covariance.as_ref(), pose.translation_m().norm(), &mut out.reason);
-            out.rotation_about_normal_observed = out.observed.is_some_and(|observed| observed[5]);
+            out.rotation_about_normal_observed = out.observed.is_none_or(|observed| observed[5]);
             let project = |point: &Point3<f64>| self.rig.left().project(&pose.transform_point(point));
             out.outline_px.extend(target.outline_in_model.iter().filter_map(project));
         }
