@@ -3,7 +3,7 @@
 use anyhow::Result;
 use pb3dp_geometry::frames::{Model, Target, World};
 use pb3dp_geometry::{Pose, Twist};
-use pb3dp_setup::setup::{Carrier, Setup};
+use pb3dp_setup::setup::{ArmSetup, Carrier, Setup};
 use pb3dp_sim::placement::{
     FlangePath, PathRefusal, PathReport, PathRequirements, ToolSpeed, ToolSpeedMax, check_experiment,
 };
@@ -26,20 +26,31 @@ pub fn check_paths(
     let is_carried = setup.experiment.carrier == Carrier::Arm;
     let stand_in = if is_carried { None } else { Some(without_jumps(&setup.experiment.motion).begin_at(start)?) };
     let experiment = &FirstPart { whole: stand_in.as_deref().unwrap_or(experiment), until_s };
-    let vs = match check_follower(setup, experiment) {
+    let of_hand = of_hand(setup);
+    let (vs, tc) = (&setup.rig.arms.vs, &setup.rig.arms.tc);
+    let follower = FlangePath::of_follower(
+        experiment,
+        &vs.world_from_base,
+        &Pose::<Target, Model>::coincident(),
+        &setup.controller.model_from_hand_desired,
+        &setup.controller.flange_from_hand,
+    );
+    let carrier = FlangePath::of_carrier(experiment, &tc.world_from_base, &setup.rig.flange_from_target);
+    let mut paths = vec![("vs-robot", vs, follower, of_hand)];
+    if is_carried {
+        paths.push(("tc-robot", tc, carrier, PathRequirements::OF_EXPERIMENT));
+    }
+    let check = |(name, arm, path, requirements): (_, &ArmSetup, FlangePath<'_>, PathRequirements)| {
+        let checked = check_experiment(&arm.chain, &arm.limits, &arm.start_rad, &path, &requirements);
+        Ok((name, checked.map_err(|refusal| refused(name, &arm.key, refusal))?))
+    };
+    match paths.into_iter().map(check).collect::<Result<_>>() {
         Err(refusal) if !is_carried => {
             tracing::warn!("{refusal:#}; the free target moves anyway");
-            return Ok(Vec::new());
+            Ok(Vec::new())
         }
-        checked => ("vs-robot", checked?),
-    };
-    if !is_carried {
-        return Ok(vec![vs]);
+        checked => checked,
     }
-    let (tc, key) = (&setup.rig.arms.tc, &setup.rig.arms.tc.key);
-    let carrier = FlangePath::of_carrier(experiment, &tc.world_from_base, &setup.rig.flange_from_target);
-    let checked = check_experiment(&tc.chain, &tc.limits, &tc.start_rad, &carrier, &PathRequirements::OF_EXPERIMENT);
-    Ok(vec![vs, ("tc-robot", checked.map_err(|refusal| refused("tc-robot", key, refusal))?)])
 }
 
 /// As [`check_paths`], from the start poses of the setup.
@@ -91,21 +102,12 @@ fn without_jumps(motion: &MotionConfig) -> MotionConfig {
     motion
 }
 
-fn check_follower(setup: &Setup, experiment: &dyn Trajectory) -> Result<PathReport> {
-    let (vs, key) = (&setup.rig.arms.vs, &setup.rig.arms.vs.key);
-    let follower = FlangePath::of_follower(
-        experiment,
-        &vs.world_from_base,
-        &Pose::<Target, Model>::coincident(),
-        &setup.controller.model_from_hand_desired,
-        &setup.controller.flange_from_hand,
-    );
+/// What the path of the hand must fulfil.
+fn of_hand(setup: &Setup) -> PathRequirements {
     let tracking = setup.controller.speed.tracking;
     let hand_max =
         ToolSpeedMax { linear_m_per_s: tracking.linear_m_per_s, angular_rad_per_s: tracking.angular_rad_per_s };
-    let requirements = PathRequirements { tool_speed_max: Some(hand_max), ..PathRequirements::OF_EXPERIMENT };
-    let checked = check_experiment(&vs.chain, &vs.limits, &vs.start_rad, &follower, &requirements);
-    checked.map_err(|refusal| refused("vs-robot", key, refusal))
+    PathRequirements { tool_speed_max: Some(hand_max), ..PathRequirements::OF_EXPERIMENT }
 }
 
 /// A refusal with the setup keys that decide it.

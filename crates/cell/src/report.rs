@@ -1,6 +1,7 @@
 //! The report of a run: one self-contained page, and the same figures as text and JSON.
 
 use std::fmt::Write as _;
+use std::io;
 use std::path::Path;
 
 use anyhow::{Context, Result};
@@ -17,7 +18,6 @@ use super::journal::Outcome;
 use super::log::{ControlSample, MethodLog, RunLog};
 use super::machine::machine;
 use super::summary::{RunSummary, summarize};
-use super::terminal::print_line;
 use super::{commands, cycles, drift, methods};
 use crate::figures::{MedianP95, RmsMax, TrackingError};
 use crate::marks::with_marks;
@@ -36,14 +36,21 @@ pub struct Made {
     pub wall_s: f64,
 }
 
-/// Writes the report of a run and prints its figures; returns how well the hand followed, unless the run failed.
+/// Writes the report of a run and prints its figures with `print`; returns how well the hand followed, unless the run failed.
 ///
 /// # Errors
 /// The failure that ended the run early (`how`), and failures to write the report.
-pub fn tell(folder: &Path, setup: &Setup, made: &Made, outcome: &Outcome, how: Result<()>) -> Result<Following> {
+pub fn tell(
+    folder: &Path,
+    setup: &Setup,
+    made: &Made,
+    outcome: &Outcome,
+    how: Result<()>,
+    print: impl Fn(&str) -> io::Result<()>,
+) -> Result<Following> {
     let ended_by = how.as_ref().err().map(|failure| format!("{failure:#}"));
     let summary = RunSummary { ended_by, ..summarize(&outcome.log, &outcome.plan) };
-    both(how, write_all(folder, setup, made, (outcome, &summary)))
+    both(how, write_all(folder, setup, made, (outcome, &summary), print))
 }
 
 /// Combines the end of the run with the outcome of its report.
@@ -63,6 +70,7 @@ fn write_all(
     setup: &Setup,
     made: &Made,
     (outcome, summary): (&Outcome, &RunSummary),
+    print: impl Fn(&str) -> io::Result<()>,
 ) -> Result<Following> {
     let provenance = provenance(made, setup, summary.duration_s);
     let json = serde_json::json!({
@@ -86,9 +94,9 @@ fn write_all(
     });
     let page = page(outcome, summary, &outcome.plan.world_from_axes).heading("Provenance").table(&origin);
     page.folded("All settings and their origin", &settings).write(&folder.join("report.html"))?;
-    print_line(&plain_zero(&text_table(summary)))?;
+    print(&plain_zero(&text_table(summary)))?;
     let following = summary.supervisor.share_following;
-    print_line(&format!("report: {}", folder.join("report.html").display()))?;
+    print(&format!("report: {}", folder.join("report.html").display()))?;
     Ok(if following < FOLLOWING_EXPECTED { Following::TooLittle { share: following } } else { Following::Well })
 }
 

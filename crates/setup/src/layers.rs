@@ -3,10 +3,11 @@
 //! A file states only what differs from its `base`, which is a built-in setup or another file. figment merges the layers and
 //! records the origin of each value.
 
+mod arguments;
 pub mod built_in;
 pub(crate) mod built_in_keys;
-mod layer;
 mod position;
+mod tables;
 #[cfg(test)]
 mod tests;
 mod variables;
@@ -14,60 +15,15 @@ mod variables;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use clap::Args;
-use figment::Figment;
-use figment::value::{Dict, Value};
+use figment::providers::{Format, Toml};
+use figment::value::{Dict, Map, Value};
+use figment::{Figment, Metadata, Profile, Provider};
 
-use self::layer::{Layer, change, flatten, remove_at, toml_text, value_at};
+pub use self::arguments::SetupArgs;
+use self::position::Positions;
+use self::tables::{change, flatten, remove_at, toml_text};
 use crate::arm_backend::is_real_backend;
 use crate::error::{ConfigError, text_of};
-
-/// Options of every command that reads a setup.
-#[derive(Clone, Debug, Default, Args)]
-pub struct SetupArgs {
-    /// A TOML file or a built-in setup (sim, hil, rig, bare, published); may be repeated, later ones override.
-    #[arg(long = "config", value_name = "FILE|NAME", required = true)]
-    pub configs: Vec<PathBuf>,
-    /// Set one key, for instance `scene.target=card`; may be repeated. `pb3dp config explain KEY` describes a key.
-    #[arg(long = "set", value_name = "KEY=VALUE")]
-    pub set: Vec<String>,
-    /// Keys set by other options: option, key, value.
-    #[arg(skip)]
-    pub by_options: Vec<(&'static str, &'static str, String)>,
-}
-
-impl SetupArgs {
-    /// One file only.
-    pub fn of_file(file: &Path) -> Self {
-        Self { configs: vec![file.to_path_buf()], ..Self::default() }
-    }
-
-    /// Adds a key that an option of its own sets, with the highest precedence; without a value, no change.
-    #[must_use]
-    pub fn with(mut self, option: &'static str, key: &'static str, value: Option<String>) -> Self {
-        self.by_options.extend(value.map(|value| (option, key, value)));
-        self
-    }
-
-    /// The first file or name, which represents the setup in messages.
-    pub fn name(&self) -> &Path {
-        self.configs.first().map_or(Path::new("(no setup)"), PathBuf::as_path)
-    }
-
-    /// The same options as command-line arguments.
-    pub fn words(&self) -> Vec<std::ffi::OsString> {
-        let configs = self.configs.iter().flat_map(|file| ["--config".into(), file.clone().into_os_string()]);
-        configs.chain(self.set.iter().flat_map(|set| ["--set".into(), set.into()])).collect()
-    }
-}
-
-impl std::fmt::Display for SetupArgs {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let configs: Vec<String> = self.configs.iter().map(|file| file.display().to_string()).collect();
-        f.write_str(&configs.join(" + "))?;
-        self.set.iter().try_for_each(|set| write!(f, " --set {set}"))
-    }
-}
 
 /// Origin of a value.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -112,6 +68,94 @@ pub struct Effective {
     pub value: String,
     /// Its origin: `configs/hil.toml:12`.
     pub origin: String,
+}
+
+/// The values of one source.
+#[derive(Clone, Debug)]
+struct Layer {
+    origin: Origin,
+    /// Positions of its keys in its text, if it has one.
+    positions: Positions,
+    /// The values, as nested tables.
+    stated: Dict,
+}
+
+impl Provider for Layer {
+    fn metadata(&self) -> Metadata {
+        Metadata::named(self.origin.to_string())
+    }
+
+    fn data(&self) -> Result<Map<Profile, Dict>, figment::Error> {
+        Ok(Map::from([(Profile::Default, self.stated.clone())]))
+    }
+}
+
+impl Layer {
+    /// The layer of a TOML text.
+    ///
+    /// # Errors
+    /// A text that is not valid TOML, with line and column.
+    fn of_text(origin: Origin, text: String) -> Result<Self, ConfigError> {
+        if let Err(error) = toml::de::DeTable::parse(&text) {
+            let (line, column) = position::line_and_column(&text, error.span().map_or(0, |span| span.start));
+            let place = PathBuf::from(format!("{origin}:{line}:{column}"));
+            return Err(ConfigError::Syntax { place, reason: error.message().to_owned() });
+        }
+        let data = Toml::string(&text).data().map_err(|error| ConfigError::Syntax {
+            place: PathBuf::from(origin.to_string()),
+            reason: error.to_string(),
+        })?;
+        let stated = data.into_values().next().unwrap_or_default();
+        Ok(Self { origin, positions: position::all(&text), stated })
+    }
+
+    /// The value of the option `--set KEY=VALUE`.
+    ///
+    /// # Errors
+    /// A text without `=`, or with an invalid key.
+    fn of_option(set: &str) -> Result<Self, ConfigError> {
+        match set.split_once('=') {
+            Some((key, value)) if !key.trim().is_empty() => {
+                Self::of_words(Origin::Option("--set"), key.trim(), value.trim())
+            }
+            _ => Err(ConfigError::Values {
+                file: PathBuf::from("--set"),
+                lines: format!("  {set:?}: write KEY=VALUE, for instance --set scene.target=card"),
+            }),
+        }
+    }
+
+    /// One key with its value as TOML; a value that is not TOML is text, so that words need no quotes.
+    ///
+    /// # Errors
+    /// An invalid key.
+    fn of_words(origin: Origin, key: &str, value: &str) -> Result<Self, ConfigError> {
+        let quoted = format!("{key} = {}", toml::Value::from(value));
+        let text = [format!("{key} = {value}"), quoted].into_iter().find(|text| toml::de::DeTable::parse(text).is_ok());
+        let text = text.ok_or_else(|| ConfigError::Values {
+            file: PathBuf::from(origin.to_string()),
+            lines: format!("  {key:?}: is no key; keys look like arms.vs.start_deg"),
+        })?;
+        Ok(Self { positions: Positions::new(), ..Self::of_text(origin, text)? })
+    }
+
+    /// The table `named_arm` of an arm's file, as the table of an arm in a setup.
+    ///
+    /// # Errors
+    /// A file without that table.
+    fn into_arm(mut self, name: &str) -> Result<Self, ConfigError> {
+        let file = || PathBuf::from(self.origin.to_string());
+        let Some(arm) = self.stated.remove("named_arm") else {
+            let lines = "  named_arm: missing; a file of an arm has it, as configs/arms/ur5e.toml".to_owned();
+            return Err(ConfigError::Values { file: file(), lines });
+        };
+        let arms = Dict::from([(name.to_owned(), arm)]);
+        self.stated = Dict::from([("arms".to_owned(), Value::from(arms))]);
+        // Its keys are below another table than in the setup.
+        let in_setup = |(key, at): (String, _)| (key.replacen("named_arm", &format!("arms.{name}"), 1), at);
+        self.positions = self.positions.into_iter().map(in_setup).collect();
+        Ok(self)
+    }
 }
 
 /// All layers of a setup, lowest first.
@@ -478,6 +522,16 @@ fn find(config: &Path, folder: &Path) -> Result<(Origin, String), ConfigError> {
     let file = file.strip_prefix("./").map(Path::to_path_buf).unwrap_or(file);
     let text = text_of(&file)?;
     Ok((Origin::File(file), text))
+}
+
+/// A value in nested tables.
+fn value_at<'a>(dict: &'a Dict, path: &[&str]) -> Option<&'a Value> {
+    let (first, rest) = path.split_first()?;
+    rest.iter().try_fold(dict.get(*first)?, |value, part| match value {
+        Value::Dict(_, inner) => inner.get(*part),
+        Value::Array(_, items) => items.get(part.parse::<usize>().ok()?),
+        _ => None,
+    })
 }
 
 /// A complete setup as one file, each value with its origin.

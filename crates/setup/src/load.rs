@@ -147,7 +147,7 @@ impl ConfigFile {
         };
         let mut lines: Vec<String> = keys.iter().chain(&refused).map(located).collect();
         let missing = keys.iter().filter(|line| line.contains(MISSING)).count();
-        if self.wanted == FileKind::Setup && missing > MISSING_MANY && !self.layers.has_base() {
+        if self.wanted == FileKind::Setup && missing > 0 && !self.layers.has_base() {
             lines.push(
                 "  add the first line base = \"sim\" to take all other values from this built-in setup (also: hil)"
                     .to_owned(),
@@ -159,8 +159,6 @@ impl ConfigFile {
 
 /// More problems are not reported.
 const PROBLEMS_MAX: usize = 300;
-/// From this number of missing keys on, the message suggests a base for the setup.
-const MISSING_MANY: usize = 5;
 const MISSING: &str = ": missing";
 const ALLOWED: &str = ": allowed are ";
 

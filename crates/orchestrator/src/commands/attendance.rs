@@ -27,11 +27,26 @@ pub struct Attendance {
 }
 
 impl Attendance {
-    /// Waits until a person has typed the names of the arms that are not emulated, unless a console leads the run.
+    /// Waits until a person has typed the names of the arms that are not emulated, unless a console leads the run; `None` if the panel
+    /// leads it.
     ///
     /// # Errors
-    /// Arms that nobody leads or confirms, something else typed, or a console at a pace that nobody can follow.
-    pub fn confirmed(args: &RunArgs, setup: &Setup, signals: &mut StopSignals) -> Result<Self> {
+    /// Arms that nobody leads or confirms, something else typed, a pace that no person can follow, or a panel without images.
+    pub fn confirmed(args: &RunArgs, setup: &Setup, signals: &mut StopSignals) -> Result<Option<Self>> {
+        if args.panel.is_some() {
+            if setup.pace == Pace::Fast {
+                bail!(
+                    "--panel: at run.pace = \"fast\" no person can follow; use --config playground, or --set run.pace=real-time (or live)"
+                );
+            }
+            if !setup.leader.needs_images() {
+                let method = setup.leader.name();
+                bail!(
+                    "--panel: with estimator.method = {method:?} there are no images in which a target can be chosen"
+                );
+            }
+            return Ok(None);
+        }
         if args.operator == OperatorName::Console && setup.pace == Pace::Fast {
             bail!(
                 "--operator console: at pace = \"fast\" nobody can speak in time; set pace to \"real-time\" or \"live\""
@@ -44,7 +59,7 @@ impl Attendance {
         if !is_emulated {
             confirm::need_person()?;
         }
-        let by = |typed| Self { name: args.operator, is_emulated, key_within, typed };
+        let by = |typed| Some(Self { name: args.operator, is_emulated, key_within, typed });
         if is_emulated || args.operator == OperatorName::Console {
             return Ok(by(Box::new(BufReader::new(std::io::stdin()))));
         }

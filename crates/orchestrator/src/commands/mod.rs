@@ -14,7 +14,7 @@ pub mod pair;
 pub mod panel;
 mod panel_of_run;
 mod pose_output;
-pub mod previous_run;
+mod result_folder;
 pub mod rig;
 pub mod run;
 pub mod track;

@@ -2,35 +2,16 @@
 
 use std::sync::Arc;
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use nalgebra::Vector3;
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::perception::{Marking, Sight};
 use pb3dp_panel::config::Push;
 use pb3dp_panel::{About, Panel, PanelConfig};
-use pb3dp_setup::setup::{Pace, Setup};
+use pb3dp_setup::setup::Setup;
 
 use crate::logging::show_in_panel;
 use crate::panel_access::announce;
-
-/// Refuses what no panel can lead.
-///
-/// # Errors
-/// A pace that no person can follow, or a run without images.
-pub fn check(setup: &Setup) -> Result<()> {
-    if setup.pace == Pace::Fast {
-        bail!(
-            "--panel: at run.pace = \"fast\" no person can follow; use --config playground, or --set run.pace=real-time (or live)"
-        );
-    }
-    if !setup.leader.needs_images() {
-        bail!(
-            "--panel: with estimator.method = {:?} there are no images in which a target can be chosen",
-            setup.leader.name()
-        );
-    }
-    Ok(())
-}
 
 /// Starts the panel and makes it the operator of the run: no target is marked until somebody selects one.
 ///

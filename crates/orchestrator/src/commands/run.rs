@@ -11,6 +11,7 @@ use pb3dp_cell::experiment::{self, Ended};
 use pb3dp_cell::flight::Moment;
 use pb3dp_cell::interruption::{INTERRUPTED, watch};
 use pb3dp_cell::report::{self, Following, Made};
+use pb3dp_cell::terminal::print_line;
 use pb3dp_commissioning::commissioned::needed_records;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::dataset::SequenceWriter;
@@ -19,7 +20,8 @@ use pb3dp_wiring::{RunNeeds, Wired, accept_nominal, wire_run, write_flights};
 
 use crate::arguments::{OperatorName, RunArgs, UNSURE};
 use crate::commands::attendance::Attendance;
-use crate::commands::{panel_of_run, previous_run};
+use crate::commands::panel_of_run;
+use crate::commands::result_folder::ResultFolder;
 use crate::logging::last_words;
 
 /// Runs the command: experiment, then report.
@@ -27,15 +29,6 @@ use crate::logging::last_words;
 /// # Errors
 /// A refused configuration, an experiment that the arms cannot follow, or a failed part.
 pub fn run(args: &RunArgs) -> Result<ExitCode> {
-    let missing = previous_run::missing(&args.out);
-    let ended = conduct(args);
-    if ended.is_err() {
-        previous_run::remove_empty(&missing);
-    }
-    ended
-}
-
-fn conduct(args: &RunArgs) -> Result<ExitCode> {
     // Before any thread starts: a signal that ended the program would leave the arms to their gateways.
     let mut signals = StopSignals::take_over().context("the signals that end the program cannot be taken over")?;
     let seed = args.seed.as_ref().map(ToString::to_string);
@@ -47,15 +40,12 @@ fn conduct(args: &RunArgs) -> Result<ExitCode> {
     [&setup.rig.arms.vs, &setup.rig.arms.tc].into_iter().try_for_each(ArmSetup::check_signals)?;
     let records = needed_records(&setup, SystemTime::now())?;
     let panel_config = args.panel.map(|address| args.panel_access.config(address)).transpose()?;
-    let attendance = match panel_config {
-        Some(_) => panel_of_run::check(&setup).map(|()| None)?,
-        None => Some(Attendance::confirmed(args, &setup, &mut signals)?),
-    };
-    previous_run::make(&args.out)?;
-    // Checked before an arm is enabled, and before the previous report is moved.
+    let attendance = Attendance::confirmed(args, &setup, &mut signals)?;
+    // Checked before an arm is enabled, and before an earlier run is moved.
     if let Some(folder) = &args.record {
         SequenceWriter::check_folder(folder).context("--record")?;
     }
+    let _results = ResultFolder::take(&args.out)?;
     let is_led_by_person = args.panel.is_some() || args.operator == OperatorName::Console;
     let needs = RunNeeds { until_s: args.stop_after, selects_targets: is_led_by_person };
     let Wired { mut parts, monitors, .. } = wire_run(&setup, &needs)?;
@@ -79,8 +69,6 @@ fn conduct(args: &RunArgs) -> Result<ExitCode> {
     };
     // A fault does not end a run with a console; the recorders forget it after some seconds.
     parts.keep_flights = Box::new(keep_flights.clone());
-    // Late, so that a refused run leaves the previous one in its place.
-    previous_run::keep(&args.out)?;
     tracing::info!("the results of this run go to {} (--out)", args.out.display());
     let Ended { outcome, how, faults } = experiment::conduct(&setup, parts, args.stop_after, args.record.as_deref())?;
     if let Err(failure) = &how {
@@ -89,7 +77,7 @@ fn conduct(args: &RunArgs) -> Result<ExitCode> {
     drop(panel);
     let made =
         Made { configuration: asked.to_string(), commit: crate::COMMIT, wall_s: started.elapsed().as_secs_f64() };
-    let following = report::tell(&args.out, &setup, &made, &outcome, how)?;
+    let following = report::tell(&args.out, &setup, &made, &outcome, how, print_line)?;
     // A person decides when the hand follows.
     if !is_led_by_person {
         following.warn();

@@ -127,7 +127,12 @@ fn a_mistyped_backend_is_the_only_line_and_gets_the_nearest_word() {
 #[test]
 fn a_setup_without_a_base_is_told_to_add_one() {
     let folder = tempfile::tempdir().unwrap();
-    for text in ["", "[run]\nseed = 2\n", "[scene]\ntarget = \"card\"\n", "[arms.vs]\nbackend = \"tcp\"\n"] {
+    let whole = built_in::setup("sim").unwrap().text;
+    let one_missing = whole.replacen("go_after_s = ", "# go_after_s = ", 1);
+    assert_ne!(one_missing, whole);
+    for text in
+        ["", "[run]\nseed = 2\n", "[scene]\ntarget = \"card\"\n", "[arms.vs]\nbackend = \"tcp\"\n", &one_missing]
+    {
         let text = refusal(&[&write(folder.path(), "mine.toml", text)], &[]);
         assert!(text.contains("add the first line base = \"sim\""), "{text}");
     }
