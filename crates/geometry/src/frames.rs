@@ -26,9 +26,9 @@ frames! {
     Base = "base";
     /// Last link of an arm; z along the last joint's axis, away from the arm.
     Flange = "flange";
-    /// Base of the arm that carries the target, if both arms are involved.
+    /// Base of the target arm (`tc`) in code that deals with both arms. In such code, [`Base`] is the base of the camera arm.
     TcBase = "tc_base";
-    /// Flange of the arm that carries the target, if both arms are involved.
+    /// Flange of the target arm (`tc`) in code that deals with both arms. In such code, [`Flange`] is the flange of the camera arm.
     TcFlange = "tc_flange";
     /// The hand (end effector), whose pose is controlled; fixed to the flange.
     Hand = "hand";
@@ -40,7 +40,8 @@ frames! {
     CamLeftRect = "cam_left_rect";
     /// Right camera after rectification.
     CamRightRect = "cam_right_rect";
-    /// On the target: origin at the model's centre, z along the plane normal away from the cameras.
+    /// The estimated frame on the target, defined by the first stereo pair. Origin: where the ray of the region's centroid meets the
+    /// target's plane. z: perpendicular to this plane, away from the cameras.
     Model = "model";
     /// The object carried by the target arm, as the simulator describes it.
     Target = "target";

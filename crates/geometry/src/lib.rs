@@ -1,11 +1,12 @@
 //! Typed frames, SE(3), pinhole cameras with distortion, and stereo rigs.
 //!
-//! All quantities are in SI units (metres, radians, seconds) and `f64`; image coordinates are pixels with integer pixel
-//! centres. `docs/frames.md` describes the frames and their axes. This crate does no I/O and is independent of any arm.
+//! Geometric quantities are `f64` in SI units (metres, radians, seconds); [`MonotonicTime`] holds whole nanoseconds, and
+//! angles in errors are degrees. Image coordinates are in pixels, and the centre of a pixel has integer coordinates. `docs/frames.md` describes the frames and their axes. This crate does no I/O
+//! and is independent of any arm.
 //!
-//! Main types: [`Pose`] (a rigid transform `a_from_b` with its frames in the type), [`Twist`], [`Camera`],
-//! [`StereoRig`], [`maps::RemapTable`] (undistortion and rectification of images), [`MonotonicTime`], and the functions
-//! of [`so3`] and [`se3`].
+//! Main types: [`Pose`] (a rigid transform `a_from_b`, which maps coordinates in frame b to frame a; the type names both
+//! frames), [`Twist`], [`Camera`], [`StereoRig`], [`maps::RemapTable`] (undistortion and rectification of images),
+//! [`MonotonicTime`], and the functions of [`so3`] and [`se3`].
 
 pub mod camera;
 pub mod frames;

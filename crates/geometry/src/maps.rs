@@ -14,8 +14,8 @@ const STEPS: u32 = 256;
 /// Marks destination pixels without a source.
 const NO_SOURCE: u32 = u32::MAX;
 
-/// Map from the image of a distortion-free camera to that of another camera with the same optical centre, in any direction
-/// and with any lens. It needs no memory, so parts of large images cost no more than parts of small ones.
+/// Map from the image of a distortion-free camera to that of another camera. The other camera has the same optical centre, but may
+/// look in another direction and have any lens. The map stores no table: its cost depends only on the number of pixels asked for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PixelMap {
     source: Camera,
@@ -24,7 +24,7 @@ pub struct PixelMap {
 }
 
 impl PixelMap {
-    /// The map from the image of the pinhole of `destination`, whose distortion is ignored, to the image of `source`. Only the
+    /// For each pixel of the pinhole of `destination`, whose distortion is ignored, the map gives the pixel of `source`. Only the
     /// rotation of `destination_from_source` is used.
     pub fn rotate<To: Frame, From: Frame>(
         source: &Camera,
@@ -71,7 +71,8 @@ impl PixelMap {
         (pixel.x.is_finite() && pixel.y.is_finite()).then_some(pixel)
     }
 
-    /// The same map between images reduced by means over squares of `scale` x `scale` pixels, without incomplete squares.
+    /// The same map with both images reduced: each pixel is the mean of a square of `scale` x `scale` pixels; incomplete squares at the edges
+    /// are left out.
     pub fn reduced(&self, scale: u32) -> Self {
         Self { source: self.source.reduced(scale), destination: self.destination.reduced(scale), ..*self }
     }
@@ -130,7 +131,7 @@ pub enum RemapError {
 impl RemapTable {
     /// Creates a table from any map: `source_of` gives the source pixel of a destination pixel, or `None`.
     ///
-    /// With source images narrower or lower than two pixels every pixel is invalid.
+    /// If source images have fewer than two columns or two rows, every pixel is invalid.
     pub fn from_fn(
         size: ImageSize,
         source_size: ImageSize,
@@ -155,10 +156,8 @@ impl RemapTable {
         })
     }
 
-    /// The table that converts the image of `source` into the image of the distortion-free pinhole of `destination`; both share
-    /// their optical centre.
-    ///
-    /// Only the rotation of `destination_from_source` is used, and the destination's distortion is ignored.
+    /// The table of [`PixelMap::rotate`]. It converts an image of `source` into the image that the pinhole of `destination` would take
+    /// from the same optical centre.
     pub fn rotate<To: Frame, From: Frame>(
         source: &Camera,
         destination: &Camera,

@@ -11,8 +11,8 @@ use nalgebra::{
 use crate::frames::Frame;
 use crate::se3;
 
-/// A rigid transform `to_from_from`: maps coordinates in `From` to coordinates in `To`; equivalently, the pose of `From` in
-/// `To`.
+/// A rigid transform from frame `From` to frame `To`: maps coordinates in `From` to coordinates in `To`; equivalently, the pose of
+/// `From` in `To`.
 ///
 /// Only transforms with a common frame can be composed: `Pose<A, B> * Pose<B, C>` is a `Pose<A, C>`.
 /// Translation in metres.
@@ -27,7 +27,7 @@ impl<To: Frame, From: Frame> Pose<To, From> {
         Self { isometry, frames: PhantomData }
     }
 
-    /// Creates a pose from its origin `translation_m` in `To` and the rotation of its axes.
+    /// Creates a pose from the origin of `From` in `To`, and the rotation of the axes of `From` in `To`.
     pub fn from_parts(translation_m: Vector3<f64>, rotation: UnitQuaternion<f64>) -> Self {
         Self::from_isometry(Isometry3::from_parts(Translation3::from(translation_m), rotation))
     }
@@ -45,14 +45,15 @@ impl<To: Frame, From: Frame> Pose<To, From> {
     /// Creates a pose from a rotation matrix and a translation in metres; the matrix is re-orthonormalised to the nearest
     /// rotation.
     ///
-    /// Intended for matrices that are rotations up to rounding or few digits; a caller that reads them from outside must check
-    /// that first. A matrix that is singular, not finite or contains a reflection gives a meaningless pose, but never a panic.
+    /// For matrices that are rotations apart from rounding, or that were written with few digits. A caller that reads a matrix from
+    /// outside must check first that it is nearly a rotation. A matrix that is singular, not finite or contains a reflection gives a
+    /// meaningless pose, but never a panic.
     pub fn from_rotation_matrix(rotation: &Matrix3<f64>, translation_m: Vector3<f64>) -> Self {
         let rotation = Rotation3::from_matrix_unchecked(nearest_orthogonal(rotation));
         Self::from_parts(translation_m, UnitQuaternion::new_normalize(*UnitQuaternion::from_rotation_matrix(&rotation)))
     }
 
-    /// The transform without its frames, for kernels.
+    /// The transform without its frames, for functions that compute with plain numbers.
     pub fn isometry(&self) -> &Isometry3<f64> {
         &self.isometry
     }
@@ -77,7 +78,7 @@ impl<To: Frame, From: Frame> Pose<To, From> {
         self.isometry.to_homogeneous()
     }
 
-    /// `from_from_to`.
+    /// The inverse: maps coordinates in `To` to coordinates in `From`.
     pub fn inverse(&self) -> Pose<From, To> {
         Pose::from_isometry(self.isometry.inverse())
     }
@@ -133,8 +134,8 @@ impl<To: Frame, From: Frame> Pose<To, From> {
         self.isometry.translation.vector.iter().chain(self.isometry.rotation.coords.iter()).all(|x| x.is_finite())
     }
 
-    /// The same numbers with other frame names, for an explicit identification of frames (for example an arm's `base` with the
-    /// position of this arm).
+    /// The same numbers under other frame names, for frames that are the same by definition. For example, the base of the target arm is
+    /// [`Base`](crate::frames::Base) in code for one arm, and [`TcBase`](crate::frames::TcBase) in code that deals with both.
     pub fn relabel<To2: Frame, From2: Frame>(&self) -> Pose<To2, From2> {
         Pose::from_isometry(self.isometry)
     }

@@ -15,12 +15,12 @@ const BASELINE_SINE_MIN: f64 = 0.2;
 /// would be mostly empty.
 const TURN_COSINE_MIN: f64 = 0.5;
 
-/// Pixels farther than this from the axis of a rectified camera do not enlarge its image, as tangent: 70 degrees. At half and
-/// double: 54 and 80 degrees, where a rectified pixel is 3 and 30 times as fine as a raw one.
+/// Tangent of the angle from the rectified axis (70 degrees) up to which pixels enlarge the image. Half of this value is 54 degrees,
+/// where a rectified pixel is 3 times as fine as a raw one; double is 80 degrees, and 30 times.
 const FIELD_TANGENT_MAX: f64 = 2.75;
 /// An image grows by at most this many times its size on each side. Chosen by hand, not varied.
 const GROWTH_MAX: i32 = 1;
-/// Images grow by multiples of this, pixels: a power of two, so that halved images keep their grid.
+/// Images grow in steps of this many pixels: a power of two, so that halved images keep their grid.
 const GROWTH_STEP: i32 = 64;
 /// Points along each side of a raw image that are mapped to find the size of the rectified one.
 const FIELD_POINTS: u32 = 17;
@@ -28,8 +28,8 @@ const FIELD_POINTS: u32 = 17;
 /// A rectified rig, and the rotations and maps that lead to it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rectification {
-    /// The rectified rig: no distortion, no rotation, equal fx, fy and cy, the right camera at `(B, 0, 0)`. The type's
-    /// `cam_left` and `cam_right` are the rectified frames here.
+    /// The rectified rig: no distortion, no rotation, equal fx, fy and cy, the right camera at `(baseline, 0, 0)`. Here the
+    /// frames `CamLeft` and `CamRight` of the type are the rectified ones.
     pub rig: StereoRig,
     /// From the rectified left image to the original one.
     pub left: PixelMap,
@@ -52,7 +52,7 @@ pub enum RectificationError {
         /// Angle between baseline and mean optical axis, degrees.
         angle_deg: f64,
     },
-    /// Rectification would have to rotate a camera too far.
+    /// Rectification would have to turn an optical axis too far.
     #[error(
         "rectification would rotate the {camera} camera by {angle_deg:.1} degrees (limit 60): check the rotation of the calibration"
     )]
@@ -84,13 +84,14 @@ pub enum RectificationError {
 impl StereoRig {
     /// Computes the rectified rig, the rotations to it, and the maps of the images.
     ///
-    /// The common x axis is the baseline. The common z axis is the mean viewing direction made perpendicular to it, so both
-    /// cameras share the rotation. Focal lengths are the means of both cameras, each image keeps its centre (hence cx may
-    /// differ and disparities have an offset), cy is common, and both images take the larger size. A rig that is already
-    /// rectified remains unchanged.
+    /// The common x axis is the baseline. The common z axis is the mean of both viewing directions, made perpendicular to the baseline.
+    /// Each camera is therefore rotated by about half the angle between the two viewing directions. Focal lengths are the means of both
+    /// cameras. The middle of a raw image stays in the middle column of the rectified one; cx may therefore differ, and disparities
+    /// then have an offset. cy is common. Both images take the larger of the two
+    /// sizes. A rig that is already rectified remains unchanged.
     ///
     /// # Errors
-    /// A baseline along the viewing direction, a camera that would have to be rotated by more than 60 degrees, or a lens model
+    /// A baseline along the viewing direction, a camera whose optical axis would have to turn by more than 60 degrees, or a lens model
     /// without rays in the middle half of its image.
     pub fn rectify(&self) -> Result<Rectification, RectificationError> {
         check_lens("left", self.left())?;
@@ -116,7 +117,8 @@ impl StereoRig {
 
 impl Rectification {
     /// The same rectification with images that show the whole field of the raw ones: up to 70 degrees from the axis, and with at
-    /// most three times the columns and rows. Pixels are neither moved nor scaled, apart from the origin of their coordinates.
+    /// most three times the columns and rows. Each pixel keeps its ray and its size; only the
+    /// origin of the pixel coordinates changes.
     /// An image that is already rectified remains unchanged.
     ///
     /// # Errors
@@ -147,7 +149,7 @@ struct Field {
     high: Vector2<i32>,
 }
 
-/// The rectified pixels that show the raw image of `map`, and those of the rectified image.
+/// The range of rectified pixels that covers the raw image of `map` and the present rectified image.
 fn field(map: &PixelMap) -> Field {
     let (raw, size, pinhole) = (map.source_size(), map.size(), map.destination_pinhole());
     let size = Vector2::new(size.width as i32, size.height as i32);
@@ -172,7 +174,7 @@ fn field(map: &PixelMap) -> Field {
     Field { low: -steps(-low), high: size + steps(high - size.map(f64::from)) }
 }
 
-/// Rows: the rectified axes in `cam_left`.
+/// The matrix whose rows are the rectified axes, in `cam_left`.
 fn rectified_axes(rig: &StereoRig) -> Result<Matrix3<f64>, RectificationError> {
     if rig.is_rectified() {
         return Ok(Matrix3::identity());

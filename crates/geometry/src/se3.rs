@@ -1,7 +1,7 @@
 //! The group of rigid motions: exponential, logarithm, adjoint, Jacobians, interpolation.
 //!
-//! Tangent vectors are `[rho; phi]`: linear part first (metres), angular part second (radians). All functions here use plain
-//! isometries; [`Pose`](crate::Pose) wraps those that respect frames. Formulas: Barfoot, *State Estimation for Robotics*,
+//! Tangent vectors are `[rho; phi]`: linear part first (metres), angular part second (radians). The functions here work
+//! without frames; [`Pose`](crate::Pose) offers some of them with frames, where the types can check them. Formulas: Barfoot, *State Estimation for Robotics*,
 //! section 7.1.
 
 use nalgebra::{Isometry3, Matrix3, Matrix6, Translation3, Vector3, Vector6};
@@ -11,7 +11,7 @@ use crate::so3;
 /// Below this angle (radians) the coefficients are computed from their series.
 const SERIES_BELOW_RAD: f64 = 1.0;
 
-/// The rigid motion of a constant unit-time twist `xi = [rho; phi]`.
+/// The motion of a body that moves for one unit of time with the constant twist `xi = [rho; phi]` in its own axes.
 pub fn exp(xi: &Vector6<f64>) -> Isometry3<f64> {
     let (rho, phi) = split(xi);
     Isometry3::from_parts(Translation3::from(so3::left_jacobian(&phi) * rho), so3::exp(&phi))
@@ -23,7 +23,8 @@ pub fn log(a: &Isometry3<f64>) -> Vector6<f64> {
     join(&(so3::left_jacobian_inverse(&phi) * a.translation.vector), &phi)
 }
 
-/// The adjoint of `a_from_b`: maps a tangent vector in `b` to `a`, `a exp(xi) a^-1 = exp(adjoint(a) xi)`.
+/// The adjoint of a transform `a` from frame `f` to frame `t`: maps a tangent vector in `f` to one in `t`,
+/// `a exp(xi) a^-1 = exp(adjoint(a) xi)`.
 pub fn adjoint(a: &Isometry3<f64>) -> Matrix6<f64> {
     let rotation = a.rotation.to_rotation_matrix().into_inner();
     blocks(&rotation, &(so3::hat(&a.translation.vector) * rotation))
@@ -54,7 +55,7 @@ pub fn right_jacobian_inverse(xi: &Vector6<f64>) -> Matrix6<f64> {
 
 /// The motion a fraction `s` of the way from `a` to `b` along the connecting screw motion: `a exp(s log(a^-1 b))`.
 ///
-/// `s` = 0 gives `a`, 1 gives `b`; other values extrapolate at the same constant twist.
+/// `s` = 0 gives `a`, 1 gives `b`; values outside 0 to 1 extrapolate at the same constant twist.
 pub fn interpolate(a: &Isometry3<f64>, b: &Isometry3<f64>, s: f64) -> Isometry3<f64> {
     a * exp(&(log(&(a.inverse() * b)) * s))
 }

@@ -6,7 +6,7 @@ use crate::camera::{Camera, CameraError, Distortion};
 use crate::frames::{CamLeft, CamRight};
 use crate::pose::Pose;
 
-/// A calibrated stereo pair, not necessarily rectified.
+/// Two calibrated cameras that are fixed to each other; not necessarily rectified.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StereoRig {
     left: Camera,
@@ -46,9 +46,9 @@ impl StereoRig {
     /// Creates a rig from its cameras and `cam_right_from_cam_left` (maps coordinates in `cam_left` to `cam_right`, metres).
     ///
     /// # Errors
-    /// A baseline out of range, a rotation that is not finite, or a right camera that is not beside the left camera: the x of its
-    /// centre in `cam_left` must be at least half the baseline. With a vertical baseline, whose y is larger than its x, the
-    /// right camera is above or below the left one by at least half the baseline.
+    /// A baseline out of range, a rotation that is not finite, or a right camera at the wrong side: it must be to the right of the left
+    /// camera by at least half the baseline. If the baseline is more vertical than horizontal, it must be above or below the left
+    /// camera by at least half the baseline instead.
     pub fn new(
         left: Camera,
         right: Camera,

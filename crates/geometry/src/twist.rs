@@ -7,8 +7,8 @@ use nalgebra::{Vector3, Vector6};
 use crate::frames::Frame;
 use crate::pose::Pose;
 
-/// A twist expressed in frame `In`: linear velocity (m/s) of the point at the origin of the moving frame named by the
-/// variable, then angular velocity (rad/s). Vector order is always `[linear; angular]`.
+/// A twist in the axes of frame `In`: linear velocity (m/s) of the origin of the moving frame, and angular velocity (rad/s). The type
+/// does not name the moving frame; the name of the variable does. Vector order is always `[linear; angular]`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Twist<In: Frame> {
     /// Linear velocity, m/s.

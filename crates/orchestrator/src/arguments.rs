@@ -41,7 +41,7 @@ pub struct RunArgs {
     /// Move real arms with a calibration that states no measured cameras (`calibration_quality`: none).
     #[arg(long)]
     pub nominal_calibration: bool,
-    /// The operator of the run. Arms that are not emulated need `console`, or --move.
+    /// The operator of the run. Arms that are not emulated need `console`, --panel or --move.
     #[arg(long, value_enum, default_value_t = OperatorName::Command)]
     pub operator: OperatorName,
     /// Serve the operator panel at this address (127.0.0.1:8087 without one), and let it lead the run: choose the target with the mouse,
@@ -135,7 +135,8 @@ pub struct EstimateArgs {
     /// The right image.
     #[arg(long, value_name = "FILE", requires = "left")]
     pub right: Option<PathBuf>,
-    /// Calibration: our calib.json, a Kalibr camchain, an OpenCV stereo YAML (or intrinsics,extrinsics), or a ROS camera_info pair (a folder, or two files with a comma between).
+    /// Calibration: the file that `pb3dp calibrate` writes, calib.json, a Kalibr camchain, an OpenCV stereo YAML or its two files
+    /// `intrinsics.yml,extrinsics.yml`, or two ROS camera_info files `left.yaml,right.yaml`; or a folder that contains them.
     #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',', requires = "left")]
     pub calib: Vec<PathBuf>,
     /// The object in the left image.

@@ -32,9 +32,9 @@ pub enum Distortion {
 const BROWN_NAMES: [&str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
 /// Names of the coefficients of the equidistant model.
 const EQUIDISTANT_NAMES: [&str; 4] = ["k1", "k2", "k3", "k4"];
-/// Number of half angles at which the radial function is sampled in the search for its fold.
+/// Number of angles from the axis at which the search for the fold samples the radial function.
 const FOLD_SAMPLES: u32 = 2000;
-/// The largest half angle that `(x, y, 1)` can represent with any precision, radians.
+/// The largest angle from the axis for which `(x, y, 1)` is still accurate, radians.
 const ANGLE_MAX_RAD: f64 = FRAC_PI_2 - 1e-6;
 /// Largest number of Newton steps for one inversion; a well-behaved lens needs four or five.
 const NEWTON_STEPS: usize = 50;

@@ -62,7 +62,7 @@ pub struct Camera {
     size: ImageSize,
     pinhole: Pinhole,
     distortion: Distortion,
-    /// Largest undistorted radius with an image point; see `Distortion::fold_radius`.
+    /// Largest undistorted radius that the lens images; see `Distortion::fold_radius`.
     fold_radius: f64,
 }
 
@@ -79,7 +79,7 @@ pub enum CameraError {
         /// The allowed range.
         expected: &'static str,
     },
-    /// The undistortion did not converge.
+    /// The pixel has no ray: the distortion cannot be inverted there ([`Camera::unproject`]).
     #[error(
         "pixel ({u}, {v}) has no ray: the distortion model cannot be inverted there; use a region nearer to the image's centre, or calibrate with targets that reach this part of the image"
     )]
@@ -154,8 +154,8 @@ impl Camera {
         Self { distortion: Distortion::None, fold_radius: f64::INFINITY, ..*self }
     }
 
-    /// The camera of images reduced by means over squares of `scale` x `scale` pixels, without incomplete squares; its image
-    /// may be empty.
+    /// The camera of smaller images: each pixel is the mean of a square of `scale` x `scale` pixels; incomplete squares at the edges are
+    /// left out, so the image may be empty.
     pub(crate) fn reduced(&self, scale: u32) -> Self {
         let (scale, Pinhole { fx, fy, cx, cy }) = (scale.max(1), self.pinhole);
         let size = ImageSize { width: self.size.width / scale, height: self.size.height / scale };
@@ -167,8 +167,8 @@ impl Camera {
 
     /// Projects a point in this camera's frame (metres) to a pixel, which may be outside the image.
     ///
-    /// `None` if the point is not in front of the camera, or so far from the axis that the distortion model folds back and
-    /// would image it among points that are actually visible.
+    /// `None` if the point is not in front of the camera, or too far from the axis: there the distortion model folds back, and would
+    /// place the point among visible ones.
     pub fn project(&self, point_in_cam: &Point3<f64>) -> Option<Vector2<f64>> {
         let xy = self.visible_normalized(point_in_cam)?;
         Some(self.pinhole.pixel_from_normalized(&self.distort(&xy)))
