@@ -76,9 +76,11 @@ pub struct Rules {
     pub arms_apart_m: f64,
     /// The volume of the target, in its frame.
     pub target: Vec<Rod>,
-    /// Distance of hand and target below which the hand may only brake, metres.
+    /// Distance of hand and target below which there is no pose, metres.
     pub target_apart_m: f64,
-    /// Braking distance, metres: how much closer the hand may get by its own motion.
+    /// Speed limit of the hand, m/s: so fast it may follow the prediction until the last pose is older than `pose_age_max_s`.
+    pub hand_m_per_s: f64,
+    /// Braking distance, metres: how much closer the hand may get by its own motion after that time.
     pub target_braking_m: f64,
     /// The log reports a fault within this time after its end, seconds.
     pub log_within_s: f64,
@@ -102,9 +104,9 @@ impl Rules {
     /// * `power_off_s`: brakes of the emulated arm close in 50 ms, gravity accelerates a joint to 0.6 rad/s in that time, and
     ///   brakes decelerate at 50 rad/s^2.
     /// * `target_apart_m`: the smallest depth of the search, 350 mm, minus 50 mm between the camera's front and its pupil. A
-    ///   closer target gives no pose. `target_braking_m`: chosen. In 200 runs the hand came closer by 12 mm at most; with half of
-    ///   60 mm these runs still pass. At 0.4 m/s (`[servo.speed]`) for `pose_age_max_s`, and half of that speed for 0.3 s, it
-    ///   would be 180 mm: a hand that moves until its pose is too old is detected.
+    ///   closer target gives no pose, and the hand may follow the prediction until the last one is too old.
+    /// * `hand_m_per_s`: `[servo.speed]`. `target_braking_m`: at this speed 0.4 m/s * (`lag_s` + `reaction_s`) is 24 mm, and braking with
+    ///   2 rad/s^2 in a joint 0.8 m away, (0.4 m/s)^2 / (2 * 1.6 m/s^2), is 50 mm.
     /// * `search_m_per_s`, `search_reach_m`: 30 mm/s, and 50 mm back and aside ([servo.md](../../../docs/servo.md)), as the
     ///   runs request; a hand that is returned to its path is faster and farther by up to a third, or a fifth and 5 mm.
     /// * `too_fast_s`: five cycles. One until the first sample, one until the second sample confirms it, one by which
@@ -147,7 +149,8 @@ impl Rules {
             arms_apart_m: 0.049,
             target: vec![Rod { ends_m: [[-0.05, 0.0, 0.0], [0.05, 0.0, 0.0]], radius_m: 0.05 }],
             target_apart_m: 0.300,
-            target_braking_m: 0.060,
+            hand_m_per_s: 0.4,
+            target_braking_m: 0.075,
             log_within_s: 0.5,
         }
     }

@@ -54,13 +54,16 @@ fn displaced_m(rules: &Rules, a: &Placement, b: &Placement) -> f64 {
     moved + turned * farthest.fold(0.0, f64::max)
 }
 
-/// Below the minimum distance the hand may only use its braking distance; the target's own motion does not count.
+/// Below the minimum distance there is no pose. The hand may follow the prediction until the last pose is too old, and then only use its
+/// braking distance; the target's own motion does not count.
 fn target_apart(rules: &Rules, steps: &[Step], found: &mut Found) {
     let body = &rules.arms[HAND_ARM].body;
     let reach_m = body.reach_m();
     let mut rods = Vec::new();
     let mut known: Option<Known> = None;
-    let mut approached_m = 0.0;
+    // Since when the target is too near, and how much closer the hand has come by its own motion: until the pose is too old, and after.
+    let mut too_near_since_s = None;
+    let (mut followed_m, mut braked_m) = (0.0, 0.0);
     for (index, step) in steps.iter().enumerate() {
         let joints_rad = step.arms.each_ref().map(|arm| arm.position_rad);
         let moved_m = |known: &Known| {
@@ -79,15 +82,20 @@ fn target_apart(rules: &Rules, steps: &[Step], found: &mut Found) {
         let now_m = room_of(&joints_rad[HAND_ARM]);
         known = Some(Known { room_m: now_m, joints_rad, target: step.world_from_target });
         if now_m >= rules.target_apart_m {
-            approached_m = 0.0;
+            too_near_since_s = None;
+            (followed_m, braked_m) = (0.0, 0.0);
             continue;
         }
+        let since_s = *too_near_since_s.get_or_insert(step.t_s);
+        let is_pose_too_old = step.t_s - since_s > rules.pose_age_max_s;
         if let Some(before) = index.checked_sub(1).map(|before| &steps[before]) {
-            approached_m += (room_of(&before.arms[HAND_ARM].position_rad) - now_m).max(0.0);
+            let nearer_m = (room_of(&before.arms[HAND_ARM].position_rad) - now_m).max(0.0);
+            *if is_pose_too_old { &mut braked_m } else { &mut followed_m } += nearer_m;
         }
-        if approached_m > rules.target_braking_m {
+        let limits = [(followed_m, rules.hand_m_per_s * rules.pose_age_max_s), (braked_m, rules.target_braking_m)];
+        for (value, limit) in limits.into_iter().filter(|(value, limit)| value > limit) {
             let place = Place { invariant: Invariant::TargetApart, arm: Some(HAND_ARM), joint: None, t_s: step.t_s };
-            found.push(place, (approached_m, rules.target_braking_m), format!("{now_m:.3} m remain"));
+            found.push(place, (value, limit), format!("{now_m:.3} m remain"));
         }
     }
 }
