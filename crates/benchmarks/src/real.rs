@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use pb3dp_estimation::estimator::Method;
+use pb3dp_record::dataset::load_case;
 use serde_json::{Value, json};
 
 use self::score::Entry;
@@ -108,6 +109,9 @@ fn measure(args: &Args, folder: &Path, peers_script: Option<&Path>) -> anyhow::R
     let methods = if args.methods.is_empty() { Method::ALL.to_vec() } else { args.methods.clone() };
     let (mut entries, mut facts) = (Vec::new(), Vec::new());
     for (index, case) in found.iter().enumerate() {
+        if args.cases.is_some() && left_out::is_held_back(&load_case(case)?) {
+            continue;
+        }
         let Some(prepared) = cases::load(case)? else {
             eprintln!("{}: no truth, skipped", case.display());
             continue;

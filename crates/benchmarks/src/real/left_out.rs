@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
 use anyhow::{Context, bail};
-use pb3dp_record::dataset::load_case;
+use pb3dp_record::dataset::{Case, load_case};
 
 use self::fit::Fold;
 use self::outcomes::Measurements;
@@ -88,6 +88,15 @@ pub fn run(args: &Args, folder: &Path) -> anyhow::Result<()> {
     super::write(&args.root, PAGE, &report.page(&circumstances))
 }
 
+/// Whether a case stays closed, to judge the structure of the method once.
+pub fn is_held_back(case: &Case) -> bool {
+    HELD_BACK.lines().any(|line| line == scene_of(case))
+}
+
+fn scene_of(case: &Case) -> &str {
+    case.scene.as_deref().unwrap_or(&case.name)
+}
+
 /// A case and the name of its scene.
 struct Chosen {
     folder: PathBuf,
@@ -96,14 +105,12 @@ struct Chosen {
 
 /// The cases with a truth that is not marked as doubtful; without the scenes held back, or only those.
 fn choose(found: Vec<PathBuf>, held_back: bool) -> anyhow::Result<Vec<Chosen>> {
-    let held: BTreeSet<&str> = HELD_BACK.lines().filter(|line| !line.starts_with('#') && !line.is_empty()).collect();
     let mut chosen = Vec::new();
     for folder in found {
         let case = load_case(&folder)?;
-        let scene = case.scene.clone().unwrap_or_else(|| case.name.clone());
         let is_doubtful = case.other_keys.iter().any(|key| key == "doubtful");
-        if case.truth.is_some() && !is_doubtful && held.contains(scene.as_str()) == held_back {
-            chosen.push(Chosen { folder, scene: Fold::name_of(&scene) });
+        if case.truth.is_some() && !is_doubtful && is_held_back(&case) == held_back {
+            chosen.push(Chosen { folder, scene: Fold::name_of(scene_of(&case)) });
         }
     }
     if chosen.is_empty() {
