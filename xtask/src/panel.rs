@@ -11,6 +11,7 @@ use crate::not_possible::NotPossible;
 use crate::workspace::{Workspace, run_visibly};
 
 const TESTS: &str = "tests/panel";
+const LONG_TESTS: &str = "tests/panel/long_panel.py";
 /// Environment variable with which `cargo xtask ci` drives the browser, too.
 const IN_CI: &str = "PB3DP_CI_PANEL";
 const ARTEFACTS: &str = "out/panel";
@@ -21,7 +22,7 @@ const BROWSERS: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "g
 ///
 /// A test that fails is tried once more. Screenshots are written to out/panel. Needs python3 with its module venv, and Chromium; the packages of tests/panel/requirements.txt
 /// go into a folder of their own. Chromium and the module are installed by apt-get if permitted.
-#[derive(clap::Args)]
+#[derive(Default, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub struct Args {
     /// Run only tests whose names match this expression of pytest.
@@ -29,6 +30,9 @@ pub struct Args {
     /// Use the release program.
     #[arg(long)]
     release: bool,
+    /// Run the tests that take minutes instead: no false stop in ten minutes, the time from silence to stop, and from the button.
+    #[arg(long)]
+    long: bool,
 }
 
 /// # Errors
@@ -41,7 +45,7 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     }
     run_visibly(&mut build)?;
     let profile = if args.release { "release" } else { "debug" };
-    with_program(workspace, &workspace.target_folder()?.join(profile), args.filter.as_deref())
+    with_program(workspace, &workspace.target_folder()?.join(profile), args)
 }
 
 /// All tests with the programs in a folder, or after a build.
@@ -56,12 +60,12 @@ pub fn check(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<(
         )));
     }
     match programs {
-        Some(programs) => with_program(workspace, programs, None),
-        None => run(workspace, &Args { filter: None, release: false }),
+        Some(programs) => with_program(workspace, programs, &Args::default()),
+        None => run(workspace, &Args::default()),
     }
 }
 
-fn with_program(workspace: &Workspace, programs: &Path, filter: Option<&str>) -> anyhow::Result<()> {
+fn with_program(workspace: &Workspace, programs: &Path, args: &Args) -> anyhow::Result<()> {
     let python = python(workspace)?;
     let browser = browser()?;
     let artefacts = workspace.root().join(ARTEFACTS);
@@ -71,8 +75,13 @@ fn with_program(workspace: &Workspace, programs: &Path, filter: Option<&str>) ->
     let cache = format!("cache_dir={}", workspace.target_folder()?.join("panel-cache").display());
     let tests = |more: &[&str]| {
         let mut tests = workspace.command(&python);
-        tests.args(["-m", "pytest", "--quiet", "-o", &cache, TESTS]).args(more);
-        if let Some(filter) = filter {
+        tests.args(["-m", "pytest", "--quiet", "-o", &cache]).args(more);
+        if args.long {
+            tests.args(["--capture=no", LONG_TESTS]);
+        } else {
+            tests.arg(TESTS);
+        }
+        if let Some(filter) = &args.filter {
             tests.args(["-k", filter]);
         }
         tests.env("PB3DP", programs.join("pb3dp")).env("PB3DP_CHROMIUM", &browser);
@@ -80,7 +89,7 @@ fn with_program(workspace: &Workspace, programs: &Path, filter: Option<&str>) ->
         run_visibly(&mut tests)
     };
     let first = tests(&[]);
-    if first.is_ok() {
+    if first.is_ok() || args.long {
         return first;
     }
     println!(

@@ -1,27 +1,86 @@
 //! Arbitrary and damaged messages are refused, never obeyed and never fatal.
 
+use image::RgbImage;
+use pb3dp_estimation_core::region::RegionConfig;
+use pb3dp_geometry::{ImageSize, MonotonicTime};
 use pb3dp_panel::messages::requests::{
     ControlRequest, HeartbeatRequest, HoldRequest, JogRequest, LeaseRequest, PreviewRequest, PushRequest, SeenRequest,
     SelectRequest, SpeedRequest,
 };
 use pb3dp_panel::messages::socket::ClientMessage;
 use pb3dp_panel::region::region_in;
+use pb3dp_panel::secrets::{Nonce, Session};
+use pb3dp_panel::seen::{Present, SEEN_AGE_MAX, Seen};
 use proptest::prelude::*;
 use serde_json::json;
 
-/// Parses as every message.
-fn parse_all(bytes: &[u8]) {
+const SIZE: ImageSize = ImageSize { width: 64, height: 48 };
+
+/// Reads the bytes as every message, and uses what is accepted as the server does.
+fn messages_survive(bytes: &[u8]) {
     let _ = serde_json::from_slice::<LeaseRequest>(bytes);
-    let _ = serde_json::from_slice::<HeartbeatRequest>(bytes);
-    let _ = serde_json::from_slice::<SelectRequest>(bytes);
-    let _ = serde_json::from_slice::<SeenRequest>(bytes);
     let _ = serde_json::from_slice::<HoldRequest>(bytes);
-    let _ = serde_json::from_slice::<SpeedRequest>(bytes);
-    let _ = serde_json::from_slice::<JogRequest>(bytes);
-    let _ = serde_json::from_slice::<PreviewRequest>(bytes);
     let _ = serde_json::from_slice::<PushRequest>(bytes);
     let _ = serde_json::from_slice::<ControlRequest>(bytes);
-    let _ = serde_json::from_slice::<ClientMessage>(bytes);
+    if let Ok(SeenRequest { seen }) = serde_json::from_slice(bytes) {
+        seen_survives(&seen);
+    }
+    if let Ok(SpeedRequest { seen, .. }) = serde_json::from_slice(bytes) {
+        seen_survives(&seen);
+    }
+    if let Ok(JogRequest { seen, .. }) = serde_json::from_slice(bytes) {
+        seen_survives(&seen);
+    }
+    if let Ok(SelectRequest { region, seen, .. }) = serde_json::from_slice(bytes) {
+        seen_survives(&seen);
+        region.iter().for_each(|region| region_survives(region));
+    }
+    if let Ok(PreviewRequest { region, .. }) = serde_json::from_slice(bytes) {
+        region_survives(&region);
+    }
+    if let Ok(HeartbeatRequest { nonce, .. }) = serde_json::from_slice(bytes) {
+        secrets_survive(&nonce);
+    }
+    match serde_json::from_slice(bytes) {
+        Ok(ClientMessage::Hello { session: Some(session), .. }) => secrets_survive(&session),
+        Ok(ClientMessage::Heartbeat { nonce, .. }) => secrets_survive(&nonce),
+        _ => {}
+    }
+    if let Ok(text) = std::str::from_utf8(bytes) {
+        region_survives(text);
+        secrets_survive(text);
+    }
+}
+
+/// A region names no file, and what is accepted can be drawn or is refused with a reason.
+fn region_survives(text: &str) {
+    match region_in(text, SIZE) {
+        Ok(region) => {
+            assert!(!text.trim_start().starts_with("mask:"), "{text:?}");
+            let _ = region.rasterize(&RgbImage::new(SIZE.width, SIZE.height), &RegionConfig::default());
+        }
+        Err(refusal) => assert!(!refusal.to_string().is_empty()),
+    }
+}
+
+/// Only a command on the present state, target and time passes.
+fn seen_survives(seen: &Seen) {
+    let present = Present { state: 17, target: Some(2), now: MonotonicTime::from_secs_f64(124.0) };
+    if seen.check("start", &present).is_ok() {
+        let age_ms = 124_000.0 - seen.time_ms;
+        assert!((-0.01..=SEEN_AGE_MAX.as_secs_f64() * 1e3).contains(&age_ms), "{seen:?}");
+        assert_eq!((seen.state, seen.target), (present.state, present.target));
+    }
+}
+
+/// Two texts are the same secret only if they have the same digits.
+fn secrets_survive(text: &str) {
+    if let Some(session) = Session::from_hex(text) {
+        assert_eq!(session.to_hex(), text.to_lowercase());
+    }
+    if let Some(nonce) = Nonce::from_hex(text) {
+        assert_eq!(nonce.to_hex(), text.to_lowercase());
+    }
 }
 
 fn valid() -> Vec<String> {
@@ -40,7 +99,7 @@ fn valid() -> Vec<String> {
 proptest! {
     #[test]
     fn any_bytes_are_read_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
-        parse_all(&bytes);
+        messages_survive(&bytes);
     }
 
     #[test]
@@ -48,19 +107,14 @@ proptest! {
         let mut bytes = valid()[which].clone().into_bytes();
         let index = at % bytes.len();
         bytes[index] = byte;
-        parse_all(&bytes);
+        messages_survive(&bytes);
         bytes.truncate(cut);
-        parse_all(&bytes);
+        messages_survive(&bytes);
     }
 
     #[test]
     fn any_region_is_read_or_refused(text in "(rect|poly|click|mask)?:?[-0-9eE.,;+ naif]{0,60}") {
-        let size = pb3dp_geometry::ImageSize { width: 640, height: 480 };
-        if let Ok(region) = region_in(&text, size) {
-            // What is accepted can be drawn, or is refused with a reason.
-            let image = image::RgbImage::new(640, 480);
-            let _ = region.rasterize(&image, &pb3dp_estimation_core::region::RegionConfig::default());
-        }
+        region_survives(&text);
     }
 }
 

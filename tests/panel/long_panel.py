@@ -1,0 +1,84 @@
+"""The operator panel over minutes: `cargo xtask panel --long` (20 minutes)."""
+
+import json
+import time
+
+from conftest import Page, Panel, wait_for
+
+# Of the clock of the run.
+SILENT_MAX_MS = 500.0
+CONTROL_PERIOD_MS = 10.0
+
+
+def is_following(panel):
+    return panel.state_name() == "tracking"
+
+
+def test_nothing_stops_falsely_in_ten_minutes(browser, tmp_path):
+    folder = tmp_path / "run"
+    panel = Panel(["run", "--config", "playground", "--panel", "127.0.0.1:0", "--out", str(folder)])
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    page = Page(context.new_page(), panel)
+    page.follow()
+    wait_for(lambda: is_following(panel))
+    page.page.click("button[data-tool=push]")
+    number = panel.state()["state"]["number"]
+    begin = time.monotonic()
+    sign, latest_ms = 1, 0.0
+    while time.monotonic() - begin < 600.0:
+        page.drag((320, 240), (320 + sign * 25, 240 + sign * 10), steps=40)
+        sign = -sign
+        until = time.monotonic() + 5.0
+        while time.monotonic() < until:
+            state = panel.state()
+            latest_ms = max(latest_ms, state["operator"]["heard_ms_ago"])
+            assert state["state"]["name"] in ("approaching", "tracking"), state["why"]
+            time.sleep(0.05)
+    changes = panel.state()["state"]["number"] - number
+    print(f"\n10 minutes: {changes} changes of state, longest silence seen {latest_ms:.0f} ms of {SILENT_MAX_MS:.0f}")
+    context.close()
+    assert page.errors == []
+    assert panel.end() == 130
+    summary = json.loads((folder / "summary.json").read_text())["summary"]
+    print("steps with a condition:", summary["supervisor"].get("steps_with", summary["supervisor"]))
+
+
+def test_a_hundred_silences_stop_the_arms_in_time(panel, page):
+    page.follow()
+    wait_for(lambda: is_following(panel))
+    delays_ms = []
+    for _ in range(100):
+        page.page.evaluate("() => { const end = performance.now() + 900; while (performance.now() < end); }")
+        state = wait_for(lambda: panel.state() if panel.state_name() == "holding" else None)
+        silent = next(one for one in state["why"]["inhibits"] if one["name"] == "operator_silent")
+        delays_ms.append(state["operator"]["heard_ms_ago"] - silent["since_ms"])
+        page.command("resume")
+        wait_for(lambda: is_following(panel))
+    print(f"\nlast heartbeat to order: {min(delays_ms):.0f} to {max(delays_ms):.0f} ms")
+    assert max(delays_ms) <= SILENT_MAX_MS + CONTROL_PERIOD_MS
+
+
+STOP = """async () => {
+    performance.clearResourceTimings();
+    const begin = performance.now();
+    document.querySelector("#stop").click();
+    for (;;) {
+        const sent = performance.getEntriesByType("resource").find((entry) => entry.name.endsWith("/api/stop"));
+        if (sent) { return sent.responseEnd - begin; }
+        await new Promise((done) => setTimeout(done, 5));
+    }
+}"""
+
+
+def test_the_stop_button_stops_at_once(panel, page):
+    page.take_command()
+    delays_ms = []
+    for _ in range(100):
+        # The answer comes when a control step has taken the command.
+        delays_ms.append(page.page.evaluate(STOP))
+        wait_for(lambda: panel.state_name() == "stopped")
+        page.command("reset")
+        wait_for(lambda: panel.state_name() == "idle")
+    delays_ms.sort()
+    print(f"\nstop button to answer: median {delays_ms[50]:.1f} ms, p99 {delays_ms[98]:.1f} ms, longest {delays_ms[99]:.1f} ms")
+    assert delays_ms[98] <= 50.0
