@@ -5,6 +5,7 @@
 pub mod annotation;
 pub mod attended;
 pub mod both_arms;
+pub mod camera_findings;
 pub mod capturing;
 pub mod carrier;
 pub mod cell;
