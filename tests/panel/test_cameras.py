@@ -19,6 +19,7 @@ class Cameras:
 
     def __init__(self, page):
         self.sent = []
+        self.problem = None
         self.values = {side: {EXPOSURE: 40, AUTO: 1, GAIN: 64} for side in ("left", "right")}
         page.route("**/api/controls", self.answer)
 
@@ -38,7 +39,7 @@ class Cameras:
     def state(self):
         losses = dict.fromkeys(("lost", "damaged", "short", "late", "unpaired", "wrongly_stamped"), 0)
         cameras = [{"name": f"bus:{side}", "controls": self.controls(side), "losses": {**losses, "late": 3}} for side in self.values]
-        return {"may_change": True, "why_not": None, "problem": None, "cameras": cameras, "line": None}
+        return {"may_change": True, "why_not": None, "problem": self.problem, "cameras": cameras, "line": None}
 
     def controls(self, side):
         values = self.values[side]
@@ -98,6 +99,11 @@ def test_a_control_is_set_with_mouse_and_keys_and_read_back(panel, page):
     wait_for(lambda: "its range is 1 to 5000" in page.text(f"#control-left-{EXPOSURE}-wrong"))
     page.page.focus("#operator-name")
     wait_for(lambda: text(EXPOSURE) == "41 (4.10 ms)", "a refused value is not shown")
+    cameras.problem = "bus:left: no such camera; check plug and cable"
+    page.page.wait_for_selector("#alert", state="visible")
+    assert "No live images: bus:left: no such camera" in page.text("#alert")
+    cameras.problem = None
+    page.page.wait_for_selector("#alert", state="hidden")
     page.page.select_option(f"#control-left-{AUTO}", "3")
     wait_for(lambda: "set by the camera" in page.text(f"#control-left-{EXPOSURE}-facts"))
     wait_for(exposure.is_disabled)

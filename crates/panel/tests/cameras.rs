@@ -243,6 +243,9 @@ fn bare_cameras_need_no_calibration_for_images_and_controls() {
     let mut client = Client::new(panel.address());
     client.take("test");
     assert_eq!(client.get("/api/info").json()["cameras"]["calibrated"], false);
+    let state = client.state();
+    assert_eq!(state["state"]["may"], json!([]));
+    assert!(state["why"]["line"].as_str().unwrap().contains("not calibrated"), "{state}");
     assert_eq!(change(&client, "left", 20).status, 200);
     let body = json!({ "region": "click:3,4", "seen": client.seen() }).to_string();
     let preview = json!({ "region": "click:3,4" }).to_string();

@@ -36,12 +36,18 @@ export class Cameras {
     this.controls = null;
     this.isMoving = false;
     this.isAsking = false;
+    /** Answers in a row with a problem: a single damaged pair needs no alarm. */
+    this.problems = 0;
     /** State number at the last question. @type {number|null} */
     this.number = null;
     this.details = /** @type {HTMLDetailsElement} */ (at("camera-details"));
     this.lists = SIDES.map((side) => new ControlList(at(`controls-${side}`), side, (...change) => this.set(...change)));
     showCalibrations(info.cameras);
-    this.details.addEventListener("toggle", () => void this.ask());
+    this.details.addEventListener("toggle", () => {
+      // What is not asked for any more is not known any more.
+      this.alarm(null);
+      void this.ask();
+    });
     // Without arms this page is there to set up the cameras.
     this.details.open = info.arms.length === 0;
     setInterval(() => void this.ask(), ASK_MS);
@@ -60,6 +66,7 @@ export class Cameras {
   take(controls) {
     this.controls = controls;
     write(at("camera-problem"), controls.problem ?? "");
+    this.alarm(controls.problem);
     SIDES.forEach((side, index) => {
       const camera = controls.cameras[index];
       at(`camera-${side}`).hidden = !camera;
@@ -68,6 +75,12 @@ export class Cameras {
       this.lists[index].show(camera?.controls ?? [], this.whyNot() !== null);
     });
     this.showWhyNot();
+  }
+
+  /** The images above are not live: that must not be overlooked. @param {string|null} problem */
+  alarm(problem) {
+    this.problems = problem === null ? 0 : this.problems + 1;
+    this.commands.alert("cameras", problem !== null && this.problems > 1 ? `No live images: ${problem}` : null);
   }
 
   /** Why nothing can be set now, or null. */
