@@ -53,7 +53,7 @@ use pb3dp_cell::selection::Selections;
 use pb3dp_setup::region_spec::load_region;
 use pb3dp_setup::setup::{Carrier, Pace, Setup};
 
-/// How long bare cameras that were lost are searched for: somebody is changing cables or lenses.
+/// How long bare cameras that were lost are searched for: somebody is changing cables or lenses. Chosen; after it the command ends.
 const BARE_REOPEN_FOR: Duration = Duration::from_secs(3600);
 
 /// Delivery times of recorded frames.
@@ -266,7 +266,7 @@ fn check_marked(setup: &Setup) -> Result<()> {
     }
 }
 
-/// Two real cameras that nothing carries, with their controls. After a loss they are searched for [`BARE_REOPEN_FOR`].
+/// Two real cameras that nothing carries, with their controls. After a loss they are searched for an hour.
 ///
 /// # Errors
 /// If they cannot be used.
