@@ -9,6 +9,7 @@ import time
 from axe_playwright_python.sync_playwright import Axe
 
 from conftest import PROGRAM, Page, Panel, wait_for
+from test_cameras import Cameras, open_section
 
 MOVING = ("approaching", "tracking")
 
@@ -275,6 +276,8 @@ def test_a_page_of_another_origin_reaches_nothing(browser, panel, page):
 
 
 def test_the_page_fits_and_is_accessible(panel, page):
+    Cameras(page.page)
+    open_section(page)
     page.follow()
     wait_for(lambda: is_following(panel))
     for width, height in ((390, 844), (1280, 900), (2560, 1440)):

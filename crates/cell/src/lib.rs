@@ -5,6 +5,9 @@
 pub mod annotation;
 pub mod attended;
 pub mod both_arms;
+pub mod calibration_facts;
+pub mod camera_controls;
+pub mod camera_findings;
 pub mod capturing;
 pub mod carrier;
 pub mod cell;

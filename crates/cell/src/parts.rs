@@ -12,6 +12,7 @@ use pb3dp_setup::setup::{ArmSetup, Setup};
 use pb3dp_sim::pushed::PushedTarget;
 use pb3dp_sim::trajectory::Trajectory;
 
+use super::camera_controls::ControlDesk;
 use super::cell::SimulatedCell;
 pub use super::devices::{DrivenArm, LinkCounts, LinkMonitor};
 use super::flight::KeepFlights;
@@ -106,6 +107,8 @@ pub struct Parts {
     pub camera: Sight,
     /// Identity of the cameras, if they are real.
     pub cameras: Option<[CameraIdentity; 2]>,
+    /// Controls of the cameras, if they are real.
+    pub camera_controls: Option<ControlDesk>,
     /// The arm that carries the cameras.
     pub vs: Box<dyn DrivenArm>,
     /// The arm that carries the target.

@@ -1,6 +1,7 @@
 //! What the panel knows of the setup; it does not change while the panel runs.
 
 use nalgebra::{Isometry3, Vector3};
+use pb3dp_cell::calibration_facts::CalibrationFacts;
 use pb3dp_cell::parts::ArmChoice;
 use pb3dp_estimation::estimator::EstimatorConfig;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
@@ -9,6 +10,8 @@ use pb3dp_geometry::{Pose, StereoRig};
 use pb3dp_kinematics::{Chain, EffectiveLimits, JointVector};
 use pb3dp_servo::supervisor::{Action, Condition, ConditionSet, Policies};
 use pb3dp_setup::setup::{Leader, Setup};
+
+use crate::refusal::Refusal;
 
 /// An arm as the page shows it.
 #[derive(Clone, Debug)]
@@ -53,8 +56,12 @@ pub struct About {
     pub has_images: bool,
     /// The stereo pair, as calibrated.
     pub stereo: StereoRig,
+    /// Whether the pair is calibrated; otherwise [`Self::stereo`] is a stand-in, and no target can be chosen.
+    pub is_calibrated: bool,
     /// State of the calibration, in words.
     pub calibration: String,
+    /// What the calibration files state about themselves.
+    pub calibrations: Vec<CalibrationFacts>,
     /// The arms, the one with the cameras first; empty without arms.
     pub arms: Vec<AboutArm>,
     /// The hand; `None` without arms.
@@ -93,7 +100,13 @@ impl About {
             is_simulated: setup.world.is_some(),
             has_images: matches!(setup.leader, Leader::Images(_)),
             stereo: rig.stereo,
+            is_calibrated: true,
             calibration: calibration_in_words(setup),
+            calibrations: rig
+                .calibrations
+                .iter()
+                .map(|one| CalibrationFacts::of(one.table, &one.source, one.judgement.as_ref()))
+                .collect(),
             arms: vec![arm(ArmChoice::Vs), arm(ArmChoice::Tc)],
             hand: Some(AboutHand {
                 hand_from_cam_left: setup.controller.hand_from_cam_left,
@@ -115,13 +128,24 @@ impl About {
             is_simulated: false,
             has_images: true,
             stereo,
+            is_calibrated: true,
             calibration: String::new(),
+            calibrations: Vec::new(),
             arms: Vec::new(),
             hand: None,
             estimator: EstimatorConfig::default(),
             range,
             policies: None,
         }
+    }
+
+    /// Refuses what needs a calibration.
+    ///
+    /// # Errors
+    /// If the cameras are not calibrated.
+    pub fn check_calibrated(&self, what: &'static str) -> Result<(), Refusal> {
+        let why = || "the cameras are not calibrated; calibrate them, then give --calib FILE or a setup".to_owned();
+        if self.is_calibrated { Ok(()) } else { Err(Refusal::NotHere { what, why: why() }) }
     }
 
     /// Whether commands move arms.

@@ -42,6 +42,9 @@ impl Hub {
             self.check_no_selection_is_awaited()?;
         }
         let starts = matches!(command, OperatorCommand::Start | OperatorCommand::Resume);
+        if starts && self.changes.are_pending() {
+            return Err(Refusal::Changing { command: name });
+        }
         if starts && self.config.hold_to_run && !self.is_pressed.load(Ordering::SeqCst) {
             return Err(Refusal::NotPressed { command: name });
         }

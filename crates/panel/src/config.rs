@@ -6,13 +6,12 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use pb3dp_cell::camera_controls::ControlDesk;
+
 use crate::log_lines::LogLines;
-use crate::messages::requests::CameraSide;
 
 /// Pushes the simulated target: offset in metres and angle in radians, relative to its start.
 pub type Push = Arc<dyn Fn([f64; 3], f64) -> Result<(), String> + Send + Sync>;
-/// Sets a control of a real camera: side, number, value.
-pub type SetControl = Arc<dyn Fn(CameraSide, u32, i32) -> Result<(), String> + Send + Sync>;
 
 /// Protection of a panel that other computers can reach.
 #[derive(Clone)]
@@ -64,8 +63,8 @@ pub struct PanelConfig {
     pub log_lines: LogLines,
     /// Pushes the simulated target, in the playground.
     pub push: Option<Push>,
-    /// Sets controls of real cameras.
-    pub set_control: Option<SetControl>,
+    /// Controls of real cameras.
+    pub cameras: Option<ControlDesk>,
 }
 
 impl PanelConfig {
@@ -78,7 +77,7 @@ impl PanelConfig {
             interrupt: Arc::default(),
             log_lines: LogLines::default(),
             push: None,
-            set_control: None,
+            cameras: None,
         }
     }
 }

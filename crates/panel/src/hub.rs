@@ -12,8 +12,10 @@ use tokio::sync::{broadcast, watch};
 
 use crate::about::About;
 use crate::config::PanelConfig;
+use crate::control_changes::Changes;
 use crate::control_link::ControlLink;
 use crate::encoded_pair::EncodedPair;
+use crate::image_check_jobs::ImageCheckJobs;
 use crate::lease::Lease;
 use crate::log_lines::LogLines;
 use crate::messages::info::PanelFacts;
@@ -55,6 +57,10 @@ pub struct Hub {
     pub is_pressed: AtomicBool,
     /// Requests for previews.
     pub previews: PreviewJobs,
+    /// Requests for checks of the images.
+    pub image_checks: ImageCheckJobs,
+    /// Changes of camera controls that are not finished.
+    pub changes: Changes,
     /// The newest state, as text.
     pub states: watch::Sender<Utf8Bytes>,
     /// The newest images.
@@ -99,6 +105,8 @@ impl Hub {
             viewers: Viewers::default(),
             is_pressed: AtomicBool::new(false),
             previews: PreviewJobs::default(),
+            image_checks: ImageCheckJobs::default(),
+            changes: Changes::default(),
             states: watch::Sender::new(Utf8Bytes::from_static("{}")),
             images: watch::Sender::new(None),
             log_feed: broadcast::Sender::new(LOG_BATCHES),

@@ -24,7 +24,7 @@ const HEAT_EVERY_S: f64 = 0.2;
 
 /// Encodes until the panel ends.
 pub fn run(hub: &Hub) {
-    let mut rectifier = Rectifier::new(hub.about.stereo);
+    let mut rectifier = Rectifier::new(hub.about.stereo, hub.about.is_calibrated);
     let (mut encoded_at, mut heated_at) = (None, None);
     while !hub.is_over() {
         let Some(pair) = hub.watched.pairs.wait(LOOK) else { continue };
@@ -87,8 +87,9 @@ struct Rectifier {
 }
 
 impl Rectifier {
-    fn new(rig: StereoRig) -> Self {
-        Self { rig, tables: None }
+    /// Without a calibration there are no rectified images.
+    fn new(rig: StereoRig, is_calibrated: bool) -> Self {
+        Self { rig, tables: (!is_calibrated).then_some(None) }
     }
 
     fn rectified(&mut self, side: usize, image: &RgbImage) -> Option<RgbImage> {

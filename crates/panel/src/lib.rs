@@ -5,16 +5,20 @@
 //! `docs/reference/panel-api.md`, decisions and threats in `docs/adr/0017-panel.md`.
 //!
 //! The panel cannot raise limits, waive gates, or speak to a gateway: all it has are the commands of [`pb3dp_cell::operator::Operator`],
-//! the selection of targets, and a share of the velocity of at most 1.
+//! the selection of targets, a share of the velocity of at most 1, and the controls of the cameras while no arm may move.
 
 pub mod about;
+mod camera_control;
 mod commanding;
 pub mod config;
+mod control_changes;
 mod control_link;
 mod drawing;
 mod encoded_pair;
 mod heat;
 mod hub;
+mod image_check;
+mod image_check_jobs;
 mod images;
 pub mod lease;
 mod leasing;

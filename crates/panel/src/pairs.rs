@@ -76,6 +76,13 @@ impl Pairs {
         PairCounts { sequence: kept.newest.back().map(|pair| pair.sequence), count: kept.count, lost: kept.lost }
     }
 
+    /// Skew of the kept pair whose exposures are furthest apart, nanoseconds; 0 without pairs.
+    pub fn worst_skew_nanos(&self) -> i64 {
+        let kept = self.kept();
+        let skews = kept.newest.iter().map(|pair| pair.skew_nanos);
+        skews.max_by_key(|nanos| nanos.unsigned_abs()).unwrap_or_default()
+    }
+
     /// The newest pair, or the one with this number.
     ///
     /// # Errors

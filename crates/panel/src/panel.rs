@@ -16,7 +16,7 @@ use crate::operator::PanelOperator;
 use crate::refusal::Refusal;
 use crate::server::Server;
 use crate::spectator::{PanelSpectator, Watched};
-use crate::{images, preview, reporting};
+use crate::{image_check, images, preview, reporting};
 
 /// Niceness of all threads but the one that answers clients: a thread that wakes up with the usual niceness is preferred.
 /// Chosen by hand, not varied.
@@ -48,6 +48,7 @@ impl Panel {
         panel.spawn("panel-state", move |hub| reporting::run(hub, reporting_ends, steps))?;
         panel.spawn("panel-images", |hub| images::run(hub))?;
         panel.spawn("panel-preview", |hub| preview::run(hub))?;
+        panel.spawn("panel-check", |hub| image_check::run(hub))?;
         Ok((panel, PanelOperator::new(link, control_ends), PanelSpectator::new(watched, give_steps)))
     }
 

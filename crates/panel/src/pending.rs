@@ -66,6 +66,13 @@ impl PendingCommands {
         has_room
     }
 
+    /// Whether a command waits that may begin motion.
+    pub fn has_start(&self) -> bool {
+        let begins =
+            |pending: &PendingCommand| matches!(pending.command, OperatorCommand::Start | OperatorCommand::Resume);
+        self.lock().iter().any(begins)
+    }
+
     /// Removes a command that was not given.
     pub fn remove(&self, id: u64) {
         self.lock().retain(|pending| pending.id != id);

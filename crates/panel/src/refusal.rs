@@ -252,6 +252,24 @@ pub enum Refusal {
         /// The reason.
         why: String,
     },
+    /// The cameras refuse a change of a control.
+    #[error("controls: {why}")]
+    Control {
+        /// The reason with the remedy.
+        why: String,
+    },
+    /// Controls of cameras are changed only while no arm moves.
+    #[error("controls refused: {why}")]
+    MayMove {
+        /// The reason with the remedy.
+        why: &'static str,
+    },
+    /// Motion begins only after a change of a control is finished.
+    #[error("{command} refused: a camera control is being set; repeat the command")]
+    Changing {
+        /// The command.
+        command: &'static str,
+    },
     /// A message of a WebSocket that breaks the protocol.
     #[error("the message is refused: {why}")]
     Protocol {
@@ -296,6 +314,9 @@ codes! {
         Range = "PB3DP-PAN-037": "A number of the request is out of its range."; "Use a value in the range that the message names.";
         NotHere = "PB3DP-PAN-038": "This panel does not have the part that the request needs."; "Use a setup that has it.";
         NotPressed = "PB3DP-PAN-040": "The setup wants hold-to-run, and the last heartbeat says that the button is not pressed."; "Press the button and keep it pressed, then use `start` or `resume`.";
+        Control = "PB3DP-PAN-041": "The camera does not have this control, does not accept or keep the value, or does not answer."; "Use a control and a value from the list; if the camera does not answer, check plug and cable.";
+        MayMove = "PB3DP-PAN-042": "An arm moves, or may begin to by itself: another exposure or focus could cost the target."; "Use `hold`, then change the control.";
+        Changing = "PB3DP-PAN-043": "A control of a camera is being set, which could cost the target while an arm moves."; "Repeat the command.";
         Protocol = "PB3DP-PAN-039": "A WebSocket message breaks the protocol."; "Reload the page; scripts: follow docs/reference/panel-api.md.";
     }
 }
@@ -324,6 +345,9 @@ impl Refusal {
             | Self::OtherTarget { .. }
             | Self::OldState { .. }
             | Self::QueueFull { .. }
+            | Self::Control { .. }
+            | Self::MayMove { .. }
+            | Self::Changing { .. }
             | Self::NotRunning { .. }
             | Self::NotPressed { .. }
             | Self::Overtaken { .. }

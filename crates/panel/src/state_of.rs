@@ -127,7 +127,7 @@ impl StateBuilder {
             may: may.to_vec(),
         };
         if !hub.about.has_arms() {
-            return without("no-arms", &["select"]);
+            return without("no-arms", if hub.about.is_calibrated { &["select"] } else { &[] });
         }
         if hub.link.is_over.load(Ordering::SeqCst) {
             return without("over", &[]);
@@ -147,6 +147,7 @@ impl StateBuilder {
         let Some(ShownDecision { decision, .. }) = &self.shown else {
             let line = match (hub.about.has_arms(), hub.watched.target()) {
                 (true, _) => "both arms are being enabled; wait",
+                (false, _) if !hub.about.is_calibrated => "images and controls only: the cameras are not calibrated",
                 (false, None) => "no target selected: mark one in the left image",
                 (false, Some(_)) => "the target is tracked; this panel moves no arms",
             };

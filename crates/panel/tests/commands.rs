@@ -204,26 +204,17 @@ fn commands_before_the_first_step_are_refused_and_stop_ends_the_run() {
 }
 
 #[test]
-fn the_playground_and_real_cameras_have_requests_of_their_own() {
-    let rig = Rig::new();
-    let client = rig.holder();
+fn the_playground_has_a_request_of_its_own() {
     let push = r#"{"offset_mm":[10,0,-20],"turn_deg":90}"#;
-    let control = r#"{"side":"left","id":9963795,"value":32}"#;
-    assert_eq!(client.post("push", push).code(), "PB3DP-PAN-038");
-    assert_eq!(client.post("control", control).code(), "PB3DP-PAN-038");
-    drop(client);
+    let rig = Rig::new();
+    assert_eq!(rig.holder().post("push", push).code(), "PB3DP-PAN-038");
     drop(rig);
-    let (pushed, set) =
-        (std::sync::Arc::new(std::sync::Mutex::new(None)), std::sync::Arc::new(std::sync::Mutex::new(None)));
-    let (give_push, give_set) = (pushed.clone(), set.clone());
+    let pushed = std::sync::Arc::new(std::sync::Mutex::new(None));
+    let give_push = pushed.clone();
     let change = |config: &mut pb3dp_panel::PanelConfig| {
         config.push = Some(std::sync::Arc::new(move |offset_m, turn_rad| {
             *give_push.lock().unwrap() = Some((offset_m, turn_rad));
             Ok(())
-        }));
-        config.set_control = Some(std::sync::Arc::new(move |side, id, value| {
-            *give_set.lock().unwrap() = Some((side, id, value));
-            Err("this control has no such value".to_owned())
         }));
     };
     let rig = Rig::with(change, true);
@@ -235,8 +226,4 @@ fn the_playground_and_real_cameras_have_requests_of_their_own() {
     assert!((offset_m[0] - 0.01_f64).abs() < 1e-12 && (offset_m[2] + 0.02_f64).abs() < 1e-12);
     assert!((turn_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
     assert_eq!(client.post("push", r#"{"offset_mm":[1000,0,0],"turn_deg":0}"#).code(), "PB3DP-PAN-037");
-    let reply = client.post("control", control);
-    assert_eq!((reply.status, reply.code().as_str()), (409, "PB3DP-PAN-038"));
-    let side = pb3dp_panel::messages::requests::CameraSide::Left;
-    assert_eq!(*set.lock().unwrap(), Some((side, 9_963_795, 32)));
 }

@@ -4,6 +4,7 @@
 mod support;
 
 mod access;
+mod cameras;
 mod commands;
 mod encrypted;
 mod heartbeats;

@@ -3,6 +3,7 @@
 use pb3dp_servo::supervisor::State;
 use serde_json::{Value, json};
 
+use crate::cameras::{Cameras, EXPOSURE};
 use crate::support::{Page, Rig};
 
 const SCHEMA: &str = include_str!("../../../docs/reference/panel-api.schema.json");
@@ -38,6 +39,8 @@ fn the_published_schema_describes_every_answer() {
     check("command_answer", &client.post("hold", "{}").json());
     check("error", &client.post("start", "{}").json());
     check("error", &client.get("/api/nothing").json());
+    check("controls_answer", &client.get("/api/controls").json());
+    check("cameras_answer", &client.get("/api/cameras").json());
     check("epipolar_answer", &client.get("/api/epipolar?u=320&v=240").json());
     check("preview", &client.post("preview", r#"{"region":"click:300,200"}"#).json());
     check("preview", &client.post("preview", r#"{"region":"rect:1,1,3,3"}"#).json());
@@ -52,6 +55,18 @@ fn the_published_schema_describes_every_answer() {
 }
 
 #[test]
+fn the_published_schema_describes_the_controls_of_cameras() {
+    let cameras = Cameras::new();
+    let rig = cameras.rig();
+    let client = rig.holder();
+    check("controls_answer", &client.get("/api/controls").json());
+    let body = json!({ "side": "left", "id": EXPOSURE, "value": 7, "seen": client.seen() });
+    assert!(schema_of("control").is_valid(&body));
+    check("controls_answer", &client.post("controls", &body.to_string()).json());
+    check("error", &client.post("controls", r#"{"side":"left","id":1,"value":9000}"#).json());
+}
+
+#[test]
 fn the_published_schema_refuses_what_the_panel_refuses() {
     let seen = json!({ "state": 1, "target": null, "time_ms": 1.0 });
     for (name, ok) in [
@@ -61,6 +76,7 @@ fn the_published_schema_refuses_what_the_panel_refuses() {
         ("lease", json!({ "action": "take-over", "name": "x" })),
         ("jog", json!({ "offset_mm": [1, 2, 3], "offset_deg": [0, 0, 0], "seen": seen })),
         ("speed", json!({ "percent": 3, "seen": seen })),
+        ("control", json!({ "side": "right", "id": 9_963_776, "value": -1 })),
         ("client_message", json!({ "type": "images", "left": true, "right": false, "view": "rectified" })),
         ("client_message", json!({ "type": "heartbeat", "nonce": "0123456789abcdef", "visible": true })),
     ] {

@@ -8,6 +8,7 @@ use pb3dp_camera_settings::StereoConfig;
 use pb3dp_camera_v4l2::pairing::Drift;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_camera_v4l2::{ReopeningCamera, Side};
+use pb3dp_cell::camera_controls::ControlDesk;
 use pb3dp_estimation::pair_check::{PairCheck, PairVerdict, check_pair};
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
@@ -15,6 +16,7 @@ use pb3dp_record::calibration_files::CameraIdentity;
 use pb3dp_setup::setup::{CAMERAS, CalibrationInUse, RealCameras, Setup, Synchronisation};
 
 use super::calibration::identity;
+use super::camera_controls::ControlService;
 
 /// Longest wait for the first pair: some cameras need a second or two to start.
 const FIRST_PAIR_WITHIN: Duration = Duration::from_secs(10);
@@ -33,6 +35,8 @@ pub(super) struct WiredCameras {
     pub(super) camera: Box<dyn StereoCamera>,
     /// Identity of the left and the right camera.
     pub(super) identities: [CameraIdentity; 2],
+    /// Their controls.
+    pub(super) controls: ControlDesk,
 }
 
 /// Opens both cameras and waits for the first pair.
@@ -46,7 +50,10 @@ pub(super) fn wire_real(
 ) -> Result<WiredCameras> {
     let camera = ReopeningCamera::open(system, Arc::clone(&clock), real.stereo.clone(), real.reopen_for);
     let camera = camera.context("table [camera]")?;
+    let names = [&real.stereo.left, &real.stereo.right].map(|camera| camera.name.to_string());
+    let (service, controls) = ControlService::new(Arc::clone(&clock), names);
     let mut camera = WatchedCamera::new(camera, real.clone(), setup.rig.stereo);
+    camera.service = Some(service);
     let first = first_pair(&mut camera, &*clock)?;
     let mut identity_of = |side| camera.camera.identity(side).map(identity).context("table [camera]");
     let identities = [identity_of(Side::Left)?, identity_of(Side::Right)?];
@@ -55,7 +62,7 @@ pub(super) fn wire_real(
     if let Some(doubt) = check.accepted().context("table [camera]: exchange left.device and right.device")? {
         tracing::warn!("cameras: {doubt}");
     }
-    Ok(WiredCameras { camera: Box::new(camera), identities })
+    Ok(WiredCameras { camera: Box::new(camera), identities, controls })
 }
 
 /// Checks whether the calibrations belong to the connected cameras.
@@ -148,11 +155,13 @@ struct WatchedCamera {
     is_drift_told: bool,
     /// How often the cameras were reopened before the images were checked last.
     checked: u64,
+    /// Their controls for a page, if there may be one.
+    service: Option<ControlService>,
 }
 
 impl WatchedCamera {
     fn new(camera: ReopeningCamera, cameras: RealCameras, rig: StereoRig) -> Self {
-        Self { camera, cameras, rig, pairs: 0, is_drift_told: false, checked: 0 }
+        Self { camera, cameras, rig, pairs: 0, is_drift_told: false, checked: 0, service: None }
     }
 
     /// Checks the images of reopened cameras, until one pair shows that left and right are as before.
@@ -203,8 +212,14 @@ impl StereoCamera for WatchedCamera {
     }
 
     fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
-        self.camera.next_pair_into(pair, timeout)?;
-        self.check_order(pair)?;
+        if let Some(service) = &mut self.service {
+            service.serve(&mut self.camera);
+        }
+        let outcome = self.camera.next_pair_into(pair, timeout).and_then(|()| self.check_order(pair));
+        if let Some(service) = &mut self.service {
+            service.note(&self.camera, &outcome);
+        }
+        outcome?;
         self.pairs += 1;
         if self.pairs.is_multiple_of(DRIFT_EVERY)
             && let Some(what) = self.look_at_drift()
@@ -233,8 +248,11 @@ impl Drop for WatchedCamera {
 #[cfg(test)]
 mod tests {
     use std::path::Path;
+    use std::sync::mpsc::channel;
 
+    use pb3dp_camera_v4l2::controls::id;
     use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
+    use pb3dp_cell::camera_controls::ControlRequest;
     use pb3dp_geometry::{Camera, ImageSize, Pinhole};
     use pb3dp_hal_clock::VirtualClock;
     use pb3dp_setup::layers::SetupArgs;
@@ -373,6 +391,54 @@ mod tests {
                 Some(text) => assert!(came == 0 && said.contains(text), "{came} came: {said}"),
             }
         }
+    }
+
+    #[test]
+    fn controls_are_set_between_two_pairs_and_lost_cameras_say_so() {
+        let clock: Arc<dyn Clock> = Arc::new(VirtualClock::default());
+        let (mut cameras, rig) = of_the_rig();
+        for (number, side) in [&mut cameras.stereo.left, &mut cameras.stereo.right].into_iter().enumerate() {
+            side.name = format!("bus:usb-emulated-{number}").parse().unwrap();
+            side.mode.size = ImageSize { width: 64, height: 48 };
+        }
+        let system = EmulatedSystem::new(Arc::clone(&clock), vec![EmulatedCamera::usual(0), EmulatedCamera::usual(1)]);
+        let camera = ReopeningCamera::open(
+            Arc::new(system.clone()),
+            Arc::clone(&clock),
+            cameras.stereo.clone(),
+            cameras.reopen_for,
+        );
+        let mut camera = WatchedCamera::new(camera.unwrap(), cameras, rig);
+        let (service, desk) = ControlService::new(Arc::clone(&clock), ["left".to_owned(), "right".to_owned()]);
+        camera.service = Some(service);
+        let (tell, told) = channel();
+        let set = |value: i32| {
+            let tell = tell.clone();
+            let request = ControlRequest::Set { side: 1, id: id::GAIN, value };
+            let until = clock.now() + Duration::from_secs(1);
+            desk.ask(request, until, Box::new(move |result| tell.send(result).unwrap())).unwrap();
+        };
+        let gain = || {
+            let shown = desk.shown();
+            shown.cameras[1].controls.iter().find(|control| control.id == id::GAIN).and_then(|control| control.value)
+        };
+        let mut pair = FramePair::black(camera.info().size);
+        let mut next = || camera.next_pair_into(&mut pair, Duration::from_millis(66)).is_ok();
+        set(77);
+        assert!(told.try_recv().is_err(), "only the owner of the cameras sets a control");
+        assert!(next());
+        assert_eq!((told.try_recv().unwrap(), gain(), desk.shown().problem), (Ok(()), Some(77), None));
+        system.with(0, |camera| camera.faults.is_unplugged = true).unwrap();
+        assert!(!next());
+        assert!(desk.shown().problem.is_some());
+        set(78);
+        assert!(!next());
+        assert!(told.try_recv().unwrap().is_err());
+        system.with(0, |camera| camera.faults.is_unplugged = false).unwrap();
+        assert!((0..100).any(|_| next()));
+        assert!(next());
+        assert_eq!(desk.shown().problem, None);
+        assert_ne!(gain(), Some(77), "a reopened camera has the value of the setup");
     }
 
     #[test]

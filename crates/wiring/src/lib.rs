@@ -3,6 +3,7 @@
 pub mod arm;
 mod at_once;
 pub mod calibration;
+pub mod camera_controls;
 mod cameras;
 pub mod commissioning;
 mod flights;
@@ -21,7 +22,7 @@ use pb3dp_arm_pa10::arm::{ArmMonitor, VirtualTime};
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
 use pb3dp_camera_replay::{Pacing, Repeat, ReplayCamera, ReplayOptions};
 use pb3dp_camera_settings::StereoConfig;
-use pb3dp_camera_v4l2::V4l2StereoCamera;
+use pb3dp_camera_v4l2::ReopeningCamera;
 use pb3dp_camera_v4l2::linux::Linux;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_geometry::Pose;
@@ -34,12 +35,14 @@ use pb3dp_sim::pushed::PushedTarget;
 use pb3dp_sim::trajectory::{AtRest, Trajectory};
 
 use self::arm::{EmulatedServer, MonitoredLink, WiredArms, wire_arms};
+use self::camera_controls::{BareCameras, ControlService};
 use self::simulated::wire_sight;
 pub use flights::{line_facts, raw_lines, write_flights};
 pub use greeting::{bus_doubts, geometry_doubt, watchdog_refusal};
 pub use key_files::check_key_files;
 pub use nominal::{MOCK_ARM, accept_nominal};
 
+use pb3dp_cell::camera_controls::ControlDesk;
 use pb3dp_cell::cell::{FreeTarget, SimulatedCell};
 use pb3dp_cell::operator::ByCommand;
 use pb3dp_cell::paced_clock::PacedClock;
@@ -49,6 +52,9 @@ use pb3dp_cell::perception::{Marking, NOT_MARKED, Sight};
 use pb3dp_cell::selection::Selections;
 use pb3dp_setup::region_spec::load_region;
 use pb3dp_setup::setup::{Carrier, Pace, Setup};
+
+/// How long bare cameras that were lost are searched for: somebody is changing cables or lenses. Chosen; after it the command ends.
+const BARE_REOPEN_FOR: Duration = Duration::from_secs(3600);
 
 /// Delivery times of recorded frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -204,14 +210,14 @@ fn wire_cell_with(
     // Planning uses the setup; the simulation uses the true poses.
     let start = cell.world_from_target_at(clock.now());
     let experiment = begin(&mut cell, start)?;
-    let mut cameras = None;
+    let (mut cameras, mut camera_controls) = (None, None);
     let (camera, marking) = match (&setup.rig.real_cameras, &setup.world) {
         (Some(real), _) => {
             if let Some(says) = &setup.rig.nominal_calibration {
                 nominal::look_at_arms(says, &monitors)?;
             }
             let wired = cameras::wire_real(real, setup, (video, Arc::clone(&clock)))?;
-            cameras = Some(wired.identities);
+            (cameras, camera_controls) = (Some(wired.identities), Some(wired.controls));
             let region = real.region.as_ref().map(|region| load_region(region, real.size())).transpose()?;
             (Sight::Images(wired.camera), region.map_or(Marking::Nobody, Marking::Region))
         }
@@ -225,6 +231,7 @@ fn wire_cell_with(
         clock,
         camera,
         cameras,
+        camera_controls,
         vs,
         tc,
         cell,
@@ -259,12 +266,23 @@ fn check_marked(setup: &Setup) -> Result<()> {
     }
 }
 
-/// Two real cameras, without a setup.
+/// Two real cameras that nothing carries, with their controls. After a loss they are searched for an hour.
 ///
 /// # Errors
 /// If they cannot be used.
-pub fn open_cameras(config: &StereoConfig, clock: Arc<dyn Clock>) -> Result<Box<dyn StereoCamera>> {
-    Ok(Box::new(V4l2StereoCamera::open(Arc::new(Linux), clock, config)?))
+pub fn open_cameras(
+    config: &StereoConfig,
+    (system, clock): (Arc<dyn VideoSystem>, Arc<dyn Clock>),
+) -> Result<(Box<dyn StereoCamera>, ControlDesk)> {
+    let names = [&config.left, &config.right].map(|camera| camera.name.to_string());
+    let camera = ReopeningCamera::open(system, Arc::clone(&clock), config.clone(), BARE_REOPEN_FOR)?;
+    let (service, desk) = ControlService::new(clock, names);
+    Ok((Box::new(BareCameras { camera, service }), desk))
+}
+
+/// The cameras of this computer.
+pub fn video_system() -> Arc<dyn VideoSystem> {
+    Arc::new(Linux)
 }
 
 /// A camera that replays a recorded sequence at its pace, again and again, and its calibration. A program that is too slow misses

@@ -17,7 +17,7 @@ codes! {
 
 codes! {
     CameraErrorKind, "A camera reports an error" {
-        Timeout = "PB3DP-CAM-001": "No frame pair arrived in time."; "Check that both cameras send images: `pb3dp cameras view`.";
+        Timeout = "PB3DP-CAM-001": "No frame pair arrived in time."; "Check that both cameras send images: `pb3dp panel --cameras`.";
         BadPair = "PB3DP-CAM-002": "A frame pair is damaged or incomplete and was skipped."; "Nothing, if it happens rarely. Otherwise check cables and USB bandwidth.";
         EndOfStream = "PB3DP-CAM-003": "The recording has ended."; "Nothing.";
         Disconnected = "PB3DP-CAM-004": "A camera was unplugged or powered off."; "Connect the camera. pb3dp opens it again by itself within `camera.reopen_for_s`.";

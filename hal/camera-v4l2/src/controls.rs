@@ -36,6 +36,8 @@ pub mod id {
     pub const FOCUS_ABSOLUTE: u32 = 0x009A_090A;
     /// Autofocus, 0 or 1.
     pub const FOCUS_AUTO: u32 = 0x009A_090C;
+    /// Focal length of a zoom lens, in units of the driver.
+    pub const ZOOM_ABSOLUTE: u32 = 0x009A_090D;
 }
 
 /// Item of the menu `EXPOSURE_AUTO`: manual.
@@ -80,6 +82,32 @@ pub struct Control {
     pub value: Option<i32>,
     /// Menu items.
     pub menu: Vec<(i32, String)>,
+}
+
+/// Unit of the values of a control, and the size of the value 1 in it; `None` if only the driver knows.
+pub fn unit_of(id: u32) -> Option<(&'static str, f64)> {
+    match id {
+        id::EXPOSURE_ABSOLUTE => Some(("ms", EXPOSURE_UNIT.as_secs_f64() * 1e3)),
+        id::WHITE_BALANCE_TEMPERATURE => Some(("K", 1.0)),
+        _ => None,
+    }
+}
+
+/// Whether the camera sets this control by itself at present; `None` if it has no automatic mode.
+pub fn is_automatic(controls: &[Control], id: u32) -> Option<bool> {
+    let mode = |id| find(controls, id).and_then(|control| control.value);
+    match id {
+        id::EXPOSURE_ABSOLUTE => mode(id::EXPOSURE_AUTO).map(|mode| EXPOSURE_BY_CAMERA.contains(&mode)),
+        id::GAIN => mode(id::AUTO_GAIN).map(|mode| mode != 0),
+        id::WHITE_BALANCE_TEMPERATURE => mode(id::AUTO_WHITE_BALANCE).map(|mode| mode != 0),
+        id::FOCUS_ABSOLUTE => mode(id::FOCUS_AUTO).map(|mode| mode != 0),
+        _ => None,
+    }
+}
+
+/// Whether a control moves the lens, so that a calibration no longer holds.
+pub fn moves_the_lens(id: u32) -> bool {
+    matches!(id, id::FOCUS_ABSOLUTE | id::FOCUS_AUTO | id::ZOOM_ABSOLUTE)
 }
 
 /// All controls of a device with their values.

@@ -8,6 +8,7 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera, StereoCameraInfo};
 
 use crate::camera::{CameraIdentity, Side, StereoCounters, V4l2StereoCamera};
+use crate::controls::Control;
 use crate::error::unusable;
 use crate::names::CaptureDevice;
 use crate::video::VideoSystem;
@@ -80,8 +81,28 @@ impl ReopeningCamera {
     /// # Errors
     /// As [`V4l2StereoCamera::identity`]; `Disconnected` while the cameras are lost.
     pub fn identity(&mut self, side: Side) -> Result<CameraIdentity, CameraError> {
+        self.open_camera()?.identity(side)
+    }
+
+    /// Controls of a camera with their values.
+    ///
+    /// # Errors
+    /// As [`V4l2StereoCamera::controls`]; `Disconnected` while the cameras are lost.
+    pub fn controls(&mut self, side: Side) -> Result<Vec<Control>, CameraError> {
+        self.open_camera()?.controls(side)
+    }
+
+    /// Sets a control and reads it back. Reopened cameras have the controls of their configuration again.
+    ///
+    /// # Errors
+    /// As [`V4l2StereoCamera::set_control`]; `Disconnected` while the cameras are lost.
+    pub fn set_control(&mut self, side: Side, id: u32, value: i32) -> Result<(), CameraError> {
+        self.open_camera()?.set_control(side, id, value)
+    }
+
+    fn open_camera(&mut self) -> Result<&mut V4l2StereoCamera, CameraError> {
         match &mut self.state {
-            State::Open(camera) => camera.identity(side),
+            State::Open(camera) => Ok(camera),
             State::Lost { why, .. } | State::GivenUp(why) => {
                 Err(CameraError::new(CameraErrorKind::Disconnected, why.clone()))
             }

@@ -23,9 +23,6 @@ const EMULATED_LINES: &str = "hal/arm-pa10-emulation/src/line/";
 /// The commands of calibration; all other code of the crate receives images.
 const CALIBRATION_IO: &str = "crates/calibration/src/command/";
 
-/// The web page with the camera images.
-const CAMERA_PAGE: &str = "crates/orchestrator/src/commands/cameras/view/";
-
 /// The only folder of the cameras' crate with system calls.
 const CAMERA_IO: &str = "hal/camera-v4l2/src/linux/";
 
@@ -144,7 +141,6 @@ const WORLDS: [World; 6] = [
             PLATFORM,
             GATEWAY_SERVICE,
             EMULATED_LINES,
-            CAMERA_PAGE,
             "crates/panel/src/config.rs",
             "crates/panel/src/panel.rs",
             "crates/panel/src/server/",

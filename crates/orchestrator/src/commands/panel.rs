@@ -4,22 +4,25 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use clap::{ArgGroup, Args};
+use nalgebra::Vector3;
+use pb3dp_cell::calibration_facts::CalibrationFacts;
+use pb3dp_cell::camera_controls::ControlDesk;
 use pb3dp_cell::follower::Follower;
 use pb3dp_cell::images_only::ImagesOnly;
 use pb3dp_estimation::estimator::{EstimatorConfig, Method, Tracker};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
-use pb3dp_geometry::StereoRig;
+use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig};
 use pb3dp_hal_api::{Clock, StereoCamera};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_panel::{About, Panel, PanelAddress, PanelConfig};
 use pb3dp_record::dataset::load_sequence;
-use pb3dp_wiring::{open_cameras, wire_endless_replay};
+use pb3dp_wiring::{open_cameras, video_system, wire_endless_replay};
 
 use crate::arguments::{ZRange, parse_z_range};
-use crate::commands::cameras::choice::CameraChoice;
+use crate::commands::cameras::choice::{CameraChoice, Chosen};
 use crate::commands::cameras::stop_requested;
 use crate::logging::show_in_panel;
 use crate::panel_access::{PANEL_ADDRESS, PanelAccess, announce, parse_address};
@@ -35,7 +38,8 @@ pub struct PanelArgs {
     /// A folder with a recorded sequence (docs/dataset-format.md); it is repeated at its own pace, and pairs that this computer is too slow for are left out.
     #[arg(long, value_name = "DIR")]
     sequence: Option<PathBuf>,
-    /// Two real cameras: with --config FILE, or with --left, --right and --calib.
+    /// Two real cameras: with --config FILE, or with --left, --right and --calib. Without a calibration the page shows images and
+    /// controls, and no target can be chosen.
     #[arg(long)]
     cameras: bool,
     #[command(flatten)]
@@ -54,7 +58,11 @@ pub struct PanelArgs {
 struct Source {
     camera: Box<dyn StereoCamera>,
     name: String,
-    rig: StereoRig,
+    /// The calibration; `None` without one.
+    rig: Option<StereoRig>,
+    calibration: Option<CalibrationFacts>,
+    /// Controls of real cameras.
+    controls: Option<ControlDesk>,
     range: SearchRange,
 }
 
@@ -73,19 +81,45 @@ pub fn run(args: &PanelArgs) -> Result<ExitCode> {
     if let Some(ZRange { min_mm, max_mm }) = args.z_range {
         (source.range.z_min_m, source.range.z_max_m) = (min_mm * 1e-3, max_mm * 1e-3);
     }
-    let about = About::of_cameras(source.rig, &source.name, env!("CARGO_PKG_VERSION"), source.range);
     let config = PanelConfig { log_lines: show_in_panel(Arc::clone(&clock)), ..args.access.config(args.address)? };
-    let tracker = Tracker::new(Method::Direct, &source.rig, &EstimatorConfig::default())?;
+    let mut opened = |panel: &Panel| announce(panel, "shows the images: mark a target with the mouse; Ctrl-C ends it");
+    serve(source, (config, clock), &mut opened, &mut || stop_requested(&mut signals, "the page closes"))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Serves the page until `is_over` returns true; calls `opened` once it can be reached.
+fn serve(
+    source: Source,
+    (config, clock): (PanelConfig, Arc<dyn Clock>),
+    opened: &mut dyn FnMut(&Panel) -> Result<()>,
+    is_over: &mut dyn FnMut() -> bool,
+) -> Result<()> {
+    let Source { mut camera, name, rig, calibration, controls, range } = source;
+    let stereo = match rig {
+        Some(rig) => rig,
+        None => stand_in(camera.info().size)?,
+    };
+    let about = About {
+        is_calibrated: rig.is_some(),
+        calibration: match (&calibration, rig) {
+            (Some(facts), _) => facts.source.clone(),
+            (None, Some(_)) => "that of the recording".to_owned(),
+            (None, None) => "none: images and controls only".to_owned(),
+        },
+        calibrations: calibration.into_iter().collect(),
+        ..About::of_cameras(stereo, &name, env!("CARGO_PKG_VERSION"), range)
+    };
+    let tracker = Tracker::new(Method::Direct, &stereo, &EstimatorConfig::default())?;
+    let config = PanelConfig { cameras: controls, ..config };
     let (panel, _, spectator) = Panel::start(config, Arc::clone(&clock), about)?;
-    announce(&panel, "shows the images: mark a target with the mouse; Ctrl-C ends it")?;
+    opened(&panel)?;
     let images = ImagesOnly {
-        follower: Follower::new(tracker, source.range),
+        follower: Follower::new(tracker, range),
         selections: panel.selections(),
         spectator: Box::new(spectator),
         clock,
     };
-    images.run(&mut *source.camera, &mut || stop_requested(&mut signals, "the page closes"))?;
-    Ok(ExitCode::SUCCESS)
+    images.run(&mut *camera, is_over)
 }
 
 fn recorded(folder: &Path, clock: &Arc<dyn Clock>) -> Result<Source> {
@@ -97,23 +131,45 @@ fn recorded(folder: &Path, clock: &Arc<dyn Clock>) -> Result<Source> {
         tracing::info!("{note}");
     }
     let pb3dp_record::dataset::SearchRange { z_min_m, z_max_m, tilt_max_rad } = sequence.search;
-    let range = SearchRange { z_min_m, z_max_m, tilt_max_rad };
-    Ok(Source { camera, name: folder.display().to_string(), rig: calibration.rig, range })
+    Ok(Source {
+        camera,
+        name: folder.display().to_string(),
+        rig: Some(calibration.rig),
+        calibration: Some(CalibrationFacts::of("camera", &calibration.source, calibration.judgement.as_ref())),
+        controls: None,
+        range: SearchRange { z_min_m, z_max_m, tilt_max_rad },
+    })
 }
 
 fn cameras(choice: &CameraChoice, clock: &Arc<dyn Clock>) -> Result<Source> {
-    let chosen = choice.chosen()?;
-    let Some(rig) = chosen.rig else {
-        bail!(
-            "--cameras: poses need a calibration; give --calib FILE, or --config with a calibrated setup (`pb3dp cameras view` shows bare images)"
-        );
-    };
-    let camera = open_cameras(&chosen.config, Arc::clone(clock)).context("the cameras cannot be used")?;
+    let chosen = choice.to_show()?;
+    let opened = open_cameras(&chosen.config, (video_system(), Arc::clone(clock)));
+    let (camera, desk) = opened.context("the cameras cannot be used")?;
+    if chosen.rig.is_none() {
+        tracing::warn!("without a calibration no target can be chosen; --calib FILE, or a setup, states one");
+    }
+    Ok(of_cameras(chosen, camera, desk))
+}
+
+fn of_cameras(chosen: Chosen, camera: Box<dyn StereoCamera>, desk: ControlDesk) -> Source {
     let of_default = SearchRange {
         z_min_m: RANGE_MM.min_mm * 1e-3,
         z_max_m: RANGE_MM.max_mm * 1e-3,
         tilt_max_rad: TILT_MAX_DEG.to_radians(),
     };
-    let name = camera.info().name.clone();
-    Ok(Source { camera, name, rig, range: chosen.target.range.unwrap_or(of_default) })
+    let Chosen { rig, calibration, target, .. } = chosen;
+    let (name, range) = (camera.info().name.clone(), target.range.unwrap_or(of_default));
+    Source { camera, name, rig, calibration, controls: Some(desk), range }
 }
+
+/// Stands in for a calibration where only images are shown: a usual lens, cameras side by side. Nothing is measured with it.
+fn stand_in(size: ImageSize) -> Result<StereoRig> {
+    let middle = |pixels: u32| (f64::from(pixels) - 1.0) / 2.0;
+    let focal_px = f64::from(size.width.max(size.height));
+    let pinhole = Pinhole { fx: focal_px, fy: focal_px, cx: middle(size.width), cy: middle(size.height) };
+    let camera = Camera::new(size, pinhole, Distortion::None)?;
+    Ok(StereoRig::new(camera, camera, Pose::from_translation(Vector3::new(-0.1, 0.0, 0.0)))?)
+}
+
+#[cfg(test)]
+mod tests;

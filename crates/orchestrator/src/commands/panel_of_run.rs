@@ -22,6 +22,7 @@ pub fn start(at: PanelConfig, (setup, name): (&Setup, &str), parts: &mut Parts) 
     let config = PanelConfig {
         interrupt: Arc::clone(&parts.interrupt),
         hold_to_run: setup.hold_to_run,
+        cameras: parts.camera_controls.clone(),
         log_lines: show_in_panel(Arc::clone(&clock)),
         push: parts.pushed.clone().map(|target| -> Push {
             Arc::new(move |offset_m: [f64; 3], turn_rad| {

@@ -16,6 +16,14 @@ fn cameras_that_are_not_named_or_not_there_are_refused_with_what_to_do() {
     pb3dp(&["cameras", "check", "--left", "/dev/video0"]).assert_refused(&["--right"]);
     pb3dp(&["cameras", "check", "--left", "front", "--right", "back"])
         .assert_refused(&["is not a camera name", "bus:PLACE"]);
+    for view in [
+        &["cameras", "view"][..],
+        &["cameras", "view", "--left", "a", "--port", "9000"],
+        &["cameras", "view", "--help"],
+    ] {
+        pb3dp(view).assert_refused(&["pb3dp panel --cameras", "--address in place of --port"]);
+    }
+    pb3dp(&["panel", "--cameras"]).assert_refused(&["no cameras are named"]);
     // A setup names them; its cameras are simulated, or not of this machine.
     let setup = |name: &str| crate::cli::support::repository().join("configs").join(name);
     pb3dp(&words(&[&"cameras", &"check", &"--config", &setup("sim.toml")])).assert_refused(&["camera.backend", "v4l2"]);

@@ -152,7 +152,7 @@ export class Commands {
 
   /**
    * Shows a danger until it is over. Each cause has its own line.
-   * @param {"link"|"stop"} cause
+   * @param {"link"|"stop"|"cameras"} cause
    * @param {string|null} text
    */
   alert(cause, text) {

@@ -1,6 +1,7 @@
 // @ts-check
 // Puts the parts of the page together.
 import "./types.js";
+import { Cameras } from "./cameras.js";
 import { withCodes } from "./codes.js";
 import { Commands } from "./commands.js";
 import { Connection, post } from "./connection.js";
@@ -60,6 +61,12 @@ const left = new ImageView(canvas("left"), about.cameras.size_px);
 const right = new ImageView(canvas("right"), about.cameras.size_px);
 right.dragMoves = true;
 const plots = new Plots();
+const cameras = new Cameras(connection, commands, about);
+// Targets and rectified images need a calibration.
+if (!about.cameras.calibrated) {
+  at("target-card").hidden = true;
+  for (const id of ["rectified", "epipolar", "heat"]) at(id).parentElement?.toggleAttribute("hidden", true);
+}
 const joints = new Joints(about.arms);
 const scene = about.arms.length > 0 ? new Scene(canvas("scene"), about) : null;
 if (!scene) for (const id of ["scene", "joints"]) at(id).parentElement?.toggleAttribute("hidden", true);
@@ -74,6 +81,7 @@ let epipolar_px = [];
 const pace = new Pace(() => ({ drawn: left.drawn, lost: left.skipped + connection.dropped[0] }), askForImages);
 const pointing = new Pointing(left, {
   canPush: about.playground,
+  canMark: about.cameras.calibrated,
   onRegion: (region) => void preview(region),
   onCancel: forget,
   onFreeze: (sequence) => [left, right].forEach((view) => view.freeze(sequence)),
@@ -127,6 +135,7 @@ connection.onState = (newest) => {
   state = newest;
   showState(newest, pace.text);
   commands.show(newest);
+  cameras.show(newest);
   plots.add(newest);
   joints.show(newest.arms);
   scene?.show(newest);
@@ -232,7 +241,7 @@ button("unzoom").addEventListener("click", () => [left, right].forEach((view) =>
 for (const option of ["rectified", "heat"]) input(option).addEventListener("change", askForImages);
 document.addEventListener("visibilitychange", askForImages);
 const askForLine = paced(EPIPOLAR_MS, async (u, v) => {
-  if (!input("epipolar").checked) return;
+  if (!input("epipolar").checked || !about.cameras.calibrated) return;
   if (right.image?.isRectified) {
     // Rows of rectified images are epipolar lines.
     epipolar_px = [[-0.5, v], [about.cameras.size_px[0] - 0.5, v]];

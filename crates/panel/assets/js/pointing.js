@@ -22,7 +22,7 @@ const ARROWS = /** @type {Record<string, import("./types.js").Pixel>} */ ({ Arro
 export class Pointing {
   /**
    * @param {import("./view.js").ImageView} view
-   * @param {{onRaw: () => void, onFreeze: (sequence: number|null) => void, onCursor: (u: number, v: number) => void, onBegin: (u: number, v: number) => void, onRegion: (region: string) => void, onCancel: () => void, onPush: (du: number, dv: number) => void, canPush: boolean}} handlers
+   * @param {{onRaw: () => void, onFreeze: (sequence: number|null) => void, onCursor: (u: number, v: number) => void, onBegin: (u: number, v: number) => void, onRegion: (region: string) => void, onCancel: () => void, onPush: (du: number, dv: number) => void, canPush: boolean, canMark: boolean}} handlers
    */
   constructor(view, handlers) {
     this.view = view;
@@ -43,13 +43,14 @@ export class Pointing {
     // Sum of the pushes, pixels.
     /** @type {import("./types.js").Pixel} */
     this.pushed_px = [0, 0];
-    this.tools = handlers.canPush ? [...TOOLS, PUSH] : TOOLS;
+    const tools = handlers.canMark ? TOOLS : TOOLS.filter(({ tool }) => tool === "move");
+    this.tools = handlers.canPush ? [...tools, PUSH] : tools;
     for (const { tool, name, help } of this.tools) {
       const button = make("button", { type: "button", "data-tool": tool, title: help }, name);
       button.addEventListener("click", () => this.choose(tool));
       at("tools").append(button);
     }
-    this.choose("rectangle");
+    this.choose(this.tools[0].tool);
     const { canvas } = view;
     canvas.addEventListener("pointerdown", (event) => this.down(event));
     canvas.addEventListener("pointermove", (event) => this.move(event));

@@ -51,6 +51,7 @@
  * @property {number[][]} axis
  * @property {number[]} flange_from_tool
  */
+/** @typedef {{table: string, source: string, date: string|null, gates: {name: string, measured: number, good: number, refused: number, grade: string}[]}} Calibration */
 /**
  * @typedef {object} Info
  * @property {string} version
@@ -60,7 +61,7 @@
  * @property {boolean} playground
  * @property {boolean} hold_to_run
  * @property {number} silent_after_ms
- * @property {{size_px: Pixel, calibration: string, left: {focal_px: Pixel}, cam_right_from_cam_left: number[]}} cameras
+ * @property {{size_px: Pixel, calibrated: boolean, calibration: string, calibrations: Calibration[], left: {focal_px: Pixel}, cam_right_from_cam_left: number[]}} cameras
  * @property {ArmInfo[]} arms
  * @property {number[]|null} hand_from_cam_left
  */
@@ -78,6 +79,26 @@
  * @property {number} ms
  * @property {number} sequence
  */
+/**
+ * @typedef {object} Control
+ * @property {number} id
+ * @property {string} name
+ * @property {"integer"|"boolean"|"menu"|"bitmask"|"button"|"other"} kind
+ * @property {number} min
+ * @property {number} max
+ * @property {number} step
+ * @property {number} default
+ * @property {number|null} value
+ * @property {{name: string, factor: number}|null} unit
+ * @property {"auto"|"manual"|null} mode
+ * @property {boolean} is_locked
+ * @property {boolean} moves_the_lens
+ * @property {{value: number, text: string}[]} menu
+ */
+/** @typedef {{name: string, controls: Control[], losses: Record<string, number>}} Camera */
+/** @typedef {{may_change: boolean, why_not: string|null, problem: string|null, cameras: Camera[], line: string|null}} Controls */
+/** @typedef {{check: string, passed: boolean|null, value: number|null, unit: string, limit_min: number|null, limit_max: number|null, found: string, advice: string|null}} Finding */
+/** @typedef {{sequence: number, time_ms: number, skew_ms: number, skew_worst_ms: number, findings: Finding[]}} CameraCheck */
 /** @typedef {{side: 0|1, isHeat: boolean, isRectified: boolean, sequence: number, time_ms: number, size_px: Pixel, place_px: Pixel, bitmap: ImageBitmap}} CameraImage */
 /** @typedef {{time_ms: number, level: string, text: string, code: string|null}} LogLine */
 /** @typedef {{ok: boolean, status: number, body: any}} Answer */

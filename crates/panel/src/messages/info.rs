@@ -1,5 +1,6 @@
 //! The facts that do not change: `GET /api/info`.
 
+use pb3dp_cell::calibration_facts::CalibrationFacts;
 use pb3dp_geometry::Camera;
 use serde::Serialize;
 
@@ -41,7 +42,9 @@ struct Cameras {
     left: Lens,
     right: Lens,
     cam_right_from_cam_left: Transform,
+    calibrated: bool,
     calibration: String,
+    calibrations: Vec<CalibrationFacts>,
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -88,7 +91,9 @@ impl Info {
                 left: lens(about.stereo.left()),
                 right: lens(about.stereo.right()),
                 cam_right_from_cam_left: transform_of(about.stereo.cam_right_from_cam_left()),
+                calibrated: about.is_calibrated,
                 calibration: about.calibration.clone(),
+                calibrations: about.calibrations.clone(),
             },
             arms: about.arms.iter().map(arm).collect(),
             hand_from_cam_left: about.hand.as_ref().map(|hand| transform_of(&hand.hand_from_cam_left)),

@@ -1,6 +1,7 @@
 //! Messages between the panel and its clients: docs/reference/panel-api.md. Lengths in millimetres, angles in degrees, times in
 //! milliseconds, pixels of the raw images.
 
+pub mod cameras;
 pub mod info;
 pub mod requests;
 pub mod socket;

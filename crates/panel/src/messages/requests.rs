@@ -127,7 +127,7 @@ pub struct PushRequest {
     pub seen: IgnoredAny,
 }
 
-/// `POST /api/control`: a control of a real camera.
+/// `POST /api/controls`: a control of a real camera.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ControlRequest {
@@ -135,8 +135,11 @@ pub struct ControlRequest {
     pub side: CameraSide,
     /// Number of the control.
     pub id: u32,
-    /// New value.
+    /// New value, in units of the driver.
     pub value: i32,
+    /// As in [`HoldRequest`]: the server itself checks that no arm may move.
+    #[serde(default)]
+    pub seen: IgnoredAny,
 }
 
 /// One of the two cameras.
@@ -147,4 +150,11 @@ pub enum CameraSide {
     Left,
     /// The right one.
     Right,
+}
+
+impl CameraSide {
+    /// 0: left, 1: right.
+    pub fn index(self) -> usize {
+        self as usize
+    }
 }

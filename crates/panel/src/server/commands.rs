@@ -19,8 +19,8 @@ use super::{Peer, body};
 use crate::hub::Hub;
 use crate::lease::{Holder, NAME_MAX, Taken};
 use crate::messages::requests::{
-    ControlRequest, HeartbeatRequest, HoldRequest, JogRequest, LeaseAction, LeaseRequest, PreviewRequest, PushRequest,
-    SeenRequest, SelectRequest, SpeedRequest,
+    HeartbeatRequest, HoldRequest, JogRequest, LeaseAction, LeaseRequest, PreviewRequest, PushRequest, SeenRequest,
+    SelectRequest, SpeedRequest,
 };
 use crate::messages::state::{HolderState, JogState};
 use crate::moving::{check_jog, check_push, check_speed};
@@ -38,27 +38,41 @@ const TAKEN_WITHIN: Duration = Duration::from_millis(1000);
 /// Time in which a preview is answered: its own limit and that of the one before.
 const PREVIEWED_WITHIN: Duration = Duration::from_millis(3000);
 
-type Answered = Result<Response, Refusal>;
+/// Answer of a request.
+pub type Answered = Result<Response, Refusal>;
 
 /// A command of a client, for checks and the audit log.
-struct Asked {
+pub struct Asked {
     command: &'static str,
     session: Option<Session>,
     peer: Peer,
 }
 
 impl Asked {
-    fn new(command: &'static str, request: &Request, peer: Peer) -> Self {
+    /// A command of this request.
+    pub fn new(command: &'static str, request: &Request, peer: Peer) -> Self {
         Self { command, session: session_in(request.headers()), peer }
     }
 
     /// Counts the request, but not `stop` and `hold`.
-    fn count(&self, app: &App) -> Result<(), Refusal> {
+    ///
+    /// # Errors
+    /// If the client sends too many.
+    pub fn count(&self, app: &App) -> Result<(), Refusal> {
         let session = self.session.filter(|session| app.hub.check_holder(Some(*session)).is_ok());
         app.rates.count(Client::new(self.peer.address.ip(), session), Instant::now())
     }
 
-    fn audit<T>(&self, holder: Option<&Holder>, outcome: Result<T, Refusal>) -> Result<T, Refusal> {
+    /// The session of the request.
+    pub fn session(&self) -> Option<Session> {
+        self.session
+    }
+
+    /// Writes the outcome to the audit log and passes it on.
+    ///
+    /// # Errors
+    /// That of the outcome.
+    pub fn audit<T>(&self, holder: Option<&Holder>, outcome: Result<T, Refusal>) -> Result<T, Refusal> {
         let (command, peer) = (self.command, self.peer.address);
         let (id, name) = holder.map_or((0, ""), |holder| (holder.id, holder.name.as_str()));
         match &outcome {
@@ -170,6 +184,7 @@ fn chosen_by(hub: &Hub, request: SelectRequest) -> Result<Chosen, Refusal> {
         (Some(_), Some(_)) => Err(Refusal::Body { cause: "give either `region` or `saved`".to_owned() }),
         (None, None) => Ok(Chosen { selection: None, name }),
         (Some(region), None) => {
+            hub.about.check_calibrated("select")?;
             let region = region_in(&region, hub.about.stereo.left().size())?;
             let pair = hub.watched.pairs.get(sequence)?;
             Ok(Chosen { selection: Some(Selection { region, drawn_on: Some(pair) }), name })
@@ -281,6 +296,7 @@ pub async fn preview(State(app): State<App>, Extension(peer): Extension<Peer>, r
     Asked::new("preview", &request, peer).count(&app)?;
     let PreviewRequest { region, sequence } = body::read(request).await?;
     let hub: &Arc<Hub> = &app.hub;
+    hub.about.check_calibrated("preview")?;
     let region = region_in(&region, hub.about.stereo.left().size())?;
     let pair = hub.watched.pairs.get(sequence)?;
     hub.watched.pairs.pin(&pair);
@@ -313,20 +329,4 @@ pub async fn push(State(app): State<App>, Extension(peer): Extension<Peer>, requ
         Ok(()) => Ok(json(&Done {})),
         Err(why) => asked.audit(Some(&holder), Err(Refusal::NotHere { what: "push", why })),
     }
-}
-
-/// `POST /api/control`: controls of real cameras.
-pub async fn control(State(app): State<App>, Extension(peer): Extension<Peer>, request: Request) -> Answered {
-    let asked = Asked::new("control", &request, peer);
-    asked.count(&app)?;
-    let ControlRequest { side, id, value } = body::read(request).await?;
-    let hub = &app.hub;
-    let Some(set) = &hub.config.set_control else {
-        let why = "these cameras have no controls".to_owned();
-        return Err(Refusal::NotHere { what: "control", why });
-    };
-    let holder = hub.check_holder(asked.session)?;
-    let outcome = set(side, id, value).map_err(|why| Refusal::NotHere { what: "control", why });
-    asked.audit(Some(&holder), outcome)?;
-    Ok(json(&Done {}))
 }

@@ -4,6 +4,7 @@ mod answers;
 mod app;
 mod assets;
 mod body;
+mod cameras;
 mod checks;
 mod commands;
 mod rate;

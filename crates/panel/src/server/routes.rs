@@ -15,7 +15,7 @@ use serde::Serialize;
 use super::answers::{json, json_text};
 use super::app::App;
 use super::assets::{asset, shortened};
-use super::{checks, commands, socket};
+use super::{cameras, checks, commands, socket};
 use crate::drawing::epipolar;
 use crate::hub::Hub;
 use crate::messages::Pixel;
@@ -32,6 +32,7 @@ pub fn router(hub: &Arc<Hub>) -> Router {
         .route("/api/info", get(info))
         .route("/api/state", get(state))
         .route("/api/epipolar", get(line))
+        .route("/api/cameras", get(cameras::cameras))
         .route("/api/events", get(socket::upgrade))
         .route("/api/lease", post(commands::lease))
         .route("/api/heartbeat", post(commands::heartbeat))
@@ -45,7 +46,7 @@ pub fn router(hub: &Arc<Hub>) -> Router {
         .route("/api/jog", post(commands::jog))
         .route("/api/preview", post(commands::preview))
         .route("/api/push", post(commands::push))
-        .route("/api/control", post(commands::control))
+        .route("/api/controls", get(cameras::controls).post(cameras::set_control))
         .route("/api/{*rest}", any(unknown))
         .method_not_allowed_fallback(wrong_method)
         .fallback(page)
@@ -64,7 +65,8 @@ async fn unknown(uri: Uri) -> Refusal {
 async fn wrong_method(request: Request) -> Refusal {
     let path = request.uri().path();
     let allowed = match path {
-        "/api/info" | "/api/state" | "/api/epipolar" | "/api/events" => "GET",
+        "/api/info" | "/api/state" | "/api/epipolar" | "/api/cameras" | "/api/events" => "GET",
+        "/api/controls" => "GET, POST",
         _ => "POST",
     };
     Refusal::Method { path: shortened(path), method: shortened(request.method().as_str()), allowed }
@@ -97,5 +99,6 @@ async fn line(State(App { hub, .. }): State<App>, uri: Uri) -> Result<Response, 
     let (Some(u), Some(v)) = (number("u"), number("v")) else {
         return Err(Refusal::Body { cause: "the query needs two numbers: ?u=320&v=240".to_owned() });
     };
+    hub.about.check_calibrated("epipolar")?;
     Ok(json(&Line { right_px: epipolar(&hub.about.stereo, Vector2::new(u, v)) }))
 }

@@ -8,9 +8,10 @@ use clap::Args;
 use pb3dp_camera_settings::{
     CameraConfig, CameraName, ControlSettings, ModeRequest, PixelFormat, Setting, StampModel, StereoConfig,
 };
+use pb3dp_cell::calibration_facts::CalibrationFacts;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::{ImageSize, StereoRig};
-use pb3dp_record::calibration_files::load_stereo;
+use pb3dp_record::calibration_files::{StereoCalibration, load_stereo};
 use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::region_spec::RegionSpec;
 use pb3dp_setup::setup::{interval, read_cameras};
@@ -65,6 +66,8 @@ pub(in crate::commands) struct Chosen {
     pub(in crate::commands) config: StereoConfig,
     /// The calibration, if there is one.
     pub(in crate::commands) rig: Option<StereoRig>,
+    /// What its file states about itself.
+    pub(in crate::commands) calibration: Option<CalibrationFacts>,
     /// Target settings of the setup.
     pub(in crate::commands) target: ChosenTarget,
 }
@@ -89,22 +92,36 @@ impl CameraChoice {
     /// # Errors
     /// If no cameras are named, or a file cannot be used.
     pub(in crate::commands) fn chosen(&self) -> Result<Chosen> {
-        if let Some(setup) = self.setup() {
-            let (cameras, range) = read_cameras(&setup)?;
-            let rig = cameras.calibration()?.rig;
-            let target = ChosenTarget { region: cameras.region, range: Some(range) };
-            return Ok(Chosen { config: cameras.stereo, rig: Some(rig), target });
+        match self.setup() {
+            Some(setup) => of_setup(&setup, true),
+            None => self.typed(),
         }
+    }
+
+    /// As [`Self::chosen`], but the calibration of a setup need not exist yet: the cameras are shown without it, with a warning.
+    ///
+    /// # Errors
+    /// As [`Self::chosen`].
+    pub(in crate::commands) fn to_show(&self) -> Result<Chosen> {
+        match self.setup() {
+            Some(setup) => of_setup(&setup, false),
+            None => self.typed(),
+        }
+    }
+
+    /// The cameras of the command line.
+    fn typed(&self) -> Result<Chosen> {
         let (Some(left), Some(right)) = (&self.left, &self.right) else {
             bail!(
                 "no cameras are named: give --config FILE (as configs/rig.toml), or --left NAME --right NAME; `pb3dp cameras list` shows the \
                  names"
             );
         };
-        let rig = match self.calib.as_slice() {
+        let loaded = match self.calib.as_slice() {
             [] => None,
-            files => Some(load_stereo(files).context("--calib")?.rig),
+            files => Some(load_stereo(files).context("--calib")?),
         };
+        let rig = loaded.as_ref().map(|loaded| loaded.rig);
         let calibrated = rig.as_ref().map(|rig| rig.left().size());
         let size = self.size.or(calibrated).unwrap_or(ImageSize { width: 640, height: 480 });
         if let Some(rig) = &rig {
@@ -132,8 +149,28 @@ impl CameraChoice {
             skew_max: Duration::from_secs_f64(self.skew_max * 1e-3),
             speed_max_m_per_s: SPEED_M_PER_S,
         };
-        Ok(Chosen { config, rig, target: ChosenTarget::default() })
+        Ok(Chosen { config, rig, calibration: loaded.as_ref().map(facts), target: ChosenTarget::default() })
     }
+}
+
+/// The cameras of a setup.
+fn of_setup(setup: &SetupArgs, needs_calibration: bool) -> Result<Chosen> {
+    let (cameras, range) = read_cameras(setup)?;
+    let loaded = match cameras.calibration() {
+        Ok(loaded) => Some(loaded),
+        Err(error) if needs_calibration => return Err(error),
+        Err(error) => {
+            tracing::warn!("the cameras are shown without a calibration: {error:#}");
+            None
+        }
+    };
+    let target = ChosenTarget { region: cameras.region, range: Some(range) };
+    let (rig, calibration) = (loaded.as_ref().map(|loaded| loaded.rig), loaded.as_ref().map(facts));
+    Ok(Chosen { config: cameras.stereo, rig, calibration, target })
+}
+
+fn facts(loaded: &StereoCalibration) -> CalibrationFacts {
+    CalibrationFacts::of("camera", &loaded.source, loaded.judgement.as_ref())
 }
 
 /// Refuses a calibration for images of another size.
@@ -152,17 +189,4 @@ pub(in crate::commands) fn check_size(rig: &StereoRig, images: ImageSize) -> Res
         );
     }
     Ok(())
-}
-
-impl CameraChoice {
-    /// The cameras without their calibration, for a command that only shows images.
-    ///
-    /// # Errors
-    /// As [`Self::chosen`], except for the calibration of a setup.
-    pub(in crate::commands) fn cameras(&self) -> Result<StereoConfig> {
-        match self.setup() {
-            Some(setup) => Ok(read_cameras(&setup)?.0.stereo),
-            None => Ok(self.chosen()?.config),
-        }
-    }
 }

@@ -67,7 +67,7 @@ pub(super) fn system(change: impl Fn(usize, &mut EmulatedCamera)) -> (Arc<Emulat
 }
 
 /// Command-line arguments with the names and the exposure of these cameras.
-pub(super) fn typed<A: clap::Args>(more: &[&str]) -> A {
+pub(in crate::commands) fn typed<A: clap::Args>(more: &[&str]) -> A {
     #[derive(Parser)]
     struct Line<A: clap::Args> {
         #[command(flatten)]

@@ -7,11 +7,13 @@ use std::process::ExitCode;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use pb3dp_camera_settings::PixelFormat;
-use pb3dp_camera_v4l2::controls::{Control, controls};
+use pb3dp_camera_v4l2::controls::controls;
 use pb3dp_camera_v4l2::modes::{OfferedFormat, offered};
 use pb3dp_camera_v4l2::names::{self, CaptureDevice};
-use pb3dp_camera_v4l2::video::{ControlKind, IntervalEntry, SizeEntry, VideoSystem};
+use pb3dp_camera_v4l2::video::{IntervalEntry, SizeEntry, VideoSystem};
+use pb3dp_cell::camera_controls::CameraControl;
 use pb3dp_cell::terminal::print_line;
+use pb3dp_wiring::camera_controls::described;
 use serde::Serialize;
 
 /// Meaning of exit code and `--json`.
@@ -26,7 +28,8 @@ Lines of --json (one per device):
   bus       where it is plugged in, or null
   formats   fourcc, is_taken (whether pb3dp can use it), sizes: width_px, height_px and rates_hz (a list), or rates_from_to_hz; or
             from_px, to_px, step_px of a range of sizes
-  controls  id, name, kind, min, max, step, default, value (or null), is_locked (another control decides on it now), menu (value, text)
+  controls  id, name, kind, min, max, step, default, value (or null), unit (name, and factor: the size of the value 1; or null), mode
+            (auto, manual or null), is_locked (another control decides on it now), moves_the_lens, menu (value, text)
   problem   why it cannot be used, and what to do; or null";
 
 /// Arguments of `pb3dp cameras list`.
@@ -72,7 +75,7 @@ struct Device {
     serial: Option<String>,
     bus: Option<String>,
     formats: Vec<Format>,
-    controls: Vec<ControlLine>,
+    controls: Vec<CameraControl>,
     problem: Option<String>,
 }
 
@@ -88,26 +91,6 @@ struct Format {
 enum Size {
     One { width_px: u32, height_px: u32, rates_hz: Vec<f64>, rates_from_to_hz: Option<[f64; 2]> },
     Range { from_px: [u32; 2], to_px: [u32; 2], step_px: [u32; 2] },
-}
-
-#[derive(Debug, Serialize)]
-pub(super) struct ControlLine {
-    pub(super) id: u32,
-    pub(super) name: String,
-    pub(super) kind: &'static str,
-    pub(super) min: i32,
-    pub(super) max: i32,
-    pub(super) step: i32,
-    pub(super) default: i32,
-    pub(super) value: Option<i32>,
-    pub(super) is_locked: bool,
-    pub(super) menu: Vec<MenuLine>,
-}
-
-#[derive(Debug, Serialize)]
-pub(super) struct MenuLine {
-    value: i32,
-    text: String,
 }
 
 /// All devices that capture images or cannot be queried, sorted by path.
@@ -143,11 +126,9 @@ fn asked(system: &dyn VideoSystem, found: &CaptureDevice) -> Device {
     let answers =
         system.open(&found.entry.path).and_then(|node| Ok((offered(node.as_ref())?, controls(node.as_ref())?)));
     match answers {
-        Ok((formats, controls)) => Device {
-            formats: formats.iter().map(Format::of).collect(),
-            controls: controls.iter().map(ControlLine::of).collect(),
-            ..known
-        },
+        Ok((formats, controls)) => {
+            Device { formats: formats.iter().map(Format::of).collect(), controls: described(&controls), ..known }
+        }
         Err(error) => {
             let problem =
                 format!("{device}: asking what it can do failed: {error}; look at its plug and cable, and try again");
@@ -194,7 +175,7 @@ impl Device {
             text.push_str("\n\n  | control | name | kind | from | to | step | default | now |\n  |---|---|---|---|---|---|---|---|");
         }
         for control in &self.controls {
-            let _ = write!(text, "\n  {}", control.row());
+            let _ = write!(text, "\n  {}", row(control));
         }
         if let Some(problem) = &self.problem {
             let _ = write!(text, "\n  PROBLEM  {problem}");
@@ -263,48 +244,24 @@ impl Size {
     }
 }
 
-impl ControlLine {
-    pub(super) fn of(control: &Control) -> Self {
-        let entry = &control.entry;
-        Self {
-            id: entry.id,
-            name: entry.name.clone(),
-            kind: match entry.kind {
-                ControlKind::Integer => "integer",
-                ControlKind::Boolean => "boolean",
-                ControlKind::Menu => "menu",
-                ControlKind::Bitmask => "bitmask",
-                ControlKind::Button => "button",
-                ControlKind::Other => "other",
-            },
-            min: entry.min,
-            max: entry.max,
-            step: entry.step,
-            default: entry.default,
-            value: control.value,
-            is_locked: entry.is_locked,
-            menu: control.menu.iter().map(|(value, text)| MenuLine { value: *value, text: text.clone() }).collect(),
-        }
-    }
-
-    fn row(&self) -> String {
-        let line = |value: i32| {
-            let text = self.menu.iter().find(|line| line.value == value).map(|line| format!(" ({})", line.text));
-            format!("{value}{}", text.unwrap_or_default())
-        };
-        let now = self.value.map_or_else(|| "-".to_owned(), line);
-        let locked = if self.is_locked { ", locked" } else { "" };
-        format!(
-            "| {:#010x} | {} | {} | {} | {} | {} | {} | {now}{locked} |",
-            self.id,
-            self.name,
-            self.kind,
-            self.min,
-            self.max,
-            self.step,
-            line(self.default)
-        )
-    }
+/// A control as a row of the table.
+fn row(control: &CameraControl) -> String {
+    let line = |value: i32| {
+        let text = control.menu.iter().find(|line| line.value == value).map(|line| format!(" ({})", line.text));
+        format!("{value}{}", text.unwrap_or_default())
+    };
+    let now = control.value.map_or_else(|| "-".to_owned(), line);
+    let locked = if control.is_locked { ", locked" } else { "" };
+    format!(
+        "| {:#010x} | {} | {} | {} | {} | {} | {} | {now}{locked} |",
+        control.id,
+        control.name,
+        control.kind.name(),
+        control.min,
+        control.max,
+        control.step,
+        line(control.default)
+    )
 }
 
 #[cfg(test)]

@@ -3,15 +3,15 @@
 mod check;
 pub(super) mod choice;
 #[cfg(test)]
-mod emulated_rig;
+pub(super) mod emulated_rig;
 mod list;
 mod record;
-mod view;
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 use std::sync::Arc;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::{Args, Subcommand};
 use pb3dp_camera_v4l2::linux::Linux;
 use pb3dp_hal_clock::SystemClock;
@@ -28,8 +28,13 @@ pub struct CamerasArgs {
 enum What {
     /// List the cameras of this computer: names, formats, sizes, rates and controls.
     List(list::ListArgs),
-    /// Show both images, rate, skew, losses and controls on a live web page of this computer, where the controls can be changed.
-    View(Box<view::ViewArgs>),
+    /// Moved: `pb3dp panel --cameras`.
+    #[command(hide = true, disable_help_flag = true)]
+    View {
+        /// Not read.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        options: Vec<OsString>,
+    },
     /// Record pairs as a sequence folder for `pb3dp track`, at the full rate of the cameras.
     Record(Box<record::RecordArgs>),
     /// Measure rate, jitter, skew, losses, exposure, sharpness and vertical alignment, each against a limit.
@@ -44,7 +49,10 @@ pub fn run(args: &CamerasArgs) -> Result<ExitCode> {
     match &args.what {
         What::List(args) => list::run(&Linux, args),
         What::Check(args) => check::run(Arc::new(Linux), Arc::new(SystemClock::new()), args),
-        What::View(args) => view::run(Arc::new(Linux), Arc::new(SystemClock::new()), args),
+        What::View { .. } => bail!(
+            "the page of `cameras view` is part of the operator panel now: use `pb3dp panel --cameras` with the same --left, --right, --calib \
+             or --config, and --address in place of --port and --bind"
+        ),
         What::Record(args) => record::run(Arc::new(Linux), Arc::new(SystemClock::new()), args),
     }
 }

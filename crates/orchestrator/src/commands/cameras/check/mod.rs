@@ -1,7 +1,6 @@
 //! `pb3dp cameras check`: measures cameras against limits, with a remedy for each excess.
 
-mod finding;
-mod images;
+mod report;
 #[cfg(test)]
 mod tests;
 mod times;
@@ -14,10 +13,11 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_camera_v4l2::{StereoCounters, V4l2StereoCamera};
+use pb3dp_cell::camera_findings::{Finding, ImageChecks};
 use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_api::{CameraErrorKind, Clock, FramePair, StereoCamera};
 
-use self::finding::{Finding, Report};
+use self::report::Report;
 use self::times::Moment;
 use super::choice::{CameraChoice, Chosen, check_size};
 
@@ -89,7 +89,7 @@ fn checked(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &CheckArgs
         bail!("{name}: no pairs come: {}", taken.failure.as_deref().unwrap_or("the driver reports no reason"));
     }
     let mut findings = times::findings(&taken.moments, period, skew_max, &taken.counters);
-    findings.extend(images::findings(&taken.samples, rig.as_ref()));
+    findings.extend(ImageChecks::new(rig.as_ref()).findings(&taken.samples.iter().collect::<Vec<_>>()));
     if let Some(failure) = taken.failure {
         let found = format!("{} of {} pairs came: {failure}", taken.moments.len(), args.pairs);
         findings

@@ -3,8 +3,7 @@
 use std::time::Duration;
 
 use pb3dp_camera_v4l2::{StereoCounters, StreamCounters};
-
-use super::finding::{Finding, Limits};
+use pb3dp_cell::camera_findings::{Finding, Limits};
 
 /// Tolerance of the rate, as a share.
 const RATE_SHARE_MAX: f64 = 0.02;

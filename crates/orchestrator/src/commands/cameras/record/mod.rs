@@ -121,7 +121,7 @@ fn recorded(
     args: &RecordArgs,
     is_over: &mut dyn FnMut() -> bool,
 ) -> Result<Recorded> {
-    let Chosen { config, rig, target } = args.cameras.chosen()?;
+    let Chosen { config, rig, target, .. } = args.cameras.chosen()?;
     let Some(rig) = rig else {
         bail!(
             "a sequence needs a calibration: give --calib FILE; for images of which one is to be made, any one of their size will do, \

@@ -120,7 +120,7 @@ fn seconds_are_those_of_the_cameras() {
 /// A writer into the place, and cameras, for the recorder itself.
 fn parts(place: &Place, plan: &[&str]) -> (V4l2StereoCamera, Arc<dyn Clock>, SequenceWriter) {
     let args = place.args(plan);
-    let Chosen { config, rig, target } = args.cameras.chosen().unwrap();
+    let Chosen { config, rig, target, .. } = args.cameras.chosen().unwrap();
     let rig = rig.unwrap();
     let (system, clock) = system(|_, _| {});
     let camera = V4l2StereoCamera::open(system, clock.clone(), &config).unwrap();

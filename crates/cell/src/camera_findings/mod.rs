@@ -1,15 +1,18 @@
-//! Properties of the images: exposure, sharpness, and vertical alignment.
+//! Checks of the images of a stereo rig against limits: exposure, sharpness, and vertical alignment, each with a remedy.
+
+mod finding;
 
 use image::RgbImage;
-use pb3dp_cell::image_quality::{
-    EDGE_MIN_GREY, EDGES_MIN, Exposure, MATCHES_MIN, RowMeter, blur_of, brighter_by_percent, softer_by_px,
-};
 use pb3dp_estimation::estimator::RowMeasurement;
 use pb3dp_estimation::pair_check::{PairCheck, PairVerdict, check_pair};
+use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::FramePair;
 
-use super::finding::{Finding, Limits};
+pub use self::finding::{Finding, Limits};
+use crate::image_quality::{
+    EDGE_MIN_GREY, EDGES_MIN, Exposure, MATCHES_MIN, RowMeter, blur_of, brighter_by_percent, softer_by_px,
+};
 
 /// Share of saturated or black pixels, percent: a lamp or its reflection, a black background.
 const BRIGHT_MAX_PERCENT: f64 = 2.0;
@@ -33,20 +36,33 @@ const BEHIND_MAX_PERCENT: f64 = 25.0;
 
 const NO_CALIBRATION: &str = "no calibration was given";
 
-/// All measurements of the images.
-pub(super) fn findings(samples: &[FramePair], rig: Option<&StereoRig>) -> Vec<Finding> {
-    let cameras: [Vec<&RgbImage>; 2] =
-        [samples.iter().map(|pair| &pair.left).collect(), samples.iter().map(|pair| &pair.right).collect()];
-    let exposures = [Exposure::of(&cameras[0]), Exposure::of(&cameras[1])];
-    let mut findings = Vec::new();
-    for (side, exposure) in ["left", "right"].into_iter().zip(&exposures) {
-        findings.extend(exposure_findings(exposure, side));
+/// Checks the images of one stereo rig.
+pub struct ImageChecks {
+    /// The calibration with its meter; `None` without a calibration.
+    calibrated: Option<(StereoRig, Result<RowMeter, EstimationError>)>,
+}
+
+impl ImageChecks {
+    /// Checks for this calibration; without one, `rows` and `sides` are not checked.
+    pub fn new(rig: Option<&StereoRig>) -> Self {
+        Self { calibrated: rig.map(|rig| (*rig, RowMeter::new(rig))) }
     }
-    findings.push(difference(&exposures));
-    findings.extend(sharpness([blur_of(&cameras[0]), blur_of(&cameras[1])]));
-    findings.push(sides(samples, rig));
-    findings.push(rows(samples, rig));
-    findings
+
+    /// All measurements of some pairs of one scene.
+    pub fn findings(&mut self, samples: &[&FramePair]) -> Vec<Finding> {
+        let cameras: [Vec<&RgbImage>; 2] =
+            [samples.iter().map(|pair| &pair.left).collect(), samples.iter().map(|pair| &pair.right).collect()];
+        let exposures = [Exposure::of(&cameras[0]), Exposure::of(&cameras[1])];
+        let mut findings = Vec::new();
+        for (side, exposure) in ["left", "right"].into_iter().zip(&exposures) {
+            findings.extend(exposure_findings(exposure, side));
+        }
+        findings.push(difference(&exposures));
+        findings.extend(sharpness([blur_of(&cameras[0]), blur_of(&cameras[1])]));
+        findings.push(sides(samples, self.calibrated.as_ref().map(|(rig, _)| rig)));
+        findings.push(rows(samples, self.calibrated.as_mut().map(|(_, meter)| meter)));
+        findings
+    }
 }
 
 fn exposure_findings(exposure: &Exposure, side: &str) -> [Finding; 3] {
@@ -119,7 +135,7 @@ fn sharpness(blurs: [Option<f64>; 2]) -> Vec<Finding> {
 }
 
 /// Whether the left image is from the left camera: then points visible in both images are in front of the cameras.
-fn sides(samples: &[FramePair], rig: Option<&StereoRig>) -> Finding {
+fn sides(samples: &[&FramePair], rig: Option<&StereoRig>) -> Finding {
     const CHECK: &str = "sides";
     let Some(rig) = rig else {
         return Finding::missing(
@@ -159,9 +175,9 @@ fn sides(samples: &[FramePair], rig: Option<&StereoRig>) -> Finding {
     )
 }
 
-fn rows(samples: &[FramePair], rig: Option<&StereoRig>) -> Finding {
+fn rows(samples: &[&FramePair], meter: Option<&mut Result<RowMeter, EstimationError>>) -> Finding {
     const CHECK: &str = "rows";
-    let Some(rig) = rig else {
+    let Some(meter) = meter else {
         return Finding::missing(
             CHECK,
             None,
@@ -169,16 +185,18 @@ fn rows(samples: &[FramePair], rig: Option<&StereoRig>) -> Finding {
             "give --calib FILE to have the rows of both images compared",
         );
     };
-    let measured = RowMeter::new(rig).and_then(|mut meter| {
-        let measured: Result<Vec<RowMeasurement>, _> = samples.iter().map(|pair| meter.measure(pair)).collect();
-        Ok((measured?, meter))
-    });
-    let (mut measured, meter) = match measured {
+    let does_not_fit = |error: &EstimationError| {
+        let found = format!("the images do not fit the calibration: {error}");
+        Finding::missing(CHECK, Some(false), found, "give the calibration of these cameras in this size")
+    };
+    let meter = match meter {
+        Ok(meter) => meter,
+        Err(error) => return does_not_fit(error),
+    };
+    let measured: Result<Vec<RowMeasurement>, _> = samples.iter().map(|pair| meter.measure(pair)).collect();
+    let mut measured = match measured {
         Ok(measured) => measured,
-        Err(error) => {
-            let found = format!("the images do not fit the calibration: {error}");
-            return Finding::missing(CHECK, Some(false), found, "give the calibration of these cameras in this size");
-        }
+        Err(error) => return does_not_fit(&error),
     };
     let most = measured.iter().map(|one| one.matches).max().unwrap_or_default();
     measured.retain(|one| one.matches >= MATCHES_MIN);
@@ -199,9 +217,24 @@ fn rows(samples: &[FramePair], rig: Option<&StereoRig>) -> Finding {
 #[cfg(test)]
 mod tests {
     use image::Rgb;
+    use pb3dp_record::dataset::load_case;
+    use pb3dp_record::images::load_rgb;
 
-    use super::super::super::emulated_rig::{case, images};
     use super::*;
+
+    /// A real pair, and the calibration of its cameras.
+    fn real() -> (FramePair, StereoRig) {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/cases");
+        let mut folders: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+        folders.sort();
+        let case = load_case(folders.iter().find(|folder| folder.is_dir()).unwrap()).unwrap();
+        let [left, right] = [&case.left, &case.right].map(|file| load_rgb(file).unwrap());
+        (pair(left, right), case.load_calibration().unwrap().rig)
+    }
+
+    fn findings(samples: &[FramePair], rig: Option<&StereoRig>) -> Vec<Finding> {
+        ImageChecks::new(rig).findings(&samples.iter().collect::<Vec<_>>())
+    }
 
     fn pair(left: RgbImage, right: RgbImage) -> FramePair {
         FramePair { left, right, ..FramePair::black(pb3dp_geometry::ImageSize { width: 1, height: 1 }) }
@@ -254,8 +287,7 @@ mod tests {
 
     #[test]
     fn eyes_that_are_exchanged_are_found() {
-        let [left, right] = images().clone();
-        let rig = case().load_calibration().unwrap().rig;
+        let (FramePair { left, right, .. }, rig) = real();
         let exchanged = findings(&[pair(right.clone(), left.clone()), pair(right, left)], Some(&rig));
         let sides = named(&exchanged, "sides");
         assert_eq!((sides.passed, sides.value), (Some(false), Some(100.0)), "{sides:?}");
@@ -272,8 +304,7 @@ mod tests {
 
     #[test]
     fn a_real_pair_passes_and_a_shifted_one_does_not() {
-        let [left, right] = images().clone();
-        let rig = case().load_calibration().unwrap().rig;
+        let (FramePair { left, right, .. }, rig) = real();
         let whole = findings(&[pair(left.clone(), right.clone())], Some(&rig));
         assert!(whole.iter().all(|finding| finding.passed == Some(true)), "{whole:#?}");
         // Three rows lower.
