@@ -400,7 +400,7 @@ fn a_hand_that_goes_nearer_than_the_target_allows_is_found_and_a_target_that_com
     assert!(seen.value > seen.limit && seen.note.contains("remain"), "{seen}");
 }
 
-/// The target comes to 0.25 m, where no camera sees it any more. The hand may follow it until its last pose is too old.
+/// The hand comes down on a target that is too near to be seen. It may do so until its last pose is too old.
 #[test]
 fn a_hand_that_follows_a_target_too_near_to_be_seen_is_found_once_its_pose_is_too_old() {
     let follows = |for_s: f64| {
@@ -408,16 +408,18 @@ fn a_hand_that_follows_a_target_too_near_to_be_seen_is_found_once_its_pose_is_to
             2.0,
             |_, _| false,
             move |step| {
-                let moved_rad = 0.25 * step.t_s.min(for_s);
-                step.arms[HAND_ARM].position_rad[1] += moved_rad;
-                step.arms[HAND_ARM].velocity_rad_per_s[1] = if step.t_s < for_s { 0.25 } else { 0.0 };
-                step.world_from_target.translation_m = [-0.15, 0.0, 0.9];
+                // It brakes with 1.25 rad/s^2.
+                let braking_s = (step.t_s - for_s).clamp(0.0, 0.2);
+                step.arms[HAND_ARM].position_rad[1] +=
+                    0.25 * (step.t_s.min(for_s) + braking_s) - 0.625 * braking_s.powi(2);
+                step.arms[HAND_ARM].velocity_rad_per_s[1] = 0.25 - 1.25 * braking_s;
+                step.world_from_target.translation_m = [-0.3, 0.0, 0.5];
             },
         )
     };
-    silent(&follows(0.3));
-    let seen = only(Invariant::TargetApart, &follows(1.5));
-    assert!(seen.value > 0.075 && seen.first_s > 0.31, "{seen}");
+    silent(&follows(0.6));
+    let seen = only(Invariant::TargetApart, &follows(1.2));
+    assert!(seen.limit < 0.1 && (0.8..1.0).contains(&seen.first_s), "{seen}");
 }
 
 #[test]
