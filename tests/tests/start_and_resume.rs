@@ -583,7 +583,7 @@ fn a_fault_that_ends_a_run_is_on_top_of_its_report() {
     assert!(text.contains("vs-robot") && text.contains("the emergency stop of the test"), "{text}");
     assert!(outcome.log.control.len() > 290, "{} steps", outcome.log.control.len());
     let folder = tempfile::tempdir().unwrap();
-    let failed = report::tell(folder.path(), &setup, &Made::default(), &outcome, Err(failure));
+    let failed = report::tell(folder.path(), &setup, &Made::default(), &outcome, Err(failure), |_| Ok(()));
     assert_eq!(format!("{:#}", failed.unwrap_err()), text);
     let page = std::fs::read_to_string(folder.path().join("report.html")).unwrap();
     let place = |text: &str| page.find(text).unwrap_or_else(|| panic!("{text} is not in the report"));
