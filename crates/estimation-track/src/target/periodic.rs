@@ -56,6 +56,8 @@ pub(super) struct Periodic {
     frames: f64,
     /// Whether the pose may be off by a period.
     in_doubt: bool,
+    /// Whether an earlier frame had no time to compare the poses.
+    is_open: bool,
 }
 
 /// Result of the comparison with the displaced poses.
@@ -103,7 +105,7 @@ impl Target {
         });
         self.periodic = (!shifts_m.is_empty()).then(|| {
             let rival = self.aligner.another(&self.surface);
-            Box::new(Periodic { shifts_m, rival, squared_error: 0.0, frames: 0.0, in_doubt: false })
+            Box::new(Periodic { shifts_m, rival, squared_error: 0.0, frames: 0.0, in_doubt: false, is_open: false })
         });
     }
 
@@ -139,23 +141,23 @@ impl Target {
         let Some(mut periodic) = self.periodic.take() else { return equations };
         for hop in 0..=HOPS_MAX {
             let phase = periodic.phase(&self.in_plane(predicted));
-            let is_told = !periodic.in_doubt && periodic.is_told(phase, lost_frames);
+            let is_told = !periodic.in_doubt && !periodic.is_open && periodic.is_told(phase, lost_frames);
             if is_told && periodic.is_usual(phase) {
                 break;
             }
             if hop == HOPS_MAX || !may_continue() {
-                periodic.in_doubt |= !is_told;
+                periodic.is_open |= !is_told;
                 break;
             }
             let own = self.estimate.cam_left_from_model;
             match self.compare(&mut periodic, predicted, lost_frames, frame, may_continue) {
                 Compared::Alone => {
-                    // Without time the poses were not compared.
-                    periodic.in_doubt = if may_continue() { periodic.in_doubt && !self.fits_well() } else { !is_told };
+                    periodic.is_open = !may_continue() && !is_told;
+                    periodic.in_doubt &= periodic.is_open || !self.fits_well();
                     break;
                 }
                 Compared::Alike => {
-                    periodic.in_doubt = true;
+                    (periodic.in_doubt, periodic.is_open) = (true, false);
                     break;
                 }
                 Compared::Other(other) => {
@@ -203,7 +205,8 @@ impl Target {
     ) -> Compared {
         let own = self.estimate.cam_left_from_model;
         let (apart, quality) = (self.in_plane(predicted), self.fit.goodness().max(1e-9));
-        let is_told = !periodic.in_doubt && periodic.is_told(periodic.phase(&apart), lost_frames);
+        let has_doubt = periodic.in_doubt || periodic.is_open;
+        let is_told = !has_doubt && periodic.is_told(periodic.phase(&apart), lost_frames);
         let limits = self.limits(frame.config);
         let (mut is_alike, mut nearer, mut best) = (false, None, None::<(f64, Pose<CamLeft, Model>)>);
         for index in 0..2 * periodic.shifts_m.len() {
@@ -211,7 +214,9 @@ impl Target {
             let displaced = own * Pose::from_parts(Vector3::new(shift.x, shift.y, 0.0), so3::exp(&Vector3::zeros()));
             let Some((fit, pose)) = self.fit_at(&mut periodic.rival, &displaced, frame, may_continue) else { continue };
             let ratio = fit.goodness() / quality;
-            if fit.misfit(&limits).is_some() || ratio < WORSE {
+            // An alignment that slides back to the found pose tells nothing.
+            let reached = (own.inverse() * pose).translation_m().xy().dot(&shift);
+            if reached < 0.5 * shift.norm_squared() || fit.misfit(&limits).is_some() || ratio < WORSE {
                 continue;
             }
             let is_better = ratio * WORSE > 1.0;
@@ -221,7 +226,7 @@ impl Target {
                 if best.is_none_or(|(other, _)| ratio > other) {
                     best = Some((ratio, pose));
                 }
-            } else if !periodic.in_doubt && periodic.is_told(periodic.phase(&(apart + shift)), lost_frames) {
+            } else if !has_doubt && periodic.is_told(periodic.phase(&(apart + shift)), lost_frames) {
                 nearer = Some(pose);
             } else {
                 is_alike = true;
