@@ -6,7 +6,7 @@ use image::RgbImage;
 use nalgebra::{Matrix6, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_image_sizes};
-use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, TrackEstimate};
+use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, SHIFT_SIGMA_SURE, TrackEstimate};
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior, MarkedTarget, SurfacePoint};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
@@ -122,7 +122,7 @@ impl DirectTracker {
         let (left, right) = (request.left, request.right);
         self.target = None;
         self.was_started = true;
-        let found = self.estimator.answer(request)?;
+        let found = self.estimator.plane(request)?;
         let refused = TrackEstimate {
             status: found.status,
             reason: found.reason.clone(),
@@ -534,8 +534,6 @@ type FirstSurface = (Surface, Pose<CamLeft, Model>);
 /// Largest number of attempts to find one surface in the remainder of a region with several. Chosen by hand, not varied:
 /// time of a start grows with it.
 const PARTS_MAX: usize = 4;
-/// Largest standard deviation of an observed shift or depth, relative to the distance: then 95 % of the answers are within 1 %.
-const SHIFT_SIGMA_SURE: f64 = 0.005;
 /// Smallest number of points of a target. Chosen by hand, not varied: five for each of eight values of an alignment.
 const POINTS_MIN: usize = 40;
 
