@@ -57,6 +57,9 @@ pub enum EstimateWarning {
     },
 }
 
+/// Largest standard deviation of an observed shift or depth, relative to the distance: then 95 % of the answers are within 1 %.
+pub const SHIFT_SIGMA_SURE: f64 = 0.005;
+
 /// A plane in `cam_left`, estimated from one stereo pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanePose {
@@ -134,6 +137,10 @@ pub struct PlaneEstimate {
     /// Covariance of `(z, theta_x, theta_y)` of the plane (metres and radians; see [`PlaneHypothesis`] for the angles). `None`
     /// if the method does not provide it.
     pub plane_covariance: Option<Matrix3<f64>>,
+    /// Whether each direction of the model frame is determined, in the order of [`TrackEstimate::observed`]. `None` if the method does
+    /// not tell. The region fixes x, y and the rotation about the normal, because it is the model: only the depth and the two tilts
+    /// are measured.
+    pub observed: Option<[bool; 6]>,
     /// The other surface of a region that straddles a depth edge. `None` if none was found or the method does not search for
     /// it.
     pub second_plane: Option<SecondPlane>,
@@ -160,6 +167,7 @@ impl PlaneEstimate {
             z_sigma_m: None,
             normal_sigma_rad: None,
             plane_covariance: None,
+            observed: None,
             second_plane: None,
             row_offset_px: None,
             reference_optimum: None,

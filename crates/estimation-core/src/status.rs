@@ -12,7 +12,8 @@ pub enum Status {
     /// Depth and tilt are determined, but not all shifts and turns in the plane: the spin of a disc, a shift along stripes. Which ones,
     /// the estimate tells.
     PartlyObserved,
-    /// Two or more depths explain the images equally well; the reported one may be wrong.
+    /// Two or more poses explain the images equally well: other depths, or, in tracking, poses that are a period of the texture apart. The
+    /// reported one may be wrong.
     Ambiguous,
     /// This method cannot determine the pose from these images; no pose is reported.
     NotObservable,

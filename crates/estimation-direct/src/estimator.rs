@@ -13,11 +13,13 @@ use pb3dp_geometry::StereoRig;
 
 use super::cold_start::{ColdStart, ColdStartConfig};
 use super::colour_planes::Wanted;
+use super::directions::tell;
 use super::disparity_plane::{DisparityPlane, DisparityRange, RectifiedGeometry, inverse_depth_from_disparity};
 use super::front_end::StereoFrontEnd;
 use super::patches::PatchOutcome;
 use super::region_pyramid::PyramidSource;
 use super::row_measurement::measure_rows;
+use super::tilt_limits::TiltLimits;
 use super::verdict::{
     DirectVerdictConfig, SAME_IMAGE, Searched, Steeper, is_no_plane, judge, lies_beyond, may_be_unseen, nothing_found,
 };
@@ -221,19 +223,11 @@ impl DirectEstimator {
             + outcome.refined.map_or(0.0, |refined| refined.row_offset_px)
     }
 
-    fn blank(&self, centroid_px: Vector2<f64>) -> PlaneEstimate {
-        let left_camera = *self.front_end.raw_rig().left();
-        PlaneEstimate::without_pose(Status::NotObservable, String::new(), centroid_px, left_camera)
-    }
-}
-
-/// Without refinement, if the time was not sufficient, there is no standard deviation, and the status is at best `weak-tilt`.
-/// Estimates are deterministic: the result depends only on the request and the row offset, not on earlier requests.
-impl EstimationMethod for DirectEstimator {
-    type Answer = PlaneEstimate;
-
     /// Estimates the plane of a region in one pair of raw images, without a start value: the whole range is searched.
-    fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<PlaneEstimate, EstimationError> {
+    ///
+    /// # Errors
+    /// As [`EstimationMethod::estimate`].
+    pub fn plane(&mut self, request: &mut EstimateRequest<'_>) -> Result<PlaneEstimate, EstimationError> {
         let MarkedTarget { region, range } = request.marked()?;
         let EstimateRequest { left, right, deadline, .. } = request;
         range.validate()?;
@@ -277,6 +271,24 @@ impl EstimationMethod for DirectEstimator {
             (estimate.status, estimate.reason) = (Status::Ambiguous, reason);
         }
         (self.mask, self.rectified) = (raw, rectified);
+        Ok(estimate)
+    }
+
+    fn blank(&self, centroid_px: Vector2<f64>) -> PlaneEstimate {
+        let left_camera = *self.front_end.raw_rig().left();
+        PlaneEstimate::without_pose(Status::NotObservable, String::new(), centroid_px, left_camera)
+    }
+}
+
+/// Without refinement, if the time was not sufficient, there is no standard deviation, and the status is at best `weak-tilt`.
+/// Estimates are deterministic: the result depends only on the request and the row offset, not on earlier requests.
+impl EstimationMethod for DirectEstimator {
+    type Answer = PlaneEstimate;
+
+    /// As [`Self::plane`], and tells which directions the pair determines.
+    fn answer(&mut self, request: &mut EstimateRequest<'_>) -> Result<PlaneEstimate, EstimationError> {
+        let mut estimate = self.plane(request)?;
+        tell(&mut estimate, self.config.verdict.normal_sigma_max_deg);
         Ok(estimate)
     }
 
@@ -472,24 +484,6 @@ impl Spread {
     }
 }
 
-/// The tilts that a search range allows.
-#[derive(Clone, Copy, Debug)]
-struct TiltLimits {
-    tangent: f64,
-    sine: f64,
-}
-
-impl TiltLimits {
-    fn new(range: &SearchRange) -> Self {
-        Self { tangent: range.tilt_max_rad.tan(), sine: range.tilt_max_rad.sin() }
-    }
-
-    /// Whether the tilt of an inverse-depth plane in `cam_left` is within the limits.
-    fn allow(&self, q: &Vector3<f64>) -> bool {
-        q.z > 0.0 && q.x.abs() <= self.tangent * q.z && q.y.abs() <= self.sine * q.norm()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -580,17 +574,5 @@ mod tests {
         let inner: f64 = (1..1000).map(|i| value(i) * if i % 2 == 1 { 4.0 } else { 2.0 }).sum();
         let mean = (value(0) + inner + value(1000)) * std::f64::consts::FRAC_PI_2 / 3000.0;
         assert!((mean.sqrt() - ANY_NORMAL_RAD).abs() < 1e-4, "{}", mean.sqrt());
-    }
-
-    #[test]
-    fn tilts_beyond_the_range_are_not_allowed() {
-        let limits = TiltLimits::new(&SearchRange::new(0.3, 0.9, 0.5).unwrap());
-        let ray = Vector3::new(0.1, 0.05, 1.0);
-        for (theta_x_rad, theta_y_rad, allowed) in
-            [(0.49, 0.0, true), (0.51, 0.1, false), (-0.3, -0.49, true), (0.2, 0.52, false)]
-        {
-            let psi = PlaneHypothesis { z_m: 0.5, theta_x_rad, theta_y_rad };
-            assert_eq!(limits.allow(&psi.inverse_depth_plane(&ray).unwrap()), allowed);
-        }
     }
 }

@@ -142,6 +142,11 @@ impl Aligner {
         }
     }
 
+    /// Buffers of its own for the same surface.
+    pub(super) fn another(&self, surface: &Surface) -> Self {
+        Self::new(surface, self.kernels)
+    }
+
     /// Aligns on `levels`, coarse to fine; calls `may_continue` before each step. `None` if too few points are visible or the
     /// equations are singular.
     pub(super) fn align(

@@ -28,6 +28,7 @@ mod lanes;
 mod normal;
 mod observed;
 mod one_surface;
+mod periods;
 mod predict;
 mod reach;
 mod relief;

@@ -1,6 +1,7 @@
 //! One target: its surface, its stored views, and its state.
 
 mod lost;
+mod periodic;
 
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector2};
 use pb3dp_estimation_core::cpu::Kernels;
@@ -26,6 +27,7 @@ use super::stereo_relief;
 use super::surface::Surface;
 use super::view::View;
 use pb3dp_estimation_core::method::{FramePrior, SurfacePoint};
+use periodic::Periodic;
 
 /// Weights of a frame's information about the surface. All frames share the noise of the stored view, which hardly affects
 /// the disparities that determine the relief. The view alone determines the plane's tilt: half of the variance is the
@@ -93,6 +95,8 @@ pub(super) struct Target {
     independent_points: f64,
     /// Whether the first pair contains a similar object.
     has_twin: bool,
+    /// Periods of the texture; `None` if it does not repeat.
+    periodic: Option<Box<Periodic>>,
 }
 
 /// Result of a frame.
@@ -149,6 +153,7 @@ impl Target {
             reference: [[0.0; CHANNELS]; TERMS],
             independent_points: 0.0,
             has_twin: false,
+            periodic: None,
         };
         target.keep_view(frame, false);
         target.independent_points = independent_points(&target.surface.levels[0], &target.views[0].levels[0]);
@@ -206,6 +211,7 @@ impl Target {
         if !self.fits_well() && !self.sighting(predicted).can_have_moved() {
             return Ending::OutOfReach;
         }
+        let equations = self.settle(equations, predicted, 0.0, frame, may_continue);
         self.learn(&equations);
         if let Some(keep) = &self.keep {
             // Elsewhere noise would move the pose, frame by frame and further each time.
@@ -339,7 +345,7 @@ impl Target {
     /// Updates surface, row offset, noise and shading. Later views are tied to estimated poses and their errors. They therefore
     /// contribute no information about the surface, only their own errors.
     fn learn(&mut self, equations: &NormalEquations) {
-        let fits_well = self.fits_well();
+        let fits_well = self.fits_well() && !self.in_doubt();
         self.conclude(equations, fits_well && self.view == 0);
         let Self { aligner, estimate, reference, .. } = self;
         if !fits_well {
@@ -375,7 +381,7 @@ impl Target {
         }
         (self.lost_frames, self.away_s) = (0, 0.0);
         self.views[self.view].last_used = self.frame;
-        if self.fits_well() && self.nearest_view(&pose, frame.config).1 > 1.0 {
+        if self.fits_well() && !self.in_doubt() && self.nearest_view(&pose, frame.config).1 > 1.0 {
             self.keep_view(frame, true);
         }
     }

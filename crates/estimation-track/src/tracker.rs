@@ -6,7 +6,7 @@ use image::RgbImage;
 use nalgebra::{Matrix6, Point3, Vector2, Vector3};
 use pb3dp_estimation_core::cpu::Kernels;
 use pb3dp_estimation_core::error::{EstimationError, check_image_sizes};
-use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, TrackEstimate};
+use pb3dp_estimation_core::estimate::{EstimateWarning, PlaneEstimate, PlanePose, SHIFT_SIGMA_SURE, TrackEstimate};
 use pb3dp_estimation_core::method::{EstimateRequest, EstimationMethod, FramePrior, MarkedTarget, SurfacePoint};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::{Region, RegionConfig, RegionMask};
@@ -122,7 +122,7 @@ impl DirectTracker {
         let (left, right) = (request.left, request.right);
         self.target = None;
         self.was_started = true;
-        let found = self.estimator.answer(request)?;
+        let found = self.estimator.plane(request)?;
         let refused = TrackEstimate {
             status: found.status,
             reason: found.reason.clone(),
@@ -208,7 +208,9 @@ impl DirectTracker {
             target = next;
         }
         self.load_whole(left, right);
-        target.look_for_twins(&Frame { images: &self.images, rig: &self.rig, config: &self.config });
+        let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
+        target.look_for_twins(&frame);
+        target.find_periods(&frame, &pixels[0]);
         self.remember(&target, left, right);
         let mut estimate = blank();
         self.target = Some(target);
@@ -317,6 +319,7 @@ impl DirectTracker {
         let mut ending = Ending::OutOfSight;
         if target.lost_frames == 0 {
             let margin = if target.motion.is_known() { MARGIN_PX } else { MARGIN_UNSURE_PX };
+            let margin = margin.max(target.margin_of_periods_px(self.rig.left().pinhole().fx));
             self.load(left, right, &predicted, &target.outline_in_model, margin);
             let frame = Frame { images: &self.images, rig: &self.rig, config: &self.config };
             let before = target.estimate;
@@ -434,6 +437,15 @@ impl DirectTracker {
             (out.status, out.observed) =
                 self.judge_covariance(target.covariance.as_ref(), pose.translation_m().norm(), &mut out.reason);
             out.rotation_about_normal_observed = out.observed.is_none_or(|observed| observed[5]);
+            if let Some(period_m) = target.doubtful_period_m() {
+                out.status = Status::Ambiguous;
+                let _ = write!(
+                    out.reason,
+                    "; the texture repeats every {:.1} mm, and neither the images nor the motion tell by how many periods the \
+                     target has moved: mark the target again, with its border or a mark that is unique",
+                    1e3 * period_m
+                );
+            }
             let project = |point: &Point3<f64>| self.rig.left().project(&pose.transform_point(point));
             out.outline_px.extend(target.outline_in_model.iter().filter_map(project));
         }
@@ -522,8 +534,6 @@ type FirstSurface = (Surface, Pose<CamLeft, Model>);
 /// Largest number of attempts to find one surface in the remainder of a region with several. Chosen by hand, not varied:
 /// time of a start grows with it.
 const PARTS_MAX: usize = 4;
-/// Largest standard deviation of an observed shift or depth, relative to the distance: then 95 % of the answers are within 1 %.
-const SHIFT_SIGMA_SURE: f64 = 0.005;
 /// Smallest number of points of a target. Chosen by hand, not varied: five for each of eight values of an alignment.
 const POINTS_MIN: usize = 40;
 

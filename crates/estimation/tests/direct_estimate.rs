@@ -34,7 +34,7 @@ fn check(rig: &StereoRig, scene: &Scene) {
     let (left, right) = scene.render(rig);
     let mask = RegionMask::from_fn(SIZE, |u, v| scene.sees_disc(rig, u, v));
     let found = estimate(rig, &left, &right, &region_of(&mask));
-    assert_eq!(found.status, Status::Ok, "{}", found.reason);
+    assert_eq!((found.status, found.observed), (Status::Ok, Some([true; 6])), "{}", found.reason);
     let truth = PlaneHypothesis { z_m: scene.z_m, theta_x_rad: scene.theta_x_rad, theta_y_rad: scene.theta_y_rad };
     let centre_ray = rig.left().unproject(&scene.centre_px).unwrap();
     let z_m = found.pose.unwrap().depth_on_ray(&centre_ray).unwrap();
@@ -136,4 +136,28 @@ fn warnings_tell_of_the_region_and_of_tilts_beyond_the_range() {
         texts.iter().any(|text| text.contains("beyond the 23 degrees"))
     };
     assert!(warnings(0.4014) && !warnings(0.7));
+}
+
+/// Depth and tilts of a pair are observed or not; the region fixes the rest. A depth that is not makes the answer `ambiguous`.
+#[test]
+fn a_direction_that_a_pair_does_not_determine_is_named_and_not_ok() {
+    let rig = scene::rectified_rig(SIZE);
+    let centre_px = Vector2::new(352.0, 236.0);
+    let scene = Scene { centre_px, z_m: 0.7, theta_x_rad: 0.2, theta_y_rad: -0.3, noise: 3.0 };
+    let (left, right) = scene.render(&rig);
+    let region = region_of(&RegionMask::from_fn(SIZE, |u, v| scene.sees_disc(&rig, u, v)));
+    let found = |calibration_sigma_px: f64, normal_sigma_max_deg: f64| {
+        let mut config = DirectConfig::default();
+        config.cold_start.refine.calibration_sigma_px = calibration_sigma_px;
+        config.verdict.normal_sigma_max_deg = normal_sigma_max_deg;
+        let mut estimator = DirectEstimator::new(&rig, config).unwrap();
+        estimator.estimate(EstimateRequest::of_target(&left, &right, &region, &range())).unwrap()
+    };
+    let tilted = found(0.3, 0.5);
+    assert_eq!(tilted.status, Status::WeakTilt, "{}", tilted.reason);
+    assert_eq!(tilted.observed, Some([true, true, true, false, false, true]));
+    let far = found(1.0, 90.0);
+    assert_eq!(far.status, Status::Ambiguous, "{}", far.reason);
+    assert_eq!(far.observed, Some([true, true, false, true, true, true]));
+    assert!(far.reason.contains("depth has a standard deviation") && far.pose.is_some());
 }

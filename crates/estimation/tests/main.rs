@@ -17,6 +17,9 @@ mod direct_track_priors;
 mod moving_plane;
 mod no_allocation;
 mod observed_directions;
+#[path = "support/painted.rs"]
+mod painted;
+mod periodic_targets;
 mod photometric;
 mod photometric_no_allocation;
 #[path = "support/plane_pair.rs"]

@@ -118,6 +118,8 @@ const ESTIMATE_JSON: &str = "Lines of --json (one per case):
   point_mm          3 numbers or null: where the plane meets the ray of centroid_px, in the left camera
   cam_left_from_model  16 numbers, row by row, or null: the frame of the model on the plane
   covariance        36 numbers, row by row, or null: of that frame, as in pb3dp track
+  observed          six booleans or null: whether x, y, z and the turns about them are determined
+                    (the region itself fixes x, y and the turn about z)
   row_offset_px     row of the right image minus row of the left one (rectified), as measured, or null
   reason            what led to the status
   warnings          what may make the answer worse than it looks";

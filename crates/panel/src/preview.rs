@@ -104,7 +104,7 @@ fn why(estimate: &TrackEstimate) -> String {
             format!("{reason}; choose a part with texture in all directions if the hand is to follow these, too")
         }
         Status::Ambiguous => format!(
-            "two or more depths explain the images equally well: {reason}; choose a larger part, or one without a repeated pattern"
+            "two or more poses explain the images equally well: {reason}; choose a larger part, or one without a repeated pattern"
         ),
         Status::NotObservable => {
             format!("the pose cannot be determined: {reason}; choose a part with more texture that both cameras see")

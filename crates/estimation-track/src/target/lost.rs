@@ -50,6 +50,7 @@ impl Target {
         may_continue: &mut dyn FnMut() -> bool,
     ) -> Ending {
         let before = self.estimate;
+        let lost_frames = f64::from(self.lost_frames);
         let is_outside = in_sight(&self.outline_in_model, predicted, frame.rig) < VISIBLE_MIN;
         let mut ending = if is_outside { Ending::OutOfSight } else { Ending::NothingAlike };
         let mut candidates: [Option<Candidate>; CANDIDATES + 1] = [None; CANDIDATES + 1];
@@ -66,6 +67,7 @@ impl Target {
             self.estimate = before;
             match self.look_into(candidate, frame, may_continue) {
                 Ok(equations) if self.sighting(predicted).can_be_the_target() => {
+                    let equations = self.settle(equations, predicted, lost_frames, frame, may_continue);
                     self.conclude(&equations, false);
                     return Ending::Found;
                 }
@@ -82,6 +84,7 @@ impl Target {
         if let Some(own) = nearest_of_several(&alike) {
             (self.view, self.estimate, self.fit) = (own.view, own.estimate, own.fit);
             if let Some(equations) = self.examine(frame, false) {
+                let equations = self.settle(equations, predicted, lost_frames, frame, may_continue);
                 self.conclude(&equations, false);
                 return Ending::Found;
             }

@@ -17,7 +17,7 @@ use pb3dp_sim::targets::TargetConfig;
 use serde_json::Value;
 
 /// Keys of a line of `estimate --json`, in order.
-pub const ESTIMATE_KEYS: [&str; 17] = [
+pub const ESTIMATE_KEYS: [&str; 18] = [
     "case",
     "method",
     "status",
@@ -32,6 +32,7 @@ pub const ESTIMATE_KEYS: [&str; 17] = [
     "point_mm",
     "cam_left_from_model",
     "covariance",
+    "observed",
     "row_offset_px",
     "reason",
     "warnings",

@@ -38,6 +38,8 @@ pub struct EstimateLine {
     pub cam_left_from_model: Option<[f64; 16]>,
     /// Covariance of this frame, 36 numbers, row by row, as in the lines of `pb3dp track`.
     pub covariance: Option<Vec<f64>>,
+    /// Whether the pair determines each direction of this frame, in the order of `covariance`; null if the method does not tell.
+    pub observed: Option<[bool; 6]>,
     /// Row of the right image minus row of the left one, of the rectified pair, pixels.
     pub row_offset_px: Option<f64>,
     /// Reason for the status.
@@ -86,6 +88,7 @@ impl EstimateLine {
             point_mm: None,
             cam_left_from_model: None,
             covariance: None,
+            observed: None,
             row_offset_px: None,
             reason,
             warnings: Vec::new(),
@@ -115,6 +118,7 @@ impl EstimateLine {
             point_mm: frame.map(|frame| (frame.cam_left_from_model.translation_m() * 1e3).into()),
             cam_left_from_model: frame.map(|frame| row_major_mm(&frame.cam_left_from_model)),
             covariance: frame.and_then(|frame| frame.covariance).as_ref().map(covariance_mm),
+            observed: estimate.observed,
             row_offset_px: estimate.row_offset_px,
             warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
             ..Self::of_error(case, method, estimate.reason.clone())
