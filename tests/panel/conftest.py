@@ -87,9 +87,17 @@ def wait_for(what, message="", patience_s=PATIENCE_S):
 
 
 @pytest.fixture
-def panel(tmp_path):
+def faults():
+    """Faults of the cameras, as text of a setup; a test with others states them by a fixture of this name."""
+    return ""
+
+
+@pytest.fixture
+def panel(tmp_path, faults):
     """The playground, paced by the clock."""
-    running = Panel(["run", "--config", "playground", "--panel", "127.0.0.1:0", "--out", str(tmp_path / "run")])
+    setup = tmp_path / "setup.toml"
+    setup.write_text(f'base = "playground"\n{faults}')
+    running = Panel(["run", "--config", str(setup), "--panel", "127.0.0.1:0", "--out", str(tmp_path / "run")])
     yield running
     assert running.end() == 130, "a signal ends the run with its report"
 

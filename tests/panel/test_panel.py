@@ -8,7 +8,7 @@ import time
 
 from axe_playwright_python.sync_playwright import Axe
 
-from conftest import PROGRAM, Page, Panel, wait_for
+from conftest import PATIENCE_S, PROGRAM, Page, Panel, wait_for
 from test_cameras import Cameras, open_section
 
 MOVING = ("approaching", "tracking")
@@ -168,9 +168,11 @@ def test_a_command_that_is_held_up_or_doubled_on_its_way_moves_nothing(panel, pa
 
     page.page.route("**/api/resume", stop_overtakes)
     page.command("resume")
-    wait_for(lambda: len(answers) == 2)
+    end = time.monotonic() + PATIENCE_S
+    while len(answers) < 2 and time.monotonic() < end:
+        page.page.wait_for_timeout(50)
     assert answers == [409, 409]
-    time.sleep(0.5)
+    page.page.wait_for_timeout(500)
     assert panel.state_name() == "stopped"
 
 
@@ -186,41 +188,6 @@ def test_a_second_tab_of_the_same_browser_watches(panel, page):
     wait_for(lambda: panel.state_name() == "stopped", "stop is for everybody")
     tab.page.close()
     assert tab.errors == []
-
-
-# Seconds since the program began: enough time before to choose the target.
-OCCLUDED = (30.0, 36.0)
-DARK = (42.0, 45.0)
-
-
-def test_a_target_is_occluded_lost_and_found_again(browser, tmp_path):
-    setup = tmp_path / "faults.toml"
-    fault = '[[camera.faults]]\nkind = "{}"\n{}\nfrom_s = {}\nuntil_s = {}\n'
-    bar = fault.format("occluder", "width_share = 0.06\ncrosses = true", *OCCLUDED)
-    dark = fault.format("black", 'cameras = "both"', *DARK)
-    setup.write_text('base = "playground"\n\n' + bar + dark)
-    panel = Panel(["run", "--config", str(setup), "--panel", "127.0.0.1:0", "--out", str(tmp_path / "run")])
-    context = browser.new_context(viewport={"width": 1280, "height": 900})
-    page = Page(context.new_page(), panel)
-    page.follow()
-    wait_for(lambda: is_following(panel))
-    begin_s = panel.state()["time_ms"] / 1e3
-    assert begin_s < OCCLUDED[0], f"the target was followed only after {begin_s} s: this machine is too slow"
-    worst_mm = 0.0
-    while panel.state()["time_ms"] / 1e3 < OCCLUDED[1] + 1.0:
-        state = panel.state()
-        assert state["state"]["name"] in (*MOVING, "holding"), "a bar in front of a part of the target loses nothing"
-        worst_mm = max(worst_mm, *(abs(error) for error in state["target"]["error_mm"] or [0.0]))
-        time.sleep(0.02)
-    assert worst_mm < 20.0, f"the pose was off by {worst_mm} mm behind a bar"
-    wait_for(lambda: panel.state_name() == "lost", "black images lose the target", DARK[0] + 30.0)
-    wait_for(lambda: "PB3DP-SUP-" in page.text("#reason"), "the page does not say why")
-    page.screenshot("lost")
-    wait_for(lambda: is_following(panel), "the target was not found again", 60.0)
-    wait_for(lambda: panel.state()["target"]["name"] == "crab")
-    context.close()
-    assert page.errors == []
-    assert panel.end() == 130
 
 
 HOSTILE = """<!doctype html><script>
