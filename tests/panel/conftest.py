@@ -181,7 +181,7 @@ class Page:
         self.page.wait_for_selector("#preview:not(.computing)", state="visible")
         return self.text("#preview-title")
 
-    def select(self, name, begin=(340, 195), end=(445, 290)):
+    def select(self, name, begin=(345, 200), end=(435, 280)):
         self.page.click("button[data-tool=rectangle]")
         self.drag(begin, end)
         self.preview()

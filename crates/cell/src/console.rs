@@ -61,7 +61,7 @@ const DISCARDED: &str = "this program was suspended, or its clock stepped: comma
 
 /// Answer to `help`.
 const HELP: &str = "\
-select     initialise the marked target; select REGION marks another one, for instance select rect:340,195,105,95
+select     initialise the marked target; select REGION marks another one, for instance select rect:345,200,90,80
 start      follow the target with the hand
 hold       hold both arms; resume continues
 hold hand  hold the camera arm; the arm with the target continues
