@@ -1,7 +1,7 @@
 //! Typed frames, SE(3), pinhole cameras with distortion, and stereo rigs.
 //!
-//! Geometric quantities are `f64` in SI units (metres, radians, seconds); [`MonotonicTime`] holds whole nanoseconds, and
-//! angles in errors are degrees. Image coordinates are in pixels, and the centre of a pixel has integer coordinates. `docs/frames.md` describes the frames and their axes. This crate does no I/O
+//! Geometric quantities are `f64` in SI units (metres, radians, seconds), with two exceptions: [`MonotonicTime`] holds whole
+//! nanoseconds, and angles in error types are in degrees. Image coordinates are in pixels, and the centre of a pixel has integer coordinates. `docs/frames.md` describes the frames and their axes. This crate does no I/O
 //! and is independent of any arm.
 //!
 //! Main types: [`Pose`] (a rigid transform `a_from_b`, which maps coordinates in frame b to frame a; the type names both

@@ -24,8 +24,8 @@ pub struct PixelMap {
 }
 
 impl PixelMap {
-    /// For each pixel of the pinhole of `destination`, whose distortion is ignored, the map gives the pixel of `source`. Only the
-    /// rotation of `destination_from_source` is used.
+    /// For each pixel of `destination` the map gives the pixel of `source` that sees the same direction. The distortion of `destination`
+    /// is ignored, and only the rotation of `destination_from_source` is used.
     pub fn rotate<To: Frame, From: Frame>(
         source: &Camera,
         destination: &Camera,

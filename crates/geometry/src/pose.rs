@@ -63,12 +63,12 @@ impl<To: Frame, From: Frame> Pose<To, From> {
         self.isometry.translation.vector
     }
 
-    /// Rotation `to_from_from`.
+    /// The rotation: it maps directions in `From` to directions in `To`.
     pub fn rotation(&self) -> UnitQuaternion<f64> {
         self.isometry.rotation
     }
 
-    /// Rotation `to_from_from` as a matrix.
+    /// The same rotation as a matrix.
     pub fn rotation_matrix(&self) -> Matrix3<f64> {
         self.isometry.rotation.to_rotation_matrix().into_inner()
     }

@@ -69,7 +69,7 @@ pub enum RectificationError {
     Lens {
         /// `left` or `right`.
         camera: &'static str,
-        /// The pixel.
+        /// The pixel that has no ray.
         #[source]
         source: CameraError,
     },
@@ -85,14 +85,13 @@ impl StereoRig {
     /// Computes the rectified rig, the rotations to it, and the maps of the images.
     ///
     /// The common x axis is the baseline. The common z axis is the mean of both viewing directions, made perpendicular to the baseline.
-    /// Each camera is therefore rotated by about half the angle between the two viewing directions. Focal lengths are the means of both
-    /// cameras. The middle of a raw image stays in the middle column of the rectified one; cx may therefore differ, and disparities
-    /// then have an offset. cy is common. Both images take the larger of the two
-    /// sizes. A rig that is already rectified remains unchanged.
+    /// Focal lengths are the means of both cameras. The middle of a raw image stays in the middle column of the rectified one; cx may
+    /// therefore differ, and disparities then have an offset. cy is common. Both images take the larger of the two sizes. A rig that is
+    /// already rectified, with images of equal size, remains unchanged.
     ///
     /// # Errors
-    /// A baseline along the viewing direction, a camera whose optical axis would have to turn by more than 60 degrees, or a lens model
-    /// without rays in the middle half of its image.
+    /// A baseline along the viewing direction, a camera whose optical axis would have to turn by more than 60 degrees, a lens model
+    /// without rays in the middle half of its image, or a rectified camera or rig out of the accepted ranges.
     pub fn rectify(&self) -> Result<Rectification, RectificationError> {
         check_lens("left", self.left())?;
         check_lens("right", self.right())?;
@@ -116,10 +115,9 @@ impl StereoRig {
 }
 
 impl Rectification {
-    /// The same rectification with images that show the whole field of the raw ones: up to 70 degrees from the axis, and with at
-    /// most three times the columns and rows. Each pixel keeps its ray and its size; only the
-    /// origin of the pixel coordinates changes.
-    /// An image that is already rectified remains unchanged.
+    /// The same rectification, with images large enough to show the whole field of the raw ones, within two limits: 70 degrees from the
+    /// axis in columns and in rows, and three times the columns and rows. Each pixel keeps its ray and its size; only the origin of the
+    /// pixel coordinates changes. A rig that is already rectified remains unchanged.
     ///
     /// # Errors
     /// None in practice: the larger cameras differ from valid ones in size and principal point only.

@@ -20,8 +20,8 @@ impl MonotonicTime {
         Self { nanos }
     }
 
-    /// A time from seconds since the clock's origin, rounded to nanoseconds; negative values and NaN give zero,
-    /// values that are too large the largest time.
+    /// A time from seconds since the clock's origin, rounded to nanoseconds; negative values and NaN give zero;
+    /// values that are too large give the largest time.
     pub fn from_secs_f64(secs: f64) -> Self {
         Self { nanos: (secs * 1e9).round() as u64 }
     }
