@@ -91,9 +91,16 @@ fn is_new(found: &[Vector2<f64>], shift: &Vector2<f64>) -> bool {
 impl PeriodSearch<'_> {
     /// Whether a shift differs from a known period, or its multiple, by a shift along stripes only.
     fn is_along(&self, samples: &[Sample], level: usize, found: &[Vector2<f64>], shift: &Vector2<f64>) -> bool {
+        let is_alike_all_along = |beside: Vector2<f64>| {
+            // A part that leads out of the image tells nothing.
+            let alike =
+                |part: f64| self.comparable(samples, level, &(beside * part)).is_none_or(|value| value >= ALIKE);
+            [0.25, 0.5, 0.75, 1.0].into_iter().all(alike)
+        };
         found.iter().any(|known| {
-            let beside = shift - known * (shift.dot(known) / known.norm_squared()).round();
-            [0.25, 0.5, 0.75, 1.0].into_iter().all(|part| self.exact(samples, level, &(beside * part)) >= ALIKE)
+            // The known period may itself contain a shift along the stripes, so the nearest multiple may be a neighbouring one.
+            let times = (shift.dot(known) / known.norm_squared()).round();
+            [-1.0, 0.0, 1.0].into_iter().any(|more| is_alike_all_along(shift - known * (times + more)))
         })
     }
 
@@ -229,8 +236,13 @@ impl PeriodSearch<'_> {
         best
     }
 
-    /// As [`Self::rough`], between pixels and with all channels.
+    /// As [`Self::rough`], between pixels and with all channels; 0 if too few pixels can be compared.
     fn exact(&self, samples: &[Sample], level: usize, shift: &Vector2<f64>) -> f64 {
+        self.comparable(samples, level, shift).unwrap_or(0.0)
+    }
+
+    /// The same; `None` if too few pixels can be compared.
+    fn comparable(&self, samples: &[Sample], level: usize, shift: &Vector2<f64>) -> Option<f64> {
         let by = self.in_cam(shift);
         let (mut inside, mut all) = (Correlation::default(), Correlation::default());
         for sample in samples {
@@ -243,9 +255,10 @@ impl PeriodSearch<'_> {
             }
         }
         let enough = |sums: &Correlation, share: f32| {
-            if sums.count() >= f64::from(share) * samples.len() as f64 { sums.value() } else { 0.0 }
+            (sums.count() >= f64::from(share) * samples.len() as f64).then(|| sums.value())
         };
-        enough(&inside, INSIDE_MIN).max(enough(&all, IN_IMAGE_MIN))
+        let (inside, all) = (enough(&inside, INSIDE_MIN), enough(&all, IN_IMAGE_MIN));
+        inside.zip(all).map(|(inside, all)| inside.max(all)).or(inside).or(all)
     }
 }
 
