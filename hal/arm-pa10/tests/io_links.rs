@@ -74,10 +74,10 @@ fn a_peer_that_does_not_read_blocks_nobody() {
         let begin = Instant::now();
         let mut taken = 0;
         // Far more than any buffer can store.
-        for _ in 0..100_000 {
+        for _ in 0..20_000 {
             taken += link.try_write(&[0x55; 128]).unwrap();
         }
-        assert!(taken < 12_800_000, "{}: {taken}", link.name());
+        assert!(taken < 2_560_000, "{}: {taken}", link.name());
         assert_eq!(link.try_write(&[1]), Ok(0), "{}", link.name());
         assert!(!wait(Some(link.as_ref()), true, None, Duration::from_millis(1)).writable, "{}", link.name());
         assert!(begin.elapsed() < LONG, "{}: {:?}", link.name(), begin.elapsed());
