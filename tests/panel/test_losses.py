@@ -24,13 +24,14 @@ def test_a_target_is_occluded_lost_and_found_again(panel, page):
     page.follow()
     wait_for(lambda: panel.state_name() == "tracking")
     assert run_s(panel) < OCCLUDED[0], "this machine is too slow: the bar comes before the target is followed"
-    worst_mm = 0.0
+    errors_mm = []
     while run_s(panel) < OCCLUDED[1] + 1.0:
         state = panel.state()
         assert state["state"]["name"] in ("approaching", "tracking", "holding"), "a bar in front of a part of it"
-        worst_mm = max(worst_mm, *(abs(error) for error in state["target"]["error_mm"] or [0.0]))
+        errors_mm += [abs(error) for error in state["target"]["error_mm"] or []]
         page.page.wait_for_timeout(20)
-    assert worst_mm < 20.0, f"the pose was off by {worst_mm} mm behind a bar"
+    assert len(errors_mm) > 30, "most states have a pose"
+    assert max(errors_mm) < 20.0, f"the pose was off by {max(errors_mm)} mm behind a bar"
     wait_for(lambda: panel.state_name() == "lost", "black images lose the target", 60.0)
     wait_for(lambda: "PB3DP-SUP-" in page.text("#why"), "the page does not say why")
     page.screenshot("lost")
