@@ -5,6 +5,7 @@ use std::time::Duration;
 use pb3dp_hal_api::{Arm, ArmError, ArmPower};
 use pb3dp_hal_middleware::{Limiter, LimiterStatistics};
 use pb3dp_hal_platform::jitter::Jitter;
+use pb3dp_kinematics::DOF;
 
 /// An arm with its limiter: motion, power, and limiter statistics.
 pub trait DrivenArm: Arm + ArmPower {
@@ -50,6 +51,18 @@ pub trait LinkMonitor: Send {
 
     /// Missed cycles and lost replies.
     fn counts(&self) -> LinkCounts;
+
+    /// Limits of all motion that the gateway has stated; `None` without a gateway.
+    fn gateway_limits(&self) -> Option<GatewayLimits>;
+}
+
+/// Limits beyond which a gateway stops its arm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GatewayLimits {
+    /// Largest speeds, rad/s.
+    pub speed_max_rad_per_s: [f64; DOF],
+    /// Smallest and largest angles, radians.
+    pub range_rad: [[f64; DOF]; 2],
 }
 
 /// Missed cycles and lost replies of an arm's link.

@@ -14,7 +14,7 @@ use pb3dp_sim::trajectory::Trajectory;
 
 use super::camera_controls::ControlDesk;
 use super::cell::SimulatedCell;
-pub use super::devices::{DrivenArm, LinkCounts, LinkMonitor};
+pub use super::devices::{DrivenArm, GatewayLimits, LinkCounts, LinkMonitor};
 use super::flight::KeepFlights;
 use super::operator::Operator;
 use super::perception::{Marking, Sight};

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Vector3};
 use pb3dp_cell::calibration_facts::CalibrationFacts;
-use pb3dp_cell::parts::ArmChoice;
+use pb3dp_cell::parts::{ArmChoice, GatewayLimits};
 use pb3dp_estimation::estimator::EstimatorConfig;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Model, World};
@@ -22,8 +22,10 @@ pub struct AboutArm {
     pub chain: Chain,
     /// Effective limits.
     pub limits: EffectiveLimits,
-    /// Mechanical range in the description of the arm, radians: smallest and largest angles.
-    pub robot_range_rad: (JointVector, JointVector),
+    /// Mechanical stops: smallest and largest angles, radians.
+    pub mechanical_rad: [JointVector; 2],
+    /// Limits of its gateway, as told when the run began; `None` without a gateway.
+    pub gateway: Option<GatewayLimits>,
     /// Base pose.
     pub world_from_base: Pose<World, Base>,
     /// Pose of the tool: the hand of the camera arm, the target of the other one.
@@ -75,17 +77,26 @@ pub struct About {
 }
 
 impl About {
+    /// The same with the limits that gateways have stated, by the names of their arms.
+    #[must_use]
+    pub fn with_gateways(mut self, stated: &[(&str, GatewayLimits)]) -> Self {
+        for arm in &mut self.arms {
+            arm.gateway = stated.iter().find(|(name, _)| *name == arm.name).map(|(_, limits)| *limits);
+        }
+        self
+    }
+
     /// The facts of a setup.
     pub fn of_setup(setup: &Setup, name: &str, version: &str) -> Self {
         let rig = &setup.rig;
         let arm = |choice: ArmChoice| {
             let arm = choice.of(setup);
-            let limits = arm.chain.limits();
             AboutArm {
                 name: choice.name().to_owned(),
                 chain: arm.chain.clone(),
                 limits: arm.limits,
-                robot_range_rad: (*limits.position_min_rad(), *limits.position_max_rad()),
+                mechanical_rad: [arm.guard.mechanical_min_rad, arm.guard.mechanical_max_rad],
+                gateway: None,
                 world_from_base: arm.world_from_base,
                 flange_from_tool: match choice {
                     ArmChoice::Vs => *setup.controller.flange_from_hand.isometry(),

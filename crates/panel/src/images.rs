@@ -1,4 +1,4 @@
-//! Encodes images for the page: each once for all clients, and only while somebody looks.
+//! Encodes images for the page: each once for all clients, and only while somebody looks. What a camera delivers as JPEG is passed on.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -58,7 +58,9 @@ fn encode_pair(pair: &FramePair, wanted: Wanted, rectifier: &mut Rectifier) -> E
     for side in [0, 1] {
         let image = if side == 0 { &pair.left } else { &pair.right };
         if wanted.images[0][side] {
-            encoded.messages[0][side] = message(pair, (side, 0), image);
+            let file = &pair.jpegs[side];
+            encoded.messages[0][side] =
+                if file.is_empty() { message(pair, (side, 0), image) } else { delivered(pair, side, file) };
         }
         if wanted.images[1][side] {
             encoded.messages[1][side] =
@@ -66,6 +68,15 @@ fn encode_pair(pair: &FramePair, wanted: Wanted, rectifier: &mut Rectifier) -> E
         }
     }
     encoded
+}
+
+/// Head and the JPEG of the camera.
+fn delivered(pair: &FramePair, side: usize, file: &[u8]) -> Option<Bytes> {
+    let place = [pair.left.width(), pair.left.height(), 0, 0];
+    let head = ImageHead { pair, side: u8::from(side == 1), kind: JPEG_IMAGE, flags: 0, place };
+    let mut bytes = head.to_bytes(file.len())?;
+    bytes.extend_from_slice(file);
+    Some(bytes.into())
 }
 
 /// Head and JPEG; `None` for an image that JPEG cannot hold.

@@ -111,7 +111,7 @@ impl Pairs {
 }
 
 fn size_of_pair(pair: &FramePair) -> usize {
-    pair.left.as_raw().len() + pair.right.as_raw().len()
+    pair.left.as_raw().len() + pair.right.as_raw().len() + pair.jpegs.iter().map(Vec::len).sum::<usize>()
 }
 
 #[cfg(test)]

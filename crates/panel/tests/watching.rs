@@ -1,7 +1,10 @@
 //! States, images and previews.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use pb3dp_geometry::ImageSize;
+use pb3dp_hal_api::FramePair;
 use serde_json::json;
 
 use crate::support::{Page, Rig};
@@ -42,6 +45,25 @@ fn images_come_while_they_are_wanted() {
     assert!(count < 12, "images that were on their way, no more: {count}");
 }
 
+/// Encoding again would cost 2 ms and some sharpness.
+#[test]
+fn what_a_camera_delivers_as_jpeg_is_passed_on() {
+    let black = FramePair::black(ImageSize { width: 640, height: 480 });
+    let jpegs = [b"left file".to_vec(), b"right file".to_vec()];
+    let rig = Rig::with_images(|_| {}, true, Arc::new(FramePair { jpegs, ..black }));
+    let mut page = Page::open(&rig.client());
+    page.send(json!({ "type": "images", "left": true, "right": true, "view": "raw", "fps_max": 30 }));
+    for (side, file) in [&b"left file"[..], b"right file"].into_iter().enumerate() {
+        let image = page.next_image();
+        assert_eq!((header(&image).0, header(&image).5), (side as u8, [640, 480, 0, 0]));
+        assert_eq!(&image[32..], file);
+    }
+    // A rectified image is another one.
+    page.send(json!({ "type": "images", "left": true, "right": false, "view": "rectified", "fps_max": 30 }));
+    let rectified = std::iter::repeat_with(|| page.next_image()).find(|image| header(image).2 == 1).unwrap();
+    assert!(image::load_from_memory_with_format(&rectified[32..], image::ImageFormat::Jpeg).is_ok());
+}
+
 #[test]
 fn the_state_has_the_errors_and_poses_of_the_target() {
     let rig = Rig::new();
@@ -63,6 +85,16 @@ fn the_state_has_the_errors_and_poses_of_the_target() {
     let info = client.get("/api/info").json();
     let arm = &info["arms"][0];
     assert_eq!((arm["chain"].as_array().unwrap().len(), arm["axis"].as_array().unwrap().len()), (8, 7));
+    // Each range within the next one; the gateway of the other arm is not known.
+    let limit = &arm["limits"][2];
+    let end = |range: &str| limit[range][1].as_f64().unwrap();
+    assert!(end("operating_deg") <= end("servo_deg") && end("servo_deg") < end("mechanical_deg"), "{limit}");
+    assert!(near(&limit["gateway_deg"][1], 0.3_f64.to_degrees()), "{limit}");
+    assert!(near(&limit["gateway_deg"][0], -0.2_f64.to_degrees()), "{limit}");
+    assert!(near(&limit["gateway_speed_deg_per_s"], 0.5_f64.to_degrees()), "{limit}");
+    assert!(limit["speed_deg_per_s"].as_f64() < limit["drive_speed_deg_per_s"].as_f64(), "{limit}");
+    let other = &info["arms"][1]["limits"][2];
+    assert!(other["gateway_deg"].is_null() && other["gateway_speed_deg_per_s"].is_null(), "{other}");
 }
 
 #[test]

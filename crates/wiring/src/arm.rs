@@ -21,7 +21,7 @@ use pb3dp_arm_pa10_protocol::gateway_protocol::Firmware;
 use pb3dp_arm_pa10_protocol::places::GatewayLinkConfig;
 use pb3dp_cell::cell::{ArmSite, JointSource};
 use pb3dp_cell::flight::FLIGHT;
-use pb3dp_cell::parts::{ArmOnBus, DrivenArm, EmulatedArm, LinkCounts, LinkMonitor, StopOrder};
+use pb3dp_cell::parts::{ArmOnBus, DrivenArm, EmulatedArm, GatewayLimits, LinkCounts, LinkMonitor, StopOrder};
 use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_middleware::{FlightLog, Guard, Limiter, Recorded, couple};
 use pb3dp_hal_platform::jitter::Jitter;
@@ -99,6 +99,14 @@ impl LinkMonitor for MonitoredLink {
     fn counts(&self) -> LinkCounts {
         let counters = self.monitor.snapshot().counters;
         LinkCounts { missed: counters.overruns, replies_lost: counters.lost }
+    }
+
+    fn gateway_limits(&self) -> Option<GatewayLimits> {
+        let axes = self.monitor.snapshot().gateway_found?.limits.axes.map(|axis| axis.to_si());
+        Some(GatewayLimits {
+            speed_max_rad_per_s: axes.map(|axis| axis.speed_max_rad_per_s),
+            range_rad: [0, 1].map(|end| axes.map(|axis| axis.range_rad[end])),
+        })
     }
 }
 

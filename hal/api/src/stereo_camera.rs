@@ -18,6 +18,9 @@ pub struct FramePair {
     pub left: RgbImage,
     /// Right image.
     pub right: RgbImage,
+    /// Left and right image as JPEG files, as the camera delivered them; empty if it delivers another format, or if the images above were
+    /// changed since.
+    pub jpegs: [Vec<u8>; 2],
 }
 
 impl FramePair {
@@ -29,7 +32,13 @@ impl FramePair {
             skew_nanos: 0,
             left: RgbImage::new(size.width, size.height),
             right: RgbImage::new(size.width, size.height),
+            jpegs: Default::default(),
         }
+    }
+
+    /// Clears the JPEG files, whose images are no longer those of the pair.
+    pub fn clear_jpegs(&mut self) {
+        self.jpegs.iter_mut().for_each(Vec::clear);
     }
 }
 

@@ -218,6 +218,7 @@ impl StereoCamera for ReplayCamera {
         pair.sequence = sequence;
         pair.exposed_at = exposed_at;
         pair.skew_nanos = skew_nanos;
+        pair.clear_jpegs();
         Ok(())
     }
 }

@@ -220,15 +220,19 @@ impl Stream {
         Ok(Held { index: filled.index, bytes: filled.bytes, mid_nanos })
     }
 
-    /// Converts the held image.
-    pub(crate) fn convert(&mut self, target: &mut RgbImage) -> Result<(), PixelError> {
+    /// Converts the held image; if it is a JPEG, copies its file too.
+    pub(crate) fn convert(&mut self, target: &mut RgbImage, jpeg: &mut Vec<u8>) -> Result<(), PixelError> {
         let Some(held) = self.held else { return Ok(()) };
         let memory = self.node.memory(held.index);
-        let converted = self.converter.convert(&memory[..held.bytes.min(memory.len())], target);
+        let bytes = &memory[..held.bytes.min(memory.len())];
+        let converted = self.converter.convert(bytes, target);
+        jpeg.clear();
         if converted.is_err() {
             // It passed all checks until now.
             self.counters.good -= 1;
             self.counters.damaged += 1;
+        } else {
+            self.converter.append_jpeg(bytes, jpeg);
         }
         converted
     }

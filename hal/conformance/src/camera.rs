@@ -155,7 +155,8 @@ fn check_pair(pair: &FramePair, stream: &mut Stream, info: &StereoCameraInfo, re
             });
         }
     }
-    stream.last = Some(FramePair { left: Default::default(), right: Default::default(), ..*pair });
+    stream.last =
+        Some(FramePair { left: Default::default(), right: Default::default(), jpegs: Default::default(), ..*pair });
 }
 
 /// After the end or the loss of the device, every call returns the same kind.
@@ -188,6 +189,9 @@ fn check_counts(stream: &Stream, expectations: &CameraExpectations, report: &mut
     report.check("number-of-bad-pairs", found == expected, || format!("{found} bad pairs, expected are {expected}"));
 }
 
+/// What an earlier image left in a buffer.
+const FOREIGN: &[u8] = b"file of an earlier image";
+
 /// A buffer of the right size keeps its memory; a buffer of another size is replaced.
 fn check_buffers<C: StereoCamera>(camera: &mut C, expectations: &CameraExpectations, report: &mut Report) {
     let size = camera.info().size;
@@ -200,11 +204,15 @@ fn check_buffers<C: StereoCamera>(camera: &mut C, expectations: &CameraExpectati
         });
     }
     let mut foreign = FramePair::black(ImageSize { width: size.width / 2 + 1, height: size.height + 3 });
+    foreign.jpegs = [FOREIGN.to_vec(), FOREIGN.to_vec()];
     if next_good(camera, &mut foreign, expectations).is_some() {
         let dimensions = (foreign.left.dimensions(), foreign.right.dimensions());
         let stated = (size.width, size.height);
         report.check("foreign-buffer-is-resized", dimensions == (stated, stated), || {
             format!("into a buffer of another size came {dimensions:?}, stated is {stated:?}")
+        });
+        report.check("foreign-files-are-replaced", foreign.jpegs.iter().all(|file| file != FOREIGN), || {
+            "the JPEG file of an earlier image stayed in the buffer".to_owned()
         });
     }
 }

@@ -21,6 +21,10 @@ mod setup;
 mod system;
 mod world;
 
+#[path = "../../../crates/panel/tests/support/client.rs"]
+#[allow(clippy::unwrap_used, dead_code, reason = "the checks may panic; other tests need more of it")]
+mod client;
+
 mod clock {
     //! The clock, for `system.rs`.
     pub use pb3dp_hal_platform::realtime::{now, sleep_until};

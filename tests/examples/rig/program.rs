@@ -7,6 +7,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
 use pb3dp_hal_platform::realtime::now;
+use rustix::process::{Pid, Signal, kill_process};
 
 use crate::report::note;
 
@@ -87,6 +88,11 @@ impl Running {
         let last = self.heard.len().saturating_sub(LAST_LINES);
         self.heard[last..].iter().for_each(|line| note(line));
         format!("the program did not print `{what}` within {LONG:?}").into()
+    }
+
+    /// Ctrl-C.
+    pub fn interrupt(&self) -> Result<(), Box<dyn Error>> {
+        Ok(kill_process(Pid::from_child(&self.child), Signal::INT)?)
     }
 
     /// Waits until the program has ended.

@@ -1,12 +1,18 @@
-//! The command `pb3dp run` in this computer.
+//! The command `pb3dp run` in this computer, with a script in the place of the person at its panel.
 
+use std::error::Error;
+use std::fs;
+use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
 
 use pb3dp_camera_v4l2::linux::Linux;
 use pb3dp_camera_v4l2::names;
+use pb3dp_cell::interruption::INTERRUPTED;
 use pb3dp_setup::setup::read_setup;
+use serde_json::{Value, json};
 
+use crate::client::Client;
 use crate::images;
 use crate::lines::name_port;
 use crate::program::Running;
@@ -25,8 +31,8 @@ const TURNED_MAX_DEG: f64 = 2.0;
 /// Tracking time before the hand pose is checked.
 const TRACKED: Duration = Duration::from_millis(500);
 
-/// Status line while the operator holds the hand.
-const HOLDING: &str = "holding: both arms held by the operator";
+/// Address of the panel.
+const PANEL: ([u8; 4], u16) = ([127, 0, 0, 1], 8087);
 
 /// The camera that is disconnected.
 const PULLED: usize = 1;
@@ -41,32 +47,65 @@ pub fn check(report: &mut Report) -> Option<World> {
     });
     let mut rig = None;
     report.check("the program starts with cameras and arms", || {
-        let (world, run) = start()?;
-        rig = Some((world, run));
+        rig = Some(start()?);
         Ok(String::new())
     });
-    let (world, mut run) = rig?;
-    report.check("the hand is led by the images, and stays before the target", || follow(&world, &mut run));
+    let (world, mut run, person) = rig?;
+    report.check("the object is chosen in the live image", || select(&person));
+    report.check("the hand is led by the images, and stays before the target", || follow(&world, &person));
     report.check("a camera that is pulled and plugged in again: the hand holds, and continues on command", || {
-        pulled(&world, &mut run)
+        pulled(&world, &mut run, &person)
     });
-    report.check("the hand holds, and both arms stop in order", || end(&world, run));
+    report.check("the hand holds, and both arms stop in order", || end(&world, run, &person));
     Some(world)
 }
 
-fn start() -> Result<(World, Running), Box<dyn std::error::Error>> {
+/// Starts the program with its panel; a script takes the command, as a person at the page does.
+fn start() -> Result<(World, Running, Client), Box<dyn Error>> {
     let world = World::start()?;
     wait_for("the first images are shown", || (world.shown() > 1).then_some(()))?;
-    let words = ["run", "--config", HERE, "--operator", "console", "--region", REGION, "--out", "/out"];
-    let mut run = Running::start(&words)?;
-    run.wait_for("target initialised", None)?;
-    Ok((world, run))
+    loopback_up()?;
+    let address = SocketAddr::from(PANEL);
+    let mut run = Running::start(&["run", "--config", HERE, "--panel", &address.to_string(), "--out", "/out"])?;
+    run.wait_for("is the operator panel", None)?;
+    let mut person = Client::new(address);
+    person.wait_for("images", |state| state["images"]["sequence"].is_u64());
+    person.take("script");
+    person.keep_alive();
+    Ok((world, run, person))
 }
 
-fn follow(world: &World, run: &mut Running) -> Outcome {
-    run.wait_for("selecting: ", Some("select"))?;
-    run.wait_for("approaching", Some("start"))?;
-    run.wait_for("tracking", None)?;
+/// Brings the interface up over which programs of this computer speak to each other.
+fn loopback_up() -> Result<(), Box<dyn Error>> {
+    const UP: u32 = 1;
+    Ok(fs::write("/sys/class/net/lo/flags", format!("{UP:#x}"))?)
+}
+
+fn select(person: &Client) -> Outcome {
+    let preview = person.post("preview", &json!({ "region": REGION }).to_string());
+    let told = preview.json();
+    ensure(preview.status == 200 && told["will_work"] == true, || format!("the preview is {}", preview.body))?;
+    command(person, "select", json!({ "region": REGION }))?;
+    person.wait_for("a target that the hand can follow", |state| {
+        state["state"]["name"] == "selecting" && state["state"]["is_ready"] == true
+    });
+    Ok(told["why"].as_str().unwrap_or_default().to_owned())
+}
+
+/// A command for the state as the script saw it; it must be accepted.
+fn command(person: &Client, name: &str, mut body: Value) -> Result<(), Box<dyn Error>> {
+    body["seen"] = person.seen();
+    let reply = person.post(name, &body.to_string());
+    ensure(reply.status == 200, || format!("{name}: {}", reply.body))
+}
+
+fn wait_for_state(person: &Client, name: &str) -> Value {
+    person.wait_for(name, |state| state["state"]["name"] == name)
+}
+
+fn follow(world: &World, person: &Client) -> Outcome {
+    command(person, "start", json!({}))?;
+    wait_for_state(person, "tracking");
     std::thread::sleep(TRACKED);
     place(world)
 }
@@ -79,7 +118,7 @@ fn place(world: &World) -> Outcome {
     Ok(text)
 }
 
-fn pulled(world: &World, run: &mut Running) -> Outcome {
+fn pulled(world: &World, run: &mut Running, person: &Client) -> Outcome {
     let disconnect = control(DISCONNECT)?;
     // Closed before the program has noticed: the driver comes back when no process has it open.
     let node = names::open(&Linux, &name(PULLED))?.1;
@@ -87,19 +126,24 @@ fn pulled(world: &World, run: &mut Running) -> Outcome {
     let lost = run.wait_for("trying to reopen", None)?;
     ensure(lost.contains(BUSES[PULLED]), || format!("the program printed: {lost}"))?;
     let rests = run.wait_for("check the cameras", None)?;
-    run.wait_for("tracking", Some("resume"))?;
+    person.wait_for("a hand that may continue", |state| {
+        state["state"]["may"].as_array().is_some_and(|may| may.contains(&json!("resume")))
+    });
+    command(person, "resume", json!({}))?;
+    wait_for_state(person, "tracking");
     Ok(format!("{rests}; then {}", place(world)?))
 }
 
-fn end(world: &World, mut run: Running) -> Outcome {
-    run.say("hold")?;
-    // The program prints this line by itself only after a motion.
-    let holding = run.wait_for(HOLDING, Some("status"))?;
-    run.say("quit")?;
+fn end(world: &World, run: Running, person: &Client) -> Outcome {
+    command(person, "hold", json!({}))?;
+    let holding = wait_for_state(person, "holding");
+    ensure(person.post("stop", "{}").status == 200, || "stop is refused".to_owned())?;
+    wait_for_state(person, "stopped");
+    run.interrupt()?;
     let status = run.end()?;
-    ensure(status.success(), || format!("the run ended with {status}"))?;
+    ensure(status.code() == Some(INTERRUPTED.into()), || format!("the run ended with {status}"))?;
     for arm in world.arms() {
         ensure(arm.is_braked, || format!("the brakes of an arm are open: {arm}"))?;
     }
-    Ok(holding)
+    Ok(holding["why"]["line"].as_str().unwrap_or_default().to_owned())
 }

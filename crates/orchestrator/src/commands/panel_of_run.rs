@@ -32,8 +32,10 @@ pub fn start(at: PanelConfig, (setup, name): (&Setup, &str), parts: &mut Parts) 
         }),
         ..at
     };
-    let (panel, operator, spectator) =
-        Panel::start(config, clock, About::of_setup(setup, name, env!("CARGO_PKG_VERSION")))?;
+    let stated = parts.links.iter().filter_map(|(name, link)| Some((*name, link.gateway_limits()?)));
+    let stated: Vec<_> = stated.collect();
+    let about = About::of_setup(setup, name, env!("CARGO_PKG_VERSION")).with_gateways(&stated);
+    let (panel, operator, spectator) = Panel::start(config, clock, about)?;
     parts.operator = Box::new(operator);
     parts.spectator = Some(Box::new(spectator));
     parts.selections = Some(panel.selections());

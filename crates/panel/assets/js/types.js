@@ -40,7 +40,7 @@
  * @property {{world_from_target: number[]}|null} truth
  * @property {{sequence: number|null, fps: number, lost: number}} images
  */
-/** @typedef {{robot_deg: number[], operating_deg: number[], speed_deg_per_s: number}} JointLimit */
+/** @typedef {{mechanical_deg: number[], servo_deg: number[], operating_deg: number[], gateway_deg: number[]|null, drive_speed_deg_per_s: number, speed_deg_per_s: number, gateway_speed_deg_per_s: number|null}} JointLimit */
 /**
  * @typedef {object} ArmInfo
  * @property {string} name

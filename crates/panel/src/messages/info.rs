@@ -2,6 +2,7 @@
 
 use pb3dp_cell::calibration_facts::CalibrationFacts;
 use pb3dp_geometry::Camera;
+use pb3dp_kinematics::JointLimits;
 use serde::Serialize;
 
 use super::socket::PROTOCOL;
@@ -67,9 +68,13 @@ struct Arm {
 
 #[derive(Clone, Debug, Serialize)]
 struct Limit {
-    robot_deg: [f64; 2],
+    mechanical_deg: [f64; 2],
+    servo_deg: [f64; 2],
     operating_deg: [f64; 2],
+    gateway_deg: Option<[f64; 2]>,
+    drive_speed_deg_per_s: f64,
     speed_deg_per_s: f64,
+    gateway_speed_deg_per_s: Option<f64>,
 }
 
 impl Info {
@@ -112,12 +117,18 @@ fn lens(camera: &Camera) -> Lens {
 
 fn arm(arm: &AboutArm) -> Arm {
     let joints = arm.chain.joints();
-    let operating = arm.limits.operating();
-    let degrees = |min: f64, max: f64| [min.to_degrees(), max.to_degrees()];
+    let (servo, operating) = (arm.limits.servo(), arm.limits.operating());
+    let range = |limits: &JointLimits, joint: usize| {
+        [limits.position_min_rad(), limits.position_max_rad()].map(|end_rad| end_rad[joint].to_degrees())
+    };
     let limit = |joint: usize| Limit {
-        robot_deg: degrees(arm.robot_range_rad.0[joint], arm.robot_range_rad.1[joint]),
-        operating_deg: degrees(operating.position_min_rad()[joint], operating.position_max_rad()[joint]),
+        mechanical_deg: arm.mechanical_rad.map(|end_rad| end_rad[joint].to_degrees()),
+        servo_deg: range(servo, joint),
+        operating_deg: range(operating, joint),
+        gateway_deg: arm.gateway.map(|gateway| gateway.range_rad.map(|end_rad| end_rad[joint].to_degrees())),
+        drive_speed_deg_per_s: servo.velocity_max_rad_per_s()[joint].to_degrees(),
         speed_deg_per_s: arm.limits.velocity_max_rad_per_s()[joint].to_degrees(),
+        gateway_speed_deg_per_s: arm.gateway.map(|gateway| gateway.speed_max_rad_per_s[joint].to_degrees()),
     };
     let (links, axes) = arm.links();
     Arm {

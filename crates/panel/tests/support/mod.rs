@@ -1,6 +1,7 @@
 //! A panel with a loop that steps a real supervisor, and plain clients.
 
 pub mod client;
+pub mod page;
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -16,6 +17,7 @@ use pb3dp_cell::log::ArmSample;
 use pb3dp_cell::moving::Moved;
 use pb3dp_cell::noting::PairEstimate;
 use pb3dp_cell::operator::{MotionRequest, Operator};
+use pb3dp_cell::parts::GatewayLimits;
 use pb3dp_cell::perception::View;
 use pb3dp_cell::spectator::Spectator;
 use pb3dp_estimation::estimator::FramePrior;
@@ -34,10 +36,8 @@ use pb3dp_servo::supervisor::{
 };
 use pb3dp_setup::setup::{Setup, read_setup};
 
-pub use self::client::{Client, Page};
-
-/// Time in which anything that is to happen has happened, also on a busy machine.
-pub const PATIENCE: Duration = Duration::from_secs(10);
+pub use self::client::{Client, PATIENCE};
+pub use self::page::Page;
 
 /// What the loop did.
 #[derive(Default)]
@@ -91,7 +91,7 @@ impl Rig {
         let mut config = PanelConfig::at("127.0.0.1:0".parse().unwrap());
         change(&mut config);
         let interrupt = Arc::clone(&config.interrupt);
-        let about = About::of_setup(&setup, "sim", "0.0.0");
+        let about = About::of_setup(&setup, "sim", "0.0.0").with_gateways(&[("vs-robot", gateway_limits())]);
         let (panel, operator, spectator) = Panel::start(config, clock.clone(), about).unwrap();
         let seen = Arc::<Mutex<Seen>>::default();
         let (is_paused, is_over) = (Arc::new(AtomicBool::new(!runs)), Arc::new(AtomicBool::new(false)));
@@ -193,6 +193,12 @@ struct Loop {
     start_rad: pb3dp_kinematics::JointVector,
 }
 
+/// Limits of a gateway of the camera arm; the ends of the joints differ.
+fn gateway_limits() -> GatewayLimits {
+    let upper_rad = std::array::from_fn(|joint| 0.1 * (joint + 1) as f64);
+    GatewayLimits { speed_max_rad_per_s: [0.5; 7], range_rad: [[-0.2; 7], upper_rad] }
+}
+
 /// Sleep after each step.
 const STEP: Duration = Duration::from_millis(4);
 
@@ -203,7 +209,14 @@ fn textured(sequence: u64, at: MonotonicTime) -> Arc<FramePair> {
         Rgb([hash as u8, (hash / 2 + 60) as u8, 128])
     };
     let image = |shift: i64| RgbImage::from_fn(640, 480, |u, v| grey((i64::from(u) + shift) / 4, i64::from(v) / 4));
-    Arc::new(FramePair { sequence, exposed_at: at, skew_nanos: 0, left: image(0), right: image(40) })
+    Arc::new(FramePair {
+        sequence,
+        exposed_at: at,
+        skew_nanos: 0,
+        left: image(0),
+        right: image(40),
+        jpegs: Default::default(),
+    })
 }
 
 impl Loop {
@@ -298,7 +311,8 @@ impl Loop {
             ..TrackEstimate::without_pose(Status::Ok, "test".to_owned())
         };
         let (left, right) = (image.left.clone(), image.right.clone());
-        let pair = FramePair { sequence: self.sequence, exposed_at: at, skew_nanos: 0, left, right };
+        let jpegs = image.jpegs.clone();
+        let pair = FramePair { sequence: self.sequence, exposed_at: at, skew_nanos: 0, left, right, jpegs };
         // The target moves away by 2 mm after its first estimate, and the estimate does not follow.
         self.looks += u64::from(self.target > 0);
         let truth_m = Vector3::new(0.01, 0.02, if self.looks > 1 { 0.602 } else { 0.6 });

@@ -68,6 +68,17 @@ impl Decoder {
     }
 }
 
+/// Appends the file of a decodable image: with Huffman tables, and without what the driver left after its end.
+pub(super) fn append_file(bytes: &[u8], file: &mut Vec<u8>) {
+    let Ok(Anatomy { scan, has_tables, .. }) = Anatomy::of(bytes) else { return };
+    let end = bytes.windows(2).rposition(|pair| pair == [MARKER, END_OF_IMAGE]).map_or(bytes.len(), |at| at + 2);
+    file.extend_from_slice(&bytes[..scan]);
+    if !has_tables {
+        append_standard_tables(file);
+    }
+    file.extend_from_slice(&bytes[scan..end.max(scan)]);
+}
+
 /// Appends the scan from its marker to the end of the image; camera images have one scan. Trailing bytes of the driver are
 /// ignored.
 fn append_scan(completed: &mut Vec<u8>, bytes: &[u8], restarts_min: usize) -> Result<(), &'static str> {

@@ -182,4 +182,11 @@ impl Converter {
         }
         Ok(())
     }
+
+    /// Appends the JPEG file of an image that was converted: complete, so that every decoder can read it. Nothing for other formats.
+    pub fn append_jpeg(&self, bytes: &[u8], file: &mut Vec<u8>) {
+        if self.layout.format == PixelFormat::Mjpg {
+            jpeg::append_file(bytes, file);
+        }
+    }
 }
