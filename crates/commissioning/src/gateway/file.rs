@@ -16,7 +16,11 @@ use std::time::Duration;
 
 use pb3dp_setup::load::{Checker, ConfigError, ConfigFile, FileKind, whole};
 use pb3dp_setup::names::{FormatName, GeometryName, sequence_modulus};
-use pb3dp_setup::setup::SignalsSection;
+use pb3dp_setup::setup::{SignalsSection, acceleration_max_rad_per_s2};
+
+/// Largest angles that a source states for the stops of a PA-10, to either side, degrees: those of the PA10-7CE (INRIA), and beyond them
+/// S2 and E1 of the PA10-6CE (University of Florida) and W2 in RobWork. A wider range in a file is a mistake.
+const STOPS_MAX_DEG: [f64; Axis::COUNT] = [180.0, 124.0, 180.0, 158.0, 270.0, 180.0, 360.0];
 
 /// A gateway configuration with all values checked.
 #[derive(Clone, Debug)]
@@ -266,15 +270,39 @@ impl LimitsSection {
             range_rad: [row.lower_deg.to_radians(), row.upper_deg.to_radians()],
         });
         let limits = MotionLimits::new(&motions).map_err(|error| error.to_string())?;
-        for (axis, &most) in Axis::ALL.iter().zip(&PA10_SPEED_MAX_RAD_PER_S) {
-            let got = motions[axis.index()].speed_max_rad_per_s;
-            if got > most {
-                return Err(format!(
-                    "{axis}: a speed of {got} rad/s is more than the drive can do: give at most {most} rad/s"
-                ));
-            }
+        for (axis, row) in Axis::ALL.into_iter().zip(rows) {
+            row.check(axis)?;
         }
         Ok(limits)
+    }
+}
+
+impl LimitRow {
+    /// A limit that no arm can reach would protect nobody.
+    fn check(&self, axis: Axis) -> Result<(), String> {
+        let (speed, acceleration) = (self.speed_max_rad_per_s, self.acceleration_max_rad_per_s2);
+        let index = axis.index();
+        let speed_max = PA10_SPEED_MAX_RAD_PER_S[index];
+        if speed > speed_max {
+            return Err(format!(
+                "{axis}: a speed of {speed} rad/s is more than the drive can do: give at most {speed_max} rad/s"
+            ));
+        }
+        let acceleration_max = acceleration_max_rad_per_s2(index);
+        if acceleration > acceleration_max {
+            return Err(format!(
+                "{axis}: an acceleration of {acceleration} rad/s^2 is more than any setup may ask for: give at most {acceleration_max} \
+                 rad/s^2"
+            ));
+        }
+        let stop_deg = STOPS_MAX_DEG[index];
+        if self.lower_deg < -stop_deg || self.upper_deg > stop_deg {
+            return Err(format!(
+                "{axis}: a range of {} to {} degrees goes beyond the stops of every PA-10: give at most -{stop_deg} to {stop_deg} degrees",
+                self.lower_deg, self.upper_deg
+            ));
+        }
+        Ok(())
     }
 }
 
@@ -343,6 +371,17 @@ mod tests {
                 "limits: axis 1 (S1): a limit of 0 for the jerk is out of range",
             ),
             ("lower_deg = -91.0", "lower_deg = 91.0", "axis 2 (S2): a limit of 1.58"),
+            (
+                "upper_deg = 91.0",
+                "upper_deg = 375.0",
+                "axis 2 (S2): a range of -91 to 375 degrees goes beyond the stops",
+            ),
+            ("lower_deg = -174.0", "lower_deg = -181.0", "axis 3 (S3): a range of -181 to 174 degrees"),
+            (
+                "acceleration_max_rad_per_s2 = 5.0",
+                "acceleration_max_rad_per_s2 = 600.0",
+                "axis 5 (E2): an acceleration of 600 rad/s^2 is more than any setup may ask for: give at most 5 rad/s^2",
+            ),
         ] {
             assert!(text.contains(from), "{from}");
             std::fs::write(&file, text.replace(from, to)).unwrap();

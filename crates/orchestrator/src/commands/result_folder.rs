@@ -4,10 +4,11 @@ use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 
-/// A file that every run writes.
+/// A file that every run writes, and two of its keys.
 const OF_A_RUN: &str = "summary.json";
+const ITS_KEYS: [&str; 2] = ["provenance", "summary"];
 
 /// The folder of the results. When it is dropped without a result in it, everything is as before.
 #[derive(Debug)]
@@ -23,12 +24,18 @@ impl ResultFolder {
     /// Creates the folder. If it contains an earlier run, that one becomes the first free one of `DIR.1`, `DIR.2` and so on.
     ///
     /// # Errors
-    /// If the folder cannot be moved or created.
+    /// If the folder is the root, has a file of this name that no run wrote, or cannot be moved or created.
     pub fn take(folder: &Path) -> Result<Self> {
+        if folder.canonicalize().is_ok_and(|whole| whole.parent().is_none()) {
+            bail!(
+                "--out {}: this is the root of all files; name a folder of its own, such as out/run",
+                folder.display()
+            );
+        }
         let named = folder.ancestors().filter(|path| !path.as_os_str().is_empty());
         let created = named.take_while(|path| !path.exists()).map(Path::to_owned).collect();
         let mut taken = Self { folder: folder.to_owned(), created, earlier: None };
-        if folder.join(OF_A_RUN).is_file() {
+        if holds_run(folder)? {
             let numbered = |number: u32| {
                 let mut name = OsString::from(folder.components().as_path());
                 name.push(format!(".{number}"));
@@ -68,9 +75,45 @@ impl Drop for ResultFolder {
     }
 }
 
+/// Whether the folder has the results of a run, and not files of somebody else that a run would replace.
+fn holds_run(folder: &Path) -> Result<bool> {
+    let file = folder.join(OF_A_RUN);
+    if !file.exists() {
+        return Ok(false);
+    }
+    let text = fs::read_to_string(&file).unwrap_or_default();
+    let keys = serde_json::from_str::<serde_json::Value>(&text).unwrap_or_default();
+    if !ITS_KEYS.iter().all(|key| keys.get(key).is_some()) {
+        bail!(
+            "{}: this file is of no run of pb3dp, and the results would replace it; name another folder (--out)",
+            file.display()
+        );
+    }
+    Ok(true)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn of_run(number: u32) -> String {
+        format!(r#"{{"provenance": {{}}, "summary": {number}}}"#)
+    }
+
+    #[test]
+    fn files_of_somebody_else_are_not_moved_or_replaced() {
+        let place = tempfile::tempdir().unwrap();
+        for text in ["{\"summary\": \"mine\"}", "not JSON", ""] {
+            fs::write(place.path().join(OF_A_RUN), text).unwrap();
+            let refused = ResultFolder::take(place.path()).unwrap_err().to_string();
+            assert!(refused.contains("summary.json: this file is of no run of pb3dp"), "{refused}");
+            assert_eq!(fs::read_to_string(place.path().join(OF_A_RUN)).unwrap(), text);
+        }
+        for root in ["/", "/tmp/.."] {
+            let refused = ResultFolder::take(Path::new(root)).unwrap_err().to_string();
+            assert!(refused.contains("name a folder of its own"), "{refused}");
+        }
+    }
 
     #[test]
     fn a_refused_run_leaves_no_empty_folder() {
@@ -91,9 +134,9 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let out = place.path().join("run");
         fs::create_dir(&out).unwrap();
-        fs::write(out.join(OF_A_RUN), "first").unwrap();
+        fs::write(out.join(OF_A_RUN), of_run(1)).unwrap();
         drop(ResultFolder::take(&out).unwrap());
-        assert_eq!(fs::read_to_string(out.join(OF_A_RUN)).unwrap(), "first");
+        assert_eq!(fs::read_to_string(out.join(OF_A_RUN)).unwrap(), of_run(1));
         assert!(!place.path().join("run.1").exists());
     }
 
@@ -104,11 +147,11 @@ mod tests {
         for number in 0..=2 {
             let taken = ResultFolder::take(&out.join("")).unwrap();
             assert!(out.read_dir().unwrap().next().is_none(), "a new folder");
-            fs::write(out.join(OF_A_RUN), format!("{number}")).unwrap();
+            fs::write(out.join(OF_A_RUN), of_run(number)).unwrap();
             drop(taken);
             if let Some(earlier) = u32::checked_sub(number, 1) {
                 let kept = fs::read_to_string(place.path().join(format!("run.{number}")).join(OF_A_RUN)).unwrap();
-                assert_eq!(kept, earlier.to_string());
+                assert_eq!(kept, of_run(earlier));
             }
         }
         fs::remove_file(out.join(OF_A_RUN)).unwrap();

@@ -7,6 +7,8 @@ const PROTOCOL = 1;
 const AGAIN_MS = 700;
 /** Without any message for this long the connection counts as broken. */
 const SILENT_MS = 1500;
+/** A connection that was silent for this long is given up. */
+const GIVEN_UP_MS = 4000;
 const HEADER_BYTES = 32;
 const RECTIFIED_FLAG = 1;
 /** Without an answer for this long a command counts as not sent. */
@@ -41,6 +43,7 @@ export class Connection {
     const socket = new WebSocket(`${scheme}//${location.host}/api/events`);
     socket.binaryType = "arraybuffer";
     this.socket = socket;
+    this.heard_ms = performance.now();
     socket.onopen = () => {
       this.hello();
       if (this.asked) this.send(this.asked);
@@ -51,7 +54,9 @@ export class Connection {
     socket.onclose = () => {
       if (this.socket !== socket) return;
       this.setOpen(false);
-      setTimeout(() => this.connect(), AGAIN_MS);
+      setTimeout(() => {
+        if (this.socket === socket) this.connect();
+      }, AGAIN_MS);
     };
   }
 
@@ -63,8 +68,14 @@ export class Connection {
   }
 
   watch() {
-    const silent = performance.now() - this.heard_ms > SILENT_MS;
-    if (this.socket?.readyState === WebSocket.OPEN) this.setOpen(!silent);
+    const silent_ms = performance.now() - this.heard_ms;
+    const dead = this.socket;
+    if (dead?.readyState === WebSocket.OPEN) this.setOpen(silent_ms <= SILENT_MS);
+    // A line that fell silent without an end may never tell one.
+    if (dead && silent_ms > GIVEN_UP_MS) {
+      this.connect();
+      dead.close();
+    }
   }
 
   hello() {

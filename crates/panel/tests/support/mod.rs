@@ -27,6 +27,7 @@ use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{Clock, FramePair};
 use pb3dp_hal_clock::SystemClock;
+use pb3dp_hal_platform::realtime::{Realtime, enter};
 use pb3dp_kinematics::JointState;
 use pb3dp_panel::{About, Panel, PanelConfig, PanelOperator, PanelSpectator};
 use pb3dp_servo::Mode;
@@ -54,6 +55,8 @@ pub struct Seen {
     pub allocations: usize,
     /// Time of the step in which motion ended last.
     pub rested_at: Option<MonotonicTime>,
+    /// Whether the control thread has the scheduling that it should have.
+    pub is_preferred: bool,
     /// From the moment at which a step was due until it was done, seconds. Without the steps that copy a pair, which another thread
     /// does in a run.
     pub lateness_s: Vec<f64>,
@@ -81,11 +84,15 @@ impl Rig {
 
     /// A rig with another configuration; if it does not run, no control step has come yet.
     pub fn with(change: impl FnOnce(&mut PanelConfig), runs: bool) -> Self {
-        Self::with_images(change, runs, textured(0, MonotonicTime::ZERO))
+        Self::with_images(change, (runs, None), textured(0, MonotonicTime::ZERO))
     }
 
-    /// As [`Self::with`], with these images again and again.
-    pub fn with_images(change: impl FnOnce(&mut PanelConfig), runs: bool, images: Arc<FramePair>) -> Self {
+    /// As [`Self::with`], with these images again and again; the control thread has this scheduling, if permitted.
+    pub fn with_images(
+        change: impl FnOnce(&mut PanelConfig),
+        (runs, realtime): (bool, Option<Realtime>),
+        images: Arc<FramePair>,
+    ) -> Self {
         let setup = setup();
         let clock = Arc::new(SystemClock::new());
         let mut config = PanelConfig::at("127.0.0.1:0".parse().unwrap());
@@ -102,6 +109,7 @@ impl Rig {
             seen: seen.clone(),
             is_paused: is_paused.clone(),
             is_over: is_over.clone(),
+            realtime,
             target: 0,
             sequence: 0,
             images,
@@ -186,6 +194,7 @@ struct Loop {
     seen: Arc<Mutex<Seen>>,
     is_paused: Arc<AtomicBool>,
     is_over: Arc<AtomicBool>,
+    realtime: Option<Realtime>,
     target: u64,
     sequence: u64,
     images: Arc<FramePair>,
@@ -221,6 +230,8 @@ fn textured(sequence: u64, at: MonotonicTime) -> Arc<FramePair> {
 
 impl Loop {
     fn run(mut self, mut operator: PanelOperator, mut spectator: PanelSpectator) {
+        let missing = self.realtime.as_ref().map_or(Vec::new(), enter);
+        self.seen.lock().unwrap().is_preferred = self.realtime.is_some() && missing.is_empty();
         let mut last: Option<Decision> = None;
         let mut newest: Option<(FrameInput, EstimateInput)> = None;
         let image = Arc::clone(&self.images);

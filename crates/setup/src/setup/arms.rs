@@ -161,6 +161,11 @@ const ACCELERATION_MAX_RAD_PER_S2: [f64; 2] = [2.0, 5.0];
 /// Number of wrist joints.
 const WRIST_JOINTS: usize = 3;
 
+/// Upper bound of the acceleration of a joint of an arm with seven joints, rad/s^2; `joint` counts from the base, from 0.
+pub fn acceleration_max_rad_per_s2(joint: usize) -> f64 {
+    ACCELERATION_MAX_RAD_PER_S2[usize::from(joint + WRIST_JOINTS >= DOF)]
+}
+
 fn check_accelerations(key: &str, accelerations: &[f64], check: &mut Checker) {
     for (joint, &value) in accelerations.iter().enumerate() {
         let is_in_wrist = joint + WRIST_JOINTS >= accelerations.len();

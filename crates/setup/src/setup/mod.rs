@@ -41,7 +41,7 @@ use serde::Deserialize;
 use serde::de::IgnoredAny;
 
 use self::arms::{ArmSection, ArmTables, ArmsSection};
-pub use self::arms::{ArmSetup, Arms};
+pub use self::arms::{ArmSetup, Arms, acceleration_max_rad_per_s2};
 pub use self::calibration::{AGE, CAMERAS, CalibrationInUse, Waiver, rounded};
 use self::camera::SceneSection;
 pub use self::drift::DriftConfig;

@@ -38,7 +38,7 @@ fn start(side: HostSide) -> (GatewayServer, Emulation) {
     (GatewayServer::start(config, opener, side).unwrap(), emulation)
 }
 
-fn started() -> (GatewayServer, Emulation, SocketAddr) {
+pub fn started() -> (GatewayServer, Emulation, SocketAddr) {
     let (side, address) = tcp_side();
     let (server, emulation) = start(side);
     (server, emulation, address)

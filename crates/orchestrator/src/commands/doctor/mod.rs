@@ -8,6 +8,7 @@ mod finding;
 mod needs;
 mod realtime;
 mod serial;
+mod signals;
 mod system;
 #[cfg(test)]
 mod tests;
@@ -81,6 +82,7 @@ fn findings(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     let mut findings = realtime::check(system, needs);
     findings.extend(access::check(system, &needs.groups()));
     findings.extend(serial::check(system, needs));
+    findings.extend(signals::check(needs));
     findings.extend(cameras::check(system, needs));
     findings.extend(drivers::modules(system, needs));
     findings.extend(drivers::arcnet(system, needs));

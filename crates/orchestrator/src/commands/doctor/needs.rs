@@ -27,6 +27,8 @@ pub(super) struct Needs {
     pub(super) needs_realtime: bool,
     /// Serial ports by name; `None`: all existing ports are checked.
     pub(super) serial: Option<Vec<String>>,
+    /// Keys of the arms' signals that nothing notices; `None` without an arm that has signals.
+    pub(super) unknown_signals: Option<Vec<String>>,
     /// ARCNET interfaces.
     pub(super) arcnet: Vec<String>,
     /// Needed cameras of this computer.
@@ -73,6 +75,7 @@ impl Needs {
             priority: REALTIME.priority.unwrap_or(1),
             needs_realtime: false,
             serial: None,
+            unknown_signals: None,
             arcnet: Vec::new(),
             cameras: Cameras::Perhaps,
             nominal_calibration: None,
@@ -132,7 +135,11 @@ impl Needs {
                 ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated | GatewayWay::Tcp { .. }) => {}
             }
         }
+        let arms = [&setup.rig.arms.vs, &setup.rig.arms.tc];
+        let has_signals = arms.iter().any(|arm| arm.link.signals().is_some());
+        let unknown = arms.iter().filter_map(|arm| arm.check_signals().err()).flat_map(|unknown| unknown.keys);
         Self {
+            unknown_signals: has_signals.then(|| unknown.collect()),
             source: format!("{config} (pb3dp run)"),
             needs_realtime: setup.pace == Pace::Live
                 && !(setup.rig.arms.vs.link.is_toy() && setup.rig.arms.tc.link.is_toy()),
@@ -152,7 +159,9 @@ impl Needs {
             HostPlace::Tcp(_) => Vec::new(),
         };
         let general = Self::general(recordings);
+        let unknown = gateway.gateway.signals.unknown().map(|signal| format!("arm.signals.{}", signal.key()));
         Ok(Self {
+            unknown_signals: Some(unknown.collect()),
             source: format!("{} (pb3dp gateway)", file.display()),
             is_gateway: true,
             priority: gateway.realtime.priority.unwrap_or(general.priority),

@@ -367,6 +367,36 @@ fn an_arcnet_interface_that_does_not_serve_is_found() {
 }
 
 #[test]
+fn signals_that_nothing_notices_are_named() {
+    let unknown =
+        |keys: &[&str]| Needs { unknown_signals: Some(keys.iter().map(|key| (*key).to_owned()).collect()), ..rig() };
+    let one = unknown(&["arms.vs.gateway.signals.power"]);
+    let check = "signals of the arms";
+    only(
+        &Fake::good(),
+        &one,
+        check,
+        Verdict::Fail,
+        "no brake opens: arms.vs.gateway.signals.power",
+        "pb3dp arm signals",
+    );
+    assert_eq!(bad(&Fake::good(), &unknown(&[])), []);
+    // The signals of format A are learnt at the arm.
+    let text = std::fs::read_to_string("../../configs/gateway.toml").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("arm1.toml");
+    let needs = |text: &str| {
+        std::fs::write(&file, text).unwrap();
+        let config = SetupArgs { configs: vec![file.clone()], ..SetupArgs::default() };
+        Needs::of_config(&config, PathBuf::from("out")).unwrap().unknown_signals.unwrap()
+    };
+    assert_eq!(needs(&text), [""; 0]);
+    let from = text.find("emergency_stop = ").unwrap();
+    let end = from + text[from..].find('\n').unwrap();
+    assert_eq!(needs(&text.replace(&text[from..end], "emergency_stop = \"unknown\"")), ["arm.signals.emergency_stop"]);
+}
+
+#[test]
 fn room_for_recordings_is_counted_in_minutes() {
     let check = "space for recordings";
     let with = |free| Fake { free, ..Fake::good() };
