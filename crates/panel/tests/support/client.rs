@@ -35,12 +35,14 @@ pub struct Client {
     pub address: SocketAddr,
     pub session: Option<String>,
     pub nonce: Option<String>,
+    /// How long [`Self::wait_for`] waits.
+    pub patience: Duration,
     beating: Option<(Arc<AtomicBool>, JoinHandle<()>)>,
 }
 
 impl Client {
     pub fn new(address: SocketAddr) -> Self {
-        Self { address, session: None, nonce: None, beating: None }
+        Self { address, session: None, nonce: None, patience: PATIENCE, beating: None }
     }
 
     /// Sends a request with these further lines in its head.
@@ -82,7 +84,7 @@ impl Client {
             if is(&state) {
                 return state;
             }
-            assert!(start.elapsed() < PATIENCE, "{what}: {state}");
+            assert!(start.elapsed() < self.patience, "{what}: {state}");
             std::thread::sleep(Duration::from_millis(20));
         }
     }
