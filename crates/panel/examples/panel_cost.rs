@@ -20,7 +20,6 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use pb3dp_cell::live::CONTROL_THREAD;
 use pb3dp_geometry::ImageSize;
 use pb3dp_hal_api::FramePair;
 use serde_json::json;
@@ -129,7 +128,7 @@ fn watch(rig: &Rig) -> Watching {
 }
 
 fn measure(case: &Case, length: Duration, figures: &mut Figures) {
-    let rig = Rig::with_images(|_| {}, (true, case.is_preferred.then_some(CONTROL_THREAD)), recorded());
+    let rig = Rig::with_images(|_| {}, (true, case.is_preferred), recorded());
     let watching: Vec<Watching> = (0..case.pages).map(|_| watch(&rig)).collect();
     // It asks for images and takes none; the server closes it after half a second.
     let idle = case.has_idle.then(|| asking(&rig));

@@ -50,7 +50,7 @@ fn images_come_while_they_are_wanted() {
 fn what_a_camera_delivers_as_jpeg_is_passed_on() {
     let black = FramePair::black(ImageSize { width: 640, height: 480 });
     let jpegs = [b"left file".to_vec(), b"right file".to_vec()];
-    let rig = Rig::with_images(|_| {}, (true, None), Arc::new(FramePair { jpegs, ..black }));
+    let rig = Rig::with_images(|_| {}, (true, false), Arc::new(FramePair { jpegs, ..black }));
     let mut page = Page::open(&rig.client());
     page.send(json!({ "type": "images", "left": true, "right": true, "view": "raw", "fps_max": 30 }));
     for (side, file) in [&b"left file"[..], b"right file"].into_iter().enumerate() {

@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 use image::{Rgb, RgbImage};
 use nalgebra::{Matrix6, Vector2, Vector3};
 use pb3dp_cell::capturing::Captured;
+use pb3dp_cell::live::enter_control_thread;
 use pb3dp_cell::log::ArmSample;
 use pb3dp_cell::moving::Moved;
 use pb3dp_cell::noting::PairEstimate;
@@ -27,7 +28,6 @@ use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{Clock, FramePair};
 use pb3dp_hal_clock::SystemClock;
-use pb3dp_hal_platform::realtime::{Realtime, enter};
 use pb3dp_kinematics::JointState;
 use pb3dp_panel::{About, Panel, PanelConfig, PanelOperator, PanelSpectator};
 use pb3dp_servo::Mode;
@@ -55,7 +55,7 @@ pub struct Seen {
     pub allocations: usize,
     /// Time of the step in which motion ended last.
     pub rested_at: Option<MonotonicTime>,
-    /// Whether the control thread has the scheduling that it should have.
+    /// Whether the control thread has SCHED_FIFO.
     pub is_preferred: bool,
     /// From the moment at which a step was due until it was done, seconds. Without the steps that copy a pair, which another thread
     /// does in a run.
@@ -84,13 +84,13 @@ impl Rig {
 
     /// A rig with another configuration; if it does not run, no control step has come yet.
     pub fn with(change: impl FnOnce(&mut PanelConfig), runs: bool) -> Self {
-        Self::with_images(change, (runs, None), textured(0, MonotonicTime::ZERO))
+        Self::with_images(change, (runs, false), textured(0, MonotonicTime::ZERO))
     }
 
-    /// As [`Self::with`], with these images again and again; the control thread has this scheduling, if permitted.
+    /// As [`Self::with`], with these images again and again; the control thread may have the scheduling of a live run.
     pub fn with_images(
         change: impl FnOnce(&mut PanelConfig),
-        (runs, realtime): (bool, Option<Realtime>),
+        (runs, is_live): (bool, bool),
         images: Arc<FramePair>,
     ) -> Self {
         let setup = setup();
@@ -109,7 +109,7 @@ impl Rig {
             seen: seen.clone(),
             is_paused: is_paused.clone(),
             is_over: is_over.clone(),
-            realtime,
+            is_live,
             target: 0,
             sequence: 0,
             images,
@@ -194,7 +194,7 @@ struct Loop {
     seen: Arc<Mutex<Seen>>,
     is_paused: Arc<AtomicBool>,
     is_over: Arc<AtomicBool>,
-    realtime: Option<Realtime>,
+    is_live: bool,
     target: u64,
     sequence: u64,
     images: Arc<FramePair>,
@@ -228,10 +228,20 @@ fn textured(sequence: u64, at: MonotonicTime) -> Arc<FramePair> {
     })
 }
 
+/// Whether the calling thread has the policy SCHED_FIFO.
+fn is_fifo() -> bool {
+    // `policy` of proc(5), counted from the end of the name.
+    const POLICY: usize = 38;
+    let stat = std::fs::read_to_string("/proc/thread-self/stat").unwrap_or_default();
+    stat.rsplit_once(") ").and_then(|(_, fields)| fields.split(' ').nth(POLICY)) == Some("1")
+}
+
 impl Loop {
     fn run(mut self, mut operator: PanelOperator, mut spectator: PanelSpectator) {
-        let missing = self.realtime.as_ref().map_or(Vec::new(), enter);
-        self.seen.lock().unwrap().is_preferred = self.realtime.is_some() && missing.is_empty();
+        if self.is_live {
+            enter_control_thread();
+        }
+        self.seen.lock().unwrap().is_preferred = is_fifo();
         let mut last: Option<Decision> = None;
         let mut newest: Option<(FrameInput, EstimateInput)> = None;
         let image = Arc::clone(&self.images);

@@ -23,10 +23,10 @@ enum Meddling {
     LeaveOut,
 }
 
-/// A line on which somebody meddles as soon as this is told, by the number of a [`Meddling`].
+/// A line on which somebody meddles once, when `wanted` has the number of a [`Meddling`].
 struct Meddled {
     line: TcpLink,
-    told: Arc<AtomicU8>,
+    wanted: Arc<AtomicU8>,
     /// The record that comes after the next one.
     held: Option<Vec<u8>>,
 }
@@ -42,15 +42,15 @@ impl ByteLink for Meddled {
 
     /// A host writes one record at a time, and loopback takes it whole.
     fn try_write(&mut self, bytes: &[u8]) -> Result<usize, Unplugged> {
-        let told = self.told.swap(0, Ordering::SeqCst);
-        if told == Meddling::Exchange as u8 {
+        let wanted = self.wanted.swap(0, Ordering::SeqCst);
+        if wanted == Meddling::Exchange as u8 {
             self.held = Some(bytes.to_vec());
             return Ok(bytes.len());
         }
-        if told == Meddling::LeaveOut as u8 {
+        if wanted == Meddling::LeaveOut as u8 {
             return Ok(bytes.len());
         }
-        let again = (told == Meddling::Repeat as u8).then(|| bytes.to_vec());
+        let again = (wanted == Meddling::Repeat as u8).then(|| bytes.to_vec());
         let count = self.line.try_write(bytes)?;
         assert_eq!(count, bytes.len(), "a record was divided");
         for record in [again, self.held.take()].into_iter().flatten() {
@@ -69,14 +69,14 @@ fn records_that_are_repeated_exchanged_or_left_out_end_the_connection_and_the_mo
     for meddling in [Meddling::Repeat, Meddling::Exchange, Meddling::LeaveOut] {
         in_real_time_beside_others(|| {
             let (server, emulation, address) = started();
-            let told = Arc::new(AtomicU8::new(0));
+            let wanted = Arc::new(AtomicU8::new(0));
             let line = TcpLink::connect(&TcpConfig { address }).unwrap();
-            let line = Meddled { line, told: Arc::clone(&told), held: None };
+            let line = Meddled { line, wanted: Arc::clone(&wanted), held: None };
             let mut host = Host::new(Box::new(keyed(address).prove(line).unwrap()), Dialect::GatewayV1);
             host.open();
             host.lead_to_moving();
             assert!(!emulation.seen().is_braked);
-            told.store(meddling as u8, Ordering::SeqCst);
+            wanted.store(meddling as u8, Ordering::SeqCst);
             assert!(host.run_for(LONG, |host| host.is_gone), "{meddling:?}: the connection stays open");
             emulation.wait_for("braked", |seen| seen.is_braked);
             let rested_rad = emulation.seen().position_rad;
