@@ -1,6 +1,7 @@
 //! Tests whose threads must run in time, through `in_real_time_beside_others`.
 
 mod gateway_access;
+mod gateway_tls;
 mod io_arm;
 mod io_arm_cell;
 mod io_arm_conformance;
