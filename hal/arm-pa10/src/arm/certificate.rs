@@ -109,7 +109,7 @@ impl GatewayIdentity {
     }
 }
 
-/// The certificate that a host demands of its gateway: this one and no other, whoever has signed it and whatever its names and dates are.
+/// The certificate that a host demands of its gateway: this one and no other. Issuer, names and dates in it do not matter.
 #[derive(Clone, Debug)]
 pub struct PinnedCertificate(Arc<ClientConfig>);
 

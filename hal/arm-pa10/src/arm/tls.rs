@@ -10,6 +10,9 @@ use rustls::Connection;
 /// Bytes that are read from the line at once.
 const PIECE: usize = 4096;
 
+/// Pieces that one read decrypts: a peer that sends empty records must not keep the thread that reads.
+const PIECES_MAX: usize = 4;
+
 /// Bytes of frames that one call accepts, and thereby the largest record that waits in a full line.
 const UNSENT_MAX: usize = 4096;
 
@@ -53,7 +56,7 @@ impl<L: ByteLink> TlsLink<L> {
         Self { link, connection, is_heard: false, unread: 0, gone: None }
     }
 
-    /// Goes on with the handshake as far as possible without blocking; whether it is complete.
+    /// Continues the handshake without blocking; whether it is complete.
     ///
     /// # Errors
     /// If the link is gone, or the other side is refused or uses no TLS.
@@ -114,10 +117,13 @@ impl<L: ByteLink> TlsLink<L> {
         Ok(())
     }
 
-    /// Decrypts until there is something to read or the line has no more.
+    /// Decrypts until there is something to read, the line has no more, or enough was decrypted: a poll reports the rest of the line.
     fn fill(&mut self) -> Result<(), Unplugged> {
         self.flush()?;
-        while self.unread == 0 {
+        for _ in 0..PIECES_MAX {
+            if self.unread > 0 {
+                break;
+            }
             let received = self.receive().map_err(|error| match error {
                 HandshakeError::Gone(gone) => gone,
                 HandshakeError::Tls(_) | HandshakeError::Plain { .. } => Unplugged { symptom: Symptom::NotAuthentic },
