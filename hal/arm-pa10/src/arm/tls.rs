@@ -266,6 +266,21 @@ mod tests {
         }
     }
 
+    /// rustls accepts 32 requests for new keys in a row.
+    #[test]
+    fn a_peer_that_only_asks_for_new_keys_is_cut_off() {
+        let [mut gateway, mut host] = connected();
+        for _ in 0..40 {
+            host.connection.refresh_traffic_keys().unwrap();
+            host.flush().unwrap();
+        }
+        let mut read = Ok(0);
+        for _ in 0..10 {
+            read = gateway.try_read(&mut [0; 40]);
+        }
+        assert_eq!(read.unwrap_err().symptom, Symptom::NotAuthentic);
+    }
+
     /// Nobody waits for bytes that were received already.
     #[test]
     fn bytes_that_were_received_end_a_wait() {
