@@ -1,10 +1,13 @@
-//! Cost of the records against the cycle, and the answers of a gateway to its host with and without an attack, in one run:
+//! Cost of the records and of TLS against the cycle, and the answers of a gateway to its host with and without an attack, in one run:
 //! `cargo run --release -p pb3dp-arm-pa10 --example gateway_access`. A number after `--` is the number of random strings that the
 //! attacker sends; without it the attack has a fixed duration.
 //!
 //! Host and gateway have a priority of SCHED_FIFO if permitted, as on a rig; the attacker has none.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a measurement")]
+
+#[path = "gateway_access/with_tls.rs"]
+mod with_tls;
 
 use std::hint::black_box;
 use std::io::Write as _;
@@ -13,11 +16,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use pb3dp_arm_pa10::arm::KeyedTcp;
 use pb3dp_arm_pa10::bus::{BusPort, FrameSocket};
-use pb3dp_arm_pa10_gateway::service::{BusOpener, GatewayServer, GatewayServerConfig};
+use pb3dp_arm_pa10_gateway::service::{BusOpener, GatewayServer, GatewayServerConfig, HostSide};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     Agreement, ArmId, Dialect, Hello, HostMessage, OVERHEAD, SharedKey, Side,
 };
+use pb3dp_arm_pa10_test_support::tls::tls_side;
 use pb3dp_arm_pa10_test_support::world::{ARM, Emulation, asked_limits, gateway_config, home, keyed, ms, tcp_side};
 use pb3dp_hal_platform::realtime::{Realtime, enter, now};
 use pb3dp_hal_platform::transport::{ByteLink, Connector, wait};
@@ -44,7 +49,12 @@ struct Attack {
 fn main() {
     let strings = std::env::args().nth(1).map_or(0, |text| text.parse().unwrap());
     cost();
-    latency(strings);
+    // A thread of its own: the attacker must not inherit its priority.
+    std::thread::spawn(with_tls::cost).join().unwrap();
+    let (side, address) = tcp_side();
+    latency("", side, &keyed(address), strings);
+    let (side, host) = tls_side();
+    latency(", with TLS", side, &host, strings);
 }
 
 /// Time to seal and to open one frame, microseconds.
@@ -76,8 +86,8 @@ fn cost() {
     }
 }
 
-fn latency(strings: u64) {
-    let (side, address) = tcp_side();
+fn latency(with: &str, side: HostSide, host: &KeyedTcp, strings: u64) {
+    let address = host.tcp.address;
     let (gateway, controller) = FrameSocket::pair("bus").unwrap();
     let emulation = Emulation::start(Box::new(controller), Some(ms(400)));
     let mut port = Some(gateway);
@@ -92,7 +102,7 @@ fn latency(strings: u64) {
     }
     let server =
         GatewayServer::start(GatewayServerConfig { gateway: gateway_config(), realtime }, opener, side).unwrap();
-    let mut owner = keyed(address).connect().unwrap();
+    let mut owner = host.clone().connect().unwrap();
     let mut sequence = 0;
     let hello = Hello { dialect: Dialect::GatewayV1, cycle_us: 10_000, limits: asked_limits() };
     ask(owner.as_mut(), &HostMessage::Hello(hello), &mut sequence);
@@ -109,8 +119,8 @@ fn latency(strings: u64) {
     }
     attack.is_over.store(true, Ordering::SeqCst);
     attacker.join().unwrap();
-    show("without attack", &mut calm);
-    show("under attack", &mut attacked);
+    show(&format!("without attack{with}"), &mut calm);
+    show(&format!("under attack{with}"), &mut attacked);
     println!(
         "{} connections of the attacker, {} random strings; p99 {:.2} times",
         attack.connections.load(Ordering::SeqCst),
@@ -185,5 +195,6 @@ fn p99(sorted: &[f64]) -> f64 {
 fn show(name: &str, latencies_us: &mut [f64]) {
     latencies_us.sort_by(f64::total_cmp);
     let (median, p99) = (latencies_us[latencies_us.len() / 2], p99(latencies_us));
-    println!("{name}: median {median:.0} us, p99 {p99:.0} us of {} answers", latencies_us.len());
+    let max = latencies_us[latencies_us.len() - 1];
+    println!("{name}: median {median:.0} us, p99 {p99:.0} us, max {max:.0} us of {} answers", latencies_us.len());
 }

@@ -48,7 +48,13 @@ pub enum KeyFileError {
         /// The user of this program.
         user: u32,
     },
-    /// It is no regular file, or its text is no key.
+    /// It is a folder, a pipe or a device.
+    #[error("key file {}: it is no regular file", file.display())]
+    NotRegular {
+        /// The file.
+        file: PathBuf,
+    },
+    /// Its text is no key.
     #[error(
         "key file {}: it holds no key of at least {bytes_min} random bytes in hexadecimal digits: make one with `pb3dp gateway key FILE`, \
          and copy it unchanged",
@@ -84,19 +90,28 @@ pub fn random_bytes<const N: usize>() -> Result<[u8; N], KeyFileError> {
     Ok(bytes)
 }
 
-/// Reads the bytes of a key: the owner must be the user of this program, the mode 0600 or 0400, the text hexadecimal.
+/// Reads the bytes of a key: the file is as [`read_secret`] needs it, the text hexadecimal.
 ///
 /// # Errors
 /// If the file cannot be read, others can read it, or it holds no key of `bytes_min` bytes.
 pub fn read_key(file: &Path, bytes_min: usize) -> Result<Vec<u8>, KeyFileError> {
+    let text = read_secret(file)?;
+    let key = decode(text.trim_ascii()).filter(|key| key.len() >= bytes_min && is_random(key));
+    key.ok_or_else(|| KeyFileError::NoKey { file: file.to_owned(), bytes_min })
+}
+
+/// Reads the text of a secret, at most 4 KiB: the owner must be the user of this program, the mode 0600 or 0400.
+///
+/// # Errors
+/// If the file cannot be read, or others can read it.
+pub fn read_secret(file: &Path) -> Result<Vec<u8>, KeyFileError> {
     let read = |source| KeyFileError::Read { file: file.to_owned(), source };
-    let no_key = || KeyFileError::NoKey { file: file.to_owned(), bytes_min };
     // A named pipe would block.
     let opened = File::options().read(true).custom_flags(libc::O_NONBLOCK).open(file).map_err(read)?;
     // Of the open file: the name may lead elsewhere a moment later.
     let found = opened.metadata().map_err(read)?;
     if !found.is_file() {
-        return Err(no_key());
+        return Err(KeyFileError::NotRegular { file: file.to_owned() });
     }
     let (mode, owner, user) = (found.mode() & 0o7777, found.uid(), rustix::process::geteuid().as_raw());
     if owner != user {
@@ -107,7 +122,7 @@ pub fn read_key(file: &Path, bytes_min: usize) -> Result<Vec<u8>, KeyFileError> 
     }
     let mut text = Vec::new();
     opened.take(FILE_BYTES_MAX).read_to_end(&mut text).map_err(read)?;
-    decode(text.trim_ascii()).filter(|key| key.len() >= bytes_min && is_random(key)).ok_or_else(no_key)
+    Ok(text)
 }
 
 /// Writes a new random key to a file that must not exist, with mode 0600.
@@ -116,10 +131,18 @@ pub fn read_key(file: &Path, bytes_min: usize) -> Result<Vec<u8>, KeyFileError> 
 /// If the file exists or cannot be written.
 pub fn write_new_key(file: &Path) -> Result<(), KeyFileError> {
     let key = random_bytes::<NEW_KEY_BYTES>()?;
-    let text: String = key.iter().map(|byte| format!("{byte:02x}")).collect();
+    let text: String = key.iter().map(|byte| format!("{byte:02x}")).chain(["\n".to_owned()]).collect();
+    write_new_secret(file, text.as_bytes())
+}
+
+/// Writes a secret to a file that must not exist, with mode 0600.
+///
+/// # Errors
+/// If the file exists or cannot be written.
+pub fn write_new_secret(file: &Path, text: &[u8]) -> Result<(), KeyFileError> {
     let write = |source| KeyFileError::Write { file: file.to_owned(), source };
     let mut opened = File::options().write(true).create_new(true).mode(0o600).open(file).map_err(write)?;
-    opened.write_all(text.as_bytes()).and_then(|()| opened.write_all(b"\n")).map_err(write)?;
+    opened.write_all(text).map_err(write)?;
     opened.sync_all().map_err(write)
 }
 
@@ -189,7 +212,10 @@ mod tests {
             );
             assert!(!error.contains("secret") && !error.contains("5e5e"), "{error}");
         }
-        assert!(matches!(read_key(folder.path(), 32), Err(KeyFileError::NoKey { .. } | KeyFileError::Read { .. })));
+        assert!(matches!(
+            read_key(folder.path(), 32),
+            Err(KeyFileError::NotRegular { .. } | KeyFileError::Read { .. })
+        ));
         let missing = read_key(&folder.path().join("none"), 32).unwrap_err();
         assert!(matches!(missing, KeyFileError::Read { .. }), "{missing}");
     }

@@ -36,9 +36,40 @@ pub trait ByteLink: Send {
     /// File descriptor for [`wait`]; `None` for simulated time.
     fn fd(&self) -> Option<BorrowedFd<'_>>;
 
+    /// Whether bytes that were received wait inside the link, where no file descriptor reports them. [`wait`] then does not wait.
+    fn has_unread(&self) -> bool {
+        false
+    }
+
     /// Warnings about this link, found when it was opened.
     fn warning(&self) -> Option<String> {
         None
+    }
+}
+
+impl<L: ByteLink + ?Sized> ByteLink for Box<L> {
+    fn name(&self) -> &str {
+        (**self).name()
+    }
+
+    fn try_read(&mut self, buffer: &mut [u8]) -> Result<usize, Unplugged> {
+        (**self).try_read(buffer)
+    }
+
+    fn try_write(&mut self, bytes: &[u8]) -> Result<usize, Unplugged> {
+        (**self).try_write(bytes)
+    }
+
+    fn fd(&self) -> Option<BorrowedFd<'_>> {
+        (**self).fd()
+    }
+
+    fn has_unread(&self) -> bool {
+        (**self).has_unread()
+    }
+
+    fn warning(&self) -> Option<String> {
+        (**self).warning()
     }
 }
 
@@ -120,7 +151,10 @@ pub struct Ready {
 ///
 /// A signal ends the wait early, with nothing ready.
 pub fn wait(link: Option<&dyn ByteLink>, for_room: bool, waker: Option<BorrowedFd<'_>>, timeout: Duration) -> Ready {
-    wait_for(link.and_then(ByteLink::fd), for_room, waker, timeout)
+    let has_unread = link.is_some_and(ByteLink::has_unread);
+    let timeout = if has_unread { Duration::ZERO } else { timeout };
+    let ready = wait_for(link.and_then(ByteLink::fd), for_room, waker, timeout);
+    Ready { readable: ready.readable || has_unread, ..ready }
 }
 
 /// The same for any file descriptor.

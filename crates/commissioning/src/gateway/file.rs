@@ -46,6 +46,17 @@ pub struct AccessPlace {
     pub key_file: PathBuf,
     /// Addresses of the hosts.
     pub peers: Vec<IpAddr>,
+    /// Certificate and private key, for TLS.
+    pub tls: Option<TlsPlace>,
+}
+
+/// Where the certificate of a gateway is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TlsPlace {
+    /// File of the certificate.
+    pub certificate: PathBuf,
+    /// File of its private key.
+    pub key: PathBuf,
 }
 
 /// Host line of a gateway.
@@ -144,6 +155,14 @@ struct HostSection {
 struct AccessSection {
     key_file: PathBuf,
     peers: Vec<String>,
+    tls: Option<TlsSection>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TlsSection {
+    certificate: PathBuf,
+    key: PathBuf,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -256,7 +275,11 @@ impl AccessSection {
                 )),
             }
         }
-        AccessPlace { key_file: folder.join(&self.key_file), peers }
+        let tls = self
+            .tls
+            .as_ref()
+            .map(|tls| TlsPlace { certificate: folder.join(&tls.certificate), key: folder.join(&tls.key) });
+        AccessPlace { key_file: folder.join(&self.key_file), peers, tls }
     }
 }
 

@@ -45,9 +45,12 @@ fn an_error_at_the_end_carries_its_code() {
 
 #[test]
 fn bash_completes_commands_and_flags() {
-    let script = String::from_utf8(pb3dp(&["completions", "bash"]).stdout).unwrap();
+    // A file: the script is longer than an argument may be (128 KiB).
+    let folder = tempfile::tempdir().unwrap();
+    let script = folder.path().join("pb3dp.bash");
+    std::fs::write(&script, pb3dp(&["completions", "bash"]).stdout).unwrap();
     let ask = "COMP_WORDS=(pb3dp con); COMP_CWORD=1; _pb3dp pb3dp con pb3dp; echo \"${COMPREPLY[@]}\"";
-    let output = Command::new("bash").arg("-c").arg(format!("{script}\n{ask}")).output().unwrap();
+    let output = Command::new("bash").arg("-c").arg(format!("source {}\n{ask}", script.display())).output().unwrap();
     assert_eq!(String::from_utf8(output.stdout).unwrap().trim(), "config", "{:?}", String::from_utf8(output.stderr));
     let unknown = pb3dp(&["completions", "tcsh"]);
     assert_eq!(unknown.status.code(), Some(2));

@@ -271,7 +271,9 @@ impl Cycle {
         if left <= LAST_PART {
             return sleep_until(due);
         }
-        let timeout = left.saturating_sub(LAST_PART);
+        // No file descriptor reports what a link has already read.
+        let has_unread = self.host.as_ref().is_some_and(|host| host.link.has_unread());
+        let timeout = if has_unread { Duration::ZERO } else { left.saturating_sub(LAST_PART) };
         let timeout = Timespec {
             tv_sec: i64::try_from(timeout.as_secs()).unwrap_or(i64::MAX),
             tv_nsec: i64::from(timeout.subsec_nanos()),

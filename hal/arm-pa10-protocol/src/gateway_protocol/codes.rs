@@ -129,6 +129,8 @@ codes! {
         TooManyPeers = 14, "too-many-peers";
         /// The proof of the key is wrong.
         KeyMismatch = 15, "key-mismatch";
+        /// One side uses TLS, the other one does not.
+        TlsMismatch = 16, "tls-mismatch";
     }
 }
 

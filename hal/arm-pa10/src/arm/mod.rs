@@ -6,6 +6,7 @@
 //! stop each other.
 
 mod bus_port;
+mod certificate;
 mod closer;
 mod config;
 mod gateway_port;
@@ -13,6 +14,7 @@ mod keyed;
 mod port;
 mod request;
 mod shared;
+mod tls;
 mod trace;
 mod trip_line;
 mod virtual_time;
@@ -42,10 +44,12 @@ use self::trace::Tracer;
 use self::worker::{LET_GO_MAX, Progress, WishEnd, Worker};
 use crate::driver::{Activity, Driver, DriverConfig, Trip};
 
+pub use certificate::{CertificateFileError, GatewayIdentity, PinnedCertificate, write_new_certificate};
 pub use config::{ArmOpenError, BusArmConfig, Pa10ArmConfig, REALTIME};
 pub use keyed::{AccessError, KeyedLink, KeyedTcp, random_shared_key, read_shared_key};
 pub use request::WishError;
 pub use shared::{ArmMonitor, ArmSnapshot};
+pub use tls::{HandshakeError, TlsLink};
 pub use trace::{Direction, RawBytes};
 pub use trip_line::{TripHandle, TripSeat, trip_line, virtual_trip_line};
 pub use virtual_time::{VirtualFarEnd, VirtualTime};

@@ -26,9 +26,9 @@ use pb3dp_test_support::in_real_time_beside_others;
 const REALTIME: Realtime = Realtime { priority: Some(20), locks_memory: false, cpu: None };
 
 /// Longest time in which a gateway closes a connection that does not open.
-const CLOSED_WITHIN: std::time::Duration = ms(3000);
+pub(super) const CLOSED_WITHIN: std::time::Duration = ms(3000);
 
-fn start(side: HostSide) -> (GatewayServer, Emulation) {
+pub(super) fn start(side: HostSide) -> (GatewayServer, Emulation) {
     let (gateway, controller) = FrameSocket::pair("bus").unwrap();
     let emulation = Emulation::start(Box::new(controller), Some(ms(400)));
     let mut port = Some(gateway);
@@ -119,7 +119,7 @@ fn refused_hosts_are_told_why() {
     let other = KeyedTcp { arm: ArmId(ARM.0 + 1), ..keyed(address) };
     let refused = refusal(other).to_string();
     assert!(refused.contains("refused the connection: wrong-arm"), "{refused}");
-    let access = Access { key: test_key(), peers: vec!["192.0.2.7".parse().unwrap()] };
+    let access = Access { key: test_key(), peers: vec!["192.0.2.7".parse().unwrap()], tls: None };
     let side = HostSide::listen("127.0.0.1:0".parse().unwrap(), ARM, access).unwrap();
     let address = side.address().unwrap();
     let (_server, _emulation) = start(side);

@@ -5,6 +5,7 @@ mod cameras;
 mod disk;
 mod drivers;
 mod finding;
+mod keys;
 mod needs;
 mod realtime;
 mod serial;
@@ -83,6 +84,7 @@ fn findings(system: &dyn System, needs: &Needs) -> Vec<Finding> {
     findings.extend(access::check(system, &needs.groups()));
     findings.extend(serial::check(system, needs));
     findings.extend(signals::check(needs));
+    findings.extend(keys::check(needs));
     findings.extend(cameras::check(system, needs));
     findings.extend(drivers::modules(system, needs));
     findings.extend(drivers::arcnet(system, needs));

@@ -7,12 +7,14 @@ use pb3dp_arm_pa10::arm::REALTIME;
 use pb3dp_arm_pa10_protocol::places::BusTarget;
 use pb3dp_camera_settings::CameraName;
 use pb3dp_commissioning::gateway::file::{HostPlace, read_gateway};
+use pb3dp_commissioning::gateway::read_access;
 use pb3dp_geometry::ImageSize;
 use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::load::{ConfigError, FileKind, kind_of};
 use pb3dp_setup::setup::{
     ArmLink, GatewayWay, Pace, RealCameras, Setup, is_for_cameras_only, read_cameras, read_layers,
 };
+use pb3dp_wiring::check_key_files;
 
 /// Needs.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,6 +31,8 @@ pub(super) struct Needs {
     pub(super) serial: Option<Vec<String>>,
     /// Keys of the arms' signals that nothing notices; `None` without an arm that has signals.
     pub(super) unknown_signals: Option<Vec<String>>,
+    /// What is wrong with the keys and certificates of TCP lines; `None` without such a line.
+    pub(super) keys: Option<Result<(), String>>,
     /// ARCNET interfaces.
     pub(super) arcnet: Vec<String>,
     /// Needed cameras of this computer.
@@ -76,6 +80,7 @@ impl Needs {
             needs_realtime: false,
             serial: None,
             unknown_signals: None,
+            keys: None,
             arcnet: Vec::new(),
             cameras: Cameras::Perhaps,
             nominal_calibration: None,
@@ -127,12 +132,13 @@ impl Needs {
     }
 
     fn of_setup(config: &SetupArgs, setup: &Setup, recordings: PathBuf) -> Self {
-        let (mut serial, mut arcnet) = (Vec::new(), Vec::new());
+        let (mut serial, mut arcnet, mut has_tcp) = (Vec::new(), Vec::new(), false);
         for link in [&setup.rig.arms.vs.link, &setup.rig.arms.tc.link] {
             match link {
                 ArmLink::Gateway(_, GatewayWay::Serial { path, .. }) => serial.push(path.clone()),
                 ArmLink::Bus(config) => arcnet.extend(interface(&config.target)),
-                ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated | GatewayWay::Tcp { .. }) => {}
+                ArmLink::Gateway(_, GatewayWay::Tcp { .. }) => has_tcp = true,
+                ArmLink::InProcess | ArmLink::Gateway(_, GatewayWay::Emulated) => {}
             }
         }
         let arms = [&setup.rig.arms.vs, &setup.rig.arms.tc];
@@ -144,6 +150,7 @@ impl Needs {
             needs_realtime: setup.pace == Pace::Live
                 && !(setup.rig.arms.vs.link.is_toy() && setup.rig.arms.tc.link.is_toy()),
             serial: Some(serial),
+            keys: has_tcp.then(|| in_one_line(check_key_files(setup))),
             arcnet,
             cameras: setup.rig.real_cameras.as_ref().map_or(Cameras::NotNeeded, Cameras::of),
             nominal_calibration: setup.rig.nominal_calibration.clone(),
@@ -154,9 +161,9 @@ impl Needs {
 
     fn of_gateway(file: &Path, recordings: PathBuf) -> Result<Self, ConfigError> {
         let gateway = read_gateway(file, None, None)?;
-        let serial = match &gateway.host {
-            HostPlace::Serial(path) => vec![path.clone()],
-            HostPlace::Tcp(_) => Vec::new(),
+        let (serial, keys) = match &gateway.host {
+            HostPlace::Serial(path) => (vec![path.clone()], None),
+            HostPlace::Tcp(_) => (Vec::new(), Some(in_one_line(read_access(&gateway.access).map(drop)))),
         };
         let general = Self::general(recordings);
         let unknown = gateway.gateway.signals.unknown().map(|signal| format!("arm.signals.{}", signal.key()));
@@ -167,12 +174,17 @@ impl Needs {
             priority: gateway.realtime.priority.unwrap_or(general.priority),
             needs_realtime: true,
             serial: Some(serial),
+            keys,
             arcnet: interface(&gateway.bus).into_iter().collect(),
             cameras: Cameras::NotNeeded,
             recordings: None,
             ..general
         })
     }
+}
+
+fn in_one_line(checked: anyhow::Result<()>) -> Result<(), String> {
+    checked.map_err(|error| format!("{error:#}"))
 }
 
 fn interface(target: &BusTarget) -> Option<String> {

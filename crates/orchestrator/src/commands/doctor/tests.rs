@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::os::unix::fs::symlink;
+use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
 
 use pb3dp_setup::layers::SetupArgs;
@@ -432,6 +432,11 @@ fn needs_come_from_the_configuration() {
     let gateway = of("gateway.toml");
     assert_eq!((gateway.priority, gateway.needs_realtime, &gateway.arcnet[..]), (80, true, &["arc0".to_owned()][..]));
     assert_eq!((&gateway.serial, &gateway.cameras), (&Some(Vec::new()), &Cameras::NotNeeded));
+    assert!(
+        gateway.keys.as_ref().unwrap().as_ref().is_err_and(|why| why.contains("access.key_file")),
+        "no key is shipped"
+    );
+    let gateway = Needs { keys: None, ..gateway };
     let full = Fake { free: Ok(0), ..Fake::good() };
     assert_eq!(bad(&full, &gateway), [], "a gateway records nothing");
     let emulated = of("hil.toml");
@@ -456,6 +461,27 @@ fn needs_come_from_the_configuration() {
     assert!(missing.unwrap_err().to_string().contains("no such file.toml"));
     let other = Needs::of_config(&SetupArgs::of_file(&root.join("estimator.toml")), PathBuf::from("out"));
     assert!(other.unwrap_err().to_string().contains("estimator"));
+}
+
+#[test]
+fn keys_of_tcp_lines_are_for_this_user_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let (file, key) = (folder.path().join("arm1.toml"), folder.path().join("arm1.key"));
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/gateway.toml");
+    let text = fs::read_to_string(shipped).unwrap();
+    assert!(text.contains("\n# tls = {"), "the shipped file shows the key `tls`");
+    fs::write(&file, text.replace("\n# tls = {", "\ntls = {")).unwrap();
+    pb3dp_hal_platform::key_file::write_new_key(&key).unwrap();
+    let needs = || Needs::of_config(&SetupArgs::of_file(&file), PathBuf::from("out")).unwrap();
+    let failed = |part: &str| only(&Fake::good(), &needs(), "key files", Verdict::Fail, part, "docs/gateway.md");
+    failed("access.tls: certificate");
+    let private = pb3dp_arm_pa10::arm::write_new_certificate(&folder.path().join("arm1.crt")).unwrap();
+    assert_eq!(bad(&Fake::good(), &needs()), []);
+    for secret in [&key, &private] {
+        fs::set_permissions(secret, fs::Permissions::from_mode(0o640)).unwrap();
+        failed("its mode is 0640");
+        fs::set_permissions(secret, fs::Permissions::from_mode(0o600)).unwrap();
+    }
 }
 
 #[test]

@@ -1,0 +1,14 @@
+//! Keys and certificates of lines by TCP.
+
+use super::finding::Finding;
+use super::needs::Needs;
+
+/// Whether the key files can be used, if there is a line by TCP.
+pub(super) fn check(needs: &Needs) -> Option<Finding> {
+    const CHECK: &str = "key files";
+    let advice = "as the message says; if another user runs the gateway or pb3dp, check as that user (docs/gateway.md)";
+    Some(match needs.keys.as_ref()? {
+        Ok(()) => Finding::pass(CHECK, "the keys and certificates of the TCP lines can be used"),
+        Err(why) => Finding::fail(CHECK, why, advice),
+    })
+}
