@@ -7,10 +7,10 @@ use crate::workspace::{Workspace, run_visibly};
 
 const PAGE: &str = "docs/benchmarks/hil.md";
 
-/// Runs the experiment of configs/hil.toml in simulated time, in real time, and through serial lines to emulated arms.
+/// Runs the experiment of configs/hil.toml in simulated time, in real time, and through serial lines and TCP to emulated arms.
 ///
-/// Prints the tracking error of the hand and the timing of the cycles, and fails if the error through serial lines is more than 1.2
-/// times that in simulated time. Takes three minutes. With --page the tables go to docs/benchmarks/hil.md, with commit and machine;
+/// Prints the tracking error of the hand and the timing of the cycles, and fails if the error behind gateways is more than 1.2 times
+/// that in simulated time. Takes four minutes. With --page the tables go to docs/benchmarks/hil.md, with commit and machine;
 /// commit first, and keep the machine idle.
 #[derive(clap::Args)]
 #[command(verbatim_doc_comment)]

@@ -126,15 +126,6 @@ pub fn read_shared_key(file: &Path) -> Result<SharedKey, KeyFileError> {
     SharedKey::new(&secret).map_err(|_| KeyFileError::NoKey { file: file.to_owned(), bytes_min: KEY_BYTES_MIN })
 }
 
-/// A new random key, for an emulated gateway of this process.
-///
-/// # Errors
-/// If the system gives no random bytes.
-pub fn random_shared_key() -> Result<SharedKey, KeyFileError> {
-    let secret = random_bytes::<KEY_BYTES_MIN>()?;
-    SharedKey::new(&secret).map_err(|error| KeyFileError::Random(std::io::Error::other(error)))
-}
-
 /// A gateway on TCP, and the key that it shares with this host.
 #[derive(Clone, Debug)]
 pub struct KeyedTcp {

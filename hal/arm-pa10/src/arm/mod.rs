@@ -46,7 +46,7 @@ use crate::driver::{Activity, Driver, DriverConfig, Trip};
 
 pub use certificate::{CertificateFileError, GatewayIdentity, PinnedCertificate, write_new_certificate};
 pub use config::{ArmOpenError, BusArmConfig, Pa10ArmConfig, REALTIME};
-pub use keyed::{AccessError, KeyedLink, KeyedTcp, random_shared_key, read_shared_key};
+pub use keyed::{AccessError, KeyedLink, KeyedTcp, read_shared_key};
 pub use request::WishError;
 pub use shared::{ArmMonitor, ArmSnapshot};
 pub use tls::{HandshakeError, TlsLink};
