@@ -336,12 +336,25 @@ def test_a_stop_that_nothing_answers_is_told_and_sent_again(panel, page):
     page.follow()
     wait_for(lambda: is_following(panel))
     page.page.route("**/api/stop", lambda route: route.abort())
+    # What the page says on its open connection does not arrive either.
+    page.page.evaluate("() => { window.sends = WebSocket.prototype.send; WebSocket.prototype.send = function (text) { if (!text.includes('stop')) window.sends.call(this, text); }; }")
     page.page.click("#stop")
     page.page.wait_for_selector("#alert", state="visible")
     assert "Use the emergency stop" in page.text("#alert")
+    wait_for(lambda: panel.state_name() in ("holding", "stopped"), "who stops in vain is no sign of life")
     page.page.unroute("**/api/stop")
     wait_for(lambda: panel.state_name() == "stopped", "the stop is sent again")
     page.page.wait_for_selector("#alert", state="hidden")
+
+
+def test_a_stop_goes_over_the_open_connection_if_no_other_one_is_possible(panel, page):
+    page.follow()
+    wait_for(lambda: is_following(panel))
+    page.page.route("**/api/stop", lambda route: route.abort())
+    page.page.click("#stop")
+    wait_for(lambda: panel.state_name() == "stopped", patience_s=3)
+    wait_for(lambda: page.text("#answer") == "stop: done")
+    assert page.page.is_hidden("#alert")
 
 
 def test_hold_to_run_is_pressed_by_button_or_key_and_ends_with_the_focus(panel, page):

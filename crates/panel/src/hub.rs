@@ -24,7 +24,8 @@ use crate::messages::state::JogState;
 use crate::operator::SILENT_AFTER;
 use crate::pending::PendingCommands;
 use crate::preview_job::PreviewJobs;
-use crate::seen::Present;
+use crate::refusal::Refusal;
+use crate::seen::{Present, Seen};
 use crate::spectator::Watched;
 use crate::viewers::Viewers;
 
@@ -127,7 +128,29 @@ impl Hub {
 
     /// Present state number, target and time.
     pub fn present(&self) -> Present {
-        Present { state: self.link.number.load(Ordering::SeqCst), target: self.watched.target(), now: self.now() }
+        Present {
+            state: self.link.number.load(Ordering::SeqCst),
+            target: self.watched.target(),
+            now: self.now(),
+            acted_on_ms: self.lease().acted_on_ms(),
+        }
+    }
+
+    /// Checks what the holder saw when giving a command, and notes it: a later command must not be overtaken by an earlier one.
+    ///
+    /// # Errors
+    /// As [`Seen::check`].
+    pub fn check_seen(&self, command: &'static str, seen: &Seen) -> Result<(), Refusal> {
+        seen.check(command, &self.present())?;
+        self.note_seen(seen);
+        Ok(())
+    }
+
+    /// Notes what the holder saw when giving a command that is safe on every state.
+    pub fn note_seen(&self, seen: &Seen) {
+        if (0.0..=self.now().as_secs_f64() * 1e3).contains(&seen.time_ms) {
+            self.lease().note_acted_on(seen.time_ms);
+        }
     }
 
     /// The lease.

@@ -76,7 +76,9 @@ struct Held {
     nonces: Vec<Nonce>,
     /// Last sign of life; `None` while the page is hidden.
     heard_at: Option<MonotonicTime>,
-    /// The same, but kept while the page is hidden.
+    /// `time_ms` of the newest state on which the holder gave a command.
+    acted_on_ms: f64,
+    /// As `heard_at`, but kept while the page is hidden.
     alive_at: MonotonicTime,
 }
 
@@ -93,6 +95,18 @@ impl Lease {
     /// Last sign of life of the holder; `None` without a holder, or while its page is hidden.
     pub fn heard_at(&self) -> Option<MonotonicTime> {
         self.held.as_ref()?.heard_at
+    }
+
+    /// Time of the newest state on which the holder gave a command, ms of the run's clock; 0 before the first one.
+    pub fn acted_on_ms(&self) -> f64 {
+        self.held.as_ref().map_or(0.0, |held| held.acted_on_ms)
+    }
+
+    /// Notes the state on which the holder gave a command.
+    pub fn note_acted_on(&mut self, time_ms: f64) {
+        if let Some(held) = &mut self.held {
+            held.acted_on_ms = held.acted_on_ms.max(time_ms);
+        }
     }
 
     /// Takes the lease, with `take_over` also from another holder.
@@ -115,7 +129,14 @@ impl Lease {
         let nonce = Nonce::new(random).ok_or_else(no_random)?;
         self.count += 1;
         let holder = Holder { id: self.count, name };
-        let held = Held { holder: holder.clone(), session, nonces: vec![nonce], heard_at: Some(now), alive_at: now };
+        let held = Held {
+            holder: holder.clone(),
+            session,
+            nonces: vec![nonce],
+            heard_at: Some(now),
+            acted_on_ms: 0.0,
+            alive_at: now,
+        };
         let is_take_over = self.held.replace(held).is_some();
         Ok(Taken { session, nonce, holder, is_take_over })
     }

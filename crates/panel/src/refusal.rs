@@ -150,6 +150,16 @@ pub enum Refusal {
         /// Limit, milliseconds.
         limit_ms: f64,
     },
+    /// A command before this one was given later.
+    #[error(
+        "{command} refused: a command that was given {late_ms:.0} ms later came first; repeat it if you still want it"
+    )]
+    OutOfOrder {
+        /// The command.
+        command: &'static str,
+        /// How much earlier than the other one, milliseconds.
+        late_ms: f64,
+    },
     /// Too many commands wait.
     #[error("{command} refused: {limit} commands are waiting; repeat it (`stop` and `hold` need no space)")]
     QueueFull {
@@ -316,6 +326,7 @@ codes! {
         NotPressed = "PB3DP-PAN-040": "The setup wants hold-to-run, and the last heartbeat says that the button is not pressed."; "Press the button and keep it pressed, then use `start` or `resume`.";
         Control = "PB3DP-PAN-041": "The camera does not have this control, does not accept or keep the value, or does not answer."; "Use a control and a value from the list; if the camera does not answer, check plug and cable.";
         MayMove = "PB3DP-PAN-042": "An arm moves, or may begin to by itself: another exposure or focus could cost the target."; "Use `hold`, then change the control.";
+        OutOfOrder = "PB3DP-PAN-044": "The command was given before another one that arrived first."; "Check speed and offset, then repeat the command if you still want it.";
         Changing = "PB3DP-PAN-043": "A control of a camera is being set, which could cost the target while an arm moves."; "Repeat the command.";
         Protocol = "PB3DP-PAN-039": "A WebSocket message breaks the protocol."; "Reload the page; scripts: follow docs/reference/panel-api.md.";
     }
@@ -344,6 +355,7 @@ impl Refusal {
             | Self::OtherState { .. }
             | Self::OtherTarget { .. }
             | Self::OldState { .. }
+            | Self::OutOfOrder { .. }
             | Self::QueueFull { .. }
             | Self::Control { .. }
             | Self::MayMove { .. }

@@ -32,10 +32,13 @@ pub struct Present {
     pub target: Option<u64>,
     /// Time of the run's clock.
     pub now: MonotonicTime,
+    /// `time_ms` of the newest command that this holder gave; 0 before the first one.
+    pub acted_on_ms: f64,
 }
 
 impl Seen {
-    /// Refuses a command that refers to another state or target, or to a time too long ago or in the future.
+    /// Refuses a command that refers to another state or target, to a time too long ago or in the future, or to an earlier time than a
+    /// command before.
     ///
     /// # Errors
     /// The first difference.
@@ -54,6 +57,9 @@ impl Seen {
                 |target: Option<u64>| target.map_or_else(|| "no target".to_owned(), |id| format!("target {id}"));
             return Err(Refusal::OtherTarget { command, seen: words(self.target), current: words(present.target) });
         }
+        if self.time_ms < present.acted_on_ms {
+            return Err(Refusal::OutOfOrder { command, late_ms: present.acted_on_ms - self.time_ms });
+        }
         Ok(())
     }
 }
@@ -65,7 +71,7 @@ mod tests {
     #[test]
     fn only_a_command_on_the_present_state_passes() {
         let now = MonotonicTime::from_secs_f64(10.0);
-        let present = Present { state: 7, target: Some(2), now };
+        let present = Present { state: 7, target: Some(2), now, acted_on_ms: 9_900.0 };
         let seen = Seen { state: 7, target: Some(2), time_ms: 9_950.0 };
         let code = |seen: Seen| seen.check("start", &present).map_err(|refusal| refusal.code());
         assert_eq!(code(seen), Ok(()));
@@ -74,6 +80,7 @@ mod tests {
             (Seen { state: 8, ..seen }, "PB3DP-PAN-024"),
             (Seen { target: None, ..seen }, "PB3DP-PAN-025"),
             (Seen { target: Some(3), ..seen }, "PB3DP-PAN-025"),
+            (Seen { time_ms: 9_899.0, ..seen }, "PB3DP-PAN-044"),
             (Seen { time_ms: 7_999.0, ..seen }, "PB3DP-PAN-026"),
             (Seen { time_ms: 10_001.0, ..seen }, "PB3DP-PAN-026"),
             (Seen { time_ms: f64::NAN, ..seen }, "PB3DP-PAN-026"),

@@ -1,5 +1,7 @@
 //! The lease, commands, and what refuses them.
 
+use std::time::Duration;
+
 use pb3dp_estimation_core::region::Region;
 use pb3dp_servo::supervisor::{OperatorCommand, State};
 use serde_json::json;
@@ -187,6 +189,14 @@ fn speed_and_jog_reach_the_control_thread_within_their_limits() {
     rig.wait_for("the offset", |seen| {
         seen.motion.is_some_and(|motion| (motion.hand_from_hand_shifted.translation_m().x - 0.008).abs() < 1e-12)
     });
+    // Commands that overtake each other on their way: the earlier one changes nothing any more.
+    let earlier = client.seen();
+    std::thread::sleep(Duration::from_millis(100));
+    assert_eq!(speed(10.0).status, 200);
+    let late = |percent: f64| client.post("speed", &json!({ "percent": percent, "seen": earlier }).to_string());
+    assert_eq!(late(40.0).code(), "PB3DP-PAN-044");
+    assert_eq!(client.post("resume", &json!({ "seen": earlier }).to_string()).code(), "PB3DP-PAN-044");
+    assert_eq!((late(5.0).status, speed(40.0).status), (200, 200), "slower is always possible");
     let state = client.wait_for("the jog", |state| state["control"]["jog"]["offset_mm"][0] == 8.0);
     assert_eq!(state["control"]["speed_percent"], 40.0);
 }

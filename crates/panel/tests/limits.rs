@@ -1,7 +1,9 @@
 //! Limits of size, number and time; nobody keeps `stop` from anybody.
 
-use std::io::Write;
-use std::net::TcpStream;
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use pb3dp_servo::supervisor::{OperatorCommand, State};
@@ -62,6 +64,65 @@ fn stop_and_hold_are_accepted_while_all_connections_are_in_use() {
         assert!(start.elapsed() < Duration::from_secs(10));
         std::thread::sleep(Duration::from_millis(20));
     }
+}
+
+/// Connections that say nothing, from a program without any right, opened again as soon as they are closed.
+fn occupy(address: SocketAddr, is_over: &AtomicBool) {
+    let connect = || {
+        let stream = TcpStream::connect(address).ok()?;
+        stream.set_nonblocking(true).ok()?;
+        Some(stream)
+    };
+    let mut streams: Vec<Option<TcpStream>> = (0..44).map(|_| connect()).collect();
+    while !is_over.load(Ordering::SeqCst) {
+        for stream in &mut streams {
+            let is_closed = match stream.as_mut().map(|stream| stream.read(&mut [0])) {
+                Some(Ok(count)) => count == 0,
+                Some(Err(error)) => error.kind() != std::io::ErrorKind::WouldBlock,
+                None => true,
+            };
+            if is_closed {
+                *stream = connect();
+            }
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Ends the flood also when the test fails.
+struct EndsWhenDropped(Arc<AtomicBool>);
+
+impl Drop for EndsWhenDropped {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::SeqCst);
+    }
+}
+
+#[test]
+fn nobody_who_occupies_all_connections_keeps_stop_from_anybody() {
+    let rig = Rig::new();
+    let client = rig.holder();
+    let mut page = Page::open(&rig.client());
+    rig.start(&client);
+    let is_over = Arc::<AtomicBool>::default();
+    let (address, its_end) = (rig.address(), Arc::clone(&is_over));
+    let flood = std::thread::spawn(move || occupy(address, &its_end));
+    let end = EndsWhenDropped(is_over);
+    std::thread::sleep(Duration::from_millis(300));
+    let stranger = rig.client();
+    for attempt in 0..20 {
+        let reply = stranger.post("stop", "{}");
+        assert_eq!(reply.status, 200, "attempt {attempt}: {}", reply.body);
+    }
+    rig.wait_for_state(State::Stopped);
+    // A page needs no new connection.
+    let stops = rig.count_of(OperatorCommand::Stop);
+    page.send(json!({ "type": "stop" }));
+    let answer = page.next_of("answer");
+    assert_eq!((&answer["to"], &answer["accepted"]), (&json!("stop"), &json!(true)), "{answer}");
+    assert_eq!(rig.count_of(OperatorCommand::Stop), stops + 1);
+    drop(end);
+    flood.join().unwrap();
 }
 
 #[test]
@@ -199,7 +260,8 @@ fn messages_that_break_the_protocol_end_the_connection_or_are_refused() {
     let mut page = Page::open(&client);
     for wrong in [
         json!({ "type": "images", "left": true, "right": true, "quality": 100 }),
-        json!({ "type": "stop" }),
+        json!({ "type": "start" }),
+        json!({ "type": "stop", "hand_only": true }),
         json!({ "type": "heartbeat", "nonce": "0123456789abcdef", "visible": true }),
     ] {
         page.send(wrong.clone());

@@ -65,7 +65,7 @@ fn region_survives(text: &str) {
 
 /// Only a command on the present state, target and time passes.
 fn seen_survives(seen: &Seen) {
-    let present = Present { state: 17, target: Some(2), now: MonotonicTime::from_secs_f64(124.0) };
+    let present = Present { state: 17, target: Some(2), now: MonotonicTime::from_secs_f64(124.0), acted_on_ms: 0.0 };
     if seen.check("start", &present).is_ok() {
         let age_ms = 124_000.0 - seen.time_ms;
         assert!((-0.01..=SEEN_AGE_MAX.as_secs_f64() * 1e3).contains(&age_ms), "{seen:?}");

@@ -22,6 +22,9 @@ const STOP_ANSWER_MS = 1000;
 const STOP_AGAIN_MS = 300;
 const HOLDER_ELSEWHERE = 409;
 
+/** A value after a time. @template T @param {number} time_ms @param {T} value @returns {Promise<T>} */
+const after = (time_ms, value) => new Promise((resolve) => setTimeout(() => resolve(value), time_ms));
+
 export class Commands {
   /**
    * @param {import("./connection.js").Connection} connection
@@ -101,12 +104,18 @@ export class Commands {
   }
 
   async stop() {
+    this.connection.isStopping = true;
     for (let attempt = 1; attempt <= STOP_TRIES; attempt++) {
-      const answer = await post("/api/stop", {}, this.connection.session, STOP_ANSWER_MS);
+      // Two ways: one connection may be held up, the other one refused.
+      const bySocket = this.connection.stop();
+      let answer = await Promise.race([bySocket, post("/api/stop", {}, this.connection.session, STOP_ANSWER_MS)]);
+      if (answer.status === 0) answer = await Promise.race([bySocket, after(STOP_AGAIN_MS, answer)]);
       this.tell("stop", answer);
       this.alert("stop", answer.ok ? null : `Stop ${answer.status === 0 ? "" : "was refused: "}${answer.body.error}. Use the emergency stop.`);
-      if (answer.status !== 0) return;
-      await new Promise((resolve) => setTimeout(resolve, STOP_AGAIN_MS));
+      if (answer.status !== 0) {
+        this.connection.isStopping = false;
+        return;
+      }
     }
   }
 
@@ -210,7 +219,10 @@ export class Commands {
     );
     button("take").hidden = leads;
     button("release").hidden = !leads;
-    if (state.state.is_latched) this.alert("stop", null);
+    if (state.state.is_latched) {
+      this.alert("stop", null);
+      this.connection.isStopping = false;
+    }
     this.showBlocked(state);
     const speed = input("speed");
     speed.disabled = !leads;

@@ -34,6 +34,10 @@ export class Connection {
     this.decoding = [0, 0, 0];
     /** Images dropped because the page is too slow: left, right, heat. */
     this.dropped = [0, 0, 0];
+    /** Whether a stop waits for its answer. */
+    this.isStopping = false;
+    /** @type {(answer: {accepted: boolean, error?: string, code?: string}) => void} */
+    this.onStopAnswer = () => {};
     this.connect();
     setInterval(() => this.watch(), 250);
   }
@@ -104,7 +108,8 @@ export class Connection {
     const message = JSON.parse(data);
     switch (message.type) {
       case "heartbeat":
-        this.send({ type: "heartbeat", nonce: message.nonce, visible: !document.hidden, pressed: this.pressed });
+        // Somebody whose stop nobody answers is no operator who wants motion.
+        this.send({ type: "heartbeat", nonce: message.nonce, visible: !document.hidden && !this.isStopping, pressed: this.pressed });
         break;
       case "state":
         this.onState(message);
@@ -114,8 +119,21 @@ export class Connection {
         break;
       case "answer":
         if (!message.accepted && message.to === "hello" && this.session) this.session = null;
+        if (message.to === "stop") this.onStopAnswer(message);
         break;
     }
+  }
+
+  /**
+   * Stops both arms over the connection that is open already; the promise waits for the answer, however long.
+   * @returns {Promise<import("./types.js").Answer>}
+   */
+  stop() {
+    this.send({ type: "stop" });
+    return new Promise((resolve) => {
+      this.onStopAnswer = ({ accepted, error, code }) =>
+        resolve({ ok: accepted, status: accepted ? 200 : 409, body: accepted ? { line: "stop: done" } : { error, code: code ?? null } });
+    });
   }
 
   /** @param {ArrayBuffer} data */

@@ -46,6 +46,8 @@ pub enum ClientMessage {
         #[serde(default)]
         pressed: bool,
     },
+    /// As `POST /api/stop`, from everybody: a page has this connection already.
+    Stop {},
 }
 
 /// Raw or rectified images.

@@ -1,6 +1,7 @@
 //! Checks of every request: host, origin, token, further connections.
 
 use std::net::{IpAddr, SocketAddr};
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use axum::extract::{Request, State};
@@ -48,6 +49,9 @@ fn check(hub: &Hub, request: &Request) -> Result<(), Refusal> {
     }
     let is_urgent = matches!(path, "/api/stop" | "/api/hold");
     let peer = request.extensions().get::<Peer>();
+    if let Some(peer) = peer.filter(|_| is_urgent) {
+        peer.has_asked.store(true, Ordering::SeqCst);
+    }
     if peer.is_some_and(|peer| peer.is_urgent_only) && !is_urgent {
         return Err(Refusal::Connections { limit: CONNECTIONS_MAX });
     }

@@ -25,7 +25,7 @@ use crate::messages::requests::{
 use crate::messages::state::{HolderState, JogState};
 use crate::moving::{check_jog, check_push, check_speed};
 use crate::operator::SILENT_AFTER;
-use crate::pending::{Answer, Chosen};
+use crate::pending::{Answer, Chosen, CommandAnswer};
 use crate::preview_job::PreviewJob;
 use crate::refusal::Refusal;
 use crate::region::region_in;
@@ -94,7 +94,7 @@ impl Asked {
         let hub = &app.hub;
         let holder = hub.check_holder(self.session);
         let given = holder.clone().and_then(|_| {
-            seen.map_or(Ok(()), |seen| seen.check(self.command, &hub.present()))?;
+            seen.map_or(Ok(()), |seen| hub.check_seen(self.command, &seen))?;
             give(hub)
         });
         let outcome = match given {
@@ -107,8 +107,16 @@ impl Asked {
 
 /// Waits for the result of a command.
 async fn result_within(command: &'static str, answer: Answer) -> Answered {
+    taken_within(command, answer).await.map(|answer| json(&answer))
+}
+
+/// Waits until a control step has taken a command.
+///
+/// # Errors
+/// If it refuses the command, or is too slow.
+pub async fn taken_within(command: &'static str, answer: Answer) -> Result<CommandAnswer, Refusal> {
     match tokio::time::timeout(TAKEN_WITHIN, answer).await {
-        Ok(Ok(result)) => result.map(|answer| json(&answer)),
+        Ok(Ok(result)) => result,
         _ => Err(Refusal::NotTaken { command, limit_ms: TAKEN_WITHIN.as_millis() as u64 }),
     }
 }
@@ -261,7 +269,9 @@ pub async fn speed(State(app): State<App>, Extension(peer): Extension<Peer>, req
         check_speed(percent)?;
         // A lower speed is safe in any state.
         if percent > hub.link.speed_share() * 100.0 {
-            seen.check("speed", &hub.present())?;
+            hub.check_seen("speed", &seen)?;
+        } else {
+            hub.note_seen(&seen);
         }
         hub.link.set_speed_share(percent / 100.0);
         Ok(json(&SpeedAnswer { percent }))
@@ -278,7 +288,7 @@ pub async fn jog(State(app): State<App>, Extension(peer): Extension<Peer>, reque
     let JogRequest { offset_mm, offset_deg, seen } = body::read(request).await?;
     let hub = &app.hub;
     let set = |_: &Holder| {
-        seen.check("jog", &hub.present())?;
+        hub.check_seen("jog", &seen)?;
         let mut jog = hub.jog();
         let wanted = JogState { offset_mm, offset_deg };
         check_jog(&jog, &wanted)?;

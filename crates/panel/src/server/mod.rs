@@ -12,8 +12,10 @@ mod routes;
 mod socket;
 mod tls;
 
+use std::collections::VecDeque;
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -36,7 +38,8 @@ use crate::refusal::Refusal;
 
 /// Connections; a browser with the page has two or three.
 pub const CONNECTIONS_MAX: usize = 32;
-/// Further connections, on which only `stop` and `hold` are accepted: other clients cannot keep them from anybody.
+/// Further connections, on which only `stop` and `hold` are accepted. A new one ends another of them, so that other clients cannot keep
+/// these commands from anybody: the oldest one that has sent no request, else the oldest; a command that was read is carried out in any case.
 const URGENT_CONNECTIONS_MAX: usize = 8;
 /// Largest head of a request, bytes.
 const HEAD_MAX: usize = 16 * 1024;
@@ -46,6 +49,8 @@ const URGENT_HEAD_TIME: Duration = Duration::from_secs(2);
 /// Send buffer of a connection, for four stereo pairs of 640x480: what waits in it can no longer be replaced by something newer. At half
 /// of it a large image needs several turns; at double an operator may see images that are half a second old.
 const SEND_BUFFER_BYTES: usize = 256 * 1024;
+/// Time in which one of the further connections ends for another one.
+const GIVES_WAY_WITHIN: Duration = Duration::from_millis(100);
 /// Time limit of the first messages of TLS.
 const HANDSHAKE_TIME: Duration = Duration::from_secs(5);
 
@@ -56,6 +61,8 @@ pub struct Peer {
     pub address: SocketAddr,
     /// Whether only `stop` and `hold` are accepted.
     pub is_urgent_only: bool,
+    /// Whether the head of a request has come.
+    pub has_asked: Arc<AtomicBool>,
     /// Place among the connections; a WebSocket outlives the HTTP connection that it came from.
     _permit: Arc<OwnedSemaphorePermit>,
 }
@@ -124,6 +131,8 @@ fn serve(
     let normal = Arc::new(Semaphore::new(CONNECTIONS_MAX));
     let urgent = Arc::new(Semaphore::new(URGENT_CONNECTIONS_MAX));
     let router = routes::router(hub);
+    // Of the further connections, the oldest first.
+    let mut open = VecDeque::new();
     runtime.block_on(async {
         let accept = async {
             loop {
@@ -132,15 +141,29 @@ fn serve(
                     tokio::time::sleep(Duration::from_millis(50)).await;
                     continue;
                 };
-                let permit = |of: &Arc<Semaphore>| Arc::clone(of).try_acquire_owned().ok();
-                let (permit, is_urgent_only) = match (permit(&normal), permit(&urgent)) {
-                    (Some(permit), _) => (permit, false),
-                    (None, Some(permit)) => (permit, true),
-                    // One more than are allowed is closed at once.
-                    (None, None) => continue,
+                let (acceptor, router) = (acceptor.clone(), router.clone());
+                let peer = |permit, is_urgent_only| Peer {
+                    address,
+                    is_urgent_only,
+                    has_asked: Arc::default(),
+                    _permit: Arc::new(permit),
                 };
-                let peer = Peer { address, is_urgent_only, _permit: Arc::new(permit) };
-                tokio::spawn(connection(socket, acceptor.clone(), router.clone(), peer));
+                if let Ok(permit) = Arc::clone(&normal).try_acquire_owned() {
+                    tokio::spawn(connection(socket, acceptor, router, peer(permit, false)));
+                } else if let Some(permit) = urgent_place(&urgent, &mut open).await {
+                    let (end, is_ended) = oneshot::channel::<()>();
+                    let peer = peer(permit, true);
+                    open.push_back(Urgent { end, has_asked: Arc::clone(&peer.has_asked) });
+                    let serving = connection(socket, acceptor, router, peer);
+                    tokio::spawn(async move {
+                        tokio::select! {
+                            () = serving => {}
+                            _ = is_ended => {}
+                        }
+                    });
+                }
+                // A request that is there already is read before the next connection can end it.
+                tokio::task::yield_now().await;
             }
         };
         tokio::select! {
@@ -148,6 +171,22 @@ fn serve(
             () = accept => {}
         }
     });
+}
+
+/// One of the further connections, which ends when this value is dropped.
+struct Urgent {
+    end: oneshot::Sender<()>,
+    has_asked: Arc<AtomicBool>,
+}
+
+/// A place among the further connections; another one ends if there is none. `None` if it does not end in time.
+async fn urgent_place(places: &Arc<Semaphore>, open: &mut VecDeque<Urgent>) -> Option<OwnedSemaphorePermit> {
+    open.retain(|one| !one.end.is_closed());
+    if places.available_permits() == 0 {
+        let is_silent = |one: &Urgent| !one.has_asked.load(Ordering::SeqCst);
+        drop(open.remove(open.iter().position(is_silent).unwrap_or(0)));
+    }
+    tokio::time::timeout(GIVES_WAY_WITHIN, Arc::clone(places).acquire_owned()).await.ok()?.ok()
 }
 
 async fn connection(socket: TcpStream, acceptor: Option<TlsAcceptor>, router: Router, peer: Peer) {

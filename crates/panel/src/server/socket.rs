@@ -1,5 +1,6 @@
 //! The WebSocket: states, images, log lines and heartbeats. Each client has the newest only; one that does not read is closed.
 
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -11,12 +12,14 @@ use axum::http::HeaderMap;
 use axum::response::Response;
 use futures_util::stream::{SplitSink, SplitStream};
 use futures_util::{SinkExt, StreamExt};
+use pb3dp_servo::supervisor::OperatorCommand;
 use tokio::sync::{broadcast, mpsc, watch};
 use tokio::time::{MissedTickBehavior, interval, timeout};
 
 use super::Peer;
 use super::app::App;
 use super::checks::{bearer, check_token};
+use super::commands::taken_within;
 use crate::encoded_pair::EncodedPair;
 use crate::hub::Hub;
 use crate::messages::requests::HeartbeatRequest;
@@ -79,6 +82,7 @@ async fn serve(socket: WebSocket, hub: Arc<Hub>, peer: Peer, has_token: bool) {
     let mut reader = Reader {
         hub: Arc::clone(&hub),
         id: connection.id,
+        peer: peer.address,
         has_token,
         session: give_session,
         wanted: give_wanted,
@@ -104,6 +108,7 @@ async fn serve(socket: WebSocket, hub: Arc<Hub>, peer: Peer, has_token: bool) {
 struct Reader {
     hub: Arc<Hub>,
     id: u64,
+    peer: SocketAddr,
     has_token: bool,
     session: watch::Sender<Option<Session>>,
     wanted: watch::Sender<ClientImages>,
@@ -195,6 +200,19 @@ impl Reader {
             ClientMessage::Heartbeat { nonce, visible, pressed } => {
                 let session = *self.session.borrow();
                 self.hub.heartbeat(session, &HeartbeatRequest { nonce, visible, pressed })?;
+            }
+            ClientMessage::Stop {} => {
+                tracing::info!(target: "pb3dp_panel::audit", peer = %self.peer, "stop by WebSocket");
+                let answer = self.hub.give_command(OperatorCommand::Stop, 0, None)?;
+                let answers = self.answers.clone();
+                // Meanwhile the connection goes on.
+                tokio::spawn(async move {
+                    let told = match taken_within("stop", answer).await {
+                        Ok(_) => ServerMessage::Answer { to: "stop", accepted: true, error: None, code: None },
+                        Err(refusal) => refused("stop", &refusal),
+                    };
+                    let _ = answers.try_send(told);
+                });
             }
         }
         Ok(())
@@ -315,6 +333,7 @@ fn name_of(message: &ClientMessage) -> &'static str {
         ClientMessage::Hello { .. } => "hello",
         ClientMessage::Images { .. } => "images",
         ClientMessage::Heartbeat { .. } => "heartbeat",
+        ClientMessage::Stop {} => "stop",
     }
 }
 
