@@ -237,7 +237,9 @@ pub async fn reset(State(app): State<App>, Extension(peer): Extension<Peer>, req
 pub async fn hold(State(app): State<App>, Extension(peer): Extension<Peer>, request: Request) -> Answered {
     let asked = Asked::new("hold", &request, peer);
     let HoldRequest { hand_only, .. } = body::read(request).await?;
-    let command = if hand_only { OperatorCommand::HoldHand } else { OperatorCommand::Hold };
+    let (name, command) =
+        if hand_only { ("hold hand", OperatorCommand::HoldHand) } else { ("hold", OperatorCommand::Hold) };
+    let asked = Asked { command: name, ..asked };
     asked.of_holder(&app, None, |hub| hub.give_command(command, 0, None)).await
 }
 
