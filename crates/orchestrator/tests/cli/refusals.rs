@@ -318,3 +318,43 @@ fn fast_settings_of_arms_that_are_not_emulated_need_a_commissioning_record() {
     run(&all).assert_refused(&["the step comms was passed on 2020-01-01T00:00:00Z, more than 90 days ago"]);
     assert!(listener.accept().is_err(), "a port was opened");
 }
+
+/// A measurement of the delays moves the hand, as a run does.
+#[test]
+fn a_measurement_of_the_delays_needs_what_a_run_needs() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.set_nonblocking(true).unwrap();
+    let folder = setup_at(&listener.local_addr().unwrap().to_string());
+    let config = folder.path().join("cell.toml");
+    let delay = |set: &[&str]| {
+        let args = words(&[&"identify", &"delay", &"--move", &"--config", &config, &"--out", &folder.path()]);
+        pb3dp(&args.into_iter().chain(set.iter().map(Into::into)).collect::<Vec<_>>())
+    };
+    delay(&[]).assert_refused(&[
+        "vs-robot is not emulated and may not move with arms.first_run = false",
+        "arms.speed_scale = 0.6",
+        "arms.vs.commissioning_record is not set",
+    ]);
+    delay(&FIRST_RUN).assert_refused(&["vs-robot was not typed", "nothing was moved"]);
+    let unknown = ["--set", "arms.vs.gateway.wire_format=A"];
+    delay(&[&FIRST_RUN[..], &unknown].concat())
+        .assert_refused(&["arms.vs.gateway.signals.emergency_stop", "the arm may not move"]);
+    assert!(listener.accept().is_err(), "a port was opened");
+}
+
+/// The target is out of sight for 6 s, and the hand resumes by itself: only a stale estimate has held it.
+#[test]
+fn a_longer_age_of_a_lost_target_needs_a_commissioning_record() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.set_nonblocking(true).unwrap();
+    let folder = setup_at(&listener.local_addr().unwrap().to_string());
+    let config = folder.path().join("cell.toml");
+    let set = ["--set", "supervisor.policies.target_lost.age_s=10.0", "--set", "supervisor.search_max_s=20.0"];
+    let args = words(&[&"run", &"--operator", &"console", &"--config", &config]);
+    pb3dp(&args.into_iter().chain(FIRST_RUN.iter().chain(&set).map(Into::into)).collect::<Vec<_>>()).assert_refused(&[
+        "vs-robot is not emulated and may not move",
+        "supervisor.policies.target_lost.age_s = 10 (without a record: at most 1)",
+        "supervisor.search_max_s = 20 (without a record: leave the key out)",
+    ]);
+    assert!(listener.accept().is_err(), "a port was opened");
+}
