@@ -1,24 +1,30 @@
 //! Commissioning records: which steps of `pb3dp arm test` an arm has passed, when, and which arm that was. A run checks them before arms
 //! that are not emulated move faster, or resume with less care, than on their first run.
 
+mod tested;
+
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10::arm::{ArmMonitor, ArmSnapshot};
-use pb3dp_arm_pa10_protocol::codec::{Signal, StatusSignals};
+use pb3dp_arm_pa10_protocol::codec::StatusSignals;
 use pb3dp_cell::parts::ArmChoice;
 use pb3dp_record::text_file::read_text;
 use pb3dp_setup::setup::{ArmLink, ArmSetup, Setup};
 use serde::{Deserialize, Serialize};
+
+pub use self::tested::{GatewaySettings, SetupSettings};
 
 /// A passed step counts for this many days. Chosen: a cable or a brake that wears out goes unnoticed for at most a quarter of a year; half
 /// would ask for the 20 minutes of the checklist every six weeks, double would leave half a year.
 pub const VALID_DAYS: u64 = 90;
 
 /// Version of the file format.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// Steps that a record must contain for each arm; `interlock` in addition if the other arm is not emulated either.
 const STEPS: [&str; 5] = ["comms", "jog", "e-stop", "cable", "kill"];
@@ -34,11 +40,18 @@ pub struct CommissioningRecord {
     format: u32,
     arm: String,
     fingerprint: Fingerprint,
+    /// Settings of the setup with which the steps were passed.
+    setup: SetupSettings,
+    /// Settings of the gateway with which the steps were passed.
+    gateway: GatewaySettings,
     /// By the name of the step: when it was passed, UTC.
     steps: BTreeMap<String, String>,
-    /// By the key of the signal: how it is noticed, as `pb3dp arm signals` has measured it.
-    #[serde(default)]
-    signals: BTreeMap<String, String>,
+}
+
+/// The version of a record of any format.
+#[derive(Debug, Deserialize)]
+struct Version {
+    format: u32,
 }
 
 /// Properties that tell one arm from another.
@@ -100,67 +113,105 @@ impl Fingerprint {
 }
 
 impl CommissioningRecord {
-    /// An empty record of this arm.
-    pub fn new(arm: ArmChoice, fingerprint: Fingerprint) -> Self {
-        Self {
+    /// An empty record of a connected arm; its limits must have been read.
+    ///
+    /// # Errors
+    /// What the arm has not reported.
+    pub fn of(choice: ArmChoice, arm: &ArmSetup, seen: &ArmSnapshot) -> Result<Self> {
+        let gateway = seen.gateway.as_ref().context("the arm has no gateway that identifies it")?;
+        Ok(Self {
             format: FORMAT,
-            arm: arm.name().to_owned(),
-            fingerprint,
+            arm: choice.name().to_owned(),
+            fingerprint: Fingerprint::of(arm_number(arm), seen)?,
+            setup: SetupSettings::of(arm),
+            gateway: GatewaySettings::of(gateway),
             steps: BTreeMap::new(),
-            signals: BTreeMap::new(),
-        }
+        })
     }
 
     /// The record in a file.
     ///
     /// # Errors
-    /// A file that cannot be read, or is no such record.
+    /// A file that cannot be read, is no such record, or has another format.
     pub fn load(path: &Path) -> Result<Self> {
-        let text = read_text(path).with_context(|| format!("{}: cannot be read", path.display()))?;
-        let record: Self = serde_json::from_str(&text).with_context(|| format!("{}: no record", path.display()))?;
-        if record.format != FORMAT {
-            bail!("{}: format {}, this program reads {FORMAT}", path.display(), record.format);
-        }
-        Ok(record)
+        let old = || format!("{}: its format is too old and does not state the tested settings", path.display());
+        Self::read(path)?.with_context(old)
     }
 
-    /// Writes the record; an interrupted write leaves the old one.
+    /// The record in a file; `None` if its format is older than [`FORMAT`].
+    fn read(path: &Path) -> Result<Option<Self>> {
+        let text = read_text(path).with_context(|| format!("{}: cannot be read", path.display()))?;
+        let no_record = || format!("{}: no record", path.display());
+        let Version { format } = serde_json::from_str(&text).with_context(no_record)?;
+        match format {
+            ..FORMAT => Ok(None),
+            FORMAT => serde_json::from_str(&text).map(Some).with_context(no_record),
+            _ => bail!("{}: format {format}, this program reads {FORMAT}", path.display()),
+        }
+    }
+
+    /// This empty record with the steps of the one in a file, if that one is of the same arm and was passed with the same settings.
+    /// Writes nothing.
+    ///
+    /// # Errors
+    /// A file that cannot be read, is no such record, or has a newer format.
+    pub fn continued(self, path: &Path) -> Result<Self> {
+        let exists = path.try_exists().with_context(|| format!("{}: cannot be read", path.display()))?;
+        let old = if exists { Self::read(path)? } else { None };
+        let steps = old.filter(|old| {
+            let is_same_arm = old.arm == self.arm && old.fingerprint.difference(&self.fingerprint).is_none();
+            is_same_arm && old.setup.difference(&self.setup).or(old.gateway.difference(&self.gateway)).is_none()
+        });
+        Ok(Self { steps: steps.map(|old| old.steps).unwrap_or_default(), ..self })
+    }
+
+    /// Writes the record to the disk; an interrupted write leaves the old one.
     ///
     /// # Errors
     /// If the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<()> {
         let new = path.with_extension("new");
         let text = serde_json::to_string_pretty(self)? + "\n";
-        let written = std::fs::write(&new, text).and_then(|()| std::fs::rename(&new, path));
-        written.with_context(|| format!("{}: cannot be written", path.display()))
+        let write = || {
+            let mut file = File::create(&new)?;
+            file.write_all(text.as_bytes())?;
+            // A name that points to no content yet would lose the record in a power failure.
+            file.sync_all()?;
+            std::fs::rename(&new, path)?;
+            let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            File::open(folder)?.sync_all()
+        };
+        write().with_context(|| format!("{}: cannot be written", path.display()))
     }
 
-    /// The record with the results of a new test: passed steps are dated, failed ones are removed; others stay if it is the same arm.
-    #[must_use]
-    pub fn with_results<'a>(self, new: Self, results: impl Iterator<Item = (&'a str, bool)>, date: &str) -> Self {
-        let is_same = self.arm == new.arm && self.fingerprint.difference(&new.fingerprint).is_none();
-        let mut steps = if is_same { self.steps } else { new.steps };
-        for (step, has_passed) in results {
-            match has_passed {
-                true => drop(steps.insert(step.to_owned(), date.to_owned())),
-                false => drop(steps.remove(step)),
-            }
-        }
-        let signals = if is_same { self.signals } else { new.signals };
-        Self { steps, signals, ..new }
+    /// Notes that a step was passed.
+    pub fn add(&mut self, step: &str, date: String) {
+        self.steps.insert(step.to_owned(), date);
+    }
+
+    /// Removes a step that begins again.
+    pub fn remove(&mut self, step: &str) {
+        self.steps.remove(step);
     }
 
     /// The record with the measured sources of the signals.
     #[must_use]
     pub fn with_signals(self, signals: &StatusSignals) -> Self {
-        let texts = Signal::ALL.iter().map(|signal| (signal.key().to_owned(), signals.get(*signal).to_string()));
-        Self { signals: texts.collect(), ..self }
+        Self { setup: self.setup.with_signals(signals), ..self }
     }
 
-    /// Why the record does not permit motion of this arm now; `None` if it does.
-    pub fn doubt(&self, arm: &str, has_interlock: bool, now: SystemTime) -> Option<String> {
+    /// Why the record does not permit motion of this arm with these settings now; `None` if it does.
+    pub fn doubt(
+        &self,
+        (arm, settings): (&str, &SetupSettings),
+        has_interlock: bool,
+        now: SystemTime,
+    ) -> Option<String> {
         if self.arm != arm {
             return Some(format!("it is the record of {}", self.arm));
+        }
+        if let Some(difference) = self.setup.difference(settings) {
+            return Some(difference);
         }
         let interlock = has_interlock.then_some(INTERLOCK);
         STEPS.into_iter().chain(interlock).find_map(|step| {
@@ -180,6 +231,15 @@ impl CommissioningRecord {
 /// The arms of a setup that are not emulated.
 pub fn real_arms(setup: &Setup) -> Vec<ArmChoice> {
     [ArmChoice::Vs, ArmChoice::Tc].into_iter().filter(|choice| !choice.of(setup).link.is_toy()).collect()
+}
+
+/// Checks, before a port opens, that every signal of both arms is noticed; returns the records that the setup needs.
+///
+/// # Errors
+/// A signal that would not be noticed, or an arm without a valid record for the settings that need one.
+pub fn check_arms(setup: &Setup, now: SystemTime) -> Result<Vec<NeededRecord>> {
+    [&setup.rig.arms.vs, &setup.rig.arms.tc].into_iter().try_for_each(ArmSetup::check_signals)?;
+    needed_records(setup, now)
 }
 
 /// The records that a setup needs, of arms that are not emulated; none if no setting needs one. Opens no port.
@@ -232,13 +292,13 @@ impl NeededRecord {
             bail!("{key} is not set; name a file there, then {remedy}");
         };
         let record = CommissioningRecord::load(path).with_context(|| format!("{key} = {path:?}; {remedy}"))?;
-        match record.doubt(choice.name(), has_interlock, now) {
+        match record.doubt((choice.name(), &SetupSettings::of(arm)), has_interlock, now) {
             Some(doubt) => bail!("{key} = {path:?}: {doubt}; {remedy}"),
             None => Ok(Self { arm: choice.name(), arm_number: arm_number(arm), key, path: path.clone(), record }),
         }
     }
 
-    /// Checks that this is the record of the connected arm; its brakes are still closed.
+    /// Checks that this is the record of the connected arm and of the settings of its gateway; its brakes are still closed.
     ///
     /// # Errors
     /// The first difference.
@@ -246,10 +306,18 @@ impl NeededRecord {
         let Self { arm, key, path, record, .. } = self;
         let monitor = monitors.iter().find(|(name, _)| name == arm);
         let (_, monitor) = monitor.with_context(|| format!("{arm} has no link"))?;
-        let found = Fingerprint::of(self.arm_number, &monitor.snapshot())?;
+        let snapshot = monitor.snapshot();
+        let found = Fingerprint::of(self.arm_number, &snapshot)?;
         if let Some(difference) = record.fingerprint.difference(&found) {
             bail!(
                 "{arm} may not move: {} is the record of another arm: {difference}; run `pb3dp arm test --move` again, or correct {key}",
+                path.display()
+            );
+        }
+        let gateway = snapshot.gateway.as_ref().context("the arm has no gateway that identifies it")?;
+        if let Some(difference) = record.gateway.difference(&GatewaySettings::of(gateway)) {
+            bail!(
+                "{arm} may not move: {}: {difference}; run `pb3dp arm test --move` again, or correct the file of the gateway",
                 path.display()
             );
         }
@@ -258,7 +326,8 @@ impl NeededRecord {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
+    use super::tested::tests::{gateway_settings, setup_settings};
     use super::*;
 
     const DATE: &str = "2026-03-01T12:00:00Z";
@@ -272,9 +341,22 @@ mod tests {
         }
     }
 
+    /// The record of an arm that has passed no step.
+    pub fn empty() -> CommissioningRecord {
+        CommissioningRecord {
+            format: FORMAT,
+            arm: "vs-robot".to_owned(),
+            fingerprint: fingerprint(),
+            setup: setup_settings(),
+            gateway: gateway_settings(),
+            steps: BTreeMap::new(),
+        }
+    }
+
     fn record(passed: &[&str]) -> CommissioningRecord {
-        let empty = CommissioningRecord::new(ArmChoice::Vs, fingerprint());
-        empty.clone().with_results(empty, passed.iter().map(|step| (*step, true)), DATE)
+        let mut record = empty();
+        passed.iter().for_each(|step| record.add(step, DATE.to_owned()));
+        record
     }
 
     fn days_later(days: u64) -> SystemTime {
@@ -284,29 +366,68 @@ mod tests {
     #[test]
     fn a_record_expires_and_needs_every_step() {
         let whole = record(&STEPS);
-        assert_eq!(whole.doubt("vs-robot", false, days_later(VALID_DAYS)), None);
+        assert_eq!(whole.doubt(("vs-robot", &setup_settings()), false, days_later(VALID_DAYS)), None);
         let doubt = |record: &CommissioningRecord, interlock, days| {
-            record.doubt("vs-robot", interlock, days_later(days)).unwrap_or_default()
+            record.doubt(("vs-robot", &setup_settings()), interlock, days_later(days)).unwrap_or_default()
         };
         assert!(doubt(&whole, false, VALID_DAYS + 1).contains("more than 90 days ago"));
         assert!(doubt(&whole, true, 1).contains("interlock was not passed"), "two real arms stop each other");
         assert_eq!(doubt(&record(&[&STEPS[..], &[INTERLOCK]].concat()), true, 1), "");
         assert!(doubt(&record(&STEPS[1..]), false, 1).contains("comms was not passed"));
         let before = humantime::parse_rfc3339(DATE).unwrap() - Duration::from_secs(60);
-        assert!(whole.doubt("vs-robot", false, before).unwrap().contains("in the future"));
-        assert!(whole.doubt("tc-robot", false, days_later(1)).unwrap().contains("record of vs-robot"));
+        assert!(whole.doubt(("vs-robot", &setup_settings()), false, before).unwrap().contains("in the future"));
+        assert!(
+            whole.doubt(("tc-robot", &setup_settings()), false, days_later(1)).unwrap().contains("record of vs-robot")
+        );
     }
 
     #[test]
-    fn a_failed_step_leaves_the_record_and_another_arm_begins_a_new_one() {
-        let empty = CommissioningRecord::new(ArmChoice::Vs, fingerprint());
-        let failed = record(&STEPS).with_results(empty, [("cable", false)].into_iter(), "2026-03-02T12:00:00Z");
-        assert!(failed.doubt("vs-robot", false, days_later(1)).unwrap().contains("cable was not passed"));
-        let mut other = fingerprint();
-        other.eeprom_deg[2] = [-170.0, 177.0];
-        let other = CommissioningRecord::new(ArmChoice::Vs, other);
-        let new = record(&STEPS).with_results(other, [("jog", true)].into_iter(), DATE);
-        assert!(new.doubt("vs-robot", false, days_later(1)).unwrap().contains("comms was not passed"));
+    fn another_arm_or_another_setting_begins_a_new_record() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("vs.json");
+        assert_eq!(empty().continued(&path).unwrap(), empty(), "there is no file");
+        record(&STEPS).save(&path).unwrap();
+        assert_eq!(empty().continued(&path).unwrap(), record(&STEPS));
+        let mut other_arm = empty();
+        other_arm.fingerprint.eeprom_deg[2] = [-170.0, 177.0];
+        let other_signals = empty().with_signals(&StatusSignals::UNKNOWN);
+        let mut other_gateway = empty();
+        other_gateway.gateway = serde_json::from_value({
+            let mut value = serde_json::to_value(gateway_settings()).unwrap();
+            value["brake_us"] = 300_000.into();
+            value
+        })
+        .unwrap();
+        for other in [other_arm, other_signals, other_gateway] {
+            assert_eq!(other.clone().continued(&path).unwrap(), other);
+        }
+    }
+
+    /// The e-stop on another bit, or a dead-man switch that the setup calls absent, was not tested.
+    #[test]
+    fn steps_that_were_passed_with_other_signals_count_for_nothing() {
+        let whole = record(&STEPS);
+        let found = setup_settings().with_signals(&StatusSignals::UNKNOWN);
+        let doubt = whole.doubt(("vs-robot", &found), false, days_later(1)).unwrap();
+        assert!(
+            doubt.starts_with("signals.") && doubt.contains("is \"unknown\", its steps were passed with"),
+            "{doubt}"
+        );
+    }
+
+    #[test]
+    fn an_old_record_is_refused_and_a_new_one_replaces_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("vs.json");
+        std::fs::write(&path, "{ \"format\": 1, \"arm\": \"vs-robot\", \"steps\": {}, \"signals\": {} }").unwrap();
+        let old = CommissioningRecord::load(&path).unwrap_err().to_string();
+        assert!(old.contains("format is too old and does not state the tested settings"), "{old}");
+        assert_eq!(empty().continued(&path).unwrap(), empty());
+        for (text, part) in [("{ \"format\": 3 }", "format 3, this program reads 2"), ("{", "no record")] {
+            std::fs::write(&path, text).unwrap();
+            let refused = format!("{:#}", empty().continued(&path).unwrap_err());
+            assert!(refused.contains(part), "{refused}");
+        }
     }
 
     #[test]

@@ -14,6 +14,7 @@ use pb3dp_cell::interruption::{INTERRUPTED, watch};
 use pb3dp_cell::swing::{self, Swung};
 use pb3dp_cell::terminal::print_line;
 use pb3dp_commissioning::arm::confirm;
+use pb3dp_commissioning::commissioned::check_arms;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::metrics::percentile;
 use pb3dp_servo::identification::{
@@ -97,6 +98,8 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
         print_line(&format!("{plan}\nnothing was moved; add --move"))?;
         return Ok(ExitCode::SUCCESS);
     }
+    // Before a port opens, as for `pb3dp run`.
+    let records = check_arms(&setup, SystemTime::now())?;
     if !(setup.rig.arms.vs.link.is_toy() && setup.rig.arms.tc.link.is_toy()) {
         confirm::need_person()?;
         tracing::warn!("{plan}; both arms will be enabled: type vs-robot and Enter to go on");
@@ -105,6 +108,7 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
     // Before anything moves: the flight recorder must exist when an arm stops.
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot be created", args.out.display()))?;
     let Wired { mut parts, monitors, .. } = wire_at_rest(&setup, swing::duration(&motion))?;
+    records.iter().try_for_each(|record| record.check(&monitors))?;
     let interrupt = Arc::clone(&parts.interrupt);
     let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
     let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());

@@ -12,10 +12,10 @@ use pb3dp_cell::flight::Moment;
 use pb3dp_cell::interruption::{INTERRUPTED, watch};
 use pb3dp_cell::report::{self, Following, Made};
 use pb3dp_cell::terminal::print_line;
-use pb3dp_commissioning::commissioned::needed_records;
+use pb3dp_commissioning::commissioned::check_arms;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::dataset::SequenceWriter;
-use pb3dp_setup::setup::{ArmSetup, read_layers};
+use pb3dp_setup::setup::read_layers;
 use pb3dp_wiring::{RunNeeds, Wired, accept_nominal, wire_run, write_flights};
 
 use crate::arguments::{OperatorName, RunArgs, UNSURE};
@@ -37,8 +37,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let mut setup = read_layers(&asked)?;
     accept_nominal(&mut setup, args.nominal_calibration);
     // Before a port opens.
-    [&setup.rig.arms.vs, &setup.rig.arms.tc].into_iter().try_for_each(ArmSetup::check_signals)?;
-    let records = needed_records(&setup, SystemTime::now())?;
+    let records = check_arms(&setup, SystemTime::now())?;
     let panel_config = args.panel.map(|address| args.panel_access.config(address)).transpose()?;
     let attendance = Attendance::confirmed(args, &setup, &mut signals)?;
     // Checked before an arm is enabled, and before an earlier run is moved.

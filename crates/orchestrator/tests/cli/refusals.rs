@@ -268,16 +268,93 @@ fn fast_settings_of_arms_that_are_not_emulated_need_a_commissioning_record() {
     let file = format!("arms.vs.commissioning_record={}", record.display());
     run(&[&file]).assert_refused(&["vs.json: cannot be read"]);
     let steps = ["comms", "jog", "e-stop", "cable", "kill"];
-    let write = |date: &str| {
-        let steps: Vec<String> = steps.iter().map(|step| format!("\"{step}\": \"{date}\"")).collect();
-        let arm = "{ \"arm_number\": 1, \"gateway\": \"x\", \"geometry\": \"unknown\", \"eeprom_deg\": [] }";
-        let text = format!(
-            "{{ \"format\": 1, \"arm\": \"vs-robot\", \"fingerprint\": {arm}, \"steps\": {{ {} }} }}",
-            steps.join(", ")
-        );
-        std::fs::write(&record, text).unwrap();
+    let write = |date: &str, emergency_stop: &str| {
+        let steps: serde_json::Map<String, serde_json::Value> =
+            steps.iter().map(|step| ((*step).to_owned(), date.into())).collect();
+        let signals = serde_json::json!({
+            "emergency_stop": emergency_stop,
+            "limit_switch": "controller 0x2000 set",
+            "dead_man": "controller 0x0001 clear",
+            "power": "controller 0x0004 clear",
+        });
+        let value = serde_json::json!({
+            "format": 2,
+            "arm": "vs-robot",
+            "fingerprint": { "arm_number": 1, "gateway": "x", "geometry": "unknown", "eeprom_deg": [] },
+            "setup": {
+                "signals": signals,
+                "wire_format": "format B (big-endian, 6 and 10 bytes per axis)",
+                "dialect": "gateway-v1",
+                "operating_range_deg": vec![[-360.0, 360.0]; 7],
+            },
+            "gateway": {
+                "cycle_us": 2000,
+                "ramp_after_us": 20000,
+                "stop_after_us": 50000,
+                "controller_watchdog_us": 0,
+                "brake_us": 200000,
+                "range_deg": [],
+            },
+            "steps": steps,
+        });
+        std::fs::write(&record, value.to_string()).unwrap();
     };
-    write("2020-01-01T00:00:00Z");
-    run(&[&file]).assert_refused(&["the step comms was passed on 2020-01-01T00:00:00Z, more than 90 days ago"]);
+    let signals = [
+        "emergency_stop=controller 0x0008 set",
+        "limit_switch=controller 0x2000 set",
+        "dead_man=controller 0x0001 clear",
+        "power=controller 0x0004 clear",
+    ]
+    .map(|signal| format!("arms.vs.gateway.signals.{signal}"));
+    let all: Vec<&str> = signals.iter().chain([&file]).map(String::as_str).collect();
+    write("2020-01-01T00:00:00Z", "controller 0x0010 set");
+    run(&all).assert_refused(&[
+        "signals.emergency_stop is \"controller 0x0008 set\", its steps were passed with \"controller 0x0010 set\"",
+        "run `pb3dp arm test --arm vs --move`",
+    ]);
+    std::fs::write(&record, "{ \"format\": 1, \"arm\": \"vs-robot\" }").unwrap();
+    run(&all).assert_refused(&["format is too old", "run `pb3dp arm test --arm vs --move`"]);
+    write("2020-01-01T00:00:00Z", "controller 0x0008 set");
+    run(&all).assert_refused(&["the step comms was passed on 2020-01-01T00:00:00Z, more than 90 days ago"]);
+    assert!(listener.accept().is_err(), "a port was opened");
+}
+
+/// A measurement of the delays moves the hand, as a run does.
+#[test]
+fn a_measurement_of_the_delays_needs_what_a_run_needs() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.set_nonblocking(true).unwrap();
+    let folder = setup_at(&listener.local_addr().unwrap().to_string());
+    let config = folder.path().join("cell.toml");
+    let delay = |set: &[&str]| {
+        let args = words(&[&"identify", &"delay", &"--move", &"--config", &config, &"--out", &folder.path()]);
+        pb3dp(&args.into_iter().chain(set.iter().map(Into::into)).collect::<Vec<_>>())
+    };
+    delay(&[]).assert_refused(&[
+        "vs-robot is not emulated and may not move with arms.first_run = false",
+        "arms.speed_scale = 0.6",
+        "arms.vs.commissioning_record is not set",
+    ]);
+    delay(&FIRST_RUN).assert_refused(&["vs-robot was not typed", "nothing was moved"]);
+    let unknown = ["--set", "arms.vs.gateway.wire_format=A"];
+    delay(&[&FIRST_RUN[..], &unknown].concat())
+        .assert_refused(&["arms.vs.gateway.signals.emergency_stop", "the arm may not move"]);
+    assert!(listener.accept().is_err(), "a port was opened");
+}
+
+/// The target is out of sight for 6 s, and the hand resumes by itself: only a stale estimate has held it.
+#[test]
+fn a_longer_age_of_a_lost_target_needs_a_commissioning_record() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.set_nonblocking(true).unwrap();
+    let folder = setup_at(&listener.local_addr().unwrap().to_string());
+    let config = folder.path().join("cell.toml");
+    let set = ["--set", "supervisor.policies.target_lost.age_s=10.0", "--set", "supervisor.search_max_s=20.0"];
+    let args = words(&[&"run", &"--operator", &"console", &"--config", &config]);
+    pb3dp(&args.into_iter().chain(FIRST_RUN.iter().chain(&set).map(Into::into)).collect::<Vec<_>>()).assert_refused(&[
+        "vs-robot is not emulated and may not move",
+        "supervisor.policies.target_lost.age_s = 10 (without a record: at most 1)",
+        "supervisor.search_max_s = 20 (without a record: leave the key out)",
+    ]);
     assert!(listener.accept().is_err(), "a port was opened");
 }

@@ -6,6 +6,8 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
+use pb3dp_hal_platform::pty::Pty;
+use pb3dp_hal_platform::transport::ByteLink as _;
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -457,6 +459,87 @@ fn a_signal_ends_a_step_by_the_stop_order_with_a_partial_report() {
         assert!(cell.joints().1, "all brakes are closed");
         let probe = cell.pb3dp(&["probe", "--exchanges", "20"], None).assert_success().stdout;
         assert!(probe.contains("no problems found"), "nothing has to be reset: {probe}");
+        cell.arm.quit();
+    });
+}
+
+/// A pass that the commissioning record states was not followed by a failure or an interruption of the same step.
+#[test]
+fn no_interruption_of_a_step_leaves_its_earlier_pass_in_the_record() {
+    programs_in_real_time_beside_others(|| {
+        let cell = Cell::start(&["--pose-deg", START_DEG]);
+        let text = std::fs::read_to_string(cell.config()).unwrap();
+        let named = text.replacen("[arms.vs]", "[arms.vs]\ncommissioning_record = \"vs.json\"", 1);
+        std::fs::write(cell.config(), named).unwrap();
+        let file = cell.folder.path().join("vs.json");
+        let has_comms = || {
+            let record: Value = serde_json::from_str(&std::fs::read_to_string(&file).unwrap()).unwrap();
+            assert!(record["setup"]["signals"]["emergency_stop"].is_string(), "{record}");
+            record["steps"].get("comms").is_some()
+        };
+        let begin = |cell: &Cell, out: &Path| {
+            let mut test = Rehearsal::of(cell, "comms", out);
+            test.until("Are the joints, from the base, at");
+            test
+        };
+        let pass = |cell: &Cell| {
+            let (_folder, out) = folder();
+            let mut test = begin(cell, &out);
+            writeln!(test.input, "yes").unwrap();
+            let (code, text) = test.finish();
+            assert!(code == Some(0) && has_comms(), "{text}");
+        };
+        pass(&cell);
+        // The report cannot be written: the answer counts all the same.
+        let (_folder, out) = folder();
+        let mut test = begin(&cell, &out);
+        std::fs::remove_dir_all(&out).unwrap();
+        writeln!(test.input, "no").unwrap();
+        let (code, text) = test.finish();
+        assert!(code == Some(1) && text.contains("report.json: cannot be written"), "{text}");
+        assert!(!has_comms(), "{text}");
+        pass(&cell);
+        // Power failure of this computer, or a program that is killed.
+        let (_folder, out) = folder();
+        let mut test = begin(&cell, &out);
+        test.child.kill().unwrap();
+        test.child.wait().unwrap();
+        assert!(!has_comms());
+        cell.arm.quit();
+    });
+}
+
+/// The terminal is closed during a step: nothing can be printed any more, and the report is written all the same.
+#[test]
+fn a_terminal_that_is_closed_during_a_step_leaves_a_report() {
+    programs_in_real_time_beside_others(|| {
+        let cell = Cell::start(&["--pose-deg", START_DEG]);
+        let (_folder, out) = folder();
+        let mut terminal = Pty::open().unwrap();
+        let screen = std::fs::File::options().write(true).open(terminal.path()).unwrap();
+        let out_text = out.display().to_string();
+        let args = ["test", "--only", "comms", "--move", "--out", &out_text];
+        let mut child = command(&cell.config().display().to_string(), &args).stdout(screen).spawn().unwrap();
+        let mut input = child.stdin.take().unwrap();
+        let mut seen = String::new();
+        let mut until = |part: &str| {
+            let since = Instant::now();
+            while !seen.contains(part) {
+                assert!(since.elapsed() < Duration::from_secs(40), "{part:?} did not come:\n{seen}");
+                let mut bytes = [0; 4096];
+                let count = terminal.try_read(&mut bytes).unwrap();
+                seen += &String::from_utf8_lossy(&bytes[..count]);
+                std::thread::sleep(Duration::from_millis(10));
+            }
+        };
+        until("Type vs-robot to begin:");
+        writeln!(input, "vs-robot").unwrap();
+        until("Are the joints, from the base, at");
+        drop(terminal);
+        writeln!(input, "no").unwrap();
+        assert_eq!(child.wait().unwrap().code(), Some(1));
+        let (report, _) = report_in(&out);
+        assert_eq!(results(&report).0[0], "failed", "{report}");
         cell.arm.quit();
     });
 }

@@ -6,6 +6,7 @@ use std::time::Duration;
 use pb3dp_servo::supervisor::{Action, Condition, Policies, Policy, Resume, SupervisorConfig, ThresholdRule};
 use serde::Deserialize;
 
+use super::super::layers::{Layers, built_in};
 use super::super::load::{Checker, within};
 use super::super::units::{in_deg, in_millis, in_mm};
 
@@ -123,6 +124,17 @@ impl Threshold {
         };
         Some(Self { key, allowed: in_file(min..=max), to_si })
     }
+
+    /// A value in SI units, in the unit of the file; without the rounding error of the conversion.
+    fn in_file(&self, si: f64) -> f64 {
+        (si / (self.to_si)(1.0) * 1e6).round() / 1e6
+    }
+}
+
+/// Key of a condition's threshold, and two thresholds in the unit of the file; `None` if the condition has none.
+pub(super) fn thresholds_in_file(condition: Condition, si: [f64; 2]) -> Option<(&'static str, [f64; 2])> {
+    let threshold = Threshold::of(condition)?;
+    Some((threshold.key, si.map(|si| threshold.in_file(si))))
 }
 
 /// A range in the unit of the file.
@@ -143,6 +155,16 @@ fn from_millis(value: f64) -> f64 {
 }
 
 impl SupervisorSection {
+    /// The supervisor's settings of the built-in setup `rig`.
+    pub(super) fn of_built_in_rig() -> Option<SupervisorConfig> {
+        let layers = Layers::of_text("rig", built_in::setup("rig")?.text).ok()?;
+        let section: Self = layers.figment().extract_inner("supervisor").ok()?;
+        let mut check = Checker::default();
+        // A lower bound of one age depends on the frame period.
+        let config = section.build(Duration::ZERO, &mut check);
+        check.is_clean().then_some(config)
+    }
+
     /// Longest time without a key at the console of arms that are not emulated, seconds; checked by [`Self::build`].
     pub(super) fn key_within_s(&self) -> f64 {
         within(self.operator_key_within_s, *KEY_WITHIN_S.start(), *KEY_WITHIN_S.end())

@@ -11,6 +11,7 @@ mod report;
 mod session;
 pub mod signals;
 mod status_bits;
+mod step_record;
 mod steps;
 mod stops;
 mod test_line;
@@ -41,6 +42,7 @@ use self::operator::{Operator, Person};
 use self::record::{Outcome, StepReport};
 use self::report::{ProgramFacts, TestReport, Verdict};
 use self::session::{Session, is_interruption};
+use self::step_record::StepRecord;
 use self::steps::Step;
 use self::test_line::{TestKey, TestLine};
 use super::confirm::{Console, need_person};
@@ -48,7 +50,7 @@ use super::flights::{folder_of, utc};
 use super::motion::{JOG_RAD_PER_S, show_room};
 use super::probe_report::GatewayFacts;
 use super::{Company, Place, parse_jog};
-use crate::commissioned::{CommissioningRecord, Fingerprint, VALID_DAYS, arm_number};
+use crate::commissioned::{CommissioningRecord, VALID_DAYS};
 
 /// Version of the report format.
 const REPORT_FORMAT: u32 = 1;
@@ -109,12 +111,14 @@ pub fn run(args: &TestArgs, commit: &'static str) -> Result<ExitCode> {
         print_line("dry run: the brakes stayed on and nothing moved; use --move to run the test")?;
         return Ok(ExitCode::SUCCESS);
     }
+    // A file that is no record is found before a step.
+    let mut record = open_record(&setup, &session)?;
     confirm(&args.company.word(session.choice), &asked, &mut session)?;
     std::fs::create_dir_all(&session.out).with_context(|| format!("{}: cannot be created", session.out.display()))?;
     let (settings, file) = (toml_of(&setup.layers.effective()), session.out.join("settings.toml"));
     std::fs::write(&file, &settings).with_context(|| format!("{}: cannot be written", file.display()))?;
     enter_control_thread();
-    let steps = all_steps(&asked, &mut session)?;
+    let steps = all_steps(&asked, &mut session, record.as_mut());
     let result = Verdict::of(&steps);
     let report = TestReport {
         format: REPORT_FORMAT,
@@ -136,33 +140,26 @@ pub fn run(args: &TestArgs, commit: &'static str) -> Result<ExitCode> {
         steps,
     };
     let path = report.write(&session.out)?;
-    record(&setup, &session, &report)?;
+    let arm = session.choice.of(&setup);
+    match record {
+        Some(record) => {
+            print_line(&format!("commissioning record: {}, valid for {VALID_DAYS} days", record.path().display()))?;
+        }
+        None if arm.link.is_toy() => {}
+        None => {
+            print_line(&format!("no commissioning record was written: {}.commissioning_record is not set", arm.key))?
+        }
+    }
     print_line(&format!("{}: {}\nreport: {}", session.choice.name(), result.word(), path.display()))?;
     let is_well = matches!(result, Verdict::Passed | Verdict::Incomplete);
     Ok(if is_well { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Updates the commissioning record of an arm that is not emulated.
-fn record(setup: &Setup, session: &Session<'_>, report: &TestReport) -> Result<()> {
+/// The commissioning record of an arm that is not emulated, if the setup names its file.
+fn open_record(setup: &Setup, session: &Session<'_>) -> Result<Option<StepRecord>> {
     let arm = session.choice.of(setup);
-    if arm.link.is_toy() {
-        return Ok(());
-    }
-    let Some(path) = &arm.commissioning_record else {
-        return Ok(print_line(&format!(
-            "no commissioning record was written: {}.commissioning_record is not set",
-            arm.key
-        ))?);
-    };
-    let new = CommissioningRecord::new(session.choice, session.fingerprint.clone());
-    let before = match path.exists() {
-        true => CommissioningRecord::load(path)?,
-        false => new.clone(),
-    };
-    let done = report.steps.iter().filter(|step| step.result != Outcome::Skipped);
-    let results = done.map(|step| (step.step.name(), step.result == Outcome::Passed));
-    before.with_results(new, results, &report.ended).save(path)?;
-    Ok(print_line(&format!("commissioning record: {}, valid for {VALID_DAYS} days", path.display()))?)
+    let path = arm.commissioning_record.as_ref().filter(|_| !arm.link.is_toy());
+    path.map(|path| StepRecord::open(path, session.record.clone())).transpose()
 }
 
 /// The requested steps, in order.
@@ -210,7 +207,7 @@ fn begin<'a>(
     if out.join("report.json").exists() {
         bail!("{}: there is a report already; use another --out", out.display());
     }
-    let fingerprint = Fingerprint::of(arm_number(choice.of(&setup)), &snapshot)?;
+    let record = CommissioningRecord::of(choice, choice.of(&setup), &snapshot)?;
     let session = Session {
         place: &args.place,
         setup,
@@ -222,7 +219,7 @@ fn begin<'a>(
         by_rad: args.by.to_radians(),
         home_rad: snapshot.joints.context("the arm reported no joints")?.position_rad,
         gateway: snapshot.gateway.context("the arm has no gateway")?,
-        fingerprint,
+        record,
         line,
         out,
     };
@@ -337,40 +334,51 @@ fn confirm(word: &str, asked: &[Step], session: &mut Session<'_>) -> Result<()> 
     session.operator.confirm(word, &mut session.signals)
 }
 
-/// Runs the steps; those after a failed one are skipped.
-fn all_steps(asked: &[Step], session: &mut Session<'_>) -> Result<Vec<StepReport>> {
+/// Runs the steps; those after a failed one are skipped. Nothing ends the checklist without a report.
+fn all_steps(asked: &[Step], session: &mut Session<'_>, mut record: Option<&mut StepRecord>) -> Vec<StepReport> {
     let mut reports: Vec<StepReport> = Vec::new();
-    let mut failed: Option<Step> = None;
+    let mut ended: Option<String> = None;
     for step in Step::ALL {
-        let report = match failed {
+        let report = match &ended {
             _ if !asked.contains(&step) => StepReport::skipped(step, "not requested"),
-            Some(before) => StepReport::skipped(step, format!("the step {} did not pass", before.name())),
-            None => one_step(step, session)?,
+            Some(why) => StepReport::skipped(step, why),
+            None => {
+                let report = one_step(step, session, record.as_deref_mut());
+                let shown = show_result(&report);
+                ended = match (report.result, shown) {
+                    (Outcome::Failed | Outcome::Interrupted, _) => {
+                        Some(format!("the step {} did not pass", step.name()))
+                    }
+                    (_, Err(error)) => Some(format!("the result of {} could not be shown: {error}", step.name())),
+                    (_, Ok(())) => None,
+                };
+                report
+            }
         };
-        if matches!(report.result, Outcome::Failed | Outcome::Interrupted) {
-            failed = Some(step);
-        }
         reports.push(report);
     }
-    Ok(reports)
+    reports
 }
 
-fn one_step(step: Step, session: &mut Session<'_>) -> Result<StepReport> {
-    print_line(&format!("\n{}: {}", step.name(), step.title()))?;
+fn one_step(step: Step, session: &mut Session<'_>, mut record: Option<&mut StepRecord>) -> StepReport {
     let (wall, begin) = (SystemTime::now(), session.clock.now());
     let mut report = StepReport::begin(step);
-    let outcome = match step {
+    let outcome = begin_step(step, record.as_deref_mut()).and_then(|()| match step {
         Step::Comms => comms::run(session, &mut report),
         Step::Jog => jog::run(session, &mut report),
         Step::EStop => stops::e_stop(session, &mut report),
         Step::Cable => stops::cable(session, &mut report),
         Step::Kill => kill::run(session, &mut report),
         Step::Interlock => interlock::run(session, &mut report),
-    };
+    });
     report.began = Some(utc(wall));
     report.monotonic_s = Some(begin.as_secs_f64());
     report.took_s = session.clock.now().seconds_since(begin);
     let complaints = report.complaints();
+    let outcome = match (outcome, record) {
+        (Ok(()), Some(record)) if complaints.is_empty() => record.pass(step, utc(SystemTime::now())),
+        (outcome, _) => outcome,
+    };
     report.result = match &outcome {
         Err(error) if is_interruption(error) => Outcome::Interrupted,
         Ok(()) if complaints.is_empty() => Outcome::Passed,
@@ -380,6 +388,17 @@ fn one_step(step: Step, session: &mut Session<'_>) -> Result<StepReport> {
     if let Err(error) = outcome {
         report.reasons.push(format!("{error:#}"));
     }
+    report
+}
+
+/// Announces a step, and removes its earlier pass from the commissioning record.
+fn begin_step(step: Step, record: Option<&mut StepRecord>) -> Result<()> {
+    print_line(&format!("\n{}: {}", step.name(), step.title()))?;
+    record.map_or(Ok(()), |record| record.begin(step))
+}
+
+/// Prints the figures and the result of a step.
+fn show_result(report: &StepReport) -> std::io::Result<()> {
     for figure in &report.figures {
         let word = if figure.passed { "ok" } else { "NOT OK" };
         print_line(&format!("  {}: {} ({}) {word}", figure.what, figure.found, figure.allowed))?;
@@ -387,8 +406,7 @@ fn one_step(step: Step, session: &mut Session<'_>) -> Result<StepReport> {
     for reason in &report.reasons {
         print_line(&format!("  {reason}"))?;
     }
-    print_line(&format!("{}: {}", step.name(), report.result.word()))?;
-    Ok(report)
+    print_line(&format!("{}: {}", report.step.name(), report.result.word()))
 }
 
 /// The SHA-256 of this content, as `sha256sum` prints it.

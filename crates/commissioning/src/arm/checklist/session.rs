@@ -27,7 +27,7 @@ use super::record::{Answer, StepReport};
 use super::steps::{OVER_SPEED, Step, WRONG_WAY_DEG};
 use super::test_line::TestLine;
 use crate::arm::motion::JOG_RAD_PER_S;
-use crate::commissioned::Fingerprint;
+use crate::commissioned::CommissioningRecord;
 
 /// Share of a move's duration at which the operator has to act.
 const ACT_AT: f64 = 0.35;
@@ -70,8 +70,8 @@ pub struct Session<'a> {
     pub home_rad: JointVector,
     /// Properties reported by the gateway.
     pub gateway: HelloReply,
-    /// Fingerprint of the arm, for its commissioning record.
-    pub fingerprint: Fingerprint,
+    /// An empty commissioning record of the arm.
+    pub record: CommissioningRecord,
     /// Address and key of the arm, if it differs from the setup.
     pub line: Option<TestLine>,
     /// Output folder of the report.

@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
@@ -19,8 +19,7 @@ use super::OperatorName;
 use super::operator::{Act, Operator, Question};
 use super::status_bits::{Changes, Choice, Observed, Words};
 use super::{Place, operator_of};
-use crate::arm::flights::utc;
-use crate::commissioned::{CommissioningRecord, Fingerprint, arm_number};
+use crate::commissioned::CommissioningRecord;
 
 /// Measurements before and after an action.
 const CALM: u32 = 20;
@@ -192,10 +191,9 @@ impl Bench {
             return Ok(());
         };
         let snapshot = self.see()?.arm.monitor().snapshot();
-        let new = CommissioningRecord::new(self.choice, Fingerprint::of(arm_number(arm), &snapshot)?);
-        let before = if path.exists() { CommissioningRecord::load(path)? } else { new.clone() };
-        let date = utc(SystemTime::now());
-        before.with_results(new, std::iter::empty(), &date).with_signals(signals).save(path)?;
+        // Steps that were passed with other signals count for nothing.
+        let new = CommissioningRecord::of(self.choice, arm, &snapshot)?.with_signals(signals);
+        new.continued(path)?.save(path)?;
         Ok(print_line(&format!("\ncommissioning record: {}", path.display()))?)
     }
 }
