@@ -358,6 +358,25 @@ mod tests {
     }
 
     #[test]
+    fn the_size_is_checked_before_an_image_is_decoded_and_a_pipe_is_not_opened() {
+        let folder = tempfile::tempdir().unwrap();
+        let size = ImageSize { width: 64, height: 48 };
+        let told = |file: &Path| {
+            let error = check_header(file, size, "the left image").unwrap_err();
+            let source = std::error::Error::source(&error).map(ToString::to_string);
+            format!("{error}: {}", source.unwrap_or_default())
+        };
+        let pipe = folder.path().join("pipe.png");
+        rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RUSR).unwrap();
+        assert!(told(&pipe).contains("no regular file"), "{}", told(&pipe));
+        let large = folder.path().join("large.png");
+        RgbImage::new(100, 80).save(&large).unwrap();
+        // Only the header is left.
+        std::fs::File::options().write(true).open(&large).unwrap().set_len(64).unwrap();
+        assert!(told(&large).contains("100x80 pixels, but the left image has 64x48"), "{}", told(&large));
+    }
+
+    #[test]
     fn png_survives_a_round_trip_and_jpeg_comes_close() {
         let dir = tempfile::tempdir().unwrap();
         let (png, jpg) = (dir.path().join("a.png"), dir.path().join("b.jpg"));

@@ -284,6 +284,7 @@ impl Reading {
 
     /// A part of a line that is too long: only `stop` and `hold` are obeyed, once for each line.
     fn take_part(&mut self, part: &str, (is_rest, obeyed): (bool, &mut Option<OperatorCommand>)) {
+        self.shared.has_typed.store(true, Ordering::SeqCst);
         let answer = match cautious_command_of(part) {
             Some(word) if *obeyed != Some(word) && *obeyed != Some(OperatorCommand::Stop) => {
                 *obeyed = Some(word);

@@ -1,6 +1,6 @@
 //! Tests of the console.
 
-mod selecting;
+mod selecting_tests;
 
 use std::io::{BufReader, PipeWriter, pipe};
 use std::path::Path;
