@@ -11,7 +11,7 @@ use pb3dp_cell::noting::PairEstimate;
 use pb3dp_cell::operator::Operator;
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::perception::{Marking, View};
-use pb3dp_cell::selection::{Selection, Selections};
+use pb3dp_cell::selection::{Choice, Selection, Selections};
 use pb3dp_cell::spectator::Spectator;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
@@ -87,7 +87,7 @@ impl Operator for Script {
         let said = if is_due { self.steps.pop_front() } else { None };
         if let Some((_, OperatorCommand::Select)) = said {
             let selection = self.selection();
-            self.selections.give(selection);
+            self.selections.give(Choice::Marked(selection));
         }
         let said = said.map(|(_, word)| OperatorRequest { word, at: now });
         OperatorInput { said, heard_at: Some(now), silent_after: None }

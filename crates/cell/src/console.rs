@@ -1,38 +1,34 @@
 //! Operator console: commands are read on one thread and answers written on another, so the thread that moves the arms waits for neither.
 
+mod answering;
 mod options;
+mod reading;
 
-use std::io::{BufRead, ErrorKind, Read, Write};
+use std::io::{BufRead, Write};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError, TryLockError};
+use std::sync::mpsc::sync_channel;
+use std::sync::{Arc, Mutex, TryLockError};
 use std::thread::Builder;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use pb3dp_geometry::{ImageSize, MonotonicTime};
+use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_servo::supervisor::{Condition, Decision, OperatorCommand, OperatorInput, OperatorRequest, Transition};
-use pb3dp_setup::region_spec::{RegionSpec, load_region};
 use rtrb::{Consumer, Producer, RingBuffer};
 
-use self::options::Drawn;
+use self::answering::write_all;
 pub use self::options::{ConsoleOptions, ConsoleTargets};
+use self::reading::Reading;
 use super::operator::Operator;
-use super::selection::{Selection, Selections};
-use super::terminal::{has_word, without_escape_sequences};
+use super::selection::Selections;
 
 /// Commands that no control step has taken yet; `stop`, `hold` and `hold hand` need no space in this queue.
 const WORDS_MAX: usize = 16;
 /// Answers that are not written yet.
 const ANSWERS_MAX: usize = 64;
-/// Longest accepted line, bytes: a polygon with a hundred corners.
-const LINE_MAX: u64 = 1024;
-/// Time between two read attempts on a non-blocking input.
-const READ_AGAIN: Duration = Duration::from_millis(10);
-/// Time between two checks for results of commands; an operator does not notice it.
-const RESULTS_EVERY: Duration = Duration::from_millis(50);
-
+/// Results of commands that are not written yet.
+const RESULTS_MAX: usize = 64;
 /// Pause between two control steps after which the commands that wait were typed blind, while this program was suspended: the limit of
 /// `clock_stepped` in `configs`. At half of it a loaded machine discards commands; at double a fault can come and be cleared unseen.
 const SUSPENDED_AFTER: Duration = Duration::from_millis(200);
@@ -43,39 +39,9 @@ const DISCARDS_FOR: Duration = Duration::from_millis(300);
 /// A console asks for a key this long before the longest silence, or a third of it before: time to read the line and to press Enter.
 const ASKS_BEFORE: Duration = Duration::from_secs(10);
 
-/// Part of the answer to an unknown command.
-const WORDS: &str = "use select, start, hold, hold hand, resume, stop, reset, status, help or quit";
-
-/// Words that stop both arms.
-const STOP_WORDS: [&str; 3] = ["stop", "estop", "halt"];
-
-/// Part of a line that is too long which is read again with the next part: no word of a command is cut.
-const LINE_OVERLAP: usize = 64;
-
-/// Question to an operator who types nothing while an arm may move.
-const ASK: &str = "are you there? press Enter now, or the arms hold (operator_silent)";
-
-/// Answer to commands that were typed while this program was suspended.
-const DISCARDED: &str = "this program was suspended, or its clock stepped: commands typed meanwhile are discarded (not stop and hold); \
-                         type them again";
-
-/// Answer to `help`.
-const HELP: &str = "\
-select     initialise the marked target; select REGION marks another one, for instance select rect:345,200,90,80
-start      follow the target with the hand
-hold       hold both arms; resume continues
-hold hand  hold the camera arm; the arm with the target continues
-resume     continue after a hold
-stop       stop both arms and close the brakes; reset leaves this state
-reset      clear a stop or a fault after its cause is gone
-status     show the state and what inhibits motion
-quit       stop both arms, write the report, exit
-help       show this list";
-
 /// Operator commands from a console, one on each line. The end of the input ends the run, as `quit` does.
 pub struct Console {
-    /// Each command with its number.
-    words: Consumer<(u64, OperatorRequest)>,
+    words: Consumer<GivenCommand>,
     shared: Arc<Shared>,
     heard_at: Option<MonotonicTime>,
     /// Longest time without a key; `None` if the open console is the sign of life.
@@ -91,8 +57,14 @@ pub struct Console {
     discarded_until: MonotonicTime,
     /// Commands up to this number precede a `stop` or `hold` that was taken, and are dropped.
     overtaken: u64,
-    /// The command that this control step obeys or refuses.
-    commanded: Option<OperatorCommand>,
+    /// The last of these.
+    overtaken_by: OperatorCommand,
+    /// The command that this control step obeys or refuses, with the number of its selection.
+    commanded: Option<(OperatorCommand, Option<u64>)>,
+    /// Targets for the estimation.
+    selections: Option<Selections>,
+    /// In the previous step, the estimation had not passed on an estimate of the selected target.
+    was_awaited: bool,
     /// Results of commands, for the answering thread.
     results: Producer<CommandResult>,
     /// Trouble not shown yet because the reader held the lock.
@@ -106,6 +78,20 @@ enum CommandResult {
     Step(OperatorCommand, Decision),
     /// Of a command that took longer.
     Late(String),
+    /// A command that a later `stop` or `hold` removed.
+    Overtaken(OperatorCommand, OperatorCommand),
+    /// A `start` while the estimation still follows the target before.
+    Awaited,
+}
+
+/// A command on its way to the control thread.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct GivenCommand {
+    /// Number of the command, in the order of typing.
+    number: u64,
+    said: OperatorRequest,
+    /// Number of the selection that travels with a `select`.
+    offer: Option<u64>,
 }
 
 /// State shared by the threads of a console.
@@ -121,6 +107,12 @@ struct Shared {
     typed_nanos: AtomicU64,
     /// The operator must press a key; the answering thread asks for it.
     asks_for_key: AtomicBool,
+    /// Something other than Enter was typed.
+    has_typed: AtomicBool,
+    /// The operator must know that `start` is needed; the answering thread reports it.
+    has_no_start: AtomicBool,
+    /// The `select` whose file is being read; 0: none.
+    reading: AtomicU64,
     /// A control step has discarded commands; the answering thread reports it.
     has_discarded: AtomicBool,
     shown: Mutex<Shown>,
@@ -168,22 +160,13 @@ impl Console {
     ) -> Result<Self> {
         let (give, words) = RingBuffer::new(WORDS_MAX);
         let (say, said) = sync_channel(ANSWERS_MAX);
-        let (results, decided) = RingBuffer::new(WORDS_MAX);
+        let (results, decided) = RingBuffer::new(RESULTS_MAX);
         let shared = Arc::new(Shared::default());
         let shown = Arc::clone(&shared);
-        let drawn = Arc::new(Mutex::new(None));
-        let chosen = targets.as_ref().map(|targets| (targets.selections.clone(), Arc::clone(&drawn)));
-        let write = move || write_all(&said, (decided, &shown), chosen, (answers, prompt));
+        let selections = targets.as_ref().map(|targets| targets.selections.clone());
+        let write = move || write_all(&said, (decided, &shown), (answers, prompt));
         Builder::new().name("answers".to_owned()).spawn(write).context("no thread for the answers of the console")?;
-        let reading = Reading {
-            clock,
-            give,
-            answers: Answers { say, left_out: 0 },
-            shared: Arc::clone(&shared),
-            interrupt,
-            targets: targets.map(|targets| (targets.size, drawn)),
-            words: 0,
-        };
+        let reading = Reading::new((clock, Arc::clone(&shared)), (give, say), (interrupt, targets));
         let read = move || reading.read(lines);
         Builder::new().name("console".to_owned()).spawn(read).context("no thread for the console")?;
         Ok(Self {
@@ -196,7 +179,10 @@ impl Console {
             listened_at: None,
             discarded_until: MonotonicTime::ZERO,
             overtaken: 0,
+            overtaken_by: OperatorCommand::Stop,
             commanded: None,
+            selections,
+            was_awaited: false,
             results,
             untold: None,
         })
@@ -228,24 +214,57 @@ impl Console {
         }
     }
 
-    fn next_word(&mut self) -> Option<OperatorRequest> {
+    /// Whether something other than Enter was typed.
+    pub(crate) fn has_typed(&self) -> bool {
+        self.shared.has_typed.load(Ordering::SeqCst)
+    }
+
+    /// Reports that the run goes on only after the command `start`.
+    pub(crate) fn say_no_start(&self) {
+        self.shared.has_no_start.store(true, Ordering::SeqCst);
+    }
+
+    /// More results than anybody reads are dropped; the log has all.
+    fn report(&mut self, result: CommandResult) {
+        let _ = self.results.push(result);
+    }
+
+    /// Drops a selection whose command is not obeyed.
+    fn drop_offer(&self, offer: Option<u64>) {
+        if let (Some(selections), Some(offer)) = (&self.selections, offer) {
+            selections.drop_offer(offer);
+        }
+    }
+
+    /// Whether the estimation still follows the target before the selected one. The step after its estimate counts as well, because the
+    /// control thread may not have the estimate yet.
+    fn awaits_target(&mut self) -> bool {
+        let is_awaited = self.selections.as_ref().is_some_and(Selections::is_awaited);
+        std::mem::replace(&mut self.was_awaited, is_awaited) || is_awaited
+    }
+
+    fn next_word(&mut self) -> Option<(OperatorRequest, Option<u64>)> {
         let Shared { stop, hold, hold_hand, .. } = &*self.shared;
         let urgent =
             [(stop, OperatorCommand::Stop), (hold, OperatorCommand::Hold), (hold_hand, OperatorCommand::HoldHand)];
         for (urgent, word) in urgent {
             if let Some((number, at)) = urgent.take() {
-                self.overtaken = self.overtaken.max(number);
-                return Some(OperatorRequest { word, at });
+                if number > self.overtaken {
+                    (self.overtaken, self.overtaken_by) = (number, word);
+                }
+                return Some((OperatorRequest { word, at }, None));
             }
         }
-        while let Ok((number, said)) = self.words.pop() {
-            if number <= self.overtaken {
-                continue;
+        while let Ok(GivenCommand { number, said, offer }) = self.words.pop() {
+            if number > self.overtaken && said.at >= self.discarded_until {
+                return Some((said, offer));
             }
-            if said.at >= self.discarded_until {
-                return Some(said);
+            self.drop_offer(offer);
+            if number > self.overtaken {
+                self.shared.has_discarded.store(true, Ordering::SeqCst);
+            } else {
+                self.report(CommandResult::Overtaken(said.word, self.overtaken_by));
             }
-            self.shared.has_discarded.store(true, Ordering::SeqCst);
         }
         None
     }
@@ -273,15 +292,26 @@ impl Operator for Console {
         if let Some(last) = last {
             self.ask_for_key(last, now);
         }
-        let said = self.next_word().map(|said| OperatorRequest { at: said.at.max(begun_at), ..said });
-        self.commanded = said.map(|said| said.word);
+        let awaits_target = self.awaits_target();
+        let next = self.next_word();
+        let (said, offer) = next.map_or((None, None), |(said, offer)| (Some(said), offer));
+        let mut said = said.map(|said| OperatorRequest { at: said.at.max(begun_at), ..said });
+        if awaits_target && said.is_some_and(|said| said.word == OperatorCommand::Start) {
+            said = None;
+            self.report(CommandResult::Awaited);
+        }
+        self.commanded = said.map(|said| (said.word, offer));
         OperatorInput { said, heard_at: self.heard_at, silent_after: self.key_within }
     }
 
     fn show(&mut self, decision: &Decision) {
-        if let Some(command) = self.commanded.take() {
-            // More results than anybody reads are dropped; the log has all.
-            let _ = self.results.push(CommandResult::Step(command, *decision));
+        if let Some((command, offer)) = self.commanded.take() {
+            // Here, because nobody may read the answers.
+            match (&self.selections, offer) {
+                (Some(selections), Some(offer)) if decision.refused.is_none() => selections.accept(offer),
+                _ => self.drop_offer(offer),
+            }
+            self.report(CommandResult::Step(command, *decision));
         }
         if let Some(Transition { at, cause: Some(cause), .. }) = decision.transition
             && cause.condition == Condition::ClockStepped
@@ -307,8 +337,7 @@ impl Operator for Console {
     }
 
     fn answer(&mut self, result: String) {
-        // The log has all.
-        let _ = self.results.push(CommandResult::Late(result));
+        self.report(CommandResult::Late(result));
     }
 
     fn is_person(&self) -> bool {
@@ -317,267 +346,6 @@ impl Operator for Console {
 
     fn can_fall_silent(&self) -> bool {
         self.key_within.is_some()
-    }
-}
-
-/// The result of a command.
-fn result_of(command: OperatorCommand, decision: &Decision) -> String {
-    match (&decision.refused, &decision.transition) {
-        (Some(refused), _) => refused.to_string(),
-        (None, Some(transition)) => format!("{}: {}", command.name(), transition.to),
-        (None, None) if command == OperatorCommand::Hold && decision.no_arm_may_move => {
-            format!("hold: both arms hold, the state is {}", decision.state)
-        }
-        (None, None) => format!("{}: no change, the state is {}", command.name(), decision.state),
-    }
-}
-
-/// A refusal with the problem that an arm has reported: it names the arm, the supervisor knows only that the drives are disabled.
-fn with_trouble(result: String, decision: &Decision, shared: &Shared) -> String {
-    let trouble = || shared.shown.lock().unwrap_or_else(PoisonError::into_inner).trouble.clone();
-    match decision.refused.and_then(|_| trouble()) {
-        Some(trouble) => format!("{result}\n{trouble}"),
-        None => result,
-    }
-}
-
-/// Writes answers until all senders are dropped; write errors are ignored.
-fn write_all(
-    said: &Receiver<String>,
-    (mut results, shared): (Consumer<CommandResult>, &Shared),
-    chosen: Option<(Selections, Drawn)>,
-    (mut answers, prompt): (impl Write, &str),
-) {
-    if !prompt.is_empty() {
-        let _ = write!(answers, "type a command; help lists them\n{prompt}").and_then(|()| answers.flush());
-    }
-    // An operator whose output is not read can still type commands.
-    let mut answer = |text: &str| drop(write!(answers, "{text}\n{prompt}").and_then(|()| answers.flush()));
-    loop {
-        let said = said.recv_timeout(RESULTS_EVERY);
-        if let Ok(text) = &said {
-            answer(text);
-        }
-        while let Ok(result) = results.pop() {
-            match result {
-                CommandResult::Step(command, decision) => {
-                    if let (OperatorCommand::Select, Some((selections, drawn))) = (command, &chosen)
-                        && let Some(selection) = drawn.lock().unwrap_or_else(PoisonError::into_inner).take()
-                        && decision.refused.is_none()
-                    {
-                        selections.give(selection);
-                    }
-                    answer(&with_trouble(result_of(command, &decision), &decision, shared));
-                }
-                CommandResult::Late(text) => answer(&text),
-            }
-        }
-        if shared.asks_for_key.swap(false, Ordering::SeqCst) {
-            answer(ASK);
-        }
-        if shared.has_discarded.swap(false, Ordering::SeqCst) {
-            answer(DISCARDED);
-        }
-        if said == Err(RecvTimeoutError::Disconnected) {
-            return;
-        }
-    }
-}
-
-/// Answers on their way to the writing thread.
-struct Answers {
-    say: SyncSender<String>,
-    /// Number of answers dropped so far because the queue was full.
-    left_out: u64,
-}
-
-impl Answers {
-    fn give(&mut self, answer: String) {
-        let text = match self.left_out {
-            0 => answer,
-            left_out => format!("({left_out} earlier answers dropped: the output was not read)\n{answer}"),
-        };
-        self.left_out = if self.say.try_send(text).is_ok() { 0 } else { self.left_out + 1 };
-    }
-}
-
-/// The reading thread.
-struct Reading {
-    clock: Arc<dyn Clock>,
-    give: Producer<(u64, OperatorRequest)>,
-    answers: Answers,
-    shared: Arc<Shared>,
-    interrupt: Arc<AtomicBool>,
-    /// Size of the left image, and the target of the last `select`; `None` if the target cannot be chosen here.
-    targets: Option<(ImageSize, Drawn)>,
-    /// Number of commands typed.
-    words: u64,
-}
-
-impl Drop for Reading {
-    /// After the input has ended no operator can command, so both arms stop.
-    fn drop(&mut self) {
-        self.shared.is_closed.store(true, Ordering::SeqCst);
-        self.interrupt.store(true, Ordering::SeqCst);
-    }
-}
-
-/// The command of a line. `stop` and `hold` are recognised anywhere in a line, in any case and with any punctuation, because an operator
-/// in a hurry types `STOP!` or hits an arrow key first; a command that can cause motion must be exact, and so must `hold hand`, which lets
-/// one arm move on.
-fn command_of(line: &str) -> Option<OperatorCommand> {
-    let exact = without_escape_sequences(line);
-    let mut all = OperatorCommand::ALL.into_iter();
-    all.find(|command| command.name() == exact.trim()).or_else(|| cautious_command_of(line))
-}
-
-/// `stop` or `hold`, if the line contains such a word.
-fn cautious_command_of(line: &str) -> Option<OperatorCommand> {
-    if STOP_WORDS.into_iter().any(|word| has_word(line, word)) {
-        return Some(OperatorCommand::Stop);
-    }
-    has_word(line, OperatorCommand::Hold.name()).then_some(OperatorCommand::Hold)
-}
-
-impl Reading {
-    /// Reads until the input ends.
-    fn read(mut self, mut lines: impl BufRead) {
-        let mut line = Vec::new();
-        let mut is_rest = false;
-        // Obeyed in the line that is too long.
-        let mut obeyed = None;
-        loop {
-            match lines.by_ref().take(LINE_MAX).read_until(b'\n', &mut line) {
-                Ok(0) => break,
-                Ok(_) => self.shared.typed_nanos.store(self.clock.now().as_nanos(), Ordering::SeqCst),
-                Err(error) if error.kind() == ErrorKind::WouldBlock => {
-                    std::thread::sleep(READ_AGAIN);
-                    continue;
-                }
-                Err(_) => break,
-            }
-            let is_end = line.ends_with(b"\n");
-            if !is_rest && (is_end || (line.len() as u64) < LINE_MAX) {
-                self.take(String::from_utf8_lossy(&line).trim());
-                line.clear();
-                continue;
-            }
-            self.take_part(&String::from_utf8_lossy(&line), (is_rest, &mut obeyed));
-            is_rest = !is_end;
-            if is_rest {
-                line.drain(..line.len().saturating_sub(LINE_OVERLAP));
-            } else {
-                line.clear();
-                obeyed = None;
-            }
-        }
-        if !self.interrupt.load(Ordering::SeqCst) {
-            self.answers.give("end of input: stopping both arms, then writing the report".to_owned());
-        }
-    }
-
-    fn take(&mut self, line: &str) {
-        let answer = match (command_of(line), without_escape_sequences(line).trim()) {
-            (None, text) if text.starts_with("select ") => self.select(text["select ".len()..].trim()),
-            (Some(word), _) => self.say(word),
-            (None, "status") => Some(self.status()),
-            (None, "help" | "?") => Some(HELP.to_owned()),
-            (None, "quit") => {
-                self.interrupt.store(true, Ordering::SeqCst);
-                Some("stopping both arms, then writing the report".to_owned())
-            }
-            (None, "") => None,
-            (None, other) => Some(format!("unknown command {other:?}: {WORDS}")),
-        };
-        if let Some(answer) = answer {
-            self.answers.give(answer);
-        }
-    }
-
-    /// Selects the target in this region.
-    fn select(&mut self, region: &str) -> Option<String> {
-        let Some((size, drawn)) = &self.targets else {
-            return Some("select refused: this run has no images in which a target can be chosen".to_owned());
-        };
-        let region = region.parse::<RegionSpec>().and_then(|spec| {
-            spec.check_inside(*size)?;
-            load_region(&spec, *size).map_err(|error| format!("{error:#}"))
-        });
-        match region {
-            Ok(region) => {
-                let selection = Selection { region, drawn_on: None };
-                *drawn.lock().unwrap_or_else(PoisonError::into_inner) = Some(selection);
-                self.say(OperatorCommand::Select)
-            }
-            Err(why) => Some(format!("select refused: {why}")),
-        }
-    }
-
-    /// A part of a line that is too long: only `stop` and `hold` are obeyed, once for each line.
-    fn take_part(&mut self, part: &str, (is_rest, obeyed): (bool, &mut Option<OperatorCommand>)) {
-        let answer = match cautious_command_of(part) {
-            Some(word) if *obeyed != Some(word) && *obeyed != Some(OperatorCommand::Stop) => {
-                *obeyed = Some(word);
-                self.say(word)
-            }
-            None if !is_rest => Some(format!("the line is longer than {LINE_MAX} bytes: {WORDS}")),
-            _ => None,
-        };
-        if let Some(answer) = answer {
-            self.answers.give(answer);
-        }
-    }
-
-    fn say(&mut self, word: OperatorCommand) -> Option<String> {
-        if !self.shared.has_begun.load(Ordering::SeqCst) {
-            return self.say_early(word);
-        }
-        self.give(word)
-    }
-
-    /// Handles a command while both arms are being enabled. `stop` aborts enabling and ends the run. Commands that cause no motion are
-    /// queued. Commands that could cause motion are refused, because the operator refers to the present state.
-    fn say_early(&mut self, word: OperatorCommand) -> Option<String> {
-        match word {
-            OperatorCommand::Stop => {
-                self.interrupt.store(true, Ordering::SeqCst);
-                Some("enabling aborted: stopping both arms, then writing the report".to_owned())
-            }
-            OperatorCommand::Select | OperatorCommand::Hold | OperatorCommand::HoldHand => Some(
-                self.give(word).unwrap_or_else(|| format!("{} is queued until both arms are enabled", word.name())),
-            ),
-            OperatorCommand::Start | OperatorCommand::Resume | OperatorCommand::Reset => Some(format!(
-                "{} refused: both arms are still being enabled; repeat it when they are enabled",
-                word.name()
-            )),
-        }
-    }
-
-    fn give(&mut self, word: OperatorCommand) -> Option<String> {
-        let said = OperatorRequest { word, at: self.clock.now() };
-        self.words += 1;
-        match word {
-            OperatorCommand::Stop => self.shared.stop.say(self.words, said.at),
-            OperatorCommand::Hold => self.shared.hold.say(self.words, said.at),
-            OperatorCommand::HoldHand => self.shared.hold_hand.say(self.words, said.at),
-            _ if self.give.push((self.words, said)).is_err() => {
-                return Some(format!("{} refused: {WORDS_MAX} commands are waiting; repeat it", word.name()));
-            }
-            _ => {}
-        }
-        None
-    }
-
-    fn status(&self) -> String {
-        let Shown { decision, trouble } = self.shared.shown.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let why = decision.map_or_else(
-            || "not started yet: both arms are being enabled".to_owned(),
-            |decision| decision.why.to_string(),
-        );
-        match trouble {
-            Some(trouble) => format!("{why}\n{trouble}"),
-            None => why,
-        }
     }
 }
 

@@ -17,7 +17,7 @@ use crate::follower::Follower;
 use crate::losses::Losses;
 use crate::noting::PairEstimate;
 use crate::perception::{NOT_SELECTED, View};
-use crate::selection::{Selection, Selections};
+use crate::selection::{Choice, Selection, Selections};
 use crate::spectator::Spectator;
 
 /// Longest wait for a pair, so that the end of the program is noticed.
@@ -72,7 +72,11 @@ impl ImagesOnly {
 
     fn look(&mut self, pair: Arc<FramePair>, progress: &mut Progress) -> PairEstimate {
         let started = self.clock.now();
-        let selection = self.selections.take();
+        let selection = match self.selections.take() {
+            Some(Choice::Marked(selection)) => Some(selection),
+            // There is no setup.
+            Some(Choice::OfSetup) | None => None,
+        };
         progress.target += u64::from(selection.is_some());
         let before = progress.before.replace(pair.exposed_at);
         let prior =

@@ -4,9 +4,10 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use pb3dp_estimation::estimator::FramePrior;
 use pb3dp_estimation_core::estimate::TrackEstimate;
+use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::frames::{Base, CamLeft};
 use pb3dp_geometry::{MonotonicTime, Pose};
@@ -21,7 +22,7 @@ use super::cell::{JOINT_GAP_MAX_S, SimulatedCell};
 use super::halves::Capture;
 use super::noting::{EstimateRecorder, EstimateRecords};
 use super::perception::{Marking, Perception, Sight};
-use super::selection::{Selection, Selections};
+use super::selection::{Choice, Selection, Selections};
 use super::strip::Strip;
 use crate::noting::PairEstimate;
 use crate::perception::View;
@@ -94,6 +95,8 @@ pub struct Estimating<'a> {
     target: u64,
     /// Targets that an operator selects during the run.
     selections: Option<Selections>,
+    /// The target is the one that the setup names.
+    is_of_setup: bool,
     /// Measured joints of the arm that carries the cameras.
     joints: JointHistory,
     /// Exposure time of the previous pair, and the camera pose then if the joint history has it.
@@ -103,7 +106,7 @@ pub struct Estimating<'a> {
 impl<'a> Estimating<'a> {
     fn new(setup: &'a Setup, clock: Arc<dyn Clock>, cameras: Perception) -> Self {
         let joints = JointHistory::new(setup.controller.joint_history_samples, JOINT_GAP_MAX_S);
-        Self { setup, clock, cameras, target: 0, selections: None, joints, previous: None }
+        Self { setup, clock, cameras, target: 0, selections: None, is_of_setup: true, joints, previous: None }
     }
 
     /// Adds a joint measurement of the arm that carries the cameras.
@@ -119,11 +122,14 @@ impl<'a> Estimating<'a> {
         let started = Instant::now();
         let selection = self.selections.as_ref().and_then(Selections::take);
         let (region, estimate, prior) = match selection {
-            Some(selection) => {
+            Some(Choice::Marked(selection)) => {
+                self.is_of_setup = false;
                 let (estimate, prior) = self.select(&selection, &captured);
                 (Some(selection.region), estimate, prior)
             }
-            None => {
+            Some(Choice::OfSetup) if !(self.is_of_setup && self.cameras.follows()) => self.select_of_setup(&captured),
+            // A target of the setup that is followed already stays: its region in the images may show something else by now.
+            Some(Choice::OfSetup) | None => {
                 let prior = self.prior(captured.frame.at);
                 let region = self.cameras.region(self.setup, captured.cam_left_from_target.as_ref())?;
                 self.target += u64::from(region.is_some());
@@ -146,6 +152,28 @@ impl<'a> Estimating<'a> {
         };
         let age_millis = age.as_secs_f64() * 1e3;
         Ok(PairEstimate { captured, target: self.target, region, prior, estimate, latency_millis, age_millis })
+    }
+
+    /// Starts with the target that the setup names, in the present images. If it is not in view, there is no target.
+    fn select_of_setup(&mut self, captured: &Captured) -> (Option<Region>, TrackEstimate, FramePrior) {
+        let marking = self.selections.as_ref().and_then(Selections::target_of_setup);
+        let marked = marking
+            .context("the setup names no target")
+            .and_then(|marking| marking.region(self.setup, captured.cam_left_from_target.as_ref()));
+        match marked {
+            Ok(region) => {
+                self.is_of_setup = true;
+                let selection = Selection { region, drawn_on: None };
+                let (estimate, prior) = self.select(&selection, captured);
+                (Some(selection.region), estimate, prior)
+            }
+            Err(why) => {
+                self.target += 1;
+                self.cameras.forget();
+                let estimate = TrackEstimate::without_pose(Status::NotObservable, format!("{why:#}"));
+                (None, estimate, self.prior(captured.frame.at))
+            }
+        }
     }
 
     /// Starts with a target that the operator has selected. A region that the method refuses does not end the run: there is no target then.
@@ -190,5 +218,63 @@ impl<'a> Estimating<'a> {
         let motion = previous.and_then(|(_, prev)| Some(prev?.inverse() * base_from_cam_left?));
         let dt_s = previous.map(|(before, _)| at.seconds_since(before));
         FramePrior { dt_s, ..FramePrior::of_motion(motion.as_ref()) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use image::{Rgb, RgbImage};
+    use pb3dp_estimation::estimator::{Method, Tracker};
+    use pb3dp_hal_api::FramePair;
+    use pb3dp_hal_clock::VirtualClock;
+    use pb3dp_servo::supervisor::FrameInput;
+    use pb3dp_setup::setup::read_setup;
+
+    use super::*;
+    use crate::follower::Follower;
+
+    /// A textured plane with a disparity of 40 pixels.
+    fn captured(setup: &Setup, sequence: u64) -> Captured {
+        let size = setup.rig.stereo.left().size();
+        let grey = |u: u32, v: u32| {
+            let hash = (u / 4).wrapping_mul(73_856_093) ^ (v / 4).wrapping_mul(19_349_663);
+            Rgb([(hash % 251) as u8; 3])
+        };
+        let image = |shift: u32| RgbImage::from_fn(size.width, size.height, |u, v| grey(u + shift, v));
+        let at = MonotonicTime::from_secs_f64(sequence as f64 / 30.0);
+        let (left, right) = (image(0), image(40));
+        let pair = FramePair { sequence, exposed_at: at, skew_nanos: 0, left, right, jpegs: Default::default() };
+        let frame = FrameInput { sequence, at, skew_s: 0.0 };
+        Captured { frame, cam_left_from_target: None, view: View::Images(Arc::new(pair)) }
+    }
+
+    #[test]
+    fn a_plain_select_returns_to_the_target_of_the_setup() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/sim.toml");
+        let setup = read_setup(Path::new(file)).unwrap();
+        let rectangle = |x| Region::Rectangle { x, y: 180, width: 90, height: 90 };
+        let selections = Selections::default();
+        selections.set_target_of_setup(&Marking::Region(rectangle(200)));
+        let tracker = Tracker::new(Method::Direct, &setup.rig.stereo, &setup.estimator).unwrap();
+        let cameras = Perception::Images(Box::new(Follower::new(tracker, setup.range)), Marking::Awaited);
+        let mut estimating = Estimating::new(&setup, Arc::new(VirtualClock::new()), cameras);
+        estimating.selections = Some(selections.clone());
+        let mut look = |sequence: u64, choice: Option<Choice>| {
+            choice.into_iter().for_each(|choice| selections.give(choice));
+            let seen = estimating.look(captured(&setup, sequence)).unwrap();
+            let x = seen.region.map(|region| match region {
+                Region::Rectangle { x, .. } => x,
+                other => panic!("{other:?}"),
+            });
+            (seen.target, x, seen.estimate.cam_left_from_model.is_some())
+        };
+        let other = || Choice::Marked(Selection { region: rectangle(350), drawn_on: None });
+        assert_eq!(look(1, None), (0, None, false), "no target yet");
+        assert_eq!(look(2, Some(other())), (1, Some(350), true));
+        assert_eq!(look(3, Some(Choice::OfSetup)), (2, Some(200), true));
+        // It is followed already.
+        assert_eq!(look(4, Some(Choice::OfSetup)), (2, None, true));
+        assert_eq!(look(5, Some(other())), (3, Some(350), true));
+        assert_eq!(look(6, Some(Choice::OfSetup)), (4, Some(200), true));
     }
 }

@@ -162,9 +162,10 @@ impl<'a> Moving<'a> {
         (control, decision, told)
     }
 
-    /// Warns once of a rest that only a person could end, where there is none.
+    /// Warns once of a rest that only a person could end, where nobody can type `resume`.
     fn warn_of_a_rest_without_end(&mut self, decision: &Decision) {
-        if decision.why.waits_for_resume() && !self.operator.is_person() && !self.is_rest_told {
+        let has_nobody = !self.operator.is_person() && !self.operator.can_fall_silent();
+        if decision.why.waits_for_resume() && has_nobody && !self.is_rest_told {
             self.is_rest_told = true;
             tracing::warn!(
                 "the arms rest until the run ends: without a console nobody can use resume; use --operator console"
@@ -235,8 +236,9 @@ impl<'a> Moving<'a> {
     fn carrying(&mut self, decision: &Decision, now: MonotonicTime) -> JointCommand {
         let since = self.stepped_at.replace(now).map_or(Duration::ZERO, |before| now.saturating_since(before));
         let Some(path) = &self.path else { return JointCommand::Hold };
-        // With a console operator nothing moves before the command `start`.
-        let has_begun = !matches!(decision.state, State::Idle | State::Selecting) || !self.operator.is_person();
+        // With a person who commands, nothing moves before the command `start`.
+        let has_begun =
+            !matches!(decision.state, State::Idle | State::Selecting) || self.operator.carries_before_start();
         if decision.no_arm_may_move || !has_begun {
             self.waited += since;
             return JointCommand::Hold;

@@ -27,6 +27,11 @@ pub trait Operator: Send {
     /// Whether a person commands: only then are latched faults reset, and the target waits for the command `start`.
     fn is_person(&self) -> bool;
 
+    /// Whether the arm with the target may begin its path before the first `start`.
+    fn carries_before_start(&self) -> bool {
+        !self.is_person()
+    }
+
     /// Whether the sign of life ends when nobody is there. A run moves arms that are not emulated only with such an operator.
     fn can_fall_silent(&self) -> bool;
 }

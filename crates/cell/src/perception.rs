@@ -134,6 +134,14 @@ impl Perception {
         }
     }
 
+    /// Whether a target is initialised and not given up.
+    pub fn follows(&self) -> bool {
+        match self {
+            Self::Images(follower, _) => follower.is_started() && !follower.tracker().wants_region(),
+            Self::Geometric(_) => true,
+        }
+    }
+
     /// Drops the target, until the operator marks another one.
     pub fn forget(&mut self) {
         if let Self::Images(follower, marking) = self {

@@ -3,7 +3,7 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use pb3dp_cell::selection::Selection;
+use pb3dp_cell::selection::{Choice, Selection};
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::Pose;
@@ -16,7 +16,7 @@ use crate::messages::state::JogState;
 use crate::pending::{Answer, Chosen, CommandAnswer, PendingCommand};
 use crate::refusal::Refusal;
 
-/// Time in which the estimation takes a selection; after it `start` no longer waits for it.
+/// Time in which the panel gets the first estimate of a selection; after it `start` no longer waits for it.
 const SELECTION_TIME: Duration = Duration::from_secs(2);
 
 impl Hub {
@@ -32,6 +32,9 @@ impl Hub {
         chosen: Option<Chosen>,
     ) -> Result<Answer, Refusal> {
         let name = command.name();
+        if let Some(Chosen { selection: None, name }) = &chosen {
+            self.check_target_of_setup(name.as_deref())?;
+        }
         let (answer, result) = oneshot::channel();
         if let Some(done) = self.before_or_without_arms(command, &chosen)? {
             // The receiver is in scope.
@@ -110,8 +113,37 @@ impl Hub {
         }
     }
 
+    /// A `select` without a region or a saved name chooses the target that the setup names. It gives no name to what is followed.
+    fn check_target_of_setup(&self, name: Option<&str>) -> Result<(), Refusal> {
+        if name.is_some() {
+            let targets = self.targets();
+            let names: Vec<&str> = targets.saved.iter().map(|(name, _)| name.as_str()).collect();
+            let known = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
+            let cause = format!(
+                "`name` needs a `region`; to choose a saved target, give its name as `saved`; saved are: {known}"
+            );
+            return Err(Refusal::Body { cause });
+        }
+        if self.selections.target_of_setup().is_none() {
+            let why = "select refused: the setup names no target (camera.region); give `region` or `saved`".to_owned();
+            return Err(Refusal::Region { why });
+        }
+        Ok(())
+    }
+
     /// `start` right after `select` must not follow the target before.
     fn check_no_selection_is_awaited(&self) -> Result<(), Refusal> {
+        let refused = || {
+            Err(Refusal::OtherTarget {
+                command: "start",
+                seen: "the target before".to_owned(),
+                current: "one that is being initialised".to_owned(),
+            })
+        };
+        if self.selections.is_awaited() {
+            return refused();
+        }
+        // The panel gets an estimate later than the control thread.
         let mut targets = self.targets();
         let Some((marked_before, at)) = targets.awaited else { return Ok(()) };
         let is_taken = self.watched.marked.load(Ordering::SeqCst) > marked_before;
@@ -119,11 +151,7 @@ impl Hub {
             targets.awaited = None;
             return Ok(());
         }
-        Err(Refusal::OtherTarget {
-            command: "start",
-            seen: "the target before".to_owned(),
-            current: "one that is being initialised".to_owned(),
-        })
+        refused()
     }
 
     /// Passes on the result of a command.
@@ -160,7 +188,11 @@ impl Hub {
         self.link.set_jog(Pose::coincident());
         let mut targets = self.targets();
         targets.name.clone_from(&chosen.name);
-        let Some(selection) = &chosen.selection else { return };
+        let Some(selection) = &chosen.selection else {
+            targets.awaited = None;
+            self.selections.give(Choice::OfSetup);
+            return;
+        };
         if let Some(name) = &chosen.name {
             targets.saved.retain(|(saved, _)| saved != name);
             targets.saved.push_back((name.clone(), selection.clone()));
@@ -169,7 +201,7 @@ impl Hub {
             }
         }
         targets.awaited = Some((self.watched.marked.load(Ordering::SeqCst), self.now()));
-        self.selections.give(selection.clone());
+        self.selections.give(Choice::Marked(selection.clone()));
     }
 }
 

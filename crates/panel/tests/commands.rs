@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use pb3dp_cell::perception::Marking;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_servo::supervisor::{OperatorCommand, State};
 use serde_json::json;
@@ -80,6 +81,38 @@ fn a_select_while_an_arm_moves_holds_every_arm_first() {
     rig.wait_for("the saved target", |seen| seen.regions.len() == 3);
     let unknown = json!({ "saved": "box", "seen": client.seen() });
     assert_eq!(client.post("select", &unknown.to_string()).code(), "PB3DP-PAN-035");
+}
+
+/// Without a region and a saved name: the target of the setup, and no other name for the target that is followed.
+#[test]
+fn a_select_without_a_region_chooses_the_target_of_the_setup_and_names_nothing() {
+    let rig = Rig::new();
+    let client = rig.holder();
+    let select = |more: serde_json::Value| {
+        let mut body = json!({ "seen": client.seen() });
+        body.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+        client.post("select", &body.to_string())
+    };
+    let reply = select(json!({}));
+    assert_eq!((reply.status, reply.code().as_str()), (400, "PB3DP-PAN-032"), "{}", reply.body);
+    assert!(reply.body.contains("camera.region"), "{}", reply.body);
+    assert_eq!(rig.count_of(OperatorCommand::Select), 0);
+    for (count, name) in [(1, "cup"), (2, "box")] {
+        assert_eq!(select(json!({ "region": "click:320,240", "name": name })).status, 200);
+        client.wait_for("its name", |state| state["target"]["name"] == name && state["target"]["id"] == count);
+    }
+    for name in ["cup", "box", "bowl"] {
+        let reply = select(json!({ "name": name }));
+        assert_eq!((reply.status, reply.code().as_str()), (400, "PB3DP-PAN-017"), "{}", reply.body);
+        assert!(reply.body.contains("saved are: cup, box"), "{}", reply.body);
+    }
+    assert_eq!(rig.count_of(OperatorCommand::Select), 2);
+    let of_setup = Marking::Region(Region::Click { x: 7, y: 7 });
+    rig.panel.as_ref().unwrap().selections().set_target_of_setup(&of_setup);
+    let reply = select(json!({}));
+    assert_eq!(reply.status, 200, "{}", reply.body);
+    rig.wait_for("the target of the setup", |seen| seen.setup_selected == 1 && seen.regions.len() == 2);
+    client.wait_for("no name", |state| state["target"]["name"].is_null());
 }
 
 #[test]

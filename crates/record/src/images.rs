@@ -13,6 +13,8 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{DynamicImage, ImageEncoder, ImageFormat, ImageReader, RgbImage};
 use pb3dp_geometry::ImageSize;
 
+use crate::text_file::check_regular;
+
 /// Largest number of pixels of an image that is read. Chosen: 300 MB in memory; sensors of machine vision have up to 65 million pixels.
 pub const PIXELS_MAX: u64 = 100_000_000;
 
@@ -153,6 +155,19 @@ pub fn load_rgb_of_size(file: &Path, expected: ImageSize, because_of: &str) -> R
     let image = load_rgb(file)?;
     check_size(file, size_of(&image), (expected, because_of))?;
     Ok(image)
+}
+
+/// Checks the size of the image in a file before it is decoded: a pipe is not opened, and a large image costs no time.
+///
+/// # Errors
+/// A file that is not regular or has no such image, and [`ImageProblem::Size`], with `because_of` as the source of the requirement.
+pub fn check_header(file: &Path, expected: ImageSize, because_of: &str) -> Result<(), ImageFileError> {
+    check_regular(file, u64::MAX).map_err(|error| ImageFileError::io(file, error))?;
+    let header = ImageReader::open(file).and_then(ImageReader::with_guessed_format);
+    let header = header.map_err(|error| ImageFileError::io(file, error))?;
+    // Every other problem of the header is found when the image is decoded.
+    let Ok((width, height)) = header.into_dimensions() else { return Ok(()) };
+    check_size(file, ImageSize { width, height }, (expected, because_of))
 }
 
 /// Checks the size of the image in a file.
@@ -340,6 +355,25 @@ mod tests {
         let error = result.unwrap_err();
         assert!(error.to_string().contains(file), "{error} must name {file}");
         error.problem
+    }
+
+    #[test]
+    fn the_size_is_checked_before_an_image_is_decoded_and_a_pipe_is_not_opened() {
+        let folder = tempfile::tempdir().unwrap();
+        let size = ImageSize { width: 64, height: 48 };
+        let told = |file: &Path| {
+            let error = check_header(file, size, "the left image").unwrap_err();
+            let source = std::error::Error::source(&error).map(ToString::to_string);
+            format!("{error}: {}", source.unwrap_or_default())
+        };
+        let pipe = folder.path().join("pipe.png");
+        rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RUSR).unwrap();
+        assert!(told(&pipe).contains("no regular file"), "{}", told(&pipe));
+        let large = folder.path().join("large.png");
+        RgbImage::new(100, 80).save(&large).unwrap();
+        // Only the header is left.
+        std::fs::File::options().write(true).open(&large).unwrap().set_len(64).unwrap();
+        assert!(told(&large).contains("100x80 pixels, but the left image has 64x48"), "{}", told(&large));
     }
 
     #[test]

@@ -12,6 +12,15 @@ pub const TEXT_MAX_BYTES: u64 = 64 << 20;
 /// # Errors
 /// A file that is not regular, is larger than [`TEXT_MAX_BYTES`], cannot be read, or is not UTF-8.
 pub fn read_text(file: &Path) -> Result<String> {
+    check_regular(file, TEXT_MAX_BYTES)?;
+    fs::read_to_string(file)
+}
+
+/// Refuses what is no regular file, or larger than this, before it is opened.
+///
+/// # Errors
+/// The reason, or that the file cannot be found.
+pub fn check_regular(file: &Path, max_bytes: u64) -> Result<()> {
     let found = fs::metadata(file)?;
     if found.is_dir() {
         return Err(ErrorKind::IsADirectory.into());
@@ -19,11 +28,11 @@ pub fn read_text(file: &Path) -> Result<String> {
     if !found.is_file() {
         return Err(Error::new(ErrorKind::InvalidInput, "it is no regular file, but a pipe, a socket or a device"));
     }
-    if found.len() > TEXT_MAX_BYTES {
-        let message = format!("it has {} bytes, allowed are {TEXT_MAX_BYTES}", found.len());
+    if found.len() > max_bytes {
+        let message = format!("it has {} bytes, allowed are {max_bytes}", found.len());
         return Err(Error::new(ErrorKind::FileTooLarge, message));
     }
-    fs::read_to_string(file)
+    Ok(())
 }
 
 /// Writes a file in one piece: an interrupted write leaves the old one, and a symbolic link of this name is replaced, so that

@@ -8,7 +8,7 @@ use image::GrayImage;
 use nalgebra::Vector2;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::ImageSize;
-use pb3dp_record::images::load_rgb;
+use pb3dp_record::images::{check_header, load_rgb};
 
 /// A region as the user typed it; files are not opened yet.
 #[derive(Clone, Debug, PartialEq)]
@@ -116,7 +116,7 @@ impl RegionSpec {
 /// The region that the command line or a configuration names, in images of this size.
 ///
 /// # Errors
-/// A mask that cannot be read or marks everything, or a rectangle without area.
+/// A mask that cannot be read, has another size or marks everything, or a rectangle without area.
 pub fn load_region(spec: &RegionSpec, images: ImageSize) -> Result<Region> {
     Ok(match spec {
         RegionSpec::Rectangle([x, y, width, height]) => {
@@ -133,9 +133,8 @@ pub fn load_region(spec: &RegionSpec, images: ImageSize) -> Result<Region> {
             Region::Polygon { vertices_px: vertices.iter().map(|&[u, v]| Vector2::new(u, v)).collect() }
         }
         RegionSpec::Mask(file) => {
-            let mask = load_mask(file)?;
-            let is_full = mask.pixels().all(|pixel| pixel.0[0] > 0);
-            if is_full && mask.dimensions() == (images.width, images.height) {
+            let mask = load_mask(file, images)?;
+            if mask.pixels().all(|pixel| pixel.0[0] > 0) {
                 bail!(
                     "{}: the mask has no black pixel, so everything would be the object: is it a mask?",
                     file.display()
@@ -147,8 +146,9 @@ pub fn load_region(spec: &RegionSpec, images: ImageSize) -> Result<Region> {
     })
 }
 
-fn load_mask(file: &Path) -> Result<GrayImage> {
-    let image = load_rgb(file).context("the mask of --region cannot be used")?;
+fn load_mask(file: &Path, images: ImageSize) -> Result<GrayImage> {
+    let checked = check_header(file, images, "the left image").and_then(|()| load_rgb(file));
+    let image = checked.context("the mask of --region cannot be used")?;
     let any = |pixel: &image::Rgb<u8>| image::Luma([pixel.0.iter().copied().max().unwrap_or(0)]);
     Ok(GrayImage::from_fn(image.width(), image.height(), |x, y| any(image.get_pixel(x, y))))
 }

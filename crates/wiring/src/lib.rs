@@ -147,7 +147,9 @@ fn wire_experiment(setup: &Setup, needs: &RunNeeds, video: Arc<dyn VideoSystem>)
             wired.parts.marking = Marking::Awaited;
         }
         if matches!(wired.parts.camera, Sight::Images(_)) {
-            wired.parts.selections = Some(Selections::default());
+            let selections = Selections::default();
+            selections.set_target_of_setup(&wired.parts.marking);
+            wired.parts.selections = Some(selections);
         }
     }
     Ok(wired)

@@ -58,6 +58,7 @@ const WORLDS: [World; 6] = [
         paths: &["std::thread", "rayon"],
         allowed_in: &[
             "crates/cell/src/console.rs",
+            "crates/cell/src/console/reading.rs",
             "crates/cell/src/interruption.rs",
             "crates/cell/src/live.rs",
             "crates/cell/src/machine.rs",

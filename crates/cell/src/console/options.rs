@@ -1,11 +1,11 @@
 //! What a console needs besides its lines.
 
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex};
 
 use pb3dp_geometry::ImageSize;
 
-use crate::selection::{Selection, Selections};
+use crate::selection::Selections;
 
 /// What a console needs besides its lines.
 pub struct ConsoleOptions {
@@ -13,17 +13,15 @@ pub struct ConsoleOptions {
     pub interrupt: Arc<AtomicBool>,
     /// Text behind each answer.
     pub prompt: &'static str,
-    /// For `select REGION`; `None` if the target cannot be chosen.
+    /// For `select`; `None` if the target cannot be chosen.
     pub targets: Option<ConsoleTargets>,
 }
 
-/// For the command `select REGION`.
+/// For the command `select`.
+#[derive(Clone)]
 pub struct ConsoleTargets {
     /// Size of the left image.
     pub size: ImageSize,
     /// Receives the target once the supervisor has accepted the command.
     pub selections: Selections,
 }
-
-/// The target of the last `select REGION`, until the supervisor has decided.
-pub(super) type Drawn = Arc<Mutex<Option<Selection>>>;

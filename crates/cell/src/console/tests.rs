@@ -1,8 +1,10 @@
 //! Tests of the console.
 
+mod selecting_tests;
+
 use std::io::{BufReader, PipeWriter, pipe};
 use std::path::Path;
-use std::sync::mpsc::{Sender, channel};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Instant;
 
 use pb3dp_estimation_core::region::Region;
@@ -13,6 +15,8 @@ use pb3dp_servo::supervisor::{
 };
 use pb3dp_setup::setup::read_setup;
 
+use super::answering::{ASK, DISCARDED, RESULTS_EVERY};
+use super::reading::{LINE_MAX, command_of};
 use super::*;
 
 const NOW: MonotonicTime = MonotonicTime::from_nanos(9);
@@ -420,50 +424,6 @@ fn what_is_told_while_somebody_reads_is_shown_in_the_next_step() {
     console.show(&decision);
     let shown = shared.shown.lock().unwrap();
     assert!(shown.trouble.is_none() && shown.decision.is_some());
-}
-
-#[test]
-fn select_with_a_region_gives_the_target_once_the_supervisor_has_accepted_it() {
-    let (written, answers) = channel();
-    let selections = Selections::default();
-    let size = ImageSize { width: 640, height: 480 };
-    let targets = Some(ConsoleTargets { size, selections: selections.clone() });
-    let (lines, mut typing) = typed();
-    let options = ConsoleOptions { targets, ..options() };
-    let mut console = Console::start(Arc::new(VirtualClock::new()), lines, Written(written), options).unwrap();
-    console.listen(None, NOW);
-    let answer = || {
-        let mut answer = String::new();
-        while !answer.ends_with('\n') {
-            answer += &answers.recv_timeout(Duration::from_secs(30)).unwrap();
-        }
-        answer
-    };
-    let mut said = |line: &str, decision: Decision| {
-        writeln!(typing, "{line}").unwrap();
-        let begin = Instant::now();
-        while console.listen(None, NOW).said.is_none() {
-            assert!(begin.elapsed() < Duration::from_secs(30), "{line}");
-        }
-        console.show(&decision);
-        answer()
-    };
-    let refused = Decision {
-        refused: Some(Refusal { word: OperatorCommand::Select, because: RefusedFor::State(State::Tracking) }),
-        ..decision()
-    };
-    said("select rect:400,120,60,50", refused);
-    assert!(selections.take().is_none(), "the supervisor has refused it");
-    said("select", decision());
-    assert!(selections.take().is_none(), "a refused region is not used later");
-    said("select rect:400,120,60,50", decision());
-    let region = selections.take().unwrap().region;
-    assert!(matches!(region, Region::Rectangle { x: 400, y: 120, width: 60, height: 50 }), "{region:?}");
-    for line in ["select rect:600,120,60,50", "select rect:1,2,3", "select circle:3"] {
-        writeln!(typing, "{line}").unwrap();
-        let answer = answer();
-        assert!(answer.starts_with("select refused: "), "{line}: {answer}");
-    }
 }
 
 /// After a failed enabling: the answer comes by itself, and a refused command repeats which arm it was.

@@ -96,7 +96,7 @@ impl Attendance {
         let console = || Console::start(clock, typed, answers, ConsoleOptions { interrupt, prompt, targets });
         Ok(match (name, is_emulated) {
             (OperatorName::Command, true) => Box::new(ByCommand),
-            (OperatorName::Command, false) => Box::new(AttendedCommand(console()?.with_keys(key_within))),
+            (OperatorName::Command, false) => Box::new(AttendedCommand::new(console()?.with_keys(key_within))),
             (OperatorName::Console, true) => Box::new(console()?),
             (OperatorName::Console, false) => Box::new(console()?.with_keys(key_within)),
         })

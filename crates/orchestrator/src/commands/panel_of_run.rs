@@ -38,10 +38,12 @@ pub fn start(at: PanelConfig, (setup, name): (&Setup, &str), parts: &mut Parts) 
     let (panel, operator, spectator) = Panel::start(config, clock, about)?;
     parts.operator = Box::new(operator);
     parts.spectator = Some(Box::new(spectator));
-    parts.selections = Some(panel.selections());
+    let selections = panel.selections();
     if matches!(parts.camera, Sight::Images(_)) {
+        selections.set_target_of_setup(&parts.marking);
         parts.marking = Marking::Awaited;
     }
+    parts.selections = Some(selections);
     announce(&panel, "is the operator panel; Ctrl-C ends the run")?;
     Ok(panel)
 }

@@ -20,6 +20,7 @@ use pb3dp_cell::noting::PairEstimate;
 use pb3dp_cell::operator::{MotionRequest, Operator};
 use pb3dp_cell::parts::GatewayLimits;
 use pb3dp_cell::perception::View;
+use pb3dp_cell::selection::{Choice, Selections};
 use pb3dp_cell::spectator::Spectator;
 use pb3dp_estimation::estimator::FramePrior;
 use pb3dp_estimation_core::estimate::TrackEstimate;
@@ -49,6 +50,8 @@ pub struct Seen {
     pub commands: Vec<(OperatorCommand, MonotonicTime)>,
     /// Selections that the estimation got.
     pub regions: Vec<(Region, Option<u64>)>,
+    /// How often the estimation got the target of the setup.
+    pub setup_selected: usize,
     /// Last sign of life in the newest step.
     pub heard_at: Option<MonotonicTime>,
     /// Allocations of the control thread in the panel.
@@ -190,7 +193,7 @@ impl Drop for Rig {
 struct Loop {
     clock: Arc<SystemClock>,
     supervisor: Supervisor,
-    selections: pb3dp_cell::selection::Selections,
+    selections: Selections,
     seen: Arc<Mutex<Seen>>,
     is_paused: Arc<AtomicBool>,
     is_over: Arc<AtomicBool>,
@@ -314,10 +317,14 @@ impl Loop {
         image: &FramePair,
         spectator: &mut PanelSpectator,
     ) -> (FrameInput, EstimateInput) {
-        let region = self.selections.take().map(|selection| {
+        let region = self.selections.take().and_then(|choice| {
+            let Choice::Marked(selection) = choice else {
+                self.seen.lock().unwrap().setup_selected += 1;
+                return None;
+            };
             let drawn_on = selection.drawn_on.map(|pair| pair.sequence);
             self.seen.lock().unwrap().regions.push((selection.region.clone(), drawn_on));
-            selection.region
+            Some(selection.region)
         });
         self.target += u64::from(region.is_some());
         self.sequence += 1;
