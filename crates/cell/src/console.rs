@@ -19,8 +19,9 @@ use rtrb::{Consumer, Producer, RingBuffer};
 use self::options::Drawn;
 pub use self::options::{ConsoleOptions, ConsoleTargets};
 use super::operator::Operator;
+use super::person::{KeyRequest, cautious_command_of, command_of};
 use super::selection::{Selection, Selections};
-use super::terminal::{has_word, without_escape_sequences};
+use super::terminal::without_escape_sequences;
 
 /// Commands that no control step has taken yet; `stop`, `hold` and `hold hand` need no space in this queue.
 const WORDS_MAX: usize = 16;
@@ -40,14 +41,8 @@ const SUSPENDED_AFTER: Duration = Duration::from_millis(200);
 /// operator would notice it.
 const DISCARDS_FOR: Duration = Duration::from_millis(300);
 
-/// A console asks for a key this long before the longest silence, or a third of it before: time to read the line and to press Enter.
-const ASKS_BEFORE: Duration = Duration::from_secs(10);
-
 /// Part of the answer to an unknown command.
 const WORDS: &str = "use select, start, hold, hold hand, resume, stop, reset, status, help or quit";
-
-/// Words that stop both arms.
-const STOP_WORDS: [&str; 3] = ["stop", "estop", "halt"];
 
 /// Part of a line that is too long which is read again with the next part: no word of a command is cut.
 const LINE_OVERLAP: usize = 64;
@@ -80,8 +75,7 @@ pub struct Console {
     heard_at: Option<MonotonicTime>,
     /// Longest time without a key; `None` if the open console is the sign of life.
     key_within: Option<Duration>,
-    /// The sign of life after which a key was asked for.
-    asked_after: Option<MonotonicTime>,
+    key_request: KeyRequest,
     /// Time at which commands were first accepted; commands queued before are stamped with it.
     begun_at: Option<MonotonicTime>,
     /// Time of the last control step.
@@ -191,7 +185,7 @@ impl Console {
             shared,
             heard_at: None,
             key_within: None,
-            asked_after: None,
+            key_request: KeyRequest::default(),
             begun_at: None,
             listened_at: None,
             discarded_until: MonotonicTime::ZERO,
@@ -221,9 +215,7 @@ impl Console {
     fn ask_for_key(&mut self, decision: &Decision, now: MonotonicTime) {
         let (Some(key_within), Some(heard_at)) = (self.key_within, self.heard_at) else { return };
         let may_move = decision.state.is_moving() || (decision.state.is_resting() && !decision.no_arm_may_move);
-        let left = key_within.saturating_sub(now.saturating_since(heard_at));
-        if may_move && left <= ASKS_BEFORE.min(key_within / 3) && self.asked_after != Some(heard_at) {
-            self.asked_after = Some(heard_at);
+        if may_move && self.key_request.is_due(key_within, heard_at, now) {
             self.shared.asks_for_key.store(true, Ordering::SeqCst);
         }
     }
@@ -420,23 +412,6 @@ impl Drop for Reading {
         self.shared.is_closed.store(true, Ordering::SeqCst);
         self.interrupt.store(true, Ordering::SeqCst);
     }
-}
-
-/// The command of a line. `stop` and `hold` are recognised anywhere in a line, in any case and with any punctuation, because an operator
-/// in a hurry types `STOP!` or hits an arrow key first; a command that can cause motion must be exact, and so must `hold hand`, which lets
-/// one arm move on.
-fn command_of(line: &str) -> Option<OperatorCommand> {
-    let exact = without_escape_sequences(line);
-    let mut all = OperatorCommand::ALL.into_iter();
-    all.find(|command| command.name() == exact.trim()).or_else(|| cautious_command_of(line))
-}
-
-/// `stop` or `hold`, if the line contains such a word.
-fn cautious_command_of(line: &str) -> Option<OperatorCommand> {
-    if STOP_WORDS.into_iter().any(|word| has_word(line, word)) {
-        return Some(OperatorCommand::Stop);
-    }
-    has_word(line, OperatorCommand::Hold.name()).then_some(OperatorCommand::Hold)
 }
 
 impl Reading {

@@ -1,10 +1,14 @@
 //! Typed operator input, and the confirmation before an arm moves.
 
-use std::io::IsTerminal as _;
+use std::io::{IsTerminal as _, Write};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+use pb3dp_cell::attended_motion::{AttendedMotion, EndedByPerson};
+use pb3dp_cell::parts::Parts;
 use pb3dp_cell::terminal::typed_lines;
 use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
 use rustix::termios::{QueueSelector, tcflush};
@@ -99,12 +103,32 @@ fn flush_terminal() {
     let _ = tcflush(std::io::stdin(), QueueSelector::IFlush);
 }
 
-/// Waits until exactly this name is typed.
+/// Waits until exactly this name is typed; returns the console, whose next lines belong to what the name has begun.
 ///
 /// # Errors
 /// As [`Console::typed`].
-pub fn typed(name: &str, signals: &mut StopSignals) -> Result<()> {
-    Console::start()?.typed(name, None, signals)
+pub fn typed(name: &str, signals: &mut StopSignals) -> Result<Console> {
+    let console = Console::start()?;
+    console.typed(name, None, signals)?;
+    Ok(console)
+}
+
+/// Ends a run of both arms as a signal does when the person beside them, or nobody, ends its motion.
+///
+/// # Errors
+/// If the system provides no thread.
+pub fn attend(
+    console: Console,
+    key_within: Duration,
+    parts: &Parts,
+    answers: impl Write + Send + 'static,
+) -> Result<AttendedMotion> {
+    let interrupt = Arc::clone(&parts.interrupt);
+    let on_end = move |ended: &EndedByPerson| {
+        interrupt.store(true, Ordering::SeqCst);
+        tracing::warn!("{ended}: stopping both arms");
+    };
+    AttendedMotion::start(console.into_lines(), key_within, Arc::clone(&parts.clock), answers, on_end)
 }
 
 /// Checks that a person can type: commands and names for real arms must come from a terminal, because a pipe or a file types
