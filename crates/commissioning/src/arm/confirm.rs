@@ -11,6 +11,7 @@ use pb3dp_cell::attended_motion::{AttendedMotion, EndedByPerson};
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::terminal::typed_lines;
 use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
+use pb3dp_setup::setup::Setup;
 use rustix::termios::{QueueSelector, tcflush};
 
 /// Interval at which signals are checked while nothing is typed.
@@ -144,6 +145,20 @@ pub fn need_person() -> Result<()> {
              program in a terminal (`ssh -t` from another computer)"
         ),
     }
+}
+
+/// Refuses to move arms that are not emulated by a command without a button to hold, if the setup requires one.
+///
+/// # Errors
+/// If `supervisor.hold_to_run` is true.
+pub fn need_no_button(setup: &Setup) -> Result<()> {
+    if setup.hold_to_run {
+        bail!(
+            "supervisor.hold_to_run = true: arms that are not emulated move only while a button of the panel is pressed, and this command \
+             has none; set supervisor.hold_to_run = false for it, with a hand on the emergency stop"
+        );
+    }
+    Ok(())
 }
 
 fn is_person(is_terminal: bool, is_test_build: bool) -> bool {

@@ -89,6 +89,9 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     if choice.of(&setup).link == ArmLink::InProcess {
         bail!("{}.backend = \"mock\" has no arm to move; set emulated, serial, tcp or arcnet", choice.of(&setup).key);
     }
+    if args.moves && !choice.of(&setup).link.is_toy() {
+        confirm::need_no_button(&setup)?;
+    }
     let setup = slow_setup(&setup, choice, goal.joint_max_rad_per_s())?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     if args.company.alone {

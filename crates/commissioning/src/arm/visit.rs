@@ -77,6 +77,9 @@ pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
     let mut signals = StopSignals::take_over().context("cannot take over the signals that end the program")?;
     let wanted = args.poses.as_deref().map(load_poses).transpose().context("--poses")?;
     let setup = to_look(read_layers(&args.setup)?, args.emulated_board)?;
+    if args.moves && !setup.is_emulated() {
+        confirm::need_no_button(&setup)?;
+    }
     if args.out.join(STOPS_FILE).exists() {
         bail!("--out: {} contains a recording of stops already: use another folder", args.out.display());
     }

@@ -101,6 +101,7 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
     let person = match setup.is_emulated() {
         true => None,
         false => {
+            confirm::need_no_button(&setup)?;
             confirm::need_person()?;
             let how = instructions(setup.operator_key_within);
             tracing::warn!("{plan}; both arms will be enabled. {how} Type vs-robot and Enter to go on:");
