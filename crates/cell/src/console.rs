@@ -21,6 +21,7 @@ use self::answering::write_all;
 pub use self::options::{ConsoleOptions, ConsoleTargets};
 use self::reading::Reading;
 use super::operator::Operator;
+use super::person::KeyRequest;
 use super::selection::Selections;
 
 /// Commands that no control step has taken yet; `stop`, `hold` and `hold hand` need no space in this queue.
@@ -36,9 +37,6 @@ const SUSPENDED_AFTER: Duration = Duration::from_millis(200);
 /// operator would notice it.
 const DISCARDS_FOR: Duration = Duration::from_millis(300);
 
-/// A console asks for a key this long before the longest silence, or a third of it before: time to read the line and to press Enter.
-const ASKS_BEFORE: Duration = Duration::from_secs(10);
-
 /// Operator commands from a console, one on each line. The end of the input ends the run, as `quit` does.
 pub struct Console {
     words: Consumer<GivenCommand>,
@@ -46,8 +44,7 @@ pub struct Console {
     heard_at: Option<MonotonicTime>,
     /// Longest time without a key; `None` if the open console is the sign of life.
     key_within: Option<Duration>,
-    /// The sign of life after which a key was asked for.
-    asked_after: Option<MonotonicTime>,
+    key_request: KeyRequest,
     /// Time at which commands were first accepted; commands queued before are stamped with it.
     begun_at: Option<MonotonicTime>,
     /// Time of the last control step.
@@ -174,7 +171,7 @@ impl Console {
             shared,
             heard_at: None,
             key_within: None,
-            asked_after: None,
+            key_request: KeyRequest::default(),
             begun_at: None,
             listened_at: None,
             discarded_until: MonotonicTime::ZERO,
@@ -207,9 +204,7 @@ impl Console {
     fn ask_for_key(&mut self, decision: &Decision, now: MonotonicTime) {
         let (Some(key_within), Some(heard_at)) = (self.key_within, self.heard_at) else { return };
         let may_move = decision.state.is_moving() || (decision.state.is_resting() && !decision.no_arm_may_move);
-        let left = key_within.saturating_sub(now.saturating_since(heard_at));
-        if may_move && left <= ASKS_BEFORE.min(key_within / 3) && self.asked_after != Some(heard_at) {
-            self.asked_after = Some(heard_at);
+        if may_move && self.key_request.is_due(key_within, heard_at, now) {
             self.shared.asks_for_key.store(true, Ordering::SeqCst);
         }
     }

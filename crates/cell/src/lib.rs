@@ -4,6 +4,7 @@
 
 pub mod annotation;
 pub mod attended;
+pub mod attended_motion;
 pub mod both_arms;
 pub mod calibration_facts;
 pub mod camera_controls;
@@ -47,6 +48,7 @@ pub mod paths;
 pub mod percept;
 pub mod perception;
 pub mod permitting;
+mod person;
 pub mod plan;
 pub mod recording;
 pub mod report;

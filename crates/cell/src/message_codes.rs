@@ -13,6 +13,8 @@ use pb3dp_servo::supervisor::{Condition, RefusedFor};
 use pb3dp_setup::load::ConfigError;
 use pb3dp_sim::placement::PathRefusal;
 
+use crate::attended_motion::EndedByPerson;
+
 /// A table of codes with its heading.
 pub type CodeTable = (&'static str, &'static [MessageCode]);
 
@@ -51,6 +53,10 @@ pub fn code_of(error: &(dyn Error + 'static)) -> Option<&'static MessageCode> {
     let of_image = || error.downcast_ref::<ImageFileError>().map(|error| error.problem.message_code());
     let of_camera = || error.downcast_ref::<CameraError>().map(|error| error.kind().message_code());
     let of_arm = || error.downcast_ref::<ArmError>().map(|error| error.kind().message_code());
+    let of_silence = || match error.downcast_ref::<EndedByPerson>() {
+        Some(EndedByPerson::Silent(cause)) => Some(cause.condition.message_code()),
+        _ => None,
+    };
     as_is::<ConfigError>(error)
         .or_else(of_image)
         .or_else(|| as_is::<CalibrationFileError>(error))
@@ -60,4 +66,5 @@ pub fn code_of(error: &(dyn Error + 'static)) -> Option<&'static MessageCode> {
         .or_else(|| as_is::<PathRefusal>(error))
         .or_else(of_camera)
         .or_else(of_arm)
+        .or_else(of_silence)
 }

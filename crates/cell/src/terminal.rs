@@ -1,9 +1,10 @@
 //! Helpers for terminal programs: lines in and out, and numbers on a command line.
 
 use std::io::{self, BufRead, Read, Write};
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::{Receiver, Sender, channel};
 
 use anyhow::{Context, Result};
+use rustix::termios::{LocalModes, OptionalActions, SpecialCodeIndex, Termios, tcgetattr, tcsetattr};
 
 /// Writes one line to standard output; a closed pipe is no error.
 ///
@@ -44,28 +45,72 @@ pub fn has_word(line: &str, word: &str) -> bool {
     is_in(line) || is_in(&without_escape_sequences(line).replace(char::is_control, ""))
 }
 
-/// The lines of standard input without line ends, as they arrive; none follows an error.
+/// The lines of standard input without line ends, as they arrive; none follows an error. At a terminal Ctrl-D ends a line, too, and the
+/// key Esc does under [`EscapeEndsLine`].
 ///
 /// # Errors
 /// If the system provides no thread.
 pub fn typed_lines() -> Result<Receiver<std::io::Result<String>>> {
     let (sender, receiver) = channel();
-    let read = move || {
-        // Bytes that are no text are part of a line: they must not end the reading.
-        for line in std::io::stdin().lock().split(b'\n').map(|line| line.map(text_of)) {
-            let is_last = line.is_err();
-            if sender.send(line).is_err() || is_last {
-                return;
-            }
-        }
-    };
+    let is_by_line = tcgetattr(io::stdin()).is_ok_and(|settings| settings.local_modes.contains(LocalModes::ICANON));
+    let read = move || read_lines(io::stdin().lock(), is_by_line, &sender);
     std::thread::Builder::new().name("typed lines".to_owned()).spawn(read).context("no thread for typed lines")?;
     Ok(receiver)
+}
+
+/// Reads until the input or its receiver ends. A terminal that delivers line by line delivers nothing else: each piece is a line.
+fn read_lines(mut input: impl BufRead, is_by_line: bool, lines: &Sender<io::Result<String>>) {
+    let mut line = Vec::new();
+    loop {
+        let piece = match input.fill_buf() {
+            Ok(piece) => piece,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+            Err(error) => return drop(lines.send(Err(error))),
+        };
+        let is_last = piece.is_empty();
+        let end = piece.iter().position(|byte| *byte == b'\n');
+        line.extend_from_slice(&piece[..end.unwrap_or(piece.len())]);
+        let length = end.map_or(piece.len(), |end| end + 1);
+        input.consume(length);
+        let is_whole = end.is_some() || is_by_line || line.ends_with(&[ESCAPE]);
+        // Bytes that are no text are part of a line: they must not end the reading.
+        let is_said = if is_last { !line.is_empty() } else { is_whole };
+        if (is_said && lines.send(Ok(text_of(std::mem::take(&mut line)))).is_err()) || is_last {
+            return;
+        }
+    }
 }
 
 fn text_of(mut line: Vec<u8>) -> String {
     line.pop_if(|end| *end == b'\r');
     String::from_utf8_lossy(&line).into_owned()
+}
+
+/// The byte of the key Esc; arrow and function keys begin with it.
+const ESCAPE: u8 = 0x1b;
+
+/// While it lives, the key Esc ends a line at the terminal as Enter does, so that it is heard at once.
+#[derive(Debug)]
+pub struct EscapeEndsLine {
+    before: Termios,
+}
+
+impl EscapeEndsLine {
+    /// `None` if standard input is no terminal.
+    pub fn set() -> Option<Self> {
+        let before = tcgetattr(io::stdin()).ok()?;
+        let mut changed = before.clone();
+        changed.special_codes[SpecialCodeIndex::VEOL] = ESCAPE;
+        tcsetattr(io::stdin(), OptionalActions::Now, &changed).ok()?;
+        Some(Self { before })
+    }
+}
+
+impl Drop for EscapeEndsLine {
+    fn drop(&mut self) {
+        // A terminal that is gone needs no settings.
+        let _ = tcsetattr(io::stdin(), OptionalActions::Now, &self.before);
+    }
 }
 
 /// The lines of [`typed_lines`] as an input, after the first ones were read as answers: a second reader of standard input would compete
@@ -143,6 +188,19 @@ mod tests {
             assert!(has_word(line, "stop"), "{line:?}");
         }
         assert!(!["stopping", "qstop", "nonstop", "sto p", ""].into_iter().any(|line| has_word(line, "stop")));
+    }
+
+    #[test]
+    fn a_piece_of_a_terminal_is_a_line_and_a_piece_of_a_pipe_is_not_unless_it_ends_with_escape() {
+        let lines_of = |is_by_line| {
+            let (sender, lines) = channel();
+            let pieces = (&b"a\r\nst"[..]).chain(&b"op"[..]).chain(&b"\x1b"[..]).chain(&b"en\xffd"[..]);
+            read_lines(pieces, is_by_line, &sender);
+            drop(sender);
+            lines.iter().map(Result::unwrap).collect::<Vec<_>>()
+        };
+        assert_eq!(lines_of(false), ["a", "stop\x1b", "en\u{fffd}d"]);
+        assert_eq!(lines_of(true), ["a", "st", "op", "\x1b", "en\u{fffd}d"]);
     }
 
     #[test]

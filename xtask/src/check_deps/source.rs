@@ -57,6 +57,7 @@ const WORLDS: [World; 6] = [
         what: "threads",
         paths: &["std::thread", "rayon"],
         allowed_in: &[
+            "crates/cell/src/attended_motion.rs",
             "crates/cell/src/console.rs",
             "crates/cell/src/console/reading.rs",
             "crates/cell/src/interruption.rs",

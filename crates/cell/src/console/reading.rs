@@ -14,8 +14,9 @@ use rtrb::Producer;
 
 use super::options::ConsoleTargets;
 use super::{GivenCommand, Shared, Shown, WORDS_MAX};
+use crate::person::{cautious_command_of, command_of};
 use crate::selection::{Choice, Selection, Selections};
-use crate::terminal::{has_word, without_escape_sequences};
+use crate::terminal::without_escape_sequences;
 
 /// Longest accepted line, bytes: a polygon with a hundred corners.
 pub(super) const LINE_MAX: u64 = 1024;
@@ -28,9 +29,6 @@ const FILES_MAX: usize = 4;
 
 /// Part of the answer to an unknown command.
 const WORDS: &str = "use select, start, hold, hold hand, resume, stop, reset, status, help or quit";
-
-/// Words that stop both arms.
-const STOP_WORDS: [&str; 3] = ["stop", "estop", "halt"];
 
 /// Answer to `select` without a region, where the setup has no target.
 const NO_TARGET: &str = "select refused: the setup names no target (camera.region); mark one in the left image, for instance select \
@@ -120,23 +118,6 @@ impl Drop for Reading {
         self.shared.is_closed.store(true, Ordering::SeqCst);
         self.interrupt.store(true, Ordering::SeqCst);
     }
-}
-
-/// The command of a line. `stop` and `hold` are recognised anywhere in a line, in any case and with any punctuation, because an operator
-/// in a hurry types `STOP!` or hits an arrow key first; a command that can cause motion must be exact, and so must `hold hand`, which lets
-/// one arm move on.
-pub(super) fn command_of(line: &str) -> Option<OperatorCommand> {
-    let exact = without_escape_sequences(line);
-    let mut all = OperatorCommand::ALL.into_iter();
-    all.find(|command| command.name() == exact.trim()).or_else(|| cautious_command_of(line))
-}
-
-/// `stop` or `hold`, if the line contains such a word.
-fn cautious_command_of(line: &str) -> Option<OperatorCommand> {
-    if STOP_WORDS.into_iter().any(|word| has_word(line, word)) {
-        return Some(OperatorCommand::Stop);
-    }
-    has_word(line, OperatorCommand::Hold.name()).then_some(OperatorCommand::Hold)
 }
 
 impl Reading {

@@ -16,8 +16,9 @@ use pb3dp_servo::supervisor::{
 use pb3dp_setup::setup::read_setup;
 
 use super::answering::{ASK, DISCARDED, RESULTS_EVERY};
-use super::reading::{LINE_MAX, command_of};
+use super::reading::LINE_MAX;
 use super::*;
+use crate::person::command_of;
 
 const NOW: MonotonicTime = MonotonicTime::from_nanos(9);
 

@@ -1,12 +1,17 @@
 //! Typed operator input, and the confirmation before an arm moves.
 
-use std::io::IsTerminal as _;
+use std::io::{IsTerminal as _, Write};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+use pb3dp_cell::attended_motion::{AttendedMotion, EndedByPerson};
+use pb3dp_cell::parts::Parts;
 use pb3dp_cell::terminal::typed_lines;
 use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
+use pb3dp_setup::setup::Setup;
 use rustix::termios::{QueueSelector, tcflush};
 
 /// Interval at which signals are checked while nothing is typed.
@@ -99,12 +104,32 @@ fn flush_terminal() {
     let _ = tcflush(std::io::stdin(), QueueSelector::IFlush);
 }
 
-/// Waits until exactly this name is typed.
+/// Waits until exactly this name is typed; returns the console, whose next lines belong to what the name has begun.
 ///
 /// # Errors
 /// As [`Console::typed`].
-pub fn typed(name: &str, signals: &mut StopSignals) -> Result<()> {
-    Console::start()?.typed(name, None, signals)
+pub fn typed(name: &str, signals: &mut StopSignals) -> Result<Console> {
+    let console = Console::start()?;
+    console.typed(name, None, signals)?;
+    Ok(console)
+}
+
+/// Ends a run of both arms as a signal does when the person beside them, or nobody, ends its motion.
+///
+/// # Errors
+/// If the system provides no thread.
+pub fn attend(
+    console: Console,
+    key_within: Duration,
+    parts: &Parts,
+    answers: impl Write + Send + 'static,
+) -> Result<AttendedMotion> {
+    let interrupt = Arc::clone(&parts.interrupt);
+    let on_end = move |ended: &EndedByPerson| {
+        interrupt.store(true, Ordering::SeqCst);
+        tracing::warn!("{ended}: stopping both arms");
+    };
+    AttendedMotion::start(console.into_lines(), key_within, Arc::clone(&parts.clock), answers, on_end)
 }
 
 /// Checks that a person can type: commands and names for real arms must come from a terminal, because a pipe or a file types
@@ -120,6 +145,20 @@ pub fn need_person() -> Result<()> {
              program in a terminal (`ssh -t` from another computer)"
         ),
     }
+}
+
+/// Refuses to move arms that are not emulated by a command without a button to hold, if the setup requires one.
+///
+/// # Errors
+/// If `supervisor.hold_to_run` is true.
+pub fn need_no_button(setup: &Setup) -> Result<()> {
+    if setup.hold_to_run {
+        bail!(
+            "supervisor.hold_to_run = true: arms that are not emulated move only while a button of the panel is pressed, and this command \
+             has none; set supervisor.hold_to_run = false for it, with a hand on the emergency stop"
+        );
+    }
+    Ok(())
 }
 
 fn is_person(is_terminal: bool, is_test_build: bool) -> bool {

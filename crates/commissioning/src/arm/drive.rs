@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_arm_pa10_protocol::codec::Axis;
+use pb3dp_cell::attended_motion::AttendedMotion;
 use pb3dp_cell::parts::{ArmChoice, DrivenArm};
 use pb3dp_cell::plan::Plan;
 use pb3dp_geometry::MonotonicTime;
@@ -31,6 +32,7 @@ pub struct Drive<'a> {
     clock: &'a Arc<dyn Clock>,
     period: Duration,
     lost: u64,
+    attended: Option<&'a AttendedMotion>,
 }
 
 /// One cycle of a move, for an observer.
@@ -77,7 +79,12 @@ pub fn stopped_after(choice: ArmChoice, arm: &mut SlowArm, outcome: Result<Joint
 impl<'a> Drive<'a> {
     /// A move with one command per period.
     pub fn new(arm: &'a mut SlowArm, plan: &'a Plan, clock: &'a Arc<dyn Clock>, period: Duration) -> Self {
-        Self { arm, plan, clock, period, lost: 0 }
+        Self { arm, plan, clock, period, lost: 0, attended: None }
+    }
+
+    /// A person, or nobody, can end it.
+    pub fn attended(self, attended: Option<&'a AttendedMotion>) -> Self {
+        Self { attended, ..self }
     }
 
     /// Number of late or lost replies.
@@ -88,7 +95,8 @@ impl<'a> Drive<'a> {
     /// Opens the brakes and makes the move; afterwards the arm holds with open brakes.
     ///
     /// # Errors
-    /// The failure of the arm or of `watch`, [`Interrupted`], or a joint that did not arrive. The caller must send the stop order.
+    /// The failure of the arm or of `watch`, [`Interrupted`], the end by a person, or a joint that did not arrive. The caller must send
+    /// the stop order.
     pub fn run(&mut self, signals: &mut StopSignals, watch: Watch<'_>) -> Result<JointState> {
         let mut newest = self.switch_on(signals, this_arm)?;
         watch(&Cycle { passed: Duration::ZERO, planned_rad: self.plan.start_rad(), measured: &newest })?;
@@ -146,10 +154,13 @@ impl<'a> Drive<'a> {
         Ok(newest)
     }
 
-    /// Waits for the next cycle, unless a signal arrives.
+    /// Waits for the next cycle, unless a signal or a person ends the move.
     fn wait(&self, last: MonotonicTime, signals: &mut StopSignals) -> Result<MonotonicTime> {
         if let Some(signal) = signals.try_take()? {
             return Err(Interrupted(signal).into());
+        }
+        if let Some(ended) = self.attended.and_then(AttendedMotion::ended) {
+            return Err(ended.clone().into());
         }
         // A cycle whose time has passed is skipped.
         let next = (last + self.period).max(self.clock.now());

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::SystemTime;
 
 use anyhow::{Context, Result, bail};
+use pb3dp_cell::attended_motion::{AttendedMotion, instructions};
 use pb3dp_cell::live::enter_control_thread;
 use pb3dp_cell::parts::ArmChoice;
 use pb3dp_cell::plan::Plan;
@@ -88,6 +89,9 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     if choice.of(&setup).link == ArmLink::InProcess {
         bail!("{}.backend = \"mock\" has no arm to move; set emulated, serial, tcp or arcnet", choice.of(&setup).key);
     }
+    if args.moves && !choice.of(&setup).link.is_toy() {
+        confirm::need_no_button(&setup)?;
+    }
     let setup = slow_setup(&setup, choice, goal.joint_max_rad_per_s())?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     if args.company.alone {
@@ -101,25 +105,16 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
         print_line("dry run: the brakes stayed on and nothing moved; use --move to move the arm")?;
         return Ok(ExitCode::SUCCESS);
     }
-    if !args.report_joints {
-        if !choice.of(&setup).link.is_toy() {
-            confirm::need_person()?;
-        }
-        print_line(&format!(
-            "The arm will move. Keep all persons out of its reach and a hand on the emergency stop.\nType {} to move it:",
-            args.company.word(choice)
-        ))?;
-        confirm::typed(&args.company.word(choice), &mut signals)?;
-        // The other arm may have been enabled while nobody typed.
-        if args.company.alone {
-            check_other_is_off(&setup, choice, &clock)?;
-        }
-    }
+    let attended = match args.report_joints {
+        true => None,
+        false => confirmed((&setup, choice, args), &clock, &mut signals)?,
+    };
     enter_control_thread();
-    let mut drive = Drive::new(&mut arm, &plan, &clock, setup.control_period);
+    let mut drive = Drive::new(&mut arm, &plan, &clock, setup.control_period).attended(attended.as_ref());
     let outcome = drive.run(&mut signals, &mut |cycle| if args.report_joints { tell(cycle) } else { Ok(()) });
     let lost = drive.lost();
     let reached = drive::stopped_after(choice, &mut arm, outcome);
+    drop(attended);
     if let Err(failure) = &reached {
         let folder = args.out.clone().unwrap_or_else(|| folder_of(goal.name(), choice, began));
         for kept in flights::keep(&folder, choice, &arm, failure, clock.now()) {
@@ -133,6 +128,32 @@ pub fn run(place: &Place, args: &MotionArgs, goal: Goal) -> Result<ExitCode> {
     let off_deg = (reached.position_rad - plan.end_rad()).amax().to_degrees();
     print_line(&format!("done: every joint within {off_deg:.3} degrees of its end, brakes on; {lost} replies lost"))?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Waits until the operator has typed the name of the arm; listens to the operator of an arm that is not emulated from then on.
+fn confirmed(
+    (setup, choice, args): (&Setup, ArmChoice, &MotionArgs),
+    clock: &Arc<dyn Clock>,
+    signals: &mut StopSignals,
+) -> Result<Option<AttendedMotion>> {
+    let (is_real, word) = (!choice.of(setup).link.is_toy(), args.company.word(choice));
+    let key_within = setup.operator_key_within;
+    print_line("The arm will move. Keep all persons out of its reach and a hand on the emergency stop.")?;
+    if is_real {
+        confirm::need_person()?;
+        print_line(&instructions(key_within))?;
+    }
+    print_line(&format!("Type {word} to move it:"))?;
+    let console = confirm::typed(&word, signals)?;
+    let listen = |console: confirm::Console| {
+        AttendedMotion::start(console.into_lines(), key_within, Arc::clone(clock), std::io::stdout(), |_| {})
+    };
+    let attended = is_real.then(|| listen(console)).transpose()?;
+    // The other arm may have been enabled while nobody typed.
+    if args.company.alone {
+        check_other_is_off(setup, choice, clock)?;
+    }
+    Ok(attended)
 }
 
 /// All settings of a setup on one line, which a checklist hands to the process that moves the arm.

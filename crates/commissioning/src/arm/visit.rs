@@ -8,6 +8,7 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use pb3dp_cell::attended_motion::instructions;
 use pb3dp_cell::flight::Moment;
 use pb3dp_cell::interruption::{INTERRUPTED, watch};
 use pb3dp_cell::parts::{ArmChoice, Parts};
@@ -76,6 +77,9 @@ pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
     let mut signals = StopSignals::take_over().context("cannot take over the signals that end the program")?;
     let wanted = args.poses.as_deref().map(load_poses).transpose().context("--poses")?;
     let setup = to_look(read_layers(&args.setup)?, args.emulated_board)?;
+    if args.moves && !setup.is_emulated() {
+        confirm::need_no_button(&setup)?;
+    }
     if args.out.join(STOPS_FILE).exists() {
         bail!("--out: {} contains a recording of stops already: use another folder", args.out.display());
     }
@@ -100,18 +104,16 @@ pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
         print_line("dry run: the brakes stayed on and nothing moved; use --move to move the arm")?;
         return Ok(ExitCode::SUCCESS);
     }
-    if !(setup.rig.arms.vs.link.is_toy() && setup.rig.arms.tc.link.is_toy()) {
-        confirm::need_person()?;
-        let name = tour.choice.name();
-        print_line(&format!(
-            "The arm will move. Keep all persons out of its reach and a hand on the emergency stop.\nType {name} to move it:"
-        ))?;
-        confirm::typed(name, &mut signals)?;
-    }
+    let person = match setup.is_emulated() {
+        true => None,
+        false => Some(confirmed(&setup, tour.choice.name(), &mut signals)?),
+    };
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot be created", args.out.display()))?;
     save_identities(args, cameras.as_ref())?;
     let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
     let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
+    let listen = |console| confirm::attend(console, setup.operator_key_within, &parts, std::io::stdout());
+    let attended = person.map(listen).transpose()?;
     let visited = visiting::run(&setup, parts, &tour, &args.out, date);
     if let Err(failure) = &visited {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
@@ -119,11 +121,22 @@ pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
     }
     let visited = visited?;
     tell(args, &tour, &visited)?;
-    Ok(match (was_interrupted.load(Ordering::SeqCst), visited.taken > 0) {
+    let was_ended = attended.is_some_and(|attended| attended.ended().is_some());
+    Ok(match (was_ended || was_interrupted.load(Ordering::SeqCst), visited.taken > 0) {
         (true, _) => ExitCode::from(INTERRUPTED),
         (false, true) => ExitCode::SUCCESS,
         (false, false) => ExitCode::FAILURE,
     })
+}
+
+/// Waits until a person has typed the name of the arm.
+fn confirmed(setup: &Setup, name: &str, signals: &mut StopSignals) -> Result<confirm::Console> {
+    confirm::need_person()?;
+    print_line(&format!(
+        "The arm will move. Keep all persons out of its reach and a hand on the emergency stop.\n{}\nType {name} to move it:",
+        instructions(setup.operator_key_within)
+    ))?;
+    confirm::typed(name, signals)
 }
 
 /// The setup for recording calibration data without a calibration: slow, with the board in front of simulated cameras.

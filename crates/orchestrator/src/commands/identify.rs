@@ -9,6 +9,7 @@ use std::time::SystemTime;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand};
+use pb3dp_cell::attended_motion::instructions;
 use pb3dp_cell::flight::Moment;
 use pb3dp_cell::interruption::{INTERRUPTED, watch};
 use pb3dp_cell::swing::{self, Swung};
@@ -100,11 +101,16 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
     }
     // Before a port opens, as for `pb3dp run`.
     let records = check_arms(&setup, SystemTime::now())?;
-    if !(setup.rig.arms.vs.link.is_toy() && setup.rig.arms.tc.link.is_toy()) {
-        confirm::need_person()?;
-        tracing::warn!("{plan}; both arms will be enabled: type vs-robot and Enter to go on");
-        confirm::typed("vs-robot", &mut signals)?;
-    }
+    let person = match setup.is_emulated() {
+        true => None,
+        false => {
+            confirm::need_no_button(&setup)?;
+            confirm::need_person()?;
+            let how = instructions(setup.operator_key_within);
+            tracing::warn!("{plan}; both arms will be enabled. {how} Type vs-robot and Enter to go on:");
+            Some(confirm::typed("vs-robot", &mut signals)?)
+        }
+    };
     // Before anything moves: the flight recorder must exist when an arm stops.
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot be created", args.out.display()))?;
     let Wired { mut parts, monitors, .. } = wire_at_rest(&setup, swing::duration(&motion))?;
@@ -112,13 +118,17 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
     let interrupt = Arc::clone(&parts.interrupt);
     let was_interrupted = watch(signals, &interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
     let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
+    // Standard output is for the result.
+    let listen = |console| confirm::attend(console, setup.operator_key_within, &parts, std::io::stderr());
+    let attended = person.map(listen).transpose()?;
     let swung = swing::run(&setup, parts, motion);
     if let Err(failure) = &swung {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
         write_flights((&args.out, 1), &flights, &monitors, failure, moment);
     }
     let swung = swung?;
-    if was_interrupted.load(Ordering::SeqCst) {
+    let was_ended = attended.is_some_and(|attended| attended.ended().is_some());
+    if was_ended || was_interrupted.load(Ordering::SeqCst) {
         return Ok(ExitCode::from(INTERRUPTED));
     }
     let delays = Delays::of(&setup, &swung)?;

@@ -1,7 +1,11 @@
 //! What the program refuses, and how it says so.
 
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
+
+use nalgebra::Vector3;
+use pb3dp_geometry::{Pose, so3};
+use pb3dp_record::stops::{ArmOfPoses, WantedPoses, save_poses};
 
 use crate::cli::support::*;
 use crate::real_time::arm::{FIRST_RUN, pb3dp_arm, setup_at};
@@ -227,6 +231,33 @@ fn arms_that_are_not_emulated_do_not_move_by_a_command_line_alone() {
     };
     run(&[]).assert_refused(&["vs-robot: not emulated", "--operator console", "--move and type \"vs-robot\""]);
     run(&["--move"]).assert_refused(&["vs-robot was not typed", "nothing was moved"]);
+    assert!(listener.accept().is_err(), "a port was opened");
+    assert!(!out.exists());
+}
+
+/// Only the panel has a button to hold.
+#[test]
+fn commands_without_a_button_move_no_arm_that_needs_one_held() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.set_nonblocking(true).unwrap();
+    let folder = setup_at(&listener.local_addr().unwrap().to_string());
+    let (config, poses, out) =
+        (folder.path().join("cell.toml"), folder.path().join("poses.toml"), folder.path().join("out"));
+    let pose = Pose::from_parts(Vector3::new(0.66, 0.12, 0.25), so3::exp(&Vector3::new(0.0, 1.5, 0.1)));
+    save_poses(&poses, &WantedPoses { arm: ArmOfPoses::Vs, poses: vec![pose] }).unwrap();
+    let commands: [&[&dyn AsRef<OsStr>]; 5] = [
+        &[&"arm", &"jog", &"--arm", &"vs", &"--axis", &"7", &"--by", &"1"],
+        &[&"arm", &"home", &"--arm", &"vs"],
+        &[&"arm", &"test", &"--arm", &"vs"],
+        &[&"arm", &"visit", &"--emulated-board", &"9x6:20", &"--poses", &poses],
+        &[&"identify", &"delay"],
+    ];
+    let set: [&dyn AsRef<OsStr>; 7] =
+        [&"--move", &"--config", &config, &"--set", &"supervisor.hold_to_run=true", &"--out", &out];
+    for command in commands {
+        let refused = pb3dp(&words(&[command, &set].concat()));
+        refused.assert_refused(&["supervisor.hold_to_run = true", "set supervisor.hold_to_run = false"]);
+    }
     assert!(listener.accept().is_err(), "a port was opened");
     assert!(!out.exists());
 }

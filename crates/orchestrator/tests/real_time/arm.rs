@@ -132,7 +132,7 @@ pub fn command(config: &str, args: &[&str]) -> Command {
     command
 }
 
-/// Runs `pb3dp arm`; what is typed is all that comes on standard input.
+/// Runs `pb3dp arm`; what is typed is all that comes on standard input, which ends if nothing is typed.
 pub fn pb3dp_arm(config: &str, args: &[&str], typed: Option<&str>) -> Finished {
     let mut child = command(config, args).spawn().unwrap();
     let mut input = child.stdin.take().unwrap();
@@ -140,7 +140,8 @@ pub fn pb3dp_arm(config: &str, args: &[&str], typed: Option<&str>) -> Finished {
         // It may have ended before.
         writeln!(input, "{line}").ok();
     }
-    drop(input);
+    // The end of the input would stop an arm that moves.
+    let _open = typed.map(|_| input);
     let output = child.wait_with_output().unwrap();
     let text = |bytes| String::from_utf8(bytes).unwrap();
     let (stdout, stderr) = (text(output.stdout), text(output.stderr));

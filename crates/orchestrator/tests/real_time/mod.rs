@@ -3,6 +3,7 @@
 pub mod arm;
 pub mod arm_on_bus;
 pub mod arm_test;
+pub mod attended;
 pub mod behind_gateway;
 pub mod gateway;
 pub mod operator;

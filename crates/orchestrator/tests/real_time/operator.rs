@@ -13,7 +13,7 @@ use pb3dp_test_support::programs_in_real_time_beside_others;
 use crate::real_time::arm::{Cell, FIRST_RUN, START_DEG, hil};
 
 /// Lines of a program, as they arrive.
-fn lines(input: impl std::io::Read + Send + 'static) -> Receiver<String> {
+pub fn lines(input: impl std::io::Read + Send + 'static) -> Receiver<String> {
     let (sender, lines) = channel();
     std::thread::spawn(move || {
         for line in BufReader::new(input).lines().map_while(Result::ok) {

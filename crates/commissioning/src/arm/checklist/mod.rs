@@ -45,7 +45,7 @@ use self::session::{Session, is_interruption};
 use self::step_record::StepRecord;
 use self::steps::Step;
 use self::test_line::{TestKey, TestLine};
-use super::confirm::{Console, need_person};
+use super::confirm::{Console, need_no_button, need_person};
 use super::flights::{folder_of, utc};
 use super::motion::{JOG_RAD_PER_S, show_room};
 use super::probe_report::GatewayFacts;
@@ -189,6 +189,9 @@ fn begin<'a>(
     began: SystemTime,
 ) -> Result<(Session<'a>, String)> {
     let choice = args.place.choice();
+    if args.moves && !choice.of(setup).link.is_toy() {
+        need_no_button(setup)?;
+    }
     let mut setup = slow_setup(setup, choice, JOG_RAD_PER_S)?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     if let ArmLink::Bus(_) = &choice.of(&setup).link {
