@@ -233,16 +233,18 @@ mod tests {
     use super::*;
     use crate::follower::Follower;
 
-    /// A textured plane with a disparity of 40 pixels.
+    /// A textured plane with a disparity of 148 pixels: half a metre away.
     fn captured(setup: &Setup, sequence: u64) -> Captured {
         let size = setup.rig.stereo.left().size();
         let grey = |u: u32, v: u32| {
-            let hash = (u / 4).wrapping_mul(73_856_093) ^ (v / 4).wrapping_mul(19_349_663);
-            Rgb([(hash % 251) as u8; 3])
+            // Mixed well: a texture with periods has many matches.
+            let place = (u / 4).wrapping_mul(0x9E37_79B1).wrapping_add((v / 4).wrapping_mul(0x85EB_CA77));
+            let hash = (place ^ (place >> 15)).wrapping_mul(0x2C1B_3C6D);
+            Rgb([((hash ^ (hash >> 12)) >> 8) as u8; 3])
         };
         let image = |shift: u32| RgbImage::from_fn(size.width, size.height, |u, v| grey(u + shift, v));
         let at = MonotonicTime::from_secs_f64(sequence as f64 / 30.0);
-        let (left, right) = (image(0), image(40));
+        let (left, right) = (image(0), image(148));
         let pair = FramePair { sequence, exposed_at: at, skew_nanos: 0, left, right, jpegs: Default::default() };
         let frame = FrameInput { sequence, at, skew_s: 0.0 };
         Captured { frame, cam_left_from_target: None, view: View::Images(Arc::new(pair)) }
@@ -266,6 +268,7 @@ mod tests {
                 Region::Rectangle { x, .. } => x,
                 other => panic!("{other:?}"),
             });
+            assert!(seen.target == 0 || seen.estimate.status == Status::Ok, "{:?}", seen.estimate);
             (seen.target, x, seen.estimate.cam_left_from_model.is_some())
         };
         let other = || Choice::Marked(Selection { region: rectangle(350), drawn_on: None });
