@@ -144,6 +144,9 @@ impl GatewaySettings {
 pub(super) mod tests {
     use super::*;
 
+    /// A change of settings, and a part of what is said about it.
+    type Change<T> = (fn(&mut T), &'static str);
+
     pub fn setup_settings() -> SetupSettings {
         SetupSettings {
             signals: BTreeMap::new(),
@@ -168,7 +171,7 @@ pub(super) mod tests {
     #[test]
     fn each_setting_that_a_step_has_tested_is_compared() {
         assert_eq!(setup_settings().difference(&setup_settings()), None);
-        let changes: [(fn(&mut SetupSettings), &str); 5] = [
+        let changes: [Change<SetupSettings>; 5] = [
             (
                 |new| *new.signals.get_mut("emergency_stop").unwrap() = "controller 0x0010 set".to_owned(),
                 "signals.emergency_stop is \"controller 0x0010 set\", its steps were passed with \"controller ",
@@ -195,7 +198,7 @@ pub(super) mod tests {
     #[test]
     fn each_setting_of_the_gateway_is_compared() {
         assert_eq!(gateway_settings().difference(&gateway_settings()), None);
-        let changes: [(fn(&mut GatewaySettings), &str); 6] = [
+        let changes: [Change<GatewaySettings>; 6] = [
             (|new| new.cycle_us = 4000, "cycle of the gateway is 4 ms"),
             (|new| new.ramp_after_us = 30_000, "slows the arm down is 30 ms"),
             (|new| new.stop_after_us = 80_000, "stops the arm is 80 ms, its steps were passed with 50 ms"),
