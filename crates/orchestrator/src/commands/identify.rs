@@ -100,11 +100,13 @@ fn delay(args: &DelayArgs) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     // Before a port opens, as for `pb3dp run`.
+    if !setup.is_emulated() {
+        confirm::need_no_button(&setup)?;
+    }
     let records = check_arms(&setup, SystemTime::now())?;
     let person = match setup.is_emulated() {
         true => None,
         false => {
-            confirm::need_no_button(&setup)?;
             confirm::need_person()?;
             let how = instructions(setup.operator_key_within);
             tracing::warn!("{plan}; both arms will be enabled. {how} Type vs-robot and Enter to go on:");

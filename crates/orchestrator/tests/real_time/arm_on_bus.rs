@@ -209,10 +209,13 @@ fn a_jog_that_is_interrupted_twice_closes_the_brakes() {
         let mut cell = cell(&["--pose-deg", START_DEG, "--watchdog", "none"], "B");
         let config = cell.config().display().to_string();
         let mut jog = command(&config, &["jog", "--axis", "7", "--by", "20", "--move"]).spawn().unwrap();
-        writeln!(jog.stdin.take().unwrap(), "vs-robot").unwrap();
+        // The end of the input would end the motion, too.
+        let mut typing = jog.stdin.take().unwrap();
+        writeln!(typing, "vs-robot").unwrap();
         wait_for_motion(&mut cell.arm, &mut jog, 0.5).unwrap_or_else(|said| panic!("{said}"));
         interrupt_twice(&jog);
         let status = jog.wait().unwrap();
+        drop(typing);
         let (state, said) = (cell.arm.state(), what_it_said(&mut jog));
         assert_eq!(state[0], "controller: adjustment mode, all brakes closed", "{said}");
         assert_eq!(status.code(), Some(1), "{said}");

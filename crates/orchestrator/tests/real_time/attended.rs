@@ -18,6 +18,22 @@ use crate::real_time::operator::lines;
 /// A jog of 17 s.
 const JOG: [&str; 7] = ["arm", "jog", "--arm", "vs", "--axis", "4", "--by=-20"];
 
+/// Settings that need no commissioning record.
+const WITHOUT_RECORD: [&str; 12] = [
+    "--set",
+    "arms.first_run=true",
+    "--set",
+    "arms.speed_scale=0.25",
+    "--set",
+    "supervisor.policies.target_lost.resume=by-operator",
+    "--set",
+    "supervisor.policies.position_jump.resume=by-operator",
+    "--set",
+    "supervisor.policies.orientation_jump.resume=by-operator",
+    "--set",
+    "supervisor.policies.outlier.resume=by-operator",
+];
+
 /// A command that moves an arm, with a terminal as its standard input.
 struct Moving {
     program: Child,
@@ -173,7 +189,7 @@ fn what_means_stop_and_silence_end_a_tour_and_a_measured_motion() {
         let poses = poses.display().to_string();
         let visit = ["arm", "visit", "--emulated-board", "9x6:20", "--poses", &poses];
         // Without images: a loaded machine is late with them.
-        let identify = ["identify", "delay", "--set", "estimator.method=geometric"];
+        let identify = [&["identify", "delay", "--set", "estimator.method=geometric"], &WITHOUT_RECORD[..]].concat();
         for args in [&visit[..], &identify] {
             let mut moving = Moving::start(&cell, args, &[]);
             moving.wait_until_it_moves(&mut cell, 0.2);
