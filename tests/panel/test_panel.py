@@ -84,8 +84,15 @@ def test_a_second_target_is_chosen_while_the_hand_follows_and_the_first_again_by
     wait_for(lambda: panel.state()["target"]["name"] == "sand")
     wait_for(lambda: panel.state_name() == "selecting", "a change of the target leads through a hold")
     first = panel.state()["target"]["id"]
-    page.page.locator("#saved button", has_text="crab").click()
-    wait_for(lambda: panel.state()["target"]["name"] == "crab" and panel.state()["target"]["id"] > first)
+
+    def choose_again():
+        # A click on a page that shows the target before is refused; a person clicks again.
+        page.page.locator("#saved button", has_text="crab").click()
+        page.page.wait_for_timeout(500)
+        target = panel.state()["target"]
+        return target["name"] == "crab" and target["id"] > first
+
+    wait_for(choose_again)
     wait_for(lambda: panel.state()["state"]["is_ready"])
     page.command("start")
     wait_for(lambda: is_following(panel))
