@@ -42,7 +42,7 @@ const QUICK_ROUNDS: &str = "40";
 ///         boards; fails if a limit is missed (some minutes; --quick: a minute; --boards adds real boards; --seed N).
 ///         Writes docs/benchmarks/calibration.md
 /// panel   cost of the operator panel: processor time and lateness of control steps with 0, 1 and 5 pages; fails if a limit is
-///         missed (4 minutes; --quick). Writes docs/benchmarks/panel.md
+///         missed (6 minutes; --quick). Writes docs/benchmarks/panel.md
 /// all     speed and raster
 ///
 /// All are in crates/benchmarks, except `corner_accuracy` of crates/calibration and `panel_cost` of crates/panel: the examples

@@ -65,7 +65,7 @@ struct Figures {
     cpu_percent: Vec<f64>,
     lateness_ms: Vec<f64>,
     images_per_s: Vec<f64>,
-    /// Whether the control loop got its scheduling in all rounds.
+    /// Whether the system refused the scheduling of a live run in some round.
     is_refused: bool,
 }
 
