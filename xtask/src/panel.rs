@@ -16,6 +16,7 @@ use crate::workspace::{Workspace, run_visibly};
 
 const TESTS: &str = "tests/panel";
 const LONG_TESTS: &str = "tests/panel/long_panel.py";
+const FROM_CLONE: &str = "tests/panel/from_clone.py";
 /// A machine that wakes a thread later than this says nothing about the panel: a page that it holds up for half a second is silent, and
 /// the arms hold, as they must. Chosen by hand.
 const HELD_UP: Duration = Duration::from_millis(150);
@@ -38,11 +39,18 @@ pub struct Args {
     /// Run the tests that take minutes instead: no false stop in ten minutes, the time from silence to stop, and from the button.
     #[arg(long)]
     long: bool,
+    /// Follow the README instead, with a stopwatch, from a fresh clone of the last commit to a hand that follows. Writes the transcript
+    /// out/panel/from_clone.txt. Run nothing else meanwhile (10 minutes).
+    #[arg(long, conflicts_with_all = ["long", "filter", "release"])]
+    from_clone: bool,
 }
 
 /// # Errors
 /// If a test fails, or the machine lacks a requirement.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
+    if args.from_clone {
+        return from_clone(workspace, args);
+    }
     let mut build = workspace.cargo();
     build.args(["build", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"]);
     if args.release {
@@ -51,6 +59,27 @@ pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
     run_visibly(&mut build)?;
     let profile = if args.release { "release" } else { "debug" };
     with_program(workspace, &workspace.target_folder()?.join(profile), args)
+}
+
+/// The steps of the README in a fresh clone, which is removed afterwards.
+fn from_clone(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
+    let clone = workspace.target_folder()?.join("from-clone");
+    remove(&clone)?;
+    let mut git = workspace.command("git");
+    git.args(["clone", "--quiet", "--no-hardlinks"]).arg(workspace.root()).arg(&clone);
+    run_visibly(&mut git)?;
+    let result = with_program(workspace, &clone.join("target/release"), args);
+    remove(&clone)?;
+    result
+}
+
+fn remove(folder: &Path) -> anyhow::Result<()> {
+    match fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(error).with_context(|| format!("cannot remove {}", folder.display()))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// All tests with the programs in a folder, or after a build.
@@ -108,27 +137,27 @@ fn with_program(workspace: &Workspace, programs: &Path, args: &Args) -> anyhow::
     let python = python(workspace)?;
     let browser = browser()?;
     let artefacts = workspace.root().join(ARTEFACTS);
-    if artefacts.exists() {
-        fs::remove_dir_all(&artefacts).with_context(|| format!("cannot remove {ARTEFACTS}"))?;
-    }
+    remove(&artefacts)?;
     let cache = format!("cache_dir={}", workspace.target_folder()?.join("panel-cache").display());
     let tests = |more: &[&str]| {
         let mut tests = workspace.command(&python);
         tests.args(["-m", "pytest", "--quiet", "-o", &cache]).args(more);
-        if args.long {
-            tests.args(["--capture=no", LONG_TESTS]);
-        } else {
-            tests.arg(TESTS);
-        }
+        match (args.long, args.from_clone) {
+            (true, _) => tests.args(["--capture=no", LONG_TESTS]),
+            (_, true) => tests.args(["--capture=no", FROM_CLONE]),
+            _ => tests.arg(TESTS),
+        };
         if let Some(filter) = &args.filter {
             tests.args(["-k", filter]);
         }
         tests.env("PB3DP", programs.join("pb3dp")).env("PB3DP_CHROMIUM", &browser);
+        // Of the clone, where there is one: a program in target/release.
+        tests.env("PB3DP_CLONE", programs.ancestors().nth(2).unwrap_or(programs));
         tests.env("PB3DP_PANEL_ARTEFACTS", &artefacts).env("PYTHONDONTWRITEBYTECODE", "1");
         run_visibly(&mut tests)
     };
     let first = tests(&[]);
-    if first.is_ok() || args.long {
+    if first.is_ok() || args.long || args.from_clone {
         return first;
     }
     println!(

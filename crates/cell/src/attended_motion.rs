@@ -13,7 +13,8 @@ use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_api::Clock;
 use pb3dp_servo::supervisor::Cause;
 
-use super::person::{KeyRequest, ends_motion, silence};
+pub use super::person::ends_motion;
+use super::person::{KeyRequest, silence};
 use super::terminal::EscapeEndsLine;
 
 /// Interval at which the silence is measured while nothing is typed.

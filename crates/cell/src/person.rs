@@ -34,7 +34,7 @@ pub(crate) fn cautious_command_of(line: &str) -> Option<OperatorCommand> {
 }
 
 /// Whether a line ends a motion that knows no other command: `stop` or `hold` in it, `q` or `quit` alone, or the key Esc at its end.
-pub(crate) fn ends_motion(line: &str) -> bool {
+pub fn ends_motion(line: &str) -> bool {
     let text = without_escape_sequences(line);
     let word = text.trim_matches(|c: char| !c.is_alphabetic());
     cautious_command_of(line).is_some()

@@ -136,6 +136,31 @@ impl ArmShape {
     pub fn parts(&self) -> &[ArmPart] {
         &self.parts
     }
+
+    /// Name of the first piece of the arm that the shape leaves bare: a point of the line from the base through all joint origins to
+    /// the flange that is in no part.
+    ///
+    /// The line is inside any real arm whose joints are on it, so that a shape which leaves some of it bare does not enclose the arm. A
+    /// shape that covers the line may still be too thin.
+    pub fn bare_piece(&self, frames: &JointFrames) -> Option<String> {
+        let parts: Vec<Capsule> = self.parts.iter().map(|part| part.capsule.moved(&frames.base_from(part.carrier))).collect();
+        let is_bare = |point: Point3<f64>| {
+            let point = Capsule { ends_m: [point; 2], radius_m: 0.0 };
+            !parts.iter().any(|part| part.distance_m(&point) <= ROUNDING_M)
+        };
+        let origins = frames.origins_in_base();
+        let name = |index: usize| match index {
+            0 => "the base".to_owned(),
+            joint if joint <= DOF => format!("joint {}", joint - 1),
+            _ => "the flange".to_owned(),
+        };
+        origins.windows(2).enumerate().find_map(|(index, ends)| {
+            let steps = ((ends[1] - ends[0]).norm() / BARE_STEP_M).ceil().max(1.0) as u32;
+            let point = |step: u32| ends[0] + (ends[1] - ends[0]) * (f64::from(step) / f64::from(steps));
+            let is_covered = !(0..=steps).map(point).any(is_bare);
+            (!is_covered).then(|| format!("between {} and {}", name(index), name(index + 1)))
+        })
+    }
 }
 
 impl PlacedArm<'_> {
@@ -161,12 +186,7 @@ impl PlacedArm<'_> {
     }
 
     fn in_world(&self, part: &ArmPart) -> Capsule {
-        let base_from_part = match part.carrier {
-            Carrier::Base => Isometry3::identity(),
-            Carrier::Joint(joint) => self.frames.base_from_joint[joint],
-            Carrier::Flange => *self.frames.base_from_flange.isometry(),
-        };
-        part.capsule.moved(&(self.world_from_base.isometry() * base_from_part))
+        part.capsule.moved(&(self.world_from_base.isometry() * self.frames.base_from(part.carrier)))
     }
 
     /// The part in `world`, enlarged by its largest motion while every joint rotates by at most `reach_rad`.
@@ -175,6 +195,20 @@ impl PlacedArm<'_> {
         Capsule { radius_m: capsule.radius_m + self.moves_by(part, reach_rad), ..capsule }
     }
 }
+
+impl JointFrames {
+    /// Pose of the body to which a part is attached.
+    fn base_from(&self, carrier: Carrier) -> Isometry3<f64> {
+        match carrier {
+            Carrier::Base => Isometry3::identity(),
+            Carrier::Joint(joint) => self.base_from_joint[joint],
+            Carrier::Flange => *self.base_from_flange.isometry(),
+        }
+    }
+}
+
+/// Distance between two points at which it is checked whether a shape covers the arm; parts are several times as thick.
+const BARE_STEP_M: f64 = 0.01;
 
 /// Far above the rounding error of a distance in a workcell.
 const ROUNDING_M: f64 = 1e-9;
@@ -371,6 +405,40 @@ mod tests {
             let by_elbow_m = 0.3 * (0.55 + 0.2);
             let by_hand_m = by_elbow_m + 0.2 * (0.45 + 0.55 + 0.2 + by_elbow_m);
             assert!((tool - by_hand_m).abs() < 1e-12, "{tool} {by_hand_m}");
+        });
+    }
+
+    #[test]
+    fn a_shape_that_does_not_enclose_the_arm_is_told_where_it_is_bare() {
+        two_arms(|chain, shape, _| {
+            let bent = chain.joint_frames(&JointVector::from([0.1, 0.9, -0.2, 0.5, 0.3, 0.4, 0.0]));
+            let all = |radius_m: f64| {
+                let part = |carrier, length_m: f64| {
+                    let capsule = capsule([0.0; 3], [0.0, 0.0, length_m], radius_m);
+                    ArmPart { name: "part".to_owned(), carrier, capsule }
+                };
+                let (base, upper, fore, hand) = (Carrier::Base, Carrier::Joint(1), Carrier::Joint(3), Carrier::Joint(5));
+                vec![part(base, 0.317), part(upper, 0.45), part(fore, 0.48), part(hand, 0.08)]
+            };
+            assert_eq!(ArmShape::new(all(0.02)).unwrap().bare_piece(&bent), None);
+            for (missing, piece) in [
+                (0, "between the base and joint 0"),
+                (1, "between joint 1 and joint 2"),
+                (2, "between joint 3 and joint 4"),
+                (3, "between joint 6 and the flange"),
+            ] {
+                let mut parts = all(0.02);
+                parts.remove(missing);
+                let found = ArmShape::new(parts).unwrap().bare_piece(&bent).unwrap();
+                assert!(found.starts_with(&piece[..7]), "{missing}: {found}");
+                println!("{missing}: {found}, expected {piece}");
+            }
+            // Parts that enclose the upright arm and move with the base leave the bent arm bare.
+            let fixed = ArmPart { carrier: Carrier::Base, capsule: capsule([0.0; 3], [0.0, 0.0, 1.5], 0.2), name: "pillar".to_owned() };
+            let fixed = ArmShape::new(vec![fixed]).unwrap();
+            assert_eq!(fixed.bare_piece(&chain.joint_frames(&JointVector::zeros())), None);
+            assert!(fixed.bare_piece(&bent).is_some());
+            drop(shape);
         });
     }
 

@@ -250,6 +250,28 @@ fn calibrations_and_truths_that_do_not_fit_are_refused() {
     ]);
 }
 
+/// Whatever the other arm does, it would never be too near to a point at the base.
+#[test]
+fn shapes_that_do_not_enclose_a_real_arm_are_refused() {
+    const BARE: &str = "arms.vs.parts: the arm is bare between the base and joint";
+    fn parts(root: &mut Table) -> &mut Vec<Value> {
+        root["arms"]["vs"]["parts"].as_array_mut().unwrap()
+    }
+    fn move_part(root: &mut Table, index: usize, on: &str) {
+        parts(root)[index].as_table_mut().unwrap().insert("on".to_owned(), on.into());
+    }
+    check_refusals([
+        ("rig.toml", |root| drop(parts(root).drain(1..)), "arms.vs.parts: the arm is bare between joint"),
+        ("rig.toml", |root| drop(parts(root).remove(0)), BARE),
+        ("rig.toml", |root| move_part(root, 1, "joint 0"), "arms.vs.parts: the arm is bare between joint"),
+        ("rig.toml", |root| put(root, "arms", "least_room_mm", 9.0), "arms.least_room_mm = 9.0: allowed are 10 to 1000"),
+    ]);
+    // What is simulated may have any shape.
+    let mut sample = Sample::new("sim.toml", |file| read_setup(file).map(drop));
+    parts(&mut sample.table).drain(1..);
+    assert_eq!(sample.refusal_of(&[]), None);
+}
+
 /// Each backend of the cameras has keys of its own, and what goes with it.
 #[test]
 fn keys_of_other_cameras_are_refused_with_key_and_backend() {

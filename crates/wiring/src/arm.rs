@@ -25,6 +25,7 @@ use pb3dp_cell::parts::{ArmOnBus, DrivenArm, EmulatedArm, GatewayLimits, LinkCou
 use pb3dp_hal_api::{Arm, ArmError, ArmInfo, ArmPower, ArmState, Clock, JointCommand, JointState};
 use pb3dp_hal_middleware::{FlightLog, Guard, Limiter, Recorded, couple};
 use pb3dp_hal_platform::jitter::Jitter;
+use pb3dp_hal_platform::only_program::OnlyProgram;
 use pb3dp_hal_platform::realtime::Realtime;
 use pb3dp_hal_platform::transport::Connector;
 use pb3dp_setup::setup::{ArmLink, ArmSetup, BusLinkConfig, GatewayWay, Setup};
@@ -32,6 +33,7 @@ use pb3dp_sim::joint_dynamics::{JointPlant, JointPlantConfig};
 
 use super::greeting;
 use super::nominal::EMULATION;
+use super::sole_program::sole_program;
 
 /// Largest difference between the limits in a controller's EEPROM and those of the robot description, degrees.
 pub const LIMITS_TOLERANCE_DEG: f64 = 0.5;
@@ -136,7 +138,8 @@ pub fn wire_arms(setup: &Setup, clock: &Arc<dyn Clock>, time: Option<&Arc<Virtua
     let (vs_wanted, tc_wanted) = (wanted(vs_name, &setup.rig.arms.vs), wanted(tc_name, &setup.rig.arms.tc));
     // Before a port opens.
     [vs_wanted.arm, tc_wanted.arm].into_iter().try_for_each(ArmSetup::check_signals)?;
-    let (vs, tc) = (wire_backend(vs_wanted, seat()?)?, wire_backend(tc_wanted, seat()?)?);
+    let sole = sole_program(&[vs_wanted.arm, tc_wanted.arm])?;
+    let (vs, tc) = (wire_backend(vs_wanted, seat()?, &sole)?, wire_backend(tc_wanted, seat()?, &sole)?);
     let on_bus = [(vs_name, &setup.rig.arms.vs, &vs), (tc_name, &setup.rig.arms.tc, &tc)]
         .into_iter()
         .filter_map(arm_on_bus)
@@ -174,7 +177,8 @@ fn arm_on_bus((name, arm, wired): (&'static str, &ArmSetup, &WiredBackend)) -> O
 /// If a part refuses its parameters, or the arm does not answer.
 pub(super) fn wire_alone(wanted: Wanted<'_>) -> Result<AloneArm> {
     wanted.arm.check_signals()?;
-    let wired = wire_backend(wanted, alone()?)?;
+    let sole = sole_program(&[wanted.arm])?;
+    let wired = wire_backend(wanted, alone()?, &sole)?;
     let (guarded, flight) = guarded(wanted, wired.backend, wired.trip)?;
     let emulated = wired.emulated.and_then(Emulation::into_server);
     Ok(AloneArm { driven: limited(wanted, guarded)?, monitor: wired.monitor, flight, emulated })
@@ -258,8 +262,8 @@ impl Emulation {
     }
 }
 
-/// Wires the configured backend.
-fn wire_backend(wanted: Wanted<'_>, seat: TripSeat) -> Result<WiredBackend> {
+/// Wires the configured backend. An arm that is not emulated keeps the right to be moved by this program.
+fn wire_backend(wanted: Wanted<'_>, seat: TripSeat, sole: &Option<Arc<OnlyProgram>>) -> Result<WiredBackend> {
     let Wanted { name, arm, control_period, clock, .. } = wanted;
     let Some((line, emulated)) = line(wanted)? else {
         let plant = shared_plant(arm.plant.clone(), wanted)?;
@@ -278,7 +282,7 @@ fn wire_backend(wanted: Wanted<'_>, seat: TripSeat) -> Result<WiredBackend> {
     // The joints are not simulated in this process: the workcell uses the measured ones.
     let (tap, samples) = sync_channel(JOINTS_WAITING_MAX);
     let site = site(arm, JointSource::measured(samples, arm.start_rad));
-    Ok(WiredBackend { site, backend: Box::new(Tapped { arm: opened, tap }), monitor, trip, emulated: None })
+    Ok(WiredBackend { site, backend: Box::new(Tapped { arm: opened, tap, _sole: sole.clone() }), monitor, trip, emulated: None })
 }
 
 /// The link to an arm, with the emulated arm and its joints if there is one at the far end; `None` if the arm is simulated in process.
@@ -503,6 +507,7 @@ fn on_bus(driver: DriverConfig, link: &BusLinkConfig) -> DriverConfig {
 struct Tapped<A> {
     arm: A,
     tap: SyncSender<JointState>,
+    _sole: Option<Arc<OnlyProgram>>,
 }
 
 impl<A: Arm> Arm for Tapped<A> {

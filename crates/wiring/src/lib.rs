@@ -12,6 +12,7 @@ mod key_files;
 pub mod message_codes;
 mod nominal;
 mod simulated;
+mod sole_program;
 
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};

@@ -3,11 +3,11 @@
 use std::io::{IsTerminal as _, Write};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
-use pb3dp_cell::attended_motion::{AttendedMotion, EndedByPerson};
+use pb3dp_cell::attended_motion::{AttendedMotion, EndedByPerson, ends_motion};
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::terminal::typed_lines;
 use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
@@ -57,6 +57,21 @@ impl Console {
     pub fn forget(&self) {
         flush_terminal();
         while self.lines.try_recv().is_ok() {}
+    }
+
+    /// Ends a motion by what was typed meanwhile, or if nobody can type any more; does not wait. Other lines are discarded.
+    ///
+    /// # Errors
+    /// [`EndedByPerson`].
+    pub fn goes_on(&self) -> Result<(), EndedByPerson> {
+        loop {
+            match self.lines.try_recv() {
+                Ok(Ok(line)) if ends_motion(&line) => return Err(EndedByPerson::Typed(line)),
+                Ok(Ok(_)) => {}
+                Ok(Err(_)) | Err(TryRecvError::Disconnected) => return Err(EndedByPerson::EndOfInput),
+                Err(TryRecvError::Empty) => return Ok(()),
+            }
+        }
     }
 
     /// Waits for a line, up to `patience` if given.
@@ -167,7 +182,25 @@ fn is_person(is_terminal: bool, is_test_build: bool) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::io;
+    use std::sync::mpsc::channel;
+
     use super::*;
+
+    #[test]
+    fn a_stop_typed_during_a_motion_ends_it_and_so_does_the_end_of_input() {
+        let (typed, lines) = channel::<io::Result<String>>();
+        let console = Console { lines };
+        assert_eq!(console.goes_on(), Ok(()));
+        ["", "yes"].into_iter().for_each(|line| typed.send(Ok(line.to_owned())).unwrap());
+        assert_eq!(console.goes_on(), Ok(()));
+        ["", "stop", "yes"].into_iter().for_each(|line| typed.send(Ok(line.to_owned())).unwrap());
+        assert_eq!(console.goes_on(), Err(EndedByPerson::Typed("stop".to_owned())));
+        typed.send(Err(io::Error::other("EIO"))).unwrap();
+        assert_eq!(console.goes_on(), Err(EndedByPerson::EndOfInput));
+        drop(typed);
+        assert_eq!(console.goes_on(), Err(EndedByPerson::EndOfInput));
+    }
 
     #[test]
     fn a_pipe_is_no_person_in_a_release() {

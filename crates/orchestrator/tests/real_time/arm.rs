@@ -1,6 +1,6 @@
 //! `pb3dp arm` against emulated arms: on pseudo-terminals, and in a program of their own behind TCP.
 
-use std::io::Write;
+use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -467,6 +467,33 @@ fn the_room_to_the_other_arm_is_watched_unless_it_is_left_out() {
         let config = config.display().to_string();
         pb3dp_arm(&config, &alone, Some("vs-robot")).assert_refused(&["\"vs-robot\" is not vs-robot alone"]);
         pb3dp_arm(&config, &alone, Some("vs-robot alone")).assert_success();
+    });
+}
+
+/// Each of two setups calls the arm of the other one emulated: nothing would keep a distance between both arms.
+#[test]
+fn only_one_program_of_a_computer_moves_arms_that_are_not_emulated() {
+    programs_in_real_time_beside_others(|| {
+        let (first, second) = (Cell::start(&["--pose-deg", START_DEG]), Cell::start(&["--pose-deg", START_DEG]));
+        let name = format!("pb3dp-test-{}", std::process::id());
+        let jog = |cell: &Cell, args: &[&str]| {
+            let args = [&["jog", "--axis", "4", "--by", "-1"], args].concat();
+            let mut command = command(&cell.config().display().to_string(), &args);
+            command.env("PB3DP_TEST_SOLE_PROGRAM", &name);
+            command
+        };
+        let mut waiting = jog(&first, &["--move"]).spawn().unwrap();
+        let mut output = BufReader::new(waiting.stdout.take().unwrap()).lines();
+        assert!(output.any(|line| line.unwrap().contains("Type vs-robot to move it")));
+        let refused = jog(&second, &[]).output().unwrap();
+        let text = String::from_utf8(refused.stderr).unwrap();
+        assert!(!refused.status.success() && text.contains("arms.vs: another program of this computer"), "{text}");
+        // Whatever ends a program frees the way for the next one.
+        waiting.kill().unwrap();
+        waiting.wait().unwrap();
+        let dry = jog(&second, &[]).output().unwrap();
+        assert!(dry.status.success(), "{}", String::from_utf8(dry.stderr).unwrap());
+        [first, second].into_iter().for_each(|cell| cell.arm.quit());
     });
 }
 

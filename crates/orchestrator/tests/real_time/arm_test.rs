@@ -463,6 +463,34 @@ fn a_signal_ends_a_step_by_the_stop_order_with_a_partial_report() {
     });
 }
 
+/// A person who types stop beside a moving arm must not wait for the end of its move.
+#[test]
+fn a_stop_that_is_typed_ends_a_step_while_the_arm_moves() {
+    programs_in_real_time_beside_others(|| {
+        let mut cell = Cell::start(&["--pose-deg", START_DEG]);
+        for (step, number, question) in [("jog", 1, "Press Enter"), ("kill", 4, "is killed during the move")] {
+            let (_folder, out) = folder();
+            let mut test = Rehearsal::of(&cell, step, &out);
+            test.answer(question, "");
+            let start_deg = cell.joints().0[3];
+            let since = Instant::now();
+            while (cell.joints().0[3] - start_deg).abs() < 0.2 {
+                assert!(since.elapsed() < Duration::from_secs(20), "{step}: it does not move");
+                std::thread::sleep(Duration::from_millis(10));
+            }
+            writeln!(test.input, "\nstop").unwrap();
+            let (code, text) = test.finish();
+            let (report, _) = report_in(&out);
+            let found = &report["steps"][number];
+            assert_eq!((code, &found["result"]), (Some(1), &"interrupted".into()), "{step}: {text}");
+            assert!(found["reasons"].to_string().contains("ended by \\\"stop\\\", which was typed"), "{step}: {found}");
+            let (after, is_braked) = cell.joints();
+            assert!(is_braked && (after[3] - start_deg).abs() < 1.5, "{step}: {after:?}");
+        }
+        cell.arm.quit();
+    });
+}
+
 /// A pass that the commissioning record states was not followed by a failure or an interruption of the same step.
 #[test]
 fn no_interruption_of_a_step_leaves_its_earlier_pass_in_the_record() {

@@ -18,6 +18,24 @@ function inWords(control, value) {
 /** The value beside a field that does not show it in words itself. @param {Control} control @param {number} value */
 const beside = (control, value) => (control.kind === "menu" ? "" : inWords(control, value));
 
+/** Keys of a setup by the number of the control in V4L2, each with the size of its unit in that of the driver. @type {[number, string, number][]} */
+const SETUP_KEYS = [
+  [0x009a0902, "exposure_millis", 0.1],
+  [0x00980913, "gain", 1],
+  [0x0098091a, "white_balance_kelvin", 1],
+];
+
+/** The lines of a setup that set a camera as it is set now. @param {"left"|"right"} side @param {Control[]} controls */
+function setupLines(side, controls) {
+  const lines = SETUP_KEYS.flatMap(([id, key, factor]) => {
+    const control = controls.find((one) => one.id === id);
+    if (!control || control.value === null) return [];
+    const number = factor === 1 ? String(control.value) : fixed(control.value * factor, 1);
+    return [`${key} = ${control.mode === "auto" ? '"auto"' : number}`];
+  });
+  return [`[camera.${side}]`, ...lines].join("\n");
+}
+
 /** Range, default, and why a row has its present state. @param {Control} control */
 function facts(control) {
   if (control.kind === "button") return "";
@@ -56,6 +74,7 @@ export class ControlList {
       this.place.replaceChildren(...controls.map((control) => this.build(control)));
     }
     for (const control of controls) this.update(control);
+    write(at(`setup-lines-${this.side}`), setupLines(this.side, controls));
   }
 
   /** @param {boolean} isBlocked */

@@ -234,8 +234,32 @@ impl ArmsSection {
         };
         let vs = take("arms.carries_cameras", &self.carries_cameras);
         let tc = take("arms.carries_target", &self.carries_target);
+        if [&vs, &tc].into_iter().flatten().any(|arm| !arm.link.is_toy()) {
+            check.number("arms.least_room_mm", self.least_room_mm, REAL_ROOM_MIN_MM..=1000.0);
+        }
         let others = arms.into_iter().filter_map(|(name, arm)| Some((name, arm?))).collect();
         Some(Arms { vs: vs?, tc: tc?, others })
+    }
+}
+
+/// Smallest distance to keep between two arms if one of them is not emulated: shapes are drawn by hand, and arms bend.
+const REAL_ROOM_MIN_MM: f64 = 10.0;
+
+/// Checks that the collision shape encloses the arm: at the start, stretched out, and bent. Otherwise no clearance is ever too small.
+fn check_shape(
+    (key, shape): (&str, &ArmShape),
+    chain: &Chain,
+    (start_rad, limits): (&JointVector, &EffectiveLimits),
+    check: &mut Checker,
+) {
+    let bent_rad = limits.operating().position_max_rad() * 0.5;
+    let poses_rad = [*start_rad, JointVector::zeros(), bent_rad];
+    let bare = poses_rad.iter().find_map(|joints_rad| shape.bare_piece(&chain.joint_frames(joints_rad)));
+    if let Some(piece) = bare {
+        check.refuse(format!(
+            "{key}.parts: the arm is bare {piece}, and nothing would keep a distance from it; enclose each link with its cables in a part that \
+             moves with it"
+        ));
     }
 }
 
@@ -273,6 +297,9 @@ impl ArmSection {
         let mechanical_max_rad = range_rad(&self.mechanical_range_deg);
         let limits = self.limits((key, all.speed_scale), &chain, check)?;
         let link = link?.limited(&limits).map_err(|error| check.refuse(format!("{key}: {error}"))).ok()?;
+        if !link.is_toy() {
+            check_shape((key, &shape), &chain, (&start_rad, &limits), check);
+        }
         let fade = fade(&link);
         Some(ArmSetup {
             key: key.to_owned(),

@@ -5,6 +5,7 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use pb3dp_arm_pa10_emulation::line::mock_server::MockServer;
 use pb3dp_arm_pa10_protocol::codec::Signal;
+use pb3dp_cell::attended_motion::EndedByPerson;
 use pb3dp_cell::parts::ArmChoice;
 use pb3dp_cell::terminal::print_line;
 use pb3dp_hal_platform::signals::StopSignals;
@@ -74,6 +75,10 @@ impl Operator for Emulated {
                 self.arm(choice)?.command_line(if is_on { on } else { off })?
             }
         }
+        Ok(())
+    }
+
+    fn goes_on(&mut self) -> Result<(), EndedByPerson> {
         Ok(())
     }
 

@@ -155,6 +155,7 @@ impl Mover {
         let begin = Instant::now();
         loop {
             session.pause(Duration::ZERO)?;
+            session.operator.goes_on()?;
             match self.lines.recv_timeout(LOOK) {
                 Ok(line) => {
                     let Some(position_rad) = joints_of(&line) else { continue };

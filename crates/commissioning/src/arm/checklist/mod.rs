@@ -330,7 +330,8 @@ fn confirm(word: &str, asked: &[Step], session: &mut Session<'_>) -> Result<()> 
     if asked.iter().any(|step| step.moves()) {
         let others = if asked.contains(&Step::Interlock) { " The brakes of both arms open." } else { "" };
         print_line(&format!(
-            "The arm will move.{others} Keep all persons out of its reach and a hand on the emergency stop."
+            "The arm will move.{others} Keep all persons out of its reach and a hand on the emergency stop.\n\
+             To end a step while it moves, type stop and Enter, or press Esc."
         ))?;
     }
     print_line(&format!("Type {word} to begin:"))?;

@@ -4,8 +4,9 @@ use std::time::Duration;
 
 use anyhow::{Result, bail};
 use pb3dp_arm_pa10_protocol::codec::{Axis, Signal, SignalSource};
+use pb3dp_cell::attended_motion::EndedByPerson;
 use pb3dp_cell::parts::ArmChoice;
-use pb3dp_cell::terminal::print_line;
+use pb3dp_cell::terminal::{EscapeEndsLine, print_line};
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::JointVector;
 
@@ -76,6 +77,12 @@ pub trait Operator {
     /// If the action is impossible.
     fn act(&mut self, act: Act) -> Result<()>;
 
+    /// Ends a motion if the operator has called for its end meanwhile; does not wait.
+    ///
+    /// # Errors
+    /// The end.
+    fn goes_on(&mut self) -> Result<(), EndedByPerson>;
+
     /// Shows the next event and the requested action, and waits until the operator is ready.
     ///
     /// # Errors
@@ -93,12 +100,14 @@ pub trait Operator {
 pub struct Person {
     console: Console,
     patience: Duration,
+    /// Esc ends a motion, too.
+    _escape: Option<EscapeEndsLine>,
 }
 
 impl Person {
     /// A person who must answer within this time.
     pub fn new(console: Console, patience: Duration) -> Self {
-        Self { console, patience }
+        Self { console, patience, _escape: EscapeEndsLine::set() }
     }
 
     fn line(&self, signals: &mut StopSignals) -> Result<String> {
@@ -127,6 +136,10 @@ impl Operator for Person {
 
     fn act(&mut self, act: Act) -> Result<()> {
         Ok(print_line(&format!("NOW: {act}"))?)
+    }
+
+    fn goes_on(&mut self) -> Result<(), EndedByPerson> {
+        self.console.goes_on()
     }
 
     fn ready(&mut self, text: &str, act: Option<Act>, signals: &mut StopSignals) -> Result<()> {

@@ -9,6 +9,7 @@ use pb3dp_arm_pa10::arm::ArmMonitor;
 use pb3dp_arm_pa10::driver::Latched;
 use pb3dp_arm_pa10_protocol::codec::Axis;
 use pb3dp_arm_pa10_protocol::gateway_protocol::HelloReply;
+use pb3dp_cell::attended_motion::EndedByPerson;
 use pb3dp_cell::parts::ArmChoice;
 use pb3dp_cell::plan::Plan;
 use pb3dp_cell::terminal::print_line;
@@ -236,8 +237,12 @@ impl Session<'_> {
     /// The cause of an abort.
     pub fn drive(&mut self, arm: &mut SlowArm, plan: &Plan) -> Result<(JointState, MoveObservation)> {
         let (axis, mut seen) = (self.axis, MoveObservation::default());
-        let mut drive = Drive::new(arm, plan, &self.clock, self.setup.control_period);
-        let outcome = drive.run(&mut self.signals, &mut |cycle| seen.take(plan, axis, cycle));
+        let Self { operator, signals, clock, setup, .. } = self;
+        let mut watch = |cycle: &Cycle<'_>| {
+            operator.goes_on()?;
+            seen.take(plan, axis, cycle)
+        };
+        let outcome = Drive::new(arm, plan, clock, setup.control_period).run(signals, &mut watch);
         Ok((drive::stopped_after(self.choice, arm, outcome)?, seen))
     }
 
@@ -275,6 +280,7 @@ impl Session<'_> {
         let mut speed_rad_per_s = 0.0;
         let Self { operator, signals, clock, setup, .. } = self;
         let mut watch = |cycle: &Cycle<'_>| {
+            operator.goes_on()?;
             seen.take(plan, axis, cycle)?;
             last = Some(*cycle.measured);
             speed_rad_per_s = plan.at(cycle.passed).1[axis.index()].abs();
@@ -425,9 +431,9 @@ fn is_stop(error: &anyhow::Error) -> bool {
     of_arm.is_some_and(|error| matches!(error.kind(), Disconnected | Fault | NotEnabled))
 }
 
-/// Whether a signal has ended the test.
+/// Whether a signal or the operator has ended the test.
 pub fn is_interruption(error: &anyhow::Error) -> bool {
-    error.chain().any(|cause| cause.is::<Interrupted>())
+    error.chain().any(|cause| cause.is::<Interrupted>() || cause.is::<EndedByPerson>())
 }
 
 /// Checks that an arm refuses to be enabled and moved; an arm that does not refuse is stopped again.
