@@ -26,6 +26,17 @@ pub struct WidestPlane {
     pub is_spread: bool,
 }
 
+/// The plane of least squares through a curved surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ContinuedPlane {
+    /// The plane in the rectified pair.
+    pub plane: DisparityPlane,
+    /// Standard deviation of its disparity in the middle of the region, and of its change over half of the region, pixels.
+    pub sigma_px: f64,
+    /// Whether the region certainly shows one surface.
+    pub is_certain: bool,
+}
+
 /// The plane of any depth and tilt that explains the most clear disparities.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UnlimitedPlane {
@@ -65,6 +76,10 @@ pub struct ColdStartOutcome {
     /// The plane that explains the most disparities within one pixel, if less than half of the region agrees with the refined
     /// plane.
     pub widest: Option<WidestPlane>,
+    /// The plane of least squares through the surface that continues the refined plane, if that surface is curved.
+    pub continued: Option<ContinuedPlane>,
+    /// Root mean square of the relief that neighbouring patches share, pixels; 0 if they show none.
+    pub relief_px: f64,
     /// The plane of any depth and tilt that explains the most; set if the plane explains little.
     pub unlimited: Option<UnlimitedPlane>,
     /// The period along the rows of a repeating texture, if a disparity shifted by it is outside the searched range; set if the

@@ -154,6 +154,11 @@ impl SlantedPatches {
         Some(corrected(&given, Some(self.sampled.closest(choice, kernels)?)))
     }
 
+    /// Root mean square of the relief that the patches of the last run show, pixels of the level; 0 if they show none.
+    pub fn relief_px(&mut self) -> f64 {
+        self.sampled.relief_px()
+    }
+
     /// Writes the result of one row of patches for that row and the next.
     fn judge_rows(
         &mut self,

@@ -1,6 +1,7 @@
 //! Plane search: from the whole depth range to a few candidate planes, on one level of the pyramid.
 
 pub mod aggregate;
+pub mod continued;
 pub mod hypotheses;
 pub mod volume;
 
@@ -13,12 +14,14 @@ use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::wide::wide;
 
 use self::aggregate::{Aggregation, Penalties, WinnerRules};
+use self::continued::{Continuation, ContinuedSurface};
 use self::hypotheses::{
     Candidate, DisparityPoints, HypothesisRules, HypothesisSearch, PlaneCoefficients, inlier_share,
 };
 use self::volume::{COST_NEUTRAL, CostVolume, LevelBox};
 use super::disparity_plane::DisparityRange;
 use super::region_pyramid::{LevelPlane, RegionLevel};
+use crate::surface_choice::SurfaceChoice;
 
 /// Noise of a pixel in the normalisation of neighbourhoods, luminance: default of `direct.search.noise_grey`. Chosen by hand, not
 /// varied: with less, blank neighbourhoods agree by chance; with more, faint texture agrees with nothing.
@@ -100,6 +103,7 @@ pub struct PlaneSearch {
     aggregation: Aggregation,
     points: DisparityPoints,
     hypotheses: HypothesisSearch,
+    continuation: Continuation,
     seeds: Vec<PlaneCoefficients>,
     histogram: Vec<u32>,
     column: Vec<u32>,
@@ -222,6 +226,24 @@ impl PlaneSearch {
     pub fn nearby(&self, level: &RegionLevel, plane: &LevelPlane, distance_px: f64) -> Option<LevelPlane> {
         let found = self.points.nearby(&coefficients(&self.volume, level, plane), distance_px)?;
         Some(level_plane(&self.volume, level, &found))
+    }
+
+    /// The surface of the last search that continues a plane, with its plane of least squares; `None` if the plane explains all of it.
+    pub fn continued(
+        &mut self,
+        level: &RegionLevel,
+        plane: &LevelPlane,
+        choice: &SurfaceChoice,
+    ) -> Option<(ContinuedSurface, LevelPlane)> {
+        let (area, stride) = (self.volume.area, level.left.window.width);
+        let clear = |y: usize| {
+            let inside = &level.region[(area.y + y) * stride + area.x..][..area.width];
+            let values = &self.aggregation.disparity[y * area.width..][..area.width];
+            inside.iter().zip(values).map(|(&inside, &d)| if inside != 0 { d } else { f32::NAN })
+        };
+        let start = coefficients(&self.volume, level, plane);
+        let found = self.continuation.of((0..area.height).flat_map(clear), area.width, &start, choice)?;
+        Some((found, level_plane(&self.volume, level, &found.plane)))
     }
 
     /// Soft share of the clear disparities of the last search on a plane, with a tolerance in pixels of the level.

@@ -200,7 +200,10 @@ pub(super) fn judge(
     let support = support_of(finest);
     let agreeing = 100.0 * support;
     if lies_spread(outcome) {
-        let seen = "the disparities scatter around every plane; the plane with the most support is reported";
+        let seen = match outcome.continued.is_some_and(|continued| continued.is_certain) {
+            true => "the surface is curved; its plane of least squares is reported",
+            false => "the disparities scatter around every plane; the plane with the most support is reported",
+        };
         return say(Status::Ambiguous, format!("{seen} ({agreeing:.0} % of the region agrees): mark a flat part"));
     }
     if let Some(alias) = outcome.alias.filter(|alias| alias.score_ratio > limits.alias_score_max) {

@@ -20,12 +20,19 @@ const PATCHES: usize = 600;
 const DRAWS: usize = 24;
 /// Number of best drawn planes that are refined. Chosen by hand, not varied: time grows with it.
 const IMPROVED: usize = 3;
+/// Smallest number of pairs of patches that tell a relief from errors. Chosen by hand, not varied.
+const PAIRS_MIN: f64 = 20.0;
+/// Number of pairs that count as one. Derived: patches of 15 px that are sampled every 6 px share their pixels with those of up to two
+/// places in each direction, on average half of them.
+const DEPENDENT: f64 = 8.0;
 /// Sampled patches with their shifts, and the total weight.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sampled {
     votes: PatchVotes,
     all: f32,
     step: usize,
+    /// Shifts without their plane, by place in the grid; NaN without a vote.
+    grid: Vec<f32>,
 }
 
 impl Sampled {
@@ -85,6 +92,29 @@ impl Sampled {
             .then_some(plane)
     }
 
+    /// Root mean square of the relief: of what the shifts of patches without a common pixel, next to each other, have in common beyond
+    /// their plane of least squares and beyond one standard deviation by chance. The errors of single patches have nothing in common.
+    pub(super) fn relief_px(&mut self) -> f64 {
+        let Some((columns, lag)) = self.votes.spread_over(self.step, super::SIDE, &mut self.grid) else { return 0.0 };
+        let (mut product, mut square, mut pairs) = (0.0, 0.0, 0.0);
+        for (i, &shift) in self.grid.iter().enumerate() {
+            let right = if i % columns + lag < columns { self.grid.get(i + lag) } else { None };
+            for &other in right.into_iter().chain(self.grid.get(i + lag * columns)) {
+                // NaN without a vote.
+                if (shift * other).is_finite() {
+                    product += f64::from(shift * other);
+                    square += f64::from(shift * shift + other * other) / 2.0;
+                    pairs += 1.0;
+                }
+            }
+        }
+        if pairs < PAIRS_MIN {
+            return 0.0;
+        }
+        let chance = square / pairs * (DEPENDENT / pairs).sqrt().min(1.0);
+        (product / pairs - chance).max(0.0).sqrt()
+    }
+
     fn share(&self, plane: &[f64; 3], width_px: f64, kernels: Kernels) -> f64 {
         weight_near(&self.votes, plane, width_px, kernels) / f64::from(self.all)
     }
@@ -114,6 +144,34 @@ mod tests {
             sampled.take_row(0, y, &[1; 100], peaks, PeakLimits { shift_px: 2.0, correlation: 0.5 });
         }
         sampled.closest(&SurfaceChoice::default(), Kernels::best())
+    }
+
+    fn relief_px(shift: impl Fn(f32, f32) -> f32) -> f64 {
+        let mut sampled = Sampled::default();
+        sampled.start(6000, 2);
+        for y in (0..60).step_by(2).filter(|&y| sampled.takes_row(y)).collect::<Vec<_>>() {
+            let offset = (0..100).map(|x| shift(x as f32, y as f32)).collect::<Vec<_>>();
+            let peaks = RowPeaks { offset: &offset, weight: &[1.0; 100], correlation: &[0.9; 100] };
+            sampled.take_row(3, y, &[1; 100], peaks, PeakLimits { shift_px: 2.0, correlation: 0.5 });
+        }
+        sampled.relief_px()
+    }
+
+    /// By hand: the rms of a parabola of height `h` about its mean is `h sqrt(4 / 45)`; patches 16 px apart see most of it in common.
+    #[test]
+    fn a_relief_is_told_from_the_errors_of_patches() {
+        let noise = |x: f32, y: f32| {
+            let mut z = (x as u64 * 7919 + y as u64 * 104_729).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+            ((z >> 40) as f32 / (1 << 24) as f32 - 0.5) * 12f32.sqrt()
+        };
+        let plane = |x: f32, y: f32| 0.4 + 0.006 * x - 0.004 * y;
+        assert!(relief_px(|x, y| plane(x, y) + 0.3 * noise(x, y)) < 0.1);
+        assert!(relief_px(plane) < 1e-6);
+        let shell = |x: f32| ((x - 50.0) / 50.0).powi(2) - 0.5;
+        let found = relief_px(|x, y| plane(x, y) + shell(x) + 0.1 * noise(x, y));
+        assert!((0.15..0.3).contains(&found), "{found}");
+        assert_eq!(relief_px(|_, _| 9.0), 0.0);
     }
 
     /// The evaluated plane meets the larger surface at its far end and, behind a step, the smaller one.

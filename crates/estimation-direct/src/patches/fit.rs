@@ -60,6 +60,32 @@ impl PatchVotes {
         gap(x.0, y.0).max(gap(x.1, y.0)).max(gap(x.0, y.1)).max(gap(x.1, y.1))
     }
 
+    /// Spreads the offsets of votes that were taken every `step` pixels over a grid, without their plane of least squares; NaN without a
+    /// vote. Returns the grid's columns, and the number of places that are at least `apart` pixels. `None` if the votes determine no plane.
+    pub(super) fn spread_over(&self, step: usize, apart: usize, grid: &mut Vec<f32>) -> Option<(usize, usize)> {
+        let votes = || {
+            let places = self.x.iter().zip(&self.y).zip(&self.offset);
+            places.zip(&self.weight).filter(|(_, weight)| **weight > 0.0).map(|(((x, y), offset), _)| (*x, *y, *offset))
+        };
+        let row = |x: f32, y: f32| Vector3::new(1.0, f64::from(x), f64::from(y));
+        let (mut squares, mut pull) = (Matrix3::zeros(), Vector3::zeros());
+        let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
+        for (x, y, offset) in votes() {
+            squares += row(x, y) * row(x, y).transpose();
+            pull += row(x, y) * f64::from(offset);
+            (low, high) = ([low[0].min(x), low[1].min(y)], [high[0].max(x), high[1].max(y)]);
+        }
+        let plane = squares.try_inverse()? * pull;
+        let index = |value: f32, low: f32| ((value - low) as usize) / step.max(1);
+        let (columns, rows) = (index(high[0], low[0]) + 1, index(high[1], low[1]) + 1);
+        grid.clear();
+        grid.resize(columns * rows, f32::NAN);
+        for (x, y, offset) in votes() {
+            grid[index(y, low[1]) * columns + index(x, low[0])] = offset - plane.dot(&row(x, y)) as f32;
+        }
+        Some((columns, apart.div_ceil(step.max(1))))
+    }
+
     /// Fills the last group with votes of no weight.
     pub(super) fn pad(&mut self) {
         while !self.x.len().is_multiple_of(LANES) {
