@@ -264,7 +264,11 @@ fn shapes_that_do_not_enclose_a_real_arm_are_refused() {
         ("rig.toml", |root| drop(parts(root).drain(1..)), "arms.vs.parts: the arm is bare between joint"),
         ("rig.toml", |root| drop(parts(root).remove(0)), BARE),
         ("rig.toml", |root| move_part(root, 1, "joint 0"), "arms.vs.parts: the arm is bare between joint"),
-        ("rig.toml", |root| put(root, "arms", "least_room_mm", 9.0), "arms.least_room_mm = 9.0: allowed are 10 to 1000"),
+        (
+            "rig.toml",
+            |root| put(root, "arms", "least_room_mm", 9.0),
+            "arms.least_room_mm = 9: allowed are 10 to 1000 mm",
+        ),
     ]);
     // What is simulated may have any shape.
     let mut sample = Sample::new("sim.toml", |file| read_setup(file).map(drop));

@@ -282,7 +282,13 @@ fn wire_backend(wanted: Wanted<'_>, seat: TripSeat, sole: &Option<Arc<OnlyProgra
     // The joints are not simulated in this process: the workcell uses the measured ones.
     let (tap, samples) = sync_channel(JOINTS_WAITING_MAX);
     let site = site(arm, JointSource::measured(samples, arm.start_rad));
-    Ok(WiredBackend { site, backend: Box::new(Tapped { arm: opened, tap, _sole: sole.clone() }), monitor, trip, emulated: None })
+    Ok(WiredBackend {
+        site,
+        backend: Box::new(Tapped { arm: opened, tap, _sole: sole.clone() }),
+        monitor,
+        trip,
+        emulated: None,
+    })
 }
 
 /// The link to an arm, with the emulated arm and its joints if there is one at the far end; `None` if the arm is simulated in process.
