@@ -230,7 +230,6 @@ impl ColdStart {
             true => finest,
             false => self.look(level, &refined.plane),
         });
-        let relief_px = self.patches.relief_px() * self.pyramid.levels()[level].scale as f64;
         let (centre, valid_share) = (self.pyramid.centroid_px(), self.search.valid_share);
         let plane_at_refined = at_refined.map(|found| self.pyramid.levels()[level].full_plane(&found.plane, centre));
         let reached = refined.map_or(patch_plane, |refined| refined.plane);
@@ -264,7 +263,7 @@ impl ColdStart {
             nearby,
             widest,
             continued,
-            relief_px,
+            relief_px: self.patches.relief_px() * self.pyramid.levels()[level].scale as f64,
             unlimited,
             repeats_px,
         })

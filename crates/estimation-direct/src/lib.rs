@@ -15,6 +15,7 @@ mod directions;
 pub mod disparity_plane;
 pub mod estimator;
 mod filters;
+mod final_plane;
 pub mod front_end;
 pub mod image_plane;
 mod named_sums;

@@ -173,6 +173,15 @@ fn lies_spread(outcome: &ColdStartOutcome) -> bool {
     outcome.widest.is_some_and(|widest| widest.is_spread)
 }
 
+/// Reason if the disparities lie on no plane.
+fn spread(outcome: &ColdStartOutcome, agreeing: f64) -> String {
+    let seen = match outcome.continued.is_some_and(|continued| continued.is_certain) {
+        true => "the surface is curved; its plane of least squares is reported",
+        false => "the disparities scatter around every plane; the plane with the most support is reported",
+    };
+    format!("{seen} ({agreeing:.0} % of the region agrees): mark a flat part")
+}
+
 /// Reason if another plane is nearly as good on the finest level.
 fn contested(outcome: &ColdStartOutcome, limits: &DirectVerdictConfig) -> Option<String> {
     let other = outcome.contender.filter(|other| other.score_ratio > limits.alias_score_max)?;
@@ -200,11 +209,7 @@ pub(super) fn judge(
     let support = support_of(finest);
     let agreeing = 100.0 * support;
     if lies_spread(outcome) {
-        let seen = match outcome.continued.is_some_and(|continued| continued.is_certain) {
-            true => "the surface is curved; its plane of least squares is reported",
-            false => "the disparities scatter around every plane; the plane with the most support is reported",
-        };
-        return say(Status::Ambiguous, format!("{seen} ({agreeing:.0} % of the region agrees): mark a flat part"));
+        return say(Status::Ambiguous, spread(outcome, agreeing));
     }
     if let Some(alias) = outcome.alias.filter(|alias| alias.score_ratio > limits.alias_score_max) {
         let gap_px = alias.plane.d0_px - outcome.patch_plane.d0_px;
