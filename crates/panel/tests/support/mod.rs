@@ -170,7 +170,7 @@ impl Rig {
         client.wait_for("a target", |state| state["target"]["id"] == 1 && state["state"]["is_ready"] == true);
         let start = || client.post("start", &format!(r#"{{"seen":{}}}"#, client.seen()));
         // A machine that is building may suspend the program for a moment.
-        let is_suspended = |reply: &Reply| reply.status != 200 && reply.code() == "PB3DP-PAN-030";
+        let is_suspended = |reply: &self::client::Reply| reply.status != 200 && reply.code() == "PB3DP-PAN-030";
         let reply =
             std::iter::repeat_with(start).take(5).find(|reply| !is_suspended(reply)).expect("suspended five times");
         assert_eq!(reply.status, 200, "{}", reply.body);
