@@ -151,8 +151,10 @@ fn with_program(workspace: &Workspace, programs: &Path, args: &Args) -> anyhow::
             tests.args(["-k", filter]);
         }
         tests.env("PB3DP", programs.join("pb3dp")).env("PB3DP_CHROMIUM", &browser);
-        // Of the clone, where there is one: a program in target/release.
-        tests.env("PB3DP_CLONE", programs.ancestors().nth(2).unwrap_or(programs));
+        // The programs are in its target/release.
+        if let (true, Some(clone)) = (args.from_clone, programs.ancestors().nth(2)) {
+            tests.env("PB3DP_CLONE", clone);
+        }
         tests.env("PB3DP_PANEL_ARTEFACTS", &artefacts).env("PYTHONDONTWRITEBYTECODE", "1");
         run_visibly(&mut tests)
     };

@@ -3,6 +3,7 @@
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use pb3dp_test_support::programs_in_real_time_beside_others;
@@ -124,8 +125,12 @@ pub fn write_setup(folder: &TempDir, change: impl Fn(&str) -> String) {
 }
 
 pub fn command(config: &str, args: &[&str]) -> Command {
+    static COUNT: AtomicU32 = AtomicU32::new(0);
     let mut command = Command::new(env!("CARGO_BIN_EXE_pb3dp"));
     command.args(["arm", args[0], "--config", config, "--arm", "vs"]).args(&args[1..]);
+    // As in a release, a process that the command starts included; other tests move their arms beside it.
+    let name = format!("pb3dp-test-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::SeqCst));
+    command.env("PB3DP_TEST_SOLE_PROGRAM", name);
     // Moves that are broken off leave their flight recorders under `out`.
     command.current_dir(env!("CARGO_TARGET_TMPDIR"));
     command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
