@@ -3,12 +3,5 @@
 
 mod support;
 
-mod access;
-mod cameras;
-mod commands;
-mod encrypted;
-mod heartbeats;
-mod limits;
-mod messages;
 mod parsing;
-mod watching;
+mod real_time;

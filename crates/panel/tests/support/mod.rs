@@ -58,6 +58,8 @@ pub struct Seen {
     pub allocations: usize,
     /// Time of the step in which motion ended last.
     pub rested_at: Option<MonotonicTime>,
+    /// Between two steps of the control thread, seconds.
+    pub longest_period_s: f64,
     /// Whether the control thread has SCHED_FIFO.
     pub is_preferred: bool,
     /// From the moment at which a step was due until it was done, seconds. Without the steps that copy a pair, which another thread
@@ -252,6 +254,7 @@ impl Loop {
         let mut last: Option<Decision> = None;
         let mut newest: Option<(FrameInput, EstimateInput)> = None;
         let image = Arc::clone(&self.images);
+        let mut earlier: Option<MonotonicTime> = None;
         let due = AtomicU64::new(0);
         while !self.is_over.load(Ordering::SeqCst) {
             let due_at = Instant::now() + STEP;
@@ -305,6 +308,8 @@ impl Loop {
             seen.commands.extend(heard.said.map(|said| (said.word, now)));
             seen.allocations += allocations;
             seen.heard_at = heard.heard_at;
+            let period_s = earlier.replace(now).map_or(0.0, |earlier| now.seconds_since(earlier));
+            seen.longest_period_s = seen.longest_period_s.max(period_s);
             seen.motion = Some(motion);
             seen.last = Some(decision);
             if !has_copied {

@@ -3,10 +3,10 @@
 use pb3dp_servo::supervisor::State;
 use serde_json::{Value, json};
 
-use crate::cameras::{Cameras, EXPOSURE};
+use super::cameras::{Cameras, EXPOSURE};
 use crate::support::{Page, Rig};
 
-const SCHEMA: &str = include_str!("../../../docs/reference/panel-api.schema.json");
+const SCHEMA: &str = include_str!("../../../../docs/reference/panel-api.schema.json");
 
 /// The part of the schema with this name.
 fn schema_of(name: &str) -> jsonschema::Validator {
