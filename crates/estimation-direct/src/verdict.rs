@@ -5,6 +5,7 @@ use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::ranges;
 use pb3dp_estimation_core::status::{Status, Verdict};
 
+use crate::disparity_plane::DisparityPlane;
 use crate::outcome::{ColdStartOutcome, support_of};
 use crate::surface_choice::SurfaceChoice;
 
@@ -135,6 +136,10 @@ fn cause(outcome: &ColdStartOutcome, searched: &Searched, limits: &DirectVerdict
 /// not varied: only the stated reason depends on it.
 const ANY_SHARE_MIN: f64 = 0.1;
 
+/// Planes whose disparities differ by less at the region's centre are at the same distance for a reader. Chosen by hand, not varied: only
+/// the stated reason depends on it.
+const SAME_PLACE_PX: f64 = 0.5;
+
 /// Verdict if too little of the region has texture or agrees with the plane.
 fn too_little(
     outcome: &ColdStartOutcome,
@@ -182,12 +187,21 @@ fn spread(outcome: &ColdStartOutcome, agreeing: f64) -> String {
     format!("{seen} ({agreeing:.0} % of the region agrees): mark a flat part")
 }
 
+/// Where a rival of a plane lies: of a plane through the same place the distance says nothing.
+fn other_plane(rival: &DisparityPlane, plane: &DisparityPlane) -> String {
+    let gap_px = rival.d0_px - plane.d0_px;
+    match gap_px.abs() < SAME_PLACE_PX {
+        true => "a plane at the same distance with another tilt".to_owned(),
+        false => format!("a plane {gap_px:+.1} px of disparity away"),
+    }
+}
+
 /// Reason if another plane is nearly as good on the finest level.
 fn contested(outcome: &ColdStartOutcome, limits: &DirectVerdictConfig) -> Option<String> {
     let other = outcome.contender.filter(|other| other.score_ratio > limits.alias_score_max)?;
-    let gap_px = other.plane.d0_px - outcome.patch_plane.d0_px;
     Some(format!(
-        "a plane {gap_px:+.1} px of disparity away is nearly as good, with {:.0} % of the score (limit {:.0} %): the texture is self-similar",
+        "{} is nearly as good, with {:.0} % of the score (limit {:.0} %): the texture is self-similar",
+        other_plane(&other.plane, &outcome.patch_plane),
         100.0 * other.score_ratio,
         100.0 * limits.alias_score_max
     ))
@@ -212,11 +226,11 @@ pub(super) fn judge(
         return say(Status::Ambiguous, spread(outcome, agreeing));
     }
     if let Some(alias) = outcome.alias.filter(|alias| alias.score_ratio > limits.alias_score_max) {
-        let gap_px = alias.plane.d0_px - outcome.patch_plane.d0_px;
         return say(
             Status::Ambiguous,
             format!(
-                "a plane {gap_px:+.1} px of disparity away explains the same pixels with {:.0} % of the score (limit {:.0} %): the texture repeats",
+                "{} explains the same pixels with {:.0} % of the score (limit {:.0} %): the texture repeats",
+                other_plane(&alias.plane, &outcome.patch_plane),
                 100.0 * alias.score_ratio,
                 100.0 * limits.alias_score_max
             ),
@@ -261,5 +275,21 @@ pub(super) fn judge(
             Status::WeakTilt,
             format!("{agreed}, but the tilt was not refined: too few textured pixels, or no time left"),
         ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector2;
+
+    use super::*;
+
+    #[test]
+    fn a_rival_at_the_same_distance_is_named_by_its_tilt() {
+        let plane =
+            DisparityPlane { centre_px: Vector2::new(90.0, 70.0), d0_px: 40.0, slope: Vector2::new(0.01, -0.02) };
+        let words = |d0_px| other_plane(&DisparityPlane { d0_px, ..plane }, &plane);
+        assert_eq!(words(39.9), "a plane at the same distance with another tilt");
+        assert_eq!(words(31.6), "a plane -8.4 px of disparity away");
     }
 }

@@ -140,7 +140,9 @@ export class Scene {
       const [u, v] = project(points[0]);
       context.fillStyle = colors[index % 2];
       context.font = `${13 * ratio}px sans-serif`;
-      context.fillText(this.info.arms[index].name, u + 6 * ratio, v);
+      // A target that a person pushes about floats: say why.
+      const note = index === 1 && this.info.playground ? " (does not hold the target)" : "";
+      context.fillText(this.info.arms[index].name + note, u + 6 * ratio, v);
       if (index === 0 && this.info.hand_from_cam_left) this.cameras(line, product(world_from_tool, this.info.hand_from_cam_left));
     });
     if (target) this.target(line, target);
