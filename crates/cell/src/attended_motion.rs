@@ -59,6 +59,37 @@ pub fn instructions(key_within: Duration) -> String {
     )
 }
 
+/// The keys of a person beside a moving arm: silence ends the motion, and a key is asked for in time.
+#[derive(Clone, Copy, Debug)]
+pub struct Keys {
+    within: Duration,
+    heard_at: MonotonicTime,
+    request: KeyRequest,
+}
+
+impl Keys {
+    /// A person who has pressed a key now, and must press one within each such time.
+    pub fn new(within: Duration, now: MonotonicTime) -> Self {
+        Self { within, heard_at: now, request: KeyRequest::default() }
+    }
+
+    /// A key was pressed.
+    pub fn heard(&mut self, now: MonotonicTime) {
+        self.heard_at = now;
+    }
+
+    /// The question to ask now, if one is due.
+    ///
+    /// # Errors
+    /// [`EndedByPerson::Silent`].
+    pub fn look(&mut self, now: MonotonicTime) -> Result<Option<&'static str>, EndedByPerson> {
+        match silence(self.within, self.heard_at, now) {
+            Some(cause) => Err(EndedByPerson::Silent(cause)),
+            None => Ok(self.request.is_due(self.within, self.heard_at, now).then_some(ASK)),
+        }
+    }
+}
+
 /// Listens to a person until it is dropped, on a thread of its own: the thread that moves the arm only looks at the outcome.
 pub struct AttendedMotion {
     shared: Arc<Shared>,
@@ -90,8 +121,8 @@ impl AttendedMotion {
         let (asks, asked) = sync_channel(1);
         let write = move || write_all(&asked, answers);
         Builder::new().name("answers".to_owned()).spawn(write).context("no thread for questions to the operator")?;
-        let heard_at = clock.now();
-        let mut listening = Listening { lines, key_within, clock, asks, heard_at, request: KeyRequest::default() };
+        let keys = Keys::new(key_within, clock.now());
+        let mut listening = Listening { lines, clock, asks, keys };
         let seen = Arc::clone(&shared);
         let listen = move || {
             if let Some(ended) = listening.until(&seen.is_over) {
@@ -124,11 +155,9 @@ fn write_all(asked: &Receiver<&'static str>, mut answers: impl Write) {
 /// The listening thread.
 struct Listening {
     lines: Receiver<io::Result<String>>,
-    key_within: Duration,
     clock: Arc<dyn Clock>,
     asks: SyncSender<&'static str>,
-    heard_at: MonotonicTime,
-    request: KeyRequest,
+    keys: Keys,
 }
 
 impl Listening {
@@ -137,17 +166,15 @@ impl Listening {
         while !is_over.load(Ordering::SeqCst) {
             match self.lines.recv_timeout(LOOK) {
                 Ok(Ok(line)) if ends_motion(&line) => return Some(EndedByPerson::Typed(line)),
-                Ok(Ok(_)) => self.heard_at = self.clock.now(),
+                Ok(Ok(_)) => self.keys.heard(self.clock.now()),
                 Ok(Err(_)) | Err(RecvTimeoutError::Disconnected) => return Some(EndedByPerson::EndOfInput),
                 Err(RecvTimeoutError::Timeout) => {}
             }
-            let now = self.clock.now();
-            if let Some(cause) = silence(self.key_within, self.heard_at, now) {
-                return Some(EndedByPerson::Silent(cause));
-            }
-            if self.request.is_due(self.key_within, self.heard_at, now) {
+            match self.keys.look(self.clock.now()) {
+                Err(ended) => return Some(ended),
                 // A question that waits is enough.
-                let _ = self.asks.try_send(ASK);
+                Ok(Some(question)) => drop(self.asks.try_send(question)),
+                Ok(None) => {}
             }
         }
         None

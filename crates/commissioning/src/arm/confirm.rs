@@ -7,9 +7,10 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
-use pb3dp_cell::attended_motion::{AttendedMotion, EndedByPerson, ends_motion};
+use pb3dp_cell::attended_motion::{AttendedMotion, EndedByPerson, Keys, ends_motion};
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::terminal::typed_lines;
+use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::signals::{StopSignal, StopSignals};
 use pb3dp_setup::setup::Setup;
 use rustix::termios::{QueueSelector, tcflush};
@@ -59,17 +60,18 @@ impl Console {
         while self.lines.try_recv().is_ok() {}
     }
 
-    /// Ends a motion by what was typed meanwhile, or if nobody can type any more; does not wait. Other lines are discarded.
+    /// Ends a motion by what was typed meanwhile, if nobody can type any more, or nobody presses a key; does not wait. Other lines are
+    /// keys. Returns the question to ask now, if one is due.
     ///
     /// # Errors
     /// [`EndedByPerson`].
-    pub fn goes_on(&self) -> Result<(), EndedByPerson> {
+    pub fn goes_on(&self, keys: &mut Keys, now: MonotonicTime) -> Result<Option<&'static str>, EndedByPerson> {
         loop {
             match self.lines.try_recv() {
                 Ok(Ok(line)) if ends_motion(&line) => return Err(EndedByPerson::Typed(line)),
-                Ok(Ok(_)) => {}
+                Ok(Ok(_)) => keys.heard(now),
                 Ok(Err(_)) | Err(TryRecvError::Disconnected) => return Err(EndedByPerson::EndOfInput),
-                Err(TryRecvError::Empty) => return Ok(()),
+                Err(TryRecvError::Empty) => return keys.look(now),
             }
         }
     }
@@ -183,23 +185,48 @@ fn is_person(is_terminal: bool, is_test_build: bool) -> bool {
 #[cfg(test)]
 mod tests {
     use std::io;
-    use std::sync::mpsc::channel;
+    use std::sync::mpsc::{Sender, channel};
 
     use super::*;
 
+    /// A console, its keyboard, and the keys of a person who has pressed one at 0 s and must press one every 30 s.
+    fn bench() -> (Console, Sender<io::Result<String>>, Keys) {
+        let (typed, lines) = channel();
+        (Console { lines }, typed, Keys::new(Duration::from_secs(30), MonotonicTime::ZERO))
+    }
+
+    fn at(seconds: u64) -> MonotonicTime {
+        MonotonicTime::ZERO + Duration::from_secs(seconds)
+    }
+
     #[test]
     fn a_stop_typed_during_a_motion_ends_it_and_so_does_the_end_of_input() {
-        let (typed, lines) = channel::<io::Result<String>>();
-        let console = Console { lines };
-        assert_eq!(console.goes_on(), Ok(()));
+        let (console, typed, mut keys) = bench();
+        let mut goes_on = || console.goes_on(&mut keys, at(1));
+        assert_eq!(goes_on(), Ok(None));
         ["", "yes"].into_iter().for_each(|line| typed.send(Ok(line.to_owned())).unwrap());
-        assert_eq!(console.goes_on(), Ok(()));
+        assert_eq!(goes_on(), Ok(None));
         ["", "stop", "yes"].into_iter().for_each(|line| typed.send(Ok(line.to_owned())).unwrap());
-        assert_eq!(console.goes_on(), Err(EndedByPerson::Typed("stop".to_owned())));
+        assert_eq!(goes_on(), Err(EndedByPerson::Typed("stop".to_owned())));
         typed.send(Err(io::Error::other("EIO"))).unwrap();
-        assert_eq!(console.goes_on(), Err(EndedByPerson::EndOfInput));
+        assert_eq!(goes_on(), Err(EndedByPerson::EndOfInput));
         drop(typed);
-        assert_eq!(console.goes_on(), Err(EndedByPerson::EndOfInput));
+        assert_eq!(goes_on(), Err(EndedByPerson::EndOfInput));
+    }
+
+    #[test]
+    fn nobody_who_presses_a_key_during_a_motion_ends_it_and_is_asked_before() {
+        let (console, typed, mut keys) = bench();
+        assert_eq!(console.goes_on(&mut keys, at(19)), Ok(None));
+        let asked = console.goes_on(&mut keys, at(21)).unwrap().unwrap();
+        assert!(asked.contains("press Enter now"), "{asked}");
+        assert_eq!(console.goes_on(&mut keys, at(22)), Ok(None), "asked once");
+        typed.send(Ok(String::new())).unwrap();
+        assert_eq!(console.goes_on(&mut keys, at(29)), Ok(None));
+        assert_eq!(console.goes_on(&mut keys, at(48)), Ok(None));
+        assert!(console.goes_on(&mut keys, at(50)).unwrap().is_some());
+        let ended = console.goes_on(&mut keys, at(60)).unwrap_err().to_string();
+        assert!(ended.contains("operator_silent"), "{ended}");
     }
 
     #[test]

@@ -491,6 +491,32 @@ fn a_stop_that_is_typed_ends_a_step_while_the_arm_moves() {
     });
 }
 
+#[test]
+fn nobody_at_the_keyboard_ends_a_step_while_the_arm_moves() {
+    programs_in_real_time_beside_others(|| {
+        let mut cell = Cell::start(&["--pose-deg", START_DEG]);
+        let (_folder, out) = folder();
+        let out_text = out.display().to_string();
+        let silent = ["--set", "supervisor.operator_key_within_s=5"];
+        let args = ["test", "--only", "jog", "--by", "10", "--axis", "4", "--move", "--out", &out_text];
+        let mut test = Rehearsal::start(&cell.config(), &[&args[..], &silent].concat());
+        test.answer("Type vs-robot to begin:", "vs-robot");
+        test.answer("Press Enter", "");
+        let start_deg = cell.joints().0[3];
+        test.until("are you there? press Enter now");
+        let (code, text) = test.finish();
+        let (report, _) = report_in(&out);
+        let found = &report["steps"][1];
+        assert_eq!((code, &found["result"]), (Some(1), &"interrupted".into()), "{text}");
+        assert!(found["reasons"].to_string().contains("operator_silent"), "{found}");
+        let (after, is_braked) = cell.joints();
+        // Within 5 s the speed grows to 0.02 rad/s.
+        let turned_deg = (after[3] - start_deg).abs();
+        assert!(is_braked && (0.1..7.0).contains(&turned_deg), "{start_deg} {after:?}");
+        cell.arm.quit();
+    });
+}
+
 /// A pass that the commissioning record states was not followed by a failure or an interruption of the same step.
 #[test]
 fn no_interruption_of_a_step_leaves_its_earlier_pass_in_the_record() {

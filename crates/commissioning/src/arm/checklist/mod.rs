@@ -25,6 +25,7 @@ use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use pb3dp_arm_pa10::arm::ArmSnapshot;
 use pb3dp_arm_pa10_protocol::codec::Axis;
+use pb3dp_cell::attended_motion::instructions;
 use pb3dp_cell::live::enter_control_thread;
 use pb3dp_cell::machine::machine;
 use pb3dp_cell::parts::ArmChoice;
@@ -277,7 +278,8 @@ fn operator_of(
         if !choices.is_empty() {
             need_person()?;
         }
-        return Ok((Box::new(Person::new(Console::start()?, patience)), None));
+        let times = (patience, setup.operator_key_within);
+        return Ok((Box::new(Person::new(Console::start()?, times, Arc::clone(clock))), None));
     }
     let mut arms = Vec::new();
     let key = TestKey::new()?;
@@ -331,7 +333,8 @@ fn confirm(word: &str, asked: &[Step], session: &mut Session<'_>) -> Result<()> 
         let others = if asked.contains(&Step::Interlock) { " The brakes of both arms open." } else { "" };
         print_line(&format!(
             "The arm will move.{others} Keep all persons out of its reach and a hand on the emergency stop.\n\
-             To end a step while it moves, type stop and Enter, or press Esc."
+             {}",
+            instructions(session.setup.operator_key_within)
         ))?;
     }
     print_line(&format!("Type {word} to begin:"))?;

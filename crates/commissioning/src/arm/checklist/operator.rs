@@ -1,12 +1,14 @@
 //! The operator of a checklist, who actuates switches and cables and watches the arm.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Result, bail};
 use pb3dp_arm_pa10_protocol::codec::{Axis, Signal, SignalSource};
-use pb3dp_cell::attended_motion::EndedByPerson;
+use pb3dp_cell::attended_motion::{EndedByPerson, Keys};
 use pb3dp_cell::parts::ArmChoice;
 use pb3dp_cell::terminal::{EscapeEndsLine, print_line};
+use pb3dp_hal_api::Clock;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::JointVector;
 
@@ -77,7 +79,7 @@ pub trait Operator {
     /// If the action is impossible.
     fn act(&mut self, act: Act) -> Result<()>;
 
-    /// Ends a motion if the operator has called for its end meanwhile; does not wait.
+    /// Ends a motion if the operator has called for its end meanwhile, or shows no sign of life; does not wait for either.
     ///
     /// # Errors
     /// The end.
@@ -100,19 +102,25 @@ pub trait Operator {
 pub struct Person {
     console: Console,
     patience: Duration,
+    clock: Arc<dyn Clock>,
+    keys: Keys,
     /// Esc ends a motion, too.
     _escape: Option<EscapeEndsLine>,
 }
 
 impl Person {
-    /// A person who must answer within this time.
-    pub fn new(console: Console, patience: Duration) -> Self {
-        Self { console, patience, _escape: EscapeEndsLine::set() }
+    /// A person who must answer within `patience`, and press a key within each `key_within` while an arm moves.
+    pub fn new(console: Console, (patience, key_within): (Duration, Duration), clock: Arc<dyn Clock>) -> Self {
+        let keys = Keys::new(key_within, clock.now());
+        Self { console, patience, clock, keys, _escape: EscapeEndsLine::set() }
     }
 
-    fn line(&self, signals: &mut StopSignals) -> Result<String> {
+    fn line(&mut self, signals: &mut StopSignals) -> Result<String> {
         match self.console.line(Some(self.patience), signals)? {
-            Line::Typed(line) => Ok(line.trim().to_lowercase()),
+            Line::Typed(line) => {
+                self.keys.heard(self.clock.now());
+                Ok(line.trim().to_lowercase())
+            }
             Line::Ended => bail!("standard input has ended, so no operator can answer; run the test in a terminal"),
             Line::TimedOut => {
                 bail!("no answer within {:?}; repeat this step, or increase --patience", self.patience)
@@ -131,7 +139,9 @@ impl Operator for Person {
     }
 
     fn confirm(&mut self, name: &str, signals: &mut StopSignals) -> Result<()> {
-        self.console.typed(name, Some(self.patience), signals)
+        self.console.typed(name, Some(self.patience), signals)?;
+        self.keys.heard(self.clock.now());
+        Ok(())
     }
 
     fn act(&mut self, act: Act) -> Result<()> {
@@ -139,7 +149,11 @@ impl Operator for Person {
     }
 
     fn goes_on(&mut self) -> Result<(), EndedByPerson> {
-        self.console.goes_on()
+        if let Some(question) = self.console.goes_on(&mut self.keys, self.clock.now())? {
+            // A person whose output is not read can still type.
+            let _ = print_line(question);
+        }
+        Ok(())
     }
 
     fn ready(&mut self, text: &str, act: Option<Act>, signals: &mut StopSignals) -> Result<()> {
