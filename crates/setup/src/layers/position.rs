@@ -17,38 +17,58 @@ pub(super) fn parts(key: &str) -> Vec<&str> {
 pub(super) fn all(text: &str) -> Positions {
     let mut found = Positions::new();
     if let Ok(root) = DeTable::parse(text) {
-        of_table("", root.get_ref(), text, &mut found);
+        of_table("", root.get_ref(), &Lines::of(text), &mut found);
     }
     found
 }
 
-fn of_table(prefix: &str, table: &DeTable<'_>, text: &str, found: &mut Positions) {
+fn of_table(prefix: &str, table: &DeTable<'_>, lines: &Lines<'_>, found: &mut Positions) {
     for (name, value) in table {
         let key = if prefix.is_empty() { name.get_ref().to_string() } else { format!("{prefix}.{}", name.get_ref()) };
-        found.insert(key.clone(), line_and_column(text, name.span().start));
-        of_value(&key, value, text, found);
+        found.insert(key.clone(), lines.position(name.span().start));
+        of_value(&key, value, lines, found);
     }
 }
 
-fn of_value(key: &str, value: &Spanned<DeValue<'_>>, text: &str, found: &mut Positions) {
+fn of_value(key: &str, value: &Spanned<DeValue<'_>>, lines: &Lines<'_>, found: &mut Positions) {
     match value.get_ref() {
-        DeValue::Table(table) => of_table(key, table, text, found),
+        DeValue::Table(table) => of_table(key, table, lines, found),
         DeValue::Array(items) => {
             for (index, item) in items.iter().enumerate() {
                 let key = format!("{key}[{index}]");
-                found.insert(key.clone(), line_and_column(text, item.span().start));
-                of_value(&key, item, text, found);
+                found.insert(key.clone(), lines.position(item.span().start));
+                of_value(&key, item, lines, found);
             }
         }
         _ => {}
     }
 }
 
+/// A text by its lines: a setup asks for the position of each of its keys.
+struct Lines<'a> {
+    text: &'a str,
+    /// Where each line but the first begins.
+    starts: Vec<usize>,
+}
+
+impl<'a> Lines<'a> {
+    fn of(text: &'a str) -> Self {
+        Self { text, starts: text.match_indices('\n').map(|(end, _)| end + 1).collect() }
+    }
+
+    /// Line and column of a byte.
+    fn position(&self, at: usize) -> (usize, usize) {
+        let at = at.min(self.text.len());
+        let number = self.starts.partition_point(|start| *start <= at);
+        let start = number.checked_sub(1).map_or(0, |line| self.starts[line]);
+        let before = self.text.get(start..at).unwrap_or_default();
+        (number + 1, before.chars().count() + 1)
+    }
+}
+
 /// Line and column of a byte of a text.
 pub(super) fn line_and_column(text: &str, at: usize) -> (usize, usize) {
-    let before = text.get(..at).unwrap_or(text);
-    let line_start = before.rfind('\n').map_or(0, |end| end + 1);
-    (before.matches('\n').count() + 1, before[line_start..].chars().count() + 1)
+    Lines::of(text).position(at)
 }
 
 #[cfg(test)]
