@@ -14,6 +14,7 @@ use pb3dp_arm_pa10::arm::{ArmMonitor, ArmSnapshot};
 use pb3dp_arm_pa10_protocol::codec::StatusSignals;
 use pb3dp_cell::parts::ArmChoice;
 use pb3dp_record::text_file::read_text;
+use pb3dp_record::unique_json;
 use pb3dp_setup::setup::{ArmLink, ArmSetup, Setup};
 use serde::{Deserialize, Serialize};
 
@@ -142,10 +143,11 @@ impl CommissioningRecord {
     fn read(path: &Path) -> Result<Option<Self>> {
         let text = read_text(path).with_context(|| format!("{}: cannot be read", path.display()))?;
         let no_record = || format!("{}: no record", path.display());
-        let Version { format } = serde_json::from_str(&text).with_context(no_record)?;
+        let value = unique_json::from_str(&text).with_context(no_record)?;
+        let Version { format } = Version::deserialize(&value).with_context(no_record)?;
         match format {
             ..FORMAT => Ok(None),
-            FORMAT => serde_json::from_str(&text).map(Some).with_context(no_record),
+            FORMAT => Self::deserialize(value).map(Some).with_context(no_record),
             _ => bail!("{}: format {format}, this program reads {FORMAT}", path.display()),
         }
     }

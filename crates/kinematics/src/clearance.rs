@@ -137,18 +137,23 @@ impl ArmShape {
         &self.parts
     }
 
+    /// Whether a point is inside a part, at least `depth_m` below its surface.
+    pub fn covers(&self, frames: &JointFrames, point_in_base: Point3<f64>, depth_m: f64) -> bool {
+        let point = Capsule { ends_m: [point_in_base; 2], radius_m: depth_m };
+        self.parts.iter().any(|part| {
+            let part = part.capsule.moved(&frames.base_from(part.carrier));
+            // Of two capsules without radii, the distance of the axes.
+            let axes_m = Capsule { radius_m: 0.0, ..part }.distance_m(&Capsule { radius_m: 0.0, ..point });
+            axes_m <= part.radius_m - point.radius_m + ROUNDING_M
+        })
+    }
+
     /// Name of the first piece of the arm that the shape leaves bare: a point of the line from the base through all joint origins to
-    /// the flange that is in no part.
+    /// the flange that is not `thickness_m` below the surface of a part.
     ///
-    /// The line is inside any real arm whose joints are on it, so that a shape which leaves some of it bare does not enclose the arm. A
-    /// shape that covers the line may still be too thin.
-    pub fn bare_piece(&self, frames: &JointFrames) -> Option<String> {
-        let parts: Vec<Capsule> =
-            self.parts.iter().map(|part| part.capsule.moved(&frames.base_from(part.carrier))).collect();
-        let is_bare = |point: Point3<f64>| {
-            let point = Capsule { ends_m: [point; 2], radius_m: 0.0 };
-            !parts.iter().any(|part| part.distance_m(&point) <= ROUNDING_M)
-        };
+    /// The line is inside any real arm whose joints are on it, and so is everything closer to it than the thinnest link is thick: a shape
+    /// that leaves some of it bare does not enclose the arm. A shape that covers all of it may still be too thin.
+    pub fn bare_piece(&self, frames: &JointFrames, thickness_m: f64) -> Option<String> {
         let origins = frames.origins_in_base();
         let name = |index: usize| match index {
             0 => "the base".to_owned(),
@@ -158,7 +163,7 @@ impl ArmShape {
         origins.windows(2).enumerate().find_map(|(index, ends)| {
             let steps = ((ends[1] - ends[0]).norm() / BARE_STEP_M).ceil().max(1.0) as u32;
             let point = |step: u32| ends[0] + (ends[1] - ends[0]) * (f64::from(step) / f64::from(steps));
-            let is_covered = !(0..=steps).map(point).any(is_bare);
+            let is_covered = (0..=steps).map(point).all(|point| self.covers(frames, point, thickness_m));
             (!is_covered).then(|| format!("between {} and {}", name(index), name(index + 1)))
         })
     }
@@ -422,7 +427,7 @@ mod tests {
                     (Carrier::Base, Carrier::Joint(1), Carrier::Joint(3), Carrier::Joint(5));
                 vec![part(base, 0.317), part(upper, 0.45), part(fore, 0.48), part(hand, 0.08)]
             };
-            assert_eq!(ArmShape::new(all(0.02)).unwrap().bare_piece(&bent), None);
+            assert_eq!(ArmShape::new(all(0.02)).unwrap().bare_piece(&bent, 0.0), None);
             for (missing, piece) in [
                 (0, "between the base and joint 0"),
                 (1, "between joint 1 and joint 2"),
@@ -431,7 +436,7 @@ mod tests {
             ] {
                 let mut parts = all(0.02);
                 parts.remove(missing);
-                assert_eq!(ArmShape::new(parts).unwrap().bare_piece(&bent).as_deref(), Some(piece));
+                assert_eq!(ArmShape::new(parts).unwrap().bare_piece(&bent, 0.0).as_deref(), Some(piece));
             }
             // Parts that enclose the upright arm and move with the base leave the bent arm bare.
             let fixed = ArmPart {
@@ -440,8 +445,8 @@ mod tests {
                 name: "pillar".to_owned(),
             };
             let fixed = ArmShape::new(vec![fixed]).unwrap();
-            assert_eq!(fixed.bare_piece(&chain.joint_frames(&JointVector::zeros())), None);
-            assert!(fixed.bare_piece(&bent).is_some());
+            assert_eq!(fixed.bare_piece(&chain.joint_frames(&JointVector::zeros()), 0.0), None);
+            assert!(fixed.bare_piece(&bent, 0.0).is_some());
         });
     }
 

@@ -9,7 +9,8 @@
 //! * [`plain_zero`]: display of numbers without negative zero;
 //! * [`point_cloud`]: coloured surface points as PLY;
 //! * [`stops`]: arm poses recorded with images, and poses to visit;
-//! * [`report`]: self-contained HTML reports with SVG plots.
+//! * [`report`]: self-contained HTML reports with SVG plots;
+//! * [`unique_json`]: JSON in which no key is repeated.
 //!
 //! Files that people read hold millimetres and degrees; all internal values are metres and radians. This crate estimates nothing,
 //! reads no clock and no environment, and accesses only the given files.
@@ -26,5 +27,6 @@ pub mod plain_zero;
 pub mod point_cloud;
 pub mod report;
 pub mod text_file;
+pub mod unique_json;
 
 pub use calibration_files::stops;

@@ -1,6 +1,8 @@
 //! Every number of the repository's configurations is checked by its own key: far out of range, it is refused with file, key
 //! and what is allowed; at either end of what is allowed, no part refuses it afterwards.
 
+mod real_arms;
+
 use std::path::Path;
 
 use toml::{Table, Value};
@@ -248,32 +250,6 @@ fn calibrations_and_truths_that_do_not_fit_are_refused() {
             "mounts.hand_eye: ",
         ),
     ]);
-}
-
-/// Whatever the other arm does, it would never be too near to a point at the base.
-#[test]
-fn shapes_that_do_not_enclose_a_real_arm_are_refused() {
-    const BARE: &str = "arms.vs.parts: the arm is bare between the base and joint";
-    fn parts(root: &mut Table) -> &mut Vec<Value> {
-        root["arms"]["vs"]["parts"].as_array_mut().unwrap()
-    }
-    fn move_part(root: &mut Table, index: usize, on: &str) {
-        parts(root)[index].as_table_mut().unwrap().insert("on".to_owned(), on.into());
-    }
-    check_refusals([
-        ("rig.toml", |root| drop(parts(root).drain(1..)), "arms.vs.parts: the arm is bare between joint"),
-        ("rig.toml", |root| drop(parts(root).remove(0)), BARE),
-        ("rig.toml", |root| move_part(root, 1, "joint 0"), "arms.vs.parts: the arm is bare between joint"),
-        (
-            "rig.toml",
-            |root| put(root, "arms", "least_room_mm", 9.0),
-            "arms.least_room_mm = 9: allowed are 10 to 1000 mm",
-        ),
-    ]);
-    // What is simulated may have any shape.
-    let mut sample = Sample::new("sim.toml", |file| read_setup(file).map(drop));
-    parts(&mut sample.table).drain(1..);
-    assert_eq!(sample.refusal_of(&[]), None);
 }
 
 /// Each backend of the cameras has keys of its own, and what goes with it.

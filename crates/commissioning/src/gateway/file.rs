@@ -1,7 +1,7 @@
 //! Configuration file of `pb3dp gateway`.
 
-use pb3dp_arm_pa10::driver::PA10_SPEED_MAX_RAD_PER_S;
 use pb3dp_arm_pa10_gateway::gateway::{CYCLE_RANGE, GatewayConfig, RAMP_AFTER_MIN};
+use pb3dp_arm_pa10_protocol::codec::PA10_SPEED_MAX_RAD_PER_S;
 use pb3dp_arm_pa10_protocol::codec::{Axis, SequenceModulus, StatusSignals, Supervision, TorqueScale, WireFormat};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{ArmId, AxisMotion, BRAKE_TIME_MAX, Firmware, MotionLimits};
 use pb3dp_arm_pa10_protocol::places::BusTarget;

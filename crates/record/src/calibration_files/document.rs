@@ -9,6 +9,7 @@ use pb3dp_geometry::ImageSize;
 use serde_json::{Map, Value};
 
 use super::error::{CalibrationFileError, one_line};
+use crate::unique_json;
 
 /// Maximum size of a calibration file, bytes.
 const BYTES_MAX: u64 = 1 << 20;
@@ -54,7 +55,7 @@ impl Document {
         let syntax =
             |line, language, reason| CalibrationFileError::Syntax { file: file.to_path_buf(), line, language, reason };
         let value: Value = if is("json") {
-            serde_json::from_str(text)
+            unique_json::from_str(text)
                 .map_err(|error| syntax(u64::try_from(error.line()).unwrap_or(0), "JSON", error.to_string()))?
         } else if is("toml") {
             toml::from_str(text).map_err(|error| {

@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::DatasetError;
 use crate::text_file::read_text;
+use crate::unique_json;
 
 /// A whole JSON file.
 pub(super) struct JsonFile {
@@ -18,7 +19,7 @@ impl JsonFile {
         let text =
             read_text(path).map_err(|source| DatasetError::Io { file: path.to_owned(), action: "read", source })?;
         let root =
-            serde_json::from_str(&text).map_err(|source| DatasetError::Syntax { file: path.to_owned(), source })?;
+            unique_json::from_str(&text).map_err(|source| DatasetError::Syntax { file: path.to_owned(), source })?;
         Ok(Self { path: path.to_owned(), root })
     }
 

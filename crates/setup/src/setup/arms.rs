@@ -4,13 +4,17 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use nalgebra::Point3;
+use pb3dp_arm_pa10_protocol::codec::PA10_SPEED_MAX_RAD_PER_S;
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, World};
 use pb3dp_hal_middleware::{
     CommandFade, CoupledArmConfig, GuardConfig, LimiterConfig, PA10_MECHANICAL_RANGE_DEG, StartPose,
 };
-use pb3dp_kinematics::{ArmShape, Chain, DOF, EffectiveLimits, JointLimits, JointVector, NO_JOINT_RAD, StatedLimits};
+use pb3dp_kinematics::{
+    ArmShape, Chain, DOF, EffectiveLimits, JointFrames, JointLimits, JointVector, NO_JOINT_RAD, StatedLimits,
+};
 use pb3dp_record::text_file::read_text;
 use pb3dp_sim::joint_dynamics::{JointPlantConfig, PA10_ANGLE_QUANTUM_RAD};
 use serde::Deserialize;
@@ -245,20 +249,51 @@ impl ArmsSection {
 /// Smallest distance to keep between two arms if one of them is not emulated: shapes are drawn by hand, and arms bend.
 const REAL_ROOM_MIN_MM: f64 = 10.0;
 
-/// Checks that the collision shape encloses the arm: at the start, stretched out, and bent. Otherwise no clearance is ever too small.
-fn check_shape(
-    (key, shape): (&str, &ArmShape),
-    chain: &Chain,
-    (start_rad, limits): (&JointVector, &EffectiveLimits),
-    check: &mut Checker,
-) {
-    let bent_rad = limits.operating().position_max_rad() * 0.5;
-    let poses_rad = [*start_rad, JointVector::zeros(), bent_rad];
-    let bare = poses_rad.iter().find_map(|joints_rad| shape.bare_piece(&chain.joint_frames(joints_rad)));
-    if let Some(piece) = bare {
+/// Half of the thickness that every link of a PA-10 has at least, metres: chosen, a good deal less than its wrist.
+const LINK_RADIUS_MIN_M: f64 = 0.04;
+/// Depth of what a flange carries below the surface of a part, metres: chosen, half a camera without its lens.
+const CARRIED_DEPTH_M: f64 = 0.01;
+
+impl ArmSetup {
+    /// Checks that the collision shape of an arm that is not emulated encloses the arm and what its flange carries, points by their names:
+    /// at the start, stretched out, and bent. Otherwise no clearance is ever too small.
+    pub(super) fn check_shape(&self, carried: &[(&str, Point3<f64>)], check: &mut Checker) {
+        if self.link.is_toy() {
+            return;
+        }
+        let (key, shape) = (&self.key, &self.shape);
+        let bent_rad = self.limits.operating().position_max_rad() * 0.5;
+        let poses =
+            [self.start_rad, JointVector::zeros(), bent_rad].map(|joints_rad| self.chain.joint_frames(&joints_rad));
+        if let Some(piece) = poses.iter().find_map(|frames| shape.bare_piece(frames, LINK_RADIUS_MIN_M)) {
+            check.refuse(format!(
+                "{key}.parts: the arm is bare {piece}, and nothing would keep a distance from it; enclose each link with its cables, at \
+                 least {:.0} mm around the line through the joints, in a part that moves with it",
+                1e3 * LINK_RADIUS_MIN_M
+            ));
+        }
+        for (name, in_flange) in carried {
+            let place = |frames: &JointFrames| frames.base_from_flange.isometry() * in_flange;
+            if !poses.iter().all(|frames| shape.covers(frames, place(frames), CARRIED_DEPTH_M)) {
+                check.refuse(format!(
+                    "{key}.parts: {name} is in no part, and nothing would keep a distance from it; enclose all that the flange carries in \
+                     parts with on = \"flange\""
+                ));
+            }
+        }
+    }
+}
+
+/// A robot description may state less than the drives of a PA-10 can do, not more: its speeds times `arms.speed_scale` are the limits.
+fn check_speeds((key, file): (&str, &Path), chain: &Chain, check: &mut Checker) {
+    let stated = chain.limits().velocity_max_rad_per_s();
+    for (joint, most) in PA10_SPEED_MAX_RAD_PER_S.into_iter().enumerate().filter(|(joint, most)| stated[*joint] > *most)
+    {
         check.refuse(format!(
-            "{key}.parts: the arm is bare {piece}, and nothing would keep a distance from it; enclose each link with its cables in a part that \
-             moves with it"
+            "{key}.robot: {}: axis {} has velocity = {} rad/s; the drive of a PA-10 turns it by at most {most:.4} rad/s (data sheet)",
+            file.display(),
+            joint + 1,
+            stated[joint]
         ));
     }
 }
@@ -297,9 +332,6 @@ impl ArmSection {
         let mechanical_max_rad = range_rad(&self.mechanical_range_deg);
         let limits = self.limits((key, all.speed_scale), &chain, check)?;
         let link = link?.limited(&limits).map_err(|error| check.refuse(format!("{key}: {error}"))).ok()?;
-        if !link.is_toy() {
-            check_shape((key, &shape), &chain, (&start_rad, &limits), check);
-        }
         let fade = fade(&link);
         Some(ArmSetup {
             key: key.to_owned(),
@@ -452,6 +484,9 @@ impl ArmSection {
                 chain.joints()
             ));
             return None;
+        }
+        if link.is_some_and(|link| !matches!(link, ArmLink::InProcess)) {
+            check_speeds((key, file), &chain, check);
         }
         if let Some((geometry, table)) = link.and_then(ArmLink::geometry) {
             check_geometry((key, table), geometry, &chain, check);

@@ -11,10 +11,12 @@ const FOR_PERSONS: [Condition; 4] =
     [Condition::TargetLost, Condition::PositionJump, Condition::OrientationJump, Condition::Outlier];
 
 /// Their thresholds, and that of a stale estimate, decide how long the hand moves on without sight of the target, and which jump it
-/// follows. A larger one is looser for each of them.
-const NOT_LOOSER: [Condition; 5] = [
+/// follows, and how uncertain a pose may be. A larger one is looser for each of them.
+const NOT_LOOSER: [Condition; 7] = [
     Condition::TargetLost,
     Condition::EstimateStale,
+    Condition::PositionUncertain,
+    Condition::OrientationUncertain,
     Condition::PositionJump,
     Condition::OrientationJump,
     Condition::Outlier,
@@ -74,13 +76,21 @@ impl Setup {
         found
     }
 
-    /// Adds the settings that let the hand follow a larger jump than the built-in setup `rig` does, or let it continue by itself after
+    /// Adds the settings that let the hand follow a larger jump or a less certain pose than the built-in setup `rig` does, that do less about
+    /// a condition, or let it continue by itself after
     /// it lost sight of the target for a longer time. Such an estimate is only stale, not lost: the hand resumes without a command.
     fn add_looser_thresholds(&self, found: &mut Vec<String>) {
         let Some(built_in) = SupervisorSection::of_built_in_rig() else {
             found.push("supervisor.policies (the built-in ones cannot be read)".to_owned());
             return;
         };
+        for condition in Condition::ALL.into_iter().filter(|condition| !FOR_PERSONS.contains(condition)) {
+            let [action, most] = [&self.supervisor, &built_in].map(|config| config.policies.get(condition).action);
+            if action < most {
+                let key = condition.key();
+                found.push(format!("supervisor.policies.{key}.action = \"{action}\" (without a record: \"{most}\")"));
+            }
+        }
         let mut not_above = |key: &str, value: f64, most: f64| {
             if value > most {
                 found.push(format!("supervisor.{key} = {value} (without a record: at most {most})"));
@@ -144,6 +154,12 @@ mod tests {
             ("orientation_jump.for_s = 0.5", "orientation_jump.for_s = 0.5 (without a record: at most 0.1)"),
             ("outlier.sigmas = 1000.0", "outlier.sigmas = 1000 (without a record: at most 6)"),
             ("outlier.for_s = 0.1", "outlier.for_s = 0.1 (without a record: at most 0.06)"),
+            ("position_uncertain.sigma_mm = 100.0", "position_uncertain.sigma_mm = 100 (without a record: at most 20)"),
+            (
+                "position_uncertain.action = \"note\"",
+                "position_uncertain.action = \"note\" (without a record: \"hold\")",
+            ),
+            ("orientation_uncertain.for_s = 0.5", "orientation_uncertain.for_s = 0.5 (without a record: at most 0.2)"),
         ] {
             let found = needed(&[&format!("supervisor.policies.{}", set.replace(" = ", "="))]);
             assert_eq!(found, [format!("supervisor.policies.{line}")]);

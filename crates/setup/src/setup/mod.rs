@@ -26,7 +26,7 @@ mod truth;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 use pb3dp_estimation::estimator::{EstimatorConfig, Method};
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_geometry::frames::{Flange, Target};
@@ -51,7 +51,7 @@ pub use self::experiment::{Carrier, Experiment};
 use self::geometric::GeometricSection;
 use self::link::GATEWAY_CYCLE_MAX_MILLIS;
 pub use self::link::{ArmLink, BusLinkConfig, GatewayWay, SignalsSection};
-use self::mounts::MountsSection;
+use self::mounts::{Mounts, MountsSection};
 use self::range::search_range;
 pub use self::real_cameras::{RealCameras, Synchronisation, interval, is_for_cameras_only, read_cameras};
 use self::seeds::Stream;
@@ -373,6 +373,7 @@ impl SetupFile {
         }
         refuse_equal_numbers(&arms, check);
         refuse_one_place(&arms, check);
+        check_shapes(&arms, &mounts, sight.as_ref().map(|sight| &sight.rig), check);
         if !check.is_clean() {
             return None;
         }
@@ -409,6 +410,18 @@ impl SetupFile {
             layers: Layers::default(),
         })
     }
+}
+
+/// Checks that the shapes of arms that are not emulated enclose also the cameras and the target.
+fn check_shapes(arms: &Arms, mounts: &Mounts, rig: Option<&StereoRig>, check: &mut Checker) {
+    let flange_from_cam_left = mounts.flange_from_hand * mounts.hand_from_cam_left;
+    let mut cameras = vec![("the left camera", flange_from_cam_left.transform_point(&Point3::origin()))];
+    if let Some(rig) = rig {
+        let right = Point3::from(rig.right_centre_in_cam_left());
+        cameras.push(("the right camera", flange_from_cam_left.transform_point(&right)));
+    }
+    arms.vs.check_shape(&cameras, check);
+    arms.tc.check_shape(&[("the target", mounts.flange_from_target.transform_point(&Point3::origin()))], check);
 }
 
 impl SetupFile {

@@ -4,6 +4,9 @@ use std::f64::consts::TAU;
 
 use pb3dp_kinematics::{DOF, JointVector};
 
+/// Maximum speeds of the joints, rad/s, base to tip: about 57, 115 and 360 degrees/s by the data sheet.
+pub const PA10_SPEED_MAX_RAD_PER_S: [f64; DOF] = [1.0, 1.0, 2.0, 2.0, TAU, TAU, TAU];
+
 use super::{Axis, CodecError, WireFormat};
 
 /// Turns of a motor per turn of its joint, on every axis (SDU, Orca).

@@ -26,7 +26,9 @@ mod status;
 pub use axis::Axis;
 pub use bytes::ByteBuffer;
 pub use command::{ArmCommand, AxisCommand, Supervision};
-pub use counts::{AngleCounts, COUNTS_PER_TURN, GEAR_RATIO, SpeedCounts, TorqueCounts, TorqueScale};
+pub use counts::{
+    AngleCounts, COUNTS_PER_TURN, GEAR_RATIO, PA10_SPEED_MAX_RAD_PER_S, SpeedCounts, TorqueCounts, TorqueScale,
+};
 pub use eeprom::EepromAxis;
 pub use error::CodecError;
 pub use packet::{

@@ -1,9 +1,8 @@
 //! Settings of a driver: its arm and its link.
 
-use std::f64::consts::TAU;
 use std::time::Duration;
 
-use pb3dp_arm_pa10_protocol::codec::{StatusSignals, Supervision};
+use pb3dp_arm_pa10_protocol::codec::{PA10_SPEED_MAX_RAD_PER_S, StatusSignals, Supervision};
 use pb3dp_kinematics::{DOF, JointVector};
 
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
@@ -17,9 +16,6 @@ const REST_CYCLES_MIN: u32 = 5;
 /// Maximum torques at the joints, N m, base to tip: the lower values of two sources (INRIA for the PA10-7CE: 158, 158, 68, 68, 17,
 /// 17, 17; Orca and the University of Florida: 232, 232, 100, 100, 14.5, 14.5, 14.5).
 pub const PA10_TORQUE_MAX_N_M: [f64; DOF] = [158.0, 158.0, 68.0, 68.0, 14.5, 14.5, 14.5];
-
-/// Maximum speeds of the joints, rad/s, base to tip: about 57, 115 and 360 degrees/s by the data sheet.
-pub const PA10_SPEED_MAX_RAD_PER_S: [f64; DOF] = [1.0, 1.0, 2.0, 2.0, TAU, TAU, TAU];
 
 /// Upper bound of the time without a request of the owner.
 const OWNER_TIMEOUT_MAX: Duration = Duration::from_secs(10);

@@ -30,7 +30,7 @@ pub mod table;
 mod torque;
 
 pub use condition::{ArmCondition, EmergencyStopCause, FaultCause, MEASUREMENT_AGE_MAX, Sample, Trip, Uncontrollable};
-pub use config::{DriverConfig, DriverConfigError, LimitsCheck, PA10_SPEED_MAX_RAD_PER_S, PA10_TORQUE_MAX_N_M};
+pub use config::{DriverConfig, DriverConfigError, LimitsCheck, PA10_TORQUE_MAX_N_M};
 pub use link::{BadReply, LinkCounters, WarmUpFailure};
 pub use machine::{AxisLimits, Driver, Latched, Reply, Transmit};
 pub use requests::{Refusal, Request};
