@@ -31,6 +31,10 @@ const BESIDE_MIN: f64 = 0.15;
 /// smaller, because another surface is known.
 const BESIDE_SEVERAL_MIN: f64 = 0.05;
 
+/// Above this distance of a part's nodes from its plane (root mean square), pixels of disparity, the part is curved. Chosen by hand, not
+/// varied: nodes of a plane lie within 0.1 px, and a relief of 10 mm at half a metre is beyond 1 px.
+const CURVED_FROM_PX: f64 = 0.5;
+
 /// A part of the surface.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Part {
@@ -83,6 +87,28 @@ pub(super) fn largest_part(
     residuals: &[ResidualGroup],
     of_several: bool,
 ) -> Option<Part> {
+    let (relief, shape) = (&surface.relief, &surface.shape);
+    let nodes = nodes_of(surface, view, residuals);
+    let kept = largest(&nodes, shape);
+    let sum = |kept_only: bool| -> f64 {
+        let of = nodes.iter().zip(&kept).filter(|(_, kept)| **kept || !kept_only);
+        of.map(|(node, _)| node.points).sum()
+    };
+    let of_part = || nodes.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(node, _)| node);
+    let plane = plane_through(of_part())?;
+    // The steep border of a curved surface fits badly. Without it the next border does, and the plane tilts with each cut.
+    let is_curved = is_off(of_part(), &plane, relief);
+    let beside_min = if of_several && !is_curved { BESIDE_SEVERAL_MIN } else { BESIDE_MIN };
+    (sum(false) - sum(true) >= beside_min * sum(false)).then_some(Part { plane, nodes: kept })
+}
+
+/// Whether the surface is curved.
+pub(super) fn is_curved(surface: &Surface, view: &[ViewGroup], residuals: &[ResidualGroup]) -> bool {
+    let nodes = nodes_of(surface, view, residuals);
+    plane_through(nodes.iter()).is_some_and(|plane| is_off(nodes.iter(), &plane, &surface.relief))
+}
+
+fn nodes_of(surface: &Surface, view: &[ViewGroup], residuals: &[ResidualGroup]) -> Vec<Node> {
     let Surface { relief, shape, levels, .. } = surface;
     let mut nodes = vec![Node::default(); shape.mean.len()];
     let common = shape.common_plane();
@@ -94,17 +120,7 @@ pub(super) fn largest_part(
     for (((group, view), residual), &node) in groups {
         nodes[node].add(group, view, residual);
     }
-    let kept = largest(&nodes, shape);
-    let sum = |kept_only: bool| -> f64 {
-        let of = nodes.iter().zip(&kept).filter(|(_, kept)| **kept || !kept_only);
-        of.map(|(node, _)| node.points).sum()
-    };
-    let beside_min = if of_several { BESIDE_SEVERAL_MIN } else { BESIDE_MIN };
-    if sum(false) - sum(true) < beside_min * sum(false) {
-        return None;
-    }
-    let plane = plane_through(nodes.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(node, _)| node))?;
-    Some(Part { plane, nodes: kept })
+    nodes
 }
 
 /// The nodes of the part with the most fitting points.
@@ -149,6 +165,16 @@ fn plane_through<'a>(nodes: impl Iterator<Item = &'a Node>) -> Option<Vector3<f6
         rhs += ray * (node.fitting / node.position.z);
     }
     matrix.cholesky().map(|factor| factor.solve(&rhs))
+}
+
+/// Whether nodes lie far from a plane.
+fn is_off<'a>(nodes: impl Iterator<Item = &'a Node>, plane: &Vector3<f64>, relief: &Relief) -> bool {
+    let (mut squares, mut weights) = (0.0, 0.0);
+    for node in nodes {
+        squares += node.fitting * ((1.0 - plane.dot(&node.position)) / node.position.z).powi(2);
+        weights += node.fitting;
+    }
+    squares > weights * (CURVED_FROM_PX * relief.inverse_depth_per_px()).powi(2)
 }
 
 impl Part {

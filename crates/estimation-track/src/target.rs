@@ -18,7 +18,7 @@ use super::images::{CameraImages, LEVELS};
 use super::judge::{Fit, Limits, Misfit};
 use super::kernels::{CHANNELS, ROW, TERMS};
 use super::normal::{Free, NormalEquations};
-use super::one_surface::{Part, largest_part};
+use super::one_surface::{Part, is_curved, largest_part};
 use super::predict::Motion;
 use super::reach::Sighting;
 use super::search::{Searcher, mirrored};
@@ -180,6 +180,11 @@ impl Target {
     /// remainder of several surfaces.
     pub(super) fn largest_part(&self, of_several: bool) -> Option<Part> {
         largest_part(&self.surface, &self.views[0].levels[0], &self.aligner.residuals, of_several)
+    }
+
+    /// Whether the surface of the first pair is curved.
+    pub(super) fn is_curved(&self) -> bool {
+        is_curved(&self.surface, &self.views[0].levels[0], &self.aligner.residuals)
     }
 
     /// The points of the surface, with their colours in the first view.

@@ -137,14 +137,35 @@ impl DirectTracker {
             let solid_pose = estimate.cam_left_from_model.filter(|_| is_solid);
             let outside = solid_pose.and_then(|pose| self.surface_outside(&pose, range));
             if solid_pose.is_some() && outside.is_none() {
-                return Ok(TrackEstimate { warnings: refused.warnings, ..estimate });
+                return Ok(self.of_plane(TrackEstimate { warnings: refused.warnings, ..estimate }, &found));
             }
             self.target = None;
             return Ok(TrackEstimate { reason: outside.unwrap_or(refused.reason), ..refused });
         }
         let is_worse = estimate.status == Status::Ok && found.status != Status::Ok;
-        let (status, reason) = if is_worse { (found.status, found.reason) } else { (estimate.status, estimate.reason) };
-        Ok(TrackEstimate { status, reason, warnings: refused.warnings, ..estimate })
+        let (status, reason) =
+            if is_worse { (found.status, found.reason.clone()) } else { (estimate.status, estimate.reason) };
+        Ok(self.of_plane(TrackEstimate { status, reason, warnings: refused.warnings, ..estimate }, &found))
+    }
+
+    /// The first pose on a curved surface, with the errors of the plane that defines the frame `model`: the tilt of a curved surface is
+    /// no more certain than that plane. Later poses are measured relative to the first one.
+    fn of_plane(&self, mut first: TrackEstimate, found: &PlaneEstimate) -> TrackEstimate {
+        let of_plane = found.plane_covariance.filter(|_| self.target.as_ref().is_some_and(Target::is_curved));
+        let (Some(covariance), Some(of_plane)) = (&mut first.covariance, of_plane) else { return first };
+        // Of the depth and of the tilts about x and y.
+        for (axis, variance) in [2, 3, 4].into_iter().zip(of_plane.diagonal().iter()) {
+            covariance[(axis, axis)] = covariance[(axis, axis)].max(*variance);
+        }
+        let (tilt_deg, limit) =
+            (covariance[(3, 3)].max(covariance[(4, 4)]).sqrt().to_degrees(), self.config.tilt_sigma_sure_deg);
+        if first.status == Status::Ok && tilt_deg > limit {
+            first.status = Status::WeakTilt;
+            first.reason = format!(
+                "the plane of the surface has a standard deviation of {tilt_deg:.1} degrees (limit {limit:.1})"
+            );
+        }
+        first
     }
 
     /// Reason if half of the recovered surface is nearer or farther than the depth range: from a wrong plane, a relief may

@@ -2,7 +2,9 @@
 
 use pb3dp_cell::experiment;
 use pb3dp_cell::figures::TrackingError;
+use pb3dp_cell::journal::Outcome;
 use pb3dp_cell::log::RunLog;
+use pb3dp_cell::summary::summarize;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_hal_api::JointCommand;
 use pb3dp_kinematics::DOF;
@@ -41,6 +43,17 @@ fn with_the_direct_method_the_hand_follows_the_crab_and_both_arms_keep_their_lim
     let log = follow_the_crab(Method::Direct, &limits);
     assert!(log.leading.frames.iter().all(|frame| frame.status == "ok"), "no frame lost, no low confidence");
     assert!(log.leading.rotation_about_normal_observed);
+}
+
+/// A shell of 25 mm is far from any plane. Once the target was cut down to the front slope of the shell, 20 degrees off and with a standard
+/// deviation of 0.05 degrees.
+#[test]
+fn on_a_steep_shell_the_first_pose_is_as_uncertain_as_its_plane() {
+    let setup = changed_setup(&[("relief_mm = 10.0 ", "relief_mm = 25.0 ")]);
+    let Outcome { log, plan, .. } = run(&setup, Some(0.4));
+    let lock = summarize(&log, &plan).lock.unwrap();
+    let sigma_deg = lock.tilt_sigma_deg.unwrap();
+    assert!(sigma_deg > 1.0 && lock.tilt_deg < 3.0 * sigma_deg && lock.tilt_deg < 8.0, "{lock:?}");
 }
 
 /// Runs the experiment along x and about y, and checks the position of the hand.

@@ -60,11 +60,19 @@ pub struct Seen {
     pub rested_at: Option<MonotonicTime>,
     /// Between two steps of the control thread, seconds.
     pub longest_period_s: f64,
+    stepped_at: Option<MonotonicTime>,
     /// Whether the control thread has SCHED_FIFO.
     pub is_preferred: bool,
     /// From the moment at which a step was due until it was done, seconds. Without the steps that copy a pair, which another thread
     /// does in a run.
     pub lateness_s: Vec<f64>,
+}
+
+impl Seen {
+    fn stepped(&mut self, now: MonotonicTime) {
+        let before = self.stepped_at.replace(now).unwrap_or(now);
+        self.longest_period_s = self.longest_period_s.max(now.seconds_since(before));
+    }
 }
 
 pub struct Rig {
@@ -254,7 +262,6 @@ impl Loop {
         let mut last: Option<Decision> = None;
         let mut newest: Option<(FrameInput, EstimateInput)> = None;
         let image = Arc::clone(&self.images);
-        let mut earlier: Option<MonotonicTime> = None;
         let due = AtomicU64::new(0);
         while !self.is_over.load(Ordering::SeqCst) {
             let due_at = Instant::now() + STEP;
@@ -308,8 +315,7 @@ impl Loop {
             seen.commands.extend(heard.said.map(|said| (said.word, now)));
             seen.allocations += allocations;
             seen.heard_at = heard.heard_at;
-            let period_s = earlier.replace(now).map_or(0.0, |earlier| now.seconds_since(earlier));
-            seen.longest_period_s = seen.longest_period_s.max(period_s);
+            seen.stepped(now);
             seen.motion = Some(motion);
             seen.last = Some(decision);
             if !has_copied {

@@ -163,6 +163,60 @@ fn every_refusal_has_words_of_its_own() {
     assert!(age.contains("0.700 s") && age.contains("0.500 s") && age.contains("repeat it"), "{age}");
 }
 
+#[test]
+fn a_refusal_says_what_to_use_instead() {
+    for (state, instead) in [
+        (State::Idle, "idle; use select first"),
+        (State::Selecting, "selecting; use start first"),
+        (State::Approaching, "approaching, the hand already follows the target; use hold or stop"),
+        (State::Tracking, "tracking, the hand already follows the target; use hold or stop"),
+        (State::Holding, "holding; use resume"),
+        (State::Lost, "lost; use resume"),
+        (State::Stopped, "stopped; use reset first"),
+        (State::Fault, "fault; use reset first"),
+    ] {
+        let refusal = Refusal { word: OperatorCommand::Select, because: RefusedFor::State(state) };
+        assert_eq!(refusal.to_string(), format!("select refused: not possible in the state {instead}"));
+    }
+    let (pressed, _) = causes()[0];
+    let line = |word| Refusal { word, because: RefusedFor::Cause(pressed) }.to_string();
+    assert!(line(OperatorCommand::Reset).ends_with("; release the switch, then use reset again"));
+    assert!(line(OperatorCommand::Start).ends_with("; release the switch"));
+}
+
+#[test]
+fn the_remedy_depends_on_what_is_missing() {
+    let line = |condition, value, detail| Why::Waiting { cause: Cause { condition, value, threshold: 0.25, detail } };
+    for (condition, value, detail, part) in [
+        (Condition::FrameStale, f64::INFINITY, Detail::None, "; wait for the cameras,"),
+        (Condition::FrameStale, 0.3, Detail::None, "; check the cameras,"),
+        (Condition::TargetLost, f64::INFINITY, Detail::None, "; clear the view of the target, or mark another region,"),
+        (Condition::TargetLost, 0.3, Detail::None, "; bring the target back into view,"),
+        (Condition::LowConfidence, 0.0, Detail::NoPose, "the estimator has no pose;"),
+        (Condition::LowConfidence, 0.0, Detail::None, "the estimator has a pose with low confidence;"),
+    ] {
+        let line = line(condition, value, detail).to_string();
+        assert!(line.contains(part), "{part:?} is not in {line:?}");
+    }
+}
+
+#[test]
+fn only_some_rests_wait_for_the_word_resume() {
+    let (cause, _) = causes()[0];
+    let (state, by_itself) = (State::Holding, Then::ByItself { after_s: 0.2 });
+    for (why, expected) in [
+        (Why::Resting { state, cause, then: Then::Resume }, true),
+        (Why::Resting { state, cause, then: by_itself }, false),
+        (Why::CauseGone { state, cause, then: Then::Resume }, true),
+        (Why::CauseGone { state, cause, then: by_itself }, false),
+        (Why::HeldByOperator { state, every_arm: false, cause: None }, true),
+        (Why::Latched { state: State::Fault, cause, is_gone: true }, false),
+        (Why::Ready, false),
+    ] {
+        assert_eq!(why.waits_for_resume(), expected, "{why}");
+    }
+}
+
 /// Messages in the order in which an operator sees them.
 #[test]
 fn an_arm_that_does_not_move_says_why_in_each_step() {
