@@ -176,12 +176,13 @@ fn a_refusal_says_what_to_use_instead() {
         (State::Fault, "fault; use reset first"),
     ] {
         let refusal = Refusal { word: OperatorCommand::Select, because: RefusedFor::State(state) };
-        assert_eq!(refusal.to_string(), format!("select refused: not possible in the state {instead}"));
+        let line = format!("select refused: not possible in the state {instead} [PB3DP-SUP-101]");
+        assert_eq!(refusal.to_string(), line);
     }
     let (pressed, _) = causes()[0];
     let line = |word| Refusal { word, because: RefusedFor::Cause(pressed) }.to_string();
-    assert!(line(OperatorCommand::Reset).ends_with("; release the switch, then use reset again"));
-    assert!(line(OperatorCommand::Start).ends_with("; release the switch"));
+    assert!(line(OperatorCommand::Reset).contains("; release the switch, then use reset again ["));
+    assert!(line(OperatorCommand::Start).contains("; release the switch ["));
 }
 
 #[test]
