@@ -3,13 +3,17 @@
 #![allow(clippy::print_stdout, reason = "prints its figures")]
 
 use std::fmt::Write as _;
+use std::io::{BufReader, PipeWriter, Write as _, pipe};
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use pb3dp_cell::attended::AttendedCommand;
+use pb3dp_cell::console::{Console, ConsoleOptions};
 use pb3dp_cell::cycles::CycleSummary;
 use pb3dp_cell::experiment;
 use pb3dp_cell::figures::RmsMax;
-use pb3dp_cell::parts::ArmChoice;
+use pb3dp_cell::parts::{ArmChoice, Parts};
 use pb3dp_cell::summary::{RunSummary, summarize};
 use pb3dp_hal_api::Clock;
 use pb3dp_hal_clock::SystemClock;
@@ -54,7 +58,10 @@ fn main() -> Result<()> {
 }
 
 fn run(setup: &Setup, stop_after_s: Option<f64>) -> Result<RunSummary> {
-    let parts = wire(setup)?;
+    run_with(setup, wire(setup)?, stop_after_s)
+}
+
+fn run_with(setup: &Setup, parts: Parts, stop_after_s: Option<f64>) -> Result<RunSummary> {
     // In simulated time no thread can be late.
     let witness = (setup.pace == Pace::Live).then(Witness::start).transpose()?;
     let outcome = experiment::run(setup, parts, stop_after_s, None);
@@ -78,7 +85,21 @@ fn run_by_tcp(hil: &Setup, stop_after_s: Option<f64>) -> Result<RunSummary> {
         set_line(&mut setup, choice, arm.address().parse()?, key_file.clone());
         arms.push(arm);
     }
-    run(&setup, stop_after_s)
+    // What answers by TCP counts as real: somebody must press a key.
+    let mut parts = wire(&setup)?;
+    let (keys, keyboard) = pipe()?;
+    std::thread::spawn(move || press_enter(keyboard));
+    let options = ConsoleOptions { interrupt: Arc::clone(&parts.interrupt), prompt: "", targets: None };
+    let console = Console::start(Arc::clone(&parts.clock), BufReader::new(keys), std::io::sink(), options)?;
+    parts.operator = Box::new(AttendedCommand::new(console.with_keys(setup.operator_key_within)));
+    run_with(&setup, parts, stop_after_s)
+}
+
+/// Presses Enter every two seconds until nobody reads it.
+fn press_enter(mut keyboard: PipeWriter) {
+    while keyboard.write_all(b"\n").is_ok() {
+        std::thread::sleep(Duration::from_secs(2));
+    }
 }
 
 /// Explains how long the machine delayed a thread of highest priority.
