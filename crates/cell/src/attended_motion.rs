@@ -90,6 +90,32 @@ impl Keys {
     }
 }
 
+/// Questions to a person, from a thread of their own: an output that nobody reads blocks only that thread, and a person in front of it can
+/// still type.
+pub struct Questions(SyncSender<&'static str>);
+
+impl Questions {
+    /// Questions written to `output`.
+    ///
+    /// # Errors
+    /// If the system provides no thread.
+    pub fn start(mut output: impl Write + Send + 'static) -> Result<Self> {
+        let (ask, asked) = sync_channel(1);
+        let write = move || {
+            for question in asked {
+                let _ = writeln!(output, "{question}").and_then(|()| output.flush());
+            }
+        };
+        Builder::new().name("questions".to_owned()).spawn(write).context("no thread for questions to the operator")?;
+        Ok(Self(ask))
+    }
+
+    /// Asks; while an earlier question waits, that one is enough.
+    pub fn ask(&self, question: &'static str) {
+        let _ = self.0.try_send(question);
+    }
+}
+
 /// Listens to a person until it is dropped, on a thread of its own: the thread that moves the arm only looks at the outcome.
 pub struct AttendedMotion {
     shared: Arc<Shared>,
@@ -117,12 +143,8 @@ impl AttendedMotion {
         on_end: impl FnOnce(&EndedByPerson) + Send + 'static,
     ) -> Result<Self> {
         let shared = Arc::new(Shared::default());
-        // One question waits while an output that nobody reads blocks its thread.
-        let (asks, asked) = sync_channel(1);
-        let write = move || write_all(&asked, answers);
-        Builder::new().name("answers".to_owned()).spawn(write).context("no thread for questions to the operator")?;
         let keys = Keys::new(key_within, clock.now());
-        let mut listening = Listening { lines, clock, asks, keys };
+        let mut listening = Listening { lines, clock, questions: Questions::start(answers)?, keys };
         let seen = Arc::clone(&shared);
         let listen = move || {
             if let Some(ended) = listening.until(&seen.is_over) {
@@ -145,18 +167,11 @@ impl Drop for AttendedMotion {
     }
 }
 
-fn write_all(asked: &Receiver<&'static str>, mut answers: impl Write) {
-    for text in asked {
-        // A person whose output is not read can still type.
-        let _ = writeln!(answers, "{text}").and_then(|()| answers.flush());
-    }
-}
-
 /// The listening thread.
 struct Listening {
     lines: Receiver<io::Result<String>>,
     clock: Arc<dyn Clock>,
-    asks: SyncSender<&'static str>,
+    questions: Questions,
     keys: Keys,
 }
 
@@ -172,8 +187,7 @@ impl Listening {
             }
             match self.keys.look(self.clock.now()) {
                 Err(ended) => return Some(ended),
-                // A question that waits is enough.
-                Ok(Some(question)) => drop(self.asks.try_send(question)),
+                Ok(Some(question)) => self.questions.ask(question),
                 Ok(None) => {}
             }
         }

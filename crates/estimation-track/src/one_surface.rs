@@ -97,7 +97,7 @@ pub(super) fn largest_part(
     let of_part = || nodes.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(node, _)| node);
     let plane = plane_through(of_part())?;
     // The steep border of a curved surface fits badly. Without it the next border does, and the plane tilts with each cut.
-    let is_curved = is_off(of_part(), &plane, relief);
+    let is_curved = lies_off_plane(of_part(), &plane, relief);
     let beside_min = if of_several && !is_curved { BESIDE_SEVERAL_MIN } else { BESIDE_MIN };
     (sum(false) - sum(true) >= beside_min * sum(false)).then_some(Part { plane, nodes: kept })
 }
@@ -105,7 +105,7 @@ pub(super) fn largest_part(
 /// Whether the surface is curved.
 pub(super) fn is_curved(surface: &Surface, view: &[ViewGroup], residuals: &[ResidualGroup]) -> bool {
     let nodes = nodes_of(surface, view, residuals);
-    plane_through(nodes.iter()).is_some_and(|plane| is_off(nodes.iter(), &plane, &surface.relief))
+    plane_through(nodes.iter()).is_some_and(|plane| lies_off_plane(nodes.iter(), &plane, &surface.relief))
 }
 
 fn nodes_of(surface: &Surface, view: &[ViewGroup], residuals: &[ResidualGroup]) -> Vec<Node> {
@@ -167,8 +167,8 @@ fn plane_through<'a>(nodes: impl Iterator<Item = &'a Node>) -> Option<Vector3<f6
     matrix.cholesky().map(|factor| factor.solve(&rhs))
 }
 
-/// Whether nodes lie far from a plane.
-fn is_off<'a>(nodes: impl Iterator<Item = &'a Node>, plane: &Vector3<f64>, relief: &Relief) -> bool {
+/// Whether nodes lie farther from a plane than [`CURVED_FROM_PX`].
+fn lies_off_plane<'a>(nodes: impl Iterator<Item = &'a Node>, plane: &Vector3<f64>, relief: &Relief) -> bool {
     let (mut squares, mut weights) = (0.0, 0.0);
     for node in nodes {
         squares += node.fitting * ((1.0 - plane.dot(&node.position)) / node.position.z).powi(2);

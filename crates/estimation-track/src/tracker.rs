@@ -137,7 +137,7 @@ impl DirectTracker {
             let solid_pose = estimate.cam_left_from_model.filter(|_| is_solid);
             let outside = solid_pose.and_then(|pose| self.surface_outside(&pose, range));
             if solid_pose.is_some() && outside.is_none() {
-                return Ok(self.of_plane(TrackEstimate { warnings: refused.warnings, ..estimate }, &found));
+                return Ok(self.with_errors_of_plane(TrackEstimate { warnings: refused.warnings, ..estimate }, &found));
             }
             self.target = None;
             return Ok(TrackEstimate { reason: outside.unwrap_or(refused.reason), ..refused });
@@ -145,12 +145,12 @@ impl DirectTracker {
         let is_worse = estimate.status == Status::Ok && found.status != Status::Ok;
         let (status, reason) =
             if is_worse { (found.status, found.reason.clone()) } else { (estimate.status, estimate.reason) };
-        Ok(self.of_plane(TrackEstimate { status, reason, warnings: refused.warnings, ..estimate }, &found))
+        Ok(self.with_errors_of_plane(TrackEstimate { status, reason, warnings: refused.warnings, ..estimate }, &found))
     }
 
     /// The first pose on a curved surface, with the errors of the plane that defines the frame `model`: the tilt of a curved surface is
     /// no more certain than that plane. Later poses are measured relative to the first one.
-    fn of_plane(&self, mut first: TrackEstimate, found: &PlaneEstimate) -> TrackEstimate {
+    fn with_errors_of_plane(&self, mut first: TrackEstimate, found: &PlaneEstimate) -> TrackEstimate {
         let of_plane = found.plane_covariance.filter(|_| self.target.as_ref().is_some_and(Target::is_curved));
         let (Some(covariance), Some(of_plane)) = (&mut first.covariance, of_plane) else { return first };
         // Of the depth and of the tilts about x and y.

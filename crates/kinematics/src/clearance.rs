@@ -139,13 +139,9 @@ impl ArmShape {
 
     /// Whether a point is inside a part, at least `depth_m` below its surface.
     pub fn covers(&self, frames: &JointFrames, point_in_base: Point3<f64>, depth_m: f64) -> bool {
-        let point = Capsule { ends_m: [point_in_base; 2], radius_m: depth_m };
-        self.parts.iter().any(|part| {
-            let part = part.capsule.moved(&frames.base_from(part.carrier));
-            // Of two capsules without radii, the distance of the axes.
-            let axes_m = Capsule { radius_m: 0.0, ..part }.distance_m(&Capsule { radius_m: 0.0, ..point });
-            axes_m <= part.radius_m - point.radius_m + ROUNDING_M
-        })
+        let point = Capsule { ends_m: [point_in_base; 2], radius_m: 0.0 };
+        let distance_m = |part: &ArmPart| part.capsule.moved(&frames.base_from(part.carrier)).distance_m(&point);
+        self.parts.iter().any(|part| distance_m(part) <= ROUNDING_M - depth_m)
     }
 
     /// Name of the first piece of the arm that the shape leaves bare: a point of the line from the base through all joint origins to
@@ -427,7 +423,9 @@ mod tests {
                     (Carrier::Base, Carrier::Joint(1), Carrier::Joint(3), Carrier::Joint(5));
                 vec![part(base, 0.317), part(upper, 0.45), part(fore, 0.48), part(hand, 0.08)]
             };
-            assert_eq!(ArmShape::new(all(0.02)).unwrap().bare_piece(&bent, 0.0), None);
+            let bare = |radius_m, thickness_m| ArmShape::new(all(radius_m)).unwrap().bare_piece(&bent, thickness_m);
+            assert_eq!((bare(0.02, 0.0), bare(0.02, 0.02)), (None, None));
+            assert_eq!(bare(0.02, 0.021).as_deref(), Some("between the base and joint 0"));
             for (missing, piece) in [
                 (0, "between the base and joint 0"),
                 (1, "between joint 1 and joint 2"),

@@ -279,7 +279,7 @@ fn operator_of(
             need_person()?;
         }
         let times = (patience, setup.operator_key_within);
-        return Ok((Box::new(Person::new(Console::start()?, times, Arc::clone(clock))), None));
+        return Ok((Box::new(Person::new(Console::start()?, times, Arc::clone(clock))?), None));
     }
     let mut arms = Vec::new();
     let key = TestKey::new()?;

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Result, bail};
 use pb3dp_arm_pa10_protocol::codec::{Axis, Signal, SignalSource};
-use pb3dp_cell::attended_motion::{EndedByPerson, Keys};
+use pb3dp_cell::attended_motion::{EndedByPerson, Keys, Questions};
 use pb3dp_cell::parts::ArmChoice;
 use pb3dp_cell::terminal::{EscapeEndsLine, print_line};
 use pb3dp_hal_api::Clock;
@@ -104,15 +104,20 @@ pub struct Person {
     patience: Duration,
     clock: Arc<dyn Clock>,
     keys: Keys,
+    /// Not on this thread: it may move an arm, and the terminal may be frozen.
+    questions: Questions,
     /// Esc ends a motion, too.
     _escape: Option<EscapeEndsLine>,
 }
 
 impl Person {
     /// A person who must answer within `patience`, and press a key within each `key_within` while an arm moves.
-    pub fn new(console: Console, (patience, key_within): (Duration, Duration), clock: Arc<dyn Clock>) -> Self {
-        let keys = Keys::new(key_within, clock.now());
-        Self { console, patience, clock, keys, _escape: EscapeEndsLine::set() }
+    ///
+    /// # Errors
+    /// If the system provides no thread.
+    pub fn new(console: Console, (patience, key_within): (Duration, Duration), clock: Arc<dyn Clock>) -> Result<Self> {
+        let (keys, questions) = (Keys::new(key_within, clock.now()), Questions::start(std::io::stdout())?);
+        Ok(Self { console, patience, clock, keys, questions, _escape: EscapeEndsLine::set() })
     }
 
     fn line(&mut self, signals: &mut StopSignals) -> Result<String> {
@@ -150,8 +155,7 @@ impl Operator for Person {
 
     fn goes_on(&mut self) -> Result<(), EndedByPerson> {
         if let Some(question) = self.console.goes_on(&mut self.keys, self.clock.now())? {
-            // A person whose output is not read can still type.
-            let _ = print_line(question);
+            self.questions.ask(question);
         }
         Ok(())
     }
