@@ -63,10 +63,11 @@ DAY_MS = 24 * 3600 * 1000
 
 
 def orders_ms():
-    """Times of day at which a control step had taken a stop, from the audit log, rounded up to milliseconds."""
+    """Times of day at which a control step took a stop, from the audit log, rounded up: its lines have whole milliseconds."""
     lines = (ARTEFACTS / "pb3dp.log").read_text(encoding="utf-8")
-    stamps = re.findall(r"^(\d\d):(\d\d):(\d\d)\.(\d\d\d)Z .*stop: accepted", lines, re.MULTILINE)
-    return [1 + int(ms) + 1000 * (int(s) + 60 * (int(m) + 60 * int(h))) for h, m, s, ms in stamps]
+    taken = r"^(\d\d):(\d\d):(\d\d)\.(\d\d\d)Z .*stop: taken by a control step ([0-9.]+) ms ago"
+    stamps = re.findall(taken, lines, re.MULTILINE)
+    return [1 + int(ms) - float(ago) + 1000 * (int(s) + 60 * (int(m) + 60 * int(h))) for h, m, s, ms, ago in stamps]
 
 
 def test_the_stop_button_stops_at_once(panel, page):

@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Target};
+use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, StereoCamera};
 use pb3dp_servo::supervisor::FrameInput;
 use pb3dp_setup::setup::Setup;
@@ -35,6 +35,8 @@ pub struct Capturing {
     timeout: Duration,
     pairs_lost: u64,
     losses: Losses,
+    /// Mid-exposure of the next pair and the true target pose then, if they were taken beforehand.
+    exposed: Option<(MonotonicTime, Pose<CamLeft, Target>)>,
 }
 
 enum Camera {
@@ -68,12 +70,16 @@ impl Capturing {
             Sight::Geometric(camera) => Camera::Geometric(camera),
         };
         let (timeout, has_truth) = (setup.rig.frames.period * 2, setup.world.is_some());
-        Self { camera, cell, has_truth, timeout, pairs_lost: 0, losses: Losses::default() }
+        Self { camera, cell, has_truth, timeout, pairs_lost: 0, losses: Losses::default(), exposed: None }
     }
 
     /// Pairs that the camera could not deliver.
     pub fn pairs_lost(&self) -> u64 {
         self.pairs_lost
+    }
+
+    fn cam_left_from_target_at(&self, at: MonotonicTime) -> Pose<CamLeft, Target> {
+        self.cell.world_from_cam_left_at(at).inverse() * self.cell.world_from_target_at(at)
     }
 
     /// Fails if the frame does not arrive, or if an image equals the previous one byte for byte: noise makes every image unique, so the
@@ -103,10 +109,9 @@ impl Capture for Capturing {
                 if let Some(line) = self.losses.pair_has_come() {
                     tracing::info!("{line}");
                 }
-                let cam_left_from_target = self.has_truth.then(|| {
-                    let world_from_cam_left = self.cell.world_from_cam_left_at(frame.at);
-                    world_from_cam_left.inverse() * self.cell.world_from_target_at(frame.at)
-                });
+                let exposed = self.exposed.take().filter(|(at, _)| *at == frame.at).map(|(_, pose)| pose);
+                let cam_left_from_target =
+                    self.has_truth.then(|| exposed.unwrap_or_else(|| self.cam_left_from_target_at(frame.at)));
                 Ok(Some(Captured { frame, cam_left_from_target, view }))
             }
             Err(error) if matches!(error.kind(), CameraErrorKind::Timeout | CameraErrorKind::BadPair) => {
@@ -118,6 +123,13 @@ impl Capture for Capturing {
             }
             Err(error) => Err(error).context("camera"),
         }
+    }
+
+    fn expose(&mut self) -> bool {
+        let Camera::Images(camera) = &mut self.camera else { return false };
+        let exposed_at = camera.camera.expose(self.timeout);
+        self.exposed = exposed_at.map(|at| (at, self.cam_left_from_target_at(at)));
+        exposed_at.is_some()
     }
 
     fn input(frame: &Captured) -> FrameInput {

@@ -7,7 +7,7 @@ use pb3dp_setup::setup::Pace;
 use super::cycles::Punctuality;
 use super::halves::{Capture, Course, Estimate, Mover, Parted, Record, Watcher};
 use super::percept::Percept;
-use super::{live, lockstep};
+use super::{beside, live, lockstep};
 
 impl Course<'_> {
     /// Steps both halves from enabling both arms until they are stopped, in the loop for the pace of the setup. The timing of each thread
@@ -20,11 +20,13 @@ impl Course<'_> {
         watcher: &mut W,
         mover: &mut M,
     ) -> (Result<()>, Option<Punctuality>) {
-        if self.setup.pace == Pace::Live {
-            let mut punctuality = Punctuality::default();
-            (live::drive(self, watcher, mover, &mut punctuality), Some(punctuality))
-        } else {
-            (self.run_in_lockstep(&mut InTurn { parted: watcher, seen: None }, mover), None)
+        match self.setup.pace {
+            Pace::Live => {
+                let mut punctuality = Punctuality::default();
+                (live::drive(self, watcher, mover, &mut punctuality), Some(punctuality))
+            }
+            Pace::RealTime => (beside::drive(self, watcher, mover), None),
+            Pace::Fast => (self.run_in_lockstep(&mut InTurn { parted: watcher, seen: None }, mover), None),
         }
     }
 
@@ -59,6 +61,7 @@ impl<W: Parted> Watcher for InTurn<'_, W> {
 
     fn look(&mut self) -> Result<Option<Percept>> {
         let (mut camera, mut estimator, _) = self.parted.parts();
+        estimator.take_selection();
         let Some(frame) = camera.capture()? else { return Ok(None) };
         let (percept, seen) = estimator.look(frame)?;
         self.seen = Some(seen);

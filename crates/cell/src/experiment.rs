@@ -142,6 +142,10 @@ impl Estimate for Leading<'_, '_> {
         self.0.push_joints(step.vs_joints);
     }
 
+    fn take_selection(&mut self) {
+        self.0.take_selection();
+    }
+
     fn look(&mut self, frame: Captured) -> Result<(Percept, PairEstimate)> {
         let seen = self.0.look(frame)?;
         Ok((seen.percept(), seen))

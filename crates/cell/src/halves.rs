@@ -101,6 +101,12 @@ pub trait Capture: Send {
     /// If no more frames can arrive.
     fn capture(&mut self) -> Result<Option<Self::Frame>>;
 
+    /// In simulated time: waits for the end of the next exposure and keeps what the frame depends on, so that the next
+    /// [`Self::capture`] gives the same frame whatever moves meanwhile. Returns whether the camera can do so.
+    fn expose(&mut self) -> bool {
+        false
+    }
+
     /// Sequence number and times of a frame.
     fn input(frame: &Self::Frame) -> FrameInput;
 }
@@ -116,6 +122,9 @@ pub trait Estimate: Send {
 
     /// Receives a finished control step.
     fn moved(&mut self, step: &Self::Step);
+
+    /// Keeps what the operator has selected so far for the next [`Self::look`]. To be called before each.
+    fn take_selection(&mut self) {}
 
     /// Estimates from a frame: the input of the motion half, and the estimate to be recorded.
     ///
@@ -146,6 +155,10 @@ impl<C: Capture> Capture for &mut C {
 
     fn capture(&mut self) -> Result<Option<C::Frame>> {
         (**self).capture()
+    }
+
+    fn expose(&mut self) -> bool {
+        (**self).expose()
     }
 
     fn input(frame: &C::Frame) -> FrameInput {

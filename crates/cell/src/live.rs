@@ -160,6 +160,7 @@ impl<E: Estimate> Estimating<'_, E> {
                 self.estimator.moved(&step);
             }
             let Some((captured_at, frame)) = frame else { continue };
+            self.estimator.take_selection();
             let (percept, seen) = self.estimator.look(frame)?;
             // A percept contains all current information: an overwritten one loses only an observation.
             self.beat.dropped += u64::from(self.percepts.give(percept));

@@ -77,6 +77,7 @@ impl<'a> Looking<'a> {
     /// # Errors
     /// If the camera or the leading method fails permanently.
     pub fn look(&mut self) -> Result<Option<PairEstimate>> {
+        self.estimating.take_selection();
         self.capturing.capture()?.map(|captured| self.estimating.look(captured)).transpose()
     }
 
@@ -95,6 +96,8 @@ pub struct Estimating<'a> {
     target: u64,
     /// Targets that an operator selects during the run.
     selections: Option<Selections>,
+    /// What the operator has selected for the next pair.
+    selected: Option<Choice>,
     /// The target is the one that the setup names.
     is_of_setup: bool,
     /// Measured joints of the arm that carries the cameras.
@@ -106,12 +109,29 @@ pub struct Estimating<'a> {
 impl<'a> Estimating<'a> {
     fn new(setup: &'a Setup, clock: Arc<dyn Clock>, cameras: Perception) -> Self {
         let joints = JointHistory::new(setup.controller.joint_history_samples, JOINT_GAP_MAX_S);
-        Self { setup, clock, cameras, target: 0, selections: None, is_of_setup: true, joints, previous: None }
+        Self {
+            setup,
+            clock,
+            cameras,
+            target: 0,
+            selections: None,
+            selected: None,
+            is_of_setup: true,
+            joints,
+            previous: None,
+        }
     }
 
     /// Adds a joint measurement of the arm that carries the cameras.
     pub fn push_joints(&mut self, sample: JointState) {
         self.joints.push(sample);
+    }
+
+    /// Keeps what the operator has selected so far for the next pair. To be called before each.
+    pub fn take_selection(&mut self) {
+        if self.selected.is_none() {
+            self.selected = self.selections.as_ref().and_then(Selections::take);
+        }
     }
 
     /// Estimates the target pose in a pair.
@@ -120,8 +140,7 @@ impl<'a> Estimating<'a> {
     /// If the method fails permanently.
     pub fn look(&mut self, captured: Captured) -> Result<PairEstimate> {
         let started = Instant::now();
-        let selection = self.selections.as_ref().and_then(Selections::take);
-        let (region, estimate, prior) = match selection {
+        let (region, estimate, prior) = match self.selected.take() {
             Some(Choice::Marked(selection)) => {
                 self.is_of_setup = false;
                 let (estimate, prior) = self.select(&selection, &captured);
@@ -263,6 +282,7 @@ mod tests {
         estimating.selections = Some(selections.clone());
         let mut look = |sequence: u64, choice: Option<Choice>| {
             choice.into_iter().for_each(|choice| selections.give(choice));
+            estimating.take_selection();
             let seen = estimating.look(captured(&setup, sequence)).unwrap();
             let x = seen.region.map(|region| match region {
                 Region::Rectangle { x, .. } => x,

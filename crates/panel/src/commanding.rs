@@ -157,6 +157,8 @@ impl Hub {
     /// Passes on the result of a command.
     pub fn resolve(&self, taken: &TakenCommand) {
         for pending in self.pending.take(taken) {
+            let (command, ago_ms) = (pending.command.name(), taken.taken_at.elapsed().as_secs_f64() * 1e3);
+            tracing::info!(target: "pb3dp_panel::audit", "{command}: taken by a control step {ago_ms:.1} ms ago");
             let result = self.result_of(&pending, taken);
             // Who asked may be gone; the audit log has the result.
             let _ = pending.answer.send(result);

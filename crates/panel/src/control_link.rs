@@ -2,6 +2,7 @@
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
 
 use pb3dp_cell::handover::{LatestConsumer, LatestProducer, latest};
 use pb3dp_geometry::frames::Hand;
@@ -53,6 +54,8 @@ pub struct TakenCommand {
     pub outcome: Outcome,
     /// State number afterwards.
     pub number: u64,
+    /// Wall-clock time of the control step.
+    pub taken_at: Instant,
 }
 
 /// The newest decision.

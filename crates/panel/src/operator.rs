@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use pb3dp_cell::operator::{MotionRequest, Operator};
 use pb3dp_geometry::MonotonicTime;
@@ -101,7 +101,8 @@ impl PanelOperator {
 
     fn report(&mut self, id: u64, command: OperatorCommand, outcome: Outcome) {
         // More results than anybody reads are dropped; the log has all decisions.
-        let _ = self.ends.results.push(TakenCommand { id, command, outcome, number: self.number });
+        let (number, taken_at) = (self.number, Instant::now());
+        let _ = self.ends.results.push(TakenCommand { id, command, outcome, number, taken_at });
     }
 
     /// Passes on a trouble; the newest one waits for space.

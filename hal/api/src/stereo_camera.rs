@@ -121,6 +121,13 @@ pub trait StereoCamera: Send {
     /// See [`CameraErrorKind`].
     fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError>;
 
+    /// For a camera that makes its images, in simulated time: waits for the end of the next exposure and keeps what it shows, so that
+    /// the next [`Self::next_pair_into`] delivers this pair whenever it is called, from any thread. Returns the middle of the exposure.
+    /// `None` for other cameras, and where the exposure fails: then `next_pair_into` waits as without this call, or says what failed.
+    fn expose(&mut self, _timeout: Duration) -> Option<MonotonicTime> {
+        None
+    }
+
     /// The next pair in newly allocated buffers.
     ///
     /// # Errors

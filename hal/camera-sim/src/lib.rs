@@ -88,7 +88,10 @@ pub struct SimStereoCamera {
     info: StereoCameraInfo,
     schedule: ExposureSchedule,
     delivered: u64,
+    /// What the cameras show during the next exposure.
     moments: Vec<ScenePoses>,
+    /// Number and begin of the next exposure, or why there is none, if it was taken beforehand.
+    exposed: Option<Result<(u64, MonotonicTime), CameraError>>,
 }
 
 impl SimStereoCamera {
@@ -110,12 +113,22 @@ impl SimStereoCamera {
         };
         let schedule = ExposureSchedule::from_now(clock, &config);
         let moments = Vec::with_capacity(config.blur_moments as usize);
-        Ok(Self { renderer, poses, config, info, schedule, delivered: 0, moments })
+        Ok(Self { renderer, poses, config, info, schedule, delivered: 0, moments, exposed: None })
     }
 
     /// The renderer, for access to its scene and ground truth.
     pub fn renderer_mut(&mut self) -> &mut StereoRenderer {
         &mut self.renderer
+    }
+
+    /// Waits for the next exposure and takes what the cameras show during it; returns its number and begin.
+    fn take_exposure(&mut self, timeout: Duration) -> Result<(u64, MonotonicTime), CameraError> {
+        if self.config.pairs.is_some_and(|pairs| self.delivered >= pairs) {
+            return Err(self.end_of_stream());
+        }
+        let (sequence, start) = self.schedule.wait_for_next(&self.info.name, timeout)?;
+        self.gather_poses(start)?;
+        Ok((sequence, start))
     }
 
     /// Requests the poses during the exposure that begins at `start`.
@@ -147,12 +160,16 @@ impl StereoCamera for SimStereoCamera {
         &self.info
     }
 
+    fn expose(&mut self, timeout: Duration) -> Option<MonotonicTime> {
+        let taken = self.take_exposure(timeout);
+        let exposed_at = taken.as_ref().ok().map(|(_, start)| *start + self.config.exposure / 2);
+        self.exposed = Some(taken);
+        exposed_at
+    }
+
     fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
-        if self.config.pairs.is_some_and(|pairs| self.delivered >= pairs) {
-            return Err(self.end_of_stream());
-        }
-        let (sequence, start) = self.schedule.wait_for_next(&self.info.name, timeout)?;
-        self.gather_poses(start)?;
+        let exposed = self.exposed.take();
+        let (sequence, start) = exposed.unwrap_or_else(|| self.take_exposure(timeout))?;
         self.renderer
             .render_exposure(&self.moments, sequence, &mut pair.left, &mut pair.right)
             .map_err(|error| CameraError::caused_by(CameraErrorKind::BadPair, "the pair cannot be rendered", error))?;

@@ -103,6 +103,25 @@ fn motion_blur_asks_for_moments_around_the_middle() {
 }
 
 #[test]
+fn an_exposure_taken_beforehand_is_delivered_whenever_it_is_asked_for() {
+    let (clock, mover) = (Arc::new(VirtualClock::new()), Mover::default());
+    let [mut taken, mut at_once] = [0; 2].map(|_| camera(&renderer(), clock.clone(), &mover, config(2, Some(2))));
+    assert_eq!((taken.expose(SECOND), clock.now()), (Some(millis(3)), millis(6)));
+    let expected = at_once.next_pair(SECOND).unwrap();
+    let asked = mover.asked.lock().unwrap().len();
+    // In time for the third exposure.
+    clock.sleep_until(millis(70));
+    let pair = taken.next_pair(SECOND).unwrap();
+    assert!(pair.left == expected.left && pair.right == expected.right);
+    assert_eq!((pair.sequence, pair.exposed_at), (0, millis(3)));
+    assert_eq!(mover.asked.lock().unwrap().len(), asked, "no pose is asked for later");
+    // The next pair is the newest one, and the stream ends once it is asked for another one.
+    assert_eq!(taken.next_pair(SECOND).unwrap().sequence, 2);
+    assert_eq!(taken.expose(SECOND), None);
+    assert_eq!(taken.next_pair(SECOND).unwrap_err().kind(), CameraErrorKind::EndOfStream);
+}
+
+#[test]
 fn a_late_caller_loses_pairs_but_gets_the_newest() {
     let clock = Arc::new(VirtualClock::new());
     let mut camera = camera(&renderer(), clock.clone(), &Mover::default(), config(1, None));

@@ -44,6 +44,10 @@ impl<C: StereoCamera> StereoCamera for FaultyCamera<C> {
         self.camera.info()
     }
 
+    fn expose(&mut self, timeout: Duration) -> Option<MonotonicTime> {
+        self.camera.expose(timeout)
+    }
+
     fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
         self.camera.next_pair_into(&mut self.fresh, timeout)?;
         let faults = self.plan.at(self.fresh.sequence, self.fresh.exposed_at);
