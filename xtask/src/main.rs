@@ -20,6 +20,8 @@ mod nightly;
 mod not_possible;
 mod package;
 mod panel;
+mod python;
+mod recordings;
 mod reference;
 mod required;
 mod rust_text;
@@ -62,6 +64,7 @@ enum Command {
     FuzzBuild(fuzz_build::Args),
     Miri(miri::Args),
     Panel(panel::Args),
+    Recordings(recordings::Args),
     Mutants(mutants::Args),
     SameAnswers(same_answers::Args),
     Package(package::Args),
@@ -84,6 +87,7 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::FuzzBuild(_) => fuzz_build::run(&workspace),
         Command::Miri(_) => miri::run(&workspace),
         Command::Panel(args) => panel::run(&workspace, args),
+        Command::Recordings(args) => recordings::run(&workspace, args),
         Command::Mutants(args) => mutants::run(&workspace, args),
         Command::SameAnswers(args) => same_answers::run(&workspace, args),
         Command::Package(args) => package::run(&workspace, args),

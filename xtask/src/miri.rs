@@ -28,10 +28,10 @@ const INTERPRETED: [Interpreted; 3] = [
         tests: &["photometric::kernel::tests::places_outside_the_right_planes_are_not_read"],
     },
     Interpreted {
-        package: "pb3dp-camera-v4l2",
+        package: "pb3dp-camera-pixels",
         tests: &[
-            "pixels::yuyv::tests::black_white_and_primaries_are_exact",
-            "pixels::yuyv::tests::the_two_pixels_of_a_pair_keep_their_order",
+            "yuyv::tests::black_white_and_primaries_are_exact",
+            "yuyv::tests::the_two_pixels_of_a_pair_keep_their_order",
         ],
     },
 ];

@@ -2,7 +2,6 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -10,8 +9,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 
-use crate::apt::{need, output_of};
+use crate::apt::need;
 use crate::not_possible::NotPossible;
+use crate::python;
 use crate::workspace::{Workspace, run_visibly};
 
 const TESTS: &str = "tests/panel";
@@ -134,7 +134,7 @@ impl Witness {
 }
 
 fn with_program(workspace: &Workspace, programs: &Path, args: &Args) -> anyhow::Result<()> {
-    let python = python(workspace)?;
+    let python = python::environment(workspace, "panel-python", TESTS)?;
     let browser = browser()?;
     let artefacts = workspace.root().join(ARTEFACTS);
     remove(&artefacts)?;
@@ -166,24 +166,6 @@ fn with_program(workspace: &Workspace, programs: &Path, args: &Args) -> anyhow::
         "What failed is tried once more: a page that this machine holds up for half a second is silent, and every arm holds."
     );
     tests(&["--last-failed"])
-}
-
-/// The Python of an environment with the packages of the tests.
-fn python(workspace: &Workspace) -> anyhow::Result<PathBuf> {
-    need("the module venv of python3", "python3-venv", || {
-        output_of(Command::new("python3").args(["-c", "import ensurepip, venv"])).is_ok()
-    })?;
-    let folder = workspace.target_folder()?.join("panel-python");
-    let python = folder.join("bin/python");
-    if !python.exists() {
-        run_visibly(Command::new("python3").args(["-m", "venv"]).arg(&folder))?;
-    }
-    let requirements = workspace.root().join(TESTS).join("requirements.txt");
-    let install = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--requirement"];
-    let installed = output_of(Command::new(&python).args(install).arg(&requirements));
-    installed
-        .map_err(|error| NotPossible::because(format!("the packages of {TESTS} cannot be installed: {error:#}")))?;
-    Ok(python)
 }
 
 fn browser() -> anyhow::Result<PathBuf> {

@@ -13,8 +13,8 @@ use std::time::Instant;
 
 use image::RgbImage;
 use image::codecs::jpeg::JpegEncoder;
+use pb3dp_camera_pixels::{Converter, Layout, YuvKernels, YuvMatrix, YuvRange};
 use pb3dp_camera_settings::PixelFormat;
-use pb3dp_camera_v4l2::pixels::{Converter, Layout, YuvKernels, YuvMatrix, YuvRange};
 use pb3dp_geometry::ImageSize;
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };

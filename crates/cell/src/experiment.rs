@@ -1,12 +1,12 @@
 //! A run: the hand follows the target through its experiment; everything is recorded together with the true poses.
 
-use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Result, anyhow, bail};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_setup::setup::Setup;
 
+use super::bag_recording::{BagRecording, RecordTo};
 use super::capturing::Captured;
 use super::cell::SimulatedCell;
 use super::channels::Plan;
@@ -41,18 +41,18 @@ pub struct Ended {
 ///
 /// # Errors
 /// If an arm, the camera or the estimator fails permanently; the arms are stopped first.
-pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&Path>) -> Result<Outcome> {
+pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&RecordTo<'_>>) -> Result<Outcome> {
     let Ended { outcome, how, .. } = conduct(setup, parts, stop_after_s, record)?;
     how.map(|()| outcome)
 }
 
-/// Runs the experiment to its end, or to `stop_after_s`, in the loop for the pace of the setup. If `record` is given, every pair is also
-/// written to that folder. The experiment begins when both arms are enabled; both are stopped on every exit path. With a console operator,
+/// Runs the experiment to its end, or to `stop_after_s`, in the loop for the pace of the setup. If `record` is given, the run is also
+/// recorded there: all of it in a file, or its pairs in a folder. The experiment begins when both arms are enabled; both are stopped on every exit path. With a console operator,
 /// the target moves from the command `start` on, and neither a stop nor a latched fault ends the run.
 ///
 /// # Errors
 /// Refusals before an arm is enabled.
-pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&Path>) -> Result<Ended> {
+pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&RecordTo<'_>>) -> Result<Ended> {
     if !setup.is_emulated() && !parts.operator.can_fall_silent() {
         bail!(
             "arms that are not emulated need an operator whose silence is noticed: use --operator console, or --move"
@@ -70,17 +70,23 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     let log = RunLog { marks, ..RunLog::default() };
     let strip = Strip::of(setup.experiment.moments(&log.marks));
     let now = clock.now();
+    let (file, folder) = match record {
+        Some(to) if RecordTo::is_file(to.path) => (Some(BagRecording::new(to, setup)?), None),
+        to => (None, to.map(|to| to.path)),
+    };
     let looking =
-        Looking::new(setup, (camera, cell.clone(), marking), (strip, &clock), record)?.with_selections(selections);
+        Looking::new(setup, (camera, cell.clone(), marking), (strip, &clock), folder)?.with_selections(selections);
     let mut moving = Moving::new(setup, (vs, tc), &*experiment, now)?.with_operator(operator);
     let ends_s = stop_after_s.map_or(duration_s, |s| s.clamp(0.0, duration_s));
     let plan = Plan::of(&setup.experiment.motion, &*experiment);
     let journal = Journal::new(setup, cell.clone(), (now, ends_s), (log, plan));
-    let mut watching = Watching { looking, journal, cell, spectator, faults: FaultWatch::default(), keep_flights };
+    let faults = FaultWatch::default();
+    let mut watching = Watching { looking, journal, cell, spectator, faults, keep_flights, file };
     let course = Course { setup, clock: &clock, duration: Duration::from_secs_f64(ends_s), interrupt: &interrupt };
     let (how, punctuality) = course.run(&mut watching, &mut moving);
     let recorded = watching.looking.noting.finish_recording();
-    let how = first_failure([how, recorded]);
+    let filed = watching.file.take().map_or(Ok(()), BagRecording::finish);
+    let how = first_failure([how, recorded, filed]);
     let (steps_untrue, faults) = (watching.journal.steps_untrue(), watching.faults.faults());
     let mut outcome = watching.journal.finish(watching.looking.finish(), moving.arms().commands());
     let replies_missed = moving.arms().replies_missed();
@@ -104,6 +110,8 @@ struct Watching<'a> {
     spectator: Option<Box<dyn Spectator>>,
     faults: FaultWatch,
     keep_flights: KeepFlights,
+    /// The recording in one file.
+    file: Option<BagRecording>,
 }
 
 impl Parted for Watching<'_> {
@@ -125,8 +133,8 @@ impl Parted for Watching<'_> {
         impl Record<Observed = PairEstimate, Step = Moved>,
     ) {
         let Looking { capturing, estimating, noting } = &mut self.looking;
-        let Self { journal, spectator, faults, keep_flights, .. } = self;
-        (capturing, Leading(estimating), Keeping { noting, journal, spectator, faults, keep_flights })
+        let Self { journal, spectator, faults, keep_flights, file, .. } = self;
+        (capturing, Leading(estimating), Keeping { noting, journal, spectator, faults, keep_flights, file })
     }
 }
 
@@ -159,6 +167,7 @@ struct Keeping<'w, 'a> {
     spectator: &'w mut Option<Box<dyn Spectator>>,
     faults: &'w mut FaultWatch,
     keep_flights: &'w mut KeepFlights,
+    file: &'w mut Option<BagRecording>,
 }
 
 impl Record for Keeping<'_, '_> {
@@ -167,6 +176,9 @@ impl Record for Keeping<'_, '_> {
 
     fn moved(&mut self, step: &Moved) {
         self.journal.note(step);
+        if let Some(file) = self.file {
+            file.moved(step);
+        }
         if let Some(spectator) = self.spectator {
             spectator.moved(step);
         }
@@ -178,6 +190,9 @@ impl Record for Keeping<'_, '_> {
     fn note(&mut self, seen: PairEstimate) -> Result<()> {
         if let Some(spectator) = self.spectator {
             spectator.seen(&seen);
+        }
+        if let Some(file) = self.file {
+            file.seen(&seen);
         }
         self.noting.note(&seen)
     }

@@ -2,6 +2,7 @@
 
 use std::error::Error;
 
+use pb3dp_bag::BagError;
 use pb3dp_estimation_core::error::EstimationError;
 use pb3dp_estimation_core::region::RegionError;
 use pb3dp_hal_api::{ArmError, ArmErrorKind, CameraError, CameraErrorKind};
@@ -24,13 +25,14 @@ pub const fn table<T: Coded>() -> CodeTable {
 }
 
 /// All tables, in the order of the reference.
-pub const TABLES: [CodeTable; 11] = [
+pub const TABLES: [CodeTable; 12] = [
     table::<Condition>(),
     table::<RefusedFor>(),
     table::<ConfigError>(),
     table::<ImageProblem>(),
     table::<CalibrationFileError>(),
     table::<DatasetError>(),
+    table::<BagError>(),
     table::<RegionError>(),
     table::<EstimationError>(),
     table::<PathRefusal>(),
@@ -61,6 +63,7 @@ pub fn code_of(error: &(dyn Error + 'static)) -> Option<&'static MessageCode> {
         .or_else(of_image)
         .or_else(|| as_is::<CalibrationFileError>(error))
         .or_else(|| as_is::<DatasetError>(error))
+        .or_else(|| as_is::<BagError>(error))
         .or_else(|| as_is::<RegionError>(error))
         .or_else(|| as_is::<EstimationError>(error))
         .or_else(|| as_is::<PathRefusal>(error))

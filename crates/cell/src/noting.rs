@@ -162,7 +162,7 @@ fn watch(setup: &Setup) -> Result<Option<DriftWatch>, EstimationError> {
 }
 
 /// A region as a polygon; for a region without corners, the outline from the method.
-fn outline_px(region: Region, estimate: &TrackEstimate) -> Vec<Vector2<f64>> {
+pub(crate) fn outline_px(region: Region, estimate: &TrackEstimate) -> Vec<Vector2<f64>> {
     match region {
         Region::Polygon { vertices_px } => vertices_px,
         Region::Rectangle { x, y, width, height } => {

@@ -1,16 +1,19 @@
 //! Arguments of `pb3dp run`, `estimate` and `track`, and their parsers.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use clap::{ArgGroup, Args};
+use clap::{ArgGroup, Args, ValueEnum};
 use pb3dp_cell::terminal::parse_seconds;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_panel::PanelAddress;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
+use pb3dp_record::value_range::ValueRange;
 use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
 use pb3dp_wiring::ReplayPace;
+use pb3dp_wiring::{Layout, RecordingOptions};
 
 use crate::panel_access::{PANEL_ADDRESS, PanelAccess, parse_address};
 
@@ -32,8 +35,9 @@ pub struct RunArgs {
     /// End after this many seconds of the experiment.
     #[arg(long, value_name = "SECONDS", value_parser = parse_seconds, allow_hyphen_values = true)]
     pub stop_after: Option<f64>,
-    /// Also write every stereo pair with its truth as a sequence folder, for `pb3dp track`.
-    #[arg(long, value_name = "DIR")]
+    /// Also record the run: in a FILE.mcap everything, with ROS 2 messages; in a folder of any other name every stereo pair with its
+    /// truth. `pb3dp track` reads both.
+    #[arg(long, value_name = "FILE.mcap|DIR")]
     pub record: Option<PathBuf>,
     /// The target in the first left image of real cameras; overrides camera.region of the setup.
     #[arg(long, value_name = "REGION", help = format!("The target in the first left image of real cameras; overrides camera.region of the setup: {REGION_HELP}"))]
@@ -126,12 +130,12 @@ const ESTIMATE_JSON: &str = "Lines of --json (one per case):
 
 /// Arguments of `pb3dp estimate`.
 #[derive(Debug, Args)]
-#[command(after_long_help = ESTIMATE_JSON, group = ArgGroup::new("images").required(true).args(["cases", "left"]))]
+#[command(after_long_help = ESTIMATE_JSON, group = ArgGroup::new("images").required(true).args(["cases", "left", "sequence"]))]
 pub struct EstimateArgs {
     /// Every case folder (one with a case.json) under DIR; the format is described in docs/dataset-format.md.
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["left", "right", "calib", "region"])]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["right", "calib", "region"])]
     pub cases: Option<PathBuf>,
-    /// The left image (PNG or JPEG).
+    /// The left image: PNG, JPEG, TIFF, BMP, PGM, PPM or WebP.
     #[arg(long, value_name = "FILE", requires_all = ["right", "calib", "region"])]
     pub left: Option<PathBuf>,
     /// The right image.
@@ -139,11 +143,20 @@ pub struct EstimateArgs {
     pub right: Option<PathBuf>,
     /// Calibration: the file that `pb3dp calibrate` writes, calib.json, a Kalibr camchain, an OpenCV stereo YAML or its two files
     /// `intrinsics.yml,extrinsics.yml`, or two ROS camera_info files `left.yaml,right.yaml`; or a folder that contains them.
-    #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',', requires = "left")]
+    #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',')]
     pub calib: Vec<PathBuf>,
     /// The object in the left image.
-    #[arg(long, value_name = "REGION", help = format!("The object in the left image: {REGION_HELP}"), requires = "left")]
+    #[arg(long, value_name = "REGION", help = format!("The object in the left image: {REGION_HELP}"))]
     pub region: Option<RegionSpec>,
+    /// A recording, of every kind that `pb3dp track` reads; without --region the region of the recording.
+    #[arg(long, value_name = "PATH")]
+    pub sequence: Option<PathBuf>,
+    /// The pair of the recording, from 0.
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "sequence")]
+    pub frame: u64,
+    /// What a recording does not state itself.
+    #[command(flatten)]
+    pub recording: RecordingArgs,
     /// Also search every hypothesis that a chromosome can express, so that search error and fitness error can be distinguished (slow; --method published only).
     #[arg(long)]
     pub reference_optimum: bool,
@@ -172,14 +185,20 @@ const TRACK_JSON: &str =
 #[derive(Debug, Args)]
 #[command(after_long_help = TRACK_JSON)]
 pub struct TrackArgs {
-    /// A sequence folder (one with a sequence.json); the format is described in docs/dataset-format.md.
-    #[arg(long, value_name = "DIR")]
+    /// The recording: a sequence folder, an MCAP file or rosbag2 folder, a EuRoC folder, or a folder of images (docs/dataset-format.md).
+    #[arg(long, value_name = "PATH")]
     pub sequence: PathBuf,
+    /// Calibration of the recording's cameras, instead of its own: as --calib of `pb3dp estimate`.
+    #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',')]
+    pub calib: Vec<PathBuf>,
+    /// What the recording does not state itself.
+    #[command(flatten)]
+    pub recording: RecordingArgs,
     /// Process frames as fast as possible, or at the times of the recording.
     #[arg(long, value_enum, default_value = "fast")]
     pub pace: ReplayPace,
-    /// Further targets in the left image of frame 0, in addition to that of the sequence.
-    #[arg(long, value_name = "REGION", help = format!("A further target in the left image of frame 0, in addition to that of the sequence; may be repeated: {REGION_HELP}"))]
+    /// Targets in the left image of frame 0, in addition to that of the recording.
+    #[arg(long, value_name = "REGION", help = format!("A target in the left image of frame 0, in addition to that of the recording if it has one; may be repeated: {REGION_HELP}"))]
     pub region: Vec<RegionSpec>,
     /// Write the recovered surface with its colours into this PLY file, in the model frame (direct only).
     #[arg(long, value_name = "FILE")]
@@ -190,6 +209,69 @@ pub struct TrackArgs {
     /// Estimation options.
     #[command(flatten)]
     pub method: MethodArgs,
+}
+
+/// What a recording does not state itself.
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Recordings from elsewhere")]
+pub struct RecordingArgs {
+    /// Topics of the left and the right images in an MCAP file; by default two that differ only in left and right.
+    #[arg(long, value_name = "LEFT,RIGHT", value_parser = parse_topics)]
+    pub topics: Option<Topics>,
+    /// Longest time between the images of a pair in MCAP and EuRoC recordings, milliseconds.
+    #[arg(long, value_name = "MS", value_parser = parse_pair_within, default_value = "3")]
+    pub pair_within: Duration,
+    /// Values that become black and white in images with more than 8 bits, such as 0,4095; measured on the first pair by default.
+    #[arg(long, value_name = "LOW,HIGH")]
+    pub range: Option<ValueRange>,
+    /// Arrangement of both views in each image of a folder.
+    #[arg(long, value_enum)]
+    pub layout: Option<LayoutName>,
+}
+
+/// Topics of the left and the right images.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Topics(pub [String; 2]);
+
+/// Arrangement of both views in an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum LayoutName {
+    /// Left half and right half.
+    SideBySide,
+    /// The left view above the right one.
+    TopBottom,
+}
+
+impl RecordingArgs {
+    /// The same as options of the replay.
+    pub fn options(&self, calibration: &[PathBuf]) -> RecordingOptions {
+        RecordingOptions {
+            calibration: calibration.to_vec(),
+            topics: self.topics.clone().map(|Topics(names)| names),
+            within: self.pair_within,
+            range: self.range,
+            layout: self.layout.map(|layout| match layout {
+                LayoutName::SideBySide => Layout::SideBySide,
+                LayoutName::TopBottom => Layout::TopBottom,
+            }),
+        }
+    }
+}
+
+fn parse_topics(text: &str) -> Result<Topics, String> {
+    match text.split(',').map(str::trim).collect::<Vec<_>>()[..] {
+        [left, right] if !left.is_empty() && !right.is_empty() && left != right => {
+            Ok(Topics([left.to_owned(), right.to_owned()]))
+        }
+        _ => Err(format!("{text:?} is not LEFT,RIGHT: two different topics, such as /left/image_raw,/right/image_raw")),
+    }
+}
+
+fn parse_pair_within(text: &str) -> Result<Duration, String> {
+    match text.parse::<f64>() {
+        Ok(millis) if (0.0..=1000.0).contains(&millis) => Ok(Duration::from_secs_f64(millis * 1e-3)),
+        _ => Err(format!("{text:?}: must be between 0 and 1000 milliseconds")),
+    }
 }
 
 /// Depths to search.

@@ -15,6 +15,7 @@ use crate::commands::explain::ExplainArgs;
 use crate::commands::generate::GenerateArgs;
 use crate::commands::identify::IdentifyArgs;
 use crate::commands::panel::PanelArgs;
+use crate::commands::recover::RecoverArgs;
 use crate::commands::rig::RigArgs;
 use crate::logging::LogFormat;
 
@@ -72,6 +73,8 @@ pub enum Command {
     Estimate(EstimateArgs),
     /// Track a region through a recorded stereo sequence.
     Track(TrackArgs),
+    /// Make a whole file from a recording that was broken off by a kill or a full disk.
+    Recover(RecoverArgs),
     /// Point at objects with the mouse, on recorded images or bare cameras, without arms.
     Panel(Box<PanelArgs>),
     /// Measure properties of the rig that a setup needs: its delays.

@@ -39,10 +39,10 @@ codes! {
         Missing = "PB3DP-IMG-001": "The file does not exist."; "Check the path.";
         Folder = "PB3DP-IMG-002": "The path is a folder."; "Name the image file in it.";
         Io = "PB3DP-IMG-003": "The file cannot be read or written."; "Check the permissions and the free space.";
-        UnknownFormat = "PB3DP-IMG-004": "The file is neither PNG nor JPEG."; "Convert it, for instance with ImageMagick.";
+        UnknownFormat = "PB3DP-IMG-004": "The file is no image in a known format."; "Convert it to PNG, for instance with ImageMagick.";
         Damaged = "PB3DP-IMG-005": "The file ends early or its content is damaged."; "Copy or record it again.";
         Size = "PB3DP-IMG-006": "The image has another size than expected."; "Use images of one size, and the calibration of this size.";
-        Depth = "PB3DP-IMG-007": "The image has more than 8 bits per channel."; "Convert it to 8 bits.";
+        Depth = "PB3DP-IMG-007": "The image has more than 8 bits per channel, or numbers that are no integers."; "Convert it to 8 bits; where `--range` exists, images with 16 bits are read.";
         Transparent = "PB3DP-IMG-008": "Some pixels are transparent and have no colour."; "Remove the alpha channel.";
         TooLarge = "PB3DP-IMG-010": "The image has more pixels than can be read."; "Scale the images and the calibration by the same factor.";
         NotDisparity = "PB3DP-IMG-009": "A disparity map must be a 16-bit grey image."; "Write it as a 16-bit grey PNG.";

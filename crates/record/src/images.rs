@@ -1,8 +1,7 @@
 //! Image files: loading with errors that name the file, and encoding.
 //!
-//! All images in memory are 8-bit sRGB without alpha. Grey images are expanded to three equal channels. Images with 16 bits per
-//! channel are refused, because the file does not state which part of the range is used (an image of a 12-bit camera would appear
-//! black). Transparent pixels are refused, because they have no colour.
+//! PNG, JPEG, TIFF, BMP, PGM and PPM, WebP. All images in memory are 8-bit sRGB without alpha. Grey images are expanded to three equal
+//! channels. Images with 16 bits per channel need a [`ValueRange`]. Transparent pixels are refused, because they have no colour.
 
 use std::fmt;
 use std::io::Cursor;
@@ -14,9 +13,16 @@ use image::{DynamicImage, ImageEncoder, ImageFormat, ImageReader, RgbImage};
 use pb3dp_geometry::ImageSize;
 
 use crate::text_file::check_regular;
+use crate::value_range::{DeepImage, ValueRange};
 
 /// Largest number of pixels of an image that is read. Chosen: 300 MB in memory; sensors of machine vision have up to 65 million pixels.
 pub const PIXELS_MAX: u64 = 100_000_000;
+
+/// Formats of images that are read.
+const FORMATS: [ImageFormat; 6] =
+    [ImageFormat::Png, ImageFormat::Jpeg, ImageFormat::Tiff, ImageFormat::Bmp, ImageFormat::Pnm, ImageFormat::WebP];
+/// Extensions of their file names, in lower case.
+pub const EXTENSIONS: [&str; 10] = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "pgm", "ppm", "pnm", "webp"];
 
 /// Why an image file cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -40,7 +46,7 @@ pub enum ImageProblem {
     Folder,
     /// The file cannot be read or written.
     Io,
-    /// Neither PNG nor JPEG.
+    /// No image in a known format.
     UnknownFormat,
     /// The content ends early or is damaged.
     Damaged,
@@ -78,7 +84,7 @@ impl fmt::Display for ImageProblem {
             Self::Missing => write!(f, "no such file; check the name and the folder"),
             Self::Folder => write!(f, "is a folder; name the image file in it"),
             Self::Io => write!(f, "cannot be read or written; check permissions and free space"),
-            Self::UnknownFormat => write!(f, "neither PNG nor JPEG; convert it"),
+            Self::UnknownFormat => write!(f, "not PNG, JPEG, TIFF, BMP, PGM, PPM or WebP; convert it"),
             Self::Damaged => write!(f, "truncated or damaged; copy or record it again"),
             Self::Size { found, expected, because_of } => write!(
                 f,
@@ -92,7 +98,9 @@ impl fmt::Display for ImageProblem {
                 found.height,
                 PIXELS_MAX / 1_000_000
             ),
-            Self::Depth { found } => write!(f, "has pixels of type {found}; convert it to 8 bits per channel"),
+            Self::Depth { found } => {
+                write!(f, "has pixels of type {found}; images with 8 bits per channel are needed here")
+            }
             Self::Transparent => write!(f, "has transparent pixels, which have no colour; remove the alpha channel"),
             Self::NotDisparity { found } => {
                 write!(f, "has pixels of type {found}; a disparity map is a 16-bit grey PNG of 64 times the disparity")
@@ -129,21 +137,117 @@ pub fn size_of(image: &RgbImage) -> ImageSize {
     ImageSize { width: image.width(), height: image.height() }
 }
 
-/// Loads a PNG or JPEG file as 8-bit RGB.
+/// An image as its file has it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum StoredImage {
+    /// 8 bits per channel.
+    Rgb(RgbImage),
+    /// 16 bits per channel.
+    Deep(DeepImage),
+}
+
+impl StoredImage {
+    /// Loads an image file.
+    ///
+    /// # Errors
+    /// A missing, unreadable, damaged or truncated file, transparent pixels, numbers that are no integers.
+    pub fn load(file: &Path) -> Result<Self, ImageFileError> {
+        Self::of_pixels(file, decode(file)?)
+    }
+
+    /// Reads an image file in memory; `name` stands for it in messages.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn parse(name: &Path, bytes: &[u8]) -> Result<Self, ImageFileError> {
+        Self::of_pixels(name, decode_bytes(name, bytes)?)
+    }
+
+    fn of_pixels(file: &Path, image: DynamicImage) -> Result<Self, ImageFileError> {
+        let is_opaque = match &image {
+            DynamicImage::ImageLumaA8(pixels) => pixels.pixels().all(|p| p.0[1] == u8::MAX),
+            DynamicImage::ImageRgba8(pixels) => pixels.pixels().all(|p| p.0[3] == u8::MAX),
+            DynamicImage::ImageLumaA16(pixels) => pixels.pixels().all(|p| p.0[1] == u16::MAX),
+            DynamicImage::ImageRgba16(pixels) => pixels.pixels().all(|p| p.0[3] == u16::MAX),
+            _ => true,
+        };
+        if !is_opaque {
+            return Err(ImageFileError::new(file, ImageProblem::Transparent));
+        }
+        let size = ImageSize { width: image.width(), height: image.height() };
+        let deep = |channels, values| DeepImage::new(size, channels, values).map(Self::Deep);
+        let stored = match image {
+            DynamicImage::ImageRgb8(rgb) => Some(Self::Rgb(rgb)),
+            DynamicImage::ImageLuma8(_) | DynamicImage::ImageLumaA8(_) | DynamicImage::ImageRgba8(_) => {
+                Some(Self::Rgb(image.into_rgb8()))
+            }
+            DynamicImage::ImageLuma16(_) | DynamicImage::ImageLumaA16(_) => deep(1, image.into_luma16().into_raw()),
+            DynamicImage::ImageRgb16(_) | DynamicImage::ImageRgba16(_) => deep(3, image.into_rgb16().into_raw()),
+            other => {
+                let found = format!("{:?}", other.color());
+                return Err(ImageFileError::new(file, ImageProblem::Depth { found }));
+            }
+        };
+        stored.ok_or_else(|| ImageFileError::new(file, ImageProblem::Damaged))
+    }
+
+    /// Size of the image.
+    pub fn size(&self) -> ImageSize {
+        match self {
+            Self::Rgb(image) => size_of(image),
+            Self::Deep(image) => image.size(),
+        }
+    }
+
+    /// The part of the image with this size from this pixel on; black where the image has ended.
+    #[must_use]
+    pub fn part(&self, (x, y): (u32, u32), size: ImageSize) -> Self {
+        match self {
+            Self::Rgb(image) => Self::Rgb(image::imageops::crop_imm(image, x, y, size.width, size.height).to_image()),
+            Self::Deep(image) => Self::Deep(image.part((x, y), size)),
+        }
+    }
+
+    /// Both images of a pair in 8 bits. Images with more bits need a range: without one it is measured on this pair and kept for the next
+    /// ones, with a line for the user.
+    pub fn to_rgb_pair(pair: [Self; 2], range: &mut Option<ValueRange>) -> ([RgbImage; 2], Option<String>) {
+        let deep: Vec<&DeepImage> = pair.iter().filter_map(Self::deep).collect();
+        let mut note = None;
+        let range = match (*range, deep.is_empty()) {
+            (Some(stated), _) => stated,
+            (None, true) => ValueRange::FULL,
+            (None, false) => {
+                let measured = *range.insert(ValueRange::measured(&deep));
+                note = Some(measured.note());
+                measured
+            }
+        };
+        let shallow = |image: Self| match image {
+            Self::Rgb(image) => image,
+            Self::Deep(image) => image.to_rgb(range),
+        };
+        (pair.map(shallow), note)
+    }
+
+    fn deep(&self) -> Option<&DeepImage> {
+        match self {
+            Self::Deep(image) => Some(image),
+            Self::Rgb(_) => None,
+        }
+    }
+}
+
+/// Loads an image file as 8-bit RGB.
 ///
 /// # Errors
-/// A missing, unreadable, damaged or truncated file, 16-bit or transparent pixels.
+/// As [`StoredImage::load`], and more than 8 bits per channel.
 pub fn load_rgb(file: &Path) -> Result<RgbImage, ImageFileError> {
-    let image = decode(file)?;
-    match image {
-        DynamicImage::ImageRgb8(rgb) => Ok(rgb),
-        DynamicImage::ImageLuma8(_) => Ok(image.into_rgb8()),
-        DynamicImage::ImageLumaA8(ref pixels) if pixels.pixels().all(|p| p.0[1] == 255) => Ok(image.into_rgb8()),
-        DynamicImage::ImageRgba8(ref pixels) if pixels.pixels().all(|p| p.0[3] == 255) => Ok(image.into_rgb8()),
-        DynamicImage::ImageLumaA8(_) | DynamicImage::ImageRgba8(_) => {
-            Err(ImageFileError::new(file, ImageProblem::Transparent))
+    match StoredImage::load(file)? {
+        StoredImage::Rgb(image) => Ok(image),
+        StoredImage::Deep(image) => {
+            let found = if image.is_grey() { "L16" } else { "Rgb16" }.to_owned();
+            Err(ImageFileError::new(file, ImageProblem::Depth { found }))
         }
-        other => Err(ImageFileError::new(file, ImageProblem::Depth { found: format!("{:?}", other.color()) })),
     }
 }
 
@@ -194,16 +298,18 @@ fn decode(file: &Path) -> Result<DynamicImage, ImageFileError> {
         return Err(ImageFileError::new(file, ImageProblem::TooLarge { found: ImageSize { width, height } }));
     }
     let bytes = std::fs::read(file).map_err(|e| ImageFileError::io(file, e))?;
-    let reader =
-        ImageReader::new(Cursor::new(&bytes)).with_guessed_format().map_err(|e| ImageFileError::io(file, e))?;
+    decode_bytes(file, &bytes)
+}
+
+fn decode_bytes(file: &Path, bytes: &[u8]) -> Result<DynamicImage, ImageFileError> {
+    let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|e| ImageFileError::io(file, e))?;
     match reader.format() {
         None if bytes.is_empty() => return Err(ImageFileError::new(file, ImageProblem::Damaged)),
-        Some(ImageFormat::Png) => {}
         // The decoder fills missing parts of a JPEG with grey; such an image must be refused.
-        Some(ImageFormat::Jpeg) if !jpeg_is_complete(&bytes) => {
+        Some(ImageFormat::Jpeg) if !jpeg_is_complete(bytes) => {
             return Err(ImageFileError::new(file, ImageProblem::Damaged));
         }
-        Some(ImageFormat::Jpeg) => {}
+        Some(format) if FORMATS.contains(&format) => {}
         _ => return Err(ImageFileError::new(file, ImageProblem::UnknownFormat)),
     }
     reader.decode().map_err(|e| ImageFileError::caused_by(file, ImageProblem::Damaged, e))

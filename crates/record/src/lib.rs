@@ -10,7 +10,8 @@
 //! * [`point_cloud`]: coloured surface points as PLY;
 //! * [`stops`]: arm poses recorded with images, and poses to visit;
 //! * [`report`]: self-contained HTML reports with SVG plots;
-//! * [`unique_json`]: JSON in which no key is repeated.
+//! * [`unique_json`]: JSON in which no key is repeated;
+//! * [`value_range`]: images with more than 8 bits per channel.
 //!
 //! Files that people read hold millimetres and degrees; all internal values are metres and radians. This crate estimates nothing,
 //! reads no clock and no environment, and accesses only the given files.
@@ -28,5 +29,6 @@ pub mod point_cloud;
 pub mod report;
 pub mod text_file;
 pub mod unique_json;
+pub mod value_range;
 
 pub use calibration_files::stops;

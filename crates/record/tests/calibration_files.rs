@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use pb3dp_geometry::{Camera, Distortion, ImageSize, Pinhole, Pose, StereoRig, so3};
 use pb3dp_record::calibration_files::{
     CalibrationFileError, CalibrationFormat, CameraIdentity, Judgement, StereoCalibration, load_stereo,
-    load_stereo_for, save_json, save_judged, save_kalibr, save_opencv, save_ros_pair,
+    load_stereo_for, parse_euroc, save_json, save_judged, save_kalibr, save_opencv, save_ros_pair,
 };
 use proptest::prelude::*;
 
@@ -186,6 +186,7 @@ fn there_and_back(format: CalibrationFormat, rig: &StereoRig) -> StereoCalibrati
             save_ros_pair(rig, &left, &right).unwrap();
             return load_stereo(&[left, right]).unwrap();
         }
+        CalibrationFormat::EurocPair => panic!("this format is only read"),
         CalibrationFormat::Kalibr => save_kalibr(rig, &left).unwrap(),
         CalibrationFormat::OpenCv => save_opencv(rig, &left).unwrap(),
         CalibrationFormat::CaseJson => {
@@ -346,4 +347,40 @@ fn the_two_files_of_opencvs_stereo_sample_get_their_size_from_the_images() {
     assert_eq!(read.rig, whole.rig);
     assert!(read.notes.iter().any(|note| note.contains("image size")), "{:?}", read.notes);
     assert!(load_stereo(&[file]).unwrap_err().to_string().contains("image_width"));
+}
+
+/// The body is neither camera: turned by a third about (1, 1, 1), which maps x to y, y to z and z to x.
+#[test]
+fn cameras_of_euroc_have_their_poses_in_the_body() {
+    let yaml = |pose: &str, distortion: &str| {
+        format!(
+            "%YAML:1.0\n---\nsensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n  data: [{pose}]\nrate_hz: 20\n\
+             resolution: [752, 480]\ncamera_model: pinhole\nintrinsics: [458.6, 457.2, 367.2, 248.3]\n{distortion}"
+        )
+    };
+    let distorted = "distortion_model: radial-tangential\ndistortion_coefficients: [-0.28, 0.07, 0.0002, 0.00002]\n";
+    let [left, right] = [Path::new("cam0/sensor.yaml"), Path::new("cam1/sensor.yaml")];
+    // The left camera is at (0.1, 0.2, 0.3), the right one 110 mm along the x axis of the left one, which is y of the body.
+    let turn = ["0, 0, 1", "1, 0, 0", "0, 1, 0"];
+    let pose = |at: [f64; 3]| {
+        let row = |k: usize| format!("{}, {}", turn[k], at[k]);
+        format!("{}, {}, {}, 0, 0, 0, 1", row(0), row(1), row(2))
+    };
+    let texts = [yaml(&pose([0.1, 0.2, 0.3]), distorted), yaml(&pose([0.1, 0.31, 0.3]), distorted)];
+    let found = parse_euroc([left, right], [&texts[0], &texts[1]]).unwrap();
+    let between = found.rig.cam_right_from_cam_left();
+    assert!((between.translation_m() - Vector3::new(-0.11, 0.0, 0.0)).norm() < 1e-12, "{between:?}");
+    assert!(between.rotation_angle_rad() < 1e-12);
+    assert!(matches!(found.rig.left().distortion(), Distortion::BrownConrady5 { .. }));
+    assert_eq!(found.source, "cam0/sensor.yaml, cam1/sensor.yaml");
+
+    let refused = |text: &str, parts: &[&str]| {
+        let message = parse_euroc([left, right], [&texts[0], text]).unwrap_err().to_string();
+        assert!(parts.iter().chain(&["cam1/sensor.yaml"]).all(|part| message.contains(part)), "{message}");
+    };
+    refused(&texts[1].replace("0, 0, 0, 1]", "0, 0, 1, 1]"), &["T_BS", "0, 0, 0, 1"]);
+    refused(&texts[1].replace("0, 0, 1, 0.1", "0, 0, 2, 0.1"), &["T_BS"]);
+    refused(&texts[1].replace("radial-tangential", "omni"), &["distortion_model", "omni"]);
+    refused(&texts[1].replace("pinhole", "omni"), &["camera_model", "omni"]);
+    refused(&texts[1].replace("248.3", "248.3, 1"), &["intrinsics", "5"]);
 }

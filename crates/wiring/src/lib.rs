@@ -14,6 +14,7 @@ mod nominal;
 mod simulated;
 mod sole_program;
 
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
@@ -21,7 +22,8 @@ use anyhow::{Result, bail};
 use clap::ValueEnum;
 use pb3dp_arm_pa10::arm::{ArmMonitor, VirtualTime};
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
-use pb3dp_camera_replay::{Pacing, Repeat, ReplayCamera, ReplayOptions};
+pub use pb3dp_camera_replay::{Layout, Recording, RecordingOptions};
+use pb3dp_camera_replay::{Pacing, Repeat, ReplayOptions};
 use pb3dp_camera_settings::StereoConfig;
 use pb3dp_camera_v4l2::ReopeningCamera;
 use pb3dp_camera_v4l2::linux::Linux;
@@ -30,8 +32,6 @@ use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Target, World};
 use pb3dp_hal_api::{Clock, StereoCamera};
 use pb3dp_hal_clock::{SystemClock, VirtualClock};
-use pb3dp_record::calibration_files::StereoCalibration;
-use pb3dp_record::dataset::Sequence;
 use pb3dp_sim::pushed::PushedTarget;
 use pb3dp_sim::trajectory::{AtRest, Trajectory};
 
@@ -288,33 +288,25 @@ pub fn video_system() -> Arc<dyn VideoSystem> {
     Arc::new(Linux)
 }
 
-/// A camera that replays a recorded sequence at its pace, again and again, and its calibration. A program that is too slow misses
-/// pairs, as with real cameras.
+/// A recording that is played at its pace, again and again. A program that is too slow misses pairs, as with real cameras.
 ///
 /// # Errors
-/// If the calibration cannot be used.
-pub fn wire_endless_replay(
-    sequence: &Sequence,
-    clock: Arc<dyn Clock>,
-) -> Result<(Box<dyn StereoCamera>, StereoCalibration)> {
+/// If the recording or its calibration cannot be used.
+pub fn wire_endless_replay(path: &Path, asked: &RecordingOptions, clock: Arc<dyn Clock>) -> Result<Recording> {
     let options = ReplayOptions { pacing: Pacing::Live(clock), repeat: Repeat::Forever, ..ReplayOptions::default() };
-    let camera = ReplayCamera::open_sequence(sequence, options)?;
-    let calibration = camera.calibration().clone();
-    Ok((Box::new(camera), calibration))
+    Ok(Recording::open(path, asked, options)?)
 }
 
-/// The camera that replays a recorded sequence, and its calibration.
+/// A recording that is played once.
 ///
 /// # Errors
-/// If the calibration cannot be used.
-pub fn wire_replay(sequence: &Sequence, pace: ReplayPace) -> Result<(Box<dyn StereoCamera>, StereoCalibration)> {
+/// If the recording or its calibration cannot be used.
+pub fn wire_replay(path: &Path, asked: &RecordingOptions, pace: ReplayPace) -> Result<Recording> {
     let pacing = match pace {
         ReplayPace::Fast => Pacing::Unpaced,
         ReplayPace::Original => Pacing::Original(Arc::new(SystemClock::new())),
     };
-    let camera = ReplayCamera::open_sequence(sequence, ReplayOptions { pacing, ..ReplayOptions::default() })?;
-    let calibration = camera.calibration().clone();
-    Ok((Box::new(camera), calibration))
+    Ok(Recording::open(path, asked, ReplayOptions { pacing, ..ReplayOptions::default() })?)
 }
 
 #[cfg(test)]

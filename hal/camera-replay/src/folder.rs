@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use pb3dp_hal_api::{CameraError, CameraErrorKind};
+use pb3dp_record::images::EXTENSIONS;
 
 /// Left and right file of one pair; one of them may be missing.
 #[derive(Debug, Default)]
@@ -42,12 +43,22 @@ pub(crate) fn image_pairs(folder: &Path) -> Result<Vec<(PathBuf, PathBuf)>, Came
         (true, false) => Ok(completed(nested, |name, side| folder.join(side).join(name))),
         (true, true) => Err(refuse(
             folder,
-            "no images left_*.png and right_*.png (or .jpg), and no subfolders left and right with images",
+            "no images left_*.png and right_*.png (or another format), and no subfolders left and right with images",
         )),
         (false, false) => {
             Err(refuse(folder, "it contains both images and subfolders left and right; keep one of the two"))
         }
     }
+}
+
+/// The images of a folder, each with both views, in the order of their names.
+pub(crate) fn images_with_both(folder: &Path) -> Result<Vec<PathBuf>, CameraError> {
+    let mut images = images_in(folder)?;
+    images.sort_by_cached_key(|file| NaturalName::new(&stem(file)));
+    if images.is_empty() {
+        return Err(refuse(folder, "no images in it"));
+    }
+    Ok(images)
 }
 
 fn refuse(folder: &Path, reason: &str) -> CameraError {
@@ -63,7 +74,7 @@ fn images_in(folder: &Path) -> Result<Vec<PathBuf>, CameraError> {
     for entry in std::fs::read_dir(folder).map_err(unreadable)? {
         let path = entry.map_err(unreadable)?.path();
         let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-        if matches!(extension.as_deref(), Some("png" | "jpg" | "jpeg")) && !path.is_dir() {
+        if extension.is_some_and(|extension| EXTENSIONS.contains(&&*extension)) && !path.is_dir() {
             images.push(path);
         }
     }

@@ -7,22 +7,28 @@
 //!
 //! Images are delivered as they were recorded, not undistorted or rectified.
 
+mod bag;
+mod euroc;
 mod folder;
 mod pacing;
+mod recording;
 mod source;
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use image::RgbImage;
 use pb3dp_geometry::{ImageSize, MonotonicTime, StereoRig};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, StereoCamera, StereoCameraInfo};
 use pb3dp_record::calibration_files::{StereoCalibration, load_stereo};
 use pb3dp_record::dataset::{CALIBRATION_FILE, CASE_FILE, Case, Sequence, is_sequence, load_case, load_sequence};
-use pb3dp_record::images::{ImageFileError, load_rgb_of_size};
+use pb3dp_record::images::{ImageFileError, StoredImage, check_size};
+use pb3dp_record::value_range::ValueRange;
 
+use bag::BagImages;
 pub use pacing::{Pacing, Stepper};
-use source::{RecordedPair, Source};
+pub use recording::{Recording, RecordingOptions};
+pub use source::Layout;
+use source::{Place, Source};
 
 /// Behaviour after the last pair.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,12 +49,14 @@ pub struct ReplayOptions {
     /// Time between pairs if the recording has no times (plain folders), and between the last and the first pair of a recording
     /// with a single pair.
     pub period: Duration,
+    /// Values of images with more than 8 bits that become black and white; measured on the first pair if absent.
+    pub range: Option<ValueRange>,
 }
 
 impl Default for ReplayOptions {
     /// As fast as possible, once, 30 pairs per second.
     fn default() -> Self {
-        Self { pacing: Pacing::Unpaced, repeat: Repeat::Once, period: Duration::from_nanos(33_333_333) }
+        Self { pacing: Pacing::Unpaced, repeat: Repeat::Once, period: Duration::from_nanos(33_333_333), range: None }
     }
 }
 
@@ -58,10 +66,14 @@ pub struct ReplayCamera {
     info: StereoCameraInfo,
     calibration: StereoCalibration,
     source: Source,
+    /// The images of pairs that are in an MCAP recording.
+    bag: Option<BagImages>,
+    range: Option<ValueRange>,
     pacing: Pacing,
     repeat: Repeat,
     /// Number of pairs delivered, damaged or passed over, over all rounds.
     position: u64,
+    notes: Vec<String>,
     /// Time of the first pair on the clock of `exposed_at`; set by the first call.
     started_at: Option<MonotonicTime>,
 }
@@ -87,7 +99,7 @@ impl ReplayCamera {
     /// # Errors
     /// Kind `Unusable` if there are no images, their names are ambiguous, or the calibration cannot be used.
     pub fn open_images(folder: &Path, calibration: &[PathBuf], options: ReplayOptions) -> Result<Self, CameraError> {
-        let pairs = folder::image_pairs(folder)?;
+        let pairs = folder::image_pairs(folder)?.into_iter().map(|(left, right)| Place::Files(left, right)).collect();
         let calibration = load_stereo(calibration).map_err(|e| {
             let message = format!(
                 "cannot replay the images in {}: no calibration; give one, or put a {CALIBRATION_FILE} there",
@@ -104,7 +116,7 @@ impl ReplayCamera {
     /// Kind `Unusable` if the calibration cannot be used.
     pub fn open_case(case: &Case, options: ReplayOptions) -> Result<Self, CameraError> {
         let calibration = case.load_calibration().map_err(|e| unusable(&case.folder, e))?;
-        let source = Source::of_images(vec![(case.left.clone(), case.right.clone())], options.period);
+        let source = Source::of_images(vec![Place::Files(case.left.clone(), case.right.clone())], options.period);
         Self::new(&case.folder, source, calibration, options)
     }
 
@@ -132,8 +144,19 @@ impl ReplayCamera {
             size: calibration.rig.left().size(),
             period: source.period(),
         };
-        let ReplayOptions { pacing, repeat, .. } = options;
-        Ok(Self { info, calibration, source, pacing, repeat, position: 0, started_at: None })
+        let ReplayOptions { pacing, repeat, range, .. } = options;
+        Ok(Self {
+            info,
+            calibration,
+            source,
+            bag: None,
+            range,
+            notes: Vec::new(),
+            pacing,
+            repeat,
+            position: 0,
+            started_at: None,
+        })
     }
 
     /// The two cameras and the pose between them.
@@ -190,10 +213,77 @@ impl ReplayCamera {
         CameraError::caused_by(CameraErrorKind::BadPair, message, error)
     }
 
-    fn load_into(&self, recorded: &RecordedPair, pair: &mut FramePair) -> Result<(), CameraError> {
-        let size = self.info.size;
-        load_into(&recorded.left, size, &self.calibration.source, &mut pair.left).map_err(|e| self.bad_pair(e))?;
-        load_into(&recorded.right, size, &self.calibration.source, &mut pair.right).map_err(|e| self.bad_pair(e))
+    /// Loads the images of the pair at the present position.
+    fn load_into(&mut self, pair: &mut FramePair) -> Result<(), CameraError> {
+        let number = self.position % self.source.pairs();
+        let (images, notes) = match &self.source.pair(self.position).place {
+            Place::Files(left, right) => {
+                let loaded =
+                    [left, right].map(|file| StoredImage::load(file).and_then(|image| self.checked(file, image)));
+                let [left, right] = loaded.map(|image| image.map_err(|e| self.bad_pair(e)));
+                let (images, note) = StoredImage::to_rgb_pair([left?, right?], &mut self.range);
+                (images, Vec::from_iter(note))
+            }
+            Place::Both(file, layout) => {
+                let both = StoredImage::load(file).and_then(|both| self.halves(file, both, *layout));
+                let (images, note) = StoredImage::to_rgb_pair(both.map_err(|e| self.bad_pair(e))?, &mut self.range);
+                (images, Vec::from_iter(note))
+            }
+            Place::Bag => {
+                let bag = self.bag.as_mut().ok_or_else(|| {
+                    CameraError::new(CameraErrorKind::Unusable, "replay: bug: a recording without its file, report it")
+                })?;
+                bag.images(number).map_err(|error| {
+                    let message = format!("{}: pair {number} is skipped", self.info.name);
+                    CameraError::caused_by(CameraErrorKind::BadPair, message, error)
+                })?
+            }
+        };
+        for (image, buffer) in images.into_iter().zip([&mut pair.left, &mut pair.right]) {
+            let (found, size) = ((image.width(), image.height()), (self.info.size.width, self.info.size.height));
+            if found != size {
+                let message = format!(
+                    "{}: pair {number} is skipped: an image has {}x{} pixels, but {} has {}x{}; use the calibration of this size",
+                    self.info.name, found.0, found.1, self.calibration.source, size.0, size.1
+                );
+                return Err(CameraError::new(CameraErrorKind::BadPair, message));
+            }
+            // Its memory stays where it is.
+            if buffer.dimensions() == found {
+                buffer.copy_from_slice(&image);
+            } else {
+                *buffer = image;
+            }
+        }
+        self.notes.extend(notes);
+        Ok(())
+    }
+
+    fn checked(&self, file: &Path, image: StoredImage) -> Result<StoredImage, ImageFileError> {
+        check_size(file, image.size(), (self.info.size, &self.calibration.source))?;
+        Ok(image)
+    }
+
+    /// Both views of an image.
+    fn halves(&self, file: &Path, both: StoredImage, layout: Layout) -> Result<[StoredImage; 2], ImageFileError> {
+        let ImageSize { width, height } = self.info.size;
+        let (whole, second) = match layout {
+            Layout::SideBySide => (ImageSize { width: 2 * width, height }, [width, 0]),
+            Layout::TopBottom => (ImageSize { width, height: 2 * height }, [0, height]),
+        };
+        let because_of = format!("a pair of {}", self.calibration.source);
+        check_size(file, both.size(), (whole, &because_of))?;
+        Ok([[0, 0], second].map(|[x, y]| both.part((x, y), self.info.size)))
+    }
+
+    /// Continues with the pair of this number, from 0.
+    pub fn skip_to(&mut self, number: u64) {
+        self.position = number;
+    }
+
+    /// What the user should know since the last call.
+    pub fn take_notes(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.notes)
     }
 }
 
@@ -209,9 +299,8 @@ impl StereoCamera for ReplayCamera {
         }
         self.skip_missed();
         let exposed_at = self.wait(timeout)?;
-        let recorded = self.source.pair(self.position);
-        let loaded = self.load_into(recorded, pair);
-        let (sequence, skew_nanos) = (self.position, recorded.skew_nanos);
+        let (sequence, skew_nanos) = (self.position, self.source.pair(self.position).skew_nanos);
+        let loaded = self.load_into(pair);
         // This pair is consumed, even if it is bad: the next call continues after it.
         self.position += 1;
         loaded?;
@@ -221,17 +310,6 @@ impl StereoCamera for ReplayCamera {
         pair.clear_jpegs();
         Ok(())
     }
-}
-
-/// Loads an image into a buffer; the buffer memory is reused if it has the right size.
-fn load_into(file: &Path, size: ImageSize, because_of: &str, buffer: &mut RgbImage) -> Result<(), ImageFileError> {
-    let image = load_rgb_of_size(file, size, because_of)?;
-    if buffer.dimensions() == image.dimensions() {
-        buffer.copy_from_slice(&image);
-    } else {
-        *buffer = image;
-    }
-    Ok(())
 }
 
 fn unusable(folder: &Path, error: pb3dp_record::dataset::DatasetError) -> CameraError {

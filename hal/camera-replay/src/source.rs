@@ -6,11 +6,38 @@ use std::time::Duration;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_record::dataset::Sequence;
 
-/// Two files and their times.
+/// Arrangement of both views in one image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Layout {
+    /// Left half and right half.
+    SideBySide,
+    /// The left view above the right one.
+    TopBottom,
+}
+
+/// Where the images of a pair are.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Place {
+    /// A left and a right file.
+    Files(PathBuf, PathBuf),
+    /// One file with both.
+    Both(PathBuf, Layout),
+    /// The next pair of an MCAP recording.
+    Bag,
+}
+
+/// Pairs of a recording with times.
+pub(crate) struct TimedPairs {
+    /// Each with the middle of the left exposure and the skew in nanoseconds, in the order of these times.
+    pub(crate) pairs: Vec<(Place, MonotonicTime, i64)>,
+    /// Number of images without a partner.
+    pub(crate) unpaired: u64,
+}
+
+/// The images of a pair and their times.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct RecordedPair {
-    pub(crate) left: PathBuf,
-    pub(crate) right: PathBuf,
+    pub(crate) place: Place,
     /// Time since the first pair of the recording.
     pub(crate) since_first: Duration,
     pub(crate) skew_nanos: i64,
@@ -27,11 +54,11 @@ pub(crate) struct Source {
 }
 
 impl Source {
-    /// Images without times, one per `period`.
-    pub(crate) fn of_images(files: Vec<(PathBuf, PathBuf)>, period: Duration) -> Self {
+    /// Images without times, one pair per `period`.
+    pub(crate) fn of_images(places: Vec<Place>, period: Duration) -> Self {
         let pairs: Vec<_> = (0..)
-            .zip(files)
-            .map(|(i, (left, right))| RecordedPair { left, right, since_first: period * i, skew_nanos: 0 })
+            .zip(places)
+            .map(|(i, place)| RecordedPair { place, since_first: period * i, skew_nanos: 0 })
             .collect();
         let round = period * pairs.len().max(1) as u32;
         Self { pairs, first_at: MonotonicTime::ZERO, period: Some(period), round }
@@ -42,21 +69,35 @@ impl Source {
         let first_s = sequence.times_s.first().copied().unwrap_or(0.0);
         let since_first = |at_s: f64| Duration::from_nanos(((at_s - first_s) * 1e9).round().max(0.0) as u64);
         let skew_nanos = |i: usize| sequence.skew_s.get(i).map_or(0, |skew_s| (skew_s * 1e9).round() as i64);
-        let pairs: Vec<_> = sequence
-            .times_s
-            .iter()
-            .enumerate()
-            .map(|(i, at_s)| {
-                let (left, right) = sequence.image_files(i as u64);
-                RecordedPair { left, right, since_first: since_first(*at_s), skew_nanos: skew_nanos(i) }
-            })
-            .collect();
+        let pairs = sequence.times_s.iter().enumerate().map(|(i, at_s)| {
+            let (left, right) = sequence.image_files(i as u64);
+            RecordedPair {
+                place: Place::Files(left, right),
+                since_first: since_first(*at_s),
+                skew_nanos: skew_nanos(i),
+            }
+        });
+        Self::timed(pairs.collect(), MonotonicTime::from_secs_f64(first_s), period)
+    }
+
+    /// Pairs with the middle of the left exposure and the skew in nanoseconds, in the order of these times.
+    pub(crate) fn of_times(pairs: Vec<(Place, MonotonicTime, i64)>, period: Duration) -> Self {
+        let first_at = pairs.first().map_or(MonotonicTime::ZERO, |(_, at, _)| *at);
+        let pairs = pairs.into_iter().map(|(place, at, skew_nanos)| RecordedPair {
+            place,
+            since_first: at.saturating_since(first_at),
+            skew_nanos,
+        });
+        Self::timed(pairs.collect(), first_at, period)
+    }
+
+    fn timed(pairs: Vec<RecordedPair>, first_at: MonotonicTime, period: Duration) -> Self {
         let steps: Vec<_> = pairs.windows(2).map(|w| w[1].since_first - w[0].since_first).collect();
         let typical = typical_step(&steps);
         let last = pairs.last().map_or(Duration::ZERO, |pair| pair.since_first);
         let round = last + typical.unwrap_or(period);
         let regular = typical.filter(|typical| steps.iter().all(|step| step.abs_diff(*typical) * 5 <= *typical));
-        Self { pairs, first_at: MonotonicTime::from_secs_f64(first_s), period: regular, round }
+        Self { pairs, first_at, period: regular, round }
     }
 
     pub(crate) fn pairs(&self) -> u64 {
@@ -76,6 +117,12 @@ impl Source {
     /// The pair at a position that counts over all rounds.
     pub(crate) fn pair(&self, position: u64) -> &RecordedPair {
         &self.pairs[(position % self.pairs()) as usize]
+    }
+
+    /// Times of the pairs on the clock of the recording, seconds.
+    pub(crate) fn times_s(&self) -> Vec<f64> {
+        let first_s = self.first_at.as_secs_f64();
+        self.pairs.iter().map(|pair| first_s + pair.since_first.as_secs_f64()).collect()
     }
 
     /// Time from the very first pair to the one at a position that counts over all rounds.

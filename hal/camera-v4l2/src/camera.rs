@@ -12,10 +12,10 @@ use crate::error::{failed, unusable};
 use crate::modes::{self, Mode};
 use crate::names::{self, CaptureDevice};
 use crate::pairing::{Drift, DriftEstimator, Verdict, judge};
-use crate::pixels::PixelError;
 use crate::stream::{Drained, Stream, StreamConfig, StreamCounters};
 use crate::timing::ClockMap;
 use crate::video::{VideoNode, VideoSystem};
+use pb3dp_camera_pixels::PixelError;
 
 /// A camera without any image for this number of periods counts as silent. A working camera is late by less than a period: on an
 /// emulated computer with one busy processor the images of `vivid` were 43 to 61 ms apart instead of 33 (maximum of 300 images,

@@ -17,7 +17,6 @@ pub mod linux;
 pub mod modes;
 pub mod names;
 pub mod pairing;
-pub mod pixels;
 mod reopening;
 mod stream;
 pub mod timing;

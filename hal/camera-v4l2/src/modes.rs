@@ -8,8 +8,8 @@ use pb3dp_hal_api::CameraError;
 use rustix::io::Errno;
 
 use crate::error::{failed, unusable};
-use crate::pixels::{Layout, YuvMatrix, YuvRange};
 use crate::video::{FieldOrder, IntervalEntry, RawFormat, SizeEntry, VideoNode};
+use pb3dp_camera_pixels::{Layout, YuvMatrix, YuvRange};
 
 /// Maximum length of a driver list; protects against a list that does not end.
 const ENTRIES_MAX: u32 = 256;

@@ -8,8 +8,8 @@ use pb3dp_hal_api::{CameraError, CameraErrorKind};
 
 use crate::error::{failed, unusable};
 use crate::modes::Mode;
-use crate::pixels::{Converter, PixelError};
 use crate::video::{Filled, Handle, VideoNode};
+use pb3dp_camera_pixels::{Converter, PixelError};
 
 /// Maximum number of buffers taken at once; protects against a driver that fills buffers faster than they are taken.
 const BUFFERS_AT_ONCE_MAX: u32 = 64;

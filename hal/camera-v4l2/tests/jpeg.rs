@@ -4,8 +4,8 @@
 
 use crate::support::{Rig, SECOND, config};
 use image::RgbImage;
+use pb3dp_camera_pixels::{Converter, Layout, PixelError, YuvMatrix, YuvRange};
 use pb3dp_camera_settings::PixelFormat;
-use pb3dp_camera_v4l2::pixels::{Converter, Layout, PixelError, YuvMatrix, YuvRange};
 use pb3dp_geometry::ImageSize;
 use pb3dp_hal_api::{CameraErrorKind, StereoCamera};
 use proptest::prelude::*;

@@ -3,6 +3,5 @@
 
 mod camera;
 mod jpeg;
-mod pixels;
 mod reopening;
 mod support;

@@ -31,6 +31,7 @@ const WORLDS: [World; 6] = [
         what: "files",
         paths: &["std::fs", "std::os", "image::open", "image::ImageReader::open", "image::save_buffer", "File::open"],
         allowed_in: &[
+            "crates/bag/",
             "crates/record/",
             "crates/setup/",
             "crates/cell/src/flight.rs",
@@ -57,7 +58,9 @@ const WORLDS: [World; 6] = [
         what: "threads",
         paths: &["std::thread", "rayon"],
         allowed_in: &[
+            "crates/bag/src/writer.rs",
             "crates/cell/src/attended_motion.rs",
+            "crates/cell/src/beside.rs",
             "crates/cell/src/console.rs",
             "crates/cell/src/console/reading.rs",
             "crates/cell/src/interruption.rs",
@@ -91,11 +94,14 @@ const WORLDS: [World; 6] = [
             "SystemTime::now",
         ],
         allowed_in: &[
+            "crates/bag/src/writer.rs",
             "crates/cell/src/compared.rs",
             "crates/cell/src/flight.rs",
             "crates/cell/src/interruption.rs",
             "crates/cell/src/looking.rs",
             "crates/cell/src/paced_clock.rs",
+            "crates/panel/src/control_link.rs",
+            "crates/panel/src/operator.rs",
             "crates/panel/src/preview.rs",
             "crates/panel/src/reporting.rs",
             "crates/panel/src/server/checks.rs",

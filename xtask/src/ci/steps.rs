@@ -10,7 +10,7 @@ use anyhow::{Context, anyhow, bail};
 use super::changes::Changes;
 use super::space;
 use crate::workspace::{Workspace, run_visibly};
-use crate::{check_deps, commissioning, fuzz_build, licences, miri, msrv, panel, required, test, tidy, vm};
+use crate::{check_deps, commissioning, fuzz_build, licences, miri, msrv, panel, recordings, required, test, tidy, vm};
 
 /// Context of the steps.
 pub struct Progress<'a> {
@@ -91,14 +91,14 @@ const KERNELS: &[&str] = &[
     "pb3dp-estimation-direct",
     "pb3dp-estimation-track",
     "pb3dp-estimation-published",
-    "pb3dp-camera-v4l2",
+    "pb3dp-camera-pixels",
 ];
 const FUZZED: &[&str] = &["pb3dp-estimation", "pb3dp-arm-pa10-test-support"];
 /// Files that affect every package: manifests, the lock file and the toolchain.
 const MANIFESTS: &[&str] = &["manifests"];
 
 /// The steps, the fastest first.
-pub const STEPS: [Step; 17] = [
+pub const STEPS: [Step; 18] = [
     Step { name: "space", of: ALWAYS, run: |progress| space::check(progress.workspace) },
     Step { name: "fmt", of: ALWAYS, run: |progress| fmt(progress.workspace) },
     Step { name: "tidy", of: ALWAYS, run: |progress| tidy::run(progress.workspace, &tidy::Args {}) },
@@ -115,6 +115,11 @@ pub const STEPS: [Step; 17] = [
         run: |progress| commissioning::calibrate(progress.workspace, progress.programs()),
     },
     Step { name: "panel", of: &["pb3dp-panel"], run: |progress| panel::check(progress.workspace, progress.programs()) },
+    Step {
+        name: "recordings",
+        of: &["pb3dp-bag", "pb3dp-camera-replay", "pb3dp-orchestrator"],
+        run: |progress| recordings::check(progress.workspace, progress.programs()),
+    },
     Step { name: "accuracy", of: &["pb3dp-benchmarks"], run: accuracy },
     Step { name: "vm", of: &["pb3dp-arm-pa10-emulation", "pb3dp-camera-v4l2", "system-tests"], run: guests },
     Step { name: "fuzz", of: FUZZED, run: |progress| fuzz_build::run(progress.workspace) },

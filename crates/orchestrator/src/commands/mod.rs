@@ -14,6 +14,7 @@ pub mod pair;
 pub mod panel;
 mod panel_of_run;
 mod pose_output;
+pub mod recover;
 mod result_folder;
 pub mod rig;
 pub mod run;

@@ -18,10 +18,10 @@ use pb3dp_hal_api::{Clock, StereoCamera};
 use pb3dp_hal_clock::SystemClock;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_panel::{About, Panel, PanelAddress, PanelConfig};
-use pb3dp_record::dataset::load_sequence;
+use pb3dp_wiring::{Recording, RecordingOptions};
 use pb3dp_wiring::{open_cameras, video_system, wire_endless_replay};
 
-use crate::arguments::{ZRange, parse_z_range};
+use crate::arguments::{RecordingArgs, ZRange, parse_z_range};
 use crate::commands::cameras::choice::{CameraChoice, Chosen};
 use crate::commands::cameras::stop_requested;
 use crate::logging::show_in_panel;
@@ -35,9 +35,11 @@ const TILT_MAX_DEG: f64 = 60.0;
 #[derive(Debug, Args)]
 #[command(group(ArgGroup::new("source").required(true).args(["sequence", "cameras"])))]
 pub struct PanelArgs {
-    /// A folder with a recorded sequence (docs/dataset-format.md); it is repeated at its own pace, and pairs that this computer is too slow for are left out.
-    #[arg(long, value_name = "DIR")]
+    /// A recording as for `pb3dp track`; it is repeated at its own pace, and pairs that this computer is too slow for are left out.
+    #[arg(long, value_name = "PATH")]
     sequence: Option<PathBuf>,
+    #[command(flatten)]
+    recording: RecordingArgs,
     /// Two real cameras: with --config FILE, or with --left, --right and --calib. Without a calibration the page shows images and
     /// controls, and no target can be chosen.
     #[arg(long)]
@@ -75,7 +77,7 @@ pub fn run(args: &PanelArgs) -> Result<ExitCode> {
     let mut signals = StopSignals::take_over().context("signals cannot be taken over")?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let mut source = match &args.sequence {
-        Some(folder) => recorded(folder, &clock)?,
+        Some(path) => recorded(path, &args.recording.options(&args.choice.calib), &clock)?,
         None => cameras(&args.choice, &clock)?,
     };
     if let Some(ZRange { min_mm, max_mm }) = args.z_range {
@@ -122,22 +124,25 @@ fn serve(
     images.run(&mut *camera, is_over)
 }
 
-fn recorded(folder: &Path, clock: &Arc<dyn Clock>) -> Result<Source> {
-    let sequence = load_sequence(folder).with_context(|| {
-        format!("--sequence {}: a folder as docs/dataset-format.md describes is needed", folder.display())
-    })?;
-    let (camera, calibration) = wire_endless_replay(&sequence, Arc::clone(clock))?;
-    for note in &calibration.notes {
-        tracing::info!("{note}");
+fn recorded(path: &Path, asked: &RecordingOptions, clock: &Arc<dyn Clock>) -> Result<Source> {
+    let Recording { camera, search, notes, .. } =
+        wire_endless_replay(path, asked, Arc::clone(clock)).context("--sequence")?;
+    let calibration = camera.calibration().clone();
+    for note in notes.iter().chain(&calibration.notes) {
+        tracing::warn!("{note}");
     }
-    let pb3dp_record::dataset::SearchRange { z_min_m, z_max_m, tilt_max_rad } = sequence.search;
+    let of_recording = |search: pb3dp_record::dataset::SearchRange| SearchRange {
+        z_min_m: search.z_min_m,
+        z_max_m: search.z_max_m,
+        tilt_max_rad: search.tilt_max_rad,
+    };
     Ok(Source {
-        camera,
-        name: folder.display().to_string(),
+        camera: Box::new(camera),
+        name: path.display().to_string(),
         rig: Some(calibration.rig),
         calibration: Some(CalibrationFacts::of("camera", &calibration.source, calibration.judgement.as_ref())),
         controls: None,
-        range: SearchRange { z_min_m, z_max_m, tilt_max_rad },
+        range: search.map_or_else(default_range, of_recording),
     })
 }
 
@@ -152,14 +157,17 @@ fn cameras(choice: &CameraChoice, clock: &Arc<dyn Clock>) -> Result<Source> {
 }
 
 fn of_cameras(chosen: Chosen, camera: Box<dyn StereoCamera>, desk: ControlDesk) -> Source {
-    let of_default = SearchRange {
+    let Chosen { rig, calibration, target, .. } = chosen;
+    let (name, range) = (camera.info().name.clone(), target.range.unwrap_or_else(default_range));
+    Source { camera, name, rig, calibration, controls: Some(desk), range }
+}
+
+fn default_range() -> SearchRange {
+    SearchRange {
         z_min_m: RANGE_MM.min_mm * 1e-3,
         z_max_m: RANGE_MM.max_mm * 1e-3,
         tilt_max_rad: TILT_MAX_DEG.to_radians(),
-    };
-    let Chosen { rig, calibration, target, .. } = chosen;
-    let (name, range) = (camera.info().name.clone(), target.range.unwrap_or(of_default));
-    Source { camera, name, rig, calibration, controls: Some(desk), range }
+    }
 }
 
 /// Stands in for a calibration where only images are shown: a usual lens, cameras side by side. Nothing is measured with it.

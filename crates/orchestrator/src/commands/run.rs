@@ -1,11 +1,14 @@
 //! `pb3dp run`: the complete loop of one setup.
 
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result};
+use pb3dp_bag::BagError;
+use pb3dp_cell::bag_recording::RecordTo;
 use pb3dp_cell::console::ConsoleTargets;
 use pb3dp_cell::experiment::{self, Ended};
 use pb3dp_cell::flight::Moment;
@@ -13,8 +16,10 @@ use pb3dp_cell::interruption::{INTERRUPTED, watch};
 use pb3dp_cell::report::{self, Following, Made};
 use pb3dp_cell::terminal::print_line;
 use pb3dp_commissioning::commissioned::check_arms;
+use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::dataset::SequenceWriter;
+use pb3dp_setup::layers::{Layers, SetupArgs, toml_of};
 use pb3dp_setup::setup::read_layers;
 use pb3dp_wiring::{RunNeeds, Wired, accept_nominal, wire_run, write_flights};
 
@@ -41,9 +46,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let panel_config = args.panel.map(|address| args.panel_access.config(address)).transpose()?;
     let attendance = Attendance::confirmed(args, &setup, &mut signals)?;
     // Checked before an arm is enabled, and before an earlier run is moved.
-    if let Some(folder) = &args.record {
-        SequenceWriter::check_folder(folder).context("--record")?;
-    }
+    args.record.as_deref().map_or(Ok(()), check_recording)?;
     let _results = ResultFolder::take(&args.out)?;
     let is_led_by_person = args.panel.is_some() || args.operator == OperatorName::Console;
     let needs = RunNeeds { until_s: args.stop_after, selects_targets: is_led_by_person };
@@ -69,7 +72,8 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     // A fault does not end a run with a console; the recorders forget it after some seconds.
     parts.keep_flights = Box::new(keep_flights.clone());
     tracing::info!("the results of this run go to {} (--out)", args.out.display());
-    let Ended { outcome, how, faults } = experiment::conduct(&setup, parts, args.stop_after, args.record.as_deref())?;
+    let record = args.record.as_deref().map(|path| record_to(path, &asked, parts.clock.now())).transpose()?;
+    let Ended { outcome, how, faults } = experiment::conduct(&setup, parts, args.stop_after, record.as_ref())?;
     if let Err(failure) = &how {
         keep_flights(faults + 1, failure);
     }
@@ -85,5 +89,26 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
         _ if was_interrupted.load(Ordering::SeqCst) => ExitCode::from(INTERRUPTED),
         Following::TooLittle { .. } if args.strict => ExitCode::from(UNSURE),
         Following::Well | Following::TooLittle { .. } => ExitCode::SUCCESS,
+    })
+}
+
+/// Refuses to overwrite an earlier recording.
+fn check_recording(path: &Path) -> Result<()> {
+    match RecordTo::is_file(path) {
+        true if path.exists() => Err(BagError::Exists { file: path.to_path_buf() }).context("--record"),
+        true => Ok(()),
+        false => SequenceWriter::check_folder(path).context("--record"),
+    }
+}
+
+/// Where to record, with the settings and the time of the run.
+fn record_to<'a>(path: &'a Path, asked: &SetupArgs, now: MonotonicTime) -> Result<RecordTo<'a>> {
+    let since_1970 =
+        SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).context("the clock shows a time before 1970")?;
+    Ok(RecordTo {
+        path,
+        setup_text: toml_of(&Layers::read(asked)?.effective()),
+        version: format!("pb3dp {} ({})", env!("CARGO_PKG_VERSION"), crate::COMMIT),
+        since_1970: since_1970.saturating_sub(now.saturating_since(MonotonicTime::ZERO)),
     })
 }

@@ -23,6 +23,7 @@ mod case_json;
 mod checks;
 mod document;
 mod error;
+mod euroc;
 mod hand_eye;
 mod identity;
 mod judged;
@@ -44,6 +45,7 @@ use error::one_line;
 pub use hand_eye::{BoardPlace, HandEye};
 pub use identity::CameraIdentity;
 pub use judged::{JudgedGate, Judgement, ParameterCovariance};
+pub use ros::RosCameraInfo;
 
 /// A checked stereo calibration and its source.
 #[derive(Clone, Debug, PartialEq)]
@@ -68,6 +70,8 @@ pub struct StereoCalibration {
 pub enum CalibrationFormat {
     /// Two ROS `camera_info` YAML files.
     RosPair,
+    /// Two `sensor.yaml` of a folder as those of the EuRoC dataset.
+    EurocPair,
     /// A Kalibr camchain YAML file.
     Kalibr,
     /// An OpenCV `FileStorage` YAML file.
@@ -82,6 +86,7 @@ impl fmt::Display for CalibrationFormat {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::RosPair => "ROS camera_info pair",
+            Self::EurocPair => "EuRoC sensor.yaml pair",
             Self::Kalibr => "Kalibr camchain",
             Self::OpenCv => "OpenCV stereo YAML",
             Self::CaseJson => "calib.json",
@@ -156,6 +161,31 @@ pub fn parse_stereo(
     assemble(&[name.to_path_buf()], &[Document::parse(name, text)?], images)
 }
 
+/// As [`load_stereo`], for the texts of the left and the right ROS `camera_info` file; `names` stand for the files in messages.
+///
+/// # Errors
+/// As [`load_stereo`].
+pub fn parse_ros_pair(names: [&Path; 2], texts: [&str; 2]) -> Result<StereoCalibration, CalibrationFileError> {
+    let documents = [Document::parse(names[0], texts[0])?, Document::parse(names[1], texts[1])?];
+    assemble(&names.map(Path::to_path_buf), &documents, None)
+}
+
+/// As [`load_stereo`], for the texts of `sensor.yaml` of `cam0` and `cam1` in the layout of the EuRoC dataset.
+///
+/// # Errors
+/// As [`load_stereo`].
+pub fn parse_euroc(names: [&Path; 2], texts: [&str; 2]) -> Result<StereoCalibration, CalibrationFileError> {
+    let [left, right] = [Document::parse(names[0], texts[0])?, Document::parse(names[1], texts[1])?];
+    Ok(StereoCalibration {
+        rig: euroc::read(&left.root(), &right.root())?,
+        format: CalibrationFormat::EurocPair,
+        source: names.map(|name| name.display().to_string()).join(", "),
+        notes: Vec::new(),
+        not_measured: None,
+        judgement: None,
+    })
+}
+
 fn assemble(
     paths: &[PathBuf],
     documents: &[Document],
@@ -228,6 +258,19 @@ pub fn save_cameras(cameras: &[CameraIdentity; 2], path: &Path) -> Result<(), Ca
 pub fn save_json(rig: &StereoRig, path: &Path) -> Result<(), CalibrationFileError> {
     check_sizes(rig, CalibrationFormat::CaseJson)?;
     write_file(path, &case_json::write(rig))
+}
+
+/// The text of our `calib.json`.
+pub fn json_text(rig: &StereoRig) -> String {
+    case_json::write(rig)
+}
+
+/// The `camera_info` of the left and the right camera, as ROS has it in files and messages.
+///
+/// # Errors
+/// A rig that cannot be rectified.
+pub fn ros_camera_infos(rig: &StereoRig) -> Result<[RosCameraInfo; 2], CalibrationFileError> {
+    ros::camera_infos(rig)
 }
 
 /// The content of one or two files.

@@ -4,7 +4,7 @@
 //! whose element `[0][3]` is `-fx * B`, a point maps from left to right as `R2^T (R1 x + t)`, `t = (P2[0][3] / fx, 0, 0)`.
 
 use nalgebra::{Matrix3, Matrix3x4, Vector3};
-use pb3dp_geometry::{Camera, StereoRig};
+use pb3dp_geometry::{Camera, ImageSize, StereoRig};
 
 use super::document::Node;
 use super::error::{CalibrationFileError, one_line};
@@ -90,8 +90,24 @@ fn projection<'a>(root: &Node<'a>, camera: &Camera) -> Result<(Matrix3x4<f64>, N
     Ok((p, node))
 }
 
-/// The contents of the left and the right file.
-pub(super) fn write(rig: &StereoRig) -> Result<[String; 2], CalibrationFileError> {
+/// A `camera_info` of ROS.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RosCameraInfo {
+    /// Size of the images.
+    pub size: ImageSize,
+    /// Name of the distortion model.
+    pub distortion_model: &'static str,
+    /// Its coefficients.
+    pub distortion: Vec<f64>,
+    /// Camera matrix, row by row, pixels.
+    pub camera_matrix: [f64; 9],
+    /// Rotation from the camera to its rectified frame, row by row.
+    pub rectification: [f64; 9],
+    /// Projection of the rectified camera, row by row; the fourth element is `-fx B`, in pixels times metres.
+    pub projection: [f64; 12],
+}
+
+pub(super) fn camera_infos(rig: &StereoRig) -> Result<[RosCameraInfo; 2], CalibrationFileError> {
     let rectified = rig.rectify().map_err(|error| CalibrationFileError::NotRepresentable {
         format: CalibrationFormat::RosPair,
         reason: format!("this format needs a rectifiable pair, but {}", one_line(&error)),
@@ -100,24 +116,45 @@ pub(super) fn write(rig: &StereoRig) -> Result<[String; 2], CalibrationFileError
     let left_turn = rectified.cam_left_rect_from_cam_left.rotation_matrix();
     let right_turn = rectified.cam_right_rect_from_cam_right.rotation_matrix();
     Ok([
-        text("left", rig.left(), &left_turn, rectified.rig.left(), 0.0),
-        text("right", rig.right(), &right_turn, rectified.rig.right(), shift),
+        camera_info(rig.left(), &left_turn, rectified.rig.left(), 0.0),
+        camera_info(rig.right(), &right_turn, rectified.rig.right(), shift),
     ])
 }
 
-fn text(name: &str, camera: &Camera, turn: &Matrix3<f64>, rectified: &Camera, shift: f64) -> String {
-    let (model, coefficients) = write::distortion(camera.distortion());
+fn camera_info(camera: &Camera, turn: &Matrix3<f64>, rectified: &Camera, shift: f64) -> RosCameraInfo {
+    let (distortion_model, distortion) = write::distortion(camera.distortion());
     let p = rectified.pinhole();
-    let projection = Matrix3x4::new(p.fx, 0.0, p.cx, shift, 0.0, p.fy, p.cy, 0.0, 0.0, 0.0, 1.0, 0.0);
+    RosCameraInfo {
+        size: camera.size(),
+        distortion_model,
+        distortion,
+        camera_matrix: in_rows(&camera.pinhole().matrix()),
+        rectification: in_rows(turn),
+        projection: [p.fx, 0.0, p.cx, shift, 0.0, p.fy, p.cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+    }
+}
+
+/// The elements row by row.
+fn in_rows(matrix: &Matrix3<f64>) -> [f64; 9] {
+    std::array::from_fn(|k| matrix[(k / 3, k % 3)])
+}
+
+/// The contents of the left and the right file.
+pub(super) fn write(rig: &StereoRig) -> Result<[String; 2], CalibrationFileError> {
+    let [left, right] = camera_infos(rig)?;
+    Ok([text("left", &left), text("right", &right)])
+}
+
+fn text(name: &str, info: &RosCameraInfo) -> String {
     let matrix = |key: &str, rows: usize, columns: usize, data: &[f64]| {
         format!("{key}:\n  rows: {rows}\n  cols: {columns}\n  data: {}\n", write::list(data))
     };
-    let mut text = format!("image_width: {}\nimage_height: {}\n", camera.size().width, camera.size().height);
+    let mut text = format!("image_width: {}\nimage_height: {}\n", info.size.width, info.size.height);
     text += &format!("camera_name: {name}\n");
-    text += &matrix("camera_matrix", 3, 3, &write::row_major(&camera.pinhole().matrix()));
-    text += &format!("distortion_model: {model}\n");
-    text += &matrix("distortion_coefficients", 1, coefficients.len(), &coefficients);
-    text += &matrix("rectification_matrix", 3, 3, &write::row_major(turn));
-    text += &matrix("projection_matrix", 3, 4, &write::row_major(&projection));
+    text += &matrix("camera_matrix", 3, 3, &info.camera_matrix);
+    text += &format!("distortion_model: {}\n", info.distortion_model);
+    text += &matrix("distortion_coefficients", 1, info.distortion.len(), &info.distortion);
+    text += &matrix("rectification_matrix", 3, 3, &info.rectification);
+    text += &matrix("projection_matrix", 3, 4, &info.projection);
     text
 }

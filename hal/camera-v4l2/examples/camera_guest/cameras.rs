@@ -4,6 +4,7 @@ use std::error::Error;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use pb3dp_camera_pixels::{Converter, Layout, YuvKernels, YuvMatrix, YuvRange};
 use pb3dp_camera_settings::{
     CameraConfig, CameraName, ControlSettings, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting, StampModel,
     StereoConfig,
@@ -12,7 +13,6 @@ use pb3dp_camera_v4l2::controls;
 use pb3dp_camera_v4l2::linux::Linux;
 use pb3dp_camera_v4l2::modes;
 use pb3dp_camera_v4l2::names;
-use pb3dp_camera_v4l2::pixels::{Converter, Layout, YuvKernels, YuvMatrix, YuvRange};
 use pb3dp_camera_v4l2::{Side, V4l2StereoCamera};
 use pb3dp_geometry::ImageSize;
 use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera};

@@ -41,8 +41,8 @@ pub(in crate::commands) struct CameraChoice {
     #[arg(long, value_name = "NAME", requires = "left")]
     right: Option<CameraName>,
     /// Calibration of both cameras, in any format that `pb3dp estimate` reads.
-    #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',', requires = "left")]
-    calib: Vec<PathBuf>,
+    #[arg(long, value_name = "FILE[,FILE]", value_delimiter = ',')]
+    pub(in crate::commands) calib: Vec<PathBuf>,
     /// Pixel format: YUYV, MJPG, GREY, RGB3, BGR3, RGGB, GRBG, GBRG or BA81.
     #[arg(long, value_name = "FOURCC", default_value = "YUYV", requires = "left")]
     format: PixelFormat,

@@ -1,17 +1,20 @@
 //! Jobs of `pb3dp estimate`: cases of a dataset, or one stereo pair.
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use nalgebra::Vector2;
 use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_geometry::StereoRig;
+use pb3dp_hal_api::StereoCamera;
 use pb3dp_record::calibration_files::load_stereo_for;
 use pb3dp_record::dataset::{self, Case, load_case};
-use pb3dp_record::images::{check_size, load_rgb, load_rgb_of_size, size_of};
+use pb3dp_record::images::{StoredImage, check_size, size_of};
 use pb3dp_setup::region_spec::load_region;
+use pb3dp_wiring::{ReplayPace, wire_replay};
 
 use crate::arguments::{EstimateArgs, MethodArgs};
 
@@ -75,11 +78,14 @@ impl Job {
         let (Some(left_file), Some(right_file), Some(region)) = (&args.left, &args.right, &args.region) else {
             bail!("one pair needs --left, --right, --calib and --region");
         };
-        let left = load_rgb(left_file)?;
-        let calibration = load_stereo_for(&args.calib, size_of(&left))?;
+        let left = StoredImage::load(left_file)?;
+        let calibration = load_stereo_for(&args.calib, left.size())?;
+        let right = StoredImage::load(right_file)?;
+        check_size(right_file, right.size(), (left.size(), &left_file.display().to_string()))?;
+        let ([left, right], note) = StoredImage::to_rgb_pair([left, right], &mut args.recording.range.clone());
         check_sizes(&calibration.rig, &left, left_file, &calibration.source)?;
-        let right = load_rgb_of_size(right_file, size_of(&left), &left_file.display().to_string())?;
         let mut notes = calibration.notes;
+        notes.extend(note);
         let given = default_range(&calibration.rig, args.method.z_range.is_none(), &mut notes);
         Ok(Self {
             name: pair_name(left_file),
@@ -89,6 +95,51 @@ impl Job {
             rig: calibration.rig,
             calibration_files: args.calib.clone(),
             notes,
+            centroid_px: None,
+            range: overridden(given, &args.method),
+            case: None,
+        })
+    }
+}
+
+impl Job {
+    /// Loads the pair of a recording that the command line names.
+    ///
+    /// # Errors
+    /// A recording that cannot be used, a pair that it does not have or that is damaged, and no region.
+    pub fn from_recording(path: &Path, args: &EstimateArgs) -> Result<Self> {
+        let mut recording =
+            wire_replay(path, &args.recording.options(&args.calib), ReplayPace::Fast).context("--sequence")?;
+        let pairs = recording.camera.pairs();
+        if args.frame >= pairs {
+            bail!("--frame {}: the recording has {pairs} pairs, numbered from 0", args.frame);
+        }
+        recording.camera.skip_to(args.frame);
+        let rig = *recording.camera.rig();
+        let pair = recording.camera.next_pair(Duration::ZERO).with_context(|| format!("--frame {}", args.frame))?;
+        let region = match (&args.region, &recording.region_polygon_left_px) {
+            (Some(spec), _) => load_region(spec, size_of(&pair.left))?,
+            // The region belongs to the first pair.
+            (None, Some(corners)) if args.frame == 0 => {
+                Region::Polygon { vertices_px: corners.iter().map(|&[u, v]| Vector2::new(u, v)).collect() }
+            }
+            (None, _) => bail!("this pair has no region: mark the object in its left image with --region"),
+        };
+        let mut notes = recording.notes;
+        notes.extend(recording.camera.calibration().notes.iter().cloned());
+        notes.extend(recording.camera.take_notes());
+        let given = match &recording.search {
+            Some(search) => range_of_dataset(search),
+            None => default_range(&rig, args.method.z_range.is_none(), &mut notes),
+        };
+        Ok(Self {
+            name: format!("{} {}", pair_name(path), args.frame),
+            left: pair.left,
+            right: pair.right,
+            rig,
+            calibration_files: args.calib.clone(),
+            notes,
+            region,
             centroid_px: None,
             range: overridden(given, &args.method),
             case: None,

@@ -44,13 +44,14 @@ pub fn run(args: &EstimateArgs) -> Result<ExitCode> {
     }
     let config = estimator_config(&args.method)?;
     let mut overlays = Overlays::open(args.method.overlay.as_deref())?;
-    let jobs: Vec<Source> = match &args.cases {
-        Some(dir) => {
+    let jobs: Vec<Source> = match (&args.cases, &args.sequence) {
+        (Some(dir), _) => {
             let folders = find_cases(dir)?;
             tracing::info!("{}: {} cases", dir.display(), folders.len());
             folders.into_iter().map(Source::Case).collect()
         }
-        None => vec![Source::Files(args.left.clone().unwrap_or_default())],
+        (None, Some(path)) => vec![Source::Recording(path.clone(), args.frame)],
+        (None, None) => vec![Source::Files(args.left.clone().unwrap_or_default())],
     };
     if !args.method.json {
         print_line(EstimateLine::HEADING)?;
@@ -95,6 +96,8 @@ enum Source {
     Case(PathBuf),
     /// The pair of the command line, by its left image.
     Files(PathBuf),
+    /// A pair of a recording.
+    Recording(PathBuf, u64),
 }
 
 impl Source {
@@ -106,6 +109,7 @@ impl Source {
                 |case| case.name,
             ),
             Self::Files(left) => pair_name(left),
+            Self::Recording(path, frame) => format!("{} {frame}", pair_name(path)),
         }
     }
 
@@ -114,6 +118,7 @@ impl Source {
         match self {
             Self::Case(folder) => folder.display().to_string(),
             Self::Files(left) => left.display().to_string(),
+            Self::Recording(path, frame) => format!("{}, pair {frame}", path.display()),
         }
     }
 
@@ -128,6 +133,7 @@ impl Source {
         match self {
             Self::Case(folder) => Job::from_case(folder, &args.method),
             Self::Files(_) => Job::from_files(args),
+            Self::Recording(path, _) => Job::from_recording(path, args),
         }
     }
 }

@@ -14,9 +14,9 @@ use anyhow::{Context, Result, bail};
 use pb3dp_cell::terminal::print_line;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_estimation_core::status::Status;
-use pb3dp_hal_api::{CameraErrorKind, FramePair};
-use pb3dp_record::dataset::{Sequence, load_sequence};
+use pb3dp_hal_api::{CameraErrorKind, FramePair, StereoCamera};
 use pb3dp_record::metrics::{MotionSummary, compare_motion};
+use pb3dp_wiring::Recording;
 use pb3dp_wiring::message_codes::in_words;
 use pb3dp_wiring::wire_replay;
 
@@ -41,19 +41,16 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     if args.surface.is_some() && !method.recovers_surface() {
         bail!("--surface: the method {method} recovers no surface: use --method {}", Method::Direct);
     }
-    let sequence = load_sequence(&args.sequence).with_context(|| {
-        format!("--sequence {}: a folder as docs/dataset-format.md describes is needed", args.sequence.display())
-    })?;
     if let Some(file) = &args.surface {
         check_writable("--surface", file)?;
     }
-    warn_of(&sequence);
-    let (mut camera, calibration) = wire_replay(&sequence, args.pace)?;
-    for note in &calibration.notes {
-        tracing::info!("{note}");
+    let mut recording =
+        wire_replay(&args.sequence, &args.recording.options(&args.calib), args.pace).context("--sequence")?;
+    for note in recording.notes.iter().chain(&recording.camera.calibration().notes) {
+        tracing::warn!("{note}");
     }
-    let rig = calibration.rig;
-    let mut walk = Walk::new(method, &rig, &sequence, args)?;
+    let rig = *recording.camera.rig();
+    let mut walk = Walk::new(method, &rig, &recording, args)?;
     let mut csv = EstimateFiles::open(args.csv.as_deref(), walk.targets().len())?;
     let mut overlays = Overlays::open(&args.method)?;
     let mut pair = FramePair::black(rig.left().size());
@@ -61,11 +58,15 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     if !args.method.json {
         print_line(&TrackLine::heading(walk.targets().len() > 1))?;
     }
-    let progress = Progress::of(sequence.times_s.len(), "frames");
-    for (frame, &t_s) in sequence.times_s.iter().enumerate() {
-        let lines = match camera.next_pair_into(&mut pair, PAIR_TIMEOUT) {
+    let progress = Progress::of(recording.times_s.len(), "frames");
+    for (frame, &t_s) in recording.times_s.iter().enumerate() {
+        let played = recording.camera.next_pair_into(&mut pair, PAIR_TIMEOUT);
+        for note in recording.camera.take_notes() {
+            tracing::warn!("{note}");
+        }
+        let lines = match played {
             Ok(()) => {
-                let found = walk.step(frame, t_s, &pair)?;
+                let found = walk.step(frame, &pair)?;
                 if let Err(error) = overlays.add(frame, t_s, &pair, &rig, &found) {
                     tracing::warn!("frame {frame}: no image: {error:#}");
                 }
@@ -94,7 +95,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     if let Some(file) = &args.surface {
         surface::write_all(file, walk.targets())?;
     }
-    report(&sequence, &walk);
+    report(&recording, &walk);
     Ok(match (unread > 0 || walk.has_refused(), unsure) {
         (true, _) => ExitCode::FAILURE,
         (false, 1..) if args.method.strict => ExitCode::from(UNSURE),
@@ -102,24 +103,11 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     })
 }
 
-/// Warns of a recording that was broken off, and of unknown keys.
-fn warn_of(sequence: &Sequence) {
-    if sequence.is_unfinished {
-        tracing::warn!(
-            "the recording was broken off: it has no sequence.json; its {} frames until the last whole one are used",
-            sequence.frames()
-        );
-    }
-    if !sequence.other_keys.is_empty() {
-        tracing::warn!("sequence.json has keys that are not known and not used: {}", sequence.other_keys.join(", "));
-    }
-}
-
 /// Logs the table of motion errors, and the components that the method does not observe. The truth of a sequence belongs to its own
 /// region, the first target.
-fn report(sequence: &Sequence, walk: &Walk) {
+fn report(recording: &Recording, walk: &Walk) {
     let mut text = String::new();
-    if let (Some(truth), Some(target)) = (&sequence.cam_left_from_model, walk.targets().first()) {
+    if let (Some(truth), Some(target)) = (&recording.cam_left_from_model, walk.targets().first()) {
         let of = if walk.targets().len() > 1 { " of target 0" } else { "" };
         text += &format!("\nErrors of the motion{of} since the first frame with a pose:\n");
         text += &match MotionSummary::of(&compare_motion(target.poses(), truth)) {

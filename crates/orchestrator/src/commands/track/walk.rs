@@ -11,12 +11,12 @@ use pb3dp_estimation_core::plane_hypothesis::SearchRange;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::frames::{CamLeft, Model};
-use pb3dp_geometry::{Pose, StereoRig};
+use pb3dp_geometry::{MonotonicTime, Pose, StereoRig};
 use pb3dp_hal_api::FramePair;
 use pb3dp_hal_platform::cpu_time::{timed, within};
-use pb3dp_record::dataset::Sequence;
 use pb3dp_record::images::size_of;
 use pb3dp_setup::region_spec::{RegionSpec, load_region};
+use pb3dp_wiring::Recording;
 use pb3dp_wiring::message_codes::in_words;
 
 use super::super::estimate::estimator_config;
@@ -24,14 +24,17 @@ use super::super::estimate::job::{overridden, range_of_dataset};
 use crate::arguments::TrackArgs;
 use crate::commands::pair::usable;
 
+/// Search range where a recording states none: 300 to 1500 mm, tilts up to 60 degrees, as in `pb3dp panel`.
+const SEARCH_RANGE: SearchRange = SearchRange { z_min_m: 0.3, z_max_m: 1.5, tilt_max_rad: std::f64::consts::FRAC_PI_3 };
+
 /// All targets of a sequence.
 pub struct Walk {
     rig: StereoRig,
     targets: Vec<TrackedTarget>,
     /// The first readable frame.
     first: Option<usize>,
-    /// Time of the last readable frame.
-    last_t_s: Option<f64>,
+    /// Mid-exposure of the last readable frame.
+    last_at: Option<MonotonicTime>,
     rotation_about_normal_observed: bool,
     /// CPU time for one target in one frame, milliseconds.
     deadline_millis: Option<f64>,
@@ -162,18 +165,23 @@ impl Walk {
     ///
     /// # Errors
     /// A refused configuration, or a method that does not track.
-    pub fn new(method: Method, rig: &StereoRig, sequence: &Sequence, args: &TrackArgs) -> Result<Self> {
+    pub fn new(method: Method, rig: &StereoRig, recording: &Recording, args: &TrackArgs) -> Result<Self> {
         let config = estimator_config(&args.method)?;
-        let vertices_px = sequence.region_polygon_left_px.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
-        let range = overridden(range_of_dataset(&sequence.search), &args.method);
-        let own = Mark::Polygon(Region::Polygon { vertices_px });
-        let marks = std::iter::once(own).chain(args.region.iter().cloned().map(Mark::Spec));
+        let range = overridden(recording.search.as_ref().map_or(SEARCH_RANGE, range_of_dataset), &args.method);
+        let own = recording.region_polygon_left_px.as_ref().map(|corners| {
+            let vertices_px = corners.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
+            Mark::Polygon(Region::Polygon { vertices_px })
+        });
+        let marks: Vec<Mark> = own.into_iter().chain(args.region.iter().cloned().map(Mark::Spec)).collect();
+        if marks.is_empty() {
+            bail!("the recording has no region: mark the target in the left image of its first frame with --region");
+        }
         let target = |mark| Ok(TrackedTarget::new(mark, Tracker::new(method, rig, &config)?, range));
         Ok(Self {
             rig: *rig,
-            targets: marks.map(target).collect::<Result<_>>()?,
+            targets: marks.into_iter().map(target).collect::<Result<_>>()?,
             first: None,
-            last_t_s: None,
+            last_at: None,
             rotation_about_normal_observed: true,
             deadline_millis: args.method.deadline,
         })
@@ -198,7 +206,7 @@ impl Walk {
     ///
     /// # Errors
     /// Exchanged images in the first frame, or only refused regions.
-    pub fn step(&mut self, frame: usize, t_s: f64, pair: &FramePair) -> Result<Vec<TargetResult>> {
+    pub fn step(&mut self, frame: usize, pair: &FramePair) -> Result<Vec<TargetResult>> {
         let mut pair_warning = None;
         if self.first.is_none() {
             let what = format!("frame {frame}");
@@ -208,8 +216,9 @@ impl Walk {
             }
             self.first = Some(frame);
         }
-        let prior = FramePrior { dt_s: self.last_t_s.map(|last| t_s - last), ..FramePrior::default() };
-        self.last_t_s = Some(t_s);
+        let before = self.last_at.replace(pair.exposed_at);
+        let prior =
+            FramePrior { dt_s: before.map(|before| pair.exposed_at.seconds_since(before)), ..FramePrior::default() };
         let several = self.targets.len() > 1;
         let mut all = Vec::with_capacity(self.targets.len());
         for (index, target) in self.targets.iter_mut().enumerate() {

@@ -1,4 +1,4 @@
-//! Converts the bytes of a driver buffer to the image of a [`FramePair`](pb3dp_hal_api::FramePair).
+//! Pixel formats of cameras: the bytes of a driver buffer or of a recorded message, converted to an RGB image.
 
 mod bayer;
 mod jpeg;

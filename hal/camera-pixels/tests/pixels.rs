@@ -3,8 +3,8 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 use image::RgbImage;
+use pb3dp_camera_pixels::{Converter, Layout, PixelError, YuvKernels, YuvMatrix, YuvRange};
 use pb3dp_camera_settings::{BayerOrder, PixelFormat};
-use pb3dp_camera_v4l2::pixels::{Converter, Layout, PixelError, YuvKernels, YuvMatrix, YuvRange};
 use pb3dp_geometry::ImageSize;
 use proptest::prelude::*;
 

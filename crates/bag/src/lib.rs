@@ -1,0 +1,28 @@
+//! Recordings in MCAP files with ROS 2 messages: what a run writes, and what other programs have recorded.
+//!
+//! * [`cdr`]: the encoding of the messages;
+//! * [`messages`]: the messages and their definitions;
+//! * [`writer`]: a recording that is written by a thread of its own;
+//! * [`reader`]: the messages of a file, also of one that was broken off;
+//! * [`pairs`]: the stereo pairs and the calibration of a recording;
+//! * [`recover`]: a whole file from one that was broken off.
+//!
+//! A file holds nothing but ROS 2 messages in CDR, so that every viewer and library that knows ROS 2 reads it (ADR 18). It is the format
+//! `mcap` of rosbag2 (ROS 2 documentation, "rosbag2_storage_mcap"; MCAP specification, <https://mcap.dev/spec>).
+
+pub mod cdr;
+mod codes;
+mod error;
+pub mod messages;
+pub mod pairs;
+mod pixels;
+pub mod reader;
+pub mod recover;
+pub mod topics;
+pub mod writer;
+
+pub use error::BagError;
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+mod readme {}

@@ -1,0 +1,376 @@
+//! The stereo pairs of a recording, with their calibration.
+
+use std::collections::VecDeque;
+use std::path::Path;
+use std::time::Duration;
+
+use image::RgbImage;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_record::calibration_files::{CalibrationFormat, StereoCalibration, parse_ros_pair, parse_stereo};
+use pb3dp_record::images::StoredImage;
+use pb3dp_record::value_range::ValueRange;
+
+use crate::BagError;
+use crate::cdr::from_bytes;
+use crate::messages::{CameraInfo, CompressedImage, Header, Image, Point32, PolygonStamped, Text};
+use crate::pixels::{Pixels, pixels};
+use crate::reader::{Bag, RawMessage};
+use crate::topics::{Topic, find_pair, ours};
+
+/// Longest time between the images of a pair by default: cameras with a common trigger are within it.
+pub const PAIR_WITHIN: Duration = Duration::from_millis(3);
+/// Images of one side that wait for the other side. A recording in which one camera has stopped takes no more memory.
+const WAITING_MAX: usize = 64;
+/// Messages that are read at most in search of the calibration, if there is no message of it at the begin.
+const SEARCHED_MAX: usize = 20_000;
+
+/// How the pairs of a recording are found.
+#[derive(Clone, Debug)]
+pub struct PairOptions {
+    /// Topics of the left and the right images; by their names if absent.
+    pub topics: Option<[String; 2]>,
+    /// Longest time between the exposures of a pair.
+    pub within: Duration,
+    /// Values of images with more than 8 bits that become black and white; measured on the first pair if absent.
+    pub range: Option<ValueRange>,
+}
+
+impl Default for PairOptions {
+    fn default() -> Self {
+        Self { topics: None, within: PAIR_WITHIN, range: None }
+    }
+}
+
+/// A recording with the two topics that have its images.
+#[derive(Clone, Debug)]
+pub struct StereoBag {
+    bag: Bag,
+    topics: [Topic; 2],
+    options: PairOptions,
+}
+
+/// A stereo pair.
+#[derive(Debug)]
+pub struct BagPair {
+    /// Middle of the left exposure, on the clock of the recording.
+    pub exposed_at: MonotonicTime,
+    /// Middle of the right exposure minus middle of the left one, nanoseconds.
+    pub skew_nanos: i64,
+    /// The images, or why they cannot be used.
+    pub images: Result<[RgbImage; 2], BagError>,
+}
+
+/// A region that an operator marked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MarkedRegion {
+    /// Its corners in the left image, pixels.
+    pub corners_px: Vec<[f64; 2]>,
+    /// Mid-exposure of that image.
+    pub at: MonotonicTime,
+}
+
+/// The pairs in the order of their times.
+pub struct BagPairs {
+    messages: Box<dyn Iterator<Item = Result<RawMessage, BagError>> + Send>,
+    topics: [Topic; 2],
+    within: Duration,
+    range: Option<ValueRange>,
+    waiting: [VecDeque<Stamped>; 2],
+    unpaired: u64,
+    notes: Vec<String>,
+    is_over: bool,
+}
+
+struct Stamped {
+    at: MonotonicTime,
+    message: RawMessage,
+}
+
+impl StereoBag {
+    /// Opens a recording and finds the topics of its images.
+    ///
+    /// # Errors
+    /// As [`Bag::open`], and topics that are not clear or have no images.
+    pub fn open(path: &Path, options: PairOptions) -> Result<Self, BagError> {
+        let bag = Bag::open(path)?;
+        let with_images: Vec<&str> =
+            bag.topics().iter().filter(|topic| topic.has_images()).map(|topic| topic.name.as_str()).collect();
+        let known = if with_images.is_empty() { "none".to_owned() } else { with_images.join(", ") };
+        let refuse = |why| BagError::Topics { file: path.to_path_buf(), why, known: known.clone() };
+        let topics = match &options.topics {
+            None => find_pair(bag.topics()).map_err(refuse)?.map(Topic::clone),
+            Some(names) => {
+                let named = |name: &String| {
+                    let found = bag.topics().iter().find(|topic| topic.name == *name && topic.has_images());
+                    found.cloned().ok_or_else(|| refuse(format!("{name} is no topic with images")))
+                };
+                [named(&names[0])?, named(&names[1])?]
+            }
+        };
+        Ok(Self { bag, topics, options })
+    }
+
+    /// The recording.
+    pub fn bag(&self) -> &Bag {
+        &self.bag
+    }
+
+    /// Topics of the left and the right images.
+    pub fn topics(&self) -> &[Topic; 2] {
+        &self.topics
+    }
+
+    /// The number of pairs, at most.
+    pub fn pairs_max(&self) -> u64 {
+        self.topics[0].messages.min(self.topics[1].messages)
+    }
+
+    /// The calibration in the recording: that of a run of this program, or the two `camera_info` beside the images.
+    ///
+    /// # Errors
+    /// If there is none, or it cannot be used.
+    pub fn calibration(&self) -> Result<StereoCalibration, BagError> {
+        let file = self.bag.path();
+        let missing = |why: String| BagError::NoCalibration { file: file.to_path_buf(), why };
+        let names = self.topics.each_ref().map(Topic::camera_info);
+        let has = |name: &str| self.bag.topics().iter().any(|topic| topic.name == name);
+        let absent: Vec<&str> = names.iter().map(String::as_str).filter(|name| !has(name)).collect();
+        if !has(ours::CALIBRATION) && !absent.is_empty() {
+            return Err(missing(format!("no topic {}", absent.join(" and "))));
+        }
+        let mut found: [Option<CameraInfo>; 2] = [None, None];
+        for message in self.bag.messages().take(SEARCHED_MAX) {
+            let message = message?;
+            let topic = &message.channel.topic;
+            if topic == ours::CALIBRATION {
+                let Text { data } = decoded(&message)?;
+                let name = file.join("calib.json");
+                return parse_stereo(&name, &data, None)
+                    .map_err(|source| BagError::Calibration { file: file.to_path_buf(), source });
+            }
+            for (name, found) in names.iter().zip(&mut found) {
+                if topic == name && found.is_none() {
+                    *found = Some(decoded(&message)?);
+                }
+            }
+            if let [Some(left), Some(right)] = &found {
+                return self.of_camera_infos([left, right]);
+            }
+        }
+        let lacking = names.iter().zip(&found).filter(|(_, found)| found.is_none()).map(|(name, _)| name.as_str());
+        Err(missing(format!("no message of {}", lacking.collect::<Vec<_>>().join(" and "))))
+    }
+
+    fn of_camera_infos(&self, infos: [&CameraInfo; 2]) -> Result<StereoCalibration, BagError> {
+        let file = self.bag.path().to_path_buf();
+        if infos.iter().any(|info| info.k[0] == 0.0) {
+            let why = "its camera_info has no camera matrix: the cameras are not calibrated".to_owned();
+            return Err(BagError::NoCalibration { file, why });
+        }
+        let names = self.topics.each_ref().map(|topic| file.join(topic.camera_info().trim_start_matches('/')));
+        let texts = [0, 1].map(|side| camera_info_text(infos[side], self.topics[side].is_rectified()));
+        let parsed = parse_ros_pair([&names[0], &names[1]], [&texts[0], &texts[1]]);
+        let calibration = parsed.map_err(|source| BagError::Calibration { file, source })?;
+        debug_assert_eq!(calibration.format, CalibrationFormat::RosPair);
+        Ok(calibration)
+    }
+
+    /// The first region that an operator marked in a run of this program.
+    ///
+    /// # Errors
+    /// If the recording is damaged.
+    pub fn region(&self) -> Result<Option<MarkedRegion>, BagError> {
+        if !self.bag.topics().iter().any(|topic| topic.name == ours::REGION) {
+            return Ok(None);
+        }
+        for message in self.bag.messages() {
+            let message = message?;
+            if message.channel.topic == ours::REGION {
+                let region: PolygonStamped = decoded(&message)?;
+                let corner = |point: &Point32| [f64::from(point.x), f64::from(point.y)];
+                let corners_px = region.polygon.points.iter().map(corner).collect();
+                return Ok(Some(MarkedRegion { corners_px, at: region.header.stamp.monotonic() }));
+            }
+        }
+        Ok(None)
+    }
+
+    /// All pairs.
+    pub fn pairs(&self) -> BagPairs {
+        BagPairs {
+            messages: Box::new(self.bag.messages()),
+            topics: self.topics.clone(),
+            within: self.options.within,
+            range: self.options.range,
+            waiting: Default::default(),
+            unpaired: 0,
+            notes: Vec::new(),
+            is_over: false,
+        }
+    }
+}
+
+impl BagPairs {
+    /// Number of images without a partner so far.
+    pub fn unpaired(&self) -> u64 {
+        self.unpaired
+    }
+
+    /// What the user should know since the last call.
+    pub fn take_notes(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.notes)
+    }
+
+    /// The times of the next pair, whose images are not converted: middle of the left exposure, and skew in nanoseconds. `None` at the end.
+    ///
+    /// # Errors
+    /// If the recording is damaged.
+    pub fn skip_pair(&mut self) -> Result<Option<(MonotonicTime, i64)>, BagError> {
+        self.next_match().map(|found| found.map(|found| times(&found))).transpose()
+    }
+
+    /// The next pair, without conversion of its images; the messages of its left and right image.
+    fn next_match(&mut self) -> Option<Result<[Stamped; 2], BagError>> {
+        loop {
+            if let Some(found) = self.matched() {
+                return Some(Ok(found));
+            }
+            let message = match self.messages.next() {
+                Some(Ok(message)) => message,
+                Some(Err(error)) => return Some(Err(error)),
+                None => {
+                    self.unpaired += self.waiting.iter_mut().map(|waiting| waiting.drain(..).len() as u64).sum::<u64>();
+                    return None;
+                }
+            };
+            let Some(side) = self.topics.iter().position(|topic| topic.name == message.channel.topic) else { continue };
+            let at = match stamp(&message) {
+                Ok(at) => at,
+                Err(error) => return Some(Err(error)),
+            };
+            self.waiting[side].push_back(Stamped { at, message });
+            if self.waiting[side].len() > WAITING_MAX {
+                self.waiting[side].pop_front();
+                self.unpaired += 1;
+            }
+        }
+    }
+
+    /// The first two images that belong together; those before them have no partner.
+    fn matched(&mut self) -> Option<[Stamped; 2]> {
+        let [left, right] = &mut self.waiting;
+        loop {
+            let (first, second) = (left.front()?, right.front()?);
+            let apart = first.at.as_nanos().abs_diff(second.at.as_nanos());
+            if Duration::from_nanos(apart) <= self.within {
+                return Some([left.pop_front()?, right.pop_front()?]);
+            }
+            let earlier = if first.at < second.at { &mut *left } else { &mut *right };
+            earlier.pop_front();
+            self.unpaired += 1;
+        }
+    }
+
+    fn images(&mut self, found: &[Stamped; 2]) -> Result<[RgbImage; 2], BagError> {
+        let [left, right] = [pixels_of(&found[0])?, pixels_of(&found[1])?];
+        let deep: Vec<_> = [&left, &right].into_iter().filter_map(Pixels::deep).collect();
+        let range = match (self.range, deep.is_empty()) {
+            (Some(range), _) => range,
+            (None, true) => ValueRange::FULL,
+            (None, false) => {
+                let measured = ValueRange::measured(&deep);
+                self.notes.push(measured.note());
+                *self.range.insert(measured)
+            }
+        };
+        let refuse = |stamped: &Stamped| {
+            let (topic, stamp_s) = (stamped.message.channel.topic.clone(), stamped.at.as_secs_f64());
+            move |why| BagError::Pixels { topic, stamp_s, why }
+        };
+        Ok([left.into_rgb(range).map_err(refuse(&found[0]))?, right.into_rgb(range).map_err(refuse(&found[1]))?])
+    }
+}
+
+impl Iterator for BagPairs {
+    type Item = Result<BagPair, BagError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.is_over {
+            return None;
+        }
+        let found = match self.next_match() {
+            Some(Ok(found)) => found,
+            Some(Err(error)) => {
+                self.is_over = true;
+                return Some(Err(error));
+            }
+            None => {
+                self.is_over = true;
+                return None;
+            }
+        };
+        let (exposed_at, skew_nanos) = times(&found);
+        let images = self.images(&found);
+        Some(Ok(BagPair { exposed_at, skew_nanos, images }))
+    }
+}
+
+fn times([left, right]: &[Stamped; 2]) -> (MonotonicTime, i64) {
+    (left.at, right.at.as_nanos() as i64 - left.at.as_nanos() as i64)
+}
+
+fn decoded<T: crate::cdr::CdrValue>(message: &RawMessage) -> Result<T, BagError> {
+    from_bytes(&message.data).map_err(|why| BagError::Message {
+        topic: message.channel.topic.clone(),
+        stamp_s: message.log_nanos as f64 * 1e-9,
+        why,
+    })
+}
+
+/// The time in the header of an image; that of writing if the header has none.
+fn stamp(message: &RawMessage) -> Result<MonotonicTime, BagError> {
+    let Header { stamp, .. } = decoded(message)?;
+    Ok(match stamp.nanos() {
+        0 => MonotonicTime::from_nanos(message.log_nanos),
+        _ => stamp.monotonic(),
+    })
+}
+
+fn pixels_of(Stamped { at, message }: &Stamped) -> Result<Pixels, BagError> {
+    let (topic, stamp_s) = (&message.channel.topic, at.as_secs_f64());
+    let is_compressed = message.channel.schema.as_ref().is_some_and(|schema| schema.name.ends_with("/CompressedImage"));
+    if is_compressed {
+        let image: CompressedImage = decoded(message)?;
+        let stored = StoredImage::parse(Path::new(topic), &image.data.0);
+        return stored.map(Pixels::Ready).map_err(|source| BagError::Image { topic: topic.clone(), stamp_s, source });
+    }
+    let image: Image = decoded(message)?;
+    pixels(&image).map_err(|why| BagError::Pixels { topic: topic.clone(), stamp_s, why })
+}
+
+/// A message as the text of a `camera_info` file of ROS. Rectified images have the rectified camera, and neither distortion nor rotation.
+fn camera_info_text(info: &CameraInfo, is_rectified: bool) -> String {
+    let list = |values: &[f64]| values.iter().map(|value| format!("{value:?}")).collect::<Vec<_>>().join(", ");
+    let matrix = |key: &str, rows: usize, columns: usize, values: &[f64]| {
+        format!("{key}:\n  rows: {rows}\n  cols: {columns}\n  data: [{}]\n", list(values))
+    };
+    let p = &info.p;
+    let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let (k, r) = match is_rectified {
+        true => ([p[0], p[1], p[2], p[4], p[5], p[6], p[8], p[9], p[10]], identity),
+        false => (info.k, info.r),
+    };
+    let (model, d) = match (is_rectified || info.d.is_empty(), info.distortion_model.as_str()) {
+        (true, _) => ("plumb_bob", &[0.0; 5][..]),
+        // The older name of ROS.
+        (false, "fisheye") => ("equidistant", &info.d[..]),
+        (false, model) => (model, &info.d[..]),
+    };
+    let mut text = format!("image_width: {}\nimage_height: {}\n", info.width, info.height);
+    text += &matrix("camera_matrix", 3, 3, &k);
+    text += &format!("distortion_model: {model}\n");
+    text += &matrix("distortion_coefficients", 1, d.len(), d);
+    text += &matrix("rectification_matrix", 3, 3, &r);
+    text += &matrix("projection_matrix", 3, 4, p);
+    text
+}

@@ -1,0 +1,214 @@
+//! The messages of a recording in the order in which they were written.
+//!
+//! A file that was broken off has no index and no end: its messages up to the last whole one are read.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufReader, Read, Seek};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use mcap::sans_io::LinearReaderOptions;
+use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
+use mcap::{Channel, McapResult, Summary};
+
+use crate::BagError;
+use crate::topics::Topic;
+
+/// First bytes of an MCAP file (specification, "Magic").
+const MAGIC: [u8; 8] = [0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n'];
+/// First bytes of an SQLite file.
+const SQLITE: &[u8] = b"SQLite format 3";
+/// Longest record: longer ones come from damaged lengths.
+const RECORD_MAX: usize = 1 << 30;
+
+/// A recording: one file, or those of a rosbag2 folder.
+#[derive(Clone, Debug)]
+pub struct Bag {
+    path: PathBuf,
+    files: Vec<BagFile>,
+    topics: Vec<Topic>,
+}
+
+#[derive(Clone, Debug)]
+struct BagFile {
+    path: PathBuf,
+    /// It was broken off.
+    is_unfinished: bool,
+}
+
+/// A message as it was written.
+#[derive(Clone, Debug)]
+pub struct RawMessage {
+    /// Its topic with the type.
+    pub channel: Arc<Channel<'static>>,
+    /// Time of writing, nanoseconds.
+    pub log_nanos: u64,
+    /// Time of sending, nanoseconds.
+    pub publish_nanos: u64,
+    /// Number of the message on its topic, if the writer counts.
+    pub sequence: u32,
+    /// The encoded message.
+    pub data: Vec<u8>,
+}
+
+impl Bag {
+    /// Whether a path is a recording of this kind: an MCAP file, or a folder of rosbag2.
+    pub fn is_one(path: &Path) -> bool {
+        let is_file = path.is_file() && extension(path).is_some_and(|e| e == "mcap" || e == "db3");
+        is_file || path.join("metadata.yaml").is_file()
+    }
+
+    /// Opens a recording, and counts its messages if it has no index.
+    ///
+    /// # Errors
+    /// A path that is no such recording, or cannot be read.
+    pub fn open(path: &Path) -> Result<Self, BagError> {
+        let paths = if path.is_dir() { files_in(path)? } else { vec![path.to_path_buf()] };
+        let mut files = Vec::new();
+        let mut counts = BTreeMap::new();
+        for path in paths {
+            check_magic(&path)?;
+            let summary = summary(&path)?;
+            let file = BagFile { is_unfinished: summary.is_none(), path };
+            match summary {
+                Some(summary) => add_counts(&mut counts, &summary),
+                None => {
+                    for message in messages_of(&file)? {
+                        *counts.entry(topic_of(&message?.channel)).or_insert(0) += 1;
+                    }
+                }
+            }
+            files.push(file);
+        }
+        let topics =
+            counts.into_iter().map(|((name, ros_type), messages)| Topic { name, ros_type, messages }).collect();
+        Ok(Self { path: path.to_path_buf(), files, topics })
+    }
+
+    /// The path, as the caller gave it.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// All topics, by name.
+    pub fn topics(&self) -> &[Topic] {
+        &self.topics
+    }
+
+    /// Whether a file was broken off.
+    pub fn is_unfinished(&self) -> bool {
+        self.files.iter().any(|file| file.is_unfinished)
+    }
+
+    /// All messages in the order of their files.
+    pub fn messages(&self) -> impl Iterator<Item = Result<RawMessage, BagError>> + Send + 'static {
+        self.files.clone().into_iter().flat_map(|file| match messages_of(&file) {
+            Ok(messages) => Box::new(messages) as Box<dyn Iterator<Item = _> + Send>,
+            Err(error) => Box::new(std::iter::once(Err(error))),
+        })
+    }
+}
+
+fn extension(path: &Path) -> Option<String> {
+    Some(path.extension()?.to_string_lossy().to_ascii_lowercase())
+}
+
+pub(crate) fn io(file: &Path, doing: &'static str, source: std::io::Error) -> BagError {
+    BagError::Io { file: file.to_path_buf(), doing, source }
+}
+
+/// The MCAP files of a rosbag2 folder; numbers in their names count by value.
+fn files_in(folder: &Path) -> Result<Vec<PathBuf>, BagError> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(|source| io(folder, "reading the folder", source))? {
+        let path = entry.map_err(|source| io(folder, "reading the folder", source))?.path();
+        match extension(&path).as_deref() {
+            Some("mcap") => files.push(path),
+            Some("db3") => return Err(BagError::Sqlite { file: path }),
+            _ => {}
+        }
+    }
+    if files.is_empty() {
+        return Err(BagError::NoMcap { file: folder.to_path_buf() });
+    }
+    files.sort_by_key(|file| {
+        let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let number = stem.rsplit('_').next().and_then(|end| end.parse::<u64>().ok());
+        (number, stem)
+    });
+    Ok(files)
+}
+
+fn check_magic(file: &Path) -> Result<(), BagError> {
+    let mut head = Vec::new();
+    let opened = File::open(file).map_err(|source| io(file, "opening", source))?;
+    opened.take(SQLITE.len() as u64).read_to_end(&mut head).map_err(|source| io(file, "reading", source))?;
+    match &head[..] {
+        head if head.starts_with(SQLITE) => Err(BagError::Sqlite { file: file.to_path_buf() }),
+        head if head.starts_with(&MAGIC) => Ok(()),
+        _ => Err(BagError::NoMcap { file: file.to_path_buf() }),
+    }
+}
+
+/// The index at the end of a file; `None` if it was broken off, or written without one.
+fn summary(path: &Path) -> Result<Option<Summary>, BagError> {
+    let mut file = File::open(path).map_err(|source| io(path, "opening", source))?;
+    let size = file.metadata().map_err(|source| io(path, "reading", source))?.len();
+    let options = SummaryReaderOptions::default().with_file_size(size).with_record_length_limit(RECORD_MAX);
+    let mut reader = SummaryReader::new_with_options(options);
+    while let Some(event) = reader.next_event() {
+        match event {
+            Ok(SummaryReadEvent::ReadRequest(count)) => {
+                let read = file.read(reader.insert(count)).map_err(|source| io(path, "reading", source))?;
+                reader.notify_read(read);
+            }
+            Ok(SummaryReadEvent::SeekRequest(to)) => {
+                reader.notify_seeked(file.seek(to).map_err(|source| io(path, "reading", source))?);
+            }
+            // Without an end there is no index: the file is read from its begin.
+            Err(_) => return Ok(None),
+        }
+    }
+    Ok(reader.finish().filter(|summary| summary.stats.is_some()))
+}
+
+fn topic_of(channel: &Channel<'_>) -> (String, String) {
+    let ros_type = channel.schema.as_ref().map(|schema| schema.name.clone()).unwrap_or_default();
+    (channel.topic.clone(), ros_type)
+}
+
+fn add_counts(counts: &mut BTreeMap<(String, String), u64>, summary: &Summary) {
+    let counted = summary.stats.as_ref().map(|stats| &stats.channel_message_counts);
+    for (id, channel) in &summary.channels {
+        let messages = counted.and_then(|counted| counted.get(id)).copied().unwrap_or(0);
+        *counts.entry(topic_of(channel)).or_insert(0) += messages;
+    }
+}
+
+fn messages_of(file: &BagFile) -> Result<impl Iterator<Item = Result<RawMessage, BagError>> + Send + use<>, BagError> {
+    let opened = File::open(&file.path).map_err(|source| io(&file.path, "opening", source))?;
+    let options = LinearReaderOptions::default()
+        .with_skip_end_magic(true)
+        .with_record_length_limit(RECORD_MAX)
+        .with_validate_chunk_crcs(true);
+    let reader = mcap::io::MessageReader::new_with_options(BufReader::new(opened), options);
+    let BagFile { path, is_unfinished } = file.clone();
+    let mut count = 0;
+    let raw = move |read: McapResult<mcap::Message<'static>>| match read {
+        Ok(message) => {
+            count += 1;
+            Some(Ok(RawMessage {
+                channel: message.channel,
+                log_nanos: message.log_time,
+                publish_nanos: message.publish_time,
+                sequence: message.sequence,
+                data: message.data.into_owned(),
+            }))
+        }
+        // The rest of a file that was broken off.
+        Err(_) if is_unfinished => None,
+        Err(error) => Some(Err(BagError::Damaged { file: path.clone(), messages: count, why: error.to_string() })),
+    };
+    Ok(reader.map_while(raw))
+}

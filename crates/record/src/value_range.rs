@@ -1,0 +1,199 @@
+//! Images with more than 8 bits per channel, and the range of their values that becomes black to white.
+//!
+//! A file with 16 bits per channel does not state which part of the range its camera uses: an image of a 12-bit camera would appear
+//! black. The user states the range, or it is measured on the first images: both images of a pair, and all pairs of a recording, need
+//! the same range, because the methods compare their values.
+
+use std::fmt;
+use std::str::FromStr;
+
+use image::RgbImage;
+use pb3dp_geometry::ImageSize;
+
+/// Share of the values below the measured range, and share above it: some hot and dead pixels.
+const OUTSIDE: f64 = 0.001;
+
+/// The values that become 0 and 255.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ValueRange {
+    low: u16,
+    high: u16,
+}
+
+/// A text that is no range.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{text:?} is no range of values: write LOW,HIGH with 0 <= LOW < HIGH <= 65535, such as 0,4095 for a camera with 12 bits"
+)]
+pub struct WrongRange {
+    text: String,
+}
+
+impl ValueRange {
+    /// All values.
+    pub const FULL: Self = Self { low: 0, high: u16::MAX };
+
+    /// The range from one value to a higher one; `None` otherwise.
+    pub fn new(low: u16, high: u16) -> Option<Self> {
+        (low < high).then_some(Self { low, high })
+    }
+
+    /// The range of these images together, without the darkest and the brightest thousandth of their values.
+    pub fn measured(images: &[&DeepImage]) -> Self {
+        let mut counts = vec![0_u64; 1 << 16];
+        for value in images.iter().flat_map(|image| &image.values) {
+            counts[usize::from(*value)] += 1;
+        }
+        let all: u64 = counts.iter().sum();
+        let outside = (OUTSIDE * all as f64) as u64;
+        let low = first_beyond(0..=u16::MAX, &counts, outside).unwrap_or(0);
+        let high = first_beyond((0..=u16::MAX).rev(), &counts, outside).unwrap_or(u16::MAX);
+        // An image of one value has no range: it becomes black.
+        Self { low: low.min(u16::MAX - 1), high: high.max(low.saturating_add(1)) }
+    }
+
+    /// What the user should know of a measured range.
+    pub fn note(self) -> String {
+        format!(
+            "the images have more than 8 bits: {self} become black and white, which holds 99.8 % of the values of the first pair; state other values with --range LOW,HIGH"
+        )
+    }
+
+    /// The 8-bit value of each 16-bit value.
+    pub fn table(self) -> Vec<u8> {
+        let scale = 255.0 / f64::from(self.high - self.low);
+        let shade = |value: u16| (f64::from(value.saturating_sub(self.low)) * scale).round().min(255.0) as u8;
+        (0..=u16::MAX).map(shade).collect()
+    }
+}
+
+/// The first of these values at which more than `outside` counts have passed.
+fn first_beyond(mut values: impl Iterator<Item = u16>, counts: &[u64], outside: u64) -> Option<u16> {
+    let mut passed = 0;
+    values.find(|value| {
+        passed += counts[usize::from(*value)];
+        passed > outside
+    })
+}
+
+impl fmt::Display for ValueRange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{},{}", self.low, self.high)
+    }
+}
+
+impl FromStr for ValueRange {
+    type Err = WrongRange;
+
+    fn from_str(text: &str) -> Result<Self, WrongRange> {
+        let ends =
+            text.split_once(',').and_then(|(low, high)| Some((low.trim().parse().ok()?, high.trim().parse().ok()?)));
+        ends.and_then(|(low, high)| Self::new(low, high)).ok_or_else(|| WrongRange { text: text.to_owned() })
+    }
+}
+
+/// An image with 16 bits per channel.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeepImage {
+    size: ImageSize,
+    /// 1 for grey, 3 for red, green, blue.
+    channels: usize,
+    values: Vec<u16>,
+}
+
+impl DeepImage {
+    /// An image of these values, row by row, with 1 or 3 channels; `None` if their number does not fit.
+    pub fn new(size: ImageSize, channels: usize, values: Vec<u16>) -> Option<Self> {
+        let pixels = u64::from(size.width) * u64::from(size.height);
+        let fits = matches!(channels, 1 | 3) && pixels.checked_mul(channels as u64) == Some(values.len() as u64);
+        fits.then_some(Self { size, channels, values })
+    }
+
+    /// Whether it has one channel.
+    pub fn is_grey(&self) -> bool {
+        self.channels == 1
+    }
+
+    /// Size of the image.
+    pub fn size(&self) -> ImageSize {
+        self.size
+    }
+
+    /// The part of the image with this size from this pixel on; black where the image has ended.
+    #[must_use]
+    pub fn part(&self, (x, y): (u32, u32), size: ImageSize) -> Self {
+        let (columns, channels) = (self.size.width as usize, self.channels);
+        let row = |row: u32| {
+            let first = (row as usize * columns + x as usize) * channels;
+            self.values.get(first..first + size.width as usize * channels).unwrap_or_default()
+        };
+        let mut values: Vec<u16> = (y..y + size.height).flat_map(row).copied().collect();
+        values.resize(size.width as usize * size.height as usize * channels, 0);
+        Self { size, channels, values }
+    }
+
+    /// The image with the first and the third of three channels exchanged; grey stays.
+    #[must_use]
+    pub fn with_red_and_blue_exchanged(mut self) -> Self {
+        if self.channels == 3 {
+            self.values.as_chunks_mut::<3>().0.iter_mut().for_each(|pixel| pixel.swap(0, 2));
+        }
+        self
+    }
+
+    /// The values in 8 bits, row by row.
+    pub fn bytes(&self, range: ValueRange) -> Vec<u8> {
+        let table = range.table();
+        self.values.iter().map(|value| table[usize::from(*value)]).collect()
+    }
+
+    /// The image in 8 bits; grey has three equal channels.
+    pub fn to_rgb(&self, range: ValueRange) -> RgbImage {
+        let bytes = self.bytes(range);
+        let rgb = match self.channels {
+            1 => bytes.into_iter().flat_map(|grey| [grey; 3]).collect(),
+            _ => bytes,
+        };
+        RgbImage::from_raw(self.size.width, self.size.height, rgb).unwrap_or_default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn grey(values: &[u16]) -> DeepImage {
+        DeepImage::new(ImageSize { width: values.len() as u32, height: 1 }, 1, values.to_vec()).unwrap()
+    }
+
+    #[test]
+    fn both_ends_become_black_and_white() {
+        let range: ValueRange = "100, 610".parse().unwrap();
+        assert_eq!(grey(&[0, 100, 101, 102, 355, 610, 65535]).bytes(range), [0, 0, 1, 1, 128, 255, 255]);
+        assert_eq!(grey(&[610]).to_rgb(range).into_raw(), [255; 3]);
+        let colour = DeepImage::new(ImageSize { width: 1, height: 1 }, 3, vec![100, 355, 610]).unwrap();
+        assert_eq!(colour.to_rgb(range).into_raw(), [0, 128, 255]);
+        assert_eq!(range.to_string(), "100,610");
+    }
+
+    #[test]
+    fn wrong_ranges_are_refused() {
+        for text in ["", "5", "5,5", "9,3", "-1,5", "0,70000", "a,b"] {
+            let message = text.parse::<ValueRange>().unwrap_err().to_string();
+            assert!(message.contains(&format!("{text:?}")) && message.contains("0,4095"), "{message}");
+        }
+        assert!(DeepImage::new(ImageSize { width: 2, height: 2 }, 3, vec![0; 4]).is_none());
+        assert!(DeepImage::new(ImageSize { width: 2, height: 2 }, 2, vec![0; 8]).is_none());
+    }
+
+    #[test]
+    fn the_measured_range_is_that_of_both_images_without_outliers() {
+        let mut left: Vec<u16> = (0..3000).map(|k| 1000 + k % 500).collect();
+        left[17] = 65535;
+        let right: Vec<u16> = (0..3000).map(|k| 1200 + k % 500).collect();
+        let range = ValueRange::measured(&[&grey(&left), &grey(&right)]);
+        assert!((1000..=1001).contains(&range.low) && (1698..=1699).contains(&range.high), "{range}");
+        assert_eq!(grey(&[9; 4]).bytes(ValueRange::measured(&[&grey(&[9; 4])])), [0; 4]);
+        assert_eq!(ValueRange::measured(&[&grey(&[65535; 4])]), ValueRange::new(65534, 65535).unwrap());
+    }
+}

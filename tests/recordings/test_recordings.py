@@ -1,0 +1,233 @@
+"""Recordings read by others, and recordings of others read by pb3dp."""
+
+import csv
+import json
+import shutil
+
+import numpy
+import pytest
+from conftest import SECONDS, pb3dp, tracked
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from PIL import Image
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+TYPES = STORE.types
+
+
+def decoded(file):
+    """All messages by topic, by the library of the format's authors."""
+    messages = {}
+    with open(file, "rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for _, channel, message, ros in reader.iter_decoded_messages():
+            messages.setdefault(channel.topic, []).append((message.log_time, ros))
+    return messages
+
+
+def nanos(header):
+    """A stamp in nanoseconds."""
+    return header.stamp.sec * 10**9 + header.stamp.nanosec
+
+
+def test_the_library_of_mcap_decodes_everything(run):
+    messages = decoded(run / "run.mcap")
+    sequence = json.loads((run / "sequence/sequence.json").read_text())
+    pairs = sequence["frames"]
+    assert pairs >= 29 * SECONDS
+    for topic in ("/left/image_raw", "/right/image_raw", "/left/camera_info", "/pb3dp/status", "/pb3dp/pose", "/pb3dp/truth"):
+        assert len(messages[topic]) == pairs, topic
+    # The times are those of the folder.
+    stamps = [nanos(image.header) for _, image in messages["/left/image_raw"]]
+    times = numpy.array(sequence["times_s"])
+    assert numpy.allclose(numpy.diff(stamps) * 1e-9, numpy.diff(times), atol=2e-9)
+    # So is each pixel.
+    for number in (0, pairs - 1):
+        for side in ("left", "right"):
+            _, image = messages[f"/{side}/image_raw"][number]
+            pixels = numpy.frombuffer(image.data, numpy.uint8).reshape(image.height, image.width, 3)
+            stored = numpy.asarray(Image.open(run / "sequence" / (sequence[side] % number)))
+            assert image.encoding == "rgb8" and (pixels == stored).all()
+    # And the true pose, up to the frame of the target.
+    first, last = (messages["/pb3dp/truth"][k][1].pose.position for k in (0, -1))
+    truth = numpy.array(sequence["truth"]["cam_left_from_model"]).reshape(-1, 4, 4)[:, :3, 3]
+    moved = numpy.array([last.x - first.x, last.y - first.y, last.z - first.z]) * 1e3
+    assert numpy.allclose(moved, truth[-1] - truth[0], atol=1e-6)
+    _, states = messages["/vs_robot/joint_states"][-1]
+    assert len(states.name) == len(states.position) == len(states.velocity) == 7
+    assert "[camera]" in messages["/pb3dp/setup"][0][1].data
+    events = [line.msg for _, line in messages["/pb3dp/events"]]
+    assert any("selecting" in line for line in events), events
+
+
+def test_rosbags_reads_it_with_the_estimates_of_the_run(run):
+    with AnyReader([run / "run.mcap"], default_typestore=STORE) as reader:
+        counts = {connection.topic: connection.msgcount for connection in reader.connections}
+        poses = [
+            reader.deserialize(raw, connection.msgtype)
+            for connection, _, raw in reader.messages()
+            if connection.topic == "/pb3dp/pose"
+        ]
+    assert counts["/left/image_raw"] == counts["/right/image_raw"]
+    rows = list(csv.DictReader((run / "out/estimates.csv").open()))
+    with_pose = [row for row in rows if row["x_mm"]]
+    assert len(poses) == len(with_pose)
+    for pose, row in zip(poses, with_pose):
+        position = pose.pose.pose.position
+        assert abs(position.x * 1e3 - float(row["x_mm"])) < 1e-3
+        covariance = numpy.array(pose.pose.covariance).reshape(6, 6)
+        assert (covariance == covariance.T).all() or numpy.allclose(covariance, covariance.T)
+        assert (numpy.linalg.eigvalsh(covariance) > 0).all()
+
+
+def test_a_run_is_tracked_from_its_file_as_from_its_folder(run):
+    of_folder = tracked("--sequence", run / "sequence")
+    of_file = tracked("--sequence", run / "run.mcap", "--z-range", "350,650")
+    poses = [line["cam_left_from_model"] for line in of_file]
+    assert len(poses) == len(of_folder) and all(poses)
+    # The region of the file has the precision of its messages, so the poses agree, but not to the bit.
+    for ours, theirs in zip(of_file, of_folder):
+        assert numpy.allclose(ours["cam_left_from_model"], theirs["cam_left_from_model"], atol=0.05)
+
+
+def stamp(time_ns):
+    """A header of ROS."""
+    time = TYPES["builtin_interfaces/msg/Time"](sec=time_ns // 10**9, nanosec=time_ns % 10**9)
+    return TYPES["std_msgs/msg/Header"](stamp=time, frame_id="camera")
+
+
+def write_bag(folder, sequence_folder, compression):
+    """The images of a sequence folder as others record them: rosbag2 in MCAP, written by a library that is not ours."""
+    sequence = json.loads((sequence_folder / "sequence.json").read_text())
+    writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+    if compression:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
+        msgtype = "sensor_msgs/msg/Image"
+        connections = {side: writer.add_connection(f"/stereo/{side}/image_raw", msgtype, typestore=STORE) for side in ("left", "right")}
+        for number, time in enumerate(sequence["times_s"]):
+            for side, connection in connections.items():
+                pixels = numpy.asarray(Image.open(sequence_folder / (sequence[side] % number)))
+                height, width, _ = pixels.shape
+                at_ns = 1_700_000_000_000_000_000 + round(time * 1e9)
+                image = TYPES[msgtype](header=stamp(at_ns), height=height, width=width, encoding="rgb8", is_bigendian=0,
+                                       step=3 * width, data=pixels.reshape(-1))
+                writer.write(connection, at_ns, STORE.serialize_cdr(image, msgtype))
+    return sequence
+
+
+def region_of(sequence):
+    """The region of a sequence as an argument."""
+    return "poly:" + ";".join(f"{u},{v}" for u, v in sequence["region_polygon_left_px"])
+
+
+def search_of(sequence):
+    """The search range of a sequence as arguments."""
+    search = sequence["search"]
+    return ["--z-range", f"{search['z_min_mm']},{search['z_max_mm']}", "--tilt-max", search["tilt_max_deg"]]
+
+
+@pytest.mark.parametrize("compression", [False, True], ids=["plain", "zstd"])
+def test_a_bag_of_others_is_tracked_to_the_bit_as_its_folder(run, tmp_path, compression):
+    sequence = write_bag(tmp_path / "bag", run / "sequence", compression)
+    calib = run / "sequence" / sequence["calib"]
+    found = tracked("--sequence", tmp_path / "bag", "--calib", calib, "--region", region_of(sequence), *search_of(sequence))
+    assert found == tracked("--sequence", run / "sequence")
+
+
+def test_a_folder_as_of_euroc_is_tracked_to_the_bit(run, tmp_path):
+    sequence = json.loads((run / "sequence/sequence.json").read_text())
+    calib = json.loads((run / "sequence" / sequence["calib"]).read_text())
+    for camera, side in (("cam0", "left"), ("cam1", "right")):
+        data = tmp_path / "mav0" / camera / "data"
+        data.mkdir(parents=True)
+        lines = ["#timestamp [ns],filename"]
+        for number, time in enumerate(sequence["times_s"]):
+            at_ns = 1_700_000_000_000_000_000 + round(time * 1e9)
+            shutil.copy(run / "sequence" / (sequence[side] % number), data / f"{at_ns}.png")
+            lines.append(f"{at_ns},{at_ns}.png")
+        (data.parent / "data.csv").write_text("\n".join(lines) + "\n")
+        k = numpy.array(calib["K_" + side]).reshape(3, 3)
+        # Both cameras in a body that is neither of them: a turn about z, and a shift.
+        body_from_left = numpy.array([[0, -1, 0, 0.1], [1, 0, 0, -0.2], [0, 0, 1, 0.3], [0, 0, 0, 1.0]])
+        right_from_left = numpy.eye(4)
+        right_from_left[:3, :3] = numpy.array(calib["R"]).reshape(3, 3)
+        right_from_left[:3, 3] = numpy.array(calib["t_mm"]) * 1e-3
+        pose = body_from_left if side == "left" else body_from_left @ numpy.linalg.inv(right_from_left)
+        (data.parent / "sensor.yaml").write_text(
+            f"sensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n  data: {pose.reshape(-1).tolist()}\n"
+            f"resolution: {calib['image_size']}\ncamera_model: pinhole\nintrinsics: {k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()}\n"
+            "distortion_model: radial-tangential\ndistortion_coefficients: [0.0, 0.0, 0.0, 0.0]\n"
+        )
+    arguments = ["--sequence", tmp_path, "--region", region_of(sequence), *search_of(sequence)]
+    exact = tracked(*arguments, "--calib", run / "sequence" / sequence["calib"])
+    assert exact == tracked("--sequence", run / "sequence")
+    # The calibration of the folder is the same up to the rounding of its poses.
+    for ours, theirs in zip(tracked(*arguments), exact):
+        assert numpy.allclose(ours["cam_left_from_model"], theirs["cam_left_from_model"], atol=0.01)
+
+
+@pytest.mark.parametrize("layout", ["side-by-side", "top-bottom"])
+def test_images_with_both_views_are_tracked_to_the_bit(run, tmp_path, layout):
+    sequence = json.loads((run / "sequence/sequence.json").read_text())
+    axis = 1 if layout == "side-by-side" else 0
+    for number in range(sequence["frames"]):
+        views = [numpy.asarray(Image.open(run / "sequence" / (sequence[side] % number))) for side in ("left", "right")]
+        Image.fromarray(numpy.concatenate(views, axis=axis)).save(tmp_path / f"pair_{number}.bmp")
+    found = tracked("--sequence", tmp_path, "--layout", layout, "--calib", run / "sequence" / sequence["calib"],
+                    "--region", region_of(sequence), *search_of(sequence))
+    expected = tracked("--sequence", run / "sequence")
+    assert [line["status"] for line in found] == [line["status"] for line in expected]
+    assert found[0] == expected[0]
+
+
+def test_estimate_reads_every_format_of_images(run, tmp_path):
+    """The same pair as 8 bits in each format, and as 12 bits of 16: the answers agree."""
+    sequence = json.loads((run / "sequence/sequence.json").read_text())
+    views = [Image.open(run / "sequence" / (sequence[side] % 0)) for side in ("left", "right")]
+    calib = run / "sequence" / sequence["calib"]
+
+    def estimate(files, *more):
+        line = pb3dp("estimate", "--json", "--left", files[0], "--right", files[1], "--calib", calib,
+                     "--region", region_of(sequence), *search_of(sequence), *more)
+        return json.loads(line)
+
+    def saved(name, images, **options):
+        files = [tmp_path / f"{side}_{name}" for side in ("left", "right")]
+        for file, image in zip(files, images):
+            image.save(file, **options)
+        return files
+
+    expected = estimate(saved("a.png", views))
+    for name in ("a.tiff", "a.bmp", "a.ppm", "a.webp"):
+        options = {"lossless": True} if name.endswith("webp") else {}
+        found = estimate(saved(name, views, **options))
+        assert found["cam_left_from_model"] == expected["cam_left_from_model"], name
+    grey = [view.convert("L") for view in views]
+    shallow = estimate(saved("grey.pgm", grey))
+    deep = [Image.fromarray(numpy.asarray(image).astype(numpy.uint16) * 16) for image in grey]
+    found = estimate(saved("deep.png", deep), "--range", "0,4080")
+    assert found["cam_left_from_model"] == shallow["cam_left_from_model"]
+    # Measured instead: a little other values, the same plane.
+    found = estimate(saved("deep.tiff", deep))
+    assert abs(found["z_mm"] / shallow["z_mm"] - 1) < 1e-3
+    assert found["status"] == shallow["status"]
+
+
+def test_a_recording_that_was_cut_is_read_and_recovered(run, tmp_path):
+    whole = (run / "run.mcap").read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(Exception):
+        decoded(cut)
+    frames = tracked("--sequence", cut, "--z-range", "350,650")
+    assert 5 < len(frames) and frames == tracked("--sequence", run / "run.mcap", "--z-range", "350,650")[: len(frames)]
+    said = pb3dp("recover", cut)
+    assert "broken off" in said
+    messages = decoded(tmp_path / "cut.recovered.mcap")
+    assert len(messages["/left/image_raw"]) >= len(frames)
+    # Nothing is overwritten.
+    pb3dp("recover", cut, expect=1)

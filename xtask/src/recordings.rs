@@ -1,0 +1,57 @@
+//! `cargo xtask recordings`: recordings that other programs read, and recordings of others.
+
+use std::path::{Path, PathBuf};
+
+use crate::python;
+use crate::workspace::{Workspace, run_visibly};
+
+const TESTS: &str = "tests/recordings";
+
+/// Lets other libraries read a recorded run, and tracks recordings that other libraries wrote (tests/recordings).
+///
+/// Needs python3 with its module venv; the packages of tests/recordings/requirements.txt go into a folder of their own.
+#[derive(Default, clap::Args)]
+#[command(verbatim_doc_comment)]
+pub struct Args {
+    /// Run only tests whose names match this expression of pytest.
+    filter: Option<String>,
+    /// Use the release program.
+    #[arg(long)]
+    release: bool,
+}
+
+/// # Errors
+/// If a test fails, or the machine lacks a requirement.
+pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
+    let mut build = workspace.cargo();
+    build.args(["build", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"]);
+    if args.release {
+        build.arg("--release");
+    }
+    run_visibly(&mut build)?;
+    let profile = if args.release { "release" } else { "debug" };
+    with_program(workspace, &workspace.target_folder()?.join(profile), args)
+}
+
+/// All tests with the programs in a folder, or after a build.
+///
+/// # Errors
+/// Those of [`run`].
+pub fn check(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<()> {
+    match programs {
+        Some(programs) => with_program(workspace, programs, &Args::default()),
+        None => run(workspace, &Args::default()),
+    }
+}
+
+fn with_program(workspace: &Workspace, programs: &Path, args: &Args) -> anyhow::Result<()> {
+    let python: PathBuf = python::environment(workspace, "recordings-python", TESTS)?;
+    let cache = format!("cache_dir={}", workspace.target_folder()?.join("recordings-cache").display());
+    let mut tests = workspace.command(&python);
+    tests.args(["-m", "pytest", "--quiet", "-o", &cache, TESTS]);
+    if let Some(filter) = &args.filter {
+        tests.args(["-k", filter]);
+    }
+    tests.env("PB3DP", programs.join("pb3dp")).env("PYTHONDONTWRITEBYTECODE", "1");
+    run_visibly(&mut tests)
+}
