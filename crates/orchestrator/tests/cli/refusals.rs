@@ -190,7 +190,7 @@ fn a_folder_without_cases_is_named() {
     pb3dp(&words(&[&"estimate", &"--cases", &empty])).assert_refused(&["case.json", "empty"]);
     pb3dp(&words(&[&"estimate", &"--cases", &dir.path().join("absent")])).assert_refused(&["absent"]);
     let refused = pb3dp(&words(&[&"track", &"--sequence", &empty]));
-    refused.assert_refused(&["sequence.json", "empty", "[PB3DP-DAT-"]);
+    refused.assert_refused(&["sequence.json", "empty", "[PB3DP-CAM-005]"]);
     assert!(!refused.stderr.contains("code="), "{}", refused.stderr);
 }
 
