@@ -2,11 +2,15 @@
 
 import csv
 import json
+import os
+import random
 import shutil
+import subprocess
+import time
 
 import numpy
 import pytest
-from conftest import SECONDS, pb3dp, tracked
+from conftest import PB3DP, SECONDS, pb3dp, tracked
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from PIL import Image
@@ -231,3 +235,36 @@ def test_a_recording_that_was_cut_is_read_and_recovered(run, tmp_path):
     assert len(messages["/left/image_raw"]) >= len(frames)
     # Nothing is overwritten.
     pb3dp("recover", cut, expect=1)
+
+
+def test_pairs_are_extracted_as_they_were(run, tmp_path):
+    sequence = json.loads((run / "sequence/sequence.json").read_text())
+    pb3dp("extract", run / "run.mcap", "--out", tmp_path / "pairs", "--every", 7)
+    numbers = list(range(0, sequence["frames"], 7))
+    for side in ("left", "right"):
+        assert sorted(file.name for file in (tmp_path / "pairs" / side).iterdir()) == [f"{number:06}.png" for number in numbers]
+        for number in numbers:
+            found = numpy.asarray(Image.open(tmp_path / "pairs" / side / f"{number:06}.png"))
+            assert (found == numpy.asarray(Image.open(run / "sequence" / (sequence[side] % number)))).all()
+    pb3dp("extract", run / "run.mcap", "--out", tmp_path / "pairs", expect=1)
+
+
+def test_a_killed_run_loses_half_a_second(tmp_path):
+    """Killed at any moment, it can be recovered up to half a second and a little before."""
+    for attempt in range(int(os.environ.get("PB3DP_KILLS", "3"))):
+        file = tmp_path / f"killed_{attempt}.mcap"
+        arguments = ["run", "--config", "sim", "--set", "estimator.method=\"geometric\"", "--set", "run.pace=real-time", "--set",
+                     "estimator.compare=[]", "--out", tmp_path / f"out_{attempt}", "--record", file]
+        child = subprocess.Popen([PB3DP, *map(str, arguments)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        while not file.exists():
+            time.sleep(0.01)
+        time.sleep(random.uniform(1.0, 3.0))
+        killed_at = time.time()
+        child.kill()
+        child.wait()
+        recovered = tmp_path / f"recovered_{attempt}.mcap"
+        pb3dp("recover", file, "--out", recovered)
+        last = max(at for topic in decoded(recovered).values() for at, _ in topic) * 1e-9
+        lost = killed_at - last
+        print(f"killed: {lost:.2f} s lost")
+        assert lost <= 0.6

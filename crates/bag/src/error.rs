@@ -48,7 +48,7 @@ pub enum BagError {
         why: String,
     },
     /// A file would be overwritten.
-    #[error("{}: exists already; give another name", file.display())]
+    #[error("{}: exists already; give another name (of a new file: --out)", file.display())]
     Exists {
         /// The file.
         file: PathBuf,
@@ -103,7 +103,7 @@ pub enum BagError {
         why: String,
     },
     /// The calibration in the recording is refused.
-    #[error("{}: the calibration in it is refused; give another one with --calib", file.display())]
+    #[error("{}: the calibration in it is refused; exchange the two topics, or give another one with --calib", file.display())]
     Calibration {
         /// The file.
         file: PathBuf,

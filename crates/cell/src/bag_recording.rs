@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use nalgebra::Matrix6;
+use pb3dp_bag::BagError;
 use pb3dp_bag::cdr::Bytes;
 use pb3dp_bag::messages::{
     CameraInfo, CompressedImage, DiagnosticStatus, Diagnostics, Header, Image, JointState, KeyValue, Level, LogLine,
@@ -13,7 +14,7 @@ use pb3dp_bag::messages::{
     RegionOfInterest, RosPose, Text, Time, Transform, TransformStamped, Transforms, Vector3 as RosVector,
 };
 use pb3dp_bag::topics::ours;
-use pb3dp_bag::writer::{BagWriter, WhenFull};
+use pb3dp_bag::writer::{BagWriter, WhenFull, Written};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::frames::{CamLeft, Flange, Frame};
 use pb3dp_geometry::{MonotonicTime, Pose, StereoRig};
@@ -57,11 +58,16 @@ impl<'a> RecordTo<'a> {
     }
 }
 
-/// A recording of a run in one file.
-pub struct BagRecording {
+/// A recording of stereo pairs in one file, with their calibration if there is one.
+pub struct PairRecording {
     writer: BagWriter,
     since_1970: Duration,
-    infos: [CameraInfo; 2],
+    infos: Option<[CameraInfo; 2]>,
+}
+
+/// A recording of a run in one file.
+pub struct BagRecording {
+    pairs: PairRecording,
     joint_names: [Vec<String>; 2],
     /// The arm that carries the cameras, and their mounting.
     vs_chain: Chain,
@@ -76,62 +82,44 @@ impl BagRecording {
     /// If the file exists or cannot be written, or the cameras have no calibration that ROS 2 can express.
     pub fn new(to: &RecordTo<'_>, setup: &Setup) -> Result<Self> {
         let when_full = if setup.pace == Pace::Fast { WhenFull::Wait } else { WhenFull::Drop };
-        let rig = &setup.rig.stereo;
-        let infos = ros_camera_infos(rig)?;
-        let writer = BagWriter::create(to.path, when_full).context("--record")?;
+        let pairs = PairRecording::new(to, Some(&setup.rig.stereo), when_full)?;
         let vs = &setup.rig.arms.vs;
         let names = |chain: &Chain| chain.joint_names().into_iter().map(str::to_owned).collect();
         let mut recording = Self {
-            writer,
-            since_1970: to.since_1970,
-            infos: [0, 1].map(|side| camera_info(CAMERAS[side], &infos[side])),
+            pairs,
             joint_names: [names(&vs.chain), names(&setup.rig.arms.tc.chain)],
             vs_chain: vs.chain.clone(),
             flange_from_cam_left: setup.controller.flange_from_hand * setup.controller.hand_from_cam_left,
             is_failure_reported: false,
         };
-        recording.begin(to, rig);
+        recording.pairs.push(ours::SETUP, MonotonicTime::ZERO, &Text { data: to.setup_text.clone() });
         Ok(recording)
-    }
-
-    /// Texts, and the pose of the right camera.
-    fn begin(&mut self, to: &RecordTo<'_>, rig: &StereoRig) {
-        let zero = MonotonicTime::ZERO;
-        let calibration = json_text(rig);
-        for (topic, text) in
-            [(ours::VERSION, &to.version), (ours::SETUP, &to.setup_text), (ours::CALIBRATION, &calibration)]
-        {
-            self.push(topic, zero, &Text { data: text.clone() });
-        }
-        let right = rig.cam_right_from_cam_left().inverse();
-        let right = self.transform(zero, CAMERAS[0], CAMERAS[1], &right);
-        self.push("/tf_static", zero, &Transforms { transforms: vec![right] });
     }
 
     /// Records a pair with its estimate.
     pub fn seen(&mut self, seen: &PairEstimate) {
         let at = seen.captured.frame.at;
         if let View::Images(pair) = &seen.captured.view {
-            self.images(pair);
+            self.pairs.images(pair);
         }
         if let Some(region) = &seen.region {
             let corners = polygon_px(&outline_px(region.clone(), &seen.estimate));
             let points = corners.iter().map(|[u, v]| Point32 { x: *u as f32, y: *v as f32, z: 0.0 }).collect();
-            let header = self.header(at, CAMERAS[0]);
-            self.push(ours::REGION, at, &PolygonStamped { header, polygon: Polygon { points } });
+            let header = self.pairs.header(at, CAMERAS[0]);
+            self.pairs.push(ours::REGION, at, &PolygonStamped { header, polygon: Polygon { points } });
         }
         self.status(seen, at);
         if let Some(found) = &seen.estimate.cam_left_from_model {
             let covariance = seen.estimate.covariance.map_or([0.0; 36], |c| in_camera_axes(found, &c));
             let pose = PoseWithCovariance { pose: ros_pose(found), covariance };
-            let header = self.header(at, CAMERAS[0]);
-            self.push(ours::POSE, at, &PoseWithCovarianceStamped { header, pose });
-            let transforms = vec![self.transform(at, CAMERAS[0], TARGET, found)];
-            self.push(ours::TF, at, &Transforms { transforms });
+            let header = self.pairs.header(at, CAMERAS[0]);
+            self.pairs.push(ours::POSE, at, &PoseWithCovarianceStamped { header, pose });
+            let transforms = vec![self.pairs.transform(at, CAMERAS[0], TARGET, found)];
+            self.pairs.push(ours::TF, at, &Transforms { transforms });
         }
         if let Some(truth) = &seen.captured.cam_left_from_target {
-            let header = self.header(at, CAMERAS[0]);
-            self.push(ours::TRUTH, at, &PoseStamped { header, pose: ros_pose(truth) });
+            let header = self.pairs.header(at, CAMERAS[0]);
+            self.pairs.push(ours::TRUTH, at, &PoseStamped { header, pose: ros_pose(truth) });
         }
         self.report_failure();
     }
@@ -150,28 +138,28 @@ impl BagRecording {
             let velocity =
                 if side == 0 { step.vs_joints.velocity_rad_per_s.as_slice()[..count].to_vec() } else { Vec::new() };
             let state = JointState {
-                header: self.header(at, ""),
+                header: self.pairs.header(at, ""),
                 name: names.clone(),
                 position: arm.position_rad.as_slice()[..count].to_vec(),
                 velocity,
                 effort: Vec::new(),
             };
-            self.push(measured, at, &state);
+            self.pairs.push(measured, at, &state);
             // A hold is a command without velocities.
             let velocity =
                 arm.requested_rad_per_s.map(|velocity| velocity.as_slice()[..count].to_vec()).unwrap_or_default();
-            let header = self.header(at, "");
+            let header = self.pairs.header(at, "");
             let command = JointState { header, name: names, position: Vec::new(), velocity, effort: Vec::new() };
-            self.push(commanded, at, &command);
+            self.pairs.push(commanded, at, &command);
         }
         let base_from_cam_left = self.vs_chain.forward(&step.arms[0].position_rad) * self.flange_from_cam_left;
-        let transforms = vec![self.transform(at, BASE, CAMERAS[0], &base_from_cam_left)];
-        self.push(ours::TF, at, &Transforms { transforms });
+        let transforms = vec![self.pairs.transform(at, BASE, CAMERAS[0], &base_from_cam_left)];
+        self.pairs.push(ours::TF, at, &Transforms { transforms });
         if let Some(transition) = &step.decision.transition {
             let msg = format!("{} -> {} ({}): {}", transition.from, transition.to, transition.event, step.decision.why);
             let (name, file, function) = ("supervisor".to_owned(), String::new(), String::new());
-            let line = LogLine { stamp: self.stamp(at), level: 20, name, msg, file, function, line: 0 };
-            self.push(ours::EVENTS, at, &line);
+            let line = LogLine { stamp: self.pairs.stamp(at), level: 20, name, msg, file, function, line: 0 };
+            self.pairs.push(ours::EVENTS, at, &line);
         }
     }
 
@@ -180,7 +168,7 @@ impl BagRecording {
     /// # Errors
     /// If it could not be written.
     pub fn finish(self) -> Result<()> {
-        let written = self.writer.finish().context("--record")?;
+        let written = self.pairs.finish().context("--record")?;
         let all: u64 = written.messages.values().sum();
         tracing::info!("{all} messages recorded: {}", written.file.display());
         if written.dropped > 0 {
@@ -191,34 +179,11 @@ impl BagRecording {
 
     /// A full disk is reported at once, but does not end the run.
     fn report_failure(&mut self) {
-        if !self.is_failure_reported && self.writer.is_over() {
+        if !self.is_failure_reported && self.pairs.is_over() {
             self.is_failure_reported = true;
             tracing::error!(
                 "--record: the recording has ended early, its file cannot be written any more; the run goes on"
             );
-        }
-    }
-
-    fn images(&mut self, pair: &FramePair) {
-        let right_at = MonotonicTime::from_nanos(pair.exposed_at.as_nanos().saturating_add_signed(pair.skew_nanos));
-        let sides = [
-            (&pair.left, pair.exposed_at, [ours::LEFT_IMAGE, ours::LEFT_COMPRESSED, ours::LEFT_INFO]),
-            (&pair.right, right_at, [ours::RIGHT_IMAGE, ours::RIGHT_COMPRESSED, ours::RIGHT_INFO]),
-        ];
-        for (side, (image, at, [plain, compressed, info])) in sides.into_iter().enumerate() {
-            let header = self.header(at, CAMERAS[side]);
-            let camera = CameraInfo { header: header.clone(), ..self.infos[side].clone() };
-            self.push(info, at, &camera);
-            let jpeg = &pair.jpegs[side];
-            if jpeg.is_empty() {
-                let (width, height) = image.dimensions();
-                let (encoding, data) = ("rgb8".to_owned(), Bytes(image.as_raw().clone()));
-                let image = Image { header, height, width, encoding, is_bigendian: 0, step: 3 * width, data };
-                self.push(plain, at, &image);
-            } else {
-                let image = CompressedImage { header, format: "jpeg".to_owned(), data: Bytes(jpeg.clone()) };
-                self.push(compressed, at, &image);
-            }
         }
     }
 
@@ -248,8 +213,69 @@ impl BagRecording {
             hardware_id: String::new(),
             values,
         };
-        let header = self.header(at, CAMERAS[0]);
-        self.push(ours::STATUS, at, &Diagnostics { header, status: vec![status] });
+        let header = self.pairs.header(at, CAMERAS[0]);
+        self.pairs.push(ours::STATUS, at, &Diagnostics { header, status: vec![status] });
+    }
+}
+
+impl PairRecording {
+    /// Creates the file and writes what does not change. Pairs without a calibration are recorded, too.
+    ///
+    /// # Errors
+    /// If the file exists or cannot be written, or the cameras have no calibration that ROS 2 can express.
+    pub fn new(to: &RecordTo<'_>, rig: Option<&StereoRig>, when_full: WhenFull) -> Result<Self> {
+        let infos = rig.map(ros_camera_infos).transpose()?;
+        let infos = infos.map(|infos| [0, 1].map(|side| camera_info(CAMERAS[side], &infos[side])));
+        let writer = BagWriter::create(to.path, when_full)?;
+        let mut recording = Self { writer, since_1970: to.since_1970, infos };
+        let zero = MonotonicTime::ZERO;
+        recording.push(ours::VERSION, zero, &Text { data: to.version.clone() });
+        if let Some(rig) = rig {
+            recording.push(ours::CALIBRATION, zero, &Text { data: json_text(rig) });
+            let right = rig.cam_right_from_cam_left().inverse();
+            let right = recording.transform(zero, CAMERAS[0], CAMERAS[1], &right);
+            recording.push("/tf_static", zero, &Transforms { transforms: vec![right] });
+        }
+        Ok(recording)
+    }
+
+    /// Records a pair: images that the camera delivered as JPEG as they are.
+    pub fn images(&mut self, pair: &FramePair) {
+        let right_at = MonotonicTime::from_nanos(pair.exposed_at.as_nanos().saturating_add_signed(pair.skew_nanos));
+        let sides = [
+            (&pair.left, pair.exposed_at, [ours::LEFT_IMAGE, ours::LEFT_COMPRESSED, ours::LEFT_INFO]),
+            (&pair.right, right_at, [ours::RIGHT_IMAGE, ours::RIGHT_COMPRESSED, ours::RIGHT_INFO]),
+        ];
+        for (side, (image, at, [plain, compressed, info])) in sides.into_iter().enumerate() {
+            let header = self.header(at, CAMERAS[side]);
+            let camera = self.infos.as_ref().map(|infos| infos[side].clone());
+            if let Some(camera) = camera {
+                self.push(info, at, &CameraInfo { header: header.clone(), ..camera });
+            }
+            let jpeg = &pair.jpegs[side];
+            if jpeg.is_empty() {
+                let (width, height) = image.dimensions();
+                let (encoding, data) = ("rgb8".to_owned(), Bytes(image.as_raw().clone()));
+                let image = Image { header, height, width, encoding, is_bigendian: 0, step: 3 * width, data };
+                self.push(plain, at, &image);
+            } else {
+                let image = CompressedImage { header, format: "jpeg".to_owned(), data: Bytes(jpeg.clone()) };
+                self.push(compressed, at, &image);
+            }
+        }
+    }
+
+    /// Whether the recording has ended before [`Self::finish`]: its file cannot be written any more.
+    pub fn is_over(&self) -> bool {
+        self.writer.is_over()
+    }
+
+    /// Finishes the file.
+    ///
+    /// # Errors
+    /// If it could not be written.
+    pub fn finish(self) -> Result<Written, BagError> {
+        self.writer.finish()
     }
 
     fn push<M: pb3dp_bag::messages::Message>(&mut self, topic: &'static str, at: MonotonicTime, message: &M) {

@@ -185,7 +185,7 @@ const TRACK_JSON: &str =
 #[derive(Debug, Args)]
 #[command(after_long_help = TRACK_JSON)]
 pub struct TrackArgs {
-    /// The recording: a sequence folder, an MCAP file or rosbag2 folder, a EuRoC folder, or a folder of images (docs/dataset-format.md).
+    /// The recording: a sequence folder, an MCAP file or rosbag2 folder, a EuRoC folder, or a folder of images (docs/recordings.md).
     #[arg(long, value_name = "PATH")]
     pub sequence: PathBuf,
     /// Calibration of the recording's cameras, instead of its own: as --calib of `pb3dp estimate`.

@@ -12,6 +12,7 @@ use crate::commands::completions::CompletionsArgs;
 use crate::commands::config::ConfigArgs;
 use crate::commands::doctor::DoctorArgs;
 use crate::commands::explain::ExplainArgs;
+use crate::commands::extract::ExtractArgs;
 use crate::commands::generate::GenerateArgs;
 use crate::commands::identify::IdentifyArgs;
 use crate::commands::panel::PanelArgs;
@@ -73,6 +74,8 @@ pub enum Command {
     Estimate(EstimateArgs),
     /// Track a region through a recorded stereo sequence.
     Track(TrackArgs),
+    /// Write the stereo pairs of an MCAP recording as image files.
+    Extract(ExtractArgs),
     /// Make a whole file from a recording that was broken off by a kill or a full disk.
     Recover(RecoverArgs),
     /// Point at objects with the mouse, on recorded images or bare cameras, without arms.

@@ -29,6 +29,7 @@ fn main() -> ExitCode {
         Command::Run(args) => commands::run::run(args),
         Command::Estimate(args) => commands::estimate::run(args),
         Command::Track(args) => commands::track::run(args),
+        Command::Extract(args) => commands::extract::run(args),
         Command::Recover(args) => commands::recover::run(args),
         Command::Panel(args) => commands::panel::run(args),
         Command::Identify(args) => commands::identify::run(args),

@@ -37,7 +37,7 @@ impl EstimateRow<'_> {
     pub fn line(&self) -> String {
         let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:.4}"));
         let (age, latency) = (number(self.age_millis), number(self.latency_millis));
-        let mut text = format!("{:.4},{},{age},{latency},{}", self.t_s, self.status, number(self.fitness));
+        let mut text = format!("{:.6},{},{age},{latency},{}", self.t_s, self.status, number(self.fitness));
         match self.cam_left_from_model {
             Some(pose) => {
                 let (p, q) = (pose.translation_m() * 1e3, pose.rotation());
@@ -90,7 +90,7 @@ mod tests {
         let line = known.line();
         let cells: Vec<&str> = line.split(',').collect();
         let cell = |name: &str| cells[names.iter().position(|other| *other == name).unwrap()];
-        assert_eq!([cell("t_s"), cell("age_ms"), cell("latency_ms")], ["0.2500", "", "12.5000"]);
+        assert_eq!([cell("t_s"), cell("age_ms"), cell("latency_ms")], ["0.250000", "", "12.5000"]);
         assert_eq!([cell("x_mm"), cell("y_mm"), cell("z_mm")], ["1.0000", "-20.0000", "500.0000"]);
         // mm x rad.
         assert_eq!(cell("c15").parse::<f64>().unwrap(), 4e-3);

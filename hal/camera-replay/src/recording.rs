@@ -54,6 +54,8 @@ pub struct Recording {
     pub cam_left_from_model: Option<Vec<Pose<CamLeft, Model>>>,
     /// What the user should know of the recording.
     pub notes: Vec<String>,
+    /// What is missing or not as it should be.
+    pub warnings: Vec<String>,
 }
 
 impl Recording {
@@ -64,6 +66,8 @@ impl Recording {
     /// Kind `Unusable` if the recording, its description or its calibration cannot be used; images are checked when they are played.
     pub fn open(path: &Path, asked: &RecordingOptions, options: ReplayOptions) -> Result<Self, CameraError> {
         let options = ReplayOptions { range: asked.range, ..options };
+        // The description of a bag stands for its folder.
+        let path = path.parent().filter(|_| path.is_file() && path.ends_with("metadata.yaml")).unwrap_or(path);
         if is_sequence(path) || is_sequence_file(path) {
             return Self::of_sequence(path, asked, options);
         }
@@ -77,6 +81,9 @@ impl Recording {
                 files => calibration_in(path, files)?,
             };
             return Self::timed(path, pairs, calibration, (asked, options));
+        }
+        if path.is_file() {
+            return Err(unusable_bag(path, BagError::NoMcap { file: path.to_path_buf() }));
         }
         if !path.exists() {
             let message = format!("cannot replay {}: it does not exist; check the path", path.display());
@@ -100,15 +107,15 @@ impl Recording {
 
     fn of_sequence(path: &Path, asked: &RecordingOptions, options: ReplayOptions) -> Result<Self, CameraError> {
         let sequence = load_sequence(path).map_err(|error| unusable(path, error))?;
-        let mut notes = Vec::new();
+        let mut warnings = Vec::new();
         if sequence.is_unfinished {
-            notes.push(format!(
+            warnings.push(format!(
                 "the recording was broken off: it has no sequence.json; its {} frames until the last whole one are used",
                 sequence.frames()
             ));
         }
         if !sequence.other_keys.is_empty() {
-            notes.push(format!(
+            warnings.push(format!(
                 "sequence.json has keys that are not known and not used: {}",
                 sequence.other_keys.join(", ")
             ));
@@ -124,7 +131,8 @@ impl Recording {
             region_polygon_left_px: Some(sequence.region_polygon_left_px),
             search: Some(sequence.search),
             cam_left_from_model: sequence.cam_left_from_model,
-            notes,
+            notes: Vec::new(),
+            warnings,
         })
     }
 
@@ -142,8 +150,9 @@ impl Recording {
         let from = region.as_ref().map(|region| region.at);
         let skipped = times.iter().take_while(|(at, _)| from.is_some_and(|from| *at < from)).count();
         let mut notes = vec![format!("images: {} and {}", bag.topics()[0].name, bag.topics()[1].name)];
+        let mut warnings = Vec::new();
         if bag.bag().is_unfinished() {
-            notes.push(format!(
+            warnings.push(format!(
                 "the recording was broken off: it has no end; its {} pairs until the last whole one are used",
                 times.len()
             ));
@@ -162,6 +171,7 @@ impl Recording {
         let mut recording = Self::timed(path, TimedPairs { pairs, unpaired }, calibration, (asked, options))?;
         recording.camera.bag = Some(images);
         recording.notes.splice(0..0, notes);
+        recording.warnings.splice(0..0, warnings);
         recording.region_polygon_left_px = region.map(|region| region.corners_px);
         Ok(recording)
     }
@@ -180,19 +190,19 @@ impl Recording {
             );
             return Err(CameraError::new(CameraErrorKind::Unusable, message));
         }
-        let mut notes = Vec::new();
+        let mut warnings = Vec::new();
         if unpaired > 0 {
-            notes.push(format!(
-                "{unpaired} images are left out: the other camera has none within {within_ms} ms (--pair-within)"
+            warnings.push(format!(
+                "images left out, because the other camera has none within {within_ms} ms (--pair-within): {unpaired}"
             ));
         }
         let source = Source::of_times(pairs, options.period);
-        Ok(Self::plain(ReplayCamera::new(path, source, calibration, options)?, notes))
+        Ok(Self { warnings, ..Self::plain(ReplayCamera::new(path, source, calibration, options)?, Vec::new()) })
     }
 
     fn plain(camera: ReplayCamera, notes: Vec<String>) -> Self {
-        let times_s = camera.source.times_s();
-        Self { camera, times_s, region_polygon_left_px: None, search: None, cam_left_from_model: None, notes }
+        let (times_s, warnings) = (camera.source.times_s(), Vec::new());
+        Self { camera, times_s, region_polygon_left_px: None, search: None, cam_left_from_model: None, notes, warnings }
     }
 }
 

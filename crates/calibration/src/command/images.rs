@@ -8,12 +8,10 @@ use crate::detection::{NoBoard, agree, find_board};
 use crate::fit::{View, sides};
 use anyhow::{Context, Result, bail};
 use pb3dp_geometry::ImageSize;
-use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
+use pb3dp_record::images::{EXTENSIONS, load_rgb, load_rgb_of_size, size_of};
 use pb3dp_record::stops::{Stop, Stops, load_stops};
 
 use super::DetectedBoards;
-
-const EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 
 /// The images of each view, by view name.
 pub(super) struct Images<const N: usize> {

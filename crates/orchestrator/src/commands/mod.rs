@@ -7,6 +7,7 @@ pub mod config;
 pub mod doctor;
 pub mod estimate;
 pub mod explain;
+pub mod extract;
 pub mod generate;
 pub mod identify;
 pub mod overlay_folder;

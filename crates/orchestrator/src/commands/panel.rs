@@ -125,11 +125,14 @@ fn serve(
 }
 
 fn recorded(path: &Path, asked: &RecordingOptions, clock: &Arc<dyn Clock>) -> Result<Source> {
-    let Recording { camera, search, notes, .. } =
+    let Recording { camera, search, notes, warnings, .. } =
         wire_endless_replay(path, asked, Arc::clone(clock)).context("--sequence")?;
     let calibration = camera.calibration().clone();
     for note in notes.iter().chain(&calibration.notes) {
-        tracing::warn!("{note}");
+        tracing::info!("{note}");
+    }
+    for warning in &warnings {
+        tracing::warn!("{warning}");
     }
     let of_recording = |search: pb3dp_record::dataset::SearchRange| SearchRange {
         z_min_m: search.z_min_m,

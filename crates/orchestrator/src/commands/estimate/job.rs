@@ -125,6 +125,9 @@ impl Job {
             }
             (None, _) => bail!("this pair has no region: mark the object in its left image with --region"),
         };
+        for warning in &recording.warnings {
+            tracing::warn!("{warning}");
+        }
         let mut notes = recording.notes;
         notes.extend(recording.camera.calibration().notes.iter().cloned());
         notes.extend(recording.camera.take_notes());
@@ -158,7 +161,7 @@ fn check_sizes(rig: &StereoRig, left: &RgbImage, file: &Path, source: &str) -> R
 }
 
 /// Depths at which the disparity is 5 to 35 % of the image's width.
-fn default_range(rig: &StereoRig, is_used: bool, notes: &mut Vec<String>) -> SearchRange {
+pub fn default_range(rig: &StereoRig, is_used: bool, notes: &mut Vec<String>) -> SearchRange {
     let focal_baseline = rig.left().pinhole().fx * rig.baseline_m();
     let width = f64::from(rig.left().size().width);
     let (z_min_m, z_max_m) = (focal_baseline / (0.35 * width), focal_baseline / (0.05 * width));

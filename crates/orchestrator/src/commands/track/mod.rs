@@ -47,7 +47,10 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     let mut recording =
         wire_replay(&args.sequence, &args.recording.options(&args.calib), args.pace).context("--sequence")?;
     for note in recording.notes.iter().chain(&recording.camera.calibration().notes) {
-        tracing::warn!("{note}");
+        tracing::info!("{note}");
+    }
+    for warning in &recording.warnings {
+        tracing::warn!("{warning}");
     }
     let rig = *recording.camera.rig();
     let mut walk = Walk::new(method, &rig, &recording, args)?;
@@ -62,7 +65,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     for (frame, &t_s) in recording.times_s.iter().enumerate() {
         let played = recording.camera.next_pair_into(&mut pair, PAIR_TIMEOUT);
         for note in recording.camera.take_notes() {
-            tracing::warn!("{note}");
+            tracing::info!("{note}");
         }
         let lines = match played {
             Ok(()) => {

@@ -20,12 +20,9 @@ use pb3dp_wiring::Recording;
 use pb3dp_wiring::message_codes::in_words;
 
 use super::super::estimate::estimator_config;
-use super::super::estimate::job::{overridden, range_of_dataset};
+use super::super::estimate::job::{default_range, overridden, range_of_dataset};
 use crate::arguments::TrackArgs;
 use crate::commands::pair::usable;
-
-/// Search range where a recording states none: 300 to 1500 mm, tilts up to 60 degrees, as in `pb3dp panel`.
-const SEARCH_RANGE: SearchRange = SearchRange { z_min_m: 0.3, z_max_m: 1.5, tilt_max_rad: std::f64::consts::FRAC_PI_3 };
 
 /// All targets of a sequence.
 pub struct Walk {
@@ -167,14 +164,22 @@ impl Walk {
     /// A refused configuration, or a method that does not track.
     pub fn new(method: Method, rig: &StereoRig, recording: &Recording, args: &TrackArgs) -> Result<Self> {
         let config = estimator_config(&args.method)?;
-        let range = overridden(recording.search.as_ref().map_or(SEARCH_RANGE, range_of_dataset), &args.method);
+        let mut notes = Vec::new();
+        let given = match &recording.search {
+            Some(search) => range_of_dataset(search),
+            None => default_range(rig, args.method.z_range.is_none(), &mut notes),
+        };
+        notes.iter().for_each(|note| tracing::info!("{note}"));
+        let range = overridden(given, &args.method);
         let own = recording.region_polygon_left_px.as_ref().map(|corners| {
             let vertices_px = corners.iter().map(|&[u, v]| Vector2::new(u, v)).collect();
             Mark::Polygon(Region::Polygon { vertices_px })
         });
         let marks: Vec<Mark> = own.into_iter().chain(args.region.iter().cloned().map(Mark::Spec)).collect();
         if marks.is_empty() {
-            bail!("the recording has no region: mark the target in the left image of its first frame with --region");
+            bail!(
+                "the recording has no region: mark the target in the left image of its first frame with --region, such as --region rect:X,Y,WIDTH,HEIGHT, or with the mouse: pb3dp panel --sequence"
+            );
         }
         let target = |mark| Ok(TrackedTarget::new(mark, Tracker::new(method, rig, &config)?, range));
         Ok(Self {

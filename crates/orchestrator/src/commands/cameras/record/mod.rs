@@ -1,5 +1,6 @@
-//! `pb3dp cameras record`: records camera pairs as a sequence folder, at their full rate.
+//! `pb3dp cameras record`: records camera pairs as a file or a sequence folder, at their full rate.
 
+mod file;
 mod recorder;
 #[cfg(test)]
 mod tests;
@@ -13,6 +14,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use pb3dp_camera_v4l2::video::VideoSystem;
 use pb3dp_camera_v4l2::{Side, V4l2StereoCamera};
+use pb3dp_cell::bag_recording::RecordTo;
 use pb3dp_cell::terminal::{parse_seconds, print_line};
 use pb3dp_geometry::ImageSize;
 use pb3dp_hal_api::{Clock, StereoCamera};
@@ -35,7 +37,7 @@ const RECORD_JSON: &str =
     "Ctrl-C ends the recording in order. Exit code: 0 if every pair was kept, 1 if any is missing or something failed; what was written
 before that stays a whole sequence.
 Object of --json:
-  file             its sequence.json, or null if nothing was kept
+  file             the file, or the sequence.json of the folder; null if nothing was kept
   pairs            pairs that were kept
   seconds          from the first to the last pair
   missing_queue    pairs left out because they could not be written fast enough
@@ -52,8 +54,9 @@ const TILT_MAX_DEG: f64 = 60.0;
 pub(super) struct RecordArgs {
     #[command(flatten)]
     cameras: CameraChoice,
-    /// The output folder; it must not contain a sequence.
-    #[arg(long, value_name = "DIR")]
+    /// Where to record: a FILE.mcap, which needs no calibration and no target, or a folder, which becomes a sequence. An earlier recording
+    /// is not overwritten.
+    #[arg(long, value_name = "FILE.mcap|DIR")]
     out: PathBuf,
     /// End after this many seconds.
     #[arg(long, value_name = "SECONDS", value_parser = parse_seconds, conflicts_with = "pairs", allow_hyphen_values = true)]
@@ -102,7 +105,7 @@ pub(super) fn run(system: Arc<dyn VideoSystem>, clock: Arc<dyn Clock>, args: &Re
 }
 
 /// Result of a recording in the form of `--json`.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 struct Recorded {
     file: Option<PathBuf>,
     pairs: u64,
@@ -122,6 +125,17 @@ fn recorded(
     is_over: &mut dyn FnMut() -> bool,
 ) -> Result<Recorded> {
     let Chosen { config, rig, target, .. } = args.cameras.chosen()?;
+    if RecordTo::is_file(&args.out) {
+        file::check_options(args)?;
+        let mut camera =
+            V4l2StereoCamera::open(system, Arc::clone(&clock), &config).context("the cameras cannot be used")?;
+        if let Some(rig) = &rig {
+            check_size(rig, camera.info().size)?;
+        }
+        tracing::info!("{}: recording into {}", camera.info().name, args.out.display());
+        let until = file::Until { pairs: args.pairs, time: args.seconds.map(Duration::from_secs_f64) };
+        return file::record(&mut camera, clock.as_ref(), (&args.out, rig.as_ref()), &until, is_over);
+    }
     let Some(rig) = rig else {
         bail!(
             "a sequence needs a calibration: give --calib FILE; for images of which one is to be made, any one of their size will do, \

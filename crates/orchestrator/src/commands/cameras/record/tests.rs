@@ -4,6 +4,8 @@ use std::os::unix::fs::symlink;
 use std::sync::Mutex;
 
 use clap::Parser as _;
+use pb3dp_bag::pairs::{PairOptions, StereoBag};
+use pb3dp_record::calibration_files::load_stereo;
 use pb3dp_record::dataset::load_sequence;
 
 use super::super::emulated_rig::{case, images, number_in, system, typed};
@@ -236,4 +238,41 @@ fn what_can_not_be_recorded_is_refused_before_anything_is_written() {
     let uncalibrated: RecordArgs = typed(&["--format", "RGB3", "--out", &place.out().display().to_string()]);
     assert!(refused(&uncalibrated).contains("give --calib FILE"));
     assert!(!place.out().exists());
+}
+
+/// One file, with the calibration and without.
+#[test]
+fn a_file_has_every_pair_as_it_was() {
+    let place = Place::new();
+    let of_file = |name: &str, calibration: &[&str]| {
+        let out = place.folder.path().join(name);
+        let text = out.display().to_string();
+        let args = typed(&[&["--format", "RGB3", "--out", &text, "--pairs", "6"], calibration].concat());
+        let (system, clock) = system(|_, _| {});
+        let line = recorded(system, clock, &args, &mut never).unwrap();
+        assert_eq!((line.pairs, line.wrong(), line.file), (6, None, Some(out.clone())));
+        let bag = StereoBag::open(&out, PairOptions::default()).unwrap();
+        for (number, pair) in bag.pairs().enumerate() {
+            let pair = pair.unwrap();
+            assert_eq!(pair.skew_nanos, 1_000_000);
+            for (read, painted) in pair.images.unwrap().iter().zip(images()) {
+                assert_eq!(number_in(read), number as u64);
+                assert_eq!(read.as_raw()[8..], painted.as_raw()[8..]);
+            }
+        }
+        bag
+    };
+    let with = of_file("with.mcap", &["--calib", &place.calibration]);
+    let expected = load_stereo(&[place.calibration.clone().into()]).unwrap();
+    assert_eq!(with.calibration().unwrap().rig.left(), expected.rig.left());
+    let without = of_file("without.mcap", &[]);
+    assert!(without.calibration().unwrap_err().to_string().contains("--calib"));
+    let again = typed(&["--format", "RGB3", "--out", &place.folder.path().join("with.mcap").display().to_string()]);
+    let (system, clock) = system(|_, _| {});
+    let error = recorded(system, clock, &again, &mut never).unwrap_err();
+    assert!(format!("{error:#}").contains("exists already"), "{error:#}");
+    let of_folder = typed(&["--format", "RGB3", "--out", "new.mcap", "--jpeg", "90"]);
+    let (system, clock) = super::super::emulated_rig::system(|_, _| {});
+    let error = recorded(system, clock, &of_folder, &mut never).unwrap_err();
+    assert!(error.to_string().starts_with("--jpeg: only a folder"), "{error:#}");
 }
