@@ -268,3 +268,25 @@ def test_a_killed_run_loses_half_a_second(tmp_path):
         lost = killed_at - last
         print(f"killed: {lost:.2f} s lost")
         assert lost <= 0.6
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_run(tmp_path):
+    small = tmp_path / "small"
+    small.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=20m", "tmpfs", small], capture_output=True, check=False).returncode:
+        pytest.skip("NOT CHECKED: a small disk cannot be mounted here")
+    try:
+        file = small / "run.mcap"
+        done = subprocess.run(
+            [PB3DP, "run", "--config", "sim", "--set", "scene.target=card", "--set", "run.pace=fast", "--set", "estimator.compare=[]",
+             "--stop-after", "2", "--out", tmp_path / "out", "--record", file],
+            capture_output=True, text=True, timeout=300, check=False)
+        assert done.returncode == 1
+        assert "the recording has ended early" in done.stderr and "No space left" in done.stderr, done.stderr
+        # The run went on to its end, and its report is there.
+        summary = json.loads((tmp_path / "out/summary.json").read_text())
+        assert summary["summary"]["duration_s"] >= 2.0
+        pb3dp("recover", file, "--out", tmp_path / "recovered.mcap")
+        assert len(decoded(tmp_path / "recovered.mcap")["/left/image_raw"]) >= 7
+    finally:
+        subprocess.run(["umount", small], check=False)

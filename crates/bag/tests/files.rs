@@ -5,13 +5,16 @@ use std::time::Duration;
 
 use pb3dp_bag::BagError;
 use pb3dp_bag::cdr::Bytes;
-use pb3dp_bag::messages::{CameraInfo, CompressedImage, Header, Image, Message, RegionOfInterest, Text};
+use pb3dp_bag::messages::{
+    CameraInfo, CompressedImage, Header, Image, Message, PolygonStamped, RegionOfInterest, Text,
+};
 use pb3dp_bag::pairs::{PairOptions, StereoBag};
 use pb3dp_bag::reader::Bag;
 use pb3dp_bag::recover::recover;
 use pb3dp_bag::topics::ours;
 use pb3dp_bag::writer::{BagWriter, WhenFull};
 use pb3dp_geometry::MonotonicTime;
+use proptest::prelude::*;
 
 fn at(millis: u64) -> MonotonicTime {
     MonotonicTime::from_nanos(1_700_000_000_000_000_000 + millis * 1_000_000)
@@ -256,4 +259,77 @@ fn a_folder_of_rosbag2_is_one_recording() {
     let found: Vec<u8> = pairs_of(dir.path(), PairOptions::default()).iter().map(|(left, ..)| *left).collect();
     assert_eq!(found, [0, 1, 2, 3, 4, 5]);
     assert_eq!(Bag::open(dir.path()).unwrap().topics()[0].ros_type, Image::name());
+}
+
+/// A file with one message of these bytes on each image topic and each camera_info.
+fn file_of_bytes(file: &Path, bytes: &[u8]) {
+    let mut writer = mcap::WriteOptions::new().compression(None).create(std::fs::File::create(file).unwrap()).unwrap();
+    let topics = [
+        (ours::LEFT_IMAGE, Image::name()),
+        (ours::RIGHT_IMAGE, Image::name()),
+        (ours::LEFT_INFO, CameraInfo::name()),
+        (ours::RIGHT_INFO, CameraInfo::name()),
+        (ours::REGION, PolygonStamped::name()),
+    ];
+    for (topic, name) in topics {
+        let schema = writer.add_schema(&name, "ros2msg", b"").unwrap();
+        let channel_id = writer.add_channel(schema, topic, "cdr", &Default::default()).unwrap();
+        let header = mcap::records::MessageHeader { channel_id, sequence: 0, log_time: 5, publish_time: 5 };
+        writer.write_to_known_channel(&header, bytes).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    /// Whatever the messages contain: a pair or an error, never a panic, and no memory for what is only announced.
+    #[test]
+    fn messages_of_any_bytes_are_refused_or_read(mut bytes in prop::collection::vec(any::<u8>(), 0..400), is_cdr in any::<bool>()) {
+        if is_cdr && bytes.len() >= 4 {
+            bytes[..4].copy_from_slice(&[0, 1, 0, 0]);
+        }
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("any.mcap");
+        file_of_bytes(&file, &bytes);
+        let bag = StereoBag::open(&file, PairOptions::default()).unwrap();
+        let _ = (bag.calibration(), bag.region(), bag.pairs().count());
+    }
+
+    /// An image whose header is sound, with any size, stride, encoding and data.
+    #[test]
+    fn images_of_any_size_are_refused_or_read(
+        size in (0_u32..70, 0_u32..70),
+        step in 0_u32..300,
+        data in prop::collection::vec(any::<u8>(), 0..4000),
+        encoding in prop::sample::select(vec!["mono8", "mono16", "rgb8", "bgra8", "rgb16", "yuv422", "yuyv", "bayer_rggb8", "bayer_gbrg16"]),
+    ) {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("any.mcap");
+        let image = Image { header: header(0), height: size.1, width: size.0, encoding: encoding.to_owned(), is_bigendian: 1, step, data: Bytes(data) };
+        file_of_bytes(&file, &pb3dp_bag::cdr::to_bytes(&image));
+        let bag = StereoBag::open(&file, PairOptions::default()).unwrap();
+        let pair = bag.pairs().next().unwrap().unwrap();
+        if let Ok([left, right]) = pair.images {
+            prop_assert_eq!((left.dimensions(), right.dimensions()), (size, size));
+        }
+    }
+
+    /// A whole file of which any bytes have changed.
+    #[test]
+    fn a_damaged_file_is_refused_or_read(changes in prop::collection::vec((0_usize..2000, any::<u8>()), 1..20)) {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("any.mcap");
+        write_pairs(&file, 4);
+        let mut bytes = std::fs::read(&file).unwrap();
+        for (at, value) in changes {
+            let at = at % bytes.len();
+            bytes[at] = value;
+        }
+        std::fs::write(&file, bytes).unwrap();
+        if let Ok(bag) = StereoBag::open(&file, PairOptions::default()) {
+            let _ = (bag.calibration(), bag.pairs().take(100).count());
+        }
+        let _ = recover(&file, &dir.path().join("new.mcap"));
+    }
 }
