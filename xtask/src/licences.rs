@@ -15,7 +15,7 @@ struct Policy {
     licences: Vec<String>,
     /// Additional licences for single crates.
     exceptions: Vec<(String, Vec<String>)>,
-    banned: Vec<(String, String)>,
+    banned: Vec<Banned>,
     registries: Vec<String>,
 }
 
@@ -36,6 +36,24 @@ pub fn advisories(workspace: &Workspace) -> anyhow::Result<()> {
     run_visibly(workspace.cargo().args(["deny", "--locked", "check", "--disable-fetch", "advisories"]))
 }
 
+/// A crate that no package may depend on, but for the wrappers.
+#[derive(Debug)]
+struct Banned {
+    name: String,
+    reason: String,
+    wrappers: Vec<String>,
+}
+
+/// Names of the packages that depend on a package, with the features of this build.
+fn dependents<'a>(metadata: &'a Value, package: &Value) -> Vec<&'a str> {
+    let items = |value: &'a Value| value.as_array().into_iter().flatten();
+    let name_of = |id: &Value| {
+        items(&metadata["packages"]).find(|package| package["id"] == *id).and_then(|package| package["name"].as_str())
+    };
+    let uses = |node: &&Value| node["deps"].as_array().into_iter().flatten().any(|dep| dep["pkg"] == package["id"]);
+    items(&metadata["resolve"]["nodes"]).filter(uses).filter_map(|node| name_of(&node["id"])).collect()
+}
+
 /// Checks every package of the dependency graph; also runs cargo-deny if it is installed.
 ///
 /// # Errors
@@ -45,7 +63,8 @@ pub fn run(workspace: &Workspace) -> anyhow::Result<()> {
     let policy = Policy::parse(&text).context("in deny.toml")?;
     let metadata = workspace.metadata()?;
     let packages = metadata["packages"].as_array().context("`packages` is missing from cargo metadata")?;
-    let violations = packages.iter().flat_map(|package| policy.check(package)).collect();
+    let dependents = |package: &Value| dependents(&metadata, package);
+    let violations = packages.iter().flat_map(|package| policy.check(package, &dependents(package))).collect();
     conclude("licences", &format!("{} packages", packages.len()), violations)?;
     if workspace.output_of("cargo-deny", &["--version"]).is_some() {
         run_visibly(workspace.cargo().args(["deny", "--locked", "check", "licenses", "bans", "sources"]))?;
@@ -68,8 +87,12 @@ impl Policy {
         let mut banned = Vec::new();
         for entry in list("bans", "deny")? {
             let key = |key: &str| entry.get(key).and_then(toml::Value::as_str).map(str::to_owned);
-            let name = key("crate").context("[bans] deny: an entry has no `crate`")?;
-            banned.push((name, key("reason").context("[bans] deny: an entry has no `reason`")?));
+            let wrappers = entry.get("wrappers").and_then(toml::Value::as_array);
+            banned.push(Banned {
+                name: key("crate").context("[bans] deny: an entry has no `crate`")?,
+                reason: key("reason").context("[bans] deny: an entry has no `reason`")?,
+                wrappers: wrappers.into_iter().flatten().filter_map(toml::Value::as_str).map(str::to_owned).collect(),
+            });
         }
         let mut exceptions = Vec::new();
         for entry in list("licenses", "exceptions")? {
@@ -85,7 +108,8 @@ impl Policy {
         Ok(Self { licences, exceptions, banned, registries })
     }
 
-    fn check(&self, package: &Value) -> Vec<Violation> {
+    /// The violations of a package that these packages depend on.
+    fn check(&self, package: &Value, dependents: &[&str]) -> Vec<Violation> {
         let text = |key: &str| package[key].as_str();
         let place = format!("package {} {}", text("name").unwrap_or("?"), text("version").unwrap_or("?"));
         let mut violations = Vec::new();
@@ -101,8 +125,12 @@ impl Policy {
             Some(Err(error)) => violations.push(Violation::of(&place, "licence", format!("{error:#}"))),
             None => violations.push(Violation::of(&place, "licence", "has no SPDX licence in its manifest")),
         }
-        if let Some((_, reason)) = self.banned.iter().find(|(name, _)| Some(name.as_str()) == text("name")) {
-            violations.push(Violation::of(&place, "banned", reason.clone()));
+        let is_wrapped = |banned: &Banned| {
+            !dependents.is_empty() && dependents.iter().all(|of| banned.wrappers.iter().any(|wrapper| wrapper == of))
+        };
+        let banned = self.banned.iter().find(|banned| Some(banned.name.as_str()) == text("name"));
+        if let Some(banned) = banned.filter(|banned| !is_wrapped(banned)) {
+            violations.push(Violation::of(&place, "banned", banned.reason.clone()));
         }
         let known = |source: &str| self.registries.iter().any(|registry| source == format!("registry+{registry}"));
         if let Some(source) = text("source").filter(|source| !known(source)) {
@@ -181,7 +209,7 @@ mod tests {
     fn policy() -> Policy {
         let text = "[licenses]\nallow = [\"MIT\", \"Zlib\", \"Unicode-3.0\"]\n\
             exceptions = [{ crate = \"port\", allow = [\"MPL-2.0\"] }]\n\
-            [bans]\ndeny = [{ crate = \"clang-sys\", reason = \"needs libclang\" }]\n\
+            [bans]\ndeny = [{ crate = \"clang-sys\", reason = \"needs libclang\", wrappers = [\"wrapper\"] }]\n\
             [sources]\nallow-registry = [\"https://example.org/index\"]\n";
         Policy::parse(text).expect("valid")
     }
@@ -210,7 +238,7 @@ mod tests {
     fn each_rule_catches_its_package() {
         let good =
             json!({"name": "a", "version": "1.0.0", "license": "MIT", "source": "registry+https://example.org/index"});
-        assert_eq!(policy().check(&good), []);
+        assert_eq!(policy().check(&good, &[]), []);
         for (key, value, rule) in [
             ("license", json!("GPL-3.0"), "licence"),
             ("license", json!(null), "licence"),
@@ -219,18 +247,28 @@ mod tests {
         ] {
             let mut bad = good.clone();
             bad[key] = value;
-            let rules: Vec<_> = policy().check(&bad).into_iter().map(|v| v.rule).collect();
+            let rules: Vec<_> = policy().check(&bad, &["a"]).into_iter().map(|v| v.rule).collect();
             assert_eq!(rules, [rule], "{key}");
+        }
+    }
+
+    /// Only where nobody else depends on it.
+    #[test]
+    fn a_banned_crate_is_permitted_in_its_wrapper() {
+        let package = json!({"name": "clang-sys", "version": "1.0.0", "license": "MIT", "source": "registry+https://example.org/index"});
+        assert_eq!(policy().check(&package, &["wrapper"]), []);
+        for dependents in [&[][..], &["other"], &["wrapper", "other"]] {
+            assert_eq!(policy().check(&package, dependents).len(), 1, "{dependents:?}");
         }
     }
 
     #[test]
     fn an_exception_is_for_one_crate_and_one_licence() {
         let package = |name: &str, licence: &str| json!({"name": name, "version": "1.0.0", "license": licence, "source": "registry+https://example.org/index"});
-        assert_eq!(policy().check(&package("port", "MPL-2.0")), []);
-        assert_eq!(policy().check(&package("port", "(MIT OR GPL-3.0) AND MPL-2.0")), []);
+        assert_eq!(policy().check(&package("port", "MPL-2.0"), &[]), []);
+        assert_eq!(policy().check(&package("port", "(MIT OR GPL-3.0) AND MPL-2.0"), &[]), []);
         for (name, licence) in [("port", "GPL-3.0"), ("other", "MPL-2.0")] {
-            let rules: Vec<_> = policy().check(&package(name, licence)).into_iter().map(|v| v.rule).collect();
+            let rules: Vec<_> = policy().check(&package(name, licence), &[]).into_iter().map(|v| v.rule).collect();
             assert_eq!(rules, ["licence"], "{name} {licence}");
         }
     }
