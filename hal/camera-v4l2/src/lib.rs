@@ -6,7 +6,7 @@
 //! dropped and counted ([`StreamCounters`]). A lost or silent camera is an error two periods after its last image.
 //! [`ReopeningCamera`] continues when lost devices are available again.
 //!
-//! [`pixels`] converts the bytes of a driver buffer to an image, from every supported format. [`video`] is the interface to the
+//! `pb3dp-camera-pixels` converts the bytes of a driver buffer to an image, from every supported format. [`video`] is the interface to the
 //! operating system, call by call; [`linux`] implements it on Linux, [`emulated`] provides cameras that fail on request.
 
 mod camera;
