@@ -20,7 +20,7 @@ use pb3dp_geometry::frames::{CamLeft, Flange, Frame};
 use pb3dp_geometry::{MonotonicTime, Pose, StereoRig};
 use pb3dp_hal_api::FramePair;
 use pb3dp_kinematics::Chain;
-use pb3dp_record::calibration_files::{RosCameraInfo, json_text, ros_camera_infos};
+use pb3dp_record::calibration_files::{CalibrationFileError, RosCameraInfo, json_text, ros_camera_infos};
 use pb3dp_setup::setup::{Pace, Setup};
 
 use super::moving::Moved;
@@ -79,10 +79,10 @@ impl BagRecording {
     /// Creates the file and writes what does not change.
     ///
     /// # Errors
-    /// If the file exists or cannot be written, or the cameras have no calibration that ROS 2 can express.
+    /// If the file exists or cannot be written.
     pub fn new(to: &RecordTo<'_>, setup: &Setup) -> Result<Self> {
         let when_full = if setup.pace == Pace::Fast { WhenFull::Wait } else { WhenFull::Drop };
-        let pairs = PairRecording::new(to, Some(&setup.rig.stereo), when_full)?;
+        let pairs = PairRecording::new(to, Some(&setup.rig.stereo), when_full).context("--record")?;
         let vs = &setup.rig.arms.vs;
         let names = |chain: &Chain| chain.joint_names().into_iter().map(str::to_owned).collect();
         let mut recording = Self {
@@ -219,12 +219,19 @@ impl BagRecording {
 }
 
 impl PairRecording {
-    /// Creates the file and writes what does not change. Pairs without a calibration are recorded, too.
+    /// Creates the file and writes what does not change. Pairs without a calibration are recorded, too, and those with one that ROS 2
+    /// cannot express.
     ///
     /// # Errors
-    /// If the file exists or cannot be written, or the cameras have no calibration that ROS 2 can express.
-    pub fn new(to: &RecordTo<'_>, rig: Option<&StereoRig>, when_full: WhenFull) -> Result<Self> {
-        let infos = rig.map(ros_camera_infos).transpose()?;
+    /// If the file exists or cannot be written.
+    pub fn new(to: &RecordTo<'_>, rig: Option<&StereoRig>, when_full: WhenFull) -> Result<Self, BagError> {
+        let told = |error: &CalibrationFileError| {
+            tracing::warn!(
+                "the recording has no camera_info: {error}; its topic {} has the calibration",
+                ours::CALIBRATION
+            );
+        };
+        let infos = rig.and_then(|rig| ros_camera_infos(rig).inspect_err(told).ok());
         let infos = infos.map(|infos| [0, 1].map(|side| camera_info(CAMERAS[side], &infos[side])));
         let writer = BagWriter::create(to.path, when_full)?;
         let mut recording = Self { writer, since_1970: to.since_1970, infos };
