@@ -33,7 +33,7 @@ pub(super) fn drive<M: Mover, W: Parted<Step = M::Step>>(
         let thread = std::thread::Builder::new().name("images".to_owned());
         // With the thread its ends of the channels go, so that nobody waits for a thread that is gone.
         let spawned = thread.spawn_scoped(scope, move || work(of_control, to_control)).context("no thread for images");
-        let looking = Beside {
+        let mut looking = Beside {
             here: Some(VisionParts { camera, estimator }),
             to_thread,
             of_thread,
@@ -42,8 +42,10 @@ pub(super) fn drive<M: Mover, W: Parted<Step = M::Step>>(
             recorder,
             arriving: Arriving::new(course),
         };
-        let stepped = spawned.and_then(|_| looking.step(course, enabled.mover(), begin));
-        first_failure([stepped, enabled.stop()])
+        let stepped = spawned.and_then(|_| step_both(course, &mut looking, enabled.mover(), begin));
+        // The arms do not wait for a frame that is still with the other thread; the record does.
+        let stopped = enabled.stop();
+        first_failure([stepped, looking.parts().map(drop), stopped])
     })
 }
 
@@ -98,17 +100,6 @@ where
     E: Estimate<Frame = C::Frame, Step: Copy>,
     R: Record<Observed = E::Observed, Step = E::Step>,
 {
-    fn step<M: Mover<Step = E::Step>>(
-        mut self,
-        course: &Course<'_>,
-        mover: &mut M,
-        begin: MonotonicTime,
-    ) -> Result<()> {
-        let stepped = step_both(course, &mut self, mover, begin);
-        // A frame still with the other thread belongs to the record, as one that was processed at once.
-        first_failure([stepped, self.parts().map(drop)])
-    }
-
     /// The parts, after the result of the last frame.
     fn parts(&mut self) -> Result<&mut VisionParts<C, E>> {
         if self.here.is_none() {
