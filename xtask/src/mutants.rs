@@ -240,7 +240,7 @@ fn test(scratch: &Scratch, part: &Part, mutants: &[Mutant], sources: u64) -> any
         command.args(["--in-place", "--no-shuffle", "--cap-lints", "true", "--minimum-test-timeout", "60"]);
         command.arg("--output").arg(&folder).arg("--re").arg(format!("^({})$", names.join("|")));
         // Mutants in waiting code would cost real time: only tests in virtual time run.
-        command.args(["--", "--lib", "--test", "integration", "--", "--skip", "real_time::"]);
+        command.args(["--", "--lib", "--tests", "--", "--skip", "real_time::"]);
         // cargo-mutants fails if a mutant is missed; the results contain this.
         let ended = run_visibly(&mut command);
         let results = read_results(&folder.join("mutants.out"));
