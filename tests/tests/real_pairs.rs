@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use nalgebra::Vector2;
-use pb3dp_camera_replay::{ReplayCamera, ReplayOptions};
+use pb3dp_camera_replay::{Recording, RecordingOptions, ReplayOptions};
 use pb3dp_estimation::estimator::{Estimator, EstimatorConfig, Method};
 use pb3dp_estimation_core::estimate::PlaneEstimate;
 use pb3dp_estimation_core::method::EstimateRequest;
@@ -160,7 +160,8 @@ fn a_part_of_a_board_outside_the_depth_range_is_not_sure_of_anything() {
 fn replayed_images_are_those_of_the_files() {
     for case in cases() {
         let images = case.load_images().unwrap();
-        let mut camera = ReplayCamera::open(&case.folder, ReplayOptions::default()).unwrap();
+        let mut camera =
+            Recording::open(&case.folder, &RecordingOptions::default(), ReplayOptions::default()).unwrap().camera;
         assert_eq!(*camera.rig(), case.load_calibration().unwrap().rig);
         let mut pair = FramePair::black(camera.info().size);
         camera.next_pair_into(&mut pair, Duration::from_secs(1)).unwrap();

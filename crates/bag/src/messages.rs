@@ -421,7 +421,7 @@ message! {
         stamp: Time,
         /// 10 debug, 20 info, 30 warning, 40 error, 50 fatal.
         level: u8,
-        /// Who says it.
+        /// Name of its source.
         name: String,
         /// The line.
         msg: String,

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use image::RgbImage;
 use pb3dp_geometry::MonotonicTime;
-use pb3dp_record::calibration_files::{CalibrationFormat, StereoCalibration, parse_ros_pair, parse_stereo};
+use pb3dp_record::calibration_files::{StereoCalibration, parse_ros_pair, parse_stereo};
 use pb3dp_record::images::StoredImage;
 use pb3dp_record::value_range::ValueRange;
 
@@ -170,9 +170,7 @@ impl StereoBag {
         let names = self.topics.each_ref().map(|topic| file.join(topic.camera_info().trim_start_matches('/')));
         let texts = [0, 1].map(|side| camera_info_text(infos[side], self.topics[side].is_rectified()));
         let parsed = parse_ros_pair([&names[0], &names[1]], [&texts[0], &texts[1]]);
-        let calibration = parsed.map_err(|source| BagError::Calibration { file, source })?;
-        debug_assert_eq!(calibration.format, CalibrationFormat::RosPair);
-        Ok(calibration)
+        parsed.map_err(|source| BagError::Calibration { file, source })
     }
 
     /// The first region that an operator marked in a run of this program.
@@ -274,15 +272,8 @@ impl BagPairs {
     fn images(&mut self, found: &[Stamped; 2]) -> Result<[RgbImage; 2], BagError> {
         let [left, right] = [pixels_of(&found[0])?, pixels_of(&found[1])?];
         let deep: Vec<_> = [&left, &right].into_iter().filter_map(Pixels::deep).collect();
-        let range = match (self.range, deep.is_empty()) {
-            (Some(range), _) => range,
-            (None, true) => ValueRange::FULL,
-            (None, false) => {
-                let measured = ValueRange::measured(&deep);
-                self.notes.push(measured.note());
-                *self.range.insert(measured)
-            }
-        };
+        let (range, note) = ValueRange::of_pair(&mut self.range, &deep);
+        self.notes.extend(note);
         let refuse = |stamped: &Stamped| {
             let (topic, stamp_s) = (stamped.message.channel.topic.clone(), stamped.at.as_secs_f64());
             move |why| BagError::Pixels { topic, stamp_s, why }

@@ -212,16 +212,7 @@ impl StoredImage {
     /// ones, with a line for the user.
     pub fn to_rgb_pair(pair: [Self; 2], range: &mut Option<ValueRange>) -> ([RgbImage; 2], Option<String>) {
         let deep: Vec<&DeepImage> = pair.iter().filter_map(Self::deep).collect();
-        let mut note = None;
-        let range = match (*range, deep.is_empty()) {
-            (Some(stated), _) => stated,
-            (None, true) => ValueRange::FULL,
-            (None, false) => {
-                let measured = *range.insert(ValueRange::measured(&deep));
-                note = Some(measured.note());
-                measured
-            }
-        };
+        let (range, note) = ValueRange::of_pair(range, &deep);
         let shallow = |image: Self| match image {
             Self::Rgb(image) => image,
             Self::Deep(image) => image.to_rgb(range),

@@ -31,7 +31,7 @@ pub struct WrongRange {
 
 impl ValueRange {
     /// All values.
-    pub const FULL: Self = Self { low: 0, high: u16::MAX };
+    const FULL: Self = Self { low: 0, high: u16::MAX };
 
     /// The range from one value to a higher one; `None` otherwise.
     pub fn new(low: u16, high: u16) -> Option<Self> {
@@ -39,7 +39,7 @@ impl ValueRange {
     }
 
     /// The range of these images together, without the darkest and the brightest thousandth of their values.
-    pub fn measured(images: &[&DeepImage]) -> Self {
+    fn measured(images: &[&DeepImage]) -> Self {
         let mut counts = vec![0_u64; 1 << 16];
         for value in images.iter().flat_map(|image| &image.values) {
             counts[usize::from(*value)] += 1;
@@ -52,8 +52,21 @@ impl ValueRange {
         Self { low: low.min(u16::MAX - 1), high: high.max(low.saturating_add(1)) }
     }
 
+    /// The range for a pair with these deep images: the stated one; otherwise the one measured on the first pair with any, which is kept,
+    /// with a line for the user.
+    pub fn of_pair(range: &mut Option<Self>, deep: &[&DeepImage]) -> (Self, Option<String>) {
+        match (*range, deep) {
+            (Some(range), _) => (range, None),
+            (None, []) => (Self::FULL, None),
+            (None, deep) => {
+                let measured = *range.insert(Self::measured(deep));
+                (measured, Some(measured.note()))
+            }
+        }
+    }
+
     /// What the user should know of a measured range.
-    pub fn note(self) -> String {
+    fn note(self) -> String {
         format!(
             "the images have more than 8 bits: {self} become black and white, which holds 99.8 % of the values of the first pair; state other values with --range LOW,HIGH"
         )

@@ -1,7 +1,7 @@
 //! Stereo camera backend that replays recorded pairs.
 //!
-//! [`ReplayCamera`] plays a sequence folder, a case folder (one pair), or a plain folder of images with a calibration;
-//! `docs/dataset-format.md` describes all three. It plays at maximum speed, in the original timing on an injected clock, or step
+//! [`Recording::open`] opens sequence folders, cases (one pair), MCAP files, EuRoC folders and plain folders of images, which
+//! `docs/recordings.md` describes; [`ReplayCamera`] plays them. It plays at maximum speed, in the original timing on an injected clock, or step
 //! by step; once or endlessly. A pair with an image that is missing, damaged or of another size gives one error of kind `BadPair`
 //! that names the file; the next call continues after it.
 //!
@@ -14,13 +14,12 @@ mod pacing;
 mod recording;
 mod source;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 use pb3dp_geometry::{ImageSize, MonotonicTime, StereoRig};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, StereoCamera, StereoCameraInfo};
-use pb3dp_record::calibration_files::{StereoCalibration, load_stereo};
-use pb3dp_record::dataset::{CALIBRATION_FILE, CASE_FILE, Case, Sequence, is_sequence, load_case, load_sequence};
+use pb3dp_record::calibration_files::StereoCalibration;
 use pb3dp_record::images::{ImageFileError, StoredImage, check_size};
 use pb3dp_record::value_range::ValueRange;
 
@@ -49,14 +48,12 @@ pub struct ReplayOptions {
     /// Time between pairs if the recording has no times (plain folders), and between the last and the first pair of a recording
     /// with a single pair.
     pub period: Duration,
-    /// Values of images with more than 8 bits that become black and white; measured on the first pair if absent.
-    pub range: Option<ValueRange>,
 }
 
 impl Default for ReplayOptions {
     /// As fast as possible, once, 30 pairs per second.
     fn default() -> Self {
-        Self { pacing: Pacing::Unpaced, repeat: Repeat::Once, period: Duration::from_nanos(33_333_333), range: None }
+        Self { pacing: Pacing::Unpaced, repeat: Repeat::Once, period: Duration::from_nanos(33_333_333) }
     }
 }
 
@@ -79,56 +76,6 @@ pub struct ReplayCamera {
 }
 
 impl ReplayCamera {
-    /// Opens a folder of any of the three kinds: with a `sequence.json`, with a `case.json`, or with images and a `calib.json`
-    /// (or a ROS pair `left.yaml`, `right.yaml`).
-    ///
-    /// # Errors
-    /// Kind `Unusable` if the folder, its description or its calibration cannot be used; images are checked when they are played.
-    pub fn open(folder: &Path, options: ReplayOptions) -> Result<Self, CameraError> {
-        if is_sequence(folder) {
-            Self::open_sequence(&load_sequence(folder).map_err(|e| unusable(folder, e))?, options)
-        } else if folder.join(CASE_FILE).is_file() {
-            Self::open_case(&load_case(folder).map_err(|e| unusable(folder, e))?, options)
-        } else {
-            Self::open_images(folder, &[folder.to_owned()], options)
-        }
-    }
-
-    /// Opens a plain folder of images with a separate calibration: one file, or a left and a right file.
-    ///
-    /// # Errors
-    /// Kind `Unusable` if there are no images, their names are ambiguous, or the calibration cannot be used.
-    pub fn open_images(folder: &Path, calibration: &[PathBuf], options: ReplayOptions) -> Result<Self, CameraError> {
-        let pairs = folder::image_pairs(folder)?.into_iter().map(|(left, right)| Place::Files(left, right)).collect();
-        let calibration = load_stereo(calibration).map_err(|e| {
-            let message = format!(
-                "cannot replay the images in {}: no calibration; give one, or put a {CALIBRATION_FILE} there",
-                folder.display()
-            );
-            CameraError::caused_by(CameraErrorKind::Unusable, message, e)
-        })?;
-        Self::new(folder, Source::of_images(pairs, options.period), calibration, options)
-    }
-
-    /// Opens the single pair of a case; its time is zero.
-    ///
-    /// # Errors
-    /// Kind `Unusable` if the calibration cannot be used.
-    pub fn open_case(case: &Case, options: ReplayOptions) -> Result<Self, CameraError> {
-        let calibration = case.load_calibration().map_err(|e| unusable(&case.folder, e))?;
-        let source = Source::of_images(vec![Place::Files(case.left.clone(), case.right.clone())], options.period);
-        Self::new(&case.folder, source, calibration, options)
-    }
-
-    /// Opens a sequence.
-    ///
-    /// # Errors
-    /// Kind `Unusable` if the calibration cannot be used.
-    pub fn open_sequence(sequence: &Sequence, options: ReplayOptions) -> Result<Self, CameraError> {
-        let calibration = sequence.load_calibration().map_err(|e| unusable(&sequence.folder, e))?;
-        Self::new(&sequence.folder, Source::of_sequence(sequence, options.period), calibration, options)
-    }
-
     fn new(
         folder: &Path,
         source: Source,
@@ -144,13 +91,13 @@ impl ReplayCamera {
             size: calibration.rig.left().size(),
             period: source.period(),
         };
-        let ReplayOptions { pacing, repeat, range, .. } = options;
+        let ReplayOptions { pacing, repeat, .. } = options;
         Ok(Self {
             info,
             calibration,
             source,
             bag: None,
-            range,
+            range: None,
             notes: Vec::new(),
             pacing,
             repeat,

@@ -10,7 +10,7 @@ use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{CamLeft, Model};
 use pb3dp_hal_api::{CameraError, CameraErrorKind};
 use pb3dp_record::calibration_files::{StereoCalibration, load_stereo};
-use pb3dp_record::dataset::{SearchRange, is_sequence, load_sequence};
+use pb3dp_record::dataset::{CASE_FILE, SearchRange, is_sequence, load_case, load_sequence};
 use pb3dp_record::value_range::ValueRange;
 
 use crate::bag::BagImages;
@@ -59,17 +59,19 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Opens a recording: a folder with a `sequence.json`, an MCAP file or rosbag2 folder, a folder as those of the EuRoC dataset, or a plain
+    /// Opens a recording: a folder with a `sequence.json` or a `case.json`, an MCAP file or rosbag2 folder, a folder as those of the EuRoC dataset, or a plain
     /// folder of images.
     ///
     /// # Errors
     /// Kind `Unusable` if the recording, its description or its calibration cannot be used; images are checked when they are played.
     pub fn open(path: &Path, asked: &RecordingOptions, options: ReplayOptions) -> Result<Self, CameraError> {
-        let options = ReplayOptions { range: asked.range, ..options };
         // The description of a bag stands for its folder.
         let path = path.parent().filter(|_| path.is_file() && path.ends_with("metadata.yaml")).unwrap_or(path);
         if is_sequence(path) || is_sequence_file(path) {
             return Self::of_sequence(path, asked, options);
+        }
+        if path.join(CASE_FILE).is_file() {
+            return Self::of_case(path, asked, options);
         }
         if Bag::is_one(path) {
             return Self::of_bag(path, asked, options);
@@ -102,7 +104,7 @@ impl Recording {
         let source = Source::of_images(places, options.period);
         let note =
             format!("the images have no times: {:.1} pairs per second are assumed", 1.0 / options.period.as_secs_f64());
-        Ok(Self::plain(ReplayCamera::new(path, source, calibration, options)?, vec![note]))
+        Ok(Self::plain(camera(path, source, calibration, (asked, options))?, vec![note]))
     }
 
     fn of_sequence(path: &Path, asked: &RecordingOptions, options: ReplayOptions) -> Result<Self, CameraError> {
@@ -126,13 +128,28 @@ impl Recording {
             files => calibration_in(path, files)?,
         };
         Ok(Self {
-            camera: ReplayCamera::new(&sequence.folder, source, calibration, options)?,
+            camera: camera(&sequence.folder, source, calibration, (asked, options))?,
             times_s: sequence.times_s,
             region_polygon_left_px: Some(sequence.region_polygon_left_px),
             search: Some(sequence.search),
             cam_left_from_model: sequence.cam_left_from_model,
             notes: Vec::new(),
             warnings,
+        })
+    }
+
+    /// A single pair; its time is zero.
+    fn of_case(path: &Path, asked: &RecordingOptions, options: ReplayOptions) -> Result<Self, CameraError> {
+        let case = load_case(path).map_err(|error| unusable(path, error))?;
+        let calibration = match &asked.calibration[..] {
+            [] => case.load_calibration().map_err(|error| unusable(path, error))?,
+            files => calibration_in(path, files)?,
+        };
+        let source = Source::of_images(vec![Place::Files(case.left.clone(), case.right.clone())], options.period);
+        Ok(Self {
+            region_polygon_left_px: Some(case.region_polygon_left_px),
+            search: Some(case.search),
+            ..Self::plain(camera(&case.folder, source, calibration, (asked, options))?, Vec::new())
         })
     }
 
@@ -197,7 +214,7 @@ impl Recording {
             ));
         }
         let source = Source::of_times(pairs, options.period);
-        Ok(Self { warnings, ..Self::plain(ReplayCamera::new(path, source, calibration, options)?, Vec::new()) })
+        Ok(Self { warnings, ..Self::plain(camera(path, source, calibration, (asked, options))?, Vec::new()) })
     }
 
     fn plain(camera: ReplayCamera, notes: Vec<String>) -> Self {
@@ -213,6 +230,15 @@ fn no_recording(path: &Path, error: CameraError) -> CameraError {
         path.display()
     );
     CameraError::caused_by(CameraErrorKind::Unusable, message, error)
+}
+
+fn camera(
+    path: &Path,
+    source: Source,
+    calibration: StereoCalibration,
+    (asked, options): (&RecordingOptions, ReplayOptions),
+) -> Result<ReplayCamera, CameraError> {
+    Ok(ReplayCamera { range: asked.range, ..ReplayCamera::new(path, source, calibration, options)? })
 }
 
 fn is_sequence_file(path: &Path) -> bool {

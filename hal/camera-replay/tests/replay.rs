@@ -8,9 +8,9 @@ use std::time::Duration;
 
 use image::{Rgb, RgbImage};
 use nalgebra::Vector3;
-use pb3dp_camera_replay::{Pacing, Repeat, ReplayCamera, ReplayOptions, Stepper};
+use pb3dp_camera_replay::{Pacing, Recording, RecordingOptions, Repeat, ReplayCamera, ReplayOptions, Stepper};
 use pb3dp_geometry::{Camera, Distortion, ImageSize, MonotonicTime, Pinhole, Pose, StereoRig};
-use pb3dp_hal_api::{CameraErrorKind, Clock, FramePair, StereoCamera};
+use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera};
 use pb3dp_hal_clock::VirtualClock;
 use pb3dp_hal_conformance::{CameraExpectations, stereo_camera_suite};
 use pb3dp_record::calibration_files::save_json;
@@ -53,7 +53,11 @@ fn record(folder: &Path, frames: u8) {
 }
 
 fn open(folder: &Path, pacing: Pacing, repeat: Repeat) -> ReplayCamera {
-    ReplayCamera::open(folder, ReplayOptions { pacing, repeat, ..ReplayOptions::default() }).unwrap()
+    play(folder, ReplayOptions { pacing, repeat, ..ReplayOptions::default() }).unwrap()
+}
+
+fn play(folder: &Path, options: ReplayOptions) -> Result<ReplayCamera, CameraError> {
+    Ok(Recording::open(folder, &RecordingOptions::default(), options)?.camera)
 }
 
 fn test_case() -> std::path::PathBuf {
@@ -202,13 +206,12 @@ fn a_plain_folder_needs_a_calibration_and_keeps_the_period_it_is_given() {
         save(&image(2 * i + 1), &dir.path().join(format!("right_{i}.png")), StoredFormat::Png).unwrap();
     }
     let options = || ReplayOptions { period: Duration::from_millis(50), ..ReplayOptions::default() };
-    let error = ReplayCamera::open(dir.path(), options()).unwrap_err();
+    let error = play(dir.path(), options()).unwrap_err();
     assert_eq!(error.kind(), CameraErrorKind::Unusable);
     assert!(error.to_string().contains("calib.json"), "{error}");
     save_json(&rig(), &dir.path().join("calib.json")).unwrap();
-    stereo_camera_suite(|| ReplayCamera::open(dir.path(), options()).unwrap(), &CameraExpectations::recording_of(3))
-        .assert_passed();
-    let mut camera = ReplayCamera::open(dir.path(), options()).unwrap();
+    stereo_camera_suite(|| play(dir.path(), options()).unwrap(), &CameraExpectations::recording_of(3)).assert_passed();
+    let mut camera = play(dir.path(), options()).unwrap();
     let mut pair = FramePair::black(SIZE);
     let times: Vec<_> = (0..3)
         .map(|_| {
@@ -218,7 +221,7 @@ fn a_plain_folder_needs_a_calibration_and_keeps_the_period_it_is_given() {
         .collect();
     assert_eq!(times, [0, 50_000_000, 100_000_000]);
     let zero = ReplayOptions { period: Duration::ZERO, ..ReplayOptions::default() };
-    assert_eq!(ReplayCamera::open(dir.path(), zero).unwrap_err().kind(), CameraErrorKind::Unusable);
+    assert_eq!(play(dir.path(), zero).unwrap_err().kind(), CameraErrorKind::Unusable);
 }
 
 #[test]

@@ -19,7 +19,7 @@ use pb3dp_commissioning::commissioned::check_arms;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::dataset::SequenceWriter;
-use pb3dp_setup::layers::{Layers, SetupArgs, toml_of};
+use pb3dp_setup::layers::{Layers, toml_of};
 use pb3dp_setup::setup::read_layers;
 use pb3dp_wiring::{RunNeeds, Wired, accept_nominal, wire_run, write_flights};
 
@@ -72,7 +72,14 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     // A fault does not end a run with a console; the recorders forget it after some seconds.
     parts.keep_flights = Box::new(keep_flights.clone());
     tracing::info!("the results of this run go to {} (--out)", args.out.display());
-    let record = args.record.as_deref().map(|path| record_to(path, &asked, parts.clock.now())).transpose()?;
+    let record = args
+        .record
+        .as_deref()
+        .map(|path| {
+            let settings = toml_of(&Layers::read(&asked)?.effective());
+            record_to(path, settings, parts.clock.now())
+        })
+        .transpose()?;
     let Ended { outcome, how, faults } = experiment::conduct(&setup, parts, args.stop_after, record.as_ref())?;
     if let Err(failure) = &how {
         keep_flights(faults + 1, failure);
@@ -101,13 +108,13 @@ fn check_recording(path: &Path) -> Result<()> {
     }
 }
 
-/// Where to record, with the settings and the time of the run.
-fn record_to<'a>(path: &'a Path, asked: &SetupArgs, now: MonotonicTime) -> Result<RecordTo<'a>> {
+/// Where to record, with the settings, and the time that the run's clock shows now.
+pub(super) fn record_to(path: &Path, setup_text: String, now: MonotonicTime) -> Result<RecordTo<'_>> {
     let since_1970 =
         SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).context("the clock shows a time before 1970")?;
     Ok(RecordTo {
         path,
-        setup_text: toml_of(&Layers::read(asked)?.effective()),
+        setup_text,
         version: format!("pb3dp {} ({})", env!("CARGO_PKG_VERSION"), crate::COMMIT),
         since_1970: since_1970.saturating_sub(now.saturating_since(MonotonicTime::ZERO)),
     })

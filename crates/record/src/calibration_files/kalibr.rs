@@ -16,7 +16,7 @@ pub(super) fn read(root: &Node<'_>) -> Result<StereoRig, CalibrationFileError> {
     if root.find("cam2").is_some() {
         return Err(root.error("cam2", "a chain of three or more cameras is not a stereo pair; keep cam0 and cam1"));
     }
-    let cameras = [camera(&left)?, camera(&right)?];
+    let cameras = [camera(&left, COEFFICIENTS)?, camera(&right, COEFFICIENTS)?];
     let transform = right.get("T_cn_cnm1")?;
     let matrix: Matrix4<f64> = transform.matrix()?;
     if matrix.row(3) != RowVector4::new(0.0, 0.0, 0.0, 1.0) {
@@ -26,7 +26,11 @@ pub(super) fn read(root: &Node<'_>) -> Result<StereoRig, CalibrationFileError> {
     checks::rig(&transform, cameras, &rotation, matrix.fixed_view::<3, 1>(0, 3).into_owned())
 }
 
-fn camera(node: &Node<'_>) -> Result<Camera, CalibrationFileError> {
+/// Key of the distortion coefficients.
+const COEFFICIENTS: &str = "distortion_coeffs";
+
+/// A pinhole camera; EuRoC has the same keys, but for that of the coefficients, and another name of `radtan`.
+pub(super) fn camera(node: &Node<'_>, coefficients: &str) -> Result<Camera, CalibrationFileError> {
     let camera_model = node.get("camera_model")?;
     let name = camera_model.text()?;
     if name != "pinhole" {
@@ -40,7 +44,8 @@ fn camera(node: &Node<'_>) -> Result<Camera, CalibrationFileError> {
     let model = node.get("distortion_model")?;
     let distortion = match model.text()? {
         "none" => Distortion::None,
-        name @ ("radtan" | "equidistant") => checks::distortion(&model, name, &node.get("distortion_coeffs")?)?,
+        "radtan" | "radial-tangential" => checks::distortion(&model, "radtan", &node.get(coefficients)?)?,
+        name @ "equidistant" => checks::distortion(&model, name, &node.get(coefficients)?)?,
         other => {
             let reason = format!("unknown distortion model {other}; use radtan, equidistant or none");
             return Err(model.refuse(reason));

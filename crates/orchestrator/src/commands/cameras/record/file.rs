@@ -1,22 +1,19 @@
 //! Records pairs into one MCAP file, with or without a calibration.
 
 use std::path::Path;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_bag::BagError;
 use pb3dp_bag::topics::ours;
 use pb3dp_bag::writer::WhenFull;
-use pb3dp_cell::bag_recording::{PairRecording, RecordTo};
-use pb3dp_geometry::{MonotonicTime, StereoRig};
+use pb3dp_cell::bag_recording::PairRecording;
+use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::{CameraErrorKind, Clock, FramePair, StereoCamera};
 
 use super::Recorded;
-
-/// Longest wait for one pair; a recording looks this often whether it is over.
-const PATIENCE_OF_A_CALL: Duration = Duration::from_millis(200);
-/// Time without any pair after which a recording ends.
-const PATIENCE: Duration = Duration::from_secs(5);
+use super::recorder::{PATIENCE, PATIENCE_OF_A_CALL};
+use crate::commands::run::record_to;
 
 /// When a recording ends.
 pub(super) struct Until {
@@ -35,11 +32,7 @@ pub(super) fn record(
     until: &Until,
     is_over: &mut dyn FnMut() -> bool,
 ) -> Result<Recorded> {
-    let now = clock.now().saturating_since(MonotonicTime::ZERO);
-    let since_1970 =
-        SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).context("the clock shows a time before 1970")?;
-    let version = format!("pb3dp {} ({})", env!("CARGO_PKG_VERSION"), crate::COMMIT);
-    let to = RecordTo { path, setup_text: String::new(), version, since_1970: since_1970.saturating_sub(now) };
+    let to = record_to(path, String::new(), clock.now())?;
     let mut file = PairRecording::new(&to, rig, WhenFull::Drop).context("--out")?;
     let (begin, mut heard_at) = (clock.now(), clock.now());
     let mut pair = FramePair::black(camera.info().size);

@@ -14,10 +14,10 @@ use pb3dp_hal_api::{CameraError, CameraErrorKind, Clock, FramePair, StereoCamera
 use pb3dp_record::dataset::{DatasetError, FrameFiles, SequenceSummary, SequenceWriter, WrittenFrame};
 
 /// Timeout of one call for a pair, so that signals are handled.
-const PATIENCE_OF_A_CALL: Duration = Duration::from_millis(250);
+pub(super) const PATIENCE_OF_A_CALL: Duration = Duration::from_millis(250);
 
 /// Time without images, or number of periods if that is longer, after which the cameras count as failed.
-const PATIENCE: Duration = Duration::from_secs(3);
+pub(super) const PATIENCE: Duration = Duration::from_secs(3);
 const PATIENCE_PERIODS: u32 = 5;
 
 /// End of a recording, and its resources.
