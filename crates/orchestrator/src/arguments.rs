@@ -203,7 +203,8 @@ pub struct TrackArgs {
     /// Write the recovered surface with its colours into this PLY file, in the model frame (direct only).
     #[arg(long, value_name = "FILE")]
     pub surface: Option<PathBuf>,
-    /// Write the estimates into this CSV file, with the columns of estimates.csv of a run; `age_ms` is empty.
+    /// Write the estimates into this CSV file, with the columns of estimates.csv of a run; `age_ms` is empty. With several targets
+    /// each has its own, FILE-0.csv and so on.
     #[arg(long, value_name = "FILE")]
     pub csv: Option<PathBuf>,
     /// Estimation options.
