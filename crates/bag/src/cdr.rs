@@ -158,7 +158,7 @@ macro_rules! numbers {
     )+};
 }
 
-numbers!(u8 = "uint8", i32 = "int32", u32 = "uint32", f32 = "float32", f64 = "float64");
+numbers!(u8 = "uint8", i32 = "int32", u32 = "uint32", u64 = "uint64", f32 = "float32", f64 = "float64");
 
 impl CdrValue for bool {
     fn ros_type() -> String {

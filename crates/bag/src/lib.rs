@@ -1,7 +1,8 @@
 //! Recordings in MCAP files with ROS 2 messages: what a run writes, and what other programs have recorded.
 //!
 //! * [`cdr`]: the encoding of the messages;
-//! * [`messages`]: the messages and their definitions;
+//! * [`messages`]: the messages of ROS 2 and their definitions;
+//! * [`run_messages`]: messages of our own, which a replay needs;
 //! * [`writer`]: a recording that is written by a thread of its own;
 //! * [`reader`]: the messages of a file, also of one that was broken off;
 //! * [`pairs`]: the stereo pairs and the calibration of a recording;
@@ -15,9 +16,11 @@ mod codes;
 mod error;
 pub mod messages;
 pub mod pairs;
+mod picked;
 mod pixels;
 pub mod reader;
 pub mod recover;
+pub mod run_messages;
 pub mod topics;
 pub mod writer;
 

@@ -64,6 +64,8 @@ macro_rules! message {
     };
 }
 
+pub(crate) use message;
+
 message! {
     /// A time since 1970, or since the begin of a simulation.
     #[derive(Copy, Eq, Default)]

@@ -5,15 +5,16 @@ use std::path::Path;
 use std::time::Duration;
 
 use image::RgbImage;
-use pb3dp_geometry::MonotonicTime;
+use pb3dp_camera_settings::PixelFormat;
+use pb3dp_geometry::{ImageSize, MonotonicTime};
 use pb3dp_record::calibration_files::{StereoCalibration, parse_ros_pair, parse_stereo};
 use pb3dp_record::images::StoredImage;
 use pb3dp_record::value_range::ValueRange;
 
 use crate::BagError;
-use crate::cdr::from_bytes;
+use crate::cdr::{CdrValue, from_bytes};
 use crate::messages::{CameraInfo, CompressedImage, Header, Image, Point32, PolygonStamped, Text};
-use crate::pixels::{Pixels, pixels};
+use crate::pixels::{Pixels, converted, pixels};
 use crate::reader::{Bag, RawMessage};
 use crate::topics::{Topic, find_pair, ours};
 
@@ -310,7 +311,32 @@ fn times([left, right]: &[Stamped; 2]) -> (MonotonicTime, i64) {
     (left.at, right.at.as_nanos() as i64 - left.at.as_nanos() as i64)
 }
 
-fn decoded<T: crate::cdr::CdrValue>(message: &RawMessage) -> Result<T, BagError> {
+/// The image of a message that this program has recorded, and the middle of its exposure; a JPEG is decoded as from the camera.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn recorded_image(message: &RawMessage, size: ImageSize) -> Result<(MonotonicTime, RgbImage), BagError> {
+    let at = stamp(message)?;
+    let (topic, stamp_s) = (message.channel.topic.clone(), at.as_secs_f64());
+    let read = if is_compressed(message) {
+        let CompressedImage { data, .. } = decoded(message)?;
+        converted(PixelFormat::Mjpg, size, 0, &data.0)
+    } else {
+        // With 8 bits there is no range.
+        pixels(&decoded::<Image>(message)?).and_then(|pixels| pixels.into_rgb(ValueRange::of_pair(&mut None, &[]).0))
+    };
+    read.map(|image| (at, image)).map_err(|why| BagError::Pixels { topic, stamp_s, why })
+}
+
+fn is_compressed(message: &RawMessage) -> bool {
+    message.channel.schema.as_ref().is_some_and(|schema| schema.name.ends_with("/CompressedImage"))
+}
+
+/// The content of a message.
+///
+/// # Errors
+/// If it is not such a message.
+pub fn decoded<T: CdrValue>(message: &RawMessage) -> Result<T, BagError> {
     from_bytes(&message.data).map_err(|why| BagError::Message {
         topic: message.channel.topic.clone(),
         stamp_s: message.log_nanos as f64 * 1e-9,
@@ -319,7 +345,7 @@ fn decoded<T: crate::cdr::CdrValue>(message: &RawMessage) -> Result<T, BagError>
 }
 
 /// The time in the header of an image; that of writing if the header has none.
-fn stamp(message: &RawMessage) -> Result<MonotonicTime, BagError> {
+pub fn stamp(message: &RawMessage) -> Result<MonotonicTime, BagError> {
     let Header { stamp, .. } = decoded(message)?;
     Ok(match stamp.nanos() {
         0 => MonotonicTime::from_nanos(message.log_nanos),
@@ -329,8 +355,7 @@ fn stamp(message: &RawMessage) -> Result<MonotonicTime, BagError> {
 
 fn pixels_of(Stamped { at, message }: &Stamped) -> Result<Pixels, BagError> {
     let (topic, stamp_s) = (&message.channel.topic, at.as_secs_f64());
-    let is_compressed = message.channel.schema.as_ref().is_some_and(|schema| schema.name.ends_with("/CompressedImage"));
-    if is_compressed {
+    if is_compressed(message) {
         let image: CompressedImage = decoded(message)?;
         let stored = StoredImage::parse(Path::new(topic), &image.data.0);
         return stored.map(Pixels::Ready).map_err(|source| BagError::Image { topic: topic.clone(), stamp_s, source });

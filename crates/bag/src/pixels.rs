@@ -128,7 +128,11 @@ fn ready(image: RgbImage) -> Result<Pixels, String> {
     Ok(Pixels::Ready(StoredImage::Rgb(image)))
 }
 
-fn converted(format: PixelFormat, size: ImageSize, stride: usize, bytes: &[u8]) -> Result<RgbImage, String> {
+/// An image in a format of cameras.
+///
+/// # Errors
+/// What is wrong with it.
+pub(crate) fn converted(format: PixelFormat, size: ImageSize, stride: usize, bytes: &[u8]) -> Result<RgbImage, String> {
     let layout = Layout { format, size, stride, matrix: YuvMatrix::Bt601, range: YuvRange::Limited };
     let mut image = RgbImage::default();
     let mut converter = Converter::new(layout).map_err(|error| error.to_string())?;

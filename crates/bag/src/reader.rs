@@ -13,6 +13,7 @@ use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryRead
 use mcap::{Channel, McapResult, Summary};
 
 use crate::BagError;
+use crate::picked::Picked;
 use crate::topics::Topic;
 
 /// First bytes of an MCAP file (specification, "Magic").
@@ -20,7 +21,7 @@ const MAGIC: [u8; 8] = [0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n'];
 /// First bytes of an SQLite file.
 const SQLITE: &[u8] = b"SQLite format 3";
 /// Longest record: longer ones come from damaged lengths.
-const RECORD_MAX: usize = 1 << 30;
+pub(crate) const RECORD_MAX: usize = 1 << 30;
 
 /// A recording: one file, or those of a rosbag2 folder.
 #[derive(Clone, Debug)]
@@ -36,6 +37,9 @@ struct BagFile {
     /// It was broken off.
     is_unfinished: bool,
 }
+
+/// Messages of a recording.
+pub type Messages = Box<dyn Iterator<Item = Result<RawMessage, BagError>> + Send>;
 
 /// A message as it was written.
 #[derive(Clone, Debug)]
@@ -101,6 +105,15 @@ impl Bag {
         self.files.iter().any(|file| file.is_unfinished)
     }
 
+    /// The messages on these topics, in the order of their files. Where the file has an index and no compression, only they are read.
+    ///
+    /// # Errors
+    /// If a file cannot be opened.
+    pub fn messages_on(&self, topics: &[&str]) -> Result<Messages, BagError> {
+        let files = self.files.iter().map(|file| messages_on(file, topics)).collect::<Result<Vec<_>, _>>()?;
+        Ok(Box::new(files.into_iter().flatten()))
+    }
+
     /// All messages in the order of their files.
     pub fn messages(&self) -> impl Iterator<Item = Result<RawMessage, BagError>> + Send + 'static {
         self.files.clone().into_iter().flat_map(|file| match messages_of(&file) {
@@ -108,6 +121,20 @@ impl Bag {
             Err(error) => Box::new(std::iter::once(Err(error))),
         })
     }
+}
+
+/// The messages of one file on these topics.
+fn messages_on(file: &BagFile, topics: &[&str]) -> Result<Messages, BagError> {
+    if let Some(summary) = summary(&file.path)?
+        && let Some(picked) = Picked::new(&file.path, &summary, topics)?
+    {
+        return Ok(Box::new(picked));
+    }
+    let topics: Vec<String> = topics.iter().map(|topic| (*topic).to_owned()).collect();
+    let is_wanted = move |read: &Result<RawMessage, BagError>| {
+        read.as_ref().map_or(true, |message| topics.contains(&message.channel.topic))
+    };
+    Ok(Box::new(messages_of(file)?.filter(is_wanted)))
 }
 
 fn extension(path: &Path) -> Option<String> {

@@ -32,6 +32,16 @@ pub mod ours {
     pub const SETUP: &str = "/pb3dp/setup";
     /// Version of the program.
     pub const VERSION: &str = "/pb3dp/version";
+    /// Begin of the run.
+    pub const BEGIN: &str = "/pb3dp/begin";
+    /// Files that the settings name.
+    pub const FILES: &str = "/pb3dp/files";
+    /// Control steps with all their inputs.
+    pub const STEPS: &str = "/pb3dp/steps";
+    /// Estimates with all their inputs.
+    pub const PAIRS: &str = "/pb3dp/pairs";
+    /// Images on which the operator drew, if they are older than the pair that they are used with.
+    pub const DRAWN_ON: [&str; 2] = ["/pb3dp/drawn_on/left", "/pb3dp/drawn_on/right"];
     /// Poses of frames, which viewers draw.
     pub const TF: &str = "/tf";
 }

@@ -1,12 +1,12 @@
 //! A run: the hand follows the target through its experiment; everything is recorded together with the true poses.
 
+use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Result, anyhow, bail};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_setup::setup::Setup;
 
-use super::bag_recording::{BagRecording, RecordTo};
 use super::capturing::Captured;
 use super::cell::SimulatedCell;
 use super::channels::Plan;
@@ -20,7 +20,7 @@ use super::moving::{Moved, Moving};
 use super::noting::EstimateRecorder;
 use super::parts::Parts;
 use super::percept::Percept;
-use super::spectator::Spectator;
+use super::spectator::{RunRecorder, Spectator};
 use super::strip::Strip;
 use crate::noting::PairEstimate;
 
@@ -41,18 +41,18 @@ pub struct Ended {
 ///
 /// # Errors
 /// If an arm, the camera or the estimator fails permanently; the arms are stopped first.
-pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&RecordTo<'_>>) -> Result<Outcome> {
+pub fn run(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&Path>) -> Result<Outcome> {
     let Ended { outcome, how, .. } = conduct(setup, parts, stop_after_s, record)?;
     how.map(|()| outcome)
 }
 
-/// Runs the experiment to its end, or to `stop_after_s`, in the loop for the pace of the setup. If `record` is given, the run is also
-/// recorded there: all of it in a file, or its pairs in a folder. The experiment begins when both arms are enabled; both are stopped on every exit path. With a console operator,
+/// Runs the experiment to its end, or to `stop_after_s`, in the loop for the pace of the setup. If `record` is given, its pairs are also
+/// recorded in that folder. The experiment begins when both arms are enabled; both are stopped on every exit path. With a console operator,
 /// the target moves from the command `start` on, and neither a stop nor a latched fault ends the run.
 ///
 /// # Errors
 /// Refusals before an arm is enabled.
-pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&RecordTo<'_>>) -> Result<Ended> {
+pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: Option<&Path>) -> Result<Ended> {
     if !setup.is_emulated() && !parts.operator.can_fall_silent() {
         bail!(
             "arms that are not emulated need an operator whose silence is noticed: use --operator console, or --move"
@@ -61,7 +61,7 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     // Everything that can be refused is created before an arm is enabled.
     let Parts { clock, camera, vs, tc, cell, experiment, marking, links, emulated, keep_flights, .. } = parts;
     let (operator, interrupt) = (parts.operator, parts.interrupt);
-    let (spectator, selections) = (parts.spectator, parts.selections);
+    let (spectator, recorder, selections) = (parts.spectator, parts.recorder, parts.selections);
     // With a console operator, the operator decides when the moves begin.
     let (duration_s, marks) = match operator.is_person() {
         true => (LED_BY_PERSON_MAX_S, Vec::new()),
@@ -70,23 +70,19 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     let log = RunLog { marks, ..RunLog::default() };
     let strip = Strip::of(setup.experiment.moments(&log.marks));
     let now = clock.now();
-    let (file, folder) = match record {
-        Some(to) if RecordTo::is_file(to.path) => (Some(BagRecording::new(to, setup)?), None),
-        to => (None, to.map(|to| to.path)),
-    };
     let looking =
-        Looking::new(setup, (camera, cell.clone(), marking), (strip, &clock), folder)?.with_selections(selections);
+        Looking::new(setup, (camera, cell.clone(), marking), (strip, &clock), record)?.with_selections(selections);
     let mut moving = Moving::new(setup, (vs, tc), &*experiment, now)?.with_operator(operator);
     let ends_s = stop_after_s.map_or(duration_s, |s| s.clamp(0.0, duration_s));
     let plan = Plan::of(&setup.experiment.motion, &*experiment);
     let journal = Journal::new(setup, cell.clone(), (now, ends_s), (log, plan));
     let faults = FaultWatch::default();
-    let mut watching = Watching { looking, journal, cell, spectator, faults, keep_flights, file };
+    let mut watching = Watching { looking, journal, cell, spectator, faults, keep_flights, recorder };
     let course = Course { setup, clock: &clock, duration: Duration::from_secs_f64(ends_s), interrupt: &interrupt };
     let (how, punctuality) = course.run(&mut watching, &mut moving);
     let recorded = watching.looking.noting.finish_recording();
-    let filed = watching.file.take().map_or(Ok(()), BagRecording::finish);
-    let how = first_failure([how, recorded, filed]);
+    let kept = watching.recorder.take().map_or(Ok(()), RunRecorder::finish);
+    let how = first_failure([how, recorded, kept]);
     let (steps_untrue, faults) = (watching.journal.steps_untrue(), watching.faults.faults());
     let mut outcome = watching.journal.finish(watching.looking.finish(), moving.arms().commands());
     let replies_missed = moving.arms().replies_missed();
@@ -110,8 +106,7 @@ struct Watching<'a> {
     spectator: Option<Box<dyn Spectator>>,
     faults: FaultWatch,
     keep_flights: KeepFlights,
-    /// The recording in one file.
-    file: Option<BagRecording>,
+    recorder: Option<Box<dyn RunRecorder>>,
 }
 
 impl Parted for Watching<'_> {
@@ -123,6 +118,9 @@ impl Parted for Watching<'_> {
         self.cell.begin_at(begin);
         self.looking.begin_at(begin);
         self.journal.begin_at(begin);
+        if let Some(recorder) = &mut self.recorder {
+            recorder.begin_at(begin);
+        }
     }
 
     fn parts(
@@ -133,8 +131,8 @@ impl Parted for Watching<'_> {
         impl Record<Observed = PairEstimate, Step = Moved>,
     ) {
         let Looking { capturing, estimating, noting } = &mut self.looking;
-        let Self { journal, spectator, faults, keep_flights, file, .. } = self;
-        (capturing, Leading(estimating), Keeping { noting, journal, spectator, faults, keep_flights, file })
+        let Self { journal, spectator, faults, keep_flights, recorder, .. } = self;
+        (capturing, Leading(estimating), Keeping { noting, journal, spectator, faults, keep_flights, recorder })
     }
 }
 
@@ -167,7 +165,7 @@ struct Keeping<'w, 'a> {
     spectator: &'w mut Option<Box<dyn Spectator>>,
     faults: &'w mut FaultWatch,
     keep_flights: &'w mut KeepFlights,
-    file: &'w mut Option<BagRecording>,
+    recorder: &'w mut Option<Box<dyn RunRecorder>>,
 }
 
 impl Record for Keeping<'_, '_> {
@@ -176,8 +174,8 @@ impl Record for Keeping<'_, '_> {
 
     fn moved(&mut self, step: &Moved) {
         self.journal.note(step);
-        if let Some(file) = self.file {
-            file.moved(step);
+        if let Some(recorder) = self.recorder {
+            recorder.moved(step);
         }
         if let Some(spectator) = self.spectator {
             spectator.moved(step);
@@ -191,8 +189,8 @@ impl Record for Keeping<'_, '_> {
         if let Some(spectator) = self.spectator {
             spectator.seen(&seen);
         }
-        if let Some(file) = self.file {
-            file.seen(&seen);
+        if let Some(recorder) = self.recorder {
+            recorder.seen(&seen);
         }
         self.noting.note(&seen)
     }

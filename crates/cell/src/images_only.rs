@@ -96,6 +96,8 @@ impl ImagesOnly {
         let (latency_millis, age_millis) = (millis_since(started), millis_since(pair.exposed_at));
         PairEstimate {
             captured: Captured { frame, cam_left_from_target: None, view: View::Images(pair) },
+            steps: 0,
+            chosen: None,
             target: progress.target,
             region: selection.map(|selection| selection.region),
             prior,

@@ -5,7 +5,6 @@
 pub mod annotation;
 pub mod attended;
 pub mod attended_motion;
-pub mod bag_recording;
 mod beside;
 pub mod both_arms;
 pub mod calibration_facts;

@@ -58,7 +58,7 @@ impl<'a> Looking<'a> {
 
     /// The same with targets that an operator selects meanwhile.
     pub fn with_selections(mut self, selections: Option<Selections>) -> Self {
-        self.estimating.selections = selections;
+        self.estimating = self.estimating.with_selections(selections);
         self
     }
 
@@ -102,12 +102,15 @@ pub struct Estimating<'a> {
     is_of_setup: bool,
     /// Measured joints of the arm that carries the cameras.
     joints: JointHistory,
+    /// Number of control steps whose joints it has.
+    steps: u64,
     /// Exposure time of the previous pair, and the camera pose then if the joint history has it.
     previous: Option<(MonotonicTime, Option<Pose<Base, CamLeft>>)>,
 }
 
 impl<'a> Estimating<'a> {
-    fn new(setup: &'a Setup, clock: Arc<dyn Clock>, cameras: Perception) -> Self {
+    /// No pair is processed yet.
+    pub fn new(setup: &'a Setup, clock: Arc<dyn Clock>, cameras: Perception) -> Self {
         let joints = JointHistory::new(setup.controller.joint_history_samples, JOINT_GAP_MAX_S);
         Self {
             setup,
@@ -118,13 +121,21 @@ impl<'a> Estimating<'a> {
             selected: None,
             is_of_setup: true,
             joints,
+            steps: 0,
             previous: None,
         }
+    }
+
+    /// The same with targets that an operator selects meanwhile.
+    #[must_use]
+    pub fn with_selections(self, selections: Option<Selections>) -> Self {
+        Self { selections, ..self }
     }
 
     /// Adds a joint measurement of the arm that carries the cameras.
     pub fn push_joints(&mut self, sample: JointState) {
         self.joints.push(sample);
+        self.steps += 1;
     }
 
     /// Keeps what the operator has selected so far for the next pair. To be called before each.
@@ -140,7 +151,8 @@ impl<'a> Estimating<'a> {
     /// If the method fails permanently.
     pub fn look(&mut self, captured: Captured) -> Result<PairEstimate> {
         let started = Instant::now();
-        let (region, estimate, prior) = match self.selected.take() {
+        let chosen = self.selected.take();
+        let (region, estimate, prior) = match chosen.clone() {
             Some(Choice::Marked(selection)) => {
                 self.is_of_setup = false;
                 let (estimate, prior) = self.select(&selection, &captured);
@@ -170,7 +182,8 @@ impl<'a> Estimating<'a> {
             Pace::Live => self.clock.now().saturating_since(captured.frame.at),
         };
         let age_millis = age.as_secs_f64() * 1e3;
-        Ok(PairEstimate { captured, target: self.target, region, prior, estimate, latency_millis, age_millis })
+        let (steps, target) = (self.steps, self.target);
+        Ok(PairEstimate { captured, steps, chosen, target, region, prior, estimate, latency_millis, age_millis })
     }
 
     /// Starts with the target that the setup names, in the present images. If it is not in view, there is no target.

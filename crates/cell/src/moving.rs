@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use anyhow::{Result, bail};
-use pb3dp_geometry::frames::Hand;
+use pb3dp_geometry::frames::{Base, Hand, Model};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_hal_api::{ArmError, ArmErrorKind, JointCommand, JointState};
 use pb3dp_kinematics::{Damping, JointVector};
@@ -60,6 +60,10 @@ pub struct Moving<'a> {
     /// How long the path of the arm that carries the target has been paused.
     waited: Duration,
     newest: Option<Percept>,
+    /// A result that no step has used yet.
+    observed: Option<Percept>,
+    /// Number of the next step.
+    number: u64,
 }
 
 /// Progress of a refused command.
@@ -74,8 +78,14 @@ enum Refusal {
 /// One control step.
 #[derive(Clone, Copy, Debug)]
 pub struct Moved {
+    /// Number of the step, from 0.
+    pub number: u64,
     /// Begin of the step.
     pub at: MonotonicTime,
+    /// The result of a pair that this step is the first to use.
+    pub observed: Option<Percept>,
+    /// Pose of the target at the time of the joint sample, by the filter.
+    pub base_from_model: Option<Pose<Base, Model>>,
     /// Controller mode.
     pub mode: Mode,
     /// Decision of the supervisor.
@@ -119,6 +129,8 @@ impl<'a> Moving<'a> {
             is_away: false,
             waited: Duration::ZERO,
             newest: None,
+            observed: None,
+            number: 0,
             setup,
         })
     }
@@ -369,14 +381,31 @@ impl Mover for Moving<'_> {
 
     fn observe(&mut self, percept: Percept, _now: MonotonicTime) {
         self.newest = Some(percept);
+        self.observed = Some(percept);
     }
 
     fn step(&mut self, now: MonotonicTime) -> Result<Moved> {
+        let moved = self.step_both(now)?;
+        self.operator.end_step();
+        Ok(moved)
+    }
+
+    fn stop(&mut self) -> Result<()> {
+        self.arms.stop()
+    }
+}
+
+impl Moving<'_> {
+    /// One control step of both arms.
+    fn step_both(&mut self, now: MonotonicTime) -> Result<Moved> {
         let (control, decision, told) = self.decide(now);
         let arms = [self.arms.vs.sample(), self.arms.tc.sample()];
         let conditions = [&self.arms.vs, &self.arms.tc].map(LedArm::condition);
         let vs_joints = *self.arms.vs.joints();
-        let moved = Moved { at: now, mode: control.mode, decision, vs_joints, arms, conditions };
+        let (mode, base_from_model) = (control.mode, control.base_from_model);
+        let (number, observed) = (self.number, self.observed.take());
+        self.number += 1;
+        let moved = Moved { number, at: now, observed, base_from_model, mode, decision, vs_joints, arms, conditions };
         if decision.permission == Permission::Stop {
             self.stay_stopped(&decision, now)?;
             return Ok(moved);
@@ -398,9 +427,5 @@ impl Mover for Moving<'_> {
         }
         let arms = [self.arms.vs.sample(), self.arms.tc.sample()];
         Ok(Moved { vs_joints: *self.arms.vs.joints(), arms, ..moved })
-    }
-
-    fn stop(&mut self) -> Result<()> {
-        self.arms.stop()
     }
 }

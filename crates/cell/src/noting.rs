@@ -20,6 +20,7 @@ use super::log::{Lock, MethodLog};
 use super::percept::Percept;
 use super::perception::Marking;
 use super::recording::Recording;
+use super::selection::Choice;
 use super::strip::Strip;
 use crate::perception::View;
 use pb3dp_estimation_core::model_frame::model_frame_on_plane;
@@ -162,7 +163,7 @@ fn watch(setup: &Setup) -> Result<Option<DriftWatch>, EstimationError> {
 }
 
 /// A region as a polygon; for a region without corners, the outline from the method.
-pub(crate) fn outline_px(region: Region, estimate: &TrackEstimate) -> Vec<Vector2<f64>> {
+pub fn outline_px(region: Region, estimate: &TrackEstimate) -> Vec<Vector2<f64>> {
     match region {
         Region::Polygon { vertices_px } => vertices_px,
         Region::Rectangle { x, y, width, height } => {
@@ -190,6 +191,10 @@ pub fn true_model_frame(
 pub struct PairEstimate {
     /// The pair.
     pub captured: Captured,
+    /// Control steps whose joints the estimate knew.
+    pub steps: u64,
+    /// What the operator selected for this pair.
+    pub chosen: Option<Choice>,
     /// Number of the target.
     pub target: u64,
     /// The region that was marked since the previous pair.

@@ -13,6 +13,9 @@ pub trait Operator: Send {
     /// Receives the decision of this step.
     fn show(&mut self, decision: &Decision);
 
+    /// The control step has come to its end.
+    fn end_step(&mut self) {}
+
     /// Receives a problem that the operator must know, such as a failed reset; `None` clears it.
     fn tell(&mut self, trouble: Option<String>);
 

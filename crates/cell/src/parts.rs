@@ -19,7 +19,7 @@ use super::flight::KeepFlights;
 use super::operator::Operator;
 use super::perception::{Marking, Sight};
 use super::selection::Selections;
-use super::spectator::Spectator;
+use super::spectator::{RunRecorder, Spectator};
 
 /// An emulated arm at the other end of a link.
 pub trait EmulatedArm: Send {
@@ -135,6 +135,8 @@ pub struct Parts {
     pub pushed: Option<PushedTarget>,
     /// Who looks on, if anybody does.
     pub spectator: Option<Box<dyn Spectator>>,
+    /// Who records the run in one file, if anybody does.
+    pub recorder: Option<Box<dyn RunRecorder>>,
     /// Targets that the operator selects during the run.
     pub selections: Option<Selections>,
     /// Once set, the run ends early; both arms are stopped as at its regular end.

@@ -210,4 +210,6 @@ pub enum View {
     Images(Arc<FramePair>),
     /// The true pose with noise.
     Geometric(Box<GeometricFrame>),
+    /// Neither is at hand: a recorded estimate without its images.
+    Nothing,
 }

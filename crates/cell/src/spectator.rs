@@ -1,4 +1,7 @@
-//! A spectator of a run: sees each control step and each estimate, and influences neither.
+//! Spectators of a run: they see each control step and each estimate, and influence neither.
+
+use anyhow::Result;
+use pb3dp_geometry::MonotonicTime;
 
 use crate::moving::Moved;
 use crate::noting::PairEstimate;
@@ -11,4 +14,16 @@ pub trait Spectator: Send {
 
     /// Receives a pair with its estimate.
     fn seen(&mut self, seen: &PairEstimate);
+}
+
+/// A spectator that keeps what it sees.
+pub trait RunRecorder: Spectator {
+    /// Receives the time of the first control step.
+    fn begin_at(&mut self, begin: MonotonicTime);
+
+    /// Keeps everything; also called after a run that has failed.
+    ///
+    /// # Errors
+    /// If not everything is kept.
+    fn finish(self: Box<Self>) -> Result<()>;
 }

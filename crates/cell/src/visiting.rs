@@ -163,7 +163,7 @@ pub fn look_here(setup: &Setup, parts: Parts, patience: Duration, folder: &Path,
 fn pair_of(captured: Captured) -> Option<Arc<FramePair>> {
     match captured.view {
         View::Images(pair) => Some(pair),
-        View::Geometric(_) => None,
+        View::Geometric(_) | View::Nothing => None,
     }
 }
 

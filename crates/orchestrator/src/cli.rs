@@ -17,6 +17,7 @@ use crate::commands::generate::GenerateArgs;
 use crate::commands::identify::IdentifyArgs;
 use crate::commands::panel::PanelArgs;
 use crate::commands::recover::RecoverArgs;
+use crate::commands::replay::ReplayArgs;
 use crate::commands::rig::RigArgs;
 use crate::logging::LogFormat;
 
@@ -78,6 +79,8 @@ pub enum Command {
     Extract(ExtractArgs),
     /// Make a whole file from a recording that was broken off by a kill or a full disk.
     Recover(RecoverArgs),
+    /// Run a recorded run again, from its recorded inputs, and compare to the bit; exit code 3 if it differs.
+    Replay(ReplayArgs),
     /// Point at objects with the mouse, on recorded images or bare cameras, without arms.
     Panel(Box<PanelArgs>),
     /// Measure properties of the rig that a setup needs: its delays.

@@ -31,6 +31,7 @@ fn main() -> ExitCode {
         Command::Track(args) => commands::track::run(args),
         Command::Extract(args) => commands::extract::run(args),
         Command::Recover(args) => commands::recover::run(args),
+        Command::Replay(args) => commands::replay::run(args),
         Command::Panel(args) => commands::panel::run(args),
         Command::Identify(args) => commands::identify::run(args),
         Command::Arm(args) => pb3dp_commissioning::arm::run(args, PROGRAM),

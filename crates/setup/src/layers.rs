@@ -193,6 +193,9 @@ const OF_LINK: [&str; 2] = ["gateway", "bus"];
 /// which pose is believed.
 const BY_VARIABLE: &str = "run.seed";
 
+/// Keys that name input files, besides the robot descriptions of the arms. A region names one if it is a mask.
+const INPUTS: [&str; 4] = ["camera.calibration", "truth.calibration", "mounts.hand_eye", "camera.region"];
+
 /// Keys of a file that control its layers.
 const BASE: &str = "base";
 const WITHOUT: &str = "without";
@@ -285,6 +288,23 @@ impl Layers {
             found.push(Effective { key: key.to_owned(), value: toml_text(value), origin });
         });
         found
+    }
+
+    /// Files whose content decides how a run goes, as their keys state them; built-in files and keys are not among them.
+    pub fn input_files(&self) -> Vec<String> {
+        let is_input = |key: &str| INPUTS.contains(&key) || (key.starts_with("arms.") && key.ends_with(".robot"));
+        let effective = self.effective();
+        let stated = effective.iter().filter(|setting| is_input(&setting.key));
+        let values = stated.filter_map(|setting| format!("value = {}", setting.value).parse::<toml::Table>().ok());
+        let words = values.flat_map(|table| match table.get("value") {
+            Some(toml::Value::String(word)) => vec![word.clone()],
+            Some(toml::Value::Array(words)) => {
+                words.iter().filter_map(|word| word.as_str().map(str::to_owned)).collect()
+            }
+            _ => Vec::new(),
+        });
+        let files = words.map(|word| word.strip_prefix("mask:").map_or(word.clone(), str::to_owned));
+        files.filter(|file| Path::new(file).is_file()).collect()
     }
 
     /// Whether more than one file or built-in setup takes part.

@@ -247,6 +247,7 @@ fn wire_cell_with(
         on_bus,
         operator: Box::new(ByCommand),
         spectator: None,
+        recorder: None,
         pushed: None,
         selections: None,
         interrupt: Arc::default(),

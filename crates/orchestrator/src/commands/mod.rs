@@ -16,6 +16,7 @@ pub mod panel;
 mod panel_of_run;
 mod pose_output;
 pub mod recover;
+pub mod replay;
 mod result_folder;
 pub mod rig;
 pub mod run;

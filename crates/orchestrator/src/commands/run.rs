@@ -8,7 +8,6 @@ use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result};
 use pb3dp_bag::BagError;
-use pb3dp_cell::bag_recording::RecordTo;
 use pb3dp_cell::console::ConsoleTargets;
 use pb3dp_cell::experiment::{self, Ended};
 use pb3dp_cell::flight::Moment;
@@ -19,6 +18,8 @@ use pb3dp_commissioning::commissioned::check_arms;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::dataset::SequenceWriter;
+use pb3dp_recording::pairs::RecordTo;
+use pb3dp_recording::run::record_run;
 use pb3dp_setup::layers::{Layers, toml_of};
 use pb3dp_setup::setup::read_layers;
 use pb3dp_wiring::{RunNeeds, Wired, accept_nominal, wire_run, write_flights};
@@ -72,15 +73,15 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     // A fault does not end a run with a console; the recorders forget it after some seconds.
     parts.keep_flights = Box::new(keep_flights.clone());
     tracing::info!("the results of this run go to {} (--out)", args.out.display());
-    let record = args
-        .record
-        .as_deref()
-        .map(|path| {
-            let settings = toml_of(&Layers::read(&asked)?.effective());
-            record_to(path, settings, parts.clock.now())
-        })
-        .transpose()?;
-    let Ended { outcome, how, faults } = experiment::conduct(&setup, parts, args.stop_after, record.as_ref())?;
+    let (file, folder) = match args.record.as_deref() {
+        Some(path) if RecordTo::is_file(path) => (Some(path), None),
+        folder => (None, folder),
+    };
+    if let Some(file) = file {
+        let settings = toml_of(&Layers::read(&asked)?.effective());
+        parts = record_run(&record_to(file, settings, parts.clock.now())?, &setup, parts)?;
+    }
+    let Ended { outcome, how, faults } = experiment::conduct(&setup, parts, args.stop_after, folder)?;
     if let Err(failure) = &how {
         keep_flights(faults + 1, failure);
     }

@@ -297,7 +297,10 @@ impl Loop {
             allocations += pb3dp_allocation_count::requests() - before;
             let sample = ArmSample { position_rad: self.start_rad, requested_rad_per_s: None };
             spectator.moved(&Moved {
+                number: 0,
                 at: now,
+                observed: None,
+                base_from_model: None,
                 mode: Mode::Approaching,
                 decision,
                 vs_joints: JointState {

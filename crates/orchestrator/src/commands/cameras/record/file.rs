@@ -7,9 +7,9 @@ use anyhow::{Context, Result, bail};
 use pb3dp_bag::BagError;
 use pb3dp_bag::topics::ours;
 use pb3dp_bag::writer::WhenFull;
-use pb3dp_cell::bag_recording::PairRecording;
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::{CameraErrorKind, Clock, FramePair, StereoCamera};
+use pb3dp_recording::pairs::PairRecording;
 
 use super::Recorded;
 use super::recorder::{PATIENCE, PATIENCE_OF_A_CALL};

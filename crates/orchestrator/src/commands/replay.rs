@@ -1,0 +1,63 @@
+//! `pb3dp replay`: a recorded run again, compared with the recording to the bit.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::Result;
+use clap::Args;
+use pb3dp_cell::terminal::print_line;
+use pb3dp_recording::replay::{Opened, ReplayOptions, Replayed};
+use pb3dp_setup::layers::toml_of;
+
+use crate::arguments::UNSURE;
+use crate::commands::run::record_to;
+use pb3dp_geometry::MonotonicTime;
+
+/// Arguments of `pb3dp replay`.
+#[derive(Debug, Args)]
+pub struct ReplayArgs {
+    /// The recording of a run.
+    #[arg(value_name = "FILE.mcap")]
+    file: PathBuf,
+    /// Set one key of the recorded settings, for instance `servo.speed.linear_mm_per_s=50`; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Estimate with this method: direct, rm-ga and others; short for `--set estimator.method=METHOD`.
+    #[arg(long, value_name = "METHOD")]
+    method: Option<String>,
+    /// Take the recorded estimates as inputs, for a replay of the control only; images are not needed.
+    #[arg(long)]
+    without_images: bool,
+    /// Record the replay in a new file.
+    #[arg(long, value_name = "FILE.mcap")]
+    record: Option<PathBuf>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A file that is no recording of a run, settings that are refused, or a new file that cannot be written.
+pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
+    let method = args.method.iter().map(|method| format!("estimator.method={method}"));
+    let set: Vec<String> = args.set.iter().cloned().chain(method).collect();
+    let options = ReplayOptions { set, without_images: args.without_images };
+    let opened = Opened::new(&args.file, &options)?;
+    let settings = toml_of(&opened.setup.layers.effective());
+    let to = args.record.as_deref().map(|path| record_to(path, settings, MonotonicTime::ZERO)).transpose()?;
+    let replayed = opened.replay(to.as_ref(), None)?;
+    print_line(&text(&replayed))?;
+    Ok(if replayed.differences.any() { ExitCode::from(UNSURE) } else { ExitCode::SUCCESS })
+}
+
+fn text(replayed: &Replayed) -> String {
+    let Replayed { version, steps, pairs, duration_s, wall_s, differences, notes } = replayed;
+    let times = duration_s / wall_s.max(1e-9);
+    let mut text = format!(
+        "recorded by {version}\n{steps} control steps and {pairs} pairs of {duration_s:.1} s in {wall_s:.1} s: {times:.1} times as fast\n{}",
+        differences.text()
+    );
+    for note in notes {
+        text += &format!("missing: {note}\n");
+    }
+    text + if differences.any() { "the replay differs" } else { "equal to the bit" }
+}

@@ -1,0 +1,66 @@
+//! Estimates of pairs as messages and back.
+
+use anyhow::{Context, Result};
+use nalgebra::Vector2;
+use pb3dp_bag::run_messages::{Chosen, PairResult};
+use pb3dp_cell::noting::PairEstimate;
+use pb3dp_cell::perception::View;
+use pb3dp_cell::selection::Choice;
+use pb3dp_estimation_core::estimate::TrackEstimate;
+
+use crate::exact::{covariance, of_covariance, of_pose_if_any, of_region, pose_if_any, status};
+
+/// An estimate with everything that it depended on.
+pub fn pair_result(seen: &PairEstimate) -> PairResult {
+    let PairEstimate { captured, estimate, .. } = seen;
+    let chosen = seen.chosen.as_ref().map(|choice| match choice {
+        Choice::OfSetup => Chosen { kind: "of setup".to_owned(), region: Default::default(), drawn_on: Vec::new() },
+        Choice::Marked(selection) => Chosen {
+            kind: "marked".to_owned(),
+            region: of_region(&selection.region),
+            drawn_on: selection.drawn_on.iter().map(|pair| pair.sequence).collect(),
+        },
+    });
+    PairResult {
+        sequence: captured.frame.sequence,
+        exposed_at_nanos: captured.frame.at.as_nanos(),
+        skew_s: captured.frame.skew_s,
+        has_images: matches!(captured.view, View::Images(_)),
+        steps: seen.steps,
+        chosen: chosen.into_iter().collect(),
+        cam_left_from_target: of_pose_if_any(captured.cam_left_from_target.as_ref()),
+        target: seen.target,
+        region: seen.region.iter().map(of_region).collect(),
+        status: estimate.status.to_string(),
+        reason: estimate.reason.clone(),
+        cam_left_from_model: of_pose_if_any(estimate.cam_left_from_model.as_ref()),
+        covariance: of_covariance(estimate.covariance.as_ref()),
+        fitness: estimate.fitness.into_iter().collect(),
+        observed: estimate.observed.iter().flatten().copied().collect(),
+        rotation_about_normal_observed: estimate.rotation_about_normal_observed,
+        outline_px: estimate.outline_px.iter().flat_map(|corner| [corner.x, corner.y]).collect(),
+        latency_millis: seen.latency_millis,
+        age_millis: seen.age_millis,
+    }
+}
+
+/// The recorded estimate; without the hypothesis of a search, which nothing after the estimation uses.
+///
+/// # Errors
+/// Names the damaged field.
+pub fn recorded_estimate(result: &PairResult) -> Result<TrackEstimate> {
+    let observed = match &result.observed[..] {
+        [] => None,
+        six => Some(six.try_into().context("observed: a pose has six directions")?),
+    };
+    let corner = |pair: &[f64]| Vector2::new(pair[0], pair[1]);
+    Ok(TrackEstimate {
+        cam_left_from_model: pose_if_any("cam_left_from_model", &result.cam_left_from_model)?,
+        covariance: covariance("covariance", &result.covariance)?,
+        fitness: result.fitness.first().copied(),
+        outline_px: result.outline_px.chunks_exact(2).map(corner).collect(),
+        observed,
+        rotation_about_normal_observed: result.rotation_about_normal_observed,
+        ..TrackEstimate::without_pose(status(&result.status)?, result.reason.clone())
+    })
+}

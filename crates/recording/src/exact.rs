@@ -1,0 +1,277 @@
+//! Values of a run as messages and back, to the last bit.
+
+use std::io::Cursor;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use image::{GrayImage, ImageFormat};
+use nalgebra::{Isometry3, Matrix6, Point3, Quaternion, Translation3, UnitQuaternion, Vector2};
+use pb3dp_bag::cdr::Bytes;
+use pb3dp_bag::run_messages::{Marked, Observed, Said};
+use pb3dp_cell::operator::MotionRequest;
+use pb3dp_cell::percept::Percept;
+use pb3dp_cell::perception::Marking;
+use pb3dp_estimation_core::region::Region;
+use pb3dp_estimation_core::status::Status;
+use pb3dp_geometry::frames::Frame;
+use pb3dp_geometry::{MonotonicTime, Pose};
+use pb3dp_hal_api::{ArmErrorKind, ArmState};
+use pb3dp_kinematics::{DOF, JointVector};
+use pb3dp_servo::TargetObservation;
+use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput, OperatorCommand, OperatorInput, OperatorRequest};
+
+/// Translation, m, and quaternion x, y, z, w.
+pub fn of_pose<A: Frame, B: Frame>(pose: &Pose<A, B>) -> [f64; 7] {
+    let (t, r) = (pose.translation_m(), pose.rotation());
+    [t.x, t.y, t.z, r.i, r.j, r.k, r.w]
+}
+
+/// The same; empty for none.
+pub fn of_pose_if_any<A: Frame, B: Frame>(pose: Option<&Pose<A, B>>) -> Vec<f64> {
+    pose.map_or(Vec::new(), |pose| of_pose(pose).to_vec())
+}
+
+/// The pose: the quaternion is not normalised, which would change its last bits.
+pub fn pose<A: Frame, B: Frame>([x, y, z, i, j, k, w]: [f64; 7]) -> Pose<A, B> {
+    let rotation = UnitQuaternion::new_unchecked(Quaternion::new(w, i, j, k));
+    Pose::from_isometry(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
+}
+
+/// The pose; none if the message has none.
+///
+/// # Errors
+/// If there are not seven numbers, or they are no pose.
+pub fn pose_if_any<A: Frame, B: Frame>(what: &str, numbers: &[f64]) -> Result<Option<Pose<A, B>>> {
+    if numbers.is_empty() {
+        return Ok(None);
+    }
+    let numbers: [f64; 7] =
+        numbers.try_into().map_err(|_| anyhow::anyhow!("{what}: {} numbers, a pose has 7", numbers.len()))?;
+    let found = pose(numbers);
+    let length = numbers[3..].iter().map(|q| q * q).sum::<f64>().sqrt();
+    // Poses of a run are finite and normalised, up to rounding.
+    if !found.is_finite() || (length - 1.0).abs() > 1e-6 {
+        bail!("{what}: {numbers:?} is no pose: the recording is damaged");
+    }
+    Ok(Some(found))
+}
+
+/// The columns of a matrix; empty for none.
+pub fn of_covariance(covariance: Option<&Matrix6<f64>>) -> Vec<f64> {
+    covariance.map_or(Vec::new(), |covariance| covariance.as_slice().to_vec())
+}
+
+/// The matrix; none if the message has none.
+///
+/// # Errors
+/// If there are not 36 numbers.
+pub fn covariance(what: &str, numbers: &[f64]) -> Result<Option<Matrix6<f64>>> {
+    match numbers.len() {
+        0 => Ok(None),
+        36 => Ok(Some(Matrix6::from_column_slice(numbers))),
+        count => bail!("{what}: {count} numbers, a covariance has 36"),
+    }
+}
+
+/// Seven joints.
+///
+/// # Errors
+/// If there are not seven numbers.
+pub fn joints(what: &str, numbers: &[f64]) -> Result<JointVector> {
+    if numbers.len() != DOF {
+        bail!("{what}: {} numbers for {DOF} joints", numbers.len());
+    }
+    Ok(JointVector::from_column_slice(numbers))
+}
+
+/// What a step observed.
+pub fn of_percept(percept: &Percept) -> Observed {
+    let Percept { frame, estimate, observation } = percept;
+    let seen = observation.as_ref();
+    Observed {
+        sequence: frame.sequence,
+        exposed_at_nanos: frame.at.as_nanos(),
+        skew_s: frame.skew_s,
+        target: estimate.target,
+        confidence: match estimate.confidence {
+            Confidence::Sure => "sure",
+            Confidence::Doubtful => "doubtful",
+            Confidence::NoPose => "no pose",
+        }
+        .to_owned(),
+        stated_covariance: of_covariance(estimate.covariance.as_ref()),
+        cam_left_from_model: of_pose_if_any(seen.map(|seen| &seen.cam_left_from_model)),
+        trusted: seen.is_some_and(|seen| seen.trusted),
+        covariance: of_covariance(seen.and_then(|seen| seen.covariance.as_ref())),
+        rotation_about_normal_observed: seen.is_some_and(|seen| seen.rotation_about_normal_observed),
+    }
+}
+
+/// The same back.
+///
+/// # Errors
+/// Names the damaged field.
+pub fn percept(seen: &Observed) -> Result<Percept> {
+    let at = MonotonicTime::from_nanos(seen.exposed_at_nanos);
+    let confidence = match seen.confidence.as_str() {
+        "sure" => Confidence::Sure,
+        "doubtful" => Confidence::Doubtful,
+        "no pose" => Confidence::NoPose,
+        other => bail!("observed.confidence: {other:?} is no confidence"),
+    };
+    let observation = pose_if_any("observed.cam_left_from_model", &seen.cam_left_from_model)?
+        .map(|cam_left_from_model| -> Result<_> {
+            Ok(TargetObservation {
+                at,
+                cam_left_from_model,
+                trusted: seen.trusted,
+                covariance: covariance("observed.covariance", &seen.covariance)?,
+                rotation_about_normal_observed: seen.rotation_about_normal_observed,
+            })
+        })
+        .transpose()?;
+    let stated = covariance("observed.stated_covariance", &seen.stated_covariance)?;
+    Ok(Percept {
+        frame: FrameInput { sequence: seen.sequence, at, skew_s: seen.skew_s },
+        estimate: EstimateInput { at, confidence, covariance: stated, target: seen.target },
+        observation,
+    })
+}
+
+/// What the operator has said, and the last sign of life.
+pub fn operator_input(said: &[Said], heard_at_nanos: &[u64], silent_after_nanos: &[u64]) -> Result<OperatorInput> {
+    let request = |said: &Said| -> Result<_> {
+        let word = OperatorCommand::ALL.into_iter().find(|word| word.name() == said.word);
+        let word = word.with_context(|| format!("said: {:?} is no command of an operator", said.word))?;
+        Ok(OperatorRequest { word, at: MonotonicTime::from_nanos(said.at_nanos) })
+    };
+    Ok(OperatorInput {
+        said: said.first().map(request).transpose()?,
+        heard_at: heard_at_nanos.first().map(|nanos| MonotonicTime::from_nanos(*nanos)),
+        silent_after: silent_after_nanos.first().map(|nanos| Duration::from_nanos(*nanos)),
+    })
+}
+
+/// How the operator wants the hand to move.
+pub fn motion(speed_share: f64, hand_from_hand_shifted: [f64; 7]) -> MotionRequest {
+    MotionRequest { speed_share, hand_from_hand_shifted: pose(hand_from_hand_shifted) }
+}
+
+/// The state of an arm in words.
+pub fn of_state(state: ArmState) -> &'static str {
+    match state {
+        ArmState::Disabled => "disabled",
+        ArmState::Enabled => "enabled",
+        ArmState::Fault => "fault",
+        ArmState::EStop => "emergency stop",
+    }
+}
+
+/// The kind of a failure in words.
+pub fn of_failure(kind: ArmErrorKind) -> &'static str {
+    match kind {
+        ArmErrorKind::Rejected => "rejected",
+        ArmErrorKind::NotEnabled => "not enabled",
+        ArmErrorKind::Timeout => "timeout",
+        ArmErrorKind::Disconnected => "disconnected",
+        // A kind that is added later stops the arm as well.
+        _ => "fault",
+    }
+}
+
+/// The same back.
+pub fn failure(word: &str) -> Option<ArmErrorKind> {
+    Some(match word {
+        "rejected" => ArmErrorKind::Rejected,
+        "not enabled" => ArmErrorKind::NotEnabled,
+        "timeout" => ArmErrorKind::Timeout,
+        "disconnected" => ArmErrorKind::Disconnected,
+        "fault" => ArmErrorKind::Fault,
+        _ => return None,
+    })
+}
+
+/// The status with this name.
+pub fn status(word: &str) -> Result<Status> {
+    use Status::{Ambiguous, Error, Lost, NotObservable, Ok as Good, PartlyObserved, WeakTilt};
+    let all = [Good, WeakTilt, PartlyObserved, Ambiguous, NotObservable, Lost, Error];
+    all.into_iter().find(|status| status.as_str() == word).with_context(|| format!("status: {word:?} is no status"))
+}
+
+/// A region.
+pub fn of_region(region: &Region) -> Marked {
+    let marked = |kind: &str, numbers: Vec<f64>| Marked { kind: kind.to_owned(), numbers, mask: Bytes::default() };
+    match region {
+        Region::Rectangle { x, y, width, height } => {
+            marked("rectangle", vec![f64::from(*x), f64::from(*y), f64::from(*width), f64::from(*height)])
+        }
+        Region::Polygon { vertices_px } => {
+            marked("polygon", vertices_px.iter().flat_map(|vertex| [vertex.x, vertex.y]).collect())
+        }
+        Region::Click { x, y } => marked("click", vec![f64::from(*x), f64::from(*y)]),
+        Region::Mask(mask) => {
+            let mut png = Cursor::new(Vec::new());
+            // Into memory, a grey image can always be written.
+            let written = mask.write_to(&mut png, ImageFormat::Png);
+            let mask = Bytes(written.map_or(Vec::new(), |()| png.into_inner()));
+            Marked { mask, ..marked("mask", Vec::new()) }
+        }
+    }
+}
+
+/// The region.
+///
+/// # Errors
+/// Names what is damaged.
+pub fn region(marked: &Marked) -> Result<Region> {
+    let whole = |index: usize| marked.numbers.get(index).copied().unwrap_or(0.0);
+    Ok(match marked.kind.as_str() {
+        "rectangle" => Region::Rectangle {
+            x: whole(0) as i32,
+            y: whole(1) as i32,
+            width: whole(2) as u32,
+            height: whole(3) as u32,
+        },
+        "polygon" => {
+            let corner = |pair: &[f64]| Vector2::new(pair[0], pair[1]);
+            Region::Polygon { vertices_px: marked.numbers.chunks_exact(2).map(corner).collect() }
+        }
+        "click" => Region::Click { x: whole(0) as i32, y: whole(1) as i32 },
+        "mask" => Region::Mask(mask(&marked.mask.0)?),
+        other => bail!("region: {other:?} is no kind of region"),
+    })
+}
+
+fn mask(png: &[u8]) -> Result<GrayImage> {
+    let read = image::load_from_memory_with_format(png, ImageFormat::Png);
+    Ok(read.context("region: the mask is damaged")?.into_luma8())
+}
+
+/// How a target is marked.
+pub fn of_marking(marking: &Marking) -> Marked {
+    let kind = |kind: &str| Marked { kind: kind.to_owned(), ..Marked::default() };
+    match marking {
+        Marking::Region(region) => of_region(region),
+        Marking::Outline(points_m) => {
+            let numbers = points_m.iter().flat_map(|point| [point.x, point.y, point.z]).collect();
+            Marked { numbers, ..kind("outline") }
+        }
+        Marking::Awaited => kind("awaited"),
+        Marking::Nobody => kind("nobody"),
+    }
+}
+
+/// The same back.
+///
+/// # Errors
+/// As [`region`].
+pub fn marking(marked: &Marked) -> Result<Marking> {
+    Ok(match marked.kind.as_str() {
+        "awaited" => Marking::Awaited,
+        "nobody" => Marking::Nobody,
+        "outline" => {
+            Marking::Outline(marked.numbers.chunks_exact(3).map(|xyz| Point3::new(xyz[0], xyz[1], xyz[2])).collect())
+        }
+        _ => Marking::Region(region(marked)?),
+    })
+}

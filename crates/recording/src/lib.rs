@@ -1,0 +1,15 @@
+//! Runs in one file: recorded with all their inputs, replayed to the bit, and compared.
+//!
+//! * [`run`]: what a run writes, for other programs and for a replay;
+//! * [`pairs`]: stereo pairs only;
+//! * [`replay`]: the run again, from its recorded inputs.
+//!
+//! The messages are those of `pb3dp-bag` (ADR 18).
+
+mod estimates;
+mod exact;
+pub mod pairs;
+pub mod replay;
+pub mod run;
+mod steps;
+mod tap;

@@ -1,0 +1,390 @@
+//! Arms and operator of a replay: they answer as in the recording, and compare what they are told.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use pb3dp_bag::run_messages::{ArmCall, ArmChange, ControlStep};
+use pb3dp_cell::operator::{MotionRequest, Operator};
+use pb3dp_cell::parts::DrivenArm;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand, JointState};
+use pb3dp_hal_middleware::LimiterStatistics;
+use pb3dp_kinematics::JointVector;
+use pb3dp_servo::supervisor::{Decision, OperatorInput};
+
+use super::differences::{Differences, Kind};
+use crate::exact::{failure, joints, motion, operator_input};
+use crate::steps::call_word;
+use crate::tap::{Call, Heard};
+
+/// Names of the arms in messages.
+const NAMES: [&str; 2] = ["vs-robot", "tc-robot"];
+
+/// What happened to an arm in the present step, in order.
+enum Entry {
+    Changed { query: u32, state: String },
+    Called(ArmCall),
+}
+
+/// One arm of the recording.
+#[derive(Default)]
+struct ArmScript {
+    entries: VecDeque<Entry>,
+    /// Queries since the last call.
+    queries: u32,
+    state: Option<ArmState>,
+    is_stopped_by_other: bool,
+    measured: Option<JointState>,
+    has_begun: bool,
+}
+
+/// Both arms and the operator of the recording.
+#[derive(Default)]
+pub struct Script {
+    arms: [ArmScript; 2],
+    heard: OperatorInput,
+    motion: MotionRequest,
+    carries_before_start: bool,
+    /// Time of the step since the begin of the run, seconds.
+    t_s: f64,
+    differences: Differences,
+}
+
+/// The script that arms, operator and replay share.
+#[derive(Clone, Default)]
+pub struct SharedScript(Arc<Mutex<Script>>);
+
+impl SharedScript {
+    fn lock(&self) -> MutexGuard<'_, Script> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Both arms and the operator.
+    pub fn parts(&self, cycle: Duration, (is_person, can_fall_silent): (bool, bool)) -> Heard {
+        let arm = |side: usize| {
+            let info = ArmInfo { name: NAMES[side].to_owned(), cycle };
+            Box::new(ReplayedArm { info, script: self.clone(), side })
+        };
+        let operator = ReplayedOperator { script: self.clone(), is_person, can_fall_silent };
+        Heard { vs: arm(0), tc: arm(1), operator: Box::new(operator) }
+    }
+
+    /// Sets both arms as they were before the first step.
+    ///
+    /// # Errors
+    /// If the recording does not tell.
+    pub fn begin(&self, first: &mut ControlStep) -> Result<()> {
+        let mut script = self.lock();
+        for (side, arm) in script.arms.iter_mut().enumerate() {
+            let is_ours = |of: u8| usize::from(of) == side;
+            let call = first.calls.iter().find(|call| is_ours(call.arm) && call.call == "enabled");
+            let call = call.with_context(|| format!("the recording lacks the begin of {}", NAMES[side]))?;
+            arm.measured = Some(measured(call)?);
+            for change in first.changes.iter().filter(|change| is_ours(change.arm) && change.after == 0) {
+                arm.tell(&change.state)?;
+            }
+        }
+        first.changes.retain(|change| change.after > 0);
+        first.changes.iter_mut().for_each(|change| change.after -= 1);
+        first.calls.retain(|call| call.call != "enabled");
+        Ok(())
+    }
+
+    /// Sets what happened in the next step, `t_s` seconds after the begin.
+    ///
+    /// # Errors
+    /// Names the damaged field.
+    pub fn load(&self, step: &ControlStep, t_s: f64) -> Result<()> {
+        let mut script = self.lock();
+        script.t_s = t_s;
+        script.heard = operator_input(&step.said, &step.heard_at_nanos, &step.silent_after_nanos)?;
+        script.motion = motion(step.speed_share, step.hand_from_hand_shifted);
+        script.carries_before_start = step.carries_before_start;
+        for (side, arm) in script.arms.iter_mut().enumerate() {
+            arm.has_begun = true;
+            arm.entries = entries(step, side);
+        }
+        Ok(())
+    }
+
+    /// Ends the step: what the arms were not asked is a difference.
+    ///
+    /// # Errors
+    /// Names the damaged field.
+    pub fn end_step(&self) -> Result<()> {
+        let mut script = self.lock();
+        let Script { arms, differences, t_s, .. } = &mut *script;
+        for (arm, name) in arms.iter_mut().zip(NAMES) {
+            for entry in std::mem::take(&mut arm.entries) {
+                match entry {
+                    Entry::Changed { state, .. } => arm.tell(&state)?,
+                    Entry::Called(call) => {
+                        let recorded = format!("{name}: {}", call.call);
+                        differences.differ(Kind::Commands, *t_s, recorded, format!("{name}: nothing"));
+                        arm.measured = measured_if_any(&call)?.or(arm.measured);
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes what was found so far.
+    pub fn differences(&self) -> Differences {
+        std::mem::take(&mut self.lock().differences)
+    }
+}
+
+/// Changes and calls of one arm in the order in which they happened.
+fn entries(step: &ControlStep, side: usize) -> VecDeque<Entry> {
+    let is_ours = |arm: u8| usize::from(arm) == side;
+    let calls: Vec<&ArmCall> = step.calls.iter().filter(|call| is_ours(call.arm)).collect();
+    let changes = |after: usize| {
+        let then = move |change: &&ArmChange| is_ours(change.arm) && change.after as usize == after;
+        let entry = |change: &ArmChange| Entry::Changed { query: change.query, state: change.state.clone() };
+        step.changes.iter().filter(then).map(entry)
+    };
+    let mut entries = VecDeque::new();
+    for (index, call) in calls.iter().enumerate() {
+        entries.extend(changes(index));
+        entries.push_back(Entry::Called((*call).clone()));
+    }
+    entries.extend(changes(calls.len()));
+    entries
+}
+
+fn measured(call: &ArmCall) -> Result<JointState> {
+    Ok(JointState {
+        at: MonotonicTime::from_nanos(call.measured_at_nanos),
+        position_rad: joints("calls.position_rad", &call.position_rad)?,
+        velocity_rad_per_s: joints("calls.velocity_rad_per_s", &call.velocity_rad_per_s)?,
+    })
+}
+
+fn measured_if_any(call: &ArmCall) -> Result<Option<JointState>> {
+    if call.outcome == "measured" { measured(call).map(Some) } else { Ok(None) }
+}
+
+impl ArmScript {
+    fn tell(&mut self, state: &str) -> Result<()> {
+        match state {
+            "disabled" => self.state = Some(ArmState::Disabled),
+            "enabled" => self.state = Some(ArmState::Enabled),
+            "fault" => self.state = Some(ArmState::Fault),
+            "emergency stop" => self.state = Some(ArmState::EStop),
+            "stopped by other" => self.is_stopped_by_other = true,
+            "not stopped by other" => self.is_stopped_by_other = false,
+            other => bail!("changes.state: {other:?} is no state of an arm"),
+        }
+        Ok(())
+    }
+
+    /// A query: changes up to it take effect.
+    fn query(&mut self) {
+        while let Some(Entry::Changed { query, .. }) = self.entries.front() {
+            if *query > self.queries {
+                break;
+            }
+            if let Some(Entry::Changed { state, .. }) = self.entries.pop_front() {
+                // Damaged words are found when the step ends.
+                let _ = self.tell(&state);
+            }
+        }
+        self.queries += 1;
+    }
+
+    /// The next call of the recording with this meaning; calls before it, which nobody makes, are left out.
+    fn next_call(&mut self, fits: impl Fn(&str) -> bool) -> Option<ArmCall> {
+        self.queries = 0;
+        let is_it = |entry: &Entry| matches!(entry, Entry::Called(call) if fits(&call.call));
+        let index = self.entries.iter().position(is_it)?;
+        for entry in self.entries.drain(..index).collect::<Vec<_>>() {
+            match entry {
+                Entry::Changed { state, .. } => drop(self.tell(&state)),
+                Entry::Called(call) => self.measured = measured_if_any(&call).ok().flatten().or(self.measured),
+            }
+        }
+        match self.entries.pop_front() {
+            Some(Entry::Called(call)) => Some(call),
+            _ => None,
+        }
+    }
+}
+
+/// An arm that answers as in the recording.
+struct ReplayedArm {
+    info: ArmInfo,
+    script: SharedScript,
+    side: usize,
+}
+
+fn is_exchange(word: &str) -> bool {
+    matches!(word, "move" | "hold")
+}
+
+impl ReplayedArm {
+    /// The recorded answer to a call; `done` if there is none.
+    fn asked(&self, call: Call) -> Result<ArmCall, ArmError> {
+        let mut script = self.script.lock();
+        let Script { arms, differences, t_s, .. } = &mut *script;
+        let arm = &mut arms[self.side];
+        let word = call_word(&call);
+        let blank = ArmCall {
+            arm: self.side as u8,
+            call: word.to_owned(),
+            command_rad_per_s: Vec::new(),
+            outcome: "done".to_owned(),
+            measured_at_nanos: 0,
+            position_rad: Vec::new(),
+            velocity_rad_per_s: Vec::new(),
+        };
+        if !arm.has_begun {
+            arm.queries = 0;
+            return Ok(blank);
+        }
+        let found = arm.next_call(|other| other == word || is_exchange(word) && is_exchange(other));
+        let in_words = |call: &ArmCall| format!("{}: {}{}", self.info.name, call.call, velocities(call));
+        let now = match call {
+            Call::Exchange(JointCommand::Velocity(velocity)) => {
+                ArmCall { command_rad_per_s: velocity.as_slice().to_vec(), ..blank }
+            }
+            _ => blank,
+        };
+        let Some(recorded) = found else {
+            differences.differ(Kind::Commands, *t_s, format!("{}: nothing", self.info.name), in_words(&now));
+            return Ok(now);
+        };
+        let same = recorded.call == now.call && same_bits(&recorded.command_rad_per_s, &now.command_rad_per_s);
+        differences.compare(Kind::Commands, *t_s, same, || (in_words(&recorded), in_words(&now)));
+        match failure(&recorded.outcome) {
+            Some(kind) => Err(self.failed(kind)),
+            None => Ok(recorded),
+        }
+    }
+
+    fn failed(&self, kind: ArmErrorKind) -> ArmError {
+        ArmError::new(kind, format!("arm {}: failed in the recording ({kind:?})", self.info.name))
+    }
+
+    fn done(&self, call: Call) -> Result<(), ArmError> {
+        self.asked(call).map(drop)
+    }
+}
+
+fn velocities(call: &ArmCall) -> String {
+    if call.command_rad_per_s.is_empty() { String::new() } else { format!(" {:?} rad/s", call.command_rad_per_s) }
+}
+
+/// Whether all numbers are the same to the bit.
+pub fn same_bits(one: &[f64], other: &[f64]) -> bool {
+    one.len() == other.len() && one.iter().zip(other).all(|(a, b)| a.to_bits() == b.to_bits())
+}
+
+impl Arm for ReplayedArm {
+    fn info(&self) -> &ArmInfo {
+        &self.info
+    }
+
+    fn exchange(&mut self, command: JointCommand) -> Result<JointState, ArmError> {
+        let answer = self.asked(Call::Exchange(command))?;
+        let arm = &mut self.script.lock().arms[self.side];
+        let measured = measured_if_any(&answer).map_err(|damage| {
+            ArmError::new(ArmErrorKind::Disconnected, format!("arm {}: {damage:#}", self.info.name))
+        })?;
+        let still = JointState {
+            at: MonotonicTime::ZERO,
+            position_rad: JointVector::zeros(),
+            velocity_rad_per_s: JointVector::zeros(),
+        };
+        let joints = measured.or(arm.measured).unwrap_or(still);
+        arm.measured = Some(joints);
+        Ok(joints)
+    }
+}
+
+impl ArmPower for ReplayedArm {
+    fn state(&self) -> ArmState {
+        let arm = &mut self.script.lock().arms[self.side];
+        arm.query();
+        arm.state.unwrap_or(ArmState::Disabled)
+    }
+
+    fn is_stopped_by_other(&self) -> bool {
+        let arm = &mut self.script.lock().arms[self.side];
+        arm.query();
+        arm.is_stopped_by_other
+    }
+
+    fn enable(&mut self) -> Result<(), ArmError> {
+        self.done(Call::Enable { here: false, is_begun_only: false })
+    }
+
+    fn begin_enable(&mut self) -> Result<(), ArmError> {
+        self.done(Call::Enable { here: false, is_begun_only: true })
+    }
+
+    fn poll_enable(&mut self) -> Result<bool, ArmError> {
+        self.asked(Call::PollEnable).map(|answer| answer.outcome == "done")
+    }
+
+    fn begin_stop(&mut self) -> Result<(), ArmError> {
+        self.done(Call::BeginStop)
+    }
+
+    fn stop(&mut self) -> Result<(), ArmError> {
+        self.done(Call::Stop)
+    }
+
+    fn reset(&mut self) -> Result<(), ArmError> {
+        self.done(Call::Reset)
+    }
+}
+
+impl DrivenArm for ReplayedArm {
+    fn statistics(&self) -> LimiterStatistics {
+        LimiterStatistics::default()
+    }
+
+    fn enable_here(&mut self) -> Result<(), ArmError> {
+        self.done(Call::Enable { here: true, is_begun_only: false })
+    }
+
+    fn begin_enable_here(&mut self) -> Result<(), ArmError> {
+        self.done(Call::Enable { here: true, is_begun_only: true })
+    }
+}
+
+/// The operator of the recording.
+struct ReplayedOperator {
+    script: SharedScript,
+    is_person: bool,
+    can_fall_silent: bool,
+}
+
+impl Operator for ReplayedOperator {
+    fn listen(&mut self, _last: Option<&Decision>, _now: MonotonicTime) -> OperatorInput {
+        self.script.lock().heard
+    }
+
+    fn show(&mut self, _decision: &Decision) {}
+
+    fn tell(&mut self, _trouble: Option<String>) {}
+
+    fn motion(&self) -> MotionRequest {
+        self.script.lock().motion
+    }
+
+    fn is_person(&self) -> bool {
+        self.is_person
+    }
+
+    fn carries_before_start(&self) -> bool {
+        self.script.lock().carries_before_start
+    }
+
+    fn can_fall_silent(&self) -> bool {
+        self.can_fall_silent
+    }
+}

@@ -1,0 +1,459 @@
+//! Runs estimation, filter, law and supervisor again on the recorded inputs, and compares the results with the recorded ones to the bit.
+//!
+//! Each thread of the run has recorded what it took from the others: a control step its time, the result of the pair that it used, the
+//! answers of the arms and the words of the operator; an estimate the number of steps whose joints it knew and what the operator had
+//! selected. So the replay needs no threads and no clock. The arms themselves, with their limiters, are not replayed: their answers are
+//! inputs.
+
+mod arm;
+mod differences;
+mod source;
+
+use std::collections::{BTreeMap, VecDeque};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+use pb3dp_bag::run_messages::{ControlStep, PairResult};
+use pb3dp_cell::capturing::Captured;
+use pb3dp_cell::follower::Follower;
+use pb3dp_cell::halves::Mover;
+use pb3dp_cell::looking::Estimating;
+use pb3dp_cell::moving::{Moved, Moving};
+use pb3dp_cell::noting::PairEstimate;
+use pb3dp_cell::percept::Percept;
+use pb3dp_cell::perception::{Perception, View};
+use pb3dp_cell::selection::{Choice, Selection, Selections};
+use pb3dp_cell::spectator::RunRecorder;
+use pb3dp_estimation::estimator::{FramePrior, Tracker};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_clock::VirtualClock;
+use pb3dp_kinematics::JointState;
+use pb3dp_servo::supervisor::FrameInput;
+use pb3dp_setup::setup::{Leader, Setup, read_layers};
+use pb3dp_sim::trajectory::Trajectory;
+
+use self::arm::{SharedScript, same_bits};
+pub use self::differences::{Compared, Differences, First, Kind};
+use self::source::{Item, RecordedPair, RecordedRun};
+use crate::estimates::{pair_result, recorded_estimate};
+use crate::exact::{marking, of_pose_if_any, percept, pose_if_any, region};
+use crate::pairs::RecordTo;
+use crate::run::recorder;
+
+/// Steps and pairs that are read ahead.
+const READ_AHEAD: usize = 32;
+
+/// How a recording is replayed.
+#[derive(Clone, Debug, Default)]
+pub struct ReplayOptions {
+    /// Settings that are changed, each as KEY=VALUE.
+    pub set: Vec<String>,
+    /// The recorded estimates are inputs; images are not needed.
+    pub without_images: bool,
+}
+
+/// A recording that can be replayed.
+pub struct Opened {
+    run: RecordedRun,
+    /// The setup of the run, with the changes.
+    pub setup: Setup,
+    without_images: bool,
+}
+
+/// What a replay has found.
+#[derive(Clone, Debug)]
+pub struct Replayed {
+    /// Version that has recorded the run.
+    pub version: String,
+    /// Number of control steps.
+    pub steps: u64,
+    /// Number of pairs.
+    pub pairs: u64,
+    /// Duration of the recorded run, seconds.
+    pub duration_s: f64,
+    /// Duration of the replay, seconds.
+    pub wall_s: f64,
+    /// Comparisons.
+    pub differences: Differences,
+    /// Inputs that are missing in the recording.
+    pub notes: Vec<String>,
+}
+
+impl Opened {
+    /// Opens a recording.
+    ///
+    /// # Errors
+    /// A file that is no recording of a run, or a setup that this program refuses.
+    pub fn new(path: &Path, options: &ReplayOptions) -> Result<Self> {
+        let run = RecordedRun::open(path, !options.without_images)?;
+        let setup = read_layers(&run.setup_args(&options.set)).context("the settings of the recording")?;
+        Ok(Self { run, setup, without_images: options.without_images })
+    }
+
+    /// Version of the program that has recorded it.
+    pub fn version(&self) -> &str {
+        &self.run.version
+    }
+
+    /// All settings of the run, as a TOML file.
+    pub fn setup_text(&self) -> &str {
+        &self.run.setup_text
+    }
+
+    /// Whether images are estimated again.
+    fn estimates_anew(&self) -> bool {
+        self.setup.leader.needs_images() && !self.without_images
+    }
+
+    /// Replays the run; `record` receives everything as from a run. If `record_to` is given, the replay is recorded there.
+    ///
+    /// # Errors
+    /// A damaged recording, or a failure of the estimation that the run did not have.
+    pub fn replay(self, record_to: Option<&RecordTo<'_>>, looker: Option<Box<dyn RunRecorder>>) -> Result<Replayed> {
+        let anew = self.estimates_anew();
+        let Self { run, setup, .. } = self;
+        let experiment = experiment(&setup)?;
+        let script = SharedScript::default();
+        let person = (run.begin.is_person, run.begin.can_fall_silent);
+        let mut heard = script.parts(setup.control_period, person);
+        let mut lookers: Vec<Box<dyn RunRecorder>> = looker.into_iter().collect();
+        if let Some(to) = record_to {
+            let (recording, tapped) = recorder(to, &setup, (run.begin.clone(), heard))?;
+            lookers.push(recording);
+            heard = tapped;
+        }
+        let begin = MonotonicTime::from_nanos(run.begin.begin_nanos);
+        let moving = Moving::new(&setup, (heard.vs, heard.tc), &*experiment, begin)?.with_operator(heard.operator);
+        let estimating = if anew { Some(estimating(&setup, &run)?) } else { None };
+        let RecordedRun { version, mut items, .. } = run;
+        let size = setup.rig.stereo.left().size();
+        let (give_items, read_ahead) = sync_channel(READ_AHEAD);
+        let mut replay = Replay {
+            begin,
+            items: read_ahead,
+            script,
+            moving,
+            estimating,
+            lookers,
+            steps: VecDeque::new(),
+            pairs: VecDeque::new(),
+            percepts: BTreeMap::new(),
+            joints: VecDeque::new(),
+            progress: Progress::default(),
+            why: [String::new(), String::new()],
+            differences: Differences::default(),
+            notes: Vec::new(),
+        };
+        replay.lookers.iter_mut().for_each(|looker| looker.begin_at(begin));
+        let started = Instant::now();
+        let read = move || {
+            loop {
+                let item = items.next_item(size).transpose();
+                let is_last = !matches!(item, Some(Ok(_)));
+                if item.is_some_and(|item| give_items.send(item).is_err()) || is_last {
+                    return;
+                }
+            }
+        };
+        std::thread::scope(|scope| {
+            std::thread::Builder::new().name("reader".to_owned()).spawn_scoped(scope, read)?;
+            let replayed = replay.all();
+            // The reader does not wait for a replay that has failed.
+            drop(std::mem::replace(&mut replay.items, sync_channel(0).1));
+            replayed
+        })?;
+        replay.finish(version, started.elapsed().as_secs_f64())
+    }
+}
+
+/// The motion of the target that the setup plans, from its start.
+fn experiment(setup: &Setup) -> Result<Arc<dyn Trajectory>> {
+    let tc = &setup.rig.arms.tc;
+    let start = tc.world_from_base * tc.chain.forward(&tc.start_rad) * setup.rig.flange_from_target;
+    Ok(setup.experiment.motion.begin_at(start)?)
+}
+
+/// The estimation as it began, with a target for each selection.
+fn estimating<'a>(setup: &'a Setup, run: &RecordedRun) -> Result<(Estimating<'a>, Selections)> {
+    let Leader::Images(method) = setup.leader else { bail!("a run without images has no estimation") };
+    let tracker = Tracker::new(method, &setup.rig.stereo, &setup.estimator)?;
+    let cameras = Perception::Images(Box::new(Follower::new(tracker, setup.range)), marking(&run.begin.marking)?);
+    let selections = Selections::default();
+    if let Some(of_setup) = run.begin.target_of_setup.first() {
+        selections.set_target_of_setup(&marking(of_setup)?);
+    }
+    let estimating = Estimating::new(setup, Arc::new(VirtualClock::new()), cameras);
+    Ok((estimating.with_selections(Some(selections.clone())), selections))
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Progress {
+    steps: u64,
+    pairs: u64,
+    /// Steps whose joints the estimation knows.
+    known_steps: u64,
+    /// Sequence number of the last pair.
+    last_pair: Option<u64>,
+    last_at: Option<MonotonicTime>,
+    /// The recording is read to its end.
+    is_read: bool,
+    /// The control has ended, or its inputs are missing.
+    control_is_over: bool,
+    /// Images are missing since the last initialisation.
+    is_blind: bool,
+}
+
+struct Replay<'a> {
+    begin: MonotonicTime,
+    /// Steps and pairs, read by a thread of its own.
+    items: Receiver<Result<Item>>,
+    script: SharedScript,
+    moving: Moving<'a>,
+    estimating: Option<(Estimating<'a>, Selections)>,
+    lookers: Vec<Box<dyn RunRecorder>>,
+    /// Read ahead, in their order.
+    steps: VecDeque<ControlStep>,
+    pairs: VecDeque<RecordedPair>,
+    /// Results that no step has used yet, by the number of their pair.
+    percepts: BTreeMap<u64, Percept>,
+    /// Joints of steps that the estimation does not know yet.
+    joints: VecDeque<JointState>,
+    progress: Progress,
+    /// The last reason of the supervisor: recorded, and now.
+    why: [String; 2],
+    differences: Differences,
+    notes: Vec<String>,
+}
+
+impl Replay<'_> {
+    fn all(&mut self) -> Result<()> {
+        loop {
+            let next_pair = self.pairs.front().map(|pair| pair.result.steps);
+            if next_pair.is_some_and(|steps| steps <= self.progress.steps || self.nothing_else_comes()) {
+                if let Some(pair) = self.pairs.pop_front() {
+                    self.pair(&pair)?;
+                }
+            } else if self.steps.front().is_some_and(|step| self.can_take(step)) {
+                if let Some(step) = self.steps.pop_front() {
+                    self.step(step)?;
+                }
+            } else if self.progress.is_read {
+                return Ok(());
+            } else {
+                match self.items.recv().ok().transpose()? {
+                    Some(Item::Step(step)) => self.steps.push_back(*step),
+                    Some(Item::Pair(pair)) => self.pairs.push_back(*pair),
+                    None => self.progress.is_read = true,
+                }
+            }
+        }
+    }
+
+    /// Whether a pair waits for steps that are missing.
+    fn nothing_else_comes(&self) -> bool {
+        self.progress.is_read && self.steps.is_empty()
+    }
+
+    /// Whether the result that a step uses is there, or does not come any more.
+    fn can_take(&self, step: &ControlStep) -> bool {
+        let Some(observed) = step.observed.first() else { return true };
+        self.percepts.contains_key(&observed.sequence)
+            || self.progress.last_pair.is_some_and(|last| last >= observed.sequence)
+            || (self.progress.is_read && self.pairs.is_empty())
+    }
+
+    fn t_s(&self, at_nanos: u64) -> f64 {
+        MonotonicTime::from_nanos(at_nanos).seconds_since(self.begin)
+    }
+
+    fn note(&mut self, at_nanos: u64, what: &str) {
+        let line = format!("{:.3} s: {what}", self.t_s(at_nanos));
+        tracing::warn!("{line}");
+        self.notes.push(line);
+    }
+
+    /// Estimates a pair again, or takes the recorded estimate.
+    fn pair(&mut self, recorded: &RecordedPair) -> Result<()> {
+        let result = &recorded.result;
+        self.progress.pairs += 1;
+        self.progress.last_pair = Some(result.sequence);
+        let is_initialisation = !result.region.is_empty() || !result.chosen.is_empty();
+        self.progress.is_blind &= !is_initialisation;
+        if self.estimating.is_some() && recorded.images.is_none() {
+            let what = format!(
+                "the images of pair {} are missing; estimates are compared again from the next",
+                result.sequence
+            );
+            self.note(result.exposed_at_nanos, &format!("{what} initialisation"));
+            self.progress.is_blind = true;
+        }
+        let seen = match &self.estimating {
+            Some(_) if !self.progress.is_blind => self.estimated(recorded)?,
+            _ => as_recorded(result)?,
+        };
+        self.percepts.insert(result.sequence, seen.percept());
+        self.lookers.iter_mut().for_each(|looker| looker.seen(&seen));
+        Ok(())
+    }
+
+    fn estimated(&mut self, recorded: &RecordedPair) -> Result<PairEstimate> {
+        let (result, t_s) = (&recorded.result, self.t_s(recorded.result.exposed_at_nanos));
+        let images = recorded.images.clone().context("the images are missing")?;
+        let Some((estimating, selections)) = &mut self.estimating else { bail!("nothing estimates") };
+        if let Some(chosen) = result.chosen.first() {
+            selections.give(match chosen.kind.as_str() {
+                "of setup" => Choice::OfSetup,
+                _ => {
+                    let is_this = chosen.drawn_on.first() == Some(&result.sequence);
+                    let drawn_on = if is_this { Some(Arc::clone(&images)) } else { recorded.drawn_on.clone() };
+                    Choice::Marked(Selection { region: region(&chosen.region)?, drawn_on })
+                }
+            });
+        }
+        estimating.take_selection();
+        let new_steps = result.steps.saturating_sub(self.progress.known_steps);
+        let new_steps = usize::try_from(new_steps).unwrap_or(usize::MAX).min(self.joints.len());
+        self.joints.drain(..new_steps).for_each(|joints| estimating.push_joints(joints));
+        self.progress.known_steps += new_steps as u64;
+        let seen = estimating
+            .look(captured(result, View::Images(images))?)
+            .with_context(|| format!("the estimate of pair {} at {t_s:.3} s", result.sequence))?;
+        let now = pair_result(&seen);
+        let is_same = now.status == result.status
+            && now.target == result.target
+            && now.observed == result.observed
+            && same_bits(&now.cam_left_from_model, &result.cam_left_from_model)
+            && same_bits(&now.covariance, &result.covariance)
+            && same_bits(&now.fitness, &result.fitness);
+        self.differences.compare(Kind::Estimates, t_s, is_same, || (estimate_text(result), estimate_text(&now)));
+        Ok(seen)
+    }
+
+    /// Runs a control step again.
+    fn step(&mut self, mut step: ControlStep) -> Result<()> {
+        let t_s = self.t_s(step.at_nanos);
+        let is_first = self.progress.steps == 0;
+        if step.number != self.progress.steps {
+            let (from, to) = (self.progress.steps, step.number);
+            self.note(step.at_nanos, &format!("steps {from} to {} are missing", to.saturating_sub(1)));
+        }
+        if step.lost > 0 {
+            self.note(step.at_nanos, &format!("{} inputs of step {} are missing", step.lost, step.number));
+        }
+        self.progress.steps = step.number + 1;
+        self.progress.last_at = Some(MonotonicTime::from_nanos(step.at_nanos));
+        if self.progress.control_is_over {
+            return Ok(());
+        }
+        if is_first {
+            self.script.begin(&mut step)?;
+            if !self.moving.enable()? {
+                bail!("the recording begins with arms that are not enabled");
+            }
+            self.moving.begin_at(self.begin);
+        }
+        self.script.load(&step, t_s)?;
+        let at = MonotonicTime::from_nanos(step.at_nanos);
+        if let Some(observed) = step.observed.first() {
+            let replayed = self.percepts.remove(&observed.sequence);
+            self.percepts.retain(|sequence, _| *sequence > observed.sequence);
+            self.moving.observe(replayed.map_or_else(|| percept(observed), Ok)?, at);
+        }
+        let outcome = self.moving.step(at);
+        self.script.end_step()?;
+        self.differences.add(self.script.differences());
+        match (outcome, step.finished) {
+            (Ok(moved), true) => self.compare(&step, t_s, &moved),
+            (Ok(_), false) => self.decided(t_s, "the run ends with a failure", "it goes on"),
+            (Err(why), true) => self.decided(t_s, "the run goes on", &format!("{why:#}")),
+            (Err(_), false) => self.progress.control_is_over = true,
+        }
+        Ok(())
+    }
+
+    fn decided(&mut self, t_s: f64, recorded: &str, now: &str) {
+        self.differences.differ(Kind::Decisions, t_s, recorded.to_owned(), now.to_owned());
+        self.progress.control_is_over = true;
+    }
+
+    fn compare(&mut self, step: &ControlStep, t_s: f64, moved: &Moved) {
+        let filtered = of_pose_if_any(moved.base_from_model.as_ref());
+        let same = same_bits(&step.base_from_model, &filtered);
+        self.differences.compare(Kind::Filter, t_s, same, || (numbers(&step.base_from_model), numbers(&filtered)));
+        if !step.why.is_empty() {
+            self.why[0].clone_from(&step.why);
+        }
+        self.why[1] = moved.decision.why.to_string();
+        let (mode, state) = (moved.mode.to_string(), moved.decision.state.name());
+        let same = step.mode == mode && step.state == state && self.why[0] == self.why[1];
+        let words = |mode: &str, state: &str, why: &str| format!("{mode}; {state}; {why}");
+        let [recorded, now] = &self.why;
+        self.differences.compare(Kind::Decisions, t_s, same, || {
+            (words(&step.mode, &step.state, recorded), words(&mode, state, now))
+        });
+        if self.estimating.is_some() {
+            self.joints.push_back(moved.vs_joints);
+        }
+        self.lookers.iter_mut().for_each(|looker| looker.moved(moved));
+    }
+
+    fn finish(self, version: String, wall_s: f64) -> Result<Replayed> {
+        for looker in self.lookers {
+            looker.finish()?;
+        }
+        let Progress { steps, pairs, last_at, .. } = self.progress;
+        if steps == 0 {
+            bail!("the recording has no control step");
+        }
+        Ok(Replayed {
+            version,
+            steps,
+            pairs,
+            duration_s: last_at.map_or(0.0, |at| at.seconds_since(self.begin)),
+            wall_s,
+            differences: self.differences,
+            notes: self.notes,
+        })
+    }
+}
+
+fn captured(result: &PairResult, view: View) -> Result<Captured> {
+    let at = MonotonicTime::from_nanos(result.exposed_at_nanos);
+    Ok(Captured {
+        frame: FrameInput { sequence: result.sequence, at, skew_s: result.skew_s },
+        cam_left_from_target: pose_if_any("cam_left_from_target", &result.cam_left_from_target)?,
+        view,
+    })
+}
+
+/// The recorded estimate.
+fn as_recorded(result: &PairResult) -> Result<PairEstimate> {
+    Ok(PairEstimate {
+        captured: captured(result, View::Nothing)?,
+        steps: result.steps,
+        chosen: None,
+        target: result.target,
+        region: result.region.first().map(region).transpose()?,
+        prior: FramePrior::default(),
+        estimate: recorded_estimate(result)?,
+        latency_millis: result.latency_millis,
+        age_millis: result.age_millis,
+    })
+}
+
+fn numbers(values: &[f64]) -> String {
+    if values.is_empty() { "none".to_owned() } else { format!("{values:?}") }
+}
+
+fn estimate_text(result: &PairResult) -> String {
+    format!(
+        "pair {}: {}, target {}, pose {}",
+        result.sequence,
+        result.status,
+        result.target,
+        numbers(&result.cam_left_from_model)
+    )
+}

@@ -1,0 +1,222 @@
+//! What a recording of a run has: its settings with their files, its begin, and its steps and pairs in the order in which they were
+//! written.
+
+use std::collections::VecDeque;
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::{Context, Result, bail};
+use image::RgbImage;
+use pb3dp_bag::BagError;
+use pb3dp_bag::messages::Text;
+use pb3dp_bag::pairs::{decoded, recorded_image};
+use pb3dp_bag::reader::{Bag, Messages, RawMessage};
+use pb3dp_bag::run_messages::{ControlStep, PairResult, RunBegin, SetupFile};
+use pb3dp_bag::topics::ours;
+use pb3dp_geometry::{ImageSize, MonotonicTime};
+use pb3dp_hal_api::FramePair;
+use pb3dp_setup::layers::SetupArgs;
+use tempfile::TempDir;
+
+/// Images of one side that wait for their pair.
+const WAITING_MAX: usize = 64;
+
+/// Topics of a replay besides the images.
+const TOPICS: [&str; 6] = [ours::VERSION, ours::SETUP, ours::FILES, ours::BEGIN, ours::STEPS, ours::PAIRS];
+/// Topics with images.
+const IMAGES: [&str; 6] = [
+    ours::LEFT_IMAGE,
+    ours::RIGHT_IMAGE,
+    ours::LEFT_COMPRESSED,
+    ours::RIGHT_COMPRESSED,
+    ours::DRAWN_ON[0],
+    ours::DRAWN_ON[1],
+];
+
+/// A recorded run, read up to its first step.
+pub struct RecordedRun {
+    /// Version of the program that has recorded it.
+    pub version: String,
+    /// All settings, as a TOML file.
+    pub setup_text: String,
+    /// How it began.
+    pub begin: RunBegin,
+    /// Settings and files for [`Self::setup_args`].
+    folder: TempDir,
+    /// Steps and pairs.
+    pub items: Items,
+}
+
+/// Steps and pairs of a run in the order in which they were written.
+pub struct Items {
+    since_1970_nanos: u64,
+    messages: Messages,
+    /// A step or pair that was read with the head.
+    ahead: Option<RawMessage>,
+    images: [VecDeque<(MonotonicTime, RawMessage)>; 2],
+    drawn_on: [Option<(MonotonicTime, RawMessage)>; 2],
+}
+
+/// The next part of a run.
+pub enum Item {
+    /// A control step.
+    Step(Box<ControlStep>),
+    /// An estimate.
+    Pair(Box<RecordedPair>),
+}
+
+/// An estimate with its images, if they are there.
+pub struct RecordedPair {
+    /// The estimate.
+    pub result: PairResult,
+    /// The images.
+    pub images: Option<Arc<FramePair>>,
+    /// An older pair on which the operator drew.
+    pub drawn_on: Option<Arc<FramePair>>,
+}
+
+impl RecordedRun {
+    /// Opens a recording; also one that was broken off.
+    ///
+    /// # Errors
+    /// A file that is no recording of a run, or cannot be read.
+    pub fn open(path: &Path, with_images: bool) -> Result<Self> {
+        let bag = Bag::open(path)?;
+        let topics = if with_images { [&TOPICS[..], &IMAGES].concat() } else { TOPICS.to_vec() };
+        let mut messages = bag.messages_on(&topics)?;
+        let folder = TempDir::with_prefix("pb3dp-replay-").context("no folder for the settings of the recording")?;
+        let (mut version, mut setup_text, mut begin) = (String::new(), None, None);
+        let mut files: Vec<SetupFile> = Vec::new();
+        let ahead = loop {
+            let Some(message) = messages.next().transpose()? else { break None };
+            match message.channel.topic.as_str() {
+                ours::VERSION => version = decoded::<Text>(&message)?.data,
+                ours::SETUP => setup_text = Some(decoded::<Text>(&message)?.data),
+                ours::FILES => files.push(decoded(&message)?),
+                ours::BEGIN => begin = Some(decoded::<RunBegin>(&message)?),
+                ours::STEPS | ours::PAIRS => break Some(message),
+                _ => {}
+            }
+        };
+        let (Some(setup_text), Some(begin)) = (setup_text, begin) else {
+            bail!(
+                "{}: no run that can be replayed: it lacks {} or {}; `pb3dp run --record FILE.mcap` writes both, and `pb3dp track --sequence` \
+                 estimates from the images of any recording",
+                path.display(),
+                ours::SETUP,
+                ours::BEGIN
+            );
+        };
+        write_settings(folder.path(), &setup_text, &files)?;
+        let since_1970_nanos = begin.since_1970_nanos;
+        let (images, drawn_on) = Default::default();
+        let items = Items { since_1970_nanos, messages, ahead, images, drawn_on };
+        Ok(Self { version, setup_text, begin, folder, items })
+    }
+
+    /// The setup of the run with these changes.
+    pub fn setup_args(&self, set: &[String]) -> SetupArgs {
+        SetupArgs { set: set.to_vec(), ..SetupArgs::of_file(&self.folder.path().join(SETTINGS)) }
+    }
+}
+
+impl Items {
+    /// The next step or pair, its images decoded; none at the end. Images have the size of the calibration.
+    ///
+    /// # Errors
+    /// A damaged message.
+    pub fn next_item(&mut self, size: ImageSize) -> Result<Option<Item>> {
+        loop {
+            let message = match self.ahead.take() {
+                Some(message) => message,
+                None => match self.messages.next().transpose()? {
+                    Some(message) => message,
+                    None => return Ok(None),
+                },
+            };
+            let side = |topics: [&str; 2]| topics.iter().position(|topic| *topic == message.channel.topic);
+            let images = side([ours::LEFT_IMAGE, ours::RIGHT_IMAGE]);
+            let images = images.or_else(|| side([ours::LEFT_COMPRESSED, ours::RIGHT_COMPRESSED]));
+            match (images, side(ours::DRAWN_ON), message.channel.topic.as_str()) {
+                (Some(side), ..) => self.keep(side, message)?,
+                (_, Some(side), _) => self.drawn_on[side] = Some((stamp(&message)?, message)),
+                (.., ours::STEPS) => return Ok(Some(Item::Step(Box::new(decoded(&message)?)))),
+                (.., ours::PAIRS) => return Ok(Some(Item::Pair(Box::new(self.pair(decoded(&message)?, size)?)))),
+                _ => {}
+            }
+        }
+    }
+
+    fn keep(&mut self, side: usize, message: RawMessage) -> Result<()> {
+        let waiting = &mut self.images[side];
+        waiting.push_back((stamp(&message)?, message));
+        if waiting.len() > WAITING_MAX {
+            waiting.pop_front();
+        }
+        Ok(())
+    }
+
+    fn pair(&mut self, result: PairResult, size: ImageSize) -> Result<RecordedPair> {
+        let skew_nanos = (result.skew_s * 1e9).round() as i64;
+        let left_at = result.exposed_at_nanos.saturating_add(self.since_1970_nanos);
+        let right_at = left_at.saturating_add_signed(skew_nanos);
+        let [left, right] = &mut self.images;
+        let exposed_at = MonotonicTime::from_nanos(result.exposed_at_nanos);
+        let images = take_at(left, left_at)
+            .zip(take_at(right, right_at))
+            .map(|(left, right)| pair([&left, &right], size, (result.sequence, exposed_at, skew_nanos)))
+            .transpose()?;
+        let drawn_sequence = result.chosen.first().and_then(|chosen| chosen.drawn_on.first());
+        let drawn_on = match (self.drawn_on.each_mut().map(Option::take), drawn_sequence) {
+            ([Some((at, left)), Some((_, right))], Some(sequence)) => {
+                let at = MonotonicTime::from_nanos(at.as_nanos().saturating_sub(self.since_1970_nanos));
+                Some(pair([&left, &right], size, (*sequence, at, 0))?)
+            }
+            _ => None,
+        };
+        Ok(RecordedPair { result, images, drawn_on })
+    }
+}
+
+/// Name of the settings in the folder of the recording.
+const SETTINGS: &str = "settings.toml";
+
+/// Writes settings, and the files that they name, with paths into the folder.
+fn write_settings(folder: &Path, text: &str, files: &[SetupFile]) -> Result<()> {
+    let mut text = text.to_owned();
+    for (index, SetupFile { path, data }) in files.iter().enumerate() {
+        let name = Path::new(path).file_name().unwrap_or_default().to_string_lossy();
+        let own = folder.join(format!("{index}-{name}"));
+        fs::write(&own, &data.0).with_context(|| format!("{} cannot be written", own.display()))?;
+        let own = own.display();
+        text = text.replace(&format!("\"{path}\""), &format!("\"{own}\""));
+        text = text.replace(&format!("\"mask:{path}\""), &format!("\"mask:{own}\""));
+    }
+    let settings = folder.join(SETTINGS);
+    fs::write(&settings, text).with_context(|| format!("{} cannot be written", settings.display()))
+}
+
+/// The middle of the exposure.
+fn stamp(message: &RawMessage) -> Result<MonotonicTime> {
+    Ok(pb3dp_bag::pairs::stamp(message)?)
+}
+
+/// The image of this time; images before it belong to no pair.
+fn take_at(waiting: &mut VecDeque<(MonotonicTime, RawMessage)>, at_nanos: u64) -> Option<RawMessage> {
+    // A stamp in seconds and nanoseconds is exact; a skew is rounded.
+    let index = waiting.iter().position(|(at, _)| at.as_nanos().abs_diff(at_nanos) <= 1)?;
+    waiting.drain(..index);
+    waiting.pop_front().map(|(_, message)| message)
+}
+
+fn pair(
+    images: [&RawMessage; 2],
+    size: ImageSize,
+    (sequence, exposed_at, skew_nanos): (u64, MonotonicTime, i64),
+) -> Result<Arc<FramePair>> {
+    let [left, right]: [Result<(MonotonicTime, RgbImage), BagError>; 2] =
+        images.map(|message| recorded_image(message, size));
+    let (left, right) = (left?.1, right?.1);
+    Ok(Arc::new(FramePair { sequence, exposed_at, skew_nanos, left, right, jpegs: Default::default() }))
+}

@@ -1,0 +1,276 @@
+//! Records a run as an MCAP file with ROS 2 messages: images as the cameras delivered them, calibration, estimates, joints, commands,
+//! changes of state, the settings; and what a replay needs, to the bit.
+
+use anyhow::{Context, Result};
+use nalgebra::Matrix6;
+use pb3dp_bag::cdr::Bytes;
+use pb3dp_bag::messages::{
+    DiagnosticStatus, Diagnostics, JointState, KeyValue, Level, LogLine, Point32, Polygon, PolygonStamped, PoseStamped,
+    PoseWithCovariance, PoseWithCovarianceStamped, Text, Transforms,
+};
+use pb3dp_bag::run_messages::{RunBegin, SetupFile};
+use pb3dp_bag::topics::ours;
+use pb3dp_bag::writer::WhenFull;
+use pb3dp_cell::annotation::polygon_px;
+use pb3dp_cell::moving::Moved;
+use pb3dp_cell::noting::{PairEstimate, outline_px};
+use pb3dp_cell::parts::Parts;
+use pb3dp_cell::perception::View;
+use pb3dp_cell::selection::{Choice, Selections};
+use pb3dp_cell::spectator::{RunRecorder, Spectator};
+use pb3dp_estimation_core::status::Status;
+use pb3dp_geometry::frames::{CamLeft, Flange, Frame};
+use pb3dp_geometry::{MonotonicTime, Pose};
+use pb3dp_kinematics::Chain;
+use pb3dp_setup::setup::{Pace, Setup};
+
+use crate::estimates::pair_result;
+use crate::exact::of_marking;
+use crate::pairs::{CAMERAS, PairRecording, RecordTo, ros_pose};
+use crate::steps::Steps;
+use crate::tap::{Heard, tap};
+
+/// Frames in transforms and headers.
+const TARGET: &str = "target";
+const BASE: &str = "vs_base";
+
+/// A recording of a run in one file.
+struct RunRecording {
+    pairs: PairRecording,
+    steps: Steps,
+    begin: RunBegin,
+    joint_names: [Vec<String>; 2],
+    /// The arm that carries the cameras, and their mounting.
+    vs_chain: Chain,
+    flange_from_cam_left: Pose<Flange, CamLeft>,
+    is_failure_reported: bool,
+}
+
+/// Records a run with these parts in a file, from its begin on.
+///
+/// # Errors
+/// If the file exists or cannot be written.
+pub fn record_run(to: &RecordTo<'_>, setup: &Setup, parts: Parts) -> Result<Parts> {
+    let begin = RunBegin {
+        begin_nanos: 0,
+        since_1970_nanos: u64::try_from(to.since_1970.as_nanos()).unwrap_or(u64::MAX),
+        is_person: parts.operator.is_person(),
+        can_fall_silent: parts.operator.can_fall_silent(),
+        selects: parts.selections.is_some(),
+        marking: of_marking(&parts.marking),
+        target_of_setup: parts
+            .selections
+            .as_ref()
+            .and_then(Selections::target_of_setup)
+            .map(of_marking)
+            .into_iter()
+            .collect(),
+    };
+    let heard = Heard { vs: parts.vs, tc: parts.tc, operator: parts.operator };
+    let (recorder, Heard { vs, tc, operator }) = recorder(to, setup, (begin, heard))?;
+    Ok(Parts { vs, tc, operator, recorder: Some(recorder), ..parts })
+}
+
+/// A recording of a run that begins like this, and its parts for the run.
+///
+/// # Errors
+/// As [`record_run`].
+pub(crate) fn recorder(
+    to: &RecordTo<'_>,
+    setup: &Setup,
+    (begin, heard): (RunBegin, Heard),
+) -> Result<(Box<dyn RunRecorder>, Heard)> {
+    let (heard, events) = tap(heard);
+    let recording = RunRecording::new(to, setup, (begin, Steps::new(events)))?;
+    Ok((Box::new(recording), heard))
+}
+
+impl RunRecording {
+    /// Creates the file and writes what does not change.
+    fn new(to: &RecordTo<'_>, setup: &Setup, (begin, steps): (RunBegin, Steps)) -> Result<Self> {
+        let when_full = if setup.pace == Pace::Fast { WhenFull::Wait } else { WhenFull::Drop };
+        let pairs = PairRecording::new(to, Some(&setup.rig.stereo), when_full).context("--record")?;
+        let vs = &setup.rig.arms.vs;
+        let names = |chain: &Chain| chain.joint_names().into_iter().map(str::to_owned).collect();
+        let mut recording = Self {
+            pairs,
+            steps,
+            begin,
+            joint_names: [names(&vs.chain), names(&setup.rig.arms.tc.chain)],
+            vs_chain: vs.chain.clone(),
+            flange_from_cam_left: setup.controller.flange_from_hand * setup.controller.hand_from_cam_left,
+            is_failure_reported: false,
+        };
+        recording.pairs.push(ours::SETUP, MonotonicTime::ZERO, &Text { data: to.setup_text.clone() });
+        for path in setup.layers.input_files() {
+            let data = std::fs::read(&path).with_context(|| format!("--record: {path} cannot be read"))?;
+            recording.pairs.push(ours::FILES, MonotonicTime::ZERO, &SetupFile { path, data: Bytes(data) });
+        }
+        Ok(recording)
+    }
+
+    /// Records the images of a pair, and those on which the operator drew, if they are older.
+    fn images(&mut self, seen: &PairEstimate) {
+        let View::Images(pair) = &seen.captured.view else { return };
+        self.pairs.images(pair);
+        if let Some(Choice::Marked(selection)) = &seen.chosen
+            && let Some(drawn_on) = &selection.drawn_on
+            && drawn_on.sequence != pair.sequence
+        {
+            self.pairs.drawn_on(drawn_on);
+        }
+    }
+
+    /// Records the estimate of a pair for other programs.
+    fn estimate(&mut self, seen: &PairEstimate) {
+        let at = seen.captured.frame.at;
+        if let Some(region) = &seen.region {
+            let corners = polygon_px(&outline_px(region.clone(), &seen.estimate));
+            let points = corners.iter().map(|[u, v]| Point32 { x: *u as f32, y: *v as f32, z: 0.0 }).collect();
+            let header = self.pairs.header(at, CAMERAS[0]);
+            self.pairs.push(ours::REGION, at, &PolygonStamped { header, polygon: Polygon { points } });
+        }
+        self.status(seen, at);
+        if let Some(found) = &seen.estimate.cam_left_from_model {
+            let covariance = seen.estimate.covariance.map_or([0.0; 36], |c| in_camera_axes(found, &c));
+            let pose = PoseWithCovariance { pose: ros_pose(found), covariance };
+            let header = self.pairs.header(at, CAMERAS[0]);
+            self.pairs.push(ours::POSE, at, &PoseWithCovarianceStamped { header, pose });
+            let transforms = vec![self.pairs.transform(at, CAMERAS[0], TARGET, found)];
+            self.pairs.push(ours::TF, at, &Transforms { transforms });
+        }
+        if let Some(truth) = &seen.captured.cam_left_from_target {
+            let header = self.pairs.header(at, CAMERAS[0]);
+            self.pairs.push(ours::TRUTH, at, &PoseStamped { header, pose: ros_pose(truth) });
+        }
+    }
+
+    /// Records a control step for other programs.
+    fn step(&mut self, step: &Moved) {
+        let at = step.at;
+        let topics = [
+            ["/vs_robot/joint_states", "/vs_robot/joint_commands"],
+            ["/tc_robot/joint_states", "/tc_robot/joint_commands"],
+        ];
+        for (side, [measured, commanded]) in topics.into_iter().enumerate() {
+            let arm = &step.arms[side];
+            let names = self.joint_names[side].clone();
+            let count = names.len();
+            let velocity =
+                if side == 0 { step.vs_joints.velocity_rad_per_s.as_slice()[..count].to_vec() } else { Vec::new() };
+            let state = JointState {
+                header: self.pairs.header(at, ""),
+                name: names.clone(),
+                position: arm.position_rad.as_slice()[..count].to_vec(),
+                velocity,
+                effort: Vec::new(),
+            };
+            self.pairs.push(measured, at, &state);
+            // A hold is a command without velocities.
+            let velocity =
+                arm.requested_rad_per_s.map(|velocity| velocity.as_slice()[..count].to_vec()).unwrap_or_default();
+            let header = self.pairs.header(at, "");
+            let command = JointState { header, name: names, position: Vec::new(), velocity, effort: Vec::new() };
+            self.pairs.push(commanded, at, &command);
+        }
+        let base_from_cam_left = self.vs_chain.forward(&step.arms[0].position_rad) * self.flange_from_cam_left;
+        let transforms = vec![self.pairs.transform(at, BASE, CAMERAS[0], &base_from_cam_left)];
+        self.pairs.push(ours::TF, at, &Transforms { transforms });
+        if let Some(transition) = &step.decision.transition {
+            let msg = format!("{} -> {} ({}): {}", transition.from, transition.to, transition.event, step.decision.why);
+            let (name, file, function) = ("supervisor".to_owned(), String::new(), String::new());
+            let line = LogLine { stamp: self.pairs.stamp(at), level: 20, name, msg, file, function, line: 0 };
+            self.pairs.push(ours::EVENTS, at, &line);
+        }
+    }
+
+    /// A full disk is reported at once, but does not end the run.
+    fn report_failure(&mut self) {
+        if !self.is_failure_reported && self.pairs.is_over() {
+            self.is_failure_reported = true;
+            tracing::error!(
+                "--record: the recording has ended early, its file cannot be written any more; the run goes on"
+            );
+        }
+    }
+
+    fn status(&mut self, seen: &PairEstimate, at: MonotonicTime) {
+        let estimate = &seen.estimate;
+        let level = match estimate.status {
+            Status::Ok => 0,
+            Status::Lost | Status::NotObservable => 2,
+            _ => 1,
+        };
+        let mut values = vec![
+            ("status", estimate.status.to_string()),
+            ("target", seen.target.to_string()),
+            ("latency_ms", format!("{:.3}", seen.latency_millis)),
+            ("age_ms", format!("{:.3}", seen.age_millis)),
+        ];
+        values.extend(estimate.fitness.map(|fitness| ("fitness", fitness.to_string())));
+        values.extend(
+            estimate.observed.map(|observed| ("observed", observed.map(|is| u8::from(is).to_string()).join(" "))),
+        );
+        let values = values.into_iter().map(|(key, value)| KeyValue { key: key.to_owned(), value }).collect();
+        let message = format!("{}: {}", estimate.status, estimate.reason);
+        let status = DiagnosticStatus {
+            level: Level(level),
+            name: "pb3dp".to_owned(),
+            message,
+            hardware_id: String::new(),
+            values,
+        };
+        let header = self.pairs.header(at, CAMERAS[0]);
+        self.pairs.push(ours::STATUS, at, &Diagnostics { header, status: vec![status] });
+    }
+}
+
+impl Spectator for RunRecording {
+    fn seen(&mut self, seen: &PairEstimate) {
+        self.images(seen);
+        self.estimate(seen);
+        self.pairs.push(ours::PAIRS, seen.captured.frame.at, &pair_result(seen));
+        self.report_failure();
+    }
+
+    fn moved(&mut self, step: &Moved) {
+        self.step(step);
+        if let Some(message) = self.steps.finished(step) {
+            self.pairs.push(ours::STEPS, step.at, &message);
+        }
+    }
+}
+
+impl RunRecorder for RunRecording {
+    fn begin_at(&mut self, begin: MonotonicTime) {
+        self.begin.begin_nanos = begin.as_nanos();
+        self.pairs.push(ours::BEGIN, begin, &self.begin);
+    }
+
+    fn finish(mut self: Box<Self>) -> Result<()> {
+        if let Some(step) = self.steps.unfinished() {
+            self.pairs.push(ours::STEPS, MonotonicTime::from_nanos(step.at_nanos), &step);
+        }
+        let written = self.pairs.finish().context("--record")?;
+        let all: u64 = written.messages.values().sum();
+        tracing::info!("{all} messages recorded: {}", written.file.display());
+        if written.dropped > 0 {
+            tracing::warn!("--record: {} messages are missing: the disk was too slow", written.dropped);
+        }
+        Ok(())
+    }
+}
+
+/// The covariance of ROS, of x, y, z and turns about these axes of the camera, from that of `xi` in `pose * exp(xi)`, along the axes of the
+/// model.
+fn in_camera_axes<A: Frame, B: Frame>(pose: &Pose<A, B>, covariance: &Matrix6<f64>) -> [f64; 36] {
+    let rotation = pose.rotation_matrix();
+    let mut turn = Matrix6::zeros();
+    turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+    turn.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+    let turned = turn * covariance * turn.transpose();
+    // Symmetric: columns are rows.
+    let mut rows = [0.0; 36];
+    rows.copy_from_slice(turned.as_slice());
+    rows
+}

@@ -1,0 +1,205 @@
+//! Control steps as messages, from what the control thread has heard.
+
+use pb3dp_bag::run_messages::{ArmCall, ArmChange, ControlStep, Said};
+use pb3dp_cell::moving::Moved;
+use pb3dp_cell::operator::MotionRequest;
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_hal_api::{JointCommand, JointState};
+use pb3dp_servo::supervisor::OperatorInput;
+use rtrb::Consumer;
+
+use crate::exact::{of_failure, of_percept, of_pose, of_pose_if_any, of_state};
+use crate::tap::{Answer, Call, Event, Told};
+
+/// Gathers the events of each step.
+pub struct Steps {
+    events: Consumer<Event>,
+    asked: MotionRequest,
+    /// The step whose events come.
+    open: Option<ControlStep>,
+    /// What the arms have told before the first step.
+    before: Vec<ArmCall>,
+    states_before: Vec<ArmChange>,
+    number: u64,
+    why: String,
+}
+
+impl Steps {
+    /// No step yet.
+    pub fn new(events: Consumer<Event>) -> Self {
+        Self {
+            events,
+            asked: MotionRequest::default(),
+            open: None,
+            before: Vec::new(),
+            states_before: Vec::new(),
+            number: 0,
+            why: String::new(),
+        }
+    }
+
+    /// The finished step; none if its begin is missing.
+    pub fn finished(&mut self, moved: &Moved) -> Option<ControlStep> {
+        self.gather();
+        let mut step = self.open.take()?;
+        self.number = moved.number + 1;
+        step.number = moved.number;
+        step.observed = moved.observed.iter().map(of_percept).collect();
+        step.finished = true;
+        step.mode = moved.mode.to_string();
+        step.state = moved.decision.state.name().to_owned();
+        let why = moved.decision.why.to_string();
+        if why != self.why {
+            step.why.clone_from(&why);
+            self.why = why;
+        }
+        step.base_from_model = of_pose_if_any(moved.base_from_model.as_ref());
+        Some(step)
+    }
+
+    /// The step that a failure has ended.
+    pub fn unfinished(&mut self) -> Option<ControlStep> {
+        self.gather();
+        let step = self.open.take()?;
+        Some(ControlStep { number: self.number, ..step })
+    }
+
+    /// Takes the events up to the end of the step.
+    fn gather(&mut self) {
+        while let Ok(event) = self.events.peek() {
+            // The end of this step found the ring full.
+            if self.open.is_some() && matches!(event, Event::Listened { .. }) {
+                return;
+            }
+            let Ok(event) = self.events.pop() else { return };
+            if matches!(event, Event::Ended) {
+                return;
+            }
+            self.take(event);
+        }
+    }
+
+    fn take(&mut self, event: Event) {
+        match (event, &mut self.open) {
+            (Event::Enabled { arm, joints, told: (state, by_other) }, _) => {
+                self.before.push(measured(arm, &joints));
+                let told = [Told::State(state), Told::StoppedByOther(by_other)];
+                self.states_before.extend(told.map(|told| change(arm, 0, told)));
+            }
+            (Event::Listened { now, heard, carries_before_start, lost }, _) => {
+                let mut step = self.blank(now, &heard, carries_before_start, lost);
+                step.calls.append(&mut self.before);
+                step.changes.append(&mut self.states_before);
+                self.open = Some(step);
+            }
+            (Event::Asked(motion), open) => {
+                self.asked = motion;
+                if let Some(step) = open {
+                    step.speed_share = motion.speed_share;
+                    step.hand_from_hand_shifted = of_pose(&motion.hand_from_hand_shifted);
+                }
+            }
+            (Event::Changed { arm, query, told }, Some(step)) => {
+                // Changes and calls of an arm have one order.
+                step.changes.push(ArmChange { after: calls_of(step, arm), ..change(arm, query, told) });
+            }
+            (Event::Called { arm, call, answer }, Some(step)) => step.calls.push(call_message(arm, call, answer)),
+            // After the last step the arms are stopped. In a run, the begin of their step found the ring full.
+            (Event::Ended | Event::Changed { .. } | Event::Called { .. }, _) => {}
+        }
+    }
+
+    fn blank(&self, now: MonotonicTime, heard: &OperatorInput, carries_before_start: bool, lost: u32) -> ControlStep {
+        let said = |request: pb3dp_servo::supervisor::OperatorRequest| Said {
+            word: request.word.name().to_owned(),
+            at_nanos: request.at.as_nanos(),
+        };
+        ControlStep {
+            number: 0,
+            at_nanos: now.as_nanos(),
+            lost,
+            observed: Vec::new(),
+            said: heard.said.map(said).into_iter().collect(),
+            heard_at_nanos: heard.heard_at.map(MonotonicTime::as_nanos).into_iter().collect(),
+            silent_after_nanos: heard
+                .silent_after
+                .map(|silence| u64::try_from(silence.as_nanos()).unwrap_or(u64::MAX))
+                .into_iter()
+                .collect(),
+            speed_share: self.asked.speed_share,
+            hand_from_hand_shifted: of_pose(&self.asked.hand_from_hand_shifted),
+            carries_before_start,
+            changes: Vec::new(),
+            calls: Vec::new(),
+            finished: false,
+            mode: String::new(),
+            state: String::new(),
+            why: String::new(),
+            base_from_model: Vec::new(),
+        }
+    }
+}
+
+fn calls_of(step: &ControlStep, arm: u8) -> u32 {
+    step.calls.iter().filter(|call| call.arm == arm).count() as u32
+}
+
+fn change(arm: u8, query: u32, told: Told) -> ArmChange {
+    let state = match told {
+        Told::State(state) => of_state(state),
+        Told::StoppedByOther(true) => "stopped by other",
+        Told::StoppedByOther(false) => "not stopped by other",
+    };
+    ArmChange { arm, after: 0, query, state: state.to_owned() }
+}
+
+fn measured(arm: u8, joints: &JointState) -> ArmCall {
+    ArmCall {
+        arm,
+        call: "enabled".to_owned(),
+        command_rad_per_s: Vec::new(),
+        outcome: "measured".to_owned(),
+        measured_at_nanos: joints.at.as_nanos(),
+        position_rad: joints.position_rad.as_slice().to_vec(),
+        velocity_rad_per_s: joints.velocity_rad_per_s.as_slice().to_vec(),
+    }
+}
+
+/// The word for a call.
+pub fn call_word(call: &Call) -> &'static str {
+    match call {
+        Call::Exchange(JointCommand::Velocity(_)) => "move",
+        Call::Exchange(JointCommand::Hold) => "hold",
+        Call::Enable { here: false, is_begun_only: false } => "enable",
+        Call::Enable { here: true, is_begun_only: false } => "enable here",
+        Call::Enable { here: false, is_begun_only: true } => "begin enable",
+        Call::Enable { here: true, is_begun_only: true } => "begin enable here",
+        Call::PollEnable => "poll enable",
+        Call::BeginStop => "begin stop",
+        Call::Stop => "stop",
+        Call::Reset => "reset",
+    }
+}
+
+fn call_message(arm: u8, call: Call, answer: Answer) -> ArmCall {
+    let command_rad_per_s = match call {
+        Call::Exchange(JointCommand::Velocity(velocity)) => velocity.as_slice().to_vec(),
+        _ => Vec::new(),
+    };
+    let blank = ArmCall {
+        arm,
+        call: call_word(&call).to_owned(),
+        command_rad_per_s: Vec::new(),
+        outcome: String::new(),
+        measured_at_nanos: 0,
+        position_rad: Vec::new(),
+        velocity_rad_per_s: Vec::new(),
+    };
+    let blank = match &answer {
+        Answer::Done => ArmCall { outcome: "done".to_owned(), ..blank },
+        Answer::Pending => ArmCall { outcome: "pending".to_owned(), ..blank },
+        Answer::Failed(kind) => ArmCall { outcome: of_failure(*kind).to_owned(), ..blank },
+        Answer::Measured(joints) => ArmCall { call: blank.call, ..measured(arm, joints) },
+    };
+    ArmCall { command_rad_per_s, ..blank }
+}
