@@ -18,6 +18,7 @@ pub mod messages;
 pub mod pairs;
 mod picked;
 mod pixels;
+mod raw;
 pub mod reader;
 pub mod recover;
 pub mod run_messages;

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use mcap::{Channel, Summary};
 
 use crate::BagError;
-use crate::reader::{RECORD_MAX, RawMessage, io};
+use crate::raw::{RECORD_MAX, RawMessage, io};
 
 /// Opcode and length before each record, bytes.
 const RECORD_HEAD: u64 = 9;

@@ -6,7 +6,6 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use mcap::sans_io::LinearReaderOptions;
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
@@ -14,14 +13,15 @@ use mcap::{Channel, McapResult, Summary};
 
 use crate::BagError;
 use crate::picked::Picked;
+use crate::raw::RECORD_MAX;
+pub(crate) use crate::raw::io;
+pub use crate::raw::{Messages, RawMessage};
 use crate::topics::Topic;
 
 /// First bytes of an MCAP file (specification, "Magic").
 const MAGIC: [u8; 8] = [0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n'];
 /// First bytes of an SQLite file.
 const SQLITE: &[u8] = b"SQLite format 3";
-/// Longest record: longer ones come from damaged lengths.
-pub(crate) const RECORD_MAX: usize = 1 << 30;
 
 /// A recording: one file, or those of a rosbag2 folder.
 #[derive(Clone, Debug)]
@@ -36,24 +36,6 @@ struct BagFile {
     path: PathBuf,
     /// It was broken off.
     is_unfinished: bool,
-}
-
-/// Messages of a recording.
-pub type Messages = Box<dyn Iterator<Item = Result<RawMessage, BagError>> + Send>;
-
-/// A message as it was written.
-#[derive(Clone, Debug)]
-pub struct RawMessage {
-    /// Its topic with the type.
-    pub channel: Arc<Channel<'static>>,
-    /// Time of writing, nanoseconds.
-    pub log_nanos: u64,
-    /// Time of sending, nanoseconds.
-    pub publish_nanos: u64,
-    /// Number of the message on its topic, if the writer counts.
-    pub sequence: u32,
-    /// The encoded message.
-    pub data: Vec<u8>,
 }
 
 impl Bag {
@@ -139,10 +121,6 @@ fn messages_on(file: &BagFile, topics: &[&str]) -> Result<Messages, BagError> {
 
 fn extension(path: &Path) -> Option<String> {
     Some(path.extension()?.to_string_lossy().to_ascii_lowercase())
-}
-
-pub(crate) fn io(file: &Path, doing: &'static str, source: std::io::Error) -> BagError {
-    BagError::Io { file: file.to_path_buf(), doing, source }
 }
 
 /// The MCAP files of a rosbag2 folder; numbers in their names count by value.

@@ -52,6 +52,19 @@ message! {
 }
 
 message! {
+    /// End of a run.
+    #[derive(Eq)]
+    RunEnd = "pb3dp_msgs/RunEnd" {
+        /// Pairs that the camera could not deliver.
+        pairs_lost: u64,
+        /// Velocity commands of each arm, then those that its limiter changed, and those that were refused.
+        commands: Vec<u64>,
+        /// The failure that ended the run early; empty: none.
+        failure: String,
+    }
+}
+
+message! {
     /// A new state of an arm, from a query in a control step on.
     #[derive(Eq)]
     ArmChange = "pb3dp_msgs/ArmChange" {

@@ -34,6 +34,8 @@ pub mod ours {
     pub const VERSION: &str = "/pb3dp/version";
     /// Begin of the run.
     pub const BEGIN: &str = "/pb3dp/begin";
+    /// End of the run.
+    pub const END: &str = "/pb3dp/end";
     /// Files that the settings name.
     pub const FILES: &str = "/pb3dp/files";
     /// Control steps with all their inputs.

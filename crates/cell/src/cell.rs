@@ -7,6 +7,7 @@ use pb3dp_geometry::frames::{Base, CamLeft, Flange, Hand, Target, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, JointState, JointVector};
 use pb3dp_servo::{JointHistory, NotInHistory};
+use pb3dp_setup::setup::{ArmSetup, Setup, Truth};
 use pb3dp_sim::joint_dynamics::JointPlant;
 use pb3dp_sim::scene::{PoseSource, ScenePoses};
 use pb3dp_sim::trajectory::Trajectory;
@@ -101,6 +102,11 @@ pub struct ArmSite {
 }
 
 impl ArmSite {
+    /// An arm of a setup with the source of its joint positions.
+    pub fn of(arm: &ArmSetup, joints: JointSource) -> Self {
+        Self { chain: arm.chain.clone(), world_from_base: arm.world_from_base, joints }
+    }
+
     /// True pose of the flange at `at`.
     pub fn world_from_flange_at(&self, at: MonotonicTime) -> Pose<World, Flange> {
         self.world_from_base * self.chain.forward(&self.joints.position_rad_at(at))
@@ -144,6 +150,27 @@ impl FreeTarget {
 }
 
 impl SimulatedCell {
+    /// The workcell as the setup states it, with the target on the second arm.
+    pub fn of(setup: &Setup, [vs, tc]: [ArmSite; 2]) -> Self {
+        Self {
+            vs,
+            tc,
+            flange_from_hand: setup.controller.flange_from_hand,
+            hand_from_cam_left: setup.controller.hand_from_cam_left,
+            flange_from_target: setup.rig.flange_from_target,
+            free_target: None,
+        }
+    }
+
+    /// Sets the poses to the true ones.
+    pub fn follow_truth(&mut self, truth: &Truth) {
+        if let Some(flange_from_cam_left) = &truth.flange_from_cam_left {
+            self.hand_from_cam_left = self.flange_from_hand.inverse() * *flange_from_cam_left;
+        }
+        self.flange_from_target = truth.flange_from_target.unwrap_or(self.flange_from_target);
+        self.tc.world_from_base = truth.tc_world_from_base.unwrap_or(self.tc.world_from_base);
+    }
+
     /// Sets the start time of the experiment; only the first call takes effect.
     pub fn begin_at(&self, begin: MonotonicTime) {
         if let Some(target) = &self.free_target {

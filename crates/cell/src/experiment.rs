@@ -20,7 +20,7 @@ use super::moving::{Moved, Moving};
 use super::noting::EstimateRecorder;
 use super::parts::Parts;
 use super::percept::Percept;
-use super::spectator::{RunRecorder, Spectator};
+use super::spectator::{RunEnd, RunRecorder, Spectator};
 use super::strip::Strip;
 use crate::noting::PairEstimate;
 
@@ -81,10 +81,15 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     let course = Course { setup, clock: &clock, duration: Duration::from_secs_f64(ends_s), interrupt: &interrupt };
     let (how, punctuality) = course.run(&mut watching, &mut moving);
     let recorded = watching.looking.noting.finish_recording();
-    let kept = watching.recorder.take().map_or(Ok(()), RunRecorder::finish);
+    let end = RunEnd {
+        pairs_lost: watching.looking.capturing.pairs_lost(),
+        commands: moving.arms().commands().into(),
+        failure: how.as_ref().err().map(|failure| format!("{failure:#}")),
+    };
+    let kept = watching.recorder.take().map_or(Ok(()), |recorder| recorder.finish(&end));
     let how = first_failure([how, recorded, kept]);
     let (steps_untrue, faults) = (watching.journal.steps_untrue(), watching.faults.faults());
-    let mut outcome = watching.journal.finish(watching.looking.finish(), moving.arms().commands());
+    let mut outcome = watching.journal.finish(watching.looking.finish(), end.commands);
     let replies_missed = moving.arms().replies_missed();
     if let Some(mut punctuality) = punctuality {
         punctuality.recording.dropped += steps_untrue;

@@ -14,6 +14,7 @@ use super::log::{ControlSample, Lock, MethodLog, RunLog};
 use super::moving::Moved;
 use super::noting::EstimateRecords;
 use super::strip::Strip;
+use super::supervision::TransitionNote;
 
 /// Interval of progress messages, seconds of the experiment.
 const PROGRESS_EVERY_S: f64 = 5.0;
@@ -36,6 +37,7 @@ pub struct Journal {
     duration_s: f64,
     next_progress_s: f64,
     steps_untrue: u64,
+    is_quiet: bool,
     log: RunLog,
     plan: Plan,
     model_from_hand_desired: Pose<Model, Hand>,
@@ -56,10 +58,17 @@ impl Journal {
             duration_s,
             next_progress_s: 0.0,
             steps_untrue: 0,
+            is_quiet: false,
             log: RunLog { without_images: !setup.leader.needs_images(), without_truth: setup.world.is_none(), ..log },
             plan,
             model_from_hand_desired: setup.controller.model_from_hand_desired,
         }
+    }
+
+    /// The same, but it logs nothing: the run is over.
+    #[must_use]
+    pub fn quiet(self) -> Self {
+        Self { is_quiet: true, ..self }
     }
 
     /// Sets the start time of the experiment.
@@ -76,24 +85,9 @@ impl Journal {
     pub fn note(&mut self, moved: &Moved) {
         let t_s = moved.at.seconds_since(self.begin);
         let gone = self.log.supervision.gone(t_s, &moved.decision);
-        let transition = self.log.supervision.note(t_s, &moved.decision);
-        if let Some(gone) = gone {
-            tracing::info!("{t_s:7.2} s  {gone}");
-        } else if let Some(note) = transition {
-            match moved.decision.state {
-                // No news for the operator who commanded it.
-                State::Holding if note.event == Event::Hold.name() => tracing::info!("{t_s:7.2} s  {}", note.why),
-                State::Holding | State::Lost | State::Stopped => tracing::warn!("{t_s:7.2} s  {}", note.why),
-                State::Fault => tracing::error!("{t_s:7.2} s  {}", note.why),
-                _ => tracing::info!("{t_s:7.2} s  {}", note.why),
-            }
-        }
-        if let Some(refused) = &moved.decision.refused {
-            tracing::warn!("{t_s:7.2} s  {refused}");
-        }
-        if t_s >= self.next_progress_s {
-            self.next_progress_s += PROGRESS_EVERY_S;
-            tracing::info!("{t_s:5.1} of {:.1} s  {}", self.duration_s, moved.decision.why);
+        let transition = self.log.supervision.note(t_s, &moved.decision).cloned();
+        if !self.is_quiet {
+            self.tell(t_s, moved, gone, transition);
         }
         if !self.cell.remembers(moved.at) {
             self.steps_untrue += 1;
@@ -113,9 +107,31 @@ impl Journal {
         });
     }
 
+    /// Logs what a step has changed, and the progress.
+    fn tell(&mut self, t_s: f64, moved: &Moved, gone: Option<String>, transition: Option<TransitionNote>) {
+        if let Some(gone) = gone {
+            tracing::info!("{t_s:7.2} s  {gone}");
+        } else if let Some(note) = transition {
+            match moved.decision.state {
+                // No news for the operator who commanded it.
+                State::Holding if note.event == Event::Hold.name() => tracing::info!("{t_s:7.2} s  {}", note.why),
+                State::Holding | State::Lost | State::Stopped => tracing::warn!("{t_s:7.2} s  {}", note.why),
+                State::Fault => tracing::error!("{t_s:7.2} s  {}", note.why),
+                _ => tracing::info!("{t_s:7.2} s  {}", note.why),
+            }
+        }
+        if let Some(refused) = &moved.decision.refused {
+            tracing::warn!("{t_s:7.2} s  {refused}");
+        }
+        if t_s >= self.next_progress_s {
+            self.next_progress_s += PROGRESS_EVERY_S;
+            tracing::info!("{t_s:5.1} of {:.1} s  {}", self.duration_s, moved.decision.why);
+        }
+    }
+
     /// The result of the run. The model pose on the target is only known after the first estimate, so the desired hand poses are filled in
     /// now.
-    pub fn finish(mut self, looked: EstimateRecords, commands: [CommandSummary; 2]) -> Outcome {
+    pub fn finish(mut self, looked: EstimateRecords, commands: Vec<CommandSummary>) -> Outcome {
         let EstimateRecords { leading, compared, pairs_lost, strip, lock, drift } = looked;
         let until_s = self.log.marks.first().map_or(f64::INFINITY, |mark| mark.at_s);
         let lock = lock.map(|lock| Lock {
@@ -128,7 +144,7 @@ impl Journal {
             sample.world_from_hand_wanted = sample.world_from_target * wanted * self.model_from_hand_desired;
             sample.world_from_hand_locked = sample.world_from_target * locked * self.model_from_hand_desired;
         }
-        let log = RunLog { leading, compared, pairs_lost, drift, lock, commands: commands.into(), ..self.log };
+        let log = RunLog { leading, compared, pairs_lost, drift, lock, commands, ..self.log };
         Outcome { log, plan: self.plan, strip }
     }
 }

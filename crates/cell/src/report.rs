@@ -49,8 +49,22 @@ pub fn tell(
     print: impl Fn(&str) -> io::Result<()>,
 ) -> Result<Following> {
     let ended_by = how.as_ref().err().map(|failure| format!("{failure:#}"));
+    both(how, tell_of_past(folder, setup, made, (outcome, ended_by), print))
+}
+
+/// The same for a run that is over; `ended_by` is the failure that ended it early.
+///
+/// # Errors
+/// Failures to write the report.
+pub fn tell_of_past(
+    folder: &Path,
+    setup: &Setup,
+    made: &Made,
+    (outcome, ended_by): (&Outcome, Option<String>),
+    print: impl Fn(&str) -> io::Result<()>,
+) -> Result<Following> {
     let summary = RunSummary { ended_by, ..summarize(&outcome.log, &outcome.plan) };
-    both(how, write_all(folder, setup, made, (outcome, &summary), print))
+    write_all(folder, setup, made, (outcome, &summary), print)
 }
 
 /// Combines the end of the run with the outcome of its report.

@@ -3,6 +3,7 @@
 use anyhow::Result;
 use pb3dp_geometry::MonotonicTime;
 
+use crate::commands::CommandSummary;
 use crate::moving::Moved;
 use crate::noting::PairEstimate;
 
@@ -25,5 +26,16 @@ pub trait RunRecorder: Spectator {
     ///
     /// # Errors
     /// If not everything is kept.
-    fn finish(self: Box<Self>) -> Result<()>;
+    fn finish(self: Box<Self>, end: &RunEnd) -> Result<()>;
+}
+
+/// What is known only at the end of a run.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RunEnd {
+    /// Pairs that the camera could not deliver.
+    pub pairs_lost: u64,
+    /// Velocity command counts of both arms.
+    pub commands: Vec<CommandSummary>,
+    /// The failure that ended the run early.
+    pub failure: Option<String>,
 }

@@ -18,6 +18,7 @@ use crate::commands::identify::IdentifyArgs;
 use crate::commands::panel::PanelArgs;
 use crate::commands::recover::RecoverArgs;
 use crate::commands::replay::ReplayArgs;
+use crate::commands::report::ReportArgs;
 use crate::commands::rig::RigArgs;
 use crate::logging::LogFormat;
 
@@ -81,6 +82,8 @@ pub enum Command {
     Recover(RecoverArgs),
     /// Run a recorded run again, from its recorded inputs, and compare to the bit; exit code 3 if it differs.
     Replay(ReplayArgs),
+    /// Write the page and the tables of a recorded run.
+    Report(ReportArgs),
     /// Point at objects with the mouse, on recorded images or bare cameras, without arms.
     Panel(Box<PanelArgs>),
     /// Measure properties of the rig that a setup needs: its delays.

@@ -32,6 +32,7 @@ fn main() -> ExitCode {
         Command::Extract(args) => commands::extract::run(args),
         Command::Recover(args) => commands::recover::run(args),
         Command::Replay(args) => commands::replay::run(args),
+        Command::Report(args) => commands::report::run(args),
         Command::Panel(args) => commands::panel::run(args),
         Command::Identify(args) => commands::identify::run(args),
         Command::Arm(args) => pb3dp_commissioning::arm::run(args, PROGRAM),

@@ -7,10 +7,12 @@ use anyhow::{Context, Result, bail};
 use image::{GrayImage, ImageFormat};
 use nalgebra::{Isometry3, Matrix6, Point3, Quaternion, Translation3, UnitQuaternion, Vector2};
 use pb3dp_bag::cdr::Bytes;
-use pb3dp_bag::run_messages::{Marked, Observed, Said};
+use pb3dp_bag::run_messages::{self, Marked, Observed, Said};
+use pb3dp_cell::commands::CommandSummary;
 use pb3dp_cell::operator::MotionRequest;
 use pb3dp_cell::percept::Percept;
 use pb3dp_cell::perception::Marking;
+use pb3dp_cell::spectator::RunEnd;
 use pb3dp_estimation_core::region::Region;
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::frames::Frame;
@@ -19,6 +21,9 @@ use pb3dp_hal_api::{ArmErrorKind, ArmState};
 use pb3dp_kinematics::{DOF, JointVector};
 use pb3dp_servo::TargetObservation;
 use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput, OperatorCommand, OperatorInput, OperatorRequest};
+
+/// Names of the arms in messages.
+pub const ARM_NAMES: [&str; 2] = ["vs-robot", "tc-robot"];
 
 /// Translation, m, and quaternion x, y, z, w.
 pub fn of_pose<A: Frame, B: Frame>(pose: &Pose<A, B>) -> [f64; 7] {
@@ -274,4 +279,132 @@ pub fn marking(marked: &Marked) -> Result<Marking> {
         }
         _ => Marking::Region(region(marked)?),
     })
+}
+
+/// The end of a run.
+pub fn of_end(end: &RunEnd) -> run_messages::RunEnd {
+    let counts = |arm: &CommandSummary| [arm.velocities, arm.changed, arm.refused];
+    run_messages::RunEnd {
+        pairs_lost: end.pairs_lost,
+        commands: end.commands.iter().flat_map(counts).collect(),
+        failure: end.failure.clone().unwrap_or_default(),
+    }
+}
+
+/// The same back.
+pub fn end(message: &run_messages::RunEnd) -> RunEnd {
+    let arms = message.commands.as_chunks::<3>().0.iter().zip(ARM_NAMES);
+    let summary = |([velocities, changed, refused], name): (&[u64; 3], _)| CommandSummary {
+        name,
+        velocities: *velocities,
+        changed: *changed,
+        refused: *refused,
+    };
+    RunEnd {
+        pairs_lost: message.pairs_lost,
+        commands: arms.map(summary).collect(),
+        failure: (!message.failure.is_empty()).then(|| message.failure.clone()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+    use pb3dp_geometry::frames::{CamLeft, Model};
+
+    use super::*;
+
+    /// A pose whose quaternion is not exactly of length one, as after many products.
+    fn awkward() -> Pose<CamLeft, Model> {
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.3, -0.2, 0.7));
+        let turn = UnitQuaternion::new_unchecked(turn.into_inner() * (1.0 + 3e-16));
+        Pose::from_parts(Vector3::new(0.1, -0.0, 0.5), turn)
+    }
+
+    fn bits(numbers: &[f64]) -> Vec<u64> {
+        numbers.iter().map(|number| number.to_bits()).collect()
+    }
+
+    #[test]
+    fn a_pose_returns_to_the_last_bit() {
+        let numbers = of_pose(&awkward());
+        let back = pose_if_any::<CamLeft, Model>("pose", &numbers).unwrap().unwrap();
+        assert_eq!(bits(&of_pose(&back)), bits(&numbers));
+        assert!(numbers[1].is_sign_negative(), "a zero keeps its sign");
+    }
+
+    #[test]
+    fn a_result_of_a_pair_returns_to_the_last_bit() {
+        let at = MonotonicTime::from_nanos(1_234_567_891);
+        let covariance = Matrix6::from_fn(|i, j| 1e-7 / (1.0 + i as f64 + 3.0 * j as f64));
+        let seen = Percept {
+            frame: FrameInput { sequence: 7, at, skew_s: -1e-5 },
+            estimate: EstimateInput { at, confidence: Confidence::Doubtful, covariance: Some(covariance), target: 3 },
+            observation: Some(TargetObservation {
+                at,
+                cam_left_from_model: awkward(),
+                trusted: true,
+                covariance: Some(covariance.transpose()),
+                rotation_about_normal_observed: true,
+            }),
+        };
+        let back = percept(&of_percept(&seen)).unwrap();
+        assert_eq!(back.frame, seen.frame);
+        assert_eq!(back.estimate, seen.estimate);
+        assert_eq!(back.observation, seen.observation);
+        let blind = Percept { observation: None, ..seen };
+        assert!(percept(&of_percept(&blind)).unwrap().observation.is_none());
+    }
+
+    #[test]
+    fn regions_of_all_kinds_return() {
+        let mut mask = GrayImage::new(4, 3);
+        mask.put_pixel(2, 1, image::Luma([255]));
+        let corner = |u, v| Vector2::new(u, v);
+        let all = [
+            Region::Rectangle { x: -3, y: 4, width: 50, height: 60 },
+            Region::Polygon { vertices_px: vec![corner(1.5, 2.25), corner(30.0, 4.0), corner(0.1, 20.0)] },
+            Region::Mask(mask),
+            Region::Click { x: 12, y: -1 },
+        ];
+        for marked in all {
+            assert_eq!(region(&of_region(&marked)).unwrap(), marked);
+        }
+        let unknown = Marked { kind: "circle".to_owned(), ..Marked::default() };
+        assert!(region(&unknown).unwrap_err().to_string().contains("circle"));
+    }
+
+    #[test]
+    fn damaged_numbers_are_refused_with_their_name() {
+        let short = pose_if_any::<CamLeft, Model>("pose of x", &[1.0, 2.0]).unwrap_err().to_string();
+        assert_eq!(short, "pose of x: 2 numbers, a pose has 7");
+        let long = pose_if_any::<CamLeft, Model>("pose of x", &[0.0, 0.0, 1.0, 2.0, 0.0, 0.0, 1.0]);
+        assert!(long.unwrap_err().to_string().contains("is no pose"));
+        assert!(covariance("c", &[1.0; 35]).unwrap_err().to_string().contains("35 numbers"));
+        assert!(joints("j", &[0.0; 6]).unwrap_err().to_string().contains("6 numbers for 7 joints"));
+    }
+
+    #[test]
+    fn commands_of_the_operator_return_and_unknown_ones_are_refused() {
+        let said = |word: &str| [Said { word: word.to_owned(), at_nanos: 5 }];
+        for word in OperatorCommand::ALL {
+            let heard = operator_input(&said(word.name()), &[9], &[]).unwrap();
+            let request = heard.said.unwrap();
+            assert_eq!((request.word, request.at.as_nanos()), (word, 5));
+            assert_eq!((heard.heard_at.map(MonotonicTime::as_nanos), heard.silent_after), (Some(9), None));
+        }
+        assert!(operator_input(&said("go"), &[], &[]).unwrap_err().to_string().contains("\"go\""));
+    }
+
+    #[test]
+    fn the_end_of_a_run_returns() {
+        let arm = |name, velocities| CommandSummary { name, velocities, changed: 2, refused: 1 };
+        let ended = RunEnd {
+            pairs_lost: 4,
+            commands: vec![arm(ARM_NAMES[0], 100), arm(ARM_NAMES[1], 90)],
+            failure: Some("a wire broke".to_owned()),
+        };
+        assert_eq!(end(&of_end(&ended)), ended);
+        assert_eq!(end(&of_end(&RunEnd::default())), RunEnd::default());
+    }
 }

@@ -17,7 +17,7 @@ use pb3dp_cell::noting::{PairEstimate, outline_px};
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::perception::View;
 use pb3dp_cell::selection::{Choice, Selections};
-use pb3dp_cell::spectator::{RunRecorder, Spectator};
+use pb3dp_cell::spectator::{RunEnd, RunRecorder, Spectator};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::frames::{CamLeft, Flange, Frame};
 use pb3dp_geometry::{MonotonicTime, Pose};
@@ -25,7 +25,7 @@ use pb3dp_kinematics::Chain;
 use pb3dp_setup::setup::{Pace, Setup};
 
 use crate::estimates::pair_result;
-use crate::exact::of_marking;
+use crate::exact::{of_end, of_marking};
 use crate::pairs::{CAMERAS, PairRecording, RecordTo, ros_pose};
 use crate::steps::Steps;
 use crate::tap::{Heard, tap};
@@ -39,6 +39,8 @@ struct RunRecording {
     pairs: PairRecording,
     steps: Steps,
     begin: RunBegin,
+    /// Time of the last step.
+    last_at: MonotonicTime,
     joint_names: [Vec<String>; 2],
     /// The arm that carries the cameras, and their mounting.
     vs_chain: Chain,
@@ -96,6 +98,7 @@ impl RunRecording {
             pairs,
             steps,
             begin,
+            last_at: MonotonicTime::ZERO,
             joint_names: [names(&vs.chain), names(&setup.rig.arms.tc.chain)],
             vs_chain: vs.chain.clone(),
             flange_from_cam_left: setup.controller.flange_from_hand * setup.controller.hand_from_cam_left,
@@ -234,6 +237,7 @@ impl Spectator for RunRecording {
     }
 
     fn moved(&mut self, step: &Moved) {
+        self.last_at = step.at;
         self.step(step);
         if let Some(message) = self.steps.finished(step) {
             self.pairs.push(ours::STEPS, step.at, &message);
@@ -247,10 +251,12 @@ impl RunRecorder for RunRecording {
         self.pairs.push(ours::BEGIN, begin, &self.begin);
     }
 
-    fn finish(mut self: Box<Self>) -> Result<()> {
+    fn finish(mut self: Box<Self>, end: &RunEnd) -> Result<()> {
         if let Some(step) = self.steps.unfinished() {
-            self.pairs.push(ours::STEPS, MonotonicTime::from_nanos(step.at_nanos), &step);
+            self.last_at = MonotonicTime::from_nanos(step.at_nanos);
+            self.pairs.push(ours::STEPS, self.last_at, &step);
         }
+        self.pairs.push(ours::END, self.last_at, &of_end(end));
         let written = self.pairs.finish().context("--record")?;
         let all: u64 = written.messages.values().sum();
         tracing::info!("{all} messages recorded: {}", written.file.display());

@@ -270,18 +270,18 @@ fn wire_backend(wanted: Wanted<'_>, seat: TripSeat, sole: &Option<Arc<OnlyProgra
         let config =
             MockArmConfig { name: name.to_owned(), cycle: control_period, command_timeout: arm.command_timeout };
         let mock = MockArm::new(config, Arc::clone(&plant), Arc::clone(clock));
-        let site = site(arm, JointSource::plant(plant));
+        let site = ArmSite::of(arm, JointSource::plant(plant));
         return Ok(WiredBackend { site, backend: Box::new(mock), monitor: None, trip: None, emulated: None });
     };
     let opened = open(line, seat, wanted)?;
     let (monitor, trip) = (Some(opened.monitor()), Some(opened.trip_handle()));
     if let Some((emulation, plant)) = emulated {
-        let site = site(arm, JointSource::plant(plant));
+        let site = ArmSite::of(arm, JointSource::plant(plant));
         return Ok(WiredBackend { site, backend: Box::new(opened), monitor, trip, emulated: Some(emulation) });
     }
     // The joints are not simulated in this process: the workcell uses the measured ones.
     let (tap, samples) = sync_channel(JOINTS_WAITING_MAX);
-    let site = site(arm, JointSource::measured(samples, arm.start_rad));
+    let site = ArmSite::of(arm, JointSource::measured(samples, arm.start_rad));
     Ok(WiredBackend {
         site,
         backend: Box::new(Tapped { arm: opened, tap, _sole: sole.clone() }),
@@ -329,10 +329,6 @@ impl<A: Arm + ArmPower> Backend for A {}
 
 type GuardedArm = Guard<Recorded<Box<dyn Backend>>>;
 
-fn site(arm: &ArmSetup, joints: JointSource) -> ArmSite {
-    ArmSite { chain: arm.chain.clone(), world_from_base: arm.world_from_base, joints }
-}
-
 fn shared_plant(config: JointPlantConfig, wanted: Wanted<'_>) -> Result<SharedPlant> {
     let Wanted { name, arm, clock, .. } = wanted;
     let plant = JointPlant::new(config, arm.start_rad, clock.now()).with_context(|| format!("{name}: start"))?;
@@ -351,7 +347,7 @@ pub fn far_side(
     let ArmLink::Gateway(link, _) = &arm.link else { bail!("{name}: this emulation needs an arm with a gateway") };
     let wanted = Wanted { name, arm, control_period: link.cycle, clock, time: None };
     let (server, plant) = emulate(face, link, wanted)?;
-    Ok((server, site(arm, JointSource::plant(plant))))
+    Ok((server, ArmSite::of(arm, JointSource::plant(plant))))
 }
 
 /// An emulated arm at its host address, with the configured joints. The link adds its own delay.

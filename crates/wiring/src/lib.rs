@@ -202,14 +202,7 @@ fn wire_cell_with(
     };
     let WiredArms { sites: [vs_site, tc_site], driven: [vs, tc], flights, monitors, emulated, virtual_ends, on_bus } =
         wire_arms(setup, &clock, time.as_ref())?;
-    let mut cell = SimulatedCell {
-        vs: vs_site,
-        tc: tc_site,
-        flange_from_hand: setup.controller.flange_from_hand,
-        hand_from_cam_left: setup.controller.hand_from_cam_left,
-        flange_from_target: setup.rig.flange_from_target,
-        free_target: None,
-    };
+    let mut cell = SimulatedCell::of(setup, [vs_site, tc_site]);
     // Planning uses the setup; the simulation uses the true poses.
     let start = cell.world_from_target_at(clock.now());
     let experiment = begin(&mut cell, start)?;

@@ -9,22 +9,13 @@ use pb3dp_camera_sim::{FaultyCamera, GeometricCamera, SimCameraConfig, SimStereo
 use pb3dp_cell::cell::SimulatedCell;
 use pb3dp_cell::perception::{PoseCamera, Sight};
 use pb3dp_hal_api::{CameraError, Clock, StereoCamera};
-use pb3dp_setup::setup::{FrameTiming, Leader, Pace, Setup, SimulatedWorld, Truth};
+use pb3dp_setup::setup::{FrameTiming, Leader, Pace, Setup, SimulatedWorld};
 use pb3dp_sim::geometric::{GeometricFrame, GeometricTracker, PoseSigma};
 use pb3dp_sim::raster::StereoRenderer;
 use pb3dp_sim::scene::Scene;
 use pb3dp_sim::targets;
 
 use crate::at_once::at_once;
-
-/// Sets the poses to the true ones.
-fn follow_truth(cell: &mut SimulatedCell, truth: &Truth) {
-    if let Some(flange_from_cam_left) = &truth.flange_from_cam_left {
-        cell.hand_from_cam_left = cell.flange_from_hand.inverse() * *flange_from_cam_left;
-    }
-    cell.flange_from_target = truth.flange_from_target.unwrap_or(cell.flange_from_target);
-    cell.tc.world_from_base = truth.tc_world_from_base.unwrap_or(cell.tc.world_from_base);
-}
 
 /// The simulated camera or its geometric substitute, and the outline of the target; sets all poses of the workcell to the true ones.
 pub(super) fn wire_sight(
@@ -33,7 +24,7 @@ pub(super) fn wire_sight(
     cell: &mut SimulatedCell,
     clock: &Arc<dyn Clock>,
 ) -> Result<(Sight, Vec<Point3<f64>>)> {
-    follow_truth(cell, &world.truth);
+    cell.follow_truth(&world.truth);
     let (poses, began) = (Box::new(cell.clone()), clock.now());
     let (clock, faults) = (Arc::clone(clock), world.faults.clone());
     let FrameTiming { period, exposure } = setup.rig.frames;

@@ -32,6 +32,7 @@ const WORLDS: [World; 6] = [
         paths: &["std::fs", "std::os", "image::open", "image::ImageReader::open", "image::save_buffer", "File::open"],
         allowed_in: &[
             "crates/bag/",
+            "crates/recording/",
             "crates/record/",
             "crates/setup/",
             "crates/cell/src/flight.rs",
@@ -59,6 +60,7 @@ const WORLDS: [World; 6] = [
         paths: &["std::thread", "rayon"],
         allowed_in: &[
             "crates/bag/src/writer.rs",
+            "crates/recording/src/replay/mod.rs",
             "crates/cell/src/attended_motion.rs",
             "crates/cell/src/beside.rs",
             "crates/cell/src/console.rs",

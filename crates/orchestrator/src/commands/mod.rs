@@ -17,6 +17,7 @@ mod panel_of_run;
 mod pose_output;
 pub mod recover;
 pub mod replay;
+pub mod report;
 mod result_folder;
 pub mod rig;
 pub mod run;

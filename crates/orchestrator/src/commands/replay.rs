@@ -2,16 +2,17 @@
 
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::time::Instant;
 
 use anyhow::Result;
 use clap::Args;
 use pb3dp_cell::terminal::print_line;
-use pb3dp_recording::replay::{Opened, ReplayOptions, Replayed};
+use pb3dp_geometry::MonotonicTime;
+use pb3dp_recording::replay::{Estimates, Opened, ReplayOptions, Replayed};
 use pb3dp_setup::layers::toml_of;
 
 use crate::arguments::UNSURE;
 use crate::commands::run::record_to;
-use pb3dp_geometry::MonotonicTime;
 
 /// Arguments of `pb3dp replay`.
 #[derive(Debug, Args)]
@@ -40,17 +41,19 @@ pub struct ReplayArgs {
 pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
     let method = args.method.iter().map(|method| format!("estimator.method={method}"));
     let set: Vec<String> = args.set.iter().cloned().chain(method).collect();
-    let options = ReplayOptions { set, without_images: args.without_images };
-    let opened = Opened::new(&args.file, &options)?;
+    let options =
+        ReplayOptions { set, estimates: if args.without_images { Estimates::Recorded } else { Estimates::Anew } };
+    let started = Instant::now();
+    let mut opened = Opened::new(&args.file, &options)?;
     let settings = toml_of(&opened.setup.layers.effective());
     let to = args.record.as_deref().map(|path| record_to(path, settings, MonotonicTime::ZERO)).transpose()?;
-    let replayed = opened.replay(to.as_ref(), None)?;
-    print_line(&text(&replayed))?;
+    let replayed = opened.replay(to.as_ref(), false)?;
+    print_line(&text(&replayed, started.elapsed().as_secs_f64()))?;
     Ok(if replayed.differences.any() { ExitCode::from(UNSURE) } else { ExitCode::SUCCESS })
 }
 
-fn text(replayed: &Replayed) -> String {
-    let Replayed { version, steps, pairs, duration_s, wall_s, differences, notes } = replayed;
+fn text(replayed: &Replayed, wall_s: f64) -> String {
+    let Replayed { version, steps, pairs, duration_s, differences, notes, .. } = replayed;
     let times = duration_s / wall_s.max(1e-9);
     let mut text = format!(
         "recorded by {version}\n{steps} control steps and {pairs} pairs of {duration_s:.1} s in {wall_s:.1} s: {times:.1} times as fast\n{}",

@@ -15,12 +15,9 @@ use pb3dp_kinematics::JointVector;
 use pb3dp_servo::supervisor::{Decision, OperatorInput};
 
 use super::differences::{Differences, Kind};
-use crate::exact::{failure, joints, motion, operator_input};
+use crate::exact::{ARM_NAMES, failure, joints, motion, operator_input};
 use crate::steps::call_word;
 use crate::tap::{Call, Heard};
-
-/// Names of the arms in messages.
-const NAMES: [&str; 2] = ["vs-robot", "tc-robot"];
 
 /// What happened to an arm in the present step, in order.
 enum Entry {
@@ -64,7 +61,7 @@ impl SharedScript {
     /// Both arms and the operator.
     pub fn parts(&self, cycle: Duration, (is_person, can_fall_silent): (bool, bool)) -> Heard {
         let arm = |side: usize| {
-            let info = ArmInfo { name: NAMES[side].to_owned(), cycle };
+            let info = ArmInfo { name: ARM_NAMES[side].to_owned(), cycle };
             Box::new(ReplayedArm { info, script: self.clone(), side })
         };
         let operator = ReplayedOperator { script: self.clone(), is_person, can_fall_silent };
@@ -80,7 +77,7 @@ impl SharedScript {
         for (side, arm) in script.arms.iter_mut().enumerate() {
             let is_ours = |of: u8| usize::from(of) == side;
             let call = first.calls.iter().find(|call| is_ours(call.arm) && call.call == "enabled");
-            let call = call.with_context(|| format!("the recording lacks the begin of {}", NAMES[side]))?;
+            let call = call.with_context(|| format!("the recording lacks the begin of {}", ARM_NAMES[side]))?;
             arm.measured = Some(measured(call)?);
             for change in first.changes.iter().filter(|change| is_ours(change.arm) && change.after == 0) {
                 arm.tell(&change.state)?;
@@ -116,7 +113,7 @@ impl SharedScript {
     pub fn end_step(&self) -> Result<()> {
         let mut script = self.lock();
         let Script { arms, differences, t_s, .. } = &mut *script;
-        for (arm, name) in arms.iter_mut().zip(NAMES) {
+        for (arm, name) in arms.iter_mut().zip(ARM_NAMES) {
             for entry in std::mem::take(&mut arm.entries) {
                 match entry {
                     Entry::Changed { state, .. } => arm.tell(&state)?,
@@ -386,5 +383,116 @@ impl Operator for ReplayedOperator {
 
     fn can_fall_silent(&self) -> bool {
         self.can_fall_silent
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::differences::Compared;
+    use super::*;
+
+    fn call(arm: u8, word: &str, outcome: &str) -> ArmCall {
+        let of = |value: f64| if outcome == "measured" { vec![value; 7] } else { Vec::new() };
+        ArmCall {
+            arm,
+            call: word.to_owned(),
+            command_rad_per_s: if word == "move" { vec![0.125; 7] } else { Vec::new() },
+            outcome: outcome.to_owned(),
+            measured_at_nanos: 10,
+            position_rad: of(0.5),
+            velocity_rad_per_s: of(0.0),
+        }
+    }
+
+    fn change(arm: u8, after: u32, query: u32, state: &str) -> ArmChange {
+        ArmChange { arm, after, query, state: state.to_owned() }
+    }
+
+    fn step(calls: Vec<ArmCall>, changes: Vec<ArmChange>) -> ControlStep {
+        ControlStep {
+            number: 0,
+            at_nanos: 0,
+            lost: 0,
+            observed: Vec::new(),
+            said: Vec::new(),
+            heard_at_nanos: Vec::new(),
+            silent_after_nanos: Vec::new(),
+            speed_share: 1.0,
+            hand_from_hand_shifted: [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+            carries_before_start: true,
+            changes,
+            calls,
+            finished: true,
+            mode: String::new(),
+            state: String::new(),
+            why: String::new(),
+            base_from_model: Vec::new(),
+        }
+    }
+
+    /// Both arms are enabled; the first one takes part in `first`.
+    fn begun(first: ControlStep) -> (SharedScript, Heard) {
+        let script = SharedScript::default();
+        let heard = script.parts(Duration::from_millis(10), (false, false));
+        let mut before = first;
+        let told = |arm| [change(arm, 0, 0, "enabled"), change(arm, 0, 0, "not stopped by other")];
+        before.calls.splice(0..0, [0, 1].map(|arm| call(arm, "enabled", "measured")));
+        before.changes.iter_mut().for_each(|change| change.after += 1);
+        before.changes.splice(0..0, [0, 1].into_iter().flat_map(told));
+        script.begin(&mut before).unwrap();
+        script.load(&before, 1.5).unwrap();
+        (script, heard)
+    }
+
+    fn commands(script: &SharedScript) -> Compared {
+        script.end_step().unwrap();
+        script.differences().of(Kind::Commands)
+    }
+
+    #[test]
+    fn answers_and_states_come_in_the_recorded_order() {
+        let calls = vec![call(0, "hold", "timeout"), call(0, "hold", "measured"), call(1, "hold", "measured")];
+        // After the first call, at the second query.
+        let (script, mut heard) = begun(step(calls, vec![change(0, 1, 1, "fault"), change(0, 1, 2, "stopped by other")]));
+        assert_eq!(heard.vs.state(), ArmState::Enabled);
+        let failure = heard.vs.exchange(JointCommand::Hold).unwrap_err();
+        assert_eq!(failure.kind(), ArmErrorKind::Timeout);
+        assert_eq!(heard.vs.state(), ArmState::Enabled);
+        assert_eq!(heard.vs.state(), ArmState::Fault);
+        assert!(heard.vs.is_stopped_by_other() && !heard.tc.is_stopped_by_other());
+        assert_eq!(heard.vs.exchange(JointCommand::Hold).unwrap().position_rad, JointVector::repeat(0.5));
+        heard.tc.exchange(JointCommand::Hold).unwrap();
+        assert_eq!(commands(&script), Compared { compared: 3, differing: 0, first: None });
+    }
+
+    #[test]
+    fn another_velocity_differs_by_its_last_bit() {
+        let mut told = JointVector::repeat(0.125);
+        let (script, mut heard) = begun(step(vec![call(0, "move", "measured"), call(1, "move", "measured")], Vec::new()));
+        heard.vs.exchange(JointCommand::Velocity(told)).unwrap();
+        told[3] = f64::from_bits(told[3].to_bits() + 1);
+        heard.tc.exchange(JointCommand::Velocity(told)).unwrap();
+        let Compared { compared, differing, first } = commands(&script);
+        let first = first.unwrap();
+        assert_eq!((compared, differing, first.t_s), (2, 1, 1.5));
+        assert!(first.recorded.starts_with("tc-robot: move [0.125"), "{first:?}");
+    }
+
+    #[test]
+    fn a_call_too_many_and_one_too_few_are_differences() {
+        let (script, mut heard) = begun(step(vec![call(0, "stop", "done"), call(1, "hold", "measured")], Vec::new()));
+        heard.vs.exchange(JointCommand::Hold).unwrap();
+        heard.tc.exchange(JointCommand::Hold).unwrap();
+        let Compared { compared, differing, .. } = commands(&script);
+        assert_eq!((compared, differing), (3, 2));
+    }
+
+    #[test]
+    fn damaged_words_and_a_missing_begin_are_refused() {
+        let script = SharedScript::default();
+        let refusal = script.begin(&mut step(vec![call(0, "enabled", "measured")], Vec::new())).unwrap_err();
+        assert!(refusal.to_string().contains("the begin of tc-robot"), "{refusal}");
+        let (script, _) = begun(step(Vec::new(), vec![change(1, 0, 0, "asleep")]));
+        assert!(script.end_step().unwrap_err().to_string().contains("\"asleep\""));
     }
 }

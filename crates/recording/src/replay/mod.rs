@@ -7,26 +7,27 @@
 
 mod arm;
 mod differences;
+mod reporting;
 mod source;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
-use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_bag::run_messages::{ControlStep, PairResult};
 use pb3dp_cell::capturing::Captured;
 use pb3dp_cell::follower::Follower;
 use pb3dp_cell::halves::Mover;
+use pb3dp_cell::journal::Outcome;
 use pb3dp_cell::looking::Estimating;
 use pb3dp_cell::moving::{Moved, Moving};
 use pb3dp_cell::noting::PairEstimate;
 use pb3dp_cell::percept::Percept;
 use pb3dp_cell::perception::{Perception, View};
 use pb3dp_cell::selection::{Choice, Selection, Selections};
-use pb3dp_cell::spectator::RunRecorder;
+use pb3dp_cell::spectator::{RunEnd, RunRecorder};
 use pb3dp_estimation::estimator::{FramePrior, Tracker};
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_clock::VirtualClock;
@@ -37,6 +38,7 @@ use pb3dp_sim::trajectory::Trajectory;
 
 use self::arm::{SharedScript, same_bits};
 pub use self::differences::{Compared, Differences, First, Kind};
+use self::reporting::Reporting;
 use self::source::{Item, RecordedPair, RecordedRun};
 use crate::estimates::{pair_result, recorded_estimate};
 use crate::exact::{marking, of_pose_if_any, percept, pose_if_any, region};
@@ -51,8 +53,20 @@ const READ_AHEAD: usize = 32;
 pub struct ReplayOptions {
     /// Settings that are changed, each as KEY=VALUE.
     pub set: Vec<String>,
-    /// The recorded estimates are inputs; images are not needed.
-    pub without_images: bool,
+    /// Which estimates the control gets.
+    pub estimates: Estimates,
+}
+
+/// Which estimates the control gets.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Estimates {
+    /// Those of this program from the recorded images.
+    #[default]
+    Anew,
+    /// The recorded ones; images are not read.
+    Recorded,
+    /// The recorded ones; images are read, for a report.
+    RecordedWithImages,
 }
 
 /// A recording that can be replayed.
@@ -60,11 +74,10 @@ pub struct Opened {
     run: RecordedRun,
     /// The setup of the run, with the changes.
     pub setup: Setup,
-    without_images: bool,
+    estimates: Estimates,
 }
 
 /// What a replay has found.
-#[derive(Clone, Debug)]
 pub struct Replayed {
     /// Version that has recorded the run.
     pub version: String,
@@ -74,12 +87,16 @@ pub struct Replayed {
     pub pairs: u64,
     /// Duration of the recorded run, seconds.
     pub duration_s: f64,
-    /// Duration of the replay, seconds.
-    pub wall_s: f64,
     /// Comparisons.
     pub differences: Differences,
     /// Inputs that are missing in the recording.
     pub notes: Vec<String>,
+    /// A person led the run.
+    pub is_led_by_person: bool,
+    /// The end of the run; none if the recording was broken off.
+    pub end: Option<RunEnd>,
+    /// The record of the run for a report, if one was wanted.
+    pub outcome: Option<Outcome>,
 }
 
 impl Opened {
@@ -88,9 +105,9 @@ impl Opened {
     /// # Errors
     /// A file that is no recording of a run, or a setup that this program refuses.
     pub fn new(path: &Path, options: &ReplayOptions) -> Result<Self> {
-        let run = RecordedRun::open(path, !options.without_images)?;
+        let run = RecordedRun::open(path, options.estimates != Estimates::Recorded)?;
         let setup = read_layers(&run.setup_args(&options.set)).context("the settings of the recording")?;
-        Ok(Self { run, setup, without_images: options.without_images })
+        Ok(Self { run, setup, estimates: options.estimates })
     }
 
     /// Version of the program that has recorded it.
@@ -105,30 +122,33 @@ impl Opened {
 
     /// Whether images are estimated again.
     fn estimates_anew(&self) -> bool {
-        self.setup.leader.needs_images() && !self.without_images
+        self.setup.leader.needs_images() && self.estimates == Estimates::Anew
     }
 
-    /// Replays the run; `record` receives everything as from a run. If `record_to` is given, the replay is recorded there.
+    /// Replays the run. If `record_to` is given, the replay is recorded there, as from a run; with `reports` the result has the record of
+    /// the run for a report.
     ///
     /// # Errors
     /// A damaged recording, or a failure of the estimation that the run did not have.
-    pub fn replay(self, record_to: Option<&RecordTo<'_>>, looker: Option<Box<dyn RunRecorder>>) -> Result<Replayed> {
+    pub fn replay(&mut self, record_to: Option<&RecordTo<'_>>, reports: bool) -> Result<Replayed> {
         let anew = self.estimates_anew();
         let Self { run, setup, .. } = self;
-        let experiment = experiment(&setup)?;
+        let setup = &*setup;
+        let experiment = experiment(setup)?;
         let script = SharedScript::default();
         let person = (run.begin.is_person, run.begin.can_fall_silent);
         let mut heard = script.parts(setup.control_period, person);
-        let mut lookers: Vec<Box<dyn RunRecorder>> = looker.into_iter().collect();
+        let mut recording = None;
         if let Some(to) = record_to {
-            let (recording, tapped) = recorder(to, &setup, (run.begin.clone(), heard))?;
-            lookers.push(recording);
+            let (to_file, tapped) = recorder(to, setup, (run.begin.clone(), heard))?;
+            recording = Some(to_file);
             heard = tapped;
         }
         let begin = MonotonicTime::from_nanos(run.begin.begin_nanos);
-        let moving = Moving::new(&setup, (heard.vs, heard.tc), &*experiment, begin)?.with_operator(heard.operator);
-        let estimating = if anew { Some(estimating(&setup, &run)?) } else { None };
-        let RecordedRun { version, mut items, .. } = run;
+        let reporting = if reports { Some(Reporting::new(setup, &experiment, &run.begin)?) } else { None };
+        let moving = Moving::new(setup, (heard.vs, heard.tc), &*experiment, begin)?.with_operator(heard.operator);
+        let estimating = if anew { Some(estimating(setup, run)?) } else { None };
+        let RecordedRun { version, items, .. } = run;
         let size = setup.rig.stereo.left().size();
         let (give_items, read_ahead) = sync_channel(READ_AHEAD);
         let mut replay = Replay {
@@ -137,7 +157,9 @@ impl Opened {
             script,
             moving,
             estimating,
-            lookers,
+            recording,
+            reporting,
+            end: None,
             steps: VecDeque::new(),
             pairs: VecDeque::new(),
             percepts: BTreeMap::new(),
@@ -147,8 +169,9 @@ impl Opened {
             differences: Differences::default(),
             notes: Vec::new(),
         };
-        replay.lookers.iter_mut().for_each(|looker| looker.begin_at(begin));
-        let started = Instant::now();
+        if let Some(recording) = &mut replay.recording {
+            recording.begin_at(begin);
+        }
         let read = move || {
             loop {
                 let item = items.next_item(size).transpose();
@@ -165,7 +188,7 @@ impl Opened {
             drop(std::mem::replace(&mut replay.items, sync_channel(0).1));
             replayed
         })?;
-        replay.finish(version, started.elapsed().as_secs_f64())
+        replay.finish(version.clone(), person.0)
     }
 }
 
@@ -213,7 +236,9 @@ struct Replay<'a> {
     script: SharedScript,
     moving: Moving<'a>,
     estimating: Option<(Estimating<'a>, Selections)>,
-    lookers: Vec<Box<dyn RunRecorder>>,
+    recording: Option<Box<dyn RunRecorder>>,
+    reporting: Option<Reporting<'a>>,
+    end: Option<RunEnd>,
     /// Read ahead, in their order.
     steps: VecDeque<ControlStep>,
     pairs: VecDeque<RecordedPair>,
@@ -246,6 +271,7 @@ impl Replay<'_> {
                 match self.items.recv().ok().transpose()? {
                     Some(Item::Step(step)) => self.steps.push_back(*step),
                     Some(Item::Pair(pair)) => self.pairs.push_back(*pair),
+                    Some(Item::End(end)) => self.end = Some(end),
                     None => self.progress.is_read = true,
                 }
             }
@@ -292,10 +318,15 @@ impl Replay<'_> {
         }
         let seen = match &self.estimating {
             Some(_) if !self.progress.is_blind => self.estimated(recorded)?,
-            _ => as_recorded(result)?,
+            _ => as_recorded(recorded)?,
         };
         self.percepts.insert(result.sequence, seen.percept());
-        self.lookers.iter_mut().for_each(|looker| looker.seen(&seen));
+        if let Some(recording) = &mut self.recording {
+            recording.seen(&seen);
+        }
+        if let Some(reporting) = &mut self.reporting {
+            reporting.seen(&seen)?;
+        }
         Ok(())
     }
 
@@ -397,12 +428,17 @@ impl Replay<'_> {
         if self.estimating.is_some() {
             self.joints.push_back(moved.vs_joints);
         }
-        self.lookers.iter_mut().for_each(|looker| looker.moved(moved));
+        if let Some(recording) = &mut self.recording {
+            recording.moved(moved);
+        }
+        if let Some(reporting) = &mut self.reporting {
+            reporting.moved(moved);
+        }
     }
 
-    fn finish(self, version: String, wall_s: f64) -> Result<Replayed> {
-        for looker in self.lookers {
-            looker.finish()?;
+    fn finish(self, version: String, is_led_by_person: bool) -> Result<Replayed> {
+        if let Some(recording) = self.recording {
+            recording.finish(&self.end.clone().unwrap_or_default())?;
         }
         let Progress { steps, pairs, last_at, .. } = self.progress;
         if steps == 0 {
@@ -413,9 +449,11 @@ impl Replay<'_> {
             steps,
             pairs,
             duration_s: last_at.map_or(0.0, |at| at.seconds_since(self.begin)),
-            wall_s,
             differences: self.differences,
             notes: self.notes,
+            is_led_by_person,
+            outcome: self.reporting.map(|reporting| reporting.finish(self.end.as_ref())),
+            end: self.end,
         })
     }
 }
@@ -430,9 +468,11 @@ fn captured(result: &PairResult, view: View) -> Result<Captured> {
 }
 
 /// The recorded estimate.
-fn as_recorded(result: &PairResult) -> Result<PairEstimate> {
+fn as_recorded(recorded: &RecordedPair) -> Result<PairEstimate> {
+    let result = &recorded.result;
+    let view = recorded.images.clone().map_or(View::Nothing, View::Images);
     Ok(PairEstimate {
-        captured: captured(result, View::Nothing)?,
+        captured: captured(result, view)?,
         steps: result.steps,
         chosen: None,
         target: result.target,

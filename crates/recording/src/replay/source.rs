@@ -14,16 +14,19 @@ use pb3dp_bag::pairs::{decoded, recorded_image};
 use pb3dp_bag::reader::{Bag, Messages, RawMessage};
 use pb3dp_bag::run_messages::{ControlStep, PairResult, RunBegin, SetupFile};
 use pb3dp_bag::topics::ours;
+use pb3dp_cell::spectator::RunEnd;
 use pb3dp_geometry::{ImageSize, MonotonicTime};
 use pb3dp_hal_api::FramePair;
 use pb3dp_setup::layers::SetupArgs;
 use tempfile::TempDir;
 
+use crate::exact::end;
+
 /// Images of one side that wait for their pair.
 const WAITING_MAX: usize = 64;
 
 /// Topics of a replay besides the images.
-const TOPICS: [&str; 6] = [ours::VERSION, ours::SETUP, ours::FILES, ours::BEGIN, ours::STEPS, ours::PAIRS];
+const TOPICS: [&str; 7] = [ours::VERSION, ours::SETUP, ours::FILES, ours::BEGIN, ours::STEPS, ours::PAIRS, ours::END];
 /// Topics with images.
 const IMAGES: [&str; 6] = [
     ours::LEFT_IMAGE,
@@ -64,6 +67,8 @@ pub enum Item {
     Step(Box<ControlStep>),
     /// An estimate.
     Pair(Box<RecordedPair>),
+    /// The end of the run.
+    End(RunEnd),
 }
 
 /// An estimate with its images, if they are there.
@@ -142,6 +147,7 @@ impl Items {
                 (Some(side), ..) => self.keep(side, message)?,
                 (_, Some(side), _) => self.drawn_on[side] = Some((stamp(&message)?, message)),
                 (.., ours::STEPS) => return Ok(Some(Item::Step(Box::new(decoded(&message)?)))),
+                (.., ours::END) => return Ok(Some(Item::End(end(&decoded(&message)?)))),
                 (.., ours::PAIRS) => return Ok(Some(Item::Pair(Box::new(self.pair(decoded(&message)?, size)?)))),
                 _ => {}
             }

@@ -1,0 +1,49 @@
+//! `pb3dp report`: the page and the tables of a recorded run.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use pb3dp_cell::report::{self, Made};
+use pb3dp_cell::terminal::print_line;
+use pb3dp_recording::replay::{Estimates, Opened, ReplayOptions};
+
+use crate::commands::result_folder::ResultFolder;
+
+/// Arguments of `pb3dp report`.
+#[derive(Debug, Args)]
+pub struct ReportArgs {
+    /// The recording of a run.
+    #[arg(value_name = "FILE.mcap")]
+    file: PathBuf,
+    /// Folder of the results.
+    #[arg(long, value_name = "FOLDER", default_value = "out/report")]
+    out: PathBuf,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A file that is no recording of a run, or results that cannot be written.
+pub fn run(args: &ReportArgs) -> Result<ExitCode> {
+    let options = ReplayOptions { set: Vec::new(), estimates: Estimates::RecordedWithImages };
+    let mut opened = Opened::new(&args.file, &options)?;
+    let _results = ResultFolder::take(&args.out)?;
+    let replayed = opened.replay(None, true)?;
+    let outcome = replayed.outcome.context("the replay kept no record: this is a bug, please report it")?;
+    let failure = match &replayed.end {
+        None => Some("the recording was broken off".to_owned()),
+        Some(end) => end.failure.clone(),
+    };
+    let made = Made {
+        configuration: format!("recording {}, by {}", args.file.display(), replayed.version),
+        commit: crate::COMMIT,
+        wall_s: replayed.duration_s,
+    };
+    let following = report::tell_of_past(&args.out, &opened.setup, &made, (&outcome, failure), print_line)?;
+    if !replayed.is_led_by_person {
+        following.warn();
+    }
+    Ok(ExitCode::SUCCESS)
+}
