@@ -2,6 +2,7 @@
 //!
 //! * [`cdr`]: the encoding of the messages;
 //! * [`messages`]: the messages and their definitions;
+//! * [`encoded`]: a message that is encoded once, for all that take it;
 //! * [`writer`]: a recording that is written by a thread of its own;
 //! * [`reader`]: the messages of a file, also of one that was broken off;
 //! * [`pairs`]: the stereo pairs and the calibration of a recording;
@@ -12,10 +13,13 @@
 
 pub mod cdr;
 mod codes;
+pub mod encoded;
 mod error;
+mod mcap_file;
 pub mod messages;
 pub mod pairs;
 mod pixels;
+mod queue;
 pub mod reader;
 pub mod recover;
 pub mod topics;
