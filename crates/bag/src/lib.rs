@@ -4,6 +4,7 @@
 //! * [`messages`]: the messages and their definitions;
 //! * [`encoded`]: a message that is encoded once, for all that take it;
 //! * [`writer`]: a recording that is written by a thread of its own;
+//! * [`recent`]: the newest seconds of a run, kept in a file at a fault;
 //! * [`reader`]: the messages of a file, also of one that was broken off;
 //! * [`pairs`]: the stereo pairs and the calibration of a recording;
 //! * [`recover`]: a whole file from one that was broken off.
@@ -11,6 +12,7 @@
 //! A file holds nothing but ROS 2 messages in CDR, so that every viewer and library that knows ROS 2 reads it (ADR 18). It is the format
 //! `mcap` of rosbag2 (ROS 2 documentation, "rosbag2_storage_mcap"; MCAP specification, <https://mcap.dev/spec>).
 
+mod backlog;
 pub mod cdr;
 mod codes;
 pub mod encoded;
@@ -21,6 +23,7 @@ pub mod pairs;
 mod pixels;
 mod queue;
 pub mod reader;
+pub mod recent;
 pub mod recover;
 pub mod topics;
 pub mod writer;

@@ -6,6 +6,7 @@ use pb3dp_bag::messages::{Header, Image};
 use pb3dp_geometry::MonotonicTime;
 
 mod files;
+mod recent;
 mod rotation;
 
 /// A time, milliseconds from the begin of a run in 2023.
