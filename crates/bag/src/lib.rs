@@ -3,8 +3,10 @@
 //! * [`cdr`]: the encoding of the messages;
 //! * [`messages`]: the messages and their definitions;
 //! * [`encoded`]: a message that is encoded once, for all that take it;
+//! * [`sinks`]: all of these that take the messages of a run;
 //! * [`writer`]: a recording that is written by a thread of its own;
 //! * [`recent`]: the newest seconds of a run, kept in a file at a fault;
+//! * [`live`]: a run for viewers, while it goes on;
 //! * [`reader`]: the messages of a file, also of one that was broken off;
 //! * [`pairs`]: the stereo pairs and the calibration of a recording;
 //! * [`recover`]: a whole file from one that was broken off.
@@ -17,6 +19,7 @@ pub mod cdr;
 mod codes;
 pub mod encoded;
 mod error;
+pub mod live;
 mod mcap_file;
 pub mod messages;
 pub mod pairs;
@@ -25,6 +28,7 @@ mod queue;
 pub mod reader;
 pub mod recent;
 pub mod recover;
+pub mod sinks;
 pub mod topics;
 pub mod writer;
 

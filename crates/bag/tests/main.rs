@@ -6,6 +6,7 @@ use pb3dp_bag::messages::{Header, Image};
 use pb3dp_geometry::MonotonicTime;
 
 mod files;
+mod live;
 mod recent;
 mod rotation;
 
