@@ -36,7 +36,7 @@ pub struct Finished {
 }
 
 impl Sinks {
-    /// Takers of messages, each if requested.
+    /// Hands messages to those that are requested.
     pub fn new(writer: Option<BagWriter>, recent: Option<Recent>, live: Option<Live>) -> Self {
         Self { encoder: Encoder::default(), writer, recent, live, keeping: Vec::new() }
     }

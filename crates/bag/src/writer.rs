@@ -122,12 +122,15 @@ impl BagWriter {
         self.push_encoded(message);
     }
 
-    /// Puts an encoded message into the queue.
+    /// Puts an encoded message into the queue; one that describes the whole run is not dropped.
     pub fn push_encoded(&mut self, message: Arc<Encoded>) {
         let bytes = message.bytes();
-        if !self.queue.as_ref().is_some_and(|queue| queue.send(message, bytes, self.when_full)) {
-            self.dropped += 1;
-        }
+        let is_taken = match &self.queue {
+            Some(queue) if message.describes_the_run() => queue.put(message, bytes),
+            Some(queue) => queue.send(message, bytes, self.when_full),
+            None => false,
+        };
+        self.dropped += u64::from(!is_taken);
     }
 
     /// Whether the thread has ended before [`Self::finish`]: nothing more is recorded.

@@ -229,6 +229,41 @@ fn a_hostile_client_ends_its_own_connection_only() {
 }
 
 #[test]
+fn a_client_that_says_nothing_or_little_is_disconnected() {
+    let sinks = sinks();
+    let mut silent = TcpStream::connect(sinks.live().unwrap().address()).unwrap();
+    let mut slow = TcpStream::connect(sinks.live().unwrap().address()).unwrap();
+    let began = Instant::now();
+    silent.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    while slow.write_all(b"G").is_ok() && began.elapsed() < Duration::from_secs(20) {
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    assert_eq!(silent.read(&mut [0]).unwrap(), 0);
+    assert!(began.elapsed() < Duration::from_secs(20));
+    assert_eq!(sinks.live().unwrap().viewers(), 0);
+}
+
+/// It sends much, too, so that its requests wait when it no longer takes answers.
+#[test]
+fn a_client_that_asks_and_does_not_read_is_disconnected_and_takes_no_time() {
+    let mut sinks = sinks();
+    sinks.push(LINE, at(0), &text("first"));
+    let mut bad = viewer(&sinks, &[LINE]);
+    let wrong: Vec<_> = (0..1000).map(|k| serde_json::json!({"id": k, "channelId": 99})).collect();
+    let request = serde_json::json!({"op": "subscribe", "subscriptions": wrong}).to_string();
+    let began = Instant::now();
+    bad.socket.get_ref().set_write_timeout(Some(Duration::from_secs(10))).unwrap();
+    while bad.socket.send(Message::text(request.clone())).is_ok() && began.elapsed() < Duration::from_secs(10) {}
+    let began = Instant::now();
+    while sinks.live().unwrap().viewers() > 0 && began.elapsed() < Duration::from_secs(10) {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    assert_eq!(sinks.live().unwrap().viewers(), 0);
+    let mut good = viewer(&sinks, &[LINE]);
+    until_seen(&mut sinks, &mut good);
+}
+
+#[test]
 fn connections_too_many_are_closed_and_the_others_stay() {
     let mut sinks = sinks();
     sinks.push(LINE, at(0), &text("first"));

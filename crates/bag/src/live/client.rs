@@ -139,8 +139,9 @@ impl Client {
         Ready { to_read: self.stalled_since.is_none(), to_write: !self.is_idle() }
     }
 
+    /// Whether the next turn has to read without a sign of the system.
     pub(super) fn has_more(&self) -> bool {
-        self.has_more
+        self.has_more && self.stalled_since.is_none()
     }
 
     /// Whether nothing waits to be sent.
