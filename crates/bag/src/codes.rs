@@ -18,5 +18,7 @@ codes! {
         NoCalibration = "PB3DP-BAG-010": "The recording has no calibration of both cameras."; "Give one with --calib.";
         Calibration = "PB3DP-BAG-011": "The calibration in the recording cannot be used."; "Correct it as the message says, or give another one with --calib.";
         NoPairs = "PB3DP-BAG-012": "No left image has a right one of nearly the same time."; "State a longer time with --pair-within, or check the clocks of the cameras.";
+        Keeping = "PB3DP-BAG-013": "The newest seconds are to be kept twice at a time."; "Wait until the first file is whole.";
+        Serve = "PB3DP-BAG-014": "Viewers cannot be served at the address."; "Give another address or port with --live, or end the program that uses it.";
     }
 }

@@ -1,5 +1,6 @@
 //! Why a recording cannot be used.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use pb3dp_record::calibration_files::CalibrationFileError;
@@ -52,6 +53,23 @@ pub enum BagError {
     Exists {
         /// The file.
         file: PathBuf,
+    },
+    /// The newest messages are to be kept while they are being written to another file.
+    #[error("{}: not written, since another file with the newest messages is still being written; wait until it is whole", file.display())]
+    Keeping {
+        /// The file that is not written.
+        file: PathBuf,
+    },
+    /// Viewers cannot be served at an address.
+    #[error(
+        "{address}: viewers cannot be served there; give another address or port with --live, or end the program that uses it"
+    )]
+    Serve {
+        /// The address.
+        address: SocketAddr,
+        /// The error of the system.
+        #[source]
+        source: std::io::Error,
     },
     /// The left and the right image topic are not known.
     #[error("{}: {why}; give them with --topics LEFT,RIGHT; topics with images: {known}", file.display())]

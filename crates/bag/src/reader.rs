@@ -23,7 +23,7 @@ const MAGIC: [u8; 8] = [0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n'];
 /// First bytes of an SQLite file.
 const SQLITE: &[u8] = b"SQLite format 3";
 
-/// A recording: one file, or those of a rosbag2 folder.
+/// A recording: one file, or those of a folder, by rosbag2 or divided ([`crate::writer::Rotation`]).
 #[derive(Clone, Debug)]
 pub struct Bag {
     path: PathBuf,
@@ -39,10 +39,10 @@ struct BagFile {
 }
 
 impl Bag {
-    /// Whether a path is a recording of this kind: an MCAP file, or a folder of rosbag2.
+    /// Whether a path is a recording of this kind: an MCAP file, a folder of rosbag2, or a folder with nothing but MCAP files.
     pub fn is_one(path: &Path) -> bool {
         let is_file = path.is_file() && extension(path).is_some_and(|e| e == "mcap" || e == "db3");
-        is_file || path.join("metadata.yaml").is_file()
+        is_file || path.join("metadata.yaml").is_file() || has_only_mcap_files(path)
     }
 
     /// Opens a recording, and counts its messages if it has no index.
@@ -123,7 +123,14 @@ fn extension(path: &Path) -> Option<String> {
     Some(path.extension()?.to_string_lossy().to_ascii_lowercase())
 }
 
-/// The MCAP files of a rosbag2 folder; numbers in their names count by value.
+fn has_only_mcap_files(folder: &Path) -> bool {
+    let Ok(entries) = std::fs::read_dir(folder) else { return false };
+    let mut is_mcap =
+        entries.map(|entry| entry.is_ok_and(|e| extension(&e.path()).as_deref() == Some("mcap"))).peekable();
+    is_mcap.peek().is_some() && is_mcap.all(|is| is)
+}
+
+/// The MCAP files of a folder; numbers in their names count by value.
 fn files_in(folder: &Path) -> Result<Vec<PathBuf>, BagError> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(|source| io(folder, "reading the folder", source))? {
@@ -137,12 +144,23 @@ fn files_in(folder: &Path) -> Result<Vec<PathBuf>, BagError> {
     if files.is_empty() {
         return Err(BagError::NoMcap { file: folder.to_path_buf() });
     }
-    files.sort_by_key(|file| {
-        let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let number = stem.rsplit('_').next().and_then(|end| end.parse::<u64>().ok());
-        (number, stem)
-    });
+    files.sort_by_key(|file| by_number(&file.file_stem().unwrap_or_default().to_string_lossy()));
     Ok(files)
+}
+
+/// The parts of a name, of which numbers count by value: `run` is before `run_2`, and that before `run_10`.
+fn by_number(name: &str) -> Vec<(u64, String)> {
+    let mut parts: Vec<(u64, String)> = Vec::new();
+    let mut rest = name;
+    while let Some(first) = rest.chars().next() {
+        let is_digit = first.is_ascii_digit();
+        let end = rest.find(|c: char| c.is_ascii_digit() != is_digit).unwrap_or(rest.len());
+        let (part, more) = rest.split_at(end);
+        // Numbers come before letters, as in ASCII.
+        parts.push((if is_digit { part.parse().unwrap_or(u64::MAX - 1) } else { u64::MAX }, part.to_owned()));
+        rest = more;
+    }
+    parts
 }
 
 fn check_magic(file: &Path) -> Result<(), BagError> {

@@ -1,12 +1,11 @@
 //! A whole file from one that was broken off, by a kill or a full disk.
 
-use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
 
 use crate::BagError;
+use crate::mcap_file::{create_new, options};
 use crate::reader::{Bag, io};
-use crate::writer::options;
 
 /// What was recovered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,10 +24,7 @@ pub struct Recovered {
 /// A file that is no recording, or a new file that exists or cannot be written.
 pub fn recover(from: &Path, to: &Path) -> Result<Recovered, BagError> {
     let bag = Bag::open(from)?;
-    let created = File::create_new(to).map_err(|source| match source.kind() {
-        std::io::ErrorKind::AlreadyExists => BagError::Exists { file: to.to_path_buf() },
-        _ => io(to, "writing", source),
-    })?;
+    let created = create_new(to)?;
     let failed = |error: mcap::McapError| io(to, "writing", std::io::Error::other(error));
     let mut writer = options().create(BufWriter::new(created)).map_err(failed)?;
     let mut times: Option<(u64, u64)> = None;

@@ -19,6 +19,15 @@ message! {
 }
 
 message! {
+    /// The files that the settings of the run name.
+    #[derive(Eq)]
+    SetupFiles = "pb3dp_msgs/SetupFiles" {
+        /// Each of them.
+        files: Vec<SetupFile>,
+    }
+}
+
+message! {
     /// How a target is marked in the left image.
     #[derive(Default)]
     Marked = "pb3dp_msgs/Marked" {

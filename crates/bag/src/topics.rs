@@ -46,6 +46,13 @@ pub mod ours {
     pub const DRAWN_ON: [&str; 2] = ["/pb3dp/drawn_on/left", "/pb3dp/drawn_on/right"];
     /// Poses of frames, which viewers draw.
     pub const TF: &str = "/tf";
+    /// Poses of frames that do not move against each other; a message has all of them.
+    pub const TF_STATIC: &str = "/tf_static";
+}
+
+/// Whether the messages of a topic of ours describe the whole run: each file, and each viewer, begins with the newest one.
+pub fn describes_the_run(topic: &str) -> bool {
+    [ours::SETUP, ours::VERSION, ours::CALIBRATION, ours::TF_STATIC, ours::FILES, ours::BEGIN].contains(&topic)
 }
 
 /// A topic of a recording.

@@ -13,12 +13,9 @@ use pb3dp_bag::reader::Bag;
 use pb3dp_bag::recover::recover;
 use pb3dp_bag::topics::ours;
 use pb3dp_bag::writer::{BagWriter, WhenFull};
-use pb3dp_geometry::MonotonicTime;
 use proptest::prelude::*;
 
-fn at(millis: u64) -> MonotonicTime {
-    MonotonicTime::from_nanos(1_700_000_000_000_000_000 + millis * 1_000_000)
-}
+use super::at;
 
 fn header(millis: u64) -> Header {
     Header { stamp: at(millis).into(), frame_id: "cam".to_owned() }

@@ -187,6 +187,9 @@ impl Record for Keeping<'_, '_> {
         }
         if let Some(number) = self.faults.due(step.at, &step.decision) {
             (self.keep_flights)(number, &anyhow!("{}", step.decision.why));
+            if let Some(recorder) = self.recorder {
+                recorder.fault(number);
+            }
         }
     }
 

@@ -22,6 +22,9 @@ pub trait RunRecorder: Spectator {
     /// Receives the time of the first control step.
     fn begin_at(&mut self, begin: MonotonicTime);
 
+    /// A fault has latched the arms; faults count from 1. May be called again for the same fault.
+    fn fault(&mut self, number: usize);
+
     /// Keeps everything; also called after a run that has failed.
     ///
     /// # Errors

@@ -1,5 +1,6 @@
 //! Arguments of `pb3dp run`, `estimate` and `track`, and their parsers.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -39,6 +40,15 @@ pub struct RunArgs {
     /// truth. `pb3dp track` reads both.
     #[arg(long, value_name = "FILE.mcap|DIR")]
     pub record: Option<PathBuf>,
+    /// Continue the recording in another file after so many megabytes (of 1 000 000 bytes): FILE_001.mcap and so on.
+    #[arg(long, value_name = "N", requires = "record", value_parser = clap::value_parser!(u32).range(1..))]
+    pub rotate_mb: Option<u32>,
+    /// Continue the recording in another file after so many minutes.
+    #[arg(long, value_name = "N", requires = "record", value_parser = clap::value_parser!(u32).range(1..))]
+    pub rotate_minutes: Option<u32>,
+    /// Let viewers that are compatible with Foxglove watch the run, at 127.0.0.1:8765 or another address of this computer.
+    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
+    pub live: Option<SocketAddr>,
     /// The target in the first left image of real cameras; overrides camera.region of the setup.
     #[arg(long, value_name = "REGION", help = format!("The target in the first left image of real cameras; overrides camera.region of the setup: {REGION_HELP}"))]
     pub region: Option<RegionSpec>,

@@ -4,14 +4,13 @@ use std::path::Path;
 use std::time::Duration;
 
 use image::RgbImage;
-use pb3dp_bag::BagError;
 use pb3dp_bag::cdr::Bytes;
 use pb3dp_bag::messages::{
     CameraInfo, CompressedImage, Header, Image, Message, Point, Quaternion, RegionOfInterest, RosPose, Text, Time,
     Transform, TransformStamped, Transforms, Vector3 as RosVector,
 };
+use pb3dp_bag::sinks::{Finished, Sinks};
 use pb3dp_bag::topics::ours;
-use pb3dp_bag::writer::{BagWriter, WhenFull, Written};
 use pb3dp_geometry::frames::Frame;
 use pb3dp_geometry::{MonotonicTime, Pose, StereoRig};
 use pb3dp_hal_api::FramePair;
@@ -20,11 +19,9 @@ use pb3dp_record::calibration_files::{CalibrationFileError, RosCameraInfo, json_
 /// Frames of the cameras in transforms and headers.
 pub(crate) const CAMERAS: [&str; 2] = ["cam_left", "cam_right"];
 
-/// Where and how a run is recorded.
-#[derive(Clone, Debug)]
-pub struct RecordTo<'a> {
-    /// A file with the extension `mcap`, or the folder of a sequence.
-    pub path: &'a Path,
+/// What a recording states of itself.
+#[derive(Clone, Debug, Default)]
+pub struct About {
     /// All settings of the run with their origins, as a TOML file.
     pub setup_text: String,
     /// Version of the program.
@@ -33,32 +30,21 @@ pub struct RecordTo<'a> {
     pub since_1970: Duration,
 }
 
-impl<'a> RecordTo<'a> {
-    /// A sequence folder.
-    pub fn folder(path: &'a Path) -> Self {
-        Self { path, setup_text: String::new(), version: String::new(), since_1970: Duration::ZERO }
-    }
-
-    /// Whether the path is a file, not a folder.
-    pub fn is_file(path: &Path) -> bool {
-        path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
-    }
+/// Whether a recording with this path is one file, not a folder.
+pub fn is_file(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
 }
 
 /// A recording of stereo pairs in one file, with their calibration if there is one.
 pub struct PairRecording {
-    writer: BagWriter,
+    pub(crate) sinks: Sinks,
     since_1970: Duration,
     infos: Option<[CameraInfo; 2]>,
 }
 
 impl PairRecording {
-    /// Creates the file and writes what does not change. Pairs without a calibration are recorded, too, and those with one that ROS 2
-    /// cannot express.
-    ///
-    /// # Errors
-    /// If the file exists or cannot be written.
-    pub fn new(to: &RecordTo<'_>, rig: Option<&StereoRig>, when_full: WhenFull) -> Result<Self, BagError> {
+    /// Begins with what does not change. Pairs without a calibration are recorded, too, and those with one that ROS 2 cannot express.
+    pub fn new(about: &About, rig: Option<&StereoRig>, sinks: Sinks) -> Self {
         let told = |error: &CalibrationFileError| {
             tracing::warn!(
                 "the recording has no camera_info: {error}; its topic {} has the calibration",
@@ -67,17 +53,16 @@ impl PairRecording {
         };
         let infos = rig.and_then(|rig| ros_camera_infos(rig).inspect_err(told).ok());
         let infos = infos.map(|infos| [0, 1].map(|side| camera_info(CAMERAS[side], &infos[side])));
-        let writer = BagWriter::create(to.path, when_full)?;
-        let mut recording = Self { writer, since_1970: to.since_1970, infos };
+        let mut recording = Self { sinks, since_1970: about.since_1970, infos };
         let zero = MonotonicTime::ZERO;
-        recording.push(ours::VERSION, zero, &Text { data: to.version.clone() });
+        recording.push(ours::VERSION, zero, &Text { data: about.version.clone() });
         if let Some(rig) = rig {
             recording.push(ours::CALIBRATION, zero, &Text { data: json_text(rig) });
             let right = rig.cam_right_from_cam_left().inverse();
             let right = recording.transform(zero, CAMERAS[0], CAMERAS[1], &right);
-            recording.push("/tf_static", zero, &Transforms { transforms: vec![right] });
+            recording.push(ours::TF_STATIC, zero, &Transforms { transforms: vec![right] });
         }
-        Ok(recording)
+        recording
     }
 
     /// Records a pair: images that the camera delivered as JPEG as they are.
@@ -113,19 +98,16 @@ impl PairRecording {
 
     /// Whether the recording has ended before [`Self::finish`]: its file cannot be written any more.
     pub fn is_over(&self) -> bool {
-        self.writer.is_over()
+        self.sinks.is_over()
     }
 
-    /// Finishes the file.
-    ///
-    /// # Errors
-    /// If it could not be written.
-    pub fn finish(self) -> Result<Written, BagError> {
-        self.writer.finish()
+    /// Finishes all files.
+    pub fn finish(self) -> Finished {
+        self.sinks.finish()
     }
 
     pub(crate) fn push<M: Message>(&mut self, topic: &'static str, at: MonotonicTime, message: &M) {
-        self.writer.push(topic, at + self.since_1970, message);
+        self.sinks.push(topic, at + self.since_1970, message);
     }
 
     pub(crate) fn stamp(&self, at: MonotonicTime) -> Time {

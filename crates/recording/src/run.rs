@@ -1,6 +1,8 @@
 //! Records a run as an MCAP file with ROS 2 messages: images as the cameras delivered them, calibration, estimates, joints, commands,
 //! changes of state, the settings; and what a replay needs, to the bit.
 
+use std::path::PathBuf;
+
 use anyhow::{Context, Result};
 use nalgebra::Matrix6;
 use pb3dp_bag::cdr::Bytes;
@@ -8,9 +10,9 @@ use pb3dp_bag::messages::{
     DiagnosticStatus, Diagnostics, JointState, KeyValue, Level, LogLine, Point32, Polygon, PolygonStamped, PoseStamped,
     PoseWithCovariance, PoseWithCovarianceStamped, Text, Transforms,
 };
-use pb3dp_bag::run_messages::{RunBegin, SetupFile};
+use pb3dp_bag::run_messages::{RunBegin, SetupFile, SetupFiles};
+use pb3dp_bag::sinks::{Finished, Sinks};
 use pb3dp_bag::topics::ours;
-use pb3dp_bag::writer::WhenFull;
 use pb3dp_cell::annotation::polygon_px;
 use pb3dp_cell::moving::Moved;
 use pb3dp_cell::noting::{PairEstimate, outline_px};
@@ -22,11 +24,11 @@ use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::frames::{CamLeft, Flange, Frame};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::Chain;
-use pb3dp_setup::setup::{Pace, Setup};
+use pb3dp_setup::setup::Setup;
 
 use crate::estimates::pair_result;
 use crate::exact::{of_end, of_marking};
-use crate::pairs::{CAMERAS, PairRecording, RecordTo, ros_pose};
+use crate::pairs::{About, CAMERAS, PairRecording, ros_pose};
 use crate::steps::Steps;
 use crate::tap::{Heard, tap};
 
@@ -41,6 +43,10 @@ struct RunRecording {
     begin: RunBegin,
     /// Time of the last step.
     last_at: MonotonicTime,
+    /// Folder for the newest seconds at each fault.
+    faults: PathBuf,
+    /// Number of the last fault that is kept.
+    kept: usize,
     joint_names: [Vec<String>; 2],
     /// The arm that carries the cameras, and their mounting.
     vs_chain: Chain,
@@ -48,14 +54,23 @@ struct RunRecording {
     is_failure_reported: bool,
 }
 
-/// Records a run with these parts in a file, from its begin on.
+/// Who gets the messages of a run, and where files of faults go.
+#[derive(Debug, Default)]
+pub struct RecordTo {
+    /// The recording, the newest seconds and viewers, each if it is wanted.
+    pub sinks: Sinks,
+    /// Folder for the newest seconds at each fault.
+    pub faults: PathBuf,
+}
+
+/// Records a run with these parts, from its begin on.
 ///
 /// # Errors
-/// If the file exists or cannot be written.
-pub fn record_run(to: &RecordTo<'_>, setup: &Setup, parts: Parts) -> Result<Parts> {
+/// If a file that the settings name cannot be read.
+pub fn record_run(about: &About, setup: &Setup, parts: Parts, to: RecordTo) -> Result<Parts> {
     let begin = RunBegin {
         begin_nanos: 0,
-        since_1970_nanos: u64::try_from(to.since_1970.as_nanos()).unwrap_or(u64::MAX),
+        since_1970_nanos: u64::try_from(about.since_1970.as_nanos()).unwrap_or(u64::MAX),
         is_person: parts.operator.is_person(),
         can_fall_silent: parts.operator.can_fall_silent(),
         selects: parts.selections.is_some(),
@@ -69,7 +84,7 @@ pub fn record_run(to: &RecordTo<'_>, setup: &Setup, parts: Parts) -> Result<Part
             .collect(),
     };
     let heard = Heard { vs: parts.vs, tc: parts.tc, operator: parts.operator };
-    let (recorder, Heard { vs, tc, operator }) = recorder(to, setup, (begin, heard))?;
+    let (recorder, Heard { vs, tc, operator }) = recorder(about, setup, (begin, heard), to)?;
     Ok(Parts { vs, tc, operator, recorder: Some(recorder), ..parts })
 }
 
@@ -78,20 +93,20 @@ pub fn record_run(to: &RecordTo<'_>, setup: &Setup, parts: Parts) -> Result<Part
 /// # Errors
 /// As [`record_run`].
 pub(crate) fn recorder(
-    to: &RecordTo<'_>,
+    about: &About,
     setup: &Setup,
     (begin, heard): (RunBegin, Heard),
+    to: RecordTo,
 ) -> Result<(Box<dyn RunRecorder>, Heard)> {
     let (heard, events) = tap(heard);
-    let recording = RunRecording::new(to, setup, (begin, Steps::new(events)))?;
+    let recording = RunRecording::new(about, setup, (begin, Steps::new(events)), to)?;
     Ok((Box::new(recording), heard))
 }
 
 impl RunRecording {
-    /// Creates the file and writes what does not change.
-    fn new(to: &RecordTo<'_>, setup: &Setup, (begin, steps): (RunBegin, Steps)) -> Result<Self> {
-        let when_full = if setup.pace == Pace::Fast { WhenFull::Wait } else { WhenFull::Drop };
-        let pairs = PairRecording::new(to, Some(&setup.rig.stereo), when_full).context("--record")?;
+    /// Begins with what does not change.
+    fn new(about: &About, setup: &Setup, (begin, steps): (RunBegin, Steps), to: RecordTo) -> Result<Self> {
+        let pairs = PairRecording::new(about, Some(&setup.rig.stereo), to.sinks);
         let vs = &setup.rig.arms.vs;
         let names = |chain: &Chain| chain.joint_names().into_iter().map(str::to_owned).collect();
         let mut recording = Self {
@@ -99,16 +114,20 @@ impl RunRecording {
             steps,
             begin,
             last_at: MonotonicTime::ZERO,
+            faults: to.faults,
+            kept: 0,
             joint_names: [names(&vs.chain), names(&setup.rig.arms.tc.chain)],
             vs_chain: vs.chain.clone(),
             flange_from_cam_left: setup.controller.flange_from_hand * setup.controller.hand_from_cam_left,
             is_failure_reported: false,
         };
-        recording.pairs.push(ours::SETUP, MonotonicTime::ZERO, &Text { data: to.setup_text.clone() });
-        for path in setup.layers.input_files() {
+        recording.pairs.push(ours::SETUP, MonotonicTime::ZERO, &Text { data: about.setup_text.clone() });
+        let read = |path: String| -> Result<SetupFile> {
             let data = std::fs::read(&path).with_context(|| format!("--record: {path} cannot be read"))?;
-            recording.pairs.push(ours::FILES, MonotonicTime::ZERO, &SetupFile { path, data: Bytes(data) });
-        }
+            Ok(SetupFile { path, data: Bytes(data) })
+        };
+        let files = setup.layers.input_files().into_iter().map(read).collect::<Result<_>>()?;
+        recording.pairs.push(ours::FILES, MonotonicTime::ZERO, &SetupFiles { files });
         Ok(recording)
     }
 
@@ -257,13 +276,38 @@ impl RunRecorder for RunRecording {
             self.pairs.push(ours::STEPS, self.last_at, &step);
         }
         self.pairs.push(ours::END, self.last_at, &of_end(end));
-        let written = self.pairs.finish().context("--record")?;
+        if end.failure.is_some() {
+            self.fault(self.kept + 1);
+        }
+        let Finished { written, kept, recent_dropped, live_dropped } = self.pairs.finish();
+        for kept in kept {
+            match kept {
+                Ok(kept) => tracing::info!("the newest seconds at a fault: {}", kept.file.display()),
+                Err(error) => tracing::warn!("the newest seconds at a fault: {error}"),
+            }
+        }
+        tracing::debug!("{recent_dropped} messages are missing in the newest seconds, {live_dropped} reached no viewer");
+        let Some(written) = written else { return Ok(()) };
+        let written = written.context("--record")?;
         let all: u64 = written.messages.values().sum();
-        tracing::info!("{all} messages recorded: {}", written.file.display());
+        let files: Vec<String> = written.files.iter().map(|file| file.display().to_string()).collect();
+        tracing::info!("{all} messages recorded: {}", files.join(", "));
         if written.dropped > 0 {
             tracing::warn!("--record: {} messages are missing: the disk was too slow", written.dropped);
         }
         Ok(())
+    }
+
+    fn fault(&mut self, number: usize) {
+        // The record of a fault can be due twice.
+        if number <= self.kept {
+            return;
+        }
+        self.kept = number;
+        let name = if number <= 1 { "fault.mcap".to_owned() } else { format!("fault-{number}.mcap") };
+        if let Err(error) = self.pairs.sinks.keep(&self.faults.join(name)) {
+            tracing::warn!("the newest seconds at a fault: {error}");
+        }
     }
 }
 

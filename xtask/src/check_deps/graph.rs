@@ -286,8 +286,8 @@ const SEES_NOTHING: &str = "xtask";
 const MEASURES_ALL: &str = "benchmarks";
 
 /// Packages that may serialise and deserialise structures.
-const SERDE_USERS: [&str; 8] =
-    ["setup", "cell", "panel", "commissioning", "orchestrator", "record", "benchmarks", "calibration"];
+const SERDE_USERS: [&str; 9] =
+    ["setup", "cell", "panel", "commissioning", "orchestrator", "record", "bag", "benchmarks", "calibration"];
 const SERDE_CRATES: [&str; 6] = ["serde", "serde_json", "serde-saphyr", "toml", "figment", "serde_derive"];
 
 /// Lets tests disable safeguards: only a build of a test may enable it, by name.

@@ -59,6 +59,9 @@ const WORLDS: [World; 6] = [
         what: "threads",
         paths: &["std::thread", "rayon"],
         allowed_in: &[
+            "crates/bag/src/live/",
+            "crates/bag/src/queue.rs",
+            "crates/bag/src/recent.rs",
             "crates/bag/src/writer.rs",
             "crates/recording/src/replay/mod.rs",
             "crates/cell/src/attended_motion.rs",
@@ -96,6 +99,7 @@ const WORLDS: [World; 6] = [
             "SystemTime::now",
         ],
         allowed_in: &[
+            "crates/bag/src/live/",
             "crates/bag/src/writer.rs",
             "crates/cell/src/compared.rs",
             "crates/cell/src/flight.rs",
@@ -153,6 +157,8 @@ const WORLDS: [World; 6] = [
             PLATFORM,
             GATEWAY_SERVICE,
             EMULATED_LINES,
+            "crates/bag/src/error.rs",
+            "crates/bag/src/live/",
             "crates/panel/src/config.rs",
             "crates/panel/src/panel.rs",
             "crates/panel/src/server/",

@@ -6,13 +6,15 @@ use std::time::Instant;
 
 use anyhow::Result;
 use clap::Args;
+use pb3dp_bag::sinks::Sinks;
+use pb3dp_bag::writer::{BagWriter, WhenFull};
 use pb3dp_cell::terminal::print_line;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_recording::replay::{Estimates, Opened, ReplayOptions, Replayed};
 use pb3dp_setup::layers::toml_of;
 
 use crate::arguments::UNSURE;
-use crate::commands::run::record_to;
+use crate::commands::run::about;
 
 /// Arguments of `pb3dp replay`.
 #[derive(Debug, Args)]
@@ -46,8 +48,9 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
     let started = Instant::now();
     let mut opened = Opened::new(&args.file, &options)?;
     let settings = toml_of(&opened.setup.layers.effective());
-    let to = args.record.as_deref().map(|path| record_to(path, settings, MonotonicTime::ZERO)).transpose()?;
-    let replayed = opened.replay(to.as_ref(), false)?;
+    let about = about(settings, MonotonicTime::ZERO)?;
+    let writer = args.record.as_deref().map(|file| BagWriter::create(file, WhenFull::Wait)).transpose()?;
+    let replayed = opened.replay(writer.map(|writer| (&about, Sinks::new(Some(writer), None, None))), false)?;
     print_line(&text(&replayed, started.elapsed().as_secs_f64()))?;
     Ok(if replayed.differences.any() { ExitCode::from(UNSURE) } else { ExitCode::SUCCESS })
 }

@@ -4,10 +4,14 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::{Instant, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, Result};
 use pb3dp_bag::BagError;
+use pb3dp_bag::live::Live;
+use pb3dp_bag::recent::{Recent, RecentOptions};
+use pb3dp_bag::sinks::Sinks;
+use pb3dp_bag::writer::{BagWriter, Rotation, WhenFull};
 use pb3dp_cell::console::ConsoleTargets;
 use pb3dp_cell::experiment::{self, Ended};
 use pb3dp_cell::flight::Moment;
@@ -18,10 +22,10 @@ use pb3dp_commissioning::commissioned::check_arms;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::dataset::SequenceWriter;
-use pb3dp_recording::pairs::RecordTo;
-use pb3dp_recording::run::record_run;
+use pb3dp_recording::pairs::{About, is_file};
+use pb3dp_recording::run::{RecordTo, record_run};
 use pb3dp_setup::layers::{Layers, toml_of};
-use pb3dp_setup::setup::read_layers;
+use pb3dp_setup::setup::{Pace, Setup, read_layers};
 use pb3dp_wiring::{RunNeeds, Wired, accept_nominal, wire_run, write_flights};
 
 use crate::arguments::{OperatorName, RunArgs, UNSURE};
@@ -74,12 +78,16 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     parts.keep_flights = Box::new(keep_flights.clone());
     tracing::info!("the results of this run go to {} (--out)", args.out.display());
     let (file, folder) = match args.record.as_deref() {
-        Some(path) if RecordTo::is_file(path) => (Some(path), None),
+        Some(path) if is_file(path) => (Some(path), None),
         folder => (None, folder),
     };
-    if let Some(file) = file {
-        let settings = toml_of(&Layers::read(&asked)?.effective());
-        parts = record_run(&record_to(file, settings, parts.clock.now())?, &setup, parts)?;
+    let sinks = sinks(args, &setup, file)?;
+    if let Some(live) = sinks.live() {
+        tracing::info!("viewers can watch at ws://{} (--live)", live.address());
+    }
+    if file.is_some() || args.live.is_some() || setup.pace == Pace::Live {
+        let about = about(toml_of(&Layers::read(&asked)?.effective()), parts.clock.now())?;
+        parts = record_run(&about, &setup, parts, RecordTo { sinks, faults: args.out.clone() })?;
     }
     let Ended { outcome, how, faults } = experiment::conduct(&setup, parts, args.stop_after, folder)?;
     if let Err(failure) = &how {
@@ -100,21 +108,33 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     })
 }
 
+/// Who gets the messages of the run. The newest seconds are held in live runs, for a file at each fault.
+fn sinks(args: &RunArgs, setup: &Setup, file: Option<&Path>) -> Result<Sinks> {
+    let when_full = if setup.pace == Pace::Fast { WhenFull::Wait } else { WhenFull::Drop };
+    let rotation = Rotation {
+        bytes_max: args.rotate_mb.map(|megabytes| u64::from(megabytes) * 1_000_000),
+        duration_max: args.rotate_minutes.map(|minutes| Duration::from_secs(60 * u64::from(minutes))),
+    };
+    let writer = file.map(|file| BagWriter::create_rotating(file, when_full, rotation)).transpose().context("--record")?;
+    let recent = (setup.pace == Pace::Live).then(|| Recent::start(RecentOptions::default())).transpose()?;
+    let live = args.live.map(Live::serve).transpose().context("--live")?;
+    Ok(Sinks::new(writer, recent, live))
+}
+
 /// Refuses to overwrite an earlier recording.
 fn check_recording(path: &Path) -> Result<()> {
-    match RecordTo::is_file(path) {
+    match is_file(path) {
         true if path.exists() => Err(BagError::Exists { file: path.to_path_buf() }).context("--record"),
         true => Ok(()),
         false => SequenceWriter::check_folder(path).context("--record"),
     }
 }
 
-/// Where to record, with the settings, and the time that the run's clock shows now.
-pub(super) fn record_to(path: &Path, setup_text: String, now: MonotonicTime) -> Result<RecordTo<'_>> {
+/// What a recording states of itself; the clock of the run shows `now`.
+pub(super) fn about(setup_text: String, now: MonotonicTime) -> Result<About> {
     let since_1970 =
         SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).context("the clock shows a time before 1970")?;
-    Ok(RecordTo {
-        path,
+    Ok(About {
         setup_text,
         version: format!("pb3dp {} ({})", env!("CARGO_PKG_VERSION"), crate::COMMIT),
         since_1970: since_1970.saturating_sub(now.saturating_since(MonotonicTime::ZERO)),

@@ -17,6 +17,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 
 use anyhow::{Context, Result, bail};
 use pb3dp_bag::run_messages::{ControlStep, PairResult};
+use pb3dp_bag::sinks::Sinks;
 use pb3dp_cell::capturing::Captured;
 use pb3dp_cell::follower::Follower;
 use pb3dp_cell::halves::Mover;
@@ -42,8 +43,8 @@ use self::reporting::Reporting;
 use self::source::{Item, RecordedPair, RecordedRun};
 use crate::estimates::{pair_result, recorded_estimate};
 use crate::exact::{marking, of_pose_if_any, percept, pose_if_any, region};
-use crate::pairs::RecordTo;
-use crate::run::recorder;
+use crate::pairs::About;
+use crate::run::{RecordTo, recorder};
 
 /// Steps and pairs that are read ahead.
 const READ_AHEAD: usize = 32;
@@ -130,7 +131,7 @@ impl Opened {
     ///
     /// # Errors
     /// A damaged recording, or a failure of the estimation that the run did not have.
-    pub fn replay(&mut self, record_to: Option<&RecordTo<'_>>, reports: bool) -> Result<Replayed> {
+    pub fn replay(&mut self, record_to: Option<(&About, Sinks)>, reports: bool) -> Result<Replayed> {
         let anew = self.estimates_anew();
         let Self { run, setup, .. } = self;
         let setup = &*setup;
@@ -139,8 +140,9 @@ impl Opened {
         let person = (run.begin.is_person, run.begin.can_fall_silent);
         let mut heard = script.parts(setup.control_period, person);
         let mut recording = None;
-        if let Some(to) = record_to {
-            let (to_file, tapped) = recorder(to, setup, (run.begin.clone(), heard))?;
+        if let Some((about, sinks)) = record_to {
+            let to = RecordTo { sinks, ..RecordTo::default() };
+            let (to_file, tapped) = recorder(about, setup, (run.begin.clone(), heard), to)?;
             recording = Some(to_file);
             heard = tapped;
         }

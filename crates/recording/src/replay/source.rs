@@ -12,7 +12,7 @@ use pb3dp_bag::BagError;
 use pb3dp_bag::messages::Text;
 use pb3dp_bag::pairs::{decoded, recorded_image};
 use pb3dp_bag::reader::{Bag, Messages, RawMessage};
-use pb3dp_bag::run_messages::{ControlStep, PairResult, RunBegin, SetupFile};
+use pb3dp_bag::run_messages::{ControlStep, PairResult, RunBegin, SetupFile, SetupFiles};
 use pb3dp_bag::topics::ours;
 use pb3dp_cell::spectator::RunEnd;
 use pb3dp_geometry::{ImageSize, MonotonicTime};
@@ -98,7 +98,7 @@ impl RecordedRun {
             match message.channel.topic.as_str() {
                 ours::VERSION => version = decoded::<Text>(&message)?.data,
                 ours::SETUP => setup_text = Some(decoded::<Text>(&message)?.data),
-                ours::FILES => files.push(decoded(&message)?),
+                ours::FILES => files = decoded::<SetupFiles>(&message)?.files,
                 ours::BEGIN => begin = Some(decoded::<RunBegin>(&message)?),
                 ours::STEPS | ours::PAIRS => break Some(message),
                 _ => {}

@@ -5,15 +5,16 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_bag::BagError;
+use pb3dp_bag::sinks::Sinks;
 use pb3dp_bag::topics::ours;
-use pb3dp_bag::writer::WhenFull;
+use pb3dp_bag::writer::{BagWriter, WhenFull};
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::{CameraErrorKind, Clock, FramePair, StereoCamera};
 use pb3dp_recording::pairs::PairRecording;
 
 use super::Recorded;
 use super::recorder::{PATIENCE, PATIENCE_OF_A_CALL};
-use crate::commands::run::record_to;
+use crate::commands::run::about;
 
 /// When a recording ends.
 pub(super) struct Until {
@@ -32,8 +33,9 @@ pub(super) fn record(
     until: &Until,
     is_over: &mut dyn FnMut() -> bool,
 ) -> Result<Recorded> {
-    let to = record_to(path, String::new(), clock.now())?;
-    let mut file = PairRecording::new(&to, rig, WhenFull::Drop).context("--out")?;
+    let writer = BagWriter::create(path, WhenFull::Drop).context("--out")?;
+    let about = about(String::new(), clock.now())?;
+    let mut file = PairRecording::new(&about, rig, Sinks::new(Some(writer), None, None));
     let (begin, mut heard_at) = (clock.now(), clock.now());
     let mut pair = FramePair::black(camera.info().size);
     let mut recorded = Recorded::default();
@@ -64,8 +66,9 @@ pub(super) fn record(
             }
         }
     }
-    match file.finish() {
-        Ok(written) => {
+    match file.finish().written.transpose() {
+        Ok(None) => {}
+        Ok(Some(written)) => {
             let images = |topic| written.messages.get(topic).copied().unwrap_or(0);
             recorded.pairs = (images(ours::LEFT_IMAGE) + images(ours::LEFT_COMPRESSED))
                 .min(images(ours::RIGHT_IMAGE) + images(ours::RIGHT_COMPRESSED));

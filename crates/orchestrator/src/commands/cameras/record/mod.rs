@@ -21,7 +21,7 @@ use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::calibration_files::save_cameras;
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter};
 use pb3dp_record::images::StoredFormat;
-use pb3dp_recording::pairs::RecordTo;
+use pb3dp_recording::pairs::is_file;
 use pb3dp_setup::region_spec::RegionSpec;
 use pb3dp_wiring::calibration::identity;
 use serde::Serialize;
@@ -125,7 +125,7 @@ fn recorded(
     is_over: &mut dyn FnMut() -> bool,
 ) -> Result<Recorded> {
     let Chosen { config, rig, target, .. } = args.cameras.chosen()?;
-    if RecordTo::is_file(&args.out) {
+    if is_file(&args.out) {
         file::check_options(args)?;
         let mut camera =
             V4l2StereoCamera::open(system, Arc::clone(&clock), &config).context("the cameras cannot be used")?;
