@@ -182,6 +182,10 @@ message! {
         why: String,
         /// Pose of the target in the base of the arm with the cameras, by the filter.
         base_from_model: Vec<f64>,
+        /// True pose of the hand; without a simulation that from the measured joints.
+        world_from_hand: Vec<f64>,
+        /// True pose of the target; without a simulation that from the measured joints.
+        world_from_target: Vec<f64>,
     }
 }
 

@@ -13,7 +13,7 @@ use super::channels::Plan;
 use super::cycles::CycleSummary;
 use super::flight::{FaultWatch, KeepFlights};
 use super::halves::{Capture, Course, Estimate, Parted, Record, first_failure};
-use super::journal::{Journal, Outcome};
+use super::journal::{Journal, Outcome, TruePoses};
 use super::log::RunLog;
 use super::looking::{Estimating, Looking};
 use super::moving::{Moved, Moving};
@@ -75,7 +75,7 @@ pub fn conduct(setup: &Setup, parts: Parts, stop_after_s: Option<f64>, record: O
     let mut moving = Moving::new(setup, (vs, tc), &*experiment, now)?.with_operator(operator);
     let ends_s = stop_after_s.map_or(duration_s, |s| s.clamp(0.0, duration_s));
     let plan = Plan::of(&setup.experiment.motion, &*experiment);
-    let journal = Journal::new(setup, cell.clone(), (now, ends_s), (log, plan));
+    let journal = Journal::new(setup, (now, ends_s), (log, plan));
     let faults = FaultWatch::default();
     let mut watching = Watching { looking, journal, cell, spectator, faults, keep_flights, recorder };
     let course = Course { setup, clock: &clock, duration: Duration::from_secs_f64(ends_s), interrupt: &interrupt };
@@ -136,8 +136,8 @@ impl Parted for Watching<'_> {
         impl Record<Observed = PairEstimate, Step = Moved>,
     ) {
         let Looking { capturing, estimating, noting } = &mut self.looking;
-        let Self { journal, spectator, faults, keep_flights, recorder, .. } = self;
-        (capturing, Leading(estimating), Keeping { noting, journal, spectator, faults, keep_flights, recorder })
+        let Self { journal, cell, spectator, faults, keep_flights, recorder, .. } = self;
+        (capturing, Leading(estimating), Keeping { noting, journal, cell, spectator, faults, keep_flights, recorder })
     }
 }
 
@@ -167,6 +167,7 @@ impl Estimate for Leading<'_, '_> {
 struct Keeping<'w, 'a> {
     noting: &'w mut EstimateRecorder<'a>,
     journal: &'w mut Journal,
+    cell: &'w SimulatedCell,
     spectator: &'w mut Option<Box<dyn Spectator>>,
     faults: &'w mut FaultWatch,
     keep_flights: &'w mut KeepFlights,
@@ -178,9 +179,10 @@ impl Record for Keeping<'_, '_> {
     type Step = Moved;
 
     fn moved(&mut self, step: &Moved) {
-        self.journal.note(step);
+        let poses = TruePoses::at(self.cell, step.at);
+        self.journal.note(step, poses);
         if let Some(recorder) = self.recorder {
-            recorder.moved(step);
+            recorder.moved(step, poses);
         }
         if let Some(spectator) = self.spectator {
             spectator.moved(step);

@@ -1,7 +1,7 @@
 //! Records the control steps of a run together with the true poses.
 
 use nalgebra::Vector6;
-use pb3dp_geometry::frames::{CamLeft, Hand, Model, Target};
+use pb3dp_geometry::frames::{CamLeft, Hand, Model, Target, World};
 use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_kinematics::{Chain, smallest_singular_value};
 use pb3dp_servo::supervisor::{Event, State};
@@ -29,9 +29,27 @@ pub struct Outcome {
     pub strip: Strip,
 }
 
+/// True poses at a control step; without a simulation those from the measured joints.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TruePoses {
+    /// Of the hand.
+    pub world_from_hand: Pose<World, Hand>,
+    /// Of the target.
+    pub world_from_target: Pose<World, Target>,
+}
+
+impl TruePoses {
+    /// The poses at this time, if the workcell still has them.
+    pub fn at(cell: &SimulatedCell, at: MonotonicTime) -> Option<Self> {
+        cell.remembers(at).then(|| Self {
+            world_from_hand: cell.world_from_hand_at(at),
+            world_from_target: cell.world_from_target_at(at),
+        })
+    }
+}
+
 /// Records control steps.
 pub struct Journal {
-    cell: SimulatedCell,
     chain: Chain,
     begin: MonotonicTime,
     duration_s: f64,
@@ -45,14 +63,8 @@ pub struct Journal {
 
 impl Journal {
     /// An empty journal of an experiment with this duration that begins at `begin`.
-    pub fn new(
-        setup: &Setup,
-        cell: SimulatedCell,
-        (begin, duration_s): (MonotonicTime, f64),
-        (log, plan): (RunLog, Plan),
-    ) -> Self {
+    pub fn new(setup: &Setup, (begin, duration_s): (MonotonicTime, f64), (log, plan): (RunLog, Plan)) -> Self {
         Self {
-            cell,
             chain: setup.rig.arms.vs.chain.clone(),
             begin,
             duration_s,
@@ -81,23 +93,23 @@ impl Journal {
         self.steps_untrue
     }
 
-    /// Records a step, with the true poses if the simulation still has them.
-    pub fn note(&mut self, moved: &Moved) {
+    /// Records a step, with the true poses if they are known.
+    pub fn note(&mut self, moved: &Moved, poses: Option<TruePoses>) {
         let t_s = moved.at.seconds_since(self.begin);
         let gone = self.log.supervision.gone(t_s, &moved.decision);
         let transition = self.log.supervision.note(t_s, &moved.decision).cloned();
         if !self.is_quiet {
             self.tell(t_s, moved, gone, transition);
         }
-        if !self.cell.remembers(moved.at) {
+        let Some(TruePoses { world_from_hand, world_from_target }) = poses else {
             self.steps_untrue += 1;
             return;
-        }
+        };
         let jacobian = self.chain.jacobian(&moved.vs_joints.position_rad);
         self.log.control.push(ControlSample {
             t_s,
-            world_from_target: self.cell.world_from_target_at(moved.at),
-            world_from_hand: self.cell.world_from_hand_at(moved.at),
+            world_from_target,
+            world_from_hand,
             // Filled in at the end of the run.
             world_from_hand_wanted: Pose::coincident(),
             world_from_hand_locked: Pose::coincident(),

@@ -4,6 +4,7 @@ use anyhow::Result;
 use pb3dp_geometry::MonotonicTime;
 
 use crate::commands::CommandSummary;
+use crate::journal::TruePoses;
 use crate::moving::Moved;
 use crate::noting::PairEstimate;
 
@@ -17,10 +18,16 @@ pub trait Spectator: Send {
     fn seen(&mut self, seen: &PairEstimate);
 }
 
-/// A spectator that keeps what it sees.
-pub trait RunRecorder: Spectator {
+/// Keeps what a run records, from the same thread as a spectator.
+pub trait RunRecorder: Send {
     /// Receives the time of the first control step.
     fn begin_at(&mut self, begin: MonotonicTime);
+
+    /// Receives a finished control step, with the true poses if they are known.
+    fn moved(&mut self, step: &Moved, poses: Option<TruePoses>);
+
+    /// Receives a pair with its estimate.
+    fn seen(&mut self, seen: &PairEstimate);
 
     /// A fault has latched the arms; faults count from 1. May be called again for the same fault.
     fn fault(&mut self, number: usize);

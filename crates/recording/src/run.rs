@@ -14,12 +14,13 @@ use pb3dp_bag::run_messages::{RunBegin, SetupFile, SetupFiles};
 use pb3dp_bag::sinks::{Finished, Sinks};
 use pb3dp_bag::topics::ours;
 use pb3dp_cell::annotation::polygon_px;
+use pb3dp_cell::journal::TruePoses;
 use pb3dp_cell::moving::Moved;
 use pb3dp_cell::noting::{PairEstimate, outline_px};
 use pb3dp_cell::parts::Parts;
 use pb3dp_cell::perception::View;
 use pb3dp_cell::selection::{Choice, Selections};
-use pb3dp_cell::spectator::{RunEnd, RunRecorder, Spectator};
+use pb3dp_cell::spectator::{RunEnd, RunRecorder};
 use pb3dp_estimation_core::status::Status;
 use pb3dp_geometry::frames::{CamLeft, Flange, Frame};
 use pb3dp_geometry::{MonotonicTime, Pose};
@@ -247,7 +248,12 @@ impl RunRecording {
     }
 }
 
-impl Spectator for RunRecording {
+impl RunRecorder for RunRecording {
+    fn begin_at(&mut self, begin: MonotonicTime) {
+        self.begin.begin_nanos = begin.as_nanos();
+        self.pairs.push(ours::BEGIN, begin, &self.begin);
+    }
+
     fn seen(&mut self, seen: &PairEstimate) {
         self.images(seen);
         self.estimate(seen);
@@ -255,19 +261,12 @@ impl Spectator for RunRecording {
         self.report_failure();
     }
 
-    fn moved(&mut self, step: &Moved) {
+    fn moved(&mut self, step: &Moved, poses: Option<TruePoses>) {
         self.last_at = step.at;
         self.step(step);
-        if let Some(message) = self.steps.finished(step) {
+        if let Some(message) = self.steps.finished(step, poses.as_ref()) {
             self.pairs.push(ours::STEPS, step.at, &message);
         }
-    }
-}
-
-impl RunRecorder for RunRecording {
-    fn begin_at(&mut self, begin: MonotonicTime) {
-        self.begin.begin_nanos = begin.as_nanos();
-        self.pairs.push(ours::BEGIN, begin, &self.begin);
     }
 
     fn finish(mut self: Box<Self>, end: &RunEnd) -> Result<()> {

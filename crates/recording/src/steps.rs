@@ -1,6 +1,7 @@
 //! Control steps as messages, from what the control thread has heard.
 
 use pb3dp_bag::run_messages::{ArmCall, ArmChange, ControlStep, Said};
+use pb3dp_cell::journal::TruePoses;
 use pb3dp_cell::moving::Moved;
 use pb3dp_cell::operator::MotionRequest;
 use pb3dp_geometry::MonotonicTime;
@@ -39,7 +40,7 @@ impl Steps {
     }
 
     /// The finished step; none if its begin is missing.
-    pub fn finished(&mut self, moved: &Moved) -> Option<ControlStep> {
+    pub fn finished(&mut self, moved: &Moved, poses: Option<&TruePoses>) -> Option<ControlStep> {
         self.gather();
         let mut step = self.open.take()?;
         self.number = moved.number + 1;
@@ -53,6 +54,8 @@ impl Steps {
             step.why.clone_from(&why);
             self.why = why;
         }
+        step.world_from_hand = of_pose_if_any(poses.map(|poses| &poses.world_from_hand));
+        step.world_from_target = of_pose_if_any(poses.map(|poses| &poses.world_from_target));
         step.base_from_model = of_pose_if_any(moved.base_from_model.as_ref());
         Some(step)
     }
@@ -136,6 +139,8 @@ impl Steps {
             state: String::new(),
             why: String::new(),
             base_from_model: Vec::new(),
+            world_from_hand: Vec::new(),
+            world_from_target: Vec::new(),
         }
     }
 }

@@ -427,6 +427,8 @@ mod tests {
             state: String::new(),
             why: String::new(),
             base_from_model: Vec::new(),
+            world_from_hand: Vec::new(),
+            world_from_target: Vec::new(),
         }
     }
 

@@ -21,7 +21,7 @@ use pb3dp_bag::sinks::Sinks;
 use pb3dp_cell::capturing::Captured;
 use pb3dp_cell::follower::Follower;
 use pb3dp_cell::halves::Mover;
-use pb3dp_cell::journal::Outcome;
+use pb3dp_cell::journal::{Outcome, TruePoses};
 use pb3dp_cell::looking::Estimating;
 use pb3dp_cell::moving::{Moved, Moving};
 use pb3dp_cell::noting::PairEstimate;
@@ -147,7 +147,7 @@ impl Opened {
             heard = tapped;
         }
         let begin = MonotonicTime::from_nanos(run.begin.begin_nanos);
-        let reporting = if reports { Some(Reporting::new(setup, &experiment, &run.begin)?) } else { None };
+        let reporting = if reports { Some(Reporting::new(setup, &*experiment, &run.begin)?) } else { None };
         let moving = Moving::new(setup, (heard.vs, heard.tc), &*experiment, begin)?.with_operator(heard.operator);
         let estimating = if anew { Some(estimating(setup, run)?) } else { None };
         let RecordedRun { version, items, .. } = run;
@@ -399,7 +399,7 @@ impl Replay<'_> {
         self.script.end_step()?;
         self.differences.add(self.script.differences());
         match (outcome, step.finished) {
-            (Ok(moved), true) => self.compare(&step, t_s, &moved),
+            (Ok(moved), true) => self.compare(&step, t_s, &moved, true_poses(&step)?),
             (Ok(_), false) => self.decided(t_s, "the run ends with a failure", "it goes on"),
             (Err(why), true) => self.decided(t_s, "the run goes on", &format!("{why:#}")),
             (Err(_), false) => self.progress.control_is_over = true,
@@ -412,7 +412,7 @@ impl Replay<'_> {
         self.progress.control_is_over = true;
     }
 
-    fn compare(&mut self, step: &ControlStep, t_s: f64, moved: &Moved) {
+    fn compare(&mut self, step: &ControlStep, t_s: f64, moved: &Moved, poses: Option<TruePoses>) {
         let filtered = of_pose_if_any(moved.base_from_model.as_ref());
         let same = same_bits(&step.base_from_model, &filtered);
         self.differences.compare(Kind::Filter, t_s, same, || (numbers(&step.base_from_model), numbers(&filtered)));
@@ -431,10 +431,10 @@ impl Replay<'_> {
             self.joints.push_back(moved.vs_joints);
         }
         if let Some(recording) = &mut self.recording {
-            recording.moved(moved);
+            recording.moved(moved, poses);
         }
         if let Some(reporting) = &mut self.reporting {
-            reporting.moved(moved);
+            reporting.moved(moved, poses);
         }
     }
 
@@ -458,6 +458,12 @@ impl Replay<'_> {
             end: self.end,
         })
     }
+}
+
+fn true_poses(step: &ControlStep) -> Result<Option<TruePoses>> {
+    let hand = pose_if_any("world_from_hand", &step.world_from_hand)?;
+    let target = pose_if_any("world_from_target", &step.world_from_target)?;
+    Ok(hand.zip(target).map(|(world_from_hand, world_from_target)| TruePoses { world_from_hand, world_from_target }))
 }
 
 fn captured(result: &PairResult, view: View) -> Result<Captured> {
