@@ -5,6 +5,8 @@ import os
 import subprocess
 
 import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 
 PB3DP = os.environ["PB3DP"]
 SECONDS = 1.0
@@ -21,6 +23,21 @@ def tracked(*args):
     """The lines of `track --json`, without what the computer's speed and the origin of time decide."""
     lines = [json.loads(line) for line in pb3dp("track", "--json", *args).splitlines()]
     return [{key: value for key, value in line.items() if key not in ("ms", "t_s")} for line in lines]
+
+
+def decoded(file):
+    """All messages by topic, by the library of the format's authors."""
+    messages = {}
+    with open(file, "rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for _, channel, message, ros in reader.iter_decoded_messages():
+            messages.setdefault(channel.topic, []).append((message.log_time, ros))
+    return messages
+
+
+def nanos(header):
+    """A stamp in nanoseconds."""
+    return header.stamp.sec * 10**9 + header.stamp.nanosec
 
 
 @pytest.fixture(scope="session")

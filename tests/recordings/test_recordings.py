@@ -10,9 +10,7 @@ import time
 
 import numpy
 import pytest
-from conftest import PB3DP, SECONDS, pb3dp, tracked
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
+from conftest import PB3DP, SECONDS, decoded, nanos, pb3dp, tracked
 from PIL import Image
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -20,21 +18,6 @@ from rosbags.typesys import Stores, get_typestore
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types
-
-
-def decoded(file):
-    """All messages by topic, by the library of the format's authors."""
-    messages = {}
-    with open(file, "rb") as stream:
-        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        for _, channel, message, ros in reader.iter_decoded_messages():
-            messages.setdefault(channel.topic, []).append((message.log_time, ros))
-    return messages
-
-
-def nanos(header):
-    """A stamp in nanoseconds."""
-    return header.stamp.sec * 10**9 + header.stamp.nanosec
 
 
 def test_the_library_of_mcap_decodes_everything(run):
@@ -85,6 +68,48 @@ def test_rosbags_reads_it_with_the_estimates_of_the_run(run):
         covariance = numpy.array(pose.pose.covariance).reshape(6, 6)
         assert numpy.allclose(covariance, covariance.T, rtol=1e-9, atol=0)
         assert (numpy.linalg.eigvalsh(covariance) > 0).all()
+
+
+def plain(value):
+    """A message of either library as lists, numbers and words."""
+    if isinstance(value, (bytes, list, numpy.ndarray)):
+        return [plain(item) for item in value]
+    if isinstance(value, numpy.generic):
+        return value.item()
+    if isinstance(value, (bool, int, float, str)):
+        return value
+    fields = value.__dataclass_fields__ if hasattr(value, "__dataclass_fields__") else value.__slots__
+    return {name: plain(getattr(value, name)) for name in fields if not name.startswith("_")}
+
+
+def test_messages_of_our_own_are_decoded_with_the_definitions_in_the_file(run):
+    messages = decoded(run / "run.mcap")
+    begin = messages["/pb3dp/begin"][0][1]
+    steps = [step for _, step in messages["/pb3dp/steps"]]
+    assert len(steps) >= 99 * SECONDS
+    assert [step.number for step in steps] == list(range(len(steps))) and not any(step.lost for step in steps)
+    assert steps[0].at_nanos == begin.begin_nanos
+    assert len(set(numpy.diff([step.at_nanos for step in steps]))) == 1
+    pairs = [pair for _, pair in messages["/pb3dp/pairs"]]
+    stamps = [nanos(image.header) for _, image in messages["/left/image_raw"]]
+    assert [begin.since_1970_nanos + pair.exposed_at_nanos for pair in pairs] == stamps
+    statuses = [message.status[0].message for _, message in messages["/pb3dp/status"]]
+    assert statuses == [f"{pair.status}: {pair.reason}" for pair in pairs]
+    # To the bit.
+    positions = [message.pose.pose.position for _, message in messages["/pb3dp/pose"]]
+    with_pose = [pair.cam_left_from_model for pair in pairs if pair.cam_left_from_model]
+    assert [[p.x, p.y, p.z] for p in positions] == [pose[:3] for pose in with_pose]
+
+
+def test_both_libraries_decode_the_same_messages_of_our_own(run):
+    messages, found = decoded(run / "run.mcap"), {}
+    with AnyReader([run / "run.mcap"], default_typestore=STORE) as reader:
+        ours = [connection for connection in reader.connections if connection.msgtype.startswith("pb3dp_msgs/msg/")]
+        for connection, at, raw in reader.messages(connections=ours):
+            found.setdefault(connection.topic, []).append((at, plain(reader.deserialize(raw, connection.msgtype))))
+    assert {"/pb3dp/begin", "/pb3dp/steps", "/pb3dp/pairs"} <= set(found)
+    for topic in found:
+        assert found[topic] == [(at, plain(message)) for at, message in messages[topic]], topic
 
 
 def test_a_run_is_tracked_from_its_file_as_from_its_folder(run):

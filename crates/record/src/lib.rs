@@ -6,6 +6,7 @@
 //! * [`metrics`]: errors against ground truth, statistics, lag;
 //! * [`overlay`]: drawing on images, animated images;
 //! * [`image_quality`]: brightness and sharpness of images;
+//! * [`parquet_table`]: tables as Parquet files;
 //! * [`plain_zero`]: display of numbers without negative zero;
 //! * [`point_cloud`]: coloured surface points as PLY;
 //! * [`stops`]: arm poses recorded with images, and poses to visit;
@@ -24,6 +25,7 @@ pub mod image_quality;
 pub mod images;
 pub mod metrics;
 pub mod overlay;
+pub mod parquet_table;
 pub mod plain_zero;
 pub mod point_cloud;
 pub mod report;

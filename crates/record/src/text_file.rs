@@ -41,6 +41,14 @@ pub fn check_regular(file: &Path, max_bytes: u64) -> Result<()> {
 /// # Errors
 /// If the file cannot be written.
 pub fn write_text(file: &Path, text: &str) -> Result<()> {
+    write_whole(file, text.as_bytes())
+}
+
+/// Writes a file of any kind as [`write_text`] writes a text.
+///
+/// # Errors
+/// If the file cannot be written.
+pub(crate) fn write_whole(file: &Path, bytes: &[u8]) -> Result<()> {
     let mut name = file.file_name().unwrap_or_default().to_owned();
     name.push(".new");
     let new = file.with_file_name(name);
@@ -49,7 +57,7 @@ pub fn write_text(file: &Path, text: &str) -> Result<()> {
         Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
         _ => {}
     }
-    fs::write(&new, text)?;
+    fs::write(&new, bytes)?;
     fs::rename(&new, file)
 }
 
