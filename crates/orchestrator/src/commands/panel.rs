@@ -33,8 +33,11 @@ const TILT_MAX_DEG: f64 = 60.0;
 
 /// Arguments of `pb3dp panel`.
 #[derive(Debug, Args)]
-#[command(group(ArgGroup::new("source").required(true).args(["sequence", "cameras"])))]
+#[command(group(ArgGroup::new("source").required(true).args(["file", "sequence", "cameras"])))]
 pub struct PanelArgs {
+    /// The recording; the same as --sequence.
+    #[arg(value_name = "PATH")]
+    file: Option<PathBuf>,
     /// A recording as for `pb3dp track`; it is repeated at its own pace, and pairs that this computer is too slow for are left out.
     #[arg(long, value_name = "PATH")]
     sequence: Option<PathBuf>,
@@ -76,7 +79,7 @@ pub fn run(args: &PanelArgs) -> Result<ExitCode> {
     // Before any other thread starts.
     let mut signals = StopSignals::take_over().context("signals cannot be taken over")?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
-    let mut source = match &args.sequence {
+    let mut source = match args.file.as_ref().or(args.sequence.as_ref()) {
         Some(path) => recorded(path, &args.recording.options(&args.choice.calib), &clock)?,
         None => cameras(&args.choice, &clock)?,
     };

@@ -22,7 +22,7 @@ pub struct ReplayArgs {
     /// The recording of a run.
     #[arg(value_name = "FILE.mcap")]
     file: PathBuf,
-    /// Set one key of the recorded settings, for instance `servo.speed.linear_mm_per_s=50`; may be repeated.
+    /// Set one key of the recorded settings, for instance `servo.feed_forward.position_per_s=12`; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
     /// Estimate with this method: direct, rm-ga and others; short for `--set estimator.method=METHOD`.

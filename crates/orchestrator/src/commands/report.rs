@@ -42,6 +42,7 @@ pub fn run(args: &ReportArgs) -> Result<ExitCode> {
         wall_s: replayed.duration_s,
     };
     let following = report::tell_of_past(&args.out, &opened.setup, &made, (&outcome, failure), print_line)?;
+    report::write_parquet_tables(&args.out)?;
     if !replayed.is_led_by_person {
         following.warn();
     }
