@@ -18,7 +18,7 @@ use pb3dp_wiring::{Layout, RecordingOptions};
 
 use crate::panel_access::{PANEL_ADDRESS, PanelAccess, parse_address};
 
-/// Exit code with `--strict` for an answer other than `ok`, and for setups that differ.
+/// Exit code with `--strict` for an answer other than `ok`, and for setups or recordings that differ.
 pub const UNSURE: u8 = 3;
 
 /// Arguments of `pb3dp run`.

@@ -80,7 +80,7 @@ pub enum Command {
     Extract(ExtractArgs),
     /// Make a whole file from a recording that was broken off by a kill or a full disk.
     Recover(RecoverArgs),
-    /// Run a recorded run again, from its recorded inputs, and compare to the bit; exit code 3 if it differs.
+    /// Run a recorded run again, from its recorded inputs, and compare to the bit, or compare two runs; exit code 3 if they differ.
     Replay(ReplayArgs),
     /// Write the page and the tables of a recorded run.
     Report(ReportArgs),

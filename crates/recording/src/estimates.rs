@@ -8,7 +8,7 @@ use pb3dp_cell::perception::View;
 use pb3dp_cell::selection::Choice;
 use pb3dp_estimation_core::estimate::TrackEstimate;
 
-use crate::exact::{covariance, of_covariance, of_pose_if_any, of_region, pose_if_any, status};
+use crate::exact::{covariance, of_covariance, of_pose_if_any, of_region, pose_if_any, same_bits, status};
 
 /// An estimate with everything that it depended on.
 pub fn pair_result(seen: &PairEstimate) -> PairResult {
@@ -63,4 +63,14 @@ pub fn recorded_estimate(result: &PairResult) -> Result<TrackEstimate> {
         rotation_about_normal_observed: result.rotation_about_normal_observed,
         ..TrackEstimate::without_pose(status(&result.status)?, result.reason.clone())
     })
+}
+
+/// Whether two estimates are equal to the bit. Times of the computation do not count.
+pub fn is_same_estimate(one: &PairResult, other: &PairResult) -> bool {
+    one.status == other.status
+        && one.target == other.target
+        && one.observed == other.observed
+        && same_bits(&one.cam_left_from_model, &other.cam_left_from_model)
+        && same_bits(&one.covariance, &other.covariance)
+        && same_bits(&one.fitness, &other.fitness)
 }

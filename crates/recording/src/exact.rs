@@ -25,6 +25,11 @@ use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput, OperatorCom
 /// Names of the arms in messages.
 pub const ARM_NAMES: [&str; 2] = ["vs-robot", "tc-robot"];
 
+/// Whether all numbers are the same to the bit.
+pub fn same_bits(one: &[f64], other: &[f64]) -> bool {
+    one.len() == other.len() && one.iter().zip(other).all(|(a, b)| a.to_bits() == b.to_bits())
+}
+
 /// Translation, m, and quaternion x, y, z, w.
 pub fn of_pose<A: Frame, B: Frame>(pose: &Pose<A, B>) -> [f64; 7] {
     let (t, r) = (pose.translation_m(), pose.rotation());

@@ -2,10 +2,12 @@
 //!
 //! * [`run`]: what a run writes, for other programs and for a replay;
 //! * [`pairs`]: stereo pairs only;
-//! * [`replay`]: the run again, from its recorded inputs.
+//! * [`replay`]: the run again, from its recorded inputs;
+//! * [`compare`]: what differs between two recorded runs.
 //!
 //! The messages are those of `pb3dp-bag` (ADR 18).
 
+pub mod compare;
 mod estimates;
 mod exact;
 pub mod pairs;

@@ -11,6 +11,7 @@ pub mod explain;
 pub mod layers;
 pub mod load;
 pub mod names;
+pub mod recorded_settings;
 pub mod region_spec;
 pub mod setup;
 mod units;

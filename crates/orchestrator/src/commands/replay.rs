@@ -1,15 +1,16 @@
-//! `pb3dp replay`: a recorded run again, compared with the recording to the bit.
+//! `pb3dp replay`: a recorded run again, compared with the recording to the bit; or two recorded runs, compared with each other.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::Args;
 use pb3dp_bag::sinks::Sinks;
 use pb3dp_bag::writer::{BagWriter, WhenFull};
 use pb3dp_cell::terminal::print_line;
 use pb3dp_geometry::MonotonicTime;
+use pb3dp_recording::compare::Comparison;
 use pb3dp_recording::replay::{Estimates, Opened, ReplayOptions, Replayed};
 use pb3dp_setup::layers::toml_of;
 
@@ -20,12 +21,12 @@ use crate::commands::run::about;
 #[derive(Debug, Args)]
 pub struct ReplayArgs {
     /// The recording of a run.
-    #[arg(value_name = "FILE.mcap")]
-    file: PathBuf,
+    #[arg(value_name = "FILE.mcap", required_unless_present = "compare")]
+    file: Option<PathBuf>,
     /// Set one key of the recorded settings, for instance `servo.feed_forward.position_per_s=12`; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Estimate with this method: direct, rm-ga and others; short for `--set estimator.method=METHOD`.
+    /// Estimate with this method, `direct` or `published`, and without others beside it.
     #[arg(long, value_name = "METHOD")]
     method: Option<String>,
     /// Take the recorded estimates as inputs, for a replay of the control only; images are not needed.
@@ -34,6 +35,19 @@ pub struct ReplayArgs {
     /// Record the replay in a new file.
     #[arg(long, value_name = "FILE.mcap")]
     record: Option<PathBuf>,
+    /// Compare two recorded runs, such as a recording and its replay with `--record`: settings, estimates, filter, commands and decisions;
+    /// exit code 3 if these differ.
+    #[arg(
+        long,
+        num_args = 2,
+        value_names = ["A.mcap", "B.mcap"],
+        conflicts_with_all = ["file", "set", "method", "without_images", "record"]
+    )]
+    compare: Vec<PathBuf>,
+    /// With --compare: folder for compare.html, a page with plots over time, and compare.csv, a line for each pair.
+    // Also a conflict: clap does not require what conflicts with another argument.
+    #[arg(long, value_name = "DIR", requires = "compare", conflicts_with = "file")]
+    out: Option<PathBuf>,
 }
 
 /// Runs the command.
@@ -41,12 +55,31 @@ pub struct ReplayArgs {
 /// # Errors
 /// A file that is no recording of a run, settings that are refused, or a new file that cannot be written.
 pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
-    let method = args.method.iter().map(|method| format!("estimator.method={method}"));
+    match (&args.compare[..], &args.file) {
+        ([a, b], _) => compare([a, b], args.out.as_deref()),
+        (_, file) => replay(file.as_deref().context("name the recording of a run, or two with --compare")?, args),
+    }
+}
+
+fn compare([a, b]: [&Path; 2], out: Option<&Path>) -> Result<ExitCode> {
+    let comparison = Comparison::of_files(a, b).context("--compare")?;
+    print_line(&comparison.text())?;
+    if let Some(folder) = out {
+        let files = comparison.write(folder).context("--out")?;
+        print_line(&files.map(|file| format!("written: {}", file.display())).join("\n"))?;
+    }
+    Ok(if comparison.is_equal() { ExitCode::SUCCESS } else { ExitCode::from(UNSURE) })
+}
+
+fn replay(file: &Path, args: &ReplayArgs) -> Result<ExitCode> {
+    // A method is not compared with itself.
+    let method = args.method.iter();
+    let method = method.flat_map(|method| [format!("estimator.method={method}"), "estimator.compare=[]".to_owned()]);
     let set: Vec<String> = args.set.iter().cloned().chain(method).collect();
     let options =
         ReplayOptions { set, estimates: if args.without_images { Estimates::Recorded } else { Estimates::Anew } };
     let started = Instant::now();
-    let mut opened = Opened::new(&args.file, &options)?;
+    let mut opened = Opened::new(file, &options)?;
     let settings = toml_of(&opened.setup.layers.effective());
     let about = about(settings, MonotonicTime::ZERO)?;
     let writer = args.record.as_deref().map(|file| BagWriter::create(file, WhenFull::Wait)).transpose()?;

@@ -15,7 +15,7 @@ use pb3dp_kinematics::JointVector;
 use pb3dp_servo::supervisor::{Decision, OperatorInput};
 
 use super::differences::{Differences, Kind};
-use crate::exact::{ARM_NAMES, failure, joints, motion, operator_input};
+use crate::exact::{ARM_NAMES, failure, joints, motion, operator_input, same_bits};
 use crate::steps::call_word;
 use crate::tap::{Call, Heard};
 
@@ -274,11 +274,6 @@ fn velocities(call: &ArmCall) -> String {
     if call.command_rad_per_s.is_empty() { String::new() } else { format!(" {:?} rad/s", call.command_rad_per_s) }
 }
 
-/// Whether all numbers are the same to the bit.
-pub fn same_bits(one: &[f64], other: &[f64]) -> bool {
-    one.len() == other.len() && one.iter().zip(other).all(|(a, b)| a.to_bits() == b.to_bits())
-}
-
 impl Arm for ReplayedArm {
     fn info(&self) -> &ArmInfo {
         &self.info
@@ -455,7 +450,8 @@ mod tests {
     fn answers_and_states_come_in_the_recorded_order() {
         let calls = vec![call(0, "hold", "timeout"), call(0, "hold", "measured"), call(1, "hold", "measured")];
         // After the first call, at the second query.
-        let (script, mut heard) = begun(step(calls, vec![change(0, 1, 1, "fault"), change(0, 1, 2, "stopped by other")]));
+        let (script, mut heard) =
+            begun(step(calls, vec![change(0, 1, 1, "fault"), change(0, 1, 2, "stopped by other")]));
         assert_eq!(heard.vs.state(), ArmState::Enabled);
         let failure = heard.vs.exchange(JointCommand::Hold).unwrap_err();
         assert_eq!(failure.kind(), ArmErrorKind::Timeout);
@@ -470,7 +466,8 @@ mod tests {
     #[test]
     fn another_velocity_differs_by_its_last_bit() {
         let mut told = JointVector::repeat(0.125);
-        let (script, mut heard) = begun(step(vec![call(0, "move", "measured"), call(1, "move", "measured")], Vec::new()));
+        let (script, mut heard) =
+            begun(step(vec![call(0, "move", "measured"), call(1, "move", "measured")], Vec::new()));
         heard.vs.exchange(JointCommand::Velocity(told)).unwrap();
         told[3] = f64::from_bits(told[3].to_bits() + 1);
         heard.tc.exchange(JointCommand::Velocity(told)).unwrap();

@@ -37,12 +37,12 @@ use pb3dp_servo::supervisor::FrameInput;
 use pb3dp_setup::setup::{Leader, Setup, read_layers};
 use pb3dp_sim::trajectory::Trajectory;
 
-use self::arm::{SharedScript, same_bits};
+use self::arm::SharedScript;
 pub use self::differences::{Compared, Differences, First, Kind};
 use self::reporting::Reporting;
 use self::source::{Item, RecordedPair, RecordedRun};
-use crate::estimates::{pair_result, recorded_estimate};
-use crate::exact::{marking, of_pose_if_any, percept, pose_if_any, region};
+use crate::estimates::{is_same_estimate, pair_result, recorded_estimate};
+use crate::exact::{marking, of_pose_if_any, percept, pose_if_any, region, same_bits};
 use crate::pairs::About;
 use crate::run::{RecordTo, recorder};
 
@@ -355,12 +355,7 @@ impl Replay<'_> {
             .look(captured(result, View::Images(images))?)
             .with_context(|| format!("the estimate of pair {} at {t_s:.3} s", result.sequence))?;
         let now = pair_result(&seen);
-        let is_same = now.status == result.status
-            && now.target == result.target
-            && now.observed == result.observed
-            && same_bits(&now.cam_left_from_model, &result.cam_left_from_model)
-            && same_bits(&now.covariance, &result.covariance)
-            && same_bits(&now.fitness, &result.fitness);
+        let is_same = is_same_estimate(&now, result);
         self.differences.compare(Kind::Estimates, t_s, is_same, || (estimate_text(result), estimate_text(&now)));
         Ok(seen)
     }
