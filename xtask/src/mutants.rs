@@ -103,6 +103,8 @@ const PARTS: [Part; 7] = [
 const KEPT: &str = "results.json";
 /// Minimum share of noticed or explained mutants.
 const NOTICED_MIN: f64 = 0.95;
+/// Tests in real time, by the beginnings of their names. The last two run alone, in a program of their own.
+const REAL_TIME: [&str; 3] = ["real_time::", "killed::", "no_allocation::exchanges"];
 /// Mutants that do not change the promised behaviour, each with its reason.
 const EXPLAINED: &str = "tests/mutants.toml";
 
@@ -171,6 +173,8 @@ fn cargo_mutants(scratch: &Scratch, part: &Part) -> Command {
     let mut command = Command::new("cargo-mutants");
     command.args(["mutants", "--no-config", "--package", part.package, "--file", part.files]);
     command.args(["--test-package", part.tested_by]);
+    // Examples are not built.
+    command.args(["--cargo-arg=--lib", "--cargo-arg=--tests"]);
     command.arg("--dir").arg(&scratch.tree).env("CARGO_TARGET_DIR", &scratch.target);
     command
 }
@@ -240,7 +244,8 @@ fn test(scratch: &Scratch, part: &Part, mutants: &[Mutant], sources: u64) -> any
         command.args(["--in-place", "--no-shuffle", "--cap-lints", "true", "--minimum-test-timeout", "60"]);
         command.arg("--output").arg(&folder).arg("--re").arg(format!("^({})$", names.join("|")));
         // Mutants in waiting code would cost real time: only tests in virtual time run.
-        command.args(["--", "--lib", "--tests", "--", "--skip", "real_time::"]);
+        command.args(["--", "--"]);
+        command.args(REAL_TIME.iter().flat_map(|tests| ["--skip", tests]));
         // cargo-mutants fails if a mutant is missed; the results contain this.
         let ended = run_visibly(&mut command);
         let results = read_results(&folder.join("mutants.out"));

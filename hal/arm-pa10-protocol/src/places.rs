@@ -60,3 +60,17 @@ pub struct GatewayLinkConfig {
     /// How the host notices the signals of the arm. A gateway without a stated wired input is refused.
     pub signals: StatusSignals,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bus_needs_its_kind_and_its_name() {
+        assert_eq!("arcnet:arc0".parse(), Ok(BusTarget::Arcnet("arc0".into())));
+        assert_eq!("socket:/run/bus".parse(), Ok(BusTarget::Socket("/run/bus".into())));
+        for wrong in ["", "arc0", "arcnet:", "socket:", "serial:ttyS0"] {
+            assert_eq!(wrong.parse::<BusTarget>(), Err(NoBus(wrong.into())));
+        }
+    }
+}

@@ -122,6 +122,49 @@ fn a_configuration_that_is_unsafe_is_refused() {
     assert!(matches!(refused(|c| c.activity_timeout = ms(2000)), DriverConfigError::ActivityTimeout { .. }));
 }
 
+/// A driver that was not polled for a while skips the cycles that it missed, and neither catches up nor hurries.
+#[test]
+fn after_missed_cycles_the_next_message_comes_one_cycle_later() {
+    let mut bench = Bench::in_state(DriverState::Holding);
+    let overruns = bench.driver.counters().overruns;
+    bench.now = bench.now + ms(35);
+    let from = bench.sent.len();
+    bench.run(ms(100));
+    assert_eq!(bench.sent.len() - from, 10);
+    for pair in bench.sent[from..].windows(2) {
+        assert_eq!(pair[1].0.saturating_since(pair[0].0), CYCLE);
+    }
+    assert_eq!(bench.driver.counters().overruns, overruns + 1);
+    let (last, _) = bench.sent[bench.sent.len() - 1];
+    assert_eq!(bench.driver.transmit_due(), last + CYCLE);
+}
+
+/// On a bus the previous program may have left the arm in motion: the brakes get their full time to close before E.
+#[test]
+fn a_silent_arm_gets_the_whole_brake_time_before_its_first_end() {
+    let mut bench = Bench::on_bus(DriverConfig::with_cycle(CYCLE));
+    bench.peer.answers = false;
+    bench.request(Request::Connect);
+    bench.settle();
+    assert_eq!(bench.kinds_since(0)[0], (Kind::Braked, 20));
+    assert_eq!(bench.kinds_since(0)[1].0, Kind::End);
+}
+
+#[test]
+fn an_arm_is_found_driven_from_the_speed_limit_of_standstill_on() {
+    for (speed_rad_per_s, is_driven) in [(0.01, false), (0.0101, true), (-0.0101, true)] {
+        let mut bench = Bench::on_bus(DriverConfig::with_cycle(CYCLE));
+        bench.request(Request::Connect);
+        assert!(bench.driver.poll_transmit(bench.now).is_some());
+        let mut sample = bench.peer.sample();
+        sample.velocity_rad_per_s = Some(JointVector::from([0.0, 0.0, 0.0, 0.0, 0.0, speed_rad_per_s, 0.0]));
+        bench.driver.handle_reply(bench.now, &Reply::Sample(sample));
+        let found = bench.driver.latched().map(|latched| latched.trip);
+        let driven = Some(Trip::Fault(FaultCause::FoundDriven));
+        assert_eq!(found, driven.filter(|_| is_driven), "{speed_rad_per_s} rad/s");
+    }
+}
+
 #[test]
 fn speeds_that_are_not_measured_are_differences_of_angles() {
     let mut bench = Bench::new();

@@ -12,7 +12,7 @@ use pb3dp_arm_pa10_protocol::codec::{
     AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, CommStatus, CommWord, ServoWord, SpeedCounts, TorqueCounts,
     TorqueScale, WireFormat,
 };
-use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, State, StopCause};
+use pb3dp_arm_pa10_protocol::gateway_protocol::{GatewayState, RejectReason, State, StopCause};
 use pb3dp_arm_pa10_protocol::watchdog::CommandWatchdog;
 use pb3dp_arm_pa10_test_support::driver_bench::{Bench, CYCLE, Kind};
 use pb3dp_kinematics::JointVector;
@@ -56,6 +56,35 @@ fn a_stop_that_drags_on_is_ended_as_after_a_fault() {
     };
     let kinds = bench.only_kinds_since(from);
     assert_eq!(kinds, [Kind::Motion, Kind::Rest, Kind::Braked, Kind::Off, Kind::End]);
+}
+
+/// The status of an arm says more than a gateway that refuses a reset because the cause is still present. Any other refusal is
+/// reported.
+#[test]
+fn a_refused_reset_is_reported_unless_the_arm_says_more() {
+    let by_arm = FaultCause::ServoAlarm { axis: Axis::ALL[3], alarm: ServoWord(0x00E0).alarm().unwrap() };
+    let silent = StopCause::HostSilent;
+    for (by_alarm, answer, expected) in [
+        (true, Reply::Rejected(RejectReason::CausePresent), by_arm),
+        (true, Reply::StillThere(silent), by_arm),
+        (true, Reply::Rejected(RejectReason::WrongState), FaultCause::Rejected(RejectReason::WrongState)),
+        (false, Reply::StillThere(silent), FaultCause::StillThere(silent)),
+        (false, Reply::Rejected(RejectReason::CausePresent), FaultCause::Rejected(RejectReason::CausePresent)),
+    ] {
+        let mut bench = Bench::in_state(if by_alarm { DriverState::Fault } else { DriverState::Holding });
+        if !by_alarm {
+            bench.driver.handle_trip(bench.now, Trip::Fault(FaultCause::Supervisor));
+            bench.settle();
+        }
+        let from = bench.sent.len();
+        bench.request(Request::Reset);
+        while bench.only_kinds_since(from).last() != Some(&Kind::Start) {
+            bench.run(Duration::from_micros(500));
+        }
+        bench.driver.handle_reply(bench.now, &answer);
+        bench.settle();
+        assert_eq!((bench.driver.state(), trip(&bench)), (DriverState::Fault, Trip::Fault(expected)), "{answer:?}");
+    }
 }
 
 /// An arm that reports this itself would fall as soon as its brakes open.

@@ -5,8 +5,8 @@
 use std::collections::BTreeMap;
 
 use pb3dp_arm_pa10_protocol::codec::{
-    AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord, ServoWord, SpeedCounts,
-    TorqueCounts, TorqueScale, WireFormat, WiredSignals,
+    AngleCounts, ArmReply, Axis, AxisReply, AxisStatus, ByteBuffer, CommStatus, CommWord, ServoWord, Signal,
+    SpeedCounts, TorqueCounts, TorqueScale, WireFormat, WiredSignals,
 };
 use pb3dp_arm_pa10_protocol::gateway_protocol::{
     Agreement, ArmId, ArmOperation, AxisMotion, AxisState, Control, ControlOperation, ControlReply, Dialect,
@@ -169,6 +169,20 @@ fn parse_one(bytes: &[u8]) -> Frame {
     assert!(!parser.is_within_frame());
     let [Received::Frame(frame)] = found[..] else { panic!("{found:?}") };
     frame
+}
+
+#[test]
+fn a_hello_reply_names_exactly_the_dialects_and_wired_signals_of_the_gateway() {
+    for (has_transparent, has_gateway_v1) in [(false, false), (false, true), (true, false), (true, true)] {
+        for bits in 0..16 {
+            let wired = WiredSignals::from_bits(bits);
+            assert_eq!(Signal::ALL.map(|signal| wired.has(signal)), [1, 2, 4, 8].map(|bit| bits & bit != 0), "{bits}");
+            let said =
+                GatewayMessage::HelloReply(HelloReply { has_transparent, has_gateway_v1, wired, ..hello_reply() });
+            assert_eq!(GatewayMessage::decode(&said.frame(ARM, 7, 1)), Ok(said));
+        }
+    }
+    assert_eq!(WiredSignals::from_bits(0xF5), WiredSignals::from_bits(0x05), "four signals are known");
 }
 
 #[test]

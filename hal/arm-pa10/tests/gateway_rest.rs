@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use pb3dp_arm_pa10_protocol::codec::{ArmCommand, ControlMessage};
+use pb3dp_arm_pa10_protocol::codec::{ArmCommand, ControlMessage, ServoWord};
 use pb3dp_arm_pa10_protocol::gateway_protocol::{DriveMode, GatewayMessage, GatewayState};
 use pb3dp_arm_pa10_test_support::gateway_bench::{Bench, HOST_CYCLE, TICK, ms};
 use pb3dp_kinematics::JointVector;
@@ -29,6 +29,18 @@ fn brakes_may_close_after_the_host_has_asked_for_rest_for_five_cycles() {
         let answer = bench.ask(bench.command(DriveMode::Braked, JointVector::zeros()));
         assert!(matches!(answer, GatewayMessage::State(_)), "phase {phase}: {answer:?}");
     }
+}
+
+/// The servo need not hold an axis that its brake holds.
+#[test]
+fn brakes_may_stay_closed_on_an_arm_that_is_uncontrollable() {
+    let mut bench = Bench::new();
+    bench.start();
+    bench.controller.servo[1] = ServoWord(0x8000);
+    bench.run(ms(4));
+    let answer = bench.ask(bench.command(DriveMode::Braked, JointVector::zeros()));
+    assert!(matches!(answer, GatewayMessage::State(_)), "{answer:?}");
+    assert_eq!(bench.state(), GatewayState::Started);
 }
 
 /// One host cycle after a command, exactly its speeds are sent.

@@ -209,6 +209,48 @@ fn replies_with_other_numbers_and_late_ones_are_counted_and_not_used() {
     assert!(bus.late >= 3 && bus.lost >= 3 && bus.mismatched == 0, "{bus:?}");
 }
 
+/// A number that is far away from the newest one is no late reply, wherever the numbers stand.
+#[test]
+fn a_reply_with_a_distant_number_is_never_counted_as_late() {
+    for wait in [ms(0), ms(40), ms(80), ms(120)] {
+        let mut bench = moving();
+        bench.command_for(DriveMode::Follow, velocity(), wait);
+        bench.controller.sequence_error = 64;
+        bench.run(ms(10));
+        let bus = bench.gateway.status().bus;
+        assert!(bus.late == 0 && bus.mismatched >= 3, "{wait:?}: {bus:?}");
+    }
+}
+
+/// A cycle that begins a little late does not move the next ones.
+#[test]
+fn cycles_keep_their_phase() {
+    let mut bench = Bench::new();
+    bench.lead_to(GatewayState::Moving);
+    let due = bench.gateway.next_deadline();
+    bench.now = due + ms(1);
+    let from = bench.sent.len();
+    bench.run(ms(6));
+    let times: Vec<_> = bench.sent[from..].iter().map(|sent| sent.at.saturating_since(due)).collect();
+    assert_eq!(times, [ms(1), ms(2), ms(4), ms(6)]);
+}
+
+/// Missed cycles are skipped, not made up for.
+#[test]
+fn after_missed_cycles_the_next_one_comes_one_cycle_later() {
+    let tolerant = GatewayConfig { lateness_allowed: ms(40), ..config(WireFormat::BigEndian6x10) };
+    let mut bench = Bench::greeted(tolerant, Dialect::GatewayV1);
+    bench.lead_to(GatewayState::Moving);
+    bench.now = bench.gateway.next_deadline() + ms(15);
+    let from = bench.sent.len();
+    bench.run(ms(8));
+    let sent = &bench.sent[from..];
+    assert_eq!(sent.len(), 4);
+    for pair in sent.windows(2) {
+        assert_eq!(pair[1].at.saturating_since(pair[0].at), CYCLE);
+    }
+}
+
 #[test]
 fn a_cycle_that_begins_one_cycle_late_stops_the_arm() {
     for state in [GatewayState::Started, GatewayState::Holding, GatewayState::Moving, GatewayState::Stopping] {

@@ -15,6 +15,7 @@ mod driver_doubts;
 mod driver_owner;
 mod driver_properties;
 mod driver_table;
+mod driver_words;
 mod frame_parser;
 mod gateway_abort;
 mod gateway_limits;

@@ -204,3 +204,45 @@ impl CommStatus {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Each bit has one meaning, alone and among all others.
+    #[test]
+    fn each_bit_of_a_status_word_has_its_own_meaning() {
+        let of_comm = |word: CommWord| {
+            [
+                word.is_dead_man_on(),
+                word.is_power_too_warm(),
+                word.is_100_v_output_on(),
+                word.is_e_stop_switch_open(),
+                word.is_teaching_switch_set(),
+                word.is_limit_switch_open(),
+                word.is_uncontrollable(),
+            ]
+        };
+        let bits = [0x0001, 0x0002, 0x0004, 0x0008, 0x1000, 0x2000, 0x4000];
+        for word in (0..16).map(|bit| 1 << bit).flat_map(|bit: u16| [bit, !bit]) {
+            assert_eq!(of_comm(CommWord(word)), bits.map(|bit| word & bit != 0), "0x{word:04x}");
+        }
+        let of_servo = |word: ServoWord| {
+            [word.at_positive_limit(), word.at_negative_limit(), word.is_uncontrollable(), word.is_power_off()]
+        };
+        let bits = [0x0001, 0x0002, 0x4000, 0x8000];
+        for word in (0..16).map(|bit| 1 << bit).flat_map(|bit: u16| [bit, !bit]) {
+            assert_eq!(of_servo(ServoWord(word)), bits.map(|bit| word & bit != 0), "0x{word:04x}");
+        }
+    }
+
+    #[test]
+    fn an_alarm_replaces_the_one_of_a_word_and_nothing_else() {
+        for word in [0x0000, 0x0FF0, 0xF00F, 0xFFFF] {
+            let comm = CommWord(word).with_alarm(CommAlarm::EmergencyStop);
+            assert_eq!((comm.0, comm.alarm()), (word & 0xF00F | 0x0110, Some(CommAlarm::EmergencyStop)));
+            let servo = ServoWord(word).with_alarm(ServoAlarm::EmergencyStop);
+            assert_eq!((servo.0, servo.alarm()), (word & 0xF00F | 0x0110, Some(ServoAlarm::EmergencyStop)));
+        }
+    }
+}

@@ -354,6 +354,16 @@ mod tests {
     }
 
     #[test]
+    fn the_longest_frame_passes() {
+        let (mut sealer, _) = agreement(7).records(Side::Host);
+        let (_, mut opener) = agreement(7).records(Side::Gateway);
+        let frame = vec![0x5A; FRAME_BYTES_MAX];
+        let record = sealer.seal(&frame);
+        assert_eq!(record.len(), RECORD_BYTES_MAX);
+        assert_eq!(opened(&mut opener, &record), (vec![frame], true));
+    }
+
+    #[test]
     fn repeated_reordered_reflected_and_foreign_records_end_the_connection() {
         let sealed = |secret, side| {
             let (mut sealer, _) = agreement(secret).records(side);
