@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::not_possible::NotPossible;
 use crate::python;
 use crate::workspace::{Workspace, run_visibly};
 
@@ -18,6 +19,9 @@ pub struct Args {
     /// Use the release program.
     #[arg(long)]
     release: bool,
+    /// Also let Rerun read a recording; its package takes 450 MB.
+    #[arg(long)]
+    rerun: bool,
 }
 
 /// # Errors
@@ -47,11 +51,23 @@ pub fn check(workspace: &Workspace, programs: Option<&Path>) -> anyhow::Result<(
 fn with_program(workspace: &Workspace, programs: &Path, args: &Args) -> anyhow::Result<()> {
     let python: PathBuf = python::environment(workspace, "recordings-python", TESTS)?;
     let cache = format!("cache_dir={}", workspace.target_folder()?.join("recordings-cache").display());
+    if args.rerun {
+        let mut install = workspace.command(&python);
+        install.args(["-m", "pip", "install", "--quiet", "--requirement", &format!("{TESTS}/requirements-rerun.txt")]);
+        run_visibly(&mut install).map_err(|error| {
+            NotPossible::because(&format!(
+                "the package of Rerun cannot be installed: {error:#}; try again with a network"
+            ))
+        })?;
+    }
     let mut tests = workspace.command(&python);
     tests.args(["-m", "pytest", "--quiet", "-o", &cache, TESTS]);
     if let Some(filter) = &args.filter {
         tests.args(["-k", filter]);
     }
     tests.env("PB3DP", programs.join("pb3dp")).env("PYTHONDONTWRITEBYTECODE", "1");
+    if args.rerun {
+        tests.env("PB3DP_RERUN", "1");
+    }
     run_visibly(&mut tests)
 }

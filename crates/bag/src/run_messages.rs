@@ -218,6 +218,10 @@ message! {
         chosen: Vec<Chosen>,
         /// True pose of the target in the left camera.
         cam_left_from_target: Vec<f64>,
+        /// Motion of the left camera since the previous pair, from the joints.
+        cam_left_prev_from_cam_left_now: Vec<f64>,
+        /// Time since the previous pair, seconds.
+        since_previous_s: Vec<f64>,
         /// Number of the target.
         target: u64,
         /// The region with which the target was initialised in this pair.

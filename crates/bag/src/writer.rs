@@ -26,8 +26,9 @@ use crate::reader::io;
 
 pub use crate::queue::WhenFull;
 
-/// Messages in the queue: a second of two cameras and two arms.
-const QUEUED_MAX: u64 = 1024;
+/// Messages in the queue: eight seconds of two cameras and two arms. Large ones are limited by their bytes first, so that a disk that
+/// stalls costs images, but no control step.
+const QUEUED_MAX: u64 = 8192;
 /// Bytes in the queue: four seconds of two raw colour images of 640x480 at 30 Hz.
 const QUEUED_BYTES_MAX: u64 = 256 << 20;
 /// Time after which messages are handed to the system.

@@ -7,7 +7,6 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use nalgebra::{UnitQuaternion, Vector3};
 use pb3dp_record::estimates_csv::{self, EstimateRow};
-use pb3dp_record::parquet_table::write_parquet;
 use pb3dp_record::plain_zero::plain_zero;
 use pb3dp_record::report::{LinePlot, Report, ReportImage, Series, SeriesColor, Table};
 use pb3dp_record::text_file::write_text;
@@ -113,19 +112,6 @@ fn write_all(
     let following = summary.supervisor.share_following;
     print(&format!("report: {}", folder.join("report.html").display()))?;
     Ok(if following < FOLLOWING_EXPECTED { Following::TooLittle { share: following } } else { Following::Well })
-}
-
-/// Writes the tables that are in the folder as Parquet files, too.
-///
-/// # Errors
-/// If a table cannot be read or written.
-pub fn write_parquet_tables(folder: &Path) -> Result<()> {
-    for name in ["estimates", "timeseries"] {
-        let (csv, parquet) = (folder.join(name).with_extension("csv"), folder.join(name).with_extension("parquet"));
-        let text = std::fs::read_to_string(&csv).with_context(|| format!("{}: cannot be read", csv.display()))?;
-        write_parquet(&parquet, &text)?;
-    }
-    Ok(())
 }
 
 /// Whether the hand followed the target for the expected share of the time.

@@ -1,11 +1,11 @@
 //! Arguments of `pb3dp run`, `estimate` and `track`, and their parsers.
 
-use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{ArgGroup, Args, ValueEnum};
+use pb3dp_bag::live::ViewerAddress;
 use pb3dp_cell::terminal::parse_seconds;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_panel::PanelAddress;
@@ -48,7 +48,7 @@ pub struct RunArgs {
     pub rotate_minutes: Option<u32>,
     /// Let viewers that are compatible with Foxglove watch the run, at 127.0.0.1:8765 or another address of this computer.
     #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
-    pub live: Option<SocketAddr>,
+    pub live: Option<ViewerAddress>,
     /// The target in the first left image of real cameras; overrides camera.region of the setup.
     #[arg(long, value_name = "REGION", help = format!("The target in the first left image of real cameras; overrides camera.region of the setup: {REGION_HELP}"))]
     pub region: Option<RegionSpec>,

@@ -29,6 +29,8 @@ pub fn pair_result(seen: &PairEstimate) -> PairResult {
         steps: seen.steps,
         chosen: chosen.into_iter().collect(),
         cam_left_from_target: of_pose_if_any(captured.cam_left_from_target.as_ref()),
+        cam_left_prev_from_cam_left_now: of_pose_if_any(seen.prior.cam_left_prev_from_cam_left_now.as_ref()),
+        since_previous_s: seen.prior.dt_s.into_iter().collect(),
         target: seen.target,
         region: seen.region.iter().map(of_region).collect(),
         status: estimate.status.to_string(),

@@ -285,7 +285,9 @@ impl RunRecorder for RunRecording {
                 Err(error) => tracing::warn!("the newest seconds at a fault: {error}"),
             }
         }
-        tracing::debug!("{recent_dropped} messages are missing in the newest seconds, {live_dropped} reached no viewer");
+        tracing::debug!(
+            "{recent_dropped} messages are missing in the newest seconds, {live_dropped} reached no viewer"
+        );
         let Some(written) = written else { return Ok(()) };
         let written = written.context("--record")?;
         let all: u64 = written.messages.values().sum();

@@ -164,8 +164,8 @@ mod tests {
         let a =
             of("calib = \"rig/calib.json\"\nregion = \"mask:m.png\"", &[("rig/calib.json", b"{}"), ("m.png", b"1")]);
         let b = of(
-            "calib = \"/tmp/0-calib.json\"\nregion = \"mask:m.png\"",
-            &[("/tmp/0-calib.json", b"{}"), ("m.png", b"22")],
+            "calib = \"copies/0-calib.json\"\nregion = \"mask:m.png\"",
+            &[("copies/0-calib.json", b"{}"), ("m.png", b"22")],
         );
         let text = |bytes: u8| format!("\"mask:m.png\", its content differs ({bytes} bytes)");
         check(&a, &b, &[("region", Some(&text(1)), Some(&text(2)))]);

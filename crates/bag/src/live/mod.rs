@@ -20,6 +20,9 @@ use crate::BagError;
 use crate::encoded::Encoded;
 use crate::queue::{Sender, WhenFull, bounded};
 
+/// An address of this computer with a port, where viewers connect.
+pub type ViewerAddress = SocketAddr;
+
 /// Where viewers look for a server by default, on this computer only.
 pub const DEFAULT_ADDRESS: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 8765);
 

@@ -1,12 +1,13 @@
 //! `pb3dp report`: the page and the tables of a recorded run.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::Args;
 use pb3dp_cell::report::{self, Made};
 use pb3dp_cell::terminal::print_line;
+use pb3dp_record::parquet_table::write_parquet;
 use pb3dp_recording::replay::{Estimates, Opened, ReplayOptions};
 
 use crate::commands::result_folder::ResultFolder;
@@ -42,9 +43,19 @@ pub fn run(args: &ReportArgs) -> Result<ExitCode> {
         wall_s: replayed.duration_s,
     };
     let following = report::tell_of_past(&args.out, &opened.setup, &made, (&outcome, failure), print_line)?;
-    report::write_parquet_tables(&args.out)?;
+    write_parquet_tables(&args.out)?;
     if !replayed.is_led_by_person {
         following.warn();
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Writes the tables of the report as Parquet files, too.
+fn write_parquet_tables(folder: &Path) -> Result<()> {
+    for name in ["estimates", "timeseries"] {
+        let csv = folder.join(name).with_extension("csv");
+        let text = std::fs::read_to_string(&csv).with_context(|| format!("{} cannot be read", csv.display()))?;
+        write_parquet(&folder.join(name).with_extension("parquet"), &text)?;
+    }
+    Ok(())
 }

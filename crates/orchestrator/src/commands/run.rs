@@ -115,7 +115,8 @@ fn sinks(args: &RunArgs, setup: &Setup, file: Option<&Path>) -> Result<Sinks> {
         bytes_max: args.rotate_mb.map(|megabytes| u64::from(megabytes) * 1_000_000),
         duration_max: args.rotate_minutes.map(|minutes| Duration::from_secs(60 * u64::from(minutes))),
     };
-    let writer = file.map(|file| BagWriter::create_rotating(file, when_full, rotation)).transpose().context("--record")?;
+    let writer =
+        file.map(|file| BagWriter::create_rotating(file, when_full, rotation)).transpose().context("--record")?;
     let recent = (setup.pace == Pace::Live).then(|| Recent::start(RecentOptions::default())).transpose()?;
     let live = args.live.map(Live::serve).transpose().context("--live")?;
     Ok(Sinks::new(writer, recent, live))

@@ -295,22 +295,7 @@ impl Loop {
             let before = pb3dp_allocation_count::requests();
             operator.show(&decision);
             allocations += pb3dp_allocation_count::requests() - before;
-            let sample = ArmSample { position_rad: self.start_rad, requested_rad_per_s: None };
-            spectator.moved(&Moved {
-                number: 0,
-                at: now,
-                observed: None,
-                base_from_model: None,
-                mode: Mode::Approaching,
-                decision,
-                vs_joints: JointState {
-                    at: now,
-                    position_rad: self.start_rad,
-                    velocity_rad_per_s: pb3dp_kinematics::JointVector::zeros(),
-                },
-                arms: [sample; 2],
-                conditions: [ArmCondition::Enabled; 2],
-            });
+            spectator.moved(&self.moved(now, decision));
             let mut seen = self.seen.lock().unwrap();
             if last.is_some_and(|last| last.state.is_moving()) && !decision.state.is_moving() {
                 seen.rested_at = Some(now);
@@ -325,6 +310,22 @@ impl Loop {
                 seen.lateness_s.push(due_at.elapsed().as_secs_f64());
             }
             last = Some(decision);
+        }
+    }
+
+    /// A control step of arms that rest.
+    fn moved(&self, at: MonotonicTime, decision: Decision) -> Moved {
+        let still = pb3dp_kinematics::JointVector::zeros();
+        Moved {
+            number: 0,
+            at,
+            observed: None,
+            base_from_model: None,
+            mode: Mode::Approaching,
+            decision,
+            vs_joints: JointState { at, position_rad: self.start_rad, velocity_rad_per_s: still },
+            arms: [ArmSample { position_rad: self.start_rad, requested_rad_per_s: None }; 2],
+            conditions: [ArmCondition::Enabled; 2],
         }
     }
 

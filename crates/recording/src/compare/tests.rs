@@ -48,6 +48,8 @@ fn pair(sequence: u64, cam_left_from_model: Vec<f64>) -> PairResult {
         steps: 0,
         chosen: Vec::new(),
         cam_left_from_target: Vec::new(),
+        cam_left_prev_from_cam_left_now: Vec::new(),
+        since_previous_s: Vec::new(),
         target: 1,
         region: Vec::new(),
         status: "ok".to_owned(),

@@ -1,4 +1,4 @@
-//! Arms and operator of a replay: they answer as in the recording, and compare what they are told.
+//! Arms and operator of a replay: they answer as in the recording, and compare what they receive.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -474,13 +474,15 @@ fn captured(result: &PairResult, view: View) -> Result<Captured> {
 fn as_recorded(recorded: &RecordedPair) -> Result<PairEstimate> {
     let result = &recorded.result;
     let view = recorded.images.clone().map_or(View::Nothing, View::Images);
+    let motion = pose_if_any("cam_left_prev_from_cam_left_now", &result.cam_left_prev_from_cam_left_now)?;
+    let prior = FramePrior { dt_s: result.since_previous_s.first().copied(), ..FramePrior::of_motion(motion.as_ref()) };
     Ok(PairEstimate {
         captured: captured(result, view)?,
         steps: result.steps,
         chosen: None,
         target: result.target,
         region: result.region.first().map(region).transpose()?,
-        prior: FramePrior::default(),
+        prior,
         estimate: recorded_estimate(result)?,
         latency_millis: result.latency_millis,
         age_millis: result.age_millis,
