@@ -55,7 +55,7 @@ fn with_program(workspace: &Workspace, programs: &Path, args: &Args) -> anyhow::
         let mut install = workspace.command(&python);
         install.args(["-m", "pip", "install", "--quiet", "--requirement", &format!("{TESTS}/requirements-rerun.txt")]);
         run_visibly(&mut install).map_err(|error| {
-            NotPossible::because(&format!(
+            NotPossible::because(format!(
                 "the package of Rerun cannot be installed: {error:#}; try again with a network"
             ))
         })?;

@@ -1,6 +1,5 @@
 //! A part fails in the middle of a run: the arms stop, and the recording up to then is complete.
 
-use pb3dp_cell::bag_recording::RecordTo;
 use pb3dp_cell::experiment;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_record::dataset::load_sequence;
@@ -19,7 +18,7 @@ fn check(which: &str) {
     *failing.fail_after.lock().unwrap() = Some(151);
     let folder = tempfile::tempdir().unwrap();
     let recording = folder.path().join("recording");
-    let failure = experiment::run(&setup, parts, None, Some(&RecordTo::folder(&recording)));
+    let failure = experiment::run(&setup, parts, None, Some(&recording));
     let message = format!("{:#}", failure.err().expect("the run must fail"));
     assert!(message.contains(which) && message.contains("the link was cut by the test"), "{message}");
 

@@ -1,7 +1,6 @@
 //! Runs without images: the whole loop with the true pose and stated noise instead of cameras and estimation.
 
 use nalgebra::Vector3;
-use pb3dp_cell::bag_recording::RecordTo;
 use pb3dp_cell::channels::Plan;
 use pb3dp_cell::summary::{RunSummary, summarize};
 use pb3dp_estimation::estimator::Method;
@@ -134,7 +133,7 @@ fn what_does_not_go_together_is_refused() {
     let error = wire(&geometric)
         .and_then(|parts| {
             let folder = tempfile::tempdir()?;
-            pb3dp_cell::experiment::run(&geometric, parts, None, Some(&RecordTo::folder(folder.path())))
+            pb3dp_cell::experiment::run(&geometric, parts, None, Some(folder.path()))
         })
         .map(drop)
         .unwrap_err();

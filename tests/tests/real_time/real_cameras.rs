@@ -8,7 +8,6 @@ use std::time::Duration;
 
 use pb3dp_camera_settings::Interval;
 use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
-use pb3dp_cell::bag_recording::RecordTo;
 use pb3dp_cell::experiment::{Ended, conduct};
 use pb3dp_cell::summary::summarize;
 use pb3dp_cell::swing;
@@ -108,7 +107,7 @@ fn records() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("recording");
     let parts = wire_with(&setup, Arc::new(system)).unwrap().parts;
-    let Ended { outcome, how, .. } = conduct(&setup, parts, Some(2.0), Some(&RecordTo::folder(&folder))).unwrap();
+    let Ended { outcome, how, .. } = conduct(&setup, parts, Some(2.0), Some(&folder)).unwrap();
     how.unwrap();
     let sequence = load_sequence(&folder).unwrap();
     assert!(!sequence.is_unfinished && sequence.frames() > 10, "{} frames", sequence.frames());

@@ -117,7 +117,7 @@ pub const STEPS: [Step; 18] = [
     Step { name: "panel", of: &["pb3dp-panel"], run: |progress| panel::check(progress.workspace, progress.programs()) },
     Step {
         name: "recordings",
-        of: &["pb3dp-bag", "pb3dp-camera-replay", "pb3dp-orchestrator"],
+        of: &["pb3dp-bag", "pb3dp-recording", "pb3dp-camera-replay", "pb3dp-orchestrator"],
         run: |progress| recordings::check(progress.workspace, progress.programs()),
     },
     Step { name: "accuracy", of: &["pb3dp-benchmarks"], run: accuracy },

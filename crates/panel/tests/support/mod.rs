@@ -365,6 +365,8 @@ impl Loop {
         let truth_m = Vector3::new(0.01, 0.02, if self.looks > 1 { 0.602 } else { 0.6 });
         let truth = Pose::from_translation(truth_m);
         spectator.seen(&PairEstimate {
+            steps: 0,
+            chosen: None,
             captured: Captured { frame, cam_left_from_target: Some(truth), view: View::Images(Arc::new(pair)) },
             target: self.target,
             region,
