@@ -144,7 +144,8 @@ impl Visit for Text {
 }
 
 /// Our crates that log; directives select by these names.
-const CRATES: [&str; 5] = ["pb3dp_cell", "pb3dp_commissioning", "pb3dp_orchestrator", "pb3dp_panel", "pb3dp_wiring"];
+const CRATES: [&str; 6] =
+    ["pb3dp_cell", "pb3dp_commissioning", "pb3dp_orchestrator", "pb3dp_panel", "pb3dp_recording", "pb3dp_wiring"];
 
 /// One of our names that never logs: the filter would accept it and show nothing.
 fn mistaken_crate(part: &str) -> Option<&str> {

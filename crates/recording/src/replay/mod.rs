@@ -111,16 +111,6 @@ impl Opened {
         Ok(Self { run, setup, estimates: options.estimates })
     }
 
-    /// Version of the program that has recorded it.
-    pub fn version(&self) -> &str {
-        &self.run.version
-    }
-
-    /// All settings of the run, as a TOML file.
-    pub fn setup_text(&self) -> &str {
-        &self.run.setup_text
-    }
-
     /// Whether images are estimated again.
     fn estimates_anew(&self) -> bool {
         self.setup.leader.needs_images() && self.estimates == Estimates::Anew
@@ -290,7 +280,7 @@ impl Replay<'_> {
         let Some(observed) = step.observed.first() else { return true };
         self.percepts.contains_key(&observed.sequence)
             || self.progress.last_pair.is_some_and(|last| last >= observed.sequence)
-            || (self.progress.is_read && self.pairs.is_empty())
+            || self.progress.is_read
     }
 
     fn t_s(&self, at_nanos: u64) -> f64 {
