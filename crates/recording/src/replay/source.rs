@@ -41,8 +41,6 @@ const IMAGES: [&str; 6] = [
 pub struct RecordedRun {
     /// Version of the program that has recorded it.
     pub version: String,
-    /// All settings, as a TOML file.
-    pub setup_text: String,
     /// How it began.
     pub begin: RunBegin,
     /// Settings and files for [`Self::setup_args`].
@@ -117,7 +115,7 @@ impl RecordedRun {
         let since_1970_nanos = begin.since_1970_nanos;
         let (images, drawn_on) = Default::default();
         let items = Items { since_1970_nanos, messages, ahead, images, drawn_on };
-        Ok(Self { version, setup_text, begin, folder, items })
+        Ok(Self { version, begin, folder, items })
     }
 
     /// The setup of the run with these changes.
