@@ -51,8 +51,6 @@ message! {
         is_person: bool,
         /// The sign of life of the operator can end.
         can_fall_silent: bool,
-        /// The operator selects targets during the run.
-        selects: bool,
         /// How the target is marked at the begin.
         marking: Marked,
         /// The target that the setup names, if the operator selects.
@@ -90,6 +88,7 @@ message! {
 
 message! {
     /// A call of an arm in a control step.
+    #[derive(Default)]
     ArmCall = "pb3dp_msgs/ArmCall" {
         /// 0: the arm with the cameras; 1: the arm with the target.
         arm: u8,
@@ -147,6 +146,7 @@ message! {
 
 message! {
     /// A control step: everything that it depended on, and its results.
+    #[derive(Default)]
     ControlStep = "pb3dp_msgs/ControlStep" {
         /// Number of the step, from 0.
         number: u64,
@@ -203,6 +203,7 @@ message! {
 
 message! {
     /// The estimate of a pair: everything that it depended on besides the images, and the result.
+    #[derive(Default)]
     PairResult = "pb3dp_msgs/PairResult" {
         /// Number of the pair.
         sequence: u64,

@@ -10,6 +10,7 @@
 pub mod compare;
 mod estimates;
 mod exact;
+mod head;
 pub mod pairs;
 pub mod replay;
 pub mod run;

@@ -74,7 +74,6 @@ pub fn record_run(about: &About, setup: &Setup, parts: Parts, to: RecordTo) -> R
         since_1970_nanos: u64::try_from(about.since_1970.as_nanos()).unwrap_or(u64::MAX),
         is_person: parts.operator.is_person(),
         can_fall_silent: parts.operator.can_fall_silent(),
-        selects: parts.selections.is_some(),
         marking: of_marking(&parts.marking),
         target_of_setup: parts
             .selections
@@ -305,8 +304,11 @@ impl RunRecorder for RunRecording {
             return;
         }
         self.kept = number;
-        let name = if number <= 1 { "fault.mcap".to_owned() } else { format!("fault-{number}.mcap") };
-        if let Err(error) = self.pairs.sinks.keep(&self.faults.join(name)) {
+        // A run that was killed leaves files in a folder that no later run moves away.
+        let name = |number| if number == 1 { "fault.mcap".to_owned() } else { format!("fault-{number}.mcap") };
+        let free = (1..).map(|number| self.faults.join(name(number))).find(|file| !file.exists());
+        let kept = free.map_or(Ok(()), |file| self.pairs.sinks.keep(&file));
+        if let Err(error) = kept {
             tracing::warn!("the newest seconds at a fault: {error}");
         }
     }

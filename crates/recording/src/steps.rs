@@ -90,7 +90,7 @@ impl Steps {
                 self.states_before.extend(told.map(|told| change(arm, 0, told)));
             }
             (Event::Listened { now, heard, carries_before_start, lost }, _) => {
-                let mut step = self.blank(now, &heard, carries_before_start, lost);
+                let mut step = self.begun(now, &heard, carries_before_start, lost);
                 step.calls.append(&mut self.before);
                 step.changes.append(&mut self.states_before);
                 self.open = Some(step);
@@ -112,16 +112,14 @@ impl Steps {
         }
     }
 
-    fn blank(&self, now: MonotonicTime, heard: &OperatorInput, carries_before_start: bool, lost: u32) -> ControlStep {
+    fn begun(&self, now: MonotonicTime, heard: &OperatorInput, carries_before_start: bool, lost: u32) -> ControlStep {
         let said = |request: pb3dp_servo::supervisor::OperatorRequest| Said {
             word: request.word.name().to_owned(),
             at_nanos: request.at.as_nanos(),
         };
         ControlStep {
-            number: 0,
             at_nanos: now.as_nanos(),
             lost,
-            observed: Vec::new(),
             said: heard.said.map(said).into_iter().collect(),
             heard_at_nanos: heard.heard_at.map(MonotonicTime::as_nanos).into_iter().collect(),
             silent_after_nanos: heard
@@ -132,15 +130,7 @@ impl Steps {
             speed_share: self.asked.speed_share,
             hand_from_hand_shifted: of_pose(&self.asked.hand_from_hand_shifted),
             carries_before_start,
-            changes: Vec::new(),
-            calls: Vec::new(),
-            finished: false,
-            mode: String::new(),
-            state: String::new(),
-            why: String::new(),
-            base_from_model: Vec::new(),
-            world_from_hand: Vec::new(),
-            world_from_target: Vec::new(),
+            ..ControlStep::default()
         }
     }
 }
@@ -162,11 +152,11 @@ fn measured(arm: u8, joints: &JointState) -> ArmCall {
     ArmCall {
         arm,
         call: "enabled".to_owned(),
-        command_rad_per_s: Vec::new(),
         outcome: "measured".to_owned(),
         measured_at_nanos: joints.at.as_nanos(),
         position_rad: joints.position_rad.as_slice().to_vec(),
         velocity_rad_per_s: joints.velocity_rad_per_s.as_slice().to_vec(),
+        ..ArmCall::default()
     }
 }
 
@@ -191,20 +181,12 @@ fn call_message(arm: u8, call: Call, answer: Answer) -> ArmCall {
         Call::Exchange(JointCommand::Velocity(velocity)) => velocity.as_slice().to_vec(),
         _ => Vec::new(),
     };
-    let blank = ArmCall {
-        arm,
-        call: call_word(&call).to_owned(),
-        command_rad_per_s: Vec::new(),
-        outcome: String::new(),
-        measured_at_nanos: 0,
-        position_rad: Vec::new(),
-        velocity_rad_per_s: Vec::new(),
+    let outcome = |outcome: &str| ArmCall { arm, outcome: outcome.to_owned(), ..ArmCall::default() };
+    let answered = match &answer {
+        Answer::Done => outcome("done"),
+        Answer::Pending => outcome("pending"),
+        Answer::Failed(kind) => outcome(of_failure(*kind)),
+        Answer::Measured(joints) => measured(arm, joints),
     };
-    let blank = match &answer {
-        Answer::Done => ArmCall { outcome: "done".to_owned(), ..blank },
-        Answer::Pending => ArmCall { outcome: "pending".to_owned(), ..blank },
-        Answer::Failed(kind) => ArmCall { outcome: of_failure(*kind).to_owned(), ..blank },
-        Answer::Measured(joints) => ArmCall { call: blank.call, ..measured(arm, joints) },
-    };
-    ArmCall { command_rad_per_s, ..blank }
+    ArmCall { call: call_word(&call).to_owned(), command_rad_per_s, ..answered }
 }

@@ -192,6 +192,7 @@ const ALLOWED: [(&str, &[&str]); 41] = [
             "geometry",
             "kinematics",
             "record",
+            "servo",
             "sim",
             "hal-api",
             "hal-clock",

@@ -40,7 +40,6 @@ const WORLDS: [World; 6] = [
             "crates/cell/src/machine.rs",
             "crates/setup/src/layers/variables.rs",
             "crates/cell/src/report.rs",
-            "crates/cell/src/visiting.rs",
             "crates/commissioning/",
             "crates/orchestrator/",
             "crates/benchmarks/",

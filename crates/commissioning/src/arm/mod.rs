@@ -8,7 +8,9 @@ mod motion;
 mod probe;
 mod probe_report;
 mod reset;
+mod stillness;
 mod visit;
+mod visiting;
 
 use std::path::PathBuf;
 use std::process::ExitCode;

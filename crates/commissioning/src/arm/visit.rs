@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, SystemTime};
 
+use super::visiting::{self, Tour, Visited};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use pb3dp_cell::attended_motion::instructions;
@@ -14,7 +15,6 @@ use pb3dp_cell::interruption::{INTERRUPTED, watch};
 use pb3dp_cell::parts::{ArmChoice, Parts};
 use pb3dp_cell::plan::Plan;
 use pb3dp_cell::terminal::{parse_seconds, print_line};
-use pb3dp_cell::visiting::{self, Tour, Visited};
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, Flange};
 use pb3dp_hal_api::{Arm, JointCommand};

@@ -1,14 +1,13 @@
 //! A recorded run without its images, in the form in which runs are compared.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use pb3dp_bag::messages::Text;
 use pb3dp_bag::pairs::decoded;
 use pb3dp_bag::reader::{Bag, RawMessage};
-use pb3dp_bag::run_messages::{ControlStep, PairResult, RunBegin, SetupFile, SetupFiles};
+use pb3dp_bag::run_messages::{ControlStep, PairResult, SetupFile};
 use pb3dp_bag::topics::ours;
 use pb3dp_geometry::Pose;
 use pb3dp_geometry::frames::{Base, CamLeft, Model, Target};
@@ -16,9 +15,10 @@ use pb3dp_setup::recorded_settings::RecordedSettings;
 
 use super::matching::Stamp;
 use crate::exact::pose_if_any;
+use crate::head::{self, Head};
 
-/// Topics of a comparison. Images are not read.
-const TOPICS: [&str; 6] = [ours::VERSION, ours::SETUP, ours::FILES, ours::BEGIN, ours::STEPS, ours::PAIRS];
+/// Topics of a comparison besides the head. Images are not read.
+const TOPICS: [&str; 2] = [ours::STEPS, ours::PAIRS];
 
 /// A recorded run.
 pub struct Recorded {
@@ -80,9 +80,9 @@ impl Recorded {
     pub fn read(file: &Path) -> Result<Self> {
         let bag = Bag::open(file)?;
         let mut reading = Reading::default();
-        for message in bag.messages_on(&TOPICS)? {
+        for message in bag.messages_on(&[&head::TOPICS[..], &TOPICS].concat())? {
             reading.take(&message?).with_context(|| {
-                let (name, version) = (file.display(), &reading.version);
+                let (name, version) = (file.display(), &reading.head.version);
                 format!(
                     "{name}: recorded by {version}: a message cannot be used; record the run again with this version"
                 )
@@ -105,10 +105,7 @@ impl Recorded {
 /// What has been read so far.
 #[derive(Default)]
 struct Reading {
-    version: String,
-    setup_text: Option<String>,
-    files: BTreeMap<String, Vec<u8>>,
-    begin_nanos: Option<u64>,
+    head: Head,
     estimates: Vec<Estimate>,
     steps: Vec<Step>,
     why: Arc<str>,
@@ -118,13 +115,7 @@ struct Reading {
 impl Reading {
     fn take(&mut self, message: &RawMessage) -> Result<()> {
         match message.channel.topic.as_str() {
-            ours::VERSION => self.version = decoded::<Text>(message)?.data,
-            ours::SETUP => self.setup_text = Some(decoded::<Text>(message)?.data),
-            ours::FILES => {
-                let SetupFiles { files } = decoded(message)?;
-                self.files.extend(files.into_iter().map(|SetupFile { path, data }| (path, data.0)));
-            }
-            ours::BEGIN => self.begin_nanos = Some(decoded::<RunBegin>(message)?.begin_nanos),
+            _ if self.head.take(message)? => {}
             ours::PAIRS => self.estimate(decoded(message)?)?,
             ours::STEPS => self.step(decoded(message)?)?,
             _ => {}
@@ -178,27 +169,21 @@ impl Reading {
     }
 
     fn finish(self, file: &Path) -> Result<Recorded> {
-        let Self { version, setup_text, files, begin_nanos, mut estimates, mut steps, .. } = self;
+        let Self { mut head, mut estimates, mut steps, .. } = self;
+        let (setup_text, begin) = head.run(file)?;
         let name = file.display();
-        let (Some(setup_text), Some(begin_nanos)) = (setup_text, begin_nanos) else {
-            bail!(
-                "{name}: no recording of a run: {} or {} is missing; record one with `pb3dp run --record FILE.mcap` or `pb3dp replay --record \
-                 FILE.mcap`",
-                ours::SETUP,
-                ours::BEGIN
-            );
-        };
         if steps.is_empty() {
             bail!("{name}: the run has no control step; record a run that lasts longer");
         }
+        let files = head.files.into_iter().map(|SetupFile { path, data }| (path, data.0)).collect();
         let settings = RecordedSettings::new(&setup_text, files)
             .with_context(|| format!("{name}: the settings on {} are damaged; record the run again", ours::SETUP))?;
-        let begin = signed(begin_nanos);
+        let begin = signed(begin.begin_nanos);
         estimates.iter_mut().for_each(|estimate| estimate.stamp.nanos -= begin);
         steps.iter_mut().for_each(|step| step.stamp.nanos -= begin);
         estimates.sort_by_key(|estimate| estimate.stamp.nanos);
         steps.sort_by_key(|step| step.stamp.nanos);
-        Ok(Recorded { file: file.to_path_buf(), version, settings, estimates, steps })
+        Ok(Recorded { file: file.to_path_buf(), version: head.version, settings, estimates, steps })
     }
 }
 

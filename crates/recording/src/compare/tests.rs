@@ -43,25 +43,15 @@ fn pair(sequence: u64, cam_left_from_model: Vec<f64>) -> PairResult {
     PairResult {
         sequence,
         exposed_at_nanos: 1_000_000 * (BEGIN_MILLIS + 33 * sequence),
-        skew_s: 0.0,
         has_images: true,
-        steps: 0,
-        chosen: Vec::new(),
-        cam_left_from_target: Vec::new(),
-        cam_left_prev_from_cam_left_now: Vec::new(),
-        since_previous_s: Vec::new(),
         target: 1,
-        region: Vec::new(),
         status: "ok".to_owned(),
-        reason: String::new(),
         cam_left_from_model,
-        covariance: Vec::new(),
-        fitness: Vec::new(),
-        observed: Vec::new(),
         rotation_about_normal_observed: true,
         outline_px: vec![1.0, 2.0],
         latency_millis: 2.0,
         age_millis: 3.0,
+        ..PairResult::default()
     }
 }
 
@@ -74,23 +64,11 @@ fn step(number: u64, state: &str, calls: Vec<ArmCall>) -> ControlStep {
     ControlStep {
         number,
         at_nanos: 1_000_000 * (BEGIN_MILLIS + 10 * number),
-        lost: 0,
-        observed: Vec::new(),
-        said: Vec::new(),
-        heard_at_nanos: Vec::new(),
-        silent_after_nanos: Vec::new(),
-        speed_share: 1.0,
-        hand_from_hand_shifted: [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
-        carries_before_start: false,
-        changes: Vec::new(),
         calls,
         finished: true,
         mode: "tracking".to_owned(),
         state: state.to_owned(),
-        why: String::new(),
-        base_from_model: Vec::new(),
-        world_from_hand: Vec::new(),
-        world_from_target: Vec::new(),
+        ..ControlStep::default()
     }
 }
 
@@ -100,9 +78,7 @@ fn call(arm: u8, call: &str, command_rad_per_s: &[f64]) -> ArmCall {
         call: call.to_owned(),
         command_rad_per_s: command_rad_per_s.to_vec(),
         outcome: "measured".to_owned(),
-        measured_at_nanos: 0,
-        position_rad: Vec::new(),
-        velocity_rad_per_s: Vec::new(),
+        ..ArmCall::default()
     }
 }
 
@@ -121,7 +97,6 @@ fn write(file: &Path, run: &Run) {
             since_1970_nanos: 0,
             is_person: false,
             can_fall_silent: false,
-            selects: false,
             marking: Marked::default(),
             target_of_setup: Vec::new(),
         };

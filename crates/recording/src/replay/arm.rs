@@ -77,7 +77,14 @@ impl SharedScript {
         for (side, arm) in script.arms.iter_mut().enumerate() {
             let is_ours = |of: u8| usize::from(of) == side;
             let call = first.calls.iter().find(|call| is_ours(call.arm) && call.call == "enabled");
-            let call = call.with_context(|| format!("the recording lacks the begin of {}", ARM_NAMES[side]))?;
+            let call = call.with_context(|| {
+                format!(
+                    "the recording begins in the middle of a run, as the newest seconds at a fault do: it lacks the begin of {}, so the \
+                     state of the control is not known; replay a recording of the whole run (--record), or estimate again from the \
+                     images with `pb3dp track --sequence`",
+                    ARM_NAMES[side]
+                )
+            })?;
             arm.measured = Some(measured(call)?);
             for change in first.changes.iter().filter(|change| is_ours(change.arm) && change.after == 0) {
                 arm.tell(&change.state)?;
@@ -228,15 +235,8 @@ impl ReplayedArm {
         let Script { arms, differences, t_s, .. } = &mut *script;
         let arm = &mut arms[self.side];
         let word = call_word(&call);
-        let blank = ArmCall {
-            arm: self.side as u8,
-            call: word.to_owned(),
-            command_rad_per_s: Vec::new(),
-            outcome: "done".to_owned(),
-            measured_at_nanos: 0,
-            position_rad: Vec::new(),
-            velocity_rad_per_s: Vec::new(),
-        };
+        let blank =
+            ArmCall { arm: self.side as u8, call: word.to_owned(), outcome: "done".to_owned(), ..ArmCall::default() };
         if !arm.has_begun {
             arm.queries = 0;
             return Ok(blank);
@@ -405,25 +405,10 @@ mod tests {
 
     fn step(calls: Vec<ArmCall>, changes: Vec<ArmChange>) -> ControlStep {
         ControlStep {
-            number: 0,
-            at_nanos: 0,
-            lost: 0,
-            observed: Vec::new(),
-            said: Vec::new(),
-            heard_at_nanos: Vec::new(),
-            silent_after_nanos: Vec::new(),
-            speed_share: 1.0,
             hand_from_hand_shifted: [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
-            carries_before_start: true,
             changes,
             calls,
-            finished: true,
-            mode: String::new(),
-            state: String::new(),
-            why: String::new(),
-            base_from_model: Vec::new(),
-            world_from_hand: Vec::new(),
-            world_from_target: Vec::new(),
+            ..ControlStep::default()
         }
     }
 

@@ -6,13 +6,12 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use image::RgbImage;
 use pb3dp_bag::BagError;
-use pb3dp_bag::messages::Text;
 use pb3dp_bag::pairs::{decoded, recorded_image};
 use pb3dp_bag::reader::{Bag, Messages, RawMessage};
-use pb3dp_bag::run_messages::{ControlStep, PairResult, RunBegin, SetupFile, SetupFiles};
+use pb3dp_bag::run_messages::{ControlStep, PairResult, RunBegin, SetupFile};
 use pb3dp_bag::topics::ours;
 use pb3dp_cell::spectator::RunEnd;
 use pb3dp_geometry::{ImageSize, MonotonicTime};
@@ -21,12 +20,13 @@ use pb3dp_setup::layers::SetupArgs;
 use tempfile::TempDir;
 
 use crate::exact::end;
+use crate::head::{self, Head};
 
 /// Images of one side that wait for their pair.
 const WAITING_MAX: usize = 64;
 
-/// Topics of a replay besides the images.
-const TOPICS: [&str; 7] = [ours::VERSION, ours::SETUP, ours::FILES, ours::BEGIN, ours::STEPS, ours::PAIRS, ours::END];
+/// Topics of a replay besides the head and the images.
+const TOPICS: [&str; 3] = [ours::STEPS, ours::PAIRS, ours::END];
 /// Topics with images.
 const IMAGES: [&str; 6] = [
     ours::LEFT_IMAGE,
@@ -86,36 +86,22 @@ impl RecordedRun {
     /// A file that is no recording of a run, or cannot be read.
     pub fn open(path: &Path, with_images: bool) -> Result<Self> {
         let bag = Bag::open(path)?;
-        let topics = if with_images { [&TOPICS[..], &IMAGES].concat() } else { TOPICS.to_vec() };
-        let mut messages = bag.messages_on(&topics)?;
-        let folder = TempDir::with_prefix("pb3dp-replay-").context("no folder for the settings of the recording")?;
-        let (mut version, mut setup_text, mut begin) = (String::new(), None, None);
-        let mut files: Vec<SetupFile> = Vec::new();
+        let images = if with_images { &IMAGES[..] } else { &[] };
+        let mut messages = bag.messages_on(&[&head::TOPICS[..], &TOPICS, images].concat())?;
+        let mut head = Head::default();
         let ahead = loop {
             let Some(message) = messages.next().transpose()? else { break None };
-            match message.channel.topic.as_str() {
-                ours::VERSION => version = decoded::<Text>(&message)?.data,
-                ours::SETUP => setup_text = Some(decoded::<Text>(&message)?.data),
-                ours::FILES => files = decoded::<SetupFiles>(&message)?.files,
-                ours::BEGIN => begin = Some(decoded::<RunBegin>(&message)?),
-                ours::STEPS | ours::PAIRS => break Some(message),
-                _ => {}
+            if !head.take(&message)? && TOPICS.contains(&message.channel.topic.as_str()) {
+                break Some(message);
             }
         };
-        let (Some(setup_text), Some(begin)) = (setup_text, begin) else {
-            bail!(
-                "{}: no run that can be replayed: it lacks {} or {}; `pb3dp run --record FILE.mcap` writes both, and `pb3dp track --sequence` \
-                 estimates from the images of any recording",
-                path.display(),
-                ours::SETUP,
-                ours::BEGIN
-            );
-        };
-        write_settings(folder.path(), &setup_text, &files)?;
+        let (setup_text, begin) = head.run(path)?;
+        let folder = TempDir::with_prefix("pb3dp-replay-").context("no folder for the settings of the recording")?;
+        write_settings(folder.path(), &setup_text, &head.files)?;
         let since_1970_nanos = begin.since_1970_nanos;
         let (images, drawn_on) = Default::default();
         let items = Items { since_1970_nanos, messages, ahead, images, drawn_on };
-        Ok(Self { version, begin, folder, items })
+        Ok(Self { version: head.version, begin, folder, items })
     }
 
     /// The setup of the run with these changes.

@@ -17,14 +17,14 @@ use pb3dp_record::stops::{ArmStand, Stop, Stops, save_stops};
 use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput};
 use pb3dp_setup::setup::{Pace, Setup};
 
-use super::both_arms::{BothArms, EnablePosition, LedArm};
-use super::capturing::{Captured, Capturing};
-use super::halves::{Capture, Course, Estimate, Mover, Parted, Record};
-use super::parts::{ArmChoice, Parts};
-use super::percept::Percept;
-use super::plan::Plan;
 use super::stillness::shift_px;
-use crate::perception::View;
+use pb3dp_cell::both_arms::{BothArms, EnablePosition, LedArm};
+use pb3dp_cell::capturing::{Captured, Capturing};
+use pb3dp_cell::halves::{Capture, Course, Estimate, Mover, Parted, Record};
+use pb3dp_cell::parts::{ArmChoice, Parts};
+use pb3dp_cell::percept::Percept;
+use pb3dp_cell::perception::View;
+use pb3dp_cell::plan::Plan;
 
 /// Proportional gain of the joint error to the plan, 1/s.
 const GAIN_PER_S: f64 = 2.0;
