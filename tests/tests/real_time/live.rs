@@ -1,10 +1,20 @@
 //! The whole loop in real time: emulated arms behind gateways on pseudo-terminals, simulated cameras on the arms. On a
 //! machine with too much load cycles are late, and an arm without commands stops: then each run is repeated.
 
+use std::path::Path;
+
 use pb3dp_arm_pa10::driver::DriverState;
+use pb3dp_bag::pairs::decoded;
+use pb3dp_bag::reader::Bag;
+use pb3dp_bag::recent::{Recent, RecentOptions};
+use pb3dp_bag::run_messages::RunEnd;
+use pb3dp_bag::sinks::Sinks;
+use pb3dp_bag::topics::ours;
 use pb3dp_cell::experiment;
 use pb3dp_cell::log::RunLog;
 use pb3dp_estimation::estimator::Method;
+use pb3dp_recording::pairs::About;
+use pb3dp_recording::run::{RecordTo, record_run};
 use pb3dp_servo::{Gains, LawConfig, PublishedConfig, TargetFilterConfig};
 use pb3dp_setup::setup::{ArmLink, Pace, Setup, read_setup};
 use pb3dp_sim::trajectory::Channel;
@@ -75,7 +85,16 @@ fn an_alarm_of_one_arm_ends_the_run_with_both_at_rest() {
         parts.emulated[1].command_line("in 5s alarm 4 0x0e").unwrap();
         let cell = parts.cell.clone();
         let clock = parts.clock.clone();
+        let folder = tempfile::tempdir().unwrap();
+        // A run that was killed has left this one.
+        let older = folder.path().join("fault.mcap");
+        std::fs::write(&older, "older").unwrap();
+        let recent = Recent::start(RecentOptions::default()).unwrap();
+        let to = RecordTo { sinks: Sinks::new(None, Some(recent), None), faults: folder.path().to_owned() };
+        let parts = record_run(&About::default(), &setup, parts, to).unwrap();
         let Err(error) = experiment::run(&setup, parts, None, None) else { panic!("the run must fail") };
+        assert_eq!(std::fs::read(older).unwrap(), b"older");
+        tells_of_the_fault(&folder.path().join("fault-2.mcap"), &format!("{error:#}"));
         let message = format!("{error:#}");
         for (name, site) in [("vs-robot", &cell.vs), ("tc-robot", &cell.tc)] {
             let mut joints = site.joints.simulated().unwrap().lock().unwrap();
@@ -86,4 +105,17 @@ fn an_alarm_of_one_arm_ends_the_run_with_both_at_rest() {
         // On a machine that is late an arm may have stopped earlier because of that.
         assert!(message.contains("tc-robot") && message.contains("over-current"), "{message}");
     });
+}
+
+/// The file of a fault has the images, the control steps up to the failure, and its words.
+fn tells_of_the_fault(file: &Path, message: &str) {
+    let bag = Bag::open(file).unwrap();
+    assert!(!bag.is_unfinished());
+    let count = |name: &str| bag.topics().iter().find(|topic| topic.name == name).map_or(0, |topic| topic.messages);
+    assert!(count(ours::STEPS) > 50 && count(ours::PAIRS) > 10, "{:?}", bag.topics());
+    assert!(count(ours::LEFT_IMAGE) > 10 && count(ours::LEFT_IMAGE) == count(ours::RIGHT_IMAGE), "{:?}", bag.topics());
+    assert_eq!([ours::SETUP, ours::BEGIN, ours::CALIBRATION, ours::END].map(count), [1; 4]);
+    let ends = bag.messages_on(&[ours::END]).unwrap();
+    let ends: Vec<RunEnd> = ends.map(|message| decoded(&message.unwrap()).unwrap()).collect();
+    assert_eq!(ends[0].failure, message);
 }
