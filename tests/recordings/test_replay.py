@@ -75,7 +75,8 @@ def test_another_method_gives_other_estimates(run):
 def test_a_replay_can_be_recorded_and_replayed(run, tmp_path):
     pb3dp("replay", run / "run.mcap", "--set", "servo.feed_forward.orientation_per_s=12", "--record", tmp_path / "what_if.mcap", expect=3)
     text = pb3dp("replay", tmp_path / "what_if.mcap")
-    assert text.endswith("equal to the bit\n"), text
+    assert text.endswith("equal to the bit\n") and "missing" not in text, text
+    assert "a replay of" in text and compared(text, "estimates")[0] >= 29, text
 
 
 def test_a_run_that_was_killed_is_replayed_up_to_its_end(tmp_path):
@@ -106,7 +107,58 @@ def test_images_that_are_missing_are_named(live, tmp_path):
     assert "missing: " in text and "the images of pair" in text, text
     # Later estimates are not compared, since the tracker has not seen the pair; the control is.
     assert compared(text, "estimates") == (39, 0), text
+    assert text.endswith("equal to the bit, as far as it could be compared\n"), text
     assert compared(text, "decisions")[0] >= 390 and compared(text, "commands")[1] == 0, text
+
+
+def test_a_target_that_was_initialised_before_the_images_is_followed_from_the_next_initialisation(live, tmp_path):
+    seen = []
+
+    def keep(topic, _message):
+        seen.append(topic)
+        return not topic.endswith("image_raw") or seen.count(topic) > 5
+
+    file = tmp_path / "late.mcap"
+    copied(live, file, keep)
+    text = pb3dp("replay", file)
+    # There is no other initialisation; nothing is compared with a target that was initialised elsewhere.
+    assert compared(text, "estimates") == (0, 0) and compared(text, "commands")[1] == 0, text
+
+
+def test_changes_without_effect_are_refused(run):
+    for change in (["--without-images", "--method", "published"], ["--set", "scene.target=card"]):
+        done = subprocess.run([PB3DP, "replay", run / "run.mcap", *change], capture_output=True, text=True, check=False)
+        assert done.returncode == 1 and "--set " in done.stderr and "this key" in done.stderr, done.stderr
+
+
+def test_damage_is_told(run, tmp_path):
+    data = bytearray((run / "run.mcap").read_bytes())
+    middle = len(data) // 2
+    data[middle:middle + 100] = bytes(byte ^ 0x55 for byte in data[middle:middle + 100])
+    file = tmp_path / "damaged.mcap"
+    file.write_bytes(data)
+    done = subprocess.run([PB3DP, "replay", file], capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and "damaged" in done.stderr, done.stderr
+    text = pb3dp("recover", file, expect=1)
+    assert "what followed is lost" in text, text
+
+
+def test_several_runs_in_a_folder_are_refused(run, live, tmp_path):
+    for number, file in enumerate((run / "run.mcap", live)):
+        (tmp_path / f"{number}.mcap").symlink_to(file)
+    done = subprocess.run([PB3DP, "replay", tmp_path], capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and "several runs" in done.stderr, done.stderr
+
+
+def test_a_new_folder_is_created_and_only_a_file_is_divided(tmp_path):
+    args = ["run", "--config", "sim", "--set", "scene.target=card", "--set", "run.pace=fast", "--set", "estimator.compare=[]",
+            "--stop-after", "1", "--out", tmp_path / "out", "--rotate-mb", "20"]
+    done = subprocess.run([PB3DP, *args, "--record", tmp_path / "sequence"], capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and "FILE.mcap" in done.stderr, done.stderr
+    pb3dp(*args, "--record", tmp_path / "new/long/run.mcap")
+    assert len(list((tmp_path / "new/long").iterdir())) > 1
+    text = pb3dp("replay", tmp_path / "new/long")
+    assert text.endswith("equal to the bit\n") and compared(text, "estimates")[0] >= 29, text
 
 
 def test_what_is_no_run_is_refused(run, tmp_path):
@@ -130,5 +182,6 @@ def test_the_report_of_a_recording_has_the_figures_of_the_run(tmp_path):
     assert then == now
     for table in ("estimates.csv", "timeseries.csv"):
         assert (tmp_path / "out" / table).read_text() == (tmp_path / "report" / table).read_text(), table
+    assert (tmp_path / "out/settings.toml").read_text() == (tmp_path / "report/settings.toml").read_text()
     page = (tmp_path / "report/report.html").read_text()
     assert "<svg" in page and "recording " in page

@@ -49,7 +49,7 @@ pub enum BagError {
         why: String,
     },
     /// A file would be overwritten.
-    #[error("{}: exists already; give another name (of a new file: --out)", file.display())]
+    #[error("{}: exists already; give another name", file.display())]
     Exists {
         /// The file.
         file: PathBuf,

@@ -8,7 +8,7 @@ use crate::mcap_file::{create_new, options};
 use crate::reader::{Bag, io};
 
 /// What was recovered.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Recovered {
     /// Number of messages.
     pub messages: u64,
@@ -16,6 +16,8 @@ pub struct Recovered {
     pub duration_nanos: u64,
     /// Whether the file was broken off.
     pub was_unfinished: bool,
+    /// Damage in a file with an end: what follows is not recovered.
+    pub damage: Option<String>,
 }
 
 /// Copies every whole message of a recording into a new file with index and end. The recording stays as it is.
@@ -28,12 +30,15 @@ pub fn recover(from: &Path, to: &Path) -> Result<Recovered, BagError> {
     let failed = |error: mcap::McapError| io(to, "writing", std::io::Error::other(error));
     let mut writer = options().create(BufWriter::new(created)).map_err(failed)?;
     let mut times: Option<(u64, u64)> = None;
-    let mut messages = 0;
+    let (mut messages, mut damage) = (0, None);
     for message in bag.messages() {
         let message = match message {
             Ok(message) => message,
             // What comes before is kept.
-            Err(BagError::Damaged { .. }) => break,
+            Err(BagError::Damaged { why, .. }) => {
+                damage = Some(why);
+                break;
+            }
             Err(error) => return Err(error),
         };
         let at = message.log_nanos;
@@ -55,5 +60,6 @@ pub fn recover(from: &Path, to: &Path) -> Result<Recovered, BagError> {
         messages,
         duration_nanos: times.map_or(0, |(first, last)| last - first),
         was_unfinished: bag.is_unfinished(),
+        damage,
     })
 }

@@ -132,6 +132,11 @@ impl<'a> Estimating<'a> {
         Self { selections, ..self }
     }
 
+    /// Sets how many targets were marked before, in pairs that this estimation has not processed.
+    pub fn count_targets(&mut self, target: u64) {
+        self.target = target;
+    }
+
     /// Adds a joint measurement of the arm that carries the cameras.
     pub fn push_joints(&mut self, sample: JointState) {
         self.joints.push(sample);

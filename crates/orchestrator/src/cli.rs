@@ -31,7 +31,7 @@ const VERSION: &str = if pb3dp_safeguards::CAN_BE_OFF {
 
 /// Help footer of every command except `doctor`, which has its own.
 const EXIT_CODES: &str = "\
-Exit codes: 0 good; 1 failed; 2 the command line is not understood; 3 unsure (--strict) or different (config diff)";
+Exit codes: 0 good; 1 failed; 2 the command line is not understood; 3 unsure (--strict) or different (config diff, replay)";
 
 impl Cli {
     /// Log options.

@@ -250,7 +250,8 @@ impl RunRecording {
 impl RunRecorder for RunRecording {
     fn begin_at(&mut self, begin: MonotonicTime) {
         self.begin.begin_nanos = begin.as_nanos();
-        self.pairs.push(ours::BEGIN, begin, &self.begin);
+        // Before all others also for programs that sort by the time of writing.
+        self.pairs.push(ours::BEGIN, MonotonicTime::ZERO, &self.begin);
     }
 
     fn seen(&mut self, seen: &PairEstimate) {

@@ -162,6 +162,8 @@ impl Layer {
 #[derive(Clone, Debug, Default)]
 pub struct Layers {
     list: Vec<Layer>,
+    /// Origins of the values of a file that [`toml_of`] has made.
+    recorded: BTreeMap<String, String>,
 }
 
 /// A key that selects a kind, and the keys of lower layers that are invalid for another kind.
@@ -210,7 +212,7 @@ impl Layers {
     /// An unreadable file, or a text that is not valid TOML.
     pub fn one_file(file: &Path) -> Result<Self, ConfigError> {
         let layer = Layer::of_text(Origin::File(file.to_path_buf()), text_of(file)?)?;
-        Ok(Self { list: vec![layer] })
+        Ok(Self { list: vec![layer], ..Self::default() })
     }
 
     /// One text with its base and options; without environment variables.
@@ -275,8 +277,25 @@ impl Layers {
     pub fn origin_of(&self, key: &str) -> Option<String> {
         let path = position::parts(key);
         let layer = self.list.iter().rev().find(|layer| value_at(&layer.stated, &path).is_some())?;
+        if let (Origin::File(_), Some(origin)) = (&layer.origin, self.recorded.get(key)) {
+            return Some(origin.clone());
+        }
         let at = layer.positions.get(key).map(|(line, column)| format!(":{line}:{column}"));
         Some(format!("{}{}", layer.origin, at.unwrap_or_default()))
+    }
+
+    /// The same with the origins that a text of [`toml_of`] states, for the values of files.
+    #[must_use]
+    pub fn with_origins_of(mut self, text: &str) -> Self {
+        let mut table = String::new();
+        for line in text.lines() {
+            if let Some(name) = line.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')) {
+                table = format!("{name}.");
+            } else if let (Some((name, _)), Some((_, origin))) = (line.split_once(" = "), line.rsplit_once(" # ")) {
+                self.recorded.insert(format!("{table}{name}"), origin.to_owned());
+            }
+        }
+        self
     }
 
     /// Every effective value, by key.

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::Args;
 use pb3dp_bag::recover::recover;
 use pb3dp_cell::terminal::print_line;
@@ -24,14 +24,21 @@ pub struct RecoverArgs {
 /// # Errors
 /// A file that is no recording, or a new file that exists or cannot be written.
 pub fn run(args: &RecoverArgs) -> Result<ExitCode> {
+    if args.file.is_dir() {
+        bail!("{}: this is a folder; name one of its files", args.file.display());
+    }
     let out = args.out.clone().unwrap_or_else(|| args.file.with_extension("recovered.mcap"));
     let recovered = recover(&args.file, &out).context("recover")?;
-    let state = if recovered.was_unfinished { "broken off" } else { "whole already" };
+    let state = match (&recovered.damage, recovered.was_unfinished) {
+        (Some(why), _) => format!("damaged: {why}; what followed is lost"),
+        (None, true) => "broken off".to_owned(),
+        (None, false) => "whole already".to_owned(),
+    };
     print_line(&format!(
         "{}: {} messages over {:.1} s; the recording was {state}",
         out.display(),
         recovered.messages,
         recovered.duration_nanos as f64 * 1e-9
     ))?;
-    Ok(ExitCode::SUCCESS)
+    Ok(if recovered.damage.is_some() { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }

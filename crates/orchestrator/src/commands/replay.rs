@@ -4,18 +4,22 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::Args;
 use pb3dp_bag::sinks::Sinks;
 use pb3dp_bag::writer::{BagWriter, WhenFull};
 use pb3dp_cell::terminal::print_line;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_recording::compare::Comparison;
+use pb3dp_recording::pairs::is_file;
 use pb3dp_recording::replay::{Estimates, Opened, ReplayOptions, Replayed};
 use pb3dp_setup::layers::toml_of;
 
 use crate::arguments::UNSURE;
-use crate::commands::run::about;
+use crate::commands::run::{about, create_parent};
+
+/// Missing inputs that are named one by one.
+const NOTES_SHOWN: usize = 5;
 
 /// Arguments of `pb3dp replay`.
 #[derive(Debug, Args)]
@@ -81,22 +85,42 @@ fn replay(file: &Path, args: &ReplayArgs) -> Result<ExitCode> {
     let started = Instant::now();
     let mut opened = Opened::new(file, &options)?;
     let settings = toml_of(&opened.setup.layers.effective());
-    let about = about(settings, MonotonicTime::ZERO)?;
-    let writer = args.record.as_deref().map(|file| BagWriter::create(file, WhenFull::Wait)).transpose()?;
+    let mut about = about(settings, MonotonicTime::ZERO)?;
+    about.version += &format!(", a replay of {}", file.display());
+    let writer = args.record.as_deref().map(new_recording).transpose().context("--record")?;
     let replayed = opened.replay(writer.map(|writer| (&about, Sinks::new(Some(writer), None, None))), false)?;
     print_line(&text(&replayed, started.elapsed().as_secs_f64()))?;
     Ok(if replayed.differences.any() { ExitCode::from(UNSURE) } else { ExitCode::SUCCESS })
 }
 
+/// A new file, in a folder that is created.
+fn new_recording(file: &Path) -> Result<BagWriter> {
+    if !is_file(file) {
+        bail!("{}: a replay is recorded in one file; name a FILE.mcap", file.display());
+    }
+    create_parent(file)?;
+    Ok(BagWriter::create(file, WhenFull::Wait)?)
+}
+
 fn text(replayed: &Replayed, wall_s: f64) -> String {
-    let Replayed { version, steps, pairs, duration_s, differences, notes, .. } = replayed;
+    let Replayed { version, steps, pairs, duration_s, differences, notes, end, .. } = replayed;
     let times = duration_s / wall_s.max(1e-9);
     let mut text = format!(
         "recorded by {version}\n{steps} control steps and {pairs} pairs of {duration_s:.1} s in {wall_s:.1} s: {times:.1} times as fast\n{}",
         differences.text()
     );
-    for note in notes {
+    for note in notes.iter().take(NOTES_SHOWN) {
         text += &format!("missing: {note}\n");
     }
-    text + if differences.any() { "the replay differs" } else { "equal to the bit" }
+    if notes.len() > NOTES_SHOWN {
+        text += &format!("missing: {} more inputs\n", notes.len() - NOTES_SHOWN);
+    }
+    if end.is_none() {
+        text += "the recording has no end: it was broken off, or goes on in another file\n";
+    }
+    text + match (differences.any(), notes.is_empty()) {
+        (true, _) => "the replay differs",
+        (false, true) => "equal to the bit",
+        (false, false) => "equal to the bit, as far as it could be compared",
+    }
 }

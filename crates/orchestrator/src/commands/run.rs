@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant, SystemTime};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use pb3dp_bag::BagError;
 use pb3dp_bag::live::Live;
 use pb3dp_bag::recent::{Recent, RecentOptions};
@@ -51,7 +51,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
     let panel_config = args.panel.map(|address| args.panel_access.config(address)).transpose()?;
     let attendance = Attendance::confirmed(args, &setup, &mut signals)?;
     // Checked before an arm is enabled, and before an earlier run is moved.
-    args.record.as_deref().map_or(Ok(()), check_recording)?;
+    args.record.as_deref().map_or(Ok(()), |path| check_recording(path, args))?;
     let _results = ResultFolder::take(&args.out)?;
     let is_led_by_person = args.panel.is_some() || args.operator == OperatorName::Console;
     let needs = RunNeeds { until_s: args.stop_after, selects_targets: is_led_by_person };
@@ -123,12 +123,22 @@ fn sinks(args: &RunArgs, setup: &Setup, file: Option<&Path>) -> Result<Sinks> {
 }
 
 /// Refuses to overwrite an earlier recording.
-fn check_recording(path: &Path) -> Result<()> {
+fn check_recording(path: &Path, args: &RunArgs) -> Result<()> {
     match is_file(path) {
         true if path.exists() => Err(BagError::Exists { file: path.to_path_buf() }).context("--record"),
-        true => Ok(()),
+        true => create_parent(path).context("--record"),
+        false if args.rotate_mb.is_some() || args.rotate_minutes.is_some() => bail!(
+            "--record {}: a sequence folder is not divided (--rotate-mb, --rotate-minutes); name a FILE.mcap",
+            path.display()
+        ),
         false => SequenceWriter::check_folder(path).context("--record"),
     }
+}
+
+/// Creates the folder of a new file.
+pub(super) fn create_parent(file: &Path) -> Result<()> {
+    let Some(folder) = file.parent() else { return Ok(()) };
+    std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot be created", folder.display()))
 }
 
 /// What a recording states of itself; the clock of the run shows `now`.

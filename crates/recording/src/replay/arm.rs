@@ -80,8 +80,8 @@ impl SharedScript {
             let call = call.with_context(|| {
                 format!(
                     "the recording begins in the middle of a run, as the newest seconds at a fault do: it lacks the begin of {}, so the \
-                     state of the control is not known; replay a recording of the whole run (--record), or estimate again from the \
-                     images with `pb3dp track --sequence`",
+                     state of the control is not known; name a recording of the whole run (--record), or the folder of one that \
+                     is divided; `pb3dp track --sequence` estimates from the images again",
                     ARM_NAMES[side]
                 )
             })?;

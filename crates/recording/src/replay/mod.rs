@@ -11,9 +11,10 @@ mod reporting;
 mod source;
 
 use std::collections::{BTreeMap, VecDeque};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use pb3dp_bag::run_messages::{ControlStep, PairResult};
@@ -72,6 +73,7 @@ pub enum Estimates {
 
 /// A recording that can be replayed.
 pub struct Opened {
+    file: PathBuf,
     run: RecordedRun,
     /// The setup of the run, with the changes.
     pub setup: Setup,
@@ -106,9 +108,11 @@ impl Opened {
     /// # Errors
     /// A file that is no recording of a run, or a setup that this program refuses.
     pub fn new(path: &Path, options: &ReplayOptions) -> Result<Self> {
+        refuse_without_effect(options)?;
         let run = RecordedRun::open(path, options.estimates != Estimates::Recorded)?;
-        let setup = read_layers(&run.setup_args(&options.set)).context("the settings of the recording")?;
-        Ok(Self { run, setup, estimates: options.estimates })
+        let mut setup = read_layers(&run.setup_args(&options.set)).context("the settings of the recording")?;
+        setup.layers = setup.layers.with_origins_of(&run.setup_text);
+        Ok(Self { file: path.to_path_buf(), run, setup, estimates: options.estimates })
     }
 
     /// Whether images are estimated again.
@@ -122,6 +126,11 @@ impl Opened {
     /// # Errors
     /// A damaged recording, or a failure of the estimation that the run did not have.
     pub fn replay(&mut self, record_to: Option<(&About, Sinks)>, reports: bool) -> Result<Replayed> {
+        let file = self.file.clone();
+        self.replay_file(record_to, reports).with_context(|| file.display().to_string())
+    }
+
+    fn replay_file(&mut self, record_to: Option<(&About, Sinks)>, reports: bool) -> Result<Replayed> {
         let anew = self.estimates_anew();
         let Self { run, setup, .. } = self;
         let setup = &*setup;
@@ -132,7 +141,10 @@ impl Opened {
         let mut recording = None;
         if let Some((about, sinks)) = record_to {
             let to = RecordTo { sinks, ..RecordTo::default() };
-            let (to_file, tapped) = recorder(about, setup, (run.begin.clone(), heard), to)?;
+            // Images, steps and begin have one clock: that of the recorded run.
+            let since_1970 = Duration::from_nanos(run.begin.since_1970_nanos);
+            let about = About { since_1970, ..about.clone() };
+            let (to_file, tapped) = recorder(&about, setup, (run.begin.clone(), heard), to)?;
             recording = Some(to_file);
             heard = tapped;
         }
@@ -181,6 +193,22 @@ impl Opened {
             replayed
         })?;
         replay.finish(version.clone(), person.0)
+    }
+}
+
+/// Refuses changes that a replay does not see.
+fn refuse_without_effect(options: &ReplayOptions) -> Result<()> {
+    let of = |prefix: &'static str| options.set.iter().find(|set| set.starts_with(prefix));
+    if let Some(set) = ["scene.", "truth."].into_iter().find_map(of) {
+        bail!("--set {set}: a replay has the images of the recording; this key changes only what a simulation renders");
+    }
+    match of("estimator.") {
+        Some(set) if options.estimates != Estimates::Anew => {
+            bail!(
+                "--set {set}: with the recorded estimates (--without-images) this key has no effect; leave one of both out"
+            )
+        }
+        _ => Ok(()),
     }
 }
 
@@ -288,9 +316,7 @@ impl Replay<'_> {
     }
 
     fn note(&mut self, at_nanos: u64, what: &str) {
-        let line = format!("{:.3} s: {what}", self.t_s(at_nanos));
-        tracing::warn!("{line}");
-        self.notes.push(line);
+        self.notes.push(format!("{:.3} s: {what}", self.t_s(at_nanos)));
     }
 
     /// Estimates a pair again, or takes the recorded estimate.
@@ -298,8 +324,10 @@ impl Replay<'_> {
         let result = &recorded.result;
         self.progress.pairs += 1;
         self.progress.last_pair = Some(result.sequence);
-        let is_initialisation = !result.region.is_empty() || !result.chosen.is_empty();
-        self.progress.is_blind &= !is_initialisation;
+        if self.progress.is_blind && !result.region.is_empty() {
+            self.progress.is_blind = false;
+            self.initialise_anew(result)?;
+        }
         if self.estimating.is_some() && recorded.images.is_none() {
             let what = format!(
                 "the images of pair {} are missing; estimates are compared again from the next",
@@ -318,6 +346,16 @@ impl Replay<'_> {
         }
         if let Some(reporting) = &mut self.reporting {
             reporting.seen(&seen)?;
+        }
+        Ok(())
+    }
+
+    /// Follows the target that is initialised in this pair: those before were not replayed.
+    fn initialise_anew(&mut self, result: &PairResult) -> Result<()> {
+        let Some((estimating, selections)) = &mut self.estimating else { return Ok(()) };
+        estimating.count_targets(result.target.saturating_sub(1));
+        if let (Some(marked), []) = (result.region.first(), &result.chosen[..]) {
+            selections.give(Choice::Marked(Selection { region: region(marked)?, drawn_on: None }));
         }
         Ok(())
     }

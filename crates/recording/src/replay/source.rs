@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use pb3dp_bag::BagError;
 use pb3dp_bag::pairs::{decoded, recorded_image};
@@ -27,16 +27,6 @@ const WAITING_MAX: usize = 64;
 
 /// Topics of a replay besides the head and the images.
 const TOPICS: [&str; 3] = [ours::STEPS, ours::PAIRS, ours::END];
-/// Topics with images.
-const IMAGES: [&str; 6] = [
-    ours::LEFT_IMAGE,
-    ours::RIGHT_IMAGE,
-    ours::LEFT_COMPRESSED,
-    ours::RIGHT_COMPRESSED,
-    ours::DRAWN_ON[0],
-    ours::DRAWN_ON[1],
-];
-
 /// A recorded run, read up to its first step.
 pub struct RecordedRun {
     /// Version of the program that has recorded it.
@@ -45,13 +35,15 @@ pub struct RecordedRun {
     pub begin: RunBegin,
     /// Settings and files for [`Self::setup_args`].
     folder: TempDir,
+    /// All settings with their origins, as a TOML file.
+    pub setup_text: String,
     /// Steps and pairs.
     pub items: Items,
 }
 
 /// Steps and pairs of a run in the order in which they were written.
 pub struct Items {
-    since_1970_nanos: u64,
+    begin: RunBegin,
     messages: Messages,
     /// A step or pair that was read with the head.
     ahead: Option<RawMessage>,
@@ -86,8 +78,12 @@ impl RecordedRun {
     /// A file that is no recording of a run, or cannot be read.
     pub fn open(path: &Path, with_images: bool) -> Result<Self> {
         let bag = Bag::open(path)?;
-        let images = if with_images { &IMAGES[..] } else { &[] };
-        let mut messages = bag.messages_on(&[&head::TOPICS[..], &TOPICS, images].concat())?;
+        // With the images, the file is read as a whole and its check sums are verified.
+        let mut messages = if with_images {
+            Box::new(bag.messages())
+        } else {
+            bag.messages_on(&[&head::TOPICS[..], &TOPICS].concat())?
+        };
         let mut head = Head::default();
         let ahead = loop {
             let Some(message) = messages.next().transpose()? else { break None };
@@ -98,10 +94,9 @@ impl RecordedRun {
         let (setup_text, begin) = head.run(path)?;
         let folder = TempDir::with_prefix("pb3dp-replay-").context("no folder for the settings of the recording")?;
         write_settings(folder.path(), &setup_text, &head.files)?;
-        let since_1970_nanos = begin.since_1970_nanos;
         let (images, drawn_on) = Default::default();
-        let items = Items { since_1970_nanos, messages, ahead, images, drawn_on };
-        Ok(Self { version: head.version, begin, folder, items })
+        let items = Items { begin: begin.clone(), messages, ahead, images, drawn_on };
+        Ok(Self { version: head.version, begin, folder, setup_text, items })
     }
 
     /// The setup of the run with these changes.
@@ -131,6 +126,9 @@ impl Items {
                 (Some(side), ..) => self.keep(side, message)?,
                 (_, Some(side), _) => self.drawn_on[side] = Some((stamp(&message)?, message)),
                 (.., ours::STEPS) => return Ok(Some(Item::Step(Box::new(decoded(&message)?)))),
+                (.., ours::BEGIN) if decoded::<RunBegin>(&message)? != self.begin => {
+                    bail!("several runs: name one recording, or a folder with the files of one divided recording")
+                }
                 (.., ours::END) => return Ok(Some(Item::End(end(&decoded(&message)?)))),
                 (.., ours::PAIRS) => return Ok(Some(Item::Pair(Box::new(self.pair(decoded(&message)?, size)?)))),
                 _ => {}
@@ -149,7 +147,7 @@ impl Items {
 
     fn pair(&mut self, result: PairResult, size: ImageSize) -> Result<RecordedPair> {
         let skew_nanos = (result.skew_s * 1e9).round() as i64;
-        let left_at = result.exposed_at_nanos.saturating_add(self.since_1970_nanos);
+        let left_at = result.exposed_at_nanos.saturating_add(self.begin.since_1970_nanos);
         let right_at = left_at.saturating_add_signed(skew_nanos);
         let [left, right] = &mut self.images;
         let exposed_at = MonotonicTime::from_nanos(result.exposed_at_nanos);
@@ -160,7 +158,7 @@ impl Items {
         let drawn_sequence = result.chosen.first().and_then(|chosen| chosen.drawn_on.first());
         let drawn_on = match (self.drawn_on.each_mut().map(Option::take), drawn_sequence) {
             ([Some((at, left)), Some((_, right))], Some(sequence)) => {
-                let at = MonotonicTime::from_nanos(at.as_nanos().saturating_sub(self.since_1970_nanos));
+                let at = MonotonicTime::from_nanos(at.as_nanos().saturating_sub(self.begin.since_1970_nanos));
                 Some(pair([&left, &right], size, (*sequence, at, 0))?)
             }
             _ => None,
