@@ -107,7 +107,7 @@ def test_images_that_are_missing_are_named(live, tmp_path):
     assert "missing: " in text and "the images of pair" in text, text
     # Later estimates are not compared, since the tracker has not seen the pair; the control is.
     assert compared(text, "estimates") == (39, 0), text
-    assert text.endswith("equal to the bit, as far as it could be compared\n"), text
+    assert text.endswith("equal to the bit, but inputs are missing\n"), text
     assert compared(text, "decisions")[0] >= 390 and compared(text, "commands")[1] == 0, text
 
 

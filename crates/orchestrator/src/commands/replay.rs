@@ -121,6 +121,6 @@ fn text(replayed: &Replayed, wall_s: f64) -> String {
     text + match (differences.any(), notes.is_empty()) {
         (true, _) => "the replay differs",
         (false, true) => "equal to the bit",
-        (false, false) => "equal to the bit, as far as it could be compared",
+        (false, false) => "equal to the bit, but inputs are missing",
     }
 }
