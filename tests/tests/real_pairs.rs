@@ -161,7 +161,7 @@ fn replayed_images_are_those_of_the_files() {
     for case in cases() {
         let images = case.load_images().unwrap();
         let mut camera =
-            Recording::open(&case.folder, &RecordingOptions::default(), ReplayOptions::default()).unwrap().camera;
+            Recording::open(&case.folder, &[], &RecordingOptions::default(), ReplayOptions::default()).unwrap().camera;
         assert_eq!(*camera.rig(), case.load_calibration().unwrap().rig);
         let mut pair = FramePair::black(camera.info().size);
         camera.next_pair_into(&mut pair, Duration::from_secs(1)).unwrap();

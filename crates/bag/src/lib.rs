@@ -10,6 +10,7 @@
 //! * [`live`]: a run for viewers, while it goes on;
 //! * [`reader`]: the messages of a file, also of one that was broken off;
 //! * [`pairs`]: the stereo pairs and the calibration of a recording;
+//! * [`stops`]: the stops of an arm, for a calibration;
 //! * [`recover`]: a whole file from one that was broken off.
 //!
 //! A file holds nothing but ROS 2 messages in CDR, so that every viewer and library that knows ROS 2 reads it (ADR 18). It is the format
@@ -33,6 +34,7 @@ pub mod recent;
 pub mod recover;
 pub mod run_messages;
 pub mod sinks;
+pub mod stops;
 pub mod topics;
 pub mod writer;
 

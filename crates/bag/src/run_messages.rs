@@ -5,7 +5,7 @@
 //! value that may be absent.
 
 use crate::cdr::{Bytes, CdrError, CdrReader, CdrValue, CdrWriter};
-use crate::messages::{Message, message};
+use crate::messages::{Message, Time, message};
 
 message! {
     /// A file that the settings of the run name.
@@ -68,6 +68,28 @@ message! {
         commands: Vec<u64>,
         /// The failure that ended the run early; empty: none.
         failure: String,
+    }
+}
+
+message! {
+    /// Where an arm stood.
+    Stand = "pb3dp_msgs/Stand" {
+        /// Measured angle of each joint, rad: means over the stop.
+        joints_rad: Vec<f64>,
+        /// Pose of the flange from these angles.
+        base_from_flange: [f64; 7],
+    }
+}
+
+message! {
+    /// A stop of `pb3dp arm visit`: a pair for a calibration.
+    Stop = "pb3dp_msgs/Stop" {
+        /// Stamp of its left image.
+        stamp: Time,
+        /// The arm with the cameras.
+        vs: Stand,
+        /// The other arm.
+        tc: Vec<Stand>,
     }
 }
 

@@ -44,6 +44,8 @@ pub mod ours {
     pub const PAIRS: &str = "/pb3dp/pairs";
     /// Images on which the operator drew, if they are older than the pair that they are used with.
     pub const DRAWN_ON: [&str; 2] = ["/pb3dp/drawn_on/left", "/pb3dp/drawn_on/right"];
+    /// Stops of an arm with a pair for a calibration.
+    pub const STOPS: &str = "/pb3dp/stops";
     /// Poses of frames, which viewers draw.
     pub const TF: &str = "/tf";
     /// Poses of frames that do not move against each other; a message has all of them.

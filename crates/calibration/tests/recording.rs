@@ -12,13 +12,22 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
+use std::time::Duration;
 
 use crate::film::{AT_REST, Studio, board, places, record, rig};
+use image::RgbImage;
 use nalgebra::Isometry3;
-use pb3dp_geometry::Pose;
+use pb3dp_bag::cdr::Bytes;
+use pb3dp_bag::messages::{Header, Image};
+use pb3dp_bag::run_messages::{SetupFile, SetupFiles};
+use pb3dp_bag::writer::{BagWriter, WhenFull};
+use pb3dp_geometry::{MonotonicTime, Pose};
 use pb3dp_record::calibration_files::{
-    BoardPlace, HandEye, JudgedGate, Judgement, load_hand_eye, load_stereo, save_hand_eye, save_json,
+    BoardPlace, CameraIdentity, HandEye, JudgedGate, Judgement, cameras_text, load_hand_eye, load_stereo,
+    save_hand_eye, save_json,
 };
+use pb3dp_record::dataset::load_sequence;
+use pb3dp_record::images::load_rgb;
 use pb3dp_record::stops::{ArmStand, Stop, Stops, save_stops};
 
 fn calibrate(args: &[&str]) -> Output {
@@ -91,6 +100,99 @@ fn views_are_chosen_from_a_recording_and_the_head_is_found() {
     report_says_what_the_file_says(&html, &calibration.judgement.expect("judged").gates, &told);
     verified(&toml, &common);
     assert!(chosen.len() * AT_REST < rests.len());
+    let mcap = folder.path().join("board.mcap");
+    let date = as_mcap(Path::new(&recording), &mcap);
+    let (mcap, second) = (mcap.display().to_string(), path("of_mcap.toml"));
+    let output = calibrate(&[
+        "stereo",
+        "--recording",
+        &mcap,
+        "--board",
+        "9x6",
+        "--square",
+        "25",
+        "--lens",
+        "radial-2",
+        "--out",
+        &second,
+    ]);
+    assert!(
+        text(&output).contains(&format!("of {} pairs, selected {}", rests.len(), chosen.len())),
+        "{}",
+        text(&output)
+    );
+    assert!(text(&output).contains("cameras: "), "the recording has a cameras.toml: {}", text(&output));
+    let second = load_stereo(&[second.into()]).expect("a calibration");
+    assert_eq!(second.rig, calibration.rig, "the same images give the same calibration");
+    let judgement = second.judgement.expect("judged");
+    assert_eq!((judgement.date, judgement.cameras[1].serial.as_deref()), (date, Some("R-2")));
+}
+
+/// The images of a sequence in an MCAP file, with the identities of the cameras, as ROS 2 messages of another program. Returns when the last one
+/// was taken.
+fn as_mcap(folder: &Path, file: &Path) -> String {
+    let sequence = load_sequence(folder).expect("a sequence");
+    let mut writer = BagWriter::create(file, WhenFull::Wait).expect("a file");
+    let cameras =
+        ["L-1", "R-2"].map(|serial| CameraIdentity { serial: Some(serial.to_owned()), place: None, focus: None });
+    let identities = SetupFile { path: "cameras.toml".to_owned(), data: Bytes(cameras_text(&cameras).into_bytes()) };
+    writer.push("/pb3dp/files", MonotonicTime::ZERO, &SetupFiles { files: vec![identities] });
+    // 2026-05-04, 03:02:22 UTC.
+    let begin = Duration::from_secs(1_777_863_742);
+    for (number, time_s) in (0..).zip(&sequence.times_s) {
+        let at = MonotonicTime::ZERO + begin + Duration::from_secs_f64(*time_s);
+        let (left, right) = sequence.image_files(number);
+        for (name, topic) in [(left, "/left/image_raw"), (right, "/right/image_raw")] {
+            let image = load_rgb(&name).expect("an image");
+            let (width, height) = image.dimensions();
+            let header = Header { stamp: at.into(), frame_id: String::new() };
+            let (encoding, data) = ("rgb8".to_owned(), Bytes(image.into_raw()));
+            writer.push(topic, at, &Image { header, height, width, encoding, is_bigendian: 0, step: 3 * width, data });
+        }
+    }
+    writer.finish().expect("written");
+    let last_s = 22.0 + sequence.times_s.last().expect("a pair");
+    assert!(last_s < 60.0, "the same minute");
+    format!("2026-05-04T03:02:{:02}Z", last_s.floor())
+}
+
+#[test]
+fn images_with_both_views_are_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (sides, both) = (folder.path().join("sides"), folder.path().join("both"));
+    for sub in [&sides, &both] {
+        fs::create_dir(sub).expect("a folder");
+    }
+    let studio = Studio::new(rig());
+    for (number, place) in places(&studio.rig).iter().enumerate().take(6) {
+        let pair = studio.pair(place, 0.0);
+        let (width, height) = pair[0].dimensions();
+        let mut whole = RgbImage::new(2 * width, height);
+        for (side, image) in (0_i64..).zip(&pair) {
+            image::imageops::replace(&mut whole, image, side * i64::from(width), 0);
+        }
+        whole.save(both.join(format!("{number:02}.png"))).expect("written");
+        for (image, side) in pair.iter().zip(["left", "right"]) {
+            image.save(sides.join(format!("{side}_{number:02}.png"))).expect("written");
+        }
+    }
+    let found = |path: &Path, more: &[&str]| {
+        let corners = folder.path().join("corners.csv").display().to_string();
+        let path = path.display().to_string();
+        let common = ["stereo", "--recording", &path, "--board", "9x6", "--square", "25", "--lens", "radial-1"];
+        let output = calibrate(&[&common[..], &["--corners", &corners], more].concat());
+        assert!(text(&output).contains("views = 6.000"), "{}", text(&output));
+        let corners = fs::read_to_string(corners).expect("corners");
+        let without_name = |line: &str| line.split_once(',').expect("a table").1.to_owned();
+        corners.lines().map(without_name).collect::<Vec<_>>()
+    };
+    let apart = found(&sides, &[]);
+    assert!(apart.len() > 600, "nearly all 648 corners of both cameras: {}", apart.len());
+    assert_eq!(apart, found(&both, &["--layout", "side-by-side"]));
+    let path = both.display().to_string();
+    let common = ["stereo", "--recording", &path, "--board", "9x6", "--square", "25"];
+    let refused = calibrate(&common);
+    assert!(!refused.status.success() && text(&refused).contains("no recording"), "{}", text(&refused));
 }
 
 fn report_says_what_the_file_says(html: &str, gates: &[JudgedGate], told: &str) {

@@ -282,7 +282,7 @@ mod tests {
         let image = |shift: u32| RgbImage::from_fn(size.width, size.height, |u, v| grey(u + shift, v));
         let at = MonotonicTime::from_secs_f64(sequence as f64 / 30.0);
         let (left, right) = (image(0), image(148));
-        let pair = FramePair { sequence, exposed_at: at, skew_nanos: 0, left, right, jpegs: Default::default() };
+        let pair = FramePair { sequence, exposed_at: at, skew_nanos: 0, left, right, delivered: Default::default() };
         let frame = FrameInput { sequence, at, skew_s: 0.0 };
         Captured { frame, cam_left_from_target: None, view: View::Images(Arc::new(pair)) }
     }

@@ -10,11 +10,10 @@ use pb3dp_cell::terminal::parse_seconds;
 use pb3dp_estimation::estimator::Method;
 use pb3dp_panel::PanelAddress;
 use pb3dp_record::dataset::TILT_LIMIT_DEG;
-use pb3dp_record::value_range::ValueRange;
 use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::region_spec::{REGION_HELP, RegionSpec};
+use pb3dp_wiring::RecordingOptions;
 use pb3dp_wiring::ReplayPace;
-use pb3dp_wiring::{Layout, RecordingOptions};
 
 use crate::panel_access::{PANEL_ADDRESS, PanelAccess, parse_address};
 
@@ -166,7 +165,7 @@ pub struct EstimateArgs {
     pub frame: u64,
     /// What a recording does not state itself.
     #[command(flatten)]
-    pub recording: RecordingArgs,
+    pub recording: RecordingOptions,
     /// Also search every hypothesis that a chromosome can express, so that search error and fitness error can be distinguished (slow; --method published only).
     #[arg(long)]
     pub reference_optimum: bool,
@@ -203,7 +202,7 @@ pub struct TrackArgs {
     pub calib: Vec<PathBuf>,
     /// What the recording does not state itself.
     #[command(flatten)]
-    pub recording: RecordingArgs,
+    pub recording: RecordingOptions,
     /// Process frames as fast as possible, or at the times of the recording.
     #[arg(long, value_enum, default_value = "fast")]
     pub pace: ReplayPace,
@@ -220,69 +219,6 @@ pub struct TrackArgs {
     /// Estimation options.
     #[command(flatten)]
     pub method: MethodArgs,
-}
-
-/// What a recording does not state itself.
-#[derive(Clone, Debug, Args)]
-#[command(next_help_heading = "Recordings from elsewhere")]
-pub struct RecordingArgs {
-    /// Topics of the left and the right images in an MCAP file; by default two that differ only in left and right.
-    #[arg(long, value_name = "LEFT,RIGHT", value_parser = parse_topics)]
-    pub topics: Option<Topics>,
-    /// Longest time between the images of a pair in MCAP and EuRoC recordings, milliseconds.
-    #[arg(long, value_name = "MS", value_parser = parse_pair_within, default_value = "3")]
-    pub pair_within: Duration,
-    /// Values that become black and white in images with more than 8 bits, such as 0,4095; measured on the first pair by default.
-    #[arg(long, value_name = "LOW,HIGH")]
-    pub range: Option<ValueRange>,
-    /// Arrangement of both views in each image of a folder.
-    #[arg(long, value_enum)]
-    pub layout: Option<LayoutName>,
-}
-
-/// Topics of the left and the right images.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Topics(pub [String; 2]);
-
-/// Arrangement of both views in an image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum LayoutName {
-    /// Left half and right half.
-    SideBySide,
-    /// The left view above the right one.
-    TopBottom,
-}
-
-impl RecordingArgs {
-    /// The same as options of the replay.
-    pub fn options(&self, calibration: &[PathBuf]) -> RecordingOptions {
-        RecordingOptions {
-            calibration: calibration.to_vec(),
-            topics: self.topics.clone().map(|Topics(names)| names),
-            within: self.pair_within,
-            range: self.range,
-            layout: self.layout.map(|layout| match layout {
-                LayoutName::SideBySide => Layout::SideBySide,
-                LayoutName::TopBottom => Layout::TopBottom,
-            }),
-        }
-    }
-}
-
-fn parse_topics(text: &str) -> Result<Topics, String> {
-    match text.split(',').map(str::trim).collect::<Vec<_>>()[..] {
-        [left, right] if !left.is_empty() && !right.is_empty() && left != right => {
-            Ok(Topics([left.to_owned(), right.to_owned()]))
-        }
-        _ => Err(format!("{text:?} is not LEFT,RIGHT: two different topics, such as /left/image_raw,/right/image_raw")),
-    }
-}
-
-fn parse_pair_within(text: &str) -> Result<Duration, String> {
-    match text.parse::<f64>() {
-        Ok(millis) if (0.0..=1000.0).contains(&millis) => Ok(Duration::from_secs_f64(millis * 1e-3)),
-        _ => Err(format!("{text:?}: must be between 0 and 1000 milliseconds")),
-    }
 }
 
 /// Depths to search.

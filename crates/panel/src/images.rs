@@ -58,9 +58,10 @@ fn encode_pair(pair: &FramePair, wanted: Wanted, rectifier: &mut Rectifier) -> E
     for side in [0, 1] {
         let image = if side == 0 { &pair.left } else { &pair.right };
         if wanted.images[0][side] {
-            let file = &pair.jpegs[side];
-            encoded.messages[0][side] =
-                if file.is_empty() { message(pair, (side, 0), image) } else { delivered(pair, side, file) };
+            encoded.messages[0][side] = match pair.delivered[side].jpeg() {
+                Some(file) => delivered(pair, side, file),
+                None => message(pair, (side, 0), image),
+            };
         }
         if wanted.images[1][side] {
             encoded.messages[1][side] =

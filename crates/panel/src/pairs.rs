@@ -111,7 +111,9 @@ impl Pairs {
 }
 
 fn size_of_pair(pair: &FramePair) -> usize {
-    pair.left.as_raw().len() + pair.right.as_raw().len() + pair.jpegs.iter().map(Vec::len).sum::<usize>()
+    pair.left.as_raw().len()
+        + pair.right.as_raw().len()
+        + pair.delivered.iter().map(|image| image.bytes.len()).sum::<usize>()
 }
 
 #[cfg(test)]

@@ -220,6 +220,11 @@ impl StoredImage {
         (pair.map(shallow), note)
     }
 
+    /// Whether it has more than 8 bits per channel.
+    pub fn is_deep(&self) -> bool {
+        self.deep().is_some()
+    }
+
     fn deep(&self) -> Option<&DeepImage> {
         match self {
             Self::Deep(image) => Some(image),

@@ -5,9 +5,10 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use image::{GrayImage, ImageFormat};
-use nalgebra::{Isometry3, Matrix6, Point3, Quaternion, Translation3, UnitQuaternion, Vector2};
+use nalgebra::{Matrix6, Point3, Vector2};
 use pb3dp_bag::cdr::Bytes;
 use pb3dp_bag::run_messages::{self, Marked, Observed, Said};
+use pb3dp_bag::stops::{of_pose, pose};
 use pb3dp_cell::commands::CommandSummary;
 use pb3dp_cell::operator::MotionRequest;
 use pb3dp_cell::percept::Percept;
@@ -30,21 +31,9 @@ pub fn same_bits(one: &[f64], other: &[f64]) -> bool {
     one.len() == other.len() && one.iter().zip(other).all(|(a, b)| a.to_bits() == b.to_bits())
 }
 
-/// Translation, m, and quaternion x, y, z, w.
-pub fn of_pose<A: Frame, B: Frame>(pose: &Pose<A, B>) -> [f64; 7] {
-    let (t, r) = (pose.translation_m(), pose.rotation());
-    [t.x, t.y, t.z, r.i, r.j, r.k, r.w]
-}
-
 /// The same; empty for none.
 pub fn of_pose_if_any<A: Frame, B: Frame>(pose: Option<&Pose<A, B>>) -> Vec<f64> {
     pose.map_or(Vec::new(), |pose| of_pose(pose).to_vec())
-}
-
-/// The pose: the quaternion is not normalised, which would change its last bits.
-pub fn pose<A: Frame, B: Frame>([x, y, z, i, j, k, w]: [f64; 7]) -> Pose<A, B> {
-    let rotation = UnitQuaternion::new_unchecked(Quaternion::new(w, i, j, k));
-    Pose::from_isometry(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
 }
 
 /// The pose; none if the message has none.
@@ -57,13 +46,10 @@ pub fn pose_if_any<A: Frame, B: Frame>(what: &str, numbers: &[f64]) -> Result<Op
     }
     let numbers: [f64; 7] =
         numbers.try_into().map_err(|_| anyhow::anyhow!("{what}: {} numbers, a pose has 7", numbers.len()))?;
-    let found = pose(numbers);
-    let length = numbers[3..].iter().map(|q| q * q).sum::<f64>().sqrt();
-    // Poses of a run are finite and normalised, up to rounding.
-    if !found.is_finite() || (length - 1.0).abs() > 1e-6 {
-        bail!("{what}: {numbers:?} is no pose: the recording is damaged");
+    match pose(numbers) {
+        Some(pose) => Ok(Some(pose)),
+        None => bail!("{what}: {numbers:?} is no pose: the recording is damaged"),
     }
-    Ok(Some(found))
 }
 
 /// The columns of a matrix; empty for none.
@@ -162,9 +148,9 @@ pub fn operator_input(said: &[Said], heard_at_nanos: &[u64], silent_after_nanos:
     })
 }
 
-/// How the operator wants the hand to move.
+/// How the operator wants the hand to move; without an offset if the message has none.
 pub fn motion(speed_share: f64, hand_from_hand_shifted: [f64; 7]) -> MotionRequest {
-    MotionRequest { speed_share, hand_from_hand_shifted: pose(hand_from_hand_shifted) }
+    MotionRequest { speed_share, hand_from_hand_shifted: pose(hand_from_hand_shifted).unwrap_or_else(Pose::coincident) }
 }
 
 /// The state of an arm in words.
@@ -314,7 +300,7 @@ pub fn end(message: &run_messages::RunEnd) -> RunEnd {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector3;
+    use nalgebra::{UnitQuaternion, Vector3};
     use pb3dp_geometry::frames::{CamLeft, Model};
 
     use super::*;

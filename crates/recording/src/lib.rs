@@ -2,6 +2,7 @@
 //!
 //! * [`run`]: what a run writes, for other programs and for a replay;
 //! * [`pairs`]: stereo pairs only;
+//! * [`stops`]: the visit of an arm, for a calibration;
 //! * [`replay`]: the run again, from its recorded inputs;
 //! * [`compare`]: what differs between two recorded runs.
 //!
@@ -15,4 +16,5 @@ pub mod pairs;
 pub mod replay;
 pub mod run;
 mod steps;
+pub mod stops;
 mod tap;

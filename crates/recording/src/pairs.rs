@@ -1,23 +1,37 @@
 //! Stereo pairs in one file, with their calibration if there is one.
 
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
+use anyhow::{Context, Result};
 use image::RgbImage;
 use pb3dp_bag::cdr::Bytes;
 use pb3dp_bag::messages::{
-    CameraInfo, CompressedImage, Header, Image, Message, Point, Quaternion, RegionOfInterest, RosPose, Text, Time,
-    Transform, TransformStamped, Transforms, Vector3 as RosVector,
+    CameraInfo, CompressedImage, Header, Image, JointState, Message, Point, Quaternion, RegionOfInterest, RosPose,
+    Text, Time, Transform, TransformStamped, Transforms, Vector3 as RosVector,
 };
+use pb3dp_bag::run_messages::{SetupFile, SetupFiles};
 use pb3dp_bag::sinks::{Finished, Sinks};
 use pb3dp_bag::topics::ours;
 use pb3dp_geometry::frames::Frame;
 use pb3dp_geometry::{MonotonicTime, Pose, StereoRig};
-use pb3dp_hal_api::FramePair;
-use pb3dp_record::calibration_files::{CalibrationFileError, RosCameraInfo, json_text, ros_camera_infos};
+use pb3dp_hal_api::{DeliveredImage, FramePair};
+use pb3dp_kinematics::{Chain, JointVector};
+use pb3dp_record::calibration_files::{
+    CAMERAS_FILE, CalibrationFileError, CameraIdentity, RosCameraInfo, cameras_text, json_text, ros_camera_infos,
+};
 
 /// Frames of the cameras in transforms and headers.
 pub(crate) const CAMERAS: [&str; 2] = ["cam_left", "cam_right"];
+/// Frames of the bases of the arm with the cameras and of the arm with the target.
+pub(crate) const BASES: [&str; 2] = ["vs_base", "tc_base"];
+/// Topics of the measured joints of both arms.
+pub(crate) const JOINTS: [&str; 2] = ["/vs_robot/joint_states", "/tc_robot/joint_states"];
+
+/// Names of the joints of an arm, in their order.
+pub(crate) fn joint_names(chain: &Chain) -> Vec<String> {
+    chain.joint_names().into_iter().map(str::to_owned).collect()
+}
 
 /// What a recording states of itself.
 #[derive(Clone, Debug, Default)]
@@ -28,6 +42,22 @@ pub struct About {
     pub version: String,
     /// Time since 1970 at the zero of the run's clock.
     pub since_1970: Duration,
+}
+
+impl About {
+    /// A recording by this program, of the commit `commit`, that begins at `now` on its clock.
+    ///
+    /// # Errors
+    /// If the clock of the computer shows a time before 1970.
+    pub fn new(setup_text: String, commit: &str, now: MonotonicTime) -> Result<Self> {
+        let since_1970 =
+            SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).context("the clock shows a time before 1970")?;
+        Ok(Self {
+            setup_text,
+            version: format!("pb3dp {} ({commit})", env!("CARGO_PKG_VERSION")),
+            since_1970: since_1970.saturating_sub(now.saturating_since(MonotonicTime::ZERO)),
+        })
+    }
 }
 
 /// Whether a recording with this path is one file, not a folder.
@@ -65,7 +95,14 @@ impl PairRecording {
         recording
     }
 
-    /// Records a pair: images that the camera delivered as JPEG as they are.
+    /// Records the identities of the cameras, if they are known.
+    pub fn cameras(&mut self, cameras: Option<&[CameraIdentity; 2]>) {
+        let Some(cameras) = cameras else { return };
+        let file = SetupFile { path: CAMERAS_FILE.to_owned(), data: Bytes(cameras_text(cameras).into_bytes()) };
+        self.push(ours::FILES, MonotonicTime::ZERO, &SetupFiles { files: vec![file] });
+    }
+
+    /// Records a pair, its images as the camera has delivered them.
     pub fn images(&mut self, pair: &FramePair) {
         let right_at = MonotonicTime::from_nanos(pair.exposed_at.as_nanos().saturating_add_signed(pair.skew_nanos));
         let sides = [
@@ -78,12 +115,13 @@ impl PairRecording {
             if let Some(camera) = camera {
                 self.push(info, at, &CameraInfo { header: header.clone(), ..camera });
             }
-            let jpeg = &pair.jpegs[side];
-            if jpeg.is_empty() {
-                self.push(plain, at, &rgb8(header, image));
-            } else {
-                let image = CompressedImage { header, format: "jpeg".to_owned(), data: Bytes(jpeg.clone()) };
-                self.push(compressed, at, &image);
+            let delivered = &pair.delivered[side];
+            match delivered.jpeg() {
+                Some(jpeg) => {
+                    let image = CompressedImage { header, format: "jpeg".to_owned(), data: Bytes(jpeg.to_vec()) };
+                    self.push(compressed, at, &image);
+                }
+                None => self.push(plain, at, &plain_image(header, image, delivered)),
             }
         }
     }
@@ -104,6 +142,27 @@ impl PairRecording {
     /// Finishes all files.
     pub fn finish(self) -> Finished {
         self.sinks.finish()
+    }
+
+    /// Records the joints of an arm, without velocities if they are not known.
+    pub(crate) fn joint_state(
+        &mut self,
+        topic: &'static str,
+        at: MonotonicTime,
+        names: &[String],
+        [position_rad, velocity_rad_per_s]: [Option<&JointVector>; 2],
+    ) {
+        let values = |joints: Option<&JointVector>| {
+            joints.map(|joints| joints.as_slice()[..names.len()].to_vec()).unwrap_or_default()
+        };
+        let state = JointState {
+            header: self.header(at, ""),
+            name: names.to_vec(),
+            position: values(position_rad),
+            velocity: values(velocity_rad_per_s),
+            effort: Vec::new(),
+        };
+        self.push(topic, at, &state);
     }
 
     pub(crate) fn push<M: Message>(&mut self, topic: &'static str, at: MonotonicTime, message: &M) {
@@ -137,6 +196,18 @@ pub(crate) fn ros_pose<A: Frame, B: Frame>(pose: &Pose<A, B>) -> RosPose {
         position: Point { x: translation.x, y: translation.y, z: translation.z },
         orientation: Quaternion { x: rotation.i, y: rotation.j, z: rotation.k, w: rotation.w },
     }
+}
+
+/// The image as the camera has delivered it.
+fn plain_image(header: Header, image: &RgbImage, delivered: &DeliveredImage) -> Image {
+    if delivered.encoding.is_empty() {
+        return rgb8(header, image);
+    }
+    let (width, height) = image.dimensions();
+    // Rows have no padding.
+    let step = (delivered.bytes.len() / height.max(1) as usize) as u32;
+    let (encoding, data) = (delivered.encoding.to_owned(), Bytes(delivered.bytes.clone()));
+    Image { header, height, width, encoding, is_bigendian: 0, step, data }
 }
 
 fn rgb8(header: Header, image: &RgbImage) -> Image {

@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use nalgebra::Matrix6;
 use pb3dp_bag::cdr::Bytes;
 use pb3dp_bag::messages::{
-    DiagnosticStatus, Diagnostics, JointState, KeyValue, Level, LogLine, Point32, Polygon, PolygonStamped, PoseStamped,
+    DiagnosticStatus, Diagnostics, KeyValue, Level, LogLine, Point32, Polygon, PolygonStamped, PoseStamped,
     PoseWithCovariance, PoseWithCovarianceStamped, Text, Transforms,
 };
 use pb3dp_bag::run_messages::{RunBegin, SetupFile, SetupFiles};
@@ -29,13 +29,14 @@ use pb3dp_setup::setup::Setup;
 
 use crate::estimates::pair_result;
 use crate::exact::{of_end, of_marking};
-use crate::pairs::{About, CAMERAS, PairRecording, ros_pose};
+use crate::pairs::{About, BASES, CAMERAS, JOINTS, PairRecording, joint_names, ros_pose};
 use crate::steps::Steps;
 use crate::tap::{Heard, tap};
 
 /// Frames in transforms and headers.
 const TARGET: &str = "target";
-const BASE: &str = "vs_base";
+/// Topics of the commands of both arms.
+const COMMANDS: [&str; 2] = ["/vs_robot/joint_commands", "/tc_robot/joint_commands"];
 
 /// A recording of a run in one file.
 struct RunRecording {
@@ -108,7 +109,6 @@ impl RunRecording {
     fn new(about: &About, setup: &Setup, (begin, steps): (RunBegin, Steps), to: RecordTo) -> Result<Self> {
         let pairs = PairRecording::new(about, Some(&setup.rig.stereo), to.sinks);
         let vs = &setup.rig.arms.vs;
-        let names = |chain: &Chain| chain.joint_names().into_iter().map(str::to_owned).collect();
         let mut recording = Self {
             pairs,
             steps,
@@ -116,7 +116,7 @@ impl RunRecording {
             last_at: MonotonicTime::ZERO,
             faults: to.faults,
             kept: 0,
-            joint_names: [names(&vs.chain), names(&setup.rig.arms.tc.chain)],
+            joint_names: [joint_names(&vs.chain), joint_names(&setup.rig.arms.tc.chain)],
             vs_chain: vs.chain.clone(),
             flange_from_cam_left: setup.controller.flange_from_hand * setup.controller.hand_from_cam_left,
             is_failure_reported: false,
@@ -170,33 +170,15 @@ impl RunRecording {
     /// Records a control step for other programs.
     fn step(&mut self, step: &Moved) {
         let at = step.at;
-        let topics = [
-            ["/vs_robot/joint_states", "/vs_robot/joint_commands"],
-            ["/tc_robot/joint_states", "/tc_robot/joint_commands"],
-        ];
-        for (side, [measured, commanded]) in topics.into_iter().enumerate() {
-            let arm = &step.arms[side];
-            let names = self.joint_names[side].clone();
-            let count = names.len();
-            let velocity =
-                if side == 0 { step.vs_joints.velocity_rad_per_s.as_slice()[..count].to_vec() } else { Vec::new() };
-            let state = JointState {
-                header: self.pairs.header(at, ""),
-                name: names.clone(),
-                position: arm.position_rad.as_slice()[..count].to_vec(),
-                velocity,
-                effort: Vec::new(),
-            };
-            self.pairs.push(measured, at, &state);
+        for (side, (measured, commanded)) in JOINTS.into_iter().zip(COMMANDS).enumerate() {
+            let (arm, names) = (&step.arms[side], &self.joint_names[side]);
+            let velocity = (side == 0).then_some(&step.vs_joints.velocity_rad_per_s);
+            self.pairs.joint_state(measured, at, names, [Some(&arm.position_rad), velocity]);
             // A hold is a command without velocities.
-            let velocity =
-                arm.requested_rad_per_s.map(|velocity| velocity.as_slice()[..count].to_vec()).unwrap_or_default();
-            let header = self.pairs.header(at, "");
-            let command = JointState { header, name: names, position: Vec::new(), velocity, effort: Vec::new() };
-            self.pairs.push(commanded, at, &command);
+            self.pairs.joint_state(commanded, at, names, [None, arm.requested_rad_per_s.as_ref()]);
         }
         let base_from_cam_left = self.vs_chain.forward(&step.arms[0].position_rad) * self.flange_from_cam_left;
-        let transforms = vec![self.pairs.transform(at, BASE, CAMERAS[0], &base_from_cam_left)];
+        let transforms = vec![self.pairs.transform(at, BASES[0], CAMERAS[0], &base_from_cam_left)];
         self.pairs.push(ours::TF, at, &Transforms { transforms });
         if let Some(transition) = &step.decision.transition {
             let msg = format!("{} -> {} ({}): {}", transition.from, transition.to, transition.event, step.decision.why);

@@ -1,6 +1,7 @@
 //! Control steps as messages, from what the control thread has heard.
 
 use pb3dp_bag::run_messages::{ArmCall, ArmChange, ControlStep, Said};
+use pb3dp_bag::stops::of_pose;
 use pb3dp_cell::journal::TruePoses;
 use pb3dp_cell::moving::Moved;
 use pb3dp_cell::operator::MotionRequest;
@@ -9,7 +10,7 @@ use pb3dp_hal_api::{JointCommand, JointState};
 use pb3dp_servo::supervisor::OperatorInput;
 use rtrb::Consumer;
 
-use crate::exact::{of_failure, of_percept, of_pose, of_pose_if_any, of_state};
+use crate::exact::{of_failure, of_percept, of_pose_if_any, of_state};
 use crate::tap::{Answer, Call, Event, Told};
 
 /// Gathers the events of each step.

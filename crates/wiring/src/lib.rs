@@ -14,7 +14,7 @@ mod nominal;
 mod simulated;
 mod sole_program;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
@@ -22,7 +22,7 @@ use anyhow::{Result, bail};
 use clap::ValueEnum;
 use pb3dp_arm_pa10::arm::{ArmMonitor, VirtualTime};
 use pb3dp_arm_pa10_emulation::line::virtual_end::VirtualEnd;
-pub use pb3dp_camera_replay::{Layout, Recording, RecordingOptions};
+pub use pb3dp_camera_replay::{Layout, RecordedPairs, Recording, RecordingOptions};
 use pb3dp_camera_replay::{Pacing, Repeat, ReplayOptions};
 use pb3dp_camera_settings::StereoConfig;
 use pb3dp_camera_v4l2::ReopeningCamera;
@@ -286,21 +286,31 @@ pub fn video_system() -> Arc<dyn VideoSystem> {
 ///
 /// # Errors
 /// If the recording or its calibration cannot be used.
-pub fn wire_endless_replay(path: &Path, asked: &RecordingOptions, clock: Arc<dyn Clock>) -> Result<Recording> {
+pub fn wire_endless_replay(
+    path: &Path,
+    calibration: &[PathBuf],
+    asked: &RecordingOptions,
+    clock: Arc<dyn Clock>,
+) -> Result<Recording> {
     let options = ReplayOptions { pacing: Pacing::Live(clock), repeat: Repeat::Forever, ..ReplayOptions::default() };
-    Ok(Recording::open(path, asked, options)?)
+    Ok(Recording::open(path, calibration, asked, options)?)
 }
 
 /// A recording that is played once.
 ///
 /// # Errors
 /// If the recording or its calibration cannot be used.
-pub fn wire_replay(path: &Path, asked: &RecordingOptions, pace: ReplayPace) -> Result<Recording> {
+pub fn wire_replay(
+    path: &Path,
+    calibration: &[PathBuf],
+    asked: &RecordingOptions,
+    pace: ReplayPace,
+) -> Result<Recording> {
     let pacing = match pace {
         ReplayPace::Fast => Pacing::Unpaced,
         ReplayPace::Original => Pacing::Original(Arc::new(SystemClock::new())),
     };
-    Ok(Recording::open(path, asked, ReplayOptions { pacing, ..ReplayOptions::default() })?)
+    Ok(Recording::open(path, calibration, asked, ReplayOptions { pacing, ..ReplayOptions::default() })?)
 }
 
 #[cfg(test)]

@@ -14,4 +14,4 @@ pub mod stereo_camera;
 pub use arm::{Arm, ArmError, ArmErrorKind, ArmInfo, ArmPower, ArmState, JointCommand};
 pub use clock::Clock;
 pub use pb3dp_kinematics::JointState;
-pub use stereo_camera::{CameraError, CameraErrorKind, FramePair, StereoCamera, StereoCameraInfo};
+pub use stereo_camera::{CameraError, CameraErrorKind, DeliveredImage, FramePair, StereoCamera, StereoCameraInfo};

@@ -18,9 +18,33 @@ pub struct FramePair {
     pub left: RgbImage,
     /// Right image.
     pub right: RgbImage,
-    /// Left and right image as JPEG files, as the camera delivered them; empty if it delivers another format, or if the images above were
-    /// changed since.
-    pub jpegs: [Vec<u8>; 2],
+    /// Left and right image as the camera delivered them; empty if it delivers RGB, or if the images above were changed since.
+    pub delivered: [DeliveredImage; 2],
+}
+
+/// An image as a camera delivers it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct DeliveredImage {
+    /// Name of its encoding in ROS 2 (`sensor_msgs/image_encodings.hpp`), or `jpeg` for a whole JPEG file; empty for none.
+    pub encoding: &'static str,
+    /// The file, or the rows without padding.
+    pub bytes: Vec<u8>,
+}
+
+impl DeliveredImage {
+    /// Encoding of a JPEG file.
+    pub const JPEG: &str = "jpeg";
+
+    /// The JPEG file, if it is one.
+    pub fn jpeg(&self) -> Option<&[u8]> {
+        (self.encoding == Self::JPEG).then_some(&*self.bytes)
+    }
+
+    /// Removes the image; its memory stays.
+    pub fn clear(&mut self) {
+        self.encoding = "";
+        self.bytes.clear();
+    }
 }
 
 impl FramePair {
@@ -32,13 +56,13 @@ impl FramePair {
             skew_nanos: 0,
             left: RgbImage::new(size.width, size.height),
             right: RgbImage::new(size.width, size.height),
-            jpegs: Default::default(),
+            delivered: Default::default(),
         }
     }
 
-    /// Clears the JPEG files, whose images are no longer those of the pair.
-    pub fn clear_jpegs(&mut self) {
-        self.jpegs.iter_mut().for_each(Vec::clear);
+    /// Removes the delivered images, which are no longer those of the pair.
+    pub fn clear_delivered(&mut self) {
+        self.delivered.iter_mut().for_each(DeliveredImage::clear);
     }
 }
 

@@ -183,10 +183,20 @@ impl Converter {
         Ok(())
     }
 
-    /// Appends the JPEG file of an image that was converted: complete, so that every decoder can read it. Nothing for other formats.
-    pub fn append_jpeg(&self, bytes: &[u8], file: &mut Vec<u8>) {
-        if self.layout.format == PixelFormat::Mjpg {
-            jpeg::append_file(bytes, file);
+    /// Copies an image that was converted into `copy`, as the camera has delivered it: rows without padding, or a JPEG file that every decoder
+    /// can read. Returns the name of its encoding in ROS 2; empty, with nothing copied, if the converted image has the same bytes, or if no
+    /// encoding says how its colours are meant.
+    pub fn copy_delivered(&self, bytes: &[u8], copy: &mut Vec<u8>) -> &'static str {
+        copy.clear();
+        let Layout { format, size, stride, matrix, range } = self.layout;
+        match (format, format.row_bytes(size.width)) {
+            (PixelFormat::Rgb24 | PixelFormat::Bgr24, _) => return "",
+            (PixelFormat::Yuyv, _) if (matrix, range) != (YuvMatrix::Bt601, YuvRange::Limited) => return "",
+            (_, Some(row)) => {
+                bytes.chunks(stride).take(size.height as usize).for_each(|of| copy.extend_from_slice(&of[..row]))
+            }
+            (_, None) => jpeg::append_file(bytes, copy),
         }
+        format.ros_encoding()
     }
 }

@@ -7,27 +7,20 @@
 //!
 //! Images are delivered as they were recorded, not undistorted or rectified.
 
-mod bag;
-mod euroc;
-mod folder;
 mod pacing;
 mod recording;
-mod source;
 
 use std::path::Path;
 use std::time::Duration;
 
-use pb3dp_geometry::{ImageSize, MonotonicTime, StereoRig};
+use pb3dp_camera_recordings::PERIOD;
+use pb3dp_geometry::{MonotonicTime, StereoRig};
 use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, StereoCamera, StereoCameraInfo};
 use pb3dp_record::calibration_files::StereoCalibration;
-use pb3dp_record::images::{ImageFileError, StoredImage, check_size};
-use pb3dp_record::value_range::ValueRange;
 
-use bag::BagImages;
 pub use pacing::{Pacing, Stepper};
-pub use recording::{Recording, RecordingOptions};
-pub use source::Layout;
-use source::{Place, Source};
+pub use pb3dp_camera_recordings::{Layout, RecordedPairs, RecordingOptions, Topics};
+pub use recording::Recording;
 
 /// Behaviour after the last pair.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,7 +46,7 @@ pub struct ReplayOptions {
 impl Default for ReplayOptions {
     /// As fast as possible, once, 30 pairs per second.
     fn default() -> Self {
-        Self { pacing: Pacing::Unpaced, repeat: Repeat::Once, period: Duration::from_nanos(33_333_333) }
+        Self { pacing: Pacing::Unpaced, repeat: Repeat::Once, period: PERIOD }
     }
 }
 
@@ -62,48 +55,33 @@ impl Default for ReplayOptions {
 pub struct ReplayCamera {
     info: StereoCameraInfo,
     calibration: StereoCalibration,
-    source: Source,
-    /// The images of pairs that are in an MCAP recording.
-    bag: Option<BagImages>,
-    range: Option<ValueRange>,
+    pairs: RecordedPairs,
     pacing: Pacing,
     repeat: Repeat,
     /// Number of pairs delivered, damaged or passed over, over all rounds.
     position: u64,
-    notes: Vec<String>,
     /// Time of the first pair on the clock of `exposed_at`; set by the first call.
     started_at: Option<MonotonicTime>,
 }
 
 impl ReplayCamera {
     fn new(
-        folder: &Path,
-        source: Source,
+        path: &Path,
+        pairs: RecordedPairs,
         calibration: StereoCalibration,
         options: ReplayOptions,
     ) -> Result<Self, CameraError> {
-        if options.period.is_zero() {
-            let message = format!("cannot replay {}: the period is zero; it must be longer", folder.display());
+        let ReplayOptions { pacing, repeat, period } = options;
+        if period.is_zero() {
+            let message = format!("cannot replay {}: the period is zero; it must be longer", path.display());
             return Err(CameraError::new(CameraErrorKind::Unusable, message));
         }
         let info = StereoCameraInfo {
-            name: format!("replay {}", folder.display()),
+            name: pairs.name().to_owned(),
             size: calibration.rig.left().size(),
-            period: source.period(),
+            period: pairs.period(),
         };
-        let ReplayOptions { pacing, repeat, .. } = options;
-        Ok(Self {
-            info,
-            calibration,
-            source,
-            bag: None,
-            range: None,
-            notes: Vec::new(),
-            pacing,
-            repeat,
-            position: 0,
-            started_at: None,
-        })
+        Ok(Self { info, calibration, pairs, pacing, repeat, position: 0, started_at: None })
     }
 
     /// The two cameras and the pose between them.
@@ -118,26 +96,26 @@ impl ReplayCamera {
 
     /// Number of pairs in the recording, good or bad.
     pub fn pairs(&self) -> u64 {
-        self.source.pairs()
+        self.pairs.count()
     }
 
     /// Passes over the pairs that are followed by another due pair, if the timing is that of a real camera.
     fn skip_missed(&mut self) {
         let (Pacing::Live(clock), Some(started_at)) = (&self.pacing, self.started_at) else { return };
         let now = clock.now();
-        let has_next = |position| self.repeat == Repeat::Forever || position + 1 < self.source.pairs();
-        while has_next(self.position) && started_at + self.source.since_start(self.position + 1) <= now {
+        let has_next = |position| self.repeat == Repeat::Forever || position + 1 < self.pairs.count();
+        while has_next(self.position) && started_at + self.pairs.since_start(self.position + 1) <= now {
             self.position += 1;
         }
     }
 
     /// Waits until the pair at `position` is due and returns its exposure time.
     fn wait(&mut self, timeout: Duration) -> Result<MonotonicTime, CameraError> {
-        let since_start = self.source.since_start(self.position);
+        let since_start = self.pairs.since_start(self.position);
         match &self.pacing {
-            Pacing::Unpaced => Ok(self.source.first_at() + since_start),
+            Pacing::Unpaced => Ok(self.pairs.first_at() + since_start),
             Pacing::Stepped(stepper) => match stepper.take(timeout) {
-                true => Ok(self.source.first_at() + since_start),
+                true => Ok(self.pairs.first_at() + since_start),
                 false => Err(self.timed_out(timeout)),
             },
             Pacing::Original(clock) | Pacing::Live(clock) => {
@@ -155,72 +133,19 @@ impl ReplayCamera {
         CameraError::new(CameraErrorKind::Timeout, message)
     }
 
-    fn bad_pair(&self, error: ImageFileError) -> CameraError {
-        let message = format!("{}: pair {} is skipped: {}", self.info.name, self.position, error.file.display());
-        CameraError::caused_by(CameraErrorKind::BadPair, message, error)
-    }
-
     /// Loads the images of the pair at the present position.
     fn load_into(&mut self, pair: &mut FramePair) -> Result<(), CameraError> {
-        let number = self.position % self.source.pairs();
-        let (images, notes) = match &self.source.pair(self.position).place {
-            Place::Files(left, right) => {
-                let loaded =
-                    [left, right].map(|file| StoredImage::load(file).and_then(|image| self.checked(file, image)));
-                let [left, right] = loaded.map(|image| image.map_err(|e| self.bad_pair(e)));
-                let (images, note) = StoredImage::to_rgb_pair([left?, right?], &mut self.range);
-                (images, Vec::from_iter(note))
-            }
-            Place::Both(file, layout) => {
-                let both = StoredImage::load(file).and_then(|both| self.halves(file, both, *layout));
-                let (images, note) = StoredImage::to_rgb_pair(both.map_err(|e| self.bad_pair(e))?, &mut self.range);
-                (images, Vec::from_iter(note))
-            }
-            Place::Bag => {
-                let bag = self.bag.as_mut().ok_or_else(|| {
-                    CameraError::new(CameraErrorKind::Unusable, "replay: bug: a recording without its file, report it")
-                })?;
-                bag.images(number).map_err(|error| {
-                    let message = format!("{}: pair {number} is skipped", self.info.name);
-                    CameraError::caused_by(CameraErrorKind::BadPair, message, error)
-                })?
-            }
-        };
+        let number = self.position % self.pairs();
+        let images = self.pairs.images(number, Some((self.info.size, &self.calibration.source)))?;
         for (image, buffer) in images.into_iter().zip([&mut pair.left, &mut pair.right]) {
-            let (found, size) = ((image.width(), image.height()), (self.info.size.width, self.info.size.height));
-            if found != size {
-                let message = format!(
-                    "{}: pair {number} is skipped: an image has {}x{} pixels, but {} has {}x{}; use the calibration of this size",
-                    self.info.name, found.0, found.1, self.calibration.source, size.0, size.1
-                );
-                return Err(CameraError::new(CameraErrorKind::BadPair, message));
-            }
             // Its memory stays where it is.
-            if buffer.dimensions() == found {
+            if buffer.dimensions() == image.dimensions() {
                 buffer.copy_from_slice(&image);
             } else {
                 *buffer = image;
             }
         }
-        self.notes.extend(notes);
         Ok(())
-    }
-
-    fn checked(&self, file: &Path, image: StoredImage) -> Result<StoredImage, ImageFileError> {
-        check_size(file, image.size(), (self.info.size, &self.calibration.source))?;
-        Ok(image)
-    }
-
-    /// Both views of an image.
-    fn halves(&self, file: &Path, both: StoredImage, layout: Layout) -> Result<[StoredImage; 2], ImageFileError> {
-        let ImageSize { width, height } = self.info.size;
-        let (whole, second) = match layout {
-            Layout::SideBySide => (ImageSize { width: 2 * width, height }, [width, 0]),
-            Layout::TopBottom => (ImageSize { width, height: 2 * height }, [0, height]),
-        };
-        let because_of = format!("a pair of {}", self.calibration.source);
-        check_size(file, both.size(), (whole, &because_of))?;
-        Ok([[0, 0], second].map(|[x, y]| both.part((x, y), self.info.size)))
     }
 
     /// Continues with the pair of this number, from 0.
@@ -230,7 +155,7 @@ impl ReplayCamera {
 
     /// What the user should know since the last call.
     pub fn take_notes(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.notes)
+        self.pairs.take_notes()
     }
 }
 
@@ -240,13 +165,13 @@ impl StereoCamera for ReplayCamera {
     }
 
     fn next_pair_into(&mut self, pair: &mut FramePair, timeout: Duration) -> Result<(), CameraError> {
-        if self.repeat == Repeat::Once && self.position >= self.source.pairs() {
-            let message = format!("{}: all {} pairs have been played", self.info.name, self.source.pairs());
+        if self.repeat == Repeat::Once && self.position >= self.pairs.count() {
+            let message = format!("{}: all {} pairs have been played", self.info.name, self.pairs.count());
             return Err(CameraError::new(CameraErrorKind::EndOfStream, message));
         }
         self.skip_missed();
         let exposed_at = self.wait(timeout)?;
-        let (sequence, skew_nanos) = (self.position, self.source.pair(self.position).skew_nanos);
+        let (sequence, skew_nanos) = (self.position, self.pairs.skew_nanos(self.position));
         let loaded = self.load_into(pair);
         // This pair is consumed, even if it is bad: the next call continues after it.
         self.position += 1;
@@ -254,11 +179,7 @@ impl StereoCamera for ReplayCamera {
         pair.sequence = sequence;
         pair.exposed_at = exposed_at;
         pair.skew_nanos = skew_nanos;
-        pair.clear_jpegs();
+        pair.clear_delivered();
         Ok(())
     }
-}
-
-fn unusable(folder: &Path, error: pb3dp_record::dataset::DatasetError) -> CameraError {
-    CameraError::caused_by(CameraErrorKind::Unusable, format!("cannot replay {}", folder.display()), error)
 }

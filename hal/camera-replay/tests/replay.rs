@@ -57,7 +57,7 @@ fn open(folder: &Path, pacing: Pacing, repeat: Repeat) -> ReplayCamera {
 }
 
 fn play(folder: &Path, options: ReplayOptions) -> Result<ReplayCamera, CameraError> {
-    Ok(Recording::open(folder, &RecordingOptions::default(), options)?.camera)
+    Ok(Recording::open(folder, &[], &RecordingOptions::default(), options)?.camera)
 }
 
 fn test_case() -> std::path::PathBuf {

@@ -46,6 +46,21 @@ impl PixelFormat {
         }
     }
 
+    /// Name of the encoding in ROS 2 (`sensor_msgs/image_encodings.hpp`); `jpeg` for a file.
+    pub const fn ros_encoding(self) -> &'static str {
+        match self {
+            Self::Yuyv => "yuv422_yuy2",
+            Self::Grey => "mono8",
+            Self::Rgb24 => "rgb8",
+            Self::Bgr24 => "bgr8",
+            Self::Bayer8(BayerOrder::Rggb) => "bayer_rggb8",
+            Self::Bayer8(BayerOrder::Grbg) => "bayer_grbg8",
+            Self::Bayer8(BayerOrder::Gbrg) => "bayer_gbrg8",
+            Self::Bayer8(BayerOrder::Bggr) => "bayer_bggr8",
+            Self::Mjpg => "jpeg",
+        }
+    }
+
     /// The format with that code, if it can be converted.
     pub fn of_fourcc(fourcc: [u8; 4]) -> Option<Self> {
         Self::ALL.into_iter().find(|format| format.fourcc() == fourcc)

@@ -176,7 +176,7 @@ impl StereoCamera for SimStereoCamera {
         pair.sequence = sequence;
         pair.exposed_at = start + self.config.exposure / 2;
         pair.skew_nanos = 0;
-        pair.clear_jpegs();
+        pair.clear_delivered();
         self.delivered += 1;
         Ok(())
     }

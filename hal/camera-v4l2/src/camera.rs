@@ -296,11 +296,13 @@ impl V4l2StereoCamera {
             }
             Verdict::Pair => {
                 self.drift.add(left_held.mid_nanos, skew_nanos);
-                let [left_jpeg, right_jpeg] = &mut pair.jpegs;
+                let [left_delivered, right_delivered] = &mut pair.delivered;
                 let converted =
-                    left.convert(&mut pair.left, left_jpeg).map_err(|error| (left.config.device.clone(), error));
+                    left.convert(&mut pair.left, left_delivered).map_err(|error| (left.config.device.clone(), error));
                 let converted = converted.and_then(|()| {
-                    right.convert(&mut pair.right, right_jpeg).map_err(|error| (right.config.device.clone(), error))
+                    right
+                        .convert(&mut pair.right, right_delivered)
+                        .map_err(|error| (right.config.device.clone(), error))
                 });
                 left.give_back()?;
                 right.give_back()?;

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use image::RgbImage;
 use pb3dp_camera_settings::{StampModel, nanos};
-use pb3dp_hal_api::{CameraError, CameraErrorKind};
+use pb3dp_hal_api::{CameraError, CameraErrorKind, DeliveredImage};
 
 use crate::error::{failed, unusable};
 use crate::modes::Mode;
@@ -220,19 +220,19 @@ impl Stream {
         Ok(Held { index: filled.index, bytes: filled.bytes, mid_nanos })
     }
 
-    /// Converts the held image; if it is a JPEG, copies its file too.
-    pub(crate) fn convert(&mut self, target: &mut RgbImage, jpeg: &mut Vec<u8>) -> Result<(), PixelError> {
+    /// Converts the held image, and copies it as it was delivered.
+    pub(crate) fn convert(&mut self, target: &mut RgbImage, delivered: &mut DeliveredImage) -> Result<(), PixelError> {
         let Some(held) = self.held else { return Ok(()) };
         let memory = self.node.memory(held.index);
         let bytes = &memory[..held.bytes.min(memory.len())];
         let converted = self.converter.convert(bytes, target);
-        jpeg.clear();
+        delivered.clear();
         if converted.is_err() {
             // It passed all checks until now.
             self.counters.good -= 1;
             self.counters.damaged += 1;
         } else {
-            self.converter.append_jpeg(bytes, jpeg);
+            delivered.encoding = self.converter.copy_delivered(bytes, &mut delivered.bytes);
         }
         converted
     }

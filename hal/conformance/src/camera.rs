@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use pb3dp_geometry::ImageSize;
-use pb3dp_hal_api::{CameraError, CameraErrorKind, FramePair, StereoCamera, StereoCameraInfo};
+use pb3dp_hal_api::{CameraError, CameraErrorKind, DeliveredImage, FramePair, StereoCamera, StereoCameraInfo};
 
 use crate::Report;
 
@@ -156,7 +156,7 @@ fn check_pair(pair: &FramePair, stream: &mut Stream, info: &StereoCameraInfo, re
         }
     }
     stream.last =
-        Some(FramePair { left: Default::default(), right: Default::default(), jpegs: Default::default(), ..*pair });
+        Some(FramePair { left: Default::default(), right: Default::default(), delivered: Default::default(), ..*pair });
 }
 
 /// After the end or the loss of the device, every call returns the same kind.
@@ -204,16 +204,19 @@ fn check_buffers<C: StereoCamera>(camera: &mut C, expectations: &CameraExpectati
         });
     }
     let mut foreign = FramePair::black(ImageSize { width: size.width / 2 + 1, height: size.height + 3 });
-    foreign.jpegs = [FOREIGN.to_vec(), FOREIGN.to_vec()];
+    let image = DeliveredImage { encoding: "mono8", bytes: FOREIGN.to_vec() };
+    foreign.delivered = [image.clone(), image];
     if next_good(camera, &mut foreign, expectations).is_some() {
         let dimensions = (foreign.left.dimensions(), foreign.right.dimensions());
         let stated = (size.width, size.height);
         report.check("foreign-buffer-is-resized", dimensions == (stated, stated), || {
             format!("into a buffer of another size came {dimensions:?}, stated is {stated:?}")
         });
-        report.check("foreign-files-are-replaced", foreign.jpegs.iter().all(|file| file != FOREIGN), || {
-            "the JPEG file of an earlier image stayed in the buffer".to_owned()
-        });
+        report.check(
+            "foreign-files-are-replaced",
+            foreign.delivered.iter().all(|image| image.bytes != FOREIGN),
+            || "the delivered bytes of an earlier image stayed in the buffer".to_owned(),
+        );
     }
 }
 

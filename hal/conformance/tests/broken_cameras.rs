@@ -118,12 +118,12 @@ impl StereoCamera for Camera {
         let mut right = std::mem::take(&mut pair.right);
         self.fill(&mut left, 0);
         self.fill(&mut right, 1);
-        let jpegs = if self.defect == Defect::KeepsOldFiles { pair.jpegs.clone() } else { Default::default() };
+        let delivered = if self.defect == Defect::KeepsOldFiles { pair.delivered.clone() } else { Default::default() };
         let repeats = u64::from(self.defect == Defect::RepeatsAPair && self.next == 3);
         let speed = if self.defect == Defect::RunsAtHalfSpeed { 2 } else { 1 };
         let periods = if self.defect == Defect::TimeStandsStill { 7 } else { speed * (self.next - repeats) };
         let exposed_at = MonotonicTime::ZERO + PERIOD * periods as u32;
-        *pair = FramePair { sequence: self.next - repeats, exposed_at, skew_nanos: -40, left, right, jpegs };
+        *pair = FramePair { sequence: self.next - repeats, exposed_at, skew_nanos: -40, left, right, delivered };
         self.next += 1;
         Ok(())
     }

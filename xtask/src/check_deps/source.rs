@@ -43,7 +43,7 @@ const WORLDS: [World; 6] = [
             "crates/commissioning/",
             "crates/orchestrator/",
             "crates/benchmarks/",
-            "hal/camera-replay/",
+            "hal/camera-recordings/",
             PLATFORM,
             ARM,
             ARM_BUS,

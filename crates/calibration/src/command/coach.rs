@@ -21,6 +21,7 @@ use pb3dp_record::report::{Report, Table, Tone};
 use pb3dp_record::stops::STOPS_FILE;
 
 use super::recording::Recording;
+use super::source::PairFiles;
 use super::{gates_file, numbers, tell};
 
 /// Polling interval, and how long to wait for new images.
@@ -141,11 +142,12 @@ fn newest(folder: &Path) -> Result<Sequence> {
 impl Coach<'_> {
     /// Checks a pair and reports what is missing; returns whether there are enough views.
     fn look(&mut self, sequence: &Sequence, frame: u64) -> Result<bool> {
-        let recording = Recording::new(sequence, self.board)?;
+        let pairs = PairFiles::of_sequence(sequence);
+        let recording = Recording::new(&pairs, self.board)?;
         let mut now = Now::default();
         let look = match recording.look(frame) {
             Err(reason) => Look::NoBoard(reason),
-            Ok(candidate) => self.judged(&recording, frame, candidate, &mut now)?,
+            Ok(candidate) => self.judged((sequence, &recording), frame, candidate, &mut now)?,
         };
         let size = recording.size;
         let stands = self.stands(sequence);
@@ -167,7 +169,7 @@ impl Coach<'_> {
     /// Accepts a pair as a view if it is useful.
     fn judged(
         &mut self,
-        recording: &Recording<'_>,
+        (sequence, recording): (&Sequence, &Recording<'_>),
         frame: u64,
         candidate: Candidate<2>,
         now: &mut Now,
@@ -175,10 +177,10 @@ impl Coach<'_> {
         let wanted = Wanted::default();
         now.blur_px = candidate.blur_px;
         now.speed_px_per_s = recording.speed_px_per_s(frame, &candidate)?;
-        let stand = self.judge(recording.sequence).and_then(|judge| judge.stand(&candidate.view, self.board));
+        let stand = self.judge(sequence).and_then(|judge| judge.stand(&candidate.view, self.board));
         let Some(stand) = stand else { return Ok(Look::Unexplained) };
         now.tilt_deg = Some(stand.tilt_angle_deg());
-        if !adds(&stand, &self.stands(recording.sequence), &wanted) {
+        if !adds(&stand, &self.stands(sequence), &wanted) {
             return Ok(Look::SeenBefore);
         }
         if !now.speed_px_per_s.is_some_and(|speed| speed <= wanted.speed_max_px_per_s) {

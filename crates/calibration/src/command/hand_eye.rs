@@ -15,16 +15,16 @@ use pb3dp_geometry::{ImageSize, StereoRig};
 use pb3dp_record::calibration_files::{
     HandEye, JudgedGate, Judgement, ParameterCovariance, StereoCalibration, load_stereo, save_hand_eye,
 };
-use pb3dp_record::stops::{Stops, load_stops};
 
+use super::source::StopFiles;
 use super::{gates_file, hand_eye_report, images, numbers, poses, tell};
 
 /// The recordings, the cameras that made them, and the board.
 #[derive(Debug, Args)]
 pub(super) struct Recording {
-    /// Folders with the stops: a stops.toml, as recorded by `pb3dp arm visit`, and its images. Board and cameras must not have
-    /// been moved between them.
-    #[arg(long, required = true, value_name = "DIR", num_args = 1..)]
+    /// Recordings of stops, as `pb3dp arm visit` writes them: folders with a stops.toml, or MCAP files. Board and cameras must not have been
+    /// moved between them.
+    #[arg(long, required = true, value_name = "PATH", num_args = 1..)]
     recording: Vec<PathBuf>,
     /// The stereo calibration: one file, or a left and a right one.
     #[arg(long, required = true, value_name = "FILE", num_args = 1..=2)]
@@ -82,13 +82,13 @@ impl Recording {
             tell(&format!("note: {note}"))?;
         }
         let (mut stops, mut date, mut count) = (Vec::new(), String::new(), 0);
-        for folder in &self.recording {
-            let recorded = load_stops(folder)?;
-            count += recorded.stops.len();
-            stops.extend(self.stops(folder, &recorded, &board, calibration.rig.left().size())?);
+        for path in &self.recording {
+            let recorded = StopFiles::open(path)?;
+            count += recorded.stops.stops.len();
+            stops.extend(self.stops(path, &recorded, &board, calibration.rig.left().size())?);
             // A calibration is as old as its oldest image.
-            if date.is_empty() || recorded.date < date {
-                date = recorded.date;
+            if date.is_empty() || recorded.stops.date < date {
+                date = recorded.stops.date;
             }
         }
         if stops.is_empty() {
@@ -97,13 +97,19 @@ impl Recording {
         Ok(DetectedStops { calibration, board, date, stops })
     }
 
-    /// The stops of one folder.
-    fn stops(&self, folder: &Path, recorded: &Stops, board: &Chessboard, size: ImageSize) -> Result<Vec<HandEyeStop>> {
-        let mut stops = Vec::with_capacity(recorded.stops.len());
-        for stop in &recorded.stops {
-            let files = [&stop.left, &stop.right].map(|file| folder.join(file));
+    /// The stops of one recording.
+    fn stops(
+        &self,
+        path: &Path,
+        recorded: &StopFiles,
+        board: &Chessboard,
+        size: ImageSize,
+    ) -> Result<Vec<HandEyeStop>> {
+        let mut stops = Vec::with_capacity(recorded.stops.stops.len());
+        for stop in &recorded.stops.stops {
+            let files = [&stop.left, &stop.right].map(|file| recorded.folder.join(file));
             let alone = self.recording.len() == 1;
-            let name = if alone { stop.left.clone() } else { files[0].display().to_string() };
+            let name = if alone { stop.left.clone() } else { path.join(&stop.left).display().to_string() };
             match images::view(&name, &files, board, size, "the calibration")? {
                 Ok(view) => stops.push(HandEyeStop {
                     name: view.name,

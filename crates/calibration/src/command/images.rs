@@ -9,9 +9,10 @@ use crate::fit::{View, sides};
 use anyhow::{Context, Result, bail};
 use pb3dp_geometry::ImageSize;
 use pb3dp_record::images::{EXTENSIONS, load_rgb, load_rgb_of_size, size_of};
-use pb3dp_record::stops::{Stop, Stops, load_stops};
+use pb3dp_record::stops::{Stop, Stops};
 
 use super::DetectedBoards;
+use super::source::{PairFiles, StopFiles};
 
 /// The images of each view, by view name.
 pub(super) struct Images<const N: usize> {
@@ -91,7 +92,9 @@ impl<const N: usize> Images<N> {
             Some(date) => date.clone(),
             None => written(self.views.iter().flat_map(|(_, files)| files))?,
         };
-        Ok(DetectedBoards { views, size, newest, told: told.join("\n"), files: used })
+        let folder = first.parent().unwrap_or(Path::new(".")).to_path_buf();
+        let told = told.join("\n");
+        Ok(DetectedBoards { views, size, newest, told, files: used, folder, stops: None, _unpacked: None })
     }
 }
 
@@ -112,16 +115,32 @@ impl Images<1> {
 }
 
 impl Images<2> {
-    /// The images of a recording of arm stops, in their order.
-    pub(super) fn of_stops(folder: &Path) -> Result<Self> {
-        let Stops { date, stops } = load_stops(folder)?;
+    /// Detects the board at the stops of an arm, in their order.
+    pub(super) fn of_stops(recorded: StopFiles, board: &Chessboard) -> Result<DetectedBoards<2>> {
+        let Stops { date, stops } = &recorded.stops;
         if stops.is_empty() {
-            bail!("{}: the recording has no stops", folder.display());
+            bail!("{}: the recording has no stops", recorded.folder.display());
         }
         let view = |(number, stop): (usize, &Stop)| {
-            (format!("stop {number:02}"), [&stop.left, &stop.right].map(|file| folder.join(file)))
+            (format!("stop {number:02}"), [&stop.left, &stop.right].map(|file| recorded.folder.join(file)))
         };
-        Ok(Self { views: stops.iter().enumerate().map(view).collect(), alone: Vec::new(), date: Some(date) })
+        let views = stops.iter().enumerate().map(view).collect();
+        let seen = Self { views, alone: Vec::new(), date: Some(date.clone()) }.sightings(board)?;
+        Ok(DetectedBoards { folder: recorded.folder.clone(), stops: Some(recorded), ..seen })
+    }
+
+    /// Detects the board in pairs that were taken one by one.
+    pub(super) fn of_pairs(pairs: PairFiles, board: &Chessboard) -> Result<DetectedBoards<2>> {
+        let name = |number: usize, [left, _]: &[PathBuf; 2]| match left.file_stem() {
+            Some(stem) => stem.to_string_lossy().into_owned(),
+            None => number.to_string(),
+        };
+        let views =
+            pairs.files.iter().enumerate().map(|(number, files)| (name(number, files), files.clone())).collect();
+        let seen = Self { views, alone: Vec::new(), date: pairs.date.clone() }.sightings(board)?;
+        let told = pairs.told.iter().cloned().chain([seen.told]).filter(|line| !line.is_empty());
+        let told = told.collect::<Vec<_>>().join("\n");
+        Ok(DetectedBoards { told, folder: pairs.folder().to_path_buf(), _unpacked: pairs.unpacked, ..seen })
     }
 }
 

@@ -7,15 +7,16 @@ use crate::gates::Verdict;
 use crate::held_out::Chosen;
 use crate::quality::Quality;
 use anyhow::Result;
-use pb3dp_record::calibration_files::{CameraIdentity, JudgedGate, Judgement, ParameterCovariance, load_cameras};
+use pb3dp_record::calibration_files::{
+    CAMERAS_FILE, CameraIdentity, JudgedGate, Judgement, ParameterCovariance, load_cameras,
+};
 
 /// The file in a recording folder that identifies the cameras.
-const CAMERAS: &str = "cameras.toml";
 
 /// The cameras in the file `named`, or in the `cameras.toml` in the folder of the left images or above it; unknown without a
 /// file.
 pub(super) fn cameras(named: Option<&Path>, left: &Path) -> Result<[CameraIdentity; 2]> {
-    let near = || [Some(left), left.parent()].into_iter().flatten().map(|folder| folder.join(CAMERAS));
+    let near = || [Some(left), left.parent()].into_iter().flatten().map(|folder| folder.join(CAMERAS_FILE));
     let file = named.map(Path::to_path_buf).or_else(|| near().find(|file| file.is_file()));
     match file {
         Some(file) => {

@@ -15,6 +15,7 @@ mod poses;
 mod propose;
 mod recording;
 mod report;
+mod source;
 mod touch_test;
 mod verify;
 mod verify_limits;
@@ -33,7 +34,9 @@ use crate::report::{of_camera, of_stereo};
 use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressFinish};
+use pb3dp_camera_recordings::RecordingOptions;
 use pb3dp_geometry::ImageSize;
+use tempfile::TempDir;
 
 use self::board::BoardArgs;
 use self::coach::CoachArgs;
@@ -41,6 +44,7 @@ use self::convert::ConvertArgs;
 use self::hand_eye::HandEyeArgs;
 use self::images::Images;
 use self::propose::ProposeArgs;
+use self::source::StopFiles;
 use self::verify::VerifyArgs;
 
 /// Calibrate cameras and stereo rigs from images of a board, and report the calibration quality.
@@ -121,9 +125,9 @@ struct IntrinsicsArgs {
 /// Where the stereo pairs are read from.
 #[derive(Debug, Args)]
 struct Pairs {
-    /// A recording from `pb3dp cameras record`; views are selected from it, so full frame rate is fine. Or a recording of arm
-    /// stops (stops.toml), where each stop is one view.
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["left", "right"])]
+    /// A recording of any kind that `pb3dp track` reads: a folder, an MCAP file or rosbag2 folder, a EuRoC folder. Views are selected from it,
+    /// so full frame rate is fine. In recordings of arm stops, and in plain folders of images, each pair is one view.
+    #[arg(long, value_name = "PATH", conflicts_with_all = ["left", "right"])]
     recording: Option<PathBuf>,
     /// Folder of left images, PNG or JPEG. Images are paired by file name, ignoring the words left and right.
     #[arg(long, value_name = "DIR", requires = "right")]
@@ -131,24 +135,22 @@ struct Pairs {
     /// Folder of right images. If it is the same folder, files with `right` in their name are used.
     #[arg(long, value_name = "DIR", requires = "left")]
     right: Option<PathBuf>,
+    /// What the recording does not state itself.
+    #[command(flatten)]
+    how: RecordingOptions,
 }
 
 impl Pairs {
     fn sightings(&self, board: &Board) -> Result<DetectedBoards<2>> {
         match (&self.recording, &self.left, &self.right) {
-            (Some(recording), ..) => recording::sightings(recording, board),
+            (Some(recording), ..) => recording::sightings(recording, &self.how, board),
             (None, Some(left), Some(right)) => Images::<2>::find(&[left, right])?.sightings(board),
-            _ => anyhow::bail!("no images given; use --recording DIR, or --left DIR and --right DIR"),
+            _ => anyhow::bail!("no images given; use --recording PATH, or --left DIR and --right DIR"),
         }
     }
 
     fn are_given(&self) -> bool {
         self.recording.is_some() || self.left.is_some()
-    }
-
-    /// The folder to search for a `cameras.toml`; the folder above is searched as well.
-    fn folder(&self) -> &Path {
-        self.recording.as_deref().or(self.left.as_deref()).unwrap_or(Path::new("."))
     }
 }
 
@@ -227,7 +229,7 @@ fn stereo(args: &StereoArgs) -> Result<ExitCode> {
     tell(&report::rig(&chosen.fit, &rig, args.distance * 1e-3)?)?;
     let code = conclude(&chosen, &quality, &limits)?;
     if let Some(out) = &args.out {
-        let cameras = judgement::cameras(args.cameras.as_deref(), args.pairs.folder())?;
+        let cameras = judgement::cameras(args.cameras.as_deref(), &seen.folder)?;
         let mut judgement = judgement::of(&chosen, &quality, &limits.judge(&quality), (seen.newest.as_str(), cameras));
         judgement.numbers.extend(camera_condition::numbers(&seen.files)?);
         tell(&convert::write(&rig, Some(&judgement), out)?)?;
@@ -307,4 +309,10 @@ struct DetectedBoards<const N: usize> {
     told: String,
     /// The images of each view.
     files: Vec<[PathBuf; N]>,
+    /// The folder to search for a `cameras.toml`; the folder above is searched as well.
+    folder: PathBuf,
+    /// The stops of the arm, if each view is one.
+    stops: Option<StopFiles>,
+    /// The images of a recording that is no folder of images, until the command ends.
+    _unpacked: Option<TempDir>,
 }

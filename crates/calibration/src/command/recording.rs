@@ -12,13 +12,13 @@ use crate::selection::{Candidate, Selection, Wanted, select};
 use crate::sharpness::{blur_px, moved_px};
 use anyhow::{Context, Result, bail};
 use image::GrayImage;
+use pb3dp_camera_recordings::RecordingOptions;
 use pb3dp_geometry::ImageSize;
-use pb3dp_record::dataset::{Sequence, load_sequence};
 use pb3dp_record::images::{load_rgb, load_rgb_of_size, size_of};
-use pb3dp_record::stops::STOPS_FILE;
 
 use super::DetectedBoards;
 use super::images::{Images, agreed, written};
+use super::source::{PairFiles, StopFiles};
 
 /// Maximum number of pairs checked, and the minimum time between them.
 const LOOKS_MAX: u64 = 400;
@@ -38,12 +38,15 @@ struct Look {
 }
 
 /// Detects the boards and selects the views of a recording.
-pub(super) fn sightings(folder: &Path, board: &Chessboard) -> Result<DetectedBoards<2>> {
-    if folder.join(STOPS_FILE).is_file() {
-        return Images::of_stops(folder)?.sightings(board);
+pub(super) fn sightings(path: &Path, asked: &RecordingOptions, board: &Chessboard) -> Result<DetectedBoards<2>> {
+    if StopFiles::is_one(path) {
+        return Images::of_stops(StopFiles::open(path)?, board);
     }
-    let sequence = load_sequence(folder)?;
-    let recording = Recording::new(&sequence, board)?;
+    let pairs = PairFiles::open(path, asked, frames_to_look_at)?;
+    if pairs.times_s.is_none() {
+        return Images::of_pairs(pairs, board);
+    }
+    let recording = Recording::new(&pairs, board)?;
     let size = recording.size;
     let looks = recording.looks()?;
     let frames: Vec<u64> = looks.iter().filter(|look| look.found.is_ok()).map(|look| look.frame).collect();
@@ -55,26 +58,20 @@ pub(super) fn sightings(folder: &Path, board: &Chessboard) -> Result<DetectedBoa
     let speed = |index: usize| recording.speed_px_per_s(frames[index], &candidates[index]);
     let wanted = Wanted::default();
     let selection = select(&candidates, board, size, &wanted, speed)?;
-    let told = told(&sequence, looks.len(), &selection, &without, &wanted);
+    let told = told(&pairs, looks.len(), &selection, &without, &wanted);
     if selection.chosen.is_empty() {
-        bail!("{}: no usable pair\n{told}", folder.display());
+        bail!("{}: no usable pair\n{told}", path.display());
     }
     let files: Vec<[PathBuf; 2]> = selection.chosen.iter().map(|index| recording.files(frames[*index])).collect();
     let views = selection.chosen.iter().map(|index| candidates[*index].view.clone()).collect();
-    Ok(DetectedBoards { views, size, newest: written(files.iter().flatten())?, told, files })
-}
-
-/// The first left image that exists.
-fn first_image(sequence: &Sequence) -> Result<PathBuf> {
-    let mut files = (0..sequence.frames()).map(|frame| sequence.image_files(frame).0);
-    files
-        .find(|file| file.is_file())
-        .with_context(|| format!("{}: all images of the recording are missing", sequence.folder.display()))
+    let newest = pairs.date.clone().map_or_else(|| written(files.iter().flatten()), Ok)?;
+    let folder = pairs.folder().to_path_buf();
+    Ok(DetectedBoards { views, size, newest, told, files, folder, stops: None, _unpacked: pairs.unpacked })
 }
 
 /// Summary of the checked pairs, and why pairs were left out.
 fn told(
-    sequence: &Sequence,
+    pairs: &PairFiles,
     looks: usize,
     selection: &Selection,
     without: &BTreeMap<&str, usize>,
@@ -82,13 +79,11 @@ fn told(
 ) -> String {
     let mut lines = vec![format!(
         "{}: checked {looks} of {} pairs, selected {} as views",
-        sequence.folder.display(),
-        sequence.frames(),
+        pairs.path.display(),
+        pairs.files.len(),
         selection.chosen.len()
     )];
-    if sequence.is_unfinished {
-        lines.push("the recording is incomplete or still running".to_owned());
-    }
+    lines.extend(pairs.told.iter().cloned());
     let mut reasons: Vec<(usize, String)> =
         without.iter().map(|(reason, count)| (*count, (*reason).to_owned())).collect();
     reasons.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
@@ -106,9 +101,19 @@ fn told(
     lines.join("\n")
 }
 
+/// Every n-th pair, with n small enough to catch a board that is held still only for a moment.
+fn frames_to_look_at(times_s: &[f64]) -> Vec<u64> {
+    let frames = times_s.len() as u64;
+    let lasts_s = times_s.last().zip(times_s.first()).map_or(0.0, |(last, first)| last - first);
+    let of_time = (lasts_s / LOOK_EVERY_S).ceil().max(1.0) as u64;
+    let every = frames.div_ceil(of_time.min(LOOKS_MAX)).max(1);
+    (0..frames).step_by(usize::try_from(every).unwrap_or(1)).collect()
+}
+
 /// Context for checking pairs of a recording.
 pub(super) struct Recording<'a> {
-    pub(super) sequence: &'a Sequence,
+    files: &'a [[PathBuf; 2]],
+    times_s: &'a [f64],
     board: &'a Chessboard,
     /// Size of its images.
     pub(super) size: ImageSize,
@@ -117,29 +122,21 @@ pub(super) struct Recording<'a> {
 
 impl<'a> Recording<'a> {
     /// A recording; the first image gives the size of all.
-    pub(super) fn new(sequence: &'a Sequence, board: &'a Chessboard) -> Result<Self> {
-        let first = first_image(sequence)?;
-        let size = size_of(&load_rgb(&first)?);
-        Ok(Self { sequence, board, size, because_of: first.display().to_string() })
+    pub(super) fn new(pairs: &'a PairFiles, board: &'a Chessboard) -> Result<Self> {
+        let first = pairs.files.iter().map(|[left, _]| left).find(|file| file.is_file());
+        let first =
+            first.with_context(|| format!("{}: all images of the recording are missing", pairs.path.display()))?;
+        let (size, because_of) = (size_of(&load_rgb(first)?), first.display().to_string());
+        Ok(Self { files: &pairs.files, times_s: pairs.times_s.as_deref().unwrap_or(&[]), board, size, because_of })
     }
 
     fn files(&self, frame: u64) -> [PathBuf; 2] {
-        <[PathBuf; 2]>::from(self.sequence.image_files(frame))
-    }
-
-    /// Every n-th pair, with n small enough to catch a board that is held still only for a moment.
-    fn frames_to_look_at(&self) -> Vec<u64> {
-        let frames = self.sequence.frames();
-        let times_s = &self.sequence.times_s;
-        let lasts_s = times_s.last().zip(times_s.first()).map_or(0.0, |(last, first)| last - first);
-        let of_time = (lasts_s / LOOK_EVERY_S).ceil().max(1.0) as u64;
-        let every = frames.div_ceil(of_time.min(LOOKS_MAX)).max(1);
-        (0..frames).step_by(usize::try_from(every).unwrap_or(1)).collect()
+        self.files[frame as usize].clone()
     }
 
     /// Checks every n-th pair, on all processors.
     fn looks(&self) -> Result<Vec<Look>> {
-        let frames = self.frames_to_look_at();
+        let frames = frames_to_look_at(self.times_s);
         let threads = std::thread::available_parallelism().map_or(1, usize::from).min(THREADS_MAX);
         let (next, looks) = (Mutex::new(frames.iter()), Mutex::new(Vec::with_capacity(frames.len())));
         let progress = super::progress(frames.len());
@@ -187,7 +184,7 @@ impl<'a> Recording<'a> {
     /// determined. Pairs far apart in time were taken one by one, so their speed is not checked.
     pub(super) fn speed_px_per_s(&self, frame: u64, candidate: &Candidate<2>) -> Result<Option<f64>> {
         let mut fastest: Option<f64> = None;
-        let time_s = |frame: u64| usize::try_from(frame).ok().and_then(|at| self.sequence.times_s.get(at)).copied();
+        let time_s = |frame: u64| usize::try_from(frame).ok().and_then(|at| self.times_s.get(at)).copied();
         for other in [frame.checked_sub(1), Some(frame + 1)].into_iter().flatten() {
             let Some(apart_s) = time_s(other).zip(time_s(frame)).map(|(a, b)| (a - b).abs()) else { continue };
             if apart_s > NEIGHBOUR_MAX_S {

@@ -7,7 +7,6 @@ use crate::verify::touch::{Touch, TouchResult, touched};
 use anyhow::{Context, Result, bail};
 use nalgebra::{Isometry3, Point3};
 use pb3dp_record::calibration_files::load_hand_eye;
-use pb3dp_record::stops::load_stops;
 
 use super::DetectedBoards;
 
@@ -15,20 +14,14 @@ use super::DetectedBoards;
 const PLACES_MIN: usize = 3;
 
 /// Positions of the touched corners computed from the cameras, the hand-eye calibration and the stops of a recording.
-pub(super) fn run(
-    known: &Known,
-    seen: &DetectedBoards<2>,
-    recording: &Path,
-    hand_eye: &Path,
-    file: &Path,
-) -> Result<Vec<TouchResult>> {
+pub(super) fn run(known: &Known, seen: &DetectedBoards<2>, hand_eye: &Path, file: &Path) -> Result<Vec<TouchResult>> {
     let text = std::fs::read_to_string(file).with_context(|| format!("{}: cannot read file", file.display()))?;
     let touches = parse(&text).with_context(|| format!("{}: invalid touch test", file.display()))?;
     let flange_from_cam_left = load_hand_eye(hand_eye)?.flange_from_cam_left;
-    let stops = load_stops(recording).context("the touch test needs a recording of stops")?.stops;
+    let recorded = seen.stops.as_ref().context("the touch test needs a recording of stops")?;
     let mut poses: Vec<Isometry3<f64>> = Vec::with_capacity(seen.views.len());
     for [left, _] in &seen.files {
-        let stop = stops.iter().find(|stop| recording.join(&stop.left) == *left);
+        let stop = recorded.stops.stops.iter().find(|stop| recorded.folder.join(&stop.left) == *left);
         let stop = stop.with_context(|| format!("{}: no stop has this image", left.display()))?;
         poses.push(*(stop.vs.base_from_flange * flange_from_cam_left).isometry());
     }

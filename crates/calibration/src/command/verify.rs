@@ -141,7 +141,7 @@ impl VerifyArgs {
     /// Check with corners touched by the arm.
     fn touched(&self, known: &Known, seen: &DetectedBoards<2>, limits: &VerifyLimits) -> Result<Option<GateLine>> {
         let (Some(file), Some(hand_eye)) = (&self.touch, &self.hand_eye) else { return Ok(None) };
-        let results = touch_test::run(known, seen, self.pairs.folder(), hand_eye, file)?;
+        let results = touch_test::run(known, seen, hand_eye, file)?;
         tell(&touch_test::told(&results))?;
         let worst_m = results.iter().map(TouchResult::error_m).fold(0.0, f64::max);
         Ok(Some(limits.judge(Check::Touch, worst_m * 1e3)))

@@ -179,7 +179,7 @@ pub fn run(args: &ArmArgs, program: Program) -> anyhow::Result<ExitCode> {
         ArmCommand::Reset(ResetArgs { place }) => reset::run(place),
         ArmCommand::Test(args) => checklist::run(args, program.commit),
         ArmCommand::Signals(args) => checklist::signals::run(args),
-        ArmCommand::Visit(args) => visit::run(args, program.last_words),
+        ArmCommand::Visit(args) => visit::run(args, program),
         ArmCommand::Home(HomeArgs { place, motion }) => motion::run(place, motion, motion::Goal::Start),
         ArmCommand::Jog(JogArgs { place, axis, by, motion }) => {
             motion::run(place, motion, motion::Goal::Jog { joint: usize::from(axis - 1), by_rad: by.to_radians() })

@@ -1,12 +1,12 @@
 //! `pb3dp arm visit`: moves an arm to a list of poses and records a stereo pair and the joints at each (docs/commissioning.md).
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, SystemTime};
 
-use super::visiting::{self, Tour, Visited};
+use super::visiting::{self, Output, Tour, Visited};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use pb3dp_cell::attended_motion::instructions;
@@ -20,8 +20,10 @@ use pb3dp_geometry::frames::{Base, Flange};
 use pb3dp_hal_api::{Arm, JointCommand};
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_kinematics::{Damping, JointVector, reach};
-use pb3dp_record::calibration_files::save_cameras;
+use pb3dp_record::calibration_files::{CAMERAS_FILE, save_cameras};
 use pb3dp_record::stops::{ArmOfPoses, STOPS_FILE, WantedPoses, load_poses};
+use pb3dp_recording::pairs::{About, is_file};
+use pb3dp_recording::stops::StopsRecording;
 use pb3dp_setup::layers::SetupArgs;
 use pb3dp_setup::setup::{Setup, read_layers};
 use pb3dp_sim::targets::TargetConfig;
@@ -29,6 +31,7 @@ use pb3dp_wiring::commissioning::slow_setup;
 use pb3dp_wiring::{Wired, wire_to_look, write_flights};
 
 use super::confirm;
+use crate::Program;
 
 /// Joint speed, as for the home move.
 const JOINT_MAX_RAD_PER_S: f64 = 0.1;
@@ -45,8 +48,12 @@ pub(super) struct VisitArgs {
     #[arg(long)]
     here: bool,
     /// Output folder for the pairs and stops.toml; it must not contain any.
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "record")]
+    out: Option<PathBuf>,
+    /// Also, or instead, record everything in one file: pairs and joints of the stops, and the joints on the way between them, with ROS 2
+    /// messages. `pb3dp calibrate` reads it.
+    #[arg(long, value_name = "FILE.mcap")]
+    record: Option<PathBuf>,
     /// Move the arm; a real one after its name is typed. Without it nothing moves.
     #[arg(long = "move")]
     moves: bool,
@@ -57,6 +64,52 @@ pub(super) struct VisitArgs {
     /// instance 9x6:20.
     #[arg(long, value_name = "COLUMNSxROWS:MM", value_parser = parse_board)]
     emulated_board: Option<TargetConfig>,
+}
+
+impl VisitArgs {
+    /// Refuses an output that exists already, before a port opens.
+    fn check_output(&self) -> Result<()> {
+        if let Some(folder) = self.out.as_deref().filter(|folder| folder.join(STOPS_FILE).exists()) {
+            bail!("--out: {} contains a recording of stops already: use another folder", folder.display());
+        }
+        match &self.record {
+            Some(file) if !is_file(file) => {
+                bail!("--record: {} has no name FILE.mcap; for a folder of images use --out", file.display())
+            }
+            Some(file) if file.exists() => bail!("--record: {} exists already: use another name", file.display()),
+            _ => Ok(()),
+        }
+    }
+
+    /// Creates folder and file, with the identities of the cameras if they are known.
+    fn output(&self, setup: &Setup, program: Program, parts: &Parts) -> Result<Output> {
+        let folders = [self.out.as_deref(), self.record.as_deref().and_then(Path::parent)];
+        for folder in folders.into_iter().flatten() {
+            std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot be created", folder.display()))?;
+        }
+        let cameras = parts.cameras.as_ref();
+        if let (Some(folder), Some(cameras)) = (&self.out, cameras) {
+            save_cameras(cameras, &folder.join(CAMERAS_FILE))?;
+        }
+        let create = |file: &PathBuf| {
+            let about = About::new(String::new(), program.commit, parts.clock.now())?;
+            let arms = &setup.rig.arms;
+            StopsRecording::create(file, &about, cameras, [&arms.vs.chain, &arms.tc.chain]).context("--record")
+        };
+        Ok(Output { folder: self.out.clone(), file: self.record.as_ref().map(create).transpose()? })
+    }
+
+    fn folder_of_flights(&self) -> &Path {
+        let beside = self.record.as_deref().and_then(Path::parent);
+        self.out.as_deref().or(beside).unwrap_or(Path::new("."))
+    }
+
+    /// What was written, for the user.
+    fn written(&self) -> String {
+        let stops = self.out.as_ref().map(|folder| folder.join(STOPS_FILE));
+        let files: Vec<String> = stops.iter().chain(&self.record).map(|file| file.display().to_string()).collect();
+        files.join(" and ")
+    }
 }
 
 fn parse_board(text: &str) -> Result<TargetConfig, String> {
@@ -72,7 +125,7 @@ fn parse_board(text: &str) -> Result<TargetConfig, String> {
 ///
 /// # Errors
 /// A refused setup or poses, a missing confirmation, or a failed part.
-pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
+pub(super) fn run(args: &VisitArgs, program: Program) -> Result<ExitCode> {
     // Before any thread starts: a signal that ends the program would leave the arms to their gateways.
     let mut signals = StopSignals::take_over().context("cannot take over the signals that end the program")?;
     let wanted = args.poses.as_deref().map(load_poses).transpose().context("--poses")?;
@@ -80,23 +133,19 @@ pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
     if args.moves && !setup.is_emulated() {
         confirm::need_no_button(&setup)?;
     }
-    if args.out.join(STOPS_FILE).exists() {
-        bail!("--out: {} contains a recording of stops already: use another folder", args.out.display());
-    }
+    args.check_output()?;
     let patience = Duration::from_secs_f64(args.patience);
     let date = humantime::format_rfc3339_seconds(SystemTime::now()).to_string();
     // Arms and cameras are connected; all brakes stay on.
     let Wired { mut parts, monitors, .. } = wire_to_look(&setup, patience)?;
-    let cameras = parts.cameras.clone();
     let Some(wanted) = wanted else {
-        let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
-        std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot be created", args.out.display()))?;
-        visiting::look_here(&setup, parts, patience, &args.out, date)?;
-        save_identities(args, cameras.as_ref())?;
+        let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), program.last_words)?;
+        let output = args.output(&setup, program, &parts)?;
+        visiting::look_here(&setup, parts, patience, output, date)?;
         if was_interrupted.load(Ordering::SeqCst) {
             return Ok(ExitCode::from(INTERRUPTED));
         }
-        print_line(&format!("pair and joints recorded: {}", args.out.join(STOPS_FILE).display()))?;
+        print_line(&format!("pair and joints recorded: {}", args.written()))?;
         return Ok(ExitCode::SUCCESS);
     };
     let tour = plan_tour(&setup, &mut parts, &wanted, patience)?;
@@ -108,16 +157,15 @@ pub(super) fn run(args: &VisitArgs, last_words: fn()) -> Result<ExitCode> {
         true => None,
         false => Some(confirmed(&setup, tour.choice.name(), &mut signals)?),
     };
-    std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot be created", args.out.display()))?;
-    save_identities(args, cameras.as_ref())?;
-    let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), last_words)?;
+    let output = args.output(&setup, program, &parts)?;
+    let was_interrupted = watch(signals, &parts.interrupt, std::mem::take(&mut parts.on_bus), program.last_words)?;
     let (clock, flights) = (Arc::clone(&parts.clock), parts.flights.clone());
     let listen = |console| confirm::attend(console, setup.operator_key_within, &parts, std::io::stdout());
     let attended = person.map(listen).transpose()?;
-    let visited = visiting::run(&setup, parts, &tour, &args.out, date);
+    let visited = visiting::run(&setup, parts, &tour, output, date);
     if let Err(failure) = &visited {
         let moment = Moment { monotonic: clock.now(), wall: SystemTime::now() };
-        write_flights((&args.out, 1), &flights, &monitors, failure, moment);
+        write_flights((args.folder_of_flights(), 1), &flights, &monitors, failure, moment);
     }
     let visited = visited?;
     tell(args, &tour, &visited)?;
@@ -160,14 +208,6 @@ fn to_look(mut setup: Setup, board: Option<TargetConfig>) -> Result<Setup> {
     setup.drift = None;
     let setup = slow_setup(&setup, ArmChoice::Vs, JOINT_MAX_RAD_PER_S)?;
     slow_setup(&setup, ArmChoice::Tc, JOINT_MAX_RAD_PER_S)
-}
-
-/// Writes the identity of the cameras, if known.
-fn save_identities(
-    args: &VisitArgs,
-    cameras: Option<&[pb3dp_record::calibration_files::CameraIdentity; 2]>,
-) -> Result<()> {
-    cameras.map_or(Ok(()), |cameras| Ok(save_cameras(cameras, &args.out.join("cameras.toml"))?))
 }
 
 /// Plans the paths to all reachable poses and back; prints them and the skipped poses.
@@ -278,10 +318,5 @@ fn tell(args: &VisitArgs, tour: &Tour, visited: &Visited) -> Result<()> {
     if visited.taken == 0 {
         return Ok(print_line(&format!("none of {} stops recorded, {end}", tour.stops()))?);
     }
-    Ok(print_line(&format!(
-        "{} of {} stops recorded, {end}: {}",
-        visited.taken,
-        tour.stops(),
-        args.out.join(STOPS_FILE).display()
-    ))?)
+    Ok(print_line(&format!("{} of {} stops recorded, {end}: {}", visited.taken, tour.stops(), args.written()))?)
 }

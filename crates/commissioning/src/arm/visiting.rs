@@ -3,7 +3,7 @@
 //! Uses the same parts and loops as a run, with limiter, guard and coupling; the other arm holds. Each path is straight in joint space and
 //! stationary at both ends. Each pair is on disk before the arm moves on.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
@@ -14,6 +14,7 @@ use pb3dp_hal_api::{Clock, FramePair, JointCommand};
 use pb3dp_kinematics::{Chain, DOF, JointVector};
 use pb3dp_record::images::{StoredFormat, save};
 use pb3dp_record::stops::{ArmStand, Stop, Stops, save_stops};
+use pb3dp_recording::stops::StopsRecording;
 use pb3dp_servo::supervisor::{Confidence, EstimateInput, FrameInput};
 use pb3dp_setup::setup::{Pace, Setup};
 
@@ -90,11 +91,19 @@ struct Progress {
     is_under_way: AtomicBool,
 }
 
-/// Makes a tour and writes its pairs with a `stops.toml` into a folder; stops both arms on every exit path.
+/// Where stops are written; at least one is given.
+pub struct Output {
+    /// A folder, which gets a `stops.toml` beside the images.
+    pub folder: Option<PathBuf>,
+    /// A file.
+    pub file: Option<StopsRecording>,
+}
+
+/// Makes a tour and writes its pairs; stops both arms on every exit path.
 ///
 /// # Errors
 /// If an arm or the camera fails permanently, or writing fails; pairs recorded before are kept.
-pub fn run(setup: &Setup, parts: Parts, tour: &Tour, folder: &Path, date: String) -> Result<Visited> {
+pub fn run(setup: &Setup, parts: Parts, tour: &Tour, output: Output, date: String) -> Result<Visited> {
     let Parts { clock, camera, vs, tc, cell, emulated, interrupt, .. } = parts;
     let progress = Progress::default();
     let mut watching = Watching {
@@ -105,7 +114,7 @@ pub fn run(setup: &Setup, parts: Parts, tour: &Tour, folder: &Path, date: String
             pause: (setup.pace == Pace::Live).then_some((&*clock, setup.rig.frames.period)),
         },
         resting: Resting { exposure: setup.rig.frames.exposure, step: None, sums: Sums::default(), before: None },
-        keeping: Keeping::new(setup, (folder, date), &progress)?,
+        keeping: Keeping::new(setup, (output, date), &progress)?,
     };
     let mut visiting = Visiting {
         arms: BothArms::new(setup, (vs, tc), clock.now()),
@@ -122,19 +131,20 @@ pub fn run(setup: &Setup, parts: Parts, tour: &Tour, folder: &Path, date: String
     // The arms are dropped before the emulators at the other end of their links.
     drop(arms);
     drop(emulated);
-    let taken = watching.keeping.taken;
+    let Keeping { taken, output, .. } = watching.keeping;
+    let written = output.file.map_or(Ok(()), StopsRecording::finish);
     let restless = (0..way.min(tour.stops())).filter(|stop| !taken.contains(stop)).map(|stop| stop + 1).collect();
-    ended.map(|()| Visited { taken: taken.len(), restless, is_whole })
+    ended.and(written).map(|()| Visited { taken: taken.len(), restless, is_whole })
 }
 
 /// Records one pair at the current pose, with closed brakes.
 ///
 /// # Errors
 /// As [`run`], and if no image is stationary within `patience`.
-pub fn look_here(setup: &Setup, parts: Parts, patience: Duration, folder: &Path, date: String) -> Result<()> {
+pub fn look_here(setup: &Setup, parts: Parts, patience: Duration, output: Output, date: String) -> Result<()> {
     let Parts { clock, camera, vs, tc, cell, emulated, interrupt, .. } = parts;
     let progress = Progress::default();
-    let mut keeping = Keeping::new(setup, (folder, date), &progress)?;
+    let mut keeping = Keeping::new(setup, (output, date), &progress)?;
     let mut capturing = Capturing::new(setup, camera, cell);
     let mut arms = BothArms::new(setup, (vs, tc), clock.now());
     let (begin, mut before, mut shift) = (clock.now(), None::<Arc<FramePair>>, f64::INFINITY);
@@ -150,6 +160,7 @@ pub fn look_here(setup: &Setup, parts: Parts, patience: Duration, folder: &Path,
         shift = before.as_ref().map_or(f64::INFINITY, |before| shift_of(before, &pair));
         if shift <= STILL_WITHIN_PX {
             let [vs_rad, tc_rad] = [&arms.vs, &arms.tc].map(|arm| arm.joints().position_rad);
+            keeping.step(&VisitStep { at: pair.exposed_at, vs_rad, tc_rad, rest: None });
             keeping.keep(&Still { stop: 0, pair, vs_rad, tc_rad })?;
             break;
         }
@@ -157,7 +168,7 @@ pub fn look_here(setup: &Setup, parts: Parts, patience: Duration, folder: &Path,
     }
     drop(arms);
     drop(emulated);
-    Ok(())
+    keeping.output.file.map_or(Ok(()), StopsRecording::finish)
 }
 
 fn pair_of(captured: Captured) -> Option<Arc<FramePair>> {
@@ -175,6 +186,7 @@ fn shift_of(before: &FramePair, after: &FramePair) -> f64 {
 /// One control step of a tour.
 #[derive(Clone, Copy, Debug)]
 pub struct VisitStep {
+    at: MonotonicTime,
     vs_rad: JointVector,
     tc_rad: JointVector,
     /// The stop at which the joints are stationary, and since when.
@@ -253,7 +265,8 @@ impl Visiting<'_> {
             }
             _ => None,
         };
-        Ok(VisitStep { vs_rad: self.arms.vs.joints().position_rad, tc_rad: self.arms.tc.joints().position_rad, rest })
+        let [vs_rad, tc_rad] = [&self.arms.vs, &self.arms.tc].map(|arm| arm.joints().position_rad);
+        Ok(VisitStep { at: now, vs_rad, tc_rad, rest })
     }
 
     /// Command for the arm.
@@ -430,7 +443,7 @@ impl Estimate for Judging<'_> {
 
 /// Writes pairs and joints.
 struct Keeping<'a> {
-    folder: PathBuf,
+    output: Output,
     stops: Stops,
     /// Numbers of the recorded stops.
     taken: Vec<usize>,
@@ -439,19 +452,19 @@ struct Keeping<'a> {
 }
 
 impl<'a> Keeping<'a> {
-    fn new(setup: &Setup, (folder, date): (&Path, String), progress: &'a Progress) -> Result<Self> {
-        for side in ["left", "right"] {
-            let folder = folder.join(side);
+    fn new(setup: &Setup, (output, date): (Output, String), progress: &'a Progress) -> Result<Self> {
+        for folder in output.folder.iter().flat_map(|folder| ["left", "right"].map(|side| folder.join(side))) {
             std::fs::create_dir_all(&folder).with_context(|| format!("{}: cannot be created", folder.display()))?;
         }
         let chains = [setup.rig.arms.vs.chain.clone(), setup.rig.arms.tc.chain.clone()];
-        Ok(Self {
-            folder: folder.to_path_buf(),
-            stops: Stops { date, stops: Vec::new() },
-            taken: Vec::new(),
-            chains,
-            progress,
-        })
+        Ok(Self { output, stops: Stops { date, stops: Vec::new() }, taken: Vec::new(), chains, progress })
+    }
+
+    /// Records the joints of a control step.
+    fn step(&mut self, step: &VisitStep) {
+        if let Some(file) = &mut self.output.file {
+            file.step(step.at, [&step.vs_rad, &step.tc_rad]);
+        }
     }
 
     /// Records a pair, unless its stop is finished.
@@ -459,16 +472,20 @@ impl<'a> Keeping<'a> {
         if self.progress.done.load(Ordering::SeqCst) > still.stop {
             return Ok(());
         }
-        let name = |side: &str| format!("{side}/{:06}.png", still.stop);
-        let (left, right) = (name("left"), name("right"));
-        for (file, image) in [(&left, &still.pair.left), (&right, &still.pair.right)] {
-            let file = self.folder.join(file);
-            save(image, &file, StoredFormat::QuickPng)?;
-        }
         let [vs, tc] = [(&self.chains[0], &still.vs_rad), (&self.chains[1], &still.tc_rad)].map(stand);
+        if let Some(folder) = &self.output.folder {
+            let name = |side: &str| format!("{side}/{:06}.png", still.stop);
+            let (left, right) = (name("left"), name("right"));
+            for (file, image) in [(&left, &still.pair.left), (&right, &still.pair.right)] {
+                save(image, &folder.join(file), StoredFormat::QuickPng)?;
+            }
+            self.stops.stops.push(Stop { left, right, vs, tc: Some(tc) });
+            save_stops(folder, &self.stops)?;
+        }
+        if let Some(file) = &mut self.output.file {
+            file.stop(&still.pair, [&vs, &tc]);
+        }
         self.taken.push(still.stop);
-        self.stops.stops.push(Stop { left, right, vs, tc: Some(tc) });
-        save_stops(&self.folder, &self.stops)?;
         self.progress.done.fetch_max(still.stop + 1, Ordering::SeqCst);
         tracing::info!("stop {}: recorded", still.stop + 1);
         Ok(())
@@ -486,7 +503,9 @@ impl Record for Writing<'_, '_> {
     type Observed = Option<Still>;
     type Step = VisitStep;
 
-    fn moved(&mut self, _step: &VisitStep) {}
+    fn moved(&mut self, step: &VisitStep) {
+        self.0.step(step);
+    }
 
     fn note(&mut self, seen: Option<Still>) -> Result<()> {
         seen.map_or(Ok(()), |still| self.0.keep(&still))
@@ -524,7 +543,7 @@ mod tests {
     fn step(stop: Option<usize>, since_millis: u64, joint_rad: f64) -> VisitStep {
         let vs_rad = JointVector::repeat(joint_rad);
         let rest = stop.map(|stop| (stop, MonotonicTime::from_nanos(since_millis * 1_000_000)));
-        VisitStep { vs_rad, tc_rad: -vs_rad, rest }
+        VisitStep { at: MonotonicTime::ZERO, vs_rad, tc_rad: -vs_rad, rest }
     }
 
     #[test]

@@ -21,7 +21,7 @@ use pb3dp_panel::{About, Panel, PanelAddress, PanelConfig};
 use pb3dp_wiring::{Recording, RecordingOptions};
 use pb3dp_wiring::{open_cameras, video_system, wire_endless_replay};
 
-use crate::arguments::{RecordingArgs, ZRange, parse_z_range};
+use crate::arguments::{ZRange, parse_z_range};
 use crate::commands::cameras::choice::{CameraChoice, Chosen};
 use crate::commands::cameras::stop_requested;
 use crate::logging::show_in_panel;
@@ -42,7 +42,7 @@ pub struct PanelArgs {
     #[arg(long, value_name = "PATH")]
     sequence: Option<PathBuf>,
     #[command(flatten)]
-    recording: RecordingArgs,
+    recording: RecordingOptions,
     /// Two real cameras: with --config FILE, or with --left, --right and --calib. Without a calibration the page shows images and
     /// controls, and no target can be chosen.
     #[arg(long)]
@@ -80,7 +80,7 @@ pub fn run(args: &PanelArgs) -> Result<ExitCode> {
     let mut signals = StopSignals::take_over().context("signals cannot be taken over")?;
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
     let mut source = match args.file.as_ref().or(args.sequence.as_ref()) {
-        Some(path) => recorded(path, &args.recording.options(&args.choice.calib), &clock)?,
+        Some(path) => recorded((path, &args.choice.calib), &args.recording, &clock)?,
         None => cameras(&args.choice, &clock)?,
     };
     if let Some(ZRange { min_mm, max_mm }) = args.z_range {
@@ -127,9 +127,13 @@ fn serve(
     images.run(&mut *camera, is_over)
 }
 
-fn recorded(path: &Path, asked: &RecordingOptions, clock: &Arc<dyn Clock>) -> Result<Source> {
+fn recorded(
+    (path, calibration): (&Path, &[PathBuf]),
+    asked: &RecordingOptions,
+    clock: &Arc<dyn Clock>,
+) -> Result<Source> {
     let Recording { camera, search, notes, warnings, .. } =
-        wire_endless_replay(path, asked, Arc::clone(clock)).context("--sequence")?;
+        wire_endless_replay(path, calibration, asked, Arc::clone(clock)).context("--sequence")?;
     let calibration = camera.calibration().clone();
     for note in notes.iter().chain(&calibration.notes) {
         tracing::info!("{note}");

@@ -11,12 +11,12 @@ use pb3dp_bag::writer::{BagWriter, WhenFull};
 use pb3dp_cell::terminal::print_line;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_recording::compare::Comparison;
-use pb3dp_recording::pairs::is_file;
+use pb3dp_recording::pairs::{About, is_file};
 use pb3dp_recording::replay::{Estimates, Opened, ReplayOptions, Replayed};
 use pb3dp_setup::layers::toml_of;
 
 use crate::arguments::UNSURE;
-use crate::commands::run::{about, create_parent};
+use crate::commands::run::create_parent;
 
 /// Missing inputs that are named one by one.
 const NOTES_SHOWN: usize = 5;
@@ -85,7 +85,7 @@ fn replay(file: &Path, args: &ReplayArgs) -> Result<ExitCode> {
     let started = Instant::now();
     let mut opened = Opened::new(file, &options)?;
     let settings = toml_of(&opened.setup.layers.effective());
-    let mut about = about(settings, MonotonicTime::ZERO)?;
+    let mut about = About::new(settings, crate::COMMIT, MonotonicTime::ZERO)?;
     about.version += &format!(", a replay of {}", file.display());
     let writer = args.record.as_deref().map(new_recording).transpose().context("--record")?;
     let replayed = opened.replay(writer.map(|writer| (&about, Sinks::new(Some(writer), None, None))), false)?;

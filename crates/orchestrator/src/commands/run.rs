@@ -86,7 +86,7 @@ pub fn run(args: &RunArgs) -> Result<ExitCode> {
         tracing::info!("viewers can watch at ws://{} (--live)", live.address());
     }
     if file.is_some() || args.live.is_some() || setup.pace == Pace::Live {
-        let about = about(toml_of(&Layers::read(&asked)?.effective()), parts.clock.now())?;
+        let about = About::new(toml_of(&Layers::read(&asked)?.effective()), crate::COMMIT, parts.clock.now())?;
         parts = record_run(&about, &setup, parts, RecordTo { sinks, faults: args.out.clone() })?;
     }
     let Ended { outcome, how, faults } = experiment::conduct(&setup, parts, args.stop_after, folder)?;
@@ -139,15 +139,4 @@ fn check_recording(path: &Path, args: &RunArgs) -> Result<()> {
 pub(super) fn create_parent(file: &Path) -> Result<()> {
     let Some(folder) = file.parent() else { return Ok(()) };
     std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot be created", folder.display()))
-}
-
-/// What a recording states of itself; the clock of the run shows `now`.
-pub(super) fn about(setup_text: String, now: MonotonicTime) -> Result<About> {
-    let since_1970 =
-        SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).context("the clock shows a time before 1970")?;
-    Ok(About {
-        setup_text,
-        version: format!("pb3dp {} ({})", env!("CARGO_PKG_VERSION"), crate::COMMIT),
-        since_1970: since_1970.saturating_sub(now.saturating_since(MonotonicTime::ZERO)),
-    })
 }

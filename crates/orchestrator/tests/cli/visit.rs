@@ -3,10 +3,12 @@
 use std::path::Path;
 
 use nalgebra::Vector3;
+use pb3dp_bag::messages::JointState;
+use pb3dp_bag::pairs::{PairOptions, StereoBag, decoded};
 use pb3dp_geometry::frames::{Base, Flange};
 use pb3dp_geometry::{Pose, so3};
 use pb3dp_record::images::load_rgb;
-use pb3dp_record::stops::{ArmOfPoses, Stops, WantedPoses, load_stops, save_poses};
+use pb3dp_record::stops::{ArmOfPoses, Stops, WantedPoses, load_poses, load_stops, save_poses};
 
 use crate::cli::support::{Finished, pb3dp, repository, words};
 
@@ -66,7 +68,10 @@ fn pairs_and_joints_are_taken_where_they_were_asked_for() {
         );
         assert!(!out.exists(), "a dry run writes nothing");
 
-        let done = visit("bare.toml", &out, &[&more[..], &["--move"]].concat()).assert_success();
+        let file = folder.path().join(format!("{}.mcap", arm.name()));
+        let file_name = file.display().to_string();
+        let both = ["--move", "--record", &file_name];
+        let done = visit("bare.toml", &out, &[&more[..], &both].concat()).assert_success();
         assert!(done.stdout.contains("2 of 2 stops recorded, returned to the start"), "{}", done.stdout);
         let taken = load_stops(&out).unwrap();
         let stands = taken.stops.iter().map(|stop| match arm {
@@ -85,9 +90,91 @@ fn pairs_and_joints_are_taken_where_they_were_asked_for() {
         assert!(images.iter().all(|image| image.dimensions() == (640, 480)));
         assert!(images.windows(2).all(|two| two[0] != two[1]));
 
+        recorded_in_one_file(&file, &out, &taken);
+
         visit("bare.toml", &out, &[&more[..], &["--move"]].concat())
             .assert_refused(&["contains a recording of stops already"]);
     }
+}
+
+/// The file has the same stops and images as the folder, and the way of both arms between them.
+fn recorded_in_one_file(file: &Path, folder: &Path, taken: &Stops) {
+    let bag = StereoBag::open(file, PairOptions::default()).unwrap();
+    let stops = pb3dp_bag::stops::stops(bag.bag()).unwrap();
+    let pairs: Vec<_> = bag.pairs().map(|pair| pair.unwrap()).collect();
+    assert_eq!((stops.len(), pairs.len()), (taken.stops.len(), taken.stops.len()));
+    for ((recorded, pair), stop) in stops.iter().zip(&pairs).zip(&taken.stops) {
+        assert_eq!((recorded.at, recorded.vs, recorded.tc), (pair.exposed_at, stop.vs, stop.tc));
+        let [left, right] = pair.images.as_ref().unwrap();
+        assert_eq!(
+            [left, right],
+            [&stop.left, &stop.right].map(|name| load_rgb(&folder.join(name)).unwrap()).each_ref()
+        );
+    }
+    let joints: Vec<JointState> = bag
+        .bag()
+        .messages_on(&["/vs_robot/joint_states"])
+        .unwrap()
+        .map(|message| decoded(&message.unwrap()).unwrap())
+        .collect();
+    assert!(joints.len() > 200 && joints.iter().all(|joints| joints.position.len() == joints.name.len()));
+    let times: Vec<u64> = joints.iter().map(|joints| joints.header.stamp.nanos()).collect();
+    assert!(times.is_sorted() && times[0] > 1_700_000_000_000_000_000, "stamps count since 1970");
+    let last = stops.last().unwrap().at.as_nanos();
+    assert!(times[0] < stops[0].at.as_nanos() && times[times.len() - 1] > last, "the way to the stops and back");
+}
+
+#[test]
+fn one_file_is_enough_for_a_visit() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("new").join("look.mcap");
+    let config = config("bare.toml");
+    let visit = |record: &Path| {
+        let words = words(&[
+            &"arm",
+            &"visit",
+            &"--config",
+            &config,
+            &"--here",
+            &"--emulated-board",
+            &"9x6:20",
+            &"--record",
+            &record,
+        ]);
+        pb3dp(&words)
+    };
+    let done = visit(&file).assert_success();
+    assert!(done.stdout.contains("look.mcap") && !done.stdout.contains("stops.toml"), "{}", done.stdout);
+    visit(&file).assert_refused(&["exists already"]);
+    visit(&folder.path().join("look")).assert_refused(&["use --out"]);
+    let written: Vec<_> =
+        std::fs::read_dir(file.parent().unwrap()).unwrap().map(|entry| entry.unwrap().path()).collect();
+    assert_eq!(written, [file.clone()], "nothing else is written");
+
+    let poses = folder.path().join("poses.toml");
+    let calib = repository().join("configs/calibration/nominal.json");
+    let proposed = pb3dp(&words(&[
+        &"calibrate",
+        &"propose",
+        &"--recording",
+        &file,
+        &"--calib",
+        &calib,
+        &"--board",
+        &"9x6",
+        &"--square",
+        &"20",
+        &"--arm",
+        &"vs",
+        &"--guess",
+        &"0,0,0,0,0,0",
+        &"--count",
+        &"8",
+        &"--out",
+        &poses,
+    ]));
+    let text = format!("{}{}", proposed.stdout, proposed.stderr);
+    assert!(text.contains("for the last stop") && load_poses(&poses).is_ok(), "{text}");
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use pb3dp_geometry::ImageSize;
-use pb3dp_hal_api::FramePair;
+use pb3dp_hal_api::{DeliveredImage, FramePair};
 use serde_json::json;
 
 use crate::support::{Page, Rig};
@@ -49,8 +49,9 @@ fn images_come_while_they_are_wanted() {
 #[test]
 fn what_a_camera_delivers_as_jpeg_is_passed_on() {
     let black = FramePair::black(ImageSize { width: 640, height: 480 });
-    let jpegs = [b"left file".to_vec(), b"right file".to_vec()];
-    let rig = Rig::with_images(|_| {}, (true, false), Arc::new(FramePair { jpegs, ..black }));
+    let file = |bytes: &[u8]| DeliveredImage { encoding: DeliveredImage::JPEG, bytes: bytes.to_vec() };
+    let delivered = [file(b"left file"), file(b"right file")];
+    let rig = Rig::with_images(|_| {}, (true, false), Arc::new(FramePair { delivered, ..black }));
     let mut page = Page::open(&rig.client());
     page.send(json!({ "type": "images", "left": true, "right": true, "view": "raw", "fps_max": 30 }));
     for (side, file) in [&b"left file"[..], b"right file"].into_iter().enumerate() {

@@ -241,7 +241,7 @@ fn textured(sequence: u64, at: MonotonicTime) -> Arc<FramePair> {
         skew_nanos: 0,
         left: image(0),
         right: image(40),
-        jpegs: Default::default(),
+        delivered: Default::default(),
     })
 }
 
@@ -358,8 +358,8 @@ impl Loop {
             ..TrackEstimate::without_pose(Status::Ok, "test".to_owned())
         };
         let (left, right) = (image.left.clone(), image.right.clone());
-        let jpegs = image.jpegs.clone();
-        let pair = FramePair { sequence: self.sequence, exposed_at: at, skew_nanos: 0, left, right, jpegs };
+        let delivered = image.delivered.clone();
+        let pair = FramePair { sequence: self.sequence, exposed_at: at, skew_nanos: 0, left, right, delivered };
         // The target moves away by 2 mm after its first estimate, and the estimate does not follow.
         self.looks += u64::from(self.target > 0);
         let truth_m = Vector3::new(0.01, 0.02, if self.looks > 1 { 0.602 } else { 0.6 });

@@ -107,6 +107,9 @@ pub fn load_stereo(paths: &[PathBuf]) -> Result<StereoCalibration, CalibrationFi
     load(paths, None)
 }
 
+/// File name of the identities of the cameras of a recording.
+pub const CAMERAS_FILE: &str = "cameras.toml";
+
 /// Reads the identities of the left and the right camera of a recording from its `cameras.toml`.
 ///
 /// # Errors
@@ -248,7 +251,12 @@ pub fn save_judged(rig: &StereoRig, judgement: &Judgement, path: &Path) -> Resul
 /// # Errors
 /// A file that cannot be written.
 pub fn save_cameras(cameras: &[CameraIdentity; 2], path: &Path) -> Result<(), CalibrationFileError> {
-    write_file(path, &identity::write_file(cameras))
+    write_file(path, &cameras_text(cameras))
+}
+
+/// The text of a `cameras.toml`.
+pub fn cameras_text(cameras: &[CameraIdentity; 2]) -> String {
+    identity::write_file(cameras)
 }
 
 /// Writes our `calib.json`, in millimetres.

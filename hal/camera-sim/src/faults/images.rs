@@ -12,7 +12,7 @@ use super::{Delivered, Delivery, Plan, bar};
 
 impl Delivered for FramePair {
     fn with_content_of(&self, other: &Self) -> Self {
-        Self { left: other.left.clone(), right: other.right.clone(), jpegs: other.jpegs.clone(), ..*self }
+        Self { left: other.left.clone(), right: other.right.clone(), delivered: other.delivered.clone(), ..*self }
     }
 }
 
@@ -56,7 +56,7 @@ impl<C: StereoCamera> StereoCamera for FaultyCamera<C> {
             spoil(&mut next, fault, self.before.as_ref(), self.plan.progress(fault, self.fresh.exposed_at));
         }
         if !faults.is_empty() {
-            next.clear_jpegs();
+            next.clear_delivered();
         }
         self.before = Some(self.fresh.clone());
         *pair = self.delivery.deliver(next, &faults)?;
@@ -153,6 +153,8 @@ fn warped(image: &RgbImage, shift_px: [f64; 2], roll_rad: f64, scale: f64) -> Rg
 
 #[cfg(test)]
 mod tests {
+    use pb3dp_hal_api::DeliveredImage;
+
     use super::*;
 
     /// Pairs whose pixels encode camera, number and position.
@@ -186,7 +188,8 @@ mod tests {
             (pair.sequence, pair.exposed_at, pair.skew_nanos) =
                 (number, MonotonicTime::ZERO + PERIOD * number as u32, 0);
             (pair.left, pair.right) = (image(0), image(1));
-            pair.jpegs = [vec![number as u8], vec![number as u8]];
+            let delivered = DeliveredImage { encoding: "mono8", bytes: vec![number as u8] };
+            pair.delivered = [delivered.clone(), delivered];
             Ok(())
         }
     }
@@ -200,7 +203,7 @@ mod tests {
         for _ in 0..2 {
             let (given, expected) = (camera.next_pair(PERIOD).unwrap(), clean.next_pair(PERIOD).unwrap());
             assert_eq!((given.sequence, given.left), (expected.sequence, expected.left));
-            assert_eq!(given.jpegs, expected.jpegs);
+            assert_eq!(given.delivered, expected.delivered);
         }
         let pair = camera.next_pair(PERIOD).unwrap();
         assert_eq!(camera.next_pair(PERIOD).unwrap().left.get_pixel(5, 5).0, pixel(0, 3, 5, 5));
@@ -228,7 +231,11 @@ mod tests {
         assert_eq!(pixels(&black, 3, 4), [pixel(0, 2, 3, 4), [0; 3]]);
         let white = third(CameraFaultKind::Saturated { cameras: AffectedCameras::Left });
         assert_eq!(pixels(&white, 3, 4), [[255; 3], pixel(1, 2, 3, 4)]);
-        assert!([&torn, &skewed, &black, &white].iter().all(|pair| pair.jpegs.iter().all(Vec::is_empty)));
+        assert!(
+            [&torn, &skewed, &black, &white]
+                .iter()
+                .all(|pair| pair.delivered.iter().all(|image| image.bytes.is_empty()))
+        );
         let bright = third(CameraFaultKind::Brightness { cameras: AffectedCameras::Both, factor: 9.0 });
         assert_eq!(pixels(&bright, 3, 4), [[36, 45, 255], [36, 45, 255]]);
     }

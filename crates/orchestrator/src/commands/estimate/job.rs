@@ -108,8 +108,7 @@ impl Job {
     /// # Errors
     /// A recording that cannot be used, a pair that it does not have or that is damaged, and no region.
     pub fn from_recording(path: &Path, args: &EstimateArgs) -> Result<Self> {
-        let mut recording =
-            wire_replay(path, &args.recording.options(&args.calib), ReplayPace::Fast).context("--sequence")?;
+        let mut recording = wire_replay(path, &args.calib, &args.recording, ReplayPace::Fast).context("--sequence")?;
         let pairs = recording.camera.pairs();
         if args.frame >= pairs {
             bail!("--frame {}: the recording has {pairs} pairs, numbered from 0", args.frame);

@@ -44,8 +44,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     if let Some(file) = &args.surface {
         check_writable("--surface", file)?;
     }
-    let mut recording =
-        wire_replay(&args.sequence, &args.recording.options(&args.calib), args.pace).context("--sequence")?;
+    let mut recording = wire_replay(&args.sequence, &args.calib, &args.recording, args.pace).context("--sequence")?;
     for note in recording.notes.iter().chain(&recording.camera.calibration().notes) {
         tracing::info!("{note}");
     }

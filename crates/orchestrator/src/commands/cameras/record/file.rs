@@ -10,11 +10,11 @@ use pb3dp_bag::topics::ours;
 use pb3dp_bag::writer::{BagWriter, WhenFull};
 use pb3dp_geometry::StereoRig;
 use pb3dp_hal_api::{CameraErrorKind, Clock, FramePair, StereoCamera};
-use pb3dp_recording::pairs::PairRecording;
+use pb3dp_record::calibration_files::CameraIdentity;
+use pb3dp_recording::pairs::{About, PairRecording};
 
 use super::Recorded;
 use super::recorder::{PATIENCE, PATIENCE_OF_A_CALL};
-use crate::commands::run::about;
 
 /// When a recording ends.
 pub(super) struct Until {
@@ -29,13 +29,14 @@ pub(super) struct Until {
 pub(super) fn record(
     camera: &mut dyn StereoCamera,
     clock: &dyn Clock,
-    (path, rig): (&Path, Option<&StereoRig>),
+    (path, rig, identities): (&Path, Option<&StereoRig>, &[CameraIdentity; 2]),
     until: &Until,
     is_over: &mut dyn FnMut() -> bool,
 ) -> Result<Recorded> {
     let writer = BagWriter::create(path, WhenFull::Drop).context("--out")?;
-    let about = about(String::new(), clock.now())?;
+    let about = About::new(String::new(), crate::COMMIT, clock.now())?;
     let mut file = PairRecording::new(&about, rig, Sinks::new(Some(writer), None, None));
+    file.cameras(Some(identities));
     let (begin, mut heard_at) = (clock.now(), clock.now());
     let mut pair = FramePair::black(camera.info().size);
     let mut recorded = Recorded::default();

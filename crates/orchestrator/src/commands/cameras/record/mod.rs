@@ -18,7 +18,7 @@ use pb3dp_cell::terminal::{parse_seconds, print_line};
 use pb3dp_geometry::ImageSize;
 use pb3dp_hal_api::{Clock, StereoCamera};
 use pb3dp_hal_platform::signals::StopSignals;
-use pb3dp_record::calibration_files::save_cameras;
+use pb3dp_record::calibration_files::{CAMERAS_FILE, CameraIdentity, save_cameras};
 use pb3dp_record::dataset::{SearchRange, SequenceDraft, SequenceWriter};
 use pb3dp_record::images::StoredFormat;
 use pb3dp_recording::pairs::is_file;
@@ -134,7 +134,8 @@ fn recorded(
         }
         tracing::info!("{}: recording into {}", camera.info().name, args.out.display());
         let until = file::Until { pairs: args.pairs, time: args.seconds.map(Duration::from_secs_f64) };
-        return file::record(&mut camera, clock.as_ref(), (&args.out, rig.as_ref()), &until, is_over);
+        let identities = identities(&camera)?;
+        return file::record(&mut camera, clock.as_ref(), (&args.out, rig.as_ref(), &identities), &until, is_over);
     }
     let Some(rig) = rig else {
         bail!(
@@ -152,15 +153,19 @@ fn recorded(
     let mut camera =
         V4l2StereoCamera::open(system, Arc::clone(&clock), &config).context("the cameras cannot be used")?;
     check_size(&rig, camera.info().size)?;
-    let mut identity_of = |side| camera.identity(side).map(identity);
-    let identities = [identity_of(Side::Left)?, identity_of(Side::Right)?];
+    let identities = identities(&camera)?;
     let writer = SequenceWriter::create(&args.out, &rig, draft).context("--out")?;
-    // A calibration with these images states the cameras that it belongs to.
-    save_cameras(&identities, &args.out.join("cameras.toml")).context("--out")?;
+    save_cameras(&identities, &args.out.join(CAMERAS_FILE)).context("--out")?;
     tracing::info!("{}: recording into {}", camera.info().name, args.out.display());
     let outcome =
         record(&mut camera, clock.as_ref(), writer, &plan, &|files, pair| files.save(&pair.left, &pair.right), is_over);
     Ok(Recorded::of(outcome, &args.out))
+}
+
+/// A calibration with the recorded images states the cameras that it belongs to.
+fn identities(camera: &V4l2StereoCamera) -> Result<[CameraIdentity; 2]> {
+    let of = |side| camera.identity(side).map(identity);
+    Ok([of(Side::Left)?, of(Side::Right)?])
 }
 
 /// One thread per processor, except the one that captures.

@@ -4,7 +4,10 @@ use std::os::unix::fs::symlink;
 use std::sync::Mutex;
 
 use clap::Parser as _;
-use pb3dp_bag::pairs::{PairOptions, StereoBag};
+use pb3dp_bag::messages::Image;
+use pb3dp_bag::pairs::{PairOptions, StereoBag, decoded};
+use pb3dp_bag::topics::ours;
+use pb3dp_camera_v4l2::emulated::EmulatedCamera;
 use pb3dp_record::calibration_files::load_stereo;
 use pb3dp_record::dataset::load_sequence;
 
@@ -275,4 +278,54 @@ fn a_file_has_every_pair_as_it_was() {
     let (system, clock) = super::super::emulated_rig::system(|_, _| {});
     let error = recorded(system, clock, &of_folder, &mut never).unwrap_err();
     assert!(error.to_string().starts_with("--jpeg: only a folder"), "{error:#}");
+}
+
+/// Bytes of an image that no format takes for another; each number has its own.
+fn paint_bytes(number: u64, memory: &mut [u8]) {
+    for (index, byte) in memory.iter_mut().enumerate() {
+        *byte = ((index / 7 + index / 640 * 3) as u64 + 31 * number) as u8;
+    }
+}
+
+/// What the camera delivers is in the file, without the padding of its rows, and gives the same images again.
+#[test]
+fn a_file_has_the_bytes_of_the_camera() {
+    let place = Place::new();
+    for (fourcc, encoding, step) in [
+        (*b"GREY", "mono8", 640),
+        (*b"YUYV", "yuv422_yuy2", 1280),
+        (*b"BA81", "bayer_bggr8", 640),
+        (*b"RGB3", "rgb8", 1920),
+    ] {
+        let change = |_: usize, camera: &mut EmulatedCamera| {
+            camera.formats[0].0 = fourcc;
+            camera.padding = 24;
+            camera.paint = paint_bytes;
+        };
+        let (name, out) = (encoding, place.folder.path().join(format!("{encoding}.mcap")));
+        let format = std::str::from_utf8(&fourcc).unwrap();
+        let args: RecordArgs = typed(&["--format", format, "--out", &out.display().to_string(), "--pairs", "3"]);
+        let (system_of_file, clock) = system(change);
+        assert_eq!(recorded(system_of_file, clock, &args, &mut never).unwrap().pairs, 3, "{name}");
+        let (system, clock) = system(change);
+        let config = args.cameras.chosen().unwrap().config;
+        let mut camera = V4l2StereoCamera::open(system, clock, &config).unwrap();
+        let bag = StereoBag::open(&out, PairOptions::default()).unwrap();
+        let expected: Vec<_> = (0..3).map(|_| camera.next_pair(Duration::from_secs(1)).unwrap()).collect();
+        for (pair, expected) in bag.pairs().zip(&expected) {
+            assert_eq!(pair.unwrap().images.unwrap(), [expected.left.clone(), expected.right.clone()], "{name}");
+        }
+        let messages = bag.bag().messages_on(&[ours::LEFT_IMAGE]).unwrap();
+        for (number, message) in messages.enumerate() {
+            let image: Image = decoded(&message.unwrap()).unwrap();
+            assert_eq!(
+                (image.encoding.as_str(), image.step, image.data.0.len()),
+                (encoding, step, 480 * step as usize)
+            );
+            let mut memory = vec![0; 480 * (step as usize + 24)];
+            paint_bytes(number as u64, &mut memory);
+            let rows = memory.chunks(step as usize + 24).map(|row| &row[..step as usize]);
+            assert!(image.data.0.chunks(step as usize).eq(rows), "{name}");
+        }
+    }
 }

@@ -6,14 +6,7 @@ use std::time::Duration;
 use pb3dp_geometry::MonotonicTime;
 use pb3dp_record::dataset::Sequence;
 
-/// Arrangement of both views in one image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Layout {
-    /// Left half and right half.
-    SideBySide,
-    /// The left view above the right one.
-    TopBottom,
-}
+use crate::options::Layout;
 
 /// Where the images of a pair are.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -89,6 +82,15 @@ impl Source {
             skew_nanos,
         });
         Self::timed(pairs.collect(), first_at, period)
+    }
+
+    /// The same without the pairs before a time, and how many these are; none is left out if all are before it.
+    pub(crate) fn since(self, from: MonotonicTime, period: Duration) -> (Self, u64) {
+        let at = |pair: &RecordedPair| self.first_at + pair.since_first;
+        let before = self.pairs.iter().take_while(|pair| at(pair) < from).count();
+        let left_out = if before < self.pairs.len() { before } else { 0 };
+        let kept = self.pairs[left_out..].iter().map(|pair| (pair.place.clone(), at(pair), pair.skew_nanos));
+        (Self::of_times(kept.collect(), period), left_out as u64)
     }
 
     fn timed(pairs: Vec<RecordedPair>, first_at: MonotonicTime, period: Duration) -> Self {

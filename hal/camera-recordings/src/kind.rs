@@ -1,0 +1,116 @@
+//! Kinds of recordings: sequence folders, cases, MCAP files, EuRoC folders and plain folders of images.
+
+use std::path::{Path, PathBuf};
+
+use pb3dp_bag::BagError;
+use pb3dp_bag::pairs::{MarkedRegion, PairOptions, StereoBag};
+use pb3dp_bag::reader::Bag;
+use pb3dp_hal_api::{CameraError, CameraErrorKind};
+use pb3dp_record::calibration_files::{StereoCalibration, load_stereo};
+use pb3dp_record::dataset::{CASE_FILE, Case, DatasetError, Sequence, is_sequence, load_case, load_sequence};
+
+use crate::euroc;
+use crate::options::{RecordingOptions, Topics};
+
+/// A recording with its description.
+#[derive(Debug)]
+pub enum Kind {
+    /// A folder with a `sequence.json`.
+    Sequence(Sequence),
+    /// A folder with a `case.json`: one pair.
+    Case(Case),
+    /// An MCAP file or a folder of rosbag2.
+    Bag(StereoBag),
+    /// Two camera folders as in the EuRoC dataset.
+    Euroc([PathBuf; 2]),
+    /// A plain folder of images.
+    Images,
+}
+
+impl Kind {
+    /// Finds the kind of a recording and reads its description.
+    ///
+    /// # Errors
+    /// Kind `Unusable` if there is no recording, or its description cannot be used.
+    pub fn of(path: &Path, asked: &RecordingOptions) -> Result<Self, CameraError> {
+        if is_sequence(path) || is_sequence_file(path) {
+            return load_sequence(path).map(Self::Sequence).map_err(|error| unusable(path, error));
+        }
+        if path.join(CASE_FILE).is_file() {
+            return load_case(path).map(Self::Case).map_err(|error| unusable(path, error));
+        }
+        if Bag::is_one(path) {
+            let topics = asked.topics.clone().map(|Topics(names)| names);
+            let pairing = PairOptions { topics, within: asked.pair_within, range: asked.range };
+            return StereoBag::open(path, pairing).map(Self::Bag).map_err(|error| unusable_bag(path, error));
+        }
+        if let Some(cameras) = euroc::camera_folders(path) {
+            return Ok(Self::Euroc(cameras));
+        }
+        if path.is_file() {
+            return Err(unusable_bag(path, BagError::NoMcap { file: path.to_path_buf() }));
+        }
+        if !path.exists() {
+            let message = format!("cannot replay {}: it does not exist; check the path", path.display());
+            return Err(CameraError::new(CameraErrorKind::Unusable, message));
+        }
+        Ok(Self::Images)
+    }
+
+    /// The calibration in these files, or that of the recording if there are none.
+    ///
+    /// # Errors
+    /// Kind `Unusable` if there is none, or it cannot be used.
+    pub fn calibration(&self, path: &Path, files: &[PathBuf]) -> Result<StereoCalibration, CameraError> {
+        match (files, self) {
+            ([], Self::Sequence(sequence)) => sequence.load_calibration().map_err(|error| unusable(path, error)),
+            ([], Self::Case(case)) => case.load_calibration().map_err(|error| unusable(path, error)),
+            ([], Self::Bag(bag)) => bag.calibration().map_err(|error| unusable_bag(path, error)),
+            ([], Self::Euroc(cameras)) => euroc::calibration(cameras),
+            ([], Self::Images) => calibration_in(path, &[path.to_path_buf()]),
+            (files, _) => calibration_in(path, files),
+        }
+    }
+
+    /// The region that an operator marked, in an MCAP recording.
+    ///
+    /// # Errors
+    /// Kind `Unusable` if the recording is damaged.
+    pub fn marked(&self, path: &Path) -> Result<Option<MarkedRegion>, CameraError> {
+        match self {
+            Self::Bag(bag) => bag.region().map_err(|error| unusable_bag(path, error)),
+            _ => Ok(None),
+        }
+    }
+}
+
+/// A folder of no kind that is read.
+pub(crate) fn no_recording(path: &Path, error: CameraError) -> CameraError {
+    let message = format!(
+        "{}: no recording (no sequence.json, no MCAP file, no cam0/data.csv, no image pairs); docs/recordings.md describes what is read",
+        path.display()
+    );
+    CameraError::caused_by(CameraErrorKind::Unusable, message, error)
+}
+
+pub(crate) fn unusable_bag(path: &Path, error: BagError) -> CameraError {
+    CameraError::caused_by(CameraErrorKind::Unusable, format!("cannot replay {}", path.display()), error)
+}
+
+fn unusable(folder: &Path, error: DatasetError) -> CameraError {
+    CameraError::caused_by(CameraErrorKind::Unusable, format!("cannot replay {}", folder.display()), error)
+}
+
+fn is_sequence_file(path: &Path) -> bool {
+    path.is_file() && path.extension().is_some_and(|extension| extension == "json" || extension == "jsonl")
+}
+
+fn calibration_in(path: &Path, files: &[PathBuf]) -> Result<StereoCalibration, CameraError> {
+    load_stereo(files).map_err(|error| {
+        let message = format!(
+            "cannot replay {}: no usable calibration; give one with --calib, or put a calib.json there",
+            path.display()
+        );
+        CameraError::caused_by(CameraErrorKind::Unusable, message, error)
+    })
+}

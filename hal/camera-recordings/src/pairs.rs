@@ -1,0 +1,293 @@
+//! The pairs of a recording, with or without a calibration.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use image::RgbImage;
+use pb3dp_bag::BagError;
+use pb3dp_bag::pairs::StereoBag;
+use pb3dp_geometry::{ImageSize, MonotonicTime};
+use pb3dp_hal_api::{CameraError, CameraErrorKind};
+use pb3dp_record::dataset::Sequence;
+use pb3dp_record::images::{ImageFileError, StoredImage, check_size};
+use pb3dp_record::value_range::ValueRange;
+
+use crate::bag::BagImages;
+use crate::euroc;
+use crate::folder::{image_pairs, images_with_both};
+use crate::kind::{Kind, no_recording, unusable_bag};
+use crate::options::{Layout, RecordingOptions};
+use crate::source::{Place, Source, TimedPairs};
+
+/// Time between the pairs of recordings that state none.
+pub const PERIOD: Duration = Duration::from_nanos(33_333_333);
+
+/// The pairs of a recording, in any order; quickest in their own.
+#[derive(Debug)]
+pub struct RecordedPairs {
+    name: String,
+    source: Source,
+    has_times: bool,
+    /// The images of pairs that are in an MCAP recording.
+    bag: Option<BagImages>,
+    range: Option<ValueRange>,
+    notes: Vec<String>,
+    warnings: Vec<String>,
+}
+
+impl RecordedPairs {
+    /// The pairs of a recording of any kind that is read; a calibration is not needed.
+    ///
+    /// # Errors
+    /// Kind `Unusable` if the recording or its description cannot be used.
+    pub fn open(path: &Path, asked: &RecordingOptions) -> Result<Self, CameraError> {
+        Self::of(path, &Kind::of(path, asked)?, asked, PERIOD)
+    }
+
+    /// The pairs of a recording of this kind; `period` is the time between pairs if it states none.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn of(path: &Path, kind: &Kind, asked: &RecordingOptions, period: Duration) -> Result<Self, CameraError> {
+        let source = match kind {
+            Kind::Sequence(sequence) => {
+                let warnings = warnings_of(sequence);
+                return Ok(Self { warnings, ..Self::new(path, Source::of_sequence(sequence, period), asked) });
+            }
+            Kind::Case(case) => Source::of_images(vec![Place::Files(case.left.clone(), case.right.clone())], period),
+            Kind::Bag(bag) => return Self::of_bag(path, bag, asked, period),
+            Kind::Euroc(cameras) => return Self::timed(path, euroc::pairs(cameras, asked.pair_within)?, asked, period),
+            Kind::Images => {
+                let places = match asked.layout {
+                    Some(layout) => images_with_both(path)?.into_iter().map(|file| Place::Both(file, layout)).collect(),
+                    None => {
+                        let pairs = image_pairs(path).map_err(|error| no_recording(path, error))?;
+                        pairs.into_iter().map(|(left, right)| Place::Files(left, right)).collect()
+                    }
+                };
+                Source::of_images(places, period)
+            }
+        };
+        Ok(Self { has_times: false, ..Self::new(path, source, asked) })
+    }
+
+    fn new(path: &Path, source: Source, asked: &RecordingOptions) -> Self {
+        let (notes, warnings) = (Vec::new(), Vec::new());
+        let name = format!("replay {}", path.display());
+        Self { name, source, has_times: true, bag: None, range: asked.range, notes, warnings }
+    }
+
+    fn of_bag(path: &Path, bag: &StereoBag, asked: &RecordingOptions, period: Duration) -> Result<Self, CameraError> {
+        let (times, unpaired) = BagImages::times(bag).map_err(|error| unusable_bag(path, error))?;
+        let [left, right] = bag.topics().clone().map(|topic| topic.name);
+        let notes = vec![format!("images: {left} and {right}")];
+        let mut warnings = Vec::new();
+        if bag.bag().is_unfinished() {
+            warnings.push(format!(
+                "the recording was broken off: it has no end; its {} pairs until the last whole one are used",
+                times.len()
+            ));
+        }
+        if times.is_empty() {
+            let (file, within_ms) = (path.to_path_buf(), asked.pair_within.as_secs_f64() * 1e3);
+            return Err(unusable_bag(path, BagError::NoPairs { file, left, right, within_ms }));
+        }
+        let pairs = times.into_iter().map(|(at, skew_nanos)| (Place::Bag, at, skew_nanos)).collect();
+        let mut found = Self::timed(path, TimedPairs { pairs, unpaired }, asked, period)?;
+        found.bag = Some(BagImages::new(bag.clone()));
+        found.notes.splice(0..0, notes);
+        found.warnings.splice(0..0, warnings);
+        Ok(found)
+    }
+
+    fn timed(
+        path: &Path,
+        TimedPairs { pairs, unpaired }: TimedPairs,
+        asked: &RecordingOptions,
+        period: Duration,
+    ) -> Result<Self, CameraError> {
+        let within_ms = asked.pair_within.as_secs_f64() * 1e3;
+        if pairs.is_empty() {
+            let message = format!(
+                "cannot replay {}: no left image has a right one within {within_ms} ms; state a longer time with --pair-within, or check the clocks of the cameras",
+                path.display()
+            );
+            return Err(CameraError::new(CameraErrorKind::Unusable, message));
+        }
+        let mut warnings = Vec::new();
+        if unpaired > 0 {
+            warnings.push(format!(
+                "images left out, because the other camera has none within {within_ms} ms (--pair-within): {unpaired}"
+            ));
+        }
+        Ok(Self { warnings, ..Self::new(path, Source::of_times(pairs, period), asked) })
+    }
+
+    /// The same without the pairs before a time; none is left out if all are before it.
+    #[must_use]
+    pub fn since(self, from: MonotonicTime, period: Duration) -> Self {
+        let (source, left_out) = self.source.since(from, period);
+        let mut notes = self.notes;
+        if left_out > 0 {
+            notes.push(format!("the first {left_out} pairs are left out: the target was marked after them"));
+        }
+        Self { source, bag: self.bag.map(|bag| bag.after(left_out)), notes, ..self }
+    }
+
+    /// Name for messages.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Number of pairs, good or bad.
+    pub fn count(&self) -> u64 {
+        self.source.pairs()
+    }
+
+    /// Middle of the left exposure of each pair, seconds on the clock of the recording.
+    pub fn times_s(&self) -> Vec<f64> {
+        self.source.times_s()
+    }
+
+    /// Time between pairs, if it is constant (to a fifth).
+    pub fn period(&self) -> Option<Duration> {
+        self.source.period()
+    }
+
+    /// Time of the first pair on the clock of the recording; zero if it was negative.
+    pub fn first_at(&self) -> MonotonicTime {
+        self.source.first_at()
+    }
+
+    /// Time from the very first pair to the one at a position that counts over all rounds.
+    pub fn since_start(&self, position: u64) -> Duration {
+        self.source.since_start(position)
+    }
+
+    /// Middle of the right exposure minus middle of the left one, nanoseconds, of the pair at a position that counts over all rounds.
+    pub fn skew_nanos(&self, position: u64) -> i64 {
+        self.source.pair(position).skew_nanos
+    }
+
+    /// Middle of the left exposure of a pair on the clock of the recording.
+    pub fn exposed_at(&self, number: u64) -> MonotonicTime {
+        self.source.first_at() + self.source.pair(number).since_first
+    }
+
+    /// Whether the recording states when its pairs were taken.
+    pub fn has_times(&self) -> bool {
+        self.has_times
+    }
+
+    /// The left and the right image file of each pair, if all images are in files of their own with 8 bits.
+    pub fn files(&self) -> Option<Vec<[PathBuf; 2]>> {
+        let file = |number| match &self.source.pair(number).place {
+            Place::Files(left, right) => Some([left.clone(), right.clone()]),
+            Place::Both(..) | Place::Bag => None,
+        };
+        let files: Vec<_> = (0..self.count()).map(file).collect::<Option<_>>()?;
+        // Damaged ones are reported where they are used.
+        let is_deep =
+            files.iter().flatten().find_map(|file| StoredImage::load(file).ok()).is_some_and(|image| image.is_deep());
+        (!is_deep).then_some(files)
+    }
+
+    /// The images of the pair with this number, from 0. `expected` is the size that they must have, with what requires it.
+    ///
+    /// # Errors
+    /// Kind `BadPair` with the file and what is wrong with it.
+    pub fn images(&mut self, number: u64, expected: Option<(ImageSize, &str)>) -> Result<[RgbImage; 2], CameraError> {
+        let name = &self.name;
+        let bad_pair = |error: ImageFileError| {
+            let message = format!("{name}: pair {number} is skipped: {}", error.file.display());
+            CameraError::caused_by(CameraErrorKind::BadPair, message, error)
+        };
+        let (images, notes) = match &self.source.pair(number).place {
+            Place::Files(left, right) => {
+                let load = |file| loaded(file, expected).map_err(bad_pair);
+                let (images, note) = StoredImage::to_rgb_pair([load(left)?, load(right)?], &mut self.range);
+                (images, Vec::from_iter(note))
+            }
+            Place::Both(file, layout) => {
+                let both = StoredImage::load(file).and_then(|both| halves(file, both, *layout, expected));
+                let (images, note) = StoredImage::to_rgb_pair(both.map_err(bad_pair)?, &mut self.range);
+                (images, Vec::from_iter(note))
+            }
+            Place::Bag => {
+                let bag = self.bag.as_mut().ok_or_else(|| {
+                    CameraError::new(CameraErrorKind::Unusable, "replay: bug: a recording without its file, report it")
+                })?;
+                bag.images(number).map_err(|error| {
+                    let message = format!("{name}: pair {number} is skipped");
+                    CameraError::caused_by(CameraErrorKind::BadPair, message, error)
+                })?
+            }
+        };
+        self.notes.extend(notes);
+        for image in &images {
+            let (size, Some((wanted, because_of))) = (image.dimensions(), expected) else { continue };
+            if size != (wanted.width, wanted.height) {
+                let message = format!(
+                    "{}: pair {number} is skipped: an image has {}x{} pixels, but {because_of} has {}x{}; use the calibration of this size",
+                    self.name, size.0, size.1, wanted.width, wanted.height
+                );
+                return Err(CameraError::new(CameraErrorKind::BadPair, message));
+            }
+        }
+        Ok(images)
+    }
+
+    /// What the user should know since the last call.
+    pub fn take_notes(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.notes)
+    }
+
+    /// What is missing or not as it should be, since the last call.
+    pub fn take_warnings(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.warnings)
+    }
+}
+
+fn warnings_of(sequence: &Sequence) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if sequence.is_unfinished {
+        warnings.push(format!(
+            "the recording was broken off: it has no sequence.json; its {} frames until the last whole one are used",
+            sequence.frames()
+        ));
+    }
+    if !sequence.other_keys.is_empty() {
+        warnings.push(format!(
+            "sequence.json has keys that are not known and not used: {}",
+            sequence.other_keys.join(", ")
+        ));
+    }
+    warnings
+}
+
+fn loaded(file: &Path, expected: Option<(ImageSize, &str)>) -> Result<StoredImage, ImageFileError> {
+    let image = StoredImage::load(file)?;
+    expected.map_or(Ok(()), |expected| check_size(file, image.size(), expected))?;
+    Ok(image)
+}
+
+/// Both views of an image.
+fn halves(
+    file: &Path,
+    both: StoredImage,
+    layout: Layout,
+    expected: Option<(ImageSize, &str)>,
+) -> Result<[StoredImage; 2], ImageFileError> {
+    let ImageSize { width, height } = both.size();
+    let half = expected.map_or_else(|| layout.half(both.size()), |(size, _)| size);
+    let (whole, second) = match layout {
+        Layout::SideBySide => (ImageSize { width: 2 * half.width, ..half }, [half.width, 0]),
+        Layout::TopBottom => (ImageSize { height: 2 * half.height, ..half }, [0, half.height]),
+    };
+    let because_of = match expected {
+        Some((_, because_of)) => format!("a pair of {because_of}"),
+        None => "two views of the same size".to_owned(),
+    };
+    check_size(file, ImageSize { width, height }, (whole, &because_of))?;
+    Ok([[0, 0], second].map(|[x, y]| both.part((x, y), half)))
+}
