@@ -11,6 +11,7 @@ import time
 import numpy
 import pytest
 from conftest import PB3DP, SECONDS, decoded, nanos, pb3dp, tracked
+from mcap.reader import make_reader
 from PIL import Image
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -48,6 +49,18 @@ def test_the_library_of_mcap_decodes_everything(run):
     assert "[camera]" in messages["/pb3dp/setup"][0][1].data
     events = [line.msg for _, line in messages["/pb3dp/events"]]
     assert any("selecting" in line for line in events), events
+
+
+def test_the_log_times_of_a_topic_do_not_decrease_and_stamps_are_those_of_the_exposure(run):
+    times = {}
+    with open(run / "run.mcap", "rb") as stream:
+        for _, channel, message in make_reader(stream).iter_messages(log_time_order=False):
+            times.setdefault(channel.topic, []).append(message.log_time)
+    assert [topic for topic, logged in times.items() if logged != sorted(logged)] == []
+    messages = decoded(run / "run.mcap")
+    transforms = [transform for _, message in messages["/tf"] for transform in message.transforms]
+    of_target = [nanos(transform.header) for transform in transforms if transform.child_frame_id == "target"]
+    assert of_target == [nanos(pose.header) for _, pose in messages["/pb3dp/pose"]] and of_target
 
 
 def test_rosbags_reads_it_with_the_estimates_of_the_run(run):

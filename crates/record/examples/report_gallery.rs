@@ -76,8 +76,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .plot(
             &LinePlot::new("Fitness", ("time", "s"), ("fitness", ""))
                 .series(Series::line("best individual", SeriesColor::Blue, fitness))
-                .series(Series::line("limit", SeriesColor::Orange, vec![[0.0, 0.6], [60.0, 0.6]]).dashed())
-                .y_range(0.0, 1.0),
+                .series(Series::line("limit", SeriesColor::Orange, vec![[0.0, 0.6], [60.0, 0.6]]).dashed()),
         )
         .heading("Images")
         .images(&images)

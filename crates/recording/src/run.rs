@@ -159,7 +159,8 @@ impl RunRecording {
             let header = self.pairs.header(at, CAMERAS[0]);
             self.pairs.push(ours::POSE, at, &PoseWithCovarianceStamped { header, pose });
             let transforms = vec![self.pairs.transform(at, CAMERAS[0], TARGET, found)];
-            self.pairs.push(ours::TF, at, &Transforms { transforms });
+            // Written after the newest step, whose transform is on the same topic: some viewers read a topic in the order of its log times.
+            self.pairs.push(ours::TF, at.max(self.last_at), &Transforms { transforms });
         }
         if let Some(truth) = &seen.captured.cam_left_from_target {
             let header = self.pairs.header(at, CAMERAS[0]);

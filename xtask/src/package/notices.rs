@@ -1,4 +1,4 @@
-//! The licences of all crates in the program, which each copy of the program must include.
+//! The licences of all crates and scripts of others in the program, which each copy of the program must include.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -9,16 +9,29 @@ use anyhow::Context;
 use super::linked;
 use crate::workspace::Workspace;
 
-/// One text: name, version and licence of each crate, then its licence files.
+/// Folders of scripts of others, with their licences.
+const SCRIPTS: [(&str, &str); 1] = [("uPlot 1.6.32: MIT", "crates/record/assets/uplot")];
+
+/// One text: name, version and licence of each crate or script, then its licence files.
 pub fn text(workspace: &Workspace) -> anyhow::Result<String> {
-    let mut text = String::from("pb3dp contains these crates. Their authors permit it under the licences below.\n");
+    let mut text =
+        String::from("pb3dp contains these crates and scripts. Their authors permit it under the licences below.\n");
     for package in linked::crates(workspace)?.iter().filter(|package| package["source"].is_string()) {
         let key = |key: &str| package[key].as_str().unwrap_or("not stated");
-        let _ = write!(text, "\n{:=<100}\n{} {}: {}\n", "", key("name"), key("version"), key("license"));
+        let name = format!("{} {}: {}", key("name"), key("version"), key("license"));
         let folder = Path::new(key("manifest_path")).parent().context("a manifest has no folder")?;
-        for file in licence_files(folder)? {
-            let _ = write!(text, "\n{}\n", fs::read_to_string(&file).unwrap_or_default().trim_end());
-        }
+        text += &notice(&name, folder)?;
+    }
+    for (name, folder) in SCRIPTS {
+        text += &notice(name, &workspace.root().join(folder))?;
+    }
+    Ok(text)
+}
+
+fn notice(name: &str, folder: &Path) -> anyhow::Result<String> {
+    let mut text = format!("\n{:=<100}\n{name}\n", "");
+    for file in licence_files(folder)? {
+        let _ = write!(text, "\n{}\n", fs::read_to_string(&file).unwrap_or_default().trim_end());
     }
     Ok(text)
 }

@@ -6,8 +6,11 @@
 
 use std::fmt::Write as _;
 
+use serde::Serialize;
+
 use super::axis::Scale;
 use super::escape;
+use super::kept_rows::kept_rows;
 
 /// Height of the plot area and its margins, pixels on a wide screen.
 const HEIGHT: f64 = 190.0;
@@ -68,13 +71,14 @@ pub struct Series {
     name: String,
     color: SeriesColor,
     dashed: bool,
-    points: Vec<[f64; 2]>,
+    pub(super) held: bool,
+    pub(super) points: Vec<[f64; 2]>,
 }
 
 impl Series {
     /// A line through points `[x, y]`, x increasing. A point with a value that is not finite interrupts the line.
     pub fn line(name: impl Into<String>, color: SeriesColor, points: Vec<[f64; 2]>) -> Self {
-        Self { name: name.into(), color, dashed: false, points }
+        Self { name: name.into(), color, dashed: false, held: false, points }
     }
 
     /// Makes the line dashed: for references and limits.
@@ -83,10 +87,17 @@ impl Series {
         self.dashed = true;
         self
     }
+
+    /// Makes a staircase of the line: each value holds until the next point.
+    #[must_use]
+    pub fn held(mut self) -> Self {
+        self.held = true;
+        self
+    }
 }
 
 /// A vertical line with a label.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Mark {
     /// Position on the x axis.
     pub at: f64,
@@ -98,16 +109,14 @@ pub struct Mark {
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinePlot {
     title: String,
-    x: AxisText,
-    y: AxisText,
-    x_range: Option<[f64; 2]>,
-    y_range: Option<[f64; 2]>,
-    series: Vec<Series>,
-    marks: Vec<Mark>,
+    pub(super) x: AxisText,
+    pub(super) y: AxisText,
+    pub(super) series: Vec<Series>,
+    pub(super) marks: Vec<Mark>,
 }
 
-#[derive(Clone, Debug, PartialEq)]
-struct AxisText {
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct AxisText {
     quantity: String,
     unit: String,
 }
@@ -123,15 +132,7 @@ impl LinePlot {
     /// A plot without lines; axes are given as quantity and unit (empty for a number without a unit).
     pub fn new(title: impl Into<String>, x: (&str, &str), y: (&str, &str)) -> Self {
         let axis = |(quantity, unit): (&str, &str)| AxisText { quantity: quantity.into(), unit: unit.into() };
-        Self {
-            title: title.into(),
-            x: axis(x),
-            y: axis(y),
-            x_range: None,
-            y_range: None,
-            series: Vec::new(),
-            marks: Vec::new(),
-        }
+        Self { title: title.into(), x: axis(x), y: axis(y), series: Vec::new(), marks: Vec::new() }
     }
 
     /// Adds a line; later lines are drawn above earlier ones.
@@ -148,28 +149,14 @@ impl LinePlot {
         self
     }
 
-    /// Fixes the x axis instead of fitting it to the lines.
-    #[must_use]
-    pub fn x_range(mut self, from: f64, to: f64) -> Self {
-        self.x_range = Some([from, to]);
-        self
-    }
-
-    /// Fixes the y axis instead of fitting it to the lines.
-    #[must_use]
-    pub fn y_range(mut self, from: f64, to: f64) -> Self {
-        self.y_range = Some([from, to]);
-        self
-    }
-
-    /// The plot as an HTML figure with its title, legend and SVG.
-    pub(super) fn to_html(&self, PlotWidth(area): PlotWidth) -> String {
+    /// The plot as an HTML figure with its title, legend and SVG, and with the element of its data.
+    pub(super) fn to_html(&self, PlotWidth(area): PlotWidth, data: &str) -> String {
         let [x, y] = self.scales(area);
         let title = escape(&self.title);
         let (width, height) = (LEFT + area + RIGHT, TOP + HEIGHT + BOTTOM);
         format!(
             "<figure class=\"plot\"><figcaption><b>{title}</b>{}</figcaption>\
-             <svg viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{title}\">{}{}{}</svg></figure>\n",
+             <svg viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{title}\">{}{}{}</svg>{data}</figure>\n",
             self.legend(),
             self.grid(&x, &y, area),
             self.lines(&x, &y, area),
@@ -208,16 +195,8 @@ impl LinePlot {
             let values = finite().map(|p| p[axis]);
             values.fold([f64::INFINITY, f64::NEG_INFINITY], |r, v| [r[0].min(v), r[1].max(v)])
         };
-        let [x0, x1] = self.x_range.unwrap_or_else(|| range(0));
-        let x = Scale::new(x0, x1, (area / 75.0) as usize);
-        let y = match self.y_range {
-            Some([y0, y1]) => Scale::new(y0, y1, 5),
-            None => {
-                let [y0, y1] = range(1);
-                Scale::with_margin(y0, y1, 5)
-            }
-        };
-        [x, y]
+        let [[x0, x1], [y0, y1]] = [range(0), range(1)];
+        [Scale::new(x0, x1, (area / 75.0) as usize), Scale::with_margin(y0, y1, 5)]
     }
 
     fn legend(&self) -> String {
@@ -261,7 +240,7 @@ impl LinePlot {
         }
         for series in &self.series {
             let dashed = if series.dashed { " dashed" } else { "" };
-            let path = path(&series.points, x, y, area);
+            let path = path(series, x, y, area);
             let _ = write!(svg, "<path class=\"line {}{dashed}\" d=\"{path}\"/>", series.color.class());
         }
         svg.push_str("</svg>");
@@ -293,51 +272,29 @@ fn is_finite(point: &[f64; 2]) -> bool {
     point[0].is_finite() && point[1].is_finite()
 }
 
-/// SVG path of a series; interrupted at points that are not finite.
-fn path(points: &[[f64; 2]], x: &Scale, y: &Scale, area: f64) -> String {
+/// SVG path of a series; interrupted at points that are not finite, and reduced to the resolution of the image.
+fn path(series: &Series, x: &Scale, y: &Scale, area: f64) -> String {
+    let rows = kept_rows(&[&series.points], (4.0 * area) as usize);
+    let points: Vec<_> = rows.into_iter().map(|row| series.points[row]).collect();
     let mut path = String::new();
     for run in points.split(|point| !is_finite(point)).filter(|run| !run.is_empty()) {
-        let place = |p: &[f64; 2]| {
-            // Values far outside are clipped, so that the numbers stay short.
-            let v = (HEIGHT * (1.0 - y.share(p[1]))).clamp(-1e4, 1e4);
-            [(area * x.share(p[0])).clamp(-1e4, 1e4), v]
-        };
-        let places: Vec<_> = run.iter().map(place).collect();
         let mut command = 'M';
-        for [u, v] in reduced(&places, area) {
+        for point in run {
+            // Values far outside are clipped, so that the numbers stay short.
+            let v = (HEIGHT * (1.0 - y.share(point[1]))).clamp(-1e4, 1e4);
+            let u = (area * x.share(point[0])).clamp(-1e4, 1e4);
+            if series.held && command == 'L' {
+                let _ = write!(path, "H{u:.1}");
+            }
             let _ = write!(path, "{command}{u:.1} {v:.1}");
             command = 'L';
-        }
-        if let [[u, v]] = places[..] {
-            // A single point between gaps is drawn as a dot: a line of zero length with round ends.
-            let _ = write!(path, "L{u:.1} {v:.1}");
-        }
-    }
-    path
-}
-
-/// Reduces long lines to the first, lowest, highest and last point of each column of the image; the appearance stays the same and
-/// no peak is lost.
-fn reduced(places: &[[f64; 2]], area: f64) -> Vec<[f64; 2]> {
-    if places.len() as f64 <= 2.0 * area {
-        return places.to_vec();
-    }
-    let mut kept = Vec::new();
-    for column in places.chunk_by(|a, b| a[0].floor() == b[0].floor()) {
-        let by_height = |a: &usize, b: &usize| column[*a][1].total_cmp(&column[*b][1]);
-        let lowest = (0..column.len()).min_by(by_height).unwrap_or(0);
-        let highest = (0..column.len()).max_by(by_height).unwrap_or(0);
-        let mut chosen = [0, lowest, highest, column.len() - 1];
-        chosen.sort_unstable();
-        let mut last = None;
-        for i in chosen {
-            if last != Some(i) {
-                kept.push(column[i]);
-                last = Some(i);
+            if run.len() == 1 {
+                // A single point between gaps is drawn as a dot: a line of zero length with round ends.
+                let _ = write!(path, "L{u:.1} {v:.1}");
             }
         }
     }
-    kept
+    path
 }
 
 #[cfg(test)]
@@ -346,13 +303,12 @@ mod tests {
 
     #[test]
     fn a_point_stands_where_the_axes_say() {
-        let points = vec![[0.0, -1.0], [5.0, 0.5], [10.0, 1.0]];
-        let plot = LinePlot::new("t", ("time", "s"), ("z", "mm"))
-            .series(Series::line("a", SeriesColor::Blue, points))
-            .y_range(-1.0, 1.0);
-        let html = plot.to_html(PlotWidth(640.0));
-        // Half way along 640 and a quarter from the top of 190.
-        assert!(html.contains("d=\"M0.0 190.0L320.0 47.5L640.0 0.0\""), "{html}");
+        // The margin is a twentieth of the range of 20.
+        let points = vec![[0.0, -10.0], [5.0, 0.5], [10.0, 10.0]];
+        let plot = LinePlot::new("t", ("time", "s"), ("z", "mm")).series(Series::line("a", SeriesColor::Blue, points));
+        let html = plot.to_html(PlotWidth(640.0), "");
+        // Half way along 640; 21/22, 10.5/22 and 1/22 of 190 from the top.
+        assert!(html.contains("d=\"M0.0 181.4L320.0 90.7L640.0 8.6\""), "{html}");
         assert!(html.contains(">time, s<") && html.contains(">z, mm<"));
     }
 
@@ -360,7 +316,9 @@ mod tests {
     fn gaps_interrupt_the_line_and_lone_points_stay_visible() {
         let points = vec![[0.0, 0.0], [1.0, 1.0], [2.0, f64::NAN], [3.0, 0.0], [4.0, f64::INFINITY]];
         let (x, y) = (Scale::new(0.0, 4.0, 4), Scale::new(0.0, 1.0, 5));
-        assert_eq!(path(&points, &x, &y, 640.0), "M0.0 190.0L160.0 0.0M480.0 190.0L480.0 190.0");
+        let line = Series::line("a", SeriesColor::Red, points);
+        assert_eq!(path(&line, &x, &y, 640.0), "M0.0 190.0L160.0 0.0M480.0 190.0L480.0 190.0");
+        assert_eq!(path(&line.held(), &x, &y, 640.0), "M0.0 190.0H160.0L160.0 0.0M480.0 190.0L480.0 190.0");
     }
 
     #[test]
@@ -369,19 +327,21 @@ mod tests {
         points[123_456][1] = 40.0;
         points[123_460][1] = -30.0;
         let (x, y) = (Scale::new(0.0, 199_999.0, 10), Scale::new(-30.0, 40.0, 5));
-        let path = path(&points, &x, &y, 640.0);
-        assert!(path.len() < 640 * 4 * 14, "{} characters", path.len());
+        let path = path(&Series::line("a", SeriesColor::Red, points), &x, &y, 640.0);
+        assert!(path.len() < 640 * 5 * 14, "{} characters", path.len());
         assert!(path.contains(" 0.0") && path.contains(" 190.0"), "both peaks are kept");
     }
 
     #[test]
     fn labels_of_close_marks_do_not_touch() {
-        let mut plot = LinePlot::new("t", ("time", "s"), ("z", "mm")).x_range(0.0, 100.0);
+        let whole = Series::line("a", SeriesColor::Red, vec![[0.0, 0.0], [100.0, 1.0]]);
+        let mut plot = LinePlot::new("t", ("time", "s"), ("z", "mm")).series(whole);
         for i in 0..4 {
             plot = plot.mark(50.0 + 2.0 * f64::from(i), format!("({i})"));
         }
         plot = plot.mark(53.0, "no room").mark(f64::NAN, "never").mark(300.0, "outside");
-        let html = plot.to_html(PlotWidth(640.0));
+        let [x, _] = plot.scales(640.0);
+        let html = plot.mark_labels(&x, 640.0);
         assert_eq!(html.matches("class=\"mid small\"").count(), 4);
         assert_eq!(html.matches("y=\"20\" class=\"mid small\"").count(), 2);
         assert!(!html.contains("never") && !html.contains("no room") && !html.contains("outside"));
@@ -391,7 +351,7 @@ mod tests {
     fn a_plot_without_any_point_is_still_a_plot() {
         let html = LinePlot::new("t", ("time", "s"), ("ratio", ""))
             .series(Series::line("nothing", SeriesColor::Red, vec![[0.0, f64::NAN]]).dashed())
-            .to_html(PlotWidth::PANEL);
+            .to_html(PlotWidth::PANEL, "");
         assert!(html.contains(">ratio<") && !html.contains("NaN") && !html.contains("inf"), "{html}");
     }
 }

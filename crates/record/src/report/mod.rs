@@ -1,4 +1,7 @@
-//! Self-contained HTML reports: one file, no script, no external resources, readable in light and dark mode.
+//! Self-contained HTML reports: one file, no external resources, readable in light and dark mode.
+//!
+//! Line plots are SVG.
+//! Where a browser runs scripts, uPlot draws them instead, for zoom and hover; the page then permits its own script and no other.
 //!
 //! ```
 //! use pb3dp_record::report::{LinePlot, Report, Series, SeriesColor, Table};
@@ -17,13 +20,16 @@ mod axis;
 mod bars;
 mod base64;
 mod image_plot;
+mod kept_rows;
 mod line_plot;
+mod plot_data;
 mod svg_file;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
+use sha2::{Digest, Sha256};
 
 pub use bars::Bars;
 pub use image_plot::{ImagePlot, VectorAt};
@@ -92,6 +98,15 @@ pub enum ReportImage<'a> {
     EncodedPng(&'a [u8]),
 }
 
+/// The script of a page with line plots, between the elements that contain it.
+const SCRIPT: &str = concat!(
+    "/*\n",
+    include_str!("../../assets/uplot/LICENSE"),
+    "*/\n",
+    include_str!("../../assets/uplot/uPlot.iife.min.js"),
+    include_str!("plots.js")
+);
+
 /// A judgement with its colour; the word is always written as well.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tone {
@@ -120,12 +135,13 @@ pub struct Report {
     body: String,
     failed: Option<ReportError>,
     reload_s: Option<u32>,
+    has_plots: bool,
 }
 
 impl Report {
     /// An empty report.
     pub fn new(title: impl Into<String>) -> Self {
-        Self { title: title.into(), body: String::new(), failed: None, reload_s: None }
+        Self { title: title.into(), body: String::new(), failed: None, reload_s: None, has_plots: false }
     }
 
     /// A page that reloads itself at this interval, for reports that are updated while they are displayed.
@@ -170,7 +186,7 @@ impl Report {
     #[must_use]
     pub fn figures(self, figures: &[(&str, String)]) -> Self {
         let tile = |(name, value): &(&str, String)| {
-            format!("<div><strong>{}</strong><span>{}</span></div>", escape(value), escape(name))
+            format!("<div><strong>{}</strong><span>{}</span></div>", escape(&plain_zero(value)), escape(name))
         };
         let tiles: String = figures.iter().map(tile).collect();
         self.add(format_args!("<div class=\"figures\">{tiles}</div>"))
@@ -185,7 +201,7 @@ impl Report {
         let rows: String = table.rows.iter().map(|row| format!("<tr>{}</tr>", cells("td", row))).collect();
         let head = cells("th", &table.headings);
         self.add(format_args!(
-            "<div class=\"wide\"><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"
+            "<div class=\"wide\" tabindex=\"0\"><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"
         ))
     }
 
@@ -198,14 +214,17 @@ impl Report {
 
     /// A plot over the whole width.
     #[must_use]
-    pub fn plot(self, plot: &LinePlot) -> Self {
-        self.add(format_args!("{}", plot.to_html(PlotWidth::PAGE)))
+    pub fn plot(mut self, plot: &LinePlot) -> Self {
+        self.has_plots = true;
+        self.add(format_args!("{}", plot.to_html(PlotWidth::PAGE, &plot_data::to_html(plot))))
     }
 
     /// Plots side by side where the window is wide enough, as the panels of a figure.
     #[must_use]
-    pub fn panels(self, plots: &[LinePlot]) -> Self {
-        let panels: String = plots.iter().map(|plot| plot.to_html(PlotWidth::PANEL)).collect();
+    pub fn panels(mut self, plots: &[LinePlot]) -> Self {
+        self.has_plots = true;
+        let panels: String =
+            plots.iter().map(|plot| plot.to_html(PlotWidth::PANEL, &plot_data::to_html(plot))).collect();
         self.add(format_args!("<div class=\"panels\">{panels}</div>"))
     }
 
@@ -261,10 +280,19 @@ impl Report {
         let title = escape(&self.title);
         let reload =
             self.reload_s.map_or_else(String::new, |s| format!("<meta http-equiv=\"refresh\" content=\"{s}\">\n"));
+        let [script, styles, permitted] = if self.has_plots {
+            let hash = base64::encode(&Sha256::digest(SCRIPT));
+            let styles = include_str!("../../assets/uplot/uPlot.min.css");
+            [format!("<script>{SCRIPT}</script>\n"), styles.to_owned(), format!("'sha256-{hash}'")]
+        } else {
+            [String::new(), String::new(), "'none'".to_owned()]
+        };
         format!(
             "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n{reload}\
+             <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; \
+             style-src 'unsafe-inline'; script-src {permitted}\">\n\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
-             <style>\n{}</style>\n</head>\n<body>\n<main>\n<h1>{title}</h1>\n{}</main>\n</body>\n</html>\n",
+             <style>\n{styles}\n{}</style>\n</head>\n<body>\n<main>\n<h1>{title}</h1>\n{}</main>\n{script}</body>\n</html>\n",
             include_str!("style.css"),
             self.body
         )
@@ -325,9 +353,20 @@ mod tests {
             .images(&[(ReportImage::Photo(&image), nasty.to_owned())])
             .to_html()
             .unwrap();
-        assert!(!html.contains("<script") && !html.contains("alert('"), "{html}");
+        let page = html.replace(SCRIPT, "");
+        let starts: Vec<_> = page.match_indices("<script").map(|(at, _)| &page[at..at + 32]).collect();
+        assert_eq!(starts, ["<script type=\"application/json\">", "<script></script>\n</body>\n</html"]);
+        assert_eq!(page.matches("alert('").count(), 5, "texts of the plot's data, which is not run");
         assert!(html.contains("&lt;script&gt;alert(&#39;a &amp; &quot;b&quot;&#39;)&lt;/script&gt;"));
-        assert!(!html.contains("http"), "no external resource");
+        assert!(!page.replace("http-equiv", "").contains("http"), "no external resource");
+        let without = Report::new(nasty).bars(&[Bars::new(nasty, 1)]).to_html().unwrap();
+        assert!(!without.contains("<script") && without.contains("script-src 'none'"), "{without}");
+    }
+
+    /// The page would be without zoom otherwise, as a browser refuses the script.
+    #[test]
+    fn the_script_does_not_end_its_own_element() {
+        assert!(!SCRIPT.to_ascii_lowercase().contains("</script") && !SCRIPT.contains("<!--"));
     }
 
     #[test]

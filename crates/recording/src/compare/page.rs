@@ -143,7 +143,7 @@ fn commands(report: Report, comparison: &Comparison) -> Report {
         let y = ("norm of the velocities", "rad/s");
         // Below the others.
         let plot = LinePlot::new(ARMS[usize::from(arm)], ("time", "s"), y);
-        with_both(plot.series(Series::line("difference", SeriesColor::Grey, differences)), points)
+        lines(points).fold(plot.series(Series::line("difference", SeriesColor::Grey, differences)), LinePlot::series)
     });
     report.panels(&plots)
 }
@@ -164,14 +164,15 @@ fn decisions(report: Report, comparison: &Comparison) -> Report {
     });
     let states: Vec<&str> = found.seconds.keys().map(AsRef::as_ref).collect();
     let number = |step: &Step| states.iter().position(|state| *state == &*step.state).map_or(f64::NAN, |k| k as f64);
-    let strip = comparison.runs.each_ref().map(|run| staircase(&run.steps, number));
+    let strip = comparison.runs.each_ref().map(|run| run.steps.iter().map(|s| [s.stamp.t_s(), number(s)]).collect());
     let names: Vec<String> = states.iter().enumerate().map(|(number, state)| format!("{number} {state}")).collect();
     let title = format!("state of the supervisor: {}", names.join(", "));
+    let plot = LinePlot::new(title, ("time", "s"), ("state", ""));
     report
         .heading("Decisions of the supervisor")
         .paragraph(&(matched_text(&found.matched, "step") + "."))
         .table(&seconds)
-        .plot(&both(&title, ("state", ""), strip))
+        .plot(&lines(strip).map(Series::held).fold(plot, LinePlot::series))
         .table(&changes)
         .folded("Reasons of these changes", &reasons)
 }
@@ -185,14 +186,14 @@ fn statistics(rows: &[StatisticsRow]) -> Table {
 
 /// A plot with a line of each run.
 fn both(title: &str, y: (&str, &str), points: [Points; 2]) -> LinePlot {
-    with_both(LinePlot::new(title, ("time", "s"), y), points)
+    lines(points).fold(LinePlot::new(title, ("time", "s"), y), LinePlot::series)
 }
 
-fn with_both(plot: LinePlot, points: [Points; 2]) -> LinePlot {
-    RUNS.into_iter().zip(points).enumerate().fold(plot, |plot, (run, ((name, color), points))| {
+fn lines(points: [Points; 2]) -> impl Iterator<Item = Series> {
+    RUNS.into_iter().zip(points).enumerate().map(|(run, ((name, color), points))| {
         let line = Series::line(name, color, points);
         // Dashed, so that A is visible below B where both are the same.
-        plot.series(if run == 1 { line.dashed() } else { line })
+        if run == 1 { line.dashed() } else { line }
     })
 }
 
@@ -221,19 +222,6 @@ fn offset_plots(lines: &[NamedOffsets]) -> [LinePlot; 2] {
         plot("distance between A and B", ("distance", "mm"), |offset| offset.distance_mm),
         plot("angle between A and B", ("angle", "deg"), |offset| offset.angle_deg),
     ]
-}
-
-/// A value that holds from each step to the next.
-fn staircase(steps: &[Step], value: impl Fn(&Step) -> f64) -> Points {
-    let mut points: Points = Vec::new();
-    for step in steps {
-        let (t_s, now) = (step.stamp.t_s(), value(step));
-        if let Some(&[_, before]) = points.last() {
-            points.push([t_s, before]);
-        }
-        points.push([t_s, now]);
-    }
-    points
 }
 
 fn millimetres<A: Frame, B: Frame>(pose: Pose<A, B>) -> [f64; 3] {
