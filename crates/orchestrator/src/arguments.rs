@@ -1,10 +1,9 @@
 //! Arguments of `pb3dp run`, `estimate` and `track`, and their parsers.
 
 use std::path::PathBuf;
-use std::time::Duration;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use clap::{ArgGroup, Args, ValueEnum};
+use clap::{ArgGroup, Args};
 use pb3dp_bag::live::ViewerAddress;
 use pb3dp_cell::terminal::parse_seconds;
 use pb3dp_estimation::estimator::Method;

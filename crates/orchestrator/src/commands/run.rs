@@ -19,7 +19,6 @@ use pb3dp_cell::interruption::{INTERRUPTED, watch};
 use pb3dp_cell::report::{self, Following, Made};
 use pb3dp_cell::terminal::print_line;
 use pb3dp_commissioning::commissioned::check_arms;
-use pb3dp_geometry::MonotonicTime;
 use pb3dp_hal_platform::signals::StopSignals;
 use pb3dp_record::dataset::SequenceWriter;
 use pb3dp_recording::pairs::{About, is_file};

@@ -134,7 +134,7 @@ fn recorded(
         }
         tracing::info!("{}: recording into {}", camera.info().name, args.out.display());
         let until = file::Until { pairs: args.pairs, time: args.seconds.map(Duration::from_secs_f64) };
-        let identities = identities(&camera)?;
+        let identities = identities(&mut camera)?;
         return file::record(&mut camera, clock.as_ref(), (&args.out, rig.as_ref(), &identities), &until, is_over);
     }
     let Some(rig) = rig else {
@@ -153,7 +153,7 @@ fn recorded(
     let mut camera =
         V4l2StereoCamera::open(system, Arc::clone(&clock), &config).context("the cameras cannot be used")?;
     check_size(&rig, camera.info().size)?;
-    let identities = identities(&camera)?;
+    let identities = identities(&mut camera)?;
     let writer = SequenceWriter::create(&args.out, &rig, draft).context("--out")?;
     save_cameras(&identities, &args.out.join(CAMERAS_FILE)).context("--out")?;
     tracing::info!("{}: recording into {}", camera.info().name, args.out.display());
@@ -163,8 +163,8 @@ fn recorded(
 }
 
 /// A calibration with the recorded images states the cameras that it belongs to.
-fn identities(camera: &V4l2StereoCamera) -> Result<[CameraIdentity; 2]> {
-    let of = |side| camera.identity(side).map(identity);
+fn identities(camera: &mut V4l2StereoCamera) -> Result<[CameraIdentity; 2]> {
+    let mut of = |side| camera.identity(side).map(identity);
     Ok([of(Side::Left)?, of(Side::Right)?])
 }
 

@@ -1,0 +1,151 @@
+//! A long recording of two cameras in real time: pairs that the cameras or the recording lost, size and disk rate, and the computing time.
+//!
+//! `cargo run --release -p pb3dp-benchmarks --example long_recording -- MJPG 10 OUT.mcap` records 10 minutes of two emulated V4L2 cameras,
+//! 640x480 at 30 Hz, in the formats `MJPG`, `GREY` or `YUYV`, and reads the file back. Only the kernel is missing.
+
+#![allow(clippy::print_stdout, reason = "a program for the console")]
+
+use std::path::Path;
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use image::RgbImage;
+use image::codecs::jpeg::JpegEncoder;
+use pb3dp_bag::pairs::{PairOptions, StereoBag};
+use pb3dp_bag::sinks::Sinks;
+use pb3dp_bag::writer::{BagWriter, WhenFull};
+use pb3dp_camera_settings::{
+    CameraConfig, CameraName, ControlSettings, Interval, ModeRequest, PixelFormat, SKEW_MAX, Setting, StampModel, StereoConfig,
+};
+use pb3dp_camera_v4l2::V4l2StereoCamera;
+use pb3dp_camera_v4l2::emulated::{EmulatedCamera, EmulatedSystem};
+use pb3dp_geometry::ImageSize;
+use pb3dp_hal_api::{Clock, FramePair, StereoCamera};
+use pb3dp_hal_clock::SystemClock;
+use pb3dp_record::dataset::load_case;
+use pb3dp_recording::pairs::{About, PairRecording};
+
+const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
+const INTERVAL: Interval = Interval { numerator: 1, denominator: 30 };
+/// Bytes of a driver's buffer per row: enough for each image as JPEG.
+const PADDING: u32 = 640;
+/// Different images, which the cameras repeat.
+const IMAGES: usize = 30;
+
+fn main() -> Result<()> {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let [format, minutes, file] = &words[..] else { bail!("usage: long_recording MJPG|GREY|YUYV MINUTES OUT.mcap") };
+    let fourcc: [u8; 4] = format.as_bytes().try_into().context("a format has four letters")?;
+    let format = PixelFormat::of_fourcc(fourcc).context("an unknown format")?;
+    let duration = Duration::from_secs_f64(minutes.parse::<f64>()? * 60.0);
+    prepare(format)?;
+    let (clock, mut camera) = cameras(format, fourcc)?;
+    let file = Path::new(file);
+    let writer = BagWriter::create(file, WhenFull::Drop)?;
+    let about = About::new(String::new(), "long_recording", clock.now())?;
+    let mut recording = PairRecording::new(&about, None, Sinks::new(Some(writer), None, None));
+    let mut pair = FramePair::black(SIZE);
+    let (begin, mut taken, mut lost, mut before) = (clock.now(), 0_u64, 0, None);
+    while clock.now().saturating_since(begin) < duration {
+        camera.next_pair_into(&mut pair, Duration::from_secs(1))?;
+        lost += before.replace(pair.sequence).map_or(0, |before: u64| pair.sequence - before - 1);
+        recording.images(&pair);
+        taken += 1;
+    }
+    let took_s = clock.now().saturating_since(begin).as_secs_f64();
+    let written = recording.finish().written.context("a recording")??;
+    let bytes = std::fs::metadata(file)?.len() as f64;
+    let read = StereoBag::open(file, PairOptions::default())?
+        .pairs()
+        .filter(|pair| pair.as_ref().is_ok_and(|pair| pair.images.is_ok()));
+    println!("| format | minutes | pairs | lost by the cameras | messages dropped | read back | MB | MB/s |");
+    println!("|---|---|---|---|---|---|---|---|");
+    println!(
+        "| {format} | {:.1} | {taken} | {lost} | {} | {} | {:.0} | {:.2} |",
+        took_s / 60.0,
+        written.dropped,
+        read.count(),
+        bytes * 1e-6,
+        bytes * 1e-6 / took_s
+    );
+    Ok(())
+}
+
+/// The images of both cameras in the format of the camera.
+static PAINTED: OnceLock<[Vec<Vec<u8>>; 2]> = OnceLock::new();
+
+/// Real images, moved by a pixel from one to the next.
+fn prepare(format: PixelFormat) -> Result<()> {
+    let case = load_case(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/data/cases/bb201_c0"))?;
+    let images = case.load_images()?;
+    let painted = |image: &RgbImage| {
+        let moved = |by: usize| {
+            let shifted = RgbImage::from_fn(SIZE.width, SIZE.height, |u, v| {
+                *image.get_pixel((u + by as u32) % image.width(), v % image.height())
+            });
+            bytes_of(&shifted, format)
+        };
+        (0..IMAGES).map(moved).collect::<Result<Vec<_>>>()
+    };
+    let painted = [painted(&images.left)?, painted(&images.right)?];
+    PAINTED.set(painted).ok().context("prepared twice")
+}
+
+fn bytes_of(image: &RgbImage, format: PixelFormat) -> Result<Vec<u8>> {
+    let grey = || image.pixels().map(|pixel| pixel.0[1]);
+    Ok(match format {
+        PixelFormat::Grey => grey().collect(),
+        PixelFormat::Yuyv => grey().flat_map(|grey| [grey, 128]).collect(),
+        PixelFormat::Mjpg => {
+            let mut file = Vec::new();
+            JpegEncoder::new_with_quality(&mut file, 85).encode_image(image)?;
+            file
+        }
+        other => bail!("{other}: use MJPG, GREY or YUYV"),
+    })
+}
+
+fn paint(side: usize, number: u64, memory: &mut [u8]) {
+    let Some(painted) = PAINTED.get() else { return };
+    let image = &painted[side][number as usize % IMAGES];
+    // Rows of the other formats have the same padding; their images need not be whole.
+    let fits = image.len().min(memory.len());
+    memory[..fits].copy_from_slice(&image[..fits]);
+}
+
+fn cameras(format: PixelFormat, fourcc: [u8; 4]) -> Result<(Arc<dyn Clock>, V4l2StereoCamera)> {
+    let clock: Arc<dyn Clock> = Arc::new(SystemClock::new());
+    let cameras = (0..2).map(|side| {
+        let mut camera = EmulatedCamera::usual(side);
+        camera.formats = vec![(fourcc, vec![(SIZE, vec![INTERVAL])])];
+        camera.padding = if format == PixelFormat::Mjpg { PADDING } else { 0 };
+        camera.paint = if side == 0 {
+            |number, memory| paint(0, number, memory)
+        } else {
+            |number, memory| paint(1, number, memory)
+        };
+        camera
+    });
+    let system = EmulatedSystem::new(Arc::clone(&clock), cameras.collect());
+    let config = |side: u32| CameraConfig {
+        name: CameraName::Serial { serial: format!("SN000{side}"), index: None },
+        mode: ModeRequest {
+            format,
+            size: SIZE,
+            interval: INTERVAL,
+            input: None,
+            standard: None,
+            takes_interlaced: false,
+        },
+        controls: ControlSettings {
+            exposure: Setting::Manual(Duration::from_millis(4)),
+            ..ControlSettings::default()
+        },
+        exposure: None,
+        stamps: StampModel::default(),
+    };
+    let config = StereoConfig { left: config(0), right: config(1), skew_max: SKEW_MAX, speed_max_m_per_s: 0.1 };
+    let camera = V4l2StereoCamera::open(Arc::new(system), Arc::clone(&clock), &config)?;
+    Ok((clock, camera))
+}
