@@ -51,6 +51,7 @@ use pb3dp_cell::parts::{EmulatedArm, LinkMonitor, Parts};
 use pb3dp_cell::paths::check_paths;
 use pb3dp_cell::perception::{Marking, NOT_MARKED, Sight};
 use pb3dp_cell::selection::Selections;
+use pb3dp_cell::stepped::{SteppedRun, check_simulated};
 use pb3dp_setup::region_spec::load_region;
 use pb3dp_setup::setup::{Carrier, Pace, Setup};
 
@@ -115,6 +116,17 @@ pub fn wire_run(setup: &Setup, needs: &RunNeeds) -> Result<Wired> {
 /// As [`wire`].
 pub fn wire_with(setup: &Setup, video: Arc<dyn VideoSystem>) -> Result<Wired> {
     wire_experiment(setup, &RunNeeds::default(), video)
+}
+
+/// A simulated run of the setup that its caller steps, with the experiment of the setup, or the first seconds of it.
+///
+/// # Errors
+/// As [`wire`]; arms or cameras that are not simulated, before anything is opened.
+pub fn wire_stepped(setup: Setup, stop_after_s: Option<f64>) -> Result<SteppedRun> {
+    check_simulated(&setup)?;
+    let needs = RunNeeds { until_s: stop_after_s, selects_targets: false };
+    let parts = wire_run(&setup, &needs)?.parts;
+    SteppedRun::start(setup, parts, stop_after_s)
 }
 
 fn wire_experiment(setup: &Setup, needs: &RunNeeds, video: Arc<dyn VideoSystem>) -> Result<Wired> {
