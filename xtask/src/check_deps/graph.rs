@@ -7,7 +7,7 @@ use crate::violation::Violation;
 
 /// One row per package: which of our packages it may depend on. Lowest layer first; a package may depend only on packages
 /// above its own row. Names without the prefix `pb3dp-`.
-const ALLOWED: [(&str, &[&str]); 41] = [
+const ALLOWED: [(&str, &[&str]); 42] = [
     ("allocation-count", &[]),
     ("test-support", &[]),
     ("safeguards", &[]),
@@ -244,6 +244,10 @@ const ALLOWED: [(&str, &[&str]); 41] = [
             "arm-pa10-emulation",
         ],
     ),
+    (
+        "python",
+        &["geometry", "estimation-core", "estimation", "record", "hal-api", "hal-platform", "setup", "cell", "wiring"],
+    ),
 ];
 
 /// Additional packages for tests of any package.
@@ -287,8 +291,8 @@ const SEES_NOTHING: &str = "xtask";
 const MEASURES_ALL: &str = "benchmarks";
 
 /// Packages that may serialise and deserialise structures.
-const SERDE_USERS: [&str; 9] =
-    ["setup", "cell", "panel", "commissioning", "orchestrator", "record", "bag", "benchmarks", "calibration"];
+const SERDE_USERS: [&str; 10] =
+    ["setup", "cell", "panel", "commissioning", "orchestrator", "python", "record", "bag", "benchmarks", "calibration"];
 const SERDE_CRATES: [&str; 6] = ["serde", "serde_json", "serde-saphyr", "toml", "figment", "serde_derive"];
 
 /// Lets tests disable safeguards: only a build of a test may enable it, by name.
