@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import pb3dp
+from conftest import ROOT
 
 # Without images a run is fast.
 QUICK = {"estimator.method": "geometric", "estimator.compare": []}
@@ -66,7 +67,7 @@ def test_a_run_ends_when_it_is_closed_or_forgotten():
 
 def test_nothing_outside_of_this_process_can_be_reached():
     with pytest.raises(pb3dp.Error, match="here only simulated"):
-        pb3dp.Run("rig")
+        pb3dp.Run(ROOT / "configs/rig.toml")
 
 
 def test_wrong_arguments():

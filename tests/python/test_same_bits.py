@@ -107,3 +107,22 @@ def test_the_codes_are_those_of_the_program():
         pb3dp.Run("nowhere.toml")
     assert raised.value.code == "PB3DP-CFG-001" and raised.value.code in str(raised.value)
     assert program("explain", raised.value.code)
+
+
+def test_a_recorded_run_as_arrays(recorded):
+    run = pb3dp.RecordedRun(recorded / "run.mcap")
+    settings = {"scene.target": "card", "estimator.compare": []}
+    with pb3dp.Run("sim", settings=settings, stop_after_s=1.0) as stepped:
+        steps = list(stepped)
+    pairs = [pair for step in steps for pair in step.pairs]
+    assert run.step_times_s.tolist() == [step.t_s for step in steps] and run.states == [step.state for step in steps]
+    assert np.array_equal(run.world_from_hand, [step.world_from_hand for step in steps])
+    assert np.array_equal(run.world_from_target, [step.world_from_target for step in steps])
+    for arm in (0, 1):
+        assert np.array_equal(run.joints_rad(arm), [step.joints_rad(arm) for step in steps])
+    assert np.array_equal(run.cam_left_from_model[: len(pairs)], [pair.estimate.cam_left_from_model for pair in pairs])
+    assert np.array_equal(run.covariances[: len(pairs)], [pair.estimate.covariance for pair in pairs])
+    assert np.array_equal(run.cam_left_from_target[: len(pairs)], [pair.cam_left_from_target for pair in pairs])
+    assert run.estimate_times_s.shape == (len(run.statuses),) and set(run.statuses) == {"ok"}
+    with pytest.raises(pb3dp.Error, match="case.json|calib.json|recording"):
+        pb3dp.RecordedRun(CASES[0] / "case.json")

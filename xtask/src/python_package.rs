@@ -34,13 +34,10 @@ pub struct Args {
 /// # Errors
 /// If a test fails, or the machine lacks a requirement.
 pub fn run(workspace: &Workspace, args: &Args) -> anyhow::Result<()> {
-    let mut build = workspace.cargo();
-    build.args(["build", "--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"]);
-    if args.wheel {
-        build.arg("--release");
-    }
-    run_visibly(&mut build)?;
-    let programs = workspace.target_folder()?.join(if args.wheel { "release" } else { "debug" });
+    // A test build, also beside a wheel of the release: the bits are the same in every profile.
+    let package = ["--locked", "--package", "pb3dp-orchestrator", "--bin", "pb3dp"];
+    run_visibly(workspace.cargo().arg("build").args(package))?;
+    let programs = workspace.target_folder()?.join("debug");
     let python = if args.wheel { of_wheel(workspace)? } else { of_test_build(workspace)? };
     if args.bench {
         return run_visibly(workspace.command(&python.interpreter).args([&format!("{TESTS}/overhead.py")]));

@@ -10,6 +10,7 @@ mod errors;
 mod estimate;
 mod estimator;
 mod images;
+mod recorded_run;
 mod recording;
 mod region;
 mod rig;
@@ -32,6 +33,8 @@ mod _pb3dp {
     use super::estimator::Estimator;
     #[pymodule_export]
     use super::images::read_image;
+    #[pymodule_export]
+    use super::recorded_run::RecordedRun;
     #[pymodule_export]
     use super::recording::{Pair, Recording};
     #[pymodule_export]

@@ -107,7 +107,11 @@ impl RunStep {
     }
 }
 
-fn numbered(arm: usize) -> PyResult<usize> {
+/// The number of an arm, if there is such an arm.
+///
+/// # Errors
+/// `IndexError`.
+pub fn numbered(arm: usize) -> PyResult<usize> {
     match ARMS.get(arm) {
         Some(_) => Ok(arm),
         None => {

@@ -14,5 +14,6 @@ mod head;
 pub mod pairs;
 pub mod replay;
 pub mod run;
+pub mod series;
 mod steps;
 mod tap;

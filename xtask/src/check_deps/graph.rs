@@ -246,7 +246,18 @@ const ALLOWED: [(&str, &[&str]); 42] = [
     ),
     (
         "python",
-        &["geometry", "estimation-core", "estimation", "record", "hal-api", "hal-platform", "setup", "cell", "wiring"],
+        &[
+            "geometry",
+            "estimation-core",
+            "estimation",
+            "record",
+            "recording",
+            "hal-api",
+            "hal-platform",
+            "setup",
+            "cell",
+            "wiring",
+        ],
     ),
 ];
 
