@@ -42,15 +42,16 @@ impl<'py> Given<'py> {
             if channels == 3 && array.is_c_contiguous() {
                 return Ok(Self::Borrowed { array, width, height });
             }
-            let mut values = Vec::with_capacity(3 * width as usize * height as usize);
-            for row in array.as_array().outer_iter() {
+            let mut image = RgbImage::new(width, height);
+            let rows = image.chunks_exact_mut(3 * width as usize);
+            for (out, row) in rows.zip(array.as_array().outer_iter()) {
                 match (channels, row.as_slice()) {
-                    (3, Some(row)) => values.extend_from_slice(row),
-                    (3, None) => values.extend(row.iter()),
-                    _ => values.extend(row.iter().flat_map(|&value| [value; 3])),
+                    (3, Some(row)) => out.copy_from_slice(row),
+                    (3, None) => out.iter_mut().zip(row.iter()).for_each(|(out, value)| *out = *value),
+                    (_, Some(row)) => spread(out, row.iter()),
+                    (_, None) => spread(out, row.iter()),
                 }
             }
-            let image = RgbImage::from_raw(width, height, values).with_context(|| wrong_number(name))?;
             return Ok(Self::Copied(StoredImage::Rgb(image)));
         }
         if let Ok(array) = given.cast::<PyArrayDyn<u16>>() {
@@ -80,6 +81,12 @@ impl<'py> Given<'py> {
             Self::Copied(stored) => Ok(Pixels::Stored(stored)),
         }
     }
+}
+
+/// Grey values as pixels with three equal channels.
+fn spread<'a>(out: &mut [u8], values: impl Iterator<Item = &'a u8>) {
+    let (pixels, _) = out.as_chunks_mut::<3>();
+    pixels.iter_mut().zip(values).for_each(|(pixel, &value)| *pixel = [value; 3]);
 }
 
 fn wrong_number(name: &str) -> String {

@@ -5,20 +5,20 @@
 //! radians, frames those of docs/frames.md. Calls that compute release the lock of the interpreter. No real arm and no real camera can be
 //! reached.
 
-mod arrays;
-mod errors;
-mod estimate;
-mod estimator;
-mod images;
-mod recorded_run;
-mod recording;
-mod region;
-mod rig;
-mod run;
-mod run_step;
-mod settings;
-mod track;
-mod tracker;
+pub(crate) mod arrays;
+pub(crate) mod errors;
+pub(crate) mod estimate;
+pub(crate) mod estimator;
+pub(crate) mod images;
+pub(crate) mod recorded_run;
+pub(crate) mod recording;
+pub(crate) mod region;
+pub(crate) mod rig;
+pub(crate) mod run;
+pub(crate) mod run_step;
+pub(crate) mod settings;
+pub(crate) mod track;
+pub(crate) mod tracker;
 
 /// The compiled part of the package; `pb3dp/__init__.py` exports it.
 #[pyo3::pymodule]
