@@ -19,8 +19,7 @@ PAGE = """# Python
 
 This page is written by the command below; change the program, not the page.
 
-The time on the wall of a call from Python, minus the CPU time that the estimator states for its own work, which is the time that the program
-reports: the cost of the arguments, of the results, and of releasing and taking the lock of the interpreter.
+The time on the wall of a call from Python, minus the CPU time that the estimator states for its own work, which is the time that the program reports: the cost of the arguments, of the results, and of releasing and taking the lock of the interpreter.
 Medians of {calls} calls on each of {cases} cases with images of {size}, after the first call.
 The goal is at most {goal:.0f} microseconds for images that need not be copied.
 
